@@ -267,7 +267,7 @@ def test_a_plant_of_ones_own_that_tells_what_the_ground_bears_stands_or_tips() -
 def test_what_has_no_arm_or_is_no_robot_is_refused() -> None:
     with pytest.raises(UnknownName, match="unknown mount 'arm', available: ur5"):
         reaction_wrench(at_rest(UR5, UR5.rest), "arm")
-    with pytest.raises(pm.InvalidArgument, match="robot carries no arm, expected one"):
+    with pytest.raises(pm.InvalidArgument, match="robot carries no arm, expected a robot with one"):
         reaction_wrench(planar((0, 0, 0)))
     with pytest.raises(pm.InvalidArgument, match=r"plant is 3, expected a MobileRobot"):
         MotionStates(3, [0], [0], [0])

@@ -419,4 +419,4 @@ def test_a_saved_rollout_knows_whether_damping_and_friction_are_what_they_were(
     urdf.write_text(RESISTED.replace('friction="0.2"', 'friction="0.4"'))
     changed = pm.Rollout.load(file).plant
     assert isinstance(changed, PlantOutline)
-    assert "joints' damping, friction and rotors are no longer those that were kept" in changed.reason
+    assert "joints' damping, friction and rotors differ from the stored ones" in changed.reason

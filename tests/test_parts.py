@@ -328,7 +328,7 @@ def test_what_a_robot_does_by_pinocchio_alone_is_refused_with_the_line() -> None
     def function(t: float, q: Any, v: Any, reference: Any) -> Any:
         return ROBOT.jacobian(q).T[:, :3] @ (reference.q - q)
 
-    what = "jacobian of a MobileRobot, which takes numbers alone; call it before the law, on numbers"
+    what = "jacobian of a MobileRobot, which accepts only numbers; call it outside the law, with numbers"
     with refused(rf"function, line \d+ of test_parts\.py .*: {what}"):
         pm.ensemble(
             ROBOT,

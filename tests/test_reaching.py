@@ -378,7 +378,7 @@ def test_manipulability_is_yoshikawas() -> None:
     both[..., second.q] = q[..., 3:]
     np.testing.assert_allclose(two.arm_manipulability(both, second.tip), arm, rtol=1e-9, atol=1e-12)
     assert BOX.manipulability(np.zeros((2, 3))).tolist() == [0, 0]
-    with pytest.raises(pm.InvalidArgument, match="frame is 'base_link', expected one of an arm"):
+    with pytest.raises(pm.InvalidArgument, match="frame is 'base_link', expected a frame of an arm"):
         UR5.arm_manipulability(q, "base_link")
 
 

@@ -182,17 +182,17 @@ def test_a_loop_is_given_what_fits_the_numbers() -> None:
 def test_what_symbols_cannot_have_is_named() -> None:
     traced = Traced(ROBOTS["ur5"])
     (q,) = traced.state(traced.other.rest)
-    with pytest.raises(NotTraceable, match="frame_placements of a MobileRobot, which takes numbers alone"):
+    with pytest.raises(NotTraceable, match="frame_placements of a MobileRobot, which accepts only numbers"):
         traced.robot.frame_placements(q)
     with pytest.raises(NotTraceable, match="linearize of a MobileRobot"):
         ROBOTS["ur5"].linearize(q, q, q)
-    with pytest.raises(NotTraceable, match="the Pinocchio model of a MobileRobot whose numbers are symbols"):
+    with pytest.raises(NotTraceable, match="the Pinocchio model of a MobileRobot with symbols as parameters"):
         _ = traced.robot.model
-    with pytest.raises(NotTraceable, match="the body of a MobileRobot whose numbers are symbols"):
+    with pytest.raises(NotTraceable, match="the body of a MobileRobot with symbols as parameters"):
         _ = traced.robot.body
     with pytest.raises(NotTraceable, match="frame 'x', which moves with a part of the pose"):
         ROBOTS["ur5"].frame_pose(q, "x")
-    with pytest.raises(InvalidArgument, match="frame is 'base_link', expected one of an arm"):
+    with pytest.raises(InvalidArgument, match="frame is 'base_link', expected a frame of an arm"):
         ROBOTS["ur5"].arm_manipulability(q, "base_link")
 
 

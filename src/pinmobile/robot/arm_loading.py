@@ -1,4 +1,4 @@
-"""What `MobileRobot.mount` is given: a loader's name, a URDF, or a `pin.Model`; and which can be mounted."""
+"""Read the argument of `MobileRobot.mount` (loader, URDF or model), and list the shipped arms."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _UNSEEN = "its loader has no visuals: there is nothing to draw of it"
 
 
 class Exceptional(NamedTuple):
-    """Whether a name mounts as it is, and what is exceptional about it."""
+    """Whether an arm mounts by its name alone, and a note on its defect."""
 
     mounts: bool
     reason: str
@@ -48,22 +48,41 @@ EXCEPTIONS = {
     "simple_humanoid": Exceptional(True, _UNSEEN),
     "simple_humanoid_classical": Exceptional(True, _UNSEEN),
 }
-"""Names that `MobileRobot.mount` refuses as they are, or that are not drawn, and why."""
+"""Robots that `MobileRobot.mount` rejects by name alone, or that have no visual geometry, with the reason.
+
+Examples
+--------
+>>> from pinmobile.robot import EXCEPTIONS
+>>> EXCEPTIONS["cassie"].mounts
+False
+"""
 
 
 class Mountable(NamedTuple):
-    """A robot that can be mounted by its name.
+    """A robot that `MobileRobot.mount` accepts by name.
 
     Attributes
     ----------
     name : str
-        What `MobileRobot.mount` takes.
+        Argument of `MobileRobot.mount`.
     joints : int
-        Degrees of freedom that it brings, without a root and wheels.
+        Number of joints that the arm adds to the robot, without root joint and wheels.
     mass : float
-        Of the whole of it [kg].
+        Total mass [kg].
     note : str
-        What it lacks, where it lacks something, such as visuals.
+        Defect of the arm, such as missing visual geometry; empty if there is none.
+
+    See Also
+    --------
+    robot.mountable : table of all mountable robots
+    MobileRobot : `mount` puts an arm on the body
+
+    Examples
+    --------
+    >>> from pinmobile.robot import Mountable
+    >>> arm = Mountable("ur5", joints=6, mass=20.994)
+    >>> arm.mass * 9.81  # weight [N]
+    205.95
     """
 
     name: str
@@ -73,12 +92,26 @@ class Mountable(NamedTuple):
 
 
 class Mountables(dict[str, Mountable]):
-    """All robots that can be mounted, by name; printed, it is a table with the names that do not mount.
+    """Table of all mountable robots by name; its text also lists the names that do not mount, with reasons.
 
     Raises
     ------
     UnknownName
-        If a row is asked for that is not there.
+        If the table has no row of the requested name.
+
+    See Also
+    --------
+    robot.mountable : function that returns this table
+    robot.EXCEPTIONS : robots that do not mount by name alone
+
+    Examples
+    --------
+    >>> from pinmobile.robot import Mountable, Mountables
+    >>> table = Mountables(ur5=Mountable("ur5", 6, 20.994))
+    >>> print(str(table).splitlines()[0])
+    name                     joints  mass [kg]
+    >>> table["ur5"].joints
+    6
     """
 
     def __missing__(self, name: str) -> Mountable:
@@ -97,9 +130,26 @@ class Mountables(dict[str, Mountable]):
 
 @lru_cache(maxsize=1)
 def mountable() -> Mountables:
-    """Return the robots of example-robot-data that `MobileRobot.mount` knows by name.
+    """Return the robots of example-robot-data that `MobileRobot.mount` accepts by name.
 
-    It reads each of them once, without its meshes, which takes two seconds; after that it is remembered.
+    The first call reads all files without meshes, which takes about two seconds. The result is then cached.
+
+    Returns
+    -------
+    Mountables
+        Table with name, number of joints and mass [kg] of each robot.
+
+    See Also
+    --------
+    MobileRobot : `mount` puts such an arm on the body
+    robot.EXCEPTIONS : robots that do not mount by name alone
+
+    Examples
+    --------
+    >>> from pinmobile.robot import mountable
+    >>> arms = mountable()  # doctest: +SKIP
+    >>> arms["ur5"].joints, arms["ur5"].mass  # doctest: +SKIP
+    (6, 20.994)
     """
     found = Mountables()
     for name in sorted(_loaders()):
@@ -116,14 +166,14 @@ def _load_arm(name: str, locked: tuple[str, ...] = ()) -> Arm:
     Raises
     ------
     UnknownName
-        If there is none of that name.
+        If no robot has this name.
     InvalidArgument
-        If its loader fails, or it cannot be mounted.
+        If the loader fails, or the robot cannot be mounted.
     """
     loader = _loaders()[one_of("arm", name, _loaders())]
     geometry: dict[str, Any]
     try:
-        if "__init__" in vars(loader) or not loader.urdf_filename:  # it does more than read a URDF
+        if "__init__" in vars(loader) or not loader.urdf_filename:  # the loader does more than read a URDF
             robot = loader().robot
             model, rest = robot.model, robot.q0
             geometry = {"visual": robot.visual_model, "collision": robot.collision_model}
@@ -144,7 +194,7 @@ def _loaders() -> dict[str, Any]:
 
 
 def _read(loader: Any) -> tuple[pin.Model, Array, dict[str, Any]]:
-    """Return what the loader would read, without the meshes, which take a hundred times as long."""
+    """Return the loader's model without meshes, which would take a hundred times as long to read."""
     from example_robot_data import getModelPath, readParamsFromSrdf
 
     folder = Path(loader.path)
@@ -158,7 +208,7 @@ def _read(loader: Any) -> tuple[pin.Model, Array, dict[str, Any]]:
     return model, rest, {"file": VisualFile(home / urdf, (home.parents[1],))}
 
 
-_SLACK = 1e-9  # [m, rad]: a posture at a limit is there but for rounding
+_SLACK = 1e-9  # [m, rad]: tolerance for rounding of a posture at a limit
 
 
 def read_arm(
@@ -170,7 +220,7 @@ def read_arm(
     rest: ArrayLike | None = None,
     locked: Sequence[str] = (),
 ) -> Arm:
-    """Return what is to be mounted, read and checked.
+    """Return the arm to be mounted, read and checked.
 
     Parameters
     ----------
@@ -180,7 +230,7 @@ def read_arm(
     Raises
     ------
     InvalidArgument
-        If it cannot be read or mounted, or is something else.
+        If the arm cannot be read or mounted, or has another type.
     UnknownName
         If no loader has the name.
     """
@@ -190,7 +240,7 @@ def read_arm(
     folders = existing_folders(package_dirs)
     if isinstance(arm, Arm):
         return arm
-    # A name has neither slash nor ending; what looks like a path is one, there or not.
+    # A name has neither a slash nor a file ending. Text with either is a path, even if the file is missing.
     is_text = isinstance(arm, str | PathLike)
     is_file = is_text and (not isinstance(arm, str) or "/" in arm or arm.lower().endswith((".urdf", ".xml")))
     kind = "a URDF" if is_file else "a loader's name" if is_text else "a model"
@@ -200,7 +250,7 @@ def read_arm(
             takes = "a URDF" if argument == "package_dirs" else "a pinocchio.Model"
             called = str(arm if is_text else getattr(arm, "name", arm))
             raise InvalidArgument(
-                f"{argument} does not apply to {kind}, {called!r}, expected it beside {takes} alone"
+                f"{argument} does not apply to {kind}, {called!r}, expected it only with {takes}"
             )
     if is_file:
         made = _from_urdf(location("arm", arm).resolve(), folders, rest, held)
@@ -215,14 +265,15 @@ def read_arm(
 
 
 class KeptArm(NamedTuple):
-    """An arm of a name or a file, as archives keep it: it is read again, and must have the same numbers.
+    """Arm of a name or file as an archive stores it; to restore the arm, `read` reads the file again.
 
     Attributes
     ----------
     origin, locked, rest
-        As of `Arm`.
+        As in `Arm`.
     numbers : ndarray
-        Masses, inertias, damping, friction and rotors of its joints, in a row.
+        Masses, inertias, damping, friction and rotor inertias of the joints. The file must still contain
+        them.
     """
 
     origin: Origin
@@ -232,46 +283,46 @@ class KeptArm(NamedTuple):
 
     @classmethod
     def of(cls, arm: Arm) -> KeptArm:
-        """Return what is kept of an arm.
+        """Return the stored form of an arm.
 
         Raises
         ------
         InvalidArgument
-            If it is made of a `pin.Model`.
+            If the arm was made from a `pin.Model`.
         """
         if arm.origin.kind == "model":
-            raise InvalidArgument("it had an arm of a pin.Model, which an archive cannot keep")
+            raise InvalidArgument("it had an arm made from a pin.Model, which an archive cannot store")
         model = arm._model
         own = [inertia.toDynamicParameters() for inertia in model.inertias]
         numbers = np.concatenate([*own, model.damping, model.friction, model.armature])
         return cls(arm.origin, arm.locked, arm.rest, numbers)
 
     def read(self) -> Arm:
-        """Return the arm again, with the reference posture that it had, clipped or not.
+        """Return the arm again, with its stored reference configuration.
 
         Raises
         ------
         InvalidArgument, UnknownName
-            If it is no longer there, or no longer has these numbers.
+            If the file is missing, or no longer contains the stored numbers.
         """
         origin, locked, rest, numbers = self
         made = read_arm(origin.value, package_dirs=origin.package_dirs, locked=locked)
         made = attrs.evolve(made, rest=_posture(made.whole, rest))
         if not np.array_equal(KeptArm.of(made).numbers, numbers):
             raise InvalidArgument(
-                "its masses, inertias, or joints' damping, friction and rotors are no longer those that were "
-                f"kept: see {origin.value}"
+                "its masses, inertias, or joints' damping, friction and rotors differ from the stored ones: "
+                f"see {origin.value}"
             )
         return made
 
 
 def existing_folders(package_dirs: str | PathLike[str] | Sequence[str | PathLike[str]]) -> tuple[str, ...]:
-    """Return the folders of ``package_dirs``, resolved; one of them may come alone.
+    """Return the resolved folders of ``package_dirs``, which may be a single folder.
 
     Raises
     ------
     InvalidArgument
-        If it is something else, or one of them is no folder.
+        If an entry has another type or is not a folder.
     """
     given = (package_dirs,) if isinstance(package_dirs, str | PathLike) else package_dirs
     paths = tuple(
@@ -298,7 +349,7 @@ def _from_model(
     instance("arm", arm, pin.Model, "a name, the path of a URDF, or a pinocchio.Model")
     if arm.njoints == 1:
         raise InvalidArgument(
-            f"arm {arm.name!r} has no joints, expected one at least: a PayloadBody has none"
+            f"arm {arm.name!r} has no joints, expected at least one: use robot.attach(PayloadBody(...))"
         )
     visual, collision = (each and each.clone() for each in (visual, collision))
     whole = replace_continuous_joints(arm)
@@ -314,12 +365,12 @@ def _posture(model: pin.Model, rest: ArrayLike | None) -> Array:
 
 
 def _check_rest(arm: Arm) -> None:
-    """Refuse a reference posture outside the limits."""
+    """Raise `InvalidArgument` for a reference configuration outside the limits."""
     model = arm.whole
     for joint in joints_of(model):
         for k in range(joint.q.start, joint.q.stop) if joint.nq == 1 else ():
             least, most = model.lowerPositionLimit[k], model.upperPositionLimit[k]
-            # Equal limits are none.
+            # Equal limits count as no limit.
             if least < most and not least - _SLACK <= arm.rest[k] <= most + _SLACK:
                 raise InvalidArgument(
                     f"rest has joint {joint.name!r} at {arm.rest[k]:.9g}, expected {least:.9g} to {most:.9g}"

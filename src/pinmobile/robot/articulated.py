@@ -579,7 +579,7 @@ class ArticulatedDynamics(_Coordinates):
         """Return that of the arm that carries the frame alone, the base held, shape (...)."""
         arm, slash, _ = self._frame(frame).name.partition("/")
         if not slash:
-            raise InvalidArgument(f"frame is {arm!r}, expected one of an arm")
+            raise InvalidArgument(f"frame is {arm!r}, expected a frame of an arm")
         return self.manipulability(q, frame, arm=arm)
 
     def frame_drift(self, q: Array, v: Array, frame: str | None = None) -> Array:

@@ -1,4 +1,4 @@
-"""`MobileRobot`, the noun: parameters that check themselves, and the dynamics that follow from them."""
+"""`MobileRobot`: the parameters of a robot, and the dynamics that follow from them."""
 
 from __future__ import annotations
 
@@ -84,10 +84,10 @@ from pinmobile.robot.visuals import (
 
 @attrs.frozen
 class _Size(Number):
-    """Declaration of the sides of the box that is drawn."""
+    """Declaration of the lengths of the sides of the drawn box."""
 
     def checked(self, name: str, value: Any) -> tuple[float, ...]:
-        """Return a tuple of floats."""
+        """Return the lengths as a tuple of floats."""
         return tuple(lengths(value).tolist())
 
 
@@ -98,44 +98,64 @@ def _frozen(name: str, inertia: Array | None) -> Array | None:
 @final
 @part
 class MobileRobot(System):
-    """A rigid body on the chain prismatic y, prismatic x, revolute z, with Pinocchio's dynamics.
+    """A planar mobile robot: a rigid body on a chain of joints, with arms and loads, computed by Pinocchio.
 
-    Conventions, and the errors of the methods that it inherits: see `System`. With arms mounted, see
-    `mount`, the parameters below are those of the base's body alone.
+    The chain is prismatic y, prismatic x, revolute z. `robot.System` states the conventions of q, v, a and
+    tau, and the errors of the inherited methods. If the robot carries arms (see `mount`), the parameters
+    below describe the body of the base without arms.
 
     Parameters
     ----------
     mass : float
-        Mass [kg].
+        Mass of the body [kg].
     yaw_inertia : float
-        Inertia about the vertical through the centre of mass, Icz [kg m^2].
+        Moment of inertia Icz about the vertical axis through the centre of mass [kg m^2].
     com : sequence of 2 or 3 floats
-        Centre of mass in the body frame (xbc, ybc) or (xbc, ybc, zbc) [m].
+        Centre of mass in the body frame, (xbc, ybc) or (xbc, ybc, zbc) [m].
     size : sequence of 3 floats
-        Length, width and height of the box that is drawn [m]; a robot made from numbers stands on it, too:
-        see `footprint` and `top`.
-    dh : DHTable
-        The chain; the joint frames of `model` are its frames.
+        Length, width and height of the drawn box [m]. If the robot is made from numbers, the box also gives
+        `footprint` and `top`.
+    dh : dh.DHTable
+        DH table of the chain. The joint frames of `model` are the frames of this table.
 
     Attributes
     ----------
-    mounts : tuple of Mount
-        Its arms.
+    mounts : tuple of robot.Mount
+        Mounted arms.
     loads : tuple of PayloadBody
-        What is attached to it.
+        Attached loads.
     reference_inertia : ndarray, shape (3, 3), or None
-        Inertia of the body about all axes, which grows with `yaw_inertia`; None: the same about all.
+        Inertia of the body about the centre of mass, up to a factor [kg m^2]: the inertia is this matrix,
+        scaled so that its last entry equals `yaw_inertia`. None means equal moments of inertia about all
+        axes.
     locked_joints : tuple of str
-        Joints of its file that are locked at rest: wheels, and what carries them.
+        Names of joints of the URDF or model that are locked at rest: wheels, and joints that carry only
+        wheels.
     undercarriage : Undercarriage
-        The wheels of its file, and what else it stands on, for a `WheeledRobot`; empty where it was not read
-        from a file or a model.
+        Wheels and other ground contacts of the URDF or model, for a `WheeledRobot`. It is empty if the robot
+        was not read from a URDF or a model.
 
     Raises
     ------
     InvalidArgument
-        If a mass, inertia or size is not positive, a shape is wrong, a value is not finite, or `dh` is not
-        a chain of prismatic y, prismatic x, revolute z.
+        If a mass, an inertia or a length is not positive, a shape is wrong, a value is not finite, or `dh` is
+        not a chain of prismatic y, prismatic x, revolute z.
+
+    See Also
+    --------
+    WheeledRobot : the same robot on wheels, driven by motors
+    simulate : run a controller on the robot
+    verify : check that independent derivations of the dynamics agree
+
+    Examples
+    --------
+    >>> from pinmobile import MobileRobot
+    >>> robot = MobileRobot(mass=20.0, yaw_inertia=0.5, com=(0.1, 0.0))
+    >>> robot.mass_matrix([0, 0, 0]).diagonal()  # [kg, kg, kg m^2]
+    array([20. , 20. ,  0.7])
+    >>> q, v = [0, 0, 0], [0, 0, 2]  # turn at 2 rad/s on the spot
+    >>> robot.nonlinear_effects(q, v)  # [N, N, N m]
+    array([-8.,  0.,  0.])
     """
 
     mass: float = number(unit="kg", above=0, doc="mass of the robot")
@@ -146,26 +166,24 @@ class MobileRobot(System):
     size: Any = declare(
         _Size("sides of the box that is drawn", "m", 0.0, shapes=((3,),), fixed=True), (0.6, 0.4, 0.2)
     )
-    dh: DHTable = option(default=LECTURE_TABLE, check=check_chain, doc="the chain that carries it")
-    mounts: tuple[Mount, ...] = children(Mount, default=(), kw_only=True, doc="arms on it")
-    loads: tuple[PayloadBody, ...] = children(
-        PayloadBody, default=(), kw_only=True, doc="loads that are attached to it"
-    )
-    # The plane feels Izz alone. Ixx = Iyy = Izz is a body that exists; diag(0, 0, Izz) is not.
+    dh: DHTable = option(default=LECTURE_TABLE, check=check_chain, doc="chain that carries the body")
+    mounts: tuple[Mount, ...] = children(Mount, default=(), kw_only=True, doc="mounted arms")
+    loads: tuple[PayloadBody, ...] = children(PayloadBody, default=(), kw_only=True, doc="attached loads")
+    # Planar motion depends only on Izz. A rigid body can have Ixx = Iyy = Izz, but not diag(0, 0, Izz).
     reference_inertia: Array | None = option(
-        default=None, check=_frozen, kw_only=True, doc="inertia about all axes, which grows with yaw_inertia"
+        default=None, check=_frozen, kw_only=True, doc="inertia about all axes, scaled to yaw_inertia"
     )
-    _stance: Stance | None = option(default=None, kw_only=True, doc="how it stands; None: as its box")
-    _source: str = option(default="made from numbers", kw_only=True, doc="where its numbers come from")
-    locked_joints: tuple[str, ...] = option(default=(), kw_only=True, doc="locked joints of its file")
-    undercarriage: Undercarriage = option(default=Undercarriage(), kw_only=True, doc="wheels of its file")
-    _looks: VisualFile | None = option(default=None, kw_only=True, doc="the file that says how it looks")
+    _stance: Stance | None = option(default=None, kw_only=True, doc="contact geometry; None: the box")
+    _source: str = option(default="made from numbers", kw_only=True, doc="origin of the numbers")
+    locked_joints: tuple[str, ...] = option(default=(), kw_only=True, doc="locked joints of the file")
+    undercarriage: Undercarriage = option(default=Undercarriage(), kw_only=True, doc="wheels of the file")
+    _looks: VisualFile | None = option(default=None, kw_only=True, doc="file with the visual geometry")
 
     def check(self) -> None:
-        """Raise `InvalidArgument` where no body has its numbers, or its dynamics are lost to rounding."""
+        """Raise `InvalidArgument` if no rigid body has these numbers, or rounding makes M(q) singular."""
         if self._is_symbolic:
             return
-        self.body  # noqa: B018 (it checks itself)
+        self.body  # noqa: B018 (making the body checks its numbers)
         if self.mounts or self.loads:
             check_whole(self._model, self.rest)
 
@@ -175,10 +193,10 @@ class MobileRobot(System):
 
     @numeric
     def body(self) -> urdf.Body:
-        """Mass, centre of mass and inertia of the base's body."""
+        """Mass, centre of mass and inertia of the body of the base."""
         if self._is_symbolic:
             raise NotTraceable(
-                "the body of a MobileRobot whose numbers are symbols", "take its mass, yaw_inertia and com"
+                "the body of a MobileRobot with symbols as parameters", "use its mass, yaw_inertia and com"
             )
         inertia = self.reference_inertia
         if inertia is None:
@@ -189,7 +207,7 @@ class MobileRobot(System):
 
     @property
     def inertia_shares(self) -> tuple[float, float]:
-        """The body's inertia xz and yz, as shares of the yaw inertia."""
+        """Products of inertia xz and yz of the body, divided by the yaw inertia."""
         inertia = self.reference_inertia
         if inertia is None:
             return 0.0, 0.0
@@ -204,12 +222,12 @@ class MobileRobot(System):
 
     @numeric
     def stance(self) -> Stance:
-        """How it stands: `footprint`, `top` and `grounded` are of it."""
+        """Contact geometry of the base: the source of `footprint`, `top` and `grounded`."""
         return Stance.of_box(self.size) if self._stance is None else self._stance
 
     @property
     def source(self) -> str:
-        """Where its numbers come from, in words."""
+        """Origin of the robot's numbers, as text: the file, and assumptions made in reading it."""
         return self._source + _of_files(self.mounts)
 
     def __repr__(self) -> str:
@@ -235,45 +253,45 @@ class MobileRobot(System):
 
     @property
     def footprint(self) -> Array | None:
-        """Corners of the convex polygon on which it stands, in the body's frame, shape (k, 2) [m].
+        """Corners of the support polygon in the body frame, counter-clockwise, shape (k, 2) [m].
 
-        Counter-clockwise. Of a robot made from numbers the rectangle of its `size`; of a URDF the hull of
-        what touches the ground: its wheels, and casters and skids that are fixed to it. None where that is
-        not known: see `source`.
+        The polygon is convex. For a robot made from numbers, it is the rectangle of `size`. For a URDF, it is
+        the convex hull of the ground contacts: wheels, and casters and skids fixed to the base. It is None if
+        the contacts are not known; `source` then gives the reason.
         """
         return self.stance.footprint  # type: ignore[no-any-return]
 
     @property
     def top(self) -> float | None:
-        """Height above the ground of the body's highest point, where `mount` puts an arm [m].
+        """Height of the body's highest point above the ground [m], where `mount` puts an arm by default.
 
-        Of a robot made from numbers that of its `size`; of a URDF that of the collision geometry of what does
-        not roll, or of what is drawn where there is none; an antenna counts. None where that is not known:
-        see `source`.
+        For a robot made from numbers, this is the height in `size`. For a URDF, it is the top of the
+        collision geometry without wheels, or of the visual geometry if the file has no collision geometry. An
+        antenna counts. It is None if the height is not known; `source` then gives the reason.
         """
         return self.stance.top
 
     @property
     def is_box(self) -> bool:
-        """Whether its body is the box of its `size` that stands on the ground."""
+        """Whether the body is a box of dimensions `size` that stands on the ground."""
         return self._looks is None and self.stance == Stance.of_box(self.size)
 
     @property
     def grounded(self) -> bool:
-        """Whether the body's origin is known to lie on the ground; if not, `balance` refuses the robot."""
+        """Whether the height of the body frame is known. If not, `balance` rejects the robot."""
         return self.stance.grounded
 
     @classmethod
     def lecture(cls) -> MobileRobot:
         """Return the lecture's robot: 30 kg, Icz = 0.1 kg m^2, centre of mass at the origin.
 
-        A homogeneous box of its mass and size would have 1.3 kg m^2: see `MobileRobot.box`.
+        A homogeneous box of this mass and size would have Icz = 1.3 kg m^2: see `MobileRobot.box`.
         """
         return cls(30.0, 0.1)
 
     @classmethod
     def box(cls, mass: float = 30.0, size: tuple[float, float, float] = (0.6, 0.4, 0.2)) -> MobileRobot:
-        """Return a homogeneous box that stands on the ground; by default the lecture's, made physical.
+        """Return a homogeneous box that stands on the ground; by default, with the lecture's mass and size.
 
         Parameters
         ----------
@@ -282,10 +300,15 @@ class MobileRobot(System):
         size : sequence of 3 floats
             Length, width and height [m].
 
+        Returns
+        -------
+        MobileRobot
+            Robot with the inertia of the box and the centre of mass at half the height.
+
         Raises
         ------
         InvalidArgument
-            If the mass or a length is not positive or not finite, or the lengths are not three.
+            If the mass or a length is not positive or not finite, or `size` does not have three entries.
         """
         inertia = urdf.box_inertia(mass, size)
         body = urdf.Body(mass, np.array([0, 0, finite("size", size)[2] / 2]), inertia)
@@ -299,57 +322,71 @@ class MobileRobot(System):
         *,
         ground: ArrayLike | None = None,
     ) -> MobileRobot:
-        """Return the robot of a URDF; `source` says what was taken from it.
+        """Return the robot that a URDF describes; its `source` says which numbers come from the file.
 
-        The file either is the chain prismatic y, prismatic x, revolute z with a body on it, whatever its
-        joints are called, or a bare base without it: a root link that carries fixed links, wheels
-        (joints that are continuous, or revolute without limits or with those of a thousand turns) and joints
-        that carry only wheels. A bare base is put on the chain, its wheels locked: it can be pushed sideways.
+        The file contains one of two models. The first is the chain prismatic y, prismatic x, revolute z with
+        a body on it; its joints may have any names. The second is a base without this chain: a root link with
+        fixed links, wheels and joints that carry only wheels. A wheel is a continuous joint, or a revolute
+        joint without limits or with limits of at least a thousand turns. `MobileRobot` puts a base without a
+        chain on the chain and locks its wheels, so a force can push it sideways.
 
-        B, ``base_link`` among `frame_names`, is the frame of the root link, moved along z to the ground. That
-        is where the wheels stand, by the radii of their collision cylinders and spheres; else where a link
-        base_footprint is; of the chain z = 0. Where nothing tells, it is taken to be at the origin of the
-        root link, `grounded` is False, and what asks for a height is refused until `ground` is given.
+        The body frame B (``base_link`` in `frame_names`) is the frame of the root link, moved along z to the
+        ground. The height of the ground follows from the radii of the wheels' collision cylinders and
+        spheres, otherwise from a link base_footprint. For a file with the chain, the ground is at z = 0. If
+        the file has no such information, the ground is assumed at the origin of the root link and `grounded`
+        is False. Functions that need a height then reject the robot until `ground` is given.
 
         Parameters
         ----------
         path : str or path
-            The file.
+            Path of the URDF.
         package_dirs : str, path, or sequence of them
-            Folder or folders that ``package://`` in the file's mesh names refers to.
+            Folder or folders to which ``package://`` in the file's mesh names refers.
         ground : float, optional
-            The ground's z in the frame of the root link [m], whatever the file says of it.
+            Height z of the ground in the frame of the root link [m]. It overrides the file.
+
+        Returns
+        -------
+        MobileRobot
+            Robot on the chain, with locked wheels.
 
         Raises
         ------
         InvalidArgument
-            If the file cannot be read, is malformed, is neither of the two (the joint that is wrong is
-            named), describes a body that cannot exist, its wheels are not within 5 mm of one plane, or
-            `ground` is above its centre of mass.
+            If the file cannot be read, is malformed, or is neither of the two models (the message names the
+            wrong joint); if no rigid body has a link's inertia; if the wheels' lowest points differ by more
+            than 5 mm from one plane; or if `ground` is above the centre of mass.
 
         Warns
         -----
         UserWarning
-            If a link has an inertia that no rigid body has, too small to matter.
+            If no rigid body has a link's inertia, but the inertia is too small to affect the dynamics.
         """
         folders = tuple(map(Path, existing_folders(package_dirs)))
         return cls(**read_urdf(location("path", path), folders, ground))
 
     @classmethod
     def from_model(cls, pin_model: pin.Model, *, ground: ArrayLike | None = None) -> MobileRobot:
-        """Return the robot of a Pinocchio model, read as `from_urdf` reads a file; it is not kept.
+        """Return the robot that a Pinocchio model describes, by the same rules as `from_urdf`.
 
         Parameters
         ----------
         pin_model : pin.Model
-            The chain with a body, or a bare base with a free-flyer root, a planar root or none.
+            Chain with a body; or a base without this chain, with a free-flyer root, a planar root or no root
+            joint. The robot keeps no reference to this object.
         ground : float, optional
-            As in `from_urdf`; a model has no shapes, and does not tell its footprint and its top.
+            Height z of the ground in the frame of the root link [m], as in `from_urdf`. A model has no
+            geometry, so `footprint` and `top` stay unknown.
+
+        Returns
+        -------
+        MobileRobot
+            Robot on the chain, with locked wheels.
 
         Raises
         ------
         InvalidArgument
-            If it is neither, or describes a body that cannot exist.
+            If the model is neither a chain nor a base, or no rigid body has its inertia.
         """
         instance("pin_model", pin_model, pin.Model, "a pinocchio.Model")
         return cls(**read_model(pin_model, pin_model.name or "the model", ground))
@@ -365,25 +402,32 @@ class MobileRobot(System):
         stance: Stance | None = None,
         locked_joints: Sequence[str] = (),
     ) -> MobileRobot:
-        """Return the robot whose body, with all six moments of inertia, is given.
+        """Return the robot with a given body, including all six moments and products of inertia.
 
         Parameters
         ----------
-        body : pinmobile.urdf.Body
+        body : urdf.Body
             Mass, centre of mass and inertia.
-        size, dh
-            As in the class.
+        size : sequence of 3 floats
+            Length, width and height of the drawn box [m].
+        dh : dh.DHTable
+            DH table of the chain.
         source : str
-            Where the numbers come from, in words.
-        stance : Stance, optional
-            How it stands; by default as a box of `size`.
+            Origin of the numbers, as text.
+        stance : robot.Stance, optional
+            Contact geometry; by default, the box of dimensions `size`.
         locked_joints : sequence of str
-            As in the class.
+            Names of locked joints.
+
+        Returns
+        -------
+        MobileRobot
+            Robot without arms and loads.
 
         Raises
         ------
         InvalidArgument
-            If `body` or `stance` is something else, or `size` or `dh` is not what the class expects.
+            If `body` or `stance` has another type, or `size` or `dh` is not what the class expects.
         """
         instance("body", body, urdf.Body, "a pinmobile.urdf.Body")
         instance("stance", stance, Stance | None, "a pinmobile.robot.Stance")
@@ -401,19 +445,24 @@ class MobileRobot(System):
         )
 
     def with_body(self, body: urdf.Body, source: str) -> MobileRobot:
-        """Return the bare robot that has another body, and looks and stands the same.
+        """Return the robot without arms and loads, with another body but the same looks and contacts.
 
         Parameters
         ----------
-        body : pinmobile.urdf.Body
+        body : urdf.Body
             Mass, centre of mass and inertia.
         source : str
-            Where they come from, in words.
+            Origin of these numbers, as text.
+
+        Returns
+        -------
+        MobileRobot
+            Robot without arms and loads.
 
         Raises
         ------
         InvalidArgument
-            If one of them is something else.
+            If `body` is not a `urdf.Body`, or `source` is not a text.
         """
         instance("body", body, urdf.Body, "a pinmobile.urdf.Body")
         source = text("source", source)
@@ -427,11 +476,11 @@ class MobileRobot(System):
 
     @property
     def metrics(self) -> tuple[Metric, ...]:
-        """What is worth judging about it beside errors, none without arms: what `evaluate_metrics` returns.
+        """Metrics that `evaluate_metrics` computes; empty for a robot without arms.
 
-        Of each arm how far its end effector is from where the reference puts it, and by what angle; where
-        joints have limits, the largest effort of what they allow; and the tip-over margin, where footprint
-        and ground are known.
+        For each arm, these are the distance and the angle between the end effector and its reference pose,
+        and the largest ratio of a joint's force or torque to its effort limit, if joints have limits. The
+        tip-over margin follows if footprint and ground are known.
         """
         return self._arm_metrics.metrics if self.mounts else ()
 
@@ -439,14 +488,14 @@ class MobileRobot(System):
     def evaluate_metrics(
         self, t: ArrayLike, q: ArrayLike, v: ArrayLike, a: ArrayLike, u: ArrayLike, reference: Any
     ) -> Array:
-        """Return its `metrics`, shape (..., m).
+        """Return the values of `metrics`, shape (..., m).
 
-        What the reference does not lead it puts where `rest` has it, as `start` does.
+        Coordinates without a reference have their reference at `rest`, as in `start`.
 
         Parameters
         ----------
         t : array_like, shape (...)
-            Time [s], on which nothing depends.
+            Time [s]. The metrics do not depend on time.
         q : array_like, shape (..., nq)
             Configuration [m, m, rad, ...].
         v, a : array_like, shape (..., nv)
@@ -454,7 +503,12 @@ class MobileRobot(System):
         u : array_like, shape (..., nv)
             Input [N, N, N m, ...].
         reference : Reference
-            Where the first coordinates should be.
+            Reference of the first coordinates.
+
+        Returns
+        -------
+        ndarray, shape (..., m)
+            One value for each of the m metrics, in the unit of the metric.
 
         Raises
         ------
@@ -471,27 +525,33 @@ class MobileRobot(System):
         numbers = state["q"], state["v"], state["a"], state["u"]
         with np.errstate(over="ignore"):
             found: Array = self._arm_metrics.evaluate_metrics(self, *numbers, desired)
-        finite_answer(np.where(found == -np.inf, 0.0, found), **state)  # a margin may be minus infinity
+        finite_answer(np.where(found == -np.inf, 0.0, found), **state)  # a margin may equal minus infinity
         return found
 
     @structure
     def nv(self) -> int:
-        """Size of v and a."""
+        """Number of entries of v and a."""
         return BODY_JOINT + sum(len(mount.joint_names) for mount in self.mounts)
 
     @structure
     def tree(self) -> Tree:
-        """Its structure; raises `NotTraceable` where a joint is neither revolute nor prismatic."""
-        return Tree.of(self, in_public_order(build_model(self.dh, self.body)))
-
-    @numeric
-    def array_dynamics(self) -> PlanarDynamics | ArticulatedDynamics:
-        """Return the same dynamics in NumPy, unchecked, for one state or many, of numbers or symbols.
+        """Kinematic tree: joints, parents and axes.
 
         Raises
         ------
         NotTraceable
-            If a joint of it is neither revolute nor prismatic.
+            If a joint is neither revolute nor prismatic.
+        """
+        return Tree.of(self, in_public_order(build_model(self.dh, self.body)))
+
+    @numeric
+    def array_dynamics(self) -> PlanarDynamics | ArticulatedDynamics:
+        """Dynamics in NumPy, without checks, for one state or many, with numbers or symbols.
+
+        Raises
+        ------
+        NotTraceable
+            If a joint is neither revolute nor prismatic.
         """
         if self.mounts:
             return self._articulated
@@ -518,11 +578,12 @@ class MobileRobot(System):
 
     @property
     def law(self) -> Any:
-        """What a loop calls for one state, unchecked, in this thread alone: look it up once.
+        """Unchecked dynamics of one state that a loop calls, for the current thread only.
 
-        Of numbers it is by Pinocchio, see `UncheckedDynamics`; of symbols `array_dynamics`.
+        Read this property once before a loop. For a robot with numeric parameters, it is a
+        `robot.UncheckedDynamics` on Pinocchio; for a robot with symbols, it is `array_dynamics`.
         """
-        if type(self) is not MobileRobot:  # what a subclass overrides is heard
+        if type(self) is not MobileRobot:  # use the methods that a subclass overrides
             return self
         return self.array_dynamics if self._engine is None else UncheckedDynamics(self, self._engine)
 
@@ -538,49 +599,67 @@ class MobileRobot(System):
         rest: ArrayLike | None = None,
         locked: Sequence[str] = (),
     ) -> MobileRobot:
-        """Return the robot with an arm on its body; q and v then end with the arm's joints.
+        """Return the robot with an arm on its body; the entries of q and v for the arm's joints come last.
 
-        A root of its own (free-flyer, planar) is replaced by the chain, and wheels are locked. Its joints and
-        frames are called ``name/...``, and each joint has one number in q: a continuous joint is an angle,
-        like psi. Its limits, its rotors and its reference posture are kept, and so are its joints' damping
-        and friction, by which `JointFriction.of(robot)` acts. Equal position limits, as lower = upper = 0,
-        and a velocity or effort limit of 0 are none: that is what files write, some of the loaders' too,
-        where they know none. A joint that mimics another in a URDF, as the panda's second finger, moves
-        freely, since Pinocchio's forward dynamics knows no mimic joints; a `pin.Model` that has them is
-        refused. To keep such a joint still, name it in `locked`.
+        The chain replaces a free-flyer or planar root joint of the arm, and wheels are locked. The names of
+        joints and frames become ``name/...``. Each joint has one number in q: a continuous joint is an angle,
+        like psi. The robot keeps limits, rotor inertias and reference configuration of the arm. It also keeps
+        the joints' damping and friction, which act in a loop with `JointFriction`. Equal lower and upper
+        position limits, and a velocity or effort limit of 0, count as no limit: many files write them for
+        unknown limits.
+
+        Pinocchio's forward dynamics does not support mimic joints. A URDF's mimic joint (such as the second
+        finger of the panda) therefore moves freely; name it in `locked` to fix it. A `pin.Model` with mimic
+        joints is rejected.
 
         Parameters
         ----------
         arm : str, path, pin.Model or pin.RobotWrapper
-            One of `mountable()`, such as ``"ur5"``; a URDF; or a model.
+            Name of a shipped arm, such as ``"ur5"`` (`robot.mountable` lists them); path of a URDF; or model.
         at : array_like, shape (4,), optional
-            Where its root stands on the body: x, y, z above the ground and yaw [m, m, m, rad]; by default in
-            the middle, at the height `top`, unless that is not known or another arm stands there. What has a
-            free-flyer root, or a loader that gives it one, stands on its feet instead, its root as high as
-            puts its lowest frame at rest there; so does what would otherwise hang below the ground.
+            Placement of the arm's root on the body: x, y, height z above the ground, and yaw [m, m, m, rad].
+            By default, x = y = 0 at height `top`; this requires a known `top` and no other arm there. A robot
+            with a free-flyer root, or a loader that adds one, stands on its feet: by default, its lowest
+            frame in the reference configuration has the height `top`. An arm that would reach below the
+            ground is raised in the same way.
         name : str, optional
-            By default that of the arm; numbered where it is taken.
+            Name of the mounted arm; by default, the name of the loader, file or model. A number is appended
+            to a name that exists already.
         package_dirs : str, path, or sequence of them
-            Folder or folders that ``package://`` in a URDF's mesh names refers to.
+            Folder or folders to which ``package://`` in a URDF's mesh names refers.
         visual : pin.GeometryModel, optional
-            What is drawn of a `pin.Model`.
+            Visual geometry for a `pin.Model`.
         collision : pin.GeometryModel, optional
-            What of a `pin.Model` may touch something: see `clearance`.
+            Collision geometry for a `pin.Model`, used by `clearance`.
         rest : array_like, shape (arm's nq,), optional
-            Its reference posture, one number for each joint beside a root of its own, within its limits; by
-            default the loader's, or the neutral one, brought within them.
+            Reference configuration of the arm within its limits, without root joint [rad or m]. By default,
+            the loader's, or else the neutral one, clipped to the limits.
         locked : sequence of str
-            Its joints that shall not move, at rest.
+            Names of the arm's joints to lock in the reference configuration.
+
+        Returns
+        -------
+        MobileRobot
+            Robot with the arm as the last entry of `mounts`.
 
         Raises
         ------
         InvalidArgument
-            If the arm cannot be read, or is larger than `MobileRobot.from_urdf` takes; a joint of it that is
-            not locked has several axes, as a ball joint; a joint moves no inertia, carries what no rigid body
-            is, or has limits that limit nothing; without `at`, the middle is taken or the top not known; or
-            another argument is not what is expected.
+            If the arm cannot be read or is too large; if an unlocked joint has several axes (such as a ball
+            joint), moves no inertia, has invalid limits or carries an inertia that no rigid body has; if `at`
+            is missing and the default placement is occupied or its height unknown; or if another argument is
+            invalid.
         UnknownName
-            If no loader has the name; the nearest come first.
+            If no loader has the given name. The message lists the nearest names first.
+
+        Examples
+        --------
+        >>> from pinmobile import MobileRobot
+        >>> robot = MobileRobot.box(mass=60.0).mount("ur5")
+        >>> robot.nq, robot.end_effector
+        (9, 'ur5/tool0')
+        >>> robot.frame_pose(robot.rest)[:3, 3].round(3)  # tool [m]
+        array([0.817, 0.191, 0.195])
         """
         shapes = {"visual": visual, "collision": collision}
         ready = read_arm(arm, package_dirs=package_dirs, rest=rest, locked=locked, **shapes)
@@ -596,17 +675,22 @@ class MobileRobot(System):
         Parameters
         ----------
         load : PayloadBody
-            Mass, centre of mass, inertia, size.
+            Mass, centre of mass, inertia and size of the load.
         frame : str, optional
-            One of `frame_names`; by default `end_effector`.
+            Name of the frame, one of `frame_names`; by default, `end_effector`.
+
+        Returns
+        -------
+        MobileRobot
+            Robot with the load as the last entry of `loads`.
 
         Raises
         ------
         InvalidArgument
-            If `load` is something else, or so heavy that the dynamics are lost to rounding beside it; or if
-            the frame is of a virtual link of the chain, which moves with the robot in part only.
+            If `load` has another type; if the load is so heavy that rounding makes M(q) singular; or if the
+            frame belongs to a link of the chain before the body.
         UnknownName
-            If there is no such frame.
+            If the robot has no such frame.
         """
         instance("load", load, PayloadBody, "a PayloadBody")
         name, number = self._frame(frame)
@@ -618,21 +702,26 @@ class MobileRobot(System):
 
     @property
     def base(self) -> MobileRobot:
-        """The robot without what it carries."""
+        """Robot without arms and loads."""
         return evolved(self, {"mounts": (), "loads": ()}) if self.mounts or self.loads else self
 
     def lumped(self, q: ArrayLike | None = None) -> MobileRobot:
-        """Return the bare robot that has the mass and inertia of all, arms locked where they are.
+        """Return the robot without arms whose body has the composite inertia, with arms locked at q.
 
         Parameters
         ----------
         q : array_like, shape (nq,) or (nq - 3,), optional
-            Configuration, or the arms' part of it; by default `rest`.
+            Configuration, or its part for the arms [rad or m]; by default, `rest`.
+
+        Returns
+        -------
+        MobileRobot
+            Robot without arms and loads, with the total mass.
 
         Raises
         ------
         InvalidArgument
-            If it has another shape or is not finite.
+            If q has another shape or is not finite.
         """
         posture = finite("q", self.rest if q is None else q)
         if posture.shape == (self.nq - 3,):
@@ -644,19 +733,20 @@ class MobileRobot(System):
 
     @property
     def visual_model(self) -> pin.GeometryModel:
-        """A copy of what is drawn, each object on its joint of `model`: those of the body on the third.
+        """Copy of the visual geometry; each object refers to a joint of `model` (the body: the third joint).
 
-        It is made when it is first asked for. Of a URDF that shows more than a box on the ground, all of
-        that, wheels at rest; mesh files that are missing or cannot be read are named in a warning. Else a box
-        of `size` on the ground, with a visible front. Then what is drawn of each arm, and the boxes of loads.
+        The robot makes this geometry at the first access. A robot from a URDF with more than a box on the
+        ground shows the file's geometry, with wheels at rest; a warning names mesh files that are missing or
+        unreadable. Any other robot shows a box of dimensions `size` with a marked front. The geometry of the
+        arms and the boxes of the loads follow.
         """
         return self._seen[0].clone()
 
     @property
     def visual_joints(self) -> Mapping[str, tuple[str, ...]]:
-        """Of each object of `visual_model` that a URDF shows, the joints of that file that would move it.
+        """Names of the URDF's joints that move each object of `visual_model`, nearest joint first.
 
-        Names, the nearest first; of `locked_joints` are those that are wheels.
+        Only joints of the file count; from `locked_joints`, only the wheels.
         """
         return MappingProxyType(self._seen[1])
 
@@ -672,26 +762,31 @@ class MobileRobot(System):
 
     @cached_property
     def solids(self) -> Solids:
-        """What of it may touch something: the collision shapes of its body, arms and loads; see `clearance`.
+        """Collision geometry of body, arms and loads, which `clearance` uses.
 
-        The body of a robot made from numbers is the box of its `size`; of a URDF all that its links have as
-        <collision>, wheels at rest. Of meshes it is the convex hull.
+        The body of a robot made from numbers is the box of dimensions `size`. The body of a robot from a URDF
+        has all <collision> shapes of the links, with wheels at rest. Convex hulls replace meshes.
 
         Raises
         ------
         InvalidArgument
-            If body or an arm has none, or a file or a mesh cannot be read.
+            If the body or an arm has no collision geometry, or a file or mesh cannot be read.
         """
         body = [body_box(self.size)] if self.is_box else body_shapes(self._looks, self.source)
         return Solids.on(self._model, (*body, *carried_shapes(self._model, self.mounts, self.loads)))
 
     def solid_placements(self, q: ArrayLike) -> Array:
-        """Return where the shapes of `solids` are in the body's frame, shape (..., shapes, 4, 4).
+        """Return the placements of the shapes of `solids` in the body frame.
 
         Parameters
         ----------
         q : array_like, shape (..., nq)
             Configuration [m, m, rad, ...].
+
+        Returns
+        -------
+        ndarray, shape (..., shapes, 4, 4)
+            Homogeneous transforms, translation in m.
         """
         still = self._q(q).copy()
         still[..., :BODY_JOINT] = 0.0
@@ -701,9 +796,10 @@ class MobileRobot(System):
         return np.asarray(parts[..., [each.part for each in shapes], :, :] @ own)
 
     def to_urdf(self) -> str:
-        """Return the robot as URDF text, every number to the last digit.
+        """Return the robot as URDF text with all digits of every number.
 
-        Loads on the body are part of it; of a robot with arms it is the base alone.
+        The text contains the loads of a robot without arms. For a robot with arms, it describes only the
+        base.
         """
         loaded = self.loads and not self.mounts
         box = self.stance == Stance.of_box(self.size)
@@ -713,7 +809,7 @@ class MobileRobot(System):
 
 
 def _of_files(mounts: Sequence[Mount]) -> str:
-    """Return what was made of the arms' files, in words."""
+    """Return which right angles of the arms' files were made exact, as text."""
     told = ((mount.name, mount.arm.squared) for mount in mounts)
     return "".join(
         f"; {name}: right angles that its file rounds are exact ({', '.join(joints)})"
@@ -723,7 +819,7 @@ def _of_files(mounts: Sequence[Mount]) -> str:
 
 
 def _kept(robot: MobileRobot) -> dict[str, Any]:
-    """Return the arguments of `_restored`, as archives keep them: an arm by where it comes from."""
+    """Return the arguments of `_restored` as archives store them; the source represents each arm."""
     kind: Any = MobileRobot
     own = {each.alias: getattr(robot, each.name) for each in attrs.fields(kind) if each.init}
     mounts = [{name: value for name, _, value in fields_of(mount)} for mount in robot.mounts]
@@ -731,7 +827,7 @@ def _kept(robot: MobileRobot) -> dict[str, Any]:
 
 
 def _restored(mounts: Sequence[dict[str, Any]], **own: Any) -> MobileRobot:
-    """Return a robot again: arms are read, but have the links and motors that they had."""
+    """Return the robot of an archive: read the arms again and restore their links and rotor inertias."""
     return MobileRobot(mounts=tuple(Mount(**each | {"arm": each["arm"].read()}) for each in mounts), **own)
 
 

@@ -1,4 +1,4 @@
-"""Laws of a robot's state by Pinocchio, one state after another."""
+"""Pinocchio's functions of a robot's state, evaluated state by state."""
 
 from __future__ import annotations
 
@@ -17,29 +17,41 @@ from pinmobile.robot.mounts import Mount
 
 
 class UncheckedDynamics:
-    """Unchecked functions of one state in public order, for the thread alone that asked for them.
+    """Unchecked functions of one state in public order, for use in the thread that created the object.
 
-    For loops that run millions of times: they take float64 arrays of shape (nv,), and nothing else. What one
-    returns, but for accelerations, is overwritten by the next call of any of them: copy what is kept. All
-    else is that of the robot.
+    The functions accept only float64 arrays of shape (nv,). The next call of any function overwrites earlier
+    results, except accelerations: copy results that you keep. All other attributes are those of the robot.
 
     Parameters
     ----------
     robot : System
-        The robot.
+        Robot.
     engine : PinocchioBackend
-        Of it.
+        Pinocchio backend of the robot.
 
     Attributes
     ----------
     mass_matrix, nonlinear_effects, inverse_dynamics, gravity : callable
         M(q), n(q, v), tau(q, v, a) and g(q).
     integrate : callable
-        The configuration after a displacement, of q and dq.
+        Function of q and dq that returns the configuration q + dq.
     pose, pose_rate : callable
-        Those of the body, shape (3,): of q, and of q and v.
+        Functions of q, and of q and v, that return the body's pose and its rate, shape (3,).
     generalized_force : callable
-        The generalised force, shape (nv,), of q and a wrench (3,).
+        Function of q and a wrench, shape (3,), that returns the generalised force, shape (nv,).
+
+    See Also
+    --------
+    MobileRobot : `law` returns this object
+    vectorize : compile a function for many states
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile import MobileRobot
+    >>> law = MobileRobot.lecture().law  # once, before the loop
+    >>> law.forward_dynamics(np.zeros(3), np.zeros(3), np.ones(3))
+    array([ 0.0333,  0.0333, 10.    ])
     """
 
     def __init__(self, robot: Any, engine: PinocchioBackend) -> None:
@@ -58,7 +70,17 @@ class UncheckedDynamics:
         self._accelerations = partial(pin.aba, public, data)
 
     def forward_dynamics(self, q: Array, v: Array, u: Array, f: Array | None = None) -> Array:
-        """Return the acceleration, shape (nv,)."""
+        """Return the acceleration, shape (nv,) [m/s^2, m/s^2, rad/s^2, ...].
+
+        Parameters
+        ----------
+        q, v : ndarray, shape (nv,)
+            Configuration and velocity.
+        u : ndarray, shape (nv,)
+            Input, a generalised force [N, N, N m, ...].
+        f : ndarray, shape (nv,), optional
+            External generalised force [N, N, N m, ...].
+        """
         return np.array(self._accelerations(q, v, u if f is None else u + f))
 
     def __getattr__(self, name: str) -> Any:
@@ -66,26 +88,27 @@ class UncheckedDynamics:
 
 
 class _Workspace(local):
-    """A `pin.Data` for each thread, made when it first asks; it goes away with the thread."""
+    """One `pin.Data` per thread, made at the first access and freed with the thread."""
 
     def __init__(self, model: pin.Model) -> None:
         self.data = model.createData()
 
 
 class PinocchioBackend:
-    """Pinocchio calls for any number of threads: the model is only read, and each thread has its own data.
+    """Pinocchio calls for any number of threads: threads share the model, and each thread has its own data.
 
     Parameters
     ----------
     model : pin.Model
-        Chain whose first two joints are prismatic y and prismatic x, and what rides on the body.
+        Chain with prismatic y and prismatic x as the first two joints, with the body and its arms.
 
     Attributes
     ----------
     public : pin.Model
-        The same in public order, (x, y, psi, ...); its virtual links move otherwise.
+        The same model in public order, (x, y, psi, ...). Only its virtual links move differently.
     order : ndarray, shape (nv,)
-        Public index of each coordinate of the chain. Swapping two, it is its own inverse.
+        Public index of each coordinate of the chain. The permutation swaps two entries, so it is its own
+        inverse.
     """
 
     def __init__(self, model: pin.Model) -> None:
@@ -95,27 +118,27 @@ class PinocchioBackend:
 
     @property
     def data(self) -> pin.Data:
-        """What Pinocchio writes into, this thread's own."""
+        """Pinocchio's workspace of the current thread."""
         return self._workspace.data
 
     def each(self, law: Callable[..., Any], chain: bool = False, /, **arguments: ArrayLike) -> Array:
-        """Return what ``law(model, data, *row)`` gives for each row of the arguments, shape (..., ...).
+        """Return ``law(model, data, *row)`` for each row of the arguments, shape (..., ...).
 
         Parameters
         ----------
         law : callable
-            Of one state of the model in public order; what it returns is copied.
+            Function of one state. Its result is copied.
         chain : bool
-            Whether it is of the chain's model, and rows are in the chain's order.
+            Whether to use the chain's model and the chain's order of coordinates.
         **arguments : array_like, shape (..., nv)
-            In public order; leading axes broadcast.
+            Arguments in public order; leading axes broadcast.
 
         Raises
         ------
         InvalidArgument
             If an argument has another last axis, or is not finite.
         NotFinite
-            If an answer is not finite.
+            If a result is not finite.
         """
         model, data = self.model if chain else self.public, self.data
         arrays = {name: vector(name, x, self.nv) for name, x in arguments.items()}
@@ -132,7 +155,7 @@ class PinocchioBackend:
         return finite_answer(np.stack(rows).reshape((*lead, *rows[0].shape)), **arrays)
 
     def composite(self, q: Array) -> pin.Inertia:
-        """Return the inertia of the body and all that rides on it, in the body's frame, at a public q."""
+        """Return the composite inertia of the body and its arms, in the body frame, at a public q."""
         model, data = self.public, self.data
         pin.forwardKinematics(model, data, q)
         total = pin.Inertia(model.inertias[BODY_JOINT])
@@ -143,10 +166,10 @@ class PinocchioBackend:
 
 
 def in_public_order(model: pin.Model) -> pin.Model:
-    """Return the same body on a chain whose first joint is x and whose second is y.
+    """Return the model of the same robot on a chain with x as the first joint and y as the second.
 
-    Translations commute: P1 Ty P2 Tx P3 = (P1 P2) Tx (P1 P2)^-1 P1 Ty (P2 P3). The joints are of the same
-    kinds, so one `pin.Data` serves both models.
+    Translations commute: P1 Ty P2 Tx P3 = (P1 P2) Tx (P1 P2)^-1 P1 Ty (P2 P3). The joints have the same
+    types, so one `pin.Data` serves both models.
     """
     public = model.copy()
     first, second, third = (model.jointPlacements[joint] for joint in range(1, BODY_JOINT + 1))
@@ -163,22 +186,22 @@ def frame_pose(number: int, model: pin.Model, data: pin.Data, q: Array) -> Array
 
 
 def frame_jacobian(number: int, model: pin.Model, data: pin.Data, q: Array) -> Array:
-    """Return the Jacobian of a frame, its columns in public order where the model is the chain's."""
+    """Return the Jacobian of a frame of the chain's model, with columns in public order."""
     J = pin.computeFrameJacobian(model, data, q, number, pin.LOCAL_WORLD_ALIGNED)
     return np.asarray(J[:, [1, 0, *range(2, model.nv)]])
 
 
 def frame_drift(number: int, model: pin.Model, data: pin.Data, q: Array, v: Array) -> Array:
-    """Return the acceleration of a frame where no coordinate accelerates."""
+    """Return the bias acceleration of a frame."""
     pin.forwardKinematics(model, data, q, v, np.zeros(model.nv))
     found = pin.getFrameClassicalAcceleration(model, data, number, pin.LOCAL_WORLD_ALIGNED)
     return np.asarray(found.vector)
 
 
 def manipulability(number: int, part: slice, model: pin.Model, data: pin.Data, q: Array) -> float:
-    """Return sqrt(det J J') of a frame, of the columns of J that are a part."""
+    """Return sqrt(det J J') of a frame, for the columns of J in a slice."""
     J = frame_jacobian(number, model, data, q)[:, part]
-    # The product of the singular values: det squares what is small.
+    # The product of singular values keeps digits that det(J J') loses by squaring.
     return float(np.linalg.svd(J, compute_uv=False).prod()) if J.shape[1] >= len(J) else 0.0
 
 
@@ -189,23 +212,23 @@ def joint_placements(model: pin.Model, data: pin.Data, q: Array) -> Array:
 
 
 def kinetic_energy(model: pin.Model, data: pin.Data, q: Array, v: Array) -> Any:
-    """Return v' M v / 2; Pinocchio's own leaves out the motors of joints about an axis of their own."""
+    """Return v' M v / 2 with rotors; Pinocchio's function omits rotors of joints about arbitrary axes."""
     with np.errstate(over="ignore", invalid="ignore"):
         return np.vdot(v, pin.crba(model, data, q) @ v) / 2
 
 
 def regressor(model: pin.Model, data: pin.Data, q: Array, v: Array, a: Array) -> Array:
-    """Return the regressor without the columns of what is not there: the virtual links."""
+    """Return the regressor without the columns of the virtual links, which have no mass."""
     return np.asarray(pin.computeJointTorqueRegressor(model, data, q, v, a)[:, 10 * (BODY_JOINT - 1) :])
 
 
 def derivatives(model: pin.Model, data: pin.Data, q: Array, v: Array, tau: Array) -> Array:
-    """Return the derivatives of the acceleration by q, v and tau, one after the other."""
+    """Return the derivatives of the acceleration with respect to q, v and tau, stacked."""
     return np.stack(pin.computeABADerivatives(model, data, q, v, tau))
 
 
 def ground_wrench(model: pin.Model, data: pin.Data, q: Array, v: Array, a: Array) -> Array:
-    """Return what the ground exerts on the body."""
+    """Return the wrench of the ground on the body."""
     pin.rnea(model, data, q, v, a)
     return np.asarray(data.f[BODY_JOINT].vector)
 
@@ -213,7 +236,7 @@ def ground_wrench(model: pin.Model, data: pin.Data, q: Array, v: Array, a: Array
 def mount_wrench(
     mount: Mount, fixed: pin.Inertia, model: pin.Model, data: pin.Data, q: Array, v: Array, a: Array
 ) -> Array:
-    """Return what an arm exerts on the body; `fixed` is its inertia that does not move there."""
+    """Return the wrench of an arm on the body; `fixed` is the inertia of its parts fixed to the body."""
     pin.rnea(model, data, q, v, a)
     twist = data.v[BODY_JOINT]
     held = fixed * data.a_gf[BODY_JOINT] + twist.cross(fixed * twist)

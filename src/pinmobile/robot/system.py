@@ -1,4 +1,4 @@
-"""`System`: a tree of joints on the DH chain: configurations, frames, dynamics, wrenches, in public order."""
+"""`System`: a tree of joints on the DH chain, with configurations, frames, dynamics and wrenches."""
 
 from __future__ import annotations
 
@@ -37,19 +37,32 @@ from pinmobile.robot.mounts import Mount, PayloadBody, named_frames
 from pinmobile.robot.pinocchio_backend import PinocchioBackend
 
 _BASE = ("x", "m", "vx"), ("y", "m", "vy"), ("psi", "rad", "yaw_rate")
-_FAR = 1e8  # beyond, a limit is none
+_FAR = 1e8  # a limit beyond this value counts as no limit
 _Method = TypeVar("_Method", bound=Callable[..., Any])
 
 
 class Linearization(NamedTuple):
-    """First-order model of forward dynamics about a state: d(dq, dv)/dt = A (dq, dv) + B dtau.
+    """First-order model of forward dynamics at a state: d(dq, dv)/dt = A (dq, dv) + B dtau.
 
     Attributes
     ----------
     A : ndarray, shape (..., 2 nv, 2 nv)
-        ``[[0, I], [da/dq, da/dv]]``.
+        State matrix ``[[0, I], [da/dq, da/dv]]`` [1, 1/s, 1/s^2].
     B : ndarray, shape (..., 2 nv, nv)
-        ``[[0], [M^-1]]``.
+        Input matrix ``[[0], [M^-1]]`` [1/kg, ...].
+
+    See Also
+    --------
+    MobileRobot : `linearize` returns this object
+    LQR : state feedback from such a model
+
+    Examples
+    --------
+    >>> from pinmobile import MobileRobot
+    >>> robot = MobileRobot.lecture()
+    >>> A, B = robot.linearize([0, 0, 0], [0, 0, 0], [0, 0, 0])
+    >>> B[3:].diagonal() * [30, 30, 0.1]  # 1/m, 1/m, 1/Icz
+    array([1., 1., 1.])
     """
 
     A: Array
@@ -57,14 +70,19 @@ class Linearization(NamedTuple):
 
 
 def by_values(fast: Callable[..., Any] | None = None, states: int = 0) -> Callable[[_Method], _Method]:
-    """Let a method be answered by Pinocchio for numbers, and on symbols by the robot's dynamics in NumPy.
+    """Return a decorator for methods: Pinocchio evaluates numbers, the dynamics in NumPy evaluate symbols.
 
     Parameters
     ----------
     fast : callable, optional
-        Pinocchio's function of one state of float64 in public order, which is tried first.
+        Pinocchio function of one state of float64 in public order. It is tried first.
     states : int
-        How many arguments that takes.
+        Number of arguments of `fast`.
+
+    Returns
+    -------
+    callable
+        Decorator of a method.
     """
 
     def decorate(method: _Method) -> _Method:
@@ -93,62 +111,84 @@ def by_values(fast: Callable[..., Any] | None = None, states: int = 0) -> Callab
 
 
 class System:
-    """Abstract base: what follows from the Pinocchio model that its maker has set.
+    """Base class of a kinematic tree on the DH chain, with Pinocchio's dynamics; `MobileRobot` implements it.
 
-    All methods take and return, along the last axis and in the inertial frame: configuration
-    q = (x, y, psi) [m, m, rad], velocity v = dq/dt [m/s, m/s, rad/s], acceleration a [m/s^2, m/s^2, rad/s^2]
-    and generalised force tau = (Fx, Fy, Mz) [N, N, N m]; after these come the arms' joints, one after the
-    other, in their units, with one number each. A continuous joint is an angle like psi. Leading axes
-    broadcast. All raise `InvalidArgument` for arguments of another last axis or that are not finite, and
-    `NotFinite` where the answer would not be. They may be called by several threads at once.
+    Arrays of all methods have coordinates along the last axis, in the inertial frame: configuration q = (x,
+    y, psi) [m, m, rad], velocity v = dq/dt [m/s, m/s, rad/s], acceleration a [m/s^2, m/s^2, rad/s^2] and
+    generalised force tau = (Fx, Fy, Mz) [N, N, N m]. The arms' joints follow, arm by arm, with one number per
+    joint in the joint's unit. A continuous joint is an angle, like psi. Leading axes broadcast. All methods
+    raise `InvalidArgument` for a wrong last axis and for values that are not finite. They raise `NotFinite`
+    if the result is not finite. Several threads may call the methods at once.
 
-    Pinocchio takes one state at a time, some 5 to 20 microseconds each; `pinmobile.vectorize` compiles a
-    method for many. Where an argument, or a number of the robot, is a symbol of a law that is being compiled,
-    the methods compute the same on symbols; those that cannot raise `NotTraceable`.
+    Pinocchio computes one state at a time, in about 5 to 20 microseconds; `vectorize` compiles a method for
+    many states. If an argument or a parameter of the robot is a symbol (in a law that is being compiled), the
+    methods compute the same expressions with symbols. Methods that cannot do so raise `NotTraceable`.
+
+    Attributes
+    ----------
+    mounts : tuple of Mount
+        Mounted arms.
+    loads : tuple of PayloadBody
+        Attached loads.
+
+    See Also
+    --------
+    MobileRobot : the public class with these methods
+    vectorize : compile a method for many states
+
+    Examples
+    --------
+    >>> from pinmobile import MobileRobot
+    >>> robot = MobileRobot.lecture()
+    >>> q, v = [1.0, 0.0, 0.5], [0.2, 0.0, 3.0]
+    >>> robot.forward_dynamics(q, v, [30.0, 0.0, 0.1])  # [m/s^2, rad/s^2]
+    array([1., 0., 1.])
+    >>> print(robot.kinetic_energy(q, v))  # [J]
+    1.05
     """
 
-    _engine: Any  # an `PinocchioBackend`; None where it holds symbols
+    _engine: Any  # a `PinocchioBackend`; None if a parameter is a symbol
     mounts: tuple[Mount, ...]
     loads: tuple[PayloadBody, ...]
 
     @property
     def model(self) -> pin.Model:
-        """A copy of the Pinocchio model, in the chain's order (y, x, psi, ...): write into it as you like."""
+        """Copy of the Pinocchio model in the chain's order, (y, x, psi, ...)."""
         return self._model.copy()
 
     @property
     def _model(self) -> pin.Model:
-        """The model itself, which is only read."""
+        """Pinocchio model itself; no code writes into this object."""
         return self._numeric.model
 
     @property
     def _numeric(self) -> PinocchioBackend:
-        """Pinocchio's calls; raises `NotTraceable` where it holds symbols."""
+        """Pinocchio backend; raises `NotTraceable` if a parameter of the robot is a symbol."""
         if self._engine is None:
             raise NotTraceable(
-                f"the Pinocchio model of a {type(self).__name__} whose numbers are symbols",
-                "ask it for its dynamics and kinematics",
+                f"the Pinocchio model of a {type(self).__name__} with symbols as parameters",
+                "use its methods for dynamics and kinematics",
             )
         return self._engine  # type: ignore[no-any-return]
 
     @property
     def nq(self) -> int:
-        """Size of q."""
+        """Number of entries of q."""
         return self.nv
 
     @structure
     def nv(self) -> int:
-        """Size of v and a."""
+        """Number of entries of v and a."""
         return self._numeric.nv
 
     @property
     def nu(self) -> int:
-        """Size of the input, here the generalised force."""
+        """Number of entries of the input, the generalised force."""
         return self.nv
 
     @structure
     def coordinates(self) -> tuple[Coordinate, ...]:
-        """Each of the nv numbers of q: x, y, psi, then those of the arms' joints."""
+        """Names, units and limits of the nv entries of q: x, y, psi, then the arms' joints."""
         joints = joints_of(self._model, BODY_JOINT + 1)
         arms = ((each.name, "m" if each.slides else "rad", f"{each.name}_rate") for each in joints)
         limits = zip(self.lower.tolist(), self.upper.tolist(), strict=True)
@@ -159,10 +199,10 @@ class System:
 
     @structure
     def inputs(self) -> tuple[Input, ...]:
-        """Each of the nu numbers of an input: Fx, Fy, Mz, then the forces and torques at the arms' joints.
+        """Names and units of the entries of the input: Fx, Fy, Mz, then forces and torques of the arms.
 
-        They have no limits: what motors can do, `effort_limit` knows, and `InputSaturation` holds a
-        controller to.
+        The inputs have no limits here. `effort_limit` holds the limits of the motors; `InputSaturation`
+        applies these limits to a controller.
         """
         names = ["Fx", "Fy", "Mz", *(one.name for one in self.coordinates[BODY_JOINT:])]
         units = ["N" if one.unit == "m" else "N m" for one in self.coordinates]
@@ -170,12 +210,12 @@ class System:
 
     @structure
     def reference_sizes(self) -> Mapping[int, int]:
-        """How many numbers of q the first n coordinates have, for each n that a reference may have."""
+        """Mapping from each n that a reference may have to the number of entries of q of n coordinates."""
         return MappingProxyType({n: n for n in range(BODY_JOINT, self.nv + 1)})
 
     @property
     def broadcasts(self) -> bool:
-        """Whether its methods take leading axes, here True."""
+        """Whether the methods accept leading axes: True."""
         return True
 
     @structure
@@ -184,7 +224,7 @@ class System:
         lower, upper = np.full(model.nv, -np.inf), np.full(model.nv, np.inf)
         speed, effort = upper.copy(), upper.copy()
         least, most = model.lowerPositionLimit[arms], model.upperPositionLimit[arms]
-        known = least < most  # files write equal limits, or zero, where they know none
+        known = least < most  # files write equal limits, or zero, for unknown limits
         lower[arms] = np.where(known & (least > -_FAR), least, -np.inf)
         upper[arms] = np.where(known & (most < _FAR), most, np.inf)
         for target, source in ((speed, model.velocityLimit[arms]), (effort, model.effortLimit[arms])):
@@ -193,22 +233,22 @@ class System:
 
     @property
     def lower(self) -> Array:
-        """Least configuration, shape (nq,) [m, m, rad, ...]; -inf where there is no limit."""
+        """Lower position limits, shape (nq,) [m, m, rad, ...]; -inf for no limit."""
         return self._limits[0]
 
     @property
     def upper(self) -> Array:
-        """Largest configuration, shape (nq,) [m, m, rad, ...]; inf where there is no limit."""
+        """Upper position limits, shape (nq,) [m, m, rad, ...]; inf for no limit."""
         return self._limits[1]
 
     @property
     def velocity_limit(self) -> Array:
-        """Largest |v|, shape (nv,) [m/s, m/s, rad/s, ...]; inf where there is no limit."""
+        """Limits of the absolute velocities, shape (nv,) [m/s, m/s, rad/s, ...]; inf for no limit."""
         return self._limits[2]
 
     @property
     def effort_limit(self) -> Array:
-        """Largest |tau|, shape (nv,) [N, N, N m, ...]; inf where there is no limit."""
+        """Limits of the absolute generalised forces, shape (nv,) [N, N, N m, ...]; inf for no limit."""
         return self._limits[3]
 
     @structure
@@ -220,25 +260,28 @@ class System:
 
     @property
     def joint_damping(self) -> Array:
-        """Viscous damping of the arms' joints, shape (nv,) [N s/m, N m s/rad], as their files have it.
+        """Viscous damping of the arms' joints from their files, shape (nv,) [N s/m, N m s/rad].
 
-        Zero for the base. The dynamics leave it out; in a loop it acts where `JointFriction.of(robot)` does.
+        The entries of the base are zero. The dynamics omit this damping; add `JointFriction.of(robot)` to the
+        forces of a loop to include it.
         """
         return self._resistances[0]
 
     @property
     def joint_friction(self) -> Array:
-        """Dry friction of the arms' joints, shape (nv,) [N, N m], as their files have it.
+        """Dry friction of the arms' joints from their files, shape (nv,) [N, N m].
 
-        Zero for the base. The dynamics leave it out; in a loop it acts where `JointFriction.of(robot)` does.
+        The entries of the base are zero. The dynamics omit this friction; add `JointFriction.of(robot)` to
+        the forces of a loop to include it.
         """
         return self._resistances[1]
 
     @structure
     def rest(self) -> Array:
-        """Return the configuration at the origin with each arm in its reference posture, shape (nq,).
+        """Configuration at the origin with arms in their reference configurations, shape (nq,).
 
-        Where its description has none, its neutral one. All is brought within the limits.
+        The neutral configuration replaces a missing reference configuration. All values are clipped to the
+        limits.
         """
         q = np.zeros(self.nq)
         for mount in self.mounts:
@@ -246,19 +289,26 @@ class System:
         return frozen(np.clip(q, self.lower, self.upper))
 
     def random_configuration(self, generator: np.random.Generator, shape: tuple[int, ...] = ()) -> Array:
-        """Return configurations within the limits, shape (*shape, nq); without a limit, up to pi or 1 m.
+        r"""Return random configurations within the limits, shape (\*shape, nq) [m, m, rad, ...].
+
+        Coordinates without limits are drawn from -pi to pi rad, positions x and y from -1 to 1 m.
 
         Parameters
         ----------
         generator : numpy.random.Generator
-            Where the numbers come from.
+            Source of the random numbers.
         shape : tuple of int
-            Leading axes.
+            Leading axes of the result.
+
+        Returns
+        -------
+        ndarray, shape (\*shape, nq)
+            Configurations.
 
         Raises
         ------
         InvalidArgument
-            If an argument is something else, or the configurations would not fit into memory.
+            If an argument has another type, or the result would not fit into memory.
         """
         instance("generator", generator, np.random.Generator, "a numpy.random.Generator")
         shape = tuple(
@@ -279,7 +329,15 @@ class System:
 
     @by_values()
     def integrate(self, q: ArrayLike, dq: ArrayLike) -> Array:
-        """Return the configuration q + dq, shape (..., nq); psi and continuous joints go beyond pi."""
+        """Return the configuration q + dq, shape (..., nq) [m, m, rad, ...]; angles are not wrapped.
+
+        Parameters
+        ----------
+        q : array_like, shape (..., nq)
+            Configuration [m, m, rad, ...].
+        dq : array_like, shape (..., nv)
+            Displacement [m, m, rad, ...].
+        """
         q, dq = self._q(q), self._v("dq", dq)
         broadcast(q=q, dq=dq)
         with np.errstate(over="ignore"):
@@ -287,7 +345,13 @@ class System:
 
     @by_values()
     def difference(self, q0: ArrayLike, q1: ArrayLike) -> Array:
-        """Return the displacement q1 - q0, shape (..., nv); psi and continuous joints in (-pi, pi]."""
+        """Return the displacement q1 - q0, shape (..., nv), with psi and continuous joints in (-pi, pi].
+
+        Parameters
+        ----------
+        q0, q1 : array_like, shape (..., nq)
+            Configurations [m, m, rad, ...].
+        """
         shape = (self.nv,)
         if not (type(q0) is type(q1) is np.ndarray and q0.shape == q1.shape == shape):
             q0, q1 = self._q(q0, "q0"), self._q(q1, "q1")
@@ -302,22 +366,22 @@ class System:
             finite_answer(displacement, q0=q0, q1=q1)
         for k in self._circular:
             angle = displacement[..., k]
-            if angle.ndim or not LEAST_ANGLE < angle <= np.pi:  # in a loop it hardly ever is beyond
+            if angle.ndim or not LEAST_ANGLE < angle <= np.pi:  # in a loop, angles rarely need wrapping
                 displacement[..., k] = wrap_angle(angle)
         return displacement
 
     def _each(self, law: Callable[..., Any], **arguments: ArrayLike) -> Array:
-        """Return what one of Pinocchio's laws gives for each row of the arguments."""
+        """Return the values of a Pinocchio function for all rows of the arguments."""
         return self._numeric.each(law, False, **arguments)
 
     def _of_frame(self, law: Callable[..., Any], *given: Any, **arguments: ArrayLike) -> Array:
-        """Return the same of a frame, by its number and what else the law takes first."""
+        """Return the values of a function of a frame for all rows; `given` holds its first arguments."""
         return self._numeric.each(partial(law, *given), True, **arguments)
 
     def _quick(self, law: Callable[..., Any], *arguments: Any) -> Array | None:
-        """Return what Pinocchio gives for one state of float64, as a loop asks; None of others.
+        """Return the value of a Pinocchio function for one state of float64; None for other arguments.
 
-        A third of the time of `_each`.
+        It takes a third of the time of `_each`. A loop calls this function.
         """
         engine = self._engine
         if engine is None:
@@ -330,18 +394,18 @@ class System:
         return answer.copy() if isfinite(np.vdot(answer, answer)) else None
 
     def _on_symbols(self, name: str, *given: Any, **options: Any) -> Any:
-        """Return the answer of a method where an argument or the robot holds symbols."""
+        """Return the result of a method if an argument or the robot contains symbols."""
         for dynamics in self._array_ways:
             if hasattr(type(dynamics), name):
                 return getattr(dynamics, name)(*given, **options)
         raise NotTraceable(
-            f"{name} of a {type(self).__name__}, which takes numbers alone",
-            "call it before the law, on numbers",
+            f"{name} of a {type(self).__name__}, which accepts only numbers",
+            "call it outside the law, with numbers",
         )
 
     @property
     def _array_ways(self) -> tuple[Any, ...]:
-        """Dynamics in NumPy, for symbols too; the first that has a method answers it."""
+        """Dynamics in NumPy for symbols; the first object with a method evaluates it."""
         return ()
 
     def _q(self, q: ArrayLike, name: str = "q") -> Array:
@@ -350,7 +414,8 @@ class System:
     def _here(self, q: ArrayLike) -> Array:
         """Return q, checked, with x = y = 0.
 
-        Where Pinocchio works in the inertial frame, what depends on neither loses digits to both far away.
+        Pinocchio works in the inertial frame. Results that do not depend on x and y lose digits if x or y is
+        large.
         """
         moved = self._q(q).copy()
         moved[..., :2] = 0.0
@@ -361,12 +426,26 @@ class System:
 
     @by_values()
     def pose(self, q: ArrayLike) -> Array:
-        """Return x, y and psi of the body, shape (..., 3) [m, m, rad]."""
+        """Return the pose (x, y, psi) of the body, shape (..., 3) [m, m, rad].
+
+        Parameters
+        ----------
+        q : array_like, shape (..., nq)
+            Configuration [m, m, rad, ...].
+        """
         return self._q(q)[..., :BODY_JOINT].copy()
 
     @by_values()
     def pose_rate(self, q: ArrayLike, v: ArrayLike) -> Array:
-        """Return the rates of x, y and psi of the body, shape (..., 3) [m/s, m/s, rad/s]."""
+        """Return the time derivative of the pose of the body, shape (..., 3) [m/s, m/s, rad/s].
+
+        Parameters
+        ----------
+        q : array_like, shape (..., nq)
+            Configuration [m, m, rad, ...].
+        v : array_like, shape (..., nv)
+            Velocity [m/s, m/s, rad/s, ...].
+        """
         q, v = self._q(q), self._v("v", v)
         lead = broadcast(q=q, v=v)
         return np.array(np.broadcast_to(v[..., :BODY_JOINT], (*lead, BODY_JOINT)))
@@ -377,100 +456,134 @@ class System:
 
     @property
     def frame_names(self) -> tuple[str, ...]:
-        """Names of the frames: the chain's, ``base_link``, and ``name/...`` of each arm."""
+        """Names of the frames: frames of the chain, ``base_link``, and ``name/...`` for each arm."""
         return tuple(self._frames)
 
     @property
     def end_effector(self) -> str:
-        """Default frame: the tip of the first arm, or the body's frame where there is none."""
+        """Name of the default frame: the tip of the first arm, or the body frame if there is no arm."""
         return self.mounts[0].tip if self.mounts else "base_link"
 
     def frame_name(self, frame: str | None = None) -> str:
-        """Return the name of a frame, by default that of `end_effector`.
+        """Return the checked name of a frame; by default, `end_effector`.
+
+        Parameters
+        ----------
+        frame : str, optional
+            Name of the frame, one of `frame_names`.
 
         Raises
         ------
         UnknownName
-            If there is no such frame.
+            If the robot has no such frame.
         """
         return self._frame(frame)[0]
 
     @by_values()
     def frame_pose(self, q: ArrayLike, frame: str | None = None) -> Array:
-        """Return T_0_f, the pose of a frame, shape (..., 4, 4).
+        """Return T_0_f, the pose of a frame f in the inertial frame, shape (..., 4, 4) [1, m].
 
         Parameters
         ----------
         q : array_like, shape (..., nq)
             Configuration [m, m, rad, ...].
         frame : str, optional
-            One of `frame_names`; by default `end_effector`.
+            Name of the frame, one of `frame_names`; by default, `end_effector`.
 
         Raises
         ------
         UnknownName
-            If there is no such frame.
+            If the robot has no such frame.
         """
         return self._of_frame(pinocchio_backend.frame_pose, self._frame(frame)[1], q=q)
 
     @by_values()
     def frame_jacobian(self, q: ArrayLike, frame: str | None = None) -> Array:
-        """Return J, shape (..., 6, nv): J v is the velocity of the frame's origin and the angular velocity.
+        """Return the Jacobian J of a frame, shape (..., 6, nv).
 
-        Both are along the axes of the inertial frame [m/s, rad/s].
+        J v holds the velocity of the frame's origin and the angular velocity, along the axes of the inertial
+        frame [m/s, rad/s].
 
         Parameters
         ----------
-        q, frame
-            As in `frame_pose`, with the same error.
+        q : array_like, shape (..., nq)
+            Configuration [m, m, rad, ...].
+        frame : str, optional
+            Name of the frame, one of `frame_names`; by default, `end_effector`.
+
+        Raises
+        ------
+        UnknownName
+            If the robot has no such frame.
         """
         return self._of_frame(pinocchio_backend.frame_jacobian, self._frame(frame)[1], q=self._here(q))
 
     @by_values()
     def frame_drift(self, q: ArrayLike, v: ArrayLike, frame: str | None = None) -> Array:
-        """Return dJ/dt v, shape (..., 6): a frame's acceleration where no coordinate accelerates.
+        """Return the bias acceleration dJ/dt v of a frame, shape (..., 6): its acceleration if a = 0.
 
-        Of its origin, and angular, along the axes of the inertial frame [m/s^2, rad/s^2]: J a + dJ/dt v is
-        the derivative of J v, see `frame_jacobian`.
+        It holds the acceleration of the frame's origin and the angular acceleration, along the axes of the
+        inertial frame [m/s^2, rad/s^2]. J a + dJ/dt v is the time derivative of J v, see `frame_jacobian`.
 
         Parameters
         ----------
-        q, frame
-            As in `frame_pose`, with the same error.
+        q : array_like, shape (..., nq)
+            Configuration [m, m, rad, ...].
         v : array_like, shape (..., nv)
             Velocity [m/s, m/s, rad/s, ...].
+        frame : str, optional
+            Name of the frame, one of `frame_names`; by default, `end_effector`.
+
+        Raises
+        ------
+        UnknownName
+            If the robot has no such frame.
         """
         return self._of_frame(pinocchio_backend.frame_drift, self._frame(frame)[1], q=q, v=v)
 
     @by_values()
     def manipulability(self, q: ArrayLike, frame: str | None = None) -> Array:
-        """Return sqrt(det J J'), shape (...), of base and arm together (Yoshikawa, 1985).
+        """Return the manipulability sqrt(det J J') of base and arm together, shape (...) (Yoshikawa, 1985).
 
-        The volume of the twists that velocities of length one give, in mixed units; zero where a direction
-        is lost, so always for fewer than six coordinates.
+        This is the volume of the set of twists for unit velocities, in mixed units. It is zero in a singular
+        configuration, and for fewer than six coordinates.
 
         Parameters
         ----------
-        q, frame
-            As in `frame_pose`, with the same error.
+        q : array_like, shape (..., nq)
+            Configuration [m, m, rad, ...].
+        frame : str, optional
+            Name of the frame, one of `frame_names`; by default, `end_effector`.
+
+        Raises
+        ------
+        UnknownName
+            If the robot has no such frame.
         """
         return self._volume(self._frame(frame)[1], slice(None), q)
 
     @by_values()
     def arm_manipulability(self, q: ArrayLike, frame: str | None = None) -> Array:
-        """Return `manipulability` of the arm that carries the frame alone, the base held, shape (...).
+        """Return the `manipulability` of the arm with the frame, for a fixed base, shape (...).
+
+        Parameters
+        ----------
+        q : array_like, shape (..., nq)
+            Configuration [m, m, rad, ...].
+        frame : str, optional
+            Name of the frame, one of `frame_names`; by default, `end_effector`.
 
         Raises
         ------
         InvalidArgument
-            If the frame is on no arm.
+            If the frame does not belong to an arm.
         UnknownName
-            If there is no such frame.
+            If the robot has no such frame.
         """
         name, number = self._frame(frame)
         arms = [mount for mount in self.mounts if name.startswith(f"{mount.name}/")]
         if not arms:
-            raise InvalidArgument(f"frame is {shown(name)}, expected one of an arm")
+            raise InvalidArgument(f"frame is {shown(name)}, expected a frame of an arm")
         return self._volume(number, arms[0].v, q)
 
     def _volume(self, number: int, part: slice, q: ArrayLike) -> Array:
@@ -482,17 +595,27 @@ class System:
 
     @by_values()
     def frame_placements(self, q: ArrayLike) -> Array:
-        """Return T_0_k, the pose of each joint's frame, shape (..., joints, 4, 4).
+        """Return T_0_k, the pose of each joint's frame in the inertial frame, shape (..., joints, 4, 4).
 
-        The third is the body's; it is the last one where nothing is mounted.
+        The third frame is the body frame. It is the last one for a robot without arms.
+
+        Parameters
+        ----------
+        q : array_like, shape (..., nq)
+            Configuration [m, m, rad, ...].
         """
         return self._of_frame(pinocchio_backend.joint_placements, q=q)
 
     @by_values()
     def jacobian(self, q: ArrayLike) -> Array:
-        """Return J(psi), shape (..., nv, nv): v = J twist, with the body twist (forward, left, yaw rate).
+        """Return J(psi), shape (..., nv, nv): v = J w, where w begins with the twist (forward, left, yaw rate).
 
-        What comes after the base is taken over as it is.
+        The entries of w for the arms' joints equal those of v.
+
+        Parameters
+        ----------
+        q : array_like, shape (..., nq)
+            Configuration [m, m, rad, ...].
         """
         psi = self._q(q)[..., 2]
         J = np.zeros((*psi.shape, self.nv, self.nv))
@@ -504,26 +627,49 @@ class System:
 
     @property
     def inertial_parameters(self) -> Array:
-        """What `regressor` multiplies, shape (10 bodies,), those of the body and then of each joint's.
+        """Inertial parameters of the body and of each joint's link, shape (10 bodies,), see `regressor`.
 
-        m, m c, and Ixx, Ixy, Iyy, Ixz, Iyz, Izz about the origin of the joint's frame [SI].
+        The ten parameters of a body are m, m c and Ixx, Ixy, Iyy, Ixz, Iyz, Izz about the origin of the
+        joint's frame [kg, kg m, kg m^2].
         """
         moving = range(BODY_JOINT, self._model.njoints)
         return np.concatenate([self._model.inertias[joint].toDynamicParameters() for joint in moving])
 
     @by_values(pin.crba, 1)
     def mass_matrix(self, q: ArrayLike) -> Array:
-        """Return M(q), shape (..., nv, nv) [kg, kg m, kg m^2], by Pinocchio's CRBA."""
+        """Return the mass matrix M(q), shape (..., nv, nv) [kg, kg m, kg m^2], by Pinocchio's CRBA.
+
+        Parameters
+        ----------
+        q : array_like, shape (..., nq)
+            Configuration [m, m, rad, ...].
+        """
         return self._each(pin.crba, q=q)
 
     @by_values(pin.nonLinearEffects, 2)
     def nonlinear_effects(self, q: ArrayLike, v: ArrayLike) -> Array:
-        """Return n(q, v), shape (..., nv) [N, N, N m], by Pinocchio's RNEA without acceleration."""
+        """Return the nonlinear effects n(q, v), shape (..., nv) [N, N, N m, ...], by Pinocchio's RNEA.
+
+        Parameters
+        ----------
+        q : array_like, shape (..., nq)
+            Configuration [m, m, rad, ...].
+        v : array_like, shape (..., nv)
+            Velocity [m/s, m/s, rad/s, ...].
+        """
         return self._each(pin.nonLinearEffects, q=q, v=v)
 
     @by_values(pin.rnea, 3)
     def inverse_dynamics(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
-        """Return tau = M(q) a + n(q, v), shape (..., nv) [N, N, N m], by Pinocchio's RNEA."""
+        """Return tau = M(q) a + n(q, v), shape (..., nv) [N, N, N m, ...], by Pinocchio's RNEA.
+
+        Parameters
+        ----------
+        q : array_like, shape (..., nq)
+            Configuration [m, m, rad, ...].
+        v, a : array_like, shape (..., nv)
+            Velocity and acceleration [m/s, m/s, rad/s, ...; per s].
+        """
         return self._each(pin.rnea, q=q, v=v, a=a)
 
     @by_values(pin.aba, 3)
@@ -537,9 +683,9 @@ class System:
         v : array_like, shape (..., nv)
             Velocity [m/s, m/s, rad/s, ...].
         tau : array_like, shape (..., nv)
-            The input, a generalised force [N, N, N m, ...].
+            Input, a generalised force [N, N, N m, ...].
         f : array_like, shape (..., nv), optional
-            Generalised forces beside it; 0: none.
+            External generalised force [N, N, N m, ...]; 0 means none.
         """
         if type(f) is float and not f and (found := self._quick(pin.aba, q, v, tau)) is not None:
             return found
@@ -559,8 +705,8 @@ class System:
         q : array_like, shape (..., nq)
             Configuration [m, m, rad, ...].
         wrench : array_like, shape (..., 3)
-            Force along the inertial axes on the origin of the body's frame, and moment about it, (Fx, Fy, Mz)
-            [N, N, N m].
+            Force at the origin of the body frame along the inertial axes, and moment about this origin,
+            (Fx, Fy, Mz) [N, N, N m].
         """
         q, wrench = self._q(q), vector("wrench", wrench, BODY_JOINT)
         whole = np.zeros((*broadcast(q=q, wrench=wrench), self.nv))
@@ -569,19 +715,19 @@ class System:
 
     @by_values()
     def start(self, reference: Any) -> tuple[Array, Array]:
-        """Return the q and v with which a reference begins, shape (nq,) and (nv,).
+        """Return the initial q and v for a reference, shape (nq,) and (nv,).
 
-        What it does not lead rests where `rest` has it.
+        Coordinates without a reference start at `rest` with zero velocity.
 
         Parameters
         ----------
         reference : Reference
-            Its first sample: q and v of the first n coordinates, n one of `reference_sizes`.
+            First sample of the reference: q and v of the first n coordinates, n in `reference_sizes`.
 
         Raises
         ------
         InvalidArgument
-            If it is no reference, or has another number of coordinates.
+            If the argument is not a reference, or its number of coordinates is not in `reference_sizes`.
         """
         required("reference", reference, Desired)
         q = shaped("reference.q", finite("reference.q", reference.q), *((n,) for n in self.reference_sizes))
@@ -590,32 +736,85 @@ class System:
 
     @by_values()
     def coriolis_matrix(self, q: ArrayLike, v: ArrayLike) -> Array:
-        """Return C(q, v), shape (..., nv, nv): C v = n(q, v), and dM/dt - 2 C is skew-symmetric."""
+        """Return C(q, v), shape (..., nv, nv): C v = n(q, v) - g(q), and dM/dt - 2 C is skew-symmetric.
+
+        Parameters
+        ----------
+        q : array_like, shape (..., nq)
+            Configuration [m, m, rad, ...].
+        v : array_like, shape (..., nv)
+            Velocity [m/s, m/s, rad/s, ...].
+        """
         return self._each(pin.computeCoriolisMatrix, q=self._here(q), v=v)
 
     @by_values()
     def kinetic_energy(self, q: ArrayLike, v: ArrayLike) -> Array:
-        """Return v' M(q) v / 2, shape (...) [J]."""
+        """Return the kinetic energy v' M(q) v / 2, shape (...) [J].
+
+        Parameters
+        ----------
+        q : array_like, shape (..., nq)
+            Configuration [m, m, rad, ...].
+        v : array_like, shape (..., nv)
+            Velocity [m/s, m/s, rad/s, ...].
+        """
         return self._each(pinocchio_backend.kinetic_energy, q=q, v=v)
 
     @by_values()
     def potential_energy(self, q: ArrayLike) -> Array:
-        """Return the energy in the field of gravity, shape (...) [J]; zero where all is on the ground."""
+        """Return the potential energy in the field of gravity, shape (...) [J]; the ground has height zero.
+
+        Parameters
+        ----------
+        q : array_like, shape (..., nq)
+            Configuration [m, m, rad, ...].
+        """
         return self._each(pin.computePotentialEnergy, q=q)
 
     @by_values(pin.computeGeneralizedGravity, 1)
     def gravity(self, q: ArrayLike) -> Array:
-        """Return g(q), shape (..., nv) [N, N, N m]: what holds the robot at rest; none of it for the base."""
+        """Return the gravity term g(q), shape (..., nv) [N, N, N m, ...]; it is zero for the base.
+
+        Parameters
+        ----------
+        q : array_like, shape (..., nq)
+            Configuration [m, m, rad, ...].
+        """
         return self._each(pin.computeGeneralizedGravity, q=q)
 
     @by_values()
     def regressor(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
-        """Return Y(q, v, a), shape (..., nv, 10 bodies): tau = Y `inertial_parameters`, rotors left out."""
+        """Return the regressor Y(q, v, a), shape (..., nv, 10 bodies): tau = Y p without rotor inertias.
+
+        The vector p is `inertial_parameters`.
+
+        Parameters
+        ----------
+        q : array_like, shape (..., nq)
+            Configuration [m, m, rad, ...].
+        v, a : array_like, shape (..., nv)
+            Velocity and acceleration [m/s, m/s, rad/s, ...; per s].
+        """
         return self._each(pinocchio_backend.regressor, q=q, v=v, a=a)
 
     @by_values()
     def linearize(self, q: ArrayLike, v: ArrayLike, tau: ArrayLike) -> Linearization:
-        """Return the first-order model of forward dynamics about (q, v, tau)."""
+        """Return the first-order model of forward dynamics at (q, v, tau).
+
+        Parameters
+        ----------
+        q : array_like, shape (..., nq)
+            Configuration [m, m, rad, ...].
+        v : array_like, shape (..., nv)
+            Velocity [m/s, m/s, rad/s, ...].
+        tau : array_like, shape (..., nv)
+            Generalised force [N, N, N m, ...].
+
+        Returns
+        -------
+        Linearization
+            Matrices A, shape (..., 2 nv, 2 nv), and B, shape (..., 2 nv, nv).
+        """
         return self._linearized(q, v, tau=tau)
 
     def _linearized(self, q: ArrayLike, v: ArrayLike, **push: ArrayLike) -> Linearization:
@@ -630,32 +829,50 @@ class System:
 
     @by_values()
     def linearize_tracked(self, q: ArrayLike, v: ArrayLike, u: ArrayLike) -> Linearization:
-        """Return `linearize`: what a reference leads, and v, are the whole state of what is pushed."""
+        """Return `linearize`, since the coordinates and v are the whole state of a robot that forces drive.
+
+        Parameters
+        ----------
+        q : array_like, shape (..., nq)
+            Configuration [m, m, rad, ...].
+        v : array_like, shape (..., nv)
+            Velocity [m/s, m/s, rad/s, ...].
+        u : array_like, shape (..., nv)
+            Input, a generalised force [N, N, N m, ...].
+        """
         return self._linearized(q, v, u=u)
 
     @cached_property
     def weight(self) -> float:
-        """Weight of the robot with all that it carries [N]."""
+        """Weight of the robot with arms and loads [N]."""
         if self._engine is None:
             return self._array_ways[-1].weight  # type: ignore[no-any-return]
         return float(pin.computeTotalMass(self._model) * np.linalg.norm(self._model.gravity.linear))
 
     @by_values()
     def ground_wrench(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
-        """Return what the ground exerts on the robot that moves so, shape (..., 6).
+        """Return the wrench of the ground on the robot for a given motion, shape (..., 6) [N, N m].
 
-        Along the axes of the body's frame B, with the moment about its origin, which lies on the ground: the
-        rate of the momentum of all bodies, less gravity. Whatever else acts from outside is in it.
+        The wrench (force, moment) is along the axes of the body frame B, with the moment about the origin of
+        B on the ground. It equals the rate of momentum of all bodies minus gravity, so it includes all other
+        external forces.
+
+        Parameters
+        ----------
+        q : array_like, shape (..., nq)
+            Configuration [m, m, rad, ...].
+        v, a : array_like, shape (..., nv)
+            Velocity and acceleration [m/s, m/s, rad/s, ...; per s].
         """
         return self._each(pinocchio_backend.ground_wrench, q=q, v=v, a=a)
 
     @by_values()
     def mount_wrench(self, q: ArrayLike, v: ArrayLike, a: ArrayLike, mount: str | None = None) -> Array:
-        """Return what an arm, with the loads on it, exerts on the body at its mount, shape (..., 6).
+        """Return the wrench of an arm and its loads on the body at the mount, shape (..., 6) [N, N m].
 
-        Along the axes of the body's frame B (not turned by the mount's yaw), with the moment about the point
-        of the mount. An arm at rest exerts its weight, (0, 0, -m g), and the moment of that,
-        (-m g y, m g x, 0) with its centre of mass at x and y from the mount.
+        The wrench (force, moment) is along the axes of the body frame B, not rotated by the mount's yaw, with
+        the moment about the mount point. An arm at rest exerts its weight, (0, 0, -m g), and the moment (-m g
+        y, m g x, 0), with its centre of mass at x and y from the mount point.
 
         Parameters
         ----------
@@ -664,27 +881,27 @@ class System:
         v, a : array_like, shape (..., nv)
             Velocity and acceleration [m/s, m/s, rad/s, ...; per s].
         mount : str, optional
-            Name of one of `mounts`; by default that of the first.
+            Name of one of `mounts`; by default, the first one.
 
         Raises
         ------
         InvalidArgument
-            If no arm is mounted.
+            If the robot carries no arm.
         UnknownName
-            If nothing is mounted by that name.
+            If no arm has this name.
         """
         arm = self._mount(mount)
         return self._each(partial(pinocchio_backend.mount_wrench, arm, self._fixed(arm)), q=q, v=v, a=a)
 
     def _mount(self, name: str | None) -> Mount:
         if not self.mounts:
-            raise InvalidArgument("robot carries no arm, expected one: robot.mount(...)")
+            raise InvalidArgument("robot carries no arm, expected a robot with one: robot.mount(...)")
         known = {mount.name: mount for mount in self.mounts}
         wanted = self.mounts[0].name if name is None else name
         return known[one_of("mount", wanted, known)]
 
     def _fixed(self, mount: Mount) -> pin.Inertia:
-        """Return the inertia, in the body's frame, of what of an arm does not move on the body."""
+        """Return the inertia, in the body frame, of those parts of an arm that are fixed to the body."""
         fixed = mount.placement.act(mount._model.inertias[0])
         for load in self.loads:
             name = load.frame
