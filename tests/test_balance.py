@@ -249,7 +249,7 @@ def test_a_plant_of_ones_own_that_tells_what_the_ground_bears_stands_or_tips() -
     np.testing.assert_allclose(body_zero_moment_point(run), point, rtol=0, atol=1e-13)
     np.testing.assert_array_equal(tip_over_margin(run), margin_inside(Standing.footprint, point))
     np.testing.assert_allclose(required_friction(run), np.hypot(ahead, inward) / G, rtol=0, atol=1e-13)
-    with pytest.raises(pm.InvalidArgument, match="does not tell what an arm exerts on it"):
+    with pytest.raises(pm.InvalidArgument, match="does not compute the wrench of an arm"):
         reaction_wrench(run)
     plant: Any = run.plant
     plant.footprint = Standing.footprint[::-1]  # clockwise

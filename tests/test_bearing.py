@@ -290,7 +290,7 @@ def still(robot: Any, u: Any = None) -> MotionStates:
     ("ask", "words"),
     [
         (lambda: contact_loads(still(LINE)), "^table has 2 contacts on one line"),
-        (lambda: contact_loads(still(BODY)), "^motion.plant is .*, which does not tell what its wheels"),
+        (lambda: contact_loads(still(BODY)), "^motion.plant is .*, which does not compute the loads of wheels"),
         (lambda: slip_margins(still(ROLLS)), "^motion.u is None"),
         (lambda: slip_margins(still(SKID, np.zeros(SKID.nu))), "^motion has no signals"),
         (lambda: max_path_speed(SKID, CIRCLE), "cannot roll without slip"),
@@ -312,7 +312,9 @@ def test_a_robot_by_voltage_tells_loads_and_takes_no_volts_for_torques() -> None
     electric = robot.by_voltage()
     at = still(electric, [12.0, 12.0])
     np.testing.assert_array_equal(contact_loads(at).values, contact_loads(still(robot)).values)
-    with pytest.raises(errors.InvalidArgument, match=r"^motion.plant is .*, which does not tell how far"):
+    with pytest.raises(
+        errors.InvalidArgument, match=r"^motion.plant is .*, which does not compute slip margins"
+    ):
         slip_margins(at)
     assert not hasattr(electric, "metrics")
     assert not hasattr(electric.array_dynamics, "evaluate_metrics")

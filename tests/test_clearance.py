@@ -179,7 +179,7 @@ def test_pairs_that_touch_at_rest_are_left_out_and_named_and_so_are_neighbours()
     found = pm.clearance(robot, robot.rest)
     assert found.left_out["arm/shape0", "arm/shape2"] == "touch at rest"
     assert found.left_out["arm/shape0", "arm/shape1"] == "joined by a joint"
-    assert found.left_out["base_link", "ground"] == "nothing moves one against the other"
+    assert found.left_out["base_link", "ground"] == "at a constant distance"
     assert "touch at rest: arm/shape0 - arm/shape2" in str(found)
     assert ("base_link", "arm/shape2") in found.pairs
     higher = slider((1, coal.Box(1, 1, 1)), (3, coal.Sphere(0.1)), rest=1.0)
@@ -219,7 +219,7 @@ def test_a_load_is_its_box() -> None:
     found = pm.clearance(loaded, np.array([0, 0, 0, 0, 0, 0.3]))
     at = found.pairs.index(("arm/shape0", "load 1"))
     assert found.distances[at] == pytest.approx(0.3 + 0.5 - 0.1 - 0.1, abs=1e-9)
-    assert found.left_out["arm/shape2", "load 1"] == "nothing moves one against the other"
+    assert found.left_out["arm/shape2", "load 1"] == "at a constant distance"
 
 
 SWERVE = pm.WheelTable.swerve(
@@ -296,9 +296,7 @@ def test_a_robot_without_collision_shapes_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("robot", [3, pm.MobileRobot, Mapping, None])
 def test_other_things_than_robots_are_refused(robot: Any) -> None:
-    with pytest.raises(
-        pm.InvalidArgument, match="which does not tell its collision shapes, expected a Mobile"
-    ):
+    with pytest.raises(pm.InvalidArgument, match="which has no collision geometry, expected a Mobile"):
         pm.clearance(robot, [0, 0, 0])
 
 

@@ -221,10 +221,10 @@ def test_where_radii_are_in_meshes_alone_the_ground_is_asked_for(tmp_path: Path)
     known = read(tmp_path, wheeled.fetch(), ground=0.055325 - 0.0604)
     assert known.grounded
     assert known.com[2] == pytest.approx(robot.com[2] + 0.0604 - 0.055325, abs=1e-15)
-    with refused("footprint is not given, and that of the robot is not known"):
+    with refused("footprint is not given, and the robot's footprint is not known"):
         tip_over_margin(MotionStates(known, np.zeros(3), np.zeros(3), np.zeros(3)))
     rollout = pm.simulate(known, pm.ComputedTorque(known), pm.Tangent(pm.Circle(1, 0.5, 1)), dt=0.1)
-    with refused("footprint is not given, and that of the robot is not known"):
+    with refused("footprint is not given, and the robot's footprint is not known"):
         plots.balance(rollout)
     assert plots.balance(rollout, footprint=box(0.2, 0.2)).axes
 
@@ -262,7 +262,7 @@ def test_a_wheel_without_a_radius_leaves_the_footprint_unknown_unless_it_is_insi
     robot = on_wheels((0.3, 0.2), (0.3, -0.2), (-0.3, 0.2), (-0.3, -0.2))
     assert robot.footprint is None
     assert "j0, j1, j2, but the file does not tell the radius of j3" in robot.source
-    with refused("that of the robot is not known"):
+    with refused("the robot's footprint is not known"):
         braking(robot, -1.0)
     six = on_wheels((0.3, 0.2), (0.3, -0.2), (-0.3, 0.2), (-0.3, -0.2), (0, 0.2), (0, -0.2))
     stands_on(six, box(0.3, 0.2))

@@ -1,4 +1,4 @@
-"""What the base feels: the arm's reaction, where the ground carries it, and what friction that takes."""
+"""Wrenches between arm, base and ground: arm reactions, contact loads, stability and friction margins."""
 
 from __future__ import annotations
 
@@ -28,52 +28,85 @@ from pinmobile.plant import ContactLoads, SlipMargins, refuse_path
 from pinmobile.robot import WEIGHTLESS, checked_footprint, margin_inside, pressed_at
 from pinmobile.trajectories import Reference
 
-_FASTEST = 1e6  # times as fast as the reference, beyond which nothing gives way
+_FASTEST = 1e6  # largest factor of the speed: beyond, the speed counts as unlimited
 _HALVINGS = 40
 _UPRIGHT = np.pi / 2 - 1e-9  # [rad]
 
 
 class Moving(Protocol):
-    """A Rollout or a MotionStates."""
+    """A Rollout or a MotionStates.
+
+    Any object with a plant and arrays q, v and a also satisfies this protocol.
+
+    See Also
+    --------
+    balance.MotionStates : states given as arrays
+    Rollout : result of a simulation
+
+    Examples
+    --------
+    >>> from types import SimpleNamespace
+    >>> from pinmobile import MobileRobot, balance
+    >>> motion = SimpleNamespace(plant=MobileRobot.box(), q=[0, 0, 0], v=[0, 0, 0], a=[1, 0, 0])
+    >>> balance.required_friction(motion)  # |a| / g
+    array(0.102)
+    """
 
     @property
     def plant(self) -> Any:
-        """What moves: a `MobileRobot`, or a plant with ``ground_wrench(q, v, a) -> (..., 6)``."""
+        """`MobileRobot`, or another plant with ``ground_wrench(q, v, a) -> (..., 6)``."""
 
     @property
     def q(self) -> ArrayLike:
-        """Configuration, shape (..., nq)."""
+        """Configuration, shape (..., nq) [m, m, rad, ...]."""
 
     @property
     def v(self) -> ArrayLike:
-        """Velocity, shape (..., nv)."""
+        """Velocity, shape (..., nv) [m/s, m/s, rad/s, ...]."""
 
     @property
     def a(self) -> ArrayLike:
-        """Acceleration, shape (..., nv)."""
+        """Acceleration, shape (..., nv) [m/s^2, m/s^2, rad/s^2, ...]."""
 
 
 @dataclass(frozen=True, eq=False)
 class MotionStates:
-    """States of a robot that no simulation recorded: one, or many along leading axes that broadcast.
+    """States and accelerations of a robot without a simulation: one state, or many along leading axes.
+
+    Leading axes broadcast.
 
     Parameters
     ----------
     plant : MobileRobot or plant
-        What moves: it has ``ground_wrench(q, v, a)``, the wrench (fx, fy, fz, mx, my, mz) of the ground on
-        the body along and about the body's frame, shape (..., 6) [N, N m], and may have ``footprint``, its
-        corners, shape (k, 2) [m].
+        Robot. It has the method ``ground_wrench(q, v, a)``, the wrench (fx, fy, fz, mx, my, mz) of the ground
+        on the body in the body frame, shape (..., 6) [N, N m]. It may have ``footprint``, the corners of the
+        support polygon, shape (k, 2) [m].
     q : array_like, shape (..., nq)
         Configuration [m, m, rad, ...].
     v, a : array_like, shape (..., nv)
         Velocity and acceleration [m/s, m/s, rad/s, ...; per s].
     u : array_like, shape (..., nu), optional
-        Input, on which the forces of wheels depend.
+        Input [N, N m or V], required for wheel forces.
 
     Raises
     ------
     InvalidArgument
         If `plant` has no ``ground_wrench``, or an array has another shape or is not finite.
+
+    See Also
+    --------
+    balance.zero_moment_point : point of the ground reaction
+    balance.tip_over_margin : distance to the edge of the support polygon
+    Rollout : states of a simulation, with the same attributes
+
+    Examples
+    --------
+    >>> from pinmobile import MobileRobot
+    >>> from pinmobile.balance import MotionStates, tip_over_margin
+    >>> tall = MobileRobot.box(mass=30.0, size=(0.6, 0.4, 1.0))
+    >>> braking = MotionStates(tall, [0, 0, 0], [1, 0, 0], [-4, 0, 0])
+    >>> tip_over_margin(braking)  # [m]
+    array(0.0961)
     """
 
     plant: Any
@@ -98,60 +131,89 @@ def _robot_of(motion: Any) -> Any:
 
 
 def reaction_wrench(motion: Moving, mount: str | None = None) -> Array:
-    """Return the force and moment that an arm, with the loads on it, exerts on the base at its mount.
+    """Return the force and moment of an arm and its loads on the base, at the mount.
 
-    Its weight less the rate of its momentum, by Newton and Euler (Luh, Walker and Paul, 1980), as Pinocchio's
-    RNEA does it.
+    This is the arm's weight minus its rate of momentum, by Newton and Euler (Luh, Walker and Paul, 1980),
+    computed by Pinocchio's RNEA.
 
     Parameters
     ----------
     motion : Rollout or MotionStates
         Robot, q, v and a.
     mount : str, optional
-        Name of one of ``robot.mounts``; by default that of the first.
+        Name of one of ``robot.mounts``; by default, the first one.
 
     Returns
     -------
-    wrench : ndarray, shape (..., 6)
-        (fx, fy, fz, mx, my, mz) [N, N, N, N m, N m, N m] along the axes of the body's frame B, x forward, y
-        left, z up, whatever the mount's yaw; the moment is about the point of the mount. An arm at rest
-        exerts its weight, (0, 0, -m g), and about the mount the moment (-m g y, m g x, 0) of its centre of
-        mass at x and y from there.
+    ndarray, shape (..., 6)
+        (fx, fy, fz, mx, my, mz) [N, N, N, N m, N m, N m] along the axes of the body frame B (x forward, y
+        left, z up), for any yaw of the mount. The moment is about the mount point. An arm at rest exerts its
+        weight, (0, 0, -m g), and the moment (-m g y, m g x, 0), with its centre of mass at x and y from the
+        mount point.
 
     Raises
     ------
     InvalidArgument
-        If the motion is not that of a `MobileRobot` with an arm.
+        If the plant of the motion is not a `MobileRobot` with an arm.
     UnknownName
-        If nothing is mounted by that name.
+        If no arm has this name.
+
+    See Also
+    --------
+    MobileRobot : `mount_wrench` computes this wrench for given states
+    balance.zero_moment_point : point of the ground reaction
+
+    Examples
+    --------
+    >>> from pinmobile import MobileRobot, balance
+    >>> robot = MobileRobot.box(mass=60.0).mount("ur5")
+    >>> still = [0.0] * robot.nv
+    >>> states = balance.MotionStates(robot, robot.rest, still, still)
+    >>> print(balance.reaction_wrench(states)[2])  # arm's weight [N]
+    -205.95
     """
-    answer = _method("motion.plant", _robot_of(motion), "mount_wrench", "what an arm exerts on it")
+    answer = _method("motion.plant", _robot_of(motion), "mount_wrench", "the wrench of an arm")
     return answer(motion.q, motion.v, motion.a, mount)  # type: ignore[no-any-return]
 
 
 def zero_moment_point(motion: Moving) -> Array:
-    """Return the point on the ground about which its reaction has no horizontal moment, shape (..., 2) [m].
+    """Return the zero-moment point: the ground reaction has no horizontal moment there, shape (..., 2) [m].
 
-    With the ground's force f and its moment m about the origin of the body's frame B, which lies on the
-    ground, it is (-m_y / f_z, m_x / f_z) from there along B's axes (Vukobratovic and Borovac, "Zero-moment
-    point - thirty five years of its life", 2004). A robot at rest has it below its centre of mass; a body
-    whose centre of mass is at height h and accelerates with a has it h a / g behind.
+    Let f be the ground's force and m its moment about the origin of the body frame B, which lies on the
+    ground. The point is (-m_y / f_z, m_x / f_z) from this origin, along the axes of B (Vukobratovic and
+    Borovac, "Zero-moment point - thirty five years of its life", 2004). For a robot at rest, the point lies
+    below the centre of mass. For a body with the centre of mass at height h and acceleration a, it lies h a /
+    g behind.
 
     Parameters
     ----------
     motion : Rollout or MotionStates
-        Robot, q, v and a. Forces that do not come from the ground, such as a push, count as if they did.
+        Robot, q, v and a. The ground reaction includes external forces, such as a push.
 
     Returns
     -------
-    point : ndarray, shape (..., 2)
-        x and y in the inertial frame [m]; NaN where the ground does not carry the robot.
+    ndarray, shape (..., 2)
+        x and y in the inertial frame [m]; NaN if the ground does not carry the robot.
 
     Raises
     ------
     InvalidArgument
-        If the plant has no ``ground_wrench``, or the motion does not fit it; or if it is not known how high
-        the robot is above the ground, since its URDF does not tell.
+        If the plant has no ``ground_wrench``, the motion does not fit the plant, or the robot's height above
+        the ground is not known because its URDF does not contain this height.
+
+    See Also
+    --------
+    balance.body_zero_moment_point : the same point in the body frame
+    balance.tip_over_margin : distance of this point to the edge of the footprint
+
+    Examples
+    --------
+    >>> from pinmobile import MobileRobot, balance
+    >>> tall = MobileRobot.box(mass=30.0, size=(0.6, 0.4, 1.0))
+    >>> push = balance.MotionStates(tall, [0, 0, 0], [0, 0, 0], [4, 0, 0])
+    >>> x, y = balance.zero_moment_point(push)  # [m]
+    >>> print(x, -0.5 * 4 / 9.81)
+    -0.204 -0.204
     """
     point = body_zero_moment_point(motion)
     pose = _robot_of(motion).pose(motion.q)
@@ -161,21 +223,40 @@ def zero_moment_point(motion: Moving) -> Array:
 
 
 def body_zero_moment_point(motion: Moving) -> Array:
-    """Return the zero-moment point in the body's frame, x forward and y left, shape (..., 2) [m].
+    """Return the zero-moment point in the body frame, x forward and y left, shape (..., 2) [m].
 
     Parameters
     ----------
     motion : Rollout or MotionStates
         As in `zero_moment_point`.
 
+    Returns
+    -------
+    ndarray, shape (..., 2)
+        x and y in the body frame [m]; NaN if the ground does not carry the robot.
+
     Raises
     ------
     InvalidArgument
-        As `zero_moment_point`.
+        As in `zero_moment_point`.
+
+    See Also
+    --------
+    balance.zero_moment_point : the same point in the inertial frame
+    balance.tip_over_margin : distance of this point to the edge of the footprint
+
+    Examples
+    --------
+    >>> from math import pi
+    >>> from pinmobile import MobileRobot, balance
+    >>> tall = MobileRobot.box(mass=30.0, size=(0.6, 0.4, 1.0))
+    >>> left = balance.MotionStates(tall, [5, 0, pi / 2], [0, 0, 0], [0, 4, 0])
+    >>> print(balance.body_zero_moment_point(left)[0])  # forward [m]
+    -0.204
     """
     if not getattr(_robot_of(motion), "grounded", True):
         raise InvalidArgument(
-            "motion.plant does not tell how high it is above the ground, expected one that does: "
+            "motion.plant has an unknown height above the ground, expected a known one: "
             "MobileRobot.from_urdf(path, ground=...), with the ground's z in the root link's frame [m]"
         )
     found: Array = pressed_at(*_ground(motion))
@@ -183,27 +264,42 @@ def body_zero_moment_point(motion: Moving) -> Array:
 
 
 def tip_over_margin(motion: Moving, footprint: ArrayLike | None = None) -> Array:
-    """Return how far the zero-moment point lies inside the footprint's edge, shape (...) [m].
+    """Return the distance of the zero-moment point inside the edge of the footprint, shape (...) [m].
 
-    Where it is negative, the ground would have to pull at the far edge: a base that is not held down tips.
+    If the margin is negative, the base tips over: only a pulling force at the far edge could prevent this.
 
     Parameters
     ----------
     motion : Rollout or MotionStates
         As in `zero_moment_point`.
     footprint : array_like, shape (k, 2), optional
-        Corners of the convex polygon on which the body stands, in its frame [m]; by default the robot's own.
+        Corners of the convex support polygon in the body frame [m]; by default, the robot's footprint.
 
     Returns
     -------
-    margin : ndarray, shape (...)
-        Distance from the edge [m], negative outside; -inf where the ground does not carry the robot.
+    ndarray, shape (...)
+        Distance from the edge [m], negative outside; -inf if the ground does not carry the robot.
 
     Raises
     ------
     InvalidArgument
-        If `footprint` is no convex polygon with an area, or is not given and the robot's own is not known; or
-        as `zero_moment_point`.
+        If `footprint` is not a convex polygon with an area; if the argument is missing and the robot's
+        footprint is not known; or as in `zero_moment_point`.
+
+    See Also
+    --------
+    balance.zero_moment_point : point of the ground reaction
+    balance.max_slope : steepest slope on which a robot stands
+    balance.contact_loads : load of each wheel
+
+    Examples
+    --------
+    >>> from pinmobile import MobileRobot, balance
+    >>> tall = MobileRobot.box(mass=30.0, size=(0.6, 0.4, 1.0))
+    >>> a = [[2, 0, 0], [4, 0, 0], [6, 0, 0]]  # [m/s^2]
+    >>> states = balance.MotionStates(tall, [0, 0, 0], [0, 0, 0], a)
+    >>> balance.tip_over_margin(states).round(3)  # [m]
+    array([ 0.198,  0.096, -0.006])
     """
     corners = footprint_of(_robot_of(motion), footprint)
     margin = margin_inside(corners, body_zero_moment_point(motion))
@@ -211,43 +307,84 @@ def tip_over_margin(motion: Moving, footprint: ArrayLike | None = None) -> Array
 
 
 def contact_loads(motion: Moving) -> ContactLoads:
-    """Return what each wheel and support carries: names, loads, and where the robot begins to tip over.
+    """Return the load of each wheel and support, and whether the robot begins to tip over.
 
-    They balance the ground's wrench, arms and spinning wheels included. Three are found by that; more share
-    as equal springs do, and what would pull has lifted off.
+    The loads balance the wrench of the ground, including the dynamics of arms and wheels. This balance
+    determines three loads. More contacts share the load like equal springs. A contact that would pull has
+    lifted off.
 
     Parameters
     ----------
     motion : Rollout or MotionStates
-        Robot, q, v and a. Forces that do not come from the ground count as if they did.
+        Robot, q, v and a. The ground reaction includes external forces.
+
+    Returns
+    -------
+    plant.ContactLoads
+        Names of the contacts, loads [N] and whether the robot tips over.
 
     Raises
     ------
     InvalidArgument
-        If the plant has no ``contact_loads``, or it is not known where it stands.
+        If the plant has no ``contact_loads``, or its contacts or height are not known.
+
+    See Also
+    --------
+    balance.slip_margins : friction left at each wheel
+    balance.tip_over_margin : distance to the edge of the footprint
+
+    Examples
+    --------
+    >>> from pinmobile import MobileRobot, WheeledRobot, WheelTable, balance
+    >>> wheels = WheelTable.differential(0.4, 0.1, supports=[(0.2, 0), (-0.2, 0)])
+    >>> car = WheeledRobot(MobileRobot.box(mass=30.0), wheels)
+    >>> rest = balance.MotionStates(car, [0] * car.nq, [0] * car.nv, [0] * car.nv)
+    >>> balance.contact_loads(rest).values  # [N]
+    array([73.575, 73.575, 73.575, 73.575])
     """
-    answer = _method("motion.plant", _robot_of(motion), "contact_loads", "what its wheels carry")
+    answer = _method("motion.plant", _robot_of(motion), "contact_loads", "the loads of wheels")
     return answer(motion.q, motion.v, motion.a)  # type: ignore[no-any-return]
 
 
 def slip_margins(motion: Moving) -> SlipMargins:
-    """Return the friction that is left at each wheel before it slips, ``mu N - hypot(along, across)`` [N].
+    """Return the friction left at each wheel before slip, ``mu N - hypot(along, across)`` [N].
 
-    Where rolling does not determine how wheels share the force across their axle, it is the axle's margin,
-    under the names of its wheels: that of the best split.
+    If rolling does not determine the lateral force of each wheel on an axle, the margin belongs to the axle
+    and has the names of its wheels. It then assumes the best distribution of the lateral force.
 
     Parameters
     ----------
     motion : Rollout or MotionStates
-        Robot, q, v, a and u; wheels that may slip have their forces in the signals of a `Rollout`.
+        Robot, q, v, a and u. For wheels that may slip, the forces are signals of a `Rollout`.
+
+    Returns
+    -------
+    plant.SlipMargins
+        Names, margins [N] and forces along and across [N].
 
     Raises
     ------
     InvalidArgument
-        If the plant has no ``slip_margins``, it is not known where it stands, or the motion does not tell the
-        forces.
+        If the plant has no ``slip_margins``, its contacts or height are not known, or the motion lacks the
+        wheel forces.
+
+    See Also
+    --------
+    balance.contact_loads : load of each wheel
+    balance.required_friction : friction coefficient that a motion needs
+
+    Examples
+    --------
+    >>> from pinmobile import MobileRobot, WheeledRobot, WheelTable, balance
+    >>> wheels = WheelTable.differential(0.4, 0.1, supports=[(0.2, 0), (-0.2, 0)])
+    >>> car = WheeledRobot(MobileRobot.box(mass=30.0), wheels)
+    >>> still = [0] * car.nv
+    >>> rest = balance.MotionStates(car, [0] * car.nq, still, still, u=[0, 0])
+    >>> margins = balance.slip_margins(rest)
+    >>> margins.names, margins.values  # [N]
+    (('left + right',), array([58.86]))
     """
-    words = "how far its wheels are from slipping"
+    words = "slip margins of wheels"
     return _method("motion.plant", _robot_of(motion), "slip_margins", words)(motion)  # type: ignore[no-any-return]
 
 
@@ -255,26 +392,40 @@ def _method(argument: str, plant: Any, name: str, words: str) -> Any:
     found = getattr(plant, name, None)
     if isinstance(plant, type) or not callable(found):
         raise InvalidArgument(
-            f"{argument} is {shown(plant)}, which does not tell {words}, expected a WheeledRobot, or a plant "
-            f"with {name}"
+            f"{argument} is {shown(plant)}, which does not compute {words}, expected a WheeledRobot, or a "
+            f"plant with {name}"
         )
     return found
 
 
 class MotionLimit(NamedTuple):
-    """Where something gives way first.
+    """Limit of a motion, and the event that occurs beyond this limit.
 
     Attributes
     ----------
     value : float
-        The largest speed along the path [m/s], or the steepest angle of the ground [rad]; infinite where
-        nothing gives way.
+        Largest speed along the path [m/s], or largest angle of the slope [rad]; infinite if there is no
+        limit.
     what : str
-        What gives way beyond, such as ``"left + right slip"`` or ``"support 1 lifts"``; else "".
+        Event beyond the limit, such as ``"left + right slip"`` or ``"support 1 lifts"``; empty if there is
+        none.
     time : float
-        When along the reference, at its own pace [s]; 0 of ramps.
+        Time of the event in the original trajectory [s]; 0 for slopes.
     factor : float
-        How many times as fast as the reference goes; 1 of ramps.
+        Largest speed as a multiple of the original speed; 1 for slopes.
+
+    See Also
+    --------
+    balance.max_path_speed : largest speed along a trajectory
+    balance.max_slope : steepest slope on which a robot stands
+
+    Examples
+    --------
+    >>> from math import degrees
+    >>> from pinmobile.balance import MotionLimit
+    >>> limit = MotionLimit(0.38, "left + right slip")
+    >>> print(f"{degrees(limit.value):.0f} degrees: {limit.what}")
+    22 degrees: left + right slip
     """
 
     value: float
@@ -284,27 +435,47 @@ class MotionLimit(NamedTuple):
 
 
 def max_path_speed(plant: Any, trajectory: Any, samples: int = 400) -> MotionLimit:
-    """Return how fast a robot can follow a trajectory before wheels slip, lift off or lack torque.
+    """Return the largest speed on a trajectory before wheels slip, lift off or lack torque.
 
-    The whole trajectory is taken faster or slower: the same places at times that are all shortened alike,
-    so that velocities grow with the factor and accelerations with its square. Wheels roll, driven by torques
-    of least norm; an electric motor has less torque the faster it turns.
+    The function scales time uniformly: velocities grow with the factor and accelerations with its square.
+    Wheels roll, driven by minimum-norm torques. An electric motor has less torque at higher speed.
 
     Parameters
     ----------
     plant : WheeledRobot or plant
-        One with ``follows(t, reference)``.
+        Robot with the method ``follows(t, reference)``.
     trajectory : Trajectory
-        What it follows, such as ``Tangent(path)``.
+        Trajectory to follow, such as ``Tangent(path)``.
     samples : int
-        At how many times, evenly over the trajectory.
+        Number of samples, evenly spaced over the trajectory.
+
+    Returns
+    -------
+    MotionLimit
+        Largest speed [m/s], the event beyond this speed, and its time [s].
 
     Raises
     ------
     InvalidArgument
-        If an argument is something else, the wheels cannot follow, or something slips or lifts at rest.
+        If an argument has another type, the wheels cannot follow the trajectory, or a wheel slips or lifts
+        off at rest.
+
+    See Also
+    --------
+    balance.max_slope : steepest slope on which a robot stands
+    balance.slip_margins : friction left at each wheel
+
+    Examples
+    --------
+    >>> from pinmobile import Circle, MobileRobot, Tangent, WheeledRobot, WheelTable
+    >>> from pinmobile.balance import max_path_speed
+    >>> wheels = WheelTable.differential(0.4, 0.1, supports=[(0.2, 0), (-0.2, 0)])
+    >>> car = WheeledRobot(MobileRobot.box(), wheels)
+    >>> limit = max_path_speed(car, Tangent(Circle(1.0, 0.5, 4.0)), samples=20)
+    >>> limit.value, limit.what  # [m/s]
+    (1.98, 'left + right slip')
     """
-    follows = _method("plant", plant, "follows", "what it takes to follow a trajectory")
+    follows = _method("plant", plant, "follows", "the loads along a trajectory")
     required("trajectory", trajectory, Following)
     duration = positive("trajectory.duration", trajectory.duration, "s")
     t = np.linspace(0.0, duration, whole("samples", samples, least=4))
@@ -314,7 +485,7 @@ def max_path_speed(plant: Any, trajectory: Any, samples: int = 400) -> MotionLim
     speed = float(np.hypot(*np.moveaxis(reference.v[..., :2], -1, 0)).max())
     if _first(going, 0.0)[0] < 0:
         raise InvalidArgument(
-            f"plant does not stand where it is at rest: {_first(going, 0.0)[1]}, expected one that does"
+            f"plant does not stand at rest: {_first(going, 0.0)[1]}, expected one that does"
         )
     low, high = 0.0, 1.0
     while _first(going, high)[0] >= 0:
@@ -327,21 +498,40 @@ def max_path_speed(plant: Any, trajectory: Any, samples: int = 400) -> MotionLim
 
 
 def max_slope(plant: Any, direction: float = 0.0) -> MotionLimit:
-    """Return the steepest ramp on which a robot stands, held by its motors, before it slips, tips or rolls.
+    """Return the steepest slope on which a robot with driven wheels neither slips, tips nor rolls away.
 
     Parameters
     ----------
     plant : WheeledRobot or plant
-        One with ``on_ramp(angle, direction)`` and ``follows(t, reference)``.
+        Robot with the methods ``on_ramp(angle, direction)`` and ``follows(t, reference)``.
     direction : float
-        Which way is up, from the body's x axis [rad].
+        Direction uphill, as an angle from the body's x axis [rad].
+
+    Returns
+    -------
+    MotionLimit
+        Largest angle of the slope [rad] and the event beyond this angle.
 
     Raises
     ------
     InvalidArgument
-        If an argument is something else, or the robot rolls away on any ramp, since nothing holds its wheels.
+        If an argument has another type, or nothing holds the wheels on a slope of any angle.
+
+    See Also
+    --------
+    wheels.Ramp : sloped ground for a simulation
+    balance.max_path_speed : largest speed along a trajectory
+
+    Examples
+    --------
+    >>> from pinmobile import MobileRobot, WheeledRobot, WheelTable
+    >>> from pinmobile.balance import max_slope
+    >>> wheels = WheelTable.differential(0.4, 0.1, supports=[(0.2, 0), (-0.2, 0)])
+    >>> limit = max_slope(WheeledRobot(MobileRobot.box(), wheels))
+    >>> limit.value, limit.what  # [rad]
+    (0.3805, 'left + right slip')
     """
-    on_ramp = _method("plant", plant, "on_ramp", "what a ramp changes")
+    on_ramp = _method("plant", plant, "on_ramp", "its loads on a slope")
     direction = scalar("direction", direction)
     still = Reference(np.zeros((1, 3)), np.zeros((1, 3)), np.zeros((1, 3)))
 
@@ -356,7 +546,7 @@ def max_slope(plant: Any, direction: float = 0.0) -> MotionLimit:
 
 
 def _halved(low: float, high: float, stands: Callable[[float], bool]) -> tuple[float, float]:
-    """Return a small interval at whose lower end a robot stands, and at whose upper end it does not."""
+    """Return a small interval: the robot stands at its lower end, but not at its upper end."""
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if stands(middle) else (low, middle)
@@ -364,7 +554,7 @@ def _halved(low: float, high: float, stands: Callable[[float], bool]) -> tuple[f
 
 
 def _first(going: Any, factor: float) -> tuple[float, str, int]:
-    """Return the smallest margin or load of a motion, whose it is, and at which sample."""
+    """Return the smallest margin or load of a motion, the event that it predicts, and its sample."""
     words = "ContactLoads, SlipMargins and TorqueMargins"
     loads, margins, torques = instance("what the plant follows", going.at(factor), tuple, words)
     found = []
@@ -380,35 +570,55 @@ def _first(going: Any, factor: float) -> tuple[float, str, int]:
 
 
 def footprint_of(robot: Any, footprint: ArrayLike | None = None) -> Array:
-    """Return the corners of what a robot stands on, counter-clockwise, shape (k, 2) [m].
+    """Return the corners of a robot's support polygon, counter-clockwise, shape (k, 2) [m].
 
     Parameters
     ----------
     robot : MobileRobot or plant
-        Whose footprint it is.
+        Robot.
     footprint : array_like, shape (k, 2), optional
-        In place of its own.
+        Corners in the body frame [m]; by default, those of the robot.
+
+    Returns
+    -------
+    ndarray, shape (k, 2)
+        Corners in the body frame [m].
 
     Raises
     ------
     InvalidArgument
-        If `footprint` is no convex polygon with an area, or there is none.
+        If `footprint` is not a convex polygon with an area, or the argument is missing and the robot's
+        footprint is not known.
+
+    See Also
+    --------
+    balance.tip_over_margin : distance of the zero-moment point to the edge
+    MobileRobot : `footprint` is the robot's support polygon
+
+    Examples
+    --------
+    >>> from pinmobile import MobileRobot
+    >>> from pinmobile.balance import footprint_of
+    >>> corners = footprint_of(MobileRobot.box(size=(0.6, 0.4, 0.2)))
+    >>> corners.max(axis=0) - corners.min(axis=0)  # [m]
+    array([0.6, 0.4])
     """
     if footprint is not None:
         return checked_footprint(footprint)
     corners: Array | None = getattr(required("robot", robot, Grounded), "footprint", None)
     if corners is None:
         raise InvalidArgument(
-            "footprint is not given, and that of the robot is not known, expected the corners of what it "
-            "stands on, shape (k, 2); robot.source says what its file lacks"
+            "footprint is not given, and the robot's footprint is not known, expected the corners of the "
+            "support polygon, shape (k, 2) [m]; robot.source says what the file lacks"
         )
     return checked_footprint(corners)
 
 
 def required_friction(motion: Moving) -> Array:
-    """Return the friction coefficient that the ground must offer, shape (...): horizontal by vertical force.
+    """Return the required friction coefficient, the ratio of horizontal and vertical force, shape (...).
 
-    Necessary, and sufficient where the moment about the vertical is small: that takes friction too.
+    The condition is necessary. It is sufficient if the moment about the vertical axis is small, since this
+    moment also needs friction.
 
     Parameters
     ----------
@@ -417,14 +627,26 @@ def required_friction(motion: Moving) -> Array:
 
     Returns
     -------
-    coefficient : ndarray, shape (...)
-        At least zero; inf where the ground does not carry the robot, since none would do, but NaN where there
-        is no force at all.
+    ndarray, shape (...)
+        Friction coefficient, at least zero. If the ground does not carry the robot, it is inf, or NaN if the
+        force is zero.
 
     Raises
     ------
     InvalidArgument
-        As `zero_moment_point`.
+        As in `zero_moment_point`.
+
+    See Also
+    --------
+    balance.slip_margins : friction left at each wheel
+    balance.zero_moment_point : point of the ground reaction
+
+    Examples
+    --------
+    >>> from pinmobile import MobileRobot, balance
+    >>> states = balance.MotionStates(MobileRobot.box(), [0, 0, 0], [0, 0, 0], [3, 4, 0])
+    >>> balance.required_friction(states), 5 / 9.81
+    (array(0.5097), 0.5097)
     """
     wrench, carried = _ground(motion)
     horizontal = np.hypot(wrench[..., 0], wrench[..., 1])
@@ -434,7 +656,7 @@ def required_friction(motion: Moving) -> Array:
 
 
 def _ground(motion: Moving) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the ground's wrench, shape (..., 6), and where it carries the robot, shape (...)."""
+    """Return the ground's wrench, shape (..., 6), and whether the ground carries the robot, shape (...)."""
     robot = _robot_of(motion)
     wrench = finite("ground_wrench of motion.plant", robot.ground_wrench(motion.q, motion.v, motion.a))
     expected = (*np.broadcast_shapes(*(np.shape(x)[:-1] for x in (motion.q, motion.v, motion.a))), 6)

@@ -1,4 +1,4 @@
-"""How far a robot's links are from one another and from the ground: `clearance`."""
+"""Distances between a robot's links, and between its links and the ground: `clearance`."""
 
 from __future__ import annotations
 
@@ -17,27 +17,27 @@ from pinmobile.errors import InvalidArgument, shown
 from pinmobile.robot import Solid, Solids
 
 GROUND = "ground"
-"""What the ground is called among links."""
+"""Name of the ground in pairs of links."""
 
-_TOUCH = 1e-6  # [m]: what is so near touches
-_EXACT, _DEEP = 1e-10, 1e-8  # [m], of the nearest points, and of how deep shapes overlap
+_TOUCH = 1e-6  # [m]: largest distance that counts as contact
+_EXACT, _DEEP = 1e-10, 1e-8  # [m]: tolerances of the distance and of the penetration depth
 _ITERATIONS, _DEEP_ITERATIONS = 1000, 255
-_GUESS = np.array([1.0, 0.0, 0.0]), np.zeros(2, np.int32)  # coal's own: where it begins
-_FAILED = -1e6  # [m]: what is beyond says that coal has found no depth
-_GRID = 25  # values of each joint between two links that are tried, to see whether they can touch
-_FINER = 4  # rounds of search from there, each half as wide
-_NEAR = 2  # joints between two links for which that is tried
-_RIGID = "nothing moves one against the other"
+_GUESS = np.array([1.0, 0.0, 0.0]), np.zeros(2, np.int32)  # default initial guess of coal
+_FAILED = -1e6  # [m]: coal returns less if its depth computation fails
+_GRID = 25  # grid values of each joint in the search for a contact of two links
+_FINER = 4  # refinements of this search, each half as wide
+_NEAR = 2  # largest number of joints between two links of this search
+_RIGID = "at a constant distance"
 _JOINED = "joined by a joint"
 _AT_REST = "touch at rest"
-_APART = "never touch, whatever the joints between them do"
+_APART = "never touch in any position of the joints between them"
 _STANDS = "stands on the ground"
 
 _NO_PAIRS = (
-    "no pairs, as nothing of the robot moves against another part of it or the ground: expected an arm, by "
-    "robot.mount(...), whose links have shapes, those that a URDF has as <collision>"
+    "no pairs, since no part of the robot moves relative to another part or the ground: expected a robot "
+    "with an arm, see robot.mount(...), whose URDF has <collision> shapes"
 )
-_STARTS = 5  # of the search for a place where two links touch
+_STARTS = 5  # start points of the search for a contact of two links
 _INSIDE = 0.5
 
 Pair = tuple[str, str]
@@ -46,16 +46,29 @@ _Numbers = tuple[int, int]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Clearance:
-    """How far a robot's links are from one another and from the ground, at many configurations.
+    """Distances between a robot's links, and between its links and the ground, at one or many configurations.
 
     Attributes
     ----------
     distances : ndarray, shape (..., pairs)
-        Of each pair [m]; below zero the depth by which they overlap.
+        Distance of each pair [m]. A negative value is the penetration depth.
     pairs : tuple of (str, str)
-        Two links, or a link and ``"ground"``.
+        Names of two links, or of a link and ``"ground"``, for each column of `distances`.
     left_out : mapping of (str, str) to str
-        Pairs that do not count, and why.
+        Pairs that do not count, and the reason.
+
+    See Also
+    --------
+    clearance : function that returns this object
+    MobileRobot : `solids` holds the collision geometry
+
+    Examples
+    --------
+    >>> from pinmobile.proximity import Clearance
+    >>> pairs = (("arm/hand", "ground"), ("arm/hand", "base_link"))
+    >>> found = Clearance([[0.3, 0.2], [0.05, 0.2]], pairs, {})
+    >>> found.smallest, found.nearest, found.at  # [m]
+    (0.05, ('arm/hand', 'ground'), (1,))
     """
 
     distances: Array
@@ -67,22 +80,22 @@ class Clearance:
 
     @cached_property
     def distance(self) -> Array:
-        """Of the nearest pair, shape (...) [m]; infinite where no pair counts."""
+        """Distance of the nearest pair at each configuration, shape (...) [m]; infinite if no pair counts."""
         return frozen(self.distances.min(axis=-1, initial=np.inf))
 
     @property
     def smallest(self) -> float:
-        """The smallest of all [m]."""
+        """Smallest of all distances [m]; infinite if there is none."""
         return float(self.distance.min(initial=np.inf))
 
     @property
     def at(self) -> tuple[int, ...]:
-        """Index of the configuration of the smallest."""
+        """Index of the configuration with the smallest distance."""
         return tuple(int(k) for k in np.unravel_index(self.distance.argmin(), self.distance.shape))
 
     @property
     def nearest(self) -> Pair:
-        """The pair with the smallest.
+        """Pair of links with the smallest distance.
 
         Raises
         ------
@@ -98,9 +111,9 @@ class Clearance:
 
     @property
     def told(self) -> str:
-        """The smallest and its pair, as text."""
+        """Smallest distance and its pair, as text."""
         if not self.distances.size:
-            return _NO_PAIRS if not self.pairs else "of no configuration"
+            return _NO_PAIRS if not self.pairs else "no configurations"
         return f"{self.smallest:.4g} m between {' and '.join(self.nearest)}"
 
     def __str__(self) -> str:
@@ -114,34 +127,54 @@ class Clearance:
 
 
 def clearance(robot: Any, q: ArrayLike) -> Clearance:
-    """Return how far a robot's links are from one another and from the ground.
+    """Return the distances between a robot's links, and between its links and the ground.
 
-    By coal, from the collision shapes of body and arms, and boxes of loads; wheels of a table are cylinders
-    of a tyre's usual width. Meshes count as their convex hulls, so that no distance is too large. The ground
-    is the plane z = 0. Left out, and named, are pairs that nothing moves against one another, neighbours that
-    a joint joins, pairs that touch at rest, and those with one or two joints between them that never touch in
-    any position of these, as far as some six hundred of them and a search from the nearest show.
+    The library coal computes them for the collision shapes of body and arms and the boxes of loads. Wheels of
+    a wheel table are cylinders of a tyre's usual width. For pairs with meshes, each value is at most the
+    distance of the meshes: only the nearest pair is computed exactly, for the others the convex hulls replace
+    the meshes. The ground is the plane z = 0.
+
+    Four kinds of pairs do not count, and `Clearance.left_out` lists them: pairs at a constant distance; links
+    joined by a joint; pairs that touch in the configuration ``robot.rest``; and pairs with one or two joints
+    between them that never touch. A search over about 600 positions of these joints, refined near the
+    smallest distance, decides which pairs never touch.
 
     Parameters
     ----------
     robot : MobileRobot or WheeledRobot
-        Or another plant with ``solids`` and ``solid_placements(q)``.
+        Robot, or another plant with ``solids`` and ``solid_placements(q)``.
     q : array_like, shape (..., nq)
         Configurations [m, m, rad, ...].
 
     Returns
     -------
-    clearance : Clearance
+    proximity.Clearance
+        Distances, shape (..., pairs) [m], and the names of the pairs.
 
     Raises
     ------
     InvalidArgument
-        If `robot` is something else, its body or an arm has no collision shapes, a mesh cannot be read, or
-        `q` has another shape or is not finite.
+        If `robot` has another type, the body or an arm has no collision shapes, a mesh cannot be read, or `q`
+        has another shape or is not finite.
+
+    See Also
+    --------
+    proximity.Clearance : result of this function
+    MobileRobot : `mount` puts an arm on the robot
+
+    Examples
+    --------
+    >>> from pinmobile import MobileRobot, clearance
+    >>> robot = MobileRobot.box().mount("double_pendulum_simple")
+    >>> found = clearance(robot, robot.rest)
+    >>> found.smallest  # [m]
+    0.075
+    >>> [link.split("/")[1] for link in found.nearest]
+    ['base_link', 'link2']
     """
     if isinstance(robot, type) or not hasattr(type(robot), "solid_placements"):
         raise InvalidArgument(
-            f"robot is {shown(robot)}, which does not tell its collision shapes, expected a MobileRobot or a "
+            f"robot is {shown(robot)}, which has no collision geometry, expected a MobileRobot or a "
             "WheeledRobot"
         )
     choice = _choice(robot)
@@ -153,7 +186,7 @@ def clearance(robot: Any, q: ArrayLike) -> Clearance:
 
 @dataclass(frozen=True, eq=False)
 class _Choice:
-    """The pairs of links that count, and why others do not."""
+    """Pairs of links that count, and the reasons against the other pairs."""
 
     scene: _Scene
     pairs: tuple[_Numbers, ...]
@@ -161,8 +194,8 @@ class _Choice:
 
 
 def _choice(robot: Any) -> _Choice:
-    """Return the pairs of a robot's links that count; what cannot change is chosen once."""
-    solids = robot.solids  # not the robot, which equals one of other shapes
+    """Return the pairs of a robot's links that count, from a cache for each collision geometry."""
+    solids = robot.solids  # the key, since equal robots may have different shapes
     found = _choices.get(solids)
     if found is None:
         found = _choices[solids] = _chosen(robot)
@@ -197,7 +230,7 @@ def _chosen(robot: Any) -> _Choice:
 
 
 def _why_not(solids: Solids, scene: _Scene, pair: _Numbers) -> str:
-    """Return why a pair does not count, whatever its distance; nothing if it does."""
+    """Return the reason why a pair never counts; an empty text if there is none."""
     a, b = (scene.part(k) for k in pair)
     if a == b:
         link = scene.links[pair[0]] if scene.is_ground(pair[1]) else ""
@@ -207,7 +240,7 @@ def _why_not(solids: Solids, scene: _Scene, pair: _Numbers) -> str:
 
 
 def _between(solids: Solids, a: int, b: int) -> tuple[int, ...]:
-    """Return the parts whose joints are between two parts."""
+    """Return the parts whose joints lie between two parts."""
     ways: list[list[int]] = []
     for part in (a, b):
         way = []
@@ -221,7 +254,7 @@ def _between(solids: Solids, a: int, b: int) -> tuple[int, ...]:
 def _by_joints(
     solids: Solids, scene: _Scene, pairs: Sequence[_Numbers]
 ) -> dict[tuple[int, ...], list[_Numbers]]:
-    """Return the pairs with few joints between them, by these."""
+    """Return the pairs with at most two joints between them, grouped by these joints."""
     found: dict[tuple[int, ...], list[_Numbers]] = {}
     for pair in pairs:
         between = _between(solids, scene.part(pair[0]), scene.part(pair[1]))
@@ -234,7 +267,7 @@ def _by_joints(
 def _can_touch(
     robot: Any, solids: Solids, scene: _Scene, joints: tuple[int, ...], pairs: list[_Numbers]
 ) -> list[bool]:
-    """Return which pairs touch in some position of the joints between them."""
+    """Return for each pair whether it touches in some position of the joints between its links."""
     columns = [solids.moves[k].start for k in joints]
     rest = np.asarray(robot.rest)
     low, high = np.transpose([_span(robot, rest, column) for column in columns])
@@ -267,12 +300,12 @@ def _can_touch(
 
 
 def _lattice(values: Sequence[Array]) -> Array:
-    """Return all combinations of numbers, shape (n, k)."""
+    """Return all combinations of the given values, shape (n, k)."""
     return np.stack(np.meshgrid(*values, indexing="ij"), axis=-1).reshape(-1, len(values))
 
 
 def _span(robot: Any, rest: Array, column: int) -> tuple[float, float]:
-    """Return how far a joint may be from rest to either side: a whole turn is enough."""
+    """Return the range of a joint's displacement from rest; a full turn is the maximum."""
     one = robot.coordinates[column]
     low, high = one.lower - rest[column], one.upper - rest[column]
     far = np.pi if one.unit == "rad" else 1.0
@@ -282,12 +315,12 @@ def _span(robot: Any, rest: Array, column: int) -> tuple[float, float]:
 
 
 class _Scene:
-    """Shapes in coal, in groups by their links, and the ground.
+    """Collision shapes in coal, grouped by links, and the ground.
 
     Parameters
     ----------
     shapes : sequence of Solid
-        What there is.
+        Collision shapes of the robot.
     """
 
     def __init__(self, shapes: Sequence[Solid]) -> None:
@@ -305,11 +338,11 @@ class _Scene:
             self.model.addGeometryObject(pin.GeometryObject(f"{k}", 0, pin.SE3.Identity(), geometry))
 
     def is_ground(self, k: int) -> bool:
-        """Return whether a link is the ground."""
+        """Return whether an index denotes the ground."""
         return k == len(self.links)
 
     def part(self, k: int) -> int:
-        """Return what a link moves with: the ground, which is level, with the body."""
+        """Return the moving part of a link; the level ground belongs to the body."""
         return 0 if self.is_ground(k) else self._parts[self.links[k]]
 
     def named(self, pair: _Numbers) -> Pair:
@@ -318,14 +351,14 @@ class _Scene:
         return a, b
 
     def bounds(self, placements: Array, pairs: Sequence[_Numbers]) -> Array:
-        """Return what the distances of pairs of links are at least, those of hulls, shape (n, pairs) [m].
+        """Return lower bounds of the distances of pairs of links, by convex hulls, shape (n, pairs) [m].
 
         Parameters
         ----------
         placements : ndarray, shape (n, shapes, 4, 4)
-            Of the shapes.
+            Placements of the shapes.
         pairs : sequence of (int, int)
-            Numbers of links.
+            Indices of links.
         """
         if not pairs:
             return np.empty((len(placements), 0))
@@ -343,7 +376,7 @@ class _Scene:
         for row, out in zip(placements, found, strict=True):
             for k, placement in enumerate(row):
                 data.oMg[k] = pin.SE3(placement)
-            for request in requests:  # what was found before has no say in the last digits
+            for request in requests:  # reset the guess: last digits must not depend on earlier calls
                 request.cached_gjk_guess, request.cached_support_func_guess = _GUESS
             pin.computeDistances(model, data)
             out[:] = [result.min_distance for result in results]
@@ -354,17 +387,17 @@ class _Scene:
         return [(i, j) for i in self._of[pair[0]] for j in self._of[pair[1]]]
 
     def has_mesh(self, pair: _Numbers) -> bool:
-        """Return whether the distance of two links may be larger than that of their hulls.
+        """Return whether the distance of two links may exceed the distance of their convex hulls.
 
-        Of a hull and the ground it is not.
+        For a hull and the ground, both distances are equal.
         """
         meshes = (self._meshes[k] for one in pair for k in self._of[one])
         return not self.is_ground(pair[1]) and any(mesh is not None for mesh in meshes)
 
     def distances(self, placements: Array, pairs: Sequence[_Numbers]) -> Array:
-        """Return the distances of pairs, shape (n, pairs) [m]: the nearest to the last digit.
+        """Return the distances of pairs, shape (n, pairs) [m], exact for the nearest pair.
 
-        Of pairs with meshes that are not the nearest it is what `bounds` gives, at least.
+        For other pairs with meshes, the value is the lower bound from `bounds`.
         """
         found = self.bounds(placements, pairs)
         meshes = [self.has_mesh(pair) for pair in pairs]
@@ -380,9 +413,9 @@ class _Scene:
         return found
 
     def exact(self, placements: Array, pair: _Numbers) -> float:
-        """Return the distance of two links [m], of shapes with placements, shape (shapes, 4, 4).
+        """Return the distance of two links [m] for placements of the shapes, shape (shapes, 4, 4).
 
-        Where meshes overlap it is that of their hulls.
+        If meshes overlap, this is the (negative) distance of their convex hulls.
         """
         return min(self._exact(i, j, placements) for i, j in self._shapes(pair))
 
@@ -424,11 +457,11 @@ class _Scene:
         return coal.Transform3s(placements[k, :3, :3], placements[k, :3, 3])
 
     def _encloses(self, i: int, j: int, placements: Array) -> bool:
-        """Return whether one of two shapes that do not cross is in the other."""
+        """Return whether one of two shapes with disjoint surfaces encloses the other."""
         for outer, inner in ((i, j), (j, i)):
             mesh = self._meshes[outer]
             if mesh is None:
-                continue  # a primitive is solid: what is in it overlaps
+                continue  # a primitive is solid: a shape inside overlaps
             point = _point_of(self._solid(inner))
             there = placements[inner] @ np.append(point, 1.0)
             local = np.linalg.solve(placements[outer], there)[:3]
@@ -443,12 +476,12 @@ def _make_exact(request: Any) -> None:
 
 
 def _point_of(geometry: Any) -> Array:
-    """Return a point of a shape: a vertex of a mesh, else its middle."""
+    """Return a point of a shape: a vertex of a mesh, the centre of any other shape."""
     return np.array(geometry.vertices()[0]) if hasattr(geometry, "num_tris") else np.zeros(3)
 
 
 def _winding(mesh: Any, point: Array) -> float:
-    """Return how often a mesh goes round a point: one inside, zero outside (van Oosterom, Strackee, 1983)."""
+    """Return the winding number of a mesh: one inside, zero outside (van Oosterom, Strackee, 1983)."""
     triangles = (mesh.tri_indices(k) for k in range(mesh.num_tris))
     faces = np.array([[triangle[0], triangle[1], triangle[2]] for triangle in triangles])
     a, b, c = np.moveaxis((np.asarray(mesh.vertices()) - point)[faces], 1, 0)

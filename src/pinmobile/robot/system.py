@@ -608,7 +608,7 @@ class System:
 
     @by_values()
     def jacobian(self, q: ArrayLike) -> Array:
-        """Return J(psi), shape (..., nv, nv): v = J w, where w begins with the twist (forward, left, yaw rate).
+        """Return J(psi), shape (..., nv, nv): v = J w, w begins with the twist (forward, left, yaw rate).
 
         The entries of w for the arms' joints equal those of v.
 
