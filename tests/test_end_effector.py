@@ -91,7 +91,7 @@ TWO = poses([R0, R1], [(0, 0, 0), (1, 0, 0)])
 
 
 test_poses_that_make_no_path_are_refused = refusals(
-    (lambda: pm.PosePath.through(TWO), r"times is not given, expected when each pose shall be reached"),
+    (lambda: pm.PosePath.through(TWO), r"times is not given, expected the time of each pose"),
     (lambda: pm.PosePath.through(TWO, [0]), r"times has shape \(1,\), expected \(2,\), one for each pose"),
     (
         lambda: pm.PosePath.through([*TWO, TWO[0]], [0, 1, 1]),

@@ -106,11 +106,11 @@ def test_the_error_says_what_was_large() -> None:
     [
         (
             (1, 1e-12, (1e6, -1e6)),
-            "com is [1000000.0, -1000000.0, 0.0] m with mass 1 kg, beside which the yaw",
+            "com is [1000000.0, -1000000.0, 0.0] m with mass 1 kg, so rounding loses the yaw",
         ),
         (
             (1, 1, (1e200, 0)),
-            "com is [1e+200, 0.0, 0.0] m with mass 1 kg, beside which the yaw inertia about",
+            "com is [1e+200, 0.0, 0.0] m with mass 1 kg, so rounding loses the yaw inertia, ",
         ),
         ((1e308, 1, (0, 0, 1e3)), "com is [0.0, 0.0, 1000.0] m with mass 1e+308 kg,"),
     ],
@@ -121,9 +121,9 @@ def test_a_body_whose_yaw_inertia_is_lost_to_rounding_is_refused(
     with pytest.raises(pm.InvalidArgument) as caught:
         pm.MobileRobot(*arguments)
     assert str(caught.value).startswith(text)
-    assert "beside which the yaw inertia about it, " in str(caught.value)
+    assert "so rounding loses the yaw inertia, " in str(caught.value)
     assert "expected it to be 1e-09 of m |com|^2 = " in str(caught.value)
-    with pytest.raises(pm.InvalidArgument, match="is lost to rounding"):
+    with pytest.raises(pm.InvalidArgument, match="so rounding loses"):
         Body(arguments[0], np.append(arguments[2], 0.0)[:3], np.eye(3) * arguments[1])
 
 

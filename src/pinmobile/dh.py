@@ -14,7 +14,18 @@ from pinmobile.errors import InvalidArgument, shown
 
 
 class JointType(Enum):
-    """What a joint variable adds to: `d` of its row (prismatic) or `theta` (revolute)."""
+    """Type of a joint; its variable adds to `d` (prismatic) or `theta` (revolute) of a `DHRow`.
+
+    See Also
+    --------
+    dh.DHRow : row with such a joint
+
+    Examples
+    --------
+    >>> from pinmobile.dh import LECTURE_TABLE
+    >>> [row.joint.value for row in LECTURE_TABLE]
+    ['prismatic', 'prismatic', 'revolute']
+    """
 
     PRISMATIC = "prismatic"
     REVOLUTE = "revolute"
@@ -22,24 +33,24 @@ class JointType(Enum):
 
 @dataclass(frozen=True)
 class DHRow:
-    """One row of a modified-DH table (Craig's form), with the joint variable at zero.
+    """Row of a modified-DH table (Craig's form), for a joint variable of zero.
 
-    The transform of the row is RotX(alpha) TransX(a) RotZ(theta) TransZ(d): the pose of frame k in
-    frame k - 1. The joint variable is added to `d` of a prismatic joint, to `theta` of a revolute one,
-    so that the joint always acts along or about z_k.
+    The transform of the row is RotX(alpha) TransX(a) RotZ(theta) TransZ(d), the pose of frame k in frame k -
+    1. The joint variable adds to `d` for a prismatic joint and to `theta` for a revolute joint, so every
+    joint moves along or about z_k.
 
     Parameters
     ----------
     alpha : float
-        Link twist alpha_{k-1} [rad]; like the others a number of sympy too, such as ``sympy.pi / 2``.
+        Link twist alpha_{k-1} [rad]. All four numbers may be numbers of sympy, such as ``sympy.pi / 2``.
     a : float
         Link length a_{k-1} [m].
     theta : float
-        Joint angle theta_k [rad], without the variable.
+        Joint angle theta_k without the variable [rad].
     d : float
-        Joint offset d_k [m], without the variable.
+        Joint offset d_k without the variable [m].
     joint : JointType
-        Which of `d` and `theta` varies.
+        Type of the joint.
     variable : str
         Name of the joint variable, such as ``"psi"``.
 
@@ -47,6 +58,19 @@ class DHRow:
     ------
     InvalidArgument
         If a number is not finite, or `joint` is not a `JointType`.
+
+    See Also
+    --------
+    dh.DHTable : chain of such rows
+    dh.transform : transform of a row
+
+    Examples
+    --------
+    >>> from math import pi
+    >>> from pinmobile.dh import DHRow, DHTable, JointType
+    >>> elbow = DHRow(0, 0.5, 0, 0, JointType.REVOLUTE, "elbow")
+    >>> DHTable([elbow]).transforms([pi / 2])[0, 1]  # row of y
+    array([1., 0., 0., 0.])
     """
 
     alpha: float
@@ -59,7 +83,7 @@ class DHRow:
     def __post_init__(self) -> None:
         for name in ("alpha", "a", "theta", "d"):
             value = getattr(self, name)
-            if getattr(value, "is_number", False) is True:  # of sympy, such as pi / 2
+            if getattr(value, "is_number", False) is True:  # a number of sympy, such as pi / 2
                 value = float(value)
             object.__setattr__(self, name, scalar(name, value))
         instance("joint", self.joint, JointType, "a JointType")
@@ -69,20 +93,33 @@ class DHRow:
 
 @dataclass(frozen=True)
 class DHTable:
-    """A serial chain: its rows, from the ground outwards.
+    """Serial chain: its DH rows from the ground outwards.
 
-    Everywhere in this class `q` holds the joint variables in the order of the rows. For the lecture's
-    tables that is (y, x, psi); the rest of the library says (x, y, psi).
+    In this class, `q` holds the joint variables in the order of the rows. For the lecture's tables, this
+    order is (y, x, psi); the rest of the library uses (x, y, psi).
 
     Parameters
     ----------
     rows : sequence of DHRow, length n >= 1
-        The table. Variable names must differ.
+        Rows with different variable names.
 
     Raises
     ------
     InvalidArgument
-        If there is no row, a row is not a `DHRow`, or two rows share a variable.
+        If there is no row, a row is not a `DHRow`, or two rows have the same variable.
+
+    See Also
+    --------
+    dh.LECTURE_TABLE : table of the lecture's script
+    derivation.lecture : equations of motion from a table
+
+    Examples
+    --------
+    >>> from math import pi
+    >>> from pinmobile.dh import LECTURE_TABLE
+    >>> y, x, psi = 2.0, 1.0, pi / 2
+    >>> LECTURE_TABLE.placements([y, x, psi])[-1, :3, 3]  # [m]
+    array([1., 2., 0.])
     """
 
     rows: tuple[DHRow, ...]
@@ -106,7 +143,7 @@ class DHTable:
         return tuple(row.variable for row in self.rows)
 
     def transforms(self, q: ArrayLike) -> Array:
-        """Return the transform of every row.
+        """Return the transforms of all rows.
 
         Parameters
         ----------
@@ -115,8 +152,8 @@ class DHTable:
 
         Returns
         -------
-        T : ndarray, shape (..., n, 4, 4)
-            ``T[..., k - 1, :, :]`` is the pose of frame k in frame k - 1.
+        ndarray, shape (..., n, 4, 4)
+            Transforms T: ``T[..., k - 1, :, :]`` is the pose of frame k in frame k - 1.
 
         Raises
         ------
@@ -133,7 +170,7 @@ class DHTable:
         return np.stack(local, axis=-3)
 
     def placements(self, q: ArrayLike) -> Array:
-        """Return the pose of every frame in the ground frame.
+        """Return the poses of all frames in the ground frame.
 
         Parameters
         ----------
@@ -142,8 +179,8 @@ class DHTable:
 
         Returns
         -------
-        T : ndarray, shape (..., n, 4, 4)
-            ``T[..., k - 1, :, :]`` is T_0_k, the product of the first k transforms.
+        ndarray, shape (..., n, 4, 4)
+            Poses T: ``T[..., k - 1, :, :]`` is T_0_k, the product of the first k transforms.
 
         Raises
         ------
@@ -157,24 +194,35 @@ class DHTable:
 
 
 def transform(alpha: float, a: float, theta: ArrayLike, d: ArrayLike) -> Array:
-    """Return RotX(alpha) TransX(a) RotZ(theta) TransZ(d).
+    """Return the transform RotX(alpha) TransX(a) RotZ(theta) TransZ(d) of a DH row.
 
     Parameters
     ----------
     alpha, a : float
-        Link twist [rad] and length [m].
+        Link twist [rad] and link length [m].
     theta, d : array_like, shape (...)
-        Joint angle [rad] and offset [m]; broadcast against each other.
+        Joint angle [rad] and joint offset [m]; the shapes broadcast.
 
     Returns
     -------
-    T : ndarray, shape (..., 4, 4)
+    ndarray, shape (..., 4, 4)
         Homogeneous transform (Craig, Introduction to Robotics, 3rd ed. 2005, eq. 3.6).
 
     Raises
     ------
     InvalidArgument
         If a number is not finite, or the shapes do not broadcast.
+
+    See Also
+    --------
+    dh.DHTable : transforms of a whole chain
+
+    Examples
+    --------
+    >>> from math import pi
+    >>> from pinmobile.dh import transform
+    >>> transform(alpha=0, a=1.0, theta=pi / 2, d=0.5)[[0, 2], 3]  # x, z [m]
+    array([1. , 0.5])
     """
     theta, d = finite("theta", theta), finite("d", d)
     broadcast(theta=theta[..., None], d=d[..., None])
@@ -190,7 +238,7 @@ def transform(alpha: float, a: float, theta: ArrayLike, d: ArrayLike) -> Array:
 
 
 def _exact(value: ArrayLike) -> Array:
-    """Return the value with what rounding leaves of a zero, such as cos(pi / 2) = 6e-17, put back to 0."""
+    """Return the value with rounded zeros, such as cos(pi / 2) = 6e-17, replaced by exact zeros."""
     value = np.asarray(value)
     return np.where(np.abs(value) < _ROUNDED_ZERO, 0.0, value)
 
@@ -209,7 +257,7 @@ def _planar(*angles: tuple[float, float]) -> DHTable:
 
 
 LECTURE_TABLE = _planar((3 * pi / 2, 3 * pi / 2), (3 * pi / 2, pi / 2), (pi / 2, pi / 2))
-"""The table of the lecture's script: prismatic y, prismatic x, revolute psi."""
+"""DH table of the lecture's script: prismatic y, prismatic x, revolute psi."""
 
 SLIDE_TABLE = _planar((3 * pi / 2, 3 * pi / 2), (3 * pi / 2, 3 * pi / 2), (3 * pi / 2, 3 * pi / 2))
-"""The table of the lecture's slide: other intermediate frames, the same pose of the body."""
+"""DH table of the lecture's slide: the same pose of the body with other intermediate frames."""

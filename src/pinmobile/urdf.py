@@ -1,4 +1,4 @@
-"""A DH chain and the rigid body that it carries, as URDF text."""
+"""URDF text of a DH chain with a rigid body on its last link."""
 
 from __future__ import annotations
 
@@ -26,30 +26,43 @@ from pinmobile.arrays import (
 from pinmobile.dh import DHTable, JointType, transform
 from pinmobile.errors import InvalidArgument, shown
 
-_INERTIA_ROUNDING = 1e-9  # files carry eight digits or so: a broken triangle is one broken by more
-# Dynamics about B's origin take the yaw inertia from a difference to m |com|^2: six digits of it are left.
+_INERTIA_ROUNDING = 1e-9  # tolerance of the triangle inequality: files have about eight digits
+# Dynamics about B's origin subtract m |com|^2 from the yaw inertia: six digits of the difference must remain.
 _DIGITS = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """A rigid body in its own frame B.
+    """Rigid body in its body frame B.
 
     Parameters
     ----------
     mass : float
-        Mass [kg], above zero.
+        Mass [kg], > 0.
     com : array_like, shape (3,)
         Centre of mass in B [m].
     inertia : array_like, shape (3, 3)
-        Rotational inertia about the centre of mass, along the axes of B [kg m^2].
+        Inertia about the centre of mass, along the axes of B [kg m^2].
 
     Raises
     ------
     InvalidArgument
-        If no rigid body has these: a mass or a principal moment that is not positive where it must be,
-        or principal moments that break the triangle inequality; or the centre of mass is so far from B's
-        origin that the yaw inertia is lost to rounding.
+        If no rigid body has these values: the mass or yaw inertia is not positive, or the principal moments
+        are negative or violate the triangle inequality. Also if the centre of mass is so far from the origin
+        of B that rounding would lose the yaw inertia.
+
+    See Also
+    --------
+    urdf.box_inertia : inertia of a homogeneous box
+    MobileRobot : `from_body` makes a robot from a body
+
+    Examples
+    --------
+    >>> from pinmobile import MobileRobot
+    >>> from pinmobile.urdf import Body, box_inertia
+    >>> body = Body(30.0, [0, 0, 0.1], box_inertia(30.0, (0.6, 0.4, 0.2)))
+    >>> MobileRobot.from_body(body).yaw_inertia  # [kg m^2]
+    1.3
     """
 
     mass: float
@@ -66,7 +79,7 @@ class Body:
         slack = _INERTIA_ROUNDING * np.abs(inertia).max()
         if np.abs(inertia - inertia.T).max() > slack:
             raise InvalidArgument(f"inertia is not symmetric: {inertia.tolist()}")
-        # The moments of a share of it: their sums may be beyond the largest number.
+        # Scaled, since sums of the moments may overflow.
         unit = np.abs(inertia).max() or 1.0
         moments = np.linalg.eigvalsh(inertia / unit)
         slack = _INERTIA_ROUNDING
@@ -81,21 +94,21 @@ class Body:
         offset = float(squares[:2].sum()) if np.isfinite(squares.sum()) else np.inf
         if inertia[2, 2] < _DIGITS * offset:
             raise InvalidArgument(
-                f"com is {com.tolist()} m with mass {self.mass:g} kg, beside which the yaw inertia about it, "
-                f"{inertia[2, 2]:g} kg m^2, is lost to rounding: expected it to be {_DIGITS:g} of "
-                f"m |com|^2 = {offset:g} kg m^2 at least"
+                f"com is {com.tolist()} m with mass {self.mass:g} kg, so rounding loses the yaw inertia, "
+                f"{inertia[2, 2]:g} kg m^2, expected a yaw inertia of at least {_DIGITS:g} of "
+                f"m |com|^2 = {offset:g} kg m^2"
             )
         object.__setattr__(self, "com", frozen(com))
         object.__setattr__(self, "inertia", frozen(inertia / 2 + inertia.T / 2))
 
     @property
     def yaw_inertia(self) -> float:
-        """Inertia about the vertical through the centre of mass [kg m^2]."""
+        """Moment of inertia about the vertical axis through the centre of mass [kg m^2]."""
         return float(self.inertia[2, 2])
 
 
 def box_inertia(mass: float, size: ArrayLike) -> Array:
-    """Return the inertia of a homogeneous box about its centre [kg m^2].
+    """Return the inertia of a homogeneous box about its centre.
 
     Parameters
     ----------
@@ -106,13 +119,24 @@ def box_inertia(mass: float, size: ArrayLike) -> Array:
 
     Returns
     -------
-    inertia : ndarray, shape (3, 3)
-        ``diag(w^2 + h^2, l^2 + h^2, l^2 + w^2) m / 12``.
+    ndarray, shape (3, 3)
+        Inertia ``diag(w^2 + h^2, l^2 + h^2, l^2 + w^2) m / 12`` [kg m^2].
 
     Raises
     ------
     InvalidArgument
-        If the mass or a length is not positive or not finite, or the inertia beyond the largest number.
+        If the mass or a length is not positive or not finite, or the inertia overflows.
+
+    See Also
+    --------
+    MobileRobot : `box` makes a robot with this inertia
+    urdf.Body : rigid body with an inertia
+
+    Examples
+    --------
+    >>> from pinmobile.urdf import box_inertia
+    >>> box_inertia(mass=30.0, size=(0.6, 0.4, 0.2)).diagonal()
+    array([0.5, 1. , 1.3])
     """
     with np.errstate(all="ignore"):
         squares = np.square(lengths(size))
@@ -132,35 +156,49 @@ def write(
     name: str = "pinmobile",
     stance: Mapping[str, str] | None = None,
 ) -> str:
-    """Return the chain with the body on its last link as URDF text.
+    """Return a chain with a body on its last link as URDF text.
 
-    Every joint frame of the text is the DH frame of its row; the joint moves along or about its z. All
-    links but the last are massless.
+    Every joint frame of the text is the DH frame of its row. The joint moves along or about its z axis. Only
+    the last link has mass.
 
     Parameters
     ----------
     table : DHTable
-        The chain, n rows.
+        Chain of n rows.
     body : Body
-        The body on the last link.
+        Body on the last link.
     size : array_like, shape (3,)
-        Length, width and height of the box that shows the body [m]; it stands on the plane z = 0.
+        Length, width and height of the drawn box [m], which stands on the plane z = 0.
     name : str
         Name of the robot.
     stance : mapping of str to str, optional
-        Attributes of an element <pinmobile>, which other readers pass over: how the body stands where that
-        is not on its box.
+        Attributes of the element <pinmobile> with the contact geometry, for a body that does not stand on its
+        box. Other programs ignore this element.
 
     Returns
     -------
-    text : str
-        URDF with links ``ground``, ``virtual_1``, ..., ``base_link`` and one joint per row, named after
-        its variable. Numbers are written so that they are read back exactly.
+    str
+        URDF with links ``ground``, ``virtual_1``, ..., ``base_link`` and one joint per row with the name of
+        its variable. Numbers have all digits.
 
     Raises
     ------
     InvalidArgument
-        If an argument is something else.
+        If an argument is not what is expected.
+
+    See Also
+    --------
+    MobileRobot : `to_urdf` and `from_urdf` write and read a robot
+    dh.DHTable : chain of joints
+
+    Examples
+    --------
+    >>> from pinmobile.dh import LECTURE_TABLE
+    >>> from pinmobile.urdf import Body, box_inertia, write
+    >>> size = (0.6, 0.4, 0.2)
+    >>> body = Body(30.0, [0, 0, 0.1], box_inertia(30.0, size))
+    >>> write(LECTURE_TABLE, body, size=size).count("<joint")
+    3
     """
     instance("table", table, DHTable, "a DHTable")
     instance("body", body, Body, "a pinmobile.urdf.Body")
@@ -169,7 +207,7 @@ def write(
     lines += [f'  <link name="{link}"/>' for link in links[:-1]]
     lines += _body_lines(links[-1], body, lengths(size))
     for row, parent, child in zip(table, links, links[1:], strict=False):
-        # RotZ and TransZ commute, so the variable may come last whichever of the two it belongs to.
+        # RotZ and TransZ commute, so the variable of either may come last.
         T = transform(row.alpha, row.a, row.theta, row.d)
         lines += [
             f'  <joint name="{row.variable}" type="{_URDF_TYPE[row.joint]}">',
@@ -182,9 +220,7 @@ def write(
         ]
     if stance is not None:
         if not (isinstance(stance, Mapping) and all(map(_is_attribute, stance))):
-            raise InvalidArgument(
-                f"stance is {shown(stance)}, expected a mapping whose keys are names of XML"
-            )
+            raise InvalidArgument(f"stance is {shown(stance)}, expected a mapping with XML names as keys")
         words = {key: text(f"stance[{key!r}]", value) for key, value in stance.items()}
         attributes = [f"{key}={_quoted(value)}" for key, value in words.items()]
         lines.append(f"  <{' '.join(['pinmobile', *attributes])}/>")
@@ -196,26 +232,42 @@ def _is_attribute(key: object) -> bool:
 
 
 def shipped_urdf(name: str) -> Path:
-    """Return the path of a URDF that comes with the package.
+    """Return the path of a URDF of this package.
 
     Parameters
     ----------
     name : str
-        ``"lecture"`` or ``"box"``: what `MobileRobot.lecture` and `MobileRobot.box` are.
+        ``"lecture"`` or ``"box"``, the robots of `MobileRobot.lecture` and `MobileRobot.box`.
+
+    Returns
+    -------
+    pathlib.Path
+        Path of the file.
 
     Raises
     ------
     UnknownName
-        If there is no such file; the message lists those there are.
+        If the package has no such file. The message lists the available names.
+
+    See Also
+    --------
+    MobileRobot : `from_urdf` reads the file
+
+    Examples
+    --------
+    >>> from pinmobile import MobileRobot
+    >>> from pinmobile.urdf import shipped_urdf
+    >>> MobileRobot.from_urdf(shipped_urdf("lecture")).mass  # [kg]
+    30.0
     """
     package = Path(__file__).parent
-    # In the wheel the folder is in the package; in a checkout it is at the top.
+    # The folder is in the package in a wheel, and at the top in a checkout.
     homes = (package / "models" / "urdf", package.parents[1] / "models" / "urdf")
     available = {path.stem: path for home in homes for path in sorted(home.glob("*.urdf"))}
     return available[one_of("shipped URDF", name, available)]
 
 
-# A continuous joint would become Pinocchio's (cos, sin) pair; psi is to stay a plain angle.
+# Pinocchio would represent a continuous joint by (cos, sin); psi must stay one angle.
 _URDF_TYPE = {JointType.PRISMATIC: "prismatic", JointType.REVOLUTE: "revolute"}
 _FAR = "1e9"
 
@@ -248,7 +300,7 @@ def _text(values: ArrayLike) -> str:
 
 
 def _roll_pitch_yaw(R: Array) -> tuple[float, float, float]:
-    """Return the angles of RotZ(yaw) RotY(pitch) RotX(roll); at a pitch of +-pi/2 the yaw is 0."""
+    """Return the angles of RotZ(yaw) RotY(pitch) RotX(roll); for a pitch of +-pi/2, the yaw is 0."""
     level = hypot(R[0, 0], R[1, 0])
     pitch = atan2(-R[2, 0], level)
     if level < 1e-12:

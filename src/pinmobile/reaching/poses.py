@@ -1,4 +1,4 @@
-"""Desired poses of an end effector over time: positions on a path, and orientations."""
+"""Target poses of an end effector over time: positions on a path, and orientations."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from pinmobile.arrays import Array, ArrayLike, finite, frozen, increasing, shape
 from pinmobile.errors import InvalidArgument
 from pinmobile.paths import Path, Spline, checked_path, within
 
-_HALF_TURN = 1e-6  # [rad]; nearer to it, which way round is rounding's choice
-_SMALL_ANGLE = 1e-2  # [rad]: of smaller angles a series is better than what cancels
-_ROUNDS, _SETTLED = 200, 1e-13  # of the rates between poses: at most, and relative
-_WIDE = 5  # block rows of three: bands beside the diagonal
+_HALF_TURN = 1e-6  # [rad]: closer to half a turn, rounding would decide the sense of rotation
+_SMALL_ANGLE = 1e-2  # [rad]: below, a series avoids cancellation
+_ROUNDS, _SETTLED = 200, 1e-13  # largest number and relative tolerance of iterations for the rates
+_WIDE = 5  # bands beside the diagonal of a block-tridiagonal matrix with blocks of three rows
 
 
 class Standing(NamedTuple):
-    """How something stands at times, and how it turns, along the inertial axes.
+    """Orientation at given times, with its angular velocity and acceleration along the inertial axes.
 
     Attributes
     ----------
     R : ndarray, shape (..., 3, 3)
-        Orientation.
+        Rotation matrix.
     rate, change : ndarray, shape (..., 3)
-        Angular velocity [rad/s], and its derivative [rad/s^2].
+        Angular velocity [rad/s] and angular acceleration [rad/s^2].
     """
 
     R: Array
@@ -39,13 +39,13 @@ class Orientation(Protocol):
     """An orientation as a function of time."""
 
     def __call__(self, t: Array, /) -> Standing:
-        """Return how it stands at the times `t`, shape (...) [s]."""
+        """Return the orientation at the times `t`, shape (...) [s]."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class Turn:
-    """A turn about one axis, at rest at both ends: quintic in time.
+    """Rotation about one axis, at rest at both ends: quintic in time.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ class Turn:
     turn : ndarray, shape (3,)
         Rotation vector along the axes of `start`, of any length [rad].
     duration : float
-        [s].
+        Duration [s].
     """
 
     start: Array
@@ -62,31 +62,32 @@ class Turn:
     duration: float
 
     def __call__(self, t: Array) -> Standing:
-        """Return how it stands at times within 0 and the duration."""
+        """Return the orientation at times between 0 and the duration."""
         s, ds, dds = _quintic(t / self.duration)
-        axis = self.start @ self.turn  # the axis does not move: along it, rates are those of the angle
+        axis = self.start @ self.turn  # constant, so the rates about this axis are those of the angle
         rate, change = ds[..., None] / self.duration * axis, dds[..., None] / self.duration**2 * axis
         return Standing(self.start @ rotations_of(s[..., None] * self.turn), rate, change)
 
 
 @dataclass(frozen=True, eq=False)
 class Through:
-    """The smooth way through orientations, at rest at both ends: its angular acceleration is continuous.
+    """Spline through orientations with continuous angular acceleration, at rest at both ends.
 
-    Between two of them the rotation vector from the first is a cubic of time, as in
+    Between two orientations, the rotation vector relative to the first is a cubic polynomial of time, as in
     ``scipy.spatial.transform.RotationSpline``, whose ends are not at rest.
 
     Parameters
     ----------
     rotations : ndarray, shape (n, 3, 3)
-        Each less than half a turn from the one before; n >= 2.
+        Orientations, n >= 2, each less than half a turn from the previous one.
     times : ndarray, shape (n,)
-        From zero, increasing [s].
+        Times from zero, increasing [s].
 
     Raises
     ------
     InvalidArgument
-        If two that follow each other are half a turn apart, or they turn too unevenly for such a way.
+        If two successive orientations are half a turn apart, or the iteration for the spline does not
+        converge.
     """
 
     rotations: Array
@@ -100,8 +101,8 @@ class Through:
         k = int(np.argmax(angles))
         if half_turn_apart(angles[k]):
             raise InvalidArgument(
-                f"rotation[{k + 1}] is half a turn from rotation[{k}], expected less: which way round is "
-                "open; give one between them"
+                f"rotation[{k + 1}] is half a turn from rotation[{k}], expected less, since the sense of "
+                "rotation is ambiguous: add an orientation between them"
             )
         rates = _rates(turns, steps)
         after = np.einsum("nij,nj->ni", _right_jacobians_inverse(turns), rates[1:])
@@ -112,7 +113,7 @@ class Through:
         object.__setattr__(self, "_cubics", frozen(rows))
 
     def __call__(self, t: Array) -> Standing:
-        """Return how it stands at times within the first and the last."""
+        """Return the orientation at times between the first and the last."""
         k = np.searchsorted(self.times[1:-1], t, side="right")
         s, c = (t - self.times[k])[..., None], np.moveaxis(self._cubics[k], -2, 0)
         phi = s * (c[1] + s * (c[2] + s * c[3]))
@@ -126,12 +127,12 @@ class Through:
 
 
 def rotations_of(turns: Array) -> Array:
-    """Return the rotations by rotation vectors, shape (..., 3, 3) (Rodrigues, 1840).
+    """Return the rotation matrices of rotation vectors, shape (..., 3, 3) (Rodrigues, 1840).
 
     Parameters
     ----------
     turns : ndarray, shape (..., 3)
-        [rad].
+        Rotation vectors [rad].
     """
     K, (a, b, _, _) = _skew(turns), _coefficients(turns)
     sine = (1 - b[..., None, None] * np.einsum("...i,...i->...", turns, turns)[..., None, None]) * K
@@ -139,15 +140,15 @@ def rotations_of(turns: Array) -> Array:
 
 
 def half_turn_apart(angle: float) -> bool:
-    """Return whether an angle [rad] of a rotation vector is half a turn but for rounding."""
+    """Return whether the angle of a rotation vector [rad] is half a turn, up to rounding."""
     return angle > np.pi - _HALF_TURN
 
 
 def _rates(turns: Array, steps: Array) -> Array:
-    """Return the body's angular velocities at the knots, zero at the ends, shape (n, 3) [rad/s].
+    """Return the body's angular velocities at the knots, shape (n, 3) [rad/s], zero at the ends.
 
-    The angular accelerations on either side of a knot agree: linear in the rates but for what the turning of
-    the axes adds, which is put in again until nothing changes.
+    The angular acceleration is continuous at each knot. This condition is linear in the angular velocities,
+    except for a term that the rotation of the axes adds; fixed-point iteration determines this term.
     """
     from scipy.linalg import solve_banded
 
@@ -176,12 +177,12 @@ def _rates(turns: Array, steps: Array) -> Array:
         if np.abs(rates[1:-1] - before).max() <= _SETTLED * np.abs(rates).max():
             return rates
     raise InvalidArgument(
-        "rotation turns too far from one to the next for a smooth way, expected more of them between"
+        "rotation has steps too large for a smooth spline, expected smaller ones: add orientations between"
     )
 
 
 def _coefficients(phi: Array) -> tuple[Array, Array, Array, Array]:
-    """Return (1 - cos x) / x^2, (x - sin x) / x^3 and the derivative of each by x over x, x = |phi|."""
+    """Return A = (1 - cos x) / x^2, B = (x - sin x) / x^3, A' / x and B' / x for x, the norm of phi."""
     x = np.linalg.norm(phi, axis=-1)
     small = x < _SMALL_ANGLE
     y = np.where(small, 1.0, x)
@@ -194,14 +195,14 @@ def _coefficients(phi: Array) -> tuple[Array, Array, Array, Array]:
 
 
 def _body_rate(phi: Array, rate: Array) -> Array:
-    """Return J(phi) phi', the angular velocity along the turned axes, shape (..., 3)."""
+    """Return J(phi) phi', the angular velocity along the rotated axes, shape (..., 3)."""
     a, b, _, _ = (each[..., None] for each in _coefficients(phi))
     across = np.cross(phi, rate)
     return np.asarray(rate - a * across + b * np.cross(phi, across))
 
 
 def _body_drift(phi: Array, rate: Array) -> Array:
-    """Return dJ/dt phi', what the angular acceleration is where phi'' is zero, shape (..., 3)."""
+    """Return dJ/dt phi', the angular acceleration for phi'' = 0, shape (..., 3)."""
     _, b, da, db = (each[..., None] for each in _coefficients(phi))
     across, along = np.cross(phi, rate), np.einsum("...i,...i->...", phi, rate)[..., None]
     turned = np.cross(phi, across)
@@ -209,7 +210,7 @@ def _body_drift(phi: Array, rate: Array) -> Array:
 
 
 def _right_jacobians(phi: Array) -> Array:
-    """Return J of the exponential map along the turned axes, shape (..., 3, 3)."""
+    """Return the Jacobian J of the exponential map along the rotated axes, shape (..., 3, 3)."""
     a, b, _, _ = (each[..., None, None] for each in _coefficients(phi))
     K = _skew(phi)
     return np.asarray(np.eye(3) - a * K + b * (K @ K))
@@ -230,23 +231,36 @@ def _quintic(x: Array) -> tuple[Array, Array, Array]:
     return x**3 * (10 - 15 * x + 6 * x**2), 30 * (x * (1 - x)) ** 2, 60 * x * (1 - x) * (1 - 2 * x)
 
 
-_ORTHOGONAL = 1e-6  # how far R' R may be from the identity
+_ORTHOGONAL = 1e-6  # largest difference of R' R and the identity
 _POSITION = 3  # rows of a target without orientation
 _SAME_END = 1e-9  # relative
-_SMALL = 0.05  # of the length of a rotation vector
+_SMALL = 0.05  # share of the length of a rotation vector
 
 
 class PoseTarget(NamedTuple):
-    """Where a frame shall be and how it shall move, at one time or at many.
+    """Desired pose of a frame, with its twist and acceleration, at one time or many.
 
     Attributes
     ----------
     pose : ndarray, shape (..., 4, 4)
-        T_0_f; its rotation means nothing where only the position is followed.
+        T_0_f, the pose of the frame in the inertial frame [1, m]. The rotation is the identity for a target
+        without orientation.
     twist : ndarray, shape (..., 6)
         Velocity of the origin and angular velocity along the inertial axes [m/s, rad/s].
     rate : ndarray, shape (..., 6)
-        The twist's derivative [m/s^2, rad/s^2].
+        Time derivative of the twist [m/s^2, rad/s^2].
+
+    See Also
+    --------
+    PosePath : path that returns this object
+    reaching.pose_error : error of a pose
+
+    Examples
+    --------
+    >>> from pinmobile import Line, PosePath
+    >>> target = PosePath(Line([0, 0, 1], [1, 0, 1], 2.0))(1.0)
+    >>> target.twist[:3]  # velocity [m/s]
+    array([0.5, 0. , 0. ])
     """
 
     pose: Array
@@ -256,32 +270,49 @@ class PoseTarget(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class PosePath:
-    """A path in space with an orientation: held, turned, by way of any number of others, or none.
+    """Target poses over time: a path in space with an orientation, or without one.
 
-    A turn is about one axis, at rest at both ends (quintic in time). The way through several orientations is
-    smooth: its angular acceleration is continuous, and it is at rest at both ends.
+    The orientation is constant, rotates about one axis, or passes through given orientations. A rotation
+    about one axis is quintic in time and at rest at both ends. The spline through several orientations has a
+    continuous angular acceleration and is at rest at both ends.
 
     Parameters
     ----------
     path : Path
-        A path of three coordinates x, y, z in the inertial frame [m], without jumps.
+        Continuous path of three coordinates x, y, z in the inertial frame [m].
     rotation : array_like, shape (3, 3) or (n, 3, 3), optional
-        R_0_f, the orientation of the end effector's frame; by default only the position is followed. Of n of
-        them each is less than half a turn from the one before.
+        R_0_f, one or n orientations of the frame; by default, the target has no orientation. Each of n
+        orientations is less than half a turn from the previous one.
     final_rotation : array_like, shape (3, 3), optional
-        The orientation at the end, to which it turns the shortest way; by default `rotation`.
+        Orientation at the end, reached by the shortest rotation; by default, `rotation`.
     turn : array_like, shape (3,), optional
-        In its place, a rotation vector along the frame's own axes, axis times angle, of any length [rad]:
-        with ``(0, 0, 2 * pi)`` it turns once about its z.
+        Rotation vector along the frame's axes (axis times angle), of any length [rad], instead of
+        `final_rotation`. With ``(0, 0, 2 * pi)``, the frame turns once about its z axis.
     times : array_like, shape (n,), optional
-        When it shall be at each of n orientations, from zero to the path's duration, increasing [s].
+        Times of the n orientations, increasing from zero to the path's duration [s].
 
     Raises
     ------
     InvalidArgument
-        If `path` is no path in space; a rotation is none; `final_rotation` or `turn` come without
-        `rotation` or together; `final_rotation` is half a turn from `rotation`, or one of n from the one
-        before; or `times` are missing, out of order, or do not begin and end with the path.
+        If `path` is not a path in space; if a matrix is not a rotation; if `final_rotation` or `turn` comes
+        without `rotation`, or both are given; if two successive orientations are half a turn apart; or if
+        `times` are missing, do not increase, or do not begin and end with the path.
+
+    See Also
+    --------
+    solve_inverse_kinematics : trajectory of base and arm for this target
+    EndEffectorTracking : controller for this target
+    Line : path in the plane or in space
+
+    Examples
+    --------
+    >>> from math import pi
+    >>> from pinmobile import Line, PosePath
+    >>> identity = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]
+    >>> way = Line([0, 0, 1], [1, 0, 1], 2.0)
+    >>> target = PosePath(way, identity, turn=(0, 0, pi))
+    >>> target(1.0).twist[[0, 5]]  # middle: forward, yaw [m/s, rad/s]
+    array([0.5  , 2.945])
     """
 
     path: Path
@@ -310,21 +341,26 @@ class PosePath:
 
     @classmethod
     def through(cls, poses: ArrayLike, times: ArrayLike | None = None) -> PosePath:
-        """Return the smooth path through poses, at rest at both ends.
+        """Return the path through given poses, at rest at both ends, with continuous acceleration.
 
-        Its position is the cubic `Spline` through theirs.
+        The position is the cubic `Spline` through the positions of the poses.
 
         Parameters
         ----------
         poses : array_like, shape (n, 4, 4)
-            T_0_f, two or more, each turned by less than half a turn from the one before.
+            T_0_f, at least two poses, each rotated by less than half a turn from the previous one [1, m].
         times : array_like, shape (n,)
-            When it shall be there, from zero, increasing [s].
+            Times of the poses, increasing from zero [s].
+
+        Returns
+        -------
+        PosePath
+            Path through the poses.
 
         Raises
         ------
         InvalidArgument
-            If they are something else, times are missing, or two poses are at the same time.
+            If an argument is not what is expected, times are missing, or two poses have the same time.
         """
         T = shaped("poses", finite("poses", poses), ("n>=2", 4, 4))
         off = np.abs(T[:, 3] - [0, 0, 0, 1]).max()
@@ -346,8 +382,8 @@ class PosePath:
             turn = pin.log3(R.T @ final)
             if half_turn_apart(float(np.linalg.norm(turn))):
                 raise InvalidArgument(
-                    "final_rotation is half a turn from rotation, expected less: which way round is open; "
-                    "give turn="
+                    "final_rotation is half a turn from rotation, expected less, since the sense of "
+                    "rotation is ambiguous: give turn= instead"
                 )
         return Turn(R, frozen(turn), self.duration)
 
@@ -356,23 +392,23 @@ class PosePath:
         t = _checked_times(self.times, len(R))
         if t[0] != 0 or abs(t[-1] - end) > _SAME_END * end:
             raise InvalidArgument(
-                f"times goes from {t[0]:g} to {t[-1]:g} s, expected from 0 to {end:g} s, as the path"
+                f"times goes from {t[0]:g} to {t[-1]:g} s, expected from 0 to {end:g} s, like the path"
             )
         object.__setattr__(self, "times", frozen(t))
         return Through(R, np.append(t[:-1], end))
 
     @property
     def duration(self) -> float:
-        """The path's duration [s]."""
+        """Duration of the path [s]."""
         return float(self.path.duration)
 
     @property
     def rows(self) -> int:
-        """How many coordinates of a twist are followed: 6, or 3 where the position alone is."""
+        """Number of controlled entries of the twist: 6, or 3 for a target without orientation."""
         return 3 if self.rotation is None else 6
 
     def __call__(self, t: ArrayLike) -> PoseTarget:
-        """Return the target.
+        """Return the target at given times.
 
         Parameters
         ----------
@@ -381,12 +417,13 @@ class PosePath:
 
         Returns
         -------
-        target : PoseTarget
+        reaching.PoseTarget
+            Pose, twist and acceleration.
 
         Raises
         ------
         InvalidArgument
-            If a time is outside.
+            If a time is out of range.
         """
         times = within("t", t, self.duration)
         pose = np.zeros((*times.shape, 4, 4))
@@ -400,10 +437,17 @@ class PosePath:
         return PoseTarget(pose, twist, rate)
 
     def told(self, frame: str, t: Array) -> dict[str, tuple[str, Array]]:
-        """Return the signals of a frame that follows it, at times of shape (N + 1,), by name.
+        """Return the signals of the target of a frame, by name.
 
-        Its position [m], shape (N + 1, 3), and, where it has one, its orientation as a quaternion
-        (x, y, z, w), shape (N + 1, 4), without a change of sign on the way.
+        The signals are the position [m], shape (N + 1, 3), and the orientation (if the target has one) as a
+        quaternion (x, y, z, w), shape (N + 1, 4), without jumps of sign.
+
+        Parameters
+        ----------
+        frame : str
+            Name of the frame.
+        t : ndarray, shape (N + 1,)
+            Times [s].
         """
         pose = self(np.minimum(t, self.duration)).pose
         (position, orientation), told = target_names(frame), dict[str, tuple[str, Array]]()
@@ -417,20 +461,40 @@ class PosePath:
 
 
 def target_names(frame: str) -> tuple[str, str]:
-    """Return what signals of a frame's target are called: its position, and its orientation."""
+    """Return the names of the signals of a frame's target: position and orientation."""
     return f"target position of {frame}", f"target orientation of {frame}"
 
 
 def pose_error(target: Array, actual: Array) -> Array:
-    """Return how far a pose is from its target, shape (..., 6) [m, rad], along the inertial axes.
+    """Return the error of a pose relative to its target, shape (..., 6) [m, rad], along the inertial axes.
 
-    The way of the origin, then the rotation vector (axis times angle, in [0, pi]) that turns the actual into
-    the target orientation.
+    The first three entries are the displacement of the origin from the actual to the target pose. The last
+    three are the rotation vector (axis times angle, angle in [0, pi]) from the actual to the target
+    orientation.
 
     Parameters
     ----------
     target, actual : ndarray, shape (..., 4, 4)
-        Poses; leading axes broadcast.
+        Poses [1, m]; leading axes broadcast.
+
+    Returns
+    -------
+    ndarray, shape (..., 6)
+        Error of position [m] and of orientation [rad].
+
+    See Also
+    --------
+    PosePath : target poses
+    EndEffectorTracking : controller that reduces this error
+
+    Examples
+    --------
+    >>> from pinmobile import Line, PosePath, MobileRobot
+    >>> from pinmobile.reaching import pose_error
+    >>> target = PosePath(Line([0, 0, 0], [1, 0, 0], 2.0))
+    >>> actual = MobileRobot.lecture().frame_pose([0.9, 0, 0.1])
+    >>> pose_error(target(2.0).pose, actual).round(3)[[0, 5]]
+    array([ 0.1, -0.1])
     """
     way = target[..., :3, 3] - actual[..., :3, 3]
     turn = target[..., :3, :3] @ np.swapaxes(actual[..., :3, :3], -1, -2)
@@ -439,37 +503,35 @@ def pose_error(target: Array, actual: Array) -> Array:
 
 
 def _log(R: Array) -> Array:
-    """Return the rotation vector of a rotation, shape (3,), of half a turn that whose sense is no rounding's.
+    """Return the rotation vector of a rotation, shape (3,), with a sense of half turns free of rounding.
 
-    Its first component that is not small is above zero: axes that people choose have none of about the size
-    where small begins.
+    For a half turn, the first component above a threshold is positive. Common axes have no component of about
+    the size of the threshold.
     """
     turn = pin.log3(R)
     angle = float(np.linalg.norm(turn))
     if half_turn_apart(angle):
         leading = turn[np.argmax(np.abs(turn) > _SMALL * angle)]
         if leading < 0:
-            turn = turn * (1 - 2 * np.pi / angle)  # the same rotation, the other way round
+            turn = turn * (1 - 2 * np.pi / angle)  # the same rotation in the opposite sense
     return np.asarray(turn)
 
 
 def error_sizes(error: Array) -> Array:
-    """Return the distance [m] and the angle [rad] of pose errors, shape (..., 2), the same in any direction.
+    """Return the distance [m] and the angle [rad] of pose errors, shape (..., 2), by Euclidean norms.
 
     Parameters
     ----------
     error : ndarray, shape (..., 6) or (..., 3)
-        As from `pose_error`; the angle of three numbers is zero.
+        Errors as from `pose_error`. For three entries, the angle is zero.
     """
     return np.stack([np.linalg.norm(part, axis=-1) for part in (error[..., :3], error[..., 3:])], axis=-1)
 
 
 def _checked_times(times: ArrayLike | None, count: int) -> Array:
-    """Return when each of some poses shall be reached."""
+    """Return the times of `count` poses; raise `InvalidArgument` for anything else."""
     if times is None:
-        raise InvalidArgument(
-            f"times is not given, expected when each pose shall be reached, shape ({count},) [s]"
-        )
+        raise InvalidArgument(f"times is not given, expected the time of each pose, shape ({count},) [s]")
     t = shaped("times", finite("times", times), (count,), words=", one for each pose")
     increasing("times", t)
     return t

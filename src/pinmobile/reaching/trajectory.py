@@ -1,4 +1,4 @@
-"""Trajectories of base and arm that follow an end effector's pose, within the limits of joints."""
+"""Trajectories of base and arm along which an end effector follows poses, within joint limits."""
 
 from __future__ import annotations
 
@@ -33,21 +33,21 @@ from pinmobile.reaching.poses import PosePath, error_sizes, pose_error
 from pinmobile.robot import MobileRobot
 from pinmobile.trajectories import Reference
 
-_ROUNDING = 1e-9  # of the largest acceleration; that of forward after inverse dynamics is less
+_ROUNDING = 1e-9  # share of the largest acceleration; forward after inverse dynamics loses less
 
 
 @dataclass(frozen=True, eq=False)
 class Limits:
-    """What a robot's coordinates may do; those of its joints' positions are the robot's own.
+    """Limits of a robot's velocities and accelerations; the position limits come from the robot.
 
     Parameters
     ----------
     robot : MobileRobot
-        Whose limits of position they are.
+        Robot with the position limits.
     velocity : ndarray, shape (nv,)
-        Largest |v| [m/s, m/s, rad/s, ...], >= 0; inf where there is no limit.
+        Limit of the absolute velocity [m/s, m/s, rad/s, ...], >= 0; inf for no limit.
     acceleration : ndarray, shape (nv,)
-        Largest |a| [m/s^2, m/s^2, rad/s^2, ...], > 0 and finite.
+        Limit of the absolute acceleration [m/s^2, m/s^2, rad/s^2, ...], > 0 and finite.
     """
 
     robot: MobileRobot
@@ -55,18 +55,19 @@ class Limits:
     acceleration: Array
 
     def room(self, q: Array) -> Array:
-        """Return how far each coordinate is from its lower and its upper limit, shape (2, nv), >= 0."""
+        """Return the distance of coordinates to lower and upper limits, shape (2, nv), clipped at zero."""
         return np.maximum(self.signed_room(q), 0)
 
     def signed_room(self, q: Array) -> Array:
-        """Return the same, shape (2, nv), below zero where a coordinate is beyond its limit."""
+        """Return the distance of coordinates to lower and upper limits, shape (2, nv), negative outside."""
         return np.stack([q - self.robot.lower, self.robot.upper - q])
 
     def ramps(self, q: Array, v: Array, dt: float) -> tuple[Array, Array]:
-        """Return the least and the largest acceleration to hold over the next `dt`, each of shape (nv,).
+        """Return the lower and upper bound of a constant acceleration over `dt`, each of shape (nv,).
 
-        As `velocities`, for one that changes evenly, to v' at its end: (v + v') dt / 2 + v'^2 / (2 a) <= d.
-        Beyond a limit a coordinate brakes as hard as its acceleration allows.
+        The bounds correspond to `velocities`, for a velocity that changes linearly to v' at the end of the
+        step: (v + v') dt / 2 + v'^2 / (2 a) <= d. Outside a position limit, the coordinate brakes with its
+        maximum acceleration.
 
         Parameters
         ----------
@@ -83,17 +84,17 @@ class Limits:
         return np.minimum(least, most), most
 
     def excess(self, q: Array, v: Array, dt: float) -> Array:
-        """Return by how much an acceleration held over `dt` was too low and too high, shape (2, nv), >= 0.
+        """Return by how much an acceleration over `dt` was too low and too high, shape (2, nv), >= 0.
 
-        So much less of it, and each coordinate would be within its limits afterwards and could stop there.
-        What is rounding counts as nothing.
+        With a correction of this size, each coordinate would stay within its limits and could still stop
+        there. Values below rounding are zero.
 
         Parameters
         ----------
         q, v : ndarray, shape (nq,) and (nv,)
-            State that it led to.
+            State after the step.
         dt : float
-            How long it was held [s].
+            Time step [s].
         """
         room = self.signed_room(q)
         most = np.minimum(np.sqrt(2 * self.acceleration * np.maximum(room, 0)), self.velocity)
@@ -101,12 +102,12 @@ class Limits:
         return np.where(excess > _ROUNDING * self.acceleration, excess, 0)
 
     def velocities(self, q: Array, dt: float, before: Array | None = None) -> tuple[Array, Array]:
-        """Return the least and the largest velocity over the next `dt`, each of shape (nv,).
+        """Return the lower and upper bound of a velocity that is constant over `dt`, each of shape (nv,).
 
-        After it, a joint can still stop at its limit: with the room d and the acceleration a,
-        v dt + v^2 / (2 a) <= d (after Flacco, De Luca and Khatib, "Motion control of redundant robots under
-        joint constraints", 2012). Where the limits of position and of acceleration exclude one another, as
-        for a state that is already outside, that of position goes first.
+        After the step, a joint can still stop at its limit: v dt + v^2 / (2 a) <= d, with the distance d to
+        the limit and the acceleration a (after Flacco, De Luca and Khatib, "Motion control of redundant
+        robots under joint constraints", 2012). If position and acceleration limits contradict each other, as
+        for a state outside its limits, the position limits have priority.
 
         Parameters
         ----------
@@ -115,7 +116,7 @@ class Limits:
         dt : float
             Time step [s].
         before : ndarray, shape (nv,), optional
-            Velocity before it; by default any.
+            Velocity before the step; by default, arbitrary.
         """
         a = self.acceleration
         brake = a * (np.sqrt(dt**2 + 2 * self.room(q) / a) - dt)
@@ -126,21 +127,21 @@ class Limits:
 
 
 def bounded_least_squares(A: Array, b: Array, least: Array, most: Array) -> Array:
-    """Return the x of least |A x - b| with least <= x <= most, shape (n,).
+    """Return the x that minimises the norm of A x - b with least <= x <= most, shape (n,).
 
     Parameters
     ----------
     A : ndarray, shape (m, n)
-        Of rank n.
+        Matrix of rank n.
     b : ndarray, shape (m,)
         Right-hand side.
     least, most : ndarray, shape (n,)
-        Bounds, least <= most; infinite where there is none.
+        Bounds, least <= most; infinite for no bound.
     """
     x: Array = np.asarray(np.linalg.lstsq(A, b)[0], dtype=np.float64)
     if ((x >= least) & (x <= most)).all():
         return x
-    # Here, because scipy is heavy and most steps do not need it.
+    # Imported here: scipy loads slowly, and most steps do not need it.
     from scipy.optimize import lsq_linear
 
     free = least < most
@@ -152,23 +153,23 @@ def bounded_least_squares(A: Array, b: Array, least: Array, most: Array) -> Arra
 
 
 def per_coordinate(name: str, value: ArrayLike, size: int, *, zero: bool = False) -> Array:
-    """Return one number above zero for each coordinate, shape (size,); from a scalar, the same for all.
+    """Return one positive number per coordinate, shape (size,); a scalar applies to all coordinates.
 
     Parameters
     ----------
     name : str
-        Name of the argument, for the message.
+        Name of the argument in messages.
     value : array_like, shape () or (size,)
-        The argument.
+        Value of the argument.
     size : int
         Number of coordinates.
     zero : bool
-        Whether it may be zero or infinite too.
+        Whether zero and infinity are valid.
 
     Raises
     ------
     InvalidArgument
-        If it has another shape or a number is out of range.
+        If the value has another shape or a number is out of range.
     """
     given = endless_or_finite(name, value) if zero else finite(name, value)
     shaped(name, given, (), (size,))
@@ -176,31 +177,31 @@ def per_coordinate(name: str, value: ArrayLike, size: int, *, zero: bool = False
     return frozen(np.broadcast_to(given, (size,)))
 
 
-_CATCH_UP = 10.0  # [1/s], the highest rate at which an error that limits left is made good
+_CATCH_UP = 10.0  # [1/s]: largest rate of reducing an error that limits caused
 _EXACT = 1e-10  # [m, rad]
-_STEPS = 4  # Gauss-Newton per step: each brings an error of 1e-4 below rounding or is held by a limit
-_SEARCH = 200  # Gauss-Newton for the start
-_STRIDE = 0.2  # largest step of it [m, rad]
-_TRIES = 8  # postures from which the start is sought
-_AS_GOOD = 1e-6  # relative; what Gauss-Newton leaves of an error that it cannot mend differs by less
+_STEPS = 4  # Gauss-Newton iterations per step: without limits, an error of 1e-4 falls below rounding
+_SEARCH = 200  # Gauss-Newton iterations for the start
+_STRIDE = 0.2  # their largest displacement [m, rad]
+_TRIES = 8  # initial guesses for the start
+_AS_GOOD = 1e-6  # relative: remaining errors of the same local minimum differ by less
 
 
 @dataclass(frozen=True, eq=False)
 class Solver:
-    """Damped least squares within bounds, for one target.
+    """Bounded, damped least-squares inverse kinematics for one target.
 
     Parameters
     ----------
     robot : MobileRobot
-        Whose coordinates are sought.
+        Robot whose coordinates are the unknowns.
     target : PosePath
-        What is followed.
+        Target poses.
     frame : str
-        What follows it.
+        Frame that follows the target.
     limits : Limits
         Bounds.
     weights : ndarray, shape (nv, nv)
-        Of displacements beside the error.
+        Weights of displacements relative to the pose error.
     """
 
     robot: MobileRobot
@@ -210,32 +211,32 @@ class Solver:
     weights: Array  # (nv, nv)
 
     def error(self, pose: Array, q: Array) -> Array:
-        """Return how far the frame is from a pose, shape (rows,)."""
+        """Return the error of the frame's pose, shape (rows,)."""
         return pose_error(pose, self.robot.frame_pose(q, self.frame))[: self.target.rows]
 
     def correction(self, q: Array, error: Array, wish: Array, least: Array, most: Array) -> Array:
-        """Return the displacement within bounds that mends the error, near the one that is wished for.
+        """Return the displacement within bounds that reduces the error, close to a preferred displacement.
 
         Parameters
         ----------
         q : ndarray, shape (nq,)
             Configuration.
         error : ndarray, shape (rows,)
-            How far the frame is from its pose [m, rad].
+            Error of the frame's pose [m, rad].
         wish, least, most : ndarray, shape (nv,)
-            Displacement that is wished for, and its bounds.
+            Preferred displacement, lower bound and upper bound.
         """
         J = self.robot.frame_jacobian(q, self.frame)[: self.target.rows]
         A, b = np.vstack([J, self.weights]), np.concatenate([error, self.weights @ wish])
         return bounded_least_squares(A, b, least, most)
 
     def start(self, q0: ArrayLike | None) -> Array:
-        """Return a configuration within limits at which the frame is at the target's start, or nearest.
+        """Return a configuration within limits for the start of the target, or with the smallest error found.
 
         Parameters
         ----------
         q0 : array_like, shape (nq,), or None
-            Where the search begins; None: `rest` and, where that fails, others.
+            Initial guess; None tries `rest` first, then other configurations.
 
         Raises
         ------
@@ -249,16 +250,16 @@ class Solver:
             aside = generator.uniform(-1, 1, robot.nv) * (attempt > 0) * (np.arange(robot.nv) >= 3)
             q = self.sought(np.clip(robot.integrate(first, aside), robot.lower, robot.upper))
             size = float(error_sizes(self.error(self.target(0.0).pose, q)).max())
-            if size < best[0] * (1 - _AS_GOOD):  # of some that are stuck alike, the first on every machine
+            if size < best[0] * (1 - _AS_GOOD):  # take the first of equal minima, on every machine
                 best = size, q
             if best[0] <= _EXACT:
                 break
         return best[1]
 
     def sought(self, q: Array) -> Array:
-        """Return what Gauss-Newton finds for the target's start from a configuration, both of shape (nq,)."""
+        """Return the Gauss-Newton solution for the start of the target from an initial guess, shape (nq,)."""
         pose, still = self.target(0.0).pose, np.zeros(self.robot.nv)
-        # x and y add to the pose as they are, however far; what is locked stays where it is.
+        # The pose is linear in x and y, so their steps need no bound; locked coordinates do not move.
         stride = np.where(np.arange(self.robot.nv) < 2, np.inf, _STRIDE)
         stride[self.limits.velocity == 0] = 0
         for _ in range(_SEARCH):
@@ -273,16 +274,16 @@ class Solver:
     def steps(self, start: Array, posture: Array, gain: float, count: int) -> Array:
         """Return the displacements of the control points from the start, shape (count + 3, nv).
 
-        The first and the last are beyond the ends of the target.
+        The first and the last control point are beyond the ends of the target.
 
         Parameters
         ----------
         start, posture : ndarray, shape (nq,)
-            Where it begins, and what the arms tend to.
+            Initial configuration, and preferred configuration of the arms.
         gain : float
-            Rate of that [1/s].
+            Rate of convergence toward the preferred configuration [1/s].
         count : int
-            Steps.
+            Number of steps.
         """
         robot, dt = self.robot, self.target.duration / count
         poses = self.target(np.linspace(0, self.target.duration, count + 1)).pose
@@ -309,9 +310,10 @@ class Solver:
         return np.concatenate([next(ends), controls, next(ends)])
 
     def kept(self, left: Array, dt: float) -> Array:
-        """Return what of an error that limits left may remain after a step, shape (rows,).
+        """Return the part of a remaining error that a step may leave, shape (rows,).
 
-        Faster, it could not be braked: approached with sqrt(a e), it takes half of the acceleration a.
+        The approach has a speed of at most sqrt(a e), which requires half of the acceleration a. A faster
+        approach could not brake in time.
         """
         size = float(np.linalg.norm(left))
         a = float(self.limits.acceleration.min())
@@ -319,10 +321,11 @@ class Solver:
         return max(1 - rate * dt, 0.0) * left
 
     def beyond(self, nearest: Array, start: Array, dt: float) -> Array:
-        """Return the control point beyond the end, shape (nv,), from the three next to it, shape (3, nv).
+        """Return the control point beyond the end, shape (nv,), from the three nearest, shape (3, nv).
 
-        With their acceleration where it keeps to the limits; else without any: then the curve ends at the
-        outermost of the three, and stays between them.
+        The extrapolation continues their acceleration if it stays within the limits. Otherwise the
+        extrapolation is linear; then the curve ends at the outermost of the three points and stays between
+        them.
         """
         line = 2 * nearest[0] - nearest[1]
         bent = line + nearest[0] - 2 * nearest[1] + nearest[2]
@@ -332,12 +335,12 @@ class Solver:
 
 
 def checked_configuration(robot: MobileRobot, name: str, value: ArrayLike) -> Array:
-    """Return one configuration within limits, shape (nq,).
+    """Return a checked configuration within limits, shape (nq,).
 
     Raises
     ------
     InvalidArgument
-        If it has another shape, is not finite, or is outside.
+        If the value has another shape, is not finite, or is outside the limits.
     """
     q = shaped(name, finite(name, value), (robot.nq,))
     outside = (q < robot.lower) | (q > robot.upper)
@@ -354,24 +357,43 @@ _DEGREE = 3
 
 @dataclass(frozen=True, eq=False, repr=False)
 class InverseKinematicsTrajectory:
-    """A trajectory of all coordinates, a uniform cubic B-spline of them; made by `solve_inverse_kinematics`.
+    """Trajectory of all coordinates that `solve_inverse_kinematics` returns: a uniform cubic B-spline.
 
-    q is twice continuously differentiable, and v and a are its derivatives. q, v and a are averages of the
-    control points, their first and their second differences (de Boor, "A practical guide to splines", 1978):
-    bounds that those hold hold at all times, not at samples alone.
+    q is twice continuously differentiable, with derivatives v and a. q, v and a are averages of the control
+    points, of their first and of their second differences (de Boor, "A practical guide to splines", 1978).
+    Bounds on the control points and differences therefore hold at all times, not only at samples.
 
     Attributes
     ----------
     robot : MobileRobot
-        Whose coordinates they are.
+        Robot whose coordinates the trajectory describes.
     target : PosePath
-        What was to be followed.
+        Target poses.
     frame : str
-        The frame that follows it.
+        Name of the frame that follows the target.
     start : ndarray, shape (nq,)
-        Configuration at the first control point.
+        Configuration at the first control point [m, m, rad, ...].
     controls : ndarray, shape (N + 3, nv)
-        Displacements of the control points from `start`, evenly over time, one beyond either end.
+        Displacements of the control points from `start`, evenly spaced in time, with one point beyond each
+        end.
+
+    See Also
+    --------
+    solve_inverse_kinematics : function that returns this object
+    ComputedTorque : controller for this trajectory
+    WholeBody : trajectory of given base and joint motions
+
+    Examples
+    --------
+    >>> from pinmobile import MobileRobot, PosePath, Line
+    >>> from pinmobile import solve_inverse_kinematics
+    >>> robot = MobileRobot.box(mass=60.0).mount("ur5")
+    >>> tool = robot.frame_pose(robot.rest)[:3, 3]
+    >>> target = PosePath(Line(tool, tool + [0.5, 0.0, 0.0], 4.0))
+    >>> plan = solve_inverse_kinematics(robot, target, dt=0.1)
+    >>> x = plan(4.0).q[0]  # of the base [m]
+    >>> print(f"{x:.1f} m of {plan.duration:.0f} s")
+    0.5 m of 4 s
     """
 
     robot: MobileRobot
@@ -382,7 +404,7 @@ class InverseKinematicsTrajectory:
     _curve: Callable[..., Array] = field(init=False)
 
     def __post_init__(self) -> None:
-        # Here, because scipy is heavy and `EndEffectorTracking` does without it.
+        # Imported here: scipy loads slowly, and `EndEffectorTracking` does not need it.
         from scipy.interpolate import BSpline
 
         for name in ("start", "controls"):
@@ -396,14 +418,14 @@ class InverseKinematicsTrajectory:
         turn = f", {radians:.3e} rad" if self.target.rows == 6 else ""
         try:
             near = f", smallest clearance {self.clearance.told}"
-        except PinmobileError:  # without collision shapes it is not known
+        except PinmobileError:  # without collision geometry, the clearance is unknown
             near = ""
         over = f"{self.frame} over {self.duration:g} s"
         return f"<InverseKinematicsTrajectory: {over}, largest error {metres:.3e} m{turn}{near}>"
 
     @property
     def duration(self) -> float:
-        """That of the target [s]."""
+        """Duration of the target [s]."""
         return self.target.duration
 
     @property
@@ -412,7 +434,7 @@ class InverseKinematicsTrajectory:
         return np.linspace(0, self.duration, len(self.controls) - 2)
 
     def __call__(self, t: ArrayLike) -> Reference:
-        """Return the reference.
+        """Return the reference at given times.
 
         Parameters
         ----------
@@ -421,29 +443,35 @@ class InverseKinematicsTrajectory:
 
         Returns
         -------
-        reference : Reference
+        Reference
             q, shape (..., nq), v and a, shape (..., nv).
 
         Raises
         ------
         InvalidArgument
-            If a time is outside.
+            If a time is out of range.
         """
         times = within("t", t, self.duration)
         displacement, v, a = (self._curve(times, order) for order in range(3))
-        # What rounding carries beyond a limit is cut off.
+        # Rounding may exceed a limit.
         q = np.clip(self.robot.integrate(self.start, displacement), self.robot.lower, self.robot.upper)
         return Reference(q, v, a)
 
     def signals_at(self, t: Array) -> dict[str, tuple[str, Array]]:
-        """Return the target of its frame at the samples of a run, see `PosePath.told`."""
+        """Return the target of the frame at the samples of a run, see `PosePath.told`.
+
+        Parameters
+        ----------
+        t : ndarray, shape (N + 1,)
+            Times [s].
+        """
         return self.target.told(self.frame, t)
 
     @cached_property
     def error(self) -> Array:
-        """From the pose to its target at the times `t`, shape (N + 1, 6) [m, rad], along the inertial axes.
+        """Pose errors at the times `t`, shape (N + 1, 6) [m, rad], along the inertial axes, see `pose_error`.
 
-        The last three are the rotation vector; NaN where the position alone is followed.
+        The last three columns hold the rotation vector. They are NaN for a target without orientation.
         """
         error = pose_error(self.target(self.t).pose, self.robot.frame_pose(self(self.t).q, self.frame))
         error[:, self.target.rows :] = np.nan
@@ -451,22 +479,22 @@ class InverseKinematicsTrajectory:
 
     @cached_property
     def clearance(self) -> Clearance:
-        """How far the robot's links are from one another and from the ground at the times `t`.
+        """Distances between the robot's links, and between links and ground, at the times `t`.
 
         Raises
         ------
         InvalidArgument
-            If the robot has no collision shapes.
+            If the robot has no collision geometry.
         """
         return clearance_of(self.robot, self(self.t).q)
 
     def max_error(self) -> tuple[float, float]:
-        """Return the largest distance [m] and the largest angle [rad] from the target, as of `error`."""
+        """Return the largest distance [m] and the largest angle [rad] from frame to target, see `error`."""
         way, turn = error_sizes(self.error).max(axis=0)
         return float(way), float(turn)
 
 
-_MOST_STEPS = 1_000_000  # hours
+_MOST_STEPS = 1_000_000  # more would take hours
 
 
 def solve_inverse_kinematics(
@@ -485,72 +513,94 @@ def solve_inverse_kinematics(
     tolerance: float = 1e-2,
     clearance: float | None = None,
 ) -> InverseKinematicsTrajectory:
-    """Return a trajectory of base and arm together on which a frame follows a path of poses.
+    """Return a trajectory of base and arm along which a frame follows target poses.
 
-    Step by step, damped least squares within bounds (Nakamura and Hanafusa, 1986): of the displacements that
-    limits allow, that with the least error of the next pose, and of those nearly as good, that which is
-    nearest to the way to the posture; corrected until the pose is met. At a singular posture and at a limit
-    the error grows instead. The base goes in any direction. Track it by `ComputedTorque`.
+    The solver is damped least squares within bounds (Nakamura and Hanafusa, 1986). In each step, it minimises
+    the error of the next pose over all displacements within limits. Among nearly optimal displacements, it
+    prefers motion toward the posture. It then iterates until the pose is reached. At a singular configuration
+    or a limit, an error remains. The base may move in any direction. Use `ComputedTorque` to track the
+    trajectory.
 
     Parameters
     ----------
     robot : MobileRobot
-        With or without arms; its joints have one velocity each.
+        Robot with or without arms.
     target : PosePath
-        Pose, or position alone.
+        Target poses, or target positions.
     frame : str, optional
-        What follows it, one of ``robot.frame_names``; by default ``robot.end_effector``.
+        Frame that follows the target, one of ``robot.frame_names``; by default, ``robot.end_effector``.
     q0 : array_like, shape (nq,), optional
-        Where the search for the start begins; by default ``robot.rest`` and, where that fails, others.
+        Initial guess for the start [m, m, rad, ...]; by default, ``robot.rest`` and then other
+        configurations.
     posture : array_like, shape (nq - 3,), optional
-        To which the arms tend where the target leaves them free; by default as at the start.
+        Preferred configuration of the arms in the directions that the target leaves free [rad or m]; by
+        default, the configuration at the start.
     dt : float
-        Time between control points [s]; their number is rounded up. The error is about a dt^2 / 6, with the
-        acceleration a of the frame.
+        Largest time between control points [s]. The error is about a dt^2 / 6 for a frame with acceleration
+        a.
     posture_gain : float
-        Rate of that [1/s], >= 0.
+        Rate of convergence toward the posture [1/s], >= 0.
     cost : array_like, shape () or (nv,)
-        Relative cost of each coordinate's motion, > 0: a high one keeps it still.
+        Relative cost of each coordinate's motion, > 0. A coordinate with a high cost moves little.
     velocity_limit : array_like, shape () or (nv,), optional
-        Largest |v| [m/s, m/s, rad/s, ...]; by default the robot's; inf where there is none, zero locks.
+        Limit of the absolute velocities [m/s, m/s, rad/s, ...]; by default, the robot's limits. inf means no
+        limit; zero locks a coordinate.
     acceleration_limit : array_like, shape () or (nv,)
-        Largest |a| [m/s^2, m/s^2, rad/s^2, ...] > 0, also when a joint brakes at its limit; it gives way to
-        the limits of position and velocity.
+        Limit of the absolute accelerations [m/s^2, m/s^2, rad/s^2, ...], > 0, including those of braking at a
+        position limit. Position and velocity limits have priority.
     damping : float
-        Weight of a displacement beside the error [m/rad], > 0.
+        Weight of displacements relative to the pose error [m/rad], > 0.
     tolerance : float
-        Largest distance and largest angle that are accepted, as of `InverseKinematicsTrajectory.max_error`
-        [m, rad]; infinite: any, see `InverseKinematicsTrajectory.error`.
+        Largest accepted distance [m] and angle [rad], see `reaching.InverseKinematicsTrajectory`; infinite
+        accepts any error.
     clearance : float, optional
-        Smallest distance between links, and from them to the ground, that is accepted, >= 0 [m],
-        see `clearance`; by default any, even through the robot's own body, see
-        `InverseKinematicsTrajectory.clearance`.
+        Smallest accepted distance between links, and between links and ground, >= 0 [m], see `clearance`; by
+        default, distances are not checked and the arm may pass through the robot's body.
 
     Returns
     -------
-    trajectory : InverseKinematicsTrajectory
-        To be followed from its beginning. There, the frame's velocity is that of the target but for an error
-        in proportion to dt^2.
+    reaching.InverseKinematicsTrajectory
+        Trajectory to follow from its start. At the start, the velocity of the frame equals that of the target
+        up to an error proportional to dt^2.
 
     Raises
     ------
     InvalidArgument
-        If an argument is not what is expected, or a joint has more than one velocity.
+        If an argument is not what is expected, or a joint has several velocities.
     UnknownName
-        If there is no such frame.
+        If the robot has no such frame.
     Unreachable
-        If an error is beyond the tolerance, or links come nearer than `clearance`; it carries the trajectory.
+        If an error exceeds the tolerance, or a distance is below `clearance`. The attribute ``resolved`` of
+        the error holds the trajectory.
 
     Warns
     -----
     LimitWarning
-        Once, if the trajectory takes more torque than the robot's ``effort_limit``.
+        If the trajectory needs more force or torque than the robot's ``effort_limit``.
+
+    See Also
+    --------
+    EndEffectorTracking : controller that follows a pose without a plan
+    PosePath : target poses
+    clearance : distances between links
+
+    Examples
+    --------
+    >>> from pinmobile import MobileRobot, PosePath, Line
+    >>> from pinmobile import solve_inverse_kinematics
+    >>> robot = MobileRobot.box(mass=60.0).mount("ur5")
+    >>> tool = robot.frame_pose(robot.rest)[:3, 3]
+    >>> target = PosePath(Line(tool, tool + [0.5, 0.0, 0.0], 4.0))
+    >>> plan = solve_inverse_kinematics(robot, target, dt=0.1)
+    >>> distance, angle = plan.max_error()
+    >>> distance < 1e-5  # [m]
+    True
     """
     instance("robot", robot, MobileRobot, "a MobileRobot")
     instance("target", target, PosePath, "a PosePath")
     room = None if clearance is None else non_negative("clearance", clearance, "m")
     if room is not None:
-        _ = robot.solids  # refused before the work, not after it
+        _ = robot.solids  # raises before the computation, not after it
     name = robot.frame_name(frame)
     speed = robot.velocity_limit if velocity_limit is None else velocity_limit
     limits = Limits(
@@ -559,7 +609,7 @@ def solve_inverse_kinematics(
         per_coordinate("acceleration_limit", acceleration_limit, robot.nv),
     )
     weights = positive("damping", damping) * np.diag(per_coordinate("cost", cost, robot.nv))
-    tolerance = positive_or_endless("tolerance", tolerance)  # infinite: whatever the error
+    tolerance = positive_or_endless("tolerance", tolerance)  # infinite accepts any error
     solver = Solver(robot, target, name, limits, weights)
     start = solver.start(q0)
     tending = start if posture is None else _checked_posture(robot, posture)
@@ -567,7 +617,7 @@ def solve_inverse_kinematics(
     wanted = target.duration / positive("dt", dt, "s")
     if not wanted <= _MOST_STEPS:
         raise InvalidArgument(
-            f"dt is {dt} s, which makes {wanted:.3g} steps, expected at most {_MOST_STEPS:,}"
+            f"dt is {dt} s, which gives {wanted:.3g} steps, expected at most {_MOST_STEPS:,}: use a larger dt"
         )
     count = max(int(np.ceil(wanted - 1e-9)), 2)
     resolved = InverseKinematicsTrajectory(
@@ -582,19 +632,19 @@ def solve_inverse_kinematics(
 
 
 def _checked_posture(robot: MobileRobot, posture: ArrayLike) -> Array:
-    """Return a configuration whose arms are in a posture, shape (nq,).
+    """Return a configuration with the arms in a given posture, shape (nq,).
 
     Raises
     ------
     InvalidArgument
-        If it has another shape or is not finite.
+        If the posture has another shape or is not finite.
     """
     arms = shaped("posture", finite("posture", posture), (robot.nq - 3,), words=", the arms' part of q")
     return checked_configuration(robot, "posture", np.concatenate([np.zeros(3), arms]))
 
 
 def _judge(resolved: InverseKinematicsTrajectory, tolerance: float, room: float | None) -> None:
-    """Refuse a trajectory that misses its target or brings links too near to one another."""
+    """Raise `Unreachable` if a trajectory misses its target or links are too close to each other."""
     t, sizes = resolved.t, error_sizes(resolved.error[:, : resolved.target.rows])
     beyond, words = sizes.max(axis=-1) > tolerance, ""
     if beyond.any():
@@ -618,14 +668,14 @@ def _judge(resolved: InverseKinematicsTrajectory, tolerance: float, room: float 
 
 
 _GAINS = ("kp", "kd", "posture_kp", "posture_kd")
-# A force is held, not the acceleration, which changes within dt by some 1e-2 of itself: that much is left of
-# what was beyond a limit by each.
+# The force is constant over dt, so the acceleration changes by about 1e-2 of its value. Each correction
+# therefore reduces an excess to about 1e-2 of its value.
 _CORRECTIONS = 5
 
 
 @runtime_checkable
 class Wheeled(Protocol):
-    """What `EndEffectorTracking` needs of a robot on wheels; one that rolls has ``project(q, v)`` too."""
+    """Robot on wheels for `EndEffectorTracking`; a rolling robot also has ``project(q, v)``."""
 
     @property
     def robot(self) -> MobileRobot:
@@ -633,64 +683,86 @@ class Wheeled(Protocol):
 
     @property
     def nv(self) -> int:
-        """Size of v."""
+        """Number of entries of v."""
 
     def integrate(self, q: Array, dq: Array, /) -> Array:
-        """Return the configuration that a displacement leads to, shape (nq,)."""
+        """Return the configuration after a displacement, shape (nq,)."""
 
     def forward_dynamics(self, q: Array, v: Array, u: Array, /) -> Array:
         """Return the acceleration, shape (nv,)."""
 
     def inverse_dynamics(self, q: Array, v: Array, a: Array, /) -> Array:
-        """Return the input with which body and arms accelerate so, shape (nu,)."""
+        """Return the input that produces an acceleration of body and arms, shape (nu,)."""
 
     def check_inverse_dynamics(self) -> None:
-        """Refuse a robot for which there is none."""
+        """Raise `InvalidArgument` for a robot without inverse dynamics."""
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class EndEffectorTracking:
-    """Computed torque for a pose: tau = M(q) a + n(q, v), with the a that the pose asks for.
+    """Computed-torque control of an end effector's pose: tau = M(q) a + n(q, v).
 
-    a is what limits allow with the least |J a + dJ/dt v - (x_a + Kd e_dot + Kp e)|, and beside it the least
-    damping |a - (a_r + kd_r (v_r - v) + kp_r (q_r - q))|: the reference that `simulate` passes on is the
-    posture in what the pose leaves free (Nakamura and Hanafusa, 1986, at the level of accelerations; Khatib,
-    1987). Positions and velocities within their limits stay there at every sample, as far as the model, `dt`
-    and `integrator` are those of the plant: where the force that is held over `dt` would lead beyond a limit,
-    another is chosen, whose acceleration may be beyond that limit by as much.
+    The acceleration a minimises the norm of J a + dJ/dt v - (x_a + Kd e_dot + Kp e) within the limits, plus
+    the norm of damping (a - (a_r + kd_r (v_r - v) + kp_r (q_r - q))). The reference from `simulate` is the
+    preferred posture, which acts in the directions that the pose leaves free (Nakamura and Hanafusa, 1986,
+    for accelerations; Khatib, 1987).
+
+    Positions and velocities within their limits stay within their limits at every sample, if model, `dt` and
+    `integrator` equal those of the plant. If a constant force over `dt` would lead beyond a limit, the
+    controller chooses another force; its acceleration may exceed the acceleration limit by the required
+    amount.
 
     Parameters
     ----------
     robot : MobileRobot or WheeledRobot
-        The model that the controller believes in; its joints have one velocity each. On wheels it is one that
-        moves in every direction, and tau the torques of least norm with which body and arms accelerate so.
+        Controller model; each joint has one velocity. A robot on wheels must be omnidirectional; tau then
+        holds the minimum-norm torques that produce this acceleration of body and arms.
     target : PosePath
-        Pose, or position alone; to be simulated no longer than it lasts.
+        Target poses, or target positions, for at least the duration of the simulation.
     frame : str, optional
-        What follows it, one of ``robot.frame_names``; by default ``robot.end_effector``.
+        Frame that follows the target, one of ``robot.frame_names``; by default, ``robot.end_effector``.
     kp, kd : float
-        Gains of the pose's error [1/s^2] and of its rate [1/s], >= 0.
+        Gains of the pose error [1/s^2] and of its rate [1/s], >= 0.
     posture_kp, posture_kd : float
-        Gains of the posture [1/s^2] and [1/s], >= 0.
+        Gains of the posture error [1/s^2] and of its rate [1/s], >= 0.
     damping : float
-        Weight of an acceleration beside that of the frame [m/rad], > 0.
+        Weight of the coordinates' accelerations relative to the frame's acceleration [m/rad], > 0.
     velocity_limit : array_like, shape () or (nv,), optional
-        As in `solve_inverse_kinematics`.
+        As in `solve_inverse_kinematics` [m/s, m/s, rad/s, ...].
     acceleration_limit : array_like, shape () or (nv,)
-        As in `solve_inverse_kinematics`.
+        As in `solve_inverse_kinematics` [m/s^2, m/s^2, rad/s^2, ...].
     dt : float
-        Time over which a force is held, that of `simulate` [s], > 0: with another, limits are overrun.
+        Time step of `simulate` [s], > 0. With another value, the limits may be exceeded.
     integrator : callable
-        How the plant moves under it, that of `simulate`, likewise; `rk4` for all that moves on without steps.
+        Integrator of `simulate`; `rk4` for plants without one. With another integrator, the limits may be
+        exceeded.
 
     Raises
     ------
     InvalidArgument
-        If an argument is not what is expected, a joint has more than one velocity, or no torques move the
+        If an argument is not what is expected, a joint has several velocities, or the wheels cannot move the
         robot in every direction.
     UnknownName
-        If there is no such frame.
+        If the robot has no such frame.
+
+    See Also
+    --------
+    solve_inverse_kinematics : plan of the whole motion in advance
+    ComputedTorque : the same law for coordinates
+    PosePath : target poses
+
+    Examples
+    --------
+    >>> from pinmobile import EndEffectorTracking, Hold, PosePath
+    >>> from pinmobile import MobileRobot, Reference
+    >>> robot = MobileRobot.box(mass=60.0).mount("ur5")
+    >>> q, v = robot.rest, 0 * robot.rest
+    >>> goal = robot.frame_pose(q)[:3, 3] + [0.01, 0, 0]  # 1 cm ahead
+    >>> law = EndEffectorTracking(robot, PosePath(Hold(goal, 2.0)), kp=100)
+    >>> a = law.acceleration(0.0, q, v, Reference(q, v, v))
+    >>> print((robot.frame_jacobian(q) @ a)[0])  # tool: kp 1 cm [m/s^2]
+    1.00
     """
 
     robot: MobileRobot | Wheeled
@@ -710,7 +782,7 @@ class EndEffectorTracking:
     _corrections: int = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        # What follows is body and arms, whatever stands under them.
+        # Body and arms follow the target, for any wheels under the body.
         body = self.robot.robot if isinstance(self.robot, Wheeled) else self.robot
         instance("robot", body, MobileRobot, "a MobileRobot")
         instance("target", self.target, PosePath, "a PosePath")
@@ -725,7 +797,7 @@ class EndEffectorTracking:
         most = per_coordinate("acceleration_limit", self.acceleration_limit, nv)
         fixed = {"frame": body.frame_name(self.frame), "velocity_limit": speed, "_body": body}
         limits = Limits(body, speed, most)
-        # Where the acceleration at the start of a step holds through it, the bounds of `ramps` are exact.
+        # The bounds of `ramps` are exact if the integrator keeps the initial acceleration over a step.
         held = [getattr(self.integrator, name, ()) for name in ("weights_q", "weights_v")] == [(0.5,), (1.0,)]
         exact = held and not able(self.robot, Constrained)
         object.__setattr__(self, "_corrections", 0 if exact else _CORRECTIONS)
@@ -733,18 +805,20 @@ class EndEffectorTracking:
             object.__setattr__(self, name, value)
 
     def initial_state(self, context: Context) -> None:
-        """Return None: there is no memory."""
+        """Return None: the controller has no memory."""
 
     def signals_at(self, t: Array) -> dict[str, tuple[str, Array]]:
-        """Return the target of its frame at the samples of a run, see `PosePath.told`."""
+        """Return the target of the frame at the samples of a run, see `PosePath.told`.
+
+        Parameters
+        ----------
+        t : ndarray, shape (N + 1,)
+            Times [s].
+        """
         return self.target.told(str(self.frame), t)
 
     def __call__(self, t: float, q: Array, v: Array, reference: Reference, state: None) -> tuple[Array, None]:
-        """Return the input, shape (nu,), and None."""
-        return self._command(t, q, v, reference)[1], None
-
-    def acceleration(self, t: float, q: Array, v: Array, reference: Reference) -> Array:
-        """Return the acceleration of body and arms that is asked for, shape (3 + arms,).
+        """Return the input, shape (nu,), and None.
 
         Parameters
         ----------
@@ -753,12 +827,28 @@ class EndEffectorTracking:
         q, v : ndarray, shape (nq,) and (nv,)
             State.
         reference : Reference
-            The posture: q, v and a.
+            Preferred posture: q, v and a.
+        state : None
+            Unused memory.
+        """
+        return self._command(t, q, v, reference)[1], None
+
+    def acceleration(self, t: float, q: Array, v: Array, reference: Reference) -> Array:
+        """Return the desired acceleration of body and arms, shape (3 + arms,) [m/s^2, m/s^2, rad/s^2, ...].
+
+        Parameters
+        ----------
+        t : float
+            Time [s].
+        q, v : ndarray, shape (nq,) and (nv,)
+            State.
+        reference : Reference
+            Preferred posture: q, v and a.
         """
         return self._command(t, q, v, reference)[0]
 
     def _command(self, t: float, q: Array, v: Array, reference: Reference) -> tuple[Array, Array]:
-        """Return the acceleration that is asked for, shape (3 + arms,), and the input for it, (nu,)."""
+        """Return the desired acceleration, shape (3 + arms,), and the required input, shape (nu,)."""
         body, rows = self._body, self.target.rows
         count = np.shape(reference.v)[-1]
         if count != body.nv:
@@ -784,7 +874,7 @@ class EndEffectorTracking:
             low, high = self._limits.excess(*self._after(q, v, u), self.dt)
             if not (low.any() or high.any()):
                 break
-            # A bound that is moved past the other, as of what is locked, takes it along.
+            # A bound that moves past the other one (as for a locked coordinate) moves both.
             up, down = np.where(low > 0, a + low, -np.inf), np.where(high > 0, a - high, np.inf)
             least, most = np.clip(least, up, down), np.clip(most, up, down)
             a = bounded_least_squares(A, b, least, most)
@@ -792,7 +882,7 @@ class EndEffectorTracking:
         return a, u
 
     def _after(self, q: Array, v: Array, u: Array) -> tuple[Array, Array]:
-        """Return the state of body and arms to which a held input leads, by the model and the integrator."""
+        """Return the state of body and arms after a step with a constant input, by model and integrator."""
         robot, body = self.robot, self._body
 
         def acceleration(t: float, displacement: Array, w: Array) -> Array:

@@ -1,4 +1,4 @@
-"""Every route to M, n, tau and the acceleration side by side, with the largest difference."""
+"""Comparison of independent methods for M, n, tau and the acceleration, with the largest difference."""
 
 from __future__ import annotations
 
@@ -27,19 +27,30 @@ _MOST = 1_000_000  # states
 
 @dataclass(frozen=True)
 class Comparison:
-    """The largest difference of one quantity between two routes.
+    """Largest difference of one quantity between two methods.
 
     Attributes
     ----------
     quantity : str
-        ``"M"``, ``"n"``, ``"tau"`` or ``"a"``; of a robot with arms also ``"M3"``, its base's block, and
-        ``"f"``, the ground's wrench; of a robot on wheels see `verify`.
+        ``"M"``, ``"n"``, ``"tau"`` or ``"a"``. A robot with arms adds ``"M3"``, the block of the base in M,
+        and ``"f"``, the wrench of the ground. For a robot on wheels, see `verify`.
     route, against : str
-        The two routes.
+        Names of the two methods.
     difference : float
         Largest difference over all states, relative to the scale of the terms.
     bound : float
-        Largest difference that rounding explains.
+        Largest relative difference that rounding explains.
+
+    See Also
+    --------
+    verify : function that makes all comparisons
+
+    Examples
+    --------
+    >>> from pinmobile.verification import Comparison
+    >>> row = Comparison("M", "CRBA", "closed form", 3e-16, 1e-12)
+    >>> row.agrees
+    True
     """
 
     quantity: str
@@ -56,18 +67,32 @@ class Comparison:
 
 @dataclass(frozen=True)
 class Verification:
-    """All comparisons for one robot; printed, it is a table.
+    """Comparisons of all methods for one robot; its text is a table.
 
     Attributes
     ----------
     robot : MobileRobot or WheeledRobot
-        What was verified.
+        Verified robot.
     states : int
         Number of random states.
     rows : tuple of Comparison
-        One per quantity and route.
+        One comparison per quantity and method.
     missing : str
-        Which route there is none of, and why; empty where all are there.
+        Name of a method that is not available, and the reason; empty if all methods are available.
+
+    See Also
+    --------
+    verify : function that returns this object
+
+    Examples
+    --------
+    >>> from pinmobile import MobileRobot
+    >>> from pinmobile.verification import Comparison, Verification
+    >>> row = Comparison("M", "CRBA", "closed form", 3e-16, 1e-12)
+    >>> print(Verification(MobileRobot.lecture(), 1, (row,)))
+    1 random states, each route against the closed form
+        route                            largest difference     bound
+    M   CRBA                                        3.0e-16   1.0e-12  agrees
     """
 
     robot: MobileRobot | WheeledRobot
@@ -77,12 +102,12 @@ class Verification:
 
     @property
     def passed(self) -> bool:
-        """Whether every comparison agrees."""
+        """Whether every difference is within its bound."""
         return all(row.agrees for row in self.rows)
 
     @property
     def largest(self) -> dict[str, float]:
-        """Largest difference of each quantity over the routes."""
+        """Largest relative difference of each quantity over all methods."""
         quantities = dict.fromkeys(row.quantity for row in self.rows)
         return {q: max(row.difference for row in self.rows if row.quantity == q) for q in quantities}
 
@@ -105,59 +130,74 @@ class Verification:
 def verify(
     robot: MobileRobot | WheeledRobot, *, states: int = 200, seed: int | np.random.Generator = 0
 ) -> Verification:
-    """Compare every route to the robot's dynamics on random states.
-
-    Of a bare base the routes are the closed form (hand-derived), Pinocchio (CRBA, RNEA, ABA), the symbolic
-    Newton-Euler recursion and Lagrange's equations, these two for the robot's own DH table, and the machine
-    code that ensembles of it run. Differences are relative to the scale of the terms: sqrt(M_ii M_jj) for M,
-    m |v|^2 for n, |M| |a| + m |v|^2 for tau and |a| + |v|^2 for the acceleration; |v|^2 times the distance
-    of the centre of mass where that is above 1 m. M, n and tau must be within 1e-12, the last within 8 eps
-    cond(M).
-
-    Of a base with arms or loads M by CRBA, n, tau and the ground's wrench f by RNEA are compared with
-    Newton's and Euler's laws, written out for what the parts themselves say: the body, each arm as it was
-    read, each load. Nothing of the model that they are assembled into is taken for that. Then Pinocchio's
-    algorithms against each other: M against RNEA's columns; n against C(q, v) v + g(q); tau against M a + n;
-    the acceleration by ABA against M^-1 (tau - n); and M[:3, :3] against the closed form of the body that all
-    of it is with its arms locked. Last the machine code that ensembles of it run, against CRBA, RNEA and ABA;
-    where there is none, `missing` says why. With m the mass beyond a joint, K its second moment about the
-    joint (m where it slides) and r the reach of the whole [m], at least 1, the scales are sqrt(K_i K_j) for
-    M, sqrt(m K) (9.81 + nv r |v|^2) for n, sqrt(m K) (9.81 + sqrt(nv) r |a| + nv r |v|^2) for tau, those of
-    x and psi also for the forces and the moments of f, and |M^-1| times that for the acceleration; gravity
-    in RNEA's columns adds 9.81 sqrt(m K) to that of M. Each must be within 1e-14.
-
-    Of a robot on wheels that roll, at random states that do: M by CRBA and n by RNEA of the tree in which
-    wheels are joints, and the torques that its accelerations and constraint forces by KKT say, against
-    Newton's and Euler's laws of the body, arms and each wheel, one by one; the acceleration and the ground's
-    forces against the terms that wheels are to the energy in the plane, by numbers and as machine code; M, n
-    and B of the independent velocities against the tree, and against the closed form where there is one: two
-    fixed wheels on an axle, fixed wheels with rollers, a car (with arms M alone, its arms locked);
-    nu' against the rate of nu as KKT moves it; the power of inputs, forces and gravity against the rate of
-    kinetic energy. Where wheels slip, a step of 1 ms, in as many passes as change it: what it says of forces,
-    of loads and of power at mid-step against the same laws, and forces against mu times the load. Scales are
-    as above, those of a wheel with K its inertia about the axle and m its mass and K / r^2, and with the
-    forces that act. Each must be within 1e-13; within 1e-12 where equations were solved, whose rounding grows
-    with their condition; within 1e-9 where a rate is a difference of fourth order.
+    r"""Compare independent methods for a robot's dynamics at random states.
 
     Parameters
     ----------
     robot : MobileRobot or WheeledRobot
-        Any mass, inertia, centre of mass and table, any arms and loads, any wheels.
+        Robot with any mass, inertia, centre of mass and DH table, any arms and loads, any wheels.
     states : int
-        Number of states: psi over two turns to either side, arms within their limits, v and a normal with
-        unit deviation.
+        Number of states, 1 to 1,000,000. psi is within two turns, arms are within their limits, v and a are
+        normally distributed with unit standard deviation.
     seed : int or Generator
-        Of the states.
+        Seed or generator of the states.
 
     Returns
     -------
-    verification : Verification
-        Print it; ask `passed` and `largest`.
+    verification.Verification
+        All differences and their bounds; its text is a table.
 
     Raises
     ------
     InvalidArgument
-        If `states` is not a whole number from 1 to 1,000,000, or another argument not what is expected.
+        If `states` is not a whole number from 1 to 1,000,000, or another argument is not what is expected.
+
+    See Also
+    --------
+    derivation.lecture : symbolic derivation of the dynamics
+    closed_form.mass_matrix : formulas derived by hand
+    verification.Verification : result of this function
+
+    Notes
+    ----- **A robot without arms, loads and wheels.** The methods are the closed form (derived by hand),
+    Pinocchio (CRBA, RNEA, ABA), the symbolic Newton-Euler recursion and Lagrange's equations for the robot's
+    DH table, and the machine code that ensembles run. Differences are relative to the scale of the terms:
+    sqrt(M_ii M_jj) for M, :math:`m |v|^2` for n, :math:`|M| |a| + m |v|^2` for tau and :math:`|a| + |v|^2`
+    for the acceleration. The factor of the squared velocity includes the distance of the centre of mass if it
+    exceeds 1 m. The bounds are 1e-12 for M, n and tau, and 8 eps cond(M) for the acceleration.
+
+    **A robot with arms or loads.** Newton's and Euler's laws, written out for the separate parts (body, arms
+    as read from their files, loads), check M by CRBA and n, tau and the ground's wrench f by RNEA. This check
+    does not use the assembled model. Further comparisons are: M with RNEA's columns; n with C(q, v) v + g(q);
+    tau with M a + n; the acceleration by ABA with M^-1 (tau - n); M[:3, :3] with the closed form of the body
+    with locked arms; and the machine code of ensembles with CRBA, RNEA and ABA. If there is no machine code,
+    `Verification.missing` gives the reason. Let m be the mass beyond a joint, K its second moment about the
+    joint (m for a prismatic joint) and r the largest distance of a part [m], at least 1. The scales are
+    sqrt(K_i K_j) for M, :math:`\sqrt{m K} (9.81 + n_v r |v|^2)` for n, :math:`\sqrt{m K} (9.81 + \sqrt{n_v} r
+    |a| + n_v r |v|^2)` for tau, the same for x and psi for the forces and moments of f, and :math:`|M^{-1}|`
+    times this for the acceleration. Gravity in RNEA's columns adds 9.81 sqrt(m K) to the scale of M. All
+    bounds are 1e-14.
+
+    **A robot on rolling wheels**, at random states that satisfy the rolling constraints. Newton's and Euler's
+    laws of body, arms and each wheel check M by CRBA and n by RNEA of the tree with wheels as joints, and the
+    torques for given accelerations and the constraint forces by a KKT system. The planar terms of the wheels'
+    energy check the acceleration and the ground's forces, as numbers and as machine code. M, n and B of the
+    independent velocities nu agree with the tree, and with a closed form for two fixed wheels on an axle,
+    fixed wheels with rollers, and a car (with arms: only M, with locked arms). nu' agrees with the rate of nu
+    under the KKT accelerations. The power of inputs, forces and gravity agrees with the rate of kinetic
+    energy. For wheels that slip, the comparison uses a step of 1 ms, iterated to convergence: the same laws
+    check its forces, its loads and its power at mid-step, and forces are at most mu times the load. Scales
+    are as above; those of a wheel have K, its inertia about the axle, and m, its mass and K / r^2, and
+    include the acting forces. The bounds are 1e-13, 1e-12 for solutions of linear equations, and 1e-9 for
+    rates by finite differences of fourth order.
+
+    Examples
+    --------
+    >>> from pinmobile import MobileRobot, verify
+    >>> robot = MobileRobot.box().mount("double_pendulum_simple")
+    >>> found = verify(robot, states=5)
+    >>> found.passed, found.largest["M"] < 1e-14
+    (True, True)
     """
     instance("robot", robot, MobileRobot | WheeledRobot, "a MobileRobot or a WheeledRobot")
     rng, count = seeded("seed", seed), whole("states", states, most=_MOST)
@@ -169,13 +209,13 @@ def verify(
 
 
 Dynamics = dict[str, Array]
-"""M, n, tau for an acceleration, and a for a force, by their letters, of n states."""
+"""M, n, tau for an acceleration, and a for a force, at n states, by name."""
 
 COMPILED = "compiled for ensembles"
 
 
 def each(function: Callable[..., Array], *states: Array) -> Array:
-    """Return what a function gives for one state after the other; many at once may be machine code."""
+    """Return the values of a function, state by state, since arrays of states may run machine code."""
     return np.stack([function(*state) for state in zip(*states, strict=True)])
 
 
@@ -190,19 +230,19 @@ def by_pinocchio(robot: MobileRobot, q: Array, v: Array, a: Array, tau: Array) -
 
 
 def by_machine_code(robot: MobileRobot, q: Array, v: Array, a: Array, tau: Array) -> Dynamics:
-    """Return the dynamics by the laws that ensembles compile.
+    """Return the dynamics by the compiled code of ensembles.
 
     Raises
     ------
     NotTraceable
-        If they do not: a joint has several coordinates, or the joints are too many.
+        If the dynamics cannot be compiled: a joint has several coordinates, or there are too many joints.
     """
     found = vectorize(partial(_dynamics, robot.array_dynamics), keep=False)(q, v, a, tau)
     return dict(zip(("M", "n", "tau", "a"), found, strict=True))
 
 
 def _compiled(robot: MobileRobot, *states: Array) -> tuple[dict[str, Dynamics], str]:
-    """Return the dynamics by machine code, by the name of the route, and why there are none."""
+    """Return the dynamics by machine code under the name of this method, and the reason if there is none."""
     try:
         return {COMPILED: by_machine_code(robot, *states)}, ""
     except NotTraceable as error:
@@ -219,11 +259,11 @@ def _dynamics(body: Any, q: Array, v: Array, a: Array, tau: Array) -> tuple[Arra
 
 
 _EPS = float(np.finfo(np.float64).eps)
-_TOLERANCE = 1e-12  # some thousand roundings, relative to the scale of the terms
+_TOLERANCE = 1e-12  # thousands of roundings, relative to the scale of the terms
 
 
 def compare_planar(robot: MobileRobot, states: int, rng: np.random.Generator) -> tuple[list[Row], str]:
-    """Return every route of a bare body against the closed form, see `verify`, and why one is missing."""
+    """Return the comparisons with the closed form for a robot without arms, and a missing method."""
     shape = (states, 3)
     q = rng.uniform(-4 * np.pi, 4 * np.pi, shape)
     v, a = rng.normal(size=shape), rng.normal(size=shape)
@@ -245,7 +285,7 @@ def compare_planar(robot: MobileRobot, states: int, rng: np.random.Generator) ->
 def _scales(robot: MobileRobot, truth: Dynamics, v: Array, a: Array) -> Dynamics:
     M = truth["M"]
     diagonal = np.sqrt(np.einsum("...ii->...i", M))
-    reach = max(1.0, float(np.linalg.norm(robot.com[:2])))  # the centre of mass goes this much faster
+    reach = max(1.0, float(np.linalg.norm(robot.com[:2])))  # factor of the speed of the centre of mass
     speed = robot.mass * np.square(v).sum(-1, keepdims=True) * reach
     return {
         "M": diagonal[..., :, None] * diagonal[..., None, :],
@@ -269,7 +309,7 @@ def _closed_form(robot: MobileRobot, q: Array, v: Array, a: Array) -> Dynamics:
 
 @lru_cache(maxsize=8)
 def _numeric(table: DHTable) -> tuple[Numeric, Numeric]:
-    """Return the functions that Newton-Euler and Lagrange lead to for a table."""
+    """Return the functions from the Newton-Euler recursion and from Lagrange's equations for a table."""
     derivation = lecture(table)
     return derivation.numeric(), lagrange(derivation).numeric()
 
@@ -281,20 +321,20 @@ def _symbolic(numeric: Numeric, robot: MobileRobot, q: Array, v: Array, a: Array
 
 
 def _solved(M: Array, force: Array) -> Array:
-    """Return M^-1 force; not a number where M is singular to rounding, which then agrees with nothing."""
+    """Return M^-1 force; NaN for a singular M, which then agrees with nothing."""
     try:
         return np.asarray(np.linalg.solve(M, force[..., None])[..., 0], np.float64)
     except np.linalg.LinAlgError:
         return np.full(force.shape, np.nan)
 
 
-_ROUNDING = 1e-14  # some dozen roundings, relative to the scale of the terms
+_ROUNDING = 1e-14  # dozens of roundings, relative to the scale of the terms
 _GRAVITY = 9.81  # [m/s^2]
 _PARTS = "Newton-Euler of the parts"
 
 
 def compare_mounted(robot: MobileRobot, states: int, rng: np.random.Generator) -> tuple[list[Row], str]:
-    """Return the routes of a robot with arms against each other, see `verify`, and which is missing."""
+    """Return the comparisons of all methods for a robot with arms, see `verify`, and a missing method."""
     q = robot.random_configuration(rng, (states,))
     q[:, 2] = rng.uniform(-4 * np.pi, 4 * np.pi, states)
     v, a = rng.normal(size=(2, states, robot.nv))
@@ -326,11 +366,11 @@ def compare_mounted(robot: MobileRobot, states: int, rng: np.random.Generator) -
 
 
 def _mounted_scales(parts: Parts, v: Array, a: Array, M: Array) -> dict[str, Array]:
-    """Return the size of the terms that each quantity is the sum of.
+    """Return the size of the terms in the sum for each quantity.
 
-    A joint feels the material beyond it, of mass m and second moment J = int |r|^2 dm about its origin: by
-    Cauchy and Schwarz at most sqrt(m K) times the acceleration of the material, with K = J where it turns and
-    m where it slides, and what two joints exchange is at most sqrt(K_i K_j).
+    A joint moves the material beyond it, of mass m and second moment J = int r^2 dm about its origin. By
+    Cauchy and Schwarz, its force is at most sqrt(m K) times the acceleration of the material, with K = J for
+    a revolute and K = m for a prismatic joint. The coupling of two joints is at most sqrt(K_i K_j).
     """
     masses, K, reach = parts.beyond()
     reach = np.maximum(1.0, reach)
@@ -345,6 +385,6 @@ def _mounted_scales(parts: Parts, v: Array, a: Array, M: Array) -> dict[str, Arr
         "M3": pair[:, :3, :3],
         "n": felt * (_GRAVITY + speed)[:, None],
         "tau": tau,
-        "f": felt[:, [0, 0, 0, 2, 2, 2]] * accelerated,  # the mass for forces, that about psi for moments
+        "f": felt[:, [0, 0, 0, 2, 2, 2]] * accelerated,  # mass for forces, inertia about psi for moments
         "a": times(np.abs(np.linalg.inv(M)), tau),
     }
