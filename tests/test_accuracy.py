@@ -137,7 +137,7 @@ def made(errors: Any, rounding: float = 1e-12) -> Convergence:
         ([1.0, 1.0, 1.0], 0, "does not converge"),
         ([1.0, 2.0, 4.0], -1, "does not converge"),
         ([1e-13, 0.0, 1e-12], None, "exact to rounding"),
-        ([1e-9, 1e-13, 1e-13], None, "too close to rounding to tell"),
+        ([1e-9, 1e-13, 1e-13], None, "too close to rounding for an order"),
         ([np.inf, np.inf], None, "diverges"),
     ],
 )
@@ -158,12 +158,12 @@ def test_the_report_reads_as_a_table_that_says_what_it_means(reports: Reports) -
     assert lines[3].endswith("   exact to rounding")
     assert lines[-3:] == [
         "order p: with half the step, the error is 1 / 2^p.",
-        "In the loop, holding the force is of order 1 in dt, whatever the integrator.",
-        "At dt = 0.1 s holding it costs 0.0098 m, the integrator 1.2e-07 m: "
+        "In the loop, the zero-order hold has order 1 in dt, for every integrator.",
+        "At dt = 0.1 s the hold costs 0.0098 m, the integrator 1.2e-07 m: "
         "a shorter dt gains more than a better integrator.",
     ]
     assert str(reports["semi_implicit_euler"]).endswith(
-        "At dt = 0.1 s holding it costs 0.0098 m, the integrator 0.014 m: "
+        "At dt = 0.1 s the hold costs 0.0098 m, the integrator 0.014 m: "
         "a better integrator, or substeps, gain more than a shorter dt."
     )
     assert repr(reports["rk4"]) == "<IntegratorReport: rk4, order 4.00 alone, order 1.01 in the loop>"
@@ -176,21 +176,24 @@ def test_a_step_that_is_wrong_is_told_from_one_that_is_not(integrator: Any, text
     report = integrator_report(integrator, steps=(0.1, 0.05))
     assert {str(row) for row in (*report.free, report.substeps, report.sampling)} == {text}
     assert str(report).endswith(
-        "It does not converge: it solves another equation, or the steps are too long."
+        "The integrator does not converge: it solves another equation, or the steps are too long."
     )
 
 
 @pytest.mark.parametrize(
     ("changed", "text"),
     [
-        ({"integrator": "rk4"}, "integrator is 'rk4', expected one of pinmobile.integrators or such a step"),
+        (
+            {"integrator": "rk4"},
+            "integrator is 'rk4', expected an integrator of pinmobile.integrators or a similar function",
+        ),
         ({"robot": 3}, "robot is 3, expected a MobileRobot"),
         ({"duration": 0}, "duration is 0.0 s, expected > 0"),
         ({"steps": 0.1}, "steps has shape (), expected (n,), n >= 2"),
         ({"steps": (0.1,)}, "steps has shape (1,), expected (n,), n >= 2"),
-        ({"steps": (0.1, 0.2)}, "steps are [0.1, 0.2] s, expected ones > 0, the largest first"),
-        ({"steps": (0.1, 0.1)}, "steps are [0.1, 0.1] s, expected ones > 0, the largest first"),
-        ({"steps": (0.1, 0.0)}, "steps are [0.1, 0.0] s, expected ones > 0, the largest first"),
+        ({"steps": (0.1, 0.2)}, "steps are [0.1, 0.2] s, expected steps > 0, the largest first"),
+        ({"steps": (0.1, 0.1)}, "steps are [0.1, 0.1] s, expected steps > 0, the largest first"),
+        ({"steps": (0.1, 0.0)}, "steps are [0.1, 0.0] s, expected steps > 0, the largest first"),
         ({"steps": (0.3, 0.1)}, "duration is 2.0 s, expected a whole multiple of the step 0.3 s"),
         ({"steps": (0.1, 0.03)}, "steps[0] is 0.1 s, expected a whole multiple of the step 0.03 s"),
         ({"steps": (4.0, 2.0)}, "duration is 2.0 s, expected a whole multiple of the step 4.0 s"),

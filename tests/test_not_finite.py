@@ -122,7 +122,7 @@ def test_a_body_whose_yaw_inertia_is_lost_to_rounding_is_refused(
         pm.MobileRobot(*arguments)
     assert str(caught.value).startswith(text)
     assert "so rounding loses the yaw inertia, " in str(caught.value)
-    assert "expected it to be 1e-09 of m |com|^2 = " in str(caught.value)
+    assert "expected a yaw inertia of at least 1e-09 of m |com|^2 = " in str(caught.value)
     with pytest.raises(pm.InvalidArgument, match="so rounding loses"):
         Body(arguments[0], np.append(arguments[2], 0.0)[:3], np.eye(3) * arguments[1])
 

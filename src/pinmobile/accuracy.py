@@ -1,4 +1,4 @@
-"""How good an integrator is: its order, the drift of what should stay, and what holding the force costs."""
+"""Accuracy of an integrator: order, drift of conserved quantities, and the cost of a zero-order hold."""
 
 from __future__ import annotations
 
@@ -21,25 +21,39 @@ from pinmobile.robot import MobileRobot
 from pinmobile.trajectories import Tangent
 
 EPS = float(np.finfo(np.float64).eps)
-_LEAST = 0.5  # an order below is that of an error that stays
-_ABOVE = 10.0  # times rounding, from where on an error is the method's
+"""Machine epsilon of float64, 2.2e-16."""
+_LEAST = 0.5  # smallest order that counts as convergence
+_ABOVE = 10.0  # smallest ratio of an error to rounding that enters the order
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class Convergence:
-    """How an error shrinks with the step.
+    """Error of an integrator as a function of the time step.
 
     Attributes
     ----------
     name, unit : str
-        What is wrong, and in what it is measured; the unit is empty where the error is relative.
+        Name and unit of the error; the unit is empty for a relative error.
     steps : ndarray, shape (n,)
-        Steps, the largest first [s].
+        Time steps, largest first [s].
     errors : ndarray, shape (n,)
-        Error at each step; infinite where the run diverged.
+        Error at each step, in `unit`; infinite for a run that diverged.
     rounding : ndarray, shape (n,)
-        What rounding alone may amount to at each step.
+        Error that rounding alone may cause at each step, in `unit`.
+
+    See Also
+    --------
+    accuracy.integrator_report : measurement of an integrator
+    plots.integrator : figure of the errors
+
+    Examples
+    --------
+    >>> from pinmobile.accuracy import Convergence
+    >>> errors = [4e-3, 1e-3, 2.5e-4]
+    >>> found = Convergence("position", "m", [0.1, 0.05, 0.025], errors, [1e-12] * 3)
+    >>> print(found)
+    order 2.00
     """
 
     name: str
@@ -55,14 +69,14 @@ class Convergence:
 
     @property
     def exact(self) -> bool:
-        """Whether the error is that of rounding at every step."""
+        """Whether rounding explains the error at every step."""
         return bool((self.errors <= self.rounding).all())
 
     @property
     def order(self) -> float | None:
-        """The slope of log error over log step, by least squares over the errors well above rounding.
+        """Slope of log error over log step, by least squares over the errors well above rounding.
 
-        None where fewer than two are: then there is nothing to fit.
+        It is None for fewer than two such errors.
         """
         clear = (self.errors > _ABOVE * self.rounding) & np.isfinite(self.errors)
         if clear.sum() < 2:
@@ -71,7 +85,7 @@ class Convergence:
 
     @property
     def converges(self) -> bool:
-        """Whether the error vanishes with the step, down to rounding: its order is above one half, if any."""
+        """Whether the error vanishes with the step, down to rounding: its order is None or above one half."""
         order = self.order
         return bool(np.isfinite(self.errors).all()) if order is None else order > _LEAST
 
@@ -80,21 +94,50 @@ class Convergence:
             return "exact to rounding"
         order = self.order
         if order is None:
-            return "diverges" if np.isinf(self.errors).any() else "too close to rounding to tell"
+            return "diverges" if np.isinf(self.errors).any() else "too close to rounding for an order"
         return f"order {order:.2f}" if self.converges else "does not converge"
 
 
-FAR = 1e-3 / EPS  # beyond, a metre is lost in rounding; well before anything overflows
+FAR = 1e-3 / EPS
+"""Largest position, 4.5e12 m: beyond, rounding would lose a millimetre, long before an overflow."""
 
 
 def guarded(integrator: Integrator) -> Integrator:
-    """Return the integrator, which raises where its answer is no state, or one that is far off.
+    """Return the integrator with checks: its step raises an error for an invalid or diverged state.
 
     Parameters
     ----------
     integrator : callable
-        What is watched: the step that comes back raises `InvalidArgument` where it returns something else
-        than q and v, and `Diverged` where they are not finite, or larger than numbers can resolve.
+        Integrator to check, see `integrators`.
+
+    Returns
+    -------
+    callable
+        The same step. It raises `InvalidArgument` for a result other than q and v, and `Diverged` for a
+        result that is not finite or exceeds `FAR`.
+
+    Raises
+    ------
+    InvalidArgument
+        If a step does not return q and v of the right shape.
+    Diverged
+        If a step returns values that are not finite or exceed `FAR`.
+
+    See Also
+    --------
+    rk4 : an integrator
+    accuracy.integrator_report : measurement of an integrator
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile import rk4
+    >>> from pinmobile.accuracy import guarded
+    >>> explode = lambda t, q, v: 1e300 * np.ones(3)
+    >>> guarded(rk4)(explode, 0.0, np.zeros(3), np.zeros(3), 0.1)
+    Traceback (most recent call last):
+    ...
+    pinmobile.errors.Diverged: the integrator diverged at t = 0.1 s
     """
 
     def step(acceleration: Acceleration, t: float, q: Array, v: Array, dt: float) -> tuple[Array, Array]:
@@ -113,21 +156,21 @@ def guarded(integrator: Integrator) -> Integrator:
     return step
 
 
-# Such that linear and angular momentum and energy are not zero, whatever the robot.
-_CENTRE, _DRIFT = np.array([0.5, -0.3]), np.array([0.6, 0.2])  # [m, m/s] of the centre of mass
+# Chosen so that momentum, angular momentum and energy are not zero for any robot.
+_CENTRE, _DRIFT = np.array([0.5, -0.3]), np.array([0.6, 0.2])  # position, velocity of the centre [m, m/s]
 _HEADING, _SPIN = 0.4, 1.0  # [rad, rad/s]
-_WALK = 64.0  # eps; over n steps, roundings add up as sqrt(n)
+_WALK = 64.0  # [eps]: rounding per step; over n steps, roundings add up as sqrt(n)
 
 
 class _Conserved(NamedTuple):
-    """What no motion of the free body changes.
+    """Conserved quantities of a body without external forces.
 
     Attributes
     ----------
     momentum : ndarray, shape (..., 2)
         Linear momentum [kg m/s].
     angular_momentum : ndarray, shape (...)
-        About the inertial origin [kg m^2/s].
+        Angular momentum about the inertial origin [kg m^2/s].
     energy : ndarray, shape (...)
         Kinetic energy [J].
     """
@@ -138,14 +181,37 @@ class _Conserved(NamedTuple):
 
 
 def conserved(robot: MobileRobot, q: Array, v: Array) -> _Conserved:
-    """Return momentum and energy, by the motion of the centre of mass.
+    """Return momentum, angular momentum and energy from the motion of the centre of mass.
 
     Parameters
     ----------
     robot : MobileRobot
-        Whose mass, yaw inertia and centre of mass count.
+        Robot with mass, yaw inertia and centre of mass.
     q, v : ndarray, shape (..., 3)
         Configuration [m, m, rad] and velocity [m/s, m/s, rad/s].
+
+    Returns
+    -------
+    momentum : ndarray, shape (..., 2)
+        Linear momentum [kg m/s].
+    angular_momentum : ndarray, shape (...)
+        Angular momentum about the inertial origin [kg m^2/s].
+    energy : ndarray, shape (...)
+        Kinetic energy [J].
+
+    See Also
+    --------
+    accuracy.free_motion : exact motion without forces
+    MobileRobot : `kinetic_energy` by Pinocchio
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile import MobileRobot
+    >>> from pinmobile.accuracy import conserved
+    >>> q, v = np.array([0.0, 2.0, 0.0]), np.array([1.0, 0.0, 0.0])
+    >>> conserved(MobileRobot.lecture(), q, v).angular_momentum
+    np.float64(-60.0)
     """
     arm, spin = _arm(robot, q[..., 2]), v[..., 2]
     centre, speed = q[..., :2] + arm, v[..., :2] + spin[..., None] * _left(arm)
@@ -155,19 +221,33 @@ def conserved(robot: MobileRobot, q: Array, v: Array) -> _Conserved:
 
 
 def free_motion(robot: MobileRobot, t: Array) -> tuple[Array, Array]:
-    """Return q and v of the free body, exactly: centre of mass and heading move uniformly.
+    """Return exact q and v of a body without forces: its centre of mass and its heading move uniformly.
 
     Parameters
     ----------
     robot : MobileRobot
-        Whose centre of mass counts.
+        Robot with the centre of mass.
     t : ndarray, shape (...)
         Times [s].
 
     Returns
     -------
     q, v : ndarray, shape (..., 3)
-        [m, m, rad] and [m/s, m/s, rad/s].
+        Configuration [m, m, rad] and velocity [m/s, m/s, rad/s].
+
+    See Also
+    --------
+    accuracy.conserved : momentum and energy of this motion
+    accuracy.free_body : errors of an integrator for this motion
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile import MobileRobot
+    >>> from pinmobile.accuracy import free_motion
+    >>> q, v = free_motion(MobileRobot.lecture(), np.array([0.0, 1.0]))
+    >>> q[1] - q[0]  # uniform motion [m, m, rad]
+    array([0.6, 0.2, 1. ])
     """
     psi = _HEADING + _SPIN * t
     arm = _arm(robot, psi)
@@ -179,29 +259,43 @@ def free_motion(robot: MobileRobot, t: Array) -> tuple[Array, Array]:
 def free_body(
     integrator: Integrator, robot: MobileRobot, steps: Sequence[float], duration: float
 ) -> tuple[Convergence, ...]:
-    """Return how pose, momentum and energy of the free body are kept at each step.
+    """Return the errors of pose, momentum and energy of a body without forces, for each time step.
 
     Parameters
     ----------
     integrator : callable
-        What is judged.
+        Integrator to measure, see `integrators`.
     robot : MobileRobot
-        What moves.
+        Moving robot.
     steps : sequence of float
-        Steps, each a whole part of the duration [s].
+        Time steps that divide the duration [s].
     duration : float
-        [s].
+        Duration of the motion [s].
 
     Returns
     -------
-    convergences : tuple of five Convergence
-        Position and heading at the end; the largest relative drift of linear momentum, angular momentum about
-        the origin, and kinetic energy.
+    tuple of five Convergence
+        Position [m] and heading [rad] at the end, and the largest relative drift of linear momentum, angular
+        momentum about the origin, and kinetic energy.
 
     Raises
     ------
     InvalidArgument
-        If the integrator returns something else than q and v.
+        If the integrator does not return q and v.
+
+    See Also
+    --------
+    accuracy.integrator_report : all measurements of an integrator
+    accuracy.held_force : errors in a closed loop
+
+    Examples
+    --------
+    >>> from pinmobile import MobileRobot, rk4
+    >>> from pinmobile.accuracy import free_body
+    >>> robot = MobileRobot(30, 1.0, com=(0.1, 0.05))
+    >>> position, *_ = free_body(rk4, robot, [0.1, 0.05], 1.0)
+    >>> position.order
+    4.0
     """
     step = guarded(integrator)
     errors = np.array([_errors(step, robot, h, round(duration / h)) for h in steps])
@@ -253,7 +347,7 @@ def _travelled(integrator: Integrator, robot: MobileRobot, h: float, count: int)
 
 
 def _scales(robot: MobileRobot, duration: float) -> tuple[float, ...]:
-    """Return the size of the terms that each error is the difference of."""
+    """Return the size of the terms whose difference is each error."""
     reach = float(np.linalg.norm(robot.com[:2]))
     far = float(np.linalg.norm(_CENTRE)) + duration * float(np.linalg.norm(_DRIFT)) + reach
     fast = float(np.linalg.norm(_DRIFT)) + reach * _SPIN
@@ -270,50 +364,69 @@ def _scales(robot: MobileRobot, duration: float) -> tuple[float, ...]:
 
 
 def _arm(robot: MobileRobot, psi: Array) -> Array:
-    """Return the centre of mass seen from the body's origin, along the inertial axes, shape (..., 2)."""
+    """Return the centre of mass from the body's origin, along the inertial axes, shape (..., 2) [m]."""
     x, y = robot.com[:2]
     return np.stack([x * np.cos(psi) - y * np.sin(psi), x * np.sin(psi) + y * np.cos(psi)], axis=-1)
 
 
 def _left(vector: Array) -> Array:
-    """Return the vector turned by a quarter to the left, shape (..., 2)."""
+    """Return the vector rotated by a quarter turn to the left, shape (..., 2)."""
     return np.stack([-vector[..., 1], vector[..., 0]], axis=-1)
 
 
-_RADIUS, _RATE = 1.0, 0.5  # [m, rad/s] of the circle that is driven
-_OFF = np.array([0.2, -0.1, 0.4])  # [m, m, rad] beside it at the start
+_RADIUS, _RATE = 1.0, 0.5  # radius and angular rate of the reference circle [m, rad/s]
+_OFF = np.array([0.2, -0.1, 0.4])  # initial error [m, m, rad]
 _GAIN = 4.0  # kp [1/s^2] and kd [1/s]: critically damped
-_MOST = 50_000  # accelerations asked for by the finer solution; it takes some thousand
-_TOLERANCE = 1e-13  # of the finer solution, relative
+_MOST = 50_000  # largest number of evaluations in the accurate solution, which needs some thousand
+_TOLERANCE = 1e-13  # relative tolerance of the accurate solution
 
 
 def held_force(
     integrator: Integrator, robot: MobileRobot, steps: Sequence[float], duration: float
 ) -> tuple[Convergence, Convergence, float]:
-    """Return how the integrator does between samples, how the loop does as they get closer, and their gap.
+    """Return the errors of an integrator between samples and of the sampled loop, and the cost of the hold.
 
-    The robot drives a circle by computed torque with an exact model, from beside it.
+    Computed torque with an exact model drives the robot from a point beside a circle onto this circle.
 
     Parameters
     ----------
     integrator : callable
-        What is judged.
+        Integrator to measure, see `integrators`.
     robot : MobileRobot
-        What is controlled.
+        Controlled robot.
     steps : sequence of float
-        Steps, the largest first; it is a whole multiple of each [s].
+        Time steps, largest first; the largest is a multiple of each [s].
     duration : float
-        [s].
+        Duration of each run [s].
 
     Returns
     -------
     substeps : Convergence
-        Largest distance from the loop whose force is held as long, and which is solved far finer. The force
-        is held over the largest step; the integrator divides it.
+        Largest distance from an accurate solution of the loop with the same zero-order hold [m]. The force is
+        constant over the largest step; the integrator divides this step.
     sampling : Convergence
-        Largest distance from the loop in continuous time, with the force held over each step.
+        Largest distance from the loop in continuous time [m]. The force is constant over each step.
     held : float
-        Largest distance between those two solutions, which no integrator could make up for [m].
+        Largest distance between these two solutions [m], which no integrator can reduce.
+
+    Raises
+    ------
+    InvalidArgument
+        If the integrator does not return q and v.
+
+    See Also
+    --------
+    accuracy.integrator_report : all measurements of an integrator
+    accuracy.free_body : errors without a controller
+
+    Examples
+    --------
+    >>> from pinmobile import MobileRobot, rk4
+    >>> from pinmobile.accuracy import held_force
+    >>> robot = MobileRobot(30, 1.0, com=(0.1, 0.05))
+    >>> _, sampling, cost = held_force(rk4, robot, [0.1, 0.05], 0.5)
+    >>> print(f"order {sampling.order:.0f}, hold {1e3 * cost:.1f} mm")
+    order 1, hold 8.3 mm
     """
     at = np.asarray(steps)
     run, step = partial(_run, robot, duration), guarded(integrator)
@@ -332,7 +445,7 @@ def held_force(
 def _run(
     robot: MobileRobot, duration: float, dt: float, integrator: Integrator, substeps: int
 ) -> Rollout | None:
-    """Return the loop, or None where it diverges."""
+    """Return the rollout of the loop, or None if the loop diverges."""
     trajectory = Tangent(Circle(_RADIUS, _RATE, duration))
     controller, start = ComputedTorque(robot, _GAIN, _GAIN), trajectory(0.0).q - _OFF
     try:
@@ -344,15 +457,15 @@ def _run(
 
 
 def _exactly() -> Integrator:
-    """Return a step of order 8 to about `_TOLERANCE`, which tells in bounded time that it diverges."""
-    # Figures of a report need no solver, and scipy's takes a while to load.
+    """Return a step of order 8 with a tolerance of `_TOLERANCE`, which detects divergence in bounded time."""
+    # Imported here: figures of a report need no solver, and scipy loads slowly.
     from scipy.integrate import solve_ivp
 
     asked = count()
 
     def step(acceleration: Acceleration, t: float, q: Array, v: Array, dt: float) -> tuple[Array, Array]:
         def rate(time: float, x: Array) -> Array:
-            # A body that the held force spins up needs ever shorter steps.
+            # A constant force may accelerate the body's rotation, which requires ever shorter steps.
             if next(asked) > _MOST or not np.abs(x).max() < FAR:
                 raise Diverged(f"the loop diverged at t = {time:g} s", time=time, q=x[:3], v=x[3:])
             return np.concatenate([x[3:], acceleration(time, x[:3], x[3:])])
@@ -371,10 +484,10 @@ def _distance(run: Rollout | None, other: Rollout | None) -> float:
 
 
 def _from_continuous(run: Rollout | None) -> float:
-    """Return the largest distance from the loop in continuous time.
+    """Return the largest distance from the loop in continuous time [m].
 
-    With the model exact, its error obeys e'' + kd e' + kp e = 0, of which kp = kd = 4 is the critically
-    damped case; the start is as fast as the reference.
+    With an exact model, the error satisfies e'' + kd e' + kp e = 0. kp = kd = 4 gives critical damping. The
+    initial velocity equals that of the reference.
     """
     if run is None:
         return np.inf
@@ -389,29 +502,42 @@ _WHOLE = 1e-9  # relative rounding allowed in a ratio of times
 @final
 @dataclass(frozen=True, eq=False, repr=False)
 class IntegratorReport:
-    """What was measured of an integrator; printed, it is a table.
+    """Measured accuracy of an integrator; its text is a table.
 
     Attributes
     ----------
     integrator : str
-        Its name.
+        Name of the integrator.
     robot : MobileRobot
-        What moved.
+        Moving robot.
     duration : float
-        How long [s].
+        Duration of each run [s].
     position, heading : Convergence
-        Error of the free body's pose at the end [m], [rad].
+        Error of the pose at the end, without forces [m], [rad].
     momentum, angular_momentum, energy : Convergence
-        Largest drift of what the free body should keep, relative to what it started with.
+        Largest relative drift of conserved quantities, without forces.
     substeps : Convergence
-        The loop with the force held over the largest step, divided into steps of the integrator: largest
-        distance from the same loop solved far finer [m]. Its order is the integrator's own.
+        Closed loop with a constant force over the largest step, which the integrator divides: largest
+        distance from an accurate solution of this loop [m]. Its order is the order of the integrator.
     sampling : Convergence
-        The loop with the force held over each step: largest distance from the loop in continuous time [m].
-        Its order is 1 for every integrator that converges, since the held force is late by half a step on
-        average.
+        Closed loop with a constant force over each step: largest distance from the loop in continuous time
+        [m]. Its order is 1 for every integrator that converges, since a zero-order hold delays the force by
+        half a step on average.
     held : float
-        What holding the force over the largest step costs by itself, with the motion in between exact [m].
+        Cost of the zero-order hold over the largest step alone, with exact motion between samples [m].
+
+    See Also
+    --------
+    accuracy.integrator_report : function that returns this object
+    plots.integrator : figure of this report
+
+    Examples
+    --------
+    >>> from pinmobile import rk4
+    >>> from pinmobile.accuracy import integrator_report
+    >>> report = integrator_report(rk4, steps=(0.1, 0.05), duration=0.2)
+    >>> report.held > 1000 * report.substeps.errors[0]
+    np.True_
     """
 
     integrator: str
@@ -428,7 +554,7 @@ class IntegratorReport:
 
     @property
     def free(self) -> tuple[Convergence, ...]:
-        """All that was measured of the free body."""
+        """All measurements of the body without forces."""
         return self.position, self.heading, self.momentum, self.angular_momentum, self.energy
 
     def __repr__(self) -> str:
@@ -448,16 +574,16 @@ class IntegratorReport:
         return "\n".join([*lines, "", *self._words()])
 
     def _words(self) -> list[str]:
-        """Return what the numbers mean."""
+        """Return the conclusions from the measurements, line by line."""
         dt, own = self.substeps.steps[0], float(self.substeps.errors[0])
         words = ["order p: with half the step, the error is 1 / 2^p."]
         if not all(row.converges for row in (*self.free, self.substeps)):
             return [
                 *words,
-                "It does not converge: it solves another equation, or the steps are too long.",
+                "The integrator does not converge: it solves another equation, or the steps are too long.",
             ]
-        words.append("In the loop, holding the force is of order 1 in dt, whatever the integrator.")
-        costs = f"At dt = {dt:g} s holding it costs {self.held:.2g} m, the integrator {own:.2g} m: "
+        words.append("In the loop, the zero-order hold has order 1 in dt, for every integrator.")
+        costs = f"At dt = {dt:g} s the hold costs {self.held:.2g} m, the integrator {own:.2g} m: "
         more = "a shorter dt gains more than a better integrator."
         less = "a better integrator, or substeps, gain more than a shorter dt."
         return [*words, costs + (more if own < self.held else less)]
@@ -470,42 +596,57 @@ def integrator_report(
     steps: Sequence[float] = (0.1, 0.05, 0.025, 0.0125, 0.00625),
     duration: float = 2.0,
 ) -> IntegratorReport:
-    """Measure an integrator: its order, what drifts, and what the held force costs beside it.
+    """Measure the accuracy of an integrator: order, drift, and the cost of the zero-order hold.
 
-    Alone, on the body that nothing acts on, which spins about a centre of mass that is not its origin: the
-    centre of mass and the heading move uniformly, so pose, momentum and energy are known. No method of this
-    library keeps momentum or energy exactly: M depends on psi, so none is a linear function of the state, and
-    semi-implicit Euler is symplectic in positions and momenta, not in q and v. All keep the heading, whose
-    acceleration is zero.
+    The first part simulates a body without forces whose centre of mass is not its origin. Its centre of mass
+    and heading move uniformly, so pose, momentum and energy are known. No integrator of this library
+    conserves momentum or energy exactly: M depends on psi, so neither is a linear function of the state, and
+    semi-implicit Euler is symplectic in positions and momenta, not in q and v. All integrators are exact in
+    the heading, whose acceleration is zero.
 
-    In the loop, where computed torque brings the robot back to a circle: as the force is held over the
-    largest step, which the integrator divides; and as the force is held over shorter and shorter times.
+    The second part simulates a closed loop, where computed torque drives the robot onto a circle. One series
+    keeps the force constant over the largest step, which the integrator divides. The other keeps the force
+    constant over shorter and shorter steps.
 
     Parameters
     ----------
     integrator : callable
-        One step, see `pinmobile.integrators`.
+        Function for one step, see `integrators`.
     robot : MobileRobot, optional
-        By default 30 kg and 1 kg m^2 with the centre of mass at (0.1, 0.05) m.
+        Robot; by default, 30 kg and 1 kg m^2 with the centre of mass at (0.1, 0.05) m.
     steps : sequence of float
-        Steps, the largest first [s]. It is the sampling time of the loop, and a whole multiple of the others.
+        Time steps, largest first [s]. The largest is the sampling time of the loop and a multiple of the
+        others.
     duration : float
-        Of each run [s]; a whole multiple of the largest step.
+        Duration of each run [s], a multiple of the largest step.
 
     Returns
     -------
-    report : IntegratorReport
-        Print it, or draw it with `pinmobile.plots.integrator`.
+    IntegratorReport
+        All errors; its text is a table.
 
     Raises
     ------
     InvalidArgument
-        If an argument is not what is expected, or the integrator returns something else than a state.
+        If an argument is not what is expected, or the integrator does not return a state.
+
+    See Also
+    --------
+    rk4 : Runge-Kutta method of order 4
+    plots.integrator : figure of the report
+
+    Examples
+    --------
+    >>> from pinmobile import rk4
+    >>> from pinmobile.accuracy import integrator_report
+    >>> report = integrator_report(rk4, steps=(0.1, 0.05), duration=0.2)
+    >>> print(report.position, "|", report.sampling)
+    order 4.00 | order 1.0...
     """
     callable_as(
         "integrator(acceleration, t, q, v, dt)",
         integrator,
-        "one of pinmobile.integrators or such a step",
+        "an integrator of pinmobile.integrators or a similar function",
     )
     body = MobileRobot(30, 1.0, com=(0.1, 0.05)) if robot is None else robot
     instance("robot", robot, MobileRobot | None, "a MobileRobot")
@@ -520,11 +661,11 @@ def _ladder(steps: Sequence[float], duration: float) -> list[float]:
     array = shaped("steps", finite("steps", steps), ("n>=2",))
     ladder: list[float] = array.tolist()
     if ladder[-1] <= 0 or any(finer >= coarser for coarser, finer in pairwise(ladder)):
-        raise InvalidArgument(f"steps are {ladder} s, expected ones > 0, the largest first")
+        raise InvalidArgument(f"steps are {ladder} s, expected steps > 0, the largest first")
     if duration / ladder[-1] > _MOST_STEPS:
         raise InvalidArgument(
-            f"duration is {duration} s, which makes {duration / ladder[-1]:.3g} of the shortest step, "
-            f"expected at most {_MOST_STEPS:g}"
+            f"duration is {duration} s, which gives {duration / ladder[-1]:.3g} of the shortest step, "
+            f"expected at most {_MOST_STEPS:g}: use a longer step"
         )
     for name, whole, part in (
         ("duration", duration, ladder[0]),

@@ -1,4 +1,4 @@
-"""The equations of motion derived by hand: of the lecture's body, and of drives whose wheels roll."""
+"""Equations of motion derived by hand: for the lecture's body, and for drives with rolling wheels."""
 
 from __future__ import annotations
 
@@ -12,23 +12,25 @@ from pinmobile.arrays import Array, ArrayLike, bounded, finite, finite_answer, s
 from pinmobile.errors import InvalidArgument
 
 Numbers: TypeAlias = Array | float
-"""A parameter of all bodies, or one for each, shape (...)."""
+"""One number for all bodies, or an array with one number per body, shape (...)."""
 
 _SIZES = {"q": 3, "v": 3, "a": 3, "tau": 3, "twist": 3, "nu": 2, "com": 2}
-_COMPONENTS = "twist", "nu", "com"  # whose numbers the formulas take one by one
+_COMPONENTS = "twist", "nu", "com"  # the formulas take the numbers of these one by one
 _POSITIVE = "mass", "yaw_inertia", "wheelbase", "radius"
 _NOT_NEGATIVE = "track", "spin_inertia", "steered_inertia"
 _ACUTE = "steering", "roller"
-_quietly = np.errstate(over="ignore", invalid="ignore", divide="ignore")  # what looks at its answer itself
+_quietly = np.errstate(over="ignore", invalid="ignore", divide="ignore")  # for functions that check results
 
 
 def _arguments(**given: ArrayLike) -> tuple[list[Array], Callable[[Array], Array]]:
-    """Return arguments by what their names ask for, numbers in one shape, and the check of an answer.
+    """Return checked arguments, with numbers in one shape, and the check of a result.
+
+    The name of an argument determines its expected shape and range.
 
     Raises
     ------
     InvalidArgument
-        If a shape does not fit, a value is not finite, or not in its range.
+        If a shape does not fit, or a value is not finite or not in its range.
     """
     checked, parts, shapes = dict[str, Array](), list[Array](), dict[str, tuple[int, ...]]()
     for name, value in given.items():
@@ -58,7 +60,7 @@ def _broadcast(shapes: dict[str, tuple[int, ...]]) -> tuple[int, ...]:
 
 
 def _turned(q: Array, x: Numbers, y: Numbers) -> tuple[Array, Array]:
-    """Return d, the centre of mass (x, y) of the body frame along the inertial axes, each of shape (...)."""
+    """Return d, the vector (x, y) of the body frame along the inertial axes, each entry of shape (...)."""
     c, s = np.cos(q[..., 2]), np.sin(q[..., 2])
     return x * c - y * s, x * s + y * c
 
@@ -70,28 +72,40 @@ def _stacked(*columns: ArrayLike) -> Array:
 
 @_quietly
 def mass_matrix(q: ArrayLike, *, mass: ArrayLike, yaw_inertia: ArrayLike, com: ArrayLike = (0, 0)) -> Array:
-    """Return the mass matrix M(q).
+    """Return the mass matrix M(q) of the lecture's body.
 
     Parameters
     ----------
     q : array_like, shape (..., 3)
         Configuration (x, y, psi) [m, m, rad].
     mass, yaw_inertia : array_like, shape (...)
-        Mass [kg]; inertia about the vertical through the centre of mass [kg m^2].
+        Mass [kg], and moment of inertia about the vertical axis through the centre of mass [kg m^2].
     com : array_like, shape (..., 2)
         Centre of mass (xbc, ybc) in the body frame [m].
 
     Returns
     -------
-    M : ndarray, shape (..., 3, 3)
-        [kg, kg m, kg m^2].
+    ndarray, shape (..., 3, 3)
+        Mass matrix [kg, kg m, kg m^2].
 
     Raises
     ------
     InvalidArgument
         If a shape does not fit, a value is not finite, or a mass or inertia is not positive.
     NotFinite
-        If the answer is beyond the numbers that a computer has.
+        If the result overflows.
+
+    See Also
+    --------
+    MobileRobot : `mass_matrix` by Pinocchio
+    verify : comparison of these formulas with other methods
+
+    Examples
+    --------
+    >>> from pinmobile import closed_form
+    >>> body = {"mass": 20.0, "yaw_inertia": 0.5, "com": (0.1, 0.0)}
+    >>> closed_form.mass_matrix([0, 0, 0], **body).diagonal()
+    array([20. , 20. ,  0.7])
     """
     numbers, answer = _arguments(q=q, mass=mass, yaw_inertia=yaw_inertia, com=com)
     return answer(unchecked_mass_matrix(*numbers))
@@ -100,14 +114,30 @@ def mass_matrix(q: ArrayLike, *, mass: ArrayLike, yaw_inertia: ArrayLike, com: A
 def unchecked_mass_matrix(
     q: Array, mass: Numbers, yaw_inertia: Numbers, com_x: Numbers, com_y: Numbers
 ) -> Array:
-    """Return `mass_matrix` without a look at the arguments: for laws that run on symbols or arrays.
+    """Return `mass_matrix` without checks, for laws with symbols or arrays.
 
     Parameters
     ----------
     q : ndarray, shape (..., 3)
-        As in `mass_matrix`.
+        Configuration [m, m, rad].
     mass, yaw_inertia, com_x, com_y : ndarray, shape (...)
-        As in `mass_matrix`, with the leading axes of q.
+        Parameters of the body as in `mass_matrix`, with the leading axes of q [kg, kg m^2, m, m].
+
+    Returns
+    -------
+    ndarray, shape (..., 3, 3)
+        Mass matrix [kg, kg m, kg m^2].
+
+    See Also
+    --------
+    closed_form.mass_matrix : the same function with checks
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile.closed_form import unchecked_mass_matrix
+    >>> unchecked_mass_matrix(np.zeros(3), 20.0, 0.5, 0.1, 0.0)[2, 2]
+    np.float64(0.7)
     """
     dx, dy = _turned(q, com_x, com_y)
     M = np.zeros((*dx.shape, 3, 3))
@@ -120,7 +150,7 @@ def unchecked_mass_matrix(
 
 @_quietly
 def coriolis_matrix(q: ArrayLike, v: ArrayLike, *, mass: ArrayLike, com: ArrayLike = (0, 0)) -> Array:
-    """Return the matrix C(q, v) of Christoffel symbols: C v = n and dM/dt - 2 C is skew-symmetric.
+    """Return the matrix C(q, v) of Christoffel symbols: C v = n, and dM/dt - 2 C is skew-symmetric.
 
     Parameters
     ----------
@@ -133,29 +163,58 @@ def coriolis_matrix(q: ArrayLike, v: ArrayLike, *, mass: ArrayLike, com: ArrayLi
 
     Returns
     -------
-    C : ndarray, shape (..., 3, 3)
-        Only its last column is not zero.
+    ndarray, shape (..., 3, 3)
+        C(q, v) [kg/s, kg m/s]. Only its last column is not zero.
 
     Raises
     ------
     InvalidArgument
         If a shape does not fit, a value is not finite, or a mass is not positive.
     NotFinite
-        If the answer is beyond the numbers that a computer has.
+        If the result overflows.
+
+    See Also
+    --------
+    closed_form.nonlinear_effects : the product C v
+
+    Examples
+    --------
+    >>> from pinmobile import closed_form
+    >>> q, v = [0, 0, 0], [0, 0, 2]
+    >>> C = closed_form.coriolis_matrix(q, v, mass=20.0, com=(0.1, 0.0))
+    >>> (C @ v)[0]  # centrifugal force [N]
+    np.float64(-8.0)
     """
     numbers, answer = _arguments(q=q, v=v, mass=mass, com=com)
     return answer(unchecked_coriolis_matrix(*numbers))
 
 
 def unchecked_coriolis_matrix(q: Array, v: Array, mass: Numbers, com_x: Numbers, com_y: Numbers) -> Array:
-    """Return `coriolis_matrix` without a look at the arguments: for laws that run on symbols or arrays.
+    """Return `coriolis_matrix` without checks, for laws with symbols or arrays.
 
     Parameters
     ----------
     q, v : ndarray, shape (..., 3)
-        As in `coriolis_matrix`.
+        Configuration [m, m, rad] and velocity [m/s, m/s, rad/s].
     mass, com_x, com_y : ndarray, shape (...)
-        As in `coriolis_matrix`, with the leading axes of q.
+        Parameters of the body as in `coriolis_matrix`, with the leading axes of q [kg, m, m].
+
+    Returns
+    -------
+    ndarray, shape (..., 3, 3)
+        C(q, v) [kg/s, kg m/s].
+
+    See Also
+    --------
+    closed_form.coriolis_matrix : the same function with checks
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile.closed_form import unchecked_coriolis_matrix
+    >>> v = np.array([0.0, 0.0, 2.0])
+    >>> unchecked_coriolis_matrix(np.zeros(3), v, 20.0, 0.1, 0.0)[0, 2]
+    np.float64(-4.0)
     """
     dx, dy = _turned(q, com_x, com_y)
     rate = v[..., 2]
@@ -167,7 +226,7 @@ def unchecked_coriolis_matrix(q: Array, v: Array, mass: Numbers, com_x: Numbers,
 
 @_quietly
 def nonlinear_effects(q: ArrayLike, v: ArrayLike, *, mass: ArrayLike, com: ArrayLike = (0, 0)) -> Array:
-    """Return the nonlinear effects n(q, v): the centrifugal force, since the ground is level.
+    """Return the nonlinear effects n(q, v), which are the centrifugal force since the ground is level.
 
     Parameters
     ----------
@@ -180,15 +239,28 @@ def nonlinear_effects(q: ArrayLike, v: ArrayLike, *, mass: ArrayLike, com: Array
 
     Returns
     -------
-    n : ndarray, shape (..., 3)
-        [N, N, N m].
+    ndarray, shape (..., 3)
+        Nonlinear effects [N, N, N m].
 
     Raises
     ------
     InvalidArgument
         If a shape does not fit, a value is not finite, or a mass is not positive.
     NotFinite
-        If the answer is beyond the numbers that a computer has.
+        If the result overflows.
+
+    See Also
+    --------
+    closed_form.coriolis_matrix : matrix C with C v = n
+    MobileRobot : `nonlinear_effects` by Pinocchio
+
+    Examples
+    --------
+    >>> from pinmobile import closed_form
+    >>> q, v = [0, 0, 0], [0, 0, 2]  # turn at 2 rad/s
+    >>> n = closed_form.nonlinear_effects(q, v, mass=20.0, com=(0.1, 0))
+    >>> n[0], -20.0 * 0.1 * 2**2  # [N]
+    (np.float64(-8.0), -8.0)
     """
     (q, v, m, x, y), answer = _arguments(q=q, v=v, mass=mass, com=com)
     dx, dy = _turned(q, x, y)
@@ -213,21 +285,34 @@ def inverse_dynamics(
     q, v, a : array_like, shape (..., 3)
         Configuration [m, m, rad], velocity [m/s, m/s, rad/s], acceleration [m/s^2, m/s^2, rad/s^2].
     mass, yaw_inertia : array_like, shape (...)
-        Mass [kg]; inertia about the vertical through the centre of mass [kg m^2].
+        Mass [kg], and moment of inertia about the vertical axis through the centre of mass [kg m^2].
     com : array_like, shape (..., 2)
         Centre of mass (xbc, ybc) in the body frame [m].
 
     Returns
     -------
-    tau : ndarray, shape (..., 3)
-        (Fx, Fy, Mz) [N, N, N m].
+    ndarray, shape (..., 3)
+        Generalised force (Fx, Fy, Mz) [N, N, N m].
 
     Raises
     ------
     InvalidArgument
         If a shape does not fit, a value is not finite, or a mass or inertia is not positive.
     NotFinite
-        If the answer is beyond the numbers that a computer has.
+        If the result overflows.
+
+    See Also
+    --------
+    closed_form.forward_dynamics : inverse function
+    ComputedTorque : controller with inverse dynamics
+
+    Examples
+    --------
+    >>> from pinmobile import closed_form
+    >>> body = {"mass": 20.0, "yaw_inertia": 0.5, "com": (0.1, 0.0)}
+    >>> q, v, a = [0, 0, 0], [0, 0, 2], [1, 0, 0]
+    >>> closed_form.inverse_dynamics(q, v, a, **body)  # [N, N, N m]
+    array([12., 0., 0.])
     """
     numbers, answer = _arguments(q=q, v=v, a=a, mass=mass, yaw_inertia=yaw_inertia, com=com)
     return answer(unchecked_inverse_dynamics(*numbers))
@@ -243,33 +328,46 @@ def forward_dynamics(
     yaw_inertia: ArrayLike,
     com: ArrayLike = (0, 0),
 ) -> Array:
-    """Return the acceleration a = M(q)^-1 (tau - n(q, v)), without forming M.
+    """Return the acceleration a = M(q)^-1 (tau - n(q, v)) without forming M.
 
-    The yaw equation about the centre of mass, Icz psi_ddot = Mz - (d_x Fy - d_y Fx), decouples; the other
-    two follow from it.
+    The yaw equation about the centre of mass, Icz psi_ddot = Mz - (d_x Fy - d_y Fx), is decoupled. The other
+    two equations follow from it.
 
     Parameters
     ----------
     q, v : array_like, shape (..., 3)
         Configuration [m, m, rad] and velocity [m/s, m/s, rad/s].
     tau : array_like, shape (..., 3)
-        (Fx, Fy, Mz) [N, N, N m].
+        Generalised force (Fx, Fy, Mz) [N, N, N m].
     mass, yaw_inertia : array_like, shape (...)
-        Mass [kg]; inertia about the vertical through the centre of mass [kg m^2].
+        Mass [kg], and moment of inertia about the vertical axis through the centre of mass [kg m^2].
     com : array_like, shape (..., 2)
         Centre of mass (xbc, ybc) in the body frame [m].
 
     Returns
     -------
-    a : ndarray, shape (..., 3)
-        [m/s^2, m/s^2, rad/s^2].
+    ndarray, shape (..., 3)
+        Acceleration [m/s^2, m/s^2, rad/s^2].
 
     Raises
     ------
     InvalidArgument
         If a shape does not fit, a value is not finite, or a mass or inertia is not positive.
     NotFinite
-        If the answer is beyond the numbers that a computer has.
+        If the result overflows.
+
+    See Also
+    --------
+    closed_form.inverse_dynamics : inverse function
+    simulate : simulation of a robot
+
+    Examples
+    --------
+    >>> from pinmobile import closed_form
+    >>> body = {"mass": 20.0, "yaw_inertia": 0.5, "com": (0.1, 0.0)}
+    >>> rest = [0, 0, 0]
+    >>> closed_form.forward_dynamics(rest, rest, [0, 20, 0], **body)
+    array([ 0. ,  1.4, -4. ])
     """
     numbers, answer = _arguments(q=q, v=v, tau=tau, mass=mass, yaw_inertia=yaw_inertia, com=com)
     return answer(unchecked_forward_dynamics(*numbers))
@@ -278,14 +376,31 @@ def forward_dynamics(
 def unchecked_inverse_dynamics(
     q: Array, v: Array, a: Array, mass: Numbers, yaw_inertia: Numbers, com_x: Numbers, com_y: Numbers
 ) -> Array:
-    """Return `inverse_dynamics` without a look at the arguments: for loops that judge what comes.
+    """Return `inverse_dynamics` without checks, for loops that check their arguments.
 
     Parameters
     ----------
     q, v, a : ndarray, shape (..., 3)
-        As in `inverse_dynamics`.
+        Configuration [m, m, rad], velocity [m/s, m/s, rad/s], acceleration [m/s^2, m/s^2, rad/s^2].
     mass, yaw_inertia, com_x, com_y : ndarray, shape (...)
-        As in `inverse_dynamics`, with the leading axes of q.
+        Parameters of the body as in `inverse_dynamics`, with the leading axes of q [kg, kg m^2, m, m].
+
+    Returns
+    -------
+    ndarray, shape (..., 3)
+        Generalised force (Fx, Fy, Mz) [N, N, N m].
+
+    See Also
+    --------
+    closed_form.inverse_dynamics : the same function with checks
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile.closed_form import unchecked_inverse_dynamics
+    >>> rest, a = np.zeros(3), np.array([1.0, 0.0, 0.0])
+    >>> unchecked_inverse_dynamics(rest, rest, a, 20.0, 0.5, 0.1, 0.0)
+    array([20., 0., 0.])
     """
     dx, dy = _turned(q, com_x, com_y)
     rate2, spin = v[..., 2] ** 2, a[..., 2]
@@ -298,14 +413,31 @@ def unchecked_inverse_dynamics(
 def unchecked_forward_dynamics(
     q: Array, v: Array, tau: Array, mass: Numbers, yaw_inertia: Numbers, com_x: Numbers, com_y: Numbers
 ) -> Array:
-    """Return `forward_dynamics` without a look at the arguments: for loops that judge what comes.
+    """Return `forward_dynamics` without checks, for loops that check their arguments.
 
     Parameters
     ----------
     q, v, tau : ndarray, shape (..., 3)
-        As in `forward_dynamics`.
+        Configuration [m, m, rad], velocity [m/s, m/s, rad/s], generalised force [N, N, N m].
     mass, yaw_inertia, com_x, com_y : ndarray, shape (...)
-        As in `forward_dynamics`, with the leading axes of q.
+        Parameters of the body as in `forward_dynamics`, with the leading axes of q [kg, kg m^2, m, m].
+
+    Returns
+    -------
+    ndarray, shape (..., 3)
+        Acceleration [m/s^2, m/s^2, rad/s^2].
+
+    See Also
+    --------
+    closed_form.forward_dynamics : the same function with checks
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile.closed_form import unchecked_forward_dynamics
+    >>> rest, tau = np.zeros(3), np.array([20.0, 0.0, 0.0])
+    >>> unchecked_forward_dynamics(rest, rest, tau, 20.0, 0.5, 0.1, 0.0)
+    array([1., 0., 0.])
     """
     dx, dy = _turned(q, com_x, com_y)
     rate2, fx, fy = v[..., 2] ** 2, tau[..., 0], tau[..., 1]
@@ -314,16 +446,30 @@ def unchecked_forward_dynamics(
 
 
 class ReducedModel(NamedTuple):
-    """M nu' + n = B tau in the independent velocities nu.
+    """Dynamics M nu' + n = B tau in the independent velocities nu.
 
     Attributes
     ----------
     M : ndarray, shape (..., m, m)
-        Mass matrix.
+        Mass matrix [kg, kg m, kg m^2].
     n : ndarray, shape (..., m)
-        Nonlinear effects.
+        Nonlinear effects [N, N m].
     B : ndarray, shape (..., m, inputs)
-        What torques are to nu.
+        Input matrix, from motor torques to generalised forces along nu [1/m, 1].
+
+    See Also
+    --------
+    closed_form.differential_drive : model with two driven wheels
+    closed_form.roller_drive : model with mecanum or omni wheels
+    closed_form.car : model with steered wheels
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile.closed_form import ReducedModel
+    >>> M, n, B = ReducedModel(np.eye(2) * 30, np.zeros(2), np.eye(2) * 10)
+    >>> np.linalg.solve(M, B @ [3, 0] - n)  # nu' [m/s^2]
+    array([1., 0.])
     """
 
     M: Array
@@ -343,46 +489,62 @@ def differential_drive(
     spin_inertia: ArrayLike = 0.0,
     axle: ArrayLike = 0.0,
 ) -> ReducedModel:
-    """Return the dynamics of two fixed wheels on one axle, nu = (v, w): speed of its middle, and yaw rate.
+    """Return the dynamics of two wheels on one axle, in nu = (v, w): speed of its midpoint, and yaw rate.
 
-    With b half the track, r the radius, I_w the spin inertia, (dx, dy) the centre of mass from the middle of
-    the axle, and the rates of the wheels (v - b w) / r on the left and (v + b w) / r on the right::
+    Let b be half the track, r the wheel radius, I_w the spin inertia and (dx, dy) the centre of mass relative
+    to the midpoint of the axle. The wheels rotate at (v - b w) / r on the left and (v + b w) / r on the
+    right. Then::
 
         M = [ m + 2 I_w / r^2          -m dy                              ]   n = [ -m dx w^2 ]
             [ -m dy       Icz + m (dx^2 + dy^2) + 2 I_w b^2 / r^2         ]       [ m dx v w  ]
 
         B tau = ( tau_R + tau_L, b (tau_R - tau_L) ) / r
 
-    (R. Dhaouadi and A. Abu Hatab, "Dynamic modelling of differential-drive mobile robots using Lagrange and
-    Newton-Euler methodologies: a unified framework", Advances in Robotics and Automation 2(2), 2013, with the
-    centre of mass off the middle line too.)
+    The equations follow R. Dhaouadi and A. Abu Hatab, "Dynamic modelling of differential-drive mobile robots
+    using Lagrange and Newton-Euler methodologies: a unified framework", Advances in Robotics and Automation
+    2(2), 2013. The centre of mass may also lie off the centre line.
 
     Parameters
     ----------
     nu : array_like, shape (..., 2)
-        [m/s, rad/s].
+        Speed and yaw rate [m/s, rad/s].
     mass, yaw_inertia : array_like, shape (...)
-        [kg]; about the vertical through the centre of mass [kg m^2].
+        Mass [kg], and moment of inertia about the vertical axis through the centre of mass [kg m^2].
     com : array_like, shape (..., 2)
-        Centre of mass in the body's frame [m].
+        Centre of mass in the body frame [m].
     track, radius : array_like, shape (...)
-        Distance of the wheels; their radius [m].
+        Distance between the wheels, and wheel radius [m].
     spin_inertia : array_like, shape (...)
-        Of each wheel [kg m^2].
+        Moment of inertia of each wheel about its axle [kg m^2].
     axle : array_like, shape (...)
-        Its place forward in the body's frame [m].
+        Position x of the axle in the body frame [m].
 
     Returns
     -------
-    model : ReducedModel
-        Its torques are those of the left and the right wheel [N m].
+    ReducedModel
+        Model with the torques of the left and the right wheel as inputs [N m].
 
     Raises
     ------
     InvalidArgument
-        If a shape does not fit, a value is not finite, or not in its range.
+        If a shape does not fit, or a value is not finite or not in its range.
     NotFinite
-        If the answer is beyond the numbers that a computer has.
+        If the result overflows.
+
+    See Also
+    --------
+    WheelTable : `differential` makes the wheels of this drive
+    derivation.differential_drive : symbolic derivation of this model
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile import closed_form
+    >>> M, n, B = closed_form.differential_drive(
+    ...     [1, 0], mass=30, yaw_inertia=1.3, track=0.4, radius=0.1
+    ... )
+    >>> np.linalg.solve(M, B @ [1.5, 1.5] - n)  # [m/s^2, rad/s^2]
+    array([1., 0.])
     """
     body = {"mass": mass, "yaw_inertia": yaw_inertia, "com": com, "track": track, "radius": radius}
     numbers, answer = _arguments(**body, spin_inertia=spin_inertia, axle=axle, nu=nu)
@@ -409,11 +571,11 @@ def roller_drive(
     radius: ArrayLike,
     spin_inertia: ArrayLike = 0.0,
 ) -> ReducedModel:
-    """Return the dynamics of fixed wheels with rollers, mecanum or omni, in the body twist (vx, vy, w).
+    """Return the dynamics of fixed wheels with rollers (mecanum or omni), in the body twist (vx, vy, w).
 
-    The rate of a wheel at (x, y) that rolls along the angle delta, its roller at the ground along delta +
-    gamma, is the row ( cos(delta + gamma), sin(delta + gamma), x sin(delta + gamma) - y cos(delta + gamma) )
-    / (r cos gamma) of J times the twist, and::
+    Consider a wheel at (x, y) that rolls in the direction delta, with its roller at the ground along
+    delta + gamma. Its rate is the product of the twist and the row ( cos(delta + gamma), sin(delta + gamma),
+    x sin(delta + gamma) - y cos(delta + gamma) ) / (r cos gamma) of J. Then::
 
         (M_b + J' diag(I_w) J) u' + c(u) = J' tau       [ m     0    -m yc                   ]
                                                   M_b = [ 0     m     m xc                   ]
@@ -421,33 +583,51 @@ def roller_drive(
 
         c(u) = m w ( -vy - xc w,  vx - yc w,  xc vx + yc vy )
 
-    (P. F. Muir and C. P. Neuman, "Kinematic modeling of wheeled mobile robots", Journal of Robotic Systems
-    4(2), 1987, for J.)
+    J follows P. F. Muir and C. P. Neuman, "Kinematic modeling of wheeled mobile robots", Journal of Robotic
+    Systems 4(2), 1987.
 
     Parameters
     ----------
     twist : array_like, shape (..., 3)
-        Forward, left, yaw rate [m/s, m/s, rad/s].
-    mass, yaw_inertia, com
-        As of `differential_drive`.
+        Forward velocity, left velocity, yaw rate [m/s, m/s, rad/s].
+    mass, yaw_inertia : array_like, shape (...)
+        Mass [kg], and moment of inertia about the vertical axis through the centre of mass [kg m^2].
+    com : array_like, shape (..., 2)
+        Centre of mass in the body frame [m].
     x, y, angle : array_like, shape (..., wheels)
-        Place of each wheel [m], and angle of its rolling direction from the body's x [rad].
+        Position of each wheel [m, m], and angle of its rolling direction from the body's x axis [rad].
     roller : array_like, shape (..., wheels)
-        Angle of the axis of the roller at the ground from the rolling direction, less than a right one [rad].
+        Angle of the roller's axis at the ground from the rolling direction, within (-pi/2, pi/2) [rad].
     radius, spin_inertia : array_like, shape (..., wheels) or (...)
-        Of each wheel, or a number for all [m], [kg m^2].
+        Radius [m] and moment of inertia about the axle [kg m^2], for each wheel or for all.
 
     Returns
     -------
-    model : ReducedModel
-        Its torques are those of the wheels [N m].
+    ReducedModel
+        Model with the torques of the wheels as inputs [N m].
 
     Raises
     ------
     InvalidArgument
-        If a shape does not fit, a value is not finite, or not in its range.
+        If a shape does not fit, or a value is not finite or not in its range.
     NotFinite
-        If the answer is beyond the numbers that a computer has.
+        If the result overflows.
+
+    See Also
+    --------
+    WheelTable : `mecanum` and `omni` make the wheels of such drives
+    derivation.roller_drive : symbolic derivation of this model
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile import closed_form
+    >>> x, y = [0.2, 0.2, -0.2, -0.2], [0.2, -0.2, 0.2, -0.2]
+    >>> roller = np.array([-1, 1, 1, -1]) * np.pi / 4  # mecanum
+    >>> M, n, B = closed_form.roller_drive([0, 0, 0], mass=40,
+    ...     yaw_inertia=1, x=x, y=y, angle=0, roller=roller, radius=0.1)
+    >>> np.linalg.solve(M, B @ [-1, 1, 1, -1])[1]  # left [m/s^2]
+    np.float64(1.0)
     """
     body = {"mass": mass, "yaw_inertia": yaw_inertia, "com": com, "twist": twist}
     wheels = {"x": x, "y": y, "angle": angle, "roller": roller, "radius": radius}
@@ -478,12 +658,12 @@ def car(
     spin_inertia: ArrayLike = 0.0,
     steered_inertia: ArrayLike = 0.0,
 ) -> ReducedModel:
-    """Return the dynamics of a car, nu = (v, delta'): speed of the rear axle's middle, and steering rate.
+    """Return the dynamics of a car in nu = (v, delta'): speed of the rear axle's midpoint, and steering rate.
 
-    Two wheels on the rear axle, in whose middle the body's origin lies, and two in front at a distance L,
-    that Ackermann's law turns so that all axles meet: cot delta_i = cot delta - y_i / L at y_i = -+b, half
-    the track. With T = tan delta, w = v T / L, g_i = d delta_i / d delta = 1 / (sin^2 delta + (cos delta -
-    y_i sin delta / L)^2), and g_i' = d g_i / d delta::
+    The origin of the body frame lies at the midpoint of the rear axle with its two wheels. The front axle
+    with two steered wheels is at the distance L. Ackermann's law makes all axles intersect: cot delta_i = cot
+    delta - y_i / L at y_i = -+b, half the track. With T = tan delta, w = v T / L, g_i = d delta_i / d delta =
+    1 / (sin^2 delta + (cos delta - y_i sin delta / L)^2), and g_i' = d g_i / d delta::
 
         M11 = m (1 - 2 yc T / L) + (Icz + m (xc^2 + yc^2)) T^2 / L^2
               + 2 I_w / r^2 (1 + 1 / cos^2 delta + 2 b^2 T^2 / L^2)
@@ -494,36 +674,53 @@ def car(
         B tau = ( tau_rear / r + tau_front sum k_i / (2 r), tau_steering )
         k_i = sqrt((1 - y_i T / L)^2 + T^2)
 
-    Without a track g_i = 1 and k_i = 1 / cos delta: the two wheels of an axle stand in one place, and it is a
-    bicycle with wheels of twice the inertia. The steering torque pushes the car and driving turns the wheels
-    by the same term M12. It holds at every angle below a right one, for steered wheels whose centres lie on
-    their pivots: with a trail, masses and moments would depend on the angle.
+    For a track of zero, g_i = 1 and k_i = 1 / cos delta: the two wheels of each axle coincide, and the model
+    is a bicycle with wheels of twice the inertia. The term M12 couples both motions: the steering torque
+    accelerates the car, and driving turns the steered wheels. The model is valid at every angle below pi/2,
+    for steered wheels with their centres on their pivots. With a trail, masses and inertias would depend on
+    the angle.
 
     Parameters
     ----------
     nu : array_like, shape (..., 2)
-        [m/s, rad/s].
+        Speed and steering rate [m/s, rad/s].
     steering : array_like, shape (...)
-        Angle delta of a wheel in the middle of the front axle, less than a right one [rad].
-    mass, yaw_inertia, com
-        As of `differential_drive`.
+        Angle delta of a virtual wheel at the midpoint of the front axle, within (-pi/2, pi/2) [rad].
+    mass, yaw_inertia : array_like, shape (...)
+        Mass [kg], and moment of inertia about the vertical axis through the centre of mass [kg m^2].
+    com : array_like, shape (..., 2)
+        Centre of mass in the body frame [m].
     wheelbase, radius, track : array_like, shape (...)
-        Distance of the axles; radius of the wheels; distance of the two of an axle [m].
+        Distance between the axles, wheel radius, and distance between the wheels of an axle [m].
     spin_inertia, steered_inertia : array_like, shape (...)
-        Of each wheel about its axle, and of each front one about the vertical [kg m^2].
+        Moments of inertia of each wheel about its axle, and of each front wheel about the vertical [kg m^2].
 
     Returns
     -------
-    model : ReducedModel
-        Its torques are those on the rear axle and the front one, shared equally by their wheels (an open
-        differential), and on the steering [N m].
+    ReducedModel
+        Model with three torques as inputs [N m]: rear axle and front axle, each split equally between its
+        wheels (an open differential), and steering.
 
     Raises
     ------
     InvalidArgument
-        If a shape does not fit, a value is not finite, or not in its range.
+        If a shape does not fit, or a value is not finite or not in its range.
     NotFinite
-        If the answer is beyond the numbers that a computer has.
+        If the result overflows.
+
+    See Also
+    --------
+    WheelTable : `car` makes the wheels of this drive
+    derivation.car : symbolic derivation of this model
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile import closed_form
+    >>> M, n, B = closed_form.car([1, 0], 0.0, mass=1000, wheelbase=2.5,
+    ...     yaw_inertia=1300, radius=0.3, steered_inertia=1)
+    >>> np.linalg.solve(M, B @ [300, 0, 0] - n)  # [m/s^2, rad/s^2]
+    array([1., 0.])
     """
     body = {"mass": mass, "yaw_inertia": yaw_inertia, "com": com, "wheelbase": wheelbase, "radius": radius}
     wheels = {"track": track, "spin_inertia": spin_inertia, "steered_inertia": steered_inertia}
@@ -540,7 +737,7 @@ def car(
         driven[k] = np.hypot(1 - y * T, T * L)
     M11 = m * (1 - 2 * yc * T) + J * T**2 + 2 * spin / r**2 * (1 + 1 / c**2 + 2 * (b * T) ** 2)
     M12 = turned * T * ratio.sum(0)
-    half = (-m * yc + J * T + 2 * spin / r**2 * (L**2 + 2 * b**2) * T) * turn  # of the derivative of M11
+    half = (-m * yc + J * T + 2 * spin / r**2 * (L**2 + 2 * b**2) * T) * turn  # half the derivative of M11
     n = _stacked(
         half * v * rate + turned * T * tilt.sum(0) * rate**2,
         turned * (turn * ratio.sum(0) * v * rate + (ratio * tilt).sum(0) * rate**2),

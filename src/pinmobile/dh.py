@@ -69,8 +69,9 @@ class DHRow:
     >>> from math import pi
     >>> from pinmobile.dh import DHRow, DHTable, JointType
     >>> elbow = DHRow(0, 0.5, 0, 0, JointType.REVOLUTE, "elbow")
-    >>> DHTable([elbow]).transforms([pi / 2])[0, 1]  # row of y
-    array([1., 0., 0., 0.])
+    >>> DHTable([elbow]).transforms([pi / 2])[0, :2, :2]
+    array([[ 0., -1.],
+           [ 1.,  0.]])
     """
 
     alpha: float

@@ -159,7 +159,8 @@ def verify(
     verification.Verification : result of this function
 
     Notes
-    ----- **A robot without arms, loads and wheels.** The methods are the closed form (derived by hand),
+    -----
+    **A robot without arms, loads and wheels.** The methods are the closed form (derived by hand),
     Pinocchio (CRBA, RNEA, ABA), the symbolic Newton-Euler recursion and Lagrange's equations for the robot's
     DH table, and the machine code that ensembles run. Differences are relative to the scale of the terms:
     sqrt(M_ii M_jj) for M, :math:`m |v|^2` for n, :math:`|M| |a| + m |v|^2` for tau and :math:`|a| + |v|^2`
