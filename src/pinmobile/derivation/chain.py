@@ -1,4 +1,4 @@
-"""`Link`, `Chain`, and their expressions in sines and cosines without rounding: normal, short, readable."""
+"""`Link`, `Chain`, and simplification of their exact expressions in sines and cosines."""
 
 from __future__ import annotations
 
@@ -24,24 +24,24 @@ from pinmobile.errors import InvalidArgument, shown
 def exact(name: str, value: object) -> Expr:
     """Return `value` as an expression without floating-point numbers.
 
-    A float becomes the fraction that its shortest decimal form spells (0.3 becomes 3/10) and evaluates to the
-    same float again. With rounding inside, equal expressions would not cancel.
+    A float becomes the fraction of its shortest decimal form (0.3 becomes 3/10), which evaluates to the same
+    float. Floats in expressions would prevent equal expressions from cancelling.
 
     Parameters
     ----------
     name : str
-        Name of the argument, for the message.
+        Name of the argument in messages.
     value : float or sympy.Expr
-        The argument, in any unit.
+        Value of the argument, in any unit.
 
     Raises
     ------
     InvalidArgument
-        If it is neither a finite real number nor an expression.
+        If the value is neither a finite real number nor an expression.
     """
     try:
         expression = sympy.sympify(value, strict=True)
-    except Exception:  # whatever the value itself raises when it is asked for its numbers
+    except Exception:  # conversion of a foreign value may raise any error
         expression = None
     if not isinstance(expression, Expr) or expression.has(sympy.nan, sympy.zoo, sympy.oo, sympy.I):
         raise InvalidArgument(
@@ -57,16 +57,16 @@ def exact_matrix(name: str, value: Any, shape: tuple[int, int]) -> ImmutableMatr
     Parameters
     ----------
     name : str
-        Name of the argument, for the message.
+        Name of the argument in messages.
     value : nested sequence, array or sympy.Matrix
-        The entries, in any unit; a flat sequence is a column.
+        Entries, in any unit; a flat sequence is a column.
     shape : (int, int)
-        What is expected.
+        Expected shape.
 
     Raises
     ------
     InvalidArgument
-        If it has another shape, or an entry is neither a finite real number nor an expression.
+        If the value has another shape, or an entry is neither a finite real number nor an expression.
     """
     rows = value.tolist() if isinstance(value, sympy.MatrixBase | np.ndarray) else value
     flat = shape[1] == 1 and isinstance(rows, list | tuple) and not any(map(_is_row, rows))
@@ -85,21 +85,21 @@ def _is_row(value: object) -> bool:
 
 
 def exact_angle(name: str, value: float) -> Expr:
-    """Return a multiple of pi/12 [rad] as such, any other angle as `exact` does.
+    """Return a multiple of pi/12 [rad] exactly, and any other angle like `exact`.
 
-    The sines and cosines of these multiples are sums of square roots, which sympy cancels by itself.
+    Sines and cosines of these multiples are sums of square roots, which sympy cancels.
 
     Parameters
     ----------
     name : str
-        Name of the argument, for the message.
+        Name of the argument in messages.
     value : float
-        The angle [rad].
+        Angle [rad].
 
     Raises
     ------
     InvalidArgument
-        If it is not a finite real number.
+        If the value is not a finite real number.
     """
     twelfths = round(value * 12 / pi)
     if isclose(value, twelfths * pi / 12, rel_tol=1e-14, abs_tol=1e-15):
@@ -107,18 +107,18 @@ def exact_angle(name: str, value: float) -> Expr:
     return exact(name, value)
 
 
-_READABLE = 8  # terms; in a longer bracket nobody sees cos(q1 + q2), and to look for it takes seconds
+_READABLE = 8  # largest number of terms in a search for cos(q1 + q2), which takes seconds for more
 
 _Powers = tuple[int, ...]
 
 
 def normal(expression: Expr) -> Expr:
-    """Return the normal form, in which no cosine has a power above the first; that of zero is 0.
+    """Return the normal form, without powers of cosines above the first; the normal form of zero is 0.
 
     Parameters
     ----------
     expression : sympy.Expr
-        A polynomial in the sines and cosines of angles, and in anything else.
+        Polynomial in the sines and cosines of angles and in other symbols.
     """
     polynomial, pairs = _polynomial(sympy.expand_trig(expression))
     for cosine, sine in pairs:
@@ -127,12 +127,12 @@ def normal(expression: Expr) -> Expr:
 
 
 def reduced(expression: Expr) -> Expr:
-    """Return the expanded expression, with cos^2 + sin^2 = 1 used wherever that leaves fewer terms.
+    """Return the expanded expression, with cos^2 + sin^2 = 1 applied if this leaves fewer terms.
 
     Parameters
     ----------
     expression : sympy.Expr
-        A polynomial in the sines and cosines of angles, and in anything else.
+        Polynomial in the sines and cosines of angles and in other symbols.
     """
     shortest, pairs = _polynomial(expression)
     for cosine, sine in pairs:
@@ -142,15 +142,15 @@ def reduced(expression: Expr) -> Expr:
 
 
 def grouped(expression: Expr, levels: Sequence[Sequence[Symbol]]) -> Expr:
-    """Return an expression as it is written by hand: with brackets, by the symbols of each level.
+    """Return an expression with brackets, as a person writes: terms grouped by the symbols of each level.
 
     Parameters
     ----------
     expression : sympy.Expr
-        A polynomial in anything.
+        Polynomial.
     levels : sequence of sequences of sympy.Symbol
-        Terms with the same powers of the symbols of the first level go into one bracket; inside it the
-        second level does the same, and so on.
+        Symbols that define the brackets. Terms with the same powers of the symbols of the first level share a
+        bracket. The second level groups the terms in each bracket, and so on.
     """
     polynomial, _ = _polynomial(expression)
     places = {generator: i for i, generator in enumerate(polynomial.ring.symbols)}
@@ -174,7 +174,7 @@ def _gathered(polynomial: PolyElement, levels: Sequence[set[int]]) -> Expr:
 
 
 def _bracket(polynomial: PolyElement) -> Expr:
-    """Return `polynomial` with what all terms share before a bracket."""
+    """Return `polynomial` with the common factors of all terms before a bracket."""
     if 1 < len(polynomial) <= _READABLE:
         polynomial, _ = _polynomial(TR10i(polynomial.as_expr()))
     if len(polynomial) < 2:
@@ -187,7 +187,7 @@ def _bracket(polynomial: PolyElement) -> Expr:
 
 
 def _times(factor: Expr, bracket: Expr) -> Expr:
-    """Return the product, with the sign of the first term in a bracket before it."""
+    """Return the product, with the sign of the bracket's first term moved before the bracket."""
     if factor == 1:
         return bracket
     content, rest = bracket.as_coeff_Mul()
@@ -203,9 +203,9 @@ def _times(factor: Expr, bracket: Expr) -> Expr:
 
 
 def _polynomial(expression: Expr) -> tuple[PolyElement, list[tuple[int, int]]]:
-    """Return `expression` as a polynomial, and where among its generators are its pairs of cosine and sine.
+    """Return `expression` as a polynomial, and the indices of its pairs of cosine and sine generators.
 
-    To add and multiply polynomials is some ten times faster than to expand expressions.
+    Adding and multiplying polynomials is about ten times faster than expanding expressions.
     """
     generators, pairs = _generators(expression), []
     angles = {function.args[0] for function in generators if isinstance(function, sympy.cos | sympy.sin)}
@@ -217,7 +217,7 @@ def _polynomial(expression: Expr) -> tuple[PolyElement, list[tuple[int, int]]]:
 
 
 def _generators(expression: Expr) -> list[Expr]:
-    """Return what `expression` is a polynomial in, with rational coefficients."""
+    """Return the generators of `expression` as a polynomial with rational coefficients."""
     found, rest = set[Expr](), [expression]
     while rest:
         part = rest.pop()
@@ -231,7 +231,7 @@ def _generators(expression: Expr) -> list[Expr]:
 
 
 def _traded(polynomial: PolyElement, out: int, into: int) -> PolyElement:
-    """Return `polynomial` with each square of generator `out` replaced by 1 minus that of `into`."""
+    """Return `polynomial` with each square of generator `out` replaced by 1 minus the square of `into`."""
     squares: dict[int, dict[_Powers, Any]] = defaultdict(dict)
     for powers, coefficient in polynomial.items():
         count, rest = divmod(powers[out], 2)
@@ -244,7 +244,7 @@ def _traded(polynomial: PolyElement, out: int, into: int) -> PolyElement:
 
 @dataclass(frozen=True)
 class Link:
-    """The mass distribution of one link, in symbols or numbers.
+    """Mass distribution of one link, in symbols or numbers.
 
     Parameters
     ----------
@@ -253,13 +253,27 @@ class Link:
     com : sequence of 3 sympy.Expr or float
         Centre of mass in the frame of the link [m].
     inertia : 3 x 3 sympy.Expr or float
-        Rotational inertia about the centre of mass, in the axes of the link [kg m^2]. It must be symmetric.
+        Inertia about the centre of mass, along the axes of the link [kg m^2]. The matrix must be symmetric.
 
     Raises
     ------
     InvalidArgument
-        If a shape is wrong, an entry is neither a finite number nor an expression, `mass` is negative or
-        `inertia` not symmetric.
+        If a shape is wrong, an entry is neither a finite number nor an expression, `mass` is negative, or
+        `inertia` is not symmetric.
+
+    See Also
+    --------
+    derivation.Chain : joints with links
+    derivation.derive : equations of motion of a chain
+
+    Examples
+    --------
+    >>> import sympy
+    >>> from pinmobile.derivation import Link
+    >>> m, l = sympy.symbols("m l")
+    >>> rod = Link(m, (l / 2, 0, 0), sympy.diag(0, 1, 1) * m * l**2 / 12)
+    >>> rod.inertia[2, 2]
+    l**2*m/12
     """
 
     mass: Expr
@@ -277,40 +291,59 @@ class Link:
 
     @classmethod
     def general(cls, k: int) -> Link:
-        """Return link `k` with every quantity a symbol: m1, xc1, yc1, zc1, Ixx1, Ixy1, ... for k = 1."""
+        """Return link `k` with a symbol for each quantity: m1, xc1, yc1, zc1, Ixx1, Ixy1, ... for k = 1.
+
+        Parameters
+        ----------
+        k : int
+            Index of the link, >= 0.
+        """
         k = whole("k", k, least=0)
         inertia = [[Symbol(f"I{min(i, j)}{max(i, j)}{k}") for j in "xyz"] for i in "xyz"]
         return cls(Symbol(f"m{k}"), [Symbol(f"{axis}c{k}") for axis in "xyz"], inertia)
 
     @cached_property
     def parameters(self) -> tuple[Symbol, ...]:
-        """The symbols in mass, centre of mass and inertia, in this order."""
+        """Symbols in mass, centre of mass and inertia, in this order."""
         return _symbols([self.mass, *self.com, *self.inertia])
 
 
 @dataclass(frozen=True)
 class Chain:
-    """A modified-DH table with its links, the order of its coordinates, and gravity.
+    """Modified-DH table with links, an order of coordinates, and gravity.
 
-    `q`, `v` and `a` are in the order of the rows here; `order` says how inputs, M and n list them.
+    `q`, `v` and `a` have the order of the rows. `order` is the order in inputs, M and n.
 
     Parameters
     ----------
     table : DHTable
-        The chain of joints.
+        DH table of the joints.
     links : sequence of Link or None, one per row, optional
-        The link behind each joint; None is a virtual one, without mass. By default `Link.general`, for all.
+        Link after each joint; None is a virtual link without mass. By default, `Link.general` for all.
     order : sequence of str, optional
-        A permutation of the table's variables. By default that of the rows.
+        Permutation of the table's variables; by default, the order of the rows.
     gravity : sequence of 3 sympy.Expr or float, optional
-        Acceleration of free fall in frame 0 [m/s^2]. By default none: the ground is level.
+        Acceleration of free fall in frame 0 [m/s^2]; by default, zero, since the ground is level.
 
     Raises
     ------
     InvalidArgument
-        If a length or a type is wrong, or two symbols would have the same name.
+        If a length or type is wrong, or two symbols would have the same name.
     UnknownName
         If `order` has a name that is not a variable of the table.
+
+    See Also
+    --------
+    derivation.derive : equations of motion of a chain
+    dh.DHTable : table of the joints
+
+    Examples
+    --------
+    >>> from pinmobile.derivation import Chain
+    >>> from pinmobile.dh import LECTURE_TABLE
+    >>> chain = Chain(LECTURE_TABLE, order=("x", "y", "psi"))
+    >>> chain.v, chain.ordered(chain.v)
+    ((ydot, xdot, psidot), (xdot, ydot, psidot))
     """
 
     table: DHTable
@@ -350,37 +383,42 @@ class Chain:
 
     @cached_property
     def q(self) -> tuple[Symbol, ...]:
-        """Joint variables, in the order of the rows."""
+        """Joint variables, in the order of the rows [m or rad]."""
         return tuple(Symbol(name) for name in self.table.variables)
 
     @cached_property
     def v(self) -> tuple[Symbol, ...]:
-        """Their rates: psidot, qdot1, ..."""
+        """Rates of the joint variables [m/s or rad/s], named psidot, qdot1, ..."""
         return self._dotted("dot")
 
     @cached_property
     def a(self) -> tuple[Symbol, ...]:
-        """Their accelerations: psiddot, qddot1, ..."""
+        """Accelerations of the joint variables [m/s^2 or rad/s^2], named psiddot, qddot1, ..."""
         return self._dotted("ddot")
 
     @cached_property
     def parameters(self) -> tuple[Symbol, ...]:
-        """The symbols in links and gravity, from the ground outwards."""
+        """Symbols in links and gravity, from the ground outwards."""
         found = [symbol for link in self.links if link for symbol in link.parameters]
         return tuple(dict.fromkeys([*found, *_symbols(self.gravity)]))
 
     @cached_property
     def masses(self) -> tuple[Symbol, ...]:
-        """The symbols in the masses of the links."""
+        """Symbols in the masses of the links."""
         return _symbols([link.mass for link in self.links if link])
 
     def ordered(self, per_row: Sequence[Any]) -> tuple[Any, ...]:
-        """Return what is listed in the order of the rows, in `order`.
+        """Return values that are listed in the order of the rows, in `order`.
+
+        Parameters
+        ----------
+        per_row : sequence
+            One value per row.
 
         Raises
         ------
         InvalidArgument
-            If it is no sequence of one for each row.
+            If the argument is not a sequence with one value per row.
         """
         per_row = sequence("per_row", per_row, f"a sequence of {len(self)}")
         if len(per_row) != len(self):
@@ -388,7 +426,7 @@ class Chain:
         return tuple(per_row[self.table.variables.index(name)] for name in self.order)
 
     def _dotted(self, dots: str) -> tuple[Symbol, ...]:
-        # sympy sets xdot, qdot1 and qdot_a with a dot above the letter, but not q1dot
+        # sympy typesets xdot, qdot1 and qdot_a with a dot above the letter, but not q1dot
         return tuple(Symbol(re.sub(r"^[^\W\d_]*", rf"\g<0>{dots}", name)) for name in self.table.variables)
 
 

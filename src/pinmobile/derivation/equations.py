@@ -1,4 +1,4 @@
-"""The equations of motion, derived by Newton and Euler out and back along the chain, and by Lagrange."""
+"""Equations of motion of a chain, by the Newton-Euler recursion and by Lagrange's equations."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from pinmobile.errors import InvalidArgument, shown
 
 ZERO = ImmutableMatrix([0, 0, 0])
 _Z = ImmutableMatrix([0, 0, 1])
-_FOUR_DECIMALS = 5e-5  # [rad], of a right angle that is written so
+_FOUR_DECIMALS = 5e-5  # [rad]: rounding of a right angle in four decimals
 
 
 @dataclass(frozen=True)
 class Joint:
-    """The transform of one row, and what the joint moves about or along.
+    """Transform of one row, and the axis of the joint.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class Joint:
 
     @property
     def R(self) -> ImmutableMatrix:
-        """Rotation of the transform."""
+        """Rotation matrix of the transform."""
         return self.T[:3, :3]
 
     @property
@@ -68,16 +68,16 @@ def joints(record: Record) -> tuple[Joint, ...]:
 
 
 def _table_angle(name: str, value: float, k: int) -> Expr:
-    """Return an angle of row `k` of a table: a right one where four decimals were meant for it."""
+    """Return an angle of row `k` of a table; a right angle that is rounded to four decimals becomes exact."""
     angle, right = exact_angle(name, value), sympy.Rational(round(2 * value / pi), 2) * sympy.pi
     if angle == right or not right or abs(value - float(right)) > _FOUR_DECIMALS:
         return angle
-    warn(f"{name} of row {k} is {value:.12g} rad, and the derivation takes {right}", stacklevel=5)
+    warn(f"{name} of row {k} is {value:.12g} rad; the derivation uses {right}", stacklevel=5)
     return right
 
 
 def placements(links: tuple[Joint, ...], record: Record) -> list[ImmutableMatrix]:
-    """Return T_0_k for every frame, the ground's first: the products of the first k transforms."""
+    """Return T_0_k for every frame, starting with the ground: the products of the first k transforms."""
     T = [ImmutableMatrix.eye(4), links[0].T]
     for k, joint in enumerate(links[1:], 2):
         T.append(record.matrix(say.PLACEMENT, T[-1] * joint.T, k))
@@ -89,20 +89,20 @@ Vectors = list[ImmutableMatrix]
 
 @dataclass(frozen=True)
 class _Recursion:
-    """Newton-Euler's recursion over a chain, for one motion.
+    """Newton-Euler recursion over a chain, for one motion.
 
-    In every list, item k belongs to frame k and is expressed in it; item 0 is the ground.
+    In every list, entry k belongs to frame k and is expressed in frame k; entry 0 belongs to the ground.
 
     Attributes
     ----------
     joints : tuple of Joint
-        The joints, from the ground outwards.
+        Joints from the ground outwards.
     v, a : tuple of sympy.Expr
         Velocities [m/s or rad/s] and accelerations [m/s^2 or rad/s^2], in the order of the rows.
     base : sympy.ImmutableMatrix, shape (3, 1)
-        Acceleration of the ground [m/s^2]: upwards as fast as a body would fall.
+        Acceleration of the ground [m/s^2], opposite to gravity.
     record : Record
-        Knows the chain, and takes down the steps.
+        Record of the steps, with the chain.
     """
 
     joints: tuple[Joint, ...]
@@ -112,7 +112,7 @@ class _Recursion:
     record: Record
 
     def angular_velocities(self) -> Vectors:
-        """Return omega [rad/s]."""
+        """Return the angular velocities omega [rad/s]."""
         omega = [ZERO]
         for k, joint in enumerate(self.joints):
             result = joint.R.T * omega[k] + joint.turn * self.v[k]
@@ -128,7 +128,7 @@ class _Recursion:
         return velocity
 
     def angular_accelerations(self, omega: Vectors) -> Vectors:
-        """Return alpha [rad/s^2]."""
+        """Return the angular accelerations alpha [rad/s^2]."""
         alpha = [ZERO]
         for k, joint in enumerate(self.joints):
             gyroscopic = (joint.R.T * omega[k]).cross(joint.turn * self.v[k])
@@ -148,7 +148,7 @@ class _Recursion:
         return a
 
     def inertial(self, omega: Vectors, alpha: Vectors, a: Vectors) -> tuple[Vectors, Vectors]:
-        """Return inertial forces F [N], and moments N about the centres of mass [N m]."""
+        """Return inertial forces F [N], and inertial moments N about the centres of mass [N m]."""
         heavy = {k: link for k, link in enumerate(self.record.chain.links, 1) if link}
         F, N = [ZERO] * len(a), [ZERO] * len(a)
         a_c = {
@@ -163,7 +163,7 @@ class _Recursion:
         return F, N
 
     def forces(self, F: Vectors) -> Vectors:
-        """Return f [N]: f_k is the force of link k - 1 on link k, and f_0 that of the ground, in frame 0."""
+        """Return f [N]: the force f_k of link k - 1 on link k, and the force f_0 of the ground in frame 0."""
         f = [ZERO, *F[1:]]
         f[-1] = self.record.matrix(say.FORCE, F[-1], len(F) - 1)
         for k in range(len(F) - 2, -1, -1):
@@ -172,7 +172,7 @@ class _Recursion:
         return f
 
     def moments(self, F: Vectors, N: Vectors, f: Vectors) -> Vectors:
-        """Return n [N m]: the moments that belong to `f`, each about the origin of its frame."""
+        """Return n [N m], the moments that belong to `f`, each about the origin of its frame."""
         com = [ZERO, *(link.com if link else ZERO for link in self.record.chain.links)]
         own = [N[k] + com[k].cross(F[k]) for k in range(len(N))]
         own[-1] = self.record.matrix(say.MOMENT, own[-1], len(N) - 1)
@@ -183,7 +183,7 @@ class _Recursion:
         return own
 
     def inputs(self, omega: Vectors, alpha: Vectors, a: Vectors) -> tuple[Expr, ...]:
-        """Return tau [N or N m] for a motion of the frames, in the order of the rows."""
+        """Return the inputs tau [N or N m] for a motion of the frames, in the order of the rows."""
         F, N = self.inertial(omega, alpha, a)
         f = self.forces(F)
         n = self.moments(F, N, f)
@@ -195,7 +195,7 @@ class _Recursion:
 
 
 def _lever(alpha: ImmutableMatrix, omega: ImmutableMatrix, arm: ImmutableMatrix) -> ImmutableMatrix:
-    """Return how much more than the frame's origin a point at `arm` accelerates."""
+    """Return the acceleration of a point at `arm` relative to the frame's origin."""
     return alpha.cross(arm) + omega.cross(omega.cross(arm))
 
 
@@ -206,31 +206,54 @@ def derive(
     order: Sequence[str] | None = None,
     gravity: Sequence[Expr | float] | Array = (0, 0, 0),
 ) -> Derivation:
-    """Derive the equations of motion of a chain, by Newton and Euler.
+    """Derive the equations of motion of a chain by the Newton-Euler recursion.
 
     Parameters
     ----------
     table : DHTable
-        The joints, prismatic or revolute, in modified-DH form.
+        Prismatic or revolute joints in modified-DH form.
     links : sequence of Link or None, one per row, optional
-        The link behind each joint, None for a virtual one without mass. By default `Link.general`, for all.
+        Link after each joint; None is a virtual link without mass. By default, `Link.general` for all.
     order : sequence of str, optional
-        The order in which coordinates, inputs, M and n are listed: a permutation of the table's variables.
-        By default that of the rows.
+        Order of coordinates, inputs, M and n: a permutation of the table's variables. By default, the order
+        of the rows.
     gravity : sequence of 3 floats or sympy.Expr, optional
-        Acceleration of free fall in frame 0 [m/s^2]. By default none: the ground is level.
+        Acceleration of free fall in frame 0 [m/s^2]; by default, zero, since the ground is level.
 
     Returns
     -------
-    derivation : Derivation
-        Its steps and its equations; simplified up to three joints, in named intermediate results beyond.
+    Derivation
+        Steps and equations. Up to three joints, they are simplified; for more joints, they use names for
+        intermediate results.
 
     Raises
     ------
     InvalidArgument
-        If a length or a type is wrong, or two symbols would have the same name.
+        If a length or type is wrong, or two symbols would have the same name.
     UnknownName
         If `order` has a name that is not a variable of the table.
+
+    Warns
+    -----
+    UserWarning
+        If an angle of the table equals a right angle in only about four decimals. The derivation uses the
+        right angle.
+
+    See Also
+    --------
+    derivation.lagrange : the same equations by Lagrange
+    derivation.lecture : equations of the lecture's robot
+
+    Examples
+    --------
+    >>> import sympy
+    >>> from pinmobile.derivation import Link, derive
+    >>> from pinmobile.dh import DHRow, DHTable, JointType
+    >>> m, l, g = sympy.symbols("m l g")
+    >>> bob = Link(m, (l, 0, 0), sympy.zeros(3))
+    >>> hinge = DHTable([DHRow(0, 0, 0, 0, JointType.REVOLUTE, "q")])
+    >>> derive(hinge, [bob], gravity=(0, -g, 0)).inputs[0]  # pendulum
+    g*l*m*cos(q) + l**2*m*qddot
     """
     record = Record(Chain(table, links, order, gravity))
     recursion, tau = _told(record)
@@ -238,10 +261,10 @@ def derive(
 
 
 def lecture(table: DHTable = LECTURE_TABLE) -> Derivation:
-    """Derive the lecture's mobile robot: one body behind three joints, listed as (x, y, psi).
+    """Derive the equations of the lecture's mobile robot: one body behind the joints x, y and psi.
 
     The body has mass m, its centre of mass at (xbc, ybc, 0) and the yaw inertia Icz (lecture 45, "Dynamic
-    model"). The result is made once for each table and kept.
+    model"). The result is cached for each table.
 
     Parameters
     ----------
@@ -250,13 +273,25 @@ def lecture(table: DHTable = LECTURE_TABLE) -> Derivation:
 
     Returns
     -------
-    derivation : Derivation
-        With the parameters m [kg], xbc, ybc [m] and Icz [kg m^2].
+    Derivation
+        Equations with the parameters m [kg], xbc, ybc [m] and Icz [kg m^2].
 
     Raises
     ------
     InvalidArgument
         If the table has other variables.
+
+    See Also
+    --------
+    derivation.lagrange : the same equations by Lagrange
+    closed_form.mass_matrix : the result as a function
+    verify : comparison of all methods
+
+    Examples
+    --------
+    >>> from pinmobile.derivation import lecture
+    >>> lecture().mass_matrix[2, 2]
+    Icz + m*(xbc**2 + ybc**2)
     """
     if not isinstance(table, DHTable) or set(table.variables) != {"x", "y", "psi"}:
         raise InvalidArgument(f"table is {shown(table)}, expected a DHTable with the variables x, y and psi")
@@ -271,7 +306,7 @@ def _lecture(table: DHTable) -> Derivation:
 
 
 def _coefficients(record: Record, tau: Sequence[Expr]) -> Derivation:
-    """Read M off as the lecture does: the coefficients of the accelerations in the inputs."""
+    """Return the derivation with M as in the lecture: the coefficients of the accelerations in the inputs."""
     a = record.chain.a
     rest = dict.fromkeys(a, sympy.S.Zero)
     return record.finished(
@@ -281,9 +316,9 @@ def _coefficients(record: Record, tau: Sequence[Expr]) -> Derivation:
 
 
 def _columns(told: _Recursion) -> Derivation:
-    """Take for column k of M the inputs of a unit acceleration of joint k, at rest and without gravity.
+    """Return the derivation with column k of M from the inputs for a unit acceleration of joint k alone.
 
-    To read coefficients off, the inputs would have to be written out.
+    The motion is at rest and without gravity. Coefficients would require fully expanded inputs.
     """
     size = range(len(told.joints))
     zeros = (sympy.S.Zero,) * len(size)
@@ -296,13 +331,13 @@ def _columns(told: _Recursion) -> Derivation:
         return other.inputs(omega, alpha, other.linear_accelerations(omega, alpha))
 
     columns = [inputs(f"M{k + 1}", v=zeros, a=unit, base=ZERO) for k, unit in enumerate(units)]
-    # of the two halves of M, this one stays clear of the joints beyond k
+    # this half of M does not contain the joints beyond k
     M = [[columns[max(i, k)][min(i, k)] for k in size] for i in size]
     return told.record.finished(M, inputs("n", a=zeros))
 
 
 def _told(record: Record) -> tuple[_Recursion, tuple[Expr, ...]]:
-    """Take all steps up to the inputs, in the lecture's order; return the inputs in the order of the rows."""
+    """Record all steps up to the inputs in the lecture's order; return the inputs in the rows' order."""
     chain, links = record.chain, joints(record)
     pose = placements(links, record)[-1]
     for words, column in ((say.POSITION, 3), (say.NORMAL, 0), (say.SLIDING, 1), (say.APPROACH, 2)):
@@ -321,21 +356,37 @@ def _told(record: Record) -> tuple[_Recursion, tuple[Expr, ...]]:
 
 
 def lagrange(derivation: Derivation) -> Derivation:
-    """Derive the equations of motion of the same chain by Lagrange.
+    """Derive the equations of motion of the same chain by Lagrange's equations.
 
-    Velocities are derivatives of the positions in T_0_k, angular velocities come from the skew matrix
-    dR/dt R', and d/dt (dL/dv) - dL/dq with L = K - V gives the inputs. Of the derivation by Newton and Euler
-    nothing is used but its chain.
+    Velocities are derivatives of the positions in T_0_k. Angular velocities are entries of the skew-symmetric
+    matrix dR/dt R'. The inputs are d/dt (dL/dv) - dL/dq with L = K - V. This derivation uses only the chain
+    of the other derivation.
 
     Parameters
     ----------
     derivation : Derivation
-        Whose chain to derive again.
+        Derivation with the chain.
 
     Returns
     -------
-    derivation : Derivation
-        The same equations, with other steps.
+    Derivation
+        The same equations with other steps.
+
+    See Also
+    --------
+    derivation.derive : derivation by Newton and Euler
+    derivation.difference : comparison of two derivations
+
+    Examples
+    --------
+    >>> import sympy
+    >>> from pinmobile.derivation import Link, derive, lagrange
+    >>> from pinmobile.dh import DHRow, DHTable, JointType
+    >>> m, l = sympy.symbols("m l")
+    >>> bob = Link(m, (l, 0, 0), sympy.zeros(3))
+    >>> hinge = DHTable([DHRow(0, 0, 0, 0, JointType.REVOLUTE, "q")])
+    >>> lagrange(derive(hinge, [bob]))["K"].expression
+    l**2*m*qdot**2/2
     """
     record = Record(derivation.chain)
     chain = record.chain
@@ -355,26 +406,40 @@ def lagrange(derivation: Derivation) -> Derivation:
 
 
 def difference(first: Derivation, second: Derivation) -> ImmutableMatrix:
-    """Return the normal form of the difference of the inputs: zero if and only if the equations are the same.
+    """Return the normal form of the difference of the inputs, zero if and only if the equations are the same.
 
     Parameters
     ----------
     first, second : Derivation
-        Two derivations with the same coordinates, of up to three joints.
+        Derivations with the same coordinates, of up to three joints.
 
     Returns
     -------
-    difference : sympy.ImmutableMatrix, shape (n, 1)
-        `first.inputs - second.inputs` [N or N m].
+    sympy.ImmutableMatrix, shape (n, 1)
+        ``first.inputs - second.inputs`` [N or N m].
 
     Raises
     ------
     InvalidArgument
-        If their coordinates differ, or there are more than three.
+        If the coordinates differ, or there are more than three.
+
+    See Also
+    --------
+    derivation.lagrange : second derivation of a chain
+    verify : numerical comparison
+
+    Examples
+    --------
+    >>> from pinmobile.derivation import derive, difference, lagrange
+    >>> from pinmobile.dh import DHRow, DHTable, JointType
+    >>> hinge = DHTable([DHRow(0, 0, 0, 0, JointType.REVOLUTE, "q")])
+    >>> by_newton = derive(hinge)
+    >>> difference(by_newton, lagrange(by_newton))
+    Matrix([[0]])
     """
     if first.q != second.q or len(first.q) > SIMPLIFIED_JOINTS:
         raise InvalidArgument(
-            f"coordinates are {first.q} and {second.q}, expected the same, {SIMPLIFIED_JOINTS} at most"
+            f"coordinates are {first.q} and {second.q}, expected equal ones, at most {SIMPLIFIED_JOINTS}"
         )
     return (first.inputs - second.inputs).applyfunc(normal)
 
@@ -398,16 +463,16 @@ def _energies(record: Record, in_time: _Slope) -> tuple[Expr, Expr]:
 
 
 class _Slope:
-    """The derivative in one direction, which sees through the names of intermediate results.
+    """Directional derivative that includes named intermediate results.
 
     Parameters
     ----------
     direction : dict of sympy.Symbol to sympy.Expr
-        The derivatives of the variables that are not constant.
+        Derivatives of the variables.
     label : str
-        Goes into the names of derivatives.
+        Label in the names of derivatives.
     record : Record
-        Its treatment gave the names.
+        Record with the names of intermediate results.
     """
 
     def __init__(self, direction: dict[Symbol, Expr], label: str, record: Record) -> None:

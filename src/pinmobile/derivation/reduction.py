@@ -1,4 +1,4 @@
-"""The reduced models of drives whose wheels roll ideally, derived step by step on the lecture's body."""
+"""Reduced models of drives with ideally rolling wheels, derived step by step from the lecture's body."""
 
 from __future__ import annotations
 
@@ -23,35 +23,47 @@ _TWIST = _VX, _VY, _OMEGA = sympy.symbols("v_x v_y omega")
 _DELTA, _TURNING = sympy.symbols("delta deltadot")
 _R, _IW = sympy.symbols("r Iw")
 
-_MANY_TURNS = 1000  # [rad]; beyond, nobody means a multiple of 15 degrees
+_MANY_TURNS = 1000  # [rad]: larger angles are not replaced by multiples of 15 degrees
 _FREE = (
-    "What multiplies nu' in S' (M a + n - B tau), a = S nu' + S_dot nu: forces that keep wheels from "
-    "slipping do no work on motions that roll."
+    "The coefficients of nu' in S' (M a + n - B tau), a = S nu' + S_dot nu: constraint forces of rolling "
+    "wheels do no work on rolling motions."
 )
-_REST = "What remains of it without nu' and without torques."
-_PUSHED = "What torques are to nu."
+_REST = "The remaining terms, for nu' = 0 and without torques."
+_PUSHED = "The generalised forces along nu for unit torques."
 
 
 @dataclass(frozen=True)
 class RollerWheel:
-    """One row of a table of fixed wheels with rollers, mecanum or omni, in symbols or numbers.
+    """Fixed wheel with rollers (mecanum or omni), in symbols or numbers.
 
     Parameters
     ----------
     x, y : sympy.Expr or float
-        Place of the wheel in the body's frame [m].
+        Position of the wheel in the body frame [m].
     angle : sympy.Expr or float
-        Angle of its rolling direction from the body's x [rad].
+        Angle of the rolling direction from the body's x axis [rad].
     roller : sympy.Expr or float
-        Angle of the axis of the roller at the ground from the rolling direction, less than a right one
-        [rad].
+        Angle of the axis of the roller at the ground from the rolling direction, within (-pi/2, pi/2) [rad].
     radius, spin_inertia : sympy.Expr or float, optional
-        By default the symbols r [m] and Iw [kg m^2], the same for all wheels.
+        Radius [m] and moment of inertia about the axle [kg m^2]; by default, the symbols r and Iw.
 
     Raises
     ------
     InvalidArgument
         If a value is neither a finite number nor an expression, or a number is not in its range.
+
+    See Also
+    --------
+    derivation.roller_drive : equations of motion of such wheels
+    WheelTable : wheels of a robot
+
+    Examples
+    --------
+    >>> from math import pi
+    >>> from pinmobile.derivation import RollerWheel
+    >>> mecanum = RollerWheel(0.2, 0.15, angle=0, roller=pi / 4)
+    >>> mecanum.roller, mecanum.radius
+    (pi/4, r)
     """
 
     x: Expr
@@ -69,7 +81,7 @@ class RollerWheel:
             plain = value.is_Rational and abs(value) < _MANY_TURNS
             object.__setattr__(self, name, exact_angle(name, float(value)) if plain else value)
         if (abs(self.roller) - sympy.pi / 2).is_nonnegative:
-            raise InvalidArgument(f"roller is {shown(self.roller)} rad, expected less than a right angle")
+            raise InvalidArgument(f"roller is {shown(self.roller)} rad, expected less than pi/2")
         if self.radius.is_nonpositive:
             raise InvalidArgument(f"radius is {shown(self.radius)} m, expected > 0")
         if self.spin_inertia.is_negative:
@@ -77,34 +89,53 @@ class RollerWheel:
 
     @classmethod
     def general(cls, k: int) -> RollerWheel:
-        """Return wheel `k` with every quantity a symbol: x1, y1, delta1, gamma1, r1 and Iw1 for k = 1."""
+        """Return wheel `k` with a symbol for each quantity: x1, y1, delta1, gamma1, r1 and Iw1 for k = 1.
+
+        Parameters
+        ----------
+        k : int
+            Index of the wheel, >= 0.
+        """
         k = whole("k", k, least=0)
         return cls(*sympy.symbols(f"x{k} y{k} delta{k} gamma{k} r{k} Iw{k}"))
 
 
 @dataclass(frozen=True)
 class ReducedDerivation(Told):
-    """The equations M nu' + n = B tau in independent velocities nu, and how they came about.
+    """Equations M nu' + n = B tau in independent velocities nu, and the steps of their derivation.
 
-    `derivation["S"]` is the step of that name. Of a car, some quantities of the front wheels have names,
-    by which later steps refer to them.
+    ``derivation["S"]`` is the step with the name S. In the derivation of a car, some quantities of the front
+    wheels have names, which later steps use.
 
     Attributes
     ----------
     steps : tuple of Step
-        In the order in which they were taken.
+        Steps in their order.
     coordinates : tuple of sympy.Symbol
-        Of body, steering and wheels [m or rad].
+        Coordinates of body, steering and wheels [m or rad].
     nu : tuple of sympy.Symbol
-        The independent velocities [m/s or rad/s].
+        Independent velocities [m/s or rad/s].
     mass_matrix : sympy.ImmutableMatrix, shape (m, m)
-        S' M S.
+        Reduced mass matrix S' M S [kg, kg m, kg m^2].
     nonlinear_effects : sympy.ImmutableMatrix, shape (m, 1)
-        S' (M S_dot nu + n).
+        Reduced nonlinear effects S' (M S_dot nu + n) [N, N m].
     input_matrix : sympy.ImmutableMatrix, shape (m, inputs)
-        S' B: what torques are to nu.
+        Reduced input matrix S' B, from torques to generalised forces along nu [1/m, 1].
     assignments : tuple of (sympy.Symbol, sympy.Expr)
-        The names of intermediate results, each in terms of earlier ones.
+        Names of intermediate results, each in terms of earlier ones.
+
+    See Also
+    --------
+    derivation.differential_drive : two fixed wheels
+    derivation.roller_drive : mecanum or omni wheels
+    derivation.car : steered wheels
+
+    Examples
+    --------
+    >>> from pinmobile.derivation import differential_drive
+    >>> drive = differential_drive()
+    >>> drive.nu, drive.input_matrix[1, :]
+    ((v, omega), Matrix([[-b/r, b/r]]))
     """
 
     steps: tuple[Step, ...] = field(repr=False)
@@ -117,10 +148,10 @@ class ReducedDerivation(Told):
 
 
 class _Wheel(NamedTuple):
-    """A wheel under the body: its name, in words too, and place; `across` is None of one with rollers.
+    """Wheel under the body: name, description and position; `across` is None for a wheel with rollers.
 
-    `along` is what rolls and `across` what may not slide, unit vectors in the body's axes; `rolled` is how
-    fast the first passes for a unit rate of the wheel.
+    `along` is the rolling direction and `across` the direction without slip, as unit vectors in the body
+    frame. `rolled` is the ground speed along `along` for a unit rate of the wheel.
     """
 
     name: str
@@ -137,15 +168,26 @@ class _Wheel(NamedTuple):
 
 
 def differential_drive() -> ReducedDerivation:
-    """Derive two fixed wheels on one axle, nu = (v, omega): speed of its middle, and yaw rate.
+    """Derive the equations of two fixed wheels on one axle, nu = (v, omega): speed of its midpoint, yaw rate.
 
-    The axle is l ahead of the body's origin and 2 b wide. The result is made once and kept.
+    The axle is at x = l in the body frame and 2 b wide. The result is cached.
 
     Returns
     -------
-    derivation : ReducedDerivation
-        With the parameters m, xbc, ybc, Icz of the whole, wheels locked, l, b, r [m] and Iw [kg m^2]; its
-        torques are those of the left and the right wheel [N m].
+    ReducedDerivation
+        Equations with the parameters m [kg], xbc, ybc [m], Icz [kg m^2] of the whole robot with locked
+        wheels, l, b, r [m] and Iw [kg m^2]. The inputs are the torques of the left and the right wheel [N m].
+
+    See Also
+    --------
+    closed_form.differential_drive : the same equations as a function
+    WheelTable : `differential` makes the wheels of this drive
+
+    Examples
+    --------
+    >>> from pinmobile.derivation import differential_drive
+    >>> differential_drive().mass_matrix[0, 0]
+    2*Iw/r**2 + m
     """
     return _differential_drive()
 
@@ -158,23 +200,36 @@ def _differential_drive() -> ReducedDerivation:
 
 
 def roller_drive(wheels: Sequence[RollerWheel] | None = None) -> ReducedDerivation:
-    """Derive fixed wheels with rollers, mecanum or omni, in the body's twist nu = (v_x, v_y, omega).
+    """Derive the equations of fixed wheels with rollers (mecanum or omni), nu = (v_x, v_y, omega).
 
     Parameters
     ----------
     wheels : sequence of RollerWheel, optional
-        The table of the wheels. By default four of `RollerWheel.general`.
+        Wheels; by default, four of `RollerWheel.general`.
 
     Returns
     -------
-    derivation : ReducedDerivation
-        With the parameters m, xbc, ybc, Icz of the whole, wheels locked, and the symbols of the table; its
-        torques are those of the wheels [N m].
+    ReducedDerivation
+        Equations with the parameters m [kg], xbc, ybc [m], Icz [kg m^2] of the whole robot with locked
+        wheels, and the symbols of the wheels. The inputs are the torques of the wheels [N m].
 
     Raises
     ------
     InvalidArgument
-        If `wheels` is no sequence of one RollerWheel and more.
+        If `wheels` is not a sequence of at least one `RollerWheel`.
+
+    See Also
+    --------
+    closed_form.roller_drive : the same equations as a function
+    WheelTable : `mecanum` and `omni` make the wheels of such drives
+
+    Examples
+    --------
+    >>> from math import pi
+    >>> from pinmobile.derivation import RollerWheel, roller_drive
+    >>> wheel = RollerWheel(0, 0, angle=0, roller=pi / 4)
+    >>> roller_drive([wheel]).input_matrix.T
+    Matrix([[1/r, 1/r, 0]])
     """
     given = [RollerWheel.general(k) for k in range(1, 5)] if wheels is None else wheels
     table = shaped("wheels", sequence("wheels", given, "a sequence of RollerWheel"), ("n>=1",))
@@ -199,18 +254,29 @@ def _roller_drive(table: tuple[RollerWheel, ...]) -> ReducedDerivation:
 
 
 def car() -> ReducedDerivation:
-    """Derive a car with two wheels on each axle, nu = (v, deltadot): speed of the rear one, steering rate.
+    """Derive the equations of a car with four wheels, nu = (v, deltadot): rear speed, steering rate.
 
-    The body's origin is the middle of the rear axle; delta is the angle of a wheel in the middle of the
-    front one, L ahead, and Ackermann's law turns the two that are there so that all axles meet. The wheels
-    of an axle are 2 b apart, and share its torque equally. The result is made once and kept.
+    The origin of the body frame is the midpoint of the rear axle. delta is the angle of a virtual wheel at
+    the midpoint of the front axle, at x = L. Ackermann's law turns the two front wheels so that all axles
+    intersect. The wheels of an axle are 2 b apart and share its torque equally. The result is cached.
 
     Returns
     -------
-    derivation : ReducedDerivation
-        With the parameters m, xbc, ybc, Icz of the whole, wheels locked, L, b, r [m], Iw of each wheel about
-        its axle and Iz of each front one about the vertical [kg m^2]; its torques are those of the rear axle,
-        the front axle and the steering [N m].
+    ReducedDerivation
+        Equations with the parameters m [kg], xbc, ybc [m], Icz [kg m^2] of the whole robot with locked
+        wheels, L, b, r [m], Iw of each wheel about its axle and Iz of each front wheel about the vertical [kg
+        m^2]. The inputs are the torques of the rear axle, the front axle and the steering [N m].
+
+    See Also
+    --------
+    closed_form.car : the same equations as a function
+    WheelTable : `car` makes the wheels of this drive
+
+    Examples
+    --------
+    >>> from pinmobile.derivation import car
+    >>> car().input_matrix[0, :]
+    Matrix([[1/r, (k_fl + k_fr)/(2*r), 0]])
     """
     return _car()
 
@@ -241,14 +307,14 @@ def _tyre(name: str, words: str, place: tuple[Expr, Expr]) -> _Wheel:
 
 
 class _Steps:
-    """Takes down the steps of one drive.
+    """Recorder of the steps for one drive.
 
     Parameters
     ----------
     moving : tuple of sympy.Symbol
         Coordinates of body and steering.
     free : dict of sympy.Symbol to sympy.Symbol
-        Which velocities of body and steering are independent, and what they are called.
+        Independent velocities of body and steering, and their names.
     """
 
     def __init__(self, moving: tuple[Symbol, ...], free: dict[Symbol, Symbol]) -> None:
@@ -259,7 +325,7 @@ class _Steps:
         self._lengths: dict[Symbol, Expr] = {}
         c, s, (xdot, ydot, turn) = sympy.cos(_PSI), sympy.sin(_PSI), map(_rate, _BODY)
         self._twist = ImmutableMatrix([c * xdot + s * ydot, c * ydot - s * xdot, turn])
-        why = "(v_x, v_y, omega): the rates of x and y, turned into the body's axes, and the yaw rate."
+        why = "(v_x, v_y, omega): the rates of x and y, rotated into the body frame, and the yaw rate."
         self._tell("u", "Velocity of the body", why, "u", self._twist)
 
     def _tell(self, name: str, title: str, why: str, symbol: str, result: Any) -> Any:
@@ -270,7 +336,7 @@ class _Steps:
     def _short(
         self, name: str, title: str, why: str, symbol: str, result: ImmutableMatrix
     ) -> ImmutableMatrix:
-        """Take down a result in few terms, grouped by motion, then by mass."""
+        """Record a result with few terms, grouped by motion, then by mass."""
         few = result.applyfunc(reduced).xreplace(self._names)
         motion = [*self._free.values(), *map(_rate, self._moving)]
         masses = [each for each in few.free_symbols if re.match(r"m$|I\w", each.name)]
@@ -279,7 +345,7 @@ class _Steps:
         return grown
 
     def steered(self, name: str, words: str, place: tuple[Expr, Expr]) -> tuple[_Wheel, Expr]:
-        """Take down how Ackermann's law turns a wheel; return it, and the ratio of its rate to delta's."""
+        """Record how Ackermann's law turns a wheel; return the wheel and the ratio of its rate to delta's."""
         (L, y), T = place, sympy.tan(_DELTA)
         towards = ImmutableMatrix([1 - y * T / L, T])
         square, change = towards.dot(towards), towards.diff(_DELTA)
@@ -288,15 +354,15 @@ class _Steps:
         k, g, slope = (Symbol(f"{letter}_{name}") for letter in ("k", "g", "gprime"))
         ratio = Function(g.name)(_DELTA)
         why = (
-            "AckermannSteering's law: all axles meet L / tan(delta) to the left of the rear one's middle, so "
-            "that the wheel is along (1 - y tan(delta) / L, tan(delta)), a vector of this length."
+            "Ackermann's law: all axles intersect at L / tan(delta) to the left of the rear midpoint, so the "
+            "wheel's direction is (1 - y tan(delta) / L, tan(delta)), a vector of this length."
         )
         length = self._tell(k.name, f"Length, {words}", why, sympy.latex(k), root)
         self._names |= {square: k**2, root: k, 1 / root: 1 / k, T**2 + 1: sympy.cos(_DELTA) ** -2}
-        why = "That vector, of length one."
+        why = "This vector, scaled to length one."
         self._tell(f"e_{name}", f"Direction, {words}", why, f"e_{{{name}}}", along)
         turned = sympy.factor(sympy.expand(towards[0] * change[1] - towards[1] * change[0]))
-        why = "The derivative of its angle by delta: what that of its direction has across it."
+        why = "The derivative of the wheel's angle by delta: the lateral part of the direction's derivative."
         first = self._tell(g.name, f"Steering ratio, {words}", why, sympy.latex(g), turned / square)
         steeper = sympy.factor(sympy.expand(turned.diff(_DELTA) * square - turned * square.diff(_DELTA)))
         title, why = f"Slope of the steering ratio, {words}", "The derivative of the ratio by delta."
@@ -312,16 +378,16 @@ class _Steps:
         steering: sympy.Matrix | None = None,
         torques: Sequence[dict[Symbol, Expr]] | None = None,
     ) -> ReducedDerivation:
-        """Take all steps from the velocities at the ground to the reduced model.
+        """Record all steps from the velocities at the ground to the reduced model.
 
         Parameters
         ----------
         wheels : sequence of _Wheel
-            In the order of their coordinates.
+            Wheels in the order of their coordinates.
         steering : sympy.Matrix, optional
-            What it adds to the mass matrix of body and steering.
+            Contribution of the steering to the mass matrix of body and steering.
         torques : sequence of dict, optional
-            On which coordinates each torque acts, and with which share; by default one on each wheel.
+            Coordinates that each torque drives, with their shares; by default, one torque per wheel.
         """
         q = (*self._moving, *(wheel.angle for wheel in wheels))
         rates = ImmutableMatrix([_rate(each) for each in q])
@@ -336,13 +402,13 @@ class _Steps:
         M = self._mass_matrix(wheels, steering)
         energy = (rates.T * M * rates)[0] / 2
         n = in_time(M) * rates - ImmutableMatrix([_slope(energy, x) for x in q])
-        why = "Lagrange: the time derivative of M, times the rates, less the derivatives of the energy by q."
+        why = "Lagrange: the time derivative of M, times the rates, minus the derivatives of the energy by q."
         self._short("n", "Nonlinear effects", why, r"n(q, \dot{q})", n)
         shares = [{wheel.angle: sympy.S.One} for wheel in wheels] if torques is None else torques
         B = ImmutableMatrix([[share.get(x, 0) for share in shares] for x in q])
-        self._tell("B", "Input matrix", "What each torque is to the coordinates.", "B", B)
+        self._tell("B", "Input matrix", "The generalised force of each torque.", "B", B)
         S_dot = in_time(S).xreplace(motion)
-        why = "The derivative of S with respect to time, of motions that roll."
+        why = "The time derivative of S along rolling motions."
         self._tell("S_dot", "Rate of the null space", why, r"\dot{S}", S_dot)
         rest = M * S_dot * nu + n.xreplace(motion)
         M_nu = self._short("M_nu", "Reduced mass matrix", _FREE, "S^T M S", S.T * M * S)
@@ -352,17 +418,17 @@ class _Steps:
         return ReducedDerivation(tuple(self._steps), q, tuple(nu), M_nu, n_nu, B_nu, tuple(self._meanings))
 
     def _slips(self, wheels: Sequence[_Wheel], rates: ImmutableMatrix) -> ImmutableMatrix:
-        """Take down the velocity of each wheel at the ground; return all, in the body's velocity."""
+        """Record the velocity of each wheel at the ground; return all in terms of the body's velocity."""
         slips = []
         for wheel in wheels:
             x, y = wheel.place
             centre = ImmutableMatrix([_VX - y * _OMEGA, _VY + x * _OMEGA])
             held = [wheel.along.dot(centre) - wheel.rolled * _rate(wheel.angle)]
-            why = "Along the axis of the roller at the ground, across which it is free: "
+            why = "Along the axis of the roller at the ground (the roller turns freely about this axis): "
             if wheel.across is not None:
                 held.append(wheel.across.dot(centre))
-                why = "Along the wheel and across it: "
-            why += "the velocity of its centre, less what it rolls. It must vanish."
+                why = "Along the wheel and across the wheel: "
+            why += "the velocity of the wheel's centre minus the rolling speed. It must vanish."
             title, symbol = f"Velocity at the ground, {wheel.words}", f"s_{{{wheel.name}}}"
             self._tell(f"s_{wheel.name}", title, why, symbol, ImmutableMatrix(held) if held[1:] else held[0])
             slips += held
@@ -371,10 +437,10 @@ class _Steps:
     def _null_space(
         self, slips: ImmutableMatrix, rates: ImmutableMatrix, nu: ImmutableMatrix
     ) -> ImmutableMatrix:
-        """Take down A and S, whose columns are found by elimination, the independent velocities last."""
+        """Record A and S; elimination with the independent velocities last gives the columns of S."""
         twist = dict(zip(_TWIST, self._twist, strict=True))
         A = slips.xreplace(twist).jacobian(rates)
-        why = "What multiplies the rates in the velocities at the ground: A times the rates is zero."
+        why = "The coefficients of the rates in the velocities at the ground: A times the rates is zero."
         self._tell("A", "Constraint matrix", why, "A(q)", A)
         velocities = [*_TWIST, *rates[3:]]
         free = list(self._free)
@@ -391,7 +457,7 @@ class _Steps:
         rolling = [c * vx - s * vy, s * vx + c * vy, *(by_nu[each] for each in velocities[2:])]
         S = ImmutableMatrix([sympy.expand(each, deep=False) for each in rolling]).jacobian(nu)
         told = ", ".join(map(str, nu))
-        why = f"The rates are S nu with nu = ({told}): each column is a motion that rolls, A S = 0."
+        why = f"The rates are S nu with nu = ({told}): each column is a rolling motion, A S = 0."
         self._tell("S", "Null space", why, "S(q)", S)
         return S
 
@@ -399,12 +465,12 @@ class _Steps:
         body = sympy.zeros(len(self._moving))
         body[:3, :3] = lecture().mass_matrix
         why = (
-            "The lecture's, of the whole with its wheels locked; a wheel adds its inertia about the axle, "
-            "and moves no mass when it spins, as a solid of revolution"
+            "The lecture's mass matrix for the whole robot with locked wheels; a wheel adds its inertia "
+            "about the axle; a spinning wheel, a solid of revolution, moves no mass"
         )
         if steering is not None:
             body += steering
-            why += "; a steered one adds Iz ((omega + g deltadot)^2 - omega^2) / 2 to the energy"
+            why += "; a steered wheel adds Iz ((omega + g deltadot)^2 - omega^2) / 2 to the energy"
         M = ImmutableMatrix(sympy.diag(body, *(wheel.spin_inertia for wheel in wheels)))
         self._tell("M", "Mass matrix, wheels included", f"{why}.", "M(q)", M)
         return M
@@ -416,12 +482,12 @@ def _rate(coordinate: Symbol) -> Symbol:
 
 
 def _slope(expression: Any, x: Symbol) -> Any:
-    """Return the derivative, in which that of tan(delta) is 1 / cos^2 delta, which stays whole."""
+    """Return the derivative; it keeps 1 / cos^2 delta as the derivative of tan(delta)."""
     T, tangent = Function("T")(_DELTA), sympy.tan(_DELTA)
     slope = expression.xreplace({tangent: T}).diff(x)
     return slope.xreplace({T.diff(_DELTA): sympy.cos(_DELTA) ** -2}).xreplace({T: tangent})
 
 
 def _shorter(entry: Expr, k: Symbol, square: Expr) -> Expr:
-    """Return `entry` with k instead of k^2 / k, where k^2 is written out, if that is shorter."""
+    """Return `entry` with k in place of k^2 / k for a written-out k^2, if this is shorter."""
     return min(entry, sympy.cancel(entry * k / square) * k, key=sympy.count_ops)

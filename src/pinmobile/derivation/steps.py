@@ -1,4 +1,4 @@
-"""The steps of a derivation, and their record in words."""
+"""Steps of a derivation, with their texts, and functions from its results."""
 
 from __future__ import annotations
 
@@ -26,26 +26,42 @@ _NONE: Parameters = MappingProxyType({})
 
 @dataclass(frozen=True)
 class Numeric:
-    """M, n and the inputs of a derivation, for arrays.
+    """Functions M, n and inputs of a derivation, for arrays.
 
-    Coordinates are in the order of the derivation. `params` maps the name of each of its parameters to a
-    number or an array; its shape is broadcast against the leading axes of the other arguments. Each
-    function is compiled when it is first called.
+    Coordinates have the order of the derivation. `params` maps the name of each parameter to a number or an
+    array. Arrays broadcast against the leading axes of the other arguments. Each function is compiled at its
+    first call.
 
     Parameters
     ----------
     derivation : Derivation
-        The equations.
+        Derivation with the equations.
+
+    See Also
+    --------
+    derivation.Derivation : `numeric` returns this object
+    closed_form.mass_matrix : formulas derived by hand
+
+    Examples
+    --------
+    >>> import sympy
+    >>> from pinmobile.derivation import Link, Numeric, derive
+    >>> from pinmobile.dh import DHRow, DHTable, JointType
+    >>> m, l = sympy.symbols("m l")
+    >>> hinge = DHTable([DHRow(0, 0, 0, 0, JointType.REVOLUTE, "q")])
+    >>> pendulum = derive(hinge, [Link(m, (l, 0, 0), sympy.zeros(3))])
+    >>> Numeric(pendulum).mass_matrix([0], {"m": 2.0, "l": 0.5})
+    array([[0.5]])
     """
 
     derivation: Derivation
 
     def __reduce__(self) -> tuple[type[Numeric], tuple[Derivation]]:
-        # compiled functions do not travel to other processes
+        # compiled functions cannot be pickled
         return type(self), (self.derivation,)
 
     def mass_matrix(self, q: ArrayLike, params: Parameters = _NONE) -> Array:
-        """Return M(q).
+        """Return the mass matrix M(q).
 
         Parameters
         ----------
@@ -56,7 +72,7 @@ class Numeric:
 
         Returns
         -------
-        M : ndarray, shape (..., n, n)
+        ndarray, shape (..., n, n)
             Mass matrix [kg, kg m or kg m^2].
 
         Raises
@@ -64,14 +80,14 @@ class Numeric:
         InvalidArgument
             If a shape does not fit, a number is not finite, or a parameter is missing.
         UnknownName
-            If `params` has a name that is no parameter.
+            If `params` has a name that is not a parameter.
         """
         flat = self._evaluate(self._mass_matrix, {"q": q}, params)
         size = len(self.derivation.chain)
         return flat.reshape(*flat.shape[:-1], size, size)
 
     def nonlinear_effects(self, q: ArrayLike, v: ArrayLike, params: Parameters = _NONE) -> Array:
-        """Return n(q, v).
+        """Return the nonlinear effects n(q, v).
 
         Parameters
         ----------
@@ -82,7 +98,7 @@ class Numeric:
 
         Returns
         -------
-        n : ndarray, shape (..., n)
+        ndarray, shape (..., n)
             Centrifugal, Coriolis and gravitational terms [N or N m].
 
         Raises
@@ -90,7 +106,7 @@ class Numeric:
         InvalidArgument
             If a shape does not fit, a number is not finite, or a parameter is missing.
         UnknownName
-            If `params` has a name that is no parameter.
+            If `params` has a name that is not a parameter.
         """
         return self._evaluate(self._nonlinear_effects, {"q": q, "v": v}, params)
 
@@ -106,7 +122,7 @@ class Numeric:
 
         Returns
         -------
-        tau : ndarray, shape (..., n)
+        ndarray, shape (..., n)
             Generalised forces [N or N m].
 
         Raises
@@ -114,7 +130,7 @@ class Numeric:
         InvalidArgument
             If a shape does not fit, a number is not finite, or a parameter is missing.
         UnknownName
-            If `params` has a name that is no parameter.
+            If `params` has a name that is not a parameter.
         """
         return self._evaluate(self._inputs, {"q": q, "v": v, "a": a}, params)
 
@@ -141,7 +157,7 @@ class Numeric:
         """Return a function of the entries of the state and of the parameters."""
         arguments = [*state, *self.derivation.parameters]
         program = _program(self.derivation.assignments, matrix)
-        # dummify: a joint may be called sin, or x0 as the first common subexpression is
+        # dummify: a joint may have the name sin, or x0 like the first common subexpression
         function: Callable[..., list[Any]] = sympy.lambdify(
             arguments,
             [_rounded(entry) for entry in matrix],
@@ -186,7 +202,7 @@ class Numeric:
 def _program(
     assignments: tuple[tuple[Symbol, Expr], ...], matrix: ImmutableMatrix
 ) -> list[tuple[Symbol, Expr]]:
-    """Return the assignments that `matrix` depends on, in their order."""
+    """Return the assignments on which `matrix` depends, in their order."""
     needed, program = set(matrix.free_symbols), []
     for symbol, value in reversed(assignments):
         if symbol in needed:
@@ -196,7 +212,7 @@ def _program(
 
 
 def _rounded(expression: Expr) -> Expr:
-    """Return `expression` with its constants, such as sqrt(2), as floats."""
+    """Return `expression` with constants such as sqrt(2) as floats."""
     constants = expression.atoms(sympy.Pow, sympy.Function, sympy.NumberSymbol)
     return expression.xreplace({c: c.evalf(17) for c in constants if c.is_number})
 
@@ -217,7 +233,7 @@ def _text(expression: Expr | ImmutableMatrix) -> str:
     picture = str(sympy.pretty(expression, wrap_line=False))
     if max(map(len, picture.splitlines())) <= get_terminal_size().columns:
         return picture
-    # a picture that the terminal breaks is not legible, a line is
+    # too wide for the terminal: line by line
     if not isinstance(expression, ImmutableMatrix):
         return str(expression)
     rows, columns = expression.shape
@@ -230,7 +246,7 @@ def _text(expression: Expr | ImmutableMatrix) -> str:
 
 @dataclass(frozen=True)
 class Step:
-    """One line of the derivation. In a notebook it shows as a formula, printed as text.
+    r"""One step of a derivation; a notebook shows a formula, `print` shows text.
 
     Attributes
     ----------
@@ -239,11 +255,24 @@ class Step:
     title : str
         Heading.
     explanation : str
-        One sentence: where the expression comes from.
+        One sentence on the origin of the expression.
     symbol : str
         LaTeX of the left-hand side.
     expression : sympy.Expr or sympy.ImmutableMatrix
-        The right-hand side [SI units].
+        Right-hand side [SI units].
+
+    See Also
+    --------
+    derivation.Derivation : steps and equations
+
+    Examples
+    --------
+    >>> import sympy
+    >>> from pinmobile.derivation import Step
+    >>> m, v = sympy.symbols("m v")
+    >>> step = Step("K", "Kinetic energy", "Half m v^2.", "K", m * v**2 / 2)
+    >>> step.latex()
+    'K = \\frac{m v^{2}}{2}'
     """
 
     name: str
@@ -264,7 +293,7 @@ class Step:
 
 
 class Told:
-    """What is told in steps: they are looked up by name, and shown one after the other."""
+    """Base class of derivations: steps that users look up by name or print in order."""
 
     steps: tuple[Step, ...]
     assignments: Assignments
@@ -276,14 +305,19 @@ class Told:
         raise UnknownName("step", name, [step.name for step in self.steps])
 
     def written_out(self, expression: Expr | ImmutableMatrix) -> Expr | ImmutableMatrix:
-        """Return `expression` with every name of `assignments` replaced by what it stands for.
+        """Return `expression` with every name of `assignments` replaced by its expression.
 
         The result can be very long.
+
+        Parameters
+        ----------
+        expression : sympy.Expr or sympy.ImmutableMatrix
+            Expression or matrix with such names.
 
         Raises
         ------
         InvalidArgument
-            If `expression` is something else.
+            If `expression` has another type.
         """
         instance("expression", expression, Expr | ImmutableMatrix, "a sympy expression or matrix")
         full: dict[Symbol, Expr] = {}
@@ -308,19 +342,20 @@ class Told:
 
 @dataclass(frozen=True)
 class Derivation(Told):
-    """The equations of motion M(q) a + n(q, v) = inputs, and how they came about.
+    """Equations of motion M(q) a + n(q, v) = inputs, and the steps of their derivation.
 
-    `derivation["M"]` is the step of that name. Up to three joints every expression is simplified. Beyond,
-    each entry of a result has a name, by which later steps refer to it: omega_2x is the first entry of the
-    step omega_2. A superscript marks the same quantity in another motion: M1 with nothing but a unit
-    acceleration of joint 1, n without acceleration.
+    ``derivation["M"]`` is the step with the name M. Up to three joints, every expression is simplified. For
+    more joints, each entry of a result has a name, which later steps use: omega_2x is the first entry of the
+    step omega_2. A superscript marks the same quantity in another motion: M1 for a unit acceleration of joint
+    1 alone, n for zero acceleration.
 
     Attributes
     ----------
     chain : Chain
-        What was derived. Coordinates below are in `chain.order`, not in that of the rows.
+        Derived chain. The coordinates below have the order of the attribute `order` of the chain, not of the
+        rows.
     steps : tuple of Step
-        In the order in which they were taken.
+        Steps in their order.
     inputs : sympy.ImmutableMatrix, shape (n, 1)
         Generalised forces as functions of (q, v, a) [N or N m].
     mass_matrix : sympy.ImmutableMatrix, shape (n, n)
@@ -328,7 +363,19 @@ class Derivation(Told):
     nonlinear_effects : sympy.ImmutableMatrix, shape (n, 1)
         n(q, v): centrifugal, Coriolis and gravitational terms [N or N m].
     assignments : tuple of (sympy.Symbol, sympy.Expr)
-        The names of intermediate results, each in terms of earlier ones; empty for up to three joints.
+        Names of intermediate results, each in terms of earlier ones; empty for up to three joints.
+
+    See Also
+    --------
+    derivation.derive : function that returns this object
+    derivation.lecture : derivation of the lecture's robot
+
+    Examples
+    --------
+    >>> from pinmobile.derivation import lecture
+    >>> robot = lecture()
+    >>> robot.nonlinear_effects[2], robot["M"].title
+    (0, 'Mass matrix')
     """
 
     chain: Chain
@@ -355,11 +402,17 @@ class Derivation(Told):
 
     @property
     def parameters(self) -> tuple[Symbol, ...]:
-        """Symbols in links and gravity; their names are the keys of `params` in the numeric functions."""
+        """Symbols in links and gravity. Their names are the keys of `params` in the numeric functions."""
         return self.chain.parameters
 
     def numeric(self) -> Numeric:
-        """Return M, n and the inputs as fast functions of arrays; keep it, as it keeps what it compiles."""
+        """Return M, n and the inputs as fast functions of arrays; the object caches compiled code.
+
+        Returns
+        -------
+        Numeric
+            Functions of arrays.
+        """
         return Numeric(self)
 
 
@@ -368,16 +421,16 @@ _Matrices = tuple[ImmutableMatrix, ImmutableMatrix]
 
 @dataclass(frozen=True)
 class Wording:
-    """The texts of one kind of step.
+    """Texts of one kind of step.
 
-    In all of them $k stands for the index, $j for the one before, $n for the last frame.
+    In all texts, $k stands for the index, $j for the previous index, and $n for the last frame.
 
     Attributes
     ----------
     name, title, explanation, symbol : str
-        Key, heading, one sentence, and the LaTeX of the left-hand side.
+        Key, heading, one sentence, and LaTeX of the left-hand side.
     prismatic, revolute : str
-        What stands for $extra in the explanation, according to joint k.
+        Text of $extra in the explanation, for a prismatic or revolute joint k.
     """
 
     name: str
@@ -388,7 +441,7 @@ class Wording:
     revolute: str = ""
 
     def at(self, k: int, last: int, row: DHRow, **texts: str) -> tuple[str, str, str, str]:
-        """Return name, title, explanation and symbol for index `k`, whose row is `row`."""
+        """Return name, title, explanation and symbol for index `k` with the table's `row`."""
         extra = self.revolute if row.joint is JointType.REVOLUTE else self.prismatic
         values = {"k": k, "j": k - 1, "n": last, "joint": row.joint.value, "variable": row.variable, **texts}
         templates = (self.name, self.title, self.explanation.replace("$extra", extra), self.symbol)
@@ -408,61 +461,61 @@ PLACEMENT = Wording(
     "The product of the first $k transforms.",
     r"{}^{0}T_{$k}",
 )
-POSITION = Wording("p", "Position", "Where frame $n is in the base: the last column of T_0_$n.", "p")
+POSITION = Wording("p", "Position", "The origin of frame $n in the base: the last column of T_0_$n.", "p")
 NORMAL = Wording("n", "Normal vector", "The x axis of frame $n in the base.", r"\hat{n}")
 SLIDING = Wording("s", "Sliding vector", "The y axis of frame $n in the base.", r"\hat{s}")
 APPROACH = Wording("a", "Approach vector", "The z axis of frame $n in the base.", r"\hat{a}")
 OMEGA = Wording(
     "omega_$k",
     "Angular velocity of frame $k",
-    "That of frame $j, turned into frame $k$extra.",
+    "The angular velocity of frame $j, rotated into frame $k$extra.",
     r"{}^{$k}\omega_{$k}",
     revolute=", plus the rate about z_$k",
 )
 OMEGA_BASE = Wording(
     "omega_0_$n",
     "Angular velocity in the base",
-    "That of frame $n, turned into the base.",
+    "The angular velocity of frame $n, rotated into the base.",
     r"{}^{0}\omega_{$n}",
 )
 VELOCITY = Wording(
     "v_$k",
     "Linear velocity of frame $k",
-    "v + omega x P of frame $j, turned into frame $k$extra.",
+    "v + omega x P of frame $j, rotated into frame $k$extra.",
     r"{}^{$k}v_{$k}",
     prismatic=", plus the rate along z_$k",
 )
 VELOCITY_BASE = Wording(
     "v_0_$n",
     "Linear velocity in the base",
-    "That of the origin of frame $n, turned into the base.",
+    "The velocity of the origin of frame $n, rotated into the base.",
     r"{}^{0}v_{$n}",
 )
 ALPHA = Wording(
     "alpha_$k",
     "Angular acceleration of frame $k",
-    "That of frame $j, turned into frame $k$extra.",
+    "The angular acceleration of frame $j, rotated into frame $k$extra.",
     r"{}^{$k}\alpha_{$k}",
-    revolute=", plus the gyroscopic term (the turned omega_$j) x z_$k times the rate, "
+    revolute=", plus the gyroscopic term (the rotated omega_$j) x z_$k times the rate, "
     "plus the acceleration about z_$k",
 )
 ALPHA_BASE = Wording(
     "alpha_0_$n",
     "Angular acceleration in the base",
-    "That of frame $n, turned into the base.",
+    "The angular acceleration of frame $n, rotated into the base.",
     r"{}^{0}\alpha_{$n}",
 )
 ACCELERATION = Wording(
     "a_$k",
     "Linear acceleration of frame $k",
-    "a + alpha x P + omega x (omega x P) of frame $j, turned into frame $k$extra.",
+    "a + alpha x P + omega x (omega x P) of frame $j, rotated into frame $k$extra.",
     r"{}^{$k}a_{$k}",
     prismatic=", plus the Coriolis term 2 omega_$k x z_$k times the rate, plus the acceleration along z_$k",
 )
 ACCELERATION_BASE = Wording(
     "a_0_$n",
     "Linear acceleration in the base",
-    "That of the origin of frame $n, turned into the base; gravity counts as an acceleration upwards.",
+    "The acceleration of the origin of frame $n, rotated into the base; gravity adds an upward acceleration.",
     r"{}^{0}a_{$n}",
 )
 ACCELERATION_COM = Wording(
@@ -486,20 +539,20 @@ INERTIAL_MOMENT = Wording(
 FORCE = Wording(
     "f_$k",
     "Force at joint $k",
-    "What link $j exerts on link $k: its inertial force, and the force passed on to the next link.",
+    "The force of link $j on link $k: its inertial force, plus the force on the next link.",
     r"{}^{$k}f_{$k}",
 )
-SHAKING_FORCE = Wording("f_0", "Shaking force", "What the ground exerts on the chain.", r"{}^{0}f_{0}")
+SHAKING_FORCE = Wording("f_0", "Shaking force", "The force of the ground on the chain.", r"{}^{0}f_{0}")
 MOMENT = Wording(
     "n_$k",
     "Moment at joint $k",
-    "What link $j exerts on link $k: N + P_c x F, and n + P x f passed on to the next link.",
+    "The moment of link $j on link $k: N + P_c x F, plus n + P x f of the next link.",
     r"{}^{$k}n_{$k}",
 )
 SHAKING_MOMENT = Wording(
     "n_0",
     "Shaking moment",
-    "What the ground exerts on the chain, about the origin of the base.",
+    "The moment of the ground on the chain, about the origin of the base.",
     r"{}^{0}n_{0}",
 )
 INPUT = Wording(
@@ -519,7 +572,7 @@ MASS_MATRIX = Wording(
 NONLINEAR_EFFECTS = Wording(
     "n_v",
     "Nonlinear effects",
-    "What remains of the inputs ($inputs) without acceleration.",
+    "The inputs ($inputs) for zero acceleration.",
     r"n(q, \dot{q})",
 )
 POSITION_COM = Wording(
@@ -537,19 +590,19 @@ VELOCITY_COM = Wording(
 OMEGA_SKEW = Wording(
     "omega_0_$k",
     "Angular velocity of link $k",
-    "Read off the skew matrix: the derivative of R_0_$k with respect to time, times the transpose of R_0_$k.",
+    "From the skew matrix: the derivative of R_0_$k with respect to time, times the transpose of R_0_$k.",
     r"{}^{0}\omega_{$k}",
 )
 VELOCITY_OWN = Wording(
     "v_own$k",
     "Velocity of the centre of mass of link $k in its own axes",
-    "The velocity, turned into frame $k.",
+    "The velocity, rotated into frame $k.",
     r"{}^{$k}v_{c_{$k}}",
 )
 OMEGA_OWN = Wording(
     "omega_own$k",
     "Angular velocity of link $k in its own axes",
-    "The angular velocity, turned into frame $k.",
+    "The angular velocity, rotated into frame $k.",
     r"{}^{$k}\omega_{$k}",
 )
 KINETIC = Wording("K", "Kinetic energy", "The sum over all links of m v . v / 2 + omega . I omega / 2.", "K")
@@ -563,24 +616,24 @@ MOMENTUM = Wording(
 LAGRANGE = Wording(
     "tau_$k",
     "Input of joint $k",
-    "Lagrange: the derivative of P_$k with respect to time, less that of L with respect to $variable.",
+    "Lagrange: the derivative of P_$k with respect to time, minus the derivative of L by $variable.",
     r"\tau_{$k}",
 )
 
 
 class _Treatment(Protocol):
-    """What becomes of each result."""
+    """Treatment of each result of a derivation."""
 
     @property
     def meanings(self) -> Mapping[Symbol, Expr]:
-        """The symbols that stand for results, in the order in which they came up, and what they stand for."""
+        """Symbols of intermediate results with their expressions, in the order of their creation."""
 
     def take(self, name: str, result: ImmutableMatrix) -> _Matrices:
-        """Return what later steps are to use in the place of `result`, and what the reader is to see."""
+        """Return the form of `result` for later steps, and the form for the reader."""
 
 
 class _Simplified:
-    """Every result is written in few terms; the reader sees them grouped by motion, then by mass."""
+    """Treatment that simplifies each result; the reader sees terms grouped by motion, then by mass."""
 
     meanings: Mapping[Symbol, Expr] = MappingProxyType({})
 
@@ -594,14 +647,15 @@ class _Simplified:
 
 
 class Named:
-    """Every entry of a result that is not a symbol gets a name, and later steps use the name.
+    """Treatment that names every entry of a result except symbols, for use in later steps.
 
-    The expressions grow in proportion to the number of joints so; written out, they grow exponentially.
+    The size of the expressions then grows linearly with the number of joints. Without names, it grows
+    exponentially.
 
     Attributes
     ----------
     meanings : dict of sympy.Symbol to sympy.Expr
-        The names and what they stand for, each in terms of earlier ones.
+        Names with their expressions, each in terms of earlier ones.
     """
 
     def __init__(self, chain: Chain) -> None:
@@ -632,23 +686,23 @@ class Named:
 
 
 SIMPLIFIED_JOINTS = 3
-"""Up to so many joints results are simplified; beyond, they are told in named intermediate results."""
+"""Largest number of joints for simplified results; beyond, results use named intermediate results."""
 
 
 class Record:
-    """Takes down each step of a derivation.
+    """Recorder of the steps of a derivation.
 
     Parameters
     ----------
     chain : Chain
-        What is derived.
+        Derived chain.
 
     Attributes
     ----------
     steps : list of Step
-        What was taken down so far.
+        Recorded steps.
     treatment : Treatment
-        What becomes of each result.
+        Treatment of each result.
     """
 
     def __init__(self, chain: Chain) -> None:
@@ -657,16 +711,16 @@ class Record:
         self.treatment: _Treatment = _Simplified(chain) if len(chain) <= SIMPLIFIED_JOINTS else Named(chain)
 
     def aside(self, tag: str) -> Record:
-        """Return an empty record of the same names, for what is computed but not told.
+        """Return an empty record with the same names, for results that are not steps of this derivation.
 
-        `tag` goes into new names, as the same quantities occur in this record.
+        New names contain `tag`, since this record has the same quantities.
         """
         other = Record(self.chain)
         other.treatment, other._tag = self.treatment, tag
         return other
 
     def matrix(self, wording: Wording, result: ImmutableMatrix, k: int = 0, **texts: str) -> ImmutableMatrix:
-        """Take down the step of `wording` for index `k` and return what stands for `result` from now on."""
+        """Record the step of `wording` for index `k`, and return the form of `result` for later steps."""
         row = self.chain.table.rows[max(k - 1, 0)]
         name, title, explanation, symbol = wording.at(k, len(self.chain), row, **texts)
         kept, shown = self.treatment.take(self._tagged(name), ImmutableMatrix(result))
@@ -674,17 +728,17 @@ class Record:
         return kept
 
     def scalar(self, wording: Wording, result: Expr, k: int = 0, **texts: str) -> Expr:
-        """Take down a step whose result is one expression; see `matrix`."""
+        """Record a step with a single expression as its result; see `matrix`."""
         kept = self.matrix(wording, ImmutableMatrix([[result]]), k, **texts)
         self.steps[-1] = replace(self.steps[-1], expression=self.steps[-1].expression[0])
         return kept[0]
 
     def named(self, name: str, result: Expr) -> Expr:
-        """Return what stands for `result` from now on, without a step of its own."""
+        """Return the form of `result` for later steps, without recording a step."""
         return self.treatment.take(self._tagged(name), ImmutableMatrix([[result]]))[0][0]
 
     def finished(self, M: Sequence[Sequence[Expr]], n: Sequence[Expr]) -> Derivation:
-        """Take down M and n, given in the order of the rows, and return the derivation."""
+        """Record M and n, given in the order of the rows, and return the derivation."""
         order, variables = self.chain.order, self.chain.table.variables
         names = [f"tau_{variables.index(name) + 1}" for name in order]
         texts = {"order": ", ".join(order), "inputs": ", ".join(names)}
@@ -697,5 +751,5 @@ class Record:
         return Derivation(self.chain, tuple(self.steps), inputs, shown["M"], shown["n_v"], meanings)
 
     def _tagged(self, name: str) -> str:
-        # as sympy reads names, __ begins a superscript and _ a subscript
+        # in names of sympy, __ begins a superscript and _ a subscript
         return name.replace("_", f"__{self._tag}_", 1) if self._tag else name
