@@ -139,7 +139,7 @@ def test_joints_are_locked_where_links_and_joints_share_a_name(name: str) -> Non
 def test_two_arms_do_not_stand_in_the_same_place_unless_they_are_told_to() -> None:
     one = BOX.mount("ur5")
     with pytest.raises(
-        pm.InvalidArgument, match=r"^at is not given for 'z1', and 'ur5' stands in the middle"
+        pm.InvalidArgument, match=r"^at is not given for 'z1', and 'ur5' is already in the middle"
     ):
         one.mount("z1")
     assert one.mount("z1", (0, 0, 0.2, 0)).mounts[1].at == one.mounts[0].at
@@ -218,7 +218,7 @@ MIMIC = MIMIC.replace("continuous", "revolute").replace(
         ({"arm": massless()}, "joint 'grip/finger' moves parts that have no inertia, expected inertia"),
         (
             {"arm": pin.buildModelFromXML(MIMIC, mimic=True)},
-            "arm 'two links': joint 'elbow' mimics another one, which Pinocchio's forward dynamics does not",
+            "arm 'two links': joint 'elbow' mimics another joint, which Pinocchio's forward dynamics does not",
         ),
         ({"rest": (1, 2)}, "rest has shape (2,), expected (..., 6)"),
         (

@@ -1,4 +1,4 @@
-"""Arms, made ready to be mounted: checked, without a root of their own, their wheels locked."""
+"""Arms that can be mounted: checked models without their root joints and with locked wheels."""
 
 from __future__ import annotations
 
@@ -25,31 +25,31 @@ from pinmobile.robot.linkage import (
     tip_of,
 )
 
-_RIGHT = 2e-11  # that angles of eleven digits leave of a right one, two of them at most
+_RIGHT = 2e-11  # rounding error of two right angles with eleven digits
 _ORTHONORMAL = 1e-15
-_SINGULAR = 1e-9  # what is left of a joint's inertia when all joints beyond it give way, as a share of it
-_GENERIC = 20  # seed of the posture at which inertias are tried; any will do
+_SINGULAR = 1e-9  # smallest share of a joint's inertia that remains if the joints beyond move freely
+_GENERIC = 20  # arbitrary seed of the second configuration
 
 
-_SLACK = 1e-9  # of the moments of inertia, relative, and of the mass [m^2]: files carry as many digits
+_SLACK = 1e-9  # tolerance of moments of inertia, relative and times the mass [m^2]: digits of files
 _MOMENTS = ("xx", "yy", "zz", "xy", "xz", "yz")
 _EXPECTED = "expected principal moments >= 0, none above the sum of the other two"
 
 
 @attrs.frozen
 class Entries(Number):
-    """Declaration of a few numbers that are kept as a tuple; entries that are not given are zero.
+    """Declaration of a few numbers that a part stores as a tuple; missing entries are zero.
 
     Attributes
     ----------
     length : int
-        How many.
+        Number of entries.
     """
 
     length: int = 3
 
     def checked(self, name: str, value: Any) -> Any:
-        """Return a tuple of floats; symbols as they are."""
+        """Return a tuple of floats, or the given symbols."""
         found = super().checked(name, value)
         if is_symbolic(found):
             return found
@@ -58,7 +58,7 @@ class Entries(Number):
 
 
 def com_field(default: Any = attrs.NOTHING, **options: Any) -> Any:
-    """Declare a centre of mass that is kept as a tuple of 3 numbers."""
+    """Declare a centre of mass, stored as a tuple of 3 numbers."""
     return declare(Entries(unit="m", labels=("x", "y", "z"), **options), default)
 
 
@@ -73,7 +73,7 @@ def matrix_of_six(six: Array) -> Array:
 
 
 def are_impossible(inertias: Array, masses: ArrayLike) -> NDArray[np.bool_]:
-    """Return which inertias (xx, yy, zz, xy, xz, yz) about a centre of mass no body has, shape (...)."""
+    """Return which inertias (xx, yy, zz, xy, xz, yz) about centres of mass no body has, shape (...)."""
     xx, yy, zz, xy, xz, yz = np.moveaxis(inertias, -1, 0)
     full = np.stack([np.stack(row, -1) for row in ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))], -2)
     moments = np.linalg.eigvalsh(full)
@@ -83,13 +83,13 @@ def are_impossible(inertias: Array, masses: ArrayLike) -> NDArray[np.bool_]:
 
 
 def inertia_field(of: str) -> Any:
-    """Declare an inertia that is kept as (xx, yy, zz, xy, xz, yz)."""
+    """Declare an inertia, stored as (xx, yy, zz, xy, xz, yz)."""
     doc = f"inertia of {of} about its centre of mass"
     return array(shapes=((6,),), unit="kg m^2", labels=_MOMENTS, doc=doc)
 
 
 class RigidBody(Protocol):
-    """A part with mass, com and inertia (xx, yy, zz, xy, xz, yz), which some rigid body has."""
+    """A part with mass, com and inertia (xx, yy, zz, xy, xz, yz) of a rigid body."""
 
     mass: float
     com: Any
@@ -97,44 +97,57 @@ class RigidBody(Protocol):
 
     @property
     def called(self) -> str:
-        """What it is called in messages."""
+        """Name of the body in messages."""
 
     def impossible(self, values: Mapping[str, Array]) -> tuple[NDArray[np.bool_], str]:
-        """Return which of several values of its numbers no rigid body has, and what is expected."""
+        """Return which of several values no rigid body has, and the expected values as text."""
         mass = values.get("mass", self.mass)
         return are_impossible(values.get("inertia", self.inertia), mass), _EXPECTED
 
     def check(self) -> None:
-        """Raise `InvalidArgument` where no rigid body has its inertia."""
+        """Raise `InvalidArgument` if no rigid body has this inertia."""
         if are_impossible(self.inertia, self.mass):
             raise InvalidArgument(f"inertia of {self.called} is one that no body has, {_EXPECTED}")
 
     @property
     def body(self) -> pin.Inertia:
-        """Its inertia, seen from its frame."""
+        """Pinocchio inertia of the body in its frame."""
         return pin.Inertia(self.mass, np.array(self.com), matrix_of_six(self.inertia))
 
 
 @by_value
 @part
 class Link(RigidBody):
-    """What of an arm moves together, along the axes of its joint's frame.
+    """Rigidly connected links of an arm, as one body along the axes of its joint's frame.
 
     Parameters
     ----------
     name : str
-        Of its first link with a mass.
+        Name of the first link with a mass.
     mass : float
-        [kg].
+        Mass [kg].
     com : array_like, shape (3,)
-        Centre of mass [m].
+        Centre of mass in the joint's frame [m].
     inertia : array_like, shape (6,)
-        xx, yy, zz, xy, xz, yz about the centre of mass [kg m^2].
+        Inertia xx, yy, zz, xy, xz, yz about the centre of mass [kg m^2].
 
     Raises
     ------
     InvalidArgument
-        If no rigid body has these.
+        If no rigid body has these values.
+
+    See Also
+    --------
+    robot.Mount : mounted arm with its links
+    PayloadBody : load on a frame
+
+    Examples
+    --------
+    >>> from pinmobile import MobileRobot
+    >>> (arm,) = MobileRobot.box(mass=60.0).mount("ur5").mounts
+    >>> heaviest = max(arm.links, key=lambda link: link.mass)
+    >>> heaviest.name, heaviest.mass  # [kg]
+    ('upper_arm_link', 8.393)
     """
 
     name: str = option(doc="name of the link")
@@ -144,12 +157,12 @@ class Link(RigidBody):
 
     @property
     def called(self) -> str:
-        """What it is called in messages."""
+        """Name of the link in messages."""
         return self.name
 
 
 def links_of(model: pin.Model, called: str) -> tuple[Link, ...]:
-    """Return what moves together in the model of an arm: first what is fixed to its root."""
+    """Return the rigidly connected links of an arm's model; the first is fixed to its root."""
     found = list[Link]()
     for name, body in zip(_link_names(model), model.inertias, strict=True):
         try:
@@ -164,27 +177,27 @@ def _link_names(model: pin.Model) -> list[str]:
     links = [frame for frame in model.frames if frame.type == pin.FrameType.BODY]
 
     def has_mass(link: pin.Frame) -> bool:
-        # Pinocchio keeps a link's mass with the joint that it hangs on, if that is a fixed one.
+        # Pinocchio stores the mass of a link with its parent joint if this joint is fixed.
         above = model.frames[link.parentFrame] if link.parentFrame < model.nframes else link
         return bool(above.type == pin.FrameType.JOINT or above.inertia.mass > 0)
 
-    # What comes later here is taken: what has a mass, and of that the first.
+    # Later names replace earlier ones, so the first link with a mass wins.
     for frame in sorted(reversed(links), key=has_mass):
         found[frame.parentJoint] = str(frame.name)
     return found
 
 
 class Origin(NamedTuple):
-    """Where an arm comes from, so that it can be read again.
+    """Source of an arm, from which it can be read again.
 
     Attributes
     ----------
     kind : str
         ``"loader"``, ``"urdf"`` or ``"model"``.
     value : str
-        The loader's name, the path of the URDF, or the model's name.
+        Name of the loader, path of the URDF, or name of the model.
     package_dirs : tuple of str
-        Folders that ``package://`` in the URDF refers to.
+        Folders to which ``package://`` in the URDF refers.
     """
 
     kind: str
@@ -194,45 +207,59 @@ class Origin(NamedTuple):
 
 @attrs.frozen(eq=False, slots=False)
 class Arm:
-    """A robot that can be mounted.
+    """Robot that can be mounted, as read from its file; `MobileRobot.mount` makes this object.
 
     Parameters
     ----------
     origin : Origin
-        Where it comes from.
+        Source of the arm.
     file_model : pin.Model
-        As Pinocchio read it; a copy is taken.
+        Model as Pinocchio read the file. The arm stores a copy.
     rest : ndarray, shape (whole.nq,)
-        Its reference posture; the pose of a root of its own is dropped.
+        Reference configuration [rad or m]. The pose of a root joint is discarded.
     locked : tuple of str
-        Joints to lock at rest, beside a root and wheels.
+        Names of joints to lock at rest, in addition to root joint and wheels.
     stands : bool
-        Whether it stands on its feet, as what has a free-flyer root does, rather than on its root; true of a
-        model with such a root in any case.
+        Whether the lowest frame, not the root, stands on the mounting surface, as for a robot with a
+        free-flyer root. It is always True for a model with such a root.
     usual : ndarray, shape (whole.nq,), optional
-        The reference posture that it has unless another is asked for; by default `rest`.
+        Default reference configuration; by default, `rest`.
     file : VisualFile, optional
-        The URDF that has its geometry.
+        URDF with the geometry.
     visual, collision : pin.GeometryModel, optional
-        The same without a file; None: it has none.
+        Geometry of an arm without a file; None means no geometry.
 
     Attributes
     ----------
     posture : ndarray, shape (model.nq,)
-        Its reference posture.
+        Reference configuration of the unlocked joints [rad or m].
     links : tuple of Link
-        What is fixed to its root, then what is fixed to each of its joints.
+        Body that is fixed to the root, then the body on each joint.
     squared : tuple of str
-        Joints of `whole` whose placement was turned by a right angle but for its last digits, as by a file's
-        1.57079632679, and is so by an exact one.
+        Joints of `whole` whose placement had a rounded right angle (such as 1.57079632679) that is now exact.
 
     Raises
     ------
     InvalidArgument
-        If a joint moves nothing that has inertia, carries what no rigid body is, has limits that limit
-        nothing, mimics another one, or has several axes.
+        If a joint has no inertia beyond it, several axes or invalid limits, mimics another joint, or carries
+        an inertia that no rigid body has.
     UnknownName
-        If a joint to lock is not there.
+        If a joint to lock does not exist.
+
+    See Also
+    --------
+    MobileRobot : `mount` reads and mounts an arm
+    robot.Mount : arm on a robot
+    robot.mountable : table of shipped arms
+
+    Examples
+    --------
+    >>> from pinmobile import MobileRobot
+    >>> (mount,) = MobileRobot.box(mass=60.0).mount("ur5").mounts
+    >>> mount.arm.tip, mount.arm.model.nq
+    ('tool0', 6)
+    >>> mount.arm.posture  # reference configuration [rad]
+    array([0., 0., 0., 0., 0., 0.])
     """
 
     origin: Origin
@@ -250,7 +277,7 @@ class Arm:
     links: tuple[Link, ...] = attrs.field(init=False, repr=False)
     _whole: pin.Model = attrs.field(init=False, repr=False)
 
-    # By which the store of a sweep knows it again.
+    # Fields that identify the arm in the store of a sweep.
     determined_by: ClassVar[tuple[str, ...]] = ("origin", "digest", "locked", "stands", "rest")
 
     def __attrs_post_init__(self) -> None:
@@ -258,8 +285,8 @@ class Arm:
         for joint in joints_of(model):
             if joint.mimics:
                 raise InvalidArgument(
-                    f"{called}: joint {joint.name!r} mimics another one, which Pinocchio's forward dynamics "
-                    "does not support, expected a model built with mimic=False"
+                    f"{called}: joint {joint.name!r} mimics another joint, which Pinocchio's forward "
+                    "dynamics does not support, expected a model built with mimic=False"
                 )
         own: dict[str, Any] = {"squared": _squared(model), "_file_model": model}
         own["_whole"] = whole = replace_continuous_joints(model)
@@ -271,7 +298,7 @@ class Arm:
             if not joint.nq == joint.nv == 1:
                 raise InvalidArgument(
                     f"{called}: joint {joint}, which has several axes, expected one axis: "
-                    "model it as revolute and prismatic joints in series, or lock it with "
+                    "model the joint as revolute and prismatic joints in series, or lock it with "
                     f"locked=[{joint.name!r}]"
                 )
             least, most = (float(x[joint.q][0]) for x in (whole.lowerPositionLimit, whole.upperPositionLimit))
@@ -291,7 +318,7 @@ class Arm:
 
     @cached_property
     def held(self) -> list[int]:
-        """The joints of `whole` that do not move: a root of its own, wheels, and those in `locked`."""
+        """Numbers of the joints of `whole` that do not move: root joint, wheels, and joints in `locked`."""
         return _held(self._file_model, self.locked)
 
     @cached_property
@@ -300,31 +327,31 @@ class Arm:
 
     @property
     def file_model(self) -> pin.Model:
-        """A copy of the file's model, right angles exact."""
+        """Copy of the file's model, with exact right angles."""
         return self._file_model.copy()
 
     @property
     def model(self) -> pin.Model:
-        """A copy of `whole` without what is locked."""
+        """Copy of `whole` without the locked joints."""
         return self._model.copy()
 
     @property
     def whole(self) -> pin.Model:
-        """A copy of the file's model with one angle for each continuous joint."""
+        """Copy of the file's model with one angle for each continuous joint."""
         return self._whole.copy()
 
     @property
     def tip(self) -> str:
-        """Its end effector's frame."""
+        """Name of the end effector's frame."""
         return tip_of(self._model)
 
     @property
     def digest(self) -> str:
-        """Digest of the file's model, of which copies have the same."""
+        """Digest of the file's model, the same for copies."""
         return sha256(self._file_model.saveToString().encode()).hexdigest()
 
     def options(self) -> dict[str, object]:
-        """Return what `MobileRobot.mount` was asked for beside what it does by default."""
+        """Return the arguments of `MobileRobot.mount` that differ from their defaults."""
         asked = {
             "package_dirs": self.origin.package_dirs,
             "rest": () if np.array_equal(self.rest, self.usual) else self.rest.tolist(),
@@ -333,29 +360,29 @@ class Arm:
         return {word: value for word, value in asked.items() if value}
 
     def reach_down(self) -> float:
-        """Return how far its lowest frame is below its root at rest [m]."""
+        """Return the height of the root above the lowest frame at rest [m]."""
         data = self._model.createData()
         pin.framesForwardKinematics(self._model, data, np.array(self.posture))
         return -min(0.0, *(float(placement.translation[2]) for placement in data.oMf))
 
     def visuals(self) -> pin.GeometryModel:
-        """Return what is drawn of it, for `model`."""
+        """Return the visual geometry for `model`."""
         given = self.visual or pin.GeometryModel()
         return self._reduced([self.file.visuals(self._whole, 7)[0] if self.file else given])[1][0]
 
     def solids(self) -> tuple[pin.GeometryModel, tuple[str, ...]]:
-        """Return its collision geometry, for `model`, and the link of each shape."""
+        """Return the collision geometry for `model`, and the link of each shape."""
         given = self.collision or pin.GeometryModel()
         shapes = self.file.shapes(self._whole) if self.file else given
         links = tuple(link_of(item, self._whole) for item in shapes.geometryObjects)
         return self._reduced([shapes])[1][0], links
 
     def _reduced(self, shapes: list[pin.GeometryModel]) -> tuple[pin.Model, list[pin.GeometryModel]]:
-        """Return the model and its geometry with joints locked at rest; copies where there are none."""
+        """Return the model and its geometry with joints locked at rest, or copies if no joint is locked."""
         model = self._whole.copy()
         if not self.held:
             return model, shapes
-        # Pinocchio refuses a link, a joint or a fixed joint of the same name, so they are numbered meanwhile.
+        # Numbers make names unique for a while: Pinocchio rejects equal names of links and joints.
         names = {}
         for k, frame in enumerate(model.frames):
             if k and frame.type != pin.FrameType.JOINT:
@@ -365,8 +392,8 @@ class Arm:
             model, kept = pin.buildReducedModel(model, shapes, self.held, np.array(self.rest))
         except (ValueError, RuntimeError) as error:
             raise InvalidArgument(
-                f"arm {model.name!r} cannot be had with joints locked: Pinocchio says {error}, expected a "
-                "model with each joint's own frame before those that are fixed to it"
+                f"arm {model.name!r} cannot have locked joints: Pinocchio reports {error}, expected a model "
+                "with each joint's frame before the frames fixed to this joint"
             ) from error
         for frame in model.frames:
             frame.name = names.get(frame.name, frame.name)
@@ -374,16 +401,16 @@ class Arm:
 
 
 def link_of(item: pin.GeometryObject, model: pin.Model) -> str:
-    """Return the link that a shape belongs to; its own name where that is not known."""
+    """Return the link of a shape; for an unknown link, the name of the shape."""
     known = 0 <= item.parentFrame < model.nframes
     frame = model.frames[item.parentFrame] if known else None
     return str(frame.name if frame is not None and frame.type == pin.FrameType.BODY else item.name)
 
 
 def _copied(model: pin.Model) -> pin.Model:
-    """Return a copy with what Pinocchio needs to lock joints, and a model made joint by joint may lack."""
+    """Return a copy with the data that Pinocchio needs to lock joints; some models lack them."""
     copy = model.copy()
-    # Pinocchio refuses it otherwise: the least velocity is left at its largest number.
+    # Otherwise Pinocchio rejects the model: its lower velocity limit is the largest number by default.
     copy.lowerVelocityLimit = np.minimum(copy.lowerVelocityLimit, copy.upperVelocityLimit)
     for joint in range(1, copy.njoints):
         # Pinocchio crashes without it.
@@ -393,10 +420,10 @@ def _copied(model: pin.Model) -> pin.Model:
 
 
 def _squared(model: pin.Model) -> tuple[str, ...]:
-    """Make right angles of rotations exact where their rounding hides them, and return the joints' names.
+    """Make rounded right angles of rotations exact, and return the names of the joints.
 
-    A rotation with entries of 5e-12 costs as much as any other, and no two ways to compute with it agree to
-    the last digits as they do of zeros.
+    A rotation with entries of 5e-12 costs as much as any other rotation. In contrast to exact zeros, such
+    entries also make equal methods differ in the last digits.
     """
     found = []
     for joint in range(1, model.njoints):
@@ -411,14 +438,14 @@ def _squared(model: pin.Model) -> tuple[str, ...]:
 
 
 def _squared_rotation(R: Array) -> Array:
-    """Return a rotation with exact zeros and ones, where that is a rotation, too."""
+    """Return a rotation with entries near 0 and 1 made exact, if the result is a rotation."""
     whole = np.rint(R)
     near = np.where(np.abs(R - whole) < _RIGHT, whole, R) + 0.0
     return near if np.abs(near @ near.T - np.eye(3)).max() < _ORTHONORMAL else np.array(R)
 
 
 def _without_root_pose(model: pin.Model, rest: Array) -> Array:
-    """Return the posture with a root at its origin: the mount point says where that is."""
+    """Return the configuration with the root at its origin, since the mount gives its placement."""
     posture, neutral = np.array(rest), pin.neutral(model)
     for joint in root_of(model):
         own = Joint.of(model, joint).q
@@ -427,7 +454,7 @@ def _without_root_pose(model: pin.Model, rest: Array) -> Array:
 
 
 def _held(model: pin.Model, names: Sequence[str]) -> list[int]:
-    """Return the joints that do not move: a root of its own, wheels, and those that are named."""
+    """Return the joints that do not move: root joint, wheels, and the named joints."""
     root = root_of(model)
     below = children(model)
     start = root[-1] if root else 0
@@ -447,19 +474,19 @@ def _held(model: pin.Model, names: Sequence[str]) -> list[int]:
 
 
 def check_whole(model: pin.Model, posture: Array) -> None:
-    """Refuse a robot whose mass matrix overflows, or is singular to rounding, at rest or at another posture.
+    """Reject a robot with a mass matrix that overflows, or that is singular in one of two configurations.
 
     Parameters
     ----------
     model : pin.Model
-        The base and all that it carries.
+        Model of the base with arms and loads.
     posture : ndarray, shape (nq,)
-        In the order of the model.
+        Reference configuration in the order of the model.
 
     Raises
     ------
     InvalidArgument
-        The message names the joint, and the heaviest part.
+        If M overflows or is singular. The message names the joint and the heaviest part.
     """
     joint = max(range(model.njoints), key=lambda k: model.inertias[k].mass)
     heaviest = f"the heaviest, {model.inertias[joint].mass:g} kg, is on joint {model.names[joint]!r}"
@@ -473,24 +500,24 @@ def check_whole(model: pin.Model, posture: Array) -> None:
         for where, q in (("at rest", posture), ("at a posture like any other", generic)):
             own = np.diag(pin.crba(model, data, q)).copy()
             pin.cholesky.decompose(model, data)
-            # Elimination goes from the tips to the root, and what comes after a zero is no number.
+            # Elimination goes from the tips to the root; the entries after a zero are NaN.
             singular = np.flatnonzero(~(np.array(data.D) > _SINGULAR * own))
             if len(singular):
                 raise InvalidArgument(_cause(model, int(singular[-1]), where, heaviest))
 
 
 def _cause(model: pin.Model, k: int, where: str, heaviest: str) -> str:
-    """Return what is wrong with the joint of a coordinate that moves no inertia, and what is expected."""
+    """Return the error message for the joint of a coordinate that moves no inertia."""
     joint = next(j for j in range(1, model.njoints) if 0 <= k - model.idx_vs[j] < model.nvs[j])
     name = repr(model.names[joint])
     moved = [model.inertias[beyond] for beyond in model.subtrees[joint]]
     if not any(body.mass or np.array(body.inertia).any() for body in moved):
         return (
-            f"joint {name} moves parts that have no inertia, expected inertia beyond each joint, or that "
-            "joint locked"
+            f"joint {name} moves parts that have no inertia, expected inertia beyond each joint: lock this "
+            "joint, or add inertia"
         )
     return (
-        f"the mass matrix is singular {where} about joint {name}: moved together with joints beyond it, it "
-        f"moves less than {_SINGULAR:g} of its own inertia, expected another `rest`, inertia there, masses "
-        f"and distances nearer to each other, or that joint locked: {heaviest}"
+        f"the mass matrix is singular {where} about joint {name}: if the joints beyond move too, it moves "
+        f"less than {_SINGULAR:g} of its inertia, expected another `rest`, inertia there, less different "
+        f"masses and distances, or this joint locked: {heaviest}"
     )

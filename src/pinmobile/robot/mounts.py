@@ -1,4 +1,4 @@
-"""What rides on the body, arms and loads, and the model of the body with all of it."""
+"""Arms and loads on the body, and the model of the body with arms and loads."""
 
 from __future__ import annotations
 
@@ -29,82 +29,109 @@ from pinmobile.urdf import Body, box_inertia
 @by_value
 @part
 class Mount:
-    """An arm at its place on the body.
+    """Arm with its placement on the body; an entry of the attribute `mounts` of a robot.
 
     Attributes
     ----------
     name : str
-        Its own; its joints and frames are called ``name/...``.
+        Name of the arm. The names of its joints and frames are ``name/...``.
     arm : Arm
-        What is mounted; `arm.model` is its own `pin.Model`.
+        Arm as read from its file; `arm.model` is its model.
     first : int
-        Number of its first coordinate in those of the robot.
+        Index of its first coordinate in the robot's coordinates.
     links : tuple of Link
-        What is fixed to its root, then what is fixed to each of its joints.
+        Body that is fixed to its root, then the body on each joint.
     rotors : ndarray, shape (joints,)
-        What motors add to the inertias of its joints [kg m^2, kg where one slides].
+        Inertia of the motors, as seen by the joints [kg m^2; kg for a prismatic joint].
     at : tuple of 4 floats
-        Where it stands on the body: x, y, z and yaw [m, m, m, rad].
+        Placement of its root on the body: x, y, z and yaw [m, m, m, rad].
+
+    See Also
+    --------
+    MobileRobot : `mount` adds an arm
+    robot.Arm : arm as read from its file
+
+    Examples
+    --------
+    >>> from pinmobile import MobileRobot
+    >>> robot = MobileRobot.box(mass=60.0).mount("ur5", at=(0.2, 0, 0.3, 0))
+    >>> (mount,) = robot.mounts
+    >>> mount.name, mount.at
+    ('ur5', (0.2, 0.0, 0.3, 0.0))
+    >>> robot.rest[mount.q].size  # joints of the arm
+    6
     """
 
     name: str = option(doc="name of the arm")
     arm: Arm = option(doc="the arm as it was read")
-    first: int = option(doc="number of its first coordinate")
-    links: tuple[Link, ...] = children(Link, doc="what of the arm moves together")
+    first: int = option(doc="index of its first coordinate")
+    links: tuple[Link, ...] = children(Link, doc="rigidly connected links of the arm")
     rotors: Any = array(
         unit="kg m^2",
         lower=0.0,
         labels=lambda mount: mount.joint_names,
-        doc="inertia that motors add to joints, kg where one slides",
+        doc="inertia of motors at the joints, kg for a prismatic joint",
     )
     at: Any = declare(
         Entries(
             unit="m, m, m, rad",
             labels=("x", "y", "z", "yaw"),
             shapes=((4,),),
-            doc="where the arm stands",
+            doc="placement of the arm",
             length=4,
         )
     )
 
     @classmethod
     def after(cls, coordinates: int, arm: Arm, name: str, at: ArrayLike) -> Mount:
-        """Return the mount of an arm that comes after so many coordinates."""
+        """Return the mount of an arm after a number of coordinates.
+
+        Parameters
+        ----------
+        coordinates : int
+            Number of coordinates before the arm.
+        arm : Arm
+            Arm.
+        name : str
+            Name of the arm.
+        at : array_like, shape (4,)
+            Placement of its root on the body [m, m, m, rad].
+        """
         return cls(name, arm, coordinates, arm.links, arm._model.armature, at)
 
     @structure
     def joint_names(self) -> tuple[str, ...]:
-        """Names of its joints."""
+        """Names of the joints."""
         return tuple(map(str, list(self.arm._model.names)[1:]))
 
     @property
     def v(self) -> slice:
-        """Its part of a velocity."""
+        """Slice of the arm in a velocity."""
         return slice(self.first, self.first + len(self.joint_names))
 
     @property
     def q(self) -> slice:
-        """Its part of a configuration."""
+        """Slice of the arm in a configuration."""
         return self.v
 
     @property
     def joints(self) -> slice:
-        """Its part of the joints of the robot's `model`."""
+        """Slice of the arm's joints in the robot's `model`."""
         return slice(self.v.start + 1, self.v.stop + 1)
 
     @property
     def tip(self) -> str:
-        """Its end effector's frame in the robot's `model`."""
+        """Name of the end effector's frame in the robot's `model`."""
         return f"{self.name}/{self.arm.tip}"
 
     @property
     def model(self) -> pin.Model:
-        """A copy of its own model, on a fixed base and with its own names."""
+        """Copy of the arm's model, on a fixed base and with the names of its file."""
         return self._model.copy()
 
     @cached_property
     def _model(self) -> pin.Model:
-        """The model itself, which is only read."""
+        """Model of the arm itself; no code writes into this object."""
         if not self.is_changed:
             return self.arm._model
         new = self.arm._model.copy()
@@ -115,27 +142,33 @@ class Mount:
 
     @cached_property
     def is_changed(self) -> bool:
-        """Whether its links or motors have other numbers than those of the arm as it was read."""
+        """Whether the numbers of links or motors differ from those of the file."""
         return self != self.as_read
 
     @property
     def as_read(self) -> Mount:
-        """The same with the links and motors that the arm was read with."""
+        """Mount with the links and motors of the file."""
         return Mount.after(self.first, self.arm, self.name, self.at)
 
     @property
     def moving(self) -> range:
-        """Its joints' numbers in the robot's `model`."""
+        """Numbers of the arm's joints in the robot's `model`."""
         return range(self.joints.start, self.joints.stop)
 
     def joint_of(self, item: pin.GeometryObject) -> tuple[int, pin.SE3]:
-        """Return the joint of the robot's `model` that a shape of the arm is on, and its place there."""
+        """Return the joint of the robot's `model` that carries a shape of the arm, and the placement.
+
+        Parameters
+        ----------
+        item : pin.GeometryObject
+            Shape of the arm.
+        """
         own = item.parentJoint
         return (self.v.start + own, item.placement) if own else (BODY_JOINT, self.placement * item.placement)
 
     @property
     def placement(self) -> pin.SE3:
-        """Pose of its root in the body's frame."""
+        """Pose of the arm's root in the body frame."""
         return pin.SE3(pin.utils.rotate("z", self.at[3]), np.array(self.at[:3]))
 
     def __repr__(self) -> str:
@@ -151,7 +184,7 @@ def _checked_size(name: str, value: Any) -> Any:
 @by_value
 @part
 class PayloadBody(RigidBody):
-    """A rigid body that is fixed to a frame of a robot.
+    """Rigid body (a load) that is fixed to a frame of a robot.
 
     Parameters
     ----------
@@ -160,27 +193,41 @@ class PayloadBody(RigidBody):
     com : sequence of 3 floats
         Centre of mass in the frame [m].
     inertia : array_like, shape (3, 3) or (6,), optional
-        About the centre of mass, along the frame's axes [kg m^2]: the matrix, or xx, yy, zz, xy, xz, yz of
-        it, as which it is kept. By default that of a homogeneous box of `size`, or none where there is no
-        size: a point.
+        Inertia about the centre of mass, along the frame's axes [kg m^2]: a matrix, or its entries xx, yy,
+        zz, xy, xz, yz, the stored form. By default, the inertia of a homogeneous box of dimensions `size`;
+        zero (a point mass) without `size`.
     size : sequence of 3 floats, optional
-        Of the box about the centre of mass that is drawn [m].
+        Dimensions of the drawn box about the centre of mass [m].
     frame : str, optional
-        The frame of the robot that it is attached to: see `MobileRobot.attach`.
+        Frame of the robot that carries the load. `MobileRobot.attach` sets this name.
 
     Raises
     ------
     InvalidArgument
-        If no rigid body has these.
+        If no rigid body has these values.
+
+    See Also
+    --------
+    MobileRobot : `attach` fixes a load to a frame
+    forces.Payload : force of an unmodelled load in a simulation
+
+    Examples
+    --------
+    >>> from pinmobile import MobileRobot, PayloadBody
+    >>> crate = PayloadBody(10.0, com=(0.2, 0, 0.3), size=(0.2, 0.2, 0.2))
+    >>> loaded = MobileRobot.box(mass=30.0).attach(crate)
+    >>> whole = loaded.lumped()
+    >>> whole.mass, whole.com  # [kg, m]
+    (40.0, (0.05, 0.0, 0.15))
     """
 
     mass: float = number(unit="kg", above=0.0, doc="mass of the load")
     com: Any = com_field(shapes=((3,),), doc="centre of mass of the load")
     inertia: Any = inertia_field("the load")
     size: tuple[float, float, float] | None = option(
-        default=None, check=_checked_size, doc="size of the box that is drawn"
+        default=None, check=_checked_size, doc="dimensions of the drawn box"
     )
-    frame: str = option(default="", doc="frame that it is attached to")
+    frame: str = option(default="", doc="frame that carries the load")
 
     def __init__(
         self,
@@ -201,7 +248,7 @@ class PayloadBody(RigidBody):
 
     @property
     def called(self) -> str:
-        """What it is called in messages."""
+        """Name of the load in messages."""
         return f"load at {self.frame}" if self.frame else "the load"
 
     def __repr__(self) -> str:
@@ -212,37 +259,38 @@ class PayloadBody(RigidBody):
 
 
 def free_place(mounts: Sequence[Mount], top: float | None, arm: Arm) -> tuple[float, float, float, float]:
-    """Return the mount point in the middle of a body whose highest point has the height `top` [m].
+    """Return the default placement at the middle of a body with the height `top` of its highest point [m].
 
-    What stands on its feet, or would otherwise hang below the ground, is as high as its lowest frame needs.
+    An arm that stands on its feet, or would reach below the ground, is raised by the depth of its lowest
+    frame.
 
     Raises
     ------
     InvalidArgument
-        If the height is not known, or the middle is taken.
+        If the height is not known, or another arm is at the middle.
     """
     if top is None:
         raise InvalidArgument(
             f"at is not given for {arm.origin.value!r}, and the top of the robot is not known, "
-            "expected x, y, z and yaw; robot.source says what its file lacks"
+            "expected x, y, z and yaw; robot.source says what the file lacks"
         )
     for mount in mounts:
         if mount.at[:2] == (0.0, 0.0):
             raise InvalidArgument(
-                f"at is not given for {arm.origin.value!r}, and {mount.name!r} stands in the middle "
-                "already, expected x, y, z and yaw"
+                f"at is not given for {arm.origin.value!r}, and {mount.name!r} is already in the middle, "
+                "expected x, y, z and yaw"
             )
     below = arm.reach_down()
     return 0.0, 0.0, top + below if arm.stands or below > top else top, 0.0
 
 
 def checked_name(name: str) -> str:
-    """Return the name of a mount.
+    """Return the checked name of a mount.
 
     Raises
     ------
     InvalidArgument
-        If it is no text, is empty, or has a slash, a comma, a quotation mark or a control character.
+        If the name is not text, is empty, or has a slash, a comma, a quotation mark or a control character.
     """
     if not isinstance(name, str) or not text("name", name).strip() or set('/,"') & set(name):
         raise InvalidArgument(
@@ -252,7 +300,7 @@ def checked_name(name: str) -> str:
 
 
 def free_name(name: str, taken: Iterable[str]) -> str:
-    """Return the name, numbered where it is taken."""
+    """Return the name, with a number appended if the name is taken."""
     known, number, free = set(taken), 1, name
     while free in known:
         number += 1
@@ -263,25 +311,25 @@ def free_name(name: str, taken: Iterable[str]) -> str:
 def assemble(
     base: pin.Model, mounts: Sequence[Mount], loads: Sequence[PayloadBody] = (), *, at_origin: bool = False
 ) -> pin.Model:
-    """Return the model of a body that carries arms, and loads at frames of either.
+    """Return the model of a body with arms, and with loads at frames of body and arms.
 
     Parameters
     ----------
     base : pin.Model
-        The chain with the body; the body's frame is its last.
+        Chain with the body; the body frame is its last frame.
     mounts : sequence of Mount
-        One after the other.
+        Arms in their order.
     loads : sequence of PayloadBody
-        What is attached.
+        Attached loads.
     at_origin : bool
-        Whether the arms stand at the body's origin, instead of where they do.
+        Whether all arms are placed at the body's origin.
     """
     model, body = base.copy(), base.nframes - 1
     for mount in mounts:
         place = pin.SE3.Identity() if at_origin else mount.placement
         model = pin.appendModel(model, prefixed(mount._model, mount.name), body, place)
     for mount in mounts:
-        # Pinocchio forgets it when it appends; each arm keeps its own, joint by joint.
+        # appendModel drops the armature.
         model.armature[mount.v] = mount._model.armature
     model.name = base.name
     frames = named_frames(model)
@@ -292,7 +340,7 @@ def assemble(
 
 
 def named_frames(model: pin.Model) -> dict[str, int]:
-    """Return the frames by name, links before joints of the same name."""
+    """Return the indices of the frames by name; a link has priority over a joint of the same name."""
     ids: dict[str, int] = {}
     for k in range(1, model.nframes):
         frame = model.frames[k]
@@ -302,7 +350,7 @@ def named_frames(model: pin.Model) -> dict[str, int]:
 
 
 def prefixed(model: pin.Model, name: str) -> pin.Model:
-    """Return a copy with all names ``name/...``; a frame is numbered where a link has its name."""
+    """Return a copy with all names ``name/...``; a frame with the name of a link gets a number."""
     copy = model.copy()
     for joint in range(1, copy.njoints):
         copy.names[joint] = f"{name}/{copy.names[joint]}"
@@ -310,7 +358,7 @@ def prefixed(model: pin.Model, name: str) -> pin.Model:
     for frame in copy.frames:
         own = str(frame.name)
         if frame.type != pin.FrameType.BODY:
-            # Pinocchio finds a link by its name alone.
+            # Pinocchio finds a link only by its name.
             own = free_name(own, taken)
             taken.add(own)
         frame.name = f"{name}/{own}"

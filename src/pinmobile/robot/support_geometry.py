@@ -1,4 +1,4 @@
-"""What a robot stands on: its footprint, its wheels and their swivels; and the metrics of its arms."""
+"""Ground contacts of a robot: footprint, wheels and their swivels; and the metrics of its arms."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from pinmobile.parts import by_value, number, option, part
 from pinmobile.robot.linkage import Joint, turns_freely
 
 WEIGHTLESS = 1e-9
-"""Share of the weight: a vertical force of the ground that only rounding made."""
+"""Share of the weight below which a vertical force of the ground counts as rounding."""
 
-_STRAIGHT = 1e-9  # of the footprint: how far a straight corner may be inside
-_FLAT = 1e-12  # of the area of a square about the footprint: what rounding leaves of a straight corner
+_STRAIGHT = 1e-9  # largest distance of a straight corner inside the hull, as a share of the footprint
+_FLAT = 1e-12  # area of a straight corner by rounding, as a share of a square about the footprint
 
 
 def rectangle(length: float, width: float) -> Array:
@@ -31,17 +31,17 @@ def rectangle(length: float, width: float) -> Array:
 
 
 def checked_footprint(footprint: ArrayLike) -> Array:
-    """Return the corners of a convex polygon, counter-clockwise, shape (k, 2).
+    """Return the corners of a convex polygon, counter-clockwise, shape (k, 2) [m].
 
     Parameters
     ----------
     footprint : array_like, shape (k, 2)
-        Its corners, in the body's frame [m].
+        Corners in the body frame [m].
 
     Raises
     ------
     InvalidArgument
-        If it has fewer than three corners, is not finite, has no area, or is not convex.
+        If the polygon has fewer than three corners, is not finite, has no area, or is not convex.
     """
     given = shaped("footprint", finite("footprint", footprint), ("k>=3", 2))
     corners = hull(given)
@@ -57,23 +57,23 @@ def checked_footprint(footprint: ArrayLike) -> Array:
 
 
 def hull(points: ArrayLike) -> Array | None:
-    """Return the corners of the convex hull of points, counter-clockwise from the one with the least x.
+    """Return the corners of the convex hull of points, counter-clockwise from the point with the smallest x.
 
     Parameters
     ----------
     points : array_like, shape (n, 2)
-        In any order.
+        Points in any order.
 
     Returns
     -------
     corners : ndarray, shape (k, 2), or None
-        Without those on a straight edge; None where the hull has no area. By Andrew's monotone chain.
+        Corners without points on straight edges, by Andrew's monotone chain; None for a hull without area.
     """
     given = np.reshape(np.asarray(points, np.float64), (-1, 2))
     if len(given) < 3:
         return None
     flat = _FLAT * float(np.ptp(given, axis=0).max()) ** 2
-    x, y = given.round(9).T  # what differs by rounding alone has no order
+    x, y = given.round(9).T  # rounding must not determine the order
     ordered = given[np.lexsort((y, x))]
     halves: list[Array] = []
     for way in (ordered, ordered[::-1]):
@@ -92,9 +92,9 @@ def margin_inside(corners: Array, points: Array) -> Array:
     Parameters
     ----------
     corners : ndarray, shape (k, 2)
-        As `checked_footprint` returns them.
+        Corners from `checked_footprint` [m].
     points : ndarray, shape (..., 2)
-        In the same frame [m].
+        Points in the same frame [m].
     """
     edges = np.roll(corners, -1, axis=0) - corners  # (k, 2)
     shares = edges / np.square(edges).sum(axis=-1, keepdims=True)
@@ -107,14 +107,14 @@ def margin_inside(corners: Array, points: Array) -> Array:
 
 
 def pressed_at(wrench: Array, carried: NDArray[np.bool_]) -> Array:
-    """Return the point of the ground about which its wrench has no level moment, shape (..., 2) [m].
+    """Return the zero-moment point, where the ground's wrench has no horizontal moment, shape (..., 2) [m].
 
     Parameters
     ----------
     wrench : ndarray, shape (..., 6)
-        Of the ground on the body, along and about the axes of its frame, whose origin lies on the ground.
+        Wrench of the ground on the body, along and about the axes of the body frame [N, N m].
     carried : ndarray of bool, shape (...)
-        Whether the ground carries the body; NaN where it does not.
+        Whether the ground carries the body; otherwise, the point is NaN.
     """
     vertical = np.where(carried, wrench[..., 2], np.nan)
     return np.stack([-wrench[..., 4] / vertical, wrench[..., 3] / vertical], axis=-1)
@@ -131,21 +131,33 @@ def _cross(a: Array, b: Array) -> Array:
 @by_value
 @part
 class Stance:
-    """How a body stands on the ground, in its frame B.
+    """Contact geometry of a body on the ground, in its body frame B.
 
     Parameters
     ----------
     footprint : array_like, shape (k, 2), optional
-        Corners of the convex polygon on which it stands [m]; None where it is not known.
+        Corners of the convex support polygon [m]; None for an unknown polygon.
     top : float, optional
-        Height of its highest point above the ground [m]; None where it is not known.
+        Height of the highest point above the ground [m]; None for an unknown height.
     grounded : bool
-        Whether B's origin is known to lie on the ground; without that, `top` is not known either.
+        Whether the height of B is known: its origin then lies on the ground. Otherwise, `top` is unknown too.
 
     Raises
     ------
     InvalidArgument
-        If the footprint is no convex polygon, or the top is not above the ground.
+        If the footprint is not a convex polygon, or the top is not above the ground.
+
+    See Also
+    --------
+    MobileRobot : `footprint`, `top` and `grounded` come from this object
+    balance.tip_over_margin : distance to the edge of the footprint
+
+    Examples
+    --------
+    >>> from pinmobile.robot import Stance
+    >>> stance = Stance.of_box((0.6, 0.4, 0.2))
+    >>> stance.footprint.max(axis=0), stance.top  # [m]
+    (array([0.3, 0.2]), 0.2)
     """
 
     footprint: Any = option(default=None, check=_kept_footprint, doc="corners of the footprint")
@@ -154,23 +166,28 @@ class Stance:
 
     @classmethod
     def of_box(cls, size: ArrayLike) -> Stance:
-        """Return that of a box that stands about B's origin.
+        """Return the contact geometry of a box that stands on the ground, centred at the origin of B.
 
         Parameters
         ----------
         size : array_like, shape (3,)
-            Length, width and height, each above zero [m].
+            Length, width and height, each > 0 [m].
+
+        Returns
+        -------
+        Stance
+            Contact geometry of the box.
 
         Raises
         ------
         InvalidArgument
-            If they are something else.
+            If the argument is not three positive lengths.
         """
         length, width, height = lengths(size).tolist()
         return cls(rectangle(length, width), height)
 
     def written(self) -> dict[str, str]:
-        """Return it as attributes of the element <pinmobile> of a URDF, which `stance_written` reads."""
+        """Return the contact geometry as attributes of the element <pinmobile> of a URDF, see `stance_written`."""
         words = {"ground": "0"} if self.grounded else {}
         if self.footprint is not None:
             words["footprint"] = " ".join(map(repr, self.footprint.ravel().tolist()))
@@ -178,12 +195,12 @@ class Stance:
 
 
 def stance_written(root: Element, name: str) -> Stance | None:
-    """Return what a file of our own says in its element <pinmobile>, or None where there is none.
+    """Return the contact geometry from the element <pinmobile> of a file, or None for a file without it.
 
     Raises
     ------
     InvalidArgument
-        If it says what cannot be.
+        If the element has invalid values.
     """
     element = root.find("pinmobile")
     if element is None:
@@ -199,18 +216,18 @@ def stance_written(root: Element, name: str) -> Stance | None:
 
 @dataclass(frozen=True, eq=False)
 class ArmMetrics:
-    """The metrics of a robot with arms, and their law, for Pinocchio's numbers as for symbols and arrays.
+    """Metrics of a robot with arms, for Pinocchio's numbers, symbols and arrays.
 
     Parameters
     ----------
     tips : tuple of (str, str)
-        The arms' names, and the frames of their end effectors.
+        Name of each arm and frame of its end effector.
     effort_limit : ndarray, shape (nv,)
-        Largest |u| [N, N m]; infinite where there is no limit.
+        Limit of the absolute inputs [N, N m]; infinite for no limit.
     footprint : ndarray, shape (k, 2), or None
-        What the robot stands on, where that and the ground's height are known [m].
+        Support polygon [m]; None if the polygon or the height above the ground is unknown.
     rest : ndarray, shape (nq,)
-        Where the reference puts what it does not lead.
+        Reference of the coordinates that a reference lacks.
     """
 
     tips: tuple[tuple[str, str], ...]
@@ -220,7 +237,7 @@ class ArmMetrics:
 
     @classmethod
     def of(cls, robot: Any) -> ArmMetrics:
-        """Return that of a `MobileRobot`."""
+        """Return the metrics of a `MobileRobot`."""
         tips = tuple((mount.name, mount.tip) for mount in robot.mounts)
         stands = robot.footprint if robot.grounded else None
         return cls(tips, robot.effort_limit, stands, robot.rest)
@@ -231,15 +248,15 @@ class ArmMetrics:
 
     @cached_property
     def metrics(self) -> tuple[Metric, ...]:
-        """What `evaluate_metrics` returns."""
+        """Metrics that `evaluate_metrics` computes."""
         found = []
         for k, (arm, tip) in enumerate(self.tips):
-            of = f" of {arm}" if k else ""  # the first arm's is the robot's
-            where = "where the reference puts it"
+            of = f" of {arm}" if k else ""  # the metrics of the first arm have no name of an arm
+            where = "its reference pose"
             found.append(Metric(f"end effector{of}", "m", f"distance of {tip} from {where}"))
             found.append(Metric(f"end effector angle{of}", "rad", f"angle of {tip} to {where}"))
         if self._limited:
-            words = "largest |force or torque| of a joint, of what its motor can do"
+            words = "largest ratio of a joint's force or torque to its effort limit"
             found.append(Metric("effort", "", words))
         if self.footprint is not None:
             words = "distance of the zero-moment point inside the footprint's edge"
@@ -247,7 +264,7 @@ class ArmMetrics:
         return tuple(found)
 
     def apart(self, robot: Any, q: Array, desired: Array) -> Array:
-        """Return each end effector's distance [m] and angle [rad] to where the reference puts it, (..., 2 k).
+        """Return each end effector's distance [m] and angle [rad] to its reference pose, shape (..., 2 k).
 
         Parameters
         ----------
@@ -262,16 +279,16 @@ class ArmMetrics:
         return np.stack(np.broadcast_arrays(*found), axis=-1)
 
     def evaluate_metrics(self, robot: Any, q: Array, v: Array, a: Array, u: Array, desired: Array) -> Array:
-        """Return the metrics of a robot that moves so, shape (..., m).
+        """Return the metrics for a given motion, shape (..., m).
 
         Parameters
         ----------
-        robot : MobileRobot or ArticulatedBody
-            Whose kinematics and dynamics they are.
+        robot : MobileRobot or ArticulatedDynamics
+            Robot with kinematics and dynamics.
         q, v, a, u : ndarray, shape (..., nq), (..., nv), (..., nv), (..., nv)
             State, acceleration and input.
         desired : ndarray, shape (..., k)
-            Where the reference has the first numbers of q.
+            Reference of the first numbers of q.
         """
         found: list[Any] = []
         if self.tips:
@@ -291,7 +308,7 @@ class ArmMetrics:
 def _apart(one: Array, other: Array) -> tuple[Array, Array]:
     """Return the distance [m] and the angle [rad], in [0, pi], between poses, shape (..., 4, 4)."""
     way = other[..., :3, 3] - one[..., :3, 3]
-    # Of the rotation from one to the other: 1 + 2 cos is its trace, and sin the length of its skew part.
+    # For the relative rotation, the trace is 1 + 2 cos, and the skew part has the length sin.
     trace: Any = 0.0
     axis: list[Any] = [0.0, 0.0, 0.0]
     for k in range(3):
@@ -304,24 +321,24 @@ def _apart(one: Array, other: Array) -> tuple[Array, Array]:
     return np.sqrt(np.sum(way * way, axis=-1)), np.arctan2(sine, 0.5 * (trace - 1.0))
 
 
-_TRAIL = 1e-3  # [m]: a wheel nearer to its swivel than that does not trail
+_TRAIL = 1e-3  # [m]: smallest trail of a wheel
 _ALONG = 0.995
-"""Cosine beyond which two directions are the same: files have angles such as 1.57."""
+"""Smallest cosine of equal directions: files have angles such as 1.57."""
 
 Triple = tuple[float, float, float]
 
 
 class Lump(NamedTuple):
-    """Links that move together, at rest.
+    """Rigidly connected links at rest, as one body.
 
     Attributes
     ----------
     mass : float
-        [kg]; zero of links that have none.
+        Mass [kg]; zero for links without mass.
     com : tuple of 3 floats
-        Centre of mass in the body's frame B [m].
+        Centre of mass in the body frame B [m].
     inertia : tuple of 3 tuples of 3 floats
-        About it, along the axes of B [kg m^2].
+        Inertia about the centre of mass, along the axes of B [kg m^2].
     """
 
     mass: float
@@ -330,18 +347,18 @@ class Lump(NamedTuple):
 
 
 class Swivel(NamedTuple):
-    """A joint about the vertical that carries a wheel.
+    """Vertical joint that carries a wheel.
 
     Attributes
     ----------
     name : str
-        Of the joint.
+        Name of the joint.
     x, y : float
-        Where its axis stands in B [m].
+        Position of its axis in B [m].
     limit : float
-        Largest angle to either side [rad]; infinite: it turns freely.
+        Largest angle to either side [rad]; infinite for a free joint.
     lump : Lump
-        All that turns with it, wheels included.
+        All links that turn with the joint, including wheels.
     """
 
     name: str
@@ -351,18 +368,19 @@ class Swivel(NamedTuple):
     lump: Lump
 
     def turning(self, wheel: WheelJoint, across: float) -> tuple[float, float]:
-        """Return mass and yaw inertia that, at the wheel's centre, turn as all on the swivel does.
+        """Return the mass and yaw inertia at the wheel's centre that represent all links on the swivel.
 
-        A rigid body about a pivot acts in the plane by its first and second moment about it. A mass at the
-        centre has the first one, along the trail; the rest of it is at the pivot, with the body. Where that
-        is no mass, or nothing trails, the wheel's own is returned, the rest as at the pivot.
+        In the plane, a rigid body on a pivot acts through its first and second moments about the pivot. A
+        mass at the wheel's centre has the first moment along the trail. The remaining mass is at the pivot,
+        as part of the body. If this mass is not positive, or there is no trail, the function returns the
+        wheel's mass, with the rest at the pivot.
 
         Parameters
         ----------
         wheel : WheelJoint
-            The wheel.
+            Wheel on the swivel.
         across : float
-            Its own inertia across its axle [kg m^2].
+            Moment of inertia of the wheel across its axle [kg m^2].
         """
         fork = self._about(self.lump) - self._about(wheel.lump)
         o = np.array([wheel.centre[0] - self.x, wheel.centre[1] - self.y])
@@ -379,35 +397,35 @@ class Swivel(NamedTuple):
         return (lump.com[0] - self.x) ** 2 + (lump.com[1] - self.y) ** 2
 
     def _about(self, lump: Lump) -> float:
-        """Return the inertia of links about the axis [kg m^2]."""
+        """Return the moment of inertia of links about the swivel's axis [kg m^2]."""
         return lump.inertia[2][2] + lump.mass * self._square(lump)
 
 
 class WheelJoint(NamedTuple):
-    """A wheel of a model, at rest.
+    """Wheel of a model, at rest.
 
     Attributes
     ----------
     name : str
-        Of the joint that is its axle.
+        Name of the axle's joint.
     joint : int
-        Number of that joint.
+        Number of this joint.
     centre : tuple of 3 floats
-        Of the wheel, on its axle, in B [m].
+        Centre of the wheel, on its axle, in B [m].
     axis : tuple of 3 floats
-        Unit vector of the axle there, level, in the sense that the joint turns.
+        Horizontal unit vector of the axle, in the positive sense of the joint.
     radius : float or None
-        None where the model does not tell [m].
+        Radius [m]; None if the model does not contain it.
     lump : Lump
-        All that turns with it.
+        All links that turn with the wheel.
     swivels : tuple of Swivel
-        On the way from the body to it.
+        Swivels between the body and the wheel.
     carried : tuple of str
-        Joints on it, such as those of rollers.
+        Joints on the wheel, such as those of rollers.
     effort : float
-        Largest torque of the joint [N m]; infinite where there is none.
+        Largest torque of the joint [N m]; infinite for no limit.
     damping, friction : float
-        Of the joint [N m s/rad, N m].
+        Damping and friction of the joint [N m s/rad, N m].
     """
 
     name: str
@@ -423,16 +441,16 @@ class WheelJoint(NamedTuple):
     friction: float = 0.0
 
     def moments(self) -> tuple[float, tuple[float, float], float, float]:
-        """Return what tells a solid of revolution about its axle.
+        """Return the quantities that identify a solid of revolution about the axle.
 
         Returns
         -------
         spin : float
-            Moment about the axle [kg m^2].
+            Moment of inertia about the axle [kg m^2].
         across : tuple of 2 floats
-            Those across it, level and vertical [kg m^2].
+            Moments of inertia across the axle, about a horizontal axis and the vertical [kg m^2].
         product : float
-            The largest product of inertia in these axes [kg m^2].
+            Largest product of inertia in these axes [kg m^2].
         aside : float
             Distance of the centre of mass from the axle [m].
         """
@@ -446,14 +464,14 @@ class WheelJoint(NamedTuple):
 
 
 class Undercarriage(NamedTuple):
-    """What a robot stands on, as its model has it.
+    """Wheels and supports of a robot's model.
 
     Attributes
     ----------
     wheels : tuple of WheelJoint
-        In the order of the model.
+        Wheels in the order of the model.
     supports : tuple of (float, float)
-        Where what does not roll touches the ground, in B [m]: fixed casters and skids.
+        Contact points of parts that do not roll (fixed casters and skids) in B [m].
     """
 
     wheels: tuple[WheelJoint, ...] = ()
@@ -467,14 +485,14 @@ def triple(values: Iterable[float]) -> Triple:
 
 
 def joint_axis(model: pin.Model, data: pin.Data, base: pin.SE3, joint: int) -> Array:
-    """Return the axis about which a joint turns, seen from a base; zeros where it slides."""
-    # Of a model with one joint Pinocchio returns it without the second axis.
+    """Return the axis of a revolute joint, seen from a base; zeros for a prismatic joint."""
+    # For a model with one joint, Pinocchio returns a Jacobian without the second axis.
     jacobian = pin.getJointJacobian(model, data, joint, pin.WORLD).reshape(6, -1)
     return np.asarray(base.rotation.T @ jacobian[3:, model.idx_vs[joint]])
 
 
 def seen_from(base: pin.SE3, joint: pin.SE3, own: Any) -> Any:
-    """Return a placement or an inertia of a joint's frame in that of a base, to the last digit where same."""
+    """Return a placement or an inertia of a joint's frame in the frame of a base; exact for equal frames."""
     if joint == base:
         return own
     to_base = base.inverse() * joint
@@ -495,17 +513,17 @@ def undercarriage_of(
     Parameters
     ----------
     model, data
-        With all joints at rest, Jacobians computed.
+        Model and data with all joints at rest and computed Jacobians.
     base : pin.SE3
         Pose of B.
     root : int
-        The joint of the root link.
+        Joint of the root link.
     wheels : sequence of WheelJoint
-        As `wheels_of` returns them.
+        Wheels from `wheels_of`.
     supports : sequence of (float, float)
-        Where what does not roll touches the ground, in B [m].
+        Contact points of parts that do not roll, in B [m].
     ground : float
-        z of B in the frame of the root link [m].
+        Height z of B in the frame of the root link [m].
     """
     found = []
     for wheel in wheels:
