@@ -218,7 +218,7 @@ MIMIC = MIMIC.replace("continuous", "revolute").replace(
         ({"arm": massless()}, "joint 'grip/finger' moves parts that have no inertia, expected inertia"),
         (
             {"arm": pin.buildModelFromXML(MIMIC, mimic=True)},
-            "arm 'two links': joint 'elbow' mimics another joint, which Pinocchio's forward dynamics does not",
+            "arm 'two links': joint 'elbow' mimics another joint, which Pinocchio's forward dynamics does",
         ),
         ({"rest": (1, 2)}, "rest has shape (2,), expected (..., 6)"),
         (

@@ -190,7 +190,7 @@ def test_what_symbols_cannot_have_is_named() -> None:
         _ = traced.robot.model
     with pytest.raises(NotTraceable, match="the body of a MobileRobot with symbols as parameters"):
         _ = traced.robot.body
-    with pytest.raises(NotTraceable, match="frame 'x', which moves with a part of the pose"):
+    with pytest.raises(NotTraceable, match="frame 'x', which is on a virtual link of the chain"):
         ROBOTS["ur5"].frame_pose(q, "x")
     with pytest.raises(InvalidArgument, match="frame is 'base_link', expected a frame of an arm"):
         ROBOTS["ur5"].arm_manipulability(q, "base_link")

@@ -1,6 +1,6 @@
-"""Dynamics of a body, alone or with arms, for one state, many, or symbols, and their linearization.
+"""Dynamics of a body with or without arms, for one state, many states or symbols, and their linearization.
 
-It is what a `MobileRobot` with arms is to compiled loops and to loops on arrays: see `PlanarDynamics`.
+Compiled loops and loops on arrays use these dynamics of a `MobileRobot`; see `PlanarDynamics`.
 """
 
 from __future__ import annotations
@@ -51,8 +51,8 @@ from pinmobile.robot.recursions import LinkageDynamics, LinkageKinematics
 from pinmobile.robot.support_geometry import ArmMetrics
 
 _BASE = 3  # joints, coordinates and numbers of q of the base; the last carries its body
-_STEP = 1e-30  # its square is nothing beside any number
-_SAMPLES = 256  # of which slopes are found at once
+_STEP = 1e-30  # complex step; its square vanishes in rounding
+_SAMPLES = 256  # number of samples per evaluation
 
 
 def slopes(function: Callable[..., Any], directions: Array, *given: Array) -> Array:
@@ -61,12 +61,12 @@ def slopes(function: Callable[..., Any], directions: Array, *given: Array) -> Ar
     Parameters
     ----------
     function : callable
-        ``function(step, *given)``, analytic in the step, shape (..., n); it broadcasts over leading axes, and
-        returns an array of shape (..., m).
+        Function ``function(step, *given)``, analytic in the step, shape (..., n). It broadcasts over leading
+        axes and returns an array of shape (..., m).
     directions : ndarray, shape (k, n)
-        Of the steps.
+        Directions of the steps.
     *given : ndarray, shape (..., size)
-        Where the derivatives are taken; of one leading shape.
+        Points at which to take the derivatives, with the same leading shape.
     """
     lead = given[0].shape[:-1]
     flat = [x.reshape(-1, 1, x.shape[-1]) for x in given]
@@ -79,29 +79,29 @@ def slopes(function: Callable[..., Any], directions: Array, *given: Array) -> Ar
 
 
 class _Coordinates(Protocol):
-    """What follows from the coordinates of a robot alone, and the linearization of its dynamics."""
+    """Base class of functions of a robot's coordinates, and of the linearization of its dynamics."""
 
     @property
     def rest(self) -> Array:
-        """Where what has no reference starts, shape (nq,)."""
+        """Start of the coordinates without a reference, shape (nq,)."""
 
     @property
     def circular(self) -> tuple[int, ...]:
-        """Coordinates whose errors are taken on the circle."""
+        """Coordinates with errors on the circle."""
 
     @property
     def nv(self) -> int:
-        """Size of v and a."""
+        """Number of entries of v and a."""
         return len(self.rest)
 
     @property
     def nq(self) -> int:
-        """Size of q."""
+        """Number of entries of q."""
         return self.nv
 
     @property
     def nu(self) -> int:
-        """Size of the input."""
+        """Number of entries of the input."""
         return self.nv
 
     def linearize_tracked(self, q: Array, v: Array, u: Array) -> tuple[Array, Array]:
@@ -114,7 +114,7 @@ class _Coordinates(Protocol):
         def accelerations(step: Array, q: Array, v: Array, u: Array) -> Any:
             return body.forward_dynamics(q + step[..., :n], v + step[..., n : 2 * n], u + step[..., 2 * n :])
 
-        # Nothing follows from where the body is.
+        # The dynamics do not depend on x and y.
         found = slopes(accelerations, np.eye(3 * n)[2:], q, v, u)
         A, B = np.zeros((*lead, 2 * n, 2 * n)), np.zeros((*lead, 2 * n, n))
         A[..., :n, n:] = np.eye(n)
@@ -127,13 +127,13 @@ class _Coordinates(Protocol):
         return q + dq
 
     def difference(self, q0: Array, q1: Array) -> Array:
-        """Return the displacement from q0 to q1, shape (..., nv); psi and continuous joints on the circle."""
+        """Return the displacement from q0 to q1, shape (..., nv), with psi and continuous joints wrapped."""
         d = q1 - q0
         angles = (wrap_angle(d[..., k]) if k in self.circular else d[..., k] for k in range(self.nv))
         return np.stack(list(angles), axis=-1)
 
     def pose(self, q: Array) -> Array:
-        """Return x, y and psi of the body, shape (..., 3)."""
+        """Return the pose (x, y, psi) of the body, shape (..., 3)."""
         return q[..., :_BASE]
 
     def pose_rate(self, q: Array, v: Array) -> Array:
@@ -145,7 +145,7 @@ class _Coordinates(Protocol):
         return np.concatenate([wrench, np.zeros((*np.shape(wrench)[:-1], self.nv - _BASE))], axis=-1)
 
     def start(self, reference: Any) -> tuple[Array, Array]:
-        """Return the q and v with which a reference begins; what it does not lead rests."""
+        """Return the initial q and v for a reference; coordinates without a reference are at rest."""
         n = reference.v.shape[-1]
         return np.append(reference.q, self.rest[n:]), np.append(reference.v, np.zeros(self.nv - n))
 
@@ -153,13 +153,13 @@ class _Coordinates(Protocol):
 @final
 @dataclass(frozen=True, eq=False)
 class PlanarDynamics(_Coordinates):
-    """A body in the plane, by the closed forms of `pinmobile.closed_form`, unchecked.
+    """Unchecked dynamics of a body in the plane, by the closed forms of `closed_form`.
 
     Parameters
     ----------
     mass, yaw_inertia, com_x, com_y : float, ndarray or symbols, shape (...)
-        Mass [kg], inertia about the vertical through the centre of mass [kg m^2], and centre of mass in the
-        body frame [m].
+        Mass [kg], moment of inertia about the vertical axis through the centre of mass [kg m^2], and centre
+        of mass in the body frame [m].
     """
 
     mass: Numbers
@@ -200,23 +200,23 @@ class PlanarDynamics(_Coordinates):
         return unchecked_inverse_dynamics(q, v, np.zeros(np.shape(v)), *self._body)
 
     def gravity(self, q: Array) -> Array:
-        """Return zeros, shape (..., 3): the ground is level."""
+        """Return the gravity term, shape (..., 3): zero, since the ground is level."""
         return np.zeros(np.shape(q))
 
 
 class Fixed(NamedTuple):
-    """A frame that is fixed to a joint.
+    """Frame that is fixed to a joint.
 
     Attributes
     ----------
     name : str
-        Of the frame.
+        Name of the frame.
     joint : int
-        Of the linkage.
+        Index of the joint in the linkage.
     arm : int
-        Number of the arm that it is a part of, if it is fixed to that arm's root; else -1.
+        Index of the arm for a frame that is fixed to the arm's root; otherwise, -1.
     R, p : ndarray, shape (3, 3), (3,)
-        Its orientation and origin in the joint's frame, or in that of the arm's root [m].
+        Orientation and origin in the joint's frame, or in the frame of the arm's root [m].
     """
 
     name: str
@@ -228,26 +228,26 @@ class Fixed(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Tree:
-    """The structure of a robot: all but its masses, inertias and rotors, and where its arms stand.
+    """Structure of a robot: all its data except masses, inertias, rotors and the placements of its arms.
 
     Attributes
     ----------
     linkage : Linkage
-        Its joints; the first three are the base's, and arms stand at the body's origin.
+        Joints. The first three belong to the base; arms are at the body's origin.
     roots : tuple of int
-        For each joint the number of the arm whose root it hangs on; else -1.
+        For each joint on an arm's root, the index of the arm; otherwise, -1.
     links : tuple of Fixed
-        What has mass, one arm after the other.
+        Frames of the bodies of all arms, arm by arm.
     frames : dict of str to Fixed
-        What has a name.
+        Frames by name.
     arms : tuple of str
         Names of the arms.
     rest : ndarray, shape (nq,)
-        Where what has no reference starts.
+        Start of the coordinates without a reference.
     arm_metrics : ArmMetrics or None
-        What is worth judging about it; None without arms.
+        Metrics; None for a robot without arms.
     end_effector : str
-        The frame that is meant where none is named.
+        Default frame.
     """
 
     linkage: Linkage
@@ -261,7 +261,7 @@ class Tree:
 
     @classmethod
     def of(cls, robot: Any, base: pin.Model) -> Tree:
-        """Return that of a robot, whose base in public order is a model.
+        """Return the structure of a robot, given the model of its base in public order.
 
         Raises
         ------
@@ -285,7 +285,7 @@ class Tree:
             frames={
                 name: _fixed(linkage, name, model.frames[k], arms)
                 for name, k in named_frames(model).items()
-                if model.frames[k].parentJoint >= _BASE  # those of the virtual links move with a part of it
+                if model.frames[k].parentJoint >= _BASE  # without frames of virtual links
             },
             arms=arms,
             rest=robot.rest,
@@ -310,40 +310,41 @@ class Solid(NamedTuple):
 
     @classmethod
     def of(cls, body: Any) -> Solid:
-        """Return those of a link or a load."""
+        """Return the parameters of a link or a load."""
         return cls(single(plain(body.mass)), entries_of(body.com), entries_of(body.inertia))
 
 
 def entries_of(x: Any) -> Vector:
-    """Return a few numbers or symbols as scalars."""
+    """Return the entries of a vector of numbers or symbols as scalars."""
     return scalars(x if is_symbolic(x) else np.asarray(x, np.float64))
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class ArticulatedDynamics(_Coordinates):
-    """A body in the plane that carries arms and loads, by recursions over its joints, unchecked.
+    """Unchecked dynamics of a body in the plane with arms and loads, by recursions over its joints.
 
-    What it is made of are scalars: numbers or symbols.
+    The parameters are scalars: numbers or symbols.
 
     Parameters
     ----------
     tree : Tree
-        The structure.
+        Structure of the robot.
     mass, yaw_inertia : scalar
-        Of the base's own body [kg, kg m^2].
+        Mass and yaw inertia of the base's body [kg, kg m^2].
     com : list of 3 scalars
-        Its centre of mass [m].
+        Centre of mass of the base's body [m].
     shares : (float, float)
-        Its inertia xz and yz, which the ground alone feels, as shares of the yaw inertia.
+        Products of inertia xz and yz of the base's body, divided by the yaw inertia. Only the ground's wrench
+        depends on them.
     links : list of Solid
-        What arms are made of, along the axes of their frames.
+        Bodies of the arms, along the axes of their frames.
     loads : list of (str, Solid)
-        Each with its frame.
+        Loads with their frames.
     rotors : list of scalars
-        What the motors of the arms' joints add to their inertias [kg m^2, kg].
+        Inertia of the motors at the arms' joints [kg m^2, kg].
     places : list of lists of 4 scalars
-        Where the arms stand: x, y, z and yaw [m, m, m, rad].
+        Placements of the arms: x, y, z and yaw [m, m, m, rad].
     """
 
     tree: Tree
@@ -358,7 +359,7 @@ class ArticulatedDynamics(_Coordinates):
 
     @classmethod
     def of(cls, robot: Any) -> Self:
-        """Return the dynamics of a `MobileRobot`, of numbers or of symbols.
+        """Return the dynamics of a `MobileRobot`, with numbers or symbols.
 
         Raises
         ------
@@ -379,54 +380,54 @@ class ArticulatedDynamics(_Coordinates):
 
     @property
     def linkage(self) -> Linkage:
-        """Its joints."""
+        """Joints of the robot."""
         return self.tree.linkage
 
     @property
     def rest(self) -> Array:
-        """Where what has no reference starts, shape (nq,)."""
+        """Start of the coordinates without a reference, shape (nq,)."""
         return self.tree.rest
 
     @property
     def circular(self) -> tuple[int, ...]:
-        """Coordinates whose errors are taken on the circle."""
+        """Coordinates with errors on the circle."""
         return self.linkage.circular
 
     @cached_property
     def _stands(self) -> list[Placement]:
-        """Where the arms stand."""
+        """Placements of the arms on the body."""
         return [Placement.about_z(yaw, origin) for *origin, yaw in self.places]
 
     def _placed(self, arm: int, R: Array, p: Array) -> Placement:
-        """Return where something stands in its joint's frame, on the root of an arm or not."""
+        """Return a placement in its joint's frame, from a placement on an arm's root or in this frame."""
         place = Placement.of(R, p)
         return place if arm < 0 else place.within(self._stands[arm])
 
     @cached_property
     def _joints(self) -> list[Placement]:
-        """Where the joints stand in those that they hang on."""
+        """Placements of the joints in their parents' frames."""
         tree = self.tree
         rows = zip(tree.roots, tree.linkage.rotations, tree.linkage.offsets, strict=True)
         return [self._placed(*row) for row in rows]
 
     def _base(self, z: Any = ZERO, xz: Any = ZERO, yz: Any = ZERO) -> Body:
-        """Return the base's own body, with what the ground alone feels of it."""
+        """Return the base's body, with the parameters that affect only the ground's wrench."""
         inertia = self.yaw_inertia
         return Body.of(self.mass, [*self.com[:2], z], [ZERO, ZERO, inertia, ZERO, xz * inertia, yz * inertia])
 
     @cached_property
     def _bodies(self) -> list[Body]:
-        """What is fixed to each joint, grouped so that least is to compute."""
+        """Body on each joint, regrouped for the fewest operations."""
         return regrouped(self.linkage, self._joints, self._carried(self._base()))
 
     @cached_property
     def _bodies_on_ground(self) -> list[Body]:
-        """What is fixed to each joint, grouped so that the base's still feels what it does of the ground."""
+        """Body on each joint, regrouped without a change of the ground's wrench on the base."""
         carried = self._carried(self._base(self.com[2], *map(exact, self.shares)))
         return regrouped(self.linkage, self._joints, carried, _BASE - 1)
 
     def _carried(self, base: Body, before: str = "") -> list[Body]:
-        """Return what is fixed to each joint: the base's body, and links and loads whose names begin so."""
+        """Return the body on each joint: the base's body, and links and loads with a given prefix."""
         found = [Body.none() for _ in self.rest]
         found[_BASE - 1] = base
         tree = self.tree
@@ -439,12 +440,12 @@ class ArticulatedDynamics(_Coordinates):
 
     @cached_property
     def _axes(self) -> list[Matrix]:
-        """How the joints' frames are turned in Pinocchio's."""
+        """Orientations of the joints' frames in Pinocchio's frames."""
         return [[[exact(x) for x in row] for row in turn] for turn in self.linkage.axes.tolist()]
 
     @cached_property
     def _motors(self) -> Vector:
-        """What motors add to the inertias of the joints, in the order of the linkage."""
+        """Inertia of motors at the joints, in the order of the linkage."""
         return [*[ZERO] * _BASE, *self.rotors]
 
     def _posture(self, q: Array) -> LinkageKinematics:
@@ -470,9 +471,9 @@ class ArticulatedDynamics(_Coordinates):
         return vector_of(self._moving(q, v).efforts(self._bodies, [ZERO] * self.nv), q)
 
     def coriolis_matrix(self, q: Array, v: Array) -> Array:
-        """Return C(q, v), shape (..., nv, nv), of Christoffel's symbols.
+        """Return C(q, v), shape (..., nv, nv), with Christoffel symbols.
 
-        n - g is quadratic in v, and each column of C its symmetric bilinear form, with a unit velocity.
+        n - g is quadratic in v. Each column of C is its symmetric bilinear form with a unit velocity.
         """
         columns = []
         for k in range(self.nv):
@@ -496,12 +497,12 @@ class ArticulatedDynamics(_Coordinates):
         return scalar_of(0.5 * dot(rates, [momentum + motor * rate for momentum, motor, rate in pairs]), q)
 
     def potential_energy(self, q: Array) -> Array:
-        """Return the energy in the field of gravity, shape (...)."""
+        """Return the potential energy in the field of gravity, shape (...)."""
         moment = self._posture(q).first_moment(self._bodies_on_ground)
         return scalar_of(-dot(moment, map(exact, self.linkage.gravity.tolist())), q)
 
     def regressor(self, q: Array, v: Array, a: Array) -> Array:
-        """Return Y(q, v, a), shape (..., nv, 10 bodies): of the base's body, and of each joint's after it."""
+        """Return Y(q, v, a), shape (..., nv, 10 bodies), for the base's body and each later joint's body."""
         found = self._moving(q, v).regressor(self._axes, _BASE - 1, scalars(a))
         return matrix_of([vector_of(row, q) for row in found])
 
@@ -513,12 +514,12 @@ class ArticulatedDynamics(_Coordinates):
         return matrix_of([vector_of(row, q) for row in M])
 
     def ground_wrench(self, q: Array, v: Array, a: Array) -> Array:
-        """Return what the ground exerts on the robot, shape (..., 6): force, moment, along and about B."""
+        """Return the ground's wrench on the robot, shape (..., 6): force and moment in the body frame B."""
         force, moment = self._felt(self._bodies_on_ground, q, v, a)
         return vector_of([*force, *moment], q)
 
     def mount_wrench(self, q: Array, v: Array, a: Array, mount: str | None = None) -> Array:
-        """Return what an arm exerts on the base, shape (..., 6), along the base's axes, about the mount."""
+        """Return an arm's wrench on the base, shape (..., 6), along the base's axes, about the mount."""
         arm = 0 if mount is None else self.tree.arms.index(mount)
         name = f"{self.tree.arms[arm]}/"
         bodies = regrouped(self.linkage, self._joints, self._carried(Body.none(), name), _BASE - 1)
@@ -527,14 +528,14 @@ class ArticulatedDynamics(_Coordinates):
         return vector_of([-x for x in (*force, *about)], q)
 
     def _felt(self, bodies: Sequence[Body], q: Array, v: Array, a: Array) -> tuple[Vector, Vector]:
-        """Return the force and the moment, along and about the base's frame, that let bodies move so."""
+        """Return the force and moment, in the base's frame, that accelerate the bodies in this way."""
         base, forces = _BASE - 1, self._moving(q, v).wrenches(bodies, scalars(a))
         force, moment = (applied(self._axes[base], each[base]) for each in forces)
         return force, moment
 
     @property
     def weight(self) -> Any:
-        """Weight of all that it is made of [N]."""
+        """Weight of the robot with all its parts [N]."""
         total = self.mass
         for solid in (*self.links, *(solid for _, solid in self.loads)):
             total = total + solid.mass
@@ -543,13 +544,13 @@ class ArticulatedDynamics(_Coordinates):
 
     @property
     def metrics(self) -> tuple[Metric, ...]:
-        """What is worth judging about it: see `MobileRobot.metrics`."""
+        """Metrics of the robot, see `MobileRobot.metrics`."""
         return () if self.tree.arm_metrics is None else self.tree.arm_metrics.metrics
 
     def evaluate_metrics(
         self, t: Array | float, q: Array, v: Array, a: Array, u: Array, reference: Any
     ) -> Array:
-        """Return its metrics, shape (..., m)."""
+        """Return the values of the metrics, shape (..., m)."""
         if self.tree.arm_metrics is None:
             return np.zeros((*np.shape(q)[:-1], 0))
         return self.tree.arm_metrics.evaluate_metrics(self, q, v, a, u, reference.q)
@@ -562,13 +563,13 @@ class ArticulatedDynamics(_Coordinates):
         return matrix_of([*(vector_of([*row, x], q) for row, x in zip(R, p, strict=True)), last])
 
     def frame_jacobian(self, q: Array, frame: str | None = None) -> Array:
-        """Return J, shape (..., 6, nv): of the frame's origin, and angular, along the inertial axes."""
+        """Return J, shape (..., 6, nv), of the frame's origin and orientation, along the inertial axes."""
         fixed = self._frame(frame)
         J = self._posture(q).jacobian(fixed.joint, self._placed(*fixed[2:]).p)
         return matrix_of([vector_of(row, q) for row in J])
 
     def manipulability(self, q: Array, frame: str | None = None, *, arm: str = "") -> Array:
-        """Return sqrt(det J J'), shape (...), of all coordinates, or of those of an arm alone."""
+        """Return sqrt(det J J'), shape (...), for all coordinates, or only for those of an arm."""
         fixed, names = self._frame(frame), self.linkage.names
         J = self._posture(q).jacobian(fixed.joint, self._placed(*fixed[2:]).p)
         ahead = arm and f"{arm}/"
@@ -576,14 +577,14 @@ class ArticulatedDynamics(_Coordinates):
         return scalar_of(volume([[row[k] for k in own] for row in J]), q)
 
     def arm_manipulability(self, q: Array, frame: str | None = None) -> Array:
-        """Return that of the arm that carries the frame alone, the base held, shape (...)."""
+        """Return the manipulability of the arm with the frame, for a fixed base, shape (...)."""
         arm, slash, _ = self._frame(frame).name.partition("/")
         if not slash:
             raise InvalidArgument(f"frame is {arm!r}, expected a frame of an arm")
         return self.manipulability(q, frame, arm=arm)
 
     def frame_drift(self, q: Array, v: Array, frame: str | None = None) -> Array:
-        """Return dJ/dt v, shape (..., 6), J as in `frame_jacobian`."""
+        """Return the bias acceleration dJ/dt v, shape (..., 6), with J as in `frame_jacobian`."""
         fixed = self._frame(frame)
         line, spin = self._moving(q, v).drift(fixed.joint, self._placed(*fixed[2:]).p)
         return vector_of([*line, *spin], q)
@@ -592,7 +593,7 @@ class ArticulatedDynamics(_Coordinates):
         name = self.tree.end_effector if name is None else name
         if name not in self.tree.frames:
             raise NotTraceable(
-                f"frame {name!r}, which moves with a part of the pose",
-                f"take one of {', '.join(self.tree.frames)}",
+                f"frame {name!r}, which is on a virtual link of the chain",
+                f"use one of {', '.join(self.tree.frames)}",
             )
         return self.tree.frames[name]

@@ -1,4 +1,4 @@
-"""`Linkage`: a tree of joints with one coordinate each, and the bodies on it, over scalars."""
+"""`Linkage`: a tree of joints with one coordinate each, and rigid bodies on its joints, over scalars."""
 
 from __future__ import annotations
 
@@ -16,27 +16,39 @@ from pinmobile.compiled import Node, maximum, plain, root, sincos, symbols
 from pinmobile.errors import NotTraceable
 
 BODY_JOINT = 3
-"""The joint of the chain that carries the body; those before it carry nothing."""
+"""Number of the joint of the chain that carries the body, 3; the joints before it carry no mass.
+
+See Also
+--------
+MobileRobot : `model` has this chain
+
+Examples
+--------
+>>> from pinmobile import MobileRobot
+>>> from pinmobile.robot import BODY_JOINT
+>>> MobileRobot.lecture().model.names[BODY_JOINT]
+'psi'
+"""
 
 _SINGLE = re.compile("R[XYZ]|P[XYZ]|(Revolute|Prismatic)Unaligned")
 _CONTINUOUS = re.compile("RUB[XYZ]|RevoluteUnboundedUnaligned")
 _WHEEL_JOINTS = 3  # suspension, steering, wheel
-_TURNS = 1e3 * 2 * np.pi  # [rad]: limits beyond this, both ways, count as none
-_UNSET = 1e300  # [rad]: beyond, a model made joint by joint has not set them
-_FINGER = 4  # joints in series at most, beyond which a branch is an arm
-_TOOLS = ("tcp", "tool0", "end_effector", "ee_link")  # names of the link that a file means as the tip
+_TURNS = 1e3 * 2 * np.pi  # [rad]: larger limits in both directions count as no limit
+_UNSET = 1e300  # [rad]: larger values are unset limits of a model made joint by joint
+_FINGER = 4  # largest number of joints in series of a finger; a longer branch is an arm
+_TOOLS = ("tcp", "tool0", "end_effector", "ee_link")  # common names of the tip
 
 
 @dataclass(frozen=True)
 class Joint:
-    """A joint of a model, and what its kind makes of its numbers.
+    """Joint of a model, with the properties that follow from its type.
 
     Attributes
     ----------
     name, kind : str
-        Its own, and Pinocchio's of its type, such as ``RZ``.
+        Name of the joint, and name of its type in Pinocchio, such as ``RZ``.
     q, v : slice
-        Its part of a configuration and of a velocity, in the model's order.
+        Slices of the joint in a configuration and in a velocity, in the model's order.
     """
 
     name: str
@@ -46,7 +58,7 @@ class Joint:
 
     @classmethod
     def of(cls, model: pin.Model, number: int) -> Joint:
-        """Return the joint of a model that has a number."""
+        """Return the joint of a model with a given number."""
         q, v = int(model.idx_qs[number]), int(model.idx_vs[number])
         kind = str(model.joints[number].shortname()).removeprefix("JointModel")
         parts = slice(q, q + int(model.nqs[number])), slice(v, v + int(model.nvs[number]))
@@ -57,52 +69,52 @@ class Joint:
 
     @property
     def nq(self) -> int:
-        """How many numbers it has in q."""
+        """Number of entries of the joint in q."""
         return int(self.q.stop - self.q.start)
 
     @property
     def nv(self) -> int:
-        """How many numbers it has in v."""
+        """Number of entries of the joint in v."""
         return int(self.v.stop - self.v.start)
 
     @property
     def single(self) -> bool:
-        """Whether it is an ordinary revolute or prismatic joint."""
+        """Whether the joint is an ordinary revolute or prismatic joint."""
         return _SINGLE.fullmatch(self.kind) is not None
 
     @property
     def slides(self) -> bool:
-        """Whether it is a prismatic joint."""
+        """Whether the joint is prismatic."""
         return self.nv == 1 and self.kind.startswith("P")
 
     @property
     def continuous(self) -> bool:
-        """Whether it is a continuous revolute joint, whose angle is (cos, sin) in Pinocchio's q."""
+        """Whether the joint is a continuous revolute joint, with (cos, sin) of its angle in Pinocchio's q."""
         return _CONTINUOUS.fullmatch(self.kind) is not None
 
     @property
     def mimics(self) -> bool:
-        """Whether it repeats the motion of another."""
+        """Whether the joint repeats the motion of another joint."""
         return "Mimic" in self.kind
 
     @property
     def floats(self) -> bool:
-        """Whether it moves freely in space, or in a plane."""
+        """Whether the joint moves freely in space, or in a plane."""
         return self.in_space or self.kind.startswith("Planar")
 
     @property
     def in_space(self) -> bool:
-        """Whether it moves freely in space."""
+        """Whether the joint moves freely in space."""
         return "FreeFlyer" in self.kind
 
 
 def joints_of(model: pin.Model, first: int = 1) -> list[Joint]:
-    """Return the joints of a model, from a number on."""
+    """Return the joints of a model, beginning with a given number."""
     return [Joint.of(model, number) for number in range(first, model.njoints)]
 
 
 def axis_of(model: pin.Model, number: int) -> Array:
-    """Return the axis, in its frame, of a joint that has a single one."""
+    """Return the axis of a joint with a single axis, in the joint's frame."""
     kind = model.joints[number]
     data = kind.createData()
     kind.calc(data, pin.neutral(model), np.zeros(model.nv))
@@ -118,7 +130,7 @@ _JOINT_ARRAYS = (
 
 
 def replace_continuous_joints(model: pin.Model) -> pin.Model:
-    """Return the model with revolute joints without limits, which have one angle, for continuous ones."""
+    """Return the model with unlimited revolute joints (with one angle) in place of continuous joints."""
     joints = joints_of(model)
     if not any(joint.continuous for joint in joints):
         return model
@@ -135,7 +147,7 @@ def replace_continuous_joints(model: pin.Model) -> pin.Model:
     for number, inertia in enumerate(model.inertias):
         new.inertias[number] = inertia
     for number, frame in enumerate(list(model.frames)[1:], 1):
-        # Pinocchio refuses a second frame of the same name, so they are numbered meanwhile.
+        # Numbers make names unique for a while: Pinocchio rejects equal names of frames.
         pieces = frame.parentJoint, frame.parentFrame, frame.placement, frame.type, frame.inertia
         new.addFrame(pin.Frame(str(number), *pieces), False)
         new.frames[number].name = frame.name
@@ -145,7 +157,7 @@ def replace_continuous_joints(model: pin.Model) -> pin.Model:
 
 
 def convert_configuration(model: pin.Model, q: Array) -> Array:
-    """Return a configuration of a model as one of `replace_continuous_joints(model)`."""
+    """Return a configuration of a model as a configuration of `replace_continuous_joints(model)`."""
     parts = (
         [np.arctan2(*q[joint.q][::-1])] if joint.continuous else q[joint.q] for joint in joints_of(model)
     )
@@ -153,7 +165,7 @@ def convert_configuration(model: pin.Model, q: Array) -> Array:
 
 
 def circular_coordinates(model: pin.Model) -> tuple[int, ...]:
-    """Return the coordinates whose errors are taken on the circle: psi and the continuous joints."""
+    """Return the coordinates with errors on the circle: psi and the continuous joints."""
     lower, upper = model.lowerPositionLimit, model.upperPositionLimit
     joints = (joint for joint in joints_of(model, BODY_JOINT + 1) if not joint.slides)
     found = (joint.v.start for joint in joints if upper[joint.q][0] == np.inf == -lower[joint.q][0])
@@ -161,7 +173,7 @@ def circular_coordinates(model: pin.Model) -> tuple[int, ...]:
 
 
 def children(model: pin.Model) -> list[list[int]]:
-    """Return the joints that hang on each joint, the universe's first."""
+    """Return the child joints of each joint, beginning with the universe."""
     below: list[list[int]] = [[] for _ in range(model.njoints)]
     for joint in range(1, model.njoints):
         below[model.parents[joint]].append(joint)
@@ -169,7 +181,7 @@ def children(model: pin.Model) -> list[list[int]]:
 
 
 def turns_freely(model: pin.Model, joint: int) -> bool:
-    """Return whether a joint turns without end: continuous, or revolute with limits far beyond all use."""
+    """Return whether a joint turns endlessly: continuous, or revolute with very large limits."""
     own = Joint.of(model, joint)
     if own.continuous:
         return True
@@ -194,7 +206,7 @@ def carries_only_wheels(model: pin.Model, joint: int) -> bool:
 
 
 def root_of(model: pin.Model) -> list[int]:
-    """Return the joints that put the robot into the world: free-flyer, planar, or two slides and a turn."""
+    """Return the root joints of a robot: free-flyer, planar, or two prismatic joints and a revolute joint."""
     below = children(model)
     if len(below[0]) != 1:
         return []
@@ -210,7 +222,7 @@ def root_of(model: pin.Model) -> list[int]:
 
 
 def tip_of(model: pin.Model) -> str:
-    """Return the last link on the longest chain of joints; what carries fingers is the tip of theirs."""
+    """Return the last link on the longest chain of joints; for a hand, the link before the fingers."""
     below = children(model)
     depth = [0] * model.njoints
     for joint in range(1, model.njoints):
@@ -230,16 +242,16 @@ def tip_of(model: pin.Model) -> str:
 Vector: TypeAlias = list[Any]
 Matrix: TypeAlias = list[list[Any]]
 
-_LEAST = 1e-300  # a square that is zero
+_LEAST = 1e-300  # smaller squares count as zero
 
 ENTRIES = (0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)
-"""The entries of a symmetric matrix that differ."""
+"""Indices of the independent entries of a symmetric matrix."""
 
 
 class Exact:
-    """0, 1 or -1 that stands in a formula: products with it cost nothing."""
+    """Exact 0, 1 or -1 in a formula; its products need no arithmetic."""
 
-    __array_ufunc__ = None  # arrays leave the operation to it
+    __array_ufunc__ = None  # arrays delegate operations to this class
 
     def __init__(self, value: float) -> None:
         self.value = value
@@ -280,13 +292,13 @@ ZERO, ONE = _EXACT[0.0], _EXACT[1.0]
 
 
 def exact(x: Any) -> Any:
-    """Return a scalar; where it is known to be 0, 1 or -1, as what costs nothing."""
+    """Return a scalar; a known 0, 1 or -1 becomes an `Exact`."""
     known = x.value if type(x) is Node else x
     return _EXACT.get(float(known), x) if isinstance(known, int | float) else x
 
 
 def number(x: Any) -> Any:
-    """Return a scalar, as a float where it is one of those that cost nothing."""
+    """Return a scalar, with an `Exact` converted to a float."""
     return x.value if isinstance(x, Exact) else x
 
 
@@ -359,15 +371,15 @@ def turned(R: Matrix, J: Matrix) -> Matrix:
 
 
 def factored(M: Matrix, order: Sequence[int] = ()) -> tuple[Callable[[Vector], Vector], Matrix]:
-    """Return what solves M x = right, of a symmetric M, and what is left of it halfway; zeros stay.
+    """Return the solver of M x = right for a symmetric M, and the partly eliminated matrix; zeros stay.
 
     Parameters
     ----------
     M : list of lists of scalars
-        The matrix.
+        Symmetric matrix.
     order : sequence of int, optional
-        Unknowns that are eliminated first. What is left is the matrix of the others; they follow, the last
-        first.
+        Unknowns to eliminate first. The returned matrix belongs to the other unknowns, which the solver
+        eliminates in reverse order.
     """
     n, left = len(M), list[list[Any]]()
     others = [i for i in range(n) if i not in order]
@@ -399,12 +411,12 @@ def factored(M: Matrix, order: Sequence[int] = ()) -> tuple[Callable[[Vector], V
 
 
 def solved(M: Matrix, right: Vector, order: Sequence[int]) -> Vector:
-    """Return the solution of M x = right by L D L', the unknowns eliminated in this order; zeros stay."""
+    """Return the solution of M x = right by L D L', with unknowns eliminated in a given order; zeros stay."""
     return factored(M, order)[0](right)
 
 
 def volume(rows: Matrix) -> Any:
-    """Return the volume that some vectors span, at least zero, by orthogonalising one after another."""
+    """Return the volume that vectors span, at least zero, by successive orthogonalisation."""
     rest, found = [list(row) for row in rows], ONE
     if len(rest) > len(rest[0]):
         return ZERO
@@ -412,34 +424,34 @@ def volume(rows: Matrix) -> Any:
         first, *rest = rest
         square = dot(first, first)
         found = found * root(number(square))
-        # What is zero spans nothing, whatever comes after it.
+        # A zero vector gives a zero volume, for any later vectors.
         inverse = 1.0 / maximum(number(square), _LEAST)
         rest = [plus(row, scaled(-dot(first, row) * inverse, first)) for row in rest]
     return found
 
 
 def single(x: Any) -> Any:
-    """Return a number as a scalar that costs nothing where it can: see `exact`."""
+    """Return a number as a scalar, see `exact`."""
     return exact(x.item() if isinstance(x, np.ndarray) and not x.ndim else x)
 
 
 def scalars(x: Array) -> Vector:
-    """Return the entries of the last axis; of one row Python's numbers, which are quicker than NumPy's."""
+    """Return the entries of the last axis; for one row, as Python floats, which are faster than NumPy's."""
     if type(x) is np.ndarray and x.ndim == 1 and x.dtype == np.float64:
         return [_EXACT.get(y, y) for y in x.tolist()]
     return [single(y) for y in np.moveaxis(plain(x), -1, 0)]
 
 
 def vector_of(values: Vector, q: Array) -> Array:
-    """Return scalars at configurations q as the last axis of an array, or of symbols."""
+    """Return scalars at configurations q as the last axis of an array, or as symbols."""
     numbers = [number(x) for x in values]
     if any(type(x) is Node for x in numbers):
-        return symbols(numbers, (len(numbers),))  # type: ignore[return-value]  # they stand for an array
+        return symbols(numbers, (len(numbers),))  # type: ignore[return-value]  # symbols represent an array
     return np.stack(np.broadcast_arrays(q[..., 0], *numbers)[1:], axis=-1)
 
 
 def scalar_of(value: Any, q: Array) -> Array:
-    """Return a scalar at configurations q as an array, or a symbol."""
+    """Return a scalar at configurations q as an array, or as a symbol."""
     return vector_of([value], q)[..., 0]
 
 
@@ -448,20 +460,20 @@ def matrix_of(given: Sequence[Array]) -> Array:
     return np.stack(np.broadcast_arrays(*given), axis=-2)
 
 
-_ROUNDING = 1e-15  # of a product of rotations [m in what it turns]
+_ROUNDING = 1e-15  # rounding of a product of rotations [m, for rotated positions]
 
 
 class Body(NamedTuple):
-    """What is rigidly fixed to a joint's frame: ten numbers.
+    """Rigid body fixed to a joint's frame, as ten numbers.
 
     Attributes
     ----------
     mass : scalar
-        [kg].
+        Mass [kg].
     first : list of 3 scalars
         Mass times centre of mass [kg m].
     inertia : list of 3 lists of 3 scalars
-        About the origin of the frame [kg m^2].
+        Inertia about the origin of the frame [kg m^2].
     """
 
     mass: Any
@@ -475,15 +487,15 @@ class Body(NamedTuple):
 
     @classmethod
     def of(cls, mass: Any, com: Vector, inertia: Sequence[Any]) -> Body:
-        """Return that of a centre of mass, and an inertia (xx, yy, zz, xy, xz, yz) about it."""
+        """Return the body with a centre of mass and an inertia (xx, yy, zz, xy, xz, yz) about this centre."""
         return cls(mass, [ZERO] * 3, symmetric(inertia)).moved(com)
 
     def turned(self, R: Matrix) -> Body:
-        """Return it in a frame in which its own has the orientation R."""
+        """Return the body in a frame in which its present frame has the orientation R."""
         return Body(self.mass, applied(R, self.first), turned(R, self.inertia))
 
     def moved(self, p: Vector) -> Body:
-        """Return it in a frame in which the origin of its own is at p: J + (p.h + g.p) 1 - p h' - g p'."""
+        """Return the body in a frame in which its present origin is at p: J + (p.h + g.p) 1 - p h' - g p'."""
         m, h, J = self
         g = plus(h, scaled(m, p))
         d = [p[k] * (h[k] + g[k]) for k in range(3)]
@@ -496,32 +508,32 @@ class Body(NamedTuple):
         return Body(m, g, found)
 
     def joined(self, other: Body) -> Body:
-        """Return both as one."""
+        """Return both bodies as one."""
         return Body(self.mass + other.mass, plus(self.first, other.first), added(self.inertia, other.inertia))
 
 
 @dataclass(frozen=True, eq=False)
 class Linkage:
-    """A tree of joints with one coordinate each; what has mass is given to its dynamics beside it.
+    """Tree of joints with one coordinate each; the dynamics take the bodies as a separate argument.
 
     Attributes
     ----------
     names : tuple of str
-        Of the joints.
+        Names of the joints.
     parents : tuple of int
-        Joint that each hangs on; -1: the world.
+        Index of each joint's parent; -1 for the world.
     turns : tuple of bool
-        Whether it turns, or else slides.
+        Whether each joint is revolute; otherwise, it is prismatic.
     circular : tuple of int
-        Joints whose errors are taken on the circle.
+        Joints with errors on the circle.
     rotations : ndarray, shape (n, 3, 3)
-        Of its frame, axis z, in that of the joint it hangs on, at zero.
+        Orientation of each joint's frame (with axis z) in its parent's frame, for a zero coordinate.
     offsets : ndarray, shape (n, 3)
-        Its origin in that frame [m].
+        Origin of each joint's frame in its parent's frame [m].
     axes : ndarray, shape (n, 3, 3)
-        How its frame is turned in Pinocchio's.
+        Orientation of each joint's frame in Pinocchio's frame of the joint.
     gravity : ndarray, shape (3,)
-        [m/s^2].
+        Acceleration of gravity [m/s^2].
     """
 
     names: tuple[str, ...]
@@ -535,7 +547,7 @@ class Linkage:
 
     @classmethod
     def of(cls, model: pin.Model) -> Linkage:
-        """Return that of a model; joint k has the number k in q and in v.
+        """Return the linkage of a model; joint k has the coordinate k in q and v.
 
         Raises
         ------
@@ -547,7 +559,7 @@ class Linkage:
             if not joint.single:
                 raise NotTraceable(
                     f"joint {joint}, neither revolute nor prismatic",
-                    "give revolute and prismatic joints",
+                    "use revolute and prismatic joints",
                 )
         axes = [np.eye(3), *(_to_z(axis_of(model, j)) for j in range(1, model.njoints))]
         places, parents = list(model.jointPlacements)[1:], list(model.parents)[1:]
@@ -570,7 +582,7 @@ class Linkage:
 
 
 def _to_z(axis: Array) -> Array:
-    """Return a rotation whose third column is an axis; a signed permutation where it is along one."""
+    """Return a rotation with an axis as its third column; a signed permutation for a coordinate axis."""
     largest = int(np.argmax(np.abs(axis)))
     if np.count_nonzero(axis) == 1:
         z, x = np.sign(axis), np.eye(3)[(largest + 1) % 3]
@@ -582,42 +594,43 @@ def _to_z(axis: Array) -> Array:
 
 
 def without_rounding(array: Array) -> Array:
-    """Return entries of rotations and places, 0, 1 and -1 where a product of exact ones leaves a rounding."""
+    """Return entries of rotations and positions, with rounded 0, 1 and -1 made exact."""
     whole = np.rint(array)
     return np.where((np.abs(array - whole) < _ROUNDING) & (np.abs(whole) <= 1), whole, array) + 0.0
 
 
 class Placement(NamedTuple):
-    """Where a frame stands in another: how it is turned, and its origin [m], as scalars."""
+    """Rotation and origin [m] of a frame in another frame, as scalars."""
 
     R: Matrix
     p: Vector
 
     @classmethod
     def of(cls, R: Array, p: Array) -> Placement:
-        """Return that of numbers."""
+        """Return the placement with numeric entries."""
         return cls([[exact(x) for x in row] for row in R.tolist()], [exact(x) for x in p.tolist()])
 
     @classmethod
     def about_z(cls, angle: Any, p: Vector) -> Placement:
-        """Return that of a frame which is turned about z."""
+        """Return the placement of a frame that is rotated about z."""
         s, c = sine_and_cosine(angle)
         return cls([[c, -s, ZERO], [s, c, ZERO], [ZERO, ZERO, ONE]], p)
 
     def within(self, other: Placement) -> Placement:
-        """Return it in the frame in which its own is at another place."""
+        """Return the placement in a frame in which its present reference frame has another placement."""
         return Placement(product(other.R, self.R), plus(other.p, applied(other.R, self.p)))
 
 
 def regrouped(
     linkage: Linkage, places: Sequence[Placement], bodies: Sequence[Body], least: int = 0
 ) -> list[Body]:
-    """Return bodies that move as these do, with fewer numbers that are not zero (Khalil and Dombre, 2002).
+    """Return equivalent bodies with fewer nonzero numbers (Khalil and Dombre, 2002).
 
-    What its own joint does not move of a body goes to the body above: of one that turns its mass, first
-    moment along the axis and inertia yy; of one that slides its inertia. Joint torques are the same, and so
-    is what a body feels of all that hangs on it, if nothing of its own went on; other forces between the
-    links are not. `least` is the first joint whose body takes what comes: those before it get nothing.
+    The parameters of a body that its own joint does not move go to the parent's body: for a revolute joint,
+    its mass, its first moment along the axis and its inertia yy; for a prismatic joint, its inertia. Joint
+    torques stay the same. The total wrench on a body from its children also stays the same if this body
+    passes nothing on. Other forces between links change. `least` is the first joint whose body accepts
+    parameters.
     """
     found = list(bodies)
     for i in reversed(range(len(linkage))):

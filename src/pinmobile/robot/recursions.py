@@ -1,6 +1,7 @@
 """Recursions over a linkage: kinematics, inverse and forward dynamics, and the mass matrix.
 
-They are Featherstone's (2008), over scalars of any kind: see `linkage`. Vectors are in each joint's frame.
+The algorithms follow Featherstone (2008), over scalars of any type, see `linkage`. Vectors are in the frame
+of each joint.
 """
 
 from __future__ import annotations
@@ -32,14 +33,14 @@ from pinmobile.robot.linkage import (
 
 
 class LinkageKinematics:
-    """A linkage at a configuration.
+    """Linkage at a configuration.
 
     Parameters
     ----------
     linkage : Linkage
-        The tree.
+        Tree of joints.
     places : sequence of Placement
-        Of each joint's frame in that of the joint it hangs on, at zero.
+        Placement of each joint's frame in its parent's frame, for a zero coordinate.
     q : list of scalars
         Configuration.
     """
@@ -47,14 +48,14 @@ class LinkageKinematics:
     def __init__(self, linkage: Linkage, places: Sequence[Placement], q: Vector) -> None:
         self.linkage, self.R = linkage, [place.R for place in places]
         self.back = [transposed(R) for R in self.R]
-        self.angles: list[tuple[Any, Any] | None] = []  # sine and cosine of those that turn
+        self.angles: list[tuple[Any, Any] | None] = []  # sine and cosine for revolute joints
         self.p: list[Vector] = []  # origins
         for i, (R, p) in enumerate(places):
             self.angles.append(sine_and_cosine(q[i]) if linkage.turns[i] else None)
             self.p.append(p if linkage.turns[i] else plus(p, [row[2] * q[i] for row in R]))
 
     def down(self, i: int, x: Vector) -> Vector:
-        """Return a vector of the parent's frame in that of joint i."""
+        """Return a vector of the parent's frame in the frame of joint i."""
         x, angle = applied(self.back[i], x), self.angles[i]
         if angle is None:
             return x
@@ -62,7 +63,7 @@ class LinkageKinematics:
         return [c * x[0] + s * x[1], c * x[1] - s * x[0], x[2]]
 
     def up(self, i: int, x: Vector) -> Vector:
-        """Return a vector of the frame of joint i in the parent's."""
+        """Return a vector of the frame of joint i in the parent's frame."""
         angle = self.angles[i]
         if angle is not None:
             s, c = angle
@@ -70,7 +71,7 @@ class LinkageKinematics:
         return applied(self.R[i], x)
 
     def up_symmetric(self, i: int, J: Matrix) -> Matrix:
-        """Return a symmetric matrix of the frame of joint i in the parent's."""
+        """Return a symmetric matrix of the frame of joint i in the parent's frame."""
         angle = self.angles[i]
         if angle is not None:
             s, c = angle
@@ -90,7 +91,7 @@ class LinkageKinematics:
         return turned(self.R[i], J)
 
     def ancestors(self, i: int) -> list[int]:
-        """Return joint i and those it hangs on, up to the root."""
+        """Return joint i and its ancestors, up to the root."""
         found = []
         while i >= 0:
             found.append(i)
@@ -98,14 +99,14 @@ class LinkageKinematics:
         return found
 
     def placed(self, i: int, place: Placement) -> Placement:
-        """Return where a frame that is fixed to joint i stands in the world."""
+        """Return the placement of a frame, fixed to joint i, in the world."""
         columns, p = transposed(place.R), place.p
         for j in self.ancestors(i):
             columns, p = [self.up(j, x) for x in columns], plus(self.p[j], self.up(j, p))
         return Placement(transposed(columns), p)
 
     def jacobian(self, i: int, p: Vector) -> Matrix:
-        """Return the velocity of a point that is fixed to joint i, and the angular velocity, 6 rows of n."""
+        """Return the Jacobian of a point fixed to joint i: velocity and angular velocity, 6 rows of n."""
         columns, ancestors, z = [[ZERO] * 6 for _ in self.R], self.ancestors(i), [ZERO, ZERO, ONE]
         for at, j in enumerate(ancestors):
             way, turn = ([-p[1], p[0], ZERO], z) if self.linkage.turns[j] else (z, [ZERO] * 3)
@@ -116,7 +117,7 @@ class LinkageKinematics:
         return transposed(columns)
 
     def first_moment(self, bodies: Sequence[Body]) -> Vector:
-        """Return mass times centre of mass of all, in the world."""
+        """Return mass times centre of mass of all bodies, in the world."""
         masses, moments = [body.mass for body in bodies], [body.first for body in bodies]
         whole = [ZERO] * 3
         for i in reversed(range(len(self.R))):
@@ -129,7 +130,7 @@ class LinkageKinematics:
         return whole
 
     def mass_matrix(self, bodies: Sequence[Body]) -> Matrix:
-        """Return M, in the order of the joints, by composite rigid bodies."""
+        """Return M, in the order of the joints, by the composite-rigid-body algorithm."""
         linkage, n = self.linkage, len(self.R)
         whole, M = list(bodies), [[ZERO] * n for _ in range(n)]
         for i in reversed(range(n)):
@@ -162,9 +163,9 @@ class LinkageDynamics(LinkageKinematics):
             self.w.append([w[0], w[1], w[2] + self.v[i]] if linkage.turns[i] else w)
 
     def efforts(self, bodies: Sequence[Body], a: Vector, falling: bool = True) -> Vector:
-        """Return forces and torques of the joints, of accelerations in their order, by Newton and Euler.
+        """Return forces and torques of the joints for given accelerations, by the Newton-Euler recursion.
 
-        Where nothing falls, gravity is left out.
+        `falling` is whether gravity acts.
         """
         wrenches = zip(*self.wrenches(bodies, a, falling), self.linkage.turns, strict=True)
         return [moment[2] if turns else force[2] for force, moment, turns in wrenches]
@@ -172,7 +173,7 @@ class LinkageDynamics(LinkageKinematics):
     def wrenches(
         self, bodies: Sequence[Body], a: Vector, falling: bool = True
     ) -> tuple[list[Vector], list[Vector]]:
-        """Return what each joint exerts on all that hangs on it: force, and moment about its origin."""
+        """Return each joint's wrench on all bodies beyond: force, and moment about the joint's origin."""
         forces, moments = self._inertial(bodies, a, falling)
         for i in reversed(range(len(self.R))):
             above = self.linkage.parents[i]
@@ -185,7 +186,7 @@ class LinkageDynamics(LinkageKinematics):
     def _inertial(
         self, bodies: Sequence[Body], a: Vector, falling: bool
     ) -> tuple[list[Vector], list[Vector]]:
-        """Return what moves each body alone: force, and moment about the origin of its frame."""
+        """Return the force that accelerates each body alone, and the moment about the origin of its frame."""
         forces, moments = [], []
         for (m, h, J), w, (line, spin, field) in zip(bodies, self.w, self._driven(a, falling), strict=True):
             forces.append(plus(scaled(m, line), applied(field, h)))
@@ -194,9 +195,10 @@ class LinkageDynamics(LinkageKinematics):
         return forces, moments
 
     def _driven(self, a: Vector, falling: bool) -> list[tuple[Vector, Vector, Matrix]]:
-        """Return each joint's accelerations: of its origin, less gravity, angular, and the field.
+        """Return each joint's proper acceleration of its origin, its angular acceleration, and its field.
 
-        The field is the acceleration of a point fixed to it, less that of its origin, over its place.
+        The field is the matrix that maps the position of a point on the joint to its acceleration relative to
+        the origin.
         """
         linkage = self.linkage
         found: list[tuple[Vector, Vector, Matrix]] = []
@@ -218,7 +220,7 @@ class LinkageDynamics(LinkageKinematics):
         return found
 
     def drift(self, i: int, p: Vector) -> tuple[Vector, Vector]:
-        """Return the accelerations of a point fixed to joint i, and its frame, that velocities alone make."""
+        """Return the bias acceleration of a point fixed to joint i, and of its frame."""
         line, spin, field = self._driven([ZERO] * len(self.R), False)[i]
         line = plus(line, applied(field, p))
         for j in self.ancestors(i):
@@ -235,15 +237,15 @@ class LinkageDynamics(LinkageKinematics):
         return solved(M, right, range(n - 1, -1, -1))
 
     def regressor(self, axes: Sequence[Matrix], first: int, a: Vector) -> list[Vector]:
-        """Return what efforts are over the ten numbers of each body, from that of joint `first` on.
+        """Return the regressor for the ten parameters of each body, beginning with joint `first`.
 
-        Those are m, m c, and xx, xy, yy, xz, yz, zz of the inertia about the origin of the joint's frame,
-        along axes in which that frame has the orientations `axes`.
+        The parameters are m, m c, and xx, xy, yy, xz, yz, zz of the inertia about the origin of the joint's
+        frame. They are along axes in which this frame has the orientation from `axes`.
         """
         linkage, n = self.linkage, len(self.R)
         found = [[ZERO] * (10 * (n - first)) for _ in range(n)]
         driven = self._driven(a, True)
-        ways: list[dict[int, tuple[Vector, Vector]]] = []  # how joint j moves the frame of joint i
+        ways: list[dict[int, tuple[Vector, Vector]]] = []  # motion of the frame of joint i by joint j
         for i, above in enumerate(linkage.parents):
             moved = {
                 i: ([ZERO] * 3, [ZERO, ZERO, ONE]) if linkage.turns[i] else ([ZERO, ZERO, ONE], [ZERO] * 3)

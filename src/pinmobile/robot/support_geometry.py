@@ -187,7 +187,7 @@ class Stance:
         return cls(rectangle(length, width), height)
 
     def written(self) -> dict[str, str]:
-        """Return the contact geometry as attributes of the element <pinmobile> of a URDF, see `stance_written`."""
+        """Return the contact geometry as attributes of the element <pinmobile> of a URDF."""
         words = {"ground": "0"} if self.grounded else {}
         if self.footprint is not None:
             words["footprint"] = " ".join(map(repr, self.footprint.ravel().tolist()))
