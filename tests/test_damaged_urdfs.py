@@ -28,10 +28,13 @@ def looped(*pairs: str) -> str:
 
 
 REFUSED = {
-    "itself": (looped("ab", "ac", "dd"), "link 'd' hangs on itself, by way of 'd', expected one root"),
-    "loop": (looped("ab", "cd", "dc"), "link 'c' hangs on itself, by way of 'd', expected one root"),
-    "all in a loop": (looped("ab", "bc", "cd", "da"), "link 'a' hangs on itself, by way of 'd'"),
-    "two parents": (looped("ab", "cb", "cd"), "joint 'j1' has child link 'b', which hangs on 'a' already"),
+    "itself": (looped("ab", "ac", "dd"), "link 'd' is its own ancestor, by way of 'd', expected a tree"),
+    "loop": (looped("ab", "cd", "dc"), "link 'c' is its own ancestor, by way of 'd', expected a tree"),
+    "all in a loop": (looped("ab", "bc", "cd", "da"), "link 'a' is its own ancestor, by way of 'd'"),
+    "two parents": (
+        looped("ab", "cb", "cd"),
+        "joint 'j1' has child link 'b', which is already a child of 'a'",
+    ),
     "roots": (
         robot(*(link(f"l{k}", 1) for k in range(1000))),
         "has root links ['l0', 'l1', 'l2', 'l3', 'l4'] and 995 more, expected one",

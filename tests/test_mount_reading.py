@@ -76,7 +76,7 @@ def test_a_mesh_that_cannot_be_read_is_named_and_not_drawn(name: str, urdf: Path
     (tmp_path / name).write_text("garbage")
     urdf.write_text(ARM.format(lower=INERTIAL).replace("package://arms/upper.stl", name))
     robot = BOX.mount(urdf)
-    text = rf"^arm\.urdf: not drawn, since damaged or of a format that is not read: .*{name}$"
+    text = rf"^arm\.urdf: not drawn, since damaged or of an unknown format: .*{name}$"
     with pytest.warns(UserWarning, match=text) as caught:
         shown = robot.visual_model.geometryObjects
     assert caught[0].filename == __file__

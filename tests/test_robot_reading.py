@@ -93,15 +93,15 @@ WRONG = {
             joint("py", "prismatic", "one", "two", "0 1 0"),
             joint("rz", "revolute", "two", "body", "0 0 1"),
         ),
-        "joint 'px' is prismatic along (1, 0, 0), expected a prismatic one along (0, 1, 0)",
+        "joint 'px' is prismatic along (1, 0, 0), expected a prismatic joint along (0, 1, 0)",
     ),
     "turn to the right": (
         chain(*SLIDES[:2], joint("turn", "revolute", "two", "body", "0 0 -1")),
-        "joint 'turn' is revolute along (0, 0, -1), expected a revolute one along (0, 0, 1)",
+        "joint 'turn' is revolute along (0, 0, -1), expected a revolute joint along (0, 0, 1)",
     ),
     "turn about x": (
         chain(*SLIDES[:2], joint("roll", "revolute", "two", "body", "1 0 0")),
-        "joint 'roll' is revolute along (1, 0, 0), expected a revolute one along (0, 0, 1)",
+        "joint 'roll' is revolute along (1, 0, 0), expected a revolute joint along (0, 0, 1)",
     ),
     "turn away from the origin": (
         chain(*SLIDES[:2], joint("turn", "revolute", "two", "body", "0 0 1", xyz="0.1 0 0")),
@@ -240,7 +240,7 @@ def test_an_arm_among_the_loaders_robots_is_refused() -> None:
         ("<robot", "is not well-formed XML"),
         ("<gazebo/>", "is not a URDF: expected a <robot> with links, got <gazebo>"),
         ('<robot name="empty"/>', "is not a URDF: expected a <robot> with links"),
-        (robot(link("a"), link("a")), "link 'a' is there twice"),
+        (robot(link("a"), link("a")), "link 'a' appears twice"),
         (robot(link("a"), joint("j", "hinge", "a", "a")), "joint 'j' has type 'hinge', expected one"),
         (robot(link("a"), joint("j", "fixed", "a", "b")), "joint 'j' has child link 'b', which is not in"),
         *(

@@ -209,7 +209,7 @@ def test_where_radii_are_in_meshes_alone_the_ground_is_asked_for(tmp_path: Path)
     robot = read(tmp_path, wheeled.fetch())
     assert not robot.grounded
     assert (robot.footprint, robot.top) == (None, None)
-    assert "where the ground is is not known" in robot.source
+    assert "height of the ground unknown" in robot.source
     still = MotionStates(robot, np.zeros(3), np.zeros(3), (1.0, 0, 0))
     for ask in (zero_moment_point, lambda motion: tip_over_margin(motion, box(0.1, 0.1))):
         with refused(r"one that does: MobileRobot.from_urdf\(path, ground"):
@@ -261,7 +261,7 @@ def test_a_wheel_without_a_radius_leaves_the_footprint_unknown_unless_it_is_insi
 
     robot = on_wheels((0.3, 0.2), (0.3, -0.2), (-0.3, 0.2), (-0.3, -0.2))
     assert robot.footprint is None
-    assert "j0, j1, j2, but the file does not tell the radius of j3" in robot.source
+    assert "j0, j1, j2, but the file does not contain the radius of j3" in robot.source
     with refused("the robot's footprint is not known"):
         braking(robot, -1.0)
     six = on_wheels((0.3, 0.2), (0.3, -0.2), (-0.3, 0.2), (-0.3, -0.2), (0, 0.2), (0, -0.2))
@@ -276,7 +276,7 @@ def bicycle(low: float, rear: str = ROLLING) -> str:
 
 def test_wheels_that_stand_on_no_plane_are_refused_by_name(tmp_path: Path) -> None:
     assert read(tmp_path, bicycle(0.104)).com[2] == pytest.approx(0.204 / 11 - 0.002)
-    with refused(r"plane, their lowest points being b at z = 0\.006, f at z = 0 m"):
+    with refused(r"plane, with lowest points b at z = 0\.006, f at z = 0 m"):
         read(tmp_path, bicycle(0.106))
     # Given the ground, only what touches it carries.
     assert (

@@ -648,7 +648,7 @@ def test_collision_shapes_stand_for_meshes_that_are_missing(tmp_path: Path) -> N
     tree.write(path)
     robot = pm.MobileRobot.from_urdf(path, [tmp_path])
     name = link.get("name")
-    words = rf"missing: package://truck/gone.stl; collision shapes are drawn in their place of {name}$"
+    words = rf"missing: package://truck/gone.stl; their collision shapes replace the visuals of {name}$"
     with pytest.warns(UserWarning, match=words):
         shown = robot.visual_model
     hull, wheel = shown.geometryObjects

@@ -1,4 +1,4 @@
-"""The chain with its body as a `pin.Model`, and the fields of a robot from a model or a URDF."""
+"""Pinocchio model of the chain with its body, and the fields of a robot from a model or a URDF."""
 
 from __future__ import annotations
 
@@ -30,35 +30,36 @@ from pinmobile.robot.visuals import VisualFile
 from pinmobile.urdf import Body
 
 _ALONG = 0.995
-"""Cosine beyond which two directions are the same: files have angles such as 1.57."""
+"""Smallest cosine of equal directions: files have angles such as 1.57."""
 _SIZES = {"box": 3, "cylinder": 2, "capsule": 2, "sphere": 1, "mesh": 3}
 TOUCH = 0.005
-"""What is so near the ground, or one plane, stands on it [m]."""
+"""Largest distance from the ground, or from a plane, that counts as contact [m]."""
 
 _ROUNDING = 1e-9  # [m]
-_LEVEL = 0.1  # sine of the angle by which an axle may be off level: files have angles such as 1.57
-_FOOTPRINT = "base_footprint"  # REP-120: the link that is on the ground, whatever namespace is before it
+_LEVEL = 0.1  # largest sine of an axle's angle from the horizontal: files have angles such as 1.57
+_FOOTPRINT = "base_footprint"  # REP-120: the link on the ground, with any namespace before its name
 
 
 class Shape(NamedTuple):
-    """A box, a cylinder along z, a capsule along z, a sphere, or a mesh, fixed to a joint.
+    """A box, a cylinder along z, a capsule along z, a sphere or a mesh, fixed to a joint.
 
     Attributes
     ----------
     link : str
-        Whose it is.
+        Link of the shape.
     joint : int
-        What that is fixed to.
+        Joint that carries the link.
     placement : pin.SE3
         Pose in the joint's frame.
     kind : str
-        Tag of the file.
+        Tag of the element in the file.
     sizes : tuple of floats
-        Sides of a box; else the radius and, of a cylinder or a capsule, the length; factors of a mesh [m].
+        Sides of a box; otherwise the radius and, for a cylinder or capsule, the length; factors of a mesh
+        [m].
     collides : bool
-        Whether it is collision geometry; else what is drawn of a link that has none.
+        Whether the shape is collision geometry; otherwise, it is visual geometry of a link without such.
     mesh : str
-        Name of the file, of a mesh.
+        Name of the file of a mesh.
     """
 
     link: str
@@ -70,7 +71,7 @@ class Shape(NamedTuple):
     mesh: str = ""
 
     def reach(self, rotation: Array) -> float:
-        """Return how far it reaches above its origin, and below it, when so turned; not of a mesh [m]."""
+        """Return the extent above and below the origin for a rotation, for shapes other than meshes [m]."""
         up = np.abs(rotation[2])  # the vertical, in the shape's frame
         if self.kind == "box":
             return float(up @ self.sizes / 2)
@@ -78,12 +79,12 @@ class Shape(NamedTuple):
         return float(along + radius * (np.hypot(up[0], up[1]) if self.kind == "cylinder" else 1.0))
 
     def radius_about(self, axis: Array) -> float | None:
-        """Return its radius about an axis in its frame, or None where it is not round about it [m]."""
+        """Return the radius about an axis in the shape's frame; None for a shape that is not round [m]."""
         is_round = self.kind == "sphere" or (self.kind == "cylinder" and abs(axis[2]) > _ALONG)
         return self.sizes[0] if is_round else None
 
     def corners_below(self, pose: pin.SE3) -> Array | None:
-        """Return the corners of the lower face of a box that lies level at a pose, shape (4, 2) [m]."""
+        """Return the corners of the lower face of a box that lies flat at a pose, shape (4, 2) [m]."""
         steep = np.abs(pose.rotation[2])
         if self.kind != "box" or steep.max() < _ALONG:
             return None
@@ -92,7 +93,7 @@ class Shape(NamedTuple):
         return np.asarray(pose.translation[:2] + np.array([-a - b, a - b, a + b, b - a]))
 
     def highest(self, pose: pin.SE3, file: VisualFile) -> float | None:
-        """Return the height of its highest point at a pose; None of a mesh that cannot be read [m]."""
+        """Return the height of the highest point at a pose; None for an unreadable mesh [m]."""
         if not self.mesh:
             return float(pose.translation[2]) + self.reach(pose.rotation)
         import coal
@@ -106,9 +107,9 @@ class Shape(NamedTuple):
 
 
 def shapes_of(root: Element, model: pin.Model) -> list[Shape]:
-    """Return the collision geometry of each link of a checked file, or what is drawn of a link that has none.
+    """Return the collision geometry of each link of a checked file, or else its visual geometry.
 
-    What is a placeholder without extent, or no shape of URDFs, tells nothing and is left out.
+    Placeholders without extent and unknown shapes are left out.
     """
     shapes: list[Shape] = []
     for link in root.iterfind("link"):
@@ -134,20 +135,20 @@ def shapes_of(root: Element, model: pin.Model) -> list[Shape]:
 def wheels_of(
     model: pin.Model, data: pin.Data, base: pin.SE3, root: int, shapes: Sequence[Shape]
 ) -> list[WheelJoint]:
-    """Return the wheels: on each way from the root, the first joint that turns freely about a level axis.
+    """Return the wheels: on each path from the root, the first free joint with a horizontal axis.
 
-    Of what is beyond, such as the rollers of an omni wheel, nothing is a wheel of its own.
+    Joints beyond a wheel, such as the rollers of an omni wheel, are not wheels.
 
     Parameters
     ----------
-    model, data
-        With all joints at rest, Jacobians computed.
+    model, data : pin.Model, pin.Data
+        Model and data with all joints at rest and computed Jacobians.
     base : pin.SE3
-        Pose of the root link, in whose frame their centres are.
+        Pose of the root link. The centres are in its frame.
     root : int
-        Its joint.
+        Joint of the root link.
     shapes : sequence of Shape
-        Of the model's links; a cylinder about the axle, or a sphere on it, tells the radius.
+        Shapes of the model's links. A cylinder about the axle, or a sphere on the axle, gives the radius.
     """
     below, wheels = children(model), []
     waiting = below[root][::-1]
@@ -182,12 +183,12 @@ def ground_below(
     given: ArrayLike | None,
     name: str,
 ) -> tuple[float | None, str]:
-    """Return the height of the ground in the frame of the root link, None where nothing tells, and what does.
+    """Return the height of the ground in the root link's frame (None if unknown), and its origin as text.
 
     Raises
     ------
     InvalidArgument
-        If what is given is no number, or the wheels do not stand on one plane.
+        If `given` is not a number, or the wheels do not stand on one plane.
     """
     if given is not None:
         return scalar("ground", given), "as given"
@@ -197,9 +198,9 @@ def ground_below(
         if max(heights) - min(heights) > TOUCH:
             listed = ", ".join(f"{wheel} at z = {_rounded(z):.4g}" for wheel, z in lowest.items())
             raise InvalidArgument(
-                f"{name}: its wheels do not stand on one plane, their lowest points being {listed} m, "
-                f"expected them within {1e3 * TOUCH:g} mm, or ground=, the z of the ground in the root "
-                "link's frame [m]"
+                f"{name}: its wheels do not stand on one plane, with lowest points {listed} m, expected "
+                f"differences of at most {1e3 * TOUCH:g} mm: correct the file, or give ground=, the z of the "
+                "ground in the root link's frame [m]"
             )
         return _rounded(sum(heights) / len(heights)), "below its wheels by their radii"
     for number, frame in enumerate(model.frames):
@@ -225,16 +226,16 @@ def stance_on(
     file: VisualFile | None,
     root: int,
 ) -> tuple[Stance, list[str], list[tuple[float, float]]]:
-    """Return how a robot stands on the ground, where that is from, in words, and what stands beside wheels.
+    """Return the contact geometry of a robot, its origin as text, and the supports beside the wheels.
 
     Parameters
     ----------
     model, data, base, wheels, shapes, root
-        As in `wheels_of`; `base` is B, on the ground.
+        As in `wheels_of`, with `base` the body frame B on the ground.
     ground : float
-        Its height in the frame in which the wheels are [m].
+        Height of B in the frame of the wheels [m].
     file : VisualFile or None
-        Tells where meshes lie.
+        File that locates the meshes.
     """
     apart = {joint for wheel in wheels for joint in model.subtrees[wheel.joint]}
     placed = [
@@ -243,7 +244,7 @@ def stance_on(
         if shape.joint not in apart
     ]
     heights = [wheel.centre[2] - ground for wheel in wheels]
-    # Where a file tells no radius at all, wheels with axles of one height stand on the ground.
+    # If a file contains no radius, wheels with axles at the same height stand on the ground.
     level = bool(heights) and min(heights) > 0 and max(heights) - min(heights) <= TOUCH
     untold = level and all(wheel.radius is None for wheel in wheels)
     points, names, supports = [], [], list[tuple[float, float]]()
@@ -254,20 +255,20 @@ def stance_on(
     for shape, pose in placed:
         if not shape.mesh and abs(pose.translation[2] - shape.reach(pose.rotation)) <= TOUCH:
             face = None if wheels else shape.corners_below(pose)
-            # A caster or a skid of a robot on wheels carries at its middle.
+            # The contact point of a caster or skid of a robot on wheels is its centre.
             points.append(np.array([pose.translation[:2]]) if face is None else face)
             names.append(shape.link)
             supports += [(float(x), float(y)) for x, y in points[-1]]
     corners = hull(np.concatenate(points)) if points else None
     listed = ", ".join(dict.fromkeys(names)) or "of all shapes none"
     words = f"what is within {1e3 * TOUCH:g} mm of the ground, {listed}"
-    # A wheel of which nothing is told may stand on the ground too: that changes nothing inside the others.
+    # A wheel with an unknown radius may stand on the ground; inside the others, it does not matter.
     lost = [] if untold else [wheel for wheel in wheels if wheel.radius is None and wheel.centre[2] > ground]
     if corners is None:
         words = f"footprint not known: {words}, has no area"
     elif any(margin_inside(corners, np.array(wheel.centre[:2])) < -TOUCH for wheel in lost):
         corners, radii = None, ", ".join(wheel.name for wheel in lost)
-        words = f"footprint not known: {words}, but the file does not tell the radius of {radii}"
+        words = f"footprint not known: {words}, but the file does not contain the radius of {radii}"
     else:
         words = f"footprint: {words}"
     top, why = _top([(shape, pose) for shape, pose in placed if shape.joint == root], file)
@@ -275,8 +276,8 @@ def stance_on(
 
 
 def _top(body: Sequence[tuple[Shape, pin.SE3]], file: VisualFile | None) -> tuple[float | None, str]:
-    """Return the height of the highest geometry of the body, and where that is from."""
-    # What is drawn stands for collision geometry where there is none but that of casters.
+    """Return the height of the body's highest geometry, and its origin as text."""
+    # Visual geometry replaces collision geometry that has only casters.
     solid = [pair for pair in body if pair[0].collides]
     chosen = solid if any(_is_above(*pair) for pair in solid) else body
     heights = [(shape, shape.highest(pose, file) if file else None) for shape, pose in chosen]
@@ -290,12 +291,12 @@ def _top(body: Sequence[tuple[Shape, pin.SE3]], file: VisualFile | None) -> tupl
 
 
 def _is_above(shape: Shape, pose: pin.SE3) -> bool:
-    """Return whether a shape is more than what a caster is: not a primitive that touches the ground."""
+    """Return whether a shape is more than a caster, which is a primitive that touches the ground."""
     return bool(shape.mesh) or pose.translation[2] - shape.reach(pose.rotation) > TOUCH
 
 
 LOCKED = "wheels locked: they do not roll, and it can be pushed sideways"
-"""What is said of a base with wheels."""
+"""Note in the source of a base with wheels."""
 
 _BODY_LINK = "base_link"
 _ALIGNED = 1e-5  # an axis written with six digits or more counts as aligned
@@ -309,7 +310,7 @@ def check_chain(name: str, table: DHTable) -> DHTable:
     Raises
     ------
     InvalidArgument
-        If it is another one, or no table at all.
+        If the argument is another table, or not a table.
     """
     instance(name, table, DHTable, "a DHTable")
     kinds = [row.joint for row in table]
@@ -321,7 +322,7 @@ def check_chain(name: str, table: DHTable) -> DHTable:
     if not planar:
         raise InvalidArgument(
             f"{name} with variables {table.variables} does not put its last frame at (x, y, psi), expected "
-            "a chain of prismatic y, prismatic x, revolute psi whose last frame is the body's"
+            "a chain of prismatic y, prismatic x, revolute psi with the body frame as its last frame"
         )
     return table
 
@@ -329,8 +330,8 @@ def check_chain(name: str, table: DHTable) -> DHTable:
 def build_model(table: DHTable, body: Body) -> pin.Model:
     """Return the chain with the body on its last link as a Pinocchio model.
 
-    It is the model that Pinocchio reads from `urdf.write`, but with rotations that are exact where the
-    table's angles are multiples of pi / 2, so that gravity does not leak into the plane.
+    The model equals Pinocchio's model of the text from `urdf.write`, except that rotations by multiples of pi
+    / 2 are exact. Gravity therefore has no component in the plane.
     """
     model = pin.Model()
     model.name = "pinmobile"
@@ -347,7 +348,7 @@ def build_model(table: DHTable, body: Body) -> pin.Model:
 def read_urdf(
     path: Path, package_dirs: tuple[Path, ...] = (), ground: ArrayLike | None = None
 ) -> dict[str, Any]:
-    """Return the fields of the `MobileRobot` of a URDF that is the chain with its body, or a bare base.
+    """Return the fields of the `MobileRobot` for a URDF with the chain and its body, or with a base.
 
     Parameters
     ----------
@@ -357,7 +358,7 @@ def read_urdf(
     Raises
     ------
     InvalidArgument
-        If there is no such file, it is no URDF, or it is neither of the two.
+        If the file does not exist, is not a URDF, or is neither of the two.
     """
     model, root = urdf_model("path", path)
     fields = read_model(model, path.name, ground, root, VisualFile(path.resolve(), package_dirs))
@@ -372,30 +373,30 @@ def read_model(
     root: Element | None = None,
     file: VisualFile | None = None,
 ) -> dict[str, Any]:
-    """Return the fields of the `MobileRobot` of a model that is the chain with its body, or a bare base.
+    """Return the fields of the `MobileRobot` for a model with the chain and its body, or with a base.
 
-    The base has a planar or free root, or none.
+    The base has a planar root, a free-flyer root or none.
 
     Parameters
     ----------
     model, ground
         As in `MobileRobot.from_model`.
     name : str
-        What it is called in messages.
-    root, file
-        The file that it is from, checked, which also has shapes.
+        Name of the model in messages.
+    root, file : xml.etree.ElementTree.Element, VisualFile, optional
+        Checked tree and file of the model, with its shapes.
 
     Raises
     ------
     InvalidArgument
-        If it is neither; the message names the joint that is wrong.
+        If the model is neither of the two. The message names the wrong joint.
     """
     data = model.createData()
     pin.computeJointJacobians(model, data, pin.neutral(model))
     shapes = [] if root is None else shapes_of(root, model)
     if _starts_with_slides(model):
         table = _chain_table(model, data, name)
-        # Frames of neither table: B is then the frame that coincides with the ground's at rest.
+        # For frames of neither table, B is the frame that coincides with the ground's frame at rest.
         first, base = 3, data.oMi[3] if table else pin.SE3.Identity()
         how = f"is the chain ({', '.join(model.names[1:4])})"
         how += (
@@ -414,11 +415,11 @@ def read_model(
     body = _lump(model, data, base, [first, *locked], name)
     only = None if root is None else _only_body(root, model)
     if only is not None and data.oMi[only[0]] == base:
-        body = only[1]  # Pinocchio divides by the mass again, and loses the last digit
+        body = only[1]  # Pinocchio divides by the mass, and loses the last digit
     if ground is not None and body.com[2] < -_ALIGNED:
         raise InvalidArgument(
             f"ground is {z:g} m, {-body.com[2]:.4g} m above the robot's centre of mass, expected the "
-            "ground's z in the root link's frame, which is below zero where that link is above the ground"
+            "ground's z in the root link's frame, a negative value for a link above the ground"
         )
     parts, supports = [f"{name} {how}"], list[tuple[float, float]]()
     if locked:
@@ -433,8 +434,8 @@ def read_model(
     elif z is None:
         stance = Stance(grounded=False)
         parts.append(
-            "where the ground is is not known, and is taken to be at the origin of the root link: "
-            "give ground=, its z there [m]"
+            "height of the ground unknown, assumed at the origin of the root link: give ground=, its z in "
+            "the root link's frame [m]"
         )
     else:
         stance, words, supports = stance_on(model, data, base, wheels, shapes, z, file=file, root=first)
@@ -443,7 +444,7 @@ def read_model(
     if size is None:
         size = _box_of_inertia(body)
         parts.append("size of the box with the same mass and inertia")
-        if stance.top is not None:  # what stands on it is then drawn on it
+        if stance.top is not None:  # arms are drawn on top of the box
             size = (*size[:2], stance.top)
             parts[-1] += ", as high as the top"
     pose = tuple(base.homogeneous.ravel().tolist())
@@ -463,16 +464,16 @@ def read_model(
 
 
 def _starts_with_slides(model: pin.Model) -> bool:
-    """Return whether the model is the chain: three joints in series, two of them prismatic."""
+    """Return whether the model is the chain: three joints in series, at least two of them prismatic."""
     if model.njoints < 4 or [model.parents[j] for j in (1, 2, 3)] != [0, 1, 2]:
         return False
     return sum(joint.slides for joint in joints_of(model)[:3]) >= 2
 
 
 def _chain_table(model: pin.Model, data: pin.Data, name: str) -> DHTable | None:
-    """Check that each joint is the one expected, and return the table whose frames they have, if any."""
+    """Check that each joint is the expected one; return the table with the same frames, if there is one."""
     for joint, (kind, axis) in enumerate(_CHAIN, start=1):
-        expected = f"expected a {kind} one along {axis}: joint {joint} of y, x, psi"
+        expected = f"expected a {kind} joint along {axis}: joint {joint} of y, x, psi"
         own = Joint.of(model, joint)
         if own.nv != 1:
             raise InvalidArgument(f"{name}: joint {own}, {expected}")
@@ -487,7 +488,7 @@ def _chain_table(model: pin.Model, data: pin.Data, name: str) -> DHTable | None:
         if np.abs(column[:3] - (axis if kind == "prismatic" else 0)).max() > _ALIGNED:
             raise InvalidArgument(
                 f"{name}: the axis of joint {model.names[joint]!r} does not pass through the origin when all "
-                "joints are at zero, expected that it does"
+                "joints are at zero, expected an axis through the origin"
             )
     frames = np.stack([data.oMi[k].homogeneous for k in (1, 2, 3)])
     for table in (LECTURE_TABLE, SLIDE_TABLE):
@@ -497,7 +498,7 @@ def _chain_table(model: pin.Model, data: pin.Data, name: str) -> DHTable | None:
 
 
 def _locked(model: pin.Model, root: int, name: str) -> list[int]:
-    """Return the joints to lock: wheels and what only carries wheels. Refuse any other."""
+    """Return the joints to lock, wheels and joints that carry only wheels; reject any other joint."""
     above = range(root + 1, model.njoints)
     for joint, own in zip(above, joints_of(model, root + 1), strict=True):
         if model.parents[joint] == root and not carries_only_wheels(model, joint):
@@ -510,7 +511,7 @@ def _locked(model: pin.Model, root: int, name: str) -> list[int]:
 
 
 def _lump(model: pin.Model, data: pin.Data, base: pin.SE3, joints: Iterable[int], name: str) -> Body:
-    """Return all that is on the joints as one body, seen from the base at rest."""
+    """Return the composite body of the given joints, seen from the base at rest."""
     total = pin.Inertia.Zero()
     for joint in joints:
         total += seen_from(base, data.oMi[joint], model.inertias[joint])
@@ -529,7 +530,7 @@ def _lump(model: pin.Model, data: pin.Data, base: pin.SE3, joints: Iterable[int]
 
 
 def _only_body(root: Element, model: pin.Model) -> tuple[int, Body] | None:
-    """Return the body of a file that has only one, as it is written, and the joint whose frame it is in."""
+    """Return the body of a file with only one body, with all digits, and the joint of its frame."""
     links = [link for link in root.iterfind("link") if link.find("inertial") is not None]
     if len(links) != 1:
         return None
@@ -543,11 +544,11 @@ def _only_body(root: Element, model: pin.Model) -> tuple[int, Body] | None:
     try:
         return frame.parentJoint, Body(float(mass.get("value", "0")), com, inertia_of(inertia))
     except InvalidArgument:
-        return None  # what is wrong with it is said of the whole
+        return None  # the check of the composite body reports the error
 
 
 def _largest_box(root: Element) -> tuple[float, float, float] | None:
-    """Return the size of the largest box that the file shows, if it shows one."""
+    """Return the size of the largest box in the file's visual geometry, if there is one."""
     sizes: list[tuple[float, float, float]] = []
     for box in root.iterfind("./link/visual/geometry/box"):
         try:

@@ -1,4 +1,4 @@
-"""Checks of a URDF that its readers leave out: they drop what is wrong, do not say why, or crash."""
+"""Checks of a URDF for errors that its readers ignore, do not explain, or do not survive."""
 
 from __future__ import annotations
 
@@ -36,25 +36,24 @@ _ATTRIBUTES = {
     "mimic": "multiplier offset",
     "safety_controller": "soft_lower_limit soft_upper_limit k_position k_velocity",
     "calibration": "rising falling",
-}  # of elements in links, joints and materials: what is made of numbers
-_COUNTS = {"xyz": 3, "rpy": 3, "size": 3, "scale": 3, "rgba": 4}  # and one of all others
+}  # numeric attributes of elements in links, joints and materials
+_COUNTS = {"xyz": 3, "rpy": 3, "size": 3, "scale": 3, "rgba": 4}  # one number for all others
 _NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 
 _ROUNDING = 1e-9
-_SMALL = 1e-3  # of a body's least moment: what one of its links may lack
-_ENDLESS = "1e16"  # [rad, m]: what files write that have to give a limit where there is none
+_SMALL = 1e-3  # largest negative moment of a link, as a share of its body's smallest moment
+_ENDLESS = "1e16"  # [rad, m]: common value in files for no limit
 
 _SHOWN = 5  # names in a message
 
 
 def urdf_model(argument: str, path: Path) -> tuple[pin.Model, Element]:
-    """Return the model of a file, and the file's tree, checked: what is checked is what Pinocchio is given.
+    """Return the model of a file, and the file's checked tree, from which Pinocchio reads the model.
 
     Raises
     ------
     InvalidArgument
-        If there is no such file, or it is no URDF; the message names the argument or the
-        file.
+        If the file does not exist, or is not a URDF. The message names the argument or the file.
     """
     root = urdf_tree(argument, path)
     try:
@@ -64,12 +63,12 @@ def urdf_model(argument: str, path: Path) -> tuple[pin.Model, Element]:
 
 
 def urdf_tree(argument: str, path: Path) -> Element:
-    """Return a file's tree, checked.
+    """Return a file's checked tree.
 
     Raises
     ------
     InvalidArgument
-        As `urdf_model`, but for what Pinocchio refuses.
+        As in `urdf_model`, without the checks by Pinocchio.
     """
     try:
         root = ElementTree.fromstring(path.read_text("utf-8-sig"))
@@ -84,10 +83,10 @@ def urdf_tree(argument: str, path: Path) -> Element:
 
 
 def _complete_limits(root: Element) -> None:
-    """Write into the file the limits that its readers ask for, as none.
+    """Add missing limits to the tree, with values that mean no limit.
 
-    A revolute or prismatic joint without <limit>, or one without an effort or a velocity, is refused by
-    Pinocchio's parser, and one without lower and upper would be held at zero.
+    Pinocchio's parser rejects a revolute or prismatic joint without <limit>, effort or velocity. It would fix
+    a joint without lower and upper limits at zero.
     """
     for joint in root.iterfind("joint"):
         limit, ends = joint.find("limit"), joint.get("type") in ("revolute", "prismatic")
@@ -102,29 +101,29 @@ def _complete_limits(root: Element) -> None:
 
 
 def inertia_of(element: Element) -> Array:
-    """Return what an <inertia> says, shape (3, 3) [kg m^2]."""
+    """Return the inertia from an element <inertia>, shape (3, 3) [kg m^2]."""
     xx, xy, xz, yy, yz, zz = (float(element.get(key, "0")) for key in _MOMENTS)
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
 def judge_links(root: Element, name: str, body_of: Callable[[str], Array], stacklevel: int) -> None:
-    """Refuse a link whose inertia no rigid body has, or name it in a warning where it hardly matters.
+    """Reject a link with an inertia that no rigid body has; only warn if the inertia hardly matters.
 
     Parameters
     ----------
     root : xml.etree.ElementTree.Element
-        The file.
+        Tree of the file.
     name : str
-        Its name, for the message.
+        Name of the file in messages.
     body_of : callable
-        Returns the inertia of all that is fixed together with a link, shape (3, 3) [kg m^2].
+        Function that returns the inertia of all links fixed to a link, shape (3, 3) [kg m^2].
     stacklevel : int
-        Of the warning: how far up the user's call is.
+        Stack level of the warning.
 
     Raises
     ------
     InvalidArgument
-        If a principal moment of a link is negative by more than a thousandth of the least one of its body.
+        If a principal moment of a link is negative by more than a thousandth of the smallest one of its body.
     """
     for link in root.iterfind("link"):
         inertia = link.find("inertial/inertia")
@@ -141,16 +140,16 @@ def judge_links(root: Element, name: str, body_of: Callable[[str], Array], stack
         if -moments[0] > _SMALL * np.linalg.eigvalsh(body_of(link.get("name", "")))[0]:
             raise InvalidArgument(said)
         warnings.warn(
-            f"{said}; it is taken all the same, since it hardly matters to the body that it is a part of",
+            f"{said}; the inertia is used nevertheless, since it hardly affects the whole body",
             stacklevel=stacklevel,
         )
 
 
 def _check_numbers(root: Element, name: str) -> None:
-    """Refuse what should be numbers, spelled as in C++, and is not, in a tree that is one.
+    """Reject invalid numbers in a tree, with the syntax of C++ for valid ones.
 
-    A reader drops what is about it, a link's whole inertia or shape, or refuses the file without a reason;
-    so too where there is a space or a line end that it does not expect, of which the numbers are freed.
+    For an invalid number, a reader drops the whole inertia or shape of a link, or rejects the file without a
+    reason. Unexpected spaces and line ends have the same effect; this function removes them.
     """
     for part in (part for part in root if part.tag in ("link", "joint", "material")):
         called = f"{name}: {part.tag} {part.get('name')!r} has"
@@ -178,7 +177,7 @@ def _check_numbers(root: Element, name: str) -> None:
 
 
 def _check_tree(root: Element, name: str) -> None:
-    """Refuse a file that is no tree of links."""
+    """Reject a file that is not a tree of links."""
     if root.tag != "robot" or root.find("link") is None:
         raise InvalidArgument(f"{name} is not a URDF: expected a <robot> with links, got <{root.tag}>")
     links = [link.get("name", "") for link in root.iterfind("link")]
@@ -186,7 +185,7 @@ def _check_tree(root: Element, name: str) -> None:
     for kind, names in (("link", links), ("joint", joints)):
         twice = [entry for entry, count in Counter(names).items() if count > 1]
         if twice:
-            raise InvalidArgument(f"{name}: {kind} {twice[0]!r} is there twice, expected once")
+            raise InvalidArgument(f"{name}: {kind} {twice[0]!r} appears twice, expected unique names")
     known, above = set(links), dict[str, str]()
     for joint in root.iterfind("joint"):
         called, of = f"{name}: joint {joint.get('name')!r}", joint.get("type")
@@ -199,16 +198,14 @@ def _check_tree(root: Element, name: str) -> None:
                 raise InvalidArgument(f"{called} has {end} link {there!r}, which is not in the file")
         if child in above:
             raise InvalidArgument(
-                f"{called} has child link {child!r}, which hangs on {above[child]!r} already, expected one "
-                "parent of each link"
+                f"{called} has child link {child!r}, which is already a child of {above[child]!r}, expected "
+                "one parent for each link"
             )
         above[str(child)] = str(parent)
     roots = [link for link in links if link not in above]
     if len(roots) > 1:
         more = f" and {len(roots) - _SHOWN} more" if len(roots) > _SHOWN else ""
-        raise InvalidArgument(
-            f"{name} has root links {roots[:_SHOWN]}{more}, expected one that all others hang on"
-        )
+        raise InvalidArgument(f"{name} has root links {roots[:_SHOWN]}{more}, expected one root link")
     for link in links:
         at, seen = link, set[str]()
         while at in above and at not in seen:
@@ -216,6 +213,6 @@ def _check_tree(root: Element, name: str) -> None:
             at = above[at]
         if at in seen:
             raise InvalidArgument(
-                f"{name}: link {at!r} hangs on itself, by way of {above[at]!r}, expected one root that all "
-                "links hang on"
+                f"{name}: link {at!r} is its own ancestor, by way of {above[at]!r}, expected a tree with one "
+                "root link"
             )

@@ -1,4 +1,4 @@
-"""Visual and collision geometry of a robot and of its loads, and the URDF that has it."""
+"""Visual and collision geometry of a robot and its loads, from a URDF or from boxes."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from pinmobile.robot.urdf_checks import urdf_tree
 
 
 class VisualFile(NamedTuple):
-    """The URDF that says how a robot looks.
+    """URDF with a robot's geometry.
 
     Attributes
     ----------
     path : Path
-        The file.
+        Path of the file.
     package_dirs : tuple of Path
-        Folders that ``package://`` refers to.
+        Folders to which ``package://`` refers.
     base : tuple of 16 floats
         Pose of the body in the file's root with all joints at rest, row by row.
     """
@@ -41,23 +41,23 @@ class VisualFile(NamedTuple):
     base: tuple[float, ...] = ()
 
     def found(self, name: str) -> Path | None:
-        """Return where a mesh lies, or None where it is not there."""
+        """Return the path of a mesh, or None for a missing file."""
         scheme, apart, rest = name.rpartition("://")
         rest = rest.lstrip("/") if scheme == "package" else rest
         folders = (*self.package_dirs, self.path.parent) if scheme == "package" else (self.path.parent,)
         candidates = (folder / (rest if apart else name) for folder in folders)
-        # Not `Path.is_file`, which raises where a name is longer than a file system allows.
+        # Not `Path.is_file`, which raises for names longer than a file system allows.
         return next((path.resolve() for path in candidates if isfile(path)), None)
 
     def tree(self) -> ElementTree.Element:
-        """Return the file's tree with meshes where they lie; those that are missing have no name.
+        """Return the file's tree with paths of the meshes; missing meshes have the attribute ``missing``.
 
         Raises
         ------
         InvalidArgument
-            If the file cannot be read any more, or is no URDF by now.
+            If the file is no longer readable, or no longer a URDF.
         """
-        root = urdf_tree("path", self.path)  # again, since the file may be another one by now
+        root = urdf_tree("path", self.path)  # again, since the file may have changed
         for mesh in root.iterfind("link/*/geometry/mesh"):
             path = self.found(mesh.get("filename", ""))
             if path is None:
@@ -69,16 +69,16 @@ class VisualFile(NamedTuple):
     def visuals(
         self, model: pin.Model, stacklevel: int
     ) -> tuple[pin.GeometryModel, ElementTree.Element, bool]:
-        """Return what is drawn, each object on its own joint of the file's model, the tree, and a flag.
+        """Return the visual geometry on the joints of the file's model, the tree, and a flag.
 
-        Meshes that are missing or cannot be read are named in a warning, and the collision shapes of a link
-        of which nothing else is drawn stand in their place. The flag is whether meshes were left out and
-        nothing stands for them.
+        A warning names meshes that are missing or unreadable. The collision shapes of a link replace its
+        visual geometry if nothing of the latter is left. The flag is whether meshes are left out without a
+        replacement.
 
         Raises
         ------
         InvalidArgument
-            If the file cannot be read any more.
+            If the file is no longer readable.
         """
         root = self.tree()
         lost, standing = _without(root, lambda mesh: "missing" in mesh.attrib)
@@ -86,29 +86,29 @@ class VisualFile(NamedTuple):
         try:
             seen = _geometry(root, model, pin.GeometryType.VISUAL)
         except (ValueError, RuntimeError) as error:
-            # Pinocchio does not say which of the files it was.
+            # Pinocchio does not report which file it could not read.
             broken, others = _without(root, _is_broken)
             if not broken:
                 raise InvalidArgument(f"path is {str(self.path)!r}, which cannot be drawn: {error}") from None
             seen = _geometry(root, model, pin.GeometryType.VISUAL)
-            self._warn("damaged or of a format that is not read", broken, others, stacklevel)
+            self._warn("damaged or of an unknown format", broken, others, stacklevel)
             lost, standing = lost + broken, standing + others
         return seen, root, bool(lost and not standing)
 
     def _warn(self, why: str, files: list[str], links: list[str], stacklevel: int) -> None:
         words = f"{self.path.name}: not drawn, since {why}: {', '.join(dict.fromkeys(files))}"
         if links:
-            words += f"; collision shapes are drawn in their place of {', '.join(links)}"
+            words += f"; their collision shapes replace the visuals of {', '.join(links)}"
         if files:
             warnings.warn(words, stacklevel=stacklevel + 1)
 
     def shapes(self, model: pin.Model) -> pin.GeometryModel:
-        """Return the collision geometry, each shape on its own joint of the file's model.
+        """Return the collision geometry on the joints of the file's model.
 
         Raises
         ------
         InvalidArgument
-            If the file cannot be read any more, or a mesh is missing or cannot be read.
+            If the file is no longer readable, or a mesh is missing or unreadable.
         """
         root = self.tree()
         meshes = root.iterfind("link/collision/geometry/mesh")
@@ -117,7 +117,7 @@ class VisualFile(NamedTuple):
             listed = ", ".join(dict.fromkeys(lost))
             raise InvalidArgument(
                 f"{self.path.name} has collision meshes that are missing: {listed}; expected them beside the "
-                "file, or package_dirs="
+                "file, or in folders given by package_dirs="
             )
         try:
             return _geometry(root, model, pin.GeometryType.COLLISION)
@@ -127,7 +127,7 @@ class VisualFile(NamedTuple):
             ) from None
 
     def model(self) -> tuple[pin.Model, list[pin.SE3]]:
-        """Return the file's model, and where its joints are at rest, in the frame of the body."""
+        """Return the file's model, and the placements of its joints at rest in the body frame."""
         model = pin.buildModelFromXML(ElementTree.tostring(self.tree(), encoding="unicode"))
         data = model.createData()
         pin.forwardKinematics(model, data, pin.neutral(model))
@@ -142,7 +142,7 @@ def _geometry(root: ElementTree.Element, model: pin.Model, kind: pin.GeometryTyp
 def _without(
     root: ElementTree.Element, unusable: Callable[[ElementTree.Element], bool]
 ) -> tuple[list[str], list[str]]:
-    """Take visuals whose meshes are unusable out of a tree; return their files, and links with stand-ins."""
+    """Remove visuals with unusable meshes from a tree; return their files, and links with replacements."""
     lost, standing = list[str](), list[str]()
     for link in root.iterfind("link"):
         before = len(lost)
@@ -174,15 +174,15 @@ def _is_broken(mesh: ElementTree.Element) -> bool:
 
 
 BODY = "body"
-"""Name of the box, the one geometry object that may be coloured as one likes."""
+"""Name of the box, the only geometry object with a variable colour."""
 
-_THERE = 1e-9  # [m]: what is so near a place is at it
+_THERE = 1e-9  # [m]: largest distance of equal placements
 _BODY_RGBA = (0.90, 0.62, 0.0, 1.0)
 _DARK_RGBA = (0.16, 0.16, 0.18, 1.0)
 
 
 def _restored(path: str, package_dirs: tuple[str, ...], base: tuple[float, ...]) -> VisualFile | None:
-    """Return the file that an archive names; None where it is no longer there."""
+    """Return the file that an archive names, or None if the file does not exist."""
     return VisualFile(Path(path), tuple(map(Path, package_dirs)), base) if isfile(path) else None
 
 
@@ -200,18 +200,18 @@ keep(
 def read_visuals(
     file: VisualFile, size: Sequence[float], joint: int
 ) -> tuple[pin.GeometryModel, dict[str, tuple[str, ...]]]:
-    """Return what the file shows, riding on `joint`, its own joints at rest, and the joints of each object.
+    """Return the file's visual geometry at rest, on `joint`, and the file's joints of each object.
 
-    Those of an object are the joints of the file that move it, by name, the nearest first.
+    The joints of an object are the names of the file's joints that move the object, nearest first.
 
-    Mesh files that are missing or cannot be read are named in a warning. Collision shapes stand for them, or
-    if there are none and no mesh is left, the box. Of a file that shows nothing but a box which stands about
-    the origin it is our own, which has a front.
+    A warning names meshes that are missing or unreadable. Collision shapes replace them. If there are none
+    and no mesh is left, the box replaces them. For a file with only a box that stands at the origin, the
+    result is the library's box, which has a marked front.
 
     Raises
     ------
     InvalidArgument
-        If the file cannot be read any more.
+        If the file is no longer readable.
     """
     model, joints = file.model()
     seen, root, is_lost = file.visuals(model, stacklevel=6)
@@ -228,7 +228,7 @@ def read_visuals(
 
 
 def joints_above(model: pin.Model, joint: int) -> tuple[str, ...]:
-    """Return the names of a joint and of those that move it, the nearest first."""
+    """Return the names of a joint and its ancestors, nearest first."""
     found = []
     while joint:
         found.append(str(model.names[joint]))
@@ -237,9 +237,9 @@ def joints_above(model: pin.Model, joint: int) -> tuple[str, ...]:
 
 
 def drawn(name: str, joint: int, placement: pin.SE3, item: pin.GeometryObject) -> pin.GeometryObject:
-    """Return the object on another joint, its mesh as Pinocchio has read and scaled it."""
+    """Return the object on another joint, with its mesh as Pinocchio has read and scaled it."""
     moved = pin.GeometryObject(name, joint, placement, item.geometry)
-    # Of a file with materials meshcat draws holes.
+    # meshcat draws holes for a file with materials.
     moved.meshColor, moved.meshScale, moved.meshPath = item.meshColor, np.ones(3), ""
     return moved
 
@@ -250,11 +250,11 @@ def box_visuals(size: Sequence[float], joint: int, clearance: float = 0.0) -> pi
     Parameters
     ----------
     size : sequence of 3 floats
-        Length, width and height of its top [m].
+        Length, width, and height of the top [m].
     joint : int
-        What it rides on.
+        Joint that carries the box.
     clearance : float
-        Height of its bottom, where wheels carry it [m].
+        Height of the bottom above the ground, for a box on wheels [m].
     """
     import coal
 
@@ -283,7 +283,7 @@ def box_visuals(size: Sequence[float], joint: int, clearance: float = 0.0) -> pi
 
 
 def _prism(corners: Array) -> object:
-    """Return the prism with corners 0, 1, 2 below and 3, 4, 5 above, every face with corners of its own."""
+    """Return the prism with corners 0, 1, 2 below and 3, 4, 5 above, with separate corners for each face."""
     import coal
 
     quads = ((0, 1, 4), (0, 4, 3), (1, 2, 5), (1, 5, 4), (2, 0, 3), (2, 3, 5), (0, 2, 1), (3, 4, 5))
@@ -301,7 +301,7 @@ _LOAD_RGBA = (0.55, 0.55, 0.58, 1.0)
 def add_carried(
     visuals: pin.GeometryModel, model: pin.Model, mounts: Sequence[Mount], loads: Sequence[PayloadBody]
 ) -> None:
-    """Add what is drawn of arms and loads, on the joints of the whole model."""
+    """Add the visual geometry of arms and loads, on the joints of the whole model."""
     for mount in mounts:
         for item in mount.arm.visuals().geometryObjects:
             joint, placement = mount.joint_of(item)
@@ -313,7 +313,7 @@ def add_carried(
 
 
 def boxes_of(model: pin.Model, loads: Sequence[PayloadBody]) -> Iterator[tuple[int, int, pin.SE3, Any]]:
-    """Yield number, joint of the whole model, placement and box of each load that has a size."""
+    """Yield number, joint of the whole model, placement and box of each load with a size."""
     import coal
 
     frames = named_frames(model)
@@ -325,26 +325,26 @@ def boxes_of(model: pin.Model, loads: Sequence[PayloadBody]) -> Iterator[tuple[i
 
 
 BODY_LINK = "base_link"
-"""Link of the body that is a box."""
+"""Name of the link of a box-shaped body."""
 
 
 class Solid(NamedTuple):
-    """A shape of a link.
+    """Collision shape of a link.
 
     Attributes
     ----------
     link : str
-        Whose it is.
+        Link of the shape.
     part : int
-        What it moves with: 0 the body, k the arms' k-th joint in the model.
+        Moving part that carries the shape: 0 for the body, k for the k-th joint of the arms in the model.
     placement : pin.SE3
-        In the frame of that joint, or of the body.
+        Placement in the frame of this joint, or of the body.
     geometry : coal.CollisionGeometry
-        Convex: of a mesh its hull.
+        Convex geometry; for a mesh, its convex hull.
     mesh : coal.BVHModelBase or None
-        The mesh itself.
+        Mesh without the hull.
     joints : tuple of str
-        Joints of the base's file that would move it, the nearest first; locked here.
+        Joints of the base's file that would move the shape, nearest first; they are locked here.
     """
 
     link: str
@@ -357,18 +357,18 @@ class Solid(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Solids:
-    """The shapes of a robot, and how its parts hang together.
+    """Collision shapes of a robot, and the structure of its moving parts.
 
     Parameters
     ----------
     shapes : tuple of Solid
-        One or more of each link.
+        At least one shape per link.
     parents : tuple of int
-        Of each part the one that carries it; -1 of the body.
+        Parent of each part; -1 for the body.
     moves : tuple of slice
-        Of each part, the coordinates of its joint in v; none of the body.
+        Coordinates of each part's joint in v; empty for the body.
     standing : frozenset of str
-        Links that are on the ground by definition, such as wheels.
+        Links that touch the ground by definition, such as wheels.
     """
 
     shapes: tuple[Solid, ...]
@@ -378,7 +378,7 @@ class Solids:
 
     @classmethod
     def on(cls, model: pin.Model, shapes: Iterable[Solid]) -> Solids:
-        """Return those on the joints of a robot's model."""
+        """Return the shapes on the joints of a robot's model."""
         joints = range(BODY_JOINT + 1, model.njoints)
         parents = (-1, *(model.parents[joint] - BODY_JOINT for joint in joints))
         starts = ((model.idx_vs[joint], model.nvs[joint]) for joint in joints)
@@ -386,19 +386,19 @@ class Solids:
 
 
 def body_shapes(looks: VisualFile | None, source: str) -> Iterator[Solid]:
-    """Return the shapes of the body of a robot from a file, and of what is locked to it.
+    """Return the collision shapes of the body of a robot from a file, including locked links.
 
     Parameters
     ----------
     looks : VisualFile or None
-        The file that it was read from.
+        File of the robot.
     source : str
-        Where its numbers come from, for the message.
+        Origin of the robot's numbers, for the message.
 
     Raises
     ------
     InvalidArgument
-        If it has none, or its file or a mesh cannot be read.
+        If there are no shapes, or the file or a mesh is unreadable.
     """
     if looks is None:
         raise InvalidArgument(
@@ -417,14 +417,14 @@ def body_shapes(looks: VisualFile | None, source: str) -> Iterator[Solid]:
 
 
 def body_box(size: Sequence[float], bottom: float = 0.0) -> Solid:
-    """Return the box that a body made from numbers is, its top at its height.
+    """Return the box of a body made from numbers.
 
     Parameters
     ----------
     size : sequence of 3 floats
-        Length, width and height of its top [m].
+        Length, width, and height of the top [m].
     bottom : float
-        Height of its lower face, where wheels carry it [m].
+        Height of the lower face, for a box on wheels [m].
     """
     import coal
 
@@ -436,12 +436,12 @@ def body_box(size: Sequence[float], bottom: float = 0.0) -> Solid:
 def carried_shapes(
     model: pin.Model, mounts: Sequence[Mount], loads: Sequence[PayloadBody]
 ) -> Iterator[Solid]:
-    """Return the shapes of arms, and the boxes of loads that have a size, on the parts of the whole model.
+    """Return the collision shapes of arms, and the boxes of loads, on the parts of the whole model.
 
     Raises
     ------
     InvalidArgument
-        If an arm has none, or its file or a mesh cannot be read.
+        If an arm has no shapes, or its file or a mesh is unreadable.
     """
     for mount in mounts:
         shapes, links = mount.arm.solids()
@@ -460,7 +460,7 @@ def carried_shapes(
 def _solid(
     link: str, part: int, placement: pin.SE3, item: pin.GeometryObject, joints: tuple[str, ...] = ()
 ) -> Iterator[Solid]:
-    """Return a shape made convex; nothing of a placeholder without extent."""
+    """Yield a convex shape, or nothing for a placeholder without extent."""
     geometry = item.geometry
     mesh = geometry if hasattr(geometry, "num_tris") else None
     if mesh is not None:
@@ -477,7 +477,7 @@ def _hull(mesh: Any, link: str) -> Any:
         copy.buildConvexHull(True, "Qt")
     except (ValueError, RuntimeError) as error:
         raise InvalidArgument(
-            f"link {link!r} has a collision mesh without convex hull, expected points that are not all in "
+            f"link {link!r} has a collision mesh without convex hull, expected points that do not lie in "
             f"one plane: {str(error).splitlines()[0] if str(error) else 'qhull fails'}"
         ) from None
     return copy.convex
