@@ -1,4 +1,4 @@
-"""Every route to the dynamics of a robot on wheels: constraints, free velocities, by hand, its bodies."""
+"""Methods for the dynamics of a robot on wheels: constraints, independent velocities, closed form, bodies."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from pinmobile.robot import BODY_JOINT, PinocchioBackend, System
 from pinmobile.verification.bodies import WheelBodies, lumped, off_by, reflected, times, tree_motion
 from pinmobile.wheels import AckermannSteering, Coulomb, WheeledRobot
 
-ROUNDING = 1e-13  # some hundred roundings, relative to the scale of the terms
-SOLVED = 1e-12  # the same, where two solutions of linear equations are compared
-DIFFERENCED = 1e-9  # of a derivative by differences of fourth order
-_STEP = 1e-3  # times the time in which a state changes by itself
+ROUNDING = 1e-13  # hundreds of roundings, relative to the scale of the terms
+SOLVED = 1e-12  # bound for solutions of linear equations
+DIFFERENCED = 1e-9  # bound for derivatives by finite differences of fourth order
+_STEP = 1e-3  # step of finite differences, as a share of the time scale of the state
 _STEER = 0.6  # [rad]
-_H = 1e-3  # [s], of a step of wheels that slip
+_H = 1e-3  # [s]: time step of slipping wheels
 _SWEEPS, _TOLERANCE = 2000, 1e-15
 
 BODIES, HAND, TREE = "Newton-Euler of the bodies", "closed form by hand", "Pinocchio's tree, null space"
@@ -31,11 +31,11 @@ KKT, PLANE, COMPILED = "Pinocchio's tree, KKT", "energies in the plane, null spa
 STEP, RATE = "Coulomb's step", "rate of kinetic energy"
 
 Row: TypeAlias = tuple[str, str, str, float, float]
-"""Quantity, route, against, largest difference and bound."""
+"""Quantity, two methods, largest difference and bound."""
 
 
 class _Scales(NamedTuple):
-    """Sizes of what is compared: M (n, nv, nv), forces (n, nv), accelerations (n, nv) and power (n,)."""
+    """Scales of the compared terms: M (n, nv, nv), forces (n, nv), accelerations (n, nv) and power (n,)."""
 
     M: Array
     tau: Array
@@ -45,12 +45,12 @@ class _Scales(NamedTuple):
 
 @final
 class WheelTree(System):
-    """Pinocchio's tree of a robot on wheels, and its dynamics in the coordinates of a `WheeledRobot`.
+    """Pinocchio's tree of a robot on wheels, with its dynamics in the coordinates of a `WheeledRobot`.
 
     Parameters
     ----------
     wheeled : WheeledRobot
-        The robot.
+        Robot on wheels.
     """
 
     def __init__(self, wheeled: WheeledRobot) -> None:
@@ -69,7 +69,7 @@ class WheelTree(System):
         self.mounts, self.loads = wheeled.mounts, wheeled.robot.loads
 
     def dynamics(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Return M(q), rotors included, by CRBA and n(q, v) by RNEA."""
+        """Return M(q) by CRBA, with rotors, and n(q, v) by RNEA."""
         moving, G = tree_motion(self._wheeled, q, v, 0 * v)
         M = np.swapaxes(G, -1, -2) @ self.mass_matrix(moving[0]) @ G + reflected(self._wheeled)
         return M, np.einsum("...ki,...k->...i", G, self.inverse_dynamics(*moving))
@@ -78,13 +78,13 @@ class WheelTree(System):
 def compare_wheeled(
     wheeled: WheeledRobot, states: int, rng: np.random.Generator
 ) -> tuple[tuple[Row, ...], str]:
-    """Return the routes of a robot on wheels against each other, and which is missing."""
+    """Return the comparisons of all methods for a robot on wheels, and a missing method."""
     compare = _slipping if able(wheeled, Stepping) else _rolling
     return compare(wheeled, states, rng)
 
 
 def _states(wheeled: WheeledRobot, count: int, rng: np.random.Generator) -> tuple[Array, Array, Array, Array]:
-    """Return random q, v that need not roll, u and forces beside it."""
+    """Return random q, v that may violate the rolling constraints, inputs u, and external forces."""
     nq, axes = wheeled.robot.nq, wheeled.table.axes
     q = rng.uniform(-np.pi, np.pi, (count, wheeled.nq))
     q[:, :nq] = wheeled.robot.random_configuration(rng, (count,))
@@ -97,7 +97,7 @@ def _states(wheeled: WheeledRobot, count: int, rng: np.random.Generator) -> tupl
 
 
 def _scales(bodies: WheelBodies, wheeled: WheeledRobot, M: Array, v: Array, a: Array, rest: Array) -> _Scales:
-    """Return the scales of `verify`, with what forces beside gravity and inertia add."""
+    """Return the scales of `verify`, including forces other than gravity and inertia."""
     masses, K, reach = bodies.moving()
     reach, nv = np.maximum(1.0, reach), v.shape[1]
     radii = np.append(np.ones(nv - len(wheeled.table)), wheeled.radius)
@@ -189,7 +189,7 @@ def _reduced_rows(
 
 
 def by_closed_form(wheeled: WheeledRobot, q: Array, nu: Array) -> closed_form.ReducedModel | None:
-    """Return the hand-derived dynamics, arms locked; None of a drive that has none, or on a ramp."""
+    """Return the dynamics derived by hand, with locked arms; None on a ramp or without formulas."""
     table, robot = wheeled.table, wheeled.robot
     wheels, alike = table.wheels, _alike(wheeled)
     if wheeled.ground.ramp is not None or any(any(wheel.trail) for wheel in wheels):
@@ -231,7 +231,7 @@ _ROW = ("x", "y", "angle", "roller", "radius")
 
 
 def _alike(wheeled: WheeledRobot) -> bool:
-    """Return whether wheels are those of one kind, in pairs to the left and right, and roll forward."""
+    """Return whether the wheels are alike, in pairs to the left and right, and roll forward."""
     wheels = wheeled.table.wheels
     places = {(wheel.x, wheel.y) for wheel in wheels}
     kinds = {(wheel.radius, wheel.angle, wheel.yaw_inertia, wheel.spin_inertia) for wheel in wheels}
@@ -240,7 +240,7 @@ def _alike(wheeled: WheeledRobot) -> bool:
 
 
 def _forces(wheeled: WheeledRobot, values: Array) -> tuple[Array, Array, Array]:
-    """Return forces along and across the wheels, and of gear trains, of those of the rows."""
+    """Return the forces along and across the wheels, and those of gear trains, from the rows' forces."""
     along, across = np.zeros((2, len(values), len(wheeled.table)))
     names = wheeled.constraint_names
     for k, name in enumerate(names):
@@ -253,9 +253,9 @@ def _forces(wheeled: WheeledRobot, values: Array) -> tuple[Array, Array, Array]:
 def _rate(
     wheeled: WheeledRobot, function: Callable[[Array, Array], Array], q: Array, v: Array, a: Array
 ) -> Array:
-    """Return the rate of a function of the state as it moves, by differences of fourth order.
+    """Return the rate of a function of the state along a motion, by finite differences of fourth order.
 
-    The path q + v s + a s^2 / 2 has the state's velocity and acceleration; the rate hangs on nothing else.
+    The path q + v s + a s^2 / 2 has the state's velocity and acceleration, which determine the rate.
     """
     fastest = 1 + np.abs(v[:, 2:]).max(-1) + np.sqrt(np.abs(a[:, 2:]).max(-1))
     h = (_STEP / fastest)[:, None]
@@ -269,7 +269,7 @@ def _rate(
 
 
 def _slipping(wheeled: WheeledRobot, states: int, rng: np.random.Generator) -> tuple[tuple[Row, ...], str]:
-    """Return the rows of a step on dry ground, and what is left out."""
+    """Return the comparisons for a step on dry ground, and what is missing."""
     ground = wheeled.ground
     if not isinstance(ground, Coulomb):
         raise InvalidArgument(f"ground is {ground!r}, expected one on which a step can be compared")
@@ -290,7 +290,7 @@ def _slipping(wheeled: WheeledRobot, states: int, rng: np.random.Generator) -> t
 
 
 def _step_rows(robot: WheeledRobot, q: Array, v: Array, u: Array, f: Array, step: Step) -> Iterator[Row]:
-    """Yield the rows of a step on dry ground: it balances at mid-step, in its means."""
+    """Yield the comparisons for a step on dry ground: mean forces balance at mid-step."""
     kept: Any = step.memory
     nv = robot.robot.nv
     before, after = _turned(-q[:, 2], v), _turned(-step.q[:, 2], step.v)
@@ -308,7 +308,7 @@ def _step_rows(robot: WheeledRobot, q: Array, v: Array, u: Array, f: Array, step
     M = robot.mass_matrix(middle)
     scales = _scales(bodies, robot, M, v_mid, a_mid, np.abs(given))
     missed, trains = given - bodies.forces(a_mid), bodies.trains()
-    if len(trains):  # what wheels on a train exchange is not told: left out
+    if len(trains):  # the step does not report forces in gear trains: left out
         missed = missed - missed @ np.linalg.pinv(trains) @ trains
         rates = np.abs(step.v @ trains.T).max()
         yield "trains", STEP, "rates that fit", float(rates / np.abs(step.v).max()), ROUNDING
@@ -335,7 +335,7 @@ def _step_rows(robot: WheeledRobot, q: Array, v: Array, u: Array, f: Array, step
 
 
 def _holders(robot: WheeledRobot) -> list[int]:
-    """Return the wheels that rolling resistance holds, of those that turn together the first."""
+    """Return the wheels that rolling resistance holds; for wheels that turn together, the first one."""
     leader = list(range(len(robot.table)))
     for first, row, _ in robot.table.trains:
         leader[row] = first
@@ -344,7 +344,7 @@ def _holders(robot: WheeledRobot) -> list[int]:
 
 
 def _turned(angle: Array, x: Array) -> Array:
-    """Return rows whose first two entries are turned by an angle."""
+    """Return rows with their first two entries rotated by an angle."""
     c, s = np.cos(angle), np.sin(angle)
     found = x.copy()
     found[:, 0], found[:, 1] = c * x[:, 0] - s * x[:, 1], s * x[:, 0] + c * x[:, 1]

@@ -1,10 +1,4 @@
-"""A robot as its parts say: body, arms and loads by their own numbers, moved by Newton's and Euler's laws.
-
-Nothing of the model that they are assembled into is read, so that what is wrong there is seen. The recursion
-is that of Luh, Walker and Paul (1980) in NumPy: velocities and accelerations from the ground outwards, F = m
-a and N = I alpha + omega x I omega of each body about its centre of mass, and the forces back inwards. Of
-each of an arm's joints Pinocchio says how it moves by itself; of the base's the DH table does.
-"""
+"""Dynamics of a robot from its separate parts (body, arms, loads), by Newton's and Euler's laws."""
 
 from __future__ import annotations
 
@@ -22,27 +16,27 @@ from pinmobile.wheels import Kinematics, Wheel, WheeledRobot
 
 _DOWN = np.array([0, 0, -9.81])  # [m/s^2]
 _POSE = ("x", "y", "psi")
-_NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])  # of x, y, z the other two
+_NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])  # for each of x, y, z, the other two
 
 
 @dataclass
 class _Link:
-    """What moves as one, at n states.
+    """Rigid link, at n states.
 
     Parameters
     ----------
     parent : int
-        Index of the link that it hangs on; -1: the ground.
+        Index of the parent link; -1 for the ground.
     T : ndarray, shape (n, 4, 4)
-        Its pose in the parent's frame.
+        Pose in the parent's frame.
     S : ndarray, shape (n, 6, m)
-        Its twist against the parent, linear and angular, along its own axes, for each of its coordinates.
+        Twist relative to the parent for each unit velocity, linear and angular, along the link's axes.
     columns : sequence of m int
-        Where its coordinates are in v.
+        Indices of its coordinates in v.
     rotors : ndarray, shape (m,), or 0.0
-        Inertia of the rotors, as the joint feels it [kg m^2].
+        Inertia of the rotors at the joint [kg m^2].
     bodies : list of (float, ndarray, ndarray)
-        Mass, centre of mass and inertia about that of each body on it, in its frame.
+        Mass, centre of mass and inertia about this centre for each body on the link, in the link's frame.
     """
 
     parent: int
@@ -53,18 +47,18 @@ class _Link:
     bodies: list[tuple[float, Array, Array]] = field(default_factory=list)
 
     def add(self, body: pin.Inertia, placement: pin.SE3) -> None:
-        """Add a body that is given in a frame at `placement` on the link."""
+        """Add a body whose frame has a given placement on the link."""
         R, p = placement.rotation, placement.translation
         self.bodies.append((float(body.mass), p + R @ body.lever, R @ body.inertia @ R.T))
 
 
 class Parts:
-    """The links of a robot at n states.
+    """Links of a robot at n states.
 
     Parameters
     ----------
     robot : MobileRobot
-        Whose `body`, `mounts` and `loads` are read, and nothing else.
+        Robot; this class reads only its `body`, `mounts` and `loads`.
     q, v : ndarray, shape (n, nq) and (n, nv)
         States.
     fall : ndarray, shape (3,)
@@ -96,7 +90,7 @@ class Parts:
         return links
 
     def _mount(self, mount: Mount, q: Array) -> None:
-        """Add the links of an arm as it was read; a joint that is locked has no coordinates."""
+        """Add the links of an arm as read from its file; a locked joint has no coordinates."""
         arm, on_base = mount.arm, BODY_JOINT - 1
         whole, built, held, rest = arm.file_model, arm.whole, arm.held, arm.rest
         if mount.is_changed:  # to numbers which are those of what moves
@@ -124,7 +118,7 @@ class Parts:
             self._frames[name] = on_arm, placement
 
     def forces(self, a: Array, *, gravity: bool = True) -> Array:
-        """Return the generalised forces that these states and accelerations ask for, shape (..., n, nv)."""
+        """Return the generalised forces for these states and accelerations, shape (..., n, nv)."""
         tau = np.zeros((*a.shape[:-1], self.nv))
         for link, wrench in zip(self.links, self._wrenches(a, gravity), strict=True):
             own = times(np.swapaxes(link.S, -1, -2), wrench)
@@ -132,15 +126,15 @@ class Parts:
         return tau
 
     def ground_wrench(self, a: Array) -> Array:
-        """Return what the ground exerts, in the body's frame and about its origin, shape (n, 6)."""
+        """Return the ground's wrench in the body frame, about its origin, shape (n, 6)."""
         return self._wrenches(a, gravity=True)[BODY_JOINT - 1]
 
     def _wrenches(self, a: Array, gravity: bool) -> list[Array]:
-        """Return what moves each link and all that hangs on it, in its own frame, shape (..., n, 6) each."""
+        """Return the wrench on each link with its descendants, in the link's frame, shape (..., n, 6) each."""
         rates: list[tuple[Array, Array]] = []  # twist and its derivative, along each link's own axes
         wrenches: list[Array] = []
         ground = np.zeros((*a.shape[:-1], 6))
-        lifted = ground - np.append(self.fall, np.zeros(3)) if gravity else ground  # as if the ground rose
+        lifted = ground - np.append(self.fall, np.zeros(3)) if gravity else ground  # the ground rises
         for link in self.links:
             twist, rate = rates[link.parent] if link.parent >= 0 else (ground, lifted)
             own = times(link.S, self.v[:, link.columns])
@@ -154,10 +148,10 @@ class Parts:
         return wrenches
 
     def beyond(self) -> tuple[Array, Array, Array]:
-        """Return what each coordinate moves: mass (nv,), second moment (n, nv), and the reach (n,) [m].
+        """Return for each coordinate the moved mass (nv,) and second moment (n, nv), and the reach (n,) [m].
 
-        The second moment is that of the mass about the joint, or the mass itself where the joint slides; the
-        reach is the largest distance from the body's origin to a joint or a centre of mass.
+        The second moment of the mass is about the joint; for a prismatic joint, it is the mass. The reach is
+        the largest distance from the body's origin to a joint or a centre of mass.
         """
         poses: list[Array] = []
         subtree: list[list[int]] = [[] for _ in self.links]
@@ -188,7 +182,7 @@ class Parts:
 
 
 def _file_configurations(model: pin.Model, q: Array) -> Array:
-    """Return configurations with one number for each joint as a file's own model has them, shape (n, nq)."""
+    """Return configurations with one number per joint in the form of a file's model, shape (n, nq)."""
     parts, at = [q[:, :0]], 0
     for joint in joints_of(model):
         own = q[:, at : at + joint.nq - joint.continuous]
@@ -198,7 +192,7 @@ def _file_configurations(model: pin.Model, q: Array) -> Array:
 
 
 def _moved(model: pin.Model, joint: int, foot: pin.SE3, q: Array) -> tuple[Array, Array]:
-    """Return T and S of one joint by itself, whose place is seen from `foot`, for each state."""
+    """Return T and S of one joint, with its placement relative to `foot`, for each state."""
     kind, place = model.joints[joint], foot * model.jointPlacements[joint]
     data, T, S = kind.createData(), [], []
     for own in q:
@@ -209,7 +203,7 @@ def _moved(model: pin.Model, joint: int, foot: pin.SE3, q: Array) -> tuple[Array
 
 
 def _inertial(body: tuple[float, Array, Array], w: Array, dw: Array) -> Array:
-    """Return the force and the moment about the link's origin that move a body so, shape (..., 6)."""
+    """Return the force and the moment about the link's origin for a motion of a body, shape (..., 6)."""
     mass, com, inertia = body
     omega, alpha = w[..., 3:], dw[..., 3:]
     at_origin = dw[..., :3] + _vector_product(omega, w[..., :3])
@@ -229,14 +223,14 @@ def _seen(T: Array, twist: Array) -> Array:
 
 
 def _carried(T: Array, wrench: Array) -> Array:
-    """Return a wrench in a frame with pose T as the parent feels it."""
+    """Return a wrench in a frame with pose T as a wrench in the parent's frame."""
     R, p = T[..., :3, :3], T[..., :3, 3]
     force = times(R, wrench[..., :3])
     return _stacked([force, times(R, wrench[..., 3:]) + _vector_product(p, force)])
 
 
 def _cross(w: Array, twist: Array) -> Array:
-    """Return the rate of a twist that is fixed in a frame which itself moves with w."""
+    """Return the rate of a twist that is constant in a frame with angular velocity w."""
     linear = _vector_product(w[..., 3:], twist[..., :3]) + _vector_product(w[..., :3], twist[..., 3:])
     return _stacked([linear, _vector_product(w[..., 3:], twist[..., 3:])])
 
@@ -246,7 +240,7 @@ def _stacked(parts: list[Array]) -> Array:
 
 
 def _vector_product(a: Array, b: Array) -> Array:
-    """Return a x b, shape (..., 3): np.cross to the last bit, without its search for the axes."""
+    """Return a x b, shape (..., 3), with the bits of np.cross but faster."""
     return np.asarray(a.take(_NEXT, -1) * b.take(_LAST, -1) - a.take(_LAST, -1) * b.take(_NEXT, -1))
 
 
@@ -256,19 +250,19 @@ def times(matrices: Array, vectors: Array) -> Array:
 
 
 def off_by(difference: Array, scale: Array) -> float:
-    """Return the largest difference of all, relative to a scale."""
+    """Return the largest difference, relative to a scale."""
     return float((np.abs(difference) / scale).max(initial=0.0))
 
 
 def lumped(robot: MobileRobot, q: Array) -> dict[str, Array]:
-    """Return mass, yaw inertia and centre of mass of the robot lumped at each configuration."""
+    """Return mass, yaw inertia and centre of mass of the robot with locked arms, at each configuration."""
     lumps = [robot.lumped(row) for row in q]
     found = ((lump.mass, lump.yaw_inertia, lump.com[:2]) for lump in lumps)
     return dict(zip(("mass", "yaw_inertia", "com"), map(np.array, zip(*found, strict=True)), strict=True))
 
 
 def reflected(wheeled: WheeledRobot) -> Array:
-    """Return what the rotors of motors add to the mass matrix, shape (nv, nv)."""
+    """Return the contribution of motor rotors to the mass matrix, shape (nv, nv)."""
     found, first = np.zeros((wheeled.nv, wheeled.nv)), wheeled.robot.nv
     for actuator in wheeled.table.actuators:
         own, motor = np.array(actuator.column), actuator.motor
@@ -281,8 +275,8 @@ def tree_motion(
 ) -> tuple[tuple[Array, Array, Array], Array]:
     """Return configurations, velocities and accelerations of the tree of joints, shape (n, ...) each, and G.
 
-    In the tree each steered wheel has an angle of its own, right before the wheel; wheels that are steered
-    together share one coordinate: v_tree = G v.
+    In the tree, each steered wheel has a separate angle before the wheel. Wheels with common steering share
+    one coordinate: v_tree = G v.
     """
     table, nv, lead = wheeled.table, wheeled.robot.nv, q.shape[:-1]
     ns, steered = len(table.axes), {row: k for k, axis in enumerate(table.axes) for row in axis.wheels}
@@ -305,16 +299,16 @@ def tree_motion(
 
 
 class _Placed(NamedTuple):
-    """A wheel at n states, along the body's axes.
+    """Wheel at n states, along the body's axes.
 
     Attributes
     ----------
     e : ndarray, shape (n, 2)
-        Where it rolls to.
+        Rolling direction.
     o, p : ndarray, shape (n, 2)
-        Its centre from its pivot, and from the body's origin [m].
+        Centre relative to the pivot, and relative to the body's origin [m].
     steer, spin : int
-        Its coordinates in the tree; -1: not steered.
+        Coordinates in the tree; `steer` is -1 for a wheel without steering.
     """
 
     e: Array
@@ -325,16 +319,16 @@ class _Placed(NamedTuple):
 
 
 class WheelBodies:
-    """The bodies of a robot on wheels at n states.
+    """Bodies of a robot on wheels at n states.
 
     Parameters
     ----------
     wheeled : WheeledRobot
-        Whose `robot`, `table` and `ground` are read.
+        Robot; this class reads its `robot`, `table` and `ground`.
     q, v : ndarray, shape (n, nq) and (n, nv)
         States.
     weightless : bool
-        Whether there is no gravity.
+        Whether gravity is zero.
     """
 
     def __init__(self, wheeled: WheeledRobot, q: Array, v: Array, *, weightless: bool = False) -> None:
@@ -368,7 +362,7 @@ class WheelBodies:
             inertia = np.diag([wheel.yaw_inertia, wheel.spin_inertia, wheel.yaw_inertia])
             body = wheel.mass, np.zeros(3), inertia
             self.parts.links.append(_Link(parent, spun, self._axis(4), [column], bodies=[body]))
-            # The whole has them, at rest in the body: they are bodies of their own.
+            # The body includes the wheels at rest; subtract them, since they are separate bodies.
             lever = np.array([*wheel.centre, wheel.radius])
             self.parts.links[BODY_JOINT - 1].bodies.append((-wheel.mass, lever, -_locked(wheel)))
             column += 1
@@ -378,11 +372,11 @@ class WheelBodies:
         return np.tile(np.eye(6)[:, [k]], (len(self.c), 1, 1))
 
     def wrench(self, a: Array) -> Array:
-        """Return what moves the whole, along the body's axes and about its origin, shape (n, 6)."""
+        """Return the wrench that accelerates the whole robot, in the body frame, shape (n, 6)."""
         return self.parts.ground_wrench(self._motion(a)[0][2])
 
     def forces(self, a: Array) -> Array:
-        """Return the generalised forces that these accelerations ask for, shape (..., n, nv of the whole)."""
+        """Return the generalised forces for these accelerations, shape (..., n, nv of the whole)."""
         tree = self.parts.forces(self._motion(a)[0][2])
         return times(np.swapaxes(self.G, -1, -2), tree) + a @ self.reflected
 
@@ -392,8 +386,8 @@ class WheelBodies:
         Parameters
         ----------
         along, across : ndarray, shape (n, wheels)
-            Of a tyre along it and to its left; of a wheel with rollers along the axis of the one at
-            the ground, and across that [N].
+            Forces along a tyre and to its left; for a wheel with rollers, along the axis of the roller at the
+            ground and across this axis [N].
         """
         tau = np.zeros(self.G.shape[:2])
         for row, at in enumerate(self.wheels):
@@ -417,7 +411,7 @@ class WheelBodies:
         return found
 
     def moving(self) -> tuple[Array, Array, Array]:
-        """Return what each coordinate moves: mass (nv,), second moment (n, nv), and the reach (n,) [m]."""
+        """Return the moved mass (nv,), its second moment (n, nv), and the reach (n,) [m], by coordinate."""
         masses, K, reach = self.parts.beyond()
         masses, K = (self.G[0] != 0).T @ masses, np.einsum("nki,nk->ni", self.G**2, K)
         K += self.reflected.diagonal()
@@ -427,7 +421,7 @@ class WheelBodies:
 
 
 def _pose(axis: int, angle: Array, p: Array) -> Array:
-    """Return the poses of frames that are turned about y or z, shape (n, 4, 4)."""
+    """Return the poses of frames that are rotated about y or z, shape (n, 4, 4)."""
     T = np.tile(np.eye(4), (len(angle), 1, 1))
     i, j = (axis + 1) % 3, (axis + 2) % 3
     T[:, i, i] = T[:, j, j] = np.cos(angle)
@@ -444,7 +438,7 @@ def _locked(wheel: Wheel) -> Array:
 
 
 def _quarter(x: Array) -> Array:
-    """Return z x x: a quarter of a turn to the left."""
+    """Return z x x, the vector rotated by a quarter turn to the left."""
     return np.stack([-x[..., 1], x[..., 0]], axis=-1)
 
 
