@@ -20,8 +20,7 @@ from pinmobile.paths import Circle
 from pinmobile.robot import MobileRobot
 from pinmobile.trajectories import Tangent
 
-EPS = float(np.finfo(np.float64).eps)
-"""Machine epsilon of float64, 2.2e-16."""
+EPS = float(np.finfo(np.float64).eps)  # machine epsilon, 2.2e-16
 _LEAST = 0.5  # smallest order that counts as convergence
 _ABOVE = 10.0  # smallest ratio of an error to rounding that enters the order
 
@@ -98,8 +97,8 @@ class Convergence:
         return f"order {order:.2f}" if self.converges else "does not converge"
 
 
+# Largest position, 4.5e12 m: beyond, rounding would lose a millimetre, long before an overflow.
 FAR = 1e-3 / EPS
-"""Largest position, 4.5e12 m: beyond, rounding would lose a millimetre, long before an overflow."""
 
 
 def guarded(integrator: Integrator) -> Integrator:
@@ -202,7 +201,7 @@ def conserved(robot: MobileRobot, q: Array, v: Array) -> _Conserved:
     See Also
     --------
     accuracy.free_motion : exact motion without forces
-    MobileRobot : `kinetic_energy` by Pinocchio
+    MobileRobot.kinetic_energy : energy by Pinocchio
 
     Examples
     --------

@@ -160,7 +160,7 @@ def reaction_wrench(motion: Moving, mount: str | None = None) -> Array:
 
     See Also
     --------
-    MobileRobot : `mount_wrench` computes this wrench for given states
+    MobileRobot.mount_wrench : the same wrench for given states
     balance.zero_moment_point : point of the ground reaction
 
     Examples
@@ -593,7 +593,7 @@ def footprint_of(robot: Any, footprint: ArrayLike | None = None) -> Array:
     See Also
     --------
     balance.tip_over_margin : distance of the zero-moment point to the edge
-    MobileRobot : `footprint` is the robot's support polygon
+    MobileRobot.footprint : support polygon of a robot
 
     Examples
     --------

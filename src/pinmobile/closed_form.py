@@ -97,7 +97,7 @@ def mass_matrix(q: ArrayLike, *, mass: ArrayLike, yaw_inertia: ArrayLike, com: A
 
     See Also
     --------
-    MobileRobot : `mass_matrix` by Pinocchio
+    MobileRobot.mass_matrix : the same matrix by Pinocchio
     verify : comparison of these formulas with other methods
 
     Examples
@@ -252,7 +252,7 @@ def nonlinear_effects(q: ArrayLike, v: ArrayLike, *, mass: ArrayLike, com: Array
     See Also
     --------
     closed_form.coriolis_matrix : matrix C with C v = n
-    MobileRobot : `nonlinear_effects` by Pinocchio
+    MobileRobot.nonlinear_effects : the same by Pinocchio
 
     Examples
     --------
@@ -533,7 +533,7 @@ def differential_drive(
 
     See Also
     --------
-    WheelTable : `differential` makes the wheels of this drive
+    WheelTable.differential : wheels of this drive
     derivation.differential_drive : symbolic derivation of this model
 
     Examples
@@ -615,7 +615,7 @@ def roller_drive(
 
     See Also
     --------
-    WheelTable : `mecanum` and `omni` make the wheels of such drives
+    WheelTable.mecanum : wheels of such a drive
     derivation.roller_drive : symbolic derivation of this model
 
     Examples
@@ -710,7 +710,7 @@ def car(
 
     See Also
     --------
-    WheelTable : `car` makes the wheels of this drive
+    WheelTable.car : wheels of this drive
     derivation.car : symbolic derivation of this model
 
     Examples

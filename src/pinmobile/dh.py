@@ -14,7 +14,7 @@ from pinmobile.errors import InvalidArgument, shown
 
 
 class JointType(Enum):
-    """Type of a joint; its variable adds to `d` (prismatic) or `theta` (revolute) of a `DHRow`.
+    """Type of a joint; its variable adds to d (prismatic) or theta (revolute) of a `DHRow`.
 
     See Also
     --------
@@ -96,7 +96,7 @@ class DHRow:
 class DHTable:
     """Serial chain: its DH rows from the ground outwards.
 
-    In this class, `q` holds the joint variables in the order of the rows. For the lecture's tables, this
+    In this class, q holds the joint variables in the order of the rows. For the lecture's tables, this
     order is (y, x, psi); the rest of the library uses (x, y, psi).
 
     Parameters

@@ -60,7 +60,7 @@ class Clearance:
     See Also
     --------
     clearance : function that returns this object
-    MobileRobot : `solids` holds the collision geometry
+    MobileRobot.solids : collision geometry
 
     Examples
     --------
@@ -160,7 +160,7 @@ def clearance(robot: Any, q: ArrayLike) -> Clearance:
     See Also
     --------
     proximity.Clearance : result of this function
-    MobileRobot : `mount` puts an arm on the robot
+    MobileRobot.mount : put an arm on the robot
 
     Examples
     --------

@@ -54,7 +54,7 @@ class Body:
     See Also
     --------
     urdf.box_inertia : inertia of a homogeneous box
-    MobileRobot : `from_body` makes a robot from a body
+    MobileRobot.from_body : robot with a given body
 
     Examples
     --------
@@ -129,7 +129,7 @@ def box_inertia(mass: float, size: ArrayLike) -> Array:
 
     See Also
     --------
-    MobileRobot : `box` makes a robot with this inertia
+    MobileRobot.box : robot with this inertia
     urdf.Body : rigid body with an inertia
 
     Examples
@@ -188,7 +188,7 @@ def write(
 
     See Also
     --------
-    MobileRobot : `to_urdf` and `from_urdf` write and read a robot
+    MobileRobot.to_urdf : text of a robot
     dh.DHTable : chain of joints
 
     Examples
@@ -251,7 +251,7 @@ def shipped_urdf(name: str) -> Path:
 
     See Also
     --------
-    MobileRobot : `from_urdf` reads the file
+    MobileRobot.from_urdf : robot of a file
 
     Examples
     --------

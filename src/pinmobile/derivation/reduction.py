@@ -181,7 +181,7 @@ def differential_drive() -> ReducedDerivation:
     See Also
     --------
     closed_form.differential_drive : the same equations as a function
-    WheelTable : `differential` makes the wheels of this drive
+    WheelTable.differential : wheels of this drive
 
     Examples
     --------
@@ -221,7 +221,7 @@ def roller_drive(wheels: Sequence[RollerWheel] | None = None) -> ReducedDerivati
     See Also
     --------
     closed_form.roller_drive : the same equations as a function
-    WheelTable : `mecanum` and `omni` make the wheels of such drives
+    WheelTable.mecanum : wheels of such a drive
 
     Examples
     --------
@@ -270,7 +270,7 @@ def car() -> ReducedDerivation:
     See Also
     --------
     closed_form.car : the same equations as a function
-    WheelTable : `car` makes the wheels of this drive
+    WheelTable.car : wheels of this drive
 
     Examples
     --------

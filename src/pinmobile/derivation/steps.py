@@ -28,9 +28,9 @@ _NONE: Parameters = MappingProxyType({})
 class Numeric:
     """Functions M, n and inputs of a derivation, for arrays.
 
-    Coordinates have the order of the derivation. `params` maps the name of each parameter to a number or an
-    array. Arrays broadcast against the leading axes of the other arguments. Each function is compiled at its
-    first call.
+    Coordinates have the order of the derivation. The argument ``params`` maps the name of each parameter to a
+    number or an array. Arrays broadcast against the leading axes of the other arguments. Each function is
+    compiled at its first call.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ class Numeric:
 
     See Also
     --------
-    derivation.Derivation : `numeric` returns this object
+    derivation.Derivation.numeric : method that returns this object
     closed_form.mass_matrix : formulas derived by hand
 
     Examples
@@ -246,7 +246,7 @@ def _text(expression: Expr | ImmutableMatrix) -> str:
 
 @dataclass(frozen=True)
 class Step:
-    r"""One step of a derivation; a notebook shows a formula, `print` shows text.
+    r"""One step of a derivation; a notebook shows a formula, ``print`` shows text.
 
     Attributes
     ----------
@@ -352,8 +352,7 @@ class Derivation(Told):
     Attributes
     ----------
     chain : Chain
-        Derived chain. The coordinates below have the order of the attribute `order` of the chain, not of the
-        rows.
+        Derived chain. The coordinates below have the order ``chain.order``, not that of the rows.
     steps : tuple of Step
         Steps in their order.
     inputs : sympy.ImmutableMatrix, shape (n, 1)
@@ -402,7 +401,7 @@ class Derivation(Told):
 
     @property
     def parameters(self) -> tuple[Symbol, ...]:
-        """Symbols in links and gravity. Their names are the keys of `params` in the numeric functions."""
+        """Symbols in links and gravity. Their names are the keys of ``params`` in the numeric functions."""
         return self.chain.parameters
 
     def numeric(self) -> Numeric:

@@ -48,14 +48,7 @@ EXCEPTIONS = {
     "simple_humanoid": Exceptional(True, _UNSEEN),
     "simple_humanoid_classical": Exceptional(True, _UNSEEN),
 }
-"""Robots that `MobileRobot.mount` rejects by name alone, or that have no visual geometry, with the reason.
-
-Examples
---------
->>> from pinmobile.robot import EXCEPTIONS
->>> EXCEPTIONS["cassie"].mounts
-False
-"""
+"""Robots that `MobileRobot.mount` rejects by name alone or that are not drawn, with the reason."""
 
 
 class Mountable(NamedTuple):
@@ -75,7 +68,7 @@ class Mountable(NamedTuple):
     See Also
     --------
     robot.mountable : table of all mountable robots
-    MobileRobot : `mount` puts an arm on the body
+    MobileRobot.mount : put an arm on the body
 
     Examples
     --------
@@ -141,7 +134,7 @@ def mountable() -> Mountables:
 
     See Also
     --------
-    MobileRobot : `mount` puts such an arm on the body
+    MobileRobot.mount : put such an arm on the body
     robot.EXCEPTIONS : robots that do not mount by name alone
 
     Examples

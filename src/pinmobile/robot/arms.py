@@ -248,7 +248,7 @@ class Arm:
 
     See Also
     --------
-    MobileRobot : `mount` reads and mounts an arm
+    MobileRobot.mount : read and mount an arm
     robot.Mount : arm on a robot
     robot.mountable : table of shipped arms
 

@@ -16,19 +16,7 @@ from pinmobile.compiled import Node, maximum, plain, root, sincos, symbols
 from pinmobile.errors import NotTraceable
 
 BODY_JOINT = 3
-"""Number of the joint of the chain that carries the body, 3; the joints before it carry no mass.
-
-See Also
---------
-MobileRobot : `model` has this chain
-
-Examples
---------
->>> from pinmobile import MobileRobot
->>> from pinmobile.robot import BODY_JOINT
->>> MobileRobot.lecture().model.names[BODY_JOINT]
-'psi'
-"""
+"""Number of the joint of the chain that carries the body; the joints before it carry no mass."""
 
 _SINGLE = re.compile("R[XYZ]|P[XYZ]|(Revolute|Prismatic)Unaligned")
 _CONTINUOUS = re.compile("RUB[XYZ]|RevoluteUnboundedUnaligned")

@@ -29,7 +29,7 @@ from pinmobile.urdf import Body, box_inertia
 @by_value
 @part
 class Mount:
-    """Arm with its placement on the body; an entry of the attribute `mounts` of a robot.
+    """Arm with its placement on the body; an entry of `MobileRobot.mounts`.
 
     Attributes
     ----------
@@ -48,7 +48,7 @@ class Mount:
 
     See Also
     --------
-    MobileRobot : `mount` adds an arm
+    MobileRobot.mount : add an arm
     robot.Arm : arm as read from its file
 
     Examples
@@ -208,8 +208,8 @@ class PayloadBody(RigidBody):
 
     See Also
     --------
-    MobileRobot : `attach` fixes a load to a frame
-    forces.Payload : force of an unmodelled load in a simulation
+    MobileRobot.attach : fix a load to a frame
+    forces.PayloadForce : force of an unmodelled load in a simulation
 
     Examples
     --------

@@ -42,7 +42,7 @@ class UncheckedDynamics:
 
     See Also
     --------
-    MobileRobot : `law` returns this object
+    MobileRobot.law : property that returns this object
     vectorize : compile a function for many states
 
     Examples

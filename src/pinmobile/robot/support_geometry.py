@@ -149,7 +149,7 @@ class Stance:
 
     See Also
     --------
-    MobileRobot : `footprint`, `top` and `grounded` come from this object
+    MobileRobot.footprint : support polygon of a robot
     balance.tip_over_margin : distance to the edge of the footprint
 
     Examples

@@ -53,7 +53,7 @@ class Linearization(NamedTuple):
 
     See Also
     --------
-    MobileRobot : `linearize` returns this object
+    MobileRobot.linearize : method that returns this object
     LQR : state feedback from such a model
 
     Examples
@@ -117,12 +117,12 @@ class System:
     y, psi) [m, m, rad], velocity v = dq/dt [m/s, m/s, rad/s], acceleration a [m/s^2, m/s^2, rad/s^2] and
     generalised force tau = (Fx, Fy, Mz) [N, N, N m]. The arms' joints follow, arm by arm, with one number per
     joint in the joint's unit. A continuous joint is an angle, like psi. Leading axes broadcast. All methods
-    raise `InvalidArgument` for a wrong last axis and for values that are not finite. They raise `NotFinite`
-    if the result is not finite. Several threads may call the methods at once.
+    raise `InvalidArgument` for a wrong last axis and for values that are not finite. They raise
+    `errors.NotFinite` if the result is not finite. Several threads may call the methods at once.
 
     Pinocchio computes one state at a time, in about 5 to 20 microseconds; `vectorize` compiles a method for
     many states. If an argument or a parameter of the robot is a symbol (in a law that is being compiled), the
-    methods compute the same expressions with symbols. Methods that cannot do so raise `NotTraceable`.
+    methods compute the same expressions with symbols. Methods that cannot do so raise `errors.NotTraceable`.
 
     Attributes
     ----------
@@ -262,8 +262,8 @@ class System:
     def joint_damping(self) -> Array:
         """Viscous damping of the arms' joints from their files, shape (nv,) [N s/m, N m s/rad].
 
-        The entries of the base are zero. The dynamics omit this damping; add `JointFriction.of(robot)` to the
-        forces of a loop to include it.
+        The entries of the base are zero. The dynamics omit this damping; add ``JointFriction.of(robot)`` to
+        the forces of a loop to include it.
         """
         return self._resistances[0]
 
@@ -271,7 +271,7 @@ class System:
     def joint_friction(self) -> Array:
         """Dry friction of the arms' joints from their files, shape (nv,) [N, N m].
 
-        The entries of the base are zero. The dynamics omit this friction; add `JointFriction.of(robot)` to
+        The entries of the base are zero. The dynamics omit this friction; add ``JointFriction.of(robot)`` to
         the forces of a loop to include it.
         """
         return self._resistances[1]
