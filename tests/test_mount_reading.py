@@ -231,7 +231,7 @@ MIMIC = MIMIC.replace("continuous", "revolute").replace(
         ),
         ({"visual": pin.GeometryModel()}, "visual does not apply to a loader's name, 'ur5', expected it"),
         ({"arm": massful(), "visual": 3}, "visual is 3, expected a pinocchio.GeometryModel"),
-        ({"arm": pin.Model()}, "arm '' has no joints, expected one at least"),
+        ({"arm": pin.Model()}, "arm '' has no joints, expected at least one"),
         ({"arm": "no/such.urdf"}, "arm is "),
         ({"arm": "cassie"}, "arm 'cassie' cannot be loaded: its loader reads SDF"),
     ],

@@ -212,7 +212,7 @@ def test_where_radii_are_in_meshes_alone_the_ground_is_asked_for(tmp_path: Path)
     assert "height of the ground unknown" in robot.source
     still = MotionStates(robot, np.zeros(3), np.zeros(3), (1.0, 0, 0))
     for ask in (zero_moment_point, lambda motion: tip_over_margin(motion, box(0.1, 0.1))):
-        with refused(r"one that does: MobileRobot.from_urdf\(path, ground"):
+        with refused(r"a known one: MobileRobot.from_urdf\(path, ground"):
             ask(still)
     assert required_friction(still) == pytest.approx(1 / G)  # no height is in it
     with refused("the top of the robot is not known, expected x, y, z and yaw"):
@@ -242,7 +242,7 @@ def test_the_ground_may_be_given_in_place_of_the_files(tmp_path: Path) -> None:
 
 def test_ground_above_the_centre_of_mass_is_refused(tmp_path: Path) -> None:
     """The likely slip: the height of Husky's base_link above the ground, in place of the ground's z."""
-    with refused(r"ground is 0\.132 m, 0\.07544 m above the robot's centre of mass.* below zero"):
+    with refused(r"ground is 0\.132 m, 0\.07544 m above the robot's centre of mass.* negative"):
         read(tmp_path, wheeled.husky(), ground=0.132)
     assert read(tmp_path, urdf(link("base", inertial(9))), ground=0).com[2] == 0
 
