@@ -227,7 +227,7 @@ MIMIC = MIMIC.replace("continuous", "revolute").replace(
         ),
         (
             {"package_dirs": ["."]},
-            "package_dirs does not apply to a loader's name, 'ur5', expected it beside",
+            "package_dirs does not apply to a loader's name, 'ur5', expected it only with",
         ),
         ({"visual": pin.GeometryModel()}, "visual does not apply to a loader's name, 'ur5', expected it"),
         ({"arm": massful(), "visual": 3}, "visual is 3, expected a pinocchio.GeometryModel"),
