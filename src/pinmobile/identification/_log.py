@@ -1,4 +1,4 @@
-"""`Log`: measurements of a robot that moved, and the columns of its file."""
+"""`Log`: measured poses and inputs of a robot, and the ways to read them."""
 
 from __future__ import annotations
 
@@ -31,48 +31,48 @@ from pinmobile.loop import Rollout
 from pinmobile.plant import coordinates_of, inputs_of
 
 _HOLE = 3  # rows in a row that may be lost, with their inputs
-_BRIDGED = 0.3  # [s] of rows without a measurement, half a window of the weak form: over more it is a guess
-_LONGEST_STEP = 5.0  # [s]; times of longer steps are no seconds
-_FASTEST = 60.0  # [m/s]; positions that change faster are no metres
-_HELD, _OFTEN = 1.0, 20  # [s] for which a pose may be that of a slower sensor, and how often it must be
-_EVENLY = 0.9  # of these
-_FASTEST_TURN = 12.0  # [rad/s], two turns a second; what turns faster is told in degrees
-_WINDOW = 0.25  # [s] over which speeds are looked at, so that noise is none
+_BRIDGED = 0.3  # [s] without a measurement: half a window of the weak form; a longer gap needs a guess
+_LONGEST_STEP = 5.0  # [s]; larger steps are probably not in seconds
+_FASTEST = 60.0  # [m/s]; faster positions are probably not in metres
+_HELD, _OFTEN = 1.0, 20  # longest repetition of a slow sensor's pose [s]; number that shows such a sensor
+_EVENLY = 0.9  # share of repetitions of the same length
+_FASTEST_TURN = 12.0  # [rad/s], two turns a second; faster headings are probably in degrees
+_WINDOW = 0.25  # [s] over which speeds are averaged, so that noise does not matter
 
 
 def step(t: Array) -> float:
-    """Return the time between two samples: the mean of the steps that lack none."""
+    """Return the time step [s]: the mean of all steps without a lost row."""
     steps = np.diff(t)
     return float(steps[steps < 1.5 * np.median(steps)].mean())
 
 
 def lost_rows(given: Mapping[str, Array]) -> NDArray[np.bool_]:
-    """Return which rows have NaN in any part of a log."""
+    """Return the rows that have NaN in any array of a log, as a mask."""
     lost = [np.isnan(x).any(axis=tuple(range(1, x.ndim))) for x in given.values()]
     return np.asarray(np.logical_or.reduce(lost))
 
 
 def check_times(given: Mapping[str, Array], kept: NDArray[np.int_], lost: NDArray[np.bool_]) -> None:
-    """Refuse times that do not increase, are of another unit, or lack too many rows in a row.
+    """Reject times that do not increase, have another unit, or have a long gap.
 
     Parameters
     ----------
     given : mapping of str to ndarray
-        Parts of the log.
+        Arrays of the log by name.
     kept : ndarray of int
-        Rows whose time and input are known.
+        Indices of the rows with a known time and input.
     lost : ndarray of bool, shape (N,)
-        Rows that have NaN in any part.
+        Mask of the rows that have NaN in any array.
     """
     t, there = given["t"], kept[~lost[kept]]
     if len(there) < 2:
-        raise InvalidArgument(f"t has {len(there)} times without NaN in their rows, expected more")
+        raise InvalidArgument(f"t has {len(there)} rows without NaN, expected two or more")
     increasing("t", t[kept])
     usual = float(np.median(np.diff(t[kept])))
     if usual > _LONGEST_STEP:
         raise InvalidArgument(f"t has steps of {usual:g} s, expected seconds: are these milliseconds?")
-    bridged = max(_HOLE, round(_BRIDGED / usual)), f"over more than {_BRIDGED} s what is bridged is a guess"
-    for at, (most, why) in ((kept, (_HOLE, "what was applied meanwhile is not known")), (there, bridged)):
+    bridged = max(_HOLE, round(_BRIDGED / usual)), f"interpolation is a guess over more than {_BRIDGED} s"
+    for at, (most, why) in ((kept, (_HOLE, "the inputs in the gap are unknown")), (there, bridged)):
         worst = int(np.diff(t[at]).argmax())
         first, last = at[[worst, worst + 1]]
         if t[last] - t[first] > (most + 1.5) * usual:
@@ -81,23 +81,23 @@ def check_times(given: Mapping[str, Array], kept: NDArray[np.int_], lost: NDArra
             what = f"{name} has {gone[name]} rows of NaN in a row" if gone[name] else "t has a gap"
             raise InvalidArgument(
                 f"{what}, between {t[first]:g} and {t[last]:g} s, expected {most} rows at most: {why}; cut "
-                "the log there, identify takes several"
+                "the log there and pass the parts to identify as a list"
             )
 
 
 def check_pose(t: Array, q: Array) -> None:
-    """Refuse poses of a slower sensor, which stand in several rows each, and those of other units."""
+    """Reject poses that a slow sensor repeats, and poses in other units."""
     dt, psi = step(t), q[:, 2]
     apart = max(1, round(_WINDOW / dt))
     if len(t) <= apart:
         return
     lasts = np.diff(np.flatnonzero((np.diff(q, axis=0) != 0).any(axis=1)))
-    held = lasts[lasts * dt < _HELD]  # longer is a robot that stands
+    held = lasts[lasts * dt < _HELD]  # during a longer repetition the robot stands still
     usual = float(np.median(held)) if len(held) > _OFTEN else 1.0
     if usual > 1 and (np.abs(held - usual) <= 1).mean() > _EVENLY:
         raise InvalidArgument(
-            f"q has each pose in {usual:g} rows, of {dt:.3g} s each, expected it once, and NaN in rows "
-            "where none was measured, or Log.from_streams"
+            f"q repeats each pose in {usual:g} rows of {dt:.3g} s, expected each pose once: write NaN in the "
+            "other rows, or use Log.from_streams"
         )
 
     def rates(x: Array) -> Array:
@@ -113,13 +113,13 @@ def check_pose(t: Array, q: Array) -> None:
     turns = max(np.median(rates(np.unwrap(psi))), fast) > _FASTEST_TURN
     if np.median(whole) > 4 * np.pi if whole.size else turns:
         raise InvalidArgument(
-            f"q has psi from {psi.min():.4g} to {psi.max():.4g}, which turns at {fast:.3g} rad/s and more, "
+            f"q has psi from {psi.min():.4g} to {psi.max():.4g}, a yaw rate of {fast:.3g} rad/s and more, "
             "expected radians: are these degrees?"
         )
 
 
 def held_integrals(t: Array, u: Array, edges: Array) -> Array:
-    """Return the integrals between edges of values u each of which holds from its time on."""
+    """Return the integrals of zero-order held inputs u between successive edges."""
     spent = np.vstack([np.zeros(u.shape[1]), np.cumsum(u[:-1] * np.diff(t)[:, None], axis=0)])
     k = np.clip(np.searchsorted(t, edges, side="right") - 1, 0, len(t) - 1)
     return np.asarray(np.diff(spent[k] + u[k] * (edges - t[k])[:, None], axis=0))
@@ -129,18 +129,18 @@ _POSE = 3  # x, y, psi
 
 
 class Samples(NamedTuple):
-    """A log on times of equal steps.
+    """Log with equal time steps.
 
     Attributes
     ----------
     dt : float
-        The step [s].
+        Time step [s].
     t : ndarray, shape (N,)
         Times since the first sample [s].
     seen : ndarray of bool, shape (N,)
-        Whether it was measured at that time; what stands elsewhere is interpolated.
+        Whether the row was measured; other rows are interpolated.
     q, u, twist, wheel_rates : ndarray, shape (N, ...), or None
-        As in `Log`.
+        Arrays of `Log`.
     """
 
     dt: float
@@ -155,43 +155,61 @@ class Samples(NamedTuple):
 @final
 @dataclass(frozen=True, eq=False, repr=False)
 class Log:
-    """What was measured of a robot at times that increase in equal steps, but for jitter and lost rows.
+    """Measured poses and inputs of a robot, for `identify` and `identify_velocity`.
+
+    The times increase in equal steps; small jitter and lost rows are allowed.
 
     Parameters
     ----------
     t : array_like, shape (N,)
         Times [s].
     q : array_like, shape (N, 3), or None
-        Measured pose (x, y, psi) [m, m, rad]; None where only the twist was measured. psi may be unwrapped or
-        on the circle. Of rows with NaN here, or in what else is measured, the inputs count; at most 0.3 s of
-        them in a row are bridged.
+        Measured pose (x, y, psi) [m, m, rad]; None if only the twist was measured. psi may be wrapped or
+        unwrapped. A row may have NaN here or in the other measurements: its input still counts. Gaps of up
+        to 0.3 s are interpolated.
     u : array_like, shape (N, nu)
-        Input that is applied from each time to the next, in its unit: of a body that is pushed (Fx, Fy, Mz)
-        in the inertial frame [N, N, N m], of wheels torques [N m], volts or, with a load that tells what they
-        are worth, currents [A], of a robot that takes velocities its commands (forward, yaw rate)
-        [m/s, rad/s]. At most three rows in a row may have NaN: then what was applied before is taken.
+        Input, constant from each time to the next. A body driven by forces has (Fx, Fy, Mz) in the inertial
+        frame [N, N, N m]. Wheels have torques [N m], voltages [V] or currents [A]; currents need a known
+        load, see `identify`. A robot with velocity inputs has (forward speed, yaw rate) [m/s, rad/s].
+        At most three successive rows may have NaN; the last known input fills them.
     twist : array_like, shape (N, 3) or (N, 2), optional
-        Measured body twist: forward, left, yaw rate [m/s, m/s, rad/s]; of two columns forward and yaw rate.
+        Measured body twist (forward, left, yaw rate) [m/s, m/s, rad/s], or (forward, yaw rate).
     wheel_rates : array_like, shape (N, k), optional
-        Rates that the encoders of the driven wheels tell, in the order of the inputs [rad/s]: those at the
-        times. A difference of two angles is the rate half a step before the later one.
-
+        Encoder rates of the driven wheels at the times, in the order of the inputs [rad/s]. The difference
+        of two angles is the rate half a step before the later one.
+    dropped : int
+        Number of rows that a reader has already dropped.
     units : tuple of str
-        Units of the inputs, as a header says: "N", "N m", "V", "A", "m/s" or "rad/s", or "" where they are
-        not known; () where none is. `identify` refuses those that its robot does not take.
+        Units of the inputs: "N", "N m", "V", "A", "m/s" or "rad/s", or "" if unknown; () if all are unknown.
+        `identify` rejects units that do not fit its robot.
 
     Attributes
     ----------
     dropped : int
-        Rows that held a number which is none (NaN).
+        Number of rows with NaN.
     dt : float
-        Time between two samples [s].
+        Time step [s].
 
     Raises
     ------
     InvalidArgument
-        If a shape does not fit, times do not increase or have gaps, or numbers are in degrees, in millimetres
-        or milliseconds: see the message.
+        If a shape is wrong, times do not increase or have gaps, or numbers seem to be in degrees, millimetres
+        or milliseconds. The message gives the reason.
+
+    See Also
+    --------
+    identify : estimate mass, inertia and friction from a log
+    identify_velocity : estimate the parameters of a robot with velocity inputs
+    excitation : motion for an informative log
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile import Log
+    >>> t = np.linspace(0, 10, 101)
+    >>> q = np.column_stack([0.1 * t**2, 0 * t, 0 * t])
+    >>> Log(t, q, u=np.tile([6.0, 0.0, 0.0], (101, 1)))
+    <Log: 101 samples over 10 s, q of 3, u of 3>
     """
 
     t: Array
@@ -213,10 +231,10 @@ class Log:
                 width = _POSE if name in ("q", "twist") else "k>=1"
                 shaped(name, array, (len(t), width), words=", a row for each time")
         if not {"q", "twist"} & set(given):
-            raise InvalidArgument("q is None, and there is no twist, expected one of them: what was measured")
+            raise InvalidArgument("q and twist are None, expected at least one of them: the measured motion")
         for name in given:
             if lost_rows({name: given[name]}).all():
-                raise InvalidArgument(f"{name} has {len(t)} rows, and NaN in each, expected rows without")
+                raise InvalidArgument(f"{name} has {len(t)} rows, each with NaN, expected rows without NaN")
         lost = lost_rows(given)
         known = np.flatnonzero(~lost_rows({"t": t, "u": given["u"]}))
         there = np.flatnonzero(~lost)
@@ -249,16 +267,21 @@ class Log:
 
     @property
     def dt(self) -> float:
-        """Time between two samples [s]."""
+        """Time step [s]."""
         return step(self.t)
 
     def between(self, start: float, stop: float) -> Self:
-        """Return what was measured from one time to before another, counted from the first sample [s].
+        """Return the part of the log from `start` to before `stop`.
+
+        Parameters
+        ----------
+        start, stop : float
+            Times since the first sample [s].
 
         Raises
         ------
         InvalidArgument
-            If fewer than two samples are left.
+            If the part has fewer than two samples.
         """
         since = self.t - self.t[0]
         kept = (since >= scalar("start", start)) & (since < scalar("stop", stop))
@@ -266,7 +289,7 @@ class Log:
         return replace(self, **new, dropped=0)
 
     def samples(self) -> Samples:
-        """Return it on times of equal steps: what jitters is interpolated, what is lost is told."""
+        """Return the log at equal time steps, interpolated, with a mask of the measured rows."""
         dt, given = self.dt, self._given()
         t, u = given.pop("t") - self.t[0], given.pop("u")
         there = ~lost_rows(given)
@@ -275,7 +298,7 @@ class Log:
         seen = np.zeros(len(grid), bool)
         seen[steps[there]] = True
         u = u[np.searchsorted(steps, np.arange(len(grid)), side="right") - 1]
-        even = seen.all() and np.abs(t - grid).max() < 1e-3 * dt  # then nothing is to be interpolated
+        even = seen.all() and np.abs(t - grid).max() < 1e-3 * dt  # no interpolation is needed
         measured: dict[str, Array] = (
             given if even else {n: _interpolated(t[there], x[there], grid) for n, x in given.items()}
         )
@@ -293,23 +316,27 @@ class Log:
         twist: ArrayLike | None = None,
         wheel_rates: ArrayLike | None = None,
     ) -> Self:
-        """Return the log of poses and inputs that have times of their own, by one clock.
+        """Return the log of poses and inputs with separate times of one clock.
 
-        An input holds until the next one; that of a sample is the mean of what holds until the next sample.
+        Each input is constant until the next one. The input of a sample is the mean over its time step.
 
         Parameters
         ----------
-        t_q, q : array_like, shape (N,), (N, 3)
-            Times [s] and poses; None where only the twist was measured.
-        t_u, u : array_like, shape (M,), (M, nu)
-            Times [s] and inputs.
+        t_q : array_like, shape (N,)
+            Times of the poses [s].
+        q : array_like, shape (N, 3), or None
+            Poses [m, m, rad]; None if only the twist was measured.
+        t_u : array_like, shape (M,)
+            Times of the inputs [s].
+        u : array_like, shape (M, nu)
+            Inputs, see the class.
         twist, wheel_rates : array_like, shape (N, ...), optional
-            Measured at the times of the poses.
+            Twist and encoder rates at the times of the poses, see the class.
 
         Raises
         ------
         InvalidArgument
-            As of the class; and if the times overlap so little that they are of two clocks.
+            If the class rejects the data, or the times overlap by less than half, as those of two clocks.
         """
         given: dict[str, Array] = {}
         poses: dict[str, Any] = {"q": q, "twist": twist, "wheel_rates": wheel_rates}
@@ -324,7 +351,7 @@ class Log:
         if last - first < 0.5 * (t[-1] - t[0]):
             raise InvalidArgument(
                 f"t_u is from {held[0]:.9g} to {held[-1]:.9g} s and t_q from {t[0]:.9g} to {t[-1]:.9g} s, "
-                "which overlap by less than half: two clocks, expected one; subtract what one is ahead"
+                "which overlap by less than half, expected times of one clock: correct the offset of one"
             )
         inputs, kept = given.pop("u"), (t >= first) & (t <= held[-1])
         edges = np.append(t[kept], t[kept][-1] + step(t[kept]))
@@ -343,28 +370,29 @@ class Log:
         delay: int = 0,
         seed: Any = 0,
     ) -> Self:
-        """Return what sensors would have logged of a simulated run.
+        """Return a simulated log: the poses and inputs of a run with sensor noise.
 
-        Simulate with ``integrator=rk4``: the default step holds the acceleration, which no robot does.
+        Simulate with ``integrator=rk4``. The default integrator of `MobileRobot` keeps the acceleration
+        constant within a step, which a real robot does not.
 
         Parameters
         ----------
         rollout : Rollout
-            The run; of wheels, the rates of those that an input is named after are logged too.
+            Simulated run. The log also has the rates of the wheels that inputs drive.
         noise : array_like, shape () or (3,)
-            Standard deviation of the noise of the pose [m, m, rad].
+            Standard deviation of the pose noise [m, m, rad].
         input_noise : array_like, shape () or (nu,)
-            That of what is told of the input, in its unit.
+            Standard deviation of the input noise, in the units of the inputs.
         delay : int
-            Samples by which the pose comes late.
+            Delay of the poses relative to the inputs [samples].
         seed : int, SeedSequence, BitGenerator or Generator
-            Of the noise.
+            Seed of the noise.
 
         Raises
         ------
         InvalidArgument
-            If it is no rollout of a plant that tells where its body is, or a noise is below zero or of
-            another shape.
+            If `rollout` is not a `Rollout` or its plant has no pose, or a standard deviation is negative or
+            has another shape.
         """
         instance("rollout", rollout, Rollout, "a Rollout")
         late, plant = whole("delay", delay, least=0, most=len(rollout) - 2), rollout.plant
@@ -372,7 +400,7 @@ class Log:
 
         def noisy(name: str, deviation: ArrayLike, values: Array) -> Array:
             size = bounded(name, shaped(name, finite(name, deviation), (), values.shape[1:]), least=0)
-            with np.errstate(over="ignore"):  # a log has finite numbers
+            with np.errstate(over="ignore"):  # the class rejects infinite numbers
                 return values + size * generator.standard_normal(values.shape)
 
         q, u = noisy("noise", noise, rollout.poses[:end]), noisy("input_noise", input_noise, rollout.u[late:])
@@ -385,30 +413,35 @@ class Log:
     def from_csv(
         cls, path: str | PathLike[str], columns: Mapping[str, str | Sequence[str]] | None = None
     ) -> Self:
-        """Return the log of a CSV file whose header names its columns, units in brackets.
+        """Read a log from a CSV file. Its header names the columns, with units in brackets.
 
-        Without `columns`, time is ``t`` or ``time``, the pose ``x``, ``y`` and ``psi``, ``yaw`` or ``theta``
-        or a quaternion ``qx``, ``qy``, ``qz``, ``qw``, the inputs all that begin with ``u_``, or ``Fx``,
-        ``Fy``, ``Mz``; the twist those with ``twist_``, and the rates of wheels those with ``rate_``: what
-        `Rollout.to_csv` writes is read so. Units such as ``[deg]``, ``[mm]`` and ``[ms]`` are turned into
-        those of SI, and refused where a column is of another quantity; those of inputs are kept. Between
-        cells are commas, semicolons (then numbers may have decimal commas), tabs or blanks; lines before the
-        header that begin with # are left out; times may be dates as of ISO 8601.
+        The reader recognises these names, among others those that `Rollout.to_csv` writes:
+
+        - time: ``t``, ``time``, ``stamp`` or ``timestamp``;
+        - pose: ``x``, ``y`` and ``psi``, ``yaw``, ``theta`` or ``heading``, or a quaternion ``qx``, ``qy``,
+          ``qz``, ``qw``;
+        - inputs: names that begin with ``u_``, or ``Fx``, ``Fy``, ``Mz``;
+        - twist: names that begin with ``twist_``;
+        - wheel rates: names that begin with ``rate_``.
+
+        Units such as ``[deg]``, ``[mm]`` and ``[ms]`` are converted to SI. Cells are separated by commas,
+        semicolons, tabs or blanks. If the separator is not a comma, numbers may have decimal commas. Lines
+        before the header that begin with ``#`` are skipped.
 
         Parameters
         ----------
         path : str or path-like
-            The file.
+            File to read.
         columns : mapping of str to str or sequence of str, optional
-            Names of columns for ``t``, ``q``, ``u``, ``twist`` and ``wheel_rates``, where they are called
-            otherwise; six of ``q`` are x, y and a quaternion (x, y, z, w).
+            Names of the columns for ``t``, ``q``, ``u``, ``twist`` and ``wheel_rates``, where they differ
+            from the above. Six columns of ``q`` are x, y and a quaternion (x, y, z, w).
 
         Raises
         ------
         InvalidArgument
-            If it cannot be read, or as of the class.
+            If the file cannot be read, a unit does not fit its column, or the class rejects the data.
         UnknownName
-            If a column is not there.
+            If a column or a unit is unknown.
         """
         parts, units, short = read_csv(path, columns)
         times = parts.pop("t")[:, 0]
@@ -416,28 +449,29 @@ class Log:
 
     @classmethod
     def from_bag(cls, path: str | PathLike[str], topics: Mapping[str, str]) -> Self:
-        """Return the log of a ROS 1 or ROS 2 bag, or of an MCAP file; ROS itself is not needed.
+        """Read a log from a ROS 1 or ROS 2 bag, or from an MCAP file. ROS itself is not needed.
 
-        Times are those of the messages' headers where they have any, otherwise of arrival.
+        The reader takes the times from the message headers. If messages have none, it takes the times of
+        arrival.
 
         Parameters
         ----------
         path : str or path-like
-            A file ``.bag`` or ``.mcap``, or the folder of a bag of ROS 2.
+            File ``.bag`` or ``.mcap``, or folder of a ROS 2 bag.
         topics : mapping of str to str
-            Topics of ``q`` and ``u``, and optionally of ``twist`` and ``wheel_rates``: poses are odometry,
-            poses and transforms; inputs are wrenches, twists (forward, yaw rate), efforts of joints and
-            arrays of numbers.
+            Topics of ``u`` and of ``q`` or ``twist``, and optionally of ``wheel_rates``. Poses come from
+            odometry, pose and transform messages. Inputs come from wrenches, twists (forward, yaw rate),
+            joint efforts and arrays of numbers.
 
         Raises
         ------
         InvalidArgument
-            If rosbags is not installed, there is no such bag, a topic has messages of another type, or as
-            of `from_streams`.
+            If rosbags is not installed, the bag does not exist, a topic has messages of another type, or
+            `from_streams` rejects the data.
         FileError
-            If the bag is damaged, as far as its structure and the CRCs of its chunks show.
+            If the bag is damaged. Damage shows in its structure and in the CRCs of its chunks.
         UnknownName
-            If the bag has no such topic: the message lists those it has.
+            If the bag has no such topic; the message lists its topics.
         """
         streams = read_bag(path, topics)
         (t_u, u), (t, _) = streams.pop("u"), streams["q" if "q" in streams else "twist"]
@@ -448,41 +482,53 @@ class Log:
 
 
 def logs_of(log: object) -> list[Log]:
-    """Return one log, or several, as a list.
+    """Return one log, or several logs, as a list.
 
     Raises
     ------
     InvalidArgument
-        If there is none, or something else.
+        If there is no log, or an entry is not a `Log`.
     """
     made = "from_rollout" if isinstance(log, Rollout) else "from_csv"
-    hint = f": Log.{made} makes one" if isinstance(log, str | PathLike | Rollout) else ""
-    expected = f"a Log, or several{hint}"
+    hint = f": use Log.{made}" if isinstance(log, str | PathLike | Rollout) else ""
+    expected = f"a Log or a sequence of Log{hint}"
     logs = [log] if isinstance(log, Log) else [*sequence("log", log, expected)]
     if not logs or not all(isinstance(each, Log) for each in logs):
         raise InvalidArgument(f"log is {shown(log)}, expected {expected}")
     return logs
 
 
-_TAKEN_BY = {  # functions and arguments for inputs of a unit
+_TAKEN_BY = {  # arguments or function for inputs of each unit
     "N": "robot=None or a MobileRobot",
     "N m": "wheels without electric motors",
     "V": "wheels with electric motors",
-    "A": "loads=[None, load], which identify the torque per ampere",
+    "A": "loads=[None, load], which makes the torque per ampere identifiable",
     **dict.fromkeys(("m/s", "rad/s"), "identify_velocity"),
 }
 
 
 def check_units(log: Log, name: str, expected: Mapping[str, str], also: str = "") -> None:
-    """Refuse inputs whose unit is neither that of the robot's, by name, nor another that each may have."""
+    """Reject inputs in other units.
+
+    Parameters
+    ----------
+    log : Log
+        The log.
+    name : str
+        Name of the log, for the message.
+    expected : mapping of str to str
+        Unit of each input, by name.
+    also : str
+        Another unit that any input may have.
+    """
     for unit, (one, wanted) in zip(log.units, expected.items(), strict=False):
         if unit not in ("", wanted, also):
-            why = f"such inputs take {_TAKEN_BY[unit]}" if unit in _TAKEN_BY else "are columns mixed up?"
+            why = f"for {unit}, use {_TAKEN_BY[unit]}" if unit in _TAKEN_BY else "are columns mixed up?"
             raise InvalidArgument(f"{name} has input {one} in {unit}, expected {wanted}: {why}")
 
 
 def check_steps(steps: Sequence[float]) -> None:
-    """Refuse logs whose samples are not equally far apart."""
+    """Reject logs with different time steps."""
     low, high = min(steps), max(steps)
     if high > 1.001 * low:
         raise InvalidArgument(f"log has samples every {low:g} and {high:g} s, expected equal steps")
