@@ -17,27 +17,45 @@ from pinmobile.identification._estimator import Whiteness
 from pinmobile.identification._log import Log
 from pinmobile.identification._preprocessing import Slippage
 
-_UNSEEN = 0.02  # share of a parameter's direction that may be unidentifiable before its interval is endless
-_FAR = 0.999  # level of the interval in which a plausible body must be
-_ROUNDS = 200  # of draws
+_UNSEEN = 0.02  # unidentifiable share of a parameter's direction from which its interval is infinite
+_FAR = 0.999  # level of the interval that must contain a plausible body
+_ROUNDS = 200  # largest number of rounds of draws
 
 
 class Prediction(NamedTuple):
-    """Measurements, and what the identified robot does under the same input.
+    """Prediction of a log by an identified robot, beside the measurements: the result of `predict`.
 
     Attributes
     ----------
     names, units : tuple of k str
-        Of the measurements: x, y and psi, or speed and yaw rate.
+        Names and units of the measurements: x, y and psi, or speed and yaw rate.
     t : ndarray, shape (S, L)
-        Times since the first sample, of segments each of which starts anew [s].
+        Times of the segments since the first sample [s]. Each segment has its own initial state.
     measured, predicted : ndarray, shape (S, L, k)
-        Values [m, m, rad; or m/s, rad/s].
+        Measured and predicted values [m, m, rad] or [m/s, rad/s].
     rms : ndarray, shape (k,)
-        Root mean square of their difference without outliers.
+        Root mean square of their difference, without outliers.
     noise : ndarray, shape (k,)
-        Standard deviation of the sensor's noise: a bound of all predictions. Of a robot with velocity
-        inputs, the rms of the residual of the identification.
+        Standard deviation of the sensor noise: no prediction has a smaller rms. For a robot with velocity
+        inputs, rms of the residual of the identification.
+
+    See Also
+    --------
+    identification.Identification : its method ``predict`` returns a prediction
+    plots.prediction : draw measured and predicted values
+
+    Examples
+    --------
+    >>> from pinmobile import ComputedTorque, Lissajous, Log, MobileRobot
+    >>> from pinmobile import Tangent, identify, rk4, simulate
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
+    >>> motion = Tangent(Lissajous(1, 1, 1.0, 0.5, duration=24))
+    >>> run = simulate(robot, ComputedTorque(robot), motion,
+    ...                dt=0.1, integrator=rk4)
+    >>> log = Log.from_rollout(run, noise=1e-3)
+    >>> prediction = identify(log, robot).predict(log)
+    >>> prediction.names, prediction.rms[:2].round(3)  # [m]
+    (('x', 'y', 'psi'), array([0.001, 0.001]))
     """
 
     names: tuple[str, ...]
@@ -54,7 +72,7 @@ class Prediction(NamedTuple):
 
 
 def _residuals(*rows: Any) -> str:
-    """Return names, units, residuals and noise of measurements in words."""
+    """Return names, units, residuals and noise of measurements as text."""
     return ", ".join(
         f"{name} {1e3 * left:.3g} m{unit} (noise {1e3 * noise:.3g})"
         for name, unit, left, noise in zip(*rows, strict=True)
@@ -66,52 +84,78 @@ def _residuals(*rows: Any) -> str:
 class Identification:
     """Estimates of a robot's parameters from its logs: the result of `identify` and `identify_velocity`.
 
+    ``print(found)`` gives a table of the estimates with their intervals, and the `notes`.
+
     Attributes
     ----------
-    model : PlanarModel or VelocityModel
-        Model whose numbers were estimated.
+    model : object
+        Internal model of the robot.
     phi : ndarray, shape (p,)
-        These numbers: of a body (m, m x, m y, I about its origin, friction, ...), in which its equations are
-        linear; of a robot with velocity inputs theta, and further numbers.
+        Estimated numbers of the model. A body has (m, m x, m y, I about its origin, friction, ...): the
+        equations of motion are linear in them. A robot with velocity inputs has theta and further numbers.
     covariance_of_phi : ndarray, shape (p, p)
-        Their covariance: by the jackknife over segments, of the weak form by Newey and West.
+        Covariance of `phi`, by the jackknife over segments; for the weak form by Newey and West.
     freedom : int
         Degrees of freedom of Student's t.
     method : str
-        ``"output error"``, or ``"weak"``, which noisy inputs select too.
+        ``"output error"`` or ``"weak"``. Noisy inputs also select the weak form.
     input_noise_bias : float
-        Bias of output error by noise of the inputs, in standard deviations; 0 where it was not selected.
+        Bias of output error by input noise, in standard deviations; 0 if the weak form was requested.
     prior : MobileRobot, WheeledRobot or None
-        Robot assumed before; of wheels alone, an arbitrary body on them.
+        Prior robot. For a wheel table, an arbitrary body on these wheels.
     rank : int
-        Number of identifiable directions among p.
+        Number of identifiable directions of `phi`.
     unseen : str
-        Directions that are not identifiable, in words; "" where all are.
+        Directions that are not identifiable, in words; "" if all are identifiable.
     hidden : ndarray, shape (p,)
         Share of each parameter's direction that is not identifiable.
     unknown : ndarray, shape (p, d)
-        Standard deviations of phi along these directions.
-    delay, delay_error : float
-        Delay of measurements relative to inputs, and its standard deviation [s]; NaN where it was given.
+        Standard deviations of `phi` along the directions that are not identifiable.
+    delay : float
+        Delay of measurements relative to inputs [s].
+    delay_error : float
+        Standard deviation of the delay [s]; NaN if the delay was given.
     dt, seconds : float
         Time step, and length of a segment [s].
     outliers, dropped, samples, segments : int
-        Outliers; rows with NaN; samples; simulated segments.
+        Numbers of outliers, rows with NaN, samples, and simulated segments.
     noise, residual : ndarray, shape (k,)
-        Standard deviation of the sensors' noise, and rms of the residual; of velocities they are the same.
+        Standard deviation of the sensor noise, and rms of the residual, for each measurement. For a robot
+        with velocity inputs both are the rms.
     chi2 : float
-        Mean square of all residuals over the noise: 1 where only the sensors' noise is left.
-    whiteness : Whiteness
-        Correlation of the residuals.
+        Mean square of the residuals divided by the noise: 1 if only sensor noise remains.
+    whiteness : object
+        Autocorrelation of the residuals; ``whiteness.is_white`` states whether it is that of white noise.
     is_noise : bool
-        Whether noise of sensors and inputs explains the residuals. Otherwise the structure of the model is
-        wrong, and intervals are not valid.
+        Whether sensor and input noise explains the residuals. Otherwise the model structure is wrong, and the
+        intervals are not valid.
     explained : float
-        Share of the inputs that the motion explains; of velocities, of the motion that commands explain.
-    slippage : Slippage or None
-        Deviation of poses from rolling, of the worst log; None where it is not identifiable.
+        Share of the inputs that the motion explains. For a robot with velocity inputs, share of the motion
+        that the commands explain.
+    slippage : object or None
+        Deviation of the poses from rolling, for the worst log; None if it is not identifiable.
     clipped : str
-        Inputs that stay at their extremes, in words; "" where none does.
+        Inputs that stay at their extremes, in words; "" if there are none.
+
+    See Also
+    --------
+    identify : estimate mass, inertia and friction
+    identify_velocity : estimate the parameters of a robot with velocity inputs
+    identification.Prediction : result of ``predict``
+    ensemble : runs with robots from ``spread``
+
+    Examples
+    --------
+    >>> from pinmobile import ComputedTorque, Lissajous, Log, MobileRobot
+    >>> from pinmobile import Tangent, identify, rk4, simulate
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
+    >>> motion = Tangent(Lissajous(1, 1, 1.0, 0.5, duration=24))
+    >>> run = simulate(robot, ComputedTorque(robot), motion,
+    ...                dt=0.1, integrator=rk4)
+    >>> found = identify(Log.from_rollout(run, noise=1e-3), robot)
+    >>> low, high = found.interval(0.95)["mass"]  # [kg]
+    >>> low < 30 < high, high - low < 0.5
+    (True, True)
     """
 
     model: Any
@@ -157,29 +201,30 @@ class Identification:
 
     @property
     def values(self) -> Array:
-        """The estimates, shape (p,)."""
+        """Estimates, shape (p,), in the order of `names` and in the units of `units`."""
         return np.asarray(self.model.to_physical(self.phi))
 
     @property
     def theta(self) -> Array:
-        """Of a robot with velocity inputs, its six numbers, shape (6,)."""
+        """The six parameters of a robot with velocity inputs, shape (6,), see `VelocityRobot`."""
         return self.phi[:6]
 
     @property
     def parameters(self) -> Mapping[str, float]:
-        """The estimates by name: of a body mass, centre of mass, yaw inertia about it and friction."""
+        """Estimates by name. A body has mass, centre of mass, yaw inertia about it, and friction."""
         return self._named(self.values.tolist())
 
     @property
     def units(self) -> Mapping[str, str]:
-        """Units of the parameters by name."""
+        """Units of the parameters, by name."""
         return self._named(one.unit for one in self.model.quantities)
 
     @property
     def covariance(self) -> Array:
-        """Covariance of `parameters`, in their order, shape (p, p), by the delta method.
+        """Covariance of `values`, shape (p, p), by the delta method.
 
-        It includes the uncertainty of directions that are not identifiable, in which the prior is kept.
+        The covariance includes the uncertainty of the directions that are not identifiable, in which the
+        prior replaces the estimate.
         """
         D = self.model.slopes(self.phi)
         found = np.asarray(D @ (self.covariance_of_phi + self.unknown @ self.unknown.T) @ D.T)
@@ -189,7 +234,7 @@ class Identification:
 
     @property
     def standard_errors(self) -> Mapping[str, float]:
-        """Standard errors of the parameters by name; infinite where they are not identifiable."""
+        """Standard errors of the parameters, by name; infinite for parameters that are not identifiable."""
         return self._named(self._errors.tolist())
 
     @property
@@ -202,15 +247,39 @@ class Identification:
 
     @property
     def is_identifiable(self) -> Mapping[str, bool]:
-        """Whether the log identifies a parameter, by name."""
+        """Whether the log identifies each parameter, by name."""
         return self._named(self._identifiable.tolist())
 
     def interval(self, level: float = 0.95) -> Mapping[str, tuple[float, float]]:
-        """Return the confidence interval of each parameter by name.
+        """Return the confidence interval of each parameter, by name.
 
-        It is Student's; endless where the parameter is not identifiable, and not valid where `is_noise` is
-        false: it does not cover the error of a wrong structure. Of a parameter that cannot be below zero it
-        starts at zero or above; where the estimate is below zero, it ends at its half width.
+        The interval uses Student's t. It is infinite if the parameter is not identifiable. It is not valid if
+        `is_noise` is false, because it does not cover the error of a wrong model. The interval of a
+        parameter that cannot be negative starts at zero or above. If its estimate is negative, the interval
+        ends at its half width.
+
+        Parameters
+        ----------
+        level : float
+            Confidence level, in (0, 1).
+
+        Returns
+        -------
+        intervals : mapping of str to tuple of 2 float
+            Lower and upper bound, in the unit of the parameter.
+
+        Raises
+        ------
+        InvalidArgument
+            If `level` is outside (0, 1).
+        """
+        half, bounded = self._deviations(level) * self._errors, [one.bounded for one in self.model.quantities]
+        low, high = self.values - half, self.values + half
+        low, high = (np.where(bounded, np.maximum(x, y), x) for x, y in ((low, 0.0), (high, half)))
+        return self._named(zip(low.tolist(), high.tolist(), strict=True))
+
+    def delay_interval(self, level: float = 0.95) -> tuple[float, float]:
+        """Return the confidence interval of the delay [s]; NaN if the delay was given or is not identifiable.
 
         Parameters
         ----------
@@ -220,27 +289,14 @@ class Identification:
         Raises
         ------
         InvalidArgument
-            If the level is not in this range.
-        """
-        half, bounded = self._deviations(level) * self._errors, [one.bounded for one in self.model.quantities]
-        low, high = self.values - half, self.values + half
-        low, high = (np.where(bounded, np.maximum(x, y), x) for x, y in ((low, 0.0), (high, half)))
-        return self._named(zip(low.tolist(), high.tolist(), strict=True))
-
-    def delay_interval(self, level: float = 0.95) -> tuple[float, float]:
-        """Return the confidence interval of the delay [s]; NaN where it was given or is not identifiable.
-
-        Parameters
-        ----------
-        level : float
-            Confidence level, in (0, 1).
+            If `level` is outside (0, 1).
         """
         half = self._deviations(level) * self.delay_error
         return self.delay - half, self.delay + half
 
     def _deviations(self, level: float) -> float:
         """Return the half width of Student's interval in standard deviations."""
-        from scipy.stats import t  # here, because it takes long to load
+        from scipy.stats import t  # slow to load
 
         share = bounded("level", scalar("level", level), above=0, below=1)
         return float(t.ppf(0.5 + share / 2, self.freedom))
@@ -264,7 +320,7 @@ class Identification:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Further findings, a sentence each."""
+        """Further findings, one sentence each."""
         low, high = (1e3 * each for each in self.delay_interval())
         rho = np.abs(self.whiteness.correlation).max()
         correlated = f"the residual is correlated ({rho:.2f} between successive samples)"
@@ -278,13 +334,13 @@ class Identification:
             + ("" if np.isnan(low) else f" (95 % interval {low:.3g} to {high:.3g})")
             + f": {self.delay / self.dt:.2f} samples",
             f"residual: {_residuals(*zip(*self.model.measured, strict=True), self.residual, self.noise)}",
-            "the residual is white: noise of the sensors"
+            "the residual is white: sensor noise explains it"
             if self.whiteness.is_white
-            else f"{correlated} as noise of the inputs makes it: if it is that, the intervals are valid; "
-            "they do not cover the error of a force that follows the motion and is not in the model, such as "
-            "rolling resistance that depends on load"
+            else f"{correlated}, as with input noise: if input noise is the cause, the intervals are valid; "
+            "they do not cover the error of a force that depends on the motion and is not in the model, such "
+            "as rolling resistance that depends on load"
             if self.is_noise
-            else f"{correlated} otherwise or more than noise makes it: the structure of the model is wrong, "
+            else f"{correlated}, more than noise explains: the structure of the model is wrong, "
             "and the intervals are not valid; is there slip, a clipped input, a limit of the firmware, a "
             "slope, or resistance that depends on load?",
             *(self.unseen, self.clipped, *self._negative, *self.model.notes(self)),
@@ -293,8 +349,8 @@ class Identification:
 
     @property
     def _negative(self) -> tuple[str, ...]:
-        """Estimates below zero of parameters that cannot be, in words."""
-        usual, far = self._deviations(0.95), self._deviations(_FAR)  # of eight, one exceeds 95 % by chance
+        """Negative estimates of parameters that cannot be negative, in words."""
+        usual, far = self._deviations(0.95), self._deviations(_FAR)  # one of eight exceeds 95 % by chance
         rows = zip(self.model.quantities, self.values, self._errors, strict=True)
         return tuple(
             f"{one.name} is {value:.3g} {one.unit}, below zero "
@@ -306,15 +362,16 @@ class Identification:
 
     @cached_property
     def plausible(self) -> Array:
-        """The likeliest phi of a body whose friction brakes, shape (p,): phi itself where it is one.
+        """Most likely `phi` of a possible body with nonnegative friction, shape (p,).
 
-        It is the nearest in the metric of the covariance. `robot` and `forces` use it; estimates and
-        intervals stay as they are, because a projection would spoil the coverage of the intervals.
+        It equals `phi` if `phi` is possible. Otherwise it is the nearest possible one in the metric of the
+        covariance. `robot` and `forces` use it. Estimates and intervals do not: a projection would spoil the
+        coverage of the intervals.
 
         Raises
         ------
         InvalidArgument
-            If there is none, or none near the estimate.
+            If there is no possible body near the estimate.
         """
         body = self.model.plausible(self.phi, self.covariance_of_phi)
         found, there = self.values, self.model.to_physical(body)
@@ -322,33 +379,39 @@ class Identification:
         for k in np.flatnonzero((np.abs(there - found) > wide)[:4]):
             one = self.model.quantities[k]
             raise InvalidArgument(
-                f"log leads to a {one.name} of {found[k]:.4g} {one.unit}, but where friction brakes to "
-                f"{there[k]:.4g}: {'; '.join(self._negative)}; expected a robot with all forces: is friction "
-                "of its motors stated too high?"
+                f"log leads to a {one.name} of {found[k]:.4g} {one.unit}, but with nonnegative friction to "
+                f"{there[k]:.4g}: {'; '.join(self._negative)}; expected a robot with all forces: is the "
+                "given friction of its motors too high?"
             )
         return frozen(body)
 
     def robot(self) -> Any:
         """Return the identified robot, without the delay.
 
-        Of a body, mass, centre of mass and inertia are `plausible`; numbers that a motion in the plane does
-        not identify are those of the prior. An identified scale of volts is in the motors' torque constants.
+        A body gets mass, centre of mass and yaw inertia from `plausible`. Numbers that a motion in the plane
+        does not identify come from the prior. The motors' torque constants contain an identified scale of
+        voltages.
+
+        Returns
+        -------
+        robot : MobileRobot, WheeledRobot, ByVoltage or VelocityRobot
+            Robot of the kind that was identified.
 
         Raises
         ------
         InvalidArgument
-            If there is no plausible body, or numbers of a robot with velocity inputs are not identifiable.
+            If there is no plausible body, or a parameter of a robot with velocity inputs is not identifiable.
         """
         return self.model.robot(self)
 
     def forces(self) -> list[Any]:
-        """Return the friction for `simulate`, none below zero, see `plausible`; theta includes its own."""
+        """Return the friction as forces for `simulate`, see `plausible`; empty for a `VelocityRobot`."""
         return list(self.model.forces(self))
 
     def spread(self, n: int, seed: Any = 0) -> dict[str, Array]:
         """Return joint draws of the parameters for `ensemble`, by names such as ``"com.x"``.
 
-        Friction is that of `forces`, which the loop needs.
+        The spread includes the friction coefficients of `forces`: the loop needs these forces.
 
         Parameters
         ----------
@@ -360,12 +423,13 @@ class Identification:
         Returns
         -------
         spread : dict of str to ndarray, shape (n,)
-            Draws of Student's t with the covariance: only those of a robot, with no friction below zero.
+            Draws of Student's t with the estimated covariance. Impossible bodies are drawn again, and
+            friction is not negative.
 
         Raises
         ------
         InvalidArgument
-            If a parameter is not identifiable, or hardly a draw is of a robot.
+            If a parameter is not identifiable, or almost all draws are impossible bodies.
         """
         n, generator = whole("n", n), seeded("seed", seed)
         check_identifiable("spread", self.unseen)
@@ -380,8 +444,8 @@ class Identification:
                 break
         else:
             raise InvalidArgument(
-                "spread: the log leaves the parameters so uncertain that hardly a draw is of a robot, "
-                "expected one that excites more"
+                "spread: the parameters are so uncertain that almost no draw is a possible robot, "
+                "expected a log of a more informative motion"
             )
         return {
             one.path: np.maximum(x, 0.0) if one.bounded else x
@@ -392,19 +456,24 @@ class Identification:
     def predict(self, log: Log, seconds: float | None = None) -> Prediction:
         """Return the prediction of another log, beside the noise of its sensors.
 
-        Segments start where they fit best, and are simulated from there.
+        The prediction simulates segments of the log from the initial states that fit best.
 
         Parameters
         ----------
         log : Log
             Another log of the same robot, without a load, with the same measurements.
         seconds : float, optional
-            Length of a segment [s]; default: as in the identification, or 2 s of a body.
+            Length of a segment [s]; default: 2 s for a body, otherwise the length of the identification.
+
+        Returns
+        -------
+        prediction : Prediction
+            Measured and predicted values.
 
         Raises
         ------
         InvalidArgument
-            If it is too short, measures something else, or the prediction diverges from it.
+            If the log is too short or has other measurements, or the prediction diverges.
         """
         instance("log", log, Log, "a Log")
         segments, residual, good, noise = self.model.predicted(self, log, seconds)
@@ -415,9 +484,9 @@ class Identification:
 
 
 def check_identifiable(what: str, unseen: str) -> None:
-    """Refuse a method that needs all parameters where some are not identifiable."""
+    """Reject the call of a method that needs all parameters if some are not identifiable."""
     if unseen:
         raise InvalidArgument(
-            f"{what}() needs a log that identifies all: {unseen}; expected one that excites more, in which "
-            "all velocities change independently"
+            f"{what}() needs a log that identifies all parameters: {unseen}; expected a motion in which all "
+            "velocities change often and independently"
         )

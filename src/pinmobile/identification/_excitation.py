@@ -1,4 +1,4 @@
-"""`excitation`: motions that tell as much as they can of a robot, within limits."""
+"""`excitation`: informative motions for identification, within limits."""
 
 from __future__ import annotations
 
@@ -13,66 +13,99 @@ from pinmobile.parts import array, number, part
 from pinmobile.robot import MobileRobot
 from pinmobile.trajectories import Reference
 
-_CANDIDATES, _STEPS = 60, 2500  # random motions, and how often the best of them is changed
-_FIRST_SIZE, _LARGER = 0.3, 1.5  # of changes, as a share of the coefficients; and by which they grow
-_PER_PERIOD = 120  # samples of a period that the criterion takes
-_KNOTS = 400  # per period, between which positions of wheels are integrated
+_CANDIDATES, _STEPS = 60, 2500  # number of random motions, and of steps that improve the best one
+_FIRST_SIZE, _LARGER = 0.3, 1.5  # first step size as a share of the coefficients, and its growth factor
+_PER_PERIOD = 120  # samples of the criterion in a period
+_KNOTS = 400  # knots of a period at which positions of wheeled robots are stored
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(6)
-_TYPICAL = 0.25  # of the limits: speeds for which friction counts like forces
+_TYPICAL = 0.25  # typical speed as a share of the limits, for the scale of friction
 
 
 @final
 @part
 class Excitation:
-    """A motion of finite Fourier series that begins and ends at rest: what `excitation` returns.
+    """Trajectory of finite Fourier series: the result of `excitation`.
 
-    Swevers, Ganseman, Tukel, De Schutter and Van Brussel (1997): coordinate i is q0_i plus the sum over l of
-    a_li / w_l sin w_l t - b_li / w_l cos w_l t, w_l = 2 pi l / period. Of wheels the coordinates are free
-    velocities, integrated: those along the wheels and in yaw, from which the pose follows.
+    Coordinate i is q0_i plus the sum over l of a_li / w_l sin w_l t - b_li / w_l cos w_l t, with
+    w_l = 2 pi l / period. For a robot on wheels, the series gives the integrals of its independent velocities
+    (along the wheels and in yaw). The pose follows from them.
 
-    Attributes
+    Parameters
     ----------
-    coefficients : ndarray, shape (L, 2, k)
-        Of sines and cosines of the velocities.
-    period, duration : float
-        Of the series, and how long it is repeated [s].
-    S : ndarray, shape (3, k), or None
-        Body twist of the free velocities of wheels; None: the coordinates are those of the pose.
-    start : ndarray, shape (3,)
+    coefficients : array_like, shape (L, 2, k)
+        Coefficients a_l and b_l of the velocities [m/s, m/s, rad/s].
+    period : float
+        Period of the series [s].
+    duration : float
+        Duration of the motion [s].
+    S : array_like, shape (3, k), optional
+        Body twist of the k independent velocities of wheels. None: the series gives x, y and psi.
+    start : array_like, shape (3,), optional
         Pose at the start [m, m, rad].
+
+    Raises
+    ------
+    InvalidArgument
+        If the shapes do not fit, or a number is not finite or not positive.
+
+    See Also
+    --------
+    excitation : find the most informative coefficients
+    identify : estimate parameters from a log of the motion
+
+    References
+    ----------
+    J. Swevers, C. Ganseman, D. B. Tukel, J. De Schutter and H. Van Brussel, "Optimal robot excitation and
+    identification", IEEE Transactions on Robotics and Automation 13 (1997).
+
+    Examples
+    --------
+    One harmonic of the velocity along x:
+
+    >>> from pinmobile.identification import Excitation
+    >>> a_b = [[[0.5, 0, 0], [0, 0, 0]]]  # a_1 and b_1 [m/s]
+    >>> motion = Excitation(a_b, period=4.0, duration=8.0)
+    >>> motion([0, 2, 4]).v[:, 0]  # [m/s]
+    array([ 0.5, -0.5,  0.5])
     """
 
-    coefficients: Array = array(shapes=(("L>=1", 2, "k"),), fixed=True, doc="of sines and cosines")
+    coefficients: Array = array(shapes=(("L>=1", 2, "k"),), fixed=True, doc="coefficients of the velocities")
     period: float = number(unit="s", above=0.0, fixed=True, doc="period of the series")
     duration: float = number(unit="s", above=0.0, fixed=True, doc="duration of the motion")
     S: Array | None = array(default=None, shapes=((3, "k>=1"),), fixed=True, doc="body twist of wheels")
     start: Array = array(default=np.zeros(3), shapes=((3,),), fixed=True, doc="pose at the start")
 
     def check(self) -> None:
-        """Raise `InvalidArgument` where there are not as many coefficients as velocities."""
+        """Check the number of velocities.
+
+        Raises
+        ------
+        InvalidArgument
+            If the coefficients are for another number of velocities than `S` has.
+        """
         shaped("coefficients", self.coefficients, ("L", 2, 3 if self.S is None else self.S.shape[1]))
 
     @cached_property
     def _knots(self) -> Array:
-        """Positions of wheels at knots, from the start on, as complex numbers."""
+        """Positions of a wheeled robot at the knots, relative to the start, as complex numbers."""
         step = self.period / _KNOTS
         begins: Array = np.arange(np.ceil(self.duration / step), dtype=np.float64) * step
         return np.append(0.0, np.cumsum(self._way(begins, np.full(begins.shape, step))))
 
     def __repr__(self) -> str:
-        what = "pushed" if self.S is None else "on wheels"
+        what = "free body" if self.S is None else "on wheels"
         series = f"{len(self.coefficients)} harmonics of {self.period:g} s"
         return f"<Excitation: {what}, {series}, over {self.duration:g} s>"
 
     def _series(self, t: Array, order: int) -> Array:
-        """Return the coordinates' derivative of an order, from their start on, shape (..., k)."""
+        """Return the derivative of the coordinates of an order, relative to their start, shape (..., k)."""
         w = 2j * np.pi / self.period * np.arange(1, len(self.coefficients) + 1)
         each = (self.coefficients[:, 0] - 1j * self.coefficients[:, 1]) * w[:, None] ** (order - 1)
         total = (np.exp(w * np.asarray(t)[..., None]) @ each).real
         return np.asarray(total - each.sum(axis=0).real if order == 0 else total)
 
     def _body(self, t: Array) -> tuple[Array, Array, Array, Array, Array]:
-        """Return yaw, its two derivatives, and velocity and its rate along the body, complex, of wheels."""
+        """Return yaw, yaw rate and yaw acceleration, and velocity and its rate in body axes (complex)."""
         assert self.S is not None
         zeroth, first, second = (self._series(t, order) @ self.S.T for order in range(3))
         psi, r = self.start[2] + zeroth[..., 2], first[..., 2]
@@ -80,17 +113,27 @@ class Excitation:
         return psi, r, second[..., 2], nu, rate
 
     def _way(self, since: Array, span: Array) -> Array:
-        """Return how far wheels go in the plane, complex, from times on for spans, shape (...)."""
+        """Return the displacement of a wheeled robot in the plane over time spans, complex, shape (...)."""
         psi, _, _, nu, _ = self._body(since[..., None] + span[..., None] * (_NODES + 1) / 2)
         return np.asarray(span / 2 * ((np.exp(1j * psi) * nu) @ _WEIGHTS))
 
     def __call__(self, t: ArrayLike) -> Reference:
-        """Return where to be and how to move at times, shape (...) [s].
+        """Return pose, velocity and acceleration.
+
+        Parameters
+        ----------
+        t : array_like, shape (...)
+            Times [s].
+
+        Returns
+        -------
+        reference : Reference
+            Pose, velocity and acceleration, shape (..., 3) each.
 
         Raises
         ------
         InvalidArgument
-            If a time is outside 0 to `duration`.
+            If a time is outside [0, `duration`].
         """
         times = bounded("t", finite("t", t), least=0, most=self.duration * (1 + 1e-12), unit="s")
         if self.S is None:
@@ -116,31 +159,56 @@ def excitation(
     harmonics: int = 5,
     seed: Any = 0,
 ) -> Excitation:
-    """Return a motion from which parameters can be told as well as its limits allow: D-optimal.
+    """Design an informative motion for `identify` within limits (D-optimal).
 
-    It maximises the determinant of the information of the parameters that `identify` estimates:
-    each candidate is scaled into the limits, so that these are reached; the best of random ones is improved.
-    Robots on wheels get motions that they can roll.
+    The design maximises the determinant of the information matrix of the parameters that `identify`
+    estimates. It scales each candidate so that the motion reaches the limits, and improves the best of 60
+    random candidates. A robot on wheels gets a motion along which its wheels roll.
 
     Parameters
     ----------
     robot : MobileRobot or WheeledRobot, optional
-        The robot, as it is believed to be; by default 30 kg of 0.6 m by 0.4 m.
-    duration, period : float
-        How long it moves, and how long a period of the series is [s].
+        Prior robot; default: a box of 30 kg, 0.6 m by 0.4 m.
+    duration : float
+        Duration of the motion [s].
+    period : float
+        Period of the Fourier series [s].
     position : array_like, shape (3,)
-        Largest way from the start in x, y and psi [m, m, rad]; psi of wheels may turn further.
-    velocity, acceleration : array_like, shape (3,)
-        Largest rates of x, y and psi, of wheels of the body: forward, left, yaw [m/s, m/s, rad/s; per s].
+        Largest distances from the start in x, y and psi [m, m, rad]. For wheels, psi has no limit.
+    velocity : array_like, shape (3,)
+        Largest rates of x, y and psi, or for wheels of the body twist (forward, left, yaw)
+        [m/s, m/s, rad/s].
+    acceleration : array_like, shape (3,)
+        Largest derivatives of these rates [m/s^2, m/s^2, rad/s^2].
     harmonics : int
-        Of the series, at least 3.
+        Number of harmonics of the series, at least 3.
     seed : int, SeedSequence, BitGenerator or Generator
-        Of the candidates.
+        Seed of the candidates.
+
+    Returns
+    -------
+    motion : Excitation
+        Trajectory that starts at rest and is at rest after each period.
 
     Raises
     ------
     InvalidArgument
-        If a limit is not above zero, or the robot is none that `identify` takes.
+        If a limit is not positive, or `identify` does not accept the robot.
+
+    See Also
+    --------
+    identify : estimate the parameters from a log of the motion
+    identification.Excitation : the trajectory
+
+    Examples
+    --------
+    >>> from pinmobile import MobileRobot, excitation
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
+    >>> motion = excitation(robot, velocity=(0.8, 0.8, 1.0))
+    >>> motion
+    <Excitation: free body, 5 harmonics of 20 s, over 60 s>
+    >>> bool((abs(motion(range(60)).v) <= (0.8, 0.8, 1.0)).all())
+    True
     """
     given = {"position": position, "velocity": velocity, "acceleration": acceleration}
     limits = [bounded(name, shaped(name, finite(name, x), (3,)), above=0) for name, x in given.items()]
@@ -158,18 +226,18 @@ def excitation(
 
 
 class _Search:
-    """The search for a motion.
+    """Search for the most informative motion.
 
     Parameters
     ----------
     model : PlanarModel
-        The robot.
+        Model of the robot.
     prior : ndarray, shape (p,)
-        What is believed of it.
+        Prior parameters phi.
     shape : tuple of float, float and int
         Period and duration of the motion [s], and number of harmonics.
     limits : list of ndarray, shape (3,)
-        Of pose, velocity and acceleration.
+        Limits of pose, velocity and acceleration.
     """
 
     def __init__(
@@ -182,8 +250,8 @@ class _Search:
         phase = w * (self.period / _PER_PERIOD) * np.arange(_PER_PERIOD)[:, None]
         c, s = np.cos(phase), np.sin(phase)
         rows = (s / w, (1 - c) / w), (c, s), (-w * s, w * c)
-        self.series = [np.concatenate(row, axis=1) for row in rows]  # of all cosines, then all sines
-        self.between = 1 + (np.pi * harmonics / _PER_PERIOD) ** 2 / 2  # peaks over those of samples
+        self.series = [np.concatenate(row, axis=1) for row in rows]  # columns of a_l, then of b_l
+        self.between = 1 + (np.pi * harmonics / _PER_PERIOD) ** 2 / 2  # largest ratio of peak and samples
         mass, force = prior[0], prior[0] * _TYPICAL * limits[2][0]
         lever = max(np.sqrt(prior[3] / mass), 1e-3)
         ends = np.array([force, force, force * lever])
@@ -194,7 +262,7 @@ class _Search:
         self.weights = 1 / np.maximum(np.abs(model.S.T) @ ends, 1e-12)
 
     def coefficients(self, raw: Array) -> Array:
-        """Return coefficients that begin and end at rest, scaled into the limits."""
+        """Return coefficients of a motion that begins and ends at rest, scaled into the limits."""
         order = np.arange(1, len(raw) + 1.0)[:, None]
         a = raw[:, 0] - raw[:, 0].mean(axis=0)
         b = raw[:, 1] - order * (order * raw[:, 1]).sum(axis=0) / (order**2).sum()
@@ -215,7 +283,7 @@ class _Search:
         return [each @ stacked for each in self.series]
 
     def reach(self, way: Array, eta: Array) -> Array:
-        """Return how far wheels come in x and y, shape (2,), a period over and over."""
+        """Return the largest distances in x and y over all periods, shape (2,) [m], for wheels."""
         assert self.S is not None
         psi = way @ self.S[2]
         forward, left, _ = (eta @ self.S.T).T
@@ -226,7 +294,7 @@ class _Search:
         return np.asarray(np.maximum(np.abs(path).max(axis=0), np.abs(last).max(axis=0)))
 
     def cost(self, raw: Array) -> float:
-        """Return minus the logarithm of the information's determinant."""
+        """Return minus the logarithm of the determinant of the information matrix."""
         q, eta, rate = self.of(self.coefficients(raw))
         if self.S is None:
             eta, rate = _in_body(q[:, 2], eta, rate)
@@ -236,9 +304,9 @@ class _Search:
         return float(-size) if sign > 0 else np.inf
 
     def improved(self, raw: Array, generator: np.random.Generator) -> Array:
-        """Return raw coefficients with a lower cost: evolution of one, with the rule of one fifth.
+        """Return raw coefficients with a lower cost, by a (1+1) evolution strategy with the 1/5 rule.
 
-        Rechenberg (1973). It compares costs alone, so that rounding does not choose its way.
+        Rechenberg (1973). The search only compares costs, so rounding has little influence.
         """
         best, cost, size = raw, self.cost(raw), _FIRST_SIZE
         for _ in range(_STEPS):
@@ -251,7 +319,7 @@ class _Search:
 
 
 def _in_body(psi: Array, v: Array, a: Array) -> tuple[Array, Array]:
-    """Return body twists and their rates, of the derivatives of poses."""
+    """Return body twists and their rates from the derivatives of poses."""
     c, s = np.cos(psi), np.sin(psi)
     u, w, r = c * v[:, 0] + s * v[:, 1], c * v[:, 1] - s * v[:, 0], v[:, 2]
     du = c * a[:, 0] + s * a[:, 1] + r * w

@@ -1,4 +1,4 @@
-"""`identify`: the weak form, the delay and the identifiable directions, then output error."""
+"""`identify`: the weak form gives first estimates and the identifiable directions; output error refines."""
 
 from __future__ import annotations
 
@@ -31,22 +31,22 @@ from pinmobile.wheels import WheeledRobot, WheelTable
 
 METHODS = ("output error", "weak")
 
-_CLIPPED = 0.02  # of the rows
-_LEAST_SEGMENTS = 20  # fewer do not show how they differ
-_LENGTHS = 2.0, 1.5, 1.0  # [s] of a segment, the first that gives enough of them
+_CLIPPED = 0.02  # share of rows at an extreme from which an input counts as clipped
+_LEAST_SEGMENTS = 20  # fewer segments do not show the scatter
+_LENGTHS = 2.0, 1.5, 1.0  # [s] of a segment: the first length that gives enough segments
 _LATEST, _EARLIEST = 0.3, 0.05  # [s], range of delays
-_EXPLAINED = 0.5  # least share of the forces' mean square
+_EXPLAINED = 0.5  # smallest explained share of the mean square of the forces
 _MOST_GIVEN = 0.1  # largest given delay, as a share of the log
-_BIASED = 3.0  # standard deviations by which noise of inputs may bias output error
-_DRIFT = 1.0  # sample by which a delay may change along a log
-_MASSES = (0.02, 2e4)  # [kg] of ground robots
-_WIDEST = 10.0  # [m], largest radius of gyration, and distance of the centre of mass
-_LIGHTEST = 1.0  # [kg/m^2], mass per square of the radius of gyration; that of robots is some 100
-_TIMES_NOMINAL = 30.0
+_BIASED = 3.0  # largest bias of output error by input noise [standard deviations]
+_DRIFT = 1.0  # largest change of the delay along a log [samples]
+_MASSES = (0.02, 2e4)  # [kg], range of ground robots
+_WIDEST = 10.0  # [m], largest radius of gyration, and largest distance of the centre of mass
+_LIGHTEST = 1.0  # [kg/m^2], smallest mass per squared radius of gyration; robots have about 100
+_TIMES_NOMINAL = 30.0  # largest ratio of an estimated mass and the prior
 _SIGNIFICANT = 5.0  # standard deviations
-_COLOURED = 2.5  # times the bound of white residuals: five deviations of estimated noise
-_EARLY, _SURE = 0.5, 3.0  # sample, and standard deviations, by which poses may come before their inputs
-_DOMINANT = 0.9  # correlation of residuals that are almost only forces, which noise alone seldom has
+_COLOURED = 2.5  # multiple of the bound of white residuals: five standard deviations of estimated noise
+_EARLY, _SURE = 0.5, 3.0  # samples, and standard deviations, by which poses may precede their inputs
+_DOMINANT = 0.9  # correlation of residuals that unmodelled forces dominate; noise alone seldom reaches it
 
 
 def identify(
@@ -60,44 +60,66 @@ def identify(
 ) -> Identification:
     """Estimate mass, centre of mass, yaw inertia and friction from a robot log, with confidence intervals.
 
-    The weak form, which needs no accelerations, gives the start. Then simulations of 2 s are fitted to the
-    log (output error). Intervals are those of the jackknife over these segments (CR3) with Student's t. They
-    are valid where poses and forces are noisy. They do not cover the error of a wrong structure, such as slip
-    or resistance that depends on load: `Identification.is_noise` states whether residuals show one. A
-    constant offset of each input is estimated too, where the motion separates it from friction. Inputs are
-    constant between samples.
+    The weak form of the equations of motion, which needs no accelerations, gives first estimates. Output
+    error then fits simulations of segments of 2 s to the log. The confidence intervals come from the
+    jackknife over the segments (CR3) with Student's t.
+
+    The intervals are valid if poses and forces are noisy. They do not cover the error of a wrong model, such
+    as slip or resistance that depends on load: see `Identification.is_noise`. `identify` also estimates a
+    constant offset of each input if the motion separates the offset from friction.
 
     Parameters
     ----------
     log : Log or sequence of Log
         Measurements: at least 20 s of an informative motion, see `excitation`.
     robot : MobileRobot, WheeledRobot or WheelTable, optional
-        Robot assumed before: its numbers are kept where they are not identifiable; its wheels and motors stay
-        as they are. A wheel table assumes nothing else; the input is volts where wheels have electric motors,
-        otherwise torques. Default: a body pushed by forces.
+        Prior robot. Its numbers replace those that the log does not identify. Its wheels and motors are not
+        estimated. A wheel table gives only the wheels: its inputs are voltages if the wheels have electric
+        motors, otherwise torques. Default: a body driven by forces, without prior numbers.
     loads : sequence of PayloadBody or None, optional
-        Load that the robot carried in each log, in the body's frame. Loads that differ identify the scale of
-        the input too, such as an unknown torque constant: of logs of currents, the torque per ampere. One
-        scale is for all inputs.
+        Load on the robot in each log, in the body frame. Loads that differ make the scale of the inputs
+        identifiable, such as an unknown torque constant or the torque per ampere. All inputs have one scale.
     method : str
-        ``"output error"``, or ``"weak"``, the start alone: linear and fast, with intervals several times as
-        wide where forces are known well, and similar ones where they are not. It replaces output error where
-        noise of the inputs would bias that by more than three standard deviations.
+        ``"output error"`` or ``"weak"``. The weak form alone is linear and fast. Its intervals are several
+        times as wide if the forces are well known, and similar otherwise. It also replaces output error if
+        input noise would bias output error by more than three standard deviations.
     delay : float, optional
         Delay of poses relative to inputs [s]; default: estimated.
     rolling_speed : float, optional
-        Speed at which dry friction has 71 % of its size; default 0.01 m/s and rad/s, of wheels 0.1 rad/s.
+        Speed at which the smoothed dry friction reaches 71 % of its size. Default: 0.01 m/s and rad/s for a
+        body, 0.1 rad/s for wheels.
 
     Returns
     -------
     found : Identification
-        The estimates.
+        Estimates with their uncertainty.
 
     Raises
     ------
     InvalidArgument
-        If the log is too short, or of another robot, the units are wrong, the clocks drift, or a direction is
-        not identifiable and no robot is given.
+        If the log is too short or from another robot, units are wrong, clocks drift, or a parameter is not
+        identifiable and `robot` is not given.
+
+    See Also
+    --------
+    Log : measurements
+    excitation : informative motion within limits
+    identify_velocity : the same for a robot with velocity inputs
+    identification.Identification : the result
+
+    Examples
+    --------
+    A simulated robot of 30 kg gives the log:
+
+    >>> from pinmobile import ComputedTorque, Lissajous, Log, MobileRobot
+    >>> from pinmobile import Tangent, identify, rk4, simulate
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
+    >>> motion = Tangent(Lissajous(1, 1, 1.0, 0.5, duration=24))
+    >>> run = simulate(robot, ComputedTorque(robot), motion,
+    ...                dt=0.1, integrator=rk4)
+    >>> found = identify(Log.from_rollout(run, noise=1e-3), robot)
+    >>> round(found.parameters["mass"], 1)  # [kg]
+    30.0
     """
     logs = logs_of(log)
     one_of("method", method, METHODS)
@@ -126,7 +148,7 @@ def identify(
 
 
 def _clipped(log: Log, model: PlanarModel, name: str) -> str:
-    """Return which inputs of a log stay at their extremes, as clipped ones do; "" if none does."""
+    """Return in words the inputs of a log that stay at their extremes, as clipped inputs do; "" if none."""
     found = []
     for one, u in zip(model.inputs, log.u.T, strict=True):
         extreme = ((u == u.max()) | (u == u.min())) & (u != 0) & (np.ptp(u) > 0)
@@ -135,7 +157,7 @@ def _clipped(log: Log, model: PlanarModel, name: str) -> str:
             extremes = (
                 f"stays at {u.min():.4g} or {u.max():.4g}, its extremes, in {stays.mean():.0%} of the rows"
             )
-            found.append(f"input {one} of {name} {extremes}: if it was clipped, the estimates are wrong")
+            found.append(f"input {one} of {name} {extremes}: if this input was clipped, estimates are wrong")
     return "; ".join(found)
 
 
@@ -156,8 +178,8 @@ def _identified(
         prior = np.insert(prior, model.dry.stop, np.zeros(model.nu))
     if told and prior is None:
         raise InvalidArgument(
-            f"log has a motion of rank {seen.shape[1]} of {len(scales)}: {told}; expected one that excites "
-            "more, see excitation, or robot=..., which is kept where nothing is seen"
+            f"log has a motion of rank {seen.shape[1]} of {len(scales)}: {told}; expected a more informative "
+            "motion (see excitation), or robot=... with prior values of these parameters"
         )
     basis, base = scales[:, None] * seen, np.zeros(len(scales)) if prior is None or not told else prior
     late = _first_delay(form, base, basis) if delay is None else delay / dt
@@ -168,8 +190,8 @@ def _identified(
     kept = len(segments.start)
     if kept < _LEAST_SEGMENTS // 2:
         raise InvalidArgument(
-            f"log has {kept} segments of {seconds:g} s in which half of the poses are measured and no "
-            f"outliers, expected {_LEAST_SEGMENTS}: does the motion jump between poses?"
+            f"log has {kept} segments of {seconds:g} s with at least half of the poses measured and without "
+            f"outliers, expected {_LEAST_SEGMENTS}: do the poses jump?"
         )
     start = model.possible(fit.phi, scales)
     problem = PlanarProblem(model, start, basis, fit.delay, not given and not told)
@@ -225,15 +247,16 @@ class _Estimate(NamedTuple):
 
     Attributes
     ----------
-    fit, plain : Fit
-        The fit to residuals made white where noise of forces is behind them, and first states that fit best
-        to residuals as they are.
+    fit : Fit
+        Fit to the residuals, whitened if force noise contributes to them.
+    plain : Fit
+        Fit of the initial states alone to residuals that are not whitened.
     covariance : ndarray, shape (P, P)
         Covariance of the numbers.
     bias : float
-        Bias by noise of the inputs, in standard deviations.
+        Bias by input noise, in standard deviations.
     is_noise : bool
-        Whether noise of sensors and inputs explains the residual: otherwise the structure is wrong.
+        Whether sensor and input noise explains the residuals. Otherwise the model structure is wrong.
     """
 
     fit: Fit
@@ -244,14 +267,14 @@ class _Estimate(NamedTuple):
 
 
 def _output_error(problem: PlanarProblem, segments: Segments, moves: bool) -> _Estimate:
-    """Return the estimate of segments, or where nothing moves the residual at its start."""
+    """Return the estimate from segments; if `moves` is false, estimate the initial states alone."""
     fit = plain = solve(problem, segments, problem.start, moves=moves)
     if problem.free:
         _check_drift(fit.near)
     gradient, bias = np.zeros(len(fit.p)), 0.0
     noise = None if _whiteness(fit, segments).is_white or not moves else _noise(problem, segments, fit)
     if noise is not None and not noise.remembers:
-        # A controller may answer to a force that remembers: weights for it would be those of the answer.
+        # The controller responds to a correlated force, so whitening would fit the controller's response.
         gradient = input_noise_gradient(problem, segments, fit, noise)
         near = Linear.of(problem, segments, fit.p, fit.starts, noise.white)
         way = np.linalg.lstsq(np.einsum("smp,smq->pq", near.J, near.J), gradient, rcond=None)[0]
@@ -282,9 +305,9 @@ def _whiteness(fit: Fit, segments: Segments) -> Whiteness:
 
 
 def _moments(loads: Sequence[PayloadBody | None] | None, count: int) -> list[Array]:
-    """Return mass, moments and inertia about the body's origin of the load of each log, shape (4,) each."""
+    """Return mass, first moments and inertia about the body origin of the load of each log, shape (4,)."""
     expected = (
-        f"a PayloadBody or None for each of {count} logs, which differ: they identify the scale of the input"
+        f"a PayloadBody or None for each of {count} logs: loads that differ identify the scale of the inputs"
     )
     given = [None] * count if loads is None else sequence("loads", loads, expected)
     found = []
@@ -298,7 +321,7 @@ def _moments(loads: Sequence[PayloadBody | None] | None, count: int) -> list[Arr
 
 
 def _on_wheels(table: WheelTable) -> Any:
-    """Return a robot on wheels, with an arbitrary body heavier than these."""
+    """Return a wheeled robot with an arbitrary body that is heavier than the wheels."""
     robot = WheeledRobot(MobileRobot(1e4, 1e4), table)
     return robot.by_voltage() if any(each.motor.is_electric for each in table.actuators) else robot
 
@@ -307,8 +330,8 @@ def _check_late(late: float, error: float, dt: float) -> None:
     if late < -_EARLY - _SURE * error:
         raise InvalidArgument(
             f"log has poses {-1e3 * late * dt:.3g} ms ({-late:.1f} samples) ahead of the inputs that move "
-            "the robot, expected a delay of 0 or more: are they of two clocks, are inputs clipped, or does a "
-            "force act that the model lacks? delay=0 takes it as zero."
+            "the robot, expected a delay of 0 or more: do two clocks give the times, are inputs clipped, or "
+            "does the model lack a force? delay=0 sets the delay to zero."
         )
 
 
@@ -320,14 +343,14 @@ def _segment(logs: Sequence[PreprocessedLog]) -> float:
             return seconds
     raise InvalidArgument(
         f"log is {spans.sum():.3g} s long, too short, expected at least "
-        f"{(_LEAST_SEGMENTS + 0.5) * _LENGTHS[-1]:g} s, better 60 s: intervals come from many segments"
+        f"{(_LEAST_SEGMENTS + 0.5) * _LENGTHS[-1]:g} s, better 60 s: intervals need many segments"
     )
 
 
 def _first_delay(form: WeakForm, base: Array, basis: Array) -> float:
-    """Return the delay at which the weak form leaves least, in samples."""
+    """Return the delay with the smallest residual of the weak form [samples]."""
     if basis.shape[1] < len(base):
-        return 0.0  # the motion does not identify it
+        return 0.0  # the motion does not identify the delay
     dt = form.logs[0].dt
     delays = np.arange(-max(2, round(_EARLIEST / dt)), max(4, round(_LATEST / dt)) + 0.25, 0.5)
     k, late, explained = form.first_delay(delays, base, basis)
@@ -337,14 +360,14 @@ def _first_delay(form: WeakForm, base: Array, basis: Array) -> float:
         _check_late(late, 0.0, dt)
     if k == len(delays) - 1:
         raise InvalidArgument(
-            f"log has poses that come late by {dt * late:.3g} s or more, expected less: are poses and "
-            "inputs of two clocks?"
+            f"log has poses that lag the inputs by {dt * late:.3g} s or more, expected less: do two clocks "
+            "give the times of poses and inputs?"
         )
     return late
 
 
 def _check_drift(near: Linear) -> None:
-    """Refuse a log whose delay changes along it, because one of two clocks is faster."""
+    """Reject a log in which the delay drifts, because one of two clocks is faster."""
     by_delay = near.J[..., -1]
     gradient, curvature = (by_delay * near.e).sum(axis=1), (by_delay**2).sum(axis=1)
     time = np.linspace(-0.5, 0.5, len(gradient))
@@ -353,39 +376,39 @@ def _check_drift(near: Linear) -> None:
     deviation = np.sqrt(((gradient - curvature * time * slope) ** 2 * time**2).sum()) / weight
     if abs(slope) > max(_DRIFT, _SIGNIFICANT * deviation):
         raise InvalidArgument(
-            f"log has poses whose delay changes by {slope:.2g} samples from start to end: two clocks, "
-            "one of which is faster, expected times of one"
+            f"log has a delay of the poses that changes by {slope:.2g} samples from start to end, expected "
+            "times of one clock: one of two clocks is faster"
         )
 
 
 def _check(model: PlanarModel, fit: WeakFit, prior: Array | None) -> None:
-    """Refuse estimates of no robot, or of another one than is assumed."""
+    """Reject estimates that no robot can have, or that differ too much from the prior."""
     if fit.explained < _EXPLAINED:
         raise unexplained(fit.explained)
     phi, mass = fit.phi, float(fit.phi[0])
     wrong, ratio = f"a mass of {mass:.3g} kg", 1.0 if prior is None else mass / prior[0]
     is_so = not _MASSES[0] < mass < _MASSES[1]
     if mass > 0 and not 1 / _TIMES_NOMINAL < ratio < _TIMES_NOMINAL:
-        wrong, is_so = f"{wrong}, {ratio:.3g} times that of the robot", True
+        wrong, is_so = f"{wrong}, {ratio:.3g} times the mass of the robot", True
     elif not is_so and model.are_possible(phi):
         radius = float(np.sqrt(model.to_physical(phi)[3] / mass))
         is_so = max(radius, np.hypot(*phi[1:3]) / mass) > _WIDEST or mass < _LIGHTEST * radius**2
         wrong = f"a radius of gyration of {radius:.3g} m with {wrong}"
     if is_so:
         raise InvalidArgument(
-            f"log leads to {wrong}, expected those of a robot: are forces in N, moments in N m, positions in "
-            "metres and psi in radians, or have inputs another sign or frame?"
+            f"log leads to {wrong}, expected values of a robot: are forces in N, moments in N m, positions "
+            "in metres and psi in radians, or do inputs have another sign or frame?"
         )
 
 
 def _in_words(model: PlanarModel, unseen: Array) -> str:
-    """Return directions of the parameters that are not identifiable in words; "" where all are."""
-    from scipy.sparse.csgraph import connected_components  # here, because it takes long to load
+    """Return in words the directions of the parameters that are not identifiable; "" if all are."""
+    from scipy.sparse.csgraph import connected_components  # slow to load
 
     names, hidden = np.array([one.name for one in model.quantities]), unseen @ unseen.T
     share = np.diag(hidden)
     alone, mixed = names[share > 0.98], np.flatnonzero((share > 0.02) & (share <= 0.98))
     count, group = connected_components(np.abs(hidden[np.ix_(mixed, mixed)]) > 0.05)
-    told = [f"the motion does not tell {', '.join(alone)}"] if alone.size else []
+    told = [f"the motion does not identify {', '.join(alone)}"] if alone.size else []
     groups = (", ".join(names[mixed[group == k]]) for k in range(count))
-    return "; ".join([*told, *(f"of {each} it tells combinations alone" for each in groups)])
+    return "; ".join([*told, *(f"the motion identifies only combinations of {each}" for each in groups)])
