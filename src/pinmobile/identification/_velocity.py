@@ -21,20 +21,20 @@ from pinmobile.identification._simulation import Quantity, Segments, simulate
 from pinmobile.identification._velocity_robot import ABOVE_ZERO, THETA, VelocityRobot, rates_of, rolling_of
 from pinmobile.identification._weak_form import Bump, fitted, scanned
 
-_LEAST_SEGMENTS, _SECONDS = 20, 2.0  # number and length [s] of segments
-_LATEST, _MOST_LATE = 0.6, 60  # largest delay, in s and samples
-_STILL = 1e-9  # [m/s, rad/s]: commands that change less do not
-_TOGETHER = 0.2  # correlation of residuals of neighbouring samples that is more than noise
-_EXPLAINED, _LEAST = 0.8, 0.5  # share of the measurements below which something is wrong, or the robot
-_GAINS = 0.1, 10.0  # command per steady speed or yaw rate of any robot
-_FARTHEST = 10.0  # [m]: ahead of the axle
-_NEUTRAL = {"theta_3": 0.0, "theta_4": 1.0, "theta_5": 0.0, "theta_6": 1.0}  # of a robot without losses
-_WINDOW = 0.8  # [s] of the weak form that gives a start
-_FINEST = 1e-4  # [m, rad]: least noise of poses
-_FINE = 0.3  # of the shortest time constant: longest time step of Runge and Kutta
-_BENDS = 4  # times as many where a limit of acceleration ends within one
-_MOST_STEPS = 40  # of it per sample
-_SLOPE = 1e-4  # of the size of a number, in differences
+_LEAST_SEGMENTS, _SECONDS = 20, 2.0  # smallest number, and length [s], of segments
+_LATEST, _MOST_LATE = 0.6, 60  # largest delay [s] and [samples]
+_STILL = 1e-9  # [m/s, rad/s]: commands that change less count as constant
+_TOGETHER = 0.2  # largest correlation of successive residuals that counts as noise
+_EXPLAINED, _LEAST = 0.8, 0.5  # explained share of the motion below which a note, or an error, follows
+_GAINS = 0.1, 10.0  # range of the command per steady speed or yaw rate
+_FARTHEST = 10.0  # [m]: largest distance ahead of the axle
+_NEUTRAL = {"theta_3": 0.0, "theta_4": 1.0, "theta_5": 0.0, "theta_6": 1.0}  # without losses and offset
+_WINDOW = 0.8  # [s], window of the weak form that gives first estimates
+_FINEST = 1e-4  # [m, rad]: smallest noise of poses
+_FINE = 0.3  # longest time step of the integrator, as a share of the shortest time constant
+_BENDS = 4  # factor on the number of steps where a limit of acceleration may end within a step
+_MOST_STEPS = 40  # largest number of steps per sample
+_SLOPE = 1e-4  # step of differences, as a share of the size of a number
 _COUPLING = [2, 4]  # theta_3 and theta_5
 _LIMITS = "acceleration", "yaw_acceleration"
 _OTHERS = {
@@ -43,7 +43,7 @@ _OTHERS = {
     _LIMITS[0]: Quantity(_LIMITS[0], "m/s^2", False, f"accelerations.{_LIMITS[0]}"),
     _LIMITS[1]: Quantity(_LIMITS[1], "rad/s^2", False, f"accelerations.{_LIMITS[1]}"),
 }
-_SIZES = {  # value without information, size where it is not that of the number, least size
+_SIZES = {  # prior value, typical size (NaN: that of the number), smallest size
     **dict.fromkeys(("theta_1", "theta_2"), (0.3, np.nan, 1e-6)),
     **dict.fromkeys(("theta_4", "theta_6"), (1.0, np.nan, 1e-6)),
     **dict.fromkeys(("theta_3", "theta_5"), (0.0, 1.0, 0.1)),
@@ -54,20 +54,20 @@ _SIZES = {  # value without information, size where it is not that of the number
 
 @dataclass(frozen=True, eq=False)
 class VelocityModel:
-    """Robot with velocity inputs: theta, and further numbers.
+    """Model of a robot with velocity inputs: theta and further numbers.
 
     Parameters
     ----------
     free : tuple of str
-        Further numbers: ``"delay"``, ``"ahead"``, ``"acceleration"`` and ``"yaw_acceleration"``.
+        Further estimated numbers: ``"delay"``, ``"ahead"``, ``"acceleration"``, ``"yaw_acceleration"``.
     given : mapping of str to float
-        Values of those that are not identified [s, m, m/s^2, rad/s^2].
+        Values of the numbers that are not estimated [s, m, m/s^2, rad/s^2].
     lead : int
-        Largest delay, in samples.
+        Largest delay [samples].
     dt : float
-        Time between two samples [s].
+        Time step [s].
     is_pose : bool
-        Whether poses are measured, otherwise speed and yaw rate.
+        Whether poses are measured; otherwise speed and yaw rate are.
     """
 
     free: tuple[str, ...]
@@ -80,7 +80,7 @@ class VelocityModel:
 
     @cached_property
     def quantities(self) -> tuple[Quantity, ...]:
-        """Identified numbers."""
+        """Estimated numbers."""
         theta = [Quantity(name, unit, False, f"theta.{name}") for name, unit, _ in THETA]
         return (*theta, *(_OTHERS[name] for name in self.free))
 
@@ -94,35 +94,35 @@ class VelocityModel:
         return PlanarModel.measured if self.is_pose else (("speed", "m/s"), ("yaw rate", "rad/s"))
 
     def sizes(self, p: Array) -> Array:
-        """Return the sizes of numbers like p, shape (P,)."""
+        """Return the typical sizes of numbers near p, shape (P,)."""
         return np.asarray(np.maximum(np.abs(p), self._sizes[2]))
 
     def natural(self, p: Array) -> tuple[Array, Array]:
-        """Return the sizes of numbers like p, shape (P,), and their values without information."""
+        """Return the typical sizes of numbers near p, and their prior values, shape (P,) each."""
         first, given, _ = self._sizes
         return np.where(np.isnan(given), np.abs(p), given), first
 
     def others(self, p: Array) -> dict[str, Array]:
-        """Return delay, distance ahead of the axle and limits of numbers p (K, P), shape (K,) each."""
+        """Return delay, distance ahead of the axle and limits by name, shape (K,) each, for p (K, P)."""
         known = {name: np.full(len(p), value) for name, value in self.given.items()}
         return known | {name: p[:, 6 + k] for k, name in enumerate(self.free)}
 
     def is_possible(self, p: Array) -> bool:
-        """Return whether there is a robot of such numbers, shape (P,), that is not too late."""
+        """Return whether the numbers p, shape (P,), are possible and the delay is within its range."""
         late = self.others(p[None])["delay"][0] / self.dt
         return bool(np.isfinite(p).all() and self.are_possible(p) and -1 < late < self.lead)
 
     def are_possible(self, p: Array) -> Any:
-        """Return which numbers, shape (..., P), are of a robot."""
+        """Return which numbers, shape (..., P), a robot can have."""
         above = [k for k, one in enumerate(self.quantities) if k in ABOVE_ZERO or one.name in _LIMITS]
         return (p[..., above] > 0).all(axis=-1)
 
     def increments(self, p: Array) -> Array:
-        """Return the steps of differences."""
+        """Return the steps of central differences, shape (P,)."""
         return _SLOPE * self.sizes(p)
 
     def resolved(self, segments: Segments, p: Array) -> tuple[Array, Array, float]:
-        """Return theta, distance ahead of the axle and limits, delays and the longest time step."""
+        """Return the numbers of the rates, delays [samples] and the longest time step [s]."""
         others, theta = self.others(p), p[:, :6]
         numbers = np.column_stack([theta, others["ahead"], *(others[name] for name in _LIMITS)])[:, None]
         bends = _BENDS if np.isfinite(numbers[..., 7:]).any() else 1
@@ -131,28 +131,28 @@ class VelocityModel:
         return numbers, others["delay"] / self.dt, longest
 
     def rates(self, z: Any, u: Any, numbers: Any) -> Any:
-        """Return the rates of speed and yaw rate, then of x, y and psi where poses are measured."""
+        """Return the rates of speed and yaw rate, and of x, y and psi if poses are measured."""
         faster = rates_of(numbers[:6], numbers[7:], z[:2], u)
         return np.concatenate([faster, rolling_of(numbers[6], z[2:], z[:2])]) if self.is_pose else faster
 
     def observed(self, segments: Segments, states: Array) -> Array:
-        """Return poses, or speeds and yaw rates."""
+        """Return the measurements: poses, or speed and yaw rate."""
         return states[..., 2:] if self.is_pose else states
 
     def to_physical(self, p: Array) -> Array:
-        """Return the numbers as they are."""
+        """Return the numbers unchanged."""
         return p
 
     def slopes(self, p: Array) -> Array:
-        """Return the derivatives of the numbers by themselves, shape (P, P)."""
+        """Return the identity: the derivatives of `to_physical`, shape (P, P)."""
         return np.eye(len(p))
 
     def plausible(self, p: Array, covariance: Array) -> Array:
-        """Return the numbers as they are."""
+        """Return the numbers unchanged."""
         return p
 
     def robot(self, found: Identification) -> VelocityRobot:
-        """Return the robot as identified; see `Identification.robot`."""
+        """Return the identified robot; see `Identification.robot`."""
         check_identifiable("robot", found.unseen)
         others = {name: float(x[0]) for name, x in self.others(found.phi[None]).items()}
         source = f"identified from {found.samples} samples in {found.segments} segments"
@@ -160,18 +160,18 @@ class VelocityModel:
         return VelocityRobot(found.theta, others["ahead"], accelerations=most, source=source)
 
     def forces(self, found: Identification) -> list[Any]:
-        """Return none: losses are in theta."""
+        """Return no forces: theta includes the losses."""
         return []
 
     def notes(self, found: Identification) -> list[str]:
-        """Return which numbers may be neutral, and which no robot has."""
+        """Return notes on numbers that may be neutral, and on numbers that no robot can have."""
         bounds = found.interval()
         neutral = [n for n, x in _NEUTRAL.items() if bounds[n][0] <= x <= bounds[n][1]]
-        told = [f"{n}{' - 1' * bool(_NEUTRAL[n])} may as well be zero" for n in neutral]
+        told = [f"the interval of {n}{' - 1' * bool(_NEUTRAL[n])} contains zero" for n in neutral]
         if found.explained < _EXPLAINED:
             told.append(
-                f"the model explains {found.explained:.0%} of the measurements: are commands and motion of "
-                "one robot, and by one clock?"
+                f"the model explains {found.explained:.0%} of the measurements: do commands and motion come "
+                "from one robot, with times of one clock?"
             )
         if not found.unseen:
             pairs = zip(found.names, found.theta.tolist(), strict=False)
@@ -181,7 +181,7 @@ class VelocityModel:
     def predicted(
         self, found: Identification, log: Log, seconds: float | None
     ) -> tuple[Segments, Array, NDArray[np.bool_], Array]:
-        """Return segments of a log, measured less simulated, good samples, and the noise."""
+        """Return segments of a log, residuals, mask of good samples, and the noise."""
         length = found.seconds if seconds is None else scalar("seconds", seconds)
         segments, calm, _ = _cut([log], length, 1, self.is_pose)
         model = replace(self, dt=float(segments.dt[0]), lead=segments.lead - 1)
@@ -196,41 +196,65 @@ def identify_velocity(
     ahead: float | None = 0.0,
     accelerations: ArrayLike | None = np.inf,
 ) -> Identification:
-    """Estimate the theta of a `VelocityRobot` from a log of its commands and its motion.
+    """Estimate theta of a `VelocityRobot` from a log of its commands and its motion.
 
-    The inputs of the log are commands of speed and yaw rate; measured is the twist where the log has one,
-    such as from encoders, otherwise the pose. Output error: simulations of segments of 2 s, from free first
-    states, are fitted to the measurements, weighted by the covariance of the residual, without samples
-    beyond six standard deviations. Intervals are those of the jackknife over segments with Student's t. They
-    are valid where noise is correlated too; they do not cover the error of a wrong structure. The weak form
-    gives the start and the first delay.
+    The inputs of the log are commands of speed and yaw rate. The measurements are the twist if the log has
+    one, such as from encoders, and otherwise the pose. The weak form of the equations gives first estimates
+    and a first delay. Output error then fits simulations of segments of 2 s to the measurements. It weights
+    residuals by their covariance and drops samples beyond six standard deviations.
 
-    Speed and yaw rate must change often and independently, such as by `RandomSteps`.
+    The confidence intervals come from the jackknife over segments with Student's t. They are also valid if
+    the noise is correlated. They do not cover the error of a wrong model.
+
+    Speed and yaw rate must change often and independently, for example by `controllers.RandomSteps`.
 
     Parameters
     ----------
-    log : Log, or sequence of these
-        Commands and motion, of at least 20 segments.
+    log : Log or sequence of Log
+        Commands and motion, at least 20 segments of 2 s.
     delay : float, optional
-        Delay of measurements relative to commands, beside theta [s]; default: estimated, and intervals of the
-        other numbers include its uncertainty.
+        Delay of measurements relative to commands [s]; default: estimated. The intervals of the other
+        numbers then include the uncertainty of the delay.
     ahead : float, optional
         Distance of the measured point ahead of the axle [m]; None: estimated from poses.
     accelerations : array_like, shape () or (2,), optional
-        Largest |u'| and |w'| that the firmware allows [m/s^2, rad/s^2]; None: estimated from a log that
-        reaches them.
+        Largest absolute accelerations of the firmware, of speed and yaw rate [m/s^2, rad/s^2]; infinite: no
+        limit. None: estimated from a log that reaches the limits.
+
+    Returns
+    -------
+    found : Identification
+        Estimates of theta and of the further numbers.
 
     Raises
     ------
     InvalidArgument
-        If the log is too short, its input is of another robot or in other units, commands do not change or
-        explain less than half of the motion, or an argument is not in its range.
+        If the log is too short or from another robot, units are wrong, commands do not change or explain
+        less than half of the motion, or an argument is out of range.
+
+    See Also
+    --------
+    VelocityRobot : the model
+    controllers.RandomSteps : commands for an informative log
+    identify : the same for a robot with forces, torques or voltages as inputs
+
+    Examples
+    --------
+    >>> from pinmobile import FixedHeading, Hold, Log
+    >>> from pinmobile import VelocityRobot, identify_velocity, simulate
+    >>> from pinmobile.controllers import RandomSteps
+    >>> robot = VelocityRobot([0.4, 0.3, 0.0, 1.0, 0.0, 1.0])
+    >>> still = FixedHeading(Hold((0, 0), duration=44), psi=0)
+    >>> run = simulate(robot, RandomSteps(), still, dt=0.1)
+    >>> found = identify_velocity(Log.from_rollout(run, noise=1e-4))
+    >>> found.theta[:2].round(2)  # robot: 0.4 and 0.3 [s]
+    array([0.4, 0.3])
     """
     logs = logs_of(log)
     segments, calm, runs = _cut(logs, _SECONDS, _LEAST_SEGMENTS)
     dt, lead, is_pose = runs[0].dt, _lead(runs), runs[0].twist is None
     if ahead is None and not is_pose:
-        raise InvalidArgument("ahead is None, and the log measures a twist, which does not tell it: give it")
+        raise InvalidArgument("ahead is None, expected a number [m]: a log of twists does not identify it")
     sought = {"delay": delay is None, "ahead": ahead is None, **dict.fromkeys(_LIMITS, accelerations is None)}
     most = VelocityRobot(np.ones(6), accelerations=np.inf if accelerations is None else accelerations)
     given = {
@@ -258,7 +282,7 @@ def identify_velocity(
     for k in (3, 5):
         if not (lost[k] or _GAINS[0] < found.p[k] < _GAINS[1]):
             raise InvalidArgument(
-                f"log leads to {THETA[k][0]}, {THETA[k][2].partition(':')[0]}, of {found.p[k]:.3g}, expected "
+                f"log leads to {THETA[k][0]} = {found.p[k]:.3g} ({THETA[k][2].partition(':')[0]}), expected "
                 "about 1: are commands in m/s and rad/s, positions in metres and psi in radians?"
             )
     covariance, good = np.zeros((len(p), len(p))), found.good
@@ -271,7 +295,7 @@ def identify_velocity(
         covariance_of_phi=covariance,
         freedom=len(good) - 1,
         rank=rank,
-        unseen=f"the motion tells nothing of {listed}: rank {rank} of {len(p)}" if listed else "",
+        unseen=f"the motion does not identify {listed}: rank {rank} of {len(p)}" if listed else "",
         hidden=lost.astype(float),
         unknown=np.zeros((len(p), 0)),
         delay=float(model.others(found.p[None])["delay"][0]),
@@ -291,15 +315,15 @@ def identify_velocity(
 
 
 def _explained(segments: Segments, found: Fit, calm: NDArray[np.bool_]) -> tuple[Array, float]:
-    """Return the residual's mean squares, and the explained share of the worse of speed and yaw rate."""
+    """Return the mean squares of the residuals, and the explained share of speed or yaw rate (the worse)."""
     y, square = segments.y, (found.near.residual[found.good] ** 2).mean(axis=0)
     left, is_pose = square, y.shape[-1] == 3
-    if is_pose:  # starts are free: residuals of straight lines in time
+    if is_pose:  # initial states are free: subtract a straight line in time
         t = np.linspace(-1.0, 1.0, y.shape[1])[:, None]
         y = y - y.mean(axis=1, keepdims=True)
         y = y - t * ((t * y).sum(axis=1, keepdims=True) / (t * t).sum())
     spent = y[found.good & calm].var(axis=0)
-    if is_pose:  # a robot may go along one axis
+    if is_pose:  # the robot may move along one axis only
         left, spent = (np.array([each[:2].sum(), each[2]]) for each in (left, spent))
     commanded = np.ptp(segments.inputs[segments.at], axis=(0, 1)) > _STILL
     share = float(1 - (left / np.maximum(spent, 1e-300))[commanded].max(initial=0.0))
@@ -311,18 +335,18 @@ def _explained(segments: Segments, found: Fit, calm: NDArray[np.bool_]) -> tuple
 def _cut(
     logs: list[Log], seconds: float, least: int, is_pose: bool | None = None
 ) -> tuple[Segments, NDArray[np.bool_], list[Samples]]:
-    """Return segments of a length [s], where they are calm, and the logs checked."""
+    """Return segments of a length [s], a mask of samples without gross outliers, and the checked logs."""
     for one in logs:
         if one.u.shape[1] != 2:
             raise InvalidArgument(
-                f"log has {one.u.shape[1]} inputs, expected two, commands of speed and yaw rate: is it of "
-                "a robot that takes forces? Then identify"
+                f"log has {one.u.shape[1]} inputs, expected two, commands of speed and yaw rate: for forces, "
+                "torques or voltages use identify"
             )
         check_units(one, "log", {"speed": "m/s", "yaw rate": "rad/s"})
     runs = [one.samples() for one in logs]
     is_pose = runs[0].twist is None if is_pose is None else is_pose
     if any((run.twist is None) != is_pose for run in runs):
-        raise InvalidArgument("log measures a twist, and another one a pose, expected the same of all")
+        raise InvalidArgument("log has a twist, and another log has none, expected a twist in all or in none")
     check_steps([run.dt for run in runs])
     dt, lead = runs[0].dt, _lead(runs) + 1
     length, parts, calms = max(3, round(bounded("seconds", seconds, least=3 * dt, unit="s") / dt)), [], []
@@ -336,23 +360,23 @@ def _cut(
     found = Segments.joined(parts)
     if len(found.y) < least:
         raise InvalidArgument(
-            f"log is {sum(float(run.t[-1]) for run in runs):.3g} s long, which gives {len(found.y)} segments "
-            f"of {seconds:g} s, too short: expected {least}, so that intervals are valid: "
-            f"{(least + 0.5) * seconds:g} s and more"
+            f"log is {sum(float(run.t[-1]) for run in runs):.3g} s long, too short: it gives {len(found.y)} "
+            f"segments of {seconds:g} s, expected {least} for valid intervals: "
+            f"{(least + 0.5) * seconds:g} s or more"
         )
     if least > 1 and not (np.ptp(found.inputs, axis=0) > _STILL).any():
-        raise InvalidArgument("log has commands that never change, expected excitation, such as RandomSteps")
+        raise InvalidArgument("log has constant commands, expected changing commands, such as RandomSteps")
     return found, np.concatenate(calms), runs
 
 
 def _lead(runs: Sequence[Samples]) -> int:
-    """Return the largest delay of a command, in samples."""
+    """Return the largest delay of a command [samples]."""
     dt = runs[0].dt
     return max(3, min(_MOST_LATE, round(_LATEST / dt), min(len(run.t) for run in runs) // 10))
 
 
 def _guess(model: VelocityModel, runs: Sequence[Samples]) -> Array:
-    """Return the first numbers, shape (P,): theta and the delay by the weak form, without rates of speeds."""
+    """Return first estimates, shape (P,): theta and the delay by the weak form, without accelerations."""
     prior, dt, rows = model._sizes[0], model.dt, []
     bump, nus = Bump.of(_WINDOW, dt), [_read(run)[2] for run in runs]
     over = bump.over
@@ -378,7 +402,7 @@ def _guess(model: VelocityModel, runs: Sequence[Samples]) -> Array:
 
 
 def _read(run: Samples) -> tuple[Array, Array, Array]:
-    """Return measurements, shape (N, k), these without gross outliers of poses, and speed and yaw rate."""
+    """Return measurements, shape (N, k), the same without gross outliers, and speed and yaw rate."""
     if run.twist is not None:
         return (run.twist[:, [0, 2]],) * 3
     y = np.asarray(run.q)

@@ -1,4 +1,4 @@
-"""`VelocityRobot`: a robot whose inputs are speeds, its theta, and published ones, `VELOCITY_ROBOTS`."""
+"""`VelocityRobot`: a robot with velocity inputs; `VELOCITY_ROBOTS`: robots with published parameters."""
 
 from __future__ import annotations
 
@@ -47,20 +47,20 @@ from pinmobile.robot import MobileRobot
 from pinmobile.wheels import ByVoltage, Reduced, WheeledRobot, WheelTable
 
 THETA: tuple[tuple[str, str, str], ...] = (
-    ("theta_1", "s", "inertia of the speed, over the gain of its loop"),
-    ("theta_2", "s", "inertia of the yaw rate, over the gain of its loop"),
-    ("theta_3", "s m/rad^2", "what a centre of mass ahead of the axle does to the speed"),
-    ("theta_4", "", "command per steady speed: 1, and losses over the gain"),
-    ("theta_5", "s/m", "what a centre of mass ahead of the axle does to the yaw rate"),
-    ("theta_6", "", "command per steady yaw rate: 1, and losses over the gain"),
+    ("theta_1", "s", "inertia of the speed divided by the gain of its loop"),
+    ("theta_2", "s", "inertia of the yaw rate divided by the gain of its loop"),
+    ("theta_3", "s m/rad^2", "effect of a centre of mass ahead of the axle on the speed"),
+    ("theta_4", "", "command per steady speed: 1 + losses divided by the gain"),
+    ("theta_5", "s/m", "effect of a centre of mass ahead of the axle on the yaw rate"),
+    ("theta_6", "", "command per steady yaw rate: 1 + losses divided by the gain"),
 )
 # Name, unit and meaning of each of the six parameters.
 
-ABOVE_ZERO = 0, 1, 3, 5  # without inertia there is no law, and without losses speeds grow by themselves
+ABOVE_ZERO = 0, 1, 3, 5  # zero inertia makes the model singular; zero losses make it unstable
 
 
 def rates_of(theta: Any, most: Any, nu: Any, u: Any) -> Any:
-    """Return the rates of speed and yaw rate nu for commands u, within largest ones, shape (..., 2)."""
+    """Return the rates of speed and yaw rate nu for commands u, limited to +-most, shape (..., 2)."""
     speed, w = nu[..., 0], nu[..., 1]
     one, two, three, four, five, six = (theta[..., k] for k in range(len(THETA)))
     faster = (three * (w * w) - four * speed + u[..., 0]) / one
@@ -69,7 +69,7 @@ def rates_of(theta: Any, most: Any, nu: Any, u: Any) -> Any:
 
 
 def rolling_of(ahead: Any, q: Any, nu: Any) -> Any:
-    """Return the rates of x, y and psi, of a point ahead of the axle, shape (..., 3)."""
+    """Return the rates of x, y and psi of a point ahead of the axle, shape (..., 3)."""
     c, s, u, w = np.cos(q[..., 2]), np.sin(q[..., 2]), nu[..., 0], nu[..., 1]
     return stacked(u * c - ahead * w * s, u * s + ahead * w * c, w)
 
@@ -79,13 +79,13 @@ def stacked(*columns: Any) -> Any:
     return np.stack(np.broadcast_arrays(*columns), axis=-1)
 
 
-_SAME = 1e-9  # relative, of two wheels that are alike
+_SAME = 1e-9  # largest relative difference of two equal wheels
 
 
 def theta_of_motors(
     wheeled: WheeledRobot | ByVoltage, kp: float, kd: float
 ) -> tuple[list[float], dict[str, Any]]:
-    """Return theta, and further fields of a robot; see `VelocityRobot.from_motors`."""
+    """Return theta and further fields of a robot; see `VelocityRobot.from_motors`."""
     robot: Any = wheeled.wheeled if isinstance(wheeled, ByVoltage) else wheeled
     instance("wheeled", robot, WheeledRobot, "a WheeledRobot")
     kp, kd = positive("kp", kp, "V s/rad"), non_negative("kd", kd, "V s^2/rad")
@@ -110,7 +110,7 @@ def theta_of_motors(
 
 
 def _pair_of(robot: WheeledRobot) -> tuple[Any, Any]:
-    """Return a wheel and a motor of a robot on two driven wheels that are alike."""
+    """Return a wheel and a motor of a robot on two equal driven wheels."""
     table, is_pair = robot.table, False
     if not (robot.robot.nv > 3 or table.axes or table.couplings) and len(table) == len(table.actuators) == 2:
         one, other = table.wheels
@@ -119,8 +119,8 @@ def _pair_of(robot: WheeledRobot) -> tuple[Any, Any]:
         is_pair = plain and np.allclose(a, b, _SAME, _SAME) and one.motor == other.motor
     if not (is_pair and one.motor and one.motor.is_electric):
         raise InvalidArgument(
-            "wheeled has arms, or other wheels or motors, expected two fixed wheels on one axle, alike, each "
-            "with the same Motor(resistance=..., torque_constant=..., voltage=...), and casters: "
+            "wheeled has arms, or other wheels or motors, expected two equal fixed wheels on one axle, each "
+            "with the same Motor(resistance=..., torque_constant=..., voltage=...), and casters: use "
             "WheelTable.differential"
         )
     return one, one.motor
@@ -130,7 +130,7 @@ _Method = TypeVar("_Method", bound=Callable[..., Any])
 
 
 def _arrays(**sizes: int) -> Callable[[_Method], _Method]:
-    """Let a method check its arrays of so many numbers, and take symbols as they are."""
+    """Decorate a method so that it checks the sizes of its arrays; symbols pass unchecked."""
 
     def wrapped(method: _Method) -> _Method:
         signature = inspect.signature(method)
@@ -149,18 +149,18 @@ def _arrays(**sizes: int) -> Callable[[_Method], _Method]:
     return wrapped
 
 
-_OFF = 1e-9  # of a start's velocity, beyond which it does not roll
+_OFF = 1e-9  # largest sideways share of a start velocity
 
 
 class Mobile(NamedTuple):
-    """Type (mobility, steerability) of a drive with two driven wheels on one axle, as of `Mobility`."""
+    """Type (mobility, steerability) of a drive with two driven wheels on one axle."""
 
     mobility: int = 2
     steerability: int = 0
 
 
 def _pair(doc: str, unit: str, labels: tuple[str, str], fixed: bool = False) -> Any:
-    """Declare two positive limits, of which one may stand for both."""
+    """Declare two positive limits; a scalar sets both."""
     how: dict[str, Any] = {"doc": doc, "unit": unit, "labels": labels, "above": 0, "fixed": fixed}
     return array(default=np.inf, shapes=((), ("n",)), endless=True, size=lambda robot: 2, **how)
 
@@ -169,48 +169,74 @@ def _pair(doc: str, unit: str, labels: tuple[str, str], fixed: bool = False) -> 
 @part
 @by_value
 class VelocityRobot:
-    """A base on two driven wheels whose input is the speed and the yaw rate that it should have.
+    """A base on two driven wheels with commands of speed and yaw rate as inputs.
 
-    Firmware holds both by the voltages of its motors, and what comes of it are six numbers (De La Cruz and
-    Carelli, IECON 2006; Robotica 26, 2008; Martins et al., J. Intelligent and Robotic Systems 85, 2017)::
+    The firmware of the robot controls both by the voltages of the motors. Six parameters theta describe the
+    closed velocity loops::
 
         u' = (theta_3 / theta_1) w^2  - (theta_4 / theta_1) u + u_c / theta_1
         w' = -(theta_5 / theta_2) u w - (theta_6 / theta_2) w + w_c / theta_2
         x' = u cos psi - a w sin psi,  y' = u sin psi + a w cos psi,  psi' = w
 
-    of the speed u along the wheels and the yaw rate w, for commands (u_c, w_c). q = (x, y, psi) is the pose
-    of a point a ahead of the axle, v = dq/dt. No force pushes it: what firmware does about one, theta does
-    not tell. Its integrator is rk4, for which a sample, or substep, is to be shorter than twice the shorter
-    of `time_constants`.
+    Here u is the speed along the wheels, w is the yaw rate, and (u_c, w_c) are the commands. q = (x, y, psi)
+    is the pose of a point at distance a ahead of the axle, and v = dq/dt.
+
+    The model accepts no forces: theta does not describe how the firmware responds to a force. The integrator
+    is `rk4`. It needs time steps, or substeps, shorter than twice the smaller of `time_constants`.
 
     Parameters
     ----------
     theta : array_like, shape (6,)
-        [s, s, s m/rad^2, -, s/m, -]; the first, second, fourth and sixth above zero.
+        Parameters [s, s, s m/rad^2, -, s/m, -]. The first, second, fourth and sixth are positive.
     ahead : float
-        a, how far the body's origin is ahead of the axle [m].
-    limits : array_like, shape (2,)
-        Largest commands to either side, > 0, infinite where there is no limit [m/s, rad/s].
-    accelerations : array_like, shape (2,)
-        Largest |u'| and |w'| that the firmware allows, likewise [m/s^2, rad/s^2].
+        Distance a of the body origin ahead of the axle [m].
+    limits : array_like, shape () or (2,)
+        Largest commands in both directions, > 0 [m/s, rad/s]; infinite: no limit.
+    accelerations : array_like, shape () or (2,)
+        Largest absolute values of u' and w' in the firmware, > 0 [m/s^2, rad/s^2]; infinite: no limit.
     size : array_like, shape (3,)
-        Length, width and height of what is drawn [m].
+        Length, width and height of the drawn box [m].
     source : str
-        Where its numbers come from.
+        Source of the numbers.
 
     Raises
     ------
     InvalidArgument
-        If a number is not finite or not in its range, or an array has another shape.
+        If a number is not finite or out of range, or an array has another shape.
+
+    See Also
+    --------
+    identify_velocity : estimate theta from a log
+    Backstepping : control law that compensates the lag of the firmware
+    controllers.VelocityCommand : control law that ignores the lag
+
+    Notes
+    -----
+    `pinmobile.identification.VELOCITY_ROBOTS` maps names to robots with published theta. The source of each
+    robot names the publication.
+
+    References
+    ----------
+    C. De La Cruz and R. Carelli, IECON 2006 and Robotica 26 (2008). F. N. Martins et al., Journal of
+    Intelligent and Robotic Systems 85 (2017).
+
+    Examples
+    --------
+    >>> from pinmobile.identification import VELOCITY_ROBOTS
+    >>> robot = VELOCITY_ROBOTS["pioneer_3dx_laser"]
+    >>> robot.time_constants  # of speed and yaw rate [s]
+    (0.26, 0.23)
+    >>> robot.rates(nu=[0.0, 0.0], u=[1.0, 0.0])  # [m/s^2, rad/s^2]
+    array([3.84, 0.  ])
     """
 
     theta: Any = array(
         shapes=((len(THETA),),),
         unit=", ".join(unit for _, unit, _ in THETA),
         labels=tuple(name for name, _, _ in THETA),
-        doc="how late the firmware is",
+        doc="parameters of the velocity loops",
     )
-    ahead: float = number(default=0.0, unit="m", doc="how far the body's origin is ahead of the axle")
+    ahead: float = number(default=0.0, unit="m", doc="distance of the body origin ahead of the axle")
     limits: Any = _pair("largest commands", "m/s, rad/s", ("speed", "yaw_rate"), fixed=True)
     accelerations: Any = _pair(
         "largest |u'| and |w'|", "m/s^2, rad/s^2", ("acceleration", "yaw_acceleration")
@@ -236,7 +262,13 @@ class VelocityRobot:
     rest: ClassVar[Array] = frozen(np.zeros(3))
 
     def check(self) -> None:
-        """Raise `InvalidArgument` where a number of theta that has to be above zero is not."""
+        """Check the signs of theta.
+
+        Raises
+        ------
+        InvalidArgument
+            If theta_1, theta_2, theta_4 or theta_6 is not positive.
+        """
         for k in ABOVE_ZERO:
             positive(f"theta[{k}]", self.theta[k], THETA[k][1])
 
@@ -244,13 +276,14 @@ class VelocityRobot:
     def from_motors(
         cls, wheeled: WheeledRobot | ByVoltage, kp: float, kd: float = 0.0, **others: Any
     ) -> VelocityRobot:
-        """Return the theta of a robot on two driven wheels whose firmware holds the rate of each.
+        """Return the robot whose firmware controls the rates of two driven wheels by motor voltages.
 
-        The voltage of a motor is ``kp (W_c - W) - kd W'`` with the rate W_c at which its wheel rolls as the
-        commands say, which is `WheelSpeed` without an integral where kd is 0. With the mass m, the yaw
-        inertia I about the centre of mass b ahead of the axle, wheels of radius r, d apart, whose inertia
-        with rotor and gear is J, motors of resistance R, torque K and back-EMF E at the wheel, friction B
-        there, and the gains of speed and yaw rate kT = kp / r and kR = kp d / (2 r), kd likewise::
+        The voltage of a motor is ``kp (W_c - W) - kd W'``. W is the wheel rate, and W_c is its value for the
+        commands. With kd = 0 this is the law of `WheelSpeed` without integral action. The robot has mass m
+        and yaw inertia I about its centre of mass, at distance b ahead of the axle. Its wheels have radius r,
+        distance d, and inertia J with rotor and gear. Its motors have resistance R and, at the wheel, torque
+        constant K, back-EMF constant E and viscous friction B. The gains of speed and yaw rate are
+        kT = kp / r and kR = kp d / (2 r), and likewise kdT and kdR::
 
             theta_1 = [(R/K) (m r^2 + 2 J) + 2 r kdT] / (2 r kT)
             theta_2 = [(R/K) (J d^2 + 2 r^2 (I + m b^2)) + 2 r d kdR] / (2 r d kR)
@@ -259,23 +292,35 @@ class VelocityRobot:
             theta_6 = (R/K) (K E / R + B) d / (2 r kR) + 1
 
         (De La Cruz and Carelli 2008.) The six numbers do not include dry friction of the motors, limits of
-        voltage and current, and a centre of mass beside the middle. Of a gear with losses the motor drives
-        the wheels.
+        voltage and current, and a centre of mass beside the middle. For gears with losses, the formulas hold
+        while the motors drive the wheels.
 
         Parameters
         ----------
         wheeled : WheeledRobot or ByVoltage
-            Two fixed wheels with tyres on one axle, each with the same electric motor, and casters; no arms.
-        kp, kd : float
-            Gains, > 0 and >= 0 [V s/rad, V s^2/rad]. Of firmware with an integral there is no theta of its
-            own: simulate it by `WheelSpeed`, and let `identify_velocity` find the one that comes nearest.
+            Robot with two equal fixed wheels with tyres on one axle, each with the same electric motor, and
+            casters; without arms.
+        kp : float
+            Proportional gain, > 0 [V s/rad].
+        kd : float
+            Derivative gain, >= 0 [V s^2/rad].
         **others
-            ``limits``, ``accelerations`` and ``size``, as of the class.
+            ``limits``, ``accelerations`` and ``size`` of the class.
+
+        Returns
+        -------
+        robot : VelocityRobot
+            Robot with this theta.
 
         Raises
         ------
         InvalidArgument
-            If the robot has other wheels, motors or arms, or a gain is not in its range.
+            If the robot has other wheels or motors, or arms, or a gain is out of range.
+
+        Notes
+        -----
+        No theta represents firmware with integral action exactly. Simulate such firmware by `WheelSpeed`, and
+        estimate the nearest theta by `identify_velocity`.
         """
         theta, known = theta_of_motors(wheeled, kp, kd)
         return cls(np.array(theta), **{**known, **others})
@@ -290,34 +335,35 @@ class VelocityRobot:
 
     @structure
     def inputs(self) -> tuple[Input, ...]:
-        """The commands: speed and yaw rate."""
+        """Commands: speed [m/s] and yaw rate [rad/s], with their limits."""
         named = ("speed command", "m/s"), ("yaw rate command", "rad/s")
         return tuple(Input(*x, -float(most), float(most)) for x, most in zip(named, self.limits, strict=True))
 
     @property
     def time_constants(self) -> tuple[float, float]:
-        """Of the speed and of the yaw rate where they are alone: theta_1 / theta_4, theta_2 / theta_6 [s]."""
+        """Time constants of speed and yaw rate without coupling: theta_1 / theta_4, theta_2 / theta_6 [s]."""
         one, two, _, four, _, six = self.theta.tolist()
         return one / four, two / six
 
     @property
     def problems(self) -> tuple[str, ...]:
-        """What of the six numbers no robot with motors and firmware can have, in words; () where it can.
+        """Values of theta that motors and firmware cannot produce, in words; () if there are none.
 
-        theta_3 / theta_5 = d kR / (2 kT) of `from_motors`, which is above zero, and motors lose something.
+        By `from_motors`, theta_3 / theta_5 = d kR / (2 kT) is positive. Losses of the motors make theta_4 and
+        theta_6 larger than 1.
         """
         three, four, five, six = self.theta[2:].tolist()
         found = [
-            f"{name} is {value:g}, where a loop whose motors lose anything has more than 1"
+            f"{name} is {value:g}, but motors with losses have more than 1"
             for name, value in (("theta_4", four), ("theta_6", six))
             if value < 1
         ]
-        signs = [f"theta_3 is {three:g} and theta_5 {five:g}, where both have one sign"]
+        signs = [f"theta_3 is {three:g} and theta_5 is {five:g}, but both have the same sign in the model"]
         return (*found, *signs * (three * five < 0))
 
     @property
     def axle(self) -> Any:
-        """Coefficients of the body twist in the velocity across the wheels, which is zero, shape (3,)."""
+        """Coefficients c of the no-slip constraint c . (u, v, r) = 0 across the wheels, shape (3,)."""
         ahead = np.asarray(self.ahead)
         return np.stack([0.0 * ahead, 0.0 * ahead + 1.0, -ahead], axis=-1)
 
@@ -325,58 +371,58 @@ class VelocityRobot:
 
     @_arrays(q=3, dq=3)
     def integrate(self, q: ArrayLike, dq: ArrayLike) -> Any:
-        """Return the configuration that the displacement `dq` leads to from `q`, shape (..., 3)."""
+        """Return the configuration `q` + `dq`, shape (..., 3) [m, m, rad]."""
         return q + dq  # type: ignore[operator]
 
     @_arrays(q0=3, q1=3)
     def difference(self, q0: Any, q1: Any) -> Any:
-        """Return the displacement from `q0` to `q1`, shape (..., 3); that of psi lies in (-pi, pi]."""
+        """Return the displacement from `q0` to `q1`, shape (..., 3) [m, m, rad], with psi in (-pi, pi]."""
         d = q1 - q0
         return stacked(d[..., 0], d[..., 1], wrap_angle(d[..., 2]))
 
     @_arrays(q=3)
     def pose(self, q: Any) -> Any:
-        """Return x, y, psi, shape (..., 3) [m, m, rad]."""
+        """Return the pose (x, y, psi), shape (..., 3) [m, m, rad]."""
         return q
 
     @_arrays(q=3, v=3)
     def pose_rate(self, q: Any, v: Any) -> Any:
-        """Return the rates of x, y, psi, shape (..., 3) [m/s, m/s, rad/s]."""
+        """Return the rates of x, y and psi, shape (..., 3) [m/s, m/s, rad/s]."""
         return v
 
     @_arrays(q=3, v=3)
     def independent(self, q: Any, v: Any) -> Any:
-        """Return speed along the wheels and yaw rate, shape (..., 2) [m/s, rad/s]."""
+        """Return the independent velocities nu: speed along the wheels and yaw rate, shape (..., 2)."""
         return stacked(np.cos(q[..., 2]) * v[..., 0] + np.sin(q[..., 2]) * v[..., 1], v[..., 2])
 
     @_arrays(q=3, nu=2)
     def rolling(self, q: Any, nu: Any) -> Any:
-        """Return v of a speed along the wheels and a yaw rate nu, shape (..., 3) [m/s, m/s, rad/s]."""
+        """Return v for independent velocities `nu`, shape (..., 3) [m/s, m/s, rad/s]."""
         return rolling_of(self.ahead, q, nu)
 
     @_arrays(q=3, v=3)
     def project(self, q: Any, v: Any) -> Any:
-        """Return the velocity that rolling leaves, shape (..., 3)."""
+        """Return `v` without its part across the wheels, shape (..., 3) [m/s, m/s, rad/s]."""
         return self.rolling(q, self.independent(q, v))
 
     def start(self, reference: Any) -> tuple[Array, Array]:
-        """Return the q and v with which a reference begins, shape (3,), without its velocity sideways."""
+        """Return q and v at the start of a reference, shape (3,) each, without velocity across the wheels."""
         q = shaped("reference.q", finite("reference.q", reference.q), (3,))
         return q, self.project(q, reference.v)
 
     def check_start(self, q: ArrayLike, v: ArrayLike) -> None:
-        """Refuse a start at which wheels slide sideways.
+        """Reject a start at which the wheels slide sideways.
 
         Raises
         ------
         InvalidArgument
-            If it is such.
+            If the velocity has a part across the wheels.
         """
         off = float(np.abs(self.project(q, v) - np.asarray(v)).max(initial=0.0))
         if off > _OFF * (1 + float(np.abs(v).max(initial=0.0))):
             raise InvalidArgument(
-                f"start does not roll: wheels slide sideways at {off:.3g} m/s; expected a reference "
-                "that the wheels can follow, such as Tangent(path), or v0 = robot.project(q0, v0)"
+                f"start has wheels that slide sideways at {off:.3g} m/s, expected rolling wheels: use a "
+                "reference along which wheels roll, such as Tangent(path), or v0 = robot.project(q0, v0)"
             )
 
     # Dynamics
@@ -401,20 +447,20 @@ class VelocityRobot:
         Parameters
         ----------
         q, v : array_like, shape (..., 3)
-            State, which rolls: of v the speed along the wheels and the yaw rate are looked at.
+            State with rolling wheels. The model only uses the speed along the wheels and the yaw rate of v.
         u : array_like, shape (..., 2)
             Commands [m/s, rad/s].
         f : array_like
-            Forces beside them, which are none.
+            External forces: zero.
 
         Raises
         ------
         InvalidArgument
-            As of all methods; or if there is a force.
+            If an array has another shape or is not finite, or `f` is not zero.
         """
         if not is_symbolic(f) and finite("f", f).any():
             raise InvalidArgument(
-                f"f is {shown(f)}, expected none: what firmware does about a force, theta does not tell"
+                f"f is {shown(f)}, expected zero: theta does not describe how firmware responds to a force"
             )
         nu = self.independent(q, v)
         rates, c, s, w = self.rates(nu, u), np.cos(q[..., 2]), np.sin(q[..., 2]), nu[..., 1]
@@ -424,17 +470,17 @@ class VelocityRobot:
 
     @_arrays(q=3, v=3, rates=2)
     def commands(self, q: Any, v: Any, rates: Any) -> Any:
-        """Return the input at which speed and yaw rate change as wanted, shape (..., 2) [m/s, rad/s].
+        """Return the commands for desired rates of speed and yaw rate, shape (..., 2) [m/s, rad/s].
 
-        It is `regressor` times theta; no limits are looked at. With it `Backstepping` makes of a kinematic
-        law one that knows how late the firmware is.
+        The commands are `regressor` times theta, without limits. `Backstepping` uses this method to
+        compensate the lag of the firmware.
 
         Parameters
         ----------
         q, v : array_like, shape (..., 3)
-            State, which rolls.
+            State with rolling wheels.
         rates : array_like, shape (..., 2)
-            Of speed and yaw rate [m/s^2, rad/s^2].
+            Desired rates of speed and yaw rate [m/s^2, rad/s^2].
         """
         nu, theta = self.independent(q, v), self.theta
         u, w = nu[..., 0], nu[..., 1]
@@ -444,12 +490,14 @@ class VelocityRobot:
 
     @_arrays(q=3, v=3, rates=2)
     def regressor(self, q: Any, v: Any, rates: Any) -> Any:
-        """Return the matrix Y of which Y theta are the commands for wanted rates, shape (..., 2, 6).
+        """Return the regressor Y with ``commands(q, v, rates) = Y theta``, shape (..., 2, 6).
 
         Parameters
         ----------
-        q, v, rates
-            As in `commands`.
+        q, v : array_like, shape (..., 3)
+            State with rolling wheels.
+        rates : array_like, shape (..., 2)
+            Rates of speed and yaw rate [m/s^2, rad/s^2].
         """
         nu = self.independent(q, v)
         u, w = nu[..., 0], nu[..., 1]
@@ -459,9 +507,10 @@ class VelocityRobot:
 
     @in_numbers
     def reduced(self, q: ArrayLike, v: ArrayLike) -> Reduced:
-        """Return the law in speed and yaw rate nu: M nu' + n = u, v = S nu; see `Reduced`.
+        """Return the dynamics in nu = (speed, yaw rate): M nu' + n = B u and v = S nu.
 
-        M is diag(theta_1, theta_2) [s]. Limits of acceleration are not in it.
+        M is diag(theta_1, theta_2) [s], and B is the identity. The dynamics do not include the limits of
+        acceleration.
         """
         nu = self.independent(q, v)
         lead = nu.shape[:-1]
@@ -480,17 +529,17 @@ class VelocityRobot:
 
     @property
     def visual_model(self) -> pin.GeometryModel:
-        """What is drawn, a copy: a box with a dark front, and its wheels on the axle, which do not spin."""
+        """Visual geometry, a copy: a box with a dark front, and wheels that do not spin."""
         return self._drawn.visual_model
 
     def drawing(self, q: ArrayLike) -> Array:
-        """Return where the objects of `visual_model` are in the inertial frame, shape (..., k, 4, 4)."""
+        """Return the poses of the objects of `visual_model` in the inertial frame, shape (..., k, 4, 4)."""
         q = vector("q", q, 3)
         return np.asarray(self._drawn.drawing(np.concatenate([q, np.zeros((*q.shape[:-1], 2))], axis=-1)))
 
 
 def _published(file: str) -> Mapping[str, VelocityRobot]:
-    """Return the robots of a file by name; their sources state what is odd of them too."""
+    """Return the robots of a file by name. Their sources also state the peculiarities of the robots."""
     found, rows = {}, (files("pinmobile") / "identification" / file).read_text("utf-8")
     for name, row in tomllib.loads(rows).items():
         bare = VelocityRobot(row["theta"], size=row["size"])
