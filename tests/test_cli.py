@@ -319,7 +319,7 @@ def test_films_are_refused_before_anything_runs_and_told_frame_by_frame(
     monkeypatch.setenv("PINMOBILE_CHROMIUM", "no-such-program")
     monkeypatch.setattr("pinmobile.cli.results.Opened", None)
     code, _, err = typed(*words)
-    assert (code, err) == (2, "pinmobile: PINMOBILE_CHROMIUM is 'no-such-program', which is no program\n")
+    assert (code, err) == (2, "pinmobile: PINMOBILE_CHROMIUM is 'no-such-program', expected a program\n")
 
 
 def test_an_ensemble_is_printed_and_drawn(typed: Typed, tmp_path: Path) -> None:

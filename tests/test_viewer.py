@@ -544,7 +544,7 @@ def test_no_chromium_is_said_before_anything_is_written(
     with pytest.raises(ViewerError, match=r"no Chromium was found.*PINMOBILE_CHROMIUM"):
         recording.screenshot(tmp_path / "a.png")
     monkeypatch.setenv("PINMOBILE_CHROMIUM", "nothing")
-    with pytest.raises(ViewerError, match="PINMOBILE_CHROMIUM is 'nothing', which is no program"):
+    with pytest.raises(ViewerError, match="PINMOBILE_CHROMIUM is 'nothing', expected a program"):
         recording.save_gif(tmp_path / "a.gif")
     assert list(tmp_path.iterdir()) == []
 
@@ -553,7 +553,7 @@ def test_a_chromium_that_dies_is_told(
     viewer: Viewer, runs: Runs, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("PINMOBILE_CHROMIUM", "/bin/false")
-    with pytest.raises(ViewerError, match="the browser has gone"):
+    with pytest.raises(ViewerError, match="the browser has ended"):
         viewer.record(runs).screenshot(tmp_path / "a.png")
 
 

@@ -146,8 +146,8 @@ def test_a_connected_browser_is_told_of_deletions_and_replacements_in_order() ->
         (prop("a", "x", [1.7e308, 1.7e308, np.inf]), "set_property of a: value[2] is inf, expected"),
         (prop("a", "x", {1, 2}), "set_property of a cannot be sent: unsupported type: <class 'set'>"),
         (shape("a", {"position": packed_array(np.array([0.0, np.nan]))}), "position.array[1] is nan"),
-        ("text", "command is 'text', expected one of meshcat's"),
-        (Say({"type": "capture_image", "path": ""}), "expected one of meshcat's"),
+        ("text", "command is 'text', expected a meshcat command"),
+        (Say({"type": "capture_image", "path": ""}), "expected a meshcat command"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_drawn_is_refused_before_it_is_sent(
@@ -522,7 +522,7 @@ def test_a_damaged_picture_is_the_librarys_error(data: bytes) -> None:
     with LiveWindow() as w, WebSocket(w.url) as browser:
         assert w.wait(120)
         threading.Timer(0.2, browser.say, [picture(data)]).start()
-        with pytest.raises(ViewerError, match="the browser has sent no picture: "):
+        with pytest.raises(ViewerError, match="the browser sent no valid picture: "):
             w.get_image()
 
 

@@ -1,4 +1,4 @@
-"""A scene in memory: the commands that make it, a window onto it, and the pages that can show it."""
+"""Scenes in memory: meshcat commands, windows, and pages that show them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from pinmobile.arrays import finite
 from pinmobile.errors import InvalidArgument, ViewerError, shown
 
 with warnings.catch_warnings():
-    # Its client imports parts of zmq that zmq warns about.
+    # The client of meshcat imports deprecated parts of zmq.
     warnings.simplefilter("ignore", DeprecationWarning)
     import meshcat
     import umsgpack
@@ -34,10 +34,10 @@ packed_array = meshcat.geometry.pack_numpy_array
 packed_command = umsgpack.packb
 
 ENGINE = Path(meshcat.__file__).parent / "viewer" / "dist" / "main.min.js"
-"""Meshcat's viewer with three.js in it."""
+"""Meshcat's viewer, with three.js included."""
 
 
-# Meshcat's controls bring styles of their own, which have no hash that could be known.
+# The controls of meshcat add inline styles with unknown hashes.
 _POLICY = (
     "default-src 'none'; script-src {0}; style-src 'unsafe-inline'; img-src data: blob:; base-uri 'none'; "
     "form-action 'none'"
@@ -45,7 +45,7 @@ _POLICY = (
 
 
 def loading(commands: Iterable[bytes]) -> str:
-    """Return the script that puts meshcat's commands into a scene."""
+    """Return the script that loads meshcat commands into a scene."""
     texts = ",\n".join(f'"{base64.b64encode(command).decode()}"' for command in commands)
     return (
         f"for (const text of [\n{texts}\n]) viewer.handle_command_bytearray("
@@ -54,12 +54,12 @@ def loading(commands: Iterable[bytes]) -> str:
 
 
 def sealed(page: str) -> str:
-    """Return a page that holds everything it shows with a policy: its own scripts run, and ask for nothing.
+    """Return a self-contained page with a content security policy: only its scripts run, without requests.
 
     Parameters
     ----------
     page : str
-        HTML, each of its scripts in a plain ``<script>``.
+        HTML with each script in a plain ``<script>``.
     """
     scripts = re.findall(r"<script>(.*?)</script>", page, re.DOTALL)
     hashes = (base64.b64encode(sha256(script.encode()).digest()).decode() for script in scripts)
@@ -69,7 +69,7 @@ def sealed(page: str) -> str:
 
 
 def stage_page(title: str, engine: str, scene: str) -> str:
-    """Return the stage's page; `engine` is the HTML that loads meshcat's viewer, `scene` fills it."""
+    """Return the page of the stage; `engine` is HTML that loads meshcat, `scene` is HTML that fills it."""
     parts = {"css": _part("stage.css"), "stage": _part("stage.js"), "engine": engine, "scene": scene}
     return Template(_part("stage.html")).substitute(parts, title=escape(title))
 
@@ -81,7 +81,7 @@ def _part(name: str) -> str:
 
 @cache
 def engine() -> str:
-    """Return meshcat's viewer as a script in a page."""
+    """Return the script of meshcat's viewer."""
     return ENGINE.read_text(encoding="utf-8")
 
 
@@ -92,29 +92,29 @@ _KINDS = {
     "set_animation": "animations",
     "delete": "path",
 }
-_FLOAT32 = 0x17  # the MessagePack extension in which meshcat has arrays of floats
+_FLOAT32 = 0x17  # MessagePack extension of meshcat for arrays of floats
 
 
 class Command(Protocol):
-    """A command of meshcat's."""
+    """Protocol of meshcat commands."""
 
     def lower(self) -> dict[str, Any]:
-        """Return the dict that meshcat's page reads."""
+        """Return the dict that the page of meshcat reads."""
         ...
 
 
 class Content(NamedTuple):
-    """A command for a window, as `meshcat.commands` has them."""
+    """Meshcat command for a window, made from its content."""
 
     content: dict[str, Any]
 
     def lower(self) -> dict[str, Any]:
-        """Return what meshcat's page reads."""
+        """Return the dict that the page of meshcat reads."""
         return self.content
 
 
 class Key(NamedTuple):
-    """What a command sets: a later command with the same key replaces it."""
+    """Target of a command. A later command with the same key replaces an earlier one."""
 
     kind: str
     path: str
@@ -122,24 +122,24 @@ class Key(NamedTuple):
 
 
 class _Update(NamedTuple):
-    """A command as it is sent."""
+    """Command as sent to browsers."""
 
     key: Key
     data: bytes
 
 
 def packed(command: Command) -> _Update:
-    """Return a command as it is sent.
+    """Return a command as sent to browsers.
 
     Parameters
     ----------
-    command : meshcat command
-        Anything with a `lower` that returns the dict which meshcat's page reads.
+    command : Command
+        Meshcat command.
 
     Raises
     ------
     InvalidArgument
-        If it is no such command, or holds a number that is not finite.
+        If `command` is not a meshcat command, or contains a number that is not finite.
     """
     try:
         content = command.lower()
@@ -148,7 +148,7 @@ def packed(command: Command) -> _Update:
         key = Key(kind, "/".join(filter(None, path.split("/"))), content.get("property", ""))
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise InvalidArgument(
-            f"command is {shown(command)}, expected one of meshcat's ({', '.join(_KINDS)}): {error!r}"
+            f"command is {shown(command)}, expected a meshcat command ({', '.join(_KINDS)}): {error!r}"
         ) from error
     _check(f"{kind} of {key.path or '/'}: {_KINDS[kind]}", payload)
     if kind == "set_transform" and len(payload) != 16:
@@ -160,7 +160,7 @@ def packed(command: Command) -> _Update:
 
 
 def _check(name: str, value: object) -> None:
-    """Refuse NaN and infinity, at any depth; a flat list of numbers costs one sum."""
+    """Reject NaN and infinity at any depth. For a flat list of numbers, one sum is enough."""
     if isinstance(value, float):
         if not isfinite(value):
             raise InvalidArgument(f"{name} is {value}, expected a finite number")
@@ -179,8 +179,8 @@ def _check(name: str, value: object) -> None:
         finite(name, np.frombuffer(value.data, np.float32))
 
 
-# What meshcat's page has before any command. That one of these was deleted has to be remembered; of any
-# other node it is enough not to remember the node.
+# Nodes of the page before any command. The backlog keeps deletions of these nodes. For other nodes, it only
+# drops the node.
 _GIVEN = (
     "Background",
     "Grid",
@@ -204,16 +204,15 @@ class _Entry(NamedTuple):
 
 
 class Backlog:
-    """The scene. Commands are numbered; who has seen some asks for those since.
+    """Numbered commands of a scene. A browser asks for the commands after the last number it received.
 
-    A command replaces an earlier one for the same thing, so that the size is that of the scene, no matter
-    how many have come. It may be used from several threads; an interrupt in any of its methods leaves it
-    consistent.
+    A command replaces an earlier command with the same key. The size of the backlog is therefore the size of
+    the scene. Several threads may use a backlog at once. An interrupt in a method leaves it consistent.
     """
 
     def __init__(self) -> None:
         self._entries: OrderedDict[Key, _Entry] = OrderedDict()
-        self._below: dict[str, set[Key]] = {}  # by path, what is there and below
+        self._below: dict[str, set[Key]] = {}  # by path: keys of the node and of nodes below
         self._deletions: set[Key] = set()
         self._latest = 0
         self.lock = Lock()
@@ -225,37 +224,37 @@ class Backlog:
 
     @property
     def size(self) -> int:
-        """Of all commands [byte]."""
+        """Size of all commands [byte]."""
         with self.lock:
             return sum(len(entry.data) for entry in self._entries.values())
 
     def put(self, command: Command) -> None:
-        """Take a command of meshcat's.
+        """Add a meshcat command.
 
         Raises
         ------
         InvalidArgument
-            If it is none, or holds a number that is not finite.
+            If `command` is not a meshcat command, or contains a number that is not finite.
         """
         update = packed(command)
         kind, path, _ = update.key
         with self.lock:
             if kind != "delete":
                 if kind == "set_object":
-                    self._drop(f"{path}/<object>")  # a new object has none of the old one's properties
+                    self._drop(f"{path}/<object>")  # a new object does not have the properties of the old one
                 self._append(update)
             elif path:
                 self._delete(update)
             else:
-                # Meshcat's page cannot delete the root, but all that is below it.
+                # The page of meshcat cannot delete the root, only all nodes below it.
                 for name in [path for path in self._below if path and "/" not in path]:
                     self._delete(packed(Content({"type": "delete", "path": name})))
                 self._entries.pop(Key("set_animation", ""), None)
 
     def since(self, number: int) -> tuple[list[bytes], int]:
-        """Return the commands after a number, and the number of the newest; after 0, the whole scene.
+        """Return the commands after a number (0: the whole scene), and the number of the newest command.
 
-        An animation is last: it binds to what is there when it comes.
+        Animations come last, because an animation binds to existing nodes.
         """
         newer: list[bytes] = []
         animation: list[bytes] = []
@@ -267,7 +266,7 @@ class Backlog:
             return newer[::-1] + animation, self._latest
 
     def forget_deletions(self, number: int) -> None:
-        """Drop the deletions up to a number, which everyone has seen."""
+        """Drop the deletions up to a number that all browsers have received."""
         if not self._deletions:
             return
         with self.lock:
@@ -275,13 +274,13 @@ class Backlog:
                 if key not in self._entries or self._entries[key].number <= number:
                     self._forget(key)
 
-    # In these three, an interrupt may leave what is in the index but not in the entries, not the reverse.
+    # An interrupt in these three methods may leave keys in the index without an entry, but not the reverse.
 
     def _append(self, update: _Update) -> None:
         if update.key not in self._entries:
             for path in _up(update.key.path):
                 self._below.setdefault(path, set()).add(update.key)
-        # In this order: a key that is new but not yet last is only sent later.
+        # The order matters: a new key that is not yet last is only sent later.
         self._entries[update.key] = _Entry(self._latest + 1, update.data)
         self._entries.move_to_end(update.key)
         self._latest += 1
@@ -308,7 +307,7 @@ class Backlog:
 
 
 def _up(path: str) -> list[str]:
-    """Return a path and those above it."""
+    """Return a path and all its parent paths."""
     names = path.split("/")
     return ["/".join(names[:k]) for k in range(1, len(names) + 1)]
 
@@ -317,12 +316,12 @@ _SCRIPT, _CONNECTING = '<script type="text/javascript" src="main.min.js">', "vie
 
 
 class SceneWindow:
-    """A window whose scene is in memory.
+    """Window with a scene in memory.
 
     Parameters
     ----------
     backlog : Backlog
-        The scene.
+        Commands of the scene.
     """
 
     def __init__(self, backlog: Backlog) -> None:
@@ -336,46 +335,75 @@ class SceneWindow:
 
     @property
     def scene_size(self) -> int:
-        """Of the commands that make the scene [byte]."""
+        """Size of all commands of the scene [byte]."""
         return self._backlog.size
 
     def commands(self) -> list[bytes]:
-        """Return the commands that make the scene, as they would be sent, the animation last."""
+        """Return the packed commands of the scene; animations come last."""
         return self._backlog.since(0)[0]
 
     def get_scene(self) -> str:
-        """Return meshcat's page with the scene in it: self-contained, without a request to anywhere."""
+        """Return a self-contained page of the scene as HTML. The page makes no request."""
         return static_page(self.commands())
 
     static_html = get_scene
 
     def close(self) -> None:
-        """End what the window has opened; the scene remains."""
+        """Close the window. The scene remains in memory."""
 
 
 class OfflineWindow(SceneWindow):
-    """A scene in memory: ``meshcat.Visualizer(window=OfflineWindow())``. No process, no port, no thread."""
+    """A meshcat scene in memory: ``meshcat.Visualizer(window=OfflineWindow())``.
+
+    The window needs no process, port or thread.
+
+    See Also
+    --------
+    viewer.Viewer : scene of a robot and its rollouts
+    viewer.LiveWindow : the same in browsers
+
+    Examples
+    --------
+    >>> import meshcat
+    >>> from pinmobile.viewer import OfflineWindow
+    >>> window = OfflineWindow()
+    >>> scene = meshcat.Visualizer(window=window)
+    >>> _ = scene["box"].set_object(meshcat.geometry.Box([1, 1, 1]))
+    >>> len(window.commands())
+    1
+    """
 
     def __init__(self) -> None:
         super().__init__(Backlog())
 
     def send(self, command: Command) -> None:
-        """Take a command of meshcat's.
+        """Add a meshcat command to the scene.
+
+        Parameters
+        ----------
+        command : object
+            Meshcat command: an object with a method ``lower()``.
 
         Raises
         ------
         InvalidArgument
-            If it is none, or holds a number that is not finite.
+            If `command` is not a meshcat command, or contains a number that is not finite.
         """
         self._backlog.put(command)
-        self._backlog.forget_deletions(self._backlog.latest)  # there is nobody to be told of them
+        self._backlog.forget_deletions(self._backlog.latest)  # no browser needs them
 
 
 def static_page(commands: list[bytes]) -> str:
-    """Return meshcat's own page with its script and a scene in it."""
+    """Return the page of meshcat with its script and a scene.
+
+    Raises
+    ------
+    ViewerError
+        If the page of the installed meshcat has an unknown form.
+    """
     page = ENGINE.with_name("index.html").read_text(encoding="utf-8")
     if _SCRIPT not in page or _CONNECTING not in page:
-        raise ViewerError(f"the page of the installed meshcat has changed: {ENGINE.with_name('index.html')}")
+        raise ViewerError(f"the installed meshcat has another page: {ENGINE.with_name('index.html')}")
     head, _, rest = page.partition(_SCRIPT)
     body = rest.replace(_CONNECTING, loading(commands))
     return sealed(f"{head}<script>\n{engine()}\n{body}")

@@ -1,4 +1,4 @@
-"""`Recording`: a scene and its motion as a page, a GIF, a film or a picture, by Chromium."""
+"""`Recording`: a scene and its motion as a page, or by Chromium as a GIF, a film or a picture."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ _FLAGS = (
     "about:blank",
 )
 _NO_SANDBOX = "--no-sandbox"
-# Chromium reads commands from descriptor 3 and answers on descriptor 4.
+# Chromium reads commands from descriptor 3 and writes answers to descriptor 4.
 _START = (
     "import fcntl, os, sys\n"
     "pair = [fcntl.fcntl(int(fd), fcntl.F_DUPFD, 10) for fd in sys.argv[1:3]]\n"
@@ -70,12 +70,12 @@ _START = (
 
 
 def find_chromium() -> str:
-    """Return the path of a Chromium, of ``PINMOBILE_CHROMIUM`` if that is set.
+    """Return the path of a Chromium; the environment variable ``PINMOBILE_CHROMIUM`` has precedence.
 
     Raises
     ------
     ViewerError
-        If there is none.
+        If there is no Chromium.
     """
     chosen = os.environ.get("PINMOBILE_CHROMIUM")
     for name in (chosen,) if chosen else _NAMES:
@@ -83,32 +83,32 @@ def find_chromium() -> str:
         if found is not None:
             return found
     raise ViewerError(
-        f"PINMOBILE_CHROMIUM is {chosen!r}, which is no program"
+        f"PINMOBILE_CHROMIUM is {chosen!r}, expected a program"
         if chosen
         else "no Chromium was found, which draws pictures without a screen: install the package 'chromium' "
-        "(or Chrome), or name its program in the environment variable PINMOBILE_CHROMIUM"
+        "(or Chrome), or set the environment variable PINMOBILE_CHROMIUM to its program"
     )
 
 
 class Browser:
-    """A headless browser with one page, as a context manager. No port is opened.
+    """Headless browser with one page, as a context manager. It opens no port.
 
     Parameters
     ----------
     size : tuple of 2 int
         Width and height of the page [px].
     timeout : float
-        For each call [s].
+        Longest time for each call [s].
 
     Attributes
     ----------
     events : list of dict
-        What the browser reported: requests, messages of the page's console, errors.
+        Reports of the browser: requests, console messages of the page, errors.
 
     Raises
     ------
     ViewerError
-        If there is no browser, it does not start, or does not answer in time.
+        If there is no browser, or the browser does not start or does not answer in time.
     """
 
     def __init__(self, size: tuple[int, int] = (1200, 800), *, timeout: float = 60.0) -> None:
@@ -119,11 +119,11 @@ class Browser:
         self._log = Path(self._profile.name) / "stderr"
         (inner, self._to), (self._from, outer) = os.pipe(), os.pipe()
         words = [sys.executable, "-I", "-S", "-c", _START, str(inner), str(outer), program, *_FLAGS]
-        words += [_NO_SANDBOX] if os.geteuid() == 0 else []  # Chromium has none for root
+        words += [_NO_SANDBOX] if os.geteuid() == 0 else []  # Chromium has no sandbox for root
         words += [f"--user-data-dir={self._profile.name}", f"--window-size={size[0]},{size[1]}"]
         off = subprocess.DEVNULL
         try:
-            # In a session of its own, so that Ctrl-C reaches us alone and we end it in order.
+            # A new session: Ctrl-C then reaches this process only, which ends the browser in order.
             with self._log.open("wb") as log:
                 self._process = subprocess.Popen(
                     words, pass_fds=(inner, outer), stdin=off, stdout=off, stderr=log, start_new_session=True
@@ -153,32 +153,32 @@ class Browser:
         self.close()
 
     def close(self) -> None:
-        """End the browser and remove what it wrote."""
+        """End the browser and remove its files."""
         if self._to < 0:
             return
-        os.close(self._to)  # it ends by itself when its pipe does
+        os.close(self._to)  # the browser ends when its pipe closes
         self._to = -1
         try:
             self._process.wait(5)
         except subprocess.TimeoutExpired:
-            # It is the first of a session of its own, with all its helpers.
+            # The session of the browser includes its helper processes.
             os.killpg(self._process.pid, signal.SIGKILL)
             self._process.wait()
         os.close(self._from)
         self._profile.cleanup()
 
     def open(self, url: str) -> None:
-        """Go to a page and wait until it has loaded."""
+        """Load a page and wait until it is complete."""
         self.call("Page.navigate", url=url)
         self.wait_for("document.readyState === 'complete'")
 
     def evaluate(self, expression: str) -> Any:
-        """Return the value of a JavaScript expression, which may be a promise.
+        """Return the value of a JavaScript expression or of its promise.
 
         Raises
         ------
         ViewerError
-            If it raises.
+            If the expression fails.
         """
         answer = self.call("Runtime.evaluate", expression=expression, awaitPromise=True, returnByValue=True)
         if "exceptionDetails" in answer:
@@ -193,16 +193,16 @@ class Browser:
         Raises
         ------
         ViewerError
-            If it is not within the timeout.
+            If the expression stays false until the timeout.
         """
         end = monotonic() + self.timeout
         while not self.evaluate(f"Boolean({expression})"):
             if monotonic() > end:
-                raise ViewerError(f"the page did not reach {expression!r} within {self.timeout:g} s")
+                raise ViewerError(f"the page did not fulfil {expression!r} within {self.timeout:g} s")
             self.evaluate("new Promise((done) => setTimeout(done, 20))")
 
     def picture(self, *, fast: bool = False) -> bytes:
-        """Return the page as a PNG, a larger one if it is to be `fast`."""
+        """Return the page as a PNG; with `fast`, less compressed."""
         answer = self.call("Page.captureScreenshot", format="png", optimizeForSpeed=fast)
         return base64.b64decode(answer["data"])
 
@@ -212,7 +212,7 @@ class Browser:
         Raises
         ------
         ViewerError
-            If the browser refuses, has gone, or does not answer within the timeout.
+            If the browser refuses the call, has ended, or does not answer within the timeout.
         """
         if self._to < 0:
             raise ViewerError("the browser is closed")
@@ -231,21 +231,21 @@ class Browser:
                     self.events.append(answer)
         except OSError as error:
             raise ViewerError(
-                f"the browser has gone ({error.strerror}); it was {find_chromium()}{self._advice()}"
+                f"the browser has ended ({error.strerror}); its program is {find_chromium()}{self._advice()}"
             ) from None
         if "error" in answer:
             raise ViewerError(f"the browser refused {method}: {answer['error'].get('message')}")
         return dict(answer["result"])
 
     def _advice(self) -> str:
-        """Return what to do where its sandbox could not start, else nothing."""
+        """Return advice if the sandbox could not start, otherwise ""."""
         with suppress(subprocess.TimeoutExpired):
-            self._process.wait(1)  # what it says comes before its end
+            self._process.wait(1)  # the browser writes its log before it ends
         if not re.search("sandbox|namespace", self._log.read_text(encoding="utf-8", errors="replace")):
             return ""
         return (
-            ", whose sandbox cannot start here: allow user namespaces to it, or set PINMOBILE_CHROMIUM to a "
-            f'script that runs it without: exec chromium {_NO_SANDBOX} "$@"'
+            ", whose sandbox cannot start here: allow user namespaces, or set PINMOBILE_CHROMIUM to a "
+            f'script that runs Chromium without a sandbox: exec chromium {_NO_SANDBOX} "$@"'
         )
 
     def _write(self, data: bytes, end: float) -> None:
@@ -278,40 +278,40 @@ if (animation.tracks.length) pinmobile.play(animation.tracks, animation.speed, a
 
 
 def recorded_page(title: str, commands: Iterable[bytes], animation: dict[str, object]) -> str:
-    """Return a page that holds everything it shows.
+    """Return a self-contained page.
 
     Parameters
     ----------
     title : str
-        Of the page.
+        Title of the page.
     commands : iterable of bytes
-        Meshcat's commands, as it sends them.
+        Packed meshcat commands.
     animation : dict
-        ``tracks`` (meshcat's animations), ``speed`` at first, and ``end``, the last time [s].
+        Meshcat animations ``tracks``, initial ``speed``, and last time ``end`` [s].
     """
     packed = json.dumps(animation, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
     scene = Template(_LOAD).substitute(animation=packed, loading=loading(commands))
     return sealed(stage_page(title, f"<script>\n{engine()}\n</script>", scene))
 
 
-_BATCH = 8  # frames that a browser draws before another batch may be its
-_BROWSERS = 4  # at once: software draws each frame, on one processor
-_HELD = 1.0  # [s] for which the last frame stands
+_BATCH = 8  # frames that a browser draws at a time
+_BROWSERS = 4  # largest number of browsers; each draws by software on one processor
+_HELD = 1.0  # [s], duration of the last frame
 _COLOURS = 128
-_SAMPLED = 8  # frames whose colours a GIF has
+_SAMPLED = 8  # frames that determine the palette of a GIF
 
 
 def gif(frames: Iterator[Image.Image], rate: float) -> bytes:
-    """Return a GIF, all frames in the colours of some from its beginning to its end.
+    """Return a GIF with one palette, from eight frames between its beginning and its end.
 
     Parameters
     ----------
     frames : iterator of Image
-        All of one size.
+        Frames of one size.
     rate : float
         Frames per second.
     """
-    pictures = list(frames)  # not decoded yet: some ten kilobytes each
+    pictures = list(frames)  # not decoded yet: about ten kilobytes each
     sampled = [pictures[k] for k in np.unique(np.linspace(0, len(pictures) - 1, _SAMPLED).astype(int))]
     width, height = pictures[0].size
     mosaic = Image.new("RGB", (width, height * len(sampled)))
@@ -328,12 +328,12 @@ def gif(frames: Iterator[Image.Image], rate: float) -> bytes:
 
 
 def film_encoder() -> ModuleType:
-    """Return imageio-ffmpeg, of the extra ``pinmobile[mp4]``.
+    """Return the module imageio-ffmpeg of the extra ``pinmobile[mp4]``.
 
     Raises
     ------
     ViewerError
-        If it is not installed.
+        If imageio-ffmpeg is not installed.
     """
     try:
         return importlib.import_module("imageio_ffmpeg")
@@ -344,12 +344,12 @@ def film_encoder() -> ModuleType:
 
 
 def check_films() -> None:
-    """Check that films can be made.
+    """Check that this machine can make films.
 
     Raises
     ------
     ViewerError
-        If there is no Chromium, or no encoder.
+        If Chromium or imageio-ffmpeg is missing.
     """
     find_chromium()
     film_encoder()
@@ -361,13 +361,13 @@ def film(encoder: ModuleType, frames: Iterator[Image.Image], rate: float, size: 
     Parameters
     ----------
     encoder : module
-        As `film_encoder` returns it.
+        Module of `film_encoder`.
     frames : iterator of Image
-        All of the size.
+        Frames of the given size.
     rate : float
         Frames per second.
     size : tuple of 2 int
-        Width and height [px], even.
+        Width and height [px], even numbers.
     """
     with tempfile.TemporaryDirectory(prefix="pinmobile-") as folder:
         file = Path(folder) / "film.mp4"
@@ -385,35 +385,35 @@ Progress = Callable[[int, int], object]
 
 
 def checked_size(size: tuple[int, int]) -> tuple[int, int]:
-    """Return width and height [px], at least 16 each.
+    """Return checked width and height [px].
 
     Raises
     ------
     InvalidArgument
-        If they are something else.
+        If they are not two whole numbers of at least 16.
     """
     width, height = shaped("size", sequence("size", size, "width and height"), (2,))
     return whole("size[0]", width, least=16), whole("size[1]", height, least=16)
 
 
 def picture_of(html: str, size: tuple[int, int], time: float) -> bytes:
-    """Return a page at a time, as a PNG.
+    """Return a picture of a page at a time as a PNG.
 
     Parameters
     ----------
     html : str
-        The page, as `recorded_page` makes it.
+        Page of `recorded_page`.
     size : tuple of 2 int
         Width and height [px].
     time : float
-        From the rollout's start [s].
+        Time since the start of the rollout [s].
 
     Raises
     ------
     InvalidArgument
-        If the size is none.
+        If `size` is invalid.
     ViewerError
-        If there is no Chromium, or it fails.
+        If Chromium is missing or fails.
     """
     with _opened(html, size) as browser:
         return _picture(browser, time)
@@ -422,16 +422,18 @@ def picture_of(html: str, size: tuple[int, int], time: float) -> bytes:
 def _pictures_of(
     html: str, size: tuple[int, int], times: Sequence[float], progress: Progress | None
 ) -> Iterator[Image.Image]:
-    """Yield a page at some times; other parameters and errors are those of `picture_of`.
+    """Yield pictures of a page at several times; errors are those of `picture_of`.
 
     Parameters
     ----------
-    html, size
-        As in `picture_of`.
+    html : str
+        Page of `recorded_page`.
+    size : tuple of 2 int
+        Width and height [px].
     times : sequence of float
-        From the rollout's start [s].
+        Times since the start of the rollout [s].
     progress : callable or None
-        Called as ``progress(done, total)`` after each picture.
+        Function ``progress(done, total)`` that is called after each picture.
     """
     batches = [times[k : k + _BATCH] for k in range(0, len(times), _BATCH)]
     count = max(1, min(_BROWSERS, processors(), len(batches) // 2))
@@ -467,7 +469,7 @@ def _picture(browser: Browser, time: float, *, fast: bool = False) -> bytes:
 def _opened(html: str, size: tuple[int, int]) -> Iterator[Browser]:
     with tempfile.TemporaryDirectory(prefix="pinmobile-") as folder:
         page = Path(folder) / "page.html"
-        write(page, html.encode("utf-8"), name="the page to be drawn")
+        write(page, html.encode("utf-8"), name="page")
         with Browser(checked_size(size)) as browser:
             browser.open(page.as_uri())
             browser.wait_for("pinmobile.ready()")
@@ -479,22 +481,39 @@ _FASTEST = 50.0  # [1/s]; browsers slow down GIFs that are faster
 
 
 class Recording:
-    """What was recorded. `Viewer.record` makes it.
+    """Recorded scene and motion: the result of `Viewer.record`.
 
     Parameters
     ----------
     commands : list of bytes
-        Meshcat's commands for the scene.
+        Packed meshcat commands of the scene.
     tracks : list of dict
-        Meshcat's animations of it, in seconds of the rollout.
+        Meshcat animations, in seconds of the rollout.
     duration : float
-        Of the rollout [s].
+        Duration of the rollout [s].
     fps : float
-        Frames per second of a GIF or film.
+        Frames per second.
     speed : float
-        Seconds of the rollout per second.
+        Seconds of the rollout per second of playback.
     title : str
-        Of the page.
+        Title of the page.
+
+    See Also
+    --------
+    viewer.Viewer : its method ``record`` makes a recording
+    plots.animate : GIF from above, without Chromium
+
+    Examples
+    --------
+    >>> from pinmobile import Hold, FixedHeading, MobileRobot, PD, simulate
+    >>> from pinmobile.viewer import Viewer
+    >>> robot, still = MobileRobot(30.0, 1.3), FixedHeading(Hold((0, 0), 1.0), 0)
+    >>> run = simulate(robot, PD(4, 4), still, dt=0.1)
+    >>> recording = Viewer(robot).record(run, fps=10, title="Standstill")
+    >>> recording.duration  # [s]
+    1.0
+    >>> "<title>Standstill</title>" in recording.html()
+    True
     """
 
     def __init__(
@@ -516,24 +535,29 @@ class Recording:
         )
 
     def html(self) -> str:
-        """Return the page that plays it: self-contained, without a request to anywhere."""
+        """Return a self-contained page that plays the recording, as HTML. The page makes no request."""
         animation = {"tracks": self.tracks, "speed": self.speed, "end": self.duration}
         return recorded_page(self.title, self._commands, animation)
 
     def save_html(self, path: str | PathLike[str]) -> Path:
-        """Write the page that plays it, which opens from the file system.
+        """Write a self-contained page that plays the recording. It opens from the file system.
 
         Parameters
         ----------
         path : str or path-like
-            The file, ending in ``.html``; what is there is replaced.
+            File to write, with the suffix ``.html``. It replaces an existing file.
+
+        Returns
+        -------
+        path : pathlib.Path
+            The file.
 
         Raises
         ------
         InvalidArgument
             If the file cannot be written.
         FileError
-            If the system fails, such as of a full disk; what was there is there still.
+            If the system fails, for example because the disk is full. An existing file remains unchanged.
         """
         return written(path, ".html", lambda: self.html().encode("utf-8"))
 
@@ -545,27 +569,32 @@ class Recording:
         size: tuple[int, int] = (720, 480),
         progress: Progress | None = None,
     ) -> Path:
-        """Write a GIF, by a headless Chromium.
+        """Write a GIF. A headless Chromium draws its frames.
 
         Parameters
         ----------
         path : str or path-like
-            The file, ending in ``.gif``.
+            File to write, with the suffix ``.gif``.
         fps : float, optional
-            Frames per second, at most 50; by default the recording's.
+            Frames per second, at most 50; default: those of the recording, at most 25.
         size : tuple of 2 int
             Width and height [px].
         progress : callable, optional
-            Called as ``progress(done, total)`` after each frame.
+            Function ``progress(done, total)`` that is called after each frame.
+
+        Returns
+        -------
+        path : pathlib.Path
+            The file.
 
         Raises
         ------
         InvalidArgument
-            If the file cannot be written or a number is not what is expected.
+            If the file cannot be written, or an argument is invalid.
         FileError
-            If the system fails, such as of a full disk; what was there is there still.
+            If the system fails, for example because the disk is full. An existing file remains unchanged.
         ViewerError
-            If there is no Chromium, or it fails.
+            If Chromium is missing or fails.
         """
         rate = scalar("fps", min(self.fps, 25.0) if fps is None else fps)
         bounded("fps", rate, above=0, most=_FASTEST, unit="1/s")
@@ -579,18 +608,32 @@ class Recording:
         size: tuple[int, int] = (1280, 720),
         progress: Progress | None = None,
     ) -> Path:
-        """Write a film, by a headless Chromium and imageio-ffmpeg (the extra ``pinmobile[mp4]``).
+        """Write a film by a headless Chromium and imageio-ffmpeg (extra ``pinmobile[mp4]``).
 
-        Parameters are those of `save_gif`; width and height must be even.
+        Parameters
+        ----------
+        path : str or path-like
+            File to write, with the suffix ``.mp4``.
+        fps : float, optional
+            Frames per second; default: those of the recording.
+        size : tuple of 2 int
+            Width and height [px], even numbers.
+        progress : callable, optional
+            Function ``progress(done, total)`` that is called after each frame.
+
+        Returns
+        -------
+        path : pathlib.Path
+            The file.
 
         Raises
         ------
         InvalidArgument
-            If the file cannot be written or a number is not what is expected.
+            If the file cannot be written, or an argument is invalid.
         FileError
-            If the system fails, such as of a full disk; what was there is there still.
+            If the system fails, for example because the disk is full. An existing file remains unchanged.
         ViewerError
-            If there is no Chromium or no imageio-ffmpeg, or one of them fails.
+            If Chromium or imageio-ffmpeg is missing or fails.
         """
         encoder = film_encoder()
         rate, even = positive("fps", self.fps if fps is None else fps, "1/s"), checked_size(size)
@@ -601,25 +644,30 @@ class Recording:
     def screenshot(
         self, path: str | PathLike[str], *, t: float = 0.0, size: tuple[int, int] = (1200, 800)
     ) -> Path:
-        """Write a picture of the scene at a time, by a headless Chromium.
+        """Write a picture of the scene at a time (PNG). A headless Chromium draws it.
 
         Parameters
         ----------
         path : str or path-like
-            The file, ending in ``.png``.
+            File to write, with the suffix ``.png``.
         t : float
-            Time from the rollout's start [s].
+            Time since the start of the rollout [s].
         size : tuple of 2 int
             Width and height [px].
+
+        Returns
+        -------
+        path : pathlib.Path
+            The file.
 
         Raises
         ------
         InvalidArgument
-            If the file cannot be written, or the time is not in the recording.
+            If the file cannot be written, or `t` is outside the recording.
         FileError
-            If the system fails, such as of a full disk; what was there is there still.
+            If the system fails, for example because the disk is full. An existing file remains unchanged.
         ViewerError
-            If there is no Chromium, or it fails.
+            If Chromium is missing or fails.
         """
         time = bounded("t", scalar("t", t), least=0, most=self.duration, unit="s")
         return written(path, ".png", lambda: picture_of(self.html(), size, time))

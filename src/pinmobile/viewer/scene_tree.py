@@ -1,4 +1,4 @@
-"""The stage: what is asked to be on it, nodes of meshcat's scene by path, light, ground and a camera."""
+"""The stage: overlays and cameras, nodes of the meshcat scene by path, light and ground."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ _STAGE = "meshcat/stage"
 _TOP, _BOTTOM = (0.90, 0.92, 0.93), (0.975, 0.975, 0.965)
 _FOV, _ASPECT = np.deg2rad(35.0), 1.5
 _AZIMUTH, _ELEVATION = np.deg2rad(-86.0), np.deg2rad(50.0)
-_LOW = np.deg2rad(32.0)  # from where one sees what an arm does
-_ABOVE, _BELOW = 0.92, 0.82  # of half the window's height; the player is below
-_GHOST_SCALE = (1.07, 1.10, 1.08)  # a little larger, to be seen around a robot that it coincides with
-_MOST, _MOST_OF_GHOST = 60_000, 30_000  # triangles of a robot; more are not to be seen at this distance
-_GHOST_LINK = 1.06  # about its own origin: about the body's an arm would stand beside its place
+_LOW = np.deg2rad(32.0)  # elevation that shows the motion of an arm
+_ABOVE, _BELOW = 0.92, 0.82  # used shares of half the window height; the player is below
+_GHOST_SCALE = (1.07, 1.10, 1.08)  # a ghost is a little larger, so that its rim shows around a solid robot
+_MOST, _MOST_OF_GHOST = 60_000, 30_000  # largest number of triangles; more are not visible
+_GHOST_LINK = 1.06  # scale of a link about its own origin: a scale about the body would displace arms
 
 
 class View(NamedTuple):
-    """From where one looks, at what, both shape (3,) [m]."""
+    """Camera position and target point, shape (3,) each [m]."""
 
     eye: Array
     target: Array
@@ -39,16 +39,67 @@ class View(NamedTuple):
 @by_value
 @part
 class FixedCamera:
-    """A camera that stays; by default where it sees all of the paths."""
+    """A fixed camera.
 
-    eye: Any = array(default=None, shapes=((3,),), unit="m", doc="from where one looks")
-    target: Any = array(default=None, shapes=((3,),), unit="m", doc="at what one looks")
+    Parameters
+    ----------
+    eye : array_like, shape (3,), optional
+        Position of the camera in the inertial frame [m]; default: all paths are in view.
+    target : array_like, shape (3,), optional
+        Point at the centre of the picture [m]; default: all paths are in view.
+
+    Raises
+    ------
+    InvalidArgument
+        If a point has another shape or is not finite.
+
+    See Also
+    --------
+    viewer.Follow : a camera that moves with the robot
+    viewer.Overlays : its field ``camera``
+
+    Examples
+    --------
+    >>> from pinmobile import MobileRobot
+    >>> from pinmobile.viewer import FixedCamera, Overlays, Viewer
+    >>> camera = FixedCamera(eye=(4, 0, 2), target=(0, 0, 0))
+    >>> viewer = Viewer(MobileRobot.lecture(), overlays=Overlays(camera=camera))
+    >>> viewer.overlays.camera.eye  # [m]
+    array([4., 0., 2.])
+    """
+
+    eye: Any = array(default=None, shapes=((3,),), unit="m", doc="position of the camera")
+    target: Any = array(default=None, shapes=((3,),), unit="m", doc="point at the centre of the picture")
 
 
 @by_value
 @part
 class Follow:
-    """A camera that moves along with the robot, without turning."""
+    """A camera that moves with the robot without turning.
+
+    Parameters
+    ----------
+    distance : float
+        Distance of the camera from the robot [m].
+
+    Raises
+    ------
+    InvalidArgument
+        If `distance` is not positive.
+
+    See Also
+    --------
+    viewer.FixedCamera : a camera that does not move
+    viewer.Overlays : its field ``camera``
+
+    Examples
+    --------
+    >>> from pinmobile import MobileRobot
+    >>> from pinmobile.viewer import Follow, Overlays, Viewer
+    >>> overlays = Overlays(camera=Follow(distance=3.0))
+    >>> Viewer(MobileRobot.lecture(), overlays=overlays).overlays.camera
+    Follow(distance=3.0)
+    """
 
     distance: float = number(default=4.0, above=0.0, unit="m", doc="distance from the robot")
 
@@ -56,10 +107,37 @@ class Follow:
 @by_value
 @part
 class Arrows:
-    """Force on the base as an arrow and moment as an arc, to scale; those of arms are not drawn.
+    """Arrows to scale: the force on the base as an arrow, and the moment as an arc.
 
-    They are the inputs Fx, Fy and Mz of the plant: one that has others is refused. By default the largest
-    arrow is 1.6 times as long as the robot, and the radius of the largest arc 0.8 times.
+    The arrows show the inputs Fx, Fy and Mz of the plant. Inputs of arms have no arrows.
+
+    Parameters
+    ----------
+    force : float, optional
+        Length of the arrow per force [m/N]; default: the largest arrow is 1.6 times as long as the robot.
+    moment : float, optional
+        Radius of the arc per moment [m/(N m)]; default: the largest radius is 0.8 times the length of the
+        robot.
+
+    Raises
+    ------
+    InvalidArgument
+        If a scale is not positive. `Viewer.record` and `Viewer.play` raise it for a plant without these
+        inputs.
+
+    See Also
+    --------
+    viewer.Overlays : its field ``arrows``
+    plots.forces : the inputs over time as a figure
+
+    Examples
+    --------
+    >>> from pinmobile import MobileRobot
+    >>> from pinmobile.viewer import Arrows, Overlays, Viewer
+    >>> overlays = Overlays(arrows=Arrows(force=0.02))  # 1 m for 50 N
+    >>> viewer = Viewer(MobileRobot.lecture(), overlays=overlays)
+    >>> viewer.overlays.arrows.force  # [m/N]
+    0.02
     """
 
     force: float | None = number(
@@ -80,36 +158,80 @@ def _tables(name: str, value: Any) -> tuple[DHTable, ...]:
 @by_value
 @part
 class Overlays:
-    """What is shown beside the robot.
+    """Objects beside the robot in a scene.
 
-    `contacts` are drawn to one scale, in vermilion where the plant slides; they are refused of a plant that
-    does not tell its ``contacts``. The end effector is that whose target the run has, or the tip of the first
-    arm.
+    Parameters
+    ----------
+    grid : bool
+        Grid on the floor with numbers in metres.
+    path : bool
+        Reference path, dashed.
+    trail : bool
+        Travelled path up to the present time.
+    caption : bool
+        Time and position error.
+    desired : bool
+        Desired pose as a translucent robot.
+    body_frame : bool
+        Axes x_B, y_B and z_B of the body frame.
+    frames : sequence of DHTable
+        DH tables with variables y, x, psi; their frames are drawn as triads.
+    arrows : Arrows, optional
+        Force and moment on the base.
+    contacts : bool
+        Contact forces with their friction discs, to one scale; orange where a contact slides. They need a
+        plant with ``contacts``, such as a `WheeledRobot`.
+    centre : bool
+        Instantaneous centre of rotation, and the line to it. It also needs ``contacts``.
+    end_effector : bool
+        Path, trail and caption of an end effector: the one with a target, or the tip of the first arm.
+    camera : FixedCamera or Follow
+        Camera.
+
+    Raises
+    ------
+    InvalidArgument
+        If a field is invalid. `Viewer.record` and `Viewer.play` raise it for a plant without the quantities.
+
+    See Also
+    --------
+    viewer.Viewer : its argument ``overlays``
+    viewer.Arrows : force and moment on the base
+
+    Examples
+    --------
+    >>> from pinmobile import Circle, MobileRobot, PD, Tangent, simulate
+    >>> from pinmobile.viewer import Arrows, Overlays, Viewer
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
+    >>> run = simulate(robot, PD(9, 6), Tangent(Circle(1, 1, 1)), dt=0.1)
+    >>> overlays = Overlays(desired=True, arrows=Arrows())
+    >>> Viewer(robot).record(run, overlays=overlays, fps=10)
+    <Recording: 1 s, 10 frames per second, 1 times as fast>
     """
 
     grid: bool = option(default=True, doc="floor grid with a scale")
     path: bool = option(default=True, doc="reference path, dashed")
-    trail: bool = option(default=True, doc="path travelled so far")
+    trail: bool = option(default=True, doc="travelled path")
     caption: bool = option(default=True, doc="time and position error")
-    desired: bool = option(default=False, doc="desired pose, as a ghost")
+    desired: bool = option(default=False, doc="desired pose as a translucent robot")
     body_frame: bool = option(default=False, doc="axes x_B, y_B and z_B")
     frames: Sequence[DHTable] = option(
-        default=(), check=_tables, doc="tables whose frames are drawn as triads"
+        default=(), check=_tables, doc="DH tables whose frames are drawn as triads"
     )
     arrows: Arrows | None = child(Arrows, default=None, optional=True, expected="Arrows", doc="arrows")
-    contacts: bool = option(default=False, doc="forces of the ground, with their friction discs")
-    centre: bool = option(default=False, doc="instantaneous centre of rotation, and the way there")
-    end_effector: bool = option(default=True, doc="path, trail and caption of an arm's end effector too")
+    contacts: bool = option(default=False, doc="contact forces with their friction discs")
+    centre: bool = option(default=False, doc="instantaneous centre of rotation, and the line to it")
+    end_effector: bool = option(default=True, doc="path, trail and caption of an end effector")
     camera: FixedCamera | Follow = child(
         (FixedCamera, Follow),
         default=FixedCamera(),
         expected="a FixedCamera or Follow",
-        doc="from where one looks",
+        doc="camera",
     )
 
 
 class Extent(NamedTuple):
-    """The part of the plane that matters, and the size of what moves in it."""
+    """Rectangle of the plane that contains the motion, and the size of the robot."""
 
     low: Array  # (2,) [m]
     high: Array  # (2,) [m]
@@ -117,17 +239,17 @@ class Extent(NamedTuple):
 
     @property
     def centre(self) -> Array:
-        """Shape (2,) [m]."""
+        """Centre of the rectangle, shape (2,) [m]."""
         return (self.low + self.high) / 2
 
     @property
     def radius(self) -> float:
-        """Of the circle around it [m]."""
+        """Radius of the circle around the rectangle [m]."""
         return float(np.hypot(*(self.high - self.low)) / 2)
 
     @property
     def unit(self) -> float:
-        """Length of the robot, or more where it is a speck in the scene [m]; overlays scale with it."""
+        """Length to which overlays scale [m]: the length of the robot, or more in a large scene."""
         return max(self.size[0], 0.06 * self.radius)
 
     @property
@@ -137,18 +259,18 @@ class Extent(NamedTuple):
 
     @property
     def step(self) -> float:
-        """Of the grid [m]: 1, 2 or 5 times a power of ten, some ten to the extent."""
+        """Step of the grid [m]: 1, 2 or 5 times a power of ten, about a tenth of the extent."""
         span = float((self.high - self.low).max()) + 2 * self.unit
         power = 10.0 ** np.floor(np.log10(span / 10))
         return float(next(power * factor for factor in (1, 2, 5, 10) if power * factor >= span / 14))
 
     @property
     def tall(self) -> float:
-        """Height of the words on the ground [m]."""
+        """Height of text on the ground [m]."""
         return 0.05 * float((self.high - self.low).max() + 3 * self.unit)
 
     def lines(self, axis: int) -> Array:
-        """Return where the lines of the grid cross an axis, shape (n,) [m]."""
+        """Return the positions of the grid lines along an axis, shape (n,) [m]."""
         room = 0.8 * self.unit
         first = np.floor((self.low[axis] - room) / self.step)
         last = np.ceil((self.high[axis] + room) / self.step)
@@ -156,20 +278,20 @@ class Extent(NamedTuple):
 
 
 class Stage:
-    """Nodes in a window.
+    """Nodes of a scene in a window.
 
     Parameters
     ----------
     window : LiveWindow or OfflineWindow
-        Where they are.
+        Window of the scene.
     """
 
     def __init__(self, window: Any) -> None:
         self.window = window
 
     def put(self, path: str, shape: Shape) -> None:
-        """Show a shape at a node; what was there is replaced."""
-        shape["object"]["uuid"] = path  # animations tell objects apart by it
+        """Show a shape at a node, in place of the previous shape."""
+        shape["object"]["uuid"] = path  # animations identify objects by the uuid
         self.window.send(Content({"type": "set_object", "path": path, "object": shape}))
 
     def set(self, path: str, name: str, value: object) -> None:
@@ -177,20 +299,20 @@ class Stage:
         self.window.send(Content({"type": "set_property", "path": path, "property": name, "value": value}))
 
     def tell(self, name: str, value: object) -> None:
-        """Set a property of the stage itself, which its page reads."""
+        """Set a property of the stage. The page reads these properties."""
         self.set(_STAGE, name, value)
 
     def remove(self, path: str) -> None:
-        """Remove a node and all below it."""
+        """Remove a node and all nodes below it."""
         self.window.send(Content({"type": "delete", "path": path}))
 
     def show(self, channels: list[Channel], frame: int) -> None:
-        """Put everything that moves where it is at a frame."""
+        """Set all channels to their values at a frame."""
         for channel in channels:
             self.set(channel.path, channel.name, channel.at(frame))
 
     def furnish(self, extent: Extent, view: View) -> None:
-        """Make the empty stage: background, soft light, ground, camera."""
+        """Set up the empty stage: background, soft light, ground, camera."""
         for name in ("Grid", "Axes", "Lights/PointLightNegativeX", "Lights/PointLightPositiveX"):
             self.set(name, "visible", False)
         self.set("Background", "top_color", list(_TOP))
@@ -198,7 +320,7 @@ class Stage:
         self.set("Lights/AmbientLight/<object>", "intensity", 0.62)
         self.set("Lights/FillLight/<object>", "intensity", 0.2)
         lit = 2.0 * float(np.linalg.norm(extent.size))
-        self.put("meshcat/ground", shadows(2.0 * lit))  # it goes along with the light
+        self.put("meshcat/ground", shadows(2.0 * lit))  # the ground moves with the light
         self.set("meshcat/focus", "position", [0.0, 0.0, 0.0])
         self.tell("lit", lit)
         self.tell("aspect", _ASPECT)
@@ -208,18 +330,18 @@ class Stage:
         self.tell("target", view.target.tolist())
 
     def robot(self, path: str, robot: Drawn, colour: str | None, *, ghost: bool = False) -> None:
-        """Load a robot's geometry below a node, whose pose is then the robot's.
+        """Load the visual geometry of a robot below a node. The pose of the node is the pose of the robot.
 
         Parameters
         ----------
         path : str
-            The node.
+            Path of the node.
         robot : MobileRobot or Drawing
-            Whose ``visual_model`` is drawn, its meshes coarser where they have very many triangles.
+            Robot to draw. Meshes with very many triangles are simplified.
         colour : str, optional
-            Of its box, or of all of a ghost; by default its own.
+            Colour of the box, or of all objects of a ghost; default: the colours of the robot.
         ghost : bool
-            Translucent, and a little larger.
+            Whether to draw a translucent and slightly larger robot.
         """
         shown, items = pin.GeometryModel(), robot.visual_model.geometryObjects
         triangles = sum(getattr(item.geometry, "num_tris", 0) for item in items)
@@ -235,7 +357,7 @@ class Stage:
         visualizer = MeshcatVisualizer(robot.model, pin.GeometryModel(), shown)
         visualizer.initViewer(viewer=Visualizer(window=self.window))
         visualizer.loadViewerModel(path.removeprefix("meshcat/"))
-        # The body is then at the origin: the node's pose does the rest.
+        # The body is at the origin of the node; the pose of the node moves it.
         visualizer.display(pin.neutral(robot.model))
         self.set(path, "scale", list(_GHOST_SCALE) if ghost and not robot.mounts else [1.0, 1.0, 1.0])
         if ghost and robot.mounts:
@@ -245,16 +367,16 @@ class Stage:
 
 
 def overview(extent: Extent, height: float, *, low: bool = False) -> View:
-    """Return a view from the south and above in which all of the extent fits a window of usual shape.
+    """Return a view from the south and above that shows the whole extent in a window of usual shape.
 
     Parameters
     ----------
     extent : Extent
-        What is seen.
+        Visible part of the plane.
     height : float
-        Of what stands there [m].
+        Height of the robot [m].
     low : bool
-        From not so far above.
+        Whether to look from a lower elevation.
     """
     elevation = _LOW if low else _ELEVATION
     forward = -np.array(
@@ -276,7 +398,7 @@ def overview(extent: Extent, height: float, *, low: bool = False) -> View:
         rise, aside = b / (distance + c), a / (distance + c)
         target = target + up * distance * (rise.max() + rise.min() - (_ABOVE - _BELOW) * tangent) / 2
         target = target + right * distance * (aside.max() + aside.min()) / 2
-        target = target - forward * target[2] / forward[2]  # back onto the ground
+        target = target - forward * target[2] / forward[2]  # projected onto the ground
     return View(target - distance * forward, target)
 
 

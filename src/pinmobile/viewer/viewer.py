@@ -1,4 +1,4 @@
-"""`Viewer`: a robot and its rollouts on meshcat's stage, live or recorded."""
+"""`Viewer`: 3D scene of a robot and its rollouts, live or recorded."""
 
 from __future__ import annotations
 
@@ -26,37 +26,57 @@ if TYPE_CHECKING:
 
 Rollouts: TypeAlias = Rollout | Mapping[str, Rollout]
 
-_FARTHEST = 1e9  # m; beyond, there is nothing to be seen
+_FARTHEST = 1e9  # [m]; nothing is visible beyond
 _LIVE_FPS = 50.0
-_HELD = 1.0  # [s] that a recording stands at its end before it begins again
+_HELD = 1.0  # [s] pause at the end of a recording before it repeats
 
 
 class Viewer:
-    """A robot or other plant on meshcat's stage.
+    """A 3D scene of a robot or another plant, live in a browser or recorded.
 
-    Without `live` it opens nothing: no process, no port; it records and takes pictures. A live one serves
-    a page at `url` until it is closed. It may be called from several threads.
+    A viewer with ``live=False`` records and takes pictures. It opens no process and no port. A live viewer
+    serves a page at `url` until it is closed. Several threads may use a viewer at once. A viewer is a context
+    manager that closes it.
 
     Parameters
     ----------
     plant : MobileRobot or other plant
-        Whose `visual_model` is drawn, where its ``drawing(q)`` puts the objects; of one without, a box of its
-        ``size`` at its ``pose(q)``.
+        Plant to draw: its visual geometry ``visual_model``, at the poses ``drawing(q)``. For a plant without
+        visual geometry, a box of its ``size`` at its ``pose(q)``.
     live : bool
-        Serve a page.
+        Whether to serve a page.
     host : str
-        Address to serve at; only this machine can reach the default.
+        Address to serve at. Only this machine can reach the default.
     port : int, optional
-        To serve at; by default one that is free.
+        Port to serve at; default: a free port.
     overlays : Overlays, optional
-        What is shown beside the robot.
+        Objects beside the robot; default: ``Overlays()``.
 
     Raises
     ------
     InvalidArgument
-        If an argument is not what is expected.
+        If an argument is invalid, or the plant has no pose.
     ViewerError
-        If the page cannot be served there.
+        If the viewer cannot serve at this address.
+
+    See Also
+    --------
+    viewer.Recording : result of ``record``
+    viewer.Overlays : paths, arrows, contacts, camera
+    plots.path : the path from above as a figure
+
+    Examples
+    --------
+    >>> from pinmobile import Circle, ComputedTorque, MobileRobot
+    >>> from pinmobile import Tangent, simulate
+    >>> from pinmobile.viewer import Viewer
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
+    >>> motion = Tangent(Circle(1.0, 0.5, 2.0))
+    >>> run = simulate(robot, ComputedTorque(robot), motion, dt=0.02)
+    >>> recording = Viewer(robot).record(run)
+    >>> recording
+    <Recording: 2 s, 30 frames per second, 1 times as fast>
+    >>> page = recording.html()  # or recording.save_html("run.html")
     """
 
     def __init__(
@@ -87,13 +107,13 @@ class Viewer:
         self.close()
 
     def close(self) -> None:
-        """Stop serving. A closed viewer does nothing more."""
+        """Stop serving. The viewer cannot be used any more."""
         self._closed = True
         self._window.close()
 
     @property
     def url(self) -> str:
-        """Address of the live page."""
+        """Address of the live page; `ViewerError` if the viewer is not live."""
         return str(self._live("url").url)
 
     def wait(self, timeout: float = 60.0) -> None:
@@ -102,12 +122,12 @@ class Viewer:
         Parameters
         ----------
         timeout : float
-            [s].
+            Longest time to wait [s].
 
         Raises
         ------
         ViewerError
-            If none has come by then, or the viewer is not live.
+            If no browser opens the page in time, or the viewer is not live.
         """
         self._live("wait").wait(timeout)
 
@@ -117,12 +137,12 @@ class Viewer:
         Parameters
         ----------
         q : array_like, shape (nq,)
-            (x, y, psi, ...) [m, m, rad, ...].
+            Configuration (x, y, psi, ...) [m, m, rad, ...].
 
         Raises
         ------
         InvalidArgument
-            If it is something else, or not finite.
+            If `q` has another shape or is not finite.
         ViewerError
             If the viewer is closed.
         """
@@ -139,7 +159,7 @@ class Viewer:
             if self._scene is None:
                 scene = self._new_scene(self.overlays)
                 scene.alone(pose)
-                self._scene = scene  # not before it is whole
+                self._scene = scene  # only when the scene is complete
             self._scene.move(pose)
 
     def play(
@@ -150,26 +170,26 @@ class Viewer:
         repeat: float = 1,
         overlays: Overlays | None = None,
     ) -> None:
-        """Show a rollout as it goes on, and return at its end.
+        """Show a rollout on the live page, and return at its end.
 
-        Ctrl-C ends it where it is; the viewer can be used on.
+        Ctrl-C stops the playback. The viewer remains usable.
 
         Parameters
         ----------
         rollout : Rollout or mapping of str to Rollout
-            The first is solid, the others are ghosts. Each is drawn as its own plant, the viewer's where it
-            has none.
+            Rollouts by label. The first robot is solid, the others are translucent. Each rollout shows its
+            own plant. A rollout without a plant shows the plant of the viewer.
         speed : float
-            Seconds of the rollout per second.
+            Seconds of the rollout per second of playback.
         repeat : float
-            How often; ``math.inf`` goes on until it is interrupted.
+            Number of repetitions; ``math.inf`` repeats until an interruption.
         overlays : Overlays, optional
-            In place of the viewer's.
+            Overlays for this playback; default: the overlays of the viewer.
 
         Raises
         ------
         InvalidArgument
-            If an argument is not what is expected.
+            If an argument is invalid.
         ViewerError
             If the viewer is closed or not live.
         """
@@ -201,26 +221,30 @@ class Viewer:
         overlays: Overlays | None = None,
         title: str = "pinmobile",
     ) -> Recording:
-        """Record a rollout, to be kept as a page, a GIF, a film or a picture.
+        """Record a rollout. The recording saves a page, a GIF, a film or a picture.
 
         Parameters
         ----------
         rollout : Rollout or mapping of str to Rollout
-            The first is solid, the others are ghosts. Each is drawn as its own plant, the viewer's where it
-            has none.
+            Rollouts by label, see `play`.
         fps : float
             Frames per second.
         speed : float
-            Seconds of the rollout per second; a page can be told another.
+            Seconds of the rollout per second of playback. The reader of a page can change the speed.
         overlays : Overlays, optional
-            In place of the viewer's.
+            Overlays of this recording; default: the overlays of the viewer.
         title : str
-            Of the page.
+            Title of the page.
+
+        Returns
+        -------
+        recording : Recording
+            Recorded scene and motion.
 
         Raises
         ------
         InvalidArgument
-            If an argument is not what is expected.
+            If an argument is invalid.
         ViewerError
             If the viewer is closed.
         """
@@ -243,41 +267,51 @@ class Viewer:
     def screenshot(
         self, path: str | PathLike[str], *, t: float | None = None, size: tuple[int, int] = (1200, 800)
     ) -> Path:
-        """Write a picture (PNG), by a headless Chromium found on the machine.
+        """Write a picture (PNG). A headless Chromium on this machine draws it.
 
         Parameters
         ----------
         path : str or path-like
-            The file, ending in ``.png``.
+            File to write, with the suffix ``.png``.
         t : float, optional
-            Time in the last recording [s]; by default the scene is drawn as it is now.
+            Time in the last recording [s]; default: the present scene.
         size : tuple of 2 int
             Width and height [px].
+
+        Returns
+        -------
+        path : pathlib.Path
+            The file.
 
         Raises
         ------
         InvalidArgument
-            If an argument is not what is expected, or the file cannot be written.
+            If an argument is invalid, or the file cannot be written.
         FileError
-            If the system fails, such as of a full disk; what was there is there still.
+            If the system fails, for example because the disk is full. An existing file remains unchanged.
         ViewerError
-            If the viewer is closed, there is nothing to draw, or no Chromium, or it fails.
+            If the viewer is closed, there is nothing to draw, or Chromium is missing or fails.
         """
         self._check_open()
         if t is not None:
             if self._recording is None:
-                raise ViewerError("there is no recording to take a picture of: call record first")
+                raise ViewerError("t needs a recording: call record first")
             return self._recording.screenshot(path, t=t, size=size)
         page = self.static_html()
         return written(path, ".png", lambda: picture_of(page, size, 0.0))
 
     def static_html(self, title: str = "pinmobile") -> str:
-        """Return a self-contained page of the scene as it is now, such as for a notebook.
+        """Return a self-contained page of the present scene as HTML, for example for a notebook.
+
+        Parameters
+        ----------
+        title : str
+            Title of the page.
 
         Raises
         ------
         ViewerError
-            If the viewer is closed, or nothing has been shown yet.
+            If the viewer is closed, or neither `display` nor `play` was called.
         """
         with self._lock:
             self._check_open()
@@ -309,12 +343,12 @@ def _checked_overlays(overlays: Overlays | None, default: Overlays) -> Overlays:
 
 
 def _checked_runs(rollouts: object) -> dict[str, Rollout]:
-    """Return the rollouts by label; a single one has the label "".
+    """Return the rollouts by label; a single rollout has the label "".
 
     Raises
     ------
     InvalidArgument
-        If it is something else, holds nothing, or the plant of one does not tell where its body is.
+        If the argument is not a rollout or a mapping, or is empty, or a plant has no pose.
     """
     runs = by_label("rollout", rollouts, Rollout)
     for label, run in runs.items():

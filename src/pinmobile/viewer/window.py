@@ -1,4 +1,4 @@
-"""`LiveWindow`: a scene in the browsers that look at it."""
+"""`LiveWindow`: a meshcat scene in browsers."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pinmobile.errors import ViewerError
 from pinmobile.viewer.pages import ENGINE, Command, SceneWindow, stage_page
 from pinmobile.viewer.server import Server, access_for, listening
 
-_CAPTURE = 20.0  # [s] that a browser has to draw a picture
+_CAPTURE = 20.0  # [s], longest time for a browser to draw a picture
 _ENGINE = '<script src="main.min.js{query}"></script>'
 _CONNECT = (
     "<script>\nviewer.connect(`ws://${{location.host}}${{location.pathname}}socket{query}`);\n</script>"
@@ -21,29 +21,41 @@ _CONNECT = (
 
 
 class LiveWindow(SceneWindow):
-    """A scene in the browsers that look at it: ``meshcat.Visualizer(window=LiveWindow())``.
+    """A meshcat scene in browsers: ``meshcat.Visualizer(window=LiveWindow())``.
 
-    The page is served by a thread of this process until the window is closed, and ends with the process
-    however that ends. Browsers get the newest state, 60 times a second at most; one that comes later or
-    again gets the whole scene, and one that is slow misses states in between. It may be used from several
-    threads. In a forked child it is closed. At most 64 browsers show it.
+    A thread of this process serves the page until the window is closed or the process ends. Browsers receive
+    the newest state at most 60 times per second. A new browser receives the whole scene. A slow browser
+    misses states in between. Several threads may use a window at once. A window is closed in a forked
+    child. At most 64 browsers can show it.
 
     Parameters
     ----------
     host : str
-        Address to serve at. Only this machine can reach the default; another one is warned about, and
-        then each request needs the token in `url`.
+        Address to serve at. Only this machine can reach the default. Another address causes a warning, and
+        each request then needs the token in `url`.
     port : int, optional
-        To serve at; by default one that is free.
+        Port to serve at; default: a free port.
     token : str, optional
-        That each request has to carry; by default a random one where the host needs it.
+        Token that each request needs; default: a random token if other machines can reach the host.
 
     Raises
     ------
     InvalidArgument
-        If an argument is not what is expected.
+        If an argument is invalid.
     ViewerError
-        If it cannot listen there: the port is taken, or there is no such address.
+        If the window cannot listen: the port is in use, or the address does not exist.
+
+    See Also
+    --------
+    viewer.Viewer : scene of a robot, with ``live=True`` in browsers
+    viewer.OfflineWindow : the same without a server
+
+    Examples
+    --------
+    >>> from pinmobile.viewer import LiveWindow
+    >>> with LiveWindow() as window:
+    ...     window.url, window.browsers
+    ('http://127.0.0.1:.../', 0)
     """
 
     def __init__(self, host: str = "127.0.0.1", port: int | None = None, token: str | None = None) -> None:
@@ -64,7 +76,7 @@ class LiveWindow(SceneWindow):
 
     @property
     def url(self) -> str:
-        """Address of the page, with the token where one is needed."""
+        """Address of the page, with the token if requests need one."""
         access = self._server.access
         return access.address(self.port) + access.query
 
@@ -72,21 +84,26 @@ class LiveWindow(SceneWindow):
 
     @property
     def port(self) -> int:
-        """Port that is served."""
+        """Port of the page."""
         return self._port
 
     @property
     def browsers(self) -> int:
-        """How many show the page."""
+        """Number of browsers that show the page."""
         return len(self._server.browsers)
 
     def send(self, command: Command) -> None:
-        """Take a command of meshcat's; it is sent soon, unless a later one replaces it.
+        """Send a meshcat command to the browsers, unless a later command replaces it before.
+
+        Parameters
+        ----------
+        command : object
+            Meshcat command: an object with a method ``lower()``.
 
         Raises
         ------
         InvalidArgument
-            If it is none, or holds a number that is not finite.
+            If `command` is not a meshcat command, or contains a number that is not finite.
         ViewerError
             If the window is closed.
         """
@@ -100,12 +117,12 @@ class LiveWindow(SceneWindow):
         Parameters
         ----------
         timeout : float
-            [s].
+            Longest time to wait [s].
 
         Raises
         ------
         ViewerError
-            If none has come by then, or the window is closed.
+            If no browser opens the page in time, or the window is closed.
         """
         self._check_open()
         limit = non_negative("timeout", timeout, "s")
@@ -117,12 +134,12 @@ class LiveWindow(SceneWindow):
         return True
 
     def flush(self, timeout: float = 5.0) -> bool:
-        """Wait until every browser has received all that was sent, and return whether that is so.
+        """Wait until every browser has received all commands, and return whether this happened in time.
 
         Parameters
         ----------
         timeout : float
-            [s].
+            Longest time to wait [s].
 
         Raises
         ------
@@ -139,17 +156,17 @@ class LiveWindow(SceneWindow):
         return all(browser.taken >= latest for browser in tuple(server.browsers))
 
     def get_image(self, w: int | None = None, h: int | None = None) -> Image.Image:
-        """Return a picture of the scene from the browser that came last, RGBA.
+        """Return an RGBA picture of the scene from the browser that connected last.
 
         Parameters
         ----------
         w, h : int, optional
-            Size [px], to which the picture is scaled and its edges cut; by default that of the browser.
+            Width and height [px]; the picture is scaled and cropped. Default: the size of the browser.
 
         Raises
         ------
         ViewerError
-            If there is no browser, it does not answer within 20 s, or the window is closed.
+            If no browser is connected, the browser does not answer within 20 s, or the window is closed.
         """
         self._check_open()
         sizes = [None if size is None else whole(name, size) for name, size in (("w", w), ("h", h))]
@@ -158,7 +175,7 @@ class LiveWindow(SceneWindow):
             data = base64.b64decode(text.partition(",")[2], validate=True)
             picture = Image.open(BytesIO(data), formats=["PNG"]).convert("RGBA")
         except (ValueError, OSError, SyntaxError, Image.DecompressionBombError) as error:
-            raise ViewerError(f"the browser has sent no picture: {error}") from error
+            raise ViewerError(f"the browser sent no valid picture: {error}") from error
         if sizes == [None, None]:
             return picture
         width, height = picture.size
@@ -167,7 +184,7 @@ class LiveWindow(SceneWindow):
         return ImageOps.fit(picture, (wide, tall))
 
     def close(self) -> None:
-        """Stop serving: no thread and no port is left. A closed window takes no more commands."""
+        """Stop serving, and free the thread and the port. A closed window accepts no commands."""
         self._finish()
 
     def _check_open(self) -> None:
