@@ -418,7 +418,7 @@ class TestDrivers:
                 pm.InvalidArgument, match=rf"^share is {float(share)}, \d+ of 300 robots; exp"
             ):
                 drivers(pair["PD"], share=share)
-        with pytest.raises(pm.InvalidArgument, match=r"^ensemble has robots that differ in no parameter"):
+        with pytest.raises(pm.InvalidArgument, match=r"^ensemble has robots with the same parameters"):
             drivers(run(TRUE, {"mass": 31}, n=20))
 
 

@@ -46,8 +46,8 @@ class Prediction(NamedTuple):
 
     Examples
     --------
-    >>> from pinmobile import ComputedTorque, Lissajous, Log, MobileRobot
-    >>> from pinmobile import Tangent, identify, rk4, simulate
+    >>> from pinmobile import ComputedTorque, Lissajous, Log, Tangent
+    >>> from pinmobile import MobileRobot, identify, rk4, simulate
     >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
     >>> motion = Tangent(Lissajous(1, 1, 1.0, 0.5, duration=24))
     >>> run = simulate(robot, ComputedTorque(robot), motion,
@@ -146,8 +146,8 @@ class Identification:
 
     Examples
     --------
-    >>> from pinmobile import ComputedTorque, Lissajous, Log, MobileRobot
-    >>> from pinmobile import Tangent, identify, rk4, simulate
+    >>> from pinmobile import ComputedTorque, Lissajous, Log, Tangent
+    >>> from pinmobile import MobileRobot, identify, rk4, simulate
     >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
     >>> motion = Tangent(Lissajous(1, 1, 1.0, 0.5, duration=24))
     >>> run = simulate(robot, ComputedTorque(robot), motion,

@@ -240,8 +240,8 @@ def identify_velocity(
 
     Examples
     --------
-    >>> from pinmobile import FixedHeading, Hold, Log
-    >>> from pinmobile import VelocityRobot, identify_velocity, simulate
+    >>> from pinmobile import FixedHeading, Hold, Log, VelocityRobot
+    >>> from pinmobile import identify_velocity, simulate
     >>> from pinmobile.controllers import RandomSteps
     >>> robot = VelocityRobot([0.4, 0.3, 0.0, 1.0, 0.0, 1.0])
     >>> still = FixedHeading(Hold((0, 0), duration=44), psi=0)

@@ -1,4 +1,4 @@
-"""Numbers over what was varied: one or two swept parameters, or the step of an integrator."""
+"""Figures of numbers over parameters: one or two swept parameters, or the step of an integrator."""
 
 from __future__ import annotations
 
@@ -31,23 +31,23 @@ from pinmobile.errors import InvalidArgument, shown
 from pinmobile.palette import INK
 from pinmobile.plots.style import Layout, Sheet, Style, colour, dress, ink, letters, line_style
 
-_SHARE = 0.11  # of the height of the axes below it
+_SHARE = 0.11  # height of the strip as a share of the axes below it
 _GREY = "#f1f1f1"
 
 
 def strip_above(axes: Axes, word: str, *, numbers: bool = True) -> float:
-    """Add a strip above all that the axes show, and return the height of its middle, where marks go.
+    """Add a strip above the data for marks of infinite values, and return the y of its middle.
 
-    The ticks stay where they are, as they are; the word stands beside the strip as one more.
+    The existing ticks remain. The word becomes the tick label of the strip.
 
     Parameters
     ----------
     axes : Axes
-        Whose limits of y hold all that has a size, linear or logarithmic.
+        Axes with linear or logarithmic limits of y that contain all finite values.
     word : str
-        What marks in the strip mean.
+        Meaning of the marks in the strip.
     numbers : bool
-        Whether anything has a size: otherwise the strip is all there is.
+        Whether there are finite values. Otherwise the strip fills the axes.
     """
     if not numbers:
         axes.set_ylim(0.0, 1.0)
@@ -55,7 +55,7 @@ def strip_above(axes: Axes, word: str, *, numbers: bool = True) -> float:
         axes.set_yticks([0.5], [word])
         return 0.5
     low, high = axes.get_ylim()
-    up = axes.transScale.transform  # to where heights are even
+    up = axes.transScale.transform  # to coordinates in which heights are linear
     down = axes.transScale.inverted().transform
     bottom, top = (float(up((1.0, y))[1]) for y in (low, high))
     middle, end = (float(down((1.0, top + share * (top - bottom)))[1]) for share in (_SHARE / 2, _SHARE))
@@ -74,11 +74,11 @@ def strip_above(axes: Axes, word: str, *, numbers: bool = True) -> float:
     return middle
 
 
-_MAP = "cividis"  # Nunez, Anderton and Renslow 2018: alike with and without a deficiency of colour vision
-_LOGARITHMIC = 20.0  # from which ratio of the largest to the smallest on, it is logarithmic
-_LARGEST = 11.0, 8.0  # [inch] of the cells together
-_CELL = 0.85, 0.55  # [inch] at most
-_LEAST = 5.0  # [pt] of numbers that can be read
+_MAP = "cividis"  # Nunez, Anderton and Renslow 2018: similar with a deficiency of colour vision
+_LOGARITHMIC = 20.0  # ratio of the largest and the smallest number above which the scale is logarithmic
+_LARGEST = 11.0, 8.0  # [in], largest size of all cells
+_CELL = 0.85, 0.55  # [in], largest size of a cell
+_LEAST = 5.0  # [pt], smallest readable font size
 
 _Axis = tuple[str, str, Sequence[object] | Array]
 
@@ -92,35 +92,51 @@ def heatmap(
     limits: tuple[float, float] | None = None,
     **layout: Unpack[Layout],
 ) -> Figure:
-    """Draw a number for each pair of two parameters, as colour and as text.
+    """Draw a number for each pair of values of two parameters, as colour and as text.
 
-    Where it is infinite, nothing bounds it: the cell is hatched, and says "diverges". Colours are
-    logarithmic where the numbers differ by a factor of more than 20. Dark is small.
+    A cell with an infinite number is hatched and says "diverges". Dark colours are small numbers. The colour
+    scale is logarithmic if the numbers differ by a factor of more than 20.
 
     Parameters
     ----------
     values : array_like, shape (len(y values), len(x values))
-        Numbers or infinity.
+        Numbers, or infinity.
     x, y : tuple of str, str and sequence
-        Name, unit ("" or "1" for none) and values of each parameter: numbers or names. The first is at the
-        left and at the bottom.
+        Name, unit ("" or "1" for none) and values of each parameter. The values are numbers or names. The
+        first value is at the left or at the bottom.
     label : str
-        What the numbers are, with their unit, such as ``"99 % stay within [mm]"``.
-    limits : tuple of float, optional
-        The numbers of the darkest and the brightest colour, in the unit of `values`: with the same ones,
-        several maps can be compared. By default the smallest and the largest of `values`.
+        Meaning and unit of the numbers, such as ``"99 % stay within [mm]"``.
+    limits : tuple of 2 float, optional
+        Numbers of the darkest and the brightest colour, in the unit of `values`, for comparable maps.
+        Default: the smallest and the largest number.
     **layout
-        `title`, `ax` and `width`, as in `states`.
+        ``title``, ``ax`` and ``width``, see `plots.states`.
 
     Returns
     -------
     figure : matplotlib.figure.Figure
+        New figure, or the figure of ``ax``.
 
     Raises
     ------
     InvalidArgument
-        If `values` has another shape, holds NaN, or a number that is outside `limits`, or these are no two
-        numbers in order.
+        If `values` has another shape or contains NaN, or `limits` are not two increasing numbers that
+        contain all values.
+
+    See Also
+    --------
+    plots.curves : numbers over one parameter
+    sweep : ensembles over a grid of parameters
+
+    Examples
+    --------
+    >>> from pinmobile import plots
+    >>> figure = plots.heatmap(
+    ...     [[4.1, 2.0], [9.3, float("inf")]],
+    ...     x=("kp", "1/s^2", [4, 9]), y=("mass", "kg", [30, 36]),
+    ...     label="error [mm]")
+    >>> [text.get_text() for text in figure.axes[0].texts]
+    ['4.10', '2.00', '9.30', 'diverges']
     """
     across, columns = _axis("x", x, words=True)
     up, rows = _axis("y", y, words=True)
@@ -151,7 +167,7 @@ def heatmap(
 
 
 def _axis(name: str, axis: Any, *, words: bool = False) -> tuple[str, Any]:
-    """Return the label and the values of (name, unit, values): numbers, or with `words` their labels."""
+    """Return label and values of (name, unit, values); with `words`, the values as text."""
     if len(sequence(name, axis, "(name, unit, values)")) != 3:
         raise InvalidArgument(f"{name} is {shown(axis)}, expected (name, unit, values)")
     what, unit = text(f"{name}[0]", axis[0]), text(f"{name}[1]", axis[1])
@@ -165,13 +181,13 @@ def _axis(name: str, axis: Any, *, words: bool = False) -> tuple[str, Any]:
 
 
 def _range(numbers: Array) -> tuple[float, float]:
-    """Return the smallest and the largest of those that are finite."""
+    """Return the smallest and the largest finite number."""
     known = numbers[np.isfinite(numbers)]
     return (float(known.min()), float(known.max())) if len(known) else (0.0, 1.0)
 
 
 def _write(axes: Axes, numbers: Array, norm: Normalize, size: float) -> None:
-    """Write each number in its cell, in white on dark colours, where there is room for it."""
+    """Write each number in its cell if there is room, in white on dark colours."""
     finite = numbers[np.isfinite(numbers)]
     whole = bool((finite == np.round(finite)).all())
     shades = colormaps[_MAP](norm(np.where(np.isfinite(numbers), numbers, 0.0)))
@@ -183,7 +199,7 @@ def _write(axes: Axes, numbers: Array, norm: Normalize, size: float) -> None:
         if size < _LEAST:
             continue
         dark = np.isfinite(number) and float(shades[i, k, :3] @ (0.299, 0.587, 0.114)) < 0.5
-        # Three digits, without a power of ten where there is room.
+        # Three digits, without a power of ten if there is room.
         if np.isinf(number):
             words = "diverges"
         elif whole or abs(number) >= 100:
@@ -198,34 +214,49 @@ def _write(axes: Axes, numbers: Array, norm: Normalize, size: float) -> None:
             text.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 1.0})
 
 
-_MARKERS = "osD^vP"  # with the colours: lines that coincide are told apart
+_MARKERS = "osD^vP"  # markers and colours distinguish lines that coincide
 
 
 def curves(values: Mapping[str, ArrayLike], *, x: _Axis, label: str, **layout: Unpack[Layout]) -> Figure:
-    """Draw numbers over a parameter, a curve for each name.
+    """Draw numbers over a parameter, one curve for each name.
 
-    Where a number is infinite, nothing bounds it: a cross in a strip at the top says so. The axis is
-    logarithmic where the numbers differ by a factor of more than 20.
+    A cross in a strip at the top marks an infinite number. The axis is logarithmic if the numbers differ by a
+    factor of more than 20.
 
     Parameters
     ----------
     values : mapping of str to array_like, shape (len(x values),)
-        Numbers or infinity, by name; of a single curve, the name may be "".
+        Numbers, or infinity, by name. The name of a single curve may be "".
     x : tuple of str, str and sequence
-        Name, unit ("" for none) and values of the parameter: numbers.
+        Name, unit ("" for none) and numbers of the parameter.
     label : str
-        What the numbers are, with their unit, such as ``"99 % stay within [mm]"``.
+        Meaning and unit of the numbers, such as ``"99 % stay within [mm]"``.
     **layout
-        `title`, `ax` and `width`, as in `states`.
+        ``title``, ``ax`` and ``width``, see `plots.states`.
 
     Returns
     -------
     figure : matplotlib.figure.Figure
+        New figure, or the figure of ``ax``.
 
     Raises
     ------
     InvalidArgument
-        If there are no curves, one has another shape, or holds NaN.
+        If there is no curve, or a curve has another shape or contains NaN.
+
+    See Also
+    --------
+    plots.heatmap : numbers over two parameters
+    sweep : ensembles over a grid of parameters
+
+    Examples
+    --------
+    >>> from pinmobile import plots
+    >>> errors = {"PD": [9.0, 4.1, 2.2], "MPC": [1.2, 1.1, 1.0]}
+    >>> figure = plots.curves(errors, x=("kp", "1/s^2", [4, 9, 16]),
+    ...                       label="error [mm]")
+    >>> figure.axes[0].get_xlabel(), figure.axes[0].get_ylabel()
+    ('kp [1/s^2]', 'error [mm]')
     """
     (across, places), label = _axis("x", x), text("label", label)
     rows: dict[str, Array] = {}
@@ -247,7 +278,7 @@ def curves(values: Mapping[str, ArrayLike], *, x: _Axis, label: str, **layout: U
 
 
 def _scale(axes: Axes, numbers: Array) -> float:
-    """Choose the axis, and return where what is unbounded is marked."""
+    """Set the scale of y, and return the y of marks of infinite numbers."""
     low, high = _range(numbers)
     if 0 < _LOGARITHMIC * low < high:
         axes.set_yscale("log")
@@ -262,7 +293,7 @@ def _scale(axes: Axes, numbers: Array) -> float:
 
 def _curve(axes: Axes, x: Array, row: Array, top: float, index: int, count: int) -> None:
     known = np.isfinite(row)
-    # Below the others wide and large, so that a curve shows where the next one covers it.
+    # Lower curves are wider, with larger markers, so that they show below the others.
     extra = 3.0 * (count - 1 - index) / max(count - 1, 1)
     thick, large = (float(rcParams["lines.linewidth"]), float(rcParams["lines.markersize"]))
     axes.plot(x, np.where(known, row, np.nan), zorder=3, linewidth=1.2 * thick + extra / 2,
@@ -284,9 +315,9 @@ _PANELS = (
     ("sampling", "Loop: force held for h"),
 )
 _DOTS: Style = {"markersize": 5, "marker": "o"}
-_FLOOR = 1e-17  # where zero is drawn
-_TICKS = 6  # at most, along the steps
-_LONGEST = 22  # letters of a label above a panel; the legend has all
+_FLOOR = 1e-17  # value at which zero is drawn
+_TICKS = 6  # largest number of ticks of the steps
+_LONGEST = 22  # longest label above a panel [letters]; the legend has the whole label
 _ROUNDING = "#dddddd"
 _GUIDE: Style = {"color": "#999999", "linestyle": (0, (4, 3)), "linewidth": 1.0, "zorder": 2}
 
@@ -294,25 +325,40 @@ _GUIDE: Style = {"color": "#999999", "linestyle": (0, (4, 3)), "linewidth": 1.0,
 def integrator(
     reports: IntegratorReport | Mapping[str, IntegratorReport], **layout: Unpack[Layout]
 ) -> Figure:
-    """Draw the errors over the step, double logarithmic, beside lines of the whole order that is nearest.
+    """Draw the errors of integrators over the step, on logarithmic axes.
 
-    The measured orders are written above each panel. What lies in the grey is rounding.
+    Each panel has lines of the nearest whole order, and its title gives the measured order. The grey area
+    shows rounding errors.
 
     Parameters
     ----------
     reports : IntegratorReport or mapping of str to IntegratorReport
-        All are drawn in the same axes.
+        Results of `accuracy.integrator_report` by label, all in the same axes.
     **layout
-        `title`, `ax` and `width`, as in `states`.
+        ``title``, ``ax`` and ``width``, see `plots.states`.
 
     Returns
     -------
     figure : matplotlib.figure.Figure
+        New figure, or the figure of ``ax``.
 
     Raises
     ------
     InvalidArgument
-        If `reports` is something else.
+        If `reports` is not a report or a mapping of reports.
+
+    See Also
+    --------
+    accuracy.integrator_report : measure an integrator
+
+    Examples
+    --------
+    >>> from pinmobile import plots, rk4
+    >>> from pinmobile.accuracy import integrator_report
+    >>> report = integrator_report(rk4, steps=(0.1, 0.05), duration=1)
+    >>> figure = plots.integrator(report)
+    >>> figure.axes[0].get_ylabel(), round(report.position.order)
+    ('error [m]', 4)
     """
     known: dict[str, IntegratorReport] = by_label("reports", reports, IntegratorReport)
     sheet = Sheet(9.0, **layout)
@@ -366,7 +412,7 @@ def _panel(
 
 
 def _guides(axes: Axes, rows: Sequence[Convergence]) -> None:
-    """Draw a line of each whole order there is, above the highest error of that order."""
+    """Draw a line for each measured whole order, above the largest error of this order."""
     tops: dict[int, Convergence] = {}
     for row in rows:
         if row.converges and row.order is not None:

@@ -1,4 +1,4 @@
-"""The lecture's figure: where the robot should go, where it went and how it stood there; and as a GIF."""
+"""Figures in the plane: desired and travelled path with the robot, also as a GIF; end effectors."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ from pinmobile.plots.style import (
     wrapped,
 )
 
-_ARROW = 0.06  # of what the axes show; length of the arrowhead of a plant without size
+_ARROW = 0.06  # length of the arrowhead of a plant without size, as a share of the axes
 
 #         ______________
 #        |    |\        |
@@ -61,27 +61,27 @@ _DART = np.array([[0.6, 0.0], [-0.4, 0.35], [-0.2, 0.0], [-0.4, -0.35]])
 
 
 class Body:
-    """The patches of a robot in axes: its outline, length along x_B, and a nose that tells where front is.
+    """Patches of a robot in axes: its outline with length along x_B, and a nose at its front.
 
-    A plant that has no size is an arrowhead.
+    A plant without size is drawn as an arrowhead.
 
     Parameters
     ----------
     axes : matplotlib.axes.Axes
-        Where it is drawn.
+        Axes to draw in.
     plant : MobileRobot or other plant, or None
-        Its ``size``, if it has one, is length and width [m].
+        Plant; its ``size`` gives length and width [m].
     colour : str
-        Of outline and nose.
+        Colour of outline and nose.
     otherwise : float
         Length of the arrowhead of a plant without size [m].
     **style
-        What every patch gets, such as ``zorder``.
+        Properties of all patches, such as ``zorder``.
 
     Attributes
     ----------
     patches : list of Polygon
-        The outline comes first.
+        Patches; the outline comes first.
     """
 
     def __init__(self, axes: Axes, plant: object, colour: str, otherwise: float, **style: Any) -> None:
@@ -97,20 +97,20 @@ class Body:
             axes.add_patch(patch)
 
     def move(self, pose: Array) -> None:
-        """Put the robot at a pose (x, y, psi), shape (3,) [m, m, rad]."""
+        """Move the robot to a pose (x, y, psi), shape (3,) [m, m, rad]."""
         cos, sin = np.cos(pose[2]), np.sin(pose[2])
         for patch, shape in zip(self.patches, self._shapes, strict=True):
             patch.set_xy(pose[:2] + shape @ np.array([[cos, sin], [-sin, cos]]))
 
 
 def diagonal(plant: object, otherwise: float) -> float:
-    """Return the diagonal of the plant's outline, or `otherwise` where it has no size [m]."""
+    """Return the diagonal of the plant's outline [m], or `otherwise` if the plant has no size."""
     size = _size(plant)
     return otherwise if size is None else float(np.hypot(*size))
 
 
 def _size(plant: object) -> Array | None:
-    """Return length and width; None for a plant that does not have them."""
+    """Return length and width [m], or None for a plant without size."""
     try:
         size = finite("size", getattr(plant, "size", ()))
     except InvalidArgument:
@@ -122,35 +122,55 @@ _BOXES = 8
 
 
 def _travelled() -> Style:
-    """Return how a travelled path is drawn: wider than the desired one, below which it shows."""
+    """Return the style of a travelled path: wider than the desired path above it, so that both show."""
     return {"linewidth": 1.9 * float(rcParams["lines.linewidth"]), "zorder": 3}
 
 
 def path(rollouts: Rollouts, *, times: ArrayLike | None = None, **layout: Unpack[Layout]) -> Figure:
-    """Draw the desired and the travelled path, and the robot at several instants at its actual pose.
+    """Draw the desired and the travelled path from above, and the robot at several times.
+
+    The title of each panel gives the largest position error.
 
     Parameters
     ----------
     rollouts : Rollout or mapping of str to Rollout
-        Each gets a panel; all panels show the same part of the plane.
+        Rollouts by label, one panel each. All panels show the same part of the plane.
     times : array_like, shape (n,), optional
-        When the robot is drawn [s]; by default at up to 8 instants spread along the path.
+        Times at which the robot is drawn [s]; default: up to 8 times, spread along the path.
     **layout
-        `title`, `ax` and `width`, as in `states`.
+        ``title``, ``ax`` and ``width``, see `plots.states`.
 
     Returns
     -------
     figure : matplotlib.figure.Figure
+        New figure, or the figure of ``ax``.
 
     Raises
     ------
     InvalidArgument
-        If `rollouts` is something else, has no pose, or a time is outside one of them.
+        If `rollouts` is invalid, a plant has no pose, or a time is outside a rollout.
+
+    See Also
+    --------
+    plots.states : the configuration over time
+    plots.animate : the same as a GIF
+    viewer.Viewer : scene in 3D
+
+    Examples
+    --------
+    >>> from pinmobile import PD, Circle, MobileRobot, Tangent
+    >>> from pinmobile import plots, simulate
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
+    >>> motion = Tangent(Circle(1, 1, 2))
+    >>> run = simulate(robot, PD(120, 120), motion, dt=0.02)
+    >>> figure = plots.path(run)
+    >>> figure.axes[0].get_title()
+    'position error at most 200 mm'
     """
     runs = labelled(rollouts)
     of_each(runs, lambda run: run.poses)
     instants: dict[str, Array] = {}
-    for labels in same_references(runs).values():  # which share the times, to be compared
+    for labels in same_references(runs).values():  # equal references have equal times, for comparison
         instants |= dict.fromkeys(labels, _spread(runs[labels[0]]))
     if times is not None:
         given = shaped("times", np.atleast_1d(finite("times", times)), ("n",))
@@ -170,14 +190,18 @@ def path(rollouts: Rollouts, *, times: ArrayLike | None = None, **layout: Unpack
 def panels(
     runs: Mapping[str, Rollout], default: str, *, known: bool = True, **layout: Unpack[Layout]
 ) -> tuple[Figure, list[Axes]]:
-    """Return a figure with a panel for each rollout, its desired path drawn, and a legend below.
+    """Return a figure with a panel for each rollout, with its desired path, and a legend below.
 
     Parameters
     ----------
     runs : mapping of str to Rollout
-        By label.
-    default, known, **layout
-        As in `Sheet`.
+        Rollouts by label.
+    default : str
+        Default heading.
+    known : bool
+        See `Sheet`.
+    **layout
+        See `Sheet`.
     """
     most = min(len(runs), 3)
     largest = (8.6 / most - 0.4, 4.8) if most > 1 else (7.0, 5.6)  # [in]
@@ -217,18 +241,20 @@ def panels(
 def _placed(
     sheet: Sheet, spots: Sequence[tuple[int, int]], shape: Array, titles: float, keys: float, heading: float
 ) -> tuple[float, list[Axes]]:
-    """Return the height of a figure [in] and its axes of the window's shape: in layouts, titles collide.
+    """Return the height of a figure [in] and its axes, placed without a layout engine.
+
+    Titles of axes with a fixed aspect collide in the layouts of matplotlib.
 
     Parameters
     ----------
     sheet : Sheet
-        With a new figure.
+        Sheet with a new figure.
     spots : sequence of tuple
         Row and column of each of the axes.
     shape : ndarray, shape (2,)
-        Of the window: its longer side is 1.
+        Side lengths of the window; the longer side is 1.
     titles : float
-        Height of what stands above each of the axes, in letters.
+        Height of the text above each of the axes, in font sizes.
     keys, heading : float
         Heights of legend and heading [in].
     """
@@ -251,7 +277,7 @@ def _placed(
 
 
 def poses(run: Rollout, times: Array) -> Array:
-    """Return the actual poses at `times`, shape (n, 3) [m, m, rad], straight between two samples."""
+    """Return the actual poses at `times`, shape (n, 3) [m, m, rad], by linear interpolation."""
     x, y, psi = run.poses.T
     return np.stack([np.interp(times, run.t, column) for column in (x, y, np.unwrap(psi))], axis=-1)
 
@@ -264,18 +290,18 @@ def _keys(count: int) -> Iterator[Patch | Line2D]:
 
 
 def _shape(window: Array) -> Array:
-    """Return the lengths of a window's sides: the longer one is 1."""
+    """Return the side lengths of a window; the longer side is 1."""
     sides = window[1] - window[0]
     return np.asarray(sides / sides.max())
 
 
 def _arrowhead(axes: Axes) -> float:
-    """Return the length of a robot without size in axes [m]."""
+    """Return the length of the arrowhead of a robot without size [m]."""
     return _ARROW * float(np.max(np.diff([axes.get_xlim(), axes.get_ylim()])))
 
 
 def _window(runs: Mapping[str, Rollout], wide: float) -> Array:
-    """Return corners of what panels so wide [in] show, (2, 2) [m], with room for times beside robots."""
+    """Return the corners of the window of panels of a width [in], shape (2, 2) [m], with room for labels."""
     points = np.concatenate(
         [part[:, :2] for run in runs.values() for part in (run.poses, run.reference_poses)]
     )
@@ -284,7 +310,7 @@ def _window(runs: Mapping[str, Rollout], wide: float) -> Array:
     robot = max(diagonal(run.plant, _ARROW * extent) for run in runs.values())
     words = min(2.6 * letters() / 72 / wide, 0.25)
     margin = 0.5 * robot + max(0.12, words / (1 - 2 * words)) * max(extent, robot) or 1.0
-    room = np.maximum(0.25 * extent - 0.5 * (high - low), 0.0)  # a straight line gets a panel, not a slit
+    room = np.maximum(0.25 * extent - 0.5 * (high - low), 0.0)  # a straight line needs some height too
     return np.stack([low - margin - room, high + margin + room])
 
 
@@ -298,7 +324,7 @@ def _write_time(axes: Axes, t: float, pose: Array, beside: float) -> None:
 
 
 def _spread(run: Rollout) -> Array:
-    """Return times between which the robot has moved on by so much that its drawings do not overlap."""
+    """Return times at which drawings of the robot do not overlap, shape (n,) [s]."""
     xy = run.poses[:, :2]
     robot = diagonal(run.plant, _ARROW * float(np.ptp(xy, axis=0).max()))
     travelled = np.append(0.0, np.cumsum(np.hypot(*np.diff(xy, axis=0).T)))
@@ -311,9 +337,9 @@ def _spread(run: Rollout) -> Array:
     return np.asarray(run.t[sorted(kept)])
 
 
-_LASTS = 10.0  # [s]; by default a longer run is shown in this time
-_HELD = 1.0  # [s] for which the last frame stands
-_FASTEST = 50.0  # [1/s]; browsers slow down GIFs that are faster
+_LASTS = 10.0  # [s], default duration of the GIF of a longer run
+_HELD = 1.0  # [s], duration of the last frame
+_FASTEST = 50.0  # [1/s]; browsers slow down faster GIFs
 _DPI = 80
 _COLOURS = 48
 
@@ -327,23 +353,23 @@ def animate(
     title: str | None = None,
     progress: Callable[[int, int], object] | None = None,
 ) -> Path:
-    """Write a GIF of the robot that moves along its path: its actual pose, and what it has travelled.
+    """Write a GIF of the moving robot from above, with its travelled path.
 
     Parameters
     ----------
     rollouts : Rollout or mapping of str to Rollout
-        Each gets a panel; a shorter one waits at its end.
+        Rollouts by label, one panel each. A shorter rollout stops at its end.
     path : str or path-like
-        The file, ending in ``.gif``; what is there is replaced.
+        File to write, with the suffix ``.gif``. It replaces an existing file.
     fps : float
         Frames per second of the GIF, at most 50.
     speed : float, optional
-        Seconds of the run per second of the GIF. By default 1, and more for a run of more than 10 s, which
-        is shown in 10 s. The last frame stands for a second longer.
+        Seconds of the run per second of the GIF. Default: 1, or for a run of more than 10 s the speed at
+        which the GIF takes 10 s. The last frame stays for one second.
     title : str, optional
         Heading, beside the time.
     progress : callable, optional
-        Called as ``progress(done, total)`` after each frame.
+        Function ``progress(done, total)`` that is called after each frame.
 
     Returns
     -------
@@ -353,10 +379,27 @@ def animate(
     Raises
     ------
     InvalidArgument
-        If `rollouts` is something else or has no pose, a number is not positive, or the file cannot be
+        If `rollouts` is invalid or a plant has no pose, a number is not positive, or the file cannot be
         written.
     FileError
-        If the system fails, such as of a full disk; what was there is there still.
+        If the system fails, for example because the disk is full. An existing file remains unchanged.
+
+    See Also
+    --------
+    plots.path : the same as a figure
+    viewer.Recording : GIFs and films in 3D
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pinmobile import PD, Circle, MobileRobot, Tangent
+    >>> from pinmobile import plots, simulate
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
+    >>> motion = Tangent(Circle(1, 1, 1))
+    >>> run = simulate(robot, PD(120, 120), motion, dt=0.02)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     plots.animate(run, f"{folder}/run.gif", fps=2).name
+    'run.gif'
     """
     runs = labelled(rollouts)
     of_each(runs, lambda run: run.poses)
@@ -379,12 +422,12 @@ def animate(
 
 
 def _agg(figure: Figure) -> Any:
-    """Return a canvas without window for the figure; matplotlib's own is untyped."""
+    """Return a canvas without a window; the untyped class of matplotlib needs `Any`."""
     return FigureCanvasAgg(figure)
 
 
 class _Scene:
-    """A figure whose still parts are drawn once."""
+    """Figure of an animation; its static parts are drawn once."""
 
     def __init__(self, runs: Mapping[str, Rollout], times: Array, title: str, pace: float) -> None:
         figure, panes = panels(runs, "", known=False)
@@ -395,7 +438,7 @@ class _Scene:
         size, left, right = letters(1.2), panes[0].get_position().x0, panes[-1].get_position().x1
         high = 1 - size / 144 / figure.get_figheight()
         figure.text(left, high, words, va="top", fontsize=size)
-        # Text is slow to draw: of the caption, only the time is drawn in each frame.
+        # Text is slow to draw: each frame draws only the time of the caption.
         clock: Style = {"ha": "right", "va": "top", "fontsize": size, "animated": True}
         self.clock = figure.text(right, high, "", **clock)
         self.movers = [
@@ -406,7 +449,7 @@ class _Scene:
         self.still = self.canvas.copy_from_bbox(figure.bbox)
 
     def frame(self, index: int) -> Image.Image:
-        """Return the scene at the time with this index, in full colour."""
+        """Return the frame of an index in full colour."""
         self.canvas.restore_region(self.still)
         self.clock.set_text(f"t = {self.times[index]:.1f} s")
         self.figure.draw_artist(self.clock)
@@ -417,7 +460,7 @@ class _Scene:
 
 
 class _Mover:
-    """A robot in its panel, and the line behind it."""
+    """Moving robot in its panel, with the line of its travelled path."""
 
     def __init__(self, run: Rollout, times: Array, axes: Axes, shade: str) -> None:
         xy = run.poses[:, :2]
@@ -425,11 +468,11 @@ class _Mover:
         self.xy, self.reached = xy[kept], np.searchsorted(run.t[kept], times)
         self.poses, self.axes = poses(run, times), axes
         self.body = Body(axes, run.plant, shade, _arrowhead(axes), animated=True)
-        (self.desired,) = axes.lines  # drawn again, above what is travelled
+        (self.desired,) = axes.lines  # drawn again, above the travelled path
         (self.line,) = axes.plot([], [], color=shade, animated=True, **_travelled())
 
     def draw(self, index: int) -> None:
-        """Draw both at the time with this index."""
+        """Draw robot and line in the frame of an index."""
         pose = self.poses[index]
         self.line.set_data(*np.vstack([self.xy[: self.reached[index]], pose[:2]]).T)
         self.body.move(pose)
@@ -438,7 +481,7 @@ class _Mover:
 
 
 def _frames(scene: _Scene, progress: Callable[[int, int], object] | None) -> Iterator[Image.Image]:
-    """Yield the frames, all in the colours of the last one, on white."""
+    """Yield the frames with the palette of the last frame, on white."""
     total = len(scene.times)
     palette = scene.frame(total - 1).quantize(_COLOURS, dither=Image.Dither.NONE)
     entries = np.array(palette.getpalette(), np.uint8).reshape(-1, 3)
@@ -453,31 +496,54 @@ def _frames(scene: _Scene, progress: Callable[[int, int], object] | None) -> Ite
 _WIDE, _TALL = (1.4, 1.4, 1.4), (2.8, 1.2, 1.2, 1.2)  # [in]: heights of rows
 _NO_TARGET, _NO_ORIENTATION = "there is no target", "the target has no orientation"
 _PLACES = (("x [m]", "y [m]"), ("", "z [m]"), ("", "distance [m]"), ("t [s]", "angle [rad]"))
-"""Words beside the axes of path, height, distance and angle."""
+"""Labels of the axes of path, height, distance and angle."""
 
 
 def end_effector(rollouts: Rollouts, *, frame: str | None = None, **layout: Unpack[Layout]) -> Figure:
-    """Draw an end effector's path from above, its height, and its pose's error: distance and angle.
+    """Draw the path of an end effector from above, its height, and the error of its pose.
+
+    The error has two panels: distance and angle from the target.
 
     Parameters
     ----------
     rollouts : Rollout or mapping of str to Rollout
-        All are drawn in the same axes.
+        Rollouts by label, all in the same axes.
     frame : str, optional
-        As in `Rollout.end_effector`.
+        Name of the frame, see `Rollout.end_effector`; default: the frame with a target, or the tip of the
+        first arm.
     **layout
-        `title`, `ax` and `width`, as in `states`; axes are those of path, height, distance and angle.
+        ``title``, ``ax`` and ``width``, see `plots.states`. The axes show path, height, distance and
+        angle.
 
     Returns
     -------
     figure : matplotlib.figure.Figure
+        New figure, or the figure of ``ax``.
 
     Raises
     ------
     InvalidArgument
-        If `rollouts`, `ax` or `width` is something else, or a plant does not tell where its frames are.
+        If `rollouts`, ``ax`` or ``width`` is invalid, or a plant has no frames.
     UnknownName
-        If there is no such frame; it says which there are.
+        If there is no frame of this name; the message lists the frames.
+
+    See Also
+    --------
+    Rollout.end_effector : the poses as numbers
+    EndEffectorTracking : controller for a path of poses
+
+    Examples
+    --------
+    >>> from pinmobile import FixedHeading, Hold, MobileRobot
+    >>> from pinmobile import PDGravity, WholeBody, plots, simulate
+    >>> robot = MobileRobot.box().mount("ur5")
+    >>> base = FixedHeading(Hold((0, 0), duration=0.1), psi=0)
+    >>> still = WholeBody(robot, base, Hold(robot.rest[3:], 0.1))
+    >>> law = PDGravity(robot, 100, 20)
+    >>> run = simulate(robot, law, still, dt=0.01)
+    >>> figure = plots.end_effector(run)
+    >>> [axes.get_ylabel() for axes in figure.axes]
+    ['y [m]', 'z [m]', 'distance [m]', 'angle [rad]']
     """
     hands = of_each(labelled(rollouts), lambda run: run.end_effector(frame))
     sheet = Sheet(9.0, **layout)
@@ -504,7 +570,7 @@ def end_effector(rollouts: Rollouts, *, frame: str | None = None, **layout: Unpa
 
 
 def _panels(sheet: Sheet) -> list[Axes]:
-    """Return axes on one another, or the path beside what goes over time."""
+    """Return the axes: one above the other, or the path beside the axes over time."""
     if sheet.columns(2, 3.2) == 1:
         spots: list[Spot] = [(k, 0) for k in range(4)]
         above, *later = sheet.axes(spots, _TALL, share="")

@@ -1,4 +1,4 @@
-"""Figures of ensembles: bands over time, and the parameters that the worst robots have in common."""
+"""Figures of ensembles: quantile bands over time, and the parameters that the worst robots share."""
 
 from __future__ import annotations
 
@@ -40,14 +40,14 @@ from pinmobile.plots.style import (
 )
 
 _ALWAYS = "distance", "heading"
-_LINEAR_BANDS = 40.0  # by how much the largest of all may exceed the smallest median on a linear axis
-_ROUNDING = 1e-9  # of the largest of all: less is next to nothing on a logarithmic axis
+_LINEAR_BANDS = 40.0  # largest ratio of the largest value and the smallest median on a linear axis
+_ROUNDING = 1e-9  # smallest value on a logarithmic axis, as a share of the largest
 _GREY = "#777777"
 _PLAIN: Style = {"color": INK, "fontweight": "normal"}
 
 
 class _Scale(NamedTuple):
-    """What the axes of one row show, in the unit that suits it."""
+    """Scale of the axes of one row, in a suitable unit."""
 
     unit: str
     per_si: float
@@ -63,33 +63,55 @@ def bands(
     by: Sequence[str] | None = None,
     **layout: Unpack[Layout],
 ) -> Figure:
-    """Draw what shares of the robots stay within, over time: distance from the desired position, and heading.
+    """Draw error quantiles of ensembles over time: position distance, heading error, and metrics.
 
-    And so on of what else is judged, a row for each. All ensembles have the same axes; where one's errors are
-    far larger than another's, they are logarithmic, and say so. Where so many robots have diverged that a
-    band has no end, it leaves the axes at the top. Above each panel stands what the largest share stays
-    within all the time. Of a margin the shares have at least what is drawn; the axes are linear.
+    Each quantity has a row. A band shows the bound within which a share of the robots stays. For a margin,
+    such as the tip-over margin, a share of the robots has at least the drawn value. All ensembles have the
+    same axes. The axes are logarithmic if the errors of one ensemble are far larger than those of another. A
+    band leaves the axes at the top if too many robots diverged. The title of each panel gives the bound for
+    the largest share over the whole time.
 
     Parameters
     ----------
     ensembles : Ensemble or mapping of str to Ensemble
-        Each gets a column.
+        Ensembles by label, one column each.
     levels : array_like, shape (L,)
         Shares of the robots, from 0 to 1.
     by : sequence of str, optional
-        What is drawn of `Scenario.channels`, such as ``["end effector", "ur5/elbow_joint"]``; by default the
-        distance, the heading, and what all ensembles judge beside errors.
+        Names of quantities in ``Scenario.channels``, such as ``["end effector", "ur5/elbow_joint"]``.
+        Default: distance, heading, and all metrics that the ensembles have in common.
     **layout
-        `title`, `ax` and `width`, as in `states`.
+        ``title``, ``ax`` and ``width``, see `plots.states`.
 
     Returns
     -------
     figure : matplotlib.figure.Figure
+        New figure, or the figure of ``ax``.
 
     Raises
     ------
-    InvalidArgument, UnknownName
-        If `ensembles` is something else, a level is not a share, or an ensemble counts nothing of a name.
+    InvalidArgument
+        If `ensembles` is invalid, or a level is outside [0, 1].
+    UnknownName
+        If an ensemble has no quantity of a name.
+
+    See Also
+    --------
+    plots.drivers : parameters that the worst robots share
+    Ensemble.error_quantile : bounds as numbers
+
+    Examples
+    --------
+    >>> from pinmobile import Circle, ComputedTorque, MobileRobot
+    >>> from pinmobile import Relative, Tangent, Uniform
+    >>> from pinmobile import ensemble, plots
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
+    >>> runs = ensemble(robot, ComputedTorque(robot),
+    ...                 Tangent(Circle(1, 1, 2)), n=200, dt=0.05,
+    ...                 spread={"mass": Relative(Uniform(0.8, 1.2))})
+    >>> figure = plots.bands(runs)
+    >>> figure.axes[0].get_title(loc="left")
+    '99 % stay within 41 mm throughout'
     """
     known: dict[str, Ensemble] = by_label("ensembles", ensembles, Ensemble)
     shares = shaped("levels", np.unique(finite("levels", levels)), ("n>=1",))
@@ -120,12 +142,12 @@ def bands(
 
 
 def _rows(ensembles: Sequence[Ensemble], by: Sequence[str] | None) -> list[Metric]:
-    """Return what has a row.
+    """Return the quantities of the rows.
 
     Raises
     ------
     InvalidArgument, UnknownName
-        If that is no sequence, or an ensemble counts nothing of a name.
+        If `by` is not a sequence or is empty, or an ensemble has no quantity of a name.
     """
     known = [{each.name: each for each in one.scenario.channels} for one in ensembles]
     if by is None:
@@ -143,7 +165,7 @@ def _rows(ensembles: Sequence[Ensemble], by: Sequence[str] | None) -> list[Metri
 
 
 def _words(channel: Metric) -> str:
-    """Return what is told beside the axes of a row."""
+    """Return the label of the axes of a row."""
     if channel.name == "distance":
         return "distance from\ndesired position"
     if channel.name == "heading" or channel.meaning == f"error of {channel.name}":
@@ -152,10 +174,10 @@ def _words(channel: Metric) -> str:
 
 
 def _drawn(ensemble: Ensemble, levels: Array, names: Sequence[str]) -> Bands:
-    """Return the quantiles that are drawn, none above what its share of the robots stays within.
+    """Return the drawn quantiles, limited by the exact bound of `Ensemble.error_quantile`.
 
-    That holds from `Scenario.after` on. The counts know an error to the width of a bin alone,
-    `Ensemble.error_quantile` exactly. What they cannot tell from zero is zero.
+    The limit applies from `Scenario.after` on. The quantiles come from counts in bins, so their resolution is
+    the width of a bin. Values in the first bin count as zero.
     """
     found = ensemble.bands(levels)
     most = [ensemble.error_quantile(level) for level in levels]
@@ -172,7 +194,7 @@ def _drawn(ensemble: Ensemble, levels: Array, names: Sequence[str]) -> Bands:
 
 
 def _scale(quantiles: Sequence[Array], channel: Metric) -> _Scale:
-    """Return axes that hold all that is finite, each of shape (L, G); of a margin linear ones, and zero."""
+    """Return a scale for all finite quantiles, shape (L, G) each; for a margin, linear and with zero."""
     known = np.concatenate([one[np.isfinite(one)] for one in quantiles])
     lowest, highest = float(known.min(initial=0.0)), float(known.max(initial=0.0))
     logarithmic = False
@@ -191,14 +213,14 @@ def _scale(quantiles: Sequence[Array], channel: Metric) -> _Scale:
 
 
 def _panel(axes: Axes, t: Array, quantiles: Array, scale: _Scale, index: int, *, is_margin: bool) -> None:
-    """Draw quantiles, shape (L, G), the narrowest in the fullest colour."""
+    """Draw quantiles, shape (L, G), with the strongest colour for the narrowest band."""
     dress(axes)
     axes.margins(x=0.0)
     if scale.logarithmic:
         axes.set_yscale("log")
     axes.set_ylim(scale.low, scale.high)
     size = scale.high - scale.low
-    beyond = scale.low - 10 * size if is_margin else 10 * scale.high  # infinity is out of the axes
+    beyond = scale.low - 10 * size if is_margin else 10 * scale.high  # infinite: outside the axes
     lines = np.where(np.isfinite(quantiles), quantiles * scale.per_si, beyond)
     edge = np.full(len(t), scale.high if is_margin else scale.low)
     for shade, line in zip(_shades(colour(index), len(lines)), lines, strict=True):
@@ -213,12 +235,12 @@ def _panel(axes: Axes, t: Array, quantiles: Array, scale: _Scale, index: int, *,
 
 
 def _shades(base: str, count: int) -> list[tuple[float, float, float]]:
-    """Return the colours of bands, the narrowest first, which is the fullest; none is white."""
+    """Return the colours of bands, from the strongest for the narrowest band to a pale one."""
     return [tint(base, share) for share in np.linspace(0.75, 0.15, count)]
 
 
 def _bounds(sheet: Sheet, column: NDArray[Any], rows: Sequence[Metric], one: Ensemble, level: float) -> float:
-    """Write above each of a column's axes what a share stays within; return how high the first is [pt]."""
+    """Write the bound of a share above each axes of a column; return the height of the first title [pt]."""
     after, within = one.scenario.after, one.error_quantile(level)
     when = f"from {after:g} s on" if after else "throughout"
     for axes, channel in zip(column, rows, strict=True):
@@ -232,7 +254,7 @@ def _bounds(sheet: Sheet, column: NDArray[Any], rows: Sequence[Metric], one: Ens
 
 
 def _size(value: float, unit: str) -> str:
-    """Return a size of two digits, with its sign."""
+    """Return a number with two digits and its sign as text."""
     if not unit:
         return f"{value:.2g}"
     return f"-{si(-value, unit)}" if value < 0 else si(value, unit)
@@ -249,26 +271,26 @@ def _keys(drawn: Bands, ensembles: Sequence[Ensemble]) -> Iterator[Artist]:
 
 
 _CRITICAL = 2.001  # of Kuiper's test at 1 %: Stephens, J. R. Stat. Soc. B 32 (1970)
-_ONE_SIDED = 0.1  # of the statistic; what the other side adds, if less, is chance
+_ONE_SIDED = 0.1  # share of the statistic below which one side counts as chance
 
 
 class Cause(NamedTuple):
-    """A parameter, and where the worst robots have it.
+    """A parameter and the interval in which the worst robots have it.
 
     Attributes
     ----------
     name, unit : str
-        Of the parameter.
+        Name and unit of the parameter.
     values : ndarray, shape (n,)
-        What each robot got.
+        Value of each robot.
     difference : float
         Kuiper's statistic of the worst against the others, 0 to 1.
     visible : bool
-        Whether that is more than chance allows.
+        Whether the difference is more than chance at 1 %.
     low, high : float
-        The worst have it above the one and up to the other; these may be infinite.
+        Interval (low, high] of the worst robots; bounds may be infinite.
     outside : bool
-        Whether they have it outside that interval instead.
+        Whether the worst robots are outside the interval instead.
     """
 
     name: str
@@ -282,12 +304,12 @@ class Cause(NamedTuple):
 
     @property
     def label(self) -> str:
-        """Name and unit, for an axis."""
+        """Name and unit as an axis label."""
         return f"{self.name} [{self.unit}]" if self.unit else self.name
 
     @property
     def place(self) -> str:
-        """Where the worst robots have it, in words."""
+        """Interval of the worst robots, in words."""
         unit = f" {self.unit}" if self.unit else ""
         if self.outside:
             return f"below {self.low:.3g} or above {self.high:.3g}{unit}"
@@ -298,25 +320,25 @@ class Cause(NamedTuple):
         return f"from {self.low:.3g} to {self.high:.3g}{unit}"
 
     def holds(self, values: Array) -> NDArray[np.bool_]:
-        """Return which values are where those of the worst robots are."""
+        """Return which values are in the interval of the worst robots."""
         between = (values > self.low) & (values <= self.high)
         return ~between if self.outside else between
 
 
 def worst_share(ensemble: Ensemble, share: float, by: str = "distance") -> NDArray[np.bool_]:
-    """Return which robots are the worst, shape (n,): the first of `Ensemble.worst`.
+    """Return a mask of the worst robots, shape (n,): the first of `Ensemble.worst`.
 
     Raises
     ------
     InvalidArgument, UnknownName
-        If `share` is not above 0 and below 1, or leaves no robot on one side; or there is no such error.
+        If `share` is outside (0, 1) or leaves no robot on one side, or there is no error of this name.
     """
     part, n = scalar("share", share), len(ensemble)
     count = round(part * n)
     if not (0 < part < 1 and 0 < count < n):
         raise InvalidArgument(
-            f"share is {part}, {count:,} of {n:,} robots; expected above 0 and below 1, and at least 1 robot "
-            "on either side"
+            f"share is {part}, {count:,} of {n:,} robots, expected above 0 and below 1, with at least 1 "
+            "robot on each side"
         )
     worst = np.zeros(n, bool)
     worst[ensemble.worst(count, by)] = True
@@ -324,19 +346,19 @@ def worst_share(ensemble: Ensemble, share: float, by: str = "distance") -> NDArr
 
 
 def causes(ensemble: Ensemble, worst: NDArray[np.bool_]) -> list[Cause]:
-    """Return the parameters in which robots differ, the one that tells the worst apart best first.
+    """Return the parameters that differ between robots, in descending order of Kuiper's statistic.
 
     Parameters
     ----------
     ensemble : Ensemble
-        Whose parameters.
+        Ensemble of robots.
     worst : ndarray of bool, shape (n,)
-        Which robots are the worst.
+        Mask of the worst robots.
 
     Raises
     ------
     InvalidArgument
-        If the robots differ in no parameter.
+        If all robots have the same parameters.
     """
     found = [
         _cause(name, unit, values, worst)
@@ -345,13 +367,13 @@ def causes(ensemble: Ensemble, worst: NDArray[np.bool_]) -> list[Cause]:
     ]
     if not found:
         raise InvalidArgument(
-            "ensemble has robots that differ in no parameter, expected a spread in which they do"
+            "ensemble has robots with the same parameters, expected a spread of at least one parameter"
         )
     return sorted(found, key=lambda one: -one.difference)
 
 
 def _parameters(ensemble: Ensemble) -> list[tuple[str, str, Array]]:
-    """Return name, unit and values of what is drawn by itself; of a `SameAs`, the factor."""
+    """Return name, unit and values of each independent parameter; for `SameAs`, the factor."""
     found = []
     for name, values in ensemble.draws.items():
         source = ensemble.scenario.spread[name]
@@ -365,11 +387,11 @@ def _parameters(ensemble: Ensemble) -> list[tuple[str, str, Array]]:
 
 
 def _cause(name: str, unit: str, values: Array, worst: NDArray[np.bool_]) -> Cause:
-    # Here, because scipy.stats takes longer to load than all that other figures need.
+    # scipy.stats is slow to load, and other figures do not need it.
     from scipy.stats import ks_2samp
 
     bad, good = values[worst], values[~worst]
-    # Up to `high`, there is most in excess of the worst's values; up to `low`, of the others'.
+    # Up to `high`, the excess of the worst robots is largest; up to `low`, the excess of the others.
     above, below = (ks_2samp(bad, good, alternative=side, method="asymp") for side in ("greater", "less"))
     high, low = float(above.statistic_location), float(below.statistic_location)
     difference = float(above.statistic + below.statistic)
@@ -384,10 +406,10 @@ def _cause(name: str, unit: str, values: Array, worst: NDArray[np.bool_]) -> Cau
     return Cause(name, unit.replace("^2", "²"), values, difference, visible, low, high, outside)
 
 
-_MOST = 6  # parameters that are drawn
-_DOTS = 4000  # robots that are drawn, of the worst and of the others
+_MOST = 6  # largest number of drawn parameters
+_DOTS = 4000  # largest number of drawn robots, for the worst and for the others
 _BINS = 40
-_LINEAR = 50.0  # by how much the farthest may exceed the median on a linear axis
+_LINEAR = 50.0  # largest ratio of the largest error and the median on a linear axis
 _ERRORS = {"distance": "distance from the desired position", "heading": "error of the heading"}
 _OTHERS: Style = {"color": "#9a9a9a", "alpha": 0.55}
 
@@ -403,36 +425,61 @@ def _where() -> Style:
 def drivers(
     ensemble: Ensemble, *, share: float = 0.05, by: str = "distance", **layout: Unpack[Layout]
 ) -> Figure:
-    """Draw what the worst robots have in common: each parameter's distribution among them and the others.
+    """Draw the parameters that the worst robots of an ensemble share.
 
-    The worst are those of `Ensemble.worst`: the diverged ones, then those with the largest error. The
-    parameters are in the order of Kuiper's statistic, the sum of both one-sided ones of Kolmogorov and
-    Smirnov: by how much more of the worst than of the others lie in the interval, or outside the interval,
-    that tells them apart best. That place is shaded, and stands above each panel. What differs no more than
-    chance allows (at 1 %) is said to play no part. Where a parameter is `SameAs` as another but for a factor,
-    that factor takes its place. At most six are drawn.
+    Each panel compares the distribution of a parameter among the worst robots and among the others. The worst
+    robots are those of `Ensemble.worst`: first the diverged ones, then those with the largest error.
+
+    The panels are in descending order of Kuiper's statistic, the sum of the two one-sided statistics of
+    Kolmogorov and Smirnov. The statistic is the largest difference of the shares of both groups in an
+    interval, or outside an interval. This interval is shaded, and the title of the panel gives it. A
+    parameter "plays no part" if chance explains the difference (at 1 %). If a parameter is `SameAs` another
+    times a factor, the figure shows the factor. It shows at most six parameters. The last panel shows the
+    error of each robot over the first parameter.
 
     Parameters
     ----------
     ensemble : Ensemble
-        Whose robots.
+        Ensemble of robots.
     share : float
-        Share of the robots that are called the worst, above 0 and below 1.
+        Share of the worst robots, above 0 and below 1.
     by : str
-        What makes them the worst, see `Ensemble.largest`: "distance" from the desired position, "heading", a
-        coordinate by its name, or a metric, such as "tip-over margin", of which the smallest is the worst.
+        Error that ranks the robots, see `Ensemble.largest`: "distance" from the desired position, "heading",
+        the name of a coordinate, or a metric. For a margin, such as "tip-over margin", the smallest is the
+        worst.
     **layout
-        `title`, `ax` and `width`, as in `states`; the last of several axes is that of the robots' errors.
+        ``title``, ``ax`` and ``width``, see `plots.states`. The last axes show the errors of the robots.
 
     Returns
     -------
     figure : matplotlib.figure.Figure
+        New figure, or the figure of ``ax``.
 
     Raises
     ------
-    InvalidArgument, UnknownName
-        If `ensemble` is something else, `share` is no such share or leaves no robot on one side, the
-        robots differ in no parameter, or there is no such error.
+    InvalidArgument
+        If `ensemble` is not an `Ensemble`, `share` is outside (0, 1) or leaves no robot on one side, or all
+        robots have the same parameters.
+    UnknownName
+        If there is no error of the name `by`.
+
+    See Also
+    --------
+    plots.bands : error quantiles over time
+    Ensemble.worst : indices of the worst robots
+
+    Examples
+    --------
+    >>> from pinmobile import Circle, ComputedTorque, MobileRobot
+    >>> from pinmobile import Relative, Tangent, Uniform
+    >>> from pinmobile import ensemble, plots
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
+    >>> runs = ensemble(robot, ComputedTorque(robot),
+    ...                 Tangent(Circle(1, 1, 2)), n=200, dt=0.05,
+    ...                 spread={"mass": Relative(Uniform(0.8, 1.2))})
+    >>> figure = plots.drivers(runs)
+    >>> figure.get_suptitle()
+    'mass drives the worst 5 % most'
     """
     if not isinstance(ensemble, Ensemble):
         raise InvalidArgument(f"ensemble is a {type(ensemble).__name__}, expected an Ensemble")
@@ -456,7 +503,7 @@ def drivers(
 
 
 def _axes(sheet: Sheet, count: int, columns: int) -> list[Axes]:
-    """Return axes for each parameter and, in a column or row of its own, those of the scatter."""
+    """Return axes for each parameter, and axes of the scatter plot in a separate column or row."""
     beside = max(columns - 1, 1)
     rows = -(-count // beside)
     spots: list[Spot] = [divmod(k, beside) for k in range(count)]
@@ -467,7 +514,7 @@ def _axes(sheet: Sheet, count: int, columns: int) -> list[Axes]:
 
 
 def _answer(found: Sequence[Cause], share: float, by: str) -> str:
-    """Return in words what matters most."""
+    """Return the most important parameters in words."""
     names = [one.name for one in found if one.visible]
     of = {"distance": "", "heading": " of headings"}.get(by, f" by {by}")
     worst = f"the worst {percent(share)}{of}"
@@ -477,7 +524,7 @@ def _answer(found: Sequence[Cause], share: float, by: str) -> str:
 
 
 def _distribution(sheet: Sheet, axes: Axes, one: Cause, worst: NDArray[np.bool_]) -> None:
-    """Draw how the parameter is distributed among the worst and among the others."""
+    """Draw the distribution of a parameter among the worst robots and among the others."""
     dress(axes)
     bins = np.linspace(one.values.min(), one.values.max(), _BINS + 1).tolist()
     bad, good = one.values[worst], one.values[~worst]
@@ -501,11 +548,11 @@ def _distribution(sheet: Sheet, axes: Axes, one: Cause, worst: NDArray[np.bool_]
 def _scatter(
     sheet: Sheet, axes: Axes, ensemble: Ensemble, one: Cause, worst: NDArray[np.bool_], by: str
 ) -> None:
-    """Draw each robot's largest error over what matters most; the diverged ones in a strip of their own."""
+    """Draw the largest error of each robot over the first parameter; diverged robots in a separate strip."""
     dress(axes)
     judged, errors = _judged(ensemble, by), ensemble.largest(by)
     lost = _lost(ensemble, by)
-    # Marks tell them apart in grey.
+    # Different markers distinguish the groups in grey.
     marked = (~worst, _OTHERS["color"], "."), (worst, colour(1), "^")
     kept = errors[~lost]
     farthest, median = (float(np.abs(kept).max()), float(np.median(kept))) if len(kept) else (0.0, 0.0)
@@ -532,23 +579,23 @@ def _scatter(
 
 
 def _lost(ensemble: Ensemble, by: str) -> NDArray[np.bool_]:
-    """Return which robots have no size that could be drawn, shape (n,)."""
+    """Return which robots have no finite error, shape (n,)."""
     return ensemble.diverged | ~np.isfinite(ensemble.largest(by))
 
 
 def _fate(ensemble: Ensemble, by: str) -> str:
-    """Return in a word what has no size: a margin may have none of a robot that the ground did not carry."""
+    """Return the label of robots without a finite error: a lifted robot has an infinite margin."""
     return "diverged" if ensemble.diverged[_lost(ensemble, by)].all() else "no bound"
 
 
 def _judged(ensemble: Ensemble, by: str) -> Metric:
-    """Return what is told of a name of `Ensemble.largest`."""
+    """Return the metric of a name of `Ensemble.largest`."""
     known = {one.name: Metric(one.name, one.unit, "") for one in ensemble.scenario.coordinates}
     known |= {one.name: one for one in ensemble.scenario.channels}
     return known[by]
 
 
 def _dots(chosen: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """Return the indices of those that are drawn of the chosen robots."""
+    """Return the indices of the drawn robots among the chosen ones."""
     indices = np.flatnonzero(chosen)
     return indices[:: max(1, -(-len(indices) // _DOTS))]

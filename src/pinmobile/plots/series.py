@@ -60,28 +60,45 @@ _ROUNDING = 1e-12  # what is smaller is drawn and told as the rounding that it i
 
 
 def states(rollouts: Rollouts, **layout: Unpack[Layout]) -> Figure:
-    """Draw x, y and psi over time, desired and actual; of arms each joint too.
+    r"""Draw the configuration over time, desired and actual: x, y, psi and the joints of arms.
 
     Parameters
     ----------
     rollouts : Rollout or mapping of str to Rollout
-        All are drawn in the same axes.
+        Rollouts by label, all in the same axes.
     title : str, optional
-        Heading of the figure; "" for none.
+        Heading of the figure; "" for none; default: a heading that describes the figure.
     ax : Axes, sequence of Axes, Figure or SubFigure, optional
-        Where it is drawn: axes, one for each panel, or a figure that is filled; by default a new figure.
+        Axes to draw in, one for each panel, or a figure to fill; default: a new figure.
     width : float, optional
-        Of a new figure [in]; by default that of ``rcParams["figure.figsize"]`` if you have set it, else what
-        suits the panels. Its height follows, and its letters are those of ``rcParams``.
+        Width of a new figure [in]. Default: ``rcParams["figure.figsize"]`` if you changed it, otherwise a
+        width that suits the panels. The height follows from the width. ``rcParams`` gives the font size.
 
     Returns
     -------
     figure : matplotlib.figure.Figure
+        New figure, or the figure of ``ax``.
 
     Raises
     ------
     InvalidArgument
-        If `rollouts`, `ax` or `width` is something else, or the figure too small for the labels.
+        If `rollouts`, `ax` or `width` is invalid, or the figure is too small for its labels.
+
+    See Also
+    --------
+    plots.errors : desired minus actual configuration
+    plots.path : the path from above
+
+    Examples
+    --------
+    >>> from pinmobile import PD, Circle, MobileRobot, Tangent
+    >>> from pinmobile import plots, simulate
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
+    >>> motion = Tangent(Circle(1, 1, 2))
+    >>> run = simulate(robot, PD(120, 120), motion, dt=0.02)
+    >>> figure = plots.states(run)
+    >>> [axes.get_ylabel() for axes in figure.axes]
+    ['$x$ [m]', '$y$ [m]', '$\\psi$ [rad]']
     """
     runs = labelled(rollouts)
     names = _names((run.plant, _named(run.plant, run.q.shape[1])) for run in runs.values())
@@ -94,26 +111,43 @@ def states(rollouts: Rollouts, **layout: Unpack[Layout]) -> Figure:
 
 
 def errors(rollouts: Rollouts, **layout: Unpack[Layout]) -> Figure:
-    """Draw the errors of x, y and psi, and of joints, over time, desired minus actual, on the circle.
+    """Draw the error over time: desired minus actual configuration, with angles on the circle.
 
-    Controllers differ by orders of magnitude, so each rollout has a column with its own scale; above each
-    panel stands the largest |error|.
+    Errors of controllers differ by orders of magnitude. Each rollout therefore has a column with separate
+    scales. The title of each panel gives the largest absolute error.
 
     Parameters
     ----------
     rollouts : Rollout or mapping of str to Rollout
-        Each gets a column.
+        Rollouts by label, one column each.
     **layout
-        `title`, `ax` and `width`, as in `states`.
+        ``title``, ``ax`` and ``width``, see `plots.states`.
 
     Returns
     -------
     figure : matplotlib.figure.Figure
+        New figure, or the figure of ``ax``.
 
     Raises
     ------
     InvalidArgument
-        If `rollouts`, `ax` or `width` is something else, or the figure too small for the labels.
+        If `rollouts`, ``ax`` or ``width`` is invalid, or the figure is too small for its labels.
+
+    See Also
+    --------
+    plots.states : desired and actual configuration
+    Rollout.max_error : the largest errors as numbers
+
+    Examples
+    --------
+    >>> from pinmobile import PD, Circle, MobileRobot, Tangent
+    >>> from pinmobile import plots, simulate
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
+    >>> motion = Tangent(Circle(1, 1, 2))
+    >>> run = simulate(robot, PD(120, 120), motion, dt=0.02)
+    >>> figure = plots.errors(run)
+    >>> figure.axes[0].get_title(loc="right")
+    'largest 0.187 m'
     """
     runs = labelled(rollouts)
     names = _names((run.plant, run.labels) for run in runs.values())
@@ -133,23 +167,42 @@ def errors(rollouts: Rollouts, **layout: Unpack[Layout]) -> Figure:
 
 
 def forces(rollouts: Rollouts, **layout: Unpack[Layout]) -> Figure:
-    """Draw the plant's inputs over time, forces and torques, held from one sample to the next.
+    """Draw the inputs of the plant over time, such as forces and torques.
+
+    Inputs are constant between samples.
 
     Parameters
     ----------
     rollouts : Rollout or mapping of str to Rollout
-        All are drawn in the same axes.
+        Rollouts by label, all in the same axes.
     **layout
-        `title`, `ax` and `width`, as in `states`.
+        ``title``, ``ax`` and ``width``, see `plots.states`.
 
     Returns
     -------
     figure : matplotlib.figure.Figure
+        New figure, or the figure of ``ax``.
 
     Raises
     ------
     InvalidArgument
-        If `rollouts`, `ax` or `width` is something else, or the figure too small for the labels.
+        If `rollouts`, ``ax`` or ``width`` is invalid, or the figure is too small for its labels.
+
+    See Also
+    --------
+    plots.wheel_torques : inputs of wheels and steering axes
+    plots.states : the resulting motion
+
+    Examples
+    --------
+    >>> from pinmobile import PD, Circle, MobileRobot, Tangent
+    >>> from pinmobile import plots, simulate
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
+    >>> motion = Tangent(Circle(1, 1, 2))
+    >>> run = simulate(robot, PD(120, 120), motion, dt=0.02)
+    >>> figure = plots.forces(run)
+    >>> [axes.get_ylabel() for axes in figure.axes]
+    ['$F_x$ [N]', '$F_y$ [N]', '$M_z$ [N m]']
     """
     runs = labelled(rollouts)
     names = _names((run.plant, [(one.name, one.unit) for one in run.inputs]) for run in runs.values())
@@ -158,23 +211,42 @@ def forces(rollouts: Rollouts, **layout: Unpack[Layout]) -> Figure:
 
 
 def signals(rollouts: Rollouts, **layout: Unpack[Layout]) -> Figure:
-    """Draw the signals that the parts of the loop gave, each with its unit.
+    """Draw the signals that parts of the loop recorded, each with its unit.
 
     Parameters
     ----------
     rollouts : Rollout or mapping of str to Rollout
-        All are drawn in the same axes; each signal of any has a panel.
+        Rollouts by label, all in the same axes. Each signal has a panel.
     **layout
-        `title`, `ax` and `width`, as in `states`.
+        ``title``, ``ax`` and ``width``, see `plots.states`.
 
     Returns
     -------
     figure : matplotlib.figure.Figure
+        New figure, or the figure of ``ax``.
 
     Raises
     ------
     InvalidArgument
-        If `rollouts` is something else, or has no signals.
+        If `rollouts` is invalid, or no rollout has a signal.
+
+    See Also
+    --------
+    Rollout.signals : the signals as numbers
+    plots.odometry : estimated beside true pose
+
+    Examples
+    --------
+    >>> from pinmobile import Circle, ComputedTorque, MobileRobot
+    >>> from pinmobile import DisturbanceObserver, Tangent
+    >>> from pinmobile import plots, simulate
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
+    >>> law = DisturbanceObserver(ComputedTorque(robot), robot)
+    >>> motion = Tangent(Circle(1, 1, 1))
+    >>> run = simulate(robot, law, motion, dt=0.02)
+    >>> figure = plots.signals(run)
+    >>> [axes.get_ylabel() for axes in figure.axes]
+    ['disturbance [N, N m]']
     """
     runs = labelled(rollouts)
     units = {name: unit for run in runs.values() for name, (unit, _) in run.signals.items()}
@@ -308,27 +380,46 @@ _WRENCH = [(f"${kind}_{axis}$", unit) for kind, unit in (("f", "N"), ("m", "N m"
 
 
 def reaction(rollouts: Rollouts, *, mount: str | None = None, **layout: Unpack[Layout]) -> Figure:
-    """Draw the force and the moment that an arm exerts on the base over time, along the body's axes.
+    """Draw the force and the moment of an arm on the base over time, along the body axes.
 
     Parameters
     ----------
     rollouts : Rollout or mapping of str to Rollout
-        All are drawn in the same axes.
+        Rollouts by label, all in the same axes.
     mount : str, optional
-        As in `reaction_wrench`.
+        Name of the mount, see `balance.reaction_wrench`; default: the only arm.
     **layout
-        `title`, `ax` and `width`, as in `states`.
+        ``title``, ``ax`` and ``width``, see `plots.states`.
 
     Returns
     -------
     figure : matplotlib.figure.Figure
+        New figure, or the figure of ``ax``.
 
     Raises
     ------
     InvalidArgument
-        If `rollouts` is something else, or not of a `MobileRobot` with an arm.
+        If `rollouts` is invalid, or the plant is not a `MobileRobot` with an arm.
     UnknownName
-        If nothing is mounted by that name.
+        If there is no mount of this name.
+
+    See Also
+    --------
+    balance.reaction_wrench : the same as numbers
+    plots.balance : effect on tip-over margin and friction
+
+    Examples
+    --------
+    >>> from pinmobile import FixedHeading, Hold, MobileRobot
+    >>> from pinmobile import PDGravity, WholeBody, plots, simulate
+    >>> robot = MobileRobot.box().mount("ur5")
+    >>> base = FixedHeading(Hold((0, 0), duration=0.1), psi=0)
+    >>> still = WholeBody(robot, base, Hold(robot.rest[3:], 0.1))
+    >>> law = PDGravity(robot, 100, 20)
+    >>> run = simulate(robot, law, still, dt=0.01)
+    >>> figure = plots.reaction(run)
+    >>> figure.axes[2].get_ylabel()
+    '$f_z$ [N]'
     """
     runs = with_plants(rollouts, *GROUNDED)
     sheet, _ = _over_each_other(runs, _WRENCH, lambda run: reaction_wrench(run, mount), layout)
@@ -341,28 +432,47 @@ _POINTS = 4000  # points of a line
 
 
 def prediction(foretold: Prediction, **layout: Unpack[Layout]) -> Figure:
-    """Draw what was measured and what was foretold, and their difference beside the sensor's noise.
+    """Draw measured and predicted values, and their difference beside the sensor noise.
 
-    Each segment of the prediction starts anew; the band is what 95 of 100 differences would lie within if the
-    sensor's noise were all that is left.
+    Each segment of the prediction has a separate initial state. The band contains 95 % of the differences if
+    only sensor noise remains.
 
     Parameters
     ----------
     foretold : Prediction
-        What `Identification.predict` returned.
+        Result of ``predict`` of an `identification.Identification`.
     **layout
-        `title`, `ax` and `width`, as in `states`; axes are, of x, y and psi
-        or of speed and yaw rate each, that of the values, then that of the differences.
+        ``title``, ``ax`` and ``width``, see `plots.states`. Axes are pairs for each measurement: values, then
+        differences.
 
     Returns
     -------
     figure : matplotlib.figure.Figure
-        The new one, or that of the first axes.
+        New figure, or the figure of ``ax``.
 
     Raises
     ------
     InvalidArgument
-        If it is no prediction, or `ax` or `width` is something else.
+        If `foretold` is not a prediction, or ``ax`` or ``width`` is invalid.
+
+    See Also
+    --------
+    identify : estimate parameters
+    identification.Prediction : the numbers
+
+    Examples
+    --------
+    >>> from pinmobile import FixedHeading, Hold, Log, VelocityRobot
+    >>> from pinmobile import identify_velocity, plots, simulate
+    >>> from pinmobile.controllers import RandomSteps
+    >>> robot = VelocityRobot([0.4, 0.3, 0.0, 1.0, 0.0, 1.0])
+    >>> still = FixedHeading(Hold((0, 0), duration=44), psi=0)
+    >>> run = simulate(robot, RandomSteps(), still, dt=0.1)
+    >>> log = Log.from_rollout(run, noise=1e-4)
+    >>> found = identify_velocity(log, delay=0.0)
+    >>> figure = plots.prediction(found.predict(log))
+    >>> [axes.get_ylabel() for axes in figure.axes[:2]]
+    ['x [m]', 'difference [mm]']
     """
     instance("foretold", foretold, Prediction, "what predict() of an identification returns")
     sheet = Sheet(10.0, **layout)
@@ -410,25 +520,46 @@ _ZERO = 1e-9  # what is smaller is drawn as the zero that it is
 
 
 def wheel_torques(rollouts: Rollouts, **layout: Unpack[Layout]) -> Figure:
-    """Draw the inputs of a robot on wheels over time, those of its wheels and of what steers them.
+    """Draw the inputs of wheels and steering axes over time: torques or voltages.
 
-    Arms' joints are in `forces`.
+    `plots.forces` shows the inputs of arms too.
 
     Parameters
     ----------
     rollouts : Rollout or mapping of str to Rollout
-        Each gets a column.
+        Rollouts by label, one column each.
     **layout
-        `title`, `ax` and `width`, as in `states`.
+        ``title``, ``ax`` and ``width``, see `plots.states`.
 
     Returns
     -------
     figure : matplotlib.figure.Figure
+        New figure, or the figure of ``ax``.
 
     Raises
     ------
     InvalidArgument
-        If `rollouts` is something else, or not of robots on wheels.
+        If `rollouts` is invalid, or a plant is not a robot on wheels.
+
+    See Also
+    --------
+    plots.forces : all inputs
+    plots.friction : forces of the wheels on the ground
+
+    Examples
+    --------
+    >>> from pinmobile import PD, Circle, ControlAllocation
+    >>> from pinmobile import MobileRobot, Tangent, WheeledRobot
+    >>> from pinmobile import WheelTable, plots, simulate
+    >>> table = WheelTable.differential(
+    ...     track=0.5, radius=0.1, supports=[(0.2, 0)])
+    >>> robot = WheeledRobot(MobileRobot(30.0, 1.3), table)
+    >>> law = ControlAllocation(PD(120, 120), robot)
+    >>> motion = Tangent(Circle(1, 1, 1))
+    >>> run = simulate(robot, law, motion, dt=0.05)
+    >>> figure = plots.wheel_torques(run)
+    >>> [line.get_label() for line in figure.axes[0].lines]
+    ['left', 'right']
     """
     runs = with_plants(rollouts, *_WHEELED)
     units = {one.unit for run in runs.values() for one in _driven(run)}
@@ -442,26 +573,48 @@ def wheel_torques(rollouts: Rollouts, **layout: Unpack[Layout]) -> Figure:
 
 
 def friction(rollouts: Rollouts, **layout: Unpack[Layout]) -> Figure:
-    """Draw over time how much of its friction each wheel uses: the force in its friction circle, mu N wide.
+    r"""Draw the used share of the friction of each wheel over time.
 
-    At 1 it slides; of rollers it is the force along their axes. Where rolling determines but the sum of some
-    forces, a wheel's is its share of that sum.
+    The share is the force of the ground in the plane divided by the largest friction mu N. A wheel slides at
+    share 1. For wheels with rollers, the force is along the axes of the rollers. If the model determines only
+    the sum of some forces, a wheel gets its share of the sum.
 
     Parameters
     ----------
     rollouts : Rollout or mapping of str to Rollout
-        Each gets a column.
+        Rollouts by label, one column each.
     **layout
-        `title`, `ax` and `width`, as in `states`.
+        ``title``, ``ax`` and ``width``, see `plots.states`.
 
     Returns
     -------
     figure : matplotlib.figure.Figure
+        New figure, or the figure of ``ax``.
 
     Raises
     ------
     InvalidArgument
-        If `rollouts` is something else, not of robots on wheels, or the loads of one cannot be told.
+        If `rollouts` is invalid, a plant is not a robot on wheels, or its loads are unknown.
+
+    See Also
+    --------
+    plots.loads : normal forces
+    plots.slip : slip velocities
+
+    Examples
+    --------
+    >>> from pinmobile import PD, Circle, ControlAllocation
+    >>> from pinmobile import MobileRobot, Tangent, WheeledRobot
+    >>> from pinmobile import WheelTable, plots, simulate
+    >>> table = WheelTable.differential(
+    ...     track=0.5, radius=0.1, supports=[(0.2, 0)])
+    >>> robot = WheeledRobot(MobileRobot(30.0, 1.3), table)
+    >>> law = ControlAllocation(PD(120, 120), robot)
+    >>> motion = Tangent(Circle(1, 1, 1))
+    >>> run = simulate(robot, law, motion, dt=0.05)
+    >>> figure = plots.friction(run)
+    >>> figure.axes[0].get_ylabel()
+    'force / $\\mu N$ [-]'
     """
     runs = with_plants(rollouts, *_WHEELED)
     found = {label: _contacts(run) for label, run in runs.items()}
@@ -484,25 +637,47 @@ def friction(rollouts: Rollouts, **layout: Unpack[Layout]) -> Figure:
 
 
 def slip(rollouts: Rollouts, **layout: Unpack[Layout]) -> Figure:
-    """Draw over time how fast each wheel slides over the ground, along it and across it.
+    """Draw the slip velocity of each wheel over time, along the wheel and across it.
 
-    Of a wheel with rollers these directions are along its rollers' axes and across, in which they roll.
+    For a wheel with rollers, the first direction is along the axes of the rollers. The second is across them:
+    the rollers roll in this direction.
 
     Parameters
     ----------
     rollouts : Rollout or mapping of str to Rollout
-        Each gets a column.
+        Rollouts by label, one column each.
     **layout
-        `title`, `ax` and `width`, as in `states`.
+        ``title``, ``ax`` and ``width``, see `plots.states`.
 
     Returns
     -------
     figure : matplotlib.figure.Figure
+        New figure, or the figure of ``ax``.
 
     Raises
     ------
     InvalidArgument
-        If `rollouts` is something else, or not of robots on wheels.
+        If `rollouts` is invalid, or a plant is not a robot on wheels.
+
+    See Also
+    --------
+    plots.friction : used share of friction
+    Coulomb : ground on which wheels slip
+
+    Examples
+    --------
+    >>> from pinmobile import PD, Circle, ControlAllocation
+    >>> from pinmobile import MobileRobot, Tangent, WheeledRobot
+    >>> from pinmobile import WheelTable, plots, simulate
+    >>> table = WheelTable.differential(
+    ...     track=0.5, radius=0.1, supports=[(0.2, 0)])
+    >>> robot = WheeledRobot(MobileRobot(30.0, 1.3), table)
+    >>> law = ControlAllocation(PD(120, 120), robot)
+    >>> motion = Tangent(Circle(1, 1, 1))
+    >>> run = simulate(robot, law, motion, dt=0.05)
+    >>> figure = plots.slip(run)
+    >>> [axes.get_ylabel() for axes in figure.axes]
+    ['slip along [m/s]', 'slip across [m/s]']
     """
     runs = with_plants(rollouts, *_WHEELED)
     rows = ["slip along [m/s]", "slip across [m/s]"]
@@ -520,23 +695,44 @@ def slip(rollouts: Rollouts, **layout: Unpack[Layout]) -> Figure:
 
 
 def loads(rollouts: Rollouts, **layout: Unpack[Layout]) -> Figure:
-    """Draw over time what each wheel carries.
+    """Draw the load (normal force) of each wheel over time.
 
     Parameters
     ----------
     rollouts : Rollout or mapping of str to Rollout
-        Each gets a column.
+        Rollouts by label, one column each.
     **layout
-        `title`, `ax` and `width`, as in `states`.
+        ``title``, ``ax`` and ``width``, see `plots.states`.
 
     Returns
     -------
     figure : matplotlib.figure.Figure
+        New figure, or the figure of ``ax``.
 
     Raises
     ------
     InvalidArgument
-        If `rollouts` is something else, or not of robots on wheels.
+        If `rollouts` is invalid, or a plant is not a robot on wheels.
+
+    See Also
+    --------
+    plots.friction : used share of friction
+    plots.balance : tip-over margin
+
+    Examples
+    --------
+    >>> from pinmobile import PD, Circle, ControlAllocation
+    >>> from pinmobile import MobileRobot, Tangent, WheeledRobot
+    >>> from pinmobile import WheelTable, plots, simulate
+    >>> table = WheelTable.differential(
+    ...     track=0.5, radius=0.1, supports=[(0.2, 0)])
+    >>> robot = WheeledRobot(MobileRobot(30.0, 1.3), table)
+    >>> law = ControlAllocation(PD(120, 120), robot)
+    >>> motion = Tangent(Circle(1, 1, 1))
+    >>> run = simulate(robot, law, motion, dt=0.05)
+    >>> figure = plots.loads(run)
+    >>> round(figure.axes[0].lines[0].get_ydata()[0])  # [N]
+    147
     """
     runs = with_plants(rollouts, *_WHEELED)
     sheet, grid = _axes(runs, ["load [N]"], layout)
@@ -550,23 +746,45 @@ def loads(rollouts: Rollouts, **layout: Unpack[Layout]) -> Figure:
 
 
 def odometry(rollouts: Rollouts, **layout: Unpack[Layout]) -> Figure:
-    """Draw the path that odometry believes beside the true one, and how far apart they are over time.
+    """Draw the pose that odometry estimates beside the true pose, and their distance over time.
 
     Parameters
     ----------
     rollouts : Rollout or mapping of str to Rollout
-        Runs with a controller `OdometryFeedback`; each gets a column.
+        Rollouts by label with the controller `wheels.OdometryFeedback`, one column each.
     **layout
-        `title`, `ax` and `width`, as in `states`.
+        ``title``, ``ax`` and ``width``, see `plots.states`.
 
     Returns
     -------
     figure : matplotlib.figure.Figure
+        New figure, or the figure of ``ax``.
 
     Raises
     ------
     InvalidArgument
-        If `rollouts` is something else, or one has not the signal ``believed_pose``.
+        If `rollouts` is invalid, or a rollout has no signal ``believed_pose``.
+
+    See Also
+    --------
+    wheels.OdometryFeedback : controller with pose from odometry
+    plots.path : desired and travelled path
+
+    Examples
+    --------
+    >>> from pinmobile import Backstepping, Circle, MobileRobot
+    >>> from pinmobile import Tangent, UnicycleTracking, WheeledRobot
+    >>> from pinmobile import WheelTable, plots, simulate, wheels
+    >>> table = WheelTable.differential(
+    ...     track=0.5, radius=0.1, supports=[(0.2, 0)])
+    >>> robot = WheeledRobot(MobileRobot(30.0, 1.3), table)
+    >>> law = Backstepping(UnicycleTracking(), robot)
+    >>> law = wheels.OdometryFeedback(law, table)
+    >>> motion = Tangent(Circle(1, 1, 1))
+    >>> run = simulate(robot, law, motion, dt=0.02)
+    >>> figure = plots.odometry(run)
+    >>> [line.get_label() for line in figure.axes[0].lines]
+    ['desired', 'true', 'believed']
     """
     runs = labelled(rollouts)
     for label, run in runs.items():
@@ -657,25 +875,44 @@ _OUTLINE: Style = {"facecolor": "#f2f2f2", "edgecolor": "#777777", "linewidth": 
 
 
 def balance(rollouts: Rollouts, *, footprint: ArrayLike | None = None, **layout: Unpack[Layout]) -> Figure:
-    """Draw tip-over margin and required friction over time, and the zero-moment point on the footprint.
+    """Draw tip-over margin and required friction over time, and the zero-moment point.
 
     Parameters
     ----------
     rollouts : Rollout or mapping of str to Rollout
-        All are drawn in the same axes.
+        Rollouts by label, all in the same axes.
     footprint : array_like, shape (k, 2), optional
-        As in `tip_over_margin`; by default each robot's own.
+        Corners of the support polygon in the body frame [m], see `balance.tip_over_margin`; default: the
+        footprint of each robot.
     **layout
-        `title`, `ax` and `width`, as in `states`.
+        ``title``, ``ax`` and ``width``, see `plots.states`.
 
     Returns
     -------
     figure : matplotlib.figure.Figure
+        New figure, or the figure of ``ax``.
 
     Raises
     ------
     InvalidArgument
-        If `rollouts` is something else, not of a `MobileRobot`, or `footprint` is no convex polygon.
+        If `rollouts` is invalid, a plant has no ground reaction, or `footprint` is not a convex polygon.
+
+    See Also
+    --------
+    balance.tip_over_margin : the margin as numbers
+    balance.required_friction : the friction as numbers
+    plots.loads : loads of wheels
+
+    Examples
+    --------
+    >>> from pinmobile import PD, Circle, MobileRobot, Tangent
+    >>> from pinmobile import plots, simulate
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
+    >>> motion = Tangent(Circle(1, 1, 2))
+    >>> run = simulate(robot, PD(120, 120), motion, dt=0.02)
+    >>> figure = plots.balance(run)
+    >>> [axes.get_ylabel() for axes in figure.axes[:2]]
+    ['tip-over margin [m]', 'required friction [-]']
     """
     runs = with_plants(rollouts, *GROUNDED)
     sheet = Sheet(11.0, **layout)

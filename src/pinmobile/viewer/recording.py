@@ -505,14 +505,15 @@ class Recording:
 
     Examples
     --------
-    >>> from pinmobile import Hold, FixedHeading, MobileRobot, PD, simulate
+    >>> from pinmobile import PD, Circle, MobileRobot, Tangent
+    >>> from pinmobile import simulate
     >>> from pinmobile.viewer import Viewer
-    >>> robot, still = MobileRobot(30.0, 1.3), FixedHeading(Hold((0, 0), 1.0), 0)
-    >>> run = simulate(robot, PD(4, 4), still, dt=0.1)
-    >>> recording = Viewer(robot).record(run, fps=10, title="Standstill")
+    >>> robot, circle = MobileRobot(30.0, 1.3), Circle(1.0, 1.0, 1.0)
+    >>> run = simulate(robot, PD(9, 6), Tangent(circle), dt=0.1)
+    >>> recording = Viewer(robot).record(run, fps=10, title="Circle")
     >>> recording.duration  # [s]
     1.0
-    >>> "<title>Standstill</title>" in recording.html()
+    >>> "<title>Circle</title>" in recording.html()
     True
     """
 

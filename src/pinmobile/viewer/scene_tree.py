@@ -63,7 +63,8 @@ class FixedCamera:
     >>> from pinmobile import MobileRobot
     >>> from pinmobile.viewer import FixedCamera, Overlays, Viewer
     >>> camera = FixedCamera(eye=(4, 0, 2), target=(0, 0, 0))
-    >>> viewer = Viewer(MobileRobot.lecture(), overlays=Overlays(camera=camera))
+    >>> overlays = Overlays(camera=camera)
+    >>> viewer = Viewer(MobileRobot.lecture(), overlays=overlays)
     >>> viewer.overlays.camera.eye  # [m]
     array([4., 0., 2.])
     """
@@ -97,7 +98,8 @@ class Follow:
     >>> from pinmobile import MobileRobot
     >>> from pinmobile.viewer import Follow, Overlays, Viewer
     >>> overlays = Overlays(camera=Follow(distance=3.0))
-    >>> Viewer(MobileRobot.lecture(), overlays=overlays).overlays.camera
+    >>> viewer = Viewer(MobileRobot.lecture(), overlays=overlays)
+    >>> viewer.overlays.camera
     Follow(distance=3.0)
     """
 
@@ -134,7 +136,7 @@ class Arrows:
     --------
     >>> from pinmobile import MobileRobot
     >>> from pinmobile.viewer import Arrows, Overlays, Viewer
-    >>> overlays = Overlays(arrows=Arrows(force=0.02))  # 1 m for 50 N
+    >>> overlays = Overlays(arrows=Arrows(force=0.02))  # 1 m: 50 N
     >>> viewer = Viewer(MobileRobot.lecture(), overlays=overlays)
     >>> viewer.overlays.arrows.force  # [m/N]
     0.02
@@ -200,10 +202,11 @@ class Overlays:
 
     Examples
     --------
-    >>> from pinmobile import Circle, MobileRobot, PD, Tangent, simulate
+    >>> from pinmobile import PD, Circle, MobileRobot, Tangent
+    >>> from pinmobile import simulate
     >>> from pinmobile.viewer import Arrows, Overlays, Viewer
-    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
-    >>> run = simulate(robot, PD(9, 6), Tangent(Circle(1, 1, 1)), dt=0.1)
+    >>> robot, circle = MobileRobot(30.0, 1.3), Circle(1.0, 1.0, 1.0)
+    >>> run = simulate(robot, PD(9, 6), Tangent(circle), dt=0.1)
     >>> overlays = Overlays(desired=True, arrows=Arrows())
     >>> Viewer(robot).record(run, overlays=overlays, fps=10)
     <Recording: 1 s, 10 frames per second, 1 times as fast>
