@@ -37,7 +37,7 @@ def same(loaded: pm.Rollout) -> bool:
 @pytest.mark.parametrize(
     ("changed", "why"),
     [
-        ({"format": np.array("pinmobile rollout 9")}, "it is of another format, 'pinmobile rollout 9'"),
+        ({"format": np.array("pinmobile rollout 9")}, "its format is 'pinmobile rollout 9'"),
         ({"q": None, "v": None}, "it has no 'q'"),
         ({"q": np.zeros((13, 2))}, r"q has shape \(13, 2\), expected \(13, 3\)"),
         ({"q": np.full((13, 3), np.nan)}, r"q\[0, 0\] is nan, expected a finite number"),
@@ -81,7 +81,7 @@ def test_what_is_no_archive_is_not_called_one_that_may_be_loaded_unsafely(
 ) -> None:
     (tmp_path / "run.npz").write_bytes(content)
     with pytest.raises(
-        pm.InvalidArgument, match=r"which is no 'pinmobile rollout 4' archive: it is no \.npz file"
+        pm.InvalidArgument, match=r"expected a 'pinmobile rollout 4' archive: it is not an \.npz file"
     ):
         pm.Rollout.load(tmp_path / "run.npz")
 
@@ -96,7 +96,7 @@ def test_what_is_no_class_of_fields_is_not_made(tmp_path: Path, name: str) -> No
         if changed == "MobileRobot":
             loaded = pm.Rollout.load(tmp_path / "run.npz")
             assert (loaded.plant.coordinates, same(loaded)) == (ROBOT.coordinates, True)
-            assert loaded.plant.reason == f"it has a {name}, expected a class of the library"
+            assert loaded.plant.reason == f"it has a {name}, expected a class of pinmobile"
         else:
             with pytest.raises(pm.InvalidArgument, match=f"it has a {name}, expected"):
                 pm.Rollout.load(tmp_path / "run.npz")

@@ -272,5 +272,5 @@ def test_figures_tell_shares_friction_and_odometry(rolls: pm.Rollout, slides: pm
     with pytest.raises(pm.InvalidArgument, match="no signal believed_pose"):
         plots.odometry(slides)
     alone = WheeledRobot(BOX, WheelTable.differential(0.46, 0.1, **WHEEL))
-    with pytest.raises(pm.InvalidArgument, match="loads are not known"):
+    with pytest.raises(pm.InvalidArgument, match="unknown loads"):
         plots.friction(replace(rolls, plant=alone))

@@ -1,4 +1,4 @@
-"""Files written whole or not at all, the one format of archives, and what refuses either."""
+"""Files that are written completely or not at all, the format of archives, and their errors."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 _T = TypeVar("_T")
 
-# What a path is at fault for, and another one mends; all else is the system's: a full disk, a failing device.
+# Errors that another path avoids. All other errors are faults of the system, such as a full disk.
 _OF_THE_PATH = frozenset(
     {
         *(errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.EEXIST, errno.ENOTEMPTY, errno.ENAMETOOLONG),
@@ -43,27 +43,48 @@ _OF_THE_PATH = frozenset(
 def replacing(
     path: str | PathLike[str], *, name: str = "path", through: Path | None = None
 ) -> Iterator[IO[bytes]]:
-    """Give a binary file to write to, which takes the place of what is at `path` once all of it is on disk.
+    """Open a binary file that replaces the file at `path` when all content is on disk, as a context manager.
 
-    Where anything fails, or the process dies, what was there is there still. As with `open`, a new file has
-    the permissions that the umask leaves, one that was there keeps its own, a link stays and what it leads to
-    is replaced, and devices, pipes and open files such as ``/dev/stdout`` are written to as they are.
+    If anything fails, or the process dies, an existing file remains unchanged. A new file gets the
+    permissions of the umask, and an existing file keeps its permissions. A link remains, and its target is
+    replaced. The function writes directly to devices, pipes and open files such as ``/dev/stdout``.
 
     Parameters
     ----------
     path : str or path-like
-        The file.
+        File to write.
     name : str
-        Of the argument, for the message.
+        Name of the argument, for the message.
     through : Path, optional
-        File in which the content is gathered; by default a new one beside the file, which is gone afterwards.
+        Temporary file for the content; default: a new file beside `path`.
+
+    Yields
+    ------
+    file : binary file
+        File to write to.
 
     Raises
     ------
     InvalidArgument
-        If there can be no such file.
+        If the path cannot be a file that this process may write.
     FileError
-        If the system fails, such as of a full disk.
+        If the system fails, for example because the disk is full.
+
+    See Also
+    --------
+    files.write : write given content
+
+    Examples
+    --------
+    >>> import pathlib, tempfile
+    >>> from pinmobile.files import replacing
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = pathlib.Path(folder, "run.bin")
+    ...     with replacing(path) as file:
+    ...         file.write(b"complete") and path.exists()
+    ...     path.read_bytes()
+    False
+    b'complete'
     """
     target = location(name, path)
     with refusals("written", name, target):
@@ -79,13 +100,13 @@ def replacing(
             file.flush()
             if real and made:
                 _dress_as(real, raw.fileno())
-                os.fsync(raw.fileno())  # some file systems, and quotas, tell only now that there is no room
+                os.fsync(raw.fileno())  # some file systems and quotas report a full disk only here
             raw.close()
             if real and made:
                 os.replace(made, real)
     except BaseException:
         with suppress(OSError):
-            raw.close()  # before its buffer, which would try to write what is left
+            raw.close()  # before its buffer, which would try to write the rest
         with suppress(OSError):
             if made:
                 made.unlink()
@@ -93,39 +114,116 @@ def replacing(
 
 
 def write(path: str | PathLike[str], data: bytes, *, name: str = "path", through: Path | None = None) -> None:
-    """Write a file as a whole; parameters and errors are those of `replacing`."""
+    """Write a file completely or not at all.
+
+    Parameters
+    ----------
+    path : str or path-like
+        File to write; it replaces an existing file.
+    data : bytes
+        Content.
+    name : str
+        Name of the argument, for the message.
+    through : Path, optional
+        Temporary file, see `replacing`.
+
+    Raises
+    ------
+    InvalidArgument
+        If the path cannot be a file that this process may write.
+    FileError
+        If the system fails, for example because the disk is full.
+
+    See Also
+    --------
+    files.replacing : the same for content in pieces
+
+    Examples
+    --------
+    >>> from pinmobile import InvalidArgument
+    >>> from pinmobile.files import write
+    >>> try:
+    ...     write("/no/such/folder/run.bin", b"")
+    ... except InvalidArgument as error:
+    ...     print(error)
+    path is '/no/such/folder/run.bin', which cannot be written: ...
+    """
     with replacing(path, name=name, through=through) as file:
         file.write(data)
 
 
 def write_table(path: str | PathLike[str], header: Sequence[str], columns: Sequence[Array]) -> None:
-    """Write columns as CSV with 17 significant digits, which tell every float64 from all others.
+    """Write columns as CSV with 17 significant digits, which distinguish all float64 numbers.
 
     Parameters
     ----------
     path : str or path-like
-        The file; errors are those of `replacing`.
+        File to write; errors are those of `replacing`.
     header : sequence of str
-        What stands above the columns.
+        Titles of the columns.
     columns : sequence of ndarray, shape (n,) or (n, m)
-        One column, or m of them.
+        One column, or m columns.
+
+    See Also
+    --------
+    Rollout.to_csv : CSV file of a run
+
+    Examples
+    --------
+    >>> import pathlib, tempfile
+    >>> import numpy as np
+    >>> from pinmobile.files import write_table
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = pathlib.Path(folder, "run.csv")
+    ...     columns = [np.arange(2), np.ones(2)]
+    ...     write_table(path, ["t [s]", "x [m]"], columns)
+    ...     print(path.read_text())
+    t [s],x [m]
+    0,1
+    1,1
     """
     with replacing(path) as file:
         titles = io.StringIO()
-        csv.writer(titles, lineterminator="\n").writerow(header)  # quotes what a joint's name needs
+        csv.writer(titles, lineterminator="\n").writerow(header)  # quotes special characters of joint names
         file.write(titles.getvalue().encode())
         np.savetxt(file, np.column_stack(columns), fmt="%.17g", delimiter=",")
 
 
 def written(path: str | PathLike[str], suffix: str, content: Callable[[], bytes]) -> Path:
-    """Write a file whose content takes its time, once it is known that it can be written; return its path.
+    """Check that a file can be written, then compute its content, write it, and return the path.
+
+    Parameters
+    ----------
+    path : str or path-like
+        File to write; it replaces an existing file.
+    suffix : str
+        Expected suffix, such as ``".gif"``.
+    content : callable
+        Function without arguments that returns the content as bytes.
+
+    Returns
+    -------
+    path : pathlib.Path
+        The file.
 
     Raises
     ------
     InvalidArgument
-        If there can be no such file, or its name ends in another suffix.
+        If the path cannot be a file that this process may write, or has another suffix.
     FileError
-        If the system fails, such as of a full disk.
+        If the system fails, for example because the disk is full.
+
+    See Also
+    --------
+    files.write : write given content
+
+    Examples
+    --------
+    >>> from pinmobile.files import written
+    >>> written("run.png", ".gif", lambda: b"")
+    Traceback (most recent call last):
+    ...
+    pinmobile.errors.InvalidArgument: path is 'run.png', expected a name that ends in '.gif'
     """
     target = location("path", path)
     if target.suffix.lower() != suffix:
@@ -137,7 +235,35 @@ def written(path: str | PathLike[str], suffix: str, content: Callable[[], bytes]
 
 @contextmanager
 def refusals(done: str, name: str, path: str | PathLike[str]) -> Iterator[None]:
-    """Raise what the system refuses within as an error that names the file, see `cannot`."""
+    """Convert system errors within a ``with`` block to errors that name the file, see `cannot`.
+
+    Parameters
+    ----------
+    done : str
+        Participle for the message, such as ``"read"`` or ``"written"``.
+    name : str
+        Name of the argument.
+    path : str or path-like
+        File of the message.
+
+    Raises
+    ------
+    InvalidArgument, FileError
+        In place of an `OSError` within the block.
+
+    See Also
+    --------
+    files.cannot : the error
+
+    Examples
+    --------
+    >>> from pinmobile.files import refusals
+    >>> with refusals("read", "path", "run.npz"):
+    ...     raise FileNotFoundError(2, "No such file or directory")
+    Traceback (most recent call last):
+    ...
+    pinmobile.errors.InvalidArgument: path is 'run.npz', which cannot be read: No such file or directory
+    """
     try:
         yield
     except PinmobileError:
@@ -147,23 +273,34 @@ def refusals(done: str, name: str, path: str | PathLike[str]) -> Iterator[None]:
 
 
 def cannot(done: str, name: str, path: str | PathLike[str], error: OSError) -> PinmobileError:
-    """Return the error about a file that the system refuses.
+    """Return the error of pinmobile for a system error about a file.
 
     Parameters
     ----------
     done : str
-        What cannot be done: ``"read"``, ``"written"``.
+        Participle for the message, such as ``"read"`` or ``"written"``.
     name : str
-        Of the argument.
+        Name of the argument.
     path : str or path-like
-        The file.
+        File of the message.
     error : OSError
-        What the system says.
+        Error of the system.
 
     Returns
     -------
     error : InvalidArgument or FileError
-        The latter where another path would not help: the disk is full, a device fails.
+        `FileError` if another path would not help: the disk is full, or a device fails.
+
+    See Also
+    --------
+    files.refusals : context manager that raises the error
+
+    Examples
+    --------
+    >>> from pinmobile.files import cannot
+    >>> error = OSError(5, "Input/output error")
+    >>> cannot("read", "path", "run.npz", error)
+    FileError("path is 'run.npz', which cannot be read: Input/output error")
     """
     why, folder = error.strerror or str(error), Path(path).parent
     if done == "written" and error.errno in (errno.ENOENT, errno.ENOTDIR) and not folder.is_dir():
@@ -175,7 +312,7 @@ def cannot(done: str, name: str, path: str | PathLike[str], error: OSError) -> P
 
 
 class _Sink(io.FileIO):
-    """A file whose errors name it, whoever writes into it."""
+    """Raw file with errors that name the file."""
 
     told: tuple[str, Path]
 
@@ -190,12 +327,12 @@ class _Sink(io.FileIO):
 
 
 def _replaceable(path: Path) -> Path | None:
-    """Return the file that a path leads to, there or not; None where it is no name of a file in a folder.
+    """Return the target file of a path, or None if the path is not a regular file of a folder.
 
     Raises
     ------
     OSError
-        If it is there and cannot be written to: that its folder can be is not enough.
+        If the file exists and this process may not write it, even if it may write the folder.
     """
     try:
         mode = os.stat(path).st_mode
@@ -209,7 +346,7 @@ def _replaceable(path: Path) -> Path | None:
 
 
 def _is_open_file(path: Path) -> bool:
-    """Return whether a path leads to a file that some process has open, as ``/dev/stdout`` may."""
+    """Return whether a path is an open file of a process, such as ``/dev/stdout``."""
     link = path
     while True:
         folder = Path(os.path.realpath(link.parent))
@@ -221,12 +358,12 @@ def _is_open_file(path: Path) -> bool:
 
 
 def _dress_as(there: Path, descriptor: int) -> None:
-    """Give an open file the owner and the permissions of one that is there."""
+    """Give an open file the owner and the permissions of an existing file."""
     try:
         like = there.stat()
     except FileNotFoundError:
         return
-    with suppress(PermissionError):  # it is then the writer's
+    with suppress(PermissionError):  # the file then belongs to the writer
         os.fchown(descriptor, like.st_uid, like.st_gid)
     os.fchmod(descriptor, stat.S_IMODE(like.st_mode))
 
@@ -235,16 +372,31 @@ _NAME = re.compile(r"[A-Za-z_][\w.]*", re.ASCII)
 
 
 def write_archive(path: str | PathLike[str], form: str, content: Mapping[str, Any]) -> None:
-    """Write a tree as a NumPy archive (``.npz``): its arrays by their paths, all else as JSON beside them.
+    """Write content as a NumPy archive (``.npz``): arrays by their paths, everything else as JSON.
 
     Parameters
     ----------
     path : str or path-like
-        The file; errors are those of `replacing`.
+        File to write; errors are those of `replacing`.
     form : str
-        Name and number of the format.
+        Name and version of the format.
     content : mapping of str to object
-        Arrays, numbers, text, tuples, mappings, and objects of the library's own classes of these.
+        Arrays, numbers, text, tuples, mappings, and objects of classes of pinmobile with such fields.
+
+    See Also
+    --------
+    files.read_archive : read the archive
+    Rollout.save : archive of a run
+
+    Examples
+    --------
+    >>> import pathlib, tempfile
+    >>> from pinmobile.files import read_archive, write_archive
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = pathlib.Path(folder, "gains.npz")
+    ...     write_archive(path, "gains 1", {"kp": (4.0, 9.0)})
+    ...     read_archive(path, "gains 1", dict)
+    {'kp': (4.0, 9.0)}
     """
     arrays: dict[str, Any] = {}
     described = json.dumps(_packed(dict(content), "", arrays))
@@ -253,25 +405,58 @@ def write_archive(path: str | PathLike[str], form: str, content: Mapping[str, An
 
 
 def packed(value: object) -> str:
-    """Return a value as text, from which `unpacked` makes it again.
+    """Return a value as JSON text, for `unpacked`.
+
+    Parameters
+    ----------
+    value : object
+        Value as for `write_archive`.
 
     Raises
     ------
     TypeError
-        If an object in it is not of the library's own classes.
+        If an object is not of a class of pinmobile.
     InvalidArgument
-        If an object in it cannot be made again.
+        If an object cannot be reconstructed.
+
+    See Also
+    --------
+    files.unpacked : the inverse
+
+    Examples
+    --------
+    >>> from pinmobile import Circle
+    >>> from pinmobile.files import packed, unpacked
+    >>> circle = Circle(1.0, 0.5, 4.0)
+    >>> unpacked(packed(circle)) == circle
+    True
     """
     return json.dumps(_packed(value, "", None))
 
 
 def unpacked(text: str) -> Any:
-    """Return the value that `packed` returned as text."""
+    """Return the value of a text of `packed`.
+
+    Parameters
+    ----------
+    text : str
+        Text of `packed`.
+
+    See Also
+    --------
+    files.packed : the inverse
+
+    Examples
+    --------
+    >>> from pinmobile.files import packed, unpacked
+    >>> unpacked(packed({"kp": (4.0, 9.0)}))
+    {'kp': (4.0, 9.0)}
+    """
     return _unpacked(json.loads(text), {})
 
 
 def _packed(value: Any, path: str, arrays: dict[str, Any] | None) -> Any:
-    """Return a value as JSON has it; its arrays are put beside it, those of parts stand in it."""
+    """Return a value for JSON. Arrays go to `arrays`; arrays of parts become lists in the value."""
     if value is None or isinstance(value, bool | int | float | str):
         return value
     if isinstance(value, np.generic):
@@ -289,7 +474,7 @@ def _packed(value: Any, path: str, arrays: dict[str, Any] | None) -> Any:
     kind = type(value)
     name = f"{kind.__module__}:{kind.__qualname__}"
     if not _is_plain(kind):
-        raise TypeError(f"{name} is no class of the library that a file can keep")
+        raise TypeError(f"{name} is not a class of pinmobile that a file can contain")
     if isinstance(value, Enum):
         return {"type": name, "member": value.name}
     own = {key: _packed(x, _join(path, key), None if attrs.has(kind) else arrays) for key, x in _kept(value)}
@@ -301,7 +486,7 @@ def _join(path: str, key: object) -> str:
 
 
 def _is_plain(kind: Any) -> bool:
-    """Return whether objects of a class are made of their fields, by the library's own code."""
+    """Return whether a class belongs to pinmobile and its objects consist of fields."""
     if not isinstance(kind, type) or not kind.__module__.startswith("pinmobile."):
         return False
     return dataclasses.is_dataclass(kind) or attrs.has(kind) or issubclass(kind, Enum | tuple)
@@ -311,12 +496,34 @@ _KEPT: dict[Any, tuple[Callable[[Any], dict[str, Any]], Callable[..., Any]]] = {
 
 
 def keep(kind: type, kept: Callable[[Any], dict[str, Any]], restored: Callable[..., Any]) -> None:
-    """Let archives keep objects of a class by what `kept` returns, the arguments of `restored`."""
+    """Register a class whose objects archives store by other values than its fields.
+
+    Parameters
+    ----------
+    kind : type
+        Class of pinmobile.
+    kept : callable
+        Function that returns the stored values of an object by name.
+    restored : callable
+        Function of these values, as keyword arguments, that returns the object.
+
+    See Also
+    --------
+    files.write_archive : write an archive
+
+    Examples
+    --------
+    >>> from pinmobile.files import keep, packed, unpacked
+    >>> from pinmobile.signals import Signal
+    >>> keep(Signal, Signal._asdict, Signal)
+    >>> unpacked(packed(Signal("N", 1.0)))
+    Signal(unit='N', values=1.0)
+    """
     _KEPT[kind] = kept, restored
 
 
 def _kept(value: Any) -> Iterable[tuple[str, Any]]:
-    """Return what makes an object again, by argument: its fields, unless `keep` says something else."""
+    """Return the stored values of an object by name: its fields, or the values of `keep`."""
     if type(value) in _KEPT:
         return _KEPT[type(value)][0](value).items()
     if isinstance(value, tuple):
@@ -340,7 +547,7 @@ def _unpacked(tree: Any, arrays: Mapping[str, Any]) -> Any:
     module, _, name = tree["type"].partition(":")
     kind: Any = module.startswith("pinmobile.") and getattr(import_module(module), name)
     if not _is_plain(kind):
-        raise ValueError(f"it has a {tree['type']}, expected a class of the library")
+        raise ValueError(f"it has a {tree['type']}, expected a class of pinmobile")
     if "member" in tree:
         return kind[tree["member"]]
     fields = {key: _unpacked(each, arrays) for key, each in tree["fields"].items()}
@@ -348,30 +555,55 @@ def _unpacked(tree: Any, arrays: Mapping[str, Any]) -> Any:
 
 
 def read_archive(path: Path, form: str, make: Callable[[dict[str, Any]], _T]) -> _T:
-    """Return what a function makes of the content that `write_archive` wrote, its arrays read-only.
+    """Read an archive of `write_archive`, and return a function of its content.
+
+    Parameters
+    ----------
+    path : Path
+        File to read.
+    form : str
+        Expected name and version of the format.
+    make : callable
+        Function of the content. Arrays in the content are read-only.
 
     Raises
     ------
     InvalidArgument
-        If the file cannot be read, is damaged, or holds something else.
+        If the file cannot be read, is damaged, or has another format.
     FileError
         If the system fails.
+
+    See Also
+    --------
+    files.write_archive : write the archive
+    Rollout.load : read a run
+
+    Examples
+    --------
+    >>> import pathlib
+    >>> from pinmobile import InvalidArgument
+    >>> from pinmobile.files import read_archive
+    >>> try:
+    ...     read_archive(pathlib.Path("gone.npz"), "gains 1", dict)
+    ... except InvalidArgument as error:
+    ...     print(error)
+    path is 'gone.npz', which cannot be read: No such file ...
     """
     try:
         with path.open("rb") as file:
-            if not zipfile.is_zipfile(file):  # else NumPy advises to load what may run code
-                raise ValueError("it is no .npz file, or its end is lost")
+            if not zipfile.is_zipfile(file):  # otherwise NumPy advises to load pickles, which may run code
+                raise ValueError("it is not an .npz file, or its end is missing")
             file.seek(0)
             with np.load(file) as archive:
                 arrays = dict(archive)
         other = str(arrays["format"])
         if other != form:
-            raise ValueError(f"it is of another format, {other!r}")
+            raise ValueError(f"its format is {other!r}")
         for array in arrays.values():
             array.setflags(write=False)
         return make(_unpacked(json.loads(str(arrays["description"])), arrays))
     except OSError as error:
         raise cannot("read", "path", path, error) from error
-    except Exception as error:  # whatever the bytes of a damaged file lead zipfile and NumPy to
+    except Exception as error:  # zipfile and NumPy raise many errors for damaged files
         why = f"it has no {error}" if isinstance(error, KeyError) else str(error) or type(error).__name__
-        raise InvalidArgument(f"path is {str(path)!r}, which is no {form!r} archive: {why}") from error
+        raise InvalidArgument(f"path is {str(path)!r}, expected a {form!r} archive: {why}") from error

@@ -1,4 +1,4 @@
-"""The `pinmobile` command: it reads options, calls the library, and prints the answer and what to do next."""
+"""The ``pinmobile`` command: it reads options, calls the library, and prints the result and the next step."""
 
 import os
 import sys
@@ -11,29 +11,35 @@ from pinmobile.errors import InvalidArgument, PinmobileError
 
 __all__ = ["main"]
 
-_INTERRUPTED = 130  # as typer says it, and shells
+_INTERRUPTED = 130  # exit code of typer and shells
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command.
+    """Run the command ``pinmobile``.
 
     Parameters
     ----------
     arguments : sequence of str, optional
-        Words after ``pinmobile``; by default those of the process.
+        Words after ``pinmobile``; default: the arguments of the process.
 
     Returns
     -------
     code : int
-        0: done; 1: done, and the answer is no (a route differs, a number is not the lecture's, a loop
-        diverged), or the system failed, as of a full disk; 2: the options or files are not what is
-        expected; 130: interrupted.
+        0: done. 1: a check failed, a run diverged, or the system failed, for example because the disk is
+        full. 2: options or files are invalid. 130: interrupted.
+
+    Examples
+    --------
+    >>> from pinmobile.cli import main
+    >>> main(["--version"])
+    pinmobile ...
+    0
     """
     for name in ("stdout", "stderr"):
-        if getattr(sys, name) is None:  # closed, as by `>&-`: as with `>/dev/null`
+        if getattr(sys, name) is None:  # closed, as by `>&-`: use /dev/null
             setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_WRONLY), "w"))
     try:
-        # It imports what it needs itself, so that an interrupt while that loads ends quietly.
+        # _run imports its modules itself, so that an interrupt during an import ends quietly.
         return _run(arguments)
     except KeyboardInterrupt:
         return _refuse("interrupted", _INTERRUPTED)
@@ -52,9 +58,7 @@ def _run(arguments: Sequence[str] | None) -> int:
             code = app(args=words or ["--help"], prog_name="pinmobile", standalone_mode=False)
         sys.stdout.flush()
     except typer.TyperException as error:
-        return _refuse(
-            f"{error.format_message()} ('pinmobile --help' or 'pinmobile COMMAND --help' tells more)"
-        )
+        return _refuse(f"{error.format_message()} (see 'pinmobile --help' or 'pinmobile COMMAND --help')")
     except (Diverged, FileError) as error:
         return _refuse(str(error), 1)
     except InvalidArgument as error:
@@ -64,24 +68,24 @@ def _run(arguments: Sequence[str] | None) -> int:
     except typer.Abort:
         return _refuse("interrupted", _INTERRUPTED)
     except BrokenPipeError:
-        # The reader has gone, as after `| head`; nothing is left to be said to it.
+        # The reader has closed the pipe, for example `| head`.
         _silence()
         return 0
     except OSError as error:
-        # Files have errors of ours: this is what the console met, such as a full disk behind `>`.
+        # Errors of files are FileError: this one is about the console, such as a full disk behind `>`.
         _silence()
         return _refuse(f"the output cannot be written: {error}", 1)
     return _refuse("interrupted", _INTERRUPTED) if code == _INTERRUPTED else int(code or 0)
 
 
 def _silence() -> None:
-    """Let what is left to be printed go nowhere, so that Python does not fail at its end."""
-    with suppress(UnsupportedOperation):  # of an output that is no file
+    """Discard the remaining output, so that Python does not fail at its end."""
+    with suppress(UnsupportedOperation):  # the output is not a file
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _note(message: Warning | str, *where: object, **more: object) -> None:
-    """Print a warning as one line: where in the library it came from is of no use here."""
+    """Print a warning as one line, without its place in the library."""
     print(f"pinmobile: {' '.join(str(message).split())}", file=sys.stderr)
 
 

@@ -355,7 +355,8 @@ def integrator(
     --------
     >>> from pinmobile import plots, rk4
     >>> from pinmobile.accuracy import integrator_report
-    >>> report = integrator_report(rk4, steps=(0.1, 0.05), duration=1)
+    >>> report = integrator_report(
+    ...     rk4, steps=(0.1, 0.05), duration=1.0)
     >>> figure = plots.integrator(report)
     >>> figure.axes[0].get_ylabel(), round(report.position.order)
     ('error [m]', 4)

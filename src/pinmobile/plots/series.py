@@ -1,4 +1,4 @@
-"""What a rollout recorded, over time: states, errors, inputs, signals; wheels on the ground, and balance."""
+"""Figures of rollouts over time: states, errors, inputs, signals, wheels on the ground, and balance."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ from pinmobile.plots.style import (
 
 GROUNDED = Grounded, "a MobileRobot, or a plant with ground_wrench(q, v, a)"
 _SYMBOLS = {**{"x": "$x$", "y": "$y$", "psi": r"$\psi$"}, **{"Fx": "$F_x$", "Fy": "$F_y$", "Mz": "$M_z$"}}
-_ROUNDING = 1e-12  # what is smaller is drawn and told as the rounding that it is
+_ROUNDING = 1e-12  # smaller values count as rounding errors
 
 
 def states(rollouts: Rollouts, **layout: Unpack[Layout]) -> Figure:
@@ -257,7 +257,7 @@ def signals(rollouts: Rollouts, **layout: Unpack[Layout]) -> Figure:
     most = max(values[0].size for run in runs.values() for _, values in run.signals.values())
 
     def style(index: int, k: int, count: int) -> Style:
-        """Dashes tell runs apart, and where a signal has several entries colours tell these."""
+        """Return a style: dashes distinguish runs, and colours distinguish entries of a signal."""
         if most == 1:
             return line_style(index, len(runs))
         return {**line_style(index, len(runs)), "color": colour(k) if count > 1 else ink()}
@@ -276,7 +276,7 @@ def signals(rollouts: Rollouts, **layout: Unpack[Layout]) -> Figure:
     return sheet.finish("Signals", keys)
 
 
-_MOST = 6  # coordinates below each other, with their symbols beside them; more have them above
+_MOST = 6  # largest number of rows with labels beside the axes; more rows have labels above the axes
 
 
 def _over_each_other(
@@ -286,7 +286,7 @@ def _over_each_other(
     layout: Layout,
     **style: Any,
 ) -> tuple[Sheet, list[Axes]]:
-    """Draw a line of each rollout in the axes of each name, and return the sheet and these axes."""
+    """Draw a line of each rollout in the axes of each name, and return the sheet and the axes."""
     sheet, panels = _rows(names, layout)
     for index, run in enumerate(runs.values()):
         draw(panels, run.t, values(run), **style, **line_style(index, len(runs)))
@@ -294,7 +294,7 @@ def _over_each_other(
 
 
 def _rows(names: Sequence[tuple[str, str]], layout: Layout) -> tuple[Sheet, list[Axes]]:
-    """Return a sheet with axes for each name and unit: below each other, or many up to three in a row."""
+    """Return a sheet with axes for each name and unit: one column, or up to three columns for many names."""
     count = len(names)
     sheet = Sheet(9.0 if count <= _MOST else 12.0, **layout)
     if count <= _MOST:
@@ -310,7 +310,7 @@ def _rows(names: Sequence[tuple[str, str]], layout: Layout) -> tuple[Sheet, list
 
 
 def _stacked(sheet: Sheet, names: Sequence[tuple[str, str]], columns: int) -> NDArray[Any]:
-    """Return axes, shape (rows, columns), a row for each name: beside it, or many above, as joints' are."""
+    """Return axes, shape (rows, columns), one row for each name; many rows have labels above the axes."""
     many = len(names) > _MOST
     grid = sheet.grid(len(names), columns, [1.2 if many else 1.75] * len(names))
     for row, (name, unit) in zip(grid, names, strict=True):
@@ -337,20 +337,20 @@ def _over_time(sheet: Sheet, grid: NDArray[Any]) -> NDArray[Any]:
 
 
 def _names(named: Iterable[tuple[object, Sequence[tuple[str, str]]]]) -> list[tuple[str, str]]:
-    """Return symbol and unit for each panel: those of the first of the plants with the most columns."""
+    """Return symbol and unit for each panel, from the first plant with the largest number of columns."""
     plant, pairs = max(named, key=lambda one: len(one[1]))
     single = len(getattr(plant, "mounts", ())) == 1
     return [(_symbol(name.partition("/")[2] or name if single else name), unit) for name, unit in pairs]
 
 
 def _symbol(name: str) -> str:
-    """Return how a name is written beside axes."""
+    """Return the axis label of a name."""
     short = name.removesuffix("_joint").replace("_", " ").replace("$", r"\$")
     return _SYMBOLS.get(name, short)
 
 
 def _named(plant: Plant | None, count: int) -> list[tuple[str, str]]:
-    """Return name and unit of each number of q."""
+    """Return name and unit of each entry of q."""
     coordinates = coordinates_of(plant)
     if len(coordinates) == count:
         return [(one.name, one.unit) for one in coordinates]
@@ -360,7 +360,7 @@ def _named(plant: Plant | None, count: int) -> list[tuple[str, str]]:
 
 
 def draw(column: Iterable[Axes], t: Array, rows: Array, **style: Any) -> None:
-    """Draw each coordinate, shape (N,) of rows (N, n), in its axes."""
+    """Draw each column of `rows`, shape (N, n), in its axes."""
     for axes, values in zip(column, rows.T, strict=False):
         line(axes, t, values, **style)
         if np.abs(axes.dataLim.intervaly).max() < _ROUNDING:
@@ -427,8 +427,8 @@ def reaction(rollouts: Rollouts, *, mount: str | None = None, **layout: Unpack[L
 
 
 _MEASURED: Style = {"color": "#9a9a9a", "linewidth": 3.2, "solid_capstyle": "round"}
-_DEVIATIONS = 2.0  # of the noise, within which 95 of 100 differences lie
-_POINTS = 4000  # points of a line
+_DEVIATIONS = 2.0  # standard deviations that contain 95 % of the differences
+_POINTS = 4000  # largest number of points of a line
 
 
 def prediction(foretold: Prediction, **layout: Unpack[Layout]) -> Figure:
@@ -474,7 +474,7 @@ def prediction(foretold: Prediction, **layout: Unpack[Layout]) -> Figure:
     >>> [axes.get_ylabel() for axes in figure.axes[:2]]
     ['x [m]', 'difference [mm]']
     """
-    instance("foretold", foretold, Prediction, "what predict() of an identification returns")
+    instance("foretold", foretold, Prediction, "a Prediction, the result of predict() of an Identification")
     sheet = Sheet(10.0, **layout)
     grid = sheet.grid(len(foretold.names), 2, [1.7] * len(foretold.names))
     t = _broken(foretold.t)
@@ -499,15 +499,15 @@ def prediction(foretold: Prediction, **layout: Unpack[Layout]) -> Figure:
         axes.set_xlabel("t [s]")
     keys = [
         Line2D([], [], label="measured", **_MEASURED),
-        Line2D([], [], label="foretold", color=colour(0), linewidth=1.4),
-        Patch(color=tint(ink(), 0.12), label="noise of the sensor, 95 %"),
+        Line2D([], [], label="predicted", color=colour(0), linewidth=1.4),
+        Patch(color=tint(ink(), 0.12), label="sensor noise, 95 %"),
     ]
     span = float(foretold.t[0, -1] - foretold.t[0, 0])
-    return sheet.finish(f"Measured and foretold, {span:.3g} s ahead", keys)
+    return sheet.finish(f"Measured and predicted, {span:.3g} s ahead", keys)
 
 
 def _broken(segments: Array) -> Array:
-    """Return segments as one line that is broken between them, shape (S (L + 1),)."""
+    """Return segments as one line with gaps between them, shape (S (L + 1),)."""
     gap = np.full((len(segments), 1), np.nan)
     return np.asarray(np.concatenate([segments, gap], axis=1).ravel())
 
@@ -516,7 +516,7 @@ _WHEELED = Touching, "a WheeledRobot, or a plant with contacts(q, v, a, u, signa
 _WIDTH, _HEIGHT = 5.0, 2.2  # of axes [in]
 _LIMIT: Style = {"color": INK, "linestyle": (0, (4, 3)), "linewidth": 1.2, "zorder": 2}
 _SLIDES: Style = {"facecolor": SLIDES, "alpha": 0.15, "zorder": 1}
-_ZERO = 1e-9  # what is smaller is drawn as the zero that it is
+_ZERO = 1e-9  # smaller values are drawn as zero
 
 
 def wheel_torques(rollouts: Rollouts, **layout: Unpack[Layout]) -> Figure:
@@ -621,8 +621,8 @@ def friction(rollouts: Rollouts, **layout: Unpack[Layout]) -> Figure:
     for label, contacts in found.items():
         if not np.isfinite(contacts.limits).any():
             raise InvalidArgument(
-                f"{called(label)} is of a robot whose loads are not known, expected one that stands on "
-                "three points and more: give supports=[(x, y), ...]"
+                f"{called(label)} has a robot with unknown loads, expected contacts at three or more points: "
+                "give supports=[(x, y), ...]"
             )
     sheet, grid = _axes(runs, ["force / $\\mu N$ [-]"], layout)
     for run, contacts, axes in zip(runs.values(), found.values(), grid[0], strict=True):
@@ -740,7 +740,7 @@ def loads(rollouts: Rollouts, **layout: Unpack[Layout]) -> Figure:
         contacts = _contacts(run)
         _lines(sheet, axes, run.t, contacts.loads, contacts.names)
         if not np.isfinite(contacts.loads).any():
-            _note(axes, "not known", (0.5, 0.5))
+            _note(axes, "unknown", (0.5, 0.5))
         axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
     return sheet.finish("Loads of the wheels")
 
@@ -810,9 +810,9 @@ def odometry(rollouts: Rollouts, **layout: Unpack[Layout]) -> Figure:
 
 
 def share_of_friction(found: Contacts) -> Array:
-    """Return force over friction of each contact, shape (n, k); not a number where it is not known.
+    """Return the used share of the friction of each contact, shape (n, k); NaN if unknown.
 
-    Of a wheel with rollers it is that along their axes: across them they roll.
+    For a wheel with rollers, the share is along the axes of the rollers: the rollers roll across them.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         shares = np.where(found.forces == 0, 0.0, found.forces / found.limits)
@@ -827,7 +827,7 @@ def _contacts(run: Rollout) -> Contacts:
 
 
 def _driven(run: Rollout) -> Sequence[Any]:
-    """Return the inputs behind those of the arms."""
+    """Return the inputs after the inputs of the arms."""
     body: Any = getattr(run.plant, "robot", None)
     return run.inputs[max(len(coordinates_of(body)) - 3, 0) :]
 
@@ -835,7 +835,7 @@ def _driven(run: Rollout) -> Sequence[Any]:
 def _axes(
     runs: dict[str, Rollout], rows: Sequence[str], layout: Layout, tall: float = 1.0
 ) -> tuple[Sheet, NDArray[Any]]:
-    """Return a sheet with a column for each run, and its axes, shape (rows, runs)."""
+    """Return a sheet with a column for each run, and the axes, shape (rows, runs)."""
     sheet = Sheet(_WIDTH * len(runs), **layout)
     heights = [_HEIGHT * tall, *(_HEIGHT for _ in rows[1:])]
     grid = sheet.grid(len(rows), len(runs), heights, share="")
@@ -855,7 +855,7 @@ def _axes(
 def _lines(
     sheet: Sheet | None, axes: Axes, t: Array, values: Array, names: Sequence[str], **own: Any
 ) -> None:
-    """Draw a line for each wheel and, with a sheet, a legend; the first line is the widest, so all show."""
+    """Draw a line for each wheel and, with a sheet, a legend; the first line is the widest."""
     for k, (name, each) in enumerate(zip(names, values.T, strict=True)):
         line(axes, t, each, label=name.replace("_", " "), **line_style(k, len(names)) | own)
     if float(np.nanmax(np.abs(values), initial=0.0)) < _ZERO:
@@ -946,7 +946,7 @@ def balance(rollouts: Rollouts, *, footprint: ArrayLike | None = None, **layout:
 
 
 def _from_above(sheet: Sheet, axes: Axes, runs: dict[str, Rollout], footprint: ArrayLike | None) -> None:
-    """Draw the footprint and the zero-moment point in the body's frame."""
+    """Draw the footprint and the zero-moment point in the body frame."""
     dress(axes)
     outlines = [footprint_of(run.plant, footprint) for run in runs.values()]
     for corners in {corners.tobytes(): corners for corners in outlines}.values():

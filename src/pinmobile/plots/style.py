@@ -1,4 +1,4 @@
-"""How figures look: colours and lines of rollouts, and the sheet that they are drawn on."""
+"""Style and layout of figures: colours and lines of rollouts, and the sheet with the axes."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ from pinmobile.palette import INK
 from pinmobile.parts import able
 
 Canvas: TypeAlias = Axes | Figure | SubFigure | Sequence[Axes] | NDArray[Any]
-"""What `ax` may be: axes, several of them, or a figure or part of one, which is filled with axes."""
+"""Values of `ax`: axes, several axes, or a figure or subfigure to fill with axes."""
 
 Spot: TypeAlias = tuple[int | slice, int | slice]
 """Row and column of axes in a grid."""
 
 
 class Layout(TypedDict, total=False):
-    """What every figure takes: a heading ("" for none), where it is drawn, the width of a new one [in]."""
+    """Arguments of all figures: heading ("" for none), axes or figure, width of a new figure [in]."""
 
     title: str | None
     ax: Canvas | None
@@ -49,16 +49,16 @@ class Layout(TypedDict, total=False):
 
 
 _NARROWEST, _WIDEST = 0.5, 100.0  # [in]
-_NARROW, _WIDE = 0.62, 1.25  # by which panels are lower and higher in figures of other widths
-_LEAST = 0.3  # [in] of the sides of axes in which something is to be seen
-_ROOM = 1.0  # [pt] by which letters may overlap: their boxes have rims
-_MOST_KEYS = 5  # in a row of a legend
-_ABOVE = "axes fraction"  # where notes above axes are
+_NARROW, _WIDE = 0.62, 1.25  # smallest and largest scale of the heights of panels
+_LEAST = 0.3  # [in], smallest side of readable axes
+_ROOM = 1.0  # [pt], allowed overlap of texts: the boxes of texts have rims
+_MOST_KEYS = 5  # largest number of entries in a row of a legend
+_ABOVE = "axes fraction"  # coordinates of notes above axes
 _NO_WINDOWS = {"agg", "cairo", "pdf", "pgf", "ps", "svg", "template"}
 
 
 class ShownFigure(Figure):
-    """A figure that a notebook shows once, whether or not pyplot was imported."""
+    """Figure that a notebook shows once, with or without pyplot."""
 
     def _repr_png_(self) -> bytes:
         buffer = BytesIO()
@@ -66,57 +66,57 @@ class ShownFigure(Figure):
         return buffer.getvalue()
 
     def _ipython_display_(self) -> None:
-        """Show it now, instead of once more at the end of the cell, where pyplot shows what it knows."""
+        """Show the figure now and close it, because pyplot would show it again at the end of the cell."""
         pyplot = sys.modules.get("matplotlib.pyplot")
         if pyplot is None or "inline" not in get_backend() or not pyplot.fignum_exists(self.number):
-            raise NotImplementedError  # then it is shown as anything is that has a picture
+            raise NotImplementedError  # IPython then uses `_repr_png_`
         display = import_module("IPython.display")
         display.display(display.Image(self._repr_png_()))
         pyplot.close(self)
 
 
 def letters(share: float = 1.0) -> float:
-    """Return a size of letters [pt], as a share of what ``rcParams["font.size"]`` says."""
+    """Return a font size [pt] as a multiple of ``rcParams["font.size"]``."""
     return share * float(rcParams["font.size"])
 
 
 def over(lines: int) -> float:
-    """Return how high above axes there is room over so many lines of a title [pt]."""
+    """Return the height above axes over a title with a number of lines [pt]."""
     return float(rcParams["axes.titlepad"]) + letters(1.4) * lines
 
 
 def over_titles(axes: Axes, words: str, **style: Any) -> None:
-    """Write a note above axes and the titles that they have, wherever matplotlib puts these.
+    """Write a note above axes and their titles.
 
-    It puts them higher where they would meet the power of ten above an axis.
+    Matplotlib raises titles that would overlap the power of ten above an axis.
     """
     offset = 0, letters(0.45)
     axes.annotate(words, (0, 1), offset, **style | {"xycoords": (_ABOVE, partial(_titled, axes))})
 
 
 def _titled(axes: Axes, renderer: RendererBase) -> Bbox:
-    """Return where the titles of axes are [px]."""
+    """Return the bounding box of the titles of axes [px]."""
     return Bbox.union([title.get_window_extent(renderer) for title in _titles(axes)])
 
 
 def checked_title(title: str | None) -> str | None:
-    """Return the title that was given, which may be "" or None."""
+    """Return the checked title, which may be "" or None."""
     return title if title is None or (isinstance(title, str) and not title) else text("title", title)
 
 
 def extent(line: str, size: float, **font: Any) -> float:
-    """Return how long a line of letters of that size [pt] is [in]."""
+    """Return the length of a line of text of a font size [pt] in inches."""
     properties = FontProperties(family=rcParams["font.family"], size=size, **font)
     is_math = len(re.findall(r"(?<!\\)\$", line)) > 1
     try:
         width, _, _ = text_to_path.get_text_width_height_descent(line, properties, ismath=is_math)
-    except ValueError:  # a formula that cannot be read, which is told when it is drawn
+    except ValueError:  # an invalid formula: matplotlib raises an error when it draws the formula
         return len(line) * size / 144
     return float(width) / 72
 
 
 def wrapped(words: str, size: float, room: float, **font: Any) -> str:
-    """Return text in lines that are no longer than `room` [in], unless one word is."""
+    """Return text in lines no longer than `room` [in], except for longer words."""
     lines = []
     for line in words.split("\n"):
         current = ""
@@ -131,35 +131,35 @@ def wrapped(words: str, size: float, room: float, **font: Any) -> str:
 
 
 class Sheet:
-    """A new figure, a figure of the caller's, or axes of the caller's.
+    """A new figure, or the figure or axes of the caller.
 
-    Letters, lines' widths and colours are those of ``rcParams``. A new figure is as high as its panels need.
-    One whose width was asked for, and one of the caller's, must have room for what is drawn.
+    ``rcParams`` gives font sizes, line widths and colours. A new figure is as high as its panels need. A
+    figure of a given width, and a figure of the caller, must have room for the drawing.
 
     Parameters
     ----------
     natural : float
-        Width that suits what is drawn [in], at letters of 10 points.
+        Suitable width [in] at a font size of 10 points.
     title : str, optional
         Heading; "" for none.
     ax : Axes, sequence of Axes, Figure or SubFigure, optional
-        Where to draw; by default in a new figure.
+        Axes or figure to draw in; default: a new figure.
     width : float, optional
-        Of a new figure [in].
+        Width of a new figure [in].
     known : bool
-        Whether pyplot, if it has windows, is told of a new figure.
+        Whether to register a new figure with pyplot, if pyplot has windows.
 
     Attributes
     ----------
     width : float
-        What there is to draw on [in].
+        Available width [in].
     new : bool
         Whether the figure is new.
 
     Raises
     ------
     InvalidArgument
-        If `title` is no text, `ax` is something else, `width` is none, or both are given.
+        If `title` is not text, `ax` or `width` is invalid, or both `ax` and `width` are given.
     """
 
     def __init__(
@@ -186,7 +186,7 @@ class Sheet:
             return
         if width is not None:
             raise InvalidArgument(
-                f"width is {shown(width)}, with ax, whose figure has a width: leave one of them out"
+                f"width is {shown(width)}, expected None with ax, because its figure has a width"
             )
         self.scale = 1.0
         if isinstance(ax, Figure | SubFigure):
@@ -200,50 +200,50 @@ class Sheet:
 
     @property
     def figure(self) -> Figure:
-        """The whole figure, which a plot returns."""
+        """Whole figure, the result of a plot."""
         return self.parent.figure
 
     def columns(self, most: int, least: float) -> int:
-        """Return how many columns, each `least` inches wide at letters of 10 points, have room."""
+        """Return the number of columns, each at least `least` inches wide at a font size of 10 points."""
         return most if self._given else int(np.clip(self.width / (least * letters() / 10), 1, most))
 
     def room(self, parts: int = 1) -> float:
-        """Return how long words above a panel may be, or so many parts of them side by side [in]."""
+        """Return the largest width of each of several texts side by side above a panel [in]."""
         if self._given:
             return self.width
         return max(0.97 * self.width / (self._columns * parts) - 5.5 * letters() / 72, 5 * letters() / 72)
 
     def write_above(self, axes: Axes, words: str, share: float = 1.0, **style: Any) -> None:
-        """Write words above axes, in lines that fit, in letters of this share of their size."""
+        """Write text above axes in lines that fit, with a relative font size."""
         size = letters(share)
         axes.set_title(wrapped(words, size, self.room()), fontsize=size, **style)
 
     def axes(
         self, spots: Sequence[Spot], tall: Sequence[float], *, share: str = "x", ratios: Sequence[float] = ()
     ) -> list[Axes]:
-        """Return axes at spots of a grid: new ones, or those that were given.
+        """Return axes at spots of a grid: new axes, or the axes of the caller.
 
         Parameters
         ----------
         spots : sequence of tuple
-            Row and column of each.
+            Row and column of each of the axes.
         tall : sequence of float
             Heights of the rows at the natural width [in].
         share : str
-            Which scales are those of a whole column, "x", or of a whole row too, "xy".
+            Shared scales: "x" in each column, "xy" also in each row.
         ratios : sequence of float, optional
-            Widths of the columns.
+            Relative widths of the columns.
 
         Raises
         ------
         InvalidArgument
-            If another number of axes was given.
+            If the caller gave another number of axes.
         """
         if self._given:
             if len(self._given) != len(spots):
                 one = "one Axes" if len(self._given) == 1 else f"{len(self._given)} Axes"
                 raise InvalidArgument(
-                    f"ax is {one}, expected {len(spots)}, one for each panel, or a figure to be filled"
+                    f"ax is {one}, expected {len(spots)}, one for each panel, or a figure to fill"
                 )
             return self._given
         self._columns = len(ratios) or 1 + max(_first(column) for _, column in spots)
@@ -269,14 +269,14 @@ class Sheet:
         return found
 
     def grid(self, rows: int, columns: int, tall: Sequence[float], *, share: str = "x") -> NDArray[Any]:
-        """Return a full grid of axes, shape (rows, columns), and what `axes` does."""
+        """Return a full grid of axes, shape (rows, columns); see `axes`."""
         spots = [(row, column) for row in range(rows) for column in range(columns)]
         grid = np.empty(len(spots), object)
         grid[:] = self.axes(spots, tall, share=share)
         return grid.reshape(rows, columns)
 
     def legend_above(self, axes: Axes) -> None:
-        """Put the legend of axes between them and their title."""
+        """Place the legend of axes between the axes and their title."""
         if self._given:
             axes.legend(frameon=False)
             return
@@ -295,21 +295,21 @@ class Sheet:
     def finish(self, default: str, keys: Sequence[Artist] = (), *, height: float = 0.0) -> Figure:
         """Write the heading and the legend, and return the figure.
 
-        Axes of the caller's get a heading only if there is a title, and the legend inside.
+        Axes of the caller get a heading only for a given title, and the legend inside.
 
         Parameters
         ----------
         default : str
-            What is written above figures without a title of their own.
+            Heading of figures without a given title.
         keys : sequence of Artist
-            Of the legend.
+            Entries of the legend.
         height : float
-            Of the figure [in], if it is known; otherwise as much as its rows and words need.
+            Height of the figure [in]; 0: computed from rows and texts.
 
         Raises
         ------
         InvalidArgument
-            If the figure is too small for what was drawn.
+            If the figure is too small for the drawing.
         """
         if self._given:
             if self._title:
@@ -349,14 +349,14 @@ class Sheet:
         return (1.35 * self._keys(keys)[0] + 1.0) * _points("legend.fontsize") / 72 if keys else 0.0
 
     def _keys(self, keys: Sequence[Artist]) -> tuple[int, int]:
-        """Return the rows and columns of a legend."""
+        """Return the numbers of rows and columns of a legend."""
         size = _points("legend.fontsize")
         wide = max(extent(str(key.get_label()), size) for key in keys) + 4.3 * size / 72
         rows = -(-len(keys) // int(np.clip(0.98 * self.width / wide, 1, min(len(keys), _MOST_KEYS))))
         return rows, -(-len(keys) // rows)
 
     def _row(self, number: int) -> float:
-        """Return the height of a row [in]: what it has at least, and no less than its words."""
+        """Return the height of a row [in]: its minimum height, or more if its texts need more."""
         words, titles, left = [self._tall[number]], [0.0], [0.0]
         for axes in (axes for row, axes in self._rows if row == number):
             label = axes.yaxis.label
@@ -370,19 +370,21 @@ class Sheet:
         return max(words) + max(titles) + max(left)
 
     def check(self) -> None:
-        """Refuse a figure too small for what was drawn; one without a layout may be arranged later.
+        """Reject a figure that is too small for the drawing.
+
+        There is no check for a figure of the caller without a layout engine: the caller may arrange it later.
 
         Raises
         ------
         InvalidArgument
-            If a word is cut off or meets another one, or axes have no room.
+            If a text is cut off or overlaps another text, or axes have no room.
         """
         if self.figure.get_layout_engine() is None and not self.new:
             return
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of a layout without room, which is told below
+            warnings.simplefilter("ignore")  # warnings about a layout without room, reported below
             try:
-                for _ in range(2):  # axes of another size have other ticks, which want another size
+                for _ in range(2):  # new sizes change the ticks, which change the sizes again
                     self.figure.draw_without_rendering()
                     why = crowded(self.figure, self._given or self.parent.axes)
                     if not why:
@@ -400,12 +402,12 @@ class Sheet:
 
 
 def _points(name: Literal["figure.titlesize", "legend.fontsize"]) -> float:
-    """Return a size of letters of rcParams [pt]."""
+    """Return a font size of rcParams [pt]."""
     return float(FontProperties(size=rcParams[name]).get_size_in_points())
 
 
 def _has_size() -> bool:
-    """Return whether the user has set the size of figures."""
+    """Return whether the user has changed the default figure size."""
     return tuple(rcParams["figure.figsize"]) != tuple(rcParamsDefault["figure.figsize"])
 
 
@@ -416,7 +418,7 @@ def _width(width: float | None, natural: float) -> float:
 
 
 def _figure(width: float, known: bool) -> Figure:
-    """Return a figure, which pyplot knows if there is one that has windows."""
+    """Return a new figure, registered with pyplot if pyplot has windows."""
     pyplot = sys.modules.get("matplotlib.pyplot")
     options: dict[str, Any] = {"figsize": (width, width), "layout": "constrained"}
     if not known or pyplot is None or get_backend().lower() in _NO_WINDOWS:
@@ -443,7 +445,7 @@ def _first(place: int | slice) -> int:
 
 
 def _titles(axes: Axes) -> list[Text]:
-    """Return what stands above axes, the longest text first."""
+    """Return the titles of axes, the longest text first."""
     found = [each for each in axes.get_children() if isinstance(each, Text) and each not in axes.texts]
     return sorted(found, key=lambda each: -each.get_text().count("\n") - bool(each.get_text()))
 
@@ -455,7 +457,7 @@ def _above(axes: Axes) -> list[Text]:
 
 
 def _words(figure: Figure) -> Iterator[tuple[str, Bbox, Axes | None, bool]]:
-    """Yield the words that must be read, where they are [px], whose, and whether they may meet other ones."""
+    """Yield text, bounding box [px], axes, and whether overlap is allowed, for all visible texts."""
     parts = [figure, *figure.findobj(SubFigure)]
     found: list[tuple[Axes | None, Text]] = []
     for part in parts:
@@ -475,9 +477,9 @@ def _words(figure: Figure) -> Iterator[tuple[str, Bbox, Axes | None, bool]]:
 
 
 def crowded(figure: Figure, own: Sequence[Axes]) -> str:
-    """Return why these axes of a figure that was drawn cannot be read, or nothing.
+    """Return why these axes of a drawn figure are not readable, or "".
 
-    Words of the figure, and of axes beside them, count where they meet words of these.
+    Texts of the figure and of other axes count if they overlap texts of these axes.
     """
     room = _ROOM * figure.dpi / 72
     least = _LEAST * figure.dpi
@@ -494,18 +496,18 @@ def crowded(figure: Figure, own: Sequence[Axes]) -> str:
     for (words, box, whose), (others, other, theirs) in pairs:
         is_own = {whose, theirs} & {None, *own}
         if is_own and box.padded(-room).overlaps(other.padded(-room)):
-            return f"{shown(words)} would meet {shown(others)}"
+            return f"{shown(words)} would overlap {shown(others)}"
     return ""
 
 
 def plain(words: str) -> str:
-    r"""Return words without the marks of formulas, such as ``3.7·10^-6`` for ``$3.7\cdot 10^{-6}$``."""
+    r"""Return text without formula markup, such as ``3.7·10^-6`` for ``$3.7\cdot 10^{-6}$``."""
     words = words.replace(r"\cdot ", "·").replace(r"\times", "\N{MULTIPLICATION SIGN}")
     return " ".join(re.sub(r"(?<!\\)\$|\\mathdefault|[\\{}]", "", words).split())
 
 
 Style: TypeAlias = dict[str, Any]
-"""How something is drawn: keyword arguments of matplotlib's artists."""
+"""Style: keyword arguments of matplotlib artists."""
 
 DASHES = ("-", (0, (6, 2)), (0, (6, 2, 1.5, 2)), (0, (2.5, 1.5)), (0, (1, 1)), (0, (4, 1, 1, 1, 1, 1)))
 _ROUNDING = 1e-12  # in SI units
@@ -513,11 +515,10 @@ _PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
 
 
 def line_style(index: int, count: int) -> Style:
-    """Return how the line of rollout `index` of `count` is drawn over the others.
+    """Return the style of the line of rollout `index` of `count`.
 
-    Dashes tell lines apart in grey. The first is the widest: where lines coincide, as well-controlled robots'
-    do, each still shows. A user's cycle of colours, dashes and markers (``rcParams["axes.prop_cycle"]``) goes
-    first.
+    Dashes distinguish lines in grey. The first line is the widest, so that all lines show where they
+    coincide. A cycle of styles that the user has set in ``rcParams["axes.prop_cycle"]`` has precedence.
     """
     share = (count - 1 - index) / max(count - 1, 1)
     style = {
@@ -532,32 +533,32 @@ def line_style(index: int, count: int) -> Style:
 
 
 def colour(index: int) -> str:
-    """Return the colour of the rollout with this index, of the user's cycle if there is one."""
+    """Return the colour of a rollout by its index, from the user's cycle if there is one."""
     cycle = _cycle()
     own = str(cycle[index % len(cycle)].get("color", "")) if cycle else ""
     return to_hex(own).upper() if own else palette.colour(index)
 
 
 def _cycle() -> list[Style]:
-    """Return the user's cycle of styles; empty where it is matplotlib's own."""
+    """Return the user's cycle of styles; empty for the default cycle of matplotlib."""
     cycle = rcParams["axes.prop_cycle"]
     return [] if cycle == rcParamsDefault["axes.prop_cycle"] else [dict(each) for each in cycle]
 
 
 def ink() -> str:
-    """Return the colour of what is desired and of words: the user's, if there is one."""
+    """Return the colour of text and references, from the user's settings if changed."""
     own = rcParams["text.color"]
     return INK if own == rcParamsDefault["text.color"] else to_hex(own)
 
 
 def desired() -> Style:
-    """Return how the line of a reference is drawn."""
+    """Return the style of the line of a reference."""
     thin = 0.8 * float(rcParams["lines.linewidth"])
     return {"color": ink(), "linestyle": (0, (5, 4)), "linewidth": thin, "zorder": 4}
 
 
 def keys_of(runs: Mapping[str, object], alone: str = "") -> list[Line2D]:
-    """Return what a legend says of lines in `line_style`; nothing of a single one, or that it is `alone`."""
+    """Return legend entries for lines in `line_style`; a single line has the label `alone`, or no entry."""
     if len(runs) == 1 and not alone:
         return []
     return [
@@ -567,12 +568,12 @@ def keys_of(runs: Mapping[str, object], alone: str = "") -> list[Line2D]:
 
 
 def shortened(sheet: Sheet, label: str) -> str:
-    """Return a label in lines that fit above one of so many panels, in the letters of `heading`."""
+    """Return a label in lines that fit above a panel, in the font of `heading`."""
     return wrapped(label, letters(1.2), sheet.room(), weight="bold")
 
 
 def tint(base: str, share: float) -> tuple[float, float, float]:
-    """Return a colour mixed with that of the axes: `share` of it, from 0 to 1."""
+    """Return a mixture of a colour (`share`, from 0 to 1) and the background of axes."""
     r, g, b = (
         ground - share * (ground - part)
         for ground, part in zip(to_rgb(rcParams["axes.facecolor"]), to_rgb(base), strict=True)
@@ -581,7 +582,7 @@ def tint(base: str, share: float) -> tuple[float, float, float]:
 
 
 def dress(axes: Axes) -> None:
-    """Give axes a quiet frame and grid."""
+    """Set a subtle frame and grid of axes."""
     axes.grid(True, color=rcParams["grid.color"], alpha=0.35, linewidth=rcParams["grid.linewidth"])
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
@@ -590,13 +591,13 @@ def dress(axes: Axes) -> None:
 
 
 def dress_time(axes: Axes) -> None:
-    """Give axes over time a quiet frame, and room beside what is drawn."""
+    """Set a subtle frame, a grid and margins of axes over time."""
     dress(axes)
     axes.margins(x=0.01, y=0.1)
 
 
 def heading(index: int) -> Style:
-    """Return how the label of rollout `index` is written above its axes, by an offset in points."""
+    """Return the style of the label of rollout `index` above its axes, for an offset in points."""
     return {
         "xycoords": "axes fraction",
         "textcoords": "offset points",
@@ -613,7 +614,7 @@ def percent(share: float) -> str:
 
 
 def si(value: float, unit: str) -> str:
-    """Return a size of two digits with the prefix that suits it, such as ``7.5 mm``."""
+    """Return a number with two digits and a suitable prefix of the unit, such as ``7.5 mm``."""
     if value < 1e-10:
         return (
             f"{value:.1e} {unit}" if value > _ROUNDING else f"0 {unit}{', within rounding' if value else ''}"
@@ -627,38 +628,38 @@ Rollouts: TypeAlias = Rollout | Mapping[str, Rollout]
 
 _Kind = TypeVar("_Kind")
 
-_MOST = 4000  # samples drawn as they are
-_BINS = 1000  # of a longer rollout; more than a figure has columns of pixels
+_MOST = 4000  # largest number of samples without thinning
+_BINS = 1000  # stretches of a longer rollout
 
 
 def labelled(rollouts: object) -> dict[str, Rollout]:
-    """Return the rollouts by label; a single one has the label "".
+    """Return the rollouts by label; a single rollout has the label "".
 
     Parameters
     ----------
     rollouts : Rollout or mapping of str to Rollout
-        What a caller wants drawn.
+        Rollouts to draw.
 
     Raises
     ------
     InvalidArgument
-        If it is something else, or holds nothing.
+        If the argument is not a rollout or a mapping, or is empty.
     """
     return by_label("rollouts", rollouts, Rollout)
 
 
 def called(label: str) -> str:
-    """Return what a message calls one of `labelled` rollouts."""
+    """Return the name of one of `labelled` rollouts in messages."""
     return f"rollouts[{label!r}]" if label else "rollouts"
 
 
 def of_each(runs: Mapping[str, Rollout], ask: Callable[[Rollout], _Kind]) -> dict[str, _Kind]:
-    """Return what is asked of each of `labelled` rollouts.
+    """Return the results of a function `ask` for `labelled` rollouts, by label.
 
     Raises
     ------
     InvalidArgument
-        As `ask` does; the message names the rollout.
+        If `ask` raises it; the message names the rollout.
     """
     found = {}
     for label, run in runs.items():
@@ -670,7 +671,7 @@ def of_each(runs: Mapping[str, Rollout], ask: Callable[[Rollout], _Kind]) -> dic
 
 
 def with_plants(rollouts: object, kind: type, expected: str) -> dict[str, Rollout]:
-    """Return `labelled` rollouts of plants that are of a kind, in words what is expected."""
+    """Return `labelled` rollouts after a check of their plants; `expected` describes the capability."""
     runs = labelled(rollouts)
     for label, run in runs.items():
         if able(run.plant, kind) is None:
@@ -679,7 +680,7 @@ def with_plants(rollouts: object, kind: type, expected: str) -> dict[str, Rollou
 
 
 def same_references(runs: Mapping[str, Rollout]) -> dict[bytes, list[str]]:
-    """Return the labels of the rollouts in groups, each with one reference over the same times."""
+    """Return the labels of the rollouts in groups with the same reference and times."""
     groups: dict[bytes, list[str]] = {}
     for label, run in runs.items():
         groups.setdefault(run.t.tobytes() + run.reference.q.tobytes(), []).append(label)
@@ -687,15 +688,15 @@ def same_references(runs: Mapping[str, Rollout]) -> dict[bytes, list[str]]:
 
 
 def thinned(*columns: Array) -> NDArray[np.intp]:
-    """Return the indices of the samples that a line needs, in order, its extremes among them.
+    """Return the indices of the samples that a line needs, in order.
 
-    All samples of a short rollout; of a long one the first and last, and in each of 1000 stretches those
-    where a column is smallest and largest. So no peak is lost, however short.
+    A short rollout keeps all samples. A long rollout keeps the first and the last sample and, in each of 1000
+    stretches, the samples with the smallest and the largest value of each column, so that peaks remain.
 
     Parameters
     ----------
     *columns : ndarray, shape (N,)
-        What is drawn; for a curve in the plane, both its coordinates.
+        Values of the line; for a curve in the plane, both coordinates.
     """
     count = len(columns[0])
     if count <= _MOST:
@@ -717,14 +718,14 @@ def curve(axes: Axes, x: Array, y: Array, **style: Any) -> None:
 
 
 def line(axes: Axes, t: Array, values: Array, **style: Any) -> None:
-    """Draw a line over time, with a gap where a value is not finite; a single sample is a dot."""
+    """Draw a line over time, with gaps at values that are not finite; draw a single sample as a dot."""
     finite = np.where(np.isfinite(values), values, np.nan)
     kept = thinned(np.nan_to_num(finite))
     axes.plot(t[kept], finite[kept], **{"marker": "o" if len(t) == 1 else ""} | style)
 
 
 def shade(panels: Iterable[Axes], t: Array, chosen: NDArray[np.bool_], **style: Any) -> None:
-    """Shade the times of the chosen samples, each up to the next sample."""
+    """Shade the time steps of the chosen samples."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], chosen, [False]]).astype(int)))
     for start, stop in edges.reshape(-1, 2):
         for axes in panels:
