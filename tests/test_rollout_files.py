@@ -81,7 +81,7 @@ def test_what_is_no_archive_is_not_called_one_that_may_be_loaded_unsafely(
 ) -> None:
     (tmp_path / "run.npz").write_bytes(content)
     with pytest.raises(
-        pm.InvalidArgument, match=r"expected a 'pinmobile rollout 4' archive: it is not an \.npz file"
+        pm.InvalidArgument, match=r"which is not a 'pinmobile rollout 4' archive: it is not an \.npz file"
     ):
         pm.Rollout.load(tmp_path / "run.npz")
 

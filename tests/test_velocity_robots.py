@@ -182,9 +182,9 @@ def test_no_force_pushes_it_and_it_starts_rolling() -> None:
     command, circle = VelocityCommand(pm.UnicycleTracking(), robot), pm.Tangent(pm.Circle(1.0, 0.5, 1.0))
     with pytest.raises(pm.InvalidArgument, match=r"VelocityRobot\(.*\), which has no generalized_force"):
         pm.simulate(robot, command, circle, dt=0.1, forces=[pm.ConstantForce((1.0, 0.0, 0.0))])
-    with pytest.raises(pm.InvalidArgument, match="what firmware does about a force, theta does not tell"):
+    with pytest.raises(pm.InvalidArgument, match="theta does not describe how firmware responds to a force"):
         robot.forward_dynamics(np.zeros(3), np.zeros(3), np.zeros(2), [1.0, 0.0, 0.0])
-    with pytest.raises(pm.InvalidArgument, match=r"wheels slide sideways at 0\.3 m/s"):
+    with pytest.raises(pm.InvalidArgument, match=r"wheels that slide sideways at 0\.3 m/s"):
         pm.simulate(robot, command, circle, dt=0.1, q0=np.zeros(3), v0=[0.5, 0.3, 0.0])
     with pytest.raises(pm.InvalidArgument, match="reference moves sideways"):
         pm.simulate(

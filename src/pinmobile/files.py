@@ -606,4 +606,4 @@ def read_archive(path: Path, form: str, make: Callable[[dict[str, Any]], _T]) ->
         raise cannot("read", "path", path, error) from error
     except Exception as error:  # zipfile and NumPy raise many errors for damaged files
         why = f"it has no {error}" if isinstance(error, KeyError) else str(error) or type(error).__name__
-        raise InvalidArgument(f"path is {str(path)!r}, expected a {form!r} archive: {why}") from error
+        raise InvalidArgument(f"path is {str(path)!r}, which is not a {form!r} archive: {why}") from error

@@ -1,4 +1,4 @@
-"""Files of logs: CSV; bags of ROS 1 and ROS 2 and MCAP files, read without ROS."""
+"""Readers of log files: CSV, bags of ROS 1 and ROS 2, and MCAP files; ROS is not needed."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _TURNS = [
     *([f"{n}{axis}" for axis in "xyzw"] for n in ("q", "q_", "quat_", "orientation.", "orientation_")),
 ]
 _DEGREE, _REVOLUTION = np.pi / 180, 2 * np.pi / 60
-_SI: dict[str, dict[str, float]] = {  # factors of units to that of SI
+_SI: dict[str, dict[str, float]] = {  # factors from units to the SI unit
     "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
     "m": {"m": 1.0, "mm": 1e-3, "cm": 1e-2},
     "rad": {"rad": 1.0, "mrad": 1e-3, "deg": _DEGREE, "degrees": _DEGREE, "\N{DEGREE SIGN}": _DEGREE},
@@ -44,7 +44,7 @@ _SI: dict[str, dict[str, float]] = {  # factors of units to that of SI
     "V": {"V": 1.0, "mV": 1e-3},
     "A": {"A": 1.0, "mA": 1e-3},
 }
-_EXPECTED: dict[tuple[str, int], Sequence[str | None]] = {  # of columns; inputs are those of a robot
+_EXPECTED: dict[tuple[str, int], Sequence[str | None]] = {  # units by role and number of columns
     ("t", 1): ("s",),
     ("q", 3): ("m", "m", "rad"),
     ("q", _SIX): ("m", "m", "", "", "", ""),
@@ -60,7 +60,7 @@ def _refused(file: Path, what: str, expected: str) -> InvalidArgument:
 def read_csv(
     path: str | PathLike[str], columns: Mapping[str, str | Sequence[str]] | None
 ) -> tuple[dict[str, Array], tuple[str, ...], int]:
-    """Return columns by role, units of inputs, and the number of rows of another length: see `Log`."""
+    """Return columns by role, units of inputs, and the number of rows with another length; see `Log`."""
     file = location("path", path)
     head, rows = _table(file)
     names = [_UNIT.sub("", title).strip() for title in head]
@@ -70,12 +70,12 @@ def read_csv(
         if not set(roles) & set(wanted):
             raise _refused(
                 file,
-                f"whose columns are {format_names(names)}: none is known as that of {' or '.join(roles)}",
+                f"whose columns are {format_names(names)}, none of them known for {' or '.join(roles)}",
                 "columns={'t': 'time', 'q': ('x', 'y', 'psi'), 'u': (...)} with names of its header",
             )
     kept = [row for row in rows if len(row) == len(head)]
     if len(kept) < 2:
-        raise _refused(file, f"with {len(kept)} rows of as many columns as its header", "more")
+        raise _refused(file, f"with {len(kept)} rows as long as its header", "two or more")
     parts: dict[str, Array] = {}
     units: list[str] = []
     for role, listed in wanted.items():
@@ -84,7 +84,7 @@ def read_csv(
         for name in listed:
             one_of(f"column of {str(file)!r}", name, names)
             if names.count(name) > 1:
-                raise _refused(file, f"with two columns {name!r}", "one")
+                raise _refused(file, f"with two columns {name!r}", "one column of this name")
         at = [names.index(name) for name in listed]
         expected = _EXPECTED.get((role, len(at)), ["rad/s" if role == "wheel_rates" else None] * len(at))
         in_si = [_si_unit(head[k], unit) for k, unit in zip(at, expected, strict=True)]
@@ -98,30 +98,30 @@ def read_csv(
 
 
 def _table(file: Path) -> tuple[list[str], list[list[str]]]:
-    """Return the header of a file and its rows: cells between commas, semicolons, tabs or blanks.
+    """Return header and rows of a file with cells between commas, semicolons, tabs or blanks.
 
-    Lines before the header that begin with # are comments; the last is the header where numbers follow it.
+    Lines before the header that begin with # are comments. The last comment is the header if numbers follow.
     """
     with refusals("read", "path", file):
         content = file.read_bytes().decode("utf-8-sig", errors="replace")
     if "\0" in content:
-        raise _refused(file, "which is no text", "a CSV file")
+        raise _refused(file, "which is not a text file", "a CSV file")
     lines = [line.strip() for line in content.splitlines() if line.strip()]
     comments = [*takewhile(lambda line: line.startswith("#"), lines)]
     lines = lines[len(comments) :]
     if comments and lines and _is_numbers(lines[0]):
         lines = [comments[-1].lstrip("# "), *lines]
     if not lines or _is_numbers(lines[0]):
-        said = f"whose first line {shown(lines[0])} has numbers" if lines else "which is empty"
+        said = f"whose first line {shown(lines[0])} contains numbers" if lines else "which is empty"
         raise _refused(file, said, "a header that names the columns, such as t,x,y,psi,Fx,Fy,Mz")
-    bare = re.sub(r"\[[^][]*\]|\([^()]*\)", "", lines[0])  # units may hold blanks
+    bare = re.sub(r"\[[^][]*\]|\([^()]*\)", "", lines[0])  # units may contain blanks
     between = next((each for each in _SEPARATORS if each in bare), ",")
     try:
         read = csv.reader(lines, delimiter=between, skipinitialspace=True)
         head, *rows = [[cell.strip() for cell in row] for row in read]
     except csv.Error as error:
-        raise InvalidArgument(f"path is {str(file)!r}, which is no table of cells: {error}") from error
-    if between != ",":  # a comma is then that of a decimal
+        raise InvalidArgument(f"path is {str(file)!r}, expected a CSV file: {error}") from error
+    if between != ",":  # a comma then is a decimal comma
         rows = [[cell.replace(",", ".") for cell in row] for row in rows]
     return head, rows
 
@@ -139,20 +139,20 @@ def _number(cell: str) -> float:
 
 
 def _column(file: Path, title: str, cells: Sequence[str]) -> Array:
-    """Return the numbers of a column; NaN where a cell holds none."""
+    """Return the numbers of a column; NaN for cells without a number."""
     numbers = np.array([_number(cell) for cell in cells])
     if np.isnan(numbers).all():
-        raise _refused(file, f"whose column {title!r} holds no numbers but {shown(cells[0])}", "numbers")
+        raise _refused(file, f"whose column {title!r} has no numbers, but {shown(cells[0])}", "numbers")
     return numbers
 
 
 def _si_unit(title: str, expected: str | None) -> tuple[str, float]:
-    """Return the SI unit of a column, "" where its title has none, and the factor to it.
+    """Return the SI unit of a column ("" for a title without unit), and the factor to this unit.
 
     Raises
     ------
     UnknownName, InvalidArgument
-        If its unit is not known, or of another quantity than is expected of the column.
+        If the unit is unknown, or belongs to another quantity than the column.
     """
     found = _UNIT.search(title)
     if not found or not found[1].strip():
@@ -162,13 +162,13 @@ def _si_unit(title: str, expected: str | None) -> tuple[str, float]:
     if si is None:
         raise UnknownName(f"unit of column {title!r}", unit, [name for each in _SI.values() for name in each])
     if expected not in (None, si):
-        listed = ", ".join(_SI[expected]) if expected else "no unit: it is of a quaternion"
+        listed = ", ".join(_SI[expected]) if expected else "no unit for a quaternion"
         raise InvalidArgument(f"columns has {title!r} in {unit}, expected {listed}")
     return si, _SI[si][unit]
 
 
 def _known_columns(names: Sequence[str]) -> dict[str, str | Sequence[str]]:
-    """Return columns by role, as far as their names are known."""
+    """Return the columns with known names, by role."""
     known = {name.casefold(): name for name in names}
 
     def first(*sets: Sequence[str]) -> list[str]:
@@ -178,7 +178,7 @@ def _known_columns(names: Sequence[str]) -> dict[str, str | Sequence[str]]:
         return [name for name in names if name.startswith(prefix)]
 
     inputs = beginning("u_") or [known[name] for name in ("fx", "fy", "mz") if name in known]
-    turned = [f"v_{name.removeprefix('u_')}" for name in inputs]  # as Rollout.to_csv calls them
+    turned = [f"v_{name.removeprefix('u_')}" for name in inputs]  # names of Rollout.to_csv
     found = {
         "t": first(("t",), ("time",), ("stamp",), ("timestamp",)),
         "q": first(*(("x", "y", *each) for each in _TURNS)),
@@ -190,11 +190,11 @@ def _known_columns(names: Sequence[str]) -> dict[str, str | Sequence[str]]:
 
 
 def read_bag(path: str | PathLike[str], topics: Mapping[str, str]) -> dict[str, tuple[Array, Array]]:
-    """Return times, counted from the first of all, and rows of each topic, by role; see `Log.from_bag`."""
+    """Return times since the first message, and rows of each topic, by role; see `Log.from_bag`."""
     file = location("path", path)
     if not isinstance(topics, Mapping) or "u" not in topics or not {"q", "twist"} & set(topics):
         raise InvalidArgument(
-            f"topics is {shown(topics)}, expected those of u and of q or twist, such as "
+            f"topics is {shown(topics)}, expected topics of u and of q or twist, such as "
             "{'q': '/odom', 'u': '/wrench'}"
         )
     for role in topics:
@@ -209,9 +209,9 @@ def read_bag(path: str | PathLike[str], topics: Mapping[str, str]) -> dict[str, 
                 return _streams(reader, topics, file)
         except (PinmobileError, PermissionError):
             raise
-        except Exception as error:  # rosbags and sqlite raise whatever the bytes lead them to
+        except Exception as error:  # rosbags and sqlite raise many errors for damaged files
             why = shown(str(error) or type(error).__name__)
-            message = f"path is {str(file)!r}, which is damaged or no bag: {why}"
+            message = f"path is {str(file)!r}, expected a bag: it is damaged or another file: {why}"
             raise FileError(message, errno=getattr(error, "errno", None), filename=str(file)) from error
 
 
@@ -241,16 +241,16 @@ def _streams(reader: Any, topics: Mapping[str, str], file: Path) -> dict[str, tu
         for role, row in rules[connection.topic]:
             times[role].append((at, arrived))
             rows[role].append(row(message))
-    if left > 0:  # as of a chunk without CRC, which is read up to its damage
-        raise ValueError(f"{left} messages that the bag counts are gone")
+    if left > 0:  # a damaged chunk without CRC is only read up to the damage
+        raise ValueError(f"{left} messages of the index are missing")
     for role, topic in topics.items():
         lengths = sorted({len(row) for row in rows[role]})
         if len(rows[role]) < 2 or len(lengths) > 1 or not lengths[0]:
             what = f"whose topic {topic!r} has {len(rows[role])} messages of {lengths} numbers"
-            raise _refused(file, what, f"2 and more that hold {role}, as many numbers in each")
-    stamped = all(each[-1][0] > each[0][0] for each in times.values())  # otherwise times of arrival
+            raise _refused(file, what, f"2 or more messages of {role} with the same number of numbers")
+    stamped = all(each[-1][0] > each[0][0] for each in times.values())  # otherwise use times of arrival
     stamps = {role: [pair[not stamped] for pair in each] for role, each in times.items()}
-    first = min(min(each) for each in stamps.values())  # whole nanoseconds, beyond a float's digits
+    first = min(min(each) for each in stamps.values())  # integer nanoseconds: floats have too few digits
     seconds = {role: 1e-9 * np.array([at - first for at in each], float) for role, each in stamps.items()}
     return {role: (seconds[role], np.array(rows[role], float)) for role in topics}
 
@@ -259,12 +259,12 @@ Row = Callable[[Any], Any]
 
 
 def _yaw_of(x: Any, y: Any, z: Any, w: Any) -> Any:
-    """Return the yaw of quaternions, which need not be of length one."""
+    """Return the yaw of quaternions, also of quaternions that are not normalised."""
     return np.arctan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)
 
 
 def _pose_in(place: str, turn: str) -> Row:
-    """Return what reads a pose from a message, by the names of its parts."""
+    """Return a function that reads a pose from a message, by the names of position and orientation."""
     parts = attrgetter(place, turn)
 
     def read(message: Any) -> Any:
@@ -275,7 +275,7 @@ def _pose_in(place: str, turn: str) -> Row:
 
 
 def _of(inside: str, *names: str) -> Row:
-    """Return what reads the numbers of a part of a message."""
+    """Return a function that reads numbers of a part of a message."""
     return attrgetter(*(f"{inside}{name}" for name in names))
 
 

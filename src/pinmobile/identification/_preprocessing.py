@@ -1,4 +1,4 @@
-"""`PreprocessedLog`: a log on equal steps without outliers, its segments, and the slip in it."""
+"""`PreprocessedLog`: a log with equal time steps and without outliers; its segments and its slippage."""
 
 from __future__ import annotations
 
@@ -15,43 +15,43 @@ from pinmobile.identification._estimator import NORMAL
 from pinmobile.identification._log import Log, check_units, held_integrals
 from pinmobile.identification._simulation import Segments
 
-_HALF = 0.5  # of a segment's samples, without which its first state is not identifiable
-LATER = 8  # samples by which a delay may differ from where its search begins
-_WINDOW = 0.15  # [s] of the cubic whose residual tells outliers and noise
-_OUTLIER = 6.0  # deviations
-_BENT = 3e-3  # share of the way through a window below which nothing is an outlier
-_OFTEN, _TIMES = 0.8, 4.0  # quantile of what a cubic leaves, and what is no outlier as a multiple of it
-_PASSES = 40  # at most
-_COARSEST, _ROWS = 0.1, 16  # [s] between samples, and of these, that filters and windows need
-_CUTOFF = 8.0  # [Hz] of velocities
-_FINEST, _FINEST_RATE = 1e-4, 1e-2  # [m, rad], [rad/s]: finer noise, as of a simulation, counts as this
-_LONG = 3  # samples in a row that are lost; over more, a spline would swing with the noise beside them
+_HALF = 0.5  # smallest measured share of a segment with an identifiable initial state
+LATER = 8  # largest change of the delay in the search [samples]
+_WINDOW = 0.15  # [s], window of the local cubic whose residual shows outliers and noise
+_OUTLIER = 6.0  # standard deviations
+_BENT = 3e-3  # smallest outlier, as a share of the motion in a window
+_OFTEN, _TIMES = 0.8, 4.0  # quantile of the residuals of the cubic; multiple of it that an outlier exceeds
+_PASSES = 40  # largest number of passes
+_COARSEST, _ROWS = 0.1, 16  # largest time step [s], and smallest number of samples, of filters and windows
+_CUTOFF = 8.0  # [Hz], cutoff frequency of velocities
+_FINEST, _FINEST_RATE = 1e-4, 1e-2  # [m, rad], [rad/s]: smallest noise, for simulated logs
+_LONG = 3  # longest gap that a spline fills [samples]; a longer gap would amplify noise
 
 
 @dataclass(frozen=True, eq=False)
 class PreprocessedLog:
-    """A log as methods want it.
+    """Log for the weak form and for output error.
 
     Attributes
     ----------
     dt : float
-        Time between two samples [s].
+        Time step [s].
     q : ndarray, shape (N, 3)
-        Poses; those that are lost or outliers are bridged by what is measured beside them.
+        Poses [m, m, rad]; lost poses and outliers are interpolated.
     good : ndarray of bool, shape (N,)
-        Which are measured.
+        Mask of measured poses without outliers.
     u : ndarray, shape (N, nu)
-        Input, held from each sample to the next.
+        Inputs, constant between samples.
     rates : ndarray, shape (N, a), or None
-        Of the driven wheels [rad/s].
+        Rates of the driven wheels [rad/s].
     noise : ndarray, shape (3,)
-        Deviation of the noise of the pose [m, m, rad].
+        Standard deviation of the pose noise [m, m, rad].
     rates_noise : ndarray, shape (a,) or (0,)
         Standard deviation of the noise of the rates [rad/s].
     outliers : int
-        How many poses are outliers.
+        Number of outliers.
     load : ndarray, shape (4,)
-        Mass, its moments and inertia about the body's origin, of a load that is known.
+        Mass, first moments and inertia about the body origin of the known load.
     """
 
     dt: float
@@ -66,32 +66,32 @@ class PreprocessedLog:
 
     @classmethod
     def of(cls, log: Log, model: Any, load: Array, name: str = "log") -> PreprocessedLog:
-        """Return a log cleaned for a model.
+        """Return the preprocessed log for a model.
 
         Raises
         ------
         InvalidArgument
-            If it has no poses, or inputs or wheels of another robot.
+            If the log has no poses, or has inputs or wheels of another robot.
         """
         if log.q is None:
-            raise InvalidArgument(f"{name} has no poses q, expected these: forces are told by what they move")
+            raise InvalidArgument(f"{name} has no poses q, expected poses: forces are identified by motion")
         if log.u.shape[1] != model.nu:
             expected = (
-                "(Fx, Fy, Mz) of a body that is pushed; of wheels that roll give robot=..., of commands of "
-                "speed and yaw rate take identify_velocity; joints of arms and steering are not identified"
+                "(Fx, Fy, Mz) of a body driven by forces; for wheels give robot=..., for commands of speed "
+                "and yaw rate use identify_velocity; joints of arms and steering cannot be identified"
                 if model.B is None
-                else f"one for each driven wheel, {', '.join(model.wheels)}; is it of another robot?"
+                else f"one for each driven wheel, {', '.join(model.wheels)}; is the log from another robot?"
             )
             raise InvalidArgument(f"{name} has {log.u.shape[1]} inputs, expected {model.nu}: {expected}")
         check_units(log, name, model.inputs, "A" if model.scaled and not model.motors else "")
         even = log.samples()
         if even.dt > 1.001 * _COARSEST:
             raise InvalidArgument(
-                f"{name} has samples every {even.dt:.3g} s, expected {_COARSEST:g} s or less: how the robot "
-                "moved between them is not known"
+                f"{name} has samples every {even.dt:.3g} s, expected {_COARSEST:g} s or less: the motion "
+                "between the samples is unknown"
             )
         if len(even.t) < max(_ROWS, 4 * _WINDOW / even.dt):
-            raise InvalidArgument(f"{name} is {even.t[-1]:.3g} s long, too short, expected 20 s and more")
+            raise InvalidArgument(f"{name} is {even.t[-1]:.3g} s long, too short, expected 20 s or more")
         assert even.q is not None
         q, good, noise = without_outliers(even.q, even.seen, even.dt, _FINEST)
         rates = even.wheel_rates if model.wheels else None
@@ -109,13 +109,13 @@ class PreprocessedLog:
         return twist_of(self.q, self.dt)
 
     def free_velocities(self, model: Any) -> Array:
-        """Return eta at all samples, shape (N, k): of the encoders where there are any."""
+        """Return the independent velocities at all samples, shape (N, k), from encoders if there are any."""
         if self.rates is not None:
             return np.asarray(_filtered(self.rates, self.dt) @ np.linalg.pinv(model.A).T)
         return np.asarray(self.twist @ np.linalg.pinv(model.S).T)
 
     def shaken(self, generator: np.random.Generator, level: float) -> PreprocessedLog:
-        """Return it with more noise, of a variance that is a multiple of what its sensors have."""
+        """Return the log with additional noise; `level` is its variance per variance of the sensor noise."""
         size = np.sqrt(level)
         q, rates = self.q + size * self.noise * generator.standard_normal(self.q.shape), self.rates
         if rates is not None:
@@ -123,13 +123,13 @@ class PreprocessedLog:
         return replace(self, q=q, rates=rates)
 
     def rates_of(self, model: Any) -> Array:
-        """Return the rates along which there is friction at all samples, shape (N, a)."""
+        """Return the rates with friction at all samples, shape (N, a)."""
         return self.twist if model.B is None else np.asarray(self.free_velocities(model) @ model.A.T)
 
     def segments(self, model: Any, delay: float, seconds: float, rates: bool) -> Segments:
-        """Return the segments of a log, of a length [s], whose poses come late by some samples.
+        """Return the segments of a length [s] of a log with a delay of the poses [samples].
 
-        Rates of wheels are measurements too where any log has them.
+        With `rates`, the rates of wheels are measurements too; a log without them gets infinite noise.
         """
         lag, N, noise, y = int(np.floor(delay)), len(self.q), self.noise, self.q
         if rates:
@@ -143,8 +143,8 @@ class PreprocessedLog:
 
 
 def _filtered(columns: Array, dt: float) -> Array:
-    """Return columns without what is faster than a cut-off, without a delay."""
-    from scipy.signal import butter, sosfiltfilt  # here, because it takes long to load
+    """Return columns after a low-pass filter without delay."""
+    from scipy.signal import butter, sosfiltfilt  # slow to load
 
     sos = butter(4, min(_CUTOFF, 0.2 / dt), fs=1 / dt, output="sos")
     return np.asarray(sosfiltfilt(sos, columns, axis=0))
@@ -159,30 +159,30 @@ def twist_of(q: Array, dt: float) -> Array:
 
 
 def mean_inputs(u: Array, edges: Array) -> Array:
-    """Return the mean, between edges, of inputs that hold for a sample each and are zero beyond them."""
+    """Return the means between edges of zero-order held inputs that are zero outside the log."""
     return held_integrals(np.arange(len(u) + 0.0), u, np.clip(edges, 0, len(u)))
 
 
 def without_outliers(
     columns: Array, seen: NDArray[np.bool_], dt: float, least: float
 ) -> tuple[Array, NDArray[np.bool_], Array]:
-    """Return columns whose outliers are interpolated, which rows are none, and the noise of each column.
+    """Return columns with interpolated outliers, a mask of good rows, and the noise of each column.
 
-    What a local cubic leaves tells, beside what it would leave of noise there, which at the ends is less. One
-    outlier is behind all that its neighbours leave, so only the worst of a window is one at a time. Unlike a
-    running median, this does not take for outliers what moves fast.
+    Outliers have large residuals of a local cubic, relative to the residual of noise at this position in the
+    window. An outlier also increases the residuals of its neighbours, so each pass removes only the worst
+    sample of a window. Unlike a running median, this method accepts fast motions.
     """
-    from scipy.interpolate import CubicSpline  # here, because these take long to load
+    from scipy.interpolate import CubicSpline  # slow to load
     from scipy.ndimage import maximum_filter1d
     from scipy.signal import savgol_coeffs, savgol_filter
 
     size = max(7, 2 * round(_WINDOW / dt / 2) + 1)
-    follows = np.full(len(columns), savgol_coeffs(size, 3)[size // 2])  # how far the cubic goes with a sample
+    follows = np.full(len(columns), savgol_coeffs(size, 3)[size // 2])  # weight of a sample in its own fit
     follows[: size // 2] = [savgol_coeffs(size, 3, pos=k, use="dot")[k] for k in range(size // 2)]
     follows[-(size // 2) :] = follows[: size // 2][::-1]
     at, good, q = np.arange(len(columns)), seen.copy(), columns.copy()
     way = columns[size:] - columns[:-size]
-    bent = _BENT * NORMAL * np.median(np.abs(way), axis=0)  # what a cubic may leave of a motion itself
+    bent = _BENT * NORMAL * np.median(np.abs(way), axis=0)  # residual of a cubic for the motion itself
     for _ in range(_PASSES):
         residual = columns - savgol_filter(q, size, 3, axis=0, mode="interp")
         residual /= np.sqrt(1 - follows)[:, None]
@@ -193,7 +193,7 @@ def without_outliers(
         size_of = (np.abs(residual) / bound).max(axis=1)
         worst = size_of >= maximum_filter1d(np.where(good, size_of, 0.0), 2 * size + 1)
         before, good = good, seen & ~((size_of > 1) & (worst | ~good))
-        inside = np.clip(at[~good], at[good][0], at[good][-1])  # nothing is told beyond the last good one
+        inside = np.clip(at[~good], at[good][0], at[good][-1])  # constant before the first, after the last
         q = columns.copy()
         q[~good] = CubicSpline(at[good], columns[good])(inside)
         _bridge(q, good, size)
@@ -203,7 +203,7 @@ def without_outliers(
 
 
 def _bridge(q: Array, good: NDArray[np.bool_], size: int) -> None:
-    """Fill long runs of lost samples by polynomials of degree 5 through so many samples on each side."""
+    """Fill long gaps by polynomials of degree 5, fitted to `size` samples on each side."""
     edges = np.flatnonzero(np.diff(good, prepend=True, append=True))
     for begin, end in edges.reshape(-1, 2):
         if end - begin > _LONG:
@@ -213,30 +213,30 @@ def _bridge(q: Array, good: NDArray[np.bool_], size: int) -> None:
             q[k[lost]] = V[lost] @ np.linalg.lstsq(V[near], q[k[near]], rcond=None)[0]
 
 
-_AVERAGED = 0.4  # [s] over which velocities are averaged: the noise of poses is 2 mm/s for each mm
-_MEASURED = 0.9  # least share of a window
+_AVERAGED = 0.4  # [s], window of averaged velocities: pose noise of 1 mm gives 2 mm/s
+_MEASURED = 0.9  # smallest measured share of a window
 _CERTAIN = 5.0  # standard deviations of noise alone
-_TOLD, _MOST = 0.01, 0.1  # of the speed: least slip that is reported, and slip that spoils the estimates
+_TOLD, _MOST = 0.01, 0.1  # smallest reported slip, and largest accepted slip, as shares of the speed
 
 
 class Slippage(NamedTuple):
     """Deviation of the poses of a log from rolling.
 
-    It compares velocities of the body from poses with those from encoders, or where there are none with the
-    nearest at which wheels roll, averaged over windows of 0.4 s. Yaw rates count
-    by the speed of the contacts.
+    The deviation compares body velocities from poses with those from encoders, averaged over windows of
+    0.4 s. Without encoders, it compares with the nearest velocities of rolling wheels. Yaw rates count by
+    the speed of the contacts.
 
     Attributes
     ----------
     speed, noise : float
         Root mean square of the difference without noise, and of the noise [m/s].
     share : float
-        The first as a share of the speed.
+        Difference without noise as a share of the speed.
     is_certain : bool
         Whether noise alone does not explain it.
     ratios : ndarray, shape (3,)
-        Ratios of velocities from poses and encoders, forward, left and in yaw; NaN where there are no
-        encoders, or wheels cannot move the body so.
+        Ratios of velocities from poses and encoders, forward, left and in yaw; NaN without encoders, or if
+        the wheels cannot move the body in this direction.
     """
 
     speed: float
@@ -247,7 +247,7 @@ class Slippage(NamedTuple):
 
     @property
     def matters(self) -> bool:
-        """Whether it is certain, and large enough to be reported."""
+        """Whether the deviation is certain and large enough for a report."""
         return self.is_certain and self.share > _TOLD
 
     def __str__(self) -> str:
@@ -255,19 +255,19 @@ class Slippage(NamedTuple):
         each = " and ".join(f"{ratio:.3g} {axis}" for ratio, axis in axes if np.isfinite(ratio))
         told = f"; poses per encoders: {each}" * bool(each)
         return (
-            f"poses move otherwise than wheels roll, by {self.speed:.3g} m/s, {self.share:.1%} of the speed, "
-            f"where noise explains {self.noise:.2g} m/s{told}: wheels slip, have another radius or place, or "
-            "poses are of another point or time, or encoders of another sign or order"
+            f"poses deviate from rolling wheels by {self.speed:.3g} m/s, {self.share:.1%} of the speed, "
+            f"while noise explains {self.noise:.2g} m/s{told}: wheels slip or have another radius or place, "
+            "poses belong to another point or time, or encoders have another sign or order"
         )
 
     @classmethod
     def of(cls, run: PreprocessedLog, model: Any, name: str = "log") -> Self | None:
-        """Return that of a log; None where it is not identifiable, as of a body that is pushed.
+        """Return the slippage of a log; None if it is not identifiable, as for a body driven by forces.
 
         Raises
         ------
         InvalidArgument
-            If it spoils the estimates; the message has the name of the log.
+            If the slippage is too large for estimates; the message has the name of the log.
         """
         if not model.wheels or (run.rates is None and model.free == 3):
             return None
@@ -284,7 +284,7 @@ class Slippage(NamedTuple):
         moved, rolled = means[:, :3] * metric, means[:, 3:6] * metric
         variance = (run.noise * metric) ** 2 * (np.diff(g, prepend=0.0, append=0.0) ** 2).sum() / run.dt**2
         told, ratios, power = 3, np.full(3, np.nan), (rolled**2).sum(axis=0)
-        if run.rates is None:  # velocities at which wheels roll are no difference
+        if run.rates is None:  # only velocities across the rolling directions count
             free = np.eye(3) - model.S @ np.linalg.pinv(model.S)
             variance, told = (free**2) @ variance, 3 - model.free
         else:
