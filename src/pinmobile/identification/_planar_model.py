@@ -1,17 +1,18 @@
-"""`PlanarModel`: a robot in the plane as its log sees it, linear in what is identified.
+"""`PlanarModel`: equations of motion in the plane that are linear in the identified parameters.
 
-The body twist is nu = S eta with free velocities eta: of a body that is pushed S is the identity, of wheels
-that roll without steering it is constant. With phi = (m, m x, m y, I | c | f), I about the body's origin,
-friction along the axes A eta, and what the wheels' own inertia adds, M_w::
+The body twist is nu = S eta with independent velocities eta. S is the identity for a body driven by forces,
+and constant for wheels that roll without steering. The parameters are phi = (m, m x, m y, I | c | f), with I
+about the body origin, viscous friction c and dry friction f along the rates A eta. M_w is the inertia of the
+wheels::
 
     S' [ m a_u - m x r^2 - m y r'   ]
        [ m a_w + m x r' - m y r^2   ] + M_w eta' + A' (c A eta + f A eta / sqrt((A eta)^2 + e^2)) = F
        [ m x a_w - m y a_u + I r'   ]
 
-with a_u = u' - r w and a_w = w' + r u. F is R(psi)' u of a body that is pushed, and B tau of wheels, u or tau
-less constant offsets where these are identified; tau are the torques: the input, or what motors make of volts
-and the wheels' rates by their law, limits and losses in the gear as they are stated. Where the input's scale
-is identified, torque constants have it.
+with a_u = u' - r w and a_w = w' + r u. F is R(psi)' u for a body driven by forces, and B tau for wheels. The
+torques tau are the inputs, or follow from voltages and wheel rates by the motor model with its given limits
+and losses. Identified constant offsets are subtracted from u or tau. An identified scale of the inputs
+multiplies the torque constants.
 """
 
 from __future__ import annotations
@@ -44,28 +45,28 @@ from collections.abc import Callable
 from pinmobile.identification._preprocessing import LATER
 from pinmobile.identification._simulation import simulate
 
-_STEP, _RUBBING_STEP = 5e-3, 1e-3  # [s], longest of an integration: friction changes its sign within some
-_SHIFT = 1e-5  # of a parameter's scale, in differences
-_LEAST_RESPONSE = 1e-3  # to an input, as a share of the largest
-_RESPONSES = 3  # of a sensor, as the heading turns them
+_STEP, _RUBBING_STEP = 5e-3, 1e-3  # [s], longest integration steps, without and with dry friction of motors
+_SHIFT = 1e-5  # step of differences, as a share of a parameter's scale
+_LEAST_RESPONSE = 1e-3  # smallest response to an input, as a share of the largest
+_RESPONSES = 3  # largest number of responses of a sensor
 
 
 @dataclass(frozen=True, eq=False)
 class PlanarProblem:
-    """Numbers of a planar model that output error seeks: steps in some directions, and the delay.
+    """Unknowns of output error for a planar model: steps along some directions, and the delay.
 
     Parameters
     ----------
     model : PlanarModel
-        The robot.
+        Model of the robot.
     base : ndarray, shape (p,)
-        Where all steps are zero.
+        Parameters at zero steps.
     basis : ndarray, shape (p, d)
-        Directions, each of the size that is expected.
+        Directions with typical sizes.
     delay : float
-        By which poses come late, in samples.
+        Delay of the poses [samples].
     free : bool
-        Whether the delay is sought too: then it is the last number.
+        Whether the delay is unknown; it is then the last unknown.
     """
 
     model: Any
@@ -89,7 +90,7 @@ class PlanarProblem:
         return self.base + p[..., : self.basis.shape[1]] @ self.basis.T, late
 
     def is_possible(self, p: Array) -> bool:
-        """Return whether there is a body of such numbers, about as late as at first."""
+        """Return whether a body can have these numbers, and the delay is near the initial delay."""
         phi, late = self.values(p)
         return bool(self.model.are_possible(phi) and abs(late - self.delay) < LATER)
 
@@ -117,9 +118,10 @@ class PlanarProblem:
         return np.concatenate([states[..., :3], states[..., 3:] @ self.model.A.T], axis=-1)
 
     def responses(self, segments: Segments, p: Array, starts: Array) -> Array:
-        """Return the sensors' responses to inputs that are held for the first step, shape (r, L, m).
+        """Return the sensors' responses to inputs during the first time step, shape (r, L, m).
 
-        Of a robot at rest without dry friction; of all headings and inputs, the few that have most of it.
+        The robot starts at rest without dry friction. The responses are the principal components over all
+        headings and inputs.
         """
         (phi, late), resting = self.values(p), starts.copy()
         resting[:, 3:], phi[self.model.dry], phi[self.model.offsets] = 0.0, 0.0, 0.0
@@ -165,28 +167,28 @@ _JOINT_FRICTION = (
 
 @dataclass(frozen=True, eq=False)
 class PlanarModel:
-    """A robot in the plane, linear in what is identified.
+    """Model of a robot in the plane that is linear in the identified parameters.
 
     Attributes
     ----------
     S : ndarray, shape (3, k)
-        Body twist of the free velocities.
+        Body twist of the independent velocities.
     A : ndarray, shape (a, k)
-        Rates along which there is friction: the body's axes, or the driven wheels.
+        Rates with friction: along the body axes, or of the driven wheels.
     B : ndarray, shape (k, nu), or None
-        Force of the inputs on the free velocities; None: the input is a force in the inertial frame.
+        Generalized force of the inputs; None: the input is a force in the inertial frame.
     inertia : ndarray, shape (k, k)
-        What turning wheels add to the mass matrix, known.
+        Known contribution of the wheels to the mass matrix.
     speed : float
-        Where dry friction has 71 % of its size.
+        Speed at which dry friction has 71 % of its size.
     wheels : tuple of str
-        Names of the driven wheels, whose friction it is; empty of a body that is pushed.
+        Names of the driven wheels with friction; empty for a body driven by forces.
     scaled : bool
-        Whether the input's scale is identified too, the last entry of phi.
+        Whether the last entry of phi is the scale of the inputs.
     motors : tuple of Motor
-        Of each input, where any takes volts; else empty.
+        Motor of each input if any input is a voltage; otherwise empty.
     offset : bool
-        Whether phi has, behind the friction, a constant force or torque by which each input reads too much.
+        Whether phi has, after the friction, a constant offset of each input.
     """
 
     S: Array
@@ -204,19 +206,19 @@ class PlanarModel:
 
     @classmethod
     def of(cls, robot: Any, speed: float | None = None, scaled: bool = False) -> PlanarModel:
-        """Return the model of a body pushed by forces, or of a robot on wheels by torques or volts.
+        """Return the model of a body driven by forces, or of a robot on wheels with torques or voltages.
 
         Raises
         ------
         InvalidArgument
-            If its wheels steer, slip, or share a motor, or it has arms.
+            If wheels steer, slip, or share a motor, or the robot has arms.
         """
         if not offers(robot, Tabled):
             if robot is not None and (not isinstance(robot, MobileRobot) or robot.mounts):
                 raise InvalidArgument(
                     f"robot is {shown(robot)}, expected a MobileRobot without arms (robot.lumped() has them "
-                    "locked), or a WheeledRobot whose wheels roll and do not steer; of a robot that takes "
-                    "speeds for commands take identify_velocity"
+                    "locked), or a WheeledRobot with wheels that roll and do not steer; for a robot with "
+                    "velocity inputs use identify_velocity"
                 )
             slow = positive("rolling_speed", _SPEED if speed is None else speed, "m/s")
             eye = frozen(np.eye(3))
@@ -226,7 +228,7 @@ class PlanarModel:
         if table.axes or robot.ground.slips or table.couplings or robot.mounts:
             raise InvalidArgument(
                 f"robot is {shown(robot)}, with wheels that steer or slip, shared motors, or arms, expected "
-                "wheels that roll and do not steer, on a motor each and without arms: such as those of a "
+                "wheels that roll and do not steer, with separate motors and without arms, such as a "
                 "differential, mecanum or omni drive"
             )
         reduced = robot.reduced(robot.rest, np.zeros(robot.nv))
@@ -249,7 +251,7 @@ class PlanarModel:
 
     @property
     def free(self) -> int:
-        """How many free velocities there are."""
+        """Number of independent velocities."""
         return int(self.S.shape[1])
 
     @property
@@ -267,7 +269,7 @@ class PlanarModel:
 
     @cached_property
     def quantities(self) -> tuple[Quantity, ...]:
-        """Identified numbers, with the centre of mass and the inertia about it."""
+        """Physical parameters, with the centre of mass and the inertia about it."""
         kinds = _JOINT_FRICTION if self.wheels else _BODY_FRICTION
         found = [
             *_BODY,
@@ -287,33 +289,33 @@ class PlanarModel:
 
     @property
     def size(self) -> int:
-        """How many numbers phi has."""
+        """Size of phi."""
         return 4 + 2 * len(self.A) + self.nu * self.offset + self.scaled
 
     @property
     def dry(self) -> slice:
-        """Where phi has dry friction."""
+        """Slice of dry friction in phi."""
         return slice(4 + len(self.A), 4 + 2 * len(self.A))
 
     @property
     def offsets(self) -> slice:
-        """Where phi has offsets of the inputs."""
+        """Slice of the offsets of the inputs in phi."""
         return slice(self.dry.stop, self.size - self.scaled)
 
     def to_physical(self, phi: Array) -> Array:
-        """Return what is told of phi, shape (..., p): com = (m x, m y) / m, and the inertia about it."""
+        """Return the physical parameters, shape (..., p): com = (m x, m y) / m, and the inertia about it."""
         m, mx, my, inertia = (phi[..., k] for k in range(4))
         about = inertia - (mx * mx + my * my) / m
         return np.concatenate([np.stack([m, mx / m, my / m, about], -1), phi[..., 4:]], -1)
 
     def phi(self, told: Array) -> Array:
-        """Return phi of what is told, shape (..., p)."""
+        """Return phi of physical parameters, shape (..., p)."""
         m, x, y, about = (told[..., k] for k in range(4))
         first = np.stack([m, m * x, m * y, about + m * (x * x + y * y)], -1)
         return np.concatenate([first, told[..., 4:]], -1)
 
     def slopes(self, phi: Array) -> Array:
-        """Return the derivatives of what is told by phi, shape (p, p)."""
+        """Return the derivatives of the physical parameters with respect to phi, shape (p, p)."""
         m, mx, my = phi[:3]
         D = np.eye(len(phi))
         D[1, :2] = -mx / m**2, 1 / m
@@ -322,12 +324,12 @@ class PlanarModel:
         return D
 
     def are_possible(self, phi: Array) -> Any:
-        """Return whether mass and yaw inertia about the centre of mass are above zero, of phi (..., p)."""
+        """Return whether mass and yaw inertia about the centre of mass are positive, for phi (..., p)."""
         m, mx, my, inertia = (phi[..., k] for k in range(4))
         return (m > 0) & (m * inertia > mx * mx + my * my)
 
     def possible(self, phi: Array, scales: Array) -> Array:
-        """Return parameters of a body, those given where they are: else with a small mass or inertia."""
+        """Return phi with a positive mass and inertia: unchanged if possible, otherwise with small values."""
         told = np.array(phi)
         told[0] = max(told[0], 1e-2 * scales[0])
         about = (told[1] ** 2 + told[2] ** 2) / told[0]
@@ -335,23 +337,23 @@ class PlanarModel:
         return told
 
     def plausible(self, phi: Array, covariance: Array) -> Array:
-        """Return the likeliest parameters of a body whose friction brakes: phi itself if it is one.
+        """Return the most likely parameters of a possible body with nonnegative friction.
 
-        That is min (p - phi)' C^-1 (p - phi) with friction and scale not below zero, and the linear matrix
-        inequality of a body of radius of gyration rho and more::
+        The result minimises (p - phi)' C^-1 (p - phi) subject to nonnegative friction and scale, and to the
+        linear matrix inequality of a body with a radius of gyration of at least rho::
 
             [ I - rho^2 m  m x  m y ]
             [ m x          m    0   ]  >= 0
             [ m y          0    m   ]
 
-        Both are convex. Where the covariance C has nothing, nothing moves.
+        Both constraints are convex. Directions without covariance C do not change.
 
         Raises
         ------
         InvalidArgument
-            If there is none.
+            If there is no such body.
         """
-        from scipy.optimize import minimize  # here, because it takes long to load
+        from scipy.optimize import minimize  # slow to load
 
         friction = [k for k, one in enumerate(self.quantities) if one.bounded and k > 3]
 
@@ -369,14 +371,14 @@ class PlanarModel:
         if not (slack(body) >= -_ROUNDED * size).all():
             raise InvalidArgument(
                 f"log leads to a mass of {phi[0]:.3g} kg and a yaw inertia of {self.to_physical(phi)[3]:.3g} "
-                "kg m^2, of which there is no body near: expected both above zero"
+                "kg m^2, far from any possible body, expected both above zero"
             )
         body[3] += max(0.0, -_inertia_left(body))
         body[friction] = np.maximum(body[friction], 0.0)
         return np.asarray(body)
 
     def robot(self, found: Identification) -> Any:
-        """Return the robot as identified; see `Identification.robot`."""
+        """Return the identified robot; see `Identification.robot`."""
         m, x, y, inertia = self.to_physical(found.plausible)[:4].tolist()
         prior = found.prior
         if prior is None:
@@ -384,7 +386,7 @@ class PlanarModel:
         bare = (prior.robot if self.wheels else prior).lumped()
         centre, J = np.array([x, y, bare.body.com[2]]), np.array(bare.body.inertia)
         scaled, J[2, 2] = J * (inertia / J[2, 2]), inertia
-        # Moments that break the triangle inequality: those of a body of the same form.
+        # If the moments violate the triangle inequality, scale all moments of the prior instead.
         body = Body(m, centre, J if J[2, 2] <= J[0, 0] + J[1, 1] else scaled)
         new = bare.with_body(body, f"{bare.source}; identified from a log")
         if not self.wheels:
@@ -410,29 +412,29 @@ class PlanarModel:
         return [JointFriction(columns[0], columns[1], self.speed, names)]
 
     def notes(self, found: Identification) -> list[str]:
-        """Return what such a log does not identify."""
-        told = ["the motion does not tell constant offsets of inputs from friction: taken as zero"]
+        """Return notes on parameters that the log does not identify."""
+        told = ["the motion does not separate constant offsets of inputs from friction: taken as zero"]
         told = told * (not self.offset)
         if found.slippage is not None and found.slippage.matters:
             told.append(str(found.slippage))
         if self.wheels:
             told.append(
-                "the wheels' own inertia cannot be told from mass and yaw inertia: "
-                f"{self.inertia[0, 0]:.3g} kg and {self.inertia[-1, -1]:.3g} kg m^2 were taken as stated"
-                + ", as were motors with their friction and gears"
+                "the log does not separate the inertia of the wheels from mass and yaw inertia: "
+                f"{self.inertia[0, 0]:.3g} kg and {self.inertia[-1, -1]:.3g} kg m^2 are the given values"
+                + ", as are motors with their friction and gears"
                 * bool(self.motors)
             )
             if not self.scaled:
                 told.append(
-                    "all estimates are in proportion to the torque per input, taken as stated: a log with a "
-                    "known load tells it, identify([log, loaded], robot, loads=[None, load])"
+                    "all estimates are proportional to the given torque per input: a log with a known load "
+                    "identifies this factor, identify([log, loaded], robot, loads=[None, load])"
                 )
         return told
 
     def predicted(
         self, found: Identification, log: Log, seconds: float | None
     ) -> tuple[Segments, Array, NDArray[np.bool_], Array]:
-        """Return segments of a log, measured less simulated, which samples count, and the sensors' noise."""
+        """Return segments of a log, residuals, mask of good samples, and the noise of the sensors."""
         run = PreprocessedLog.of(log, self, np.zeros(4))
         late, longest = found.delay / run.dt, len(run.q) * run.dt - 2 * abs(found.delay) - 4 * run.dt
         length = scalar("seconds", _AHEAD if seconds is None else seconds)
@@ -442,12 +444,12 @@ class PlanarModel:
         return segments, solve(search, segments, search.start).near.residual, segments.good, run.noise
 
     def rows(self, a_u: Array, a_w: Array, turn: Array, square: Array, rates: Array, dry: Array) -> Array:
-        """Return the regressor along the free velocities, shape (n, k, p), a scale of the input left out.
+        """Return the regressor along the independent velocities, shape (n, k, p), without the input scale.
 
         Parameters
         ----------
         a_u, a_w : ndarray, shape (n,)
-            Acceleration forward and to the left.
+            Accelerations forward and to the left.
         turn, square : ndarray, shape (n,)
             r' and r^2.
         rates, dry : ndarray, shape (n, a)
@@ -460,7 +462,7 @@ class PlanarModel:
         return np.concatenate([np.einsum("ai,naj->nij", self.S, body), *friction], axis=-1)
 
     def regressor(self, eta: Array, rate: Array) -> Array:
-        """Return the regressor of free velocities and their derivatives, both (n, k), shape (n, k, p)."""
+        """Return the regressor, shape (n, k, p), of independent velocities and derivatives, (n, k) each."""
         (forward, left, r), (du, dw, turn) = (eta @ self.S.T).T, (rate @ self.S.T).T
         rates = eta @ self.A.T
         dry = rates / np.hypot(rates, self.speed)
@@ -474,7 +476,7 @@ class PlanarModel:
         u, rates : sequence, shape (nu,)
             Inputs and rates [rad/s].
         scale : scalar
-            Of torques per input; of motors, of their torque constants.
+            Factor on the torques, or on the torque constants of motors.
         """
         if not self.motors:
             return [scale * x for x in u]
@@ -489,7 +491,7 @@ class PlanarModel:
         ]
 
     def rates(self, z: Any, u: Any, phi: Any) -> Any:
-        """Return the rates of pose and free velocities, shape (3 + k,), of one state and input, in NumPy."""
+        """Return the rates of pose and independent velocities, shape (3 + k,), of one state and input."""
         psi, eta = z[2], z[3:]
         (forward, left, r), along = self.S @ eta, self.A @ eta
         m, mx, my, inertia = phi[0], phi[1], phi[2], phi[3]
@@ -513,6 +515,6 @@ class PlanarModel:
 
 
 def _inertia_left(phi: Array) -> float:
-    """Return by how much the inertia about the centre of mass is above that of a least body."""
+    """Return the excess of the inertia about the centre of mass over the smallest possible inertia."""
     m, mx, my, inertia = phi[:4]
     return float(inertia - _GYRATION**2 * m - (mx * mx + my * my) / max(m, _LIGHTEST))
