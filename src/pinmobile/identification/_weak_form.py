@@ -1,11 +1,11 @@
-"""The weak form: the equations of motion integrated against a bump, so that no acceleration is needed.
+"""Weak form of the equations of motion: integrals with a bump function, which need no accelerations.
 
-Windows of 0.6 s, weighted by g = (1 - z^2)^4, are integrated by parts. Forces along the inertial axes are
-second derivatives, Fx = d^2/dt^2 (m x + m x_bc c - m y_bc s) + friction, so of these only poses are needed.
+The integrals over windows of 0.6 s with the weight g = (1 - z^2)^4 are transformed by parts. Forces along the
+inertial axes are second derivatives, Fx = d^2/dt^2 (m x + m x_bc c - m y_bc s) + friction, so they need only
+poses.
 
-Noise of the poses is in the regressor, most where dry friction changes its sign, and would bias all.
-`WeakForm.extrapolated` fits logs that were shaken once and twice as much again, and goes back from there to
-no noise.
+The regressor contains the noise of the poses, which would bias the estimates, most where dry friction changes
+its sign. `WeakForm.extrapolated` adds noise of one and two times the variance, and extrapolates to no noise.
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ from pinmobile.identification._preprocessing import PreprocessedLog, mean_inputs
 
 WINDOW = 0.6  # [s]
 _HOPS = 8  # per window
-_LAG = 16  # windows over which residuals hang together: twice those that overlap
+_LAG = 16  # windows with correlated residuals: twice the number of overlapping windows
 _HUBER = 1.345
-_NEAR = 1e-4  # of a scale, in differences
-_ROUNDS, _SAME, _FARTHEST = 10, 1e-4, 3.0  # of a scale: most steps, when it is found, and by which factor
+_NEAR = 1e-4  # relative step of differences of the input scale
+_ROUNDS, _SAME, _FARTHEST = 10, 1e-4, 3.0  # search of the scale: steps, tolerance, largest factor
 _SHAKES = 3  # draws of noise at each level
-_LEVELS = (1.0, 2.0)  # variance of noise that is added, as a multiple of what there is
-_WEIGHTS = (3.0, -3.0, 1.0)  # of fits with none and these, which a parabola takes to a variance of -1
-_CAP = 3.0  # deviations beyond which a row costs no more
-_SEEN = 0.01  # share of its force that a direction must have to be seen
-_LEVER = 0.25  # [m], of a robot whose size is not known
+_LEVELS = (1.0, 2.0)  # variance of added noise, as a multiple of the present variance
+_WEIGHTS = (3.0, -3.0, 1.0)  # weights of the fits at these levels for a parabola at the level -1
+_CAP = 3.0  # standard deviations at which the cost of a row saturates
+_SEEN = 0.01  # smallest share of the forces of an identifiable direction
+_LEVER = 0.25  # [m], lever arm for a robot of unknown size
 
 
 class Bump(NamedTuple):
-    """The bump of sum 1, its two derivatives, and the samples between two windows."""
+    """Bump function with sum 1, its two derivatives, and the samples between two windows."""
 
     g: Array
     g1: Array
@@ -46,18 +46,18 @@ class Bump(NamedTuple):
 
     @classmethod
     def of(cls, seconds: float, dt: float) -> Bump:
-        """Return the bump over so many seconds."""
+        """Return the bump function over a time span [s]."""
         size = 2 * max(3, round(seconds / dt / 2)) + 1
         half, z = (size - 1) / 2 * dt, np.linspace(-1, 1, size)
         g = (1 - z * z) ** 4 / ((1 - z * z) ** 4).sum()
         g1, g2 = -8 * z * (1 - z * z) ** 3, 48 * z * z * (1 - z * z) ** 2 - 8 * (1 - z * z) ** 3
-        # As sums, they tell a constant to have no derivative, a ramp its slope, a parabola its curvature.
+        # The sums are exact: zero derivative of a constant, slope of a ramp, curvature of a parabola.
         g2 = g2 - g2.sum() * g
         hop = max(1, round((size - 1) / _HOPS))
         return cls(g, -g1 / (g1 @ z) / half, 2 * g2 / (g2 @ z**2) / half**2, hop)
 
     def over(self, columns: Array, order: int = 0) -> Array:
-        """Return the integrals of columns of shape (N,) or (N, k) against the bump or its derivative."""
+        """Return the integrals of columns, shape (N,) or (N, k), with the bump function or a derivative."""
         view = np.lib.stride_tricks.sliding_window_view(columns, len(self.g), axis=0)[:: self.hop]
         return np.asarray(view @ self[order])
 
@@ -68,15 +68,15 @@ class WeakFit(NamedTuple):
     Attributes
     ----------
     phi : ndarray, shape (p,)
-        What is identified.
+        Parameters.
     covariance : ndarray, shape (p, p)
-        By Newey and West (1987), as windows overlap and the noise of forces and poses is correlated.
+        Covariance by Newey and West (1987): windows overlap, and the noise is correlated.
     cost : float
-        Weighted mean square of what is left, robust.
+        Robust weighted mean square of the residuals.
     explained : float
-        Share of the forces' mean square that the model explains.
+        Explained share of the mean square of the forces.
     delay, delay_error : float
-        By which poses come late, in samples, and its deviation: not a number where it was given.
+        Delay of the poses and its standard deviation [samples]; the latter is NaN if the delay was given.
     """
 
     phi: Array
@@ -94,19 +94,19 @@ class WeakForm:
     Attributes
     ----------
     logs : sequence of PreprocessedLog
-        The logs.
+        Preprocessed logs.
     model : PlanarModel
-        The robot.
+        Model of the robot.
     Y : ndarray, shape (n, k, p)
-        Regressor, without columns of offsets and of an unknown scale of the input.
+        Regressor, without columns of offsets and of an unknown input scale.
     shaken : ndarray, shape (levels, draws, n, k, p)
-        The same of poses with more noise.
+        Regressors for poses with additional noise.
     known : ndarray, shape (n, k)
         Forces of known inertia and loads.
     rates : list of ndarray, shape (a, N)
-        Along which there is friction, of each log.
+        Rates with friction, for each log.
     counts : tuple of int
-        Windows of each log.
+        Number of windows of each log.
     """
 
     logs: Sequence[PreprocessedLog]
@@ -139,7 +139,7 @@ class WeakForm:
         return B[:, : self.model.nu * self.model.offset]
 
     def forces(self, delay: float = 0.0, scale: float = 1.0) -> Array:
-        """Return the forces of the windows, of a pose that comes late by so many samples, shape (n, k)."""
+        """Return the forces of the windows for a delay of the poses [samples], shape (n, k)."""
         found, model = [], self.model
         for log, rates in zip(self.logs, self.rates, strict=True):
             edges = np.asarray(np.arange(len(log.q) + 1) - 0.5 - delay)  # half of the input before counts
@@ -150,9 +150,9 @@ class WeakForm:
         return np.concatenate(found)
 
     def equations(self, delay: float, scale: float = 1.0) -> tuple[Array, Array, Array]:
-        """Return the regressor, shape (n, k, p), those shaken, and the forces, shape (n, k).
+        """Return the regressor, shape (n, k, p), the regressors with noise, and the forces, shape (n, k).
 
-        They are linear near a scale of the inputs.
+        The equations are linearised about a scale of the inputs.
         """
         forces = self.forces(delay, scale)
         y, columns = (
@@ -166,8 +166,8 @@ class WeakForm:
         return _beside(self.Y, columns), _beside(self.shaken, columns), y
 
     def first_delay(self, delays: Array, base: Array, basis: Array) -> tuple[int, float, float]:
-        """Return which of some delays leaves least, the minimum near it, and the share explained."""
-        keep = len(base) - self.model.scaled  # the scale is in proportion to all else
+        """Return the index of the best of some delays, the minimum near it, and the explained share."""
+        keep = len(base) - self.model.scaled  # the scale is proportional to all other parameters
         form, base = replace(self, model=replace(self.model, scaled=False)), base[:keep]
         basis = basis[:keep, : basis.shape[1] - self.model.scaled]
 
@@ -178,23 +178,23 @@ class WeakForm:
         return scanned(fit, delays)
 
     def extrapolated(self, delay: float, prior: Array, basis: Array, free: bool = False) -> WeakFit:
-        """Return what least squares would be of poses without noise: simulation extrapolation.
+        """Return the least squares extrapolated to poses without noise (simulation extrapolation).
 
-        Cook and Stefanski (1994): phi is fitted to the log as it is, and with more noise of one and of two
-        times the variance that there is; the parabola through these is taken to a variance of -1, where none
-        is left.
+        Cook and Stefanski (1994): fit phi to the log, and to the log with additional noise of one and two
+        times the present variance. The parabola through the fits at the level -1 gives the result without
+        noise.
 
         Parameters
         ----------
         delay : float
-            By which poses come late, in samples.
+            Delay of the poses [samples].
         prior : ndarray, shape (p,)
-            What is believed.
+            Prior parameters.
         basis : ndarray, shape (p, d)
-            Directions in which phi may be elsewhere, each of the size that is expected.
+            Free directions of phi with typical sizes.
         free : bool
-            Whether the delay is sought too, near the one given: it is one more column, and its uncertainty is
-            in the covariance.
+            Whether to estimate the delay near the given one. The delay is then one more column, and the
+            covariance includes its uncertainty.
         """
         scale, nonlinear = 1.0, self.model.scaled and bool(self.model.motors)  # by the back-EMF
         for _ in range(_ROUNDS if nonlinear else 1):
@@ -205,7 +205,7 @@ class WeakForm:
         return fit
 
     def _near(self, scale: float, delay: float, prior: Array, basis: Array, free: bool) -> WeakFit:
-        """Return the same of equations that are linear near a scale of the inputs."""
+        """Return the extrapolated least squares of the equations, linearised about a scale of the inputs."""
         Y, shaken, y = self.equations(delay, scale)
         if free:
             less, more = (self.forces(delay + shift, scale)[..., None] for shift in (-0.5, 0.5))
@@ -226,10 +226,10 @@ class WeakForm:
         return plain._replace(phi=phi[:-1], covariance=covariance[:-1, :-1], delay=late, delay_error=error)
 
     def directions(self, scales: Array) -> tuple[Array, Array]:
-        """Return orthonormal directions that the motion tells, and those left unseen, in the scales (p,).
+        """Return orthonormal directions that are identifiable, and those that are not, in the scales (p,).
 
-        Seen is what has more than a hundredth of the forces in the regressor, the part left out that the
-        noise of poses makes: a second draw of it tells how much that is.
+        An identifiable direction has more than 1 % of the forces in the regressor, without the part of the
+        pose noise. Additional draws of noise show the size of this part.
         """
         model, extra, shaken = self.model, self.model.scaled, _beside(self.shaken[0], self._constant)
         Y, size = _beside(self.Y, self._constant), np.sqrt((self.forces() ** 2).mean(axis=0))
@@ -245,12 +245,12 @@ class WeakForm:
         return seen, np.pad(vectors[:, ~told], ((0, extra), (0, 0)))
 
     def scales(self) -> Array:
-        """Return the size that each parameter has if it alone were behind the forces, by their power.
+        """Return the size of each parameter that would explain the power of the forces alone.
 
         Raises
         ------
         InvalidArgument
-            If hardly anything moves.
+            If the motion or the forces are too small.
         """
         logs, model = self.logs, self.model
         twist = np.concatenate([one.twist for one in logs])
@@ -263,8 +263,8 @@ class WeakForm:
         if not (moved > 20 * noise).any() or not max(f, moment) > 0:
             raise InvalidArgument(
                 f"log has poses that move by {moved[0]:.3g} m, {moved[1]:.3g} m and {moved[2]:.3g} rad, and "
-                f"forces of {f:.3g} N and {moment:.3g} N m, too little to tell anything: expected a motion "
-                "that excites, see excitation"
+                f"forces of {f:.3g} N and {moment:.3g} N m, too little to identify anything: expected an "
+                "informative motion, see excitation"
             )
         r = twist[:, 2]
         across = turned[:, 0] - r * twist[:, 1], turned[:, 1] + r * twist[:, 0]
@@ -315,7 +315,7 @@ def _along_free(log: PreprocessedLog, model: PlanarModel, bump: Bump) -> tuple[A
 
 
 def scanned(fit: Callable[[float], WeakFit], delays: Array) -> tuple[int, float, float]:
-    """Return which delay leaves least, the minimum of a parabola near it, and the share that is explained."""
+    """Return the index of the best delay, the minimum of a parabola near it, and the explained share."""
     fits = [fit(float(delay)) for delay in delays]
     costs = np.array([each.cost for each in fits])
     k = int(costs.argmin())
@@ -329,20 +329,20 @@ def scanned(fit: Callable[[float], WeakFit], delays: Array) -> tuple[int, float,
 def fitted(
     Y: Array, y: Array, counts: Sequence[int], prior: Array, basis: Array, passes: int = 5
 ) -> tuple[WeakFit, Array]:
-    """Return the least squares of rows weighted by what they leave, and how windows move it, shape (n, p).
+    """Return the least squares with iterative weights, and the influence of the windows, shape (n, p).
 
     Parameters
     ----------
     Y, y : ndarray, shape (n, k, p), (n, k)
-        Regressor, and what it should give.
+        Regressor and right-hand side.
     counts : sequence of int
-        Windows of each log.
+        Number of windows of each log.
     prior : ndarray, shape (p,)
-        What is believed.
+        Prior parameters.
     basis : ndarray, shape (p, d)
-        Directions in which phi may be elsewhere, each of the size that is expected.
+        Free directions of phi with typical sizes.
     passes : int
-        How often rows are weighted anew.
+        Number of updates of the weights.
     """
     least = 1e-12 * np.sqrt((y**2).mean()) + np.finfo(float).tiny
     deviation = np.maximum((y - Y @ prior).std(axis=0), least)
@@ -356,7 +356,7 @@ def fitted(
         size = np.abs(left) / deviation
         weights = np.sqrt(np.minimum(1, _HUBER / np.maximum(size, _HUBER))) / deviation
     scores = np.einsum("nki,nk->ni", Y * weights[..., None], left * weights)
-    # Rows beyond Huber's bound push with a force that does not change: they are not in the slope.
+    # Rows beyond Huber's bound have a constant score, so the slope does not contain them.
     influence = scores @ _inverse(Y * ((size < _HUBER) / deviation)[..., None], basis)
     cost = float((np.minimum(size, _CAP) ** 2).mean() * np.prod(deviation) ** (2 / y.shape[1]))
     explained = 1 - float((left**2).sum() / max((y**2).sum(), least))
@@ -364,13 +364,13 @@ def fitted(
 
 
 def _inverse(A: Array, basis: Array) -> Array:
-    """Return the inverse of the normal matrix within the space of the basis' columns."""
+    """Return the inverse of the normal matrix within the span of the basis."""
     normal = basis.T @ np.einsum("nki,nkj->ij", A, A) @ basis
     return np.asarray(basis @ np.linalg.pinv(normal, rcond=1e-12, hermitian=True) @ basis.T)
 
 
 def _newey_west(influence: Array, counts: Sequence[int], unknown: int) -> Array:
-    """Return the covariance of a sum of what windows of logs contribute, those near each other correlated."""
+    """Return the covariance of a sum over windows, with correlation of nearby windows."""
     total = np.zeros((influence.shape[1],) * 2)
     for each in np.split(influence, np.cumsum(counts)[:-1]):
         total = total + each.T @ each
