@@ -209,7 +209,7 @@ def test_a_run_that_diverges_keeps_what_came_before(typed: Typed, tmp_path: Path
         ("run --film a.avi", "--film is 'a.avi', expected a file .html, .gif, .mp4 or .png"),
         ("run --radios 1", "No such option"),
         ("run duration=0.25", "duration is 0.25 s, expected a whole number of steps dt = 0.1 s"),
-        ("view a.npz ur5", "saved rollouts stand alone, but there is 'ur5' too"),
+        ("view a.npz ur5", "'ur5' is beside saved rollouts, expected .npz files only"),
         ("view run.csv", "FILE is 'run.csv', a recorded run, expected a scenario; view takes .npz of runs"),
         ("run run.npz", "FILE is 'run.npz', a recorded run, expected a scenario; view takes .npz of runs"),
         ("run differential robot.mass=25", "robot.mass is unknown, WheeledRobot has robot, table, ground"),
@@ -328,7 +328,7 @@ def test_an_ensemble_is_printed_and_drawn(typed: Typed, tmp_path: Path) -> None:
     assert (code, err) == (0, "")
     assert "40 robots over 6 s: from 4 s on 99 % stay within " in out
     assert {path.name for path in tmp_path.iterdir()} == {"index.html", "bands.png", "drivers.png"}
-    assert "all robots are alike" in typed("ensemble", *SHORT, "--out", str(tmp_path))[1]
+    assert "all robots are equal" in typed("ensemble", *SHORT, "--out", str(tmp_path))[1]
 
 
 SWEPT = """
@@ -383,7 +383,7 @@ def test_an_interrupted_sweep_says_how_to_go_on(
 
     monkeypatch.setattr("pinmobile.cli.results.run_points", interrupt)
     code, _, err = typed(*swept)
-    assert (code, err) == (130, "pinmobile: interrupted: the same command goes on where it was\n")
+    assert (code, err) == (130, "pinmobile: interrupted: repeat the command to resume\n")
 
 
 def test_version(typed: Typed) -> None:
@@ -455,7 +455,7 @@ def test_view_says_why_it_does_not_know_the_robot_of_a_file(typed: Typed, tmp_pa
     urdf.unlink()
     code, out, err = typed("view", str(file))
     assert (code, out) == (2, "")
-    said = "does not know its robot: arm is '.*slide.urdf', which cannot be read"
+    said = "has no robot: arm is '.*slide.urdf', which cannot be read"
     assert re.search(rf"^pinmobile: '.*run.npz' {said}", err)
 
 

@@ -78,7 +78,7 @@ Runs = dict[tuple[str, str], Rollout]
 
 
 def _loop(path: str, label: str, *, corrected: bool) -> dict[str, Any]:
-    """Return the arguments of `simulate` of a loop of the lecture, with its heading or the corrected one."""
+    """Return the arguments of `simulate` for a loop of the lecture, with its or the corrected heading."""
     robot, curve = MobileRobot.lecture(), _PATHS[path]
     difference = planar_difference if corrected else plain_difference
     return {
@@ -93,7 +93,7 @@ def _loop(path: str, label: str, *, corrected: bool) -> dict[str, Any]:
 
 
 def show_verification(words: Sequence[str], states: int, *, allow_code: bool) -> int:
-    """Print how far the methods for the dynamics of a robot differ; return 0 where they agree."""
+    """Print the differences of the methods for the dynamics of a robot; return 0 if they agree."""
     from pinmobile import verify
 
     # Away from the lecture's com = (0, 0), where half of the terms vanish.
@@ -106,7 +106,7 @@ def show_verification(words: Sequence[str], states: int, *, allow_code: bool) ->
 
 
 def show_derivation(words: Sequence[str], *, latex: bool, allow_code: bool) -> int:
-    """Print the derivation of the robot's DH table, or of wheels of its mobility."""
+    """Print the derivation of the robot's DH table, or of wheels with its mobility."""
     from pinmobile import derivation
 
     robot = Opened(words, allow_code=allow_code).content.robot
@@ -131,7 +131,7 @@ def show_derivation(words: Sequence[str], *, latex: bool, allow_code: bool) -> i
 
 
 def show_lecture(out: Path, *, gif: bool, mp4: bool) -> int:
-    """Print the lecture's results and write its figures; return 0 if every number is the lecture's."""
+    """Print the results of the lecture and write its figures; return 0 if all numbers agree."""
     from pinmobile import derivation, verify  # sympy is not needed by the other commands
 
     robot, folder = MobileRobot.lecture(), output_folder(out)
@@ -180,7 +180,7 @@ def show_lecture(out: Path, *, gif: bool, mp4: bool) -> int:
 
 
 def _equations(derived: "Derivation") -> str:
-    """Return the distinct entries of M(q) and n(q, v), a line each."""
+    """Return the distinct entries of M(q) and n(q, v), one line each."""
     import sympy
 
     M, n = derived.mass_matrix, derived.nonlinear_effects
@@ -191,7 +191,7 @@ def _equations(derived: "Derivation") -> str:
 
 
 def _table(lecture: Runs, right: Runs) -> tuple[str, bool]:
-    """Return the largest errors beside the lecture's, as text, and whether all are the same."""
+    """Return a table of the largest errors beside those of the lecture, and whether all agree."""
     found = {key: tuple(map(error_text, run.max_error())) for key, run in lecture.items()}
     same = all(found[key][:2] == expected for key, expected in EXPECTED.items())
     head = ("trajectory", "controller", "x [m]", "lecture", "y [m]", "lecture")
@@ -217,7 +217,7 @@ _HEAD = _ROW.format("controller", "heading", "time", "x [m]", "y [m]", "psi [rad
 
 
 def _both(path: str, lecture: Runs, right: Runs) -> list[str]:
-    """Return the largest errors on a path with the lecture's heading and with that put right, a row each."""
+    """Return the largest errors on a path with the heading of the lecture and the corrected one, as rows."""
     return [
         _ROW.format(label, heading, f"{runs[path, label].t[-1]:g} s", *map(error_text, errors))
         for label in _LABELS
@@ -227,7 +227,7 @@ def _both(path: str, lecture: Runs, right: Runs) -> list[str]:
 
 
 def _on_wheels() -> tuple[str, dict[str, Rollout]]:
-    """Return what the wheels of a differential drive change, as text, and runs that start beside a path."""
+    """Return a comparison with a differential drive as text, and runs that start beside a path."""
     table = WheelTable.differential(
         0.3, 0.1, supports=[(0.2, 0), (-0.2, 0)], mass=0.5, spin_inertia=2.5e-3, yaw_inertia=1.3e-3
     )
@@ -271,7 +271,7 @@ def _on_wheels() -> tuple[str, dict[str, Rollout]]:
 
 
 def _on_and_beside(loop: dict[str, Any]) -> tuple[tuple[float, float], Rollout]:
-    """Return the largest distance on the path, what is left at the end of a start beside it, and that run."""
+    """Return the largest distance from the path, the final distance after a start beside it, and this run."""
     run = simulate(**loop)
     x, y, psi = run.q[0, :3]
     q0 = run.q[0].copy()
@@ -282,7 +282,7 @@ def _on_and_beside(loop: dict[str, Any]) -> tuple[tuple[float, float], Rollout]:
 
 
 def _refused(wheeled: WheeledRobot) -> str:
-    """Return what is said of the lecture's own heading, which jumps where the path begins."""
+    """Return the error for the heading of the lecture, which jumps at the start of the path."""
     try:
         simulate(
             wheeled, Backstepping(UnicycleTracking(), wheeled), LectureHeading(_PATHS["via stop"]), dt=0.1

@@ -1,4 +1,4 @@
-"""What run, ensemble, sweep and view print, draw and write."""
+"""Output of run, ensemble, sweep and view: text, figures and files."""
 
 import math
 import signal
@@ -36,20 +36,20 @@ _MOST, _SHORT = 12, 160  # figures of a sweep, and letters of a robot
 _UNITS = (("m", 1.0), ("mm", 1e-3), ("µm", 1e-6))
 
 FIGURES = {
-    "path": "The desired path (dashed), the travelled one, and the robot where it really was.",
+    "path": "The desired path (dashed), the travelled path, and the robot at its actual poses.",
     "states": "{} over time, desired and actual.",
     "errors": "Desired minus actual {} over time, angles on the circle.",
-    "forces": "The generalised force, held between samples.",
+    "forces": "The inputs, constant between samples.",
 }
 _OTHERS = {
-    "balance": "Tip-over margin, friction that the ground must offer, and the zero-moment point.",
+    "balance": "Tip-over margin, required friction, and the zero-moment point.",
     "reaction": "Force and moment of the arm on the base, at its mount.",
     "wheel_torques": "Torques of the wheels, and of the steering axes.",
-    "friction": "Force at each wheel as a share of its friction: at 1 it slides.",
+    "friction": "Force at each wheel as a share of its friction: a wheel slides at 1.",
     "slip": "Velocity of each wheel over the ground, along and across.",
     "loads": "Load of each wheel.",
 }
-"""Figures of robots that have the quantity; of others, these raise `InvalidArgument`."""
+"""Figures of robots that have the quantity; for other robots, the plots raise `InvalidArgument`."""
 
 
 def draw(rollouts: dict[str, Rollout], folder: Path, prefix: str, bar: Progress) -> list[Picture]:
@@ -75,7 +75,7 @@ def _draw_others(run: Rollout, folder: Path, bar: Progress) -> list[Picture]:
 
 
 def show_run(words: Sequence[str], out: Path, film: Path | None, *, allow_code: bool) -> int:
-    """Run a loop, print its result, and write records, figures and their index; of a diverged run too."""
+    """Run a loop, print its result, and write records, figures and their index, also for a diverged run."""
     check_film(film)
     opened = Opened(words, allow_code=allow_code, unused=("spread", "grid", "cases"))
     folder = output_folder(out)
@@ -171,7 +171,7 @@ def show_ensemble(words: Sequence[str], out: Path, *, allow_code: bool) -> int:
     scenario = opened.scenario()
     folder = output_folder(out)
     if not opened.content.spread and scenario.n > 1:
-        console.print("spread is empty: all robots are alike", markup=False)
+        console.print("spread is empty: all robots are equal", markup=False)
     with progress(scenario.n) as bar:
         found = run_scenario(scenario, progress=lambda done, _: bar.update(bar.task_ids[0], completed=done))
     console.print(str(found), markup=False)
@@ -185,10 +185,10 @@ def show_ensemble(words: Sequence[str], out: Path, *, allow_code: bool) -> int:
 
 def _ensemble_figures(found: Ensemble, folder: Path) -> list[Picture]:
     save_figure(plots.bands(found), folder / "bands.png")
-    pictures = [Picture("bands.png", "Errors over time: what half, 90 % and 99 % of the robots stay within.")]
-    with suppress(InvalidArgument):  # the robots are alike, or too few
+    pictures = [Picture("bands.png", "Errors over time: bounds for half, 90 % and 99 % of the robots.")]
+    with suppress(InvalidArgument):  # the robots are equal, or too few
         save_figure(plots.drivers(found, share=max(0.05, 1 / len(found))), folder / "drivers.png")
-        pictures.append(Picture("drivers.png", "What the robots that strayed farthest have in common."))
+        pictures.append(Picture("drivers.png", "Parameters that the robots with the largest errors share."))
     return pictures
 
 
@@ -208,7 +208,7 @@ def show_sweep(words: Sequence[str], out: Path | None, scheduler: str | None, *,
                 progress=lambda done, total: bar.update(bar.task_ids[0], completed=done, total=total),
             )
     except KeyboardInterrupt:
-        raise PinmobileError("interrupted: the same command goes on where it was") from None
+        raise PinmobileError("interrupted: repeat the command to resume") from None
     finally:
         if client is not None:
             client.close()
@@ -222,7 +222,7 @@ def show_sweep(words: Sequence[str], out: Path | None, scheduler: str | None, *,
 
 
 def _sweep_figures(found: Sweep, folder: Path) -> list[Picture]:
-    """Draw the distance that 99 % of the robots keep: curves over one axis of numbers, else maps of two."""
+    """Draw the distance within which 99 % of the robots stay: curves over one axis, or maps of two axes."""
     within = found.error_quantile()
     long = [name for name, axis in found.axes.items() if len(axis.values) > 1]
     numeric = [name for name in long if within[name].dtype.kind in "fiu"]
@@ -257,7 +257,7 @@ def _sweep_figures(found: Sweep, folder: Path) -> list[Picture]:
 
 
 def _slices(values: Any, names: list[str]) -> Iterator[tuple[str, Any]]:
-    """Yield the parts for each value of some axes, and their names in words."""
+    """Yield a description and the part of the values for each combination of values of some axes."""
     for index in np.ndindex(*(values.sizes[name] for name in names)):
         where = dict(zip(names, index, strict=True))
         at = [(name, np.asarray(values[name])[i]) for name, i in where.items()]
@@ -273,11 +273,11 @@ def _unit(values: Array) -> tuple[str, float]:
 
 
 def show_live(words: Sequence[str], *, host: str, port: int | None, allow_code: bool) -> int:
-    """Serve a run, or saved rollouts, until Ctrl-C or SIGTERM; both end it in order."""
+    """Serve a run, or saved rollouts, until Ctrl-C or SIGTERM."""
     saved = [Path(word) for word in words if word.endswith(".npz")]
     if saved and len(saved) < len(words):
         others = [word for word in words if not word.endswith(".npz")]
-        raise InvalidArgument(f"saved rollouts stand alone, but there is {others[0]!r} too")
+        raise InvalidArgument(f"{others[0]!r} is beside saved rollouts, expected .npz files only")
     if saved:
         names = [path.stem if len({p.stem for p in saved}) == len(saved) else str(path) for path in saved]
         rollouts = {name: _loaded(path) for name, path in zip(names, saved, strict=True)}
@@ -291,7 +291,7 @@ def show_live(words: Sequence[str], *, host: str, port: int | None, allow_code: 
         console.print(
             f"open {viewer.url}\n"
             f"from another machine: ssh -L {served}:{host}:{served} {socket.gethostname()}\n"
-            "and open the same address there, with 127.0.0.1 as its host; Ctrl-C ends it",
+            "and open the same address on that machine, with the host 127.0.0.1; Ctrl-C ends the server",
             markup=False,
         )
         console.file.flush()
@@ -300,19 +300,19 @@ def show_live(words: Sequence[str], *, host: str, port: int | None, allow_code: 
 
 
 def _loaded(path: Path) -> Rollout:
-    """Return a saved run, whose robot must be known: it would be missing."""
+    """Return a saved run; reject a run without its robot."""
     run = Rollout.load(path)
     if isinstance(run.plant, PlantOutline) and run.plant.reason:
         raise InvalidArgument(
-            f"{str(path)!r} does not know its robot: {run.plant.reason}; in Python, "
-            "dataclasses.replace(rollout, plant=...) tells it"
+            f"{str(path)!r} has no robot: {run.plant.reason}; in Python, "
+            "dataclasses.replace(rollout, plant=...) adds it"
         )
     return run
 
 
 @contextmanager
 def _until_ended() -> Iterator[None]:
-    """Let Ctrl-C and SIGTERM end what is within, in order."""
+    """End a ``with`` block in order after Ctrl-C or SIGTERM."""
 
     def end(number: int, frame: FrameType | None) -> None:
         raise KeyboardInterrupt

@@ -1,7 +1,7 @@
-"""Output error: least squares of what simulations of segments leave of a log, for any model.
+"""Output error: least squares of the residuals between a log and simulations of its segments, for any model.
 
-First states of segments are projected out of the residuals' Jacobian by QR, so that the search is among the
-model's numbers alone. Numbers and first states that are tried are simulated side by side.
+A QR factorisation projects the initial states of the segments out of the Jacobian, so the search is over the
+numbers of the model only. One call simulates all trial values of numbers and initial states.
 """
 
 from __future__ import annotations
@@ -19,28 +19,28 @@ from pinmobile.identification._simulation import Model, Segments, linearize, sim
 
 NORMAL = 1.4826  # standard deviation of a normal distribution per median absolute one
 White = Callable[[Array], Array]
-_PASSES = 2  # in which first states are found
-_SHARES = np.array([1.0, 0.5, 0.2, 0.05, 0.0])  # of the step of a first state that are tried
+_PASSES = 2  # passes that find initial states
+_SHARES = np.array([1.0, 0.5, 0.2, 0.05, 0.0])  # tried shares of the step of an initial state
 _CONVERGED = 1e-7  # relative change of the cost
-_EVALUATIONS = 40  # of the cost, at most
-_ROUNDS = 4  # of weights and outliers
-_OUTLIER = 6.0  # deviations
-_UNSEEN = 1e-10  # eigenvalues of the scaled normal matrix below it are none
+_EVALUATIONS = 40  # largest number of evaluations of the cost
+_ROUNDS = 4  # updates of weights and outliers
+_OUTLIER = 6.0  # standard deviations
+_UNSEEN = 1e-10  # smaller eigenvalues of the scaled normal matrix count as zero
 
 
 class Linear(NamedTuple):
-    """Residuals near some numbers, made white: e less J times a step, first states projected out.
+    """Linearised white residuals: e - J times a step of the numbers, without the initial states.
 
     Attributes
     ----------
     J, e : ndarray, shape (S, n, P), (S, n)
-        Slopes and residuals that no first states explain.
+        Slopes and residuals after the projection that removes initial states.
     Q, R : ndarray
-        Factors of the slopes by the first states.
+        QR factors of the slopes with respect to the initial states.
     raw, slopes : ndarray, shape (S, n), (S, n, P)
-        Residuals and slopes as they are.
+        Residuals and slopes before the projection.
     residual : ndarray, shape (S, L, m)
-        Measured less simulated.
+        Measured minus simulated values.
     """
 
     J: Array
@@ -53,12 +53,12 @@ class Linear(NamedTuple):
 
     @classmethod
     def of(cls, model: Model, segments: Segments, p: Array, starts: Array, white: White) -> Linear:
-        """Return the linear problem near numbers and first states.
+        """Return the linear problem at numbers and initial states.
 
         Raises
         ------
         InvalidArgument
-            If the simulation runs away from the log.
+            If the simulation diverges.
         """
         out, slopes = linearize(model, segments, p, starts)
         residual = segments.y - out
@@ -72,13 +72,13 @@ class Linear(NamedTuple):
         return cls(J, e[..., 0], Q, R, raw[..., 0], slopes, residual)
 
     def starts(self, step: Array) -> Array:
-        """Return the change of the first states, shape (S, n), that goes with a step of the numbers."""
+        """Return the change of the initial states, shape (S, n), for a step of the numbers."""
         rest = np.swapaxes(self.Q, 1, 2) @ (self.raw - self.slopes @ step)[..., None]
         return np.asarray((np.linalg.pinv(self.R, rcond=_UNSEEN) @ rest)[..., 0])
 
 
 class Fit(NamedTuple):
-    """Numbers, shape (P,), first states, shape (S, n), the problem near them, and samples that counted."""
+    """Numbers, shape (P,), initial states, shape (S, n), the linear problem there, and a mask of samples."""
 
     p: Array
     starts: Array
@@ -87,10 +87,10 @@ class Fit(NamedTuple):
 
 
 def unexplained(share: float) -> InvalidArgument:
-    """Return the error about a log whose inputs explain but a share of its motion."""
+    """Return the error for a log with inputs that explain too small a share of the motion."""
     return InvalidArgument(
-        f"log has inputs that explain {max(share, 0.0):.0%} of the motion, expected most: are they of "
-        "another robot, in another frame, of another sign, or in other units?"
+        f"log has inputs that explain {max(share, 0.0):.0%} of the motion, expected most of it: are the "
+        "inputs from another robot, in another frame, with another sign, or in other units?"
     )
 
 
@@ -104,29 +104,29 @@ def solve(
     starts: Array | None = None,
     shift: Array | float = 0.0,
 ) -> Fit:
-    """Return the least squares of white residuals over numbers and first states.
+    """Return the least squares of white residuals over numbers and initial states.
 
     Parameters
     ----------
     model, segments : Model, Segments
-        The robot and its logs.
+        Model of the robot, and segments of its logs.
     p : ndarray, shape (P,)
-        Where to begin.
+        Initial numbers.
     moves : bool or ndarray of bool, shape (P,)
-        Numbers that are sought; the others stay.
+        Mask of the unknown numbers; the others remain.
     white : callable
-        What makes residuals over the noise, shape (V, S, L, m), white of variance 1.
+        Function that whitens residuals divided by the noise, shape (V, S, L, m), to variance 1.
     starts : ndarray, shape (S, n), optional
-        First states to begin with, where they are known.
+        Initial states, if known.
     shift : ndarray, shape (S, n)
-        What is added to the white residuals.
+        Offset of the white residuals.
 
     Raises
     ------
     InvalidArgument
-        If the simulation runs away from the log.
+        If the simulation diverges.
     """
-    from scipy.optimize import least_squares  # here, because it takes long to load
+    from scipy.optimize import least_squares  # slow to load
 
     free = np.broadcast_to(np.asarray(moves), p.shape)
     at, z = p, segments.start if starts is None else starts
@@ -166,22 +166,22 @@ def solve(
 def solve_robustly(
     model: Model, segments: Segments, p: Array, *, calm: NDArray[np.bool_], natural: Any = None
 ) -> tuple[Fit, NDArray[np.bool_]]:
-    """Return the least squares weighted by what it leaves, without outliers, and which numbers are hidden.
+    """Return the least squares with iterative weights and without outliers, and a mask of hidden numbers.
 
     Parameters
     ----------
     model, segments, p
-        As in `solve`.
+        See `solve`.
     calm : ndarray of bool, shape (S, L)
-        Samples to begin with.
+        Mask of the samples of the first round.
     natural : callable, optional
-        Returns sizes of numbers p, shape (P,), and values of those that are known less well: hidden ones stay
-        there. None: all stay.
+        Function of p that returns typical sizes, shape (P,), and prior values. Numbers that are not
+        identifiable keep their prior value. None: all numbers remain.
 
     Raises
     ------
     InvalidArgument
-        If the simulation runs away from the log.
+        If the simulation diverges.
     """
     good, starts, moves = segments.good & calm, None, np.full(len(p), natural is not None)
     covariance = np.diag(np.maximum(np.var(segments.y[calm], axis=0), 1e-12))
@@ -208,13 +208,13 @@ def solve_robustly(
 
 
 def _by(covariance: Array) -> White:
-    """Return what makes residuals of a covariance white, shape (..., m)."""
+    """Return a function that whitens residuals of a covariance, shape (..., m)."""
     weight = np.linalg.inv(np.linalg.cholesky(covariance)).T
     return lambda residuals: residuals @ weight
 
 
 def scaled(H: Array) -> tuple[Array, Array]:
-    """Return a normal matrix with ones on its diagonal, and what scales it; 0 of numbers without effect."""
+    """Return a normal matrix scaled to a diagonal of ones, and the scales; 0 for numbers without effect."""
     diagonal = np.diag(H)
     seen = diagonal > 1e-30 * max(float(diagonal.max(initial=0.0)), 1e-270)
     size = np.where(seen, 1 / np.sqrt(np.where(seen, diagonal, 1.0)), 0.0)
@@ -222,7 +222,7 @@ def scaled(H: Array) -> tuple[Array, Array]:
 
 
 def hidden(J: Array, sizes: Array) -> NDArray[np.bool_]:
-    """Return which numbers are not identifiable: their standard errors are larger than they are."""
+    """Return a mask of numbers that are not identifiable: their standard errors exceed their sizes."""
     R, size = scaled(np.einsum("smp,smq->pq", J, J))
     values, vectors = np.linalg.eigh(R)
     seen = values > _UNSEEN
@@ -237,14 +237,14 @@ def jackknife(near: Linear, pull: Array | float = 0.0) -> Array:
     Parameters
     ----------
     near : Linear
-        The problem at the estimate.
+        Linear problem at the estimate.
     pull : ndarray, shape (P,)
-        What the gradient of the cost is there, because residuals were shifted.
+        Gradient of the cost at the estimate, which a shift of the residuals causes.
 
     Raises
     ------
     InvalidArgument
-        If a number is identifiable by one segment alone.
+        If only one segment identifies a number.
     """
     J, S = near.J, len(near.J)
     H = np.einsum("smp,smq->spq", J, J)
@@ -254,8 +254,8 @@ def jackknife(near: Linear, pull: Array | float = 0.0) -> Array:
         d = np.linalg.solve((H.sum(axis=0) - H) * np.outer(size, size), g[..., None])[..., 0] * size
     except np.linalg.LinAlgError as error:
         raise InvalidArgument(
-            f"log has {S} segments, and without one of them a parameter is not identifiable: expected a "
-            "longer log, or one that excites more, see excitation"
+            f"log has {S} segments, and only one of them identifies some parameter, expected a longer log or "
+            "a more informative motion, see excitation"
         ) from error
     return np.asarray((S - 1) / S * d.T @ d)
 
@@ -369,7 +369,7 @@ def _inverse_root(V: Array) -> Array:
 
 def _moved(responses: Sequence[Array], kernel: Array) -> Array:
     """Return the covariance of the response to a force of a covariance, both of shape (L, L), to a factor."""
-    from scipy.linalg import matmul_toeplitz  # here, because it takes long to load
+    from scipy.linalg import matmul_toeplitz  # slow to load
 
     if not responses:
         return kernel
@@ -391,7 +391,7 @@ def _likeliest(residuals: Array, order: int, moved: Array) -> tuple[float, Array
     moved : ndarray, shape (L, L)
         Covariance of what noise of forces leaves, but for its size.
     """
-    from scipy.linalg import null_space  # here, because these take long to load
+    from scipy.linalg import null_space  # slow to load
     from scipy.optimize import minimize_scalar
 
     length = residuals.shape[1]
@@ -456,7 +456,7 @@ def _variances(power: Array, share: Array) -> Array:
     share : ndarray, shape (m,)
         Of residuals.
     """
-    from scipy.optimize import nnls  # here, because it takes long to load
+    from scipy.optimize import nnls  # slow to load
 
     scale = np.maximum(power.max(axis=1), np.finfo(float).tiny)
     return np.asarray(nnls(power / scale[:, None], np.maximum(share, 0.0) / scale)[0])
