@@ -140,7 +140,7 @@ def test_all_wrong_entries_are_told_at_once_with_their_lines(tmp_path: Path) -> 
         (["forces=3"], "forces is 3, expected a list"),
         (["rivalz"], "FILE is 'rivalz', neither a file nor a shipped scenario, did you mean 'rivals'?"),
         (["none.toml"], "FILE is 'none.toml', which cannot be read"),
-        (["lecture", "other"], "'other' is neither PATH=VALUE nor the only FILE, 'lecture'"),
+        (["lecture", "other"], "'other' is a second FILE beside 'lecture', expected PATH=VALUE"),
     ],
 )
 def test_a_wrong_word_is_told_with_what_is_expected(words: list[str], said: str) -> None:

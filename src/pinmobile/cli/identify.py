@@ -15,11 +15,11 @@ from pinmobile.cli.scenario_file import Opened
 from pinmobile.identification import METHODS
 from pinmobile.parts import child, number, option, parameters, part
 
-_COMMANDS = 2  # inputs of a robot that takes speeds for commands
+_COMMANDS = 2  # number of inputs of a robot with velocity inputs
 
 
 def _names(name: str, value: Any) -> dict[str, Any]:
-    """Return names by role; several are a list, or text with commas."""
+    """Return names by role; several names are a list, or text with commas."""
     if not isinstance(value, Mapping):
         raise InvalidArgument(
             f"{name} is {value!r}, expected {name}.ROLE=NAME,NAME, such as {name}.q=px,py,angle"
@@ -32,20 +32,20 @@ def _names(name: str, value: Any) -> dict[str, Any]:
 
 @part
 class IdentifyPaths:
-    """Robot and logs of an identification, as far as they are known.
+    """Options of an identification: the prior robot, and the form of the logs.
 
     Attributes
     ----------
     robot : MobileRobot, WheeledRobot or WheelTable, optional
-        Robot, kept where the logs say nothing, or its wheels alone; its inputs are those of the logs.
+        Prior robot, or its wheels alone; its inputs are the inputs of the logs.
     loads : sequence of PayloadBody or "none", optional
-        Known load of each log: loads that differ give the scale of the input.
+        Known load of each log: loads that differ identify the scale of the inputs.
     method : str
         See `identify`.
     delay : float, optional
         Delay of poses relative to inputs [s]; default: estimated.
     rolling_speed : float, optional
-        Speed at which dry friction has 71 % of its size [m/s], of wheels [rad/s].
+        Speed at which dry friction has 71 % of its size [m/s], for wheels [rad/s].
     columns, topics : mapping of str to str or sequence of str, optional
         Columns of a CSV file, or topics of a bag, by role: t, q, u, twist, wheel_rates.
     """
@@ -66,14 +66,14 @@ class IdentifyPaths:
 
 
 def show_identification(words: Sequence[str], out: Path) -> int:
-    """Print the estimate of logs, and draw the longest beside its prediction.
+    """Print the estimates from logs, and draw the longest log beside its prediction.
 
-    Two inputs without a robot are commands of speed and yaw rate, whose estimate is theta.
+    Two inputs without a robot are commands of speed and yaw rate; the estimates are theta.
 
     Raises
     ------
     InvalidArgument, UnknownName
-        If an entry is wrong, or a log cannot be used; the message names the file.
+        If an entry or a log is invalid; the message names the file.
     """
     paths = [Path(word) for word in words if "=" not in word]
     if not paths:
@@ -110,7 +110,7 @@ def _read(path: Path, known: IdentifyPaths) -> Log:
 
 @contextmanager
 def _named(paths: Sequence[Path]) -> Iterator[None]:
-    """Let errors about logs name their files."""
+    """Replace the names of logs in errors by the names of their files."""
     try:
         yield
     except InvalidArgument as error:

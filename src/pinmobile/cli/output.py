@@ -1,4 +1,4 @@
-"""Where the command writes: the console, its progress, the output folder and its index page."""
+"""Output of the command: console, progress bar, output folder and index page."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -22,7 +22,7 @@ console = Console(highlight=False, soft_wrap=True)
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure on the index page: its file in the output folder, and what it shows."""
+    """Figure on the index page: its file in the output folder, and its caption."""
 
     file: str
     caption: str
@@ -30,7 +30,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class Section:
-    """A part of the index page: a title, text in fixed-width letters, links to pages, and figures."""
+    """Section of the index page: title, text in a fixed-width font, links to pages, and figures."""
 
     title: str
     text: str = ""
@@ -40,7 +40,7 @@ class Section:
 
 @contextmanager
 def progress(total: int, what: str = "") -> Iterator[Progress]:
-    """Give a progress bar on the terminal, with one task of `total` steps; silent where there is none."""
+    """Show a progress bar with one task of `total` steps; without a terminal, show nothing."""
     columns = SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn()
     with Progress(*columns, console=console, transient=True) as bar:
         bar.add_task(what, total=total)
@@ -48,28 +48,28 @@ def progress(total: int, what: str = "") -> Iterator[Progress]:
 
 
 def begin(bar: Progress, what: str) -> None:
-    """Say on a progress bar what begins, one step on."""
+    """Advance a progress bar by one step, and show the name of the next step."""
     bar.update(bar.task_ids[0], description=what, advance=1)
 
 
 def output_folder(path: Path, option: str = "--out", given: Path | None = None) -> Path:
-    """Return the folder, made where it is missing.
+    """Return the output folder after a check that it can be written; create a missing folder.
 
     Parameters
     ----------
     path : Path
-        The folder.
+        Output folder.
     option : str
-        What asked for it, for the message.
+        Name of the option, for the message.
     given : Path, optional
-        What that was given; by default the folder.
+        Value of the option, for the message; default: the folder.
 
     Raises
     ------
     InvalidArgument
-        If it cannot be made or written to.
+        If the folder cannot be created or written.
     FileError
-        If the system fails, such as of a full disk.
+        If the system fails, for example because the disk is full.
     """
     with refusals("written to", option, given or path):
         path.mkdir(parents=True, exist_ok=True)
@@ -78,14 +78,14 @@ def output_folder(path: Path, option: str = "--out", given: Path | None = None) 
 
 
 def save_figure(figure: "Figure", path: Path) -> None:
-    """Write a figure of matplotlib as a PNG."""
+    """Write a matplotlib figure as a PNG."""
     buffer = BytesIO()
     figure.savefig(buffer, format="png", dpi=110)
     write(path, buffer.getvalue())
 
 
 def index_page(folder: Path, title: str, sections: Sequence[Section]) -> Path:
-    """Write ``index.html``, which says what each figure shows, and return its path."""
+    """Write ``index.html`` with all figures and captions, and return its path."""
     body = []
     for section in sections:
         body.append(f"<h2>{escape(section.title)}</h2>")

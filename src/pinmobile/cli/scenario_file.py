@@ -1,4 +1,4 @@
-"""Scenario files: a closed loop, its runs, and what differs between them, as a part with declared fields."""
+"""Scenario files: a closed loop, its runs and their differences, as a part with declared fields."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def _cases(name: str, value: Any) -> dict[str, dict[str, Any]]:
 
 @part
 class ScenarioFile:
-    """A closed loop, the number of its runs, and what differs between them; by default a circle."""
+    """A closed loop, the number of its runs, and their differences; default: the circle of the lecture."""
 
     robot: Any = child(
         Plant, default=attrs.Factory(MobileRobot.lecture), doc="simulated system", expected="a robot"
@@ -136,12 +136,12 @@ class Opened:
     unused : sequence of str
         Fields that the command leaves aside.
     kind : type
-        Class of the whole.
+        Class of the content.
 
     Raises
     ------
     InvalidArgument
-        If the file cannot be read, or entries are wrong: all of them, with their lines.
+        If the file cannot be read, or entries are invalid; the message lists all of them with their lines.
     """
 
     def __init__(
@@ -155,7 +155,7 @@ class Opened:
         self.words = [word for word in words if "=" in word]
         named = [word for word in words if "=" not in word]
         if len(named) > 1:
-            raise InvalidArgument(f"{named[1]!r} is neither PATH=VALUE nor the only FILE, {named[0]!r}")
+            raise InvalidArgument(f"{named[1]!r} is a second FILE beside {named[0]!r}, expected PATH=VALUE")
         self.name = named[0] if named else ""
         self.text = _text_of(self.name) if named else ""
         folder = (Path(self.name).absolute().parent if named else Path.cwd()) if allow_code else None
@@ -212,7 +212,7 @@ class Opened:
         Raises
         ------
         InvalidArgument
-            If values are not possible: of entries that are wrong, the message has a line for each path.
+            If values are invalid; the message has a line for each path.
         """
         problems: dict[str, str] = {}
         plain, nominal = evolved(self.content, grid={}, cases={}), self.scenario()
@@ -237,7 +237,7 @@ class Opened:
 
 
 def _full(nominal: Scenario, path: str) -> str:
-    """Return the path of a number from the file on, of the end of one."""
+    """Return the full path of a number in the file for the end of a path."""
     own = {*parameters(ScenarioFile)} - {"robot"}
     if path.split(".")[0] not in own:
         with suppress(UnknownName, InvalidArgument):
@@ -254,7 +254,7 @@ def _label(value: object) -> str:
 
 
 def _text_of(name: str) -> str:
-    """Return the text of a file, or of a shipped scenario: a name without an ending that is no file."""
+    """Return the text of a file, or of a shipped scenario for a name without suffix."""
     path = Path(name)
     if path.suffix in (".csv", ".npz"):
         raise InvalidArgument(
@@ -274,7 +274,7 @@ def shipped() -> list[str]:
 
 
 def listed() -> str:
-    """Return the public parts by the package that has them, each with the first line of its docstring."""
+    """Return the public parts by package, each with the first line of its docstring."""
     found: dict[str, list[str]] = {}
     for name, one in public().items():
         if is_part_class(one):
@@ -286,7 +286,7 @@ def listed() -> str:
 
 
 def described(name: str) -> str:
-    """Return the fields of a part, or the arguments of what makes one, with meaning, unit and default."""
+    """Return the fields of a part, or the arguments of its constructor, with meaning, unit and default."""
     make = ScenarioFile if name == "scenario" else resolve(name)
     if not (is_part_class(make) or makes_part(make)):
         known = [each for each, one in public().items() if is_part_class(one)]

@@ -1,4 +1,4 @@
-"""The verbs of the command; each imports what it runs, so that help needs no library."""
+"""Verbs of the command. Each verb imports its modules, so that help needs no library."""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -12,13 +12,13 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Dynamics and control of ground robots on Pinocchio. Type first: pinmobile lecture, pinmobile run "
     "ur5, or pinmobile write > mine.toml, a file to change and run.",
-    epilog="Exit codes: 0 done; 1 a check failed, a run diverged, or the system failed; 2 wrong words or "
-    "files; 130 interrupted.",
+    epilog="Exit codes: 0 done; 1 a check failed, a run diverged, or the system failed; 2 invalid arguments "
+    "or files; 130 interrupted.",
 )
 
 
 def complete(incomplete: str) -> list[str]:
-    """Return the paths, and after = the names of parts, that continue a word."""
+    """Return the completions of a word: paths, and after = names of parts."""
     import pinmobile.cli.scenario_file as scenarios
     from pinmobile.parts import Child, names_of, parameters
 
@@ -83,7 +83,7 @@ def run(
     film: Film = None,
     allow_code: Code = False,
 ) -> int:
-    """Run one closed loop; spread, grid and cases are left aside. Without a file: the circle of the lecture.
+    """Run one closed loop, without spread, grid and cases. Default: the circle of the lecture.
 
     Example: pinmobile run controller.robot.com.x=0.1 dt=0.01
     """
@@ -116,7 +116,7 @@ def sweep(
     ] = None,
     allow_code: Code = False,
 ) -> int:
-    """Run the ensemble at each point of [grid] and [cases], and keep them in a Zarr store.
+    """Run the ensemble at each point of [grid] and [cases], and store the results in a Zarr store.
 
     After an interruption, repeat the command: it resumes.
 
@@ -134,7 +134,7 @@ def view(
     port: Annotated[int | None, typer.Option(help="Port; default: a free one.")] = None,
     allow_code: Code = False,
 ) -> int:
-    """Serve a page that shows a run, or saved rollouts (.npz), again and again until Ctrl-C.
+    """Serve a page that repeats a run, or saved rollouts (.npz), until Ctrl-C.
 
     Example: pinmobile view out/run/rollout.npz
     """
@@ -185,7 +185,7 @@ def identify(
         list[str],
         typer.Argument(
             metavar="LOG... [PATH=VALUE]...",
-            help="CSV files, bags or MCAP files of one robot, and what is known of it.",
+            help="Logs of one robot (CSV, bag or MCAP files), and options PATH=VALUE.",
         ),
     ],
     out: Annotated[Path, _folder("out/identify")] = Path("out/identify"),
@@ -237,7 +237,7 @@ def derive(
 def lecture(
     out: Annotated[Path, _folder("out")] = Path("out"),
     gif: Annotated[bool, typer.Option(help="Also draw the moving robot.")] = True,
-    mp4: Annotated[bool, typer.Option("--mp4", help="Also film it, by Chromium and the extra mp4.")] = False,
+    mp4: Annotated[bool, typer.Option("--mp4", help="Also make a film (needs Chromium, extra mp4).")] = False,
 ) -> int:
     """Work through the whole lecture: derive, verify, run, and draw."""
     from pinmobile.cli.lecture import show_lecture
