@@ -1,4 +1,4 @@
-"""Segments of logs, and simulations of them by any model."""
+"""Segments of logs, and their simulation by any model."""
 
 from __future__ import annotations
 
@@ -12,36 +12,36 @@ from numpy.typing import NDArray
 from pinmobile.arrays import Array
 from pinmobile.compiled import Recurrence, entries, repeated, symbols
 
-_SLOPE = 1e-4  # of the size of a first state, by which differences are taken
-_LEAST_SIZE = 1e-3  # of an input, as a share of the largest
-_MOST_STEPS = 10**9  # of integration in a sample; how many there are is one of the numbers
+_SLOPE = 1e-4  # step of differences, as a share of the size of an initial state
+_LEAST_SIZE = 1e-3  # smallest size of an input, as a share of the largest
+_MOST_STEPS = 10**9  # bound of the integration steps in a sample; the actual count is one of the numbers
 
 
 class Segments(NamedTuple):
-    """Segments of logs, each simulated from a first state of its own.
+    """Segments of logs with separate initial states.
 
     Attributes
     ----------
     dt : ndarray, shape (S,)
-        Time between two samples [s].
+        Time steps [s].
     t : ndarray, shape (S, L)
         Times since the first sample of the log [s].
     y : ndarray, shape (S, L, m)
         Measurements.
     good : ndarray of bool, shape (S, L)
-        Samples that count.
+        Mask of samples that count.
     noise : ndarray, shape (S, m)
-        Standard deviation of the sensors, infinite where there is none; 1 where it is not known.
+        Standard deviation of the sensors; infinite without a sensor, 1 if unknown.
     start : ndarray, shape (S, n)
-        Guess of the first states.
+        First estimates of the initial states.
     inputs : ndarray, shape (N, nu)
         Inputs of all logs.
     at : ndarray of int, shape (S, W)
         Rows of the inputs near a segment.
     lead : int
-        How many of these are before the first sample.
+        Number of these rows before the first sample.
     load : ndarray, shape (S, 4)
-        Known moments of mass that the robot carries.
+        Mass, first moments and inertia of the known load.
     """
 
     dt: Array
@@ -62,13 +62,15 @@ class Segments(NamedTuple):
         Parameters
         ----------
         dt : float
-            Time between two samples [s].
+            Time step [s].
         rows : tuple of ndarray, shape (N, ...)
-            Measurements, which of them count, guesses of the states, and inputs; and the noise, shape (m,).
+            Measurements, mask of those that count, estimates of states, inputs; and the noise, shape (m,).
         span : tuple of 5 int
-            First sample, end, number of samples of a segment, and of inputs before and behind it.
-        load, least
-            As of the class, and the least share of samples that count.
+            First sample, end, number of samples of a segment, and of inputs before and after it.
+        load : array_like, shape () or (4,)
+            Known load, see the class.
+        least : float
+            Smallest share of samples that count.
         """
         (first, stop, length, lead, more), (y, good, states, u, noise) = span, rows
         count = max(0, (stop - first) // length)
@@ -81,7 +83,7 @@ class Segments(NamedTuple):
 
     @classmethod
     def joined(cls, parts: list[Segments]) -> Segments:
-        """Return the segments of several logs as one."""
+        """Return the segments of several logs together."""
         before = np.cumsum([0, *(len(part.inputs) for part in parts)])
         moved = [part._replace(at=part.at + n) for part, n in zip(parts, before, strict=False)]
         joined = {n: np.concatenate([getattr(x, n) for x in moved]) for n in cls._fields if n != "lead"}
@@ -89,29 +91,29 @@ class Segments(NamedTuple):
 
     @property
     def sizes(self) -> Array:
-        """Standard deviations of the inputs, none below a thousandth of the largest, shape (nu,)."""
+        """Standard deviations of the inputs, at least a thousandth of the largest, shape (nu,)."""
         sizes = self.inputs[self.at.min() : self.at.max() + 1].std(axis=0)
         return np.asarray(np.maximum(sizes, _LEAST_SIZE * sizes.max() + np.finfo(float).tiny))
 
     def weighed(self, residuals: Array) -> Array:
-        """Return residuals, shape (V, S, L, m), over the noise; zero where nothing was measured."""
+        """Return residuals, shape (V, S, L, m), divided by the noise; zero without a measurement."""
         return np.asarray(residuals * self.good[..., None] / self.noise[:, None])
 
     def applied(self, lag: Any, count: int) -> Array:
-        """Return the inputs that apply from each sample on, shape (V, S, count, nu), for lags (V,)."""
+        """Return the inputs from each sample on, shape (V, S, count, nu), for lags (V,) [samples]."""
         columns = self.lead + np.arange(count) - np.reshape(lag, (-1, 1))
         return np.asarray(np.moveaxis(self.inputs[self.at[:, columns]], 0, 1))
 
 
 class Quantity(NamedTuple):
-    """Number that is identified.
+    """Identified number.
 
     Attributes
     ----------
     name, unit : str
         Name and unit.
     bounded : bool
-        Whether it cannot be below zero.
+        Whether the number cannot be negative.
     path : str
         Name in a spread.
     """
@@ -123,22 +125,22 @@ class Quantity(NamedTuple):
 
 
 class Model(Protocol):
-    """Robot whose numbers p, shape (P,), are estimated from segments of logs."""
+    """Protocol of models with numbers p, shape (P,), that logs identify."""
 
     def rates(self, z: Any, u: Any, numbers: Any) -> Any:
-        """Return dz/dt, shape (n,), of one state and input, in NumPy: numbers are those of `resolved`."""
+        """Return dz/dt, shape (n,), of one state and input, in NumPy; `resolved` returns the numbers."""
 
     def resolved(self, segments: Segments, p: Array) -> tuple[Array, Array, float]:
-        """Return numbers of the law (V, 1 or S, k), delays (V,) in samples and the longest time step."""
+        """Return numbers (V, 1 or S, k) for `rates`, delays (V,) [samples] and the longest time step [s]."""
 
     def observed(self, segments: Segments, states: Array) -> Array:
         """Return the measurements, shape (..., m), of states, shape (..., n)."""
 
     def is_possible(self, p: Array) -> bool:
-        """Return whether p are numbers of a robot."""
+        """Return whether a robot can have the numbers p."""
 
     def sizes(self, p: Array) -> Array:
-        """Return typical sizes of p, shape (P,): the first step of the search is no longer."""
+        """Return typical sizes of p, shape (P,), which limit the first step of the search."""
 
     def increments(self, p: Array) -> Array:
         """Return the steps of central differences, shape (P,)."""
@@ -146,9 +148,9 @@ class Model(Protocol):
 
 @lru_cache(64)
 def _recurrence(law: Callable[..., Any], sizes: tuple[int, int, int]) -> Recurrence:
-    """Return samples one after another: steps with the input before, then steps with the sample's own.
+    """Return the recurrence of samples: steps with the previous input, then steps with the present input.
 
-    Their lengths and counts, h, count, h, count, come before the numbers of the law.
+    Step lengths and counts (h, count, h, count) precede the numbers of the law.
     """
 
     def sample(z: Any, u: Any, numbers: Any) -> Any:
@@ -162,7 +164,7 @@ def _recurrence(law: Callable[..., Any], sizes: tuple[int, int, int]) -> Recurre
 
 
 def _advanced(law: Callable[..., Any], z: Any, u: Any, numbers: Any, h: Any, count: Any) -> Any:
-    """Return a state of symbols after `count` steps of Runge's and Kutta's fourth order of length h."""
+    """Return a symbolic state after `count` Runge-Kutta steps of fourth order with length h."""
 
     def step(given: list[Any]) -> tuple[list[Any], Any]:
         *state, left = given
@@ -177,11 +179,11 @@ def _advanced(law: Callable[..., Any], z: Any, u: Any, numbers: Any, h: Any, cou
     return symbols(repeated(step, [*entries(z), left], _MOST_STEPS, left <= 0.0)[:-1], z.shape)
 
 
-@np.errstate(all="ignore")  # a robot that is tried may diverge
+@np.errstate(all="ignore")  # trial values may diverge
 def simulate(model: Model, segments: Segments, p: Array, starts: Array) -> Array:
-    """Return simulated measurements, shape (V, S, L, m), of numbers (V, P) and first states (V, S, n).
+    """Return simulated measurements, shape (V, S, L, m), of numbers (V, P) and initial states (V, S, n).
 
-    Of each sample the input before acts for the fraction of a sample in the delay, then the sample's own.
+    In each sample, the previous input acts for the fractional part of the delay, then the present input.
     """
     numbers, late, longest = model.resolved(segments, p)
     (V, S, n), K = starts.shape, segments.y.shape[1] - 1
@@ -205,7 +207,7 @@ def simulate(model: Model, segments: Segments, p: Array, starts: Array) -> Array
 
 
 def linearize(model: Model, segments: Segments, p: Array, starts: Array) -> tuple[Array, Array]:
-    """Return simulated measurements, (S, L, m), and slopes by numbers and first states, (P + n, S, L, m)."""
+    """Return simulated measurements (S, L, m), and slopes by numbers and initial states (P + n, S, L, m)."""
     P, n = len(p), starts.shape[1]
     size = np.append(model.increments(p), _SLOPE * np.maximum(np.abs(starts).mean(axis=0), 0.1))
     ways = np.vstack([np.zeros(P + n), np.kron(np.diag(size), [[1.0], [-1.0]])])
