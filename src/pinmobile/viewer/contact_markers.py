@@ -26,19 +26,19 @@ _STILL = 1e-6  # [m]: what moves less than that has no path
 
 
 def hand_of(run: Rollout) -> EndEffector | None:
-    """Return the end effector of a run: that whose target it has, or the tip of its first arm, if any."""
+    """Return the end effector of a run: the one with a target, or the tip of the first arm; or None."""
     if not getattr(run.plant, "mounts", ()):
         return None
     try:
         return run.end_effector()
-    except PinmobileError:  # such as of an outline: there is nothing to be drawn
+    except PinmobileError:  # a description of a plant cannot compute poses
         return None
 
 
 def draw_hand(
     stage: Stage, index: int, hand: EndEffector, times: Array, extent: Extent, *, path: bool, trail: bool
 ) -> list[Channel]:
-    """Draw where an end effector should go, dashed, and what it has travelled, and return its channels.
+    """Draw the target path of an end effector, dashed, and its travelled path, and return the channels.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ def draw_trail(
     paint: str,
     order: int,
 ) -> list[Channel]:
-    """Draw a band along what has been travelled, and return the channel of how much of it shows.
+    """Draw a band along the travelled path, and return the channel of its visible part.
 
     Parameters
     ----------
@@ -163,12 +163,12 @@ def contacts_at(run: Rollout, times: Array, poses: Array) -> Contacts:
     Raises
     ------
     InvalidArgument
-        If the plant does not tell its contacts.
+        If the plant has no contacts.
     """
     plant = able(run.plant, Touching)
     if plant is None:
         raise InvalidArgument(
-            f"overlays has contacts or centre, of which the plant {shown(run.plant)} tells nothing, expected "
+            f"overlays has contacts or centre, but the plant {shown(run.plant)} has no contacts, expected "
             "a plant with contacts(q, v, a, u, signals), such as a WheeledRobot"
         )
     held = samples_before(run.t, times)
@@ -183,7 +183,7 @@ def contacts_at(run: Rollout, times: Array, poses: Array) -> Contacts:
 
 
 def draw_contacts(stage: Stage, found: Contacts, extent: Extent) -> tuple[list[Channel], list[list[object]]]:
-    """Draw forces and friction discs, and return their channels and what the legend tells of them."""
+    """Draw forces and friction discs, and return their channels and legend entries."""
     channels: list[Channel] = []
     legend: list[list[object]] = []
     sizes = np.linalg.norm(found.forces, axis=-1)
@@ -193,7 +193,7 @@ def draw_contacts(stage: Stage, found: Contacts, extent: Extent) -> tuple[list[C
         return channels, legend
     scale = _LARGEST * extent.unit / largest
     shared = np.logical_not(np.asarray(found.determined.all(axis=1)))
-    paints = {GRIPS: "force of the ground", SLIDES: "slides", QUIET: "force, share of a sum"}
+    paints = {GRIPS: "force of the ground", SLIDES: "sliding contact", QUIET: "force, share of a sum"}
     used = dict.fromkeys(paints, False)
     for k in range(len(found.names)):
         place, turned = found.places[:, k], found.directions[:, k]
@@ -224,7 +224,7 @@ def draw_contacts(stage: Stage, found: Contacts, extent: Extent) -> tuple[list[C
     for k, (label, paint) in enumerate(told):
         legend.append([f"{label}, 1 m = {1 / scale:.2g} N" if k == 0 else label, paint, "", 0.0])
     if np.isfinite(found.limits).any():
-        legend.append(["disc: friction it has, mu N", GRIPS, "", 0.3])
+        legend.append(["disc: largest friction, mu N", GRIPS, "", 0.3])
     return channels, legend
 
 
@@ -238,7 +238,7 @@ def _disc(paint: str) -> dict[str, shapes.Shape]:
 def draw_centre(
     stage: Stage, centre: Array, poses: Array, extent: Extent
 ) -> tuple[list[Channel], list[list[object]]]:
-    """Draw the instantaneous centre of rotation, and return its channels and what the legend tells of it."""
+    """Draw the instantaneous centre of rotation, and return its channels and legend entries."""
     with np.errstate(invalid="ignore"):
         away = np.where(np.isfinite(centre), centre - poses[:, :2], 0.0)
         far = np.hypot(*np.where(np.isfinite(centre), centre - extent.centre, np.inf).T)
@@ -259,4 +259,4 @@ def draw_centre(
     for name, aside in (("point", np.zeros(3)), ("name", unit * np.array([0.25, 0.25, 0.0]))):
         channels.append(Channel(f"{path}/{name}", "position", np.column_stack([place, ground]) + aside))
         channels.append(Channel(f"{path}/{name}", "scale", shown_at))
-    return channels, [["way to the instantaneous centre of rotation", INK, "", 0.6]]
+    return channels, [["line to the instantaneous centre of rotation", INK, "", 0.6]]

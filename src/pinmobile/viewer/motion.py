@@ -1,4 +1,4 @@
-"""What moves over the frames of a recording: links of robots, properties of nodes, animation tracks."""
+"""Motion over the frames of a recording: links of robots, properties of nodes, animation tracks."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ _MOST_FRAMES = 200_000
 
 @dataclass(frozen=True, eq=False)
 class Channel:
-    """A property of a node that changes from frame to frame.
+    """Property of a node with a value for each frame.
 
     Parameters
     ----------
     path : str
-        The node, such as ``"meshcat/robot"``.
+        Path of the node, such as ``"meshcat/robot"``.
     name : str
-        The property: position, quaternion or scale, ``drawn`` (a number) or ``caption`` (a text).
+        Name of the property: position, quaternion or scale, ``drawn`` (a number) or ``caption`` (a text).
     values : ndarray, shape (n, k), or sequence of n str
-        One for each frame.
+        Value for each frame.
     """
 
     path: str
@@ -41,7 +41,7 @@ class Channel:
     values: Array | Sequence[str]
 
     def at(self, frame: int) -> str | float | list[float]:
-        """Return the value at a frame as meshcat takes it."""
+        """Return the value at a frame for meshcat."""
         value = self.values[frame]
         if isinstance(value, str):
             return value
@@ -49,21 +49,21 @@ class Channel:
 
 
 def frame_times(runs: Mapping[str, Rollout], fps: float, speed: float) -> Array:
-    """Return the times of the frames, shape (n,) [s], the last sample's included.
+    """Return the times of the frames, shape (n,) [s], including the last sample.
 
     Parameters
     ----------
     runs : mapping of str to Rollout
-        What is shown.
+        Rollouts by label.
     fps : float
         Frames per second.
     speed : float
-        Seconds of the rollout per second.
+        Seconds of the rollout per second of playback.
 
     Raises
     ------
     InvalidArgument
-        If they are too many.
+        If there are too many frames.
     """
     start, end = min(run.t[0] for run in runs.values()), max(run.t[-1] for run in runs.values())
     count = float(end - start) * fps / speed
@@ -91,7 +91,7 @@ def poses_of(path: str, placements: Array) -> list[Channel]:
 
 
 def sampled(times: Array, t: Array, values: Array) -> Array:
-    """Return values, shape (N, k), at other times, shape (n,); straight between two samples."""
+    """Return values, shape (N, k), at other times, shape (n,), by linear interpolation."""
     return np.stack([np.interp(times, t, column) for column in values.T], axis=-1)
 
 
@@ -102,16 +102,16 @@ def samples_before(t: Array, times: Array) -> NDArray[np.intp]:
 
 
 def tracks(channels: Iterable[Channel], times: Array, end: float) -> list[dict[str, Any]]:
-    """Return meshcat's animations: few digits, and no key between two that are equal to it.
+    """Return meshcat animations with few digits and without repeated keys.
 
     Parameters
     ----------
     channels : iterable of Channel
-        What moves.
+        Moving properties.
     times : ndarray, shape (n,)
-        Of the frames [s], from 0.
+        Times of the frames [s], from 0.
     end : float
-        When all of them begin again [s].
+        Time after which the animation repeats [s].
     """
     by_path: dict[str, list[dict[str, Any]]] = {}
     for channel in channels:
@@ -163,31 +163,31 @@ def _quaternions(R: Array) -> Array:
 
 
 def _continuous(quaternions: Array) -> Array:
-    """Return the same rotations without a change of sign from one to the next."""
+    """Return the same rotations without changes of sign between successive quaternions."""
     turns = np.sum(quaternions[1:] * quaternions[:-1], axis=1) < 0
     signs = np.concatenate([[1.0], np.where(np.cumsum(turns) % 2, -1.0, 1.0)])
     return np.asarray(quaternions * signs[:, None])
 
 
-_POSTURES = 50  # of a drawing, from which its reach is found
-_THICK = 0.1  # what a link has around the origin of its joint [m]
+_POSTURES = 50  # largest number of configurations that determine the reach of a drawing
+_THICK = 0.1  # [m], assumed radius of a link around the origin of its joint
 
 
 class Drawing:
-    """What a plant draws of itself: the objects of its ``visual_model`` where its ``drawing(q)`` puts them.
+    """Visual geometry of a plant: the objects of its ``visual_model`` at the poses ``drawing(q)``.
 
-    A scene moves its node by x, y and psi of the body, and the objects below that by what they do beside it.
-    Its configurations are therefore rows of (x, y, psi, q).
+    A scene moves the node of the body by x, y and psi, and the objects below relative to this node. The
+    configurations of a drawing are therefore rows of (x, y, psi, q).
 
     Parameters
     ----------
     plant : plant
-        With ``visual_model``, ``drawing`` and ``pose``.
+        Plant with ``visual_model``, ``drawing`` and ``pose``.
 
     Raises
     ------
     InvalidArgument
-        If it has no such model.
+        If ``visual_model`` is not a geometry model or is empty.
     """
 
     top: float | None = None
@@ -199,7 +199,7 @@ class Drawing:
         if not isinstance(given, pin.GeometryModel) or not given.ngeoms:
             raise InvalidArgument(
                 f"plant is a {type(plant).__name__}, which has drawing(q) and visual_model {shown(given)}, "
-                "expected a pin.GeometryModel of what is drawn"
+                "expected a pin.GeometryModel with objects"
             )
         self.model, self.visual_model = pin.Model(), pin.GeometryModel()
         for item in given.geometryObjects:
@@ -213,7 +213,7 @@ class Drawing:
         Raises
         ------
         InvalidArgument
-            If the plant gives something else.
+            If the plant returns another shape.
         """
         answer, count = self.plant.drawing(q.copy()), self.visual_model.ngeoms
         try:
@@ -228,11 +228,11 @@ class Drawing:
         return finite("plant.drawing(q)", found)
 
     def row(self, q: Array) -> Array:
-        """Return a configuration of the plant, shape (nq,), as a scene has it, shape (3 + nq,)."""
+        """Return the row (x, y, psi, q), shape (3 + nq,), of a configuration of the plant, shape (nq,)."""
         return np.append(np.asarray(self.plant.pose(q.copy()), np.float64), q)
 
     def rows(self, t: Array, q: Array, times: Array) -> Array:
-        """Return configurations at other times, shape (n, 3 + nq), straight between two of t, shape (N,)."""
+        """Return rows at other times, shape (n, 3 + nq), interpolated between samples at t, shape (N,)."""
         shaped("rollout.q", q, ("N", self.plant.nq), words=", as the plant has")
         poses = all_samples(self.plant, "pose", q)
         base = sampled(times, t, np.column_stack([poses[:, :2], np.unwrap(poses[:, 2])]))
@@ -254,16 +254,16 @@ class Drawing:
 
 
 Drawn: TypeAlias = MobileRobot | Drawing
-"""What a scene draws of a plant; `figure` finds it."""
+"""Visual representation of a plant in a scene, the result of `figure`."""
 
 
 def figure(plant: Any) -> Drawn:
-    """Return what is drawn of a plant: itself, its `Drawing`, or a box of its size where it has none.
+    """Return the visual representation of a plant: the plant itself, its `Drawing`, or a box of its size.
 
     Raises
     ------
     InvalidArgument
-        If it does not tell where its body is.
+        If the plant has no pose.
     """
     if not isinstance(plant, type) and stated(plant, "frame_placements") is not None:
         robot: MobileRobot = plant
@@ -280,16 +280,16 @@ def figure(plant: Any) -> Drawn:
 
 
 def configurations(robot: Drawn, t: Array, q: Array, times: Array) -> Array:
-    """Return a robot's configurations at other times, psi unwrapped, straight between two samples.
+    """Return a robot's configurations at other times by interpolation, with psi unwrapped.
 
     Parameters
     ----------
     robot : MobileRobot or Drawing
-        What is drawn. Of a motion that is not its own it follows x, y and psi alone, its arms at rest.
+        Visual representation. For a motion of another robot, it follows x, y and psi, with its arms at rest.
     t, q : ndarray, shape (N,) and (N, m)
-        The motion.
+        Times [s] and configurations of the motion.
     times : ndarray, shape (n,)
-        Where it is wanted.
+        Other times [s].
 
     Returns
     -------
@@ -311,11 +311,11 @@ def links(path: str, robot: Drawn, q: Array) -> list[Channel]:
     Parameters
     ----------
     path : str
-        The node, which is where the body is.
+        Path of the node of the body.
     robot : MobileRobot or Drawing
-        Whose `visual_model` was loaded there.
+        Robot with geometry below this node.
     q : ndarray, shape (n, nq)
-        Its configurations.
+        Configurations.
     """
     if isinstance(robot, Drawing):
         placed = robot.seen_from_body(q)
@@ -336,14 +336,14 @@ def links(path: str, robot: Drawn, q: Array) -> list[Channel]:
 
 
 def envelope(robot: Drawn, q: Array) -> tuple[float, float]:
-    """Return how far its joints reach from the body's origin and above the ground [m], at least the body.
+    """Return the horizontal reach of the robot from the body origin, and its height above the ground [m].
 
     Parameters
     ----------
     robot : MobileRobot or Drawing
-        What is drawn.
+        Visual representation.
     q : ndarray, shape (n, nq)
-        Its configurations.
+        Configurations.
     """
     length, _, height = robot.size
     height = height if robot.top is None else robot.top
