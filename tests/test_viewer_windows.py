@@ -228,7 +228,7 @@ def test_with_its_token_everything_is_served() -> None:
 
 
 def test_another_host_is_asked_for_by_name_warned_about_and_needs_a_token() -> None:
-    with pytest.warns(UserWarning, match=r"listens on 127\.0\.0\.2: whoever can reach") as warned:
+    with pytest.warns(UserWarning, match=r"listens on 127\.0\.0\.2: everybody who can reach") as warned:
         windows = LiveWindow("127.0.0.2"), LiveWindow("127.0.0.2")
     assert [Path(one.filename).name for one in warned] == [Path(__file__).name] * 2
     with windows[0] as w, windows[1] as second:

@@ -1,4 +1,4 @@
-"""The server of a scene: who may ask, what is answered, and the thread that tells the browsers."""
+"""Server of a scene: access rules, answers to requests, and the thread that updates browsers."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ _TOKEN = re.compile(r"[A-Za-z0-9._~-]+")
 
 @dataclass(frozen=True)
 class Access:
-    """The rule for requests.
+    """Access rule for requests.
 
     Parameters
     ----------
     host : str
-        Address that is served.
+        Address of the server.
     token : str, optional
-        What each request has to carry.
+        Token that each request needs.
     """
 
     host: str
@@ -48,30 +48,30 @@ class Access:
 
     @property
     def name(self) -> str:
-        """The host as an address has it; where all of the machine's are served, the machine's name."""
+        """Host name in the address of the page; for all addresses, the name of the machine."""
         if self.host in _EVERYWHERE:
             return socket.gethostname()
         return f"[{self.host}]" if ":" in self.host else self.host
 
     def address(self, port: int) -> str:
-        """Return the page's address at a port, without the token, as messages and logs may have it."""
+        """Return the address of the page at a port, without the token, for messages and logs."""
         return f"http://{self.name}:{port}/"
 
     @property
     def query(self) -> str:
-        """With which the token is carried; nothing where none is needed."""
+        """Query with the token; "" if requests need no token."""
         return "" if self.token is None else f"?token={self.token}"
 
     def refusal(self, headers: Mapping[str, str], tokens: Sequence[bytes]) -> str | None:
-        """Return why a request is refused, or None.
+        """Return why the server rejects a request, or None.
 
         Parameters
         ----------
         headers : mapping
-            ``Host`` has to name this server: a page elsewhere whose name was made to point here names
-            itself. ``Origin``, where a browser sends it, has to be this server's own page.
+            Headers of the request. ``Host`` must name this server, as a protection against DNS rebinding.
+            ``Origin``, if present, must be the page of this server.
         tokens : sequence of bytes
-            That the request carries.
+            Tokens of the request.
         """
         host, origin = headers.get("Host", ""), headers.get("Origin")
         if not self._is_own(host):
@@ -79,9 +79,9 @@ class Access:
         if self.token is not None and not (
             len(tokens) == 1 and secrets.compare_digest(tokens[0], self.token.encode())
         ):
-            return "the token is missing or wrong: use the whole address that was printed"
+            return "the token is missing or wrong: use the whole printed address"
         if origin is not None and origin.lower() not in (f"http://{host.lower()}", f"https://{host.lower()}"):
-            return f"requests from pages of {origin[:80]!r} are not answered"
+            return f"requests from pages of {origin[:80]!r} are rejected"
         return None
 
     def _is_own(self, netloc: str) -> bool:
@@ -90,24 +90,24 @@ class Access:
         except ValueError:
             return False
         if self.host in _EVERYWHERE:
-            return bool(name)  # by which name it is reached cannot be known; the token is needed anyway
+            return bool(name)  # any name may lead to the server; requests need the token anyway
         return name in (*_LOOPBACK, self.host.lower())
 
 
 def access_for(host: str, token: str | None) -> Access:
-    """Return the rule for a host, with a new token where one is needed; warn where others can reach it.
+    """Return the access rule for a host; warn if other machines can reach the host.
 
     Parameters
     ----------
     host : str
         Address to serve at.
     token : str, optional
-        What to ask for; by default a random one, and none on loopback.
+        Required token; default: a random token, or none on loopback.
 
     Raises
     ------
     InvalidArgument
-        If the host is empty, or the token has letters that an address cannot have.
+        If the host is invalid, or the token has characters that an address cannot have.
     """
     if token is not None and not (isinstance(token, str) and _TOKEN.fullmatch(token)):
         raise InvalidArgument("token is empty or not made of letters, digits, '-', '.', '_' and '~'")
@@ -121,8 +121,8 @@ def access_for(host: str, token: str | None) -> Access:
     if host.lower() in _LOOPBACK:
         return Access(host.lower(), token)
     warnings.warn(
-        f"the viewer listens on {host}: whoever can reach that address and knows the token sees the scene, "
-        "and the connection is not encrypted; an SSH tunnel to the default host, 127.0.0.1, avoids both",
+        f"the viewer listens on {host}: everybody who can reach this address and knows the token sees the "
+        "scene, and the connection is not encrypted; use an SSH tunnel to the default host, 127.0.0.1",
         UserWarning,
         stacklevel=3,
     )
@@ -131,23 +131,23 @@ def access_for(host: str, token: str | None) -> Access:
 
 _LOG = logging.getLogger(__name__)
 _MOST_BROWSERS = 64
-_MOST_UNANSWERED = 4  # batches on their way to a browser; more would only be older news
+_MOST_UNANSWERED = 4  # batches on their way to a browser; more would only add delay
 _LARGEST_PICTURE = 64 << 20  # [byte]
-# Not read as JSON: what came may be of any depth, and a tree of it take a hundred times its size.
+# No JSON parser: a message may be nested deeply, and its tree may take a hundred times its size.
 _PICTURE = re.compile(r'"data" *: *"(data:image/png;base64,[A-Za-z0-9+/=]*)"')
 _POLICY = (
     "default-src 'none'; script-src 'self' 'unsafe-inline'; style-src 'unsafe-inline'; "
     "img-src 'self' data: blob:; worker-src blob:; connect-src 'self' data: blob: ws://{0} wss://{0}"
 )
 _PERIOD = 1 / 60  # [s] between two batches
-_GATHER = 0.003  # [s] in which the commands of one pose come together
-_LOOK = 0.5  # [s] after which it looks for what is new without being told
-_FAREWELL = 0.2  # [s] in which browsers can answer that they have seen the end
-_PATIENCE = 10.0  # [s] for the thread to start or end, and for a request to come
+_GATHER = 0.003  # [s], time to collect the commands of one pose
+_LOOK = 0.5  # [s], period of checks without a notification
+_FAREWELL = 0.2  # [s], time for browsers to acknowledge the end
+_PATIENCE = 10.0  # [s], time for the thread to start or end, and for a request
 
 
 class _Answer(RequestHandler):
-    """A request; without a right to it, it is refused before anything else is looked at."""
+    """Request handler that first checks the access rule."""
 
     server: Server
 
@@ -173,8 +173,7 @@ class _Answer(RequestHandler):
         self.set_header("X-Content-Type-Options", "nosniff")
 
     def log_exception(self, *error: Any) -> None:
-        # Nobody may read what is printed of a wrong request; of a fault the path is told: the whole address
-        # may hold a token.
+        # Log faults of the viewer only, with the path: the whole address may contain a token.
         if not isinstance(error[1], HTTPError):
             _LOG.error("the viewer failed at %s", self.request.path, exc_info=error)
 
@@ -203,31 +202,32 @@ class _Nothing(_Answer):
 
 
 class Browser(_Answer, WebSocketHandler):
-    """A browser that shows the page.
+    """Browser that shows the page.
 
-    It gets one batch of commands at a time and answers each with a pong. One that is behind gets no
-    more until it has answered; then the newest state. What is kept for it is at most one whole scene.
+    The server sends batches of commands, and the browser answers each batch with a pong. A slow browser gets
+    no more batches until it answers, and then the newest state. The server keeps at most one whole scene for
+    a browser.
 
     Attributes
     ----------
     seen, taken : int
-        Number of the newest command that was sent to it, and that it has received.
+        Numbers of the newest command sent to the browser, and of the newest command it received.
     """
 
     seen = taken = 0
 
     def prepare(self) -> None:
-        """Refuse it where too many are connected."""
+        """Reject the browser if too many browsers are connected."""
         super().prepare()
         if not self._finished and len(self.server.browsers) >= _MOST_BROWSERS:
             self.refuse(503, f"{len(self.server.browsers)} browsers are connected")
 
     def check_origin(self, origin: str) -> bool:
-        """Return True: `prepare` has looked at it, which tornado does not do for every request."""
+        """Return True: `prepare` has checked the origin, for every request."""
         return True
 
     def open(self, *_: str, **__: str) -> None:
-        """Begin with nothing seen."""
+        """Register a new browser, which has received no command."""
         self._writing = False
         self._unanswered: deque[int] = deque()
         self._captures: deque[asyncio.Future[str]] = deque()
@@ -237,7 +237,7 @@ class Browser(_Answer, WebSocketHandler):
         self.server.news()
 
     def on_close(self) -> None:
-        """Give up what was asked of it."""
+        """Cancel pending pictures and remove the browser."""
         for capture in self._captures:
             if not capture.done():
                 capture.set_exception(ViewerError("the browser was closed"))
@@ -245,13 +245,13 @@ class Browser(_Answer, WebSocketHandler):
         self.server.news()
 
     def on_pong(self, data: bytes) -> None:
-        """Take the answer to a batch; nothing else is one."""
+        """Accept the answer to a batch; ignore other pongs."""
         if self._unanswered and data == b"%d" % self._unanswered[0]:
             self.taken = self._unanswered.popleft()
             self.server.news()
 
     def on_message(self, message: str | bytes) -> None:
-        """Take a picture that was asked for; nothing else is listened to."""
+        """Accept a requested picture; ignore other messages."""
         if self._captures and isinstance(message, str) and (picture := _PICTURE.search(message)):
             capture = self._captures.popleft()
             if not capture.done():
@@ -259,17 +259,17 @@ class Browser(_Answer, WebSocketHandler):
 
     @property
     def ready(self) -> bool:
-        """Whether it can take a batch."""
+        """Whether the browser can take a batch."""
         return not self._writing and len(self._unanswered) < _MOST_UNANSWERED
 
     async def feed(self) -> None:
-        """Send what it has not seen."""
+        """Send all commands that the browser has not received."""
         if not self.ready:
             return
         commands, latest = self.server.backlog.since(self.seen)
         self.seen = latest
         if not commands:
-            # Everything since was deleted again.
+            # All later commands have been deleted.
             if not self._unanswered and self.taken < latest:
                 self.taken = latest
                 self.server.news()
@@ -287,12 +287,12 @@ class Browser(_Answer, WebSocketHandler):
             self.server.news()
 
     async def capture(self) -> str:
-        """Return a picture of the scene as it is when this is called, as a data URL."""
+        """Return a picture of the present scene as a data URL."""
         latest = self.server.backlog.latest
         while self.seen < latest or self._writing:
             await asyncio.sleep(0.01)
         picture = asyncio.get_running_loop().create_future()
-        # One that is given up stays here: its answer may still come, and is not the next one's.
+        # A cancelled request stays in the queue: its answer may still come before the next one.
         self._captures.append(picture)
         await self.write_message(packed_command({"type": "capture_image"}), binary=True)
         return str(await picture)
@@ -304,10 +304,10 @@ def listening(host: str, port: int | None) -> socket.socket:
     Raises
     ------
     ViewerError
-        If that is not possible: the port is taken, or there is no such address.
+        If the port is in use, or the address does not exist.
     """
     try:
-        # A browser that is told "localhost" tries both of its addresses.
+        # A browser tries both addresses of "localhost".
         name = "127.0.0.1" if host == "localhost" else host
         family, *_, address = socket.getaddrinfo(name, port or 0, type=socket.SOCK_STREAM)[0]
         server = socket.create_server(address[:2], family=family, backlog=128)
@@ -319,23 +319,23 @@ def listening(host: str, port: int | None) -> socket.socket:
 
 
 class Server:
-    """Serves a scene, in a thread of its own, until it is stopped.
+    """Server of a scene in a separate thread.
 
     Parameters
     ----------
     listener : socket
-        That listens; it is the server's from now on.
+        Listening socket, which the server then owns.
     access : Access
-        Who may ask.
+        Access rule.
     page, script : bytes
-        What is served.
+        Content to serve.
 
     Attributes
     ----------
     backlog : Backlog
-        The scene.
+        Commands of the scene.
     browsers : list of Browser
-        That show it, the last one to come last. Only the server's thread changes it.
+        Browsers in the order of their connection. Only the thread of the server changes the list.
     """
 
     def __init__(self, listener: socket.socket, access: Access, page: bytes, script: bytes) -> None:
@@ -354,18 +354,18 @@ class Server:
 
     @property
     def closed(self) -> bool:
-        """Whether it was stopped, or this is a forked child, which has no part in it."""
+        """Whether the server was stopped, or this process is a forked child without the thread."""
         return self._stopped or os.getpid() != self._process
 
     def news(self) -> None:
-        """Look for what there is to send, and wake who waits; for the server's thread."""
+        """Check for commands to send, and wake waiting threads; call it in the thread of the server."""
         self._work.set()
         with self._changed:
             self._changed.notify_all()
 
     def tell(self) -> None:
-        """Say from any thread that there is something to send."""
-        latest = self.backlog.latest  # before looking whether there is a browser: one that comes now sees it
+        """Notify the server of new commands, from any thread."""
+        latest = self.backlog.latest  # before the check for browsers: a browser that comes now gets it
         if not self.browsers:
             self.backlog.forget_deletions(latest)
         elif not self._told:
@@ -374,14 +374,14 @@ class Server:
                 self._loop.call_soon_threadsafe(self._work.set)
 
     def wait(self, condition: Callable[[], bool], timeout: float) -> bool:
-        """Return whether a condition comes true in time, or the server ends before."""
+        """Wait for a condition or the end of the server, and return whether either came in time."""
         with self._changed:
             return self._changed.wait_for(lambda: self.closed or condition(), timeout)
 
     def capture(self, timeout: float) -> str:
-        """Return a picture from the browser that came last, as a data URL."""
+        """Return a picture from the browser that connected last, as a data URL."""
         if not self.browsers:
-            raise ViewerError("no browser shows the page, and none can draw it")
+            raise ViewerError("no browser shows the page: open its address to draw a picture")
         browser = self.browsers[-1]
         waiting = asyncio.run_coroutine_threadsafe(asyncio.wait_for(browser.capture(), timeout), self._loop)
         try:
@@ -394,7 +394,7 @@ class Server:
             raise ViewerError("the window is closed") from None
 
     def stop(self) -> None:
-        """Close everything, and return when the thread has ended; for any thread, more than once."""
+        """Close everything, and return when the thread has ended. Any thread may call it repeatedly."""
         if os.getpid() != self._process:
             return
         self._stopped = True
@@ -435,16 +435,16 @@ class Server:
             await asyncio.wait_for(http.close_all_connections(), _FAREWELL)
 
     async def _pump(self) -> None:
-        """Send what is new to each browser, 60 times a second at most."""
+        """Send new commands to each browser, at most 60 times per second."""
         feeding: set[asyncio.Task[None]] = set()
         while True:
-            # It also looks by itself: an interrupt in `tell` may have come before the loop was told.
+            # Also check without a notification: an interrupt in `tell` may have prevented it.
             with suppress(TimeoutError):
                 async with asyncio.timeout(_LOOK if self.browsers else None):
                     await self._work.wait()
             await asyncio.sleep(_GATHER)
             self._work.clear()
-            self._told = False  # before looking: what comes from now on says so again
+            self._told = False  # before the check: later commands notify again
             for browser in self.browsers:
                 if browser.ready:
                     task = asyncio.create_task(browser.feed())
