@@ -760,7 +760,7 @@ def test_a_csv_of_wheels_has_their_rates(tmp_path: Path) -> None:
     ("content", "text"),
     [
         ("", "which is empty, expected a header that names the columns"),
-        (lines_of(FEW).partition("\n")[2], "whose first line .* has numbers, expected a header that names"),
+        (lines_of(FEW).partition("\n")[2], "whose first line .* contains numbers, expected a header"),
         (lines_of(FEW[:1]), "with 1 rows as long as its header, expected two or more"),
         (
             lines_of(FEW, "a,b,c,d,Fx,Fy,Mz"),
