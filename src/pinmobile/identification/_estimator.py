@@ -288,26 +288,26 @@ class Whiteness(NamedTuple):
         return cls(product / np.maximum(power, np.finfo(float).tiny), 1.96 / np.sqrt(float(good.sum())))
 
 
-_MEMORY = 0.15  # [s] of a force that is not noise: Matern's covariance of order 3/2
-_WIDEST = 1e12  # between shares of both noises in a residual that are tried, as a ratio
-_SHAKE = 1e-2  # of an input's deviation, to see what noise of it does
-_DRAWS = 3  # of noise, by which estimates have a sixth more of what is due to products of noise
+_MEMORY = 0.15  # [s], correlation time of a force that is not white noise: Matern covariance of order 3/2
+_WIDEST = 1e12  # largest tried ratio of the two noises in a residual
+_SHAKE = 1e-2  # size of trial noise of an input, as a share of its standard deviation
+_DRAWS = 3  # draws of noise
 
 
 @dataclass(frozen=True, eq=False)
 class ResidualNoise:
-    """Noise of the residuals: of sensors, and of forces.
+    """Noise of the residuals: sensor noise and force noise.
 
     Attributes
     ----------
     usual : ndarray, shape (m, L, L)
-        Inverse roots of the covariance of a segment that lacks no sample, of each sensor.
+        Inverse roots of the covariance of a complete segment, for each sensor.
     others : dict of int to ndarray, shape (m, L, L)
-        The same of segments that lack some, by their number.
+        Inverse roots for segments with lost samples, by index.
     remembers : bool
-        Whether a force that remembers is likelier behind the residuals than one that does not.
+        Whether a correlated force is a more likely cause of the residuals than white force noise.
     share : ndarray, shape (m,)
-        Of the squares of a segment's white residuals, the part of the force.
+        Part of the force noise in the squares of the white residuals of a segment.
     """
 
     usual: Array
@@ -319,20 +319,20 @@ class ResidualNoise:
     def of(
         cls, residuals: Array, good: NDArray[np.bool_], dt: float, responses: Array, poses: int = 3
     ) -> ResidualNoise:
-        """Return the likeliest noise of residuals.
+        """Return the most likely noise of residuals.
 
         Parameters
         ----------
         residuals : ndarray, shape (S, L, m)
-            Of poses, then of rates of wheels, over the noise of their sensors.
+            Residuals of poses, then of wheel rates, divided by the sensor noise.
         good : ndarray of bool, shape (S, L)
-            Samples that were measured.
+            Mask of measured samples.
         dt : float
-            Time between two samples [s].
+            Time step [s].
         responses : ndarray, shape (r, L, m)
-            To inputs that are held for the first step of a segment.
+            Responses to inputs during the first time step of a segment.
         poses : int
-            How many of the m are of the pose.
+            Number of pose measurements among the m.
         """
         filled, lacking = residuals.copy(), np.flatnonzero(~good.all(axis=1) & good.any(axis=1))
         at = np.arange(residuals.shape[1])
@@ -355,7 +355,7 @@ class ResidualNoise:
         return cls(root, others, bool(costs[1] < costs[0]), share)
 
     def white(self, residuals: Array) -> Array:
-        """Return residuals, shape (V, S, L, m), made white; zero where nothing was measured."""
+        """Return white residuals, shape (V, S, L, m); zero without a measurement."""
         columns = np.moveaxis(residuals, -1, 0)  # (m, V, S, L)
         found = columns @ np.swapaxes(self.usual, 1, 2)[:, None]
         for s, root in self.others.items():
@@ -368,7 +368,7 @@ def _inverse_root(V: Array) -> Array:
 
 
 def _moved(responses: Sequence[Array], kernel: Array) -> Array:
-    """Return the covariance of the response to a force of a covariance, both of shape (L, L), to a factor."""
+    """Return the covariance, up to a factor, of the responses to a force with a covariance, shape (L, L)."""
     from scipy.linalg import matmul_toeplitz  # slow to load
 
     if not responses:
@@ -380,22 +380,22 @@ def _moved(responses: Sequence[Array], kernel: Array) -> Array:
 
 
 def _likeliest(residuals: Array, order: int, moved: Array) -> tuple[float, Array, float]:
-    """Return cost, covariance and the sensor's variance of the likeliest shares of two noises in residuals.
+    """Return cost, covariance and sensor variance of the most likely shares of two noises in residuals.
 
     Parameters
     ----------
     residuals : ndarray, shape (S, L)
-        Of one sensor.
+        Residuals of one sensor.
     order : int
-        How many powers of time first states explain.
+        Number of powers of time that initial states explain.
     moved : ndarray, shape (L, L)
-        Covariance of what noise of forces leaves, but for its size.
+        Covariance of the effect of force noise, up to a factor.
     """
     from scipy.linalg import null_space  # slow to load
     from scipy.optimize import minimize_scalar
 
     length = residuals.shape[1]
-    if not residuals.any():  # of a sensor that there is not
+    if not residuals.any():  # there is no such sensor
         return 0.0, np.eye(length), 1.0
     free = null_space(np.vander(np.arange(length) / length, order).T).T  # what first states cannot explain
     sizes, vectors = np.linalg.eigh(free @ moved @ free.T)
@@ -415,14 +415,16 @@ def _likeliest(residuals: Array, order: int, moved: Array) -> tuple[float, Array
 
 
 def input_noise_gradient(model: Model, segments: Segments, found: Fit, noise: ResidualNoise) -> Array:
-    """Return what noise of the inputs adds to the gradient, shape (P,): from other draws of it.
+    """Return the contribution of input noise to the gradient, shape (P,), from additional draws of noise.
 
     Parameters
     ----------
-    model, segments, found
-        The problem, and where it is looked at.
+    model, segments : Model, Segments
+        Model of the robot, and segments of its logs.
+    found : Fit
+        Fit at which the gradient is computed.
     noise : ResidualNoise
-        Of the residuals.
+        Noise of the residuals.
     """
     generator, unit = np.random.default_rng(0), _SHAKE * segments.sizes
 
@@ -447,14 +449,14 @@ def input_noise_gradient(model: Model, segments: Segments, found: Fit, noise: Re
 
 
 def _variances(power: Array, share: Array) -> Array:
-    """Return the variances of inputs, none below zero, that explain shares of residuals best.
+    """Return the nonnegative variances of inputs that explain shares of the residuals best.
 
     Parameters
     ----------
     power : ndarray, shape (m, nu)
-        Of residuals, per variance.
+        Power of residuals per variance of each input.
     share : ndarray, shape (m,)
-        Of residuals.
+        Part of force noise in the residuals.
     """
     from scipy.optimize import nnls  # slow to load
 
