@@ -1,4 +1,4 @@
-"""What stands and moves on the stage: robots, ground, paths, trails, frames, arrows, captions."""
+"""Objects of a scene: robots, ground, paths, trails, frames, arrows, captions."""
 
 from __future__ import annotations
 
@@ -48,19 +48,19 @@ _POSE = ("x", "y", "psi")
 def _captions(
     runs: Mapping[str, Rollout], times: Array, hands: Mapping[str, EndEffector | None]
 ) -> list[str]:
-    """Return time and position errors for each frame, changing ten times a second at most.
+    """Return a caption with time and errors for each frame; it changes at most ten times per second.
 
-    Beside a position error stands the largest of a joint that turns, where there are any, and in a line of
-    their own the errors of an end effector that has a target.
+    The caption contains the position error, the largest error of a revolute joint if there is one, and in a
+    separate line the errors of an end effector with a target.
 
     Parameters
     ----------
     runs : mapping of str to Rollout
-        By label.
+        Rollouts by label.
     times : ndarray, shape (n,)
-        Of the frames [s].
+        Times of the frames [s].
     hands : mapping of str to EndEffector or None
-        By label.
+        End effectors by label.
     """
     ticks = np.floor(10 * (times - times[0]) + 1e-6)
     first = np.searchsorted(ticks, ticks)  # the frame in which the tick began
@@ -93,7 +93,7 @@ def _told(rows: Mapping[str, Array], k: int) -> list[str]:
 
 
 def _sizes(run: Rollout) -> list[Array]:
-    """Return the position error [m] and the largest of a joint that turns [rad], if there is one."""
+    """Return the position error [m] and, if there is a revolute joint, the largest joint error [rad]."""
     turning = [k for k, one in enumerate(run.coordinates) if one.name not in _POSE and one.unit == "rad"]
     place = np.hypot(run.error[:, 0], run.error[:, 1])
     return [place, np.abs(run.error[:, turning]).max(axis=1)] if turning else [place]
@@ -144,20 +144,20 @@ def _draw_path(stage: Stage, run: Rollout, extent: Extent) -> None:
 
 
 def _draw_triad(stage: Stage, path: str, label: str, extent: Extent, place: tuple[int, int]) -> Array:
-    """Draw the axes of a frame at a node, and its name at another, and return by how much that stands aside.
+    """Draw the axes of a frame at a node and its name at another node, and return the offset of the name.
 
     Parameters
     ----------
     stage : Stage
-        Where.
+        Stage of the scene.
     path : str
-        Node of the axes; that of the name is called ``path + "name"``.
+        Node of the axes; the node of the name is ``path + "name"``.
     label : str
-        The name.
+        Name of the frame.
     extent : Extent
-        Tells how large things are.
+        Extent of the scene, which gives the sizes.
     place : tuple of 2 int
-        Number of the table, and of the frame in it.
+        Number of the table, and of the frame in the table.
 
     Returns
     -------
@@ -185,23 +185,23 @@ _NAMES = {LECTURE_TABLE: "lecture", SLIDE_TABLE: "slide"}
 
 @dataclass
 class Scene:
-    """Everything that is drawn of some rollouts, or of a robot alone.
+    """Scene of rollouts, or of a robot alone.
 
     Parameters
     ----------
     stage : Stage
-        Where.
+        Stage of the scene.
     robot : MobileRobot or Drawing
-        Drawn where a rollout does not know its plant.
+        Robot for rollouts without a plant.
     overlays : Overlays
-        What is shown beside it.
+        Objects beside the robot.
 
     Attributes
     ----------
     channels : list of Channel
-        What moves, with a value for each frame.
+        Moving properties, with a value for each frame.
     riders : list of callable
-        What moves with the robot: each makes channels of its poses.
+        Functions from poses of the robot to channels of objects that move with it.
     """
 
     stage: Stage
@@ -212,7 +212,7 @@ class Scene:
     legend: list[list[object]] = field(default_factory=list)
 
     def alone(self, pose: Array) -> None:
-        """Draw the robot at a configuration, shape (nq,), around which one looks."""
+        """Draw the robot alone at a configuration, shape (nq,)."""
         poses = pose[None]
         reach, height = envelope(self.robot, poses)
         room = max(0.8 * max(self.robot.size), 0.75 * reach if self.robot.mounts else 0.0)
@@ -223,12 +223,12 @@ class Scene:
         self._tables(poses, extent)
 
     def move(self, pose: Array) -> None:
-        """Put the robot, and what moves with it, at a configuration, shape (nq,)."""
+        """Move the robot and all attached objects to a configuration, shape (nq,)."""
         for rider in self.riders:
             self.stage.show(rider(pose[None]), 0)
 
     def show(self, frame: int) -> None:
-        """Put everything where it is at a frame."""
+        """Show all objects at a frame."""
         self.stage.show(self.channels, frame)
 
     def _rides(self, rider: _Rider, poses: Array) -> None:
@@ -236,14 +236,14 @@ class Scene:
         self.channels += rider(poses)
 
     def play(self, runs: Mapping[str, Rollout], times: Array) -> None:
-        """Draw the rollouts: the first solid, the others as ghosts.
+        """Draw the rollouts: the first robot solid, the others translucent.
 
         Parameters
         ----------
         runs : mapping of str to Rollout
-            By label.
+            Rollouts by label.
         times : ndarray, shape (n,)
-            Of the frames [s].
+            Times of the frames [s].
         """
         points = np.concatenate([q[:, :2] for run in runs.values() for q in (run.poses, run.reference_poses)])
         main = next(iter(runs.values()))
@@ -367,7 +367,7 @@ class Scene:
 
 
 def _pushing(run: Rollout) -> list[int]:
-    """Return which of the inputs are the force and the moment on the base.
+    """Return the indices of the inputs that are the force and the moment on the base.
 
     Raises
     ------
@@ -378,8 +378,8 @@ def _pushing(run: Rollout) -> list[int]:
     missing = [name for name in _BASE_FORCES if name not in names]
     if missing:
         raise InvalidArgument(
-            f"overlays has arrows, of the inputs {', '.join(_BASE_FORCES)}, and the plant's inputs are "
-            f"{', '.join(names)}: leave arrows out"
+            f"overlays has arrows, which need the inputs {', '.join(_BASE_FORCES)}, but the plant has the "
+            f"inputs {', '.join(names)}: use arrows=None"
         )
     return [names.index(name) for name in _BASE_FORCES]
 
@@ -398,10 +398,10 @@ def _frame(table: DHTable, k: int, poses: Array) -> Array:
 
 
 def _is_of(robot: Drawn, plant: object) -> bool:
-    """Return whether what is drawn takes all configurations, as of its own plant, or those of the body."""
+    """Return whether the representation follows all coordinates, not only the body."""
     return robot is plant or isinstance(robot, Drawing)
 
 
 def _ridden(path: str, robot: Drawn, configurations: Array) -> list[Channel]:
-    """Return the channels of a robot, body and links."""
+    """Return the channels of the body and the links of a robot."""
     return [*along(path, configurations), *links(path, robot, configurations)]
