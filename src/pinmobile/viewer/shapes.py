@@ -19,8 +19,8 @@ Shape = dict[str, Any]
 Triangles = tuple[Array, NDArray[np.uint32]]  # vertices (n, 3) [m], faces (m, 3)
 
 _TEXT_HEIGHT = 64  # [px]
-_STILL = 1e-6  # [m]: what moves less than that has no path
-_FEW = 300  # triangles that a mesh keeps: a wedge of eight would be gone
+_STILL = 1e-6  # [m]: a shorter motion has no path
+_FEW = 300  # smallest number of triangles: simplification would destroy small meshes
 
 
 def flat(
@@ -35,7 +35,7 @@ def flat(
 
 
 def over(triangles: Triangles, colour: str, *, order: int) -> Shape:
-    """Return an unlit mesh that shows through whatever is in front of it."""
+    """Return an unlit mesh that is visible through objects in front of it."""
     return _mesh(triangles, _unlit(colour) | {"depthTest": False}, {"flat": True}, order)
 
 
@@ -44,7 +44,7 @@ def _unlit(colour: str) -> Shape:
 
 
 def shadows(radius: float) -> Shape:
-    """Return the ground: nothing but the shadows on it."""
+    """Return an invisible ground that shows shadows."""
     corners = radius * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
     material = {"type": "ShadowMaterial", "color": 0, "opacity": 0.22}
     material |= {"transparent": True, "depthWrite": False}
@@ -57,14 +57,14 @@ def ribbon(points: ArrayLike, width: float) -> Triangles:
     Parameters
     ----------
     points : array_like, shape (n, 2)
-        The curve [m]; points may coincide.
+        Points of the curve [m]; points may coincide.
     width : float
-        Of the band [m].
+        Width of the band [m].
     """
     points = np.asarray(points, np.float64)
     along = np.gradient(points, axis=0) if len(points) > 1 else np.zeros_like(points)
     length = np.hypot(*along.T)
-    # Where points coincide, it keeps the last direction.
+    # At coincident points, the band keeps the last direction.
     moving = np.flatnonzero(length > 1e-9 * length.max(initial=1e-300))
     latest = np.maximum.accumulate(
         np.where(np.isin(np.arange(len(points)), moving), np.arange(len(points)), 0)
@@ -99,7 +99,7 @@ def bands(lines: ArrayLike, width: float) -> Triangles:
 
 
 def dashes(points: Array, dash: float, band: Callable[[Array], Triangles]) -> Triangles | None:
-    """Return bands along a curve, `dash` long and 0.8 of that apart [m]; None where it stands still.
+    """Return dashes of length `dash` along a curve, with gaps of 0.8 `dash` [m]; None without motion.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ def arrow(thickness: float = 0.05) -> Triangles:
 
 
 def arc_arrow(thickness: float = 0.06) -> Triangles:
-    """Return three quarters of a flat ring of radius 1 about z, counterclockwise, with a head."""
+    """Return an arc of 252 degrees of radius 1 about z, counterclockwise, with an arrowhead."""
     angle = np.linspace(0, 1.4 * np.pi, 40)
     ring = ribbon(np.stack([np.cos(angle), np.sin(angle)], axis=-1), 2 * thickness)
     end = np.array([np.cos(angle[-1]), np.sin(angle[-1])])
@@ -146,14 +146,14 @@ def arc_arrow(thickness: float = 0.06) -> Triangles:
 
 
 def disc(inner: float = 0.0, sides: int = 48) -> Triangles:
-    """Return a flat ring of radius 1 about z, or with no inner radius a disc."""
+    """Return a flat ring of radius 1 about z, or a disc for inner radius 0."""
     angle = np.linspace(0, 2 * np.pi, sides + 1)
     points = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     return ribbon((1 + inner) / 2 * points, 1 - inner)
 
 
 def word(text: str, colour: str, height: float, *, lying: bool, order: int) -> Shape:
-    """Return text: lying on the ground along x, or facing the camera and in front of everything.
+    """Return text that lies on the ground along x, or that faces the camera in front of all objects.
 
     Parameters
     ----------
@@ -162,11 +162,11 @@ def word(text: str, colour: str, height: float, *, lying: bool, order: int) -> S
     colour : str
         ``#rrggbb``.
     height : float
-        Of a line [m].
+        Height of the text [m].
     lying : bool
-        On the ground rather than up.
+        Whether the text lies on the ground.
     order : int
-        Painted over those of lower order.
+        Order of painting: objects of higher order cover those of lower order.
     """
     url, aspect = _picture(text, colour)
     shape: Shape = {"uuid": "object", "renderOrder": order, "userData": {"flat": True}}
@@ -199,7 +199,7 @@ def _mesh(triangles: Triangles, material: Shape, data: Shape, order: int) -> Sha
 
 
 def _turned(profile: Sequence[tuple[float, float]], sides: int = 20) -> Triangles:
-    """Return the surface that the profile (along x, away from x) makes when it is turned about x."""
+    """Return the surface of revolution of a profile (x, radius) about x."""
     angle = np.linspace(0, 2 * np.pi, sides, endpoint=False)
     circle = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     rings = [np.column_stack([np.full(sides, x), r * circle]) for x, r in [(profile[0][0], 0.0), *profile]]
@@ -214,7 +214,7 @@ def _turned(profile: Sequence[tuple[float, float]], sides: int = 20) -> Triangle
 
 @lru_cache(maxsize=256)
 def _picture(text: str, colour: str) -> tuple[str, float]:
-    """Return text with a light rim as the URL of a PNG, and its width in heights."""
+    """Return text with a light rim as the URL of a PNG, and the ratio of its width and height."""
     font = ImageFont.load_default(0.62 * _TEXT_HEIGHT)
     rim = _TEXT_HEIGHT // 16
     width = int(font.getlength(text)) + 6 * rim
@@ -228,7 +228,7 @@ def _picture(text: str, colour: str) -> tuple[str, float]:
 
 
 def coarse(shape: Any, share: float) -> Any:
-    """Return a mesh with about that share of its triangles; what is no mesh, or has few, stays as it is.
+    """Return a mesh with about a share of its triangles; other shapes and small meshes remain unchanged.
 
     Vertices in one cell of a grid become one, their mean (Rossignac and Borrel, "Multi-resolution 3D
     approximations for rendering complex scenes", 1993): no triangle moves by more than a cell.
@@ -236,9 +236,9 @@ def coarse(shape: Any, share: float) -> Any:
     Parameters
     ----------
     shape : coal.CollisionGeometry
-        What is drawn.
+        Shape to draw.
     share : float
-        From 0 to 1; with 1 it stays as it is.
+        Share of the triangles, from 0 to 1.
     """
     count = getattr(shape, "num_tris", 0)
     if share >= 1 or count <= _FEW:
@@ -250,7 +250,7 @@ def coarse(shape: Any, share: float) -> Any:
 
 
 def _cell(corners: Array, wanted: float) -> float:
-    """Return the size of a cell of which the triangles, shape (n, 3, 3), leave about so many."""
+    """Return the cell size for which triangles, shape (n, 3, 3), reduce to about a wanted number."""
     a, b, c = np.moveaxis(corners, 1, 0)
     area = float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()) / 2
     return max(float(np.sqrt(3 * area / wanted)), 1e-9)  # a surface crosses 1.5 cells per size^2

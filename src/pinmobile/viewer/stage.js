@@ -1,5 +1,5 @@
-// What meshcat's commands cannot say: where the camera looks, soft light, a caption, a legend and a player.
-// Values come as properties of the node meshcat/stage, live or animated; `viewer` is meshcat's.
+// Functions that meshcat's commands lack: camera target, soft light, caption, legend and player.
+// The values are properties of the node meshcat/stage, live or animated; `viewer` is the viewer of meshcat.
 "use strict";
 (() => {
   const THREE = MeshCat.THREE;
@@ -21,9 +21,8 @@
   sun.shadow.radius = 3;
   viewer.scene.add(sun, sun.target);
 
-  // A ghost that is where something solid is, or a little in front of it, shall be a rim around it. So its depth
-  // is as if it were farther from the camera; the sides of its triangles alone do not do, since those of many
-  // meshes face either way.
+  // A ghost at the place of a solid robot shows as a rim around it. Its depth is therefore increased, as if it were
+  // farther from the camera. The orientation of triangles cannot help, because many meshes have mixed orientations.
   const farther = { value: 0 }; // [m]
   function stand_behind(material) {
     material.onBeforeCompile = (shader) => {
@@ -37,21 +36,21 @@
     };
   }
 
-  // Meshcat lets everything cast a shadow; what lies flat or is glass should not.
+  // In meshcat, all objects cast shadows; flat and translucent objects should not.
   const set_object = viewer.set_object;
   const from_json = viewer.set_object_from_json;
-  let coming = 0; // words are pictures, which come a little later
+  let coming = 0; // texts are pictures, which load asynchronously
   viewer.set_object_from_json = (path, json) => { coming += 1; from_json.call(viewer, path, json); };
   viewer.set_object = (path, object) => {
     coming -= 1;
     const glass = object.material && object.material.transparent && !object.material.isShadowMaterial;
-    // Of glass only the far sides are drawn: it is no darker where it is closed.
+    // Draw only the far sides of translucent objects, so that closed objects are not darker.
     if (glass && !object.userData.flat) {
       Object.assign(object.material, { depthWrite: false, side: 1 });
       object.renderOrder = 30; // after what lies on the ground
       stand_behind(object.material);
     }
-    // A mesh comes with shared corners: smooth, its edges would look molten.
+    // Meshes share corners; smooth shading would blur their edges.
     const mesh = object.geometry && object.geometry.type === "BufferGeometry";
     if (mesh && object.material.isMeshPhongMaterial) object.material.flatShading = true;
     if (glass) object.castShadow = object.receiveShadow = false;
