@@ -43,17 +43,17 @@ def draw_hand(
     Parameters
     ----------
     stage : Stage
-        Where.
+        Stage of the scene.
     index : int
-        Of the run.
+        Index of the run.
     hand : EndEffector
-        Of the run.
+        End effector of the run.
     times : ndarray, shape (n,)
-        Of the frames [s].
+        Times of the frames [s].
     extent : Extent
-        Tells how large things are.
+        Extent of the scene, which gives the sizes.
     path, trail : bool
-        Which of the two.
+        Whether to draw the target path, and the travelled path.
     """
     node = f"meshcat/hand{index}"
     if path and hand.target is not None:
@@ -82,16 +82,20 @@ def draw_trail(
 
     Parameters
     ----------
-    stage, path
-        Where.
+    stage : Stage
+        Stage of the scene.
+    path : str
+        Path of the node.
     motion : tuple of ndarray, shape (N,) and (N, k)
         Times [s] and points [m].
     times : ndarray, shape (n,)
-        Of the frames [s].
+        Times of the frames [s].
     band : callable
-        Gives the triangles of a band along points, as many from each to the next.
-    paint, order
-        As in `shapes.flat`.
+        Function from points to the triangles of a band, with the same number between successive points.
+    paint : str
+        Colour.
+    order : int
+        Order of painting.
     """
     t, points = motion
     kept = np.unique(np.append(np.arange(0, len(t), -(-len(t) // _SPREAD)), len(t) - 1))
@@ -148,7 +152,7 @@ def _across(along: Array) -> tuple[Array, Array]:
 
 
 TRAIL, ABOVE = 2, 40
-"""What is painted over what: the grid, trails, the path, words, and what shows through everything."""
+"""Orders of painting: trails above the grid; objects that are visible through all others."""
 _DISCS = 12  # over trails, path and words
 _NOTHING = 1e-4  # of a scale: not to be seen
 _LARGEST = 0.4  # radius of the largest disc, or length of the largest arrow, in lengths of the robot
