@@ -290,7 +290,10 @@ def still(robot: Any, u: Any = None) -> MotionStates:
     ("ask", "words"),
     [
         (lambda: contact_loads(still(LINE)), "^table has 2 contacts on one line"),
-        (lambda: contact_loads(still(BODY)), "^motion.plant is .*, which does not compute the loads of wheels"),
+        (
+            lambda: contact_loads(still(BODY)),
+            "^motion.plant is .*, which does not compute the loads of wheels",
+        ),
         (lambda: slip_margins(still(ROLLS)), "^motion.u is None"),
         (lambda: slip_margins(still(SKID, np.zeros(SKID.nu))), "^motion has no signals"),
         (lambda: max_path_speed(SKID, CIRCLE), "cannot roll without slip"),

@@ -25,8 +25,10 @@ PUBLIC = found()
 DOCUMENTED = {name: each for name, each in PUBLIC.items() if inspect.isclass(each) or inspect.isroutine(each)}
 
 
-def test_constants_and_aliases_alone_have_no_docstring() -> None:
-    assert 10 > len(PUBLIC) - len(DOCUMENTED)
+def test_constants_alone_have_no_docstring_of_their_own() -> None:
+    assert all(
+        name.rpartition(".")[2].isupper() or callable(PUBLIC[name]) for name in {*PUBLIC} - {*DOCUMENTED}
+    )
 
 
 @pytest.mark.parametrize("name", DOCUMENTED)
@@ -34,8 +36,9 @@ def test_it_has_related_names_and_a_short_example(name: str) -> None:
     text = inspect.getdoc(DOCUMENTED[name]) or ""
     assert "\nSee Also\n--------\n" in text
     example = text.split("\nExamples\n--------\n")[1]
-    assert 1 <= len(re.findall(r"^>>> ", example, re.MULTILINE)) <= 9
-    assert all(len(line) <= 75 for line in example.splitlines())
+    lines = [line for line in example.splitlines() if line.startswith((">>> ", "... "))]
+    assert 1 <= sum(line.startswith(">>> ") for line in lines) <= 12
+    assert all(len(line) <= 72 for line in lines)
 
 
 @pytest.mark.parametrize("name", DOCUMENTED)

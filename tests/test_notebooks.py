@@ -124,10 +124,10 @@ def shell(monkeypatch: pytest.MonkeyPatch) -> Iterator[InteractiveShell]:
     InteractiveShell.clear_instance()
     with matplotlib.rc_context(), np.printoptions():
         made = InteractiveShell.instance(config=Config(HistoryManager={"enabled": False}))
-        made.enable_matplotlib("inline")
+        made.enable_matplotlib("inline")  # type: ignore[no-untyped-call]
         yield made
         plt.close("all")
-        made.enable_matplotlib("agg")
+        made.enable_matplotlib("agg")  # type: ignore[no-untyped-call]
     InteractiveShell.clear_instance()
 
 
@@ -141,7 +141,7 @@ def test_it_runs_without_a_warning_and_its_claim_holds(source: Path, shell: Inte
     for cell in jupytext.read(source).cells:
         if cell.cell_type == "code":
             with capture_output() as made:
-                shell.run_cell(cell.source).raise_error()
+                shell.run_cell(cell.source).raise_error()  # type: ignore[no-untyped-call]
             assert not made.stderr
             pictures += sum("image/png" in shown.data for shown in made.outputs)
     assert made.stdout.splitlines()[-1].startswith("Shown: ")

@@ -500,7 +500,7 @@ class Coordinate(NamedTuple):
     See Also
     --------
     plant.Input : entry of the input
-    plant.coordinates_of : coordinates of any plant
+    plant.Input : input of a plant
 
     Examples
     --------
@@ -530,7 +530,7 @@ class Input(NamedTuple):
     See Also
     --------
     plant.Coordinate : entry of a displacement
-    plant.inputs_of : inputs of any plant
+    plant.Coordinate : coordinate of a configuration
 
     Examples
     --------
@@ -761,7 +761,7 @@ def coordinates_of(plant: object) -> tuple[Coordinate, ...]:
 
     See Also
     --------
-    plant.inputs_of : inputs of a plant
+    plant.Coordinate : coordinate of a configuration
     plant.configuration_names_of : names of the entries of q
 
     Examples
@@ -798,7 +798,7 @@ def inputs_of(plant: object) -> tuple[Input, ...]:
 
     See Also
     --------
-    plant.coordinates_of : coordinates of a plant
+    plant.Input : input of a plant
 
     Examples
     --------
@@ -834,7 +834,7 @@ def configuration_names_of(plant: object) -> tuple[str, ...]:
 
     See Also
     --------
-    plant.coordinates_of : coordinates of a plant
+    plant.Input : input of a plant
 
     Examples
     --------

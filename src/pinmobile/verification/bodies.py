@@ -130,7 +130,7 @@ class Parts:
         return self._wrenches(a, gravity=True)[BODY_JOINT - 1]
 
     def _wrenches(self, a: Array, gravity: bool) -> list[Array]:
-        """Return the wrench on each link with its descendants, in the link's frame, shape (..., n, 6) each."""
+        """Return the wrench on each link with its descendants, in the link's frame, each (..., n, 6)."""
         rates: list[tuple[Array, Array]] = []  # twist and its derivative, along each link's own axes
         wrenches: list[Array] = []
         ground = np.zeros((*a.shape[:-1], 6))
