@@ -26,6 +26,6 @@ errors = plots.errors(runs)
 forces = plots.forces(runs)
 
 # %%
-# The recorded page plays in a browser, without a network: `recording.save_html("circle.html")` writes it.
+# The recorded page plays in a browser, without a network: ``recording.save_html("circle.html")`` writes it.
 with Viewer(robot) as viewer:
     recording = viewer.record(runs, speed=4, fps=10, title="PD and computed torque on a circle")

@@ -3,7 +3,7 @@ From a log to mass and friction
 ===============================
 
 An engineer logs poses and forces of a robot and asks for its mass, centre of mass and friction.
-Here a simulation with noise stands in for the log; `Log.from_csv` reads one. The estimates of the
+Here a simulation with noise stands in for the log; ``Log.from_csv`` reads one. The estimates of the
 first 22 s come with 95 % intervals, and the rest of the log shows whether the model predicts what
 it has not seen.
 """

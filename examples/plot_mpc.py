@@ -3,7 +3,7 @@ A wall and weak motors: predictive control
 ==========================================
 
 A robot starts a metre beside its path along a wall, its motors give at most 12 N, and the wall is 5
-cm beyond the path. LQR, cut off at the limits, runs into the wall. MPC (extra `mpc`) takes limits
+cm beyond the path. LQR, cut off at the limits, runs into the wall. MPC (extra ``mpc``) takes limits
 and wall into account and brakes in time. The result is how far each goes beyond the path.
 """
 

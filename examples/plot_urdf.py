@@ -3,7 +3,7 @@ A URDF on its wheels
 ====================
 
 A robot comes as a URDF, ``courier.urdf`` beside this script, with two driven wheels and a caster
-ball. Its user wants it to roll, and the torques and wheel loads along a path. `source` says what
+ball. Its user wants it to roll, and the torques and wheel loads along a path. ``source`` says what
 was read from the file and what was guessed.
 """
 
