@@ -306,7 +306,7 @@ def test_the_figure_has_path_height_and_both_errors(run: pm.Rollout) -> None:
     for options, text in (
         ({"width": -1}, "width is -1.0 in, expected 0.5 <= width <= 100 in"),
         ({"ax": grid[0, 0]}, "ax is one Axes, expected 4, one for each panel, or a figure"),
-        ({"ax": sheet, "width": 3.0}, "width is 3.0, with ax, whose figure has a width"),
+        ({"ax": sheet, "width": 3.0}, "width is 3.0, expected None with ax, because its figure has a width"),
     ):
         with refused(text):
             plots.end_effector(run, **options)

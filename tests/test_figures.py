@@ -129,7 +129,7 @@ def test_other_things_than_axes_are_refused(value: Any) -> None:
             InvalidArgument, match=r"^ax is .*, expected matplotlib's Axes, a sequence of them, or a"
         ):
             plots.states(RUNS, ax=value)
-    with pytest.raises(InvalidArgument, match=r"^width is 3, with ax, whose figure has a width"):
+    with pytest.raises(InvalidArgument, match=r"^width is 3, expected None with ax, because its figure"):
         plots.states(RUNS, ax=Figure(), width=3)
 
 

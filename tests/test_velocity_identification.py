@@ -202,9 +202,7 @@ def test_a_motion_that_tells_too_little_is_told_in_words() -> None:
             ask()
 
 
-OTHERS = (
-    "log has inputs that explain [0-9]+% of the motion, expected most: are they of another robot, in another"
-)
+OTHERS = "log has inputs that explain [0-9]+% of the motion, expected most of it: are the inputs from another"
 UNITS = "expected about 1: are commands in m/s and rad/s"
 
 
