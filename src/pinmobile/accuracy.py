@@ -50,7 +50,9 @@ class Convergence:
     --------
     >>> from pinmobile.accuracy import Convergence
     >>> errors = [4e-3, 1e-3, 2.5e-4]
-    >>> found = Convergence("position", "m", [0.1, 0.05, 0.025], errors, [1e-12] * 3)
+    >>> found = Convergence(
+    ...     "position", "m", [0.1, 0.05, 0.025], errors, [1e-12] * 3
+    ... )
     >>> print(found)
     order 2.00
     """

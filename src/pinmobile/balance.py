@@ -47,7 +47,9 @@ class Moving(Protocol):
     --------
     >>> from types import SimpleNamespace
     >>> from pinmobile import MobileRobot, balance
-    >>> motion = SimpleNamespace(plant=MobileRobot.box(), q=[0, 0, 0], v=[0, 0, 0], a=[1, 0, 0])
+    >>> motion = SimpleNamespace(
+    ...     plant=MobileRobot.box(), q=[0, 0, 0], v=[0, 0, 0], a=[1, 0, 0]
+    ... )
     >>> balance.required_friction(motion)  # |a| / g
     array(0.102)
     """
@@ -250,7 +252,9 @@ def body_zero_moment_point(motion: Moving) -> Array:
     >>> from math import pi
     >>> from pinmobile import MobileRobot, balance
     >>> tall = MobileRobot.box(mass=30.0, size=(0.6, 0.4, 1.0))
-    >>> left = balance.MotionStates(tall, [5, 0, pi / 2], [0, 0, 0], [0, 4, 0])
+    >>> left = balance.MotionStates(
+    ...     tall, [5, 0, pi / 2], [0, 0, 0], [0, 4, 0]
+    ... )
     >>> print(balance.body_zero_moment_point(left)[0])  # forward [m]
     -0.204
     """
@@ -336,9 +340,13 @@ def contact_loads(motion: Moving) -> ContactLoads:
     Examples
     --------
     >>> from pinmobile import MobileRobot, WheeledRobot, WheelTable, balance
-    >>> wheels = WheelTable.differential(0.4, 0.1, supports=[(0.2, 0), (-0.2, 0)])
+    >>> wheels = WheelTable.differential(
+    ...     0.4, 0.1, supports=[(0.2, 0), (-0.2, 0)]
+    ... )
     >>> car = WheeledRobot(MobileRobot.box(mass=30.0), wheels)
-    >>> rest = balance.MotionStates(car, [0] * car.nq, [0] * car.nv, [0] * car.nv)
+    >>> rest = balance.MotionStates(
+    ...     car, [0] * car.nq, [0] * car.nv, [0] * car.nv
+    ... )
     >>> balance.contact_loads(rest).values  # [N]
     array([73.575, 73.575, 73.575, 73.575])
     """
@@ -376,10 +384,14 @@ def slip_margins(motion: Moving) -> SlipMargins:
     Examples
     --------
     >>> from pinmobile import MobileRobot, WheeledRobot, WheelTable, balance
-    >>> wheels = WheelTable.differential(0.4, 0.1, supports=[(0.2, 0), (-0.2, 0)])
+    >>> wheels = WheelTable.differential(
+    ...     0.4, 0.1, supports=[(0.2, 0), (-0.2, 0)]
+    ... )
     >>> car = WheeledRobot(MobileRobot.box(mass=30.0), wheels)
     >>> still = [0] * car.nv
-    >>> rest = balance.MotionStates(car, [0] * car.nq, still, still, u=[0, 0])
+    >>> rest = balance.MotionStates(
+    ...     car, [0] * car.nq, still, still, u=[0, 0]
+    ... )
     >>> margins = balance.slip_margins(rest)
     >>> margins.names, margins.values  # [N]
     (('left + right',), array([58.86]))
@@ -467,11 +479,17 @@ def max_path_speed(plant: Any, trajectory: Any, samples: int = 400) -> MotionLim
 
     Examples
     --------
-    >>> from pinmobile import Circle, MobileRobot, Tangent, WheeledRobot, WheelTable
+    >>> from pinmobile import (
+    ...     Circle, MobileRobot, Tangent, WheeledRobot, WheelTable,
+    ... )
     >>> from pinmobile.balance import max_path_speed
-    >>> wheels = WheelTable.differential(0.4, 0.1, supports=[(0.2, 0), (-0.2, 0)])
+    >>> wheels = WheelTable.differential(
+    ...     0.4, 0.1, supports=[(0.2, 0), (-0.2, 0)]
+    ... )
     >>> car = WheeledRobot(MobileRobot.box(), wheels)
-    >>> limit = max_path_speed(car, Tangent(Circle(1.0, 0.5, 4.0)), samples=20)
+    >>> limit = max_path_speed(
+    ...     car, Tangent(Circle(1.0, 0.5, 4.0)), samples=20
+    ... )
     >>> limit.value, limit.what  # [m/s]
     (1.98, 'left + right slip')
     """
@@ -526,7 +544,9 @@ def max_slope(plant: Any, direction: float = 0.0) -> MotionLimit:
     --------
     >>> from pinmobile import MobileRobot, WheeledRobot, WheelTable
     >>> from pinmobile.balance import max_slope
-    >>> wheels = WheelTable.differential(0.4, 0.1, supports=[(0.2, 0), (-0.2, 0)])
+    >>> wheels = WheelTable.differential(
+    ...     0.4, 0.1, supports=[(0.2, 0), (-0.2, 0)]
+    ... )
     >>> limit = max_slope(WheeledRobot(MobileRobot.box(), wheels))
     >>> limit.value, limit.what  # [rad]
     (0.3805, 'left + right slip')
@@ -644,7 +664,9 @@ def required_friction(motion: Moving) -> Array:
     Examples
     --------
     >>> from pinmobile import MobileRobot, balance
-    >>> states = balance.MotionStates(MobileRobot.box(), [0, 0, 0], [0, 0, 0], [3, 4, 0])
+    >>> states = balance.MotionStates(
+    ...     MobileRobot.box(), [0, 0, 0], [0, 0, 0], [3, 4, 0]
+    ... )
     >>> balance.required_friction(states), 5 / 9.81
     (array(0.5097), 0.5097)
     """

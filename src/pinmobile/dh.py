@@ -222,7 +222,8 @@ def transform(alpha: float, a: float, theta: ArrayLike, d: ArrayLike) -> Array:
     --------
     >>> from math import pi
     >>> from pinmobile.dh import transform
-    >>> transform(alpha=0, a=1.0, theta=pi / 2, d=0.5)[[0, 2], 3]  # x, z [m]
+    >>> transform(
+    ...     alpha=0, a=1.0, theta=pi / 2, d=0.5)[[0, 2], 3]  # x, z [m]
     array([1. , 0.5])
     """
     theta, d = finite("theta", theta), finite("d", d)
