@@ -296,8 +296,7 @@ def main(folder: Path) -> int:
     source, html = folder / "source", folder / "html"
     shutil.rmtree(source, ignore_errors=True)
     shutil.copytree(ROOT / "docs" / "site", source)
-    for picture in (ROOT / "docs").glob("*.png"):
-        shutil.copy(picture, source)
+    shutil.copy(ROOT / "LICENSE", source)
     for words, step in (
         ("reference", reference),
         ("command", command),

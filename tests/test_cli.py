@@ -21,7 +21,7 @@ from pinmobile import plots
 from pinmobile.cli import main, verbs
 from pinmobile.cli.identify import IdentifyPaths
 from pinmobile.cli.lecture import EXPECTED
-from pinmobile.cli.verbs import complete
+from pinmobile.cli.verbs import TASKS, complete
 from pinmobile.parts import parameters
 from tests import wheeled
 from tests.damage import full_disk
@@ -40,8 +40,25 @@ Typed = Callable[..., tuple[int, str, str]]
 
 @pytest.fixture
 def typed(capsys: pytest.CaptureFixture[str]) -> Typed:
-    """Return what runs words and returns the exit code and what was printed."""
-    return lambda *words: (main(words), *capsys.readouterr())
+    """Return what runs words and returns the exit code and what was printed, without the page of an error."""
+
+    def run(*words: str) -> tuple[int, str, str]:
+        code, (out, err) = main(words), capsys.readouterr()
+        return code, out, re.sub(r"pinmobile: page of the documentation: [a-z/-]+\n$", "", err)
+
+    return run
+
+
+@pytest.mark.parametrize(
+    ("words", "page"),
+    [("run dt=0", "howto/scenario-files"), ("identify", "howto/identify"), ("sweeep", "howto/headless")],
+)
+def test_an_error_names_its_page(capsys: pytest.CaptureFixture[str], words: str, page: str) -> None:
+    assert main(words.split()) == 2
+    assert capsys.readouterr().err.endswith(f"\npinmobile: page of the documentation: {page}\n")
+    pages = {page for verbs in TASKS.values() for page in verbs.values()} - {"reference/derivation"}
+    site = Path(__file__).parents[1] / "docs" / "site"
+    assert all((site / f"{page}.md").exists() for page in pages)
 
 
 @pytest.fixture(scope="module")
@@ -421,7 +438,12 @@ def test_a_full_disk_is_told_in_one_line_that_names_the_file(
 @pytest.mark.parametrize(
     ("closed", "options", "code", "text"),
     [
-        (">&-", "duration=0", 2, "pinmobile: duration=0: duration is 0, expected .*"),
+        (
+            ">&-",
+            "duration=0",
+            2,
+            "pinmobile: duration=0: duration is 0, expected .*\npinmobile: page of the .*",
+        ),
         (">&- 2>&-", "duration=1", 0, ""),
         ("2>&-", "duration=0", 2, ""),
     ],
@@ -548,7 +570,7 @@ def test_wheels_of_a_urdf_are_kept_where_the_log_says_nothing(typed: Typed, tmp_
     robot = f"robot=WheeledRobot.from_urdf({str(urdf)!r})"
     code, told, err = typed("identify", path, robot, "method=weak", "--out", str(tmp_path))
     assert (code, err) == (0, "")
-    assert "the motion does not tell" in told
+    assert "the motion does not" in told
 
 
 def reverse(table: Any) -> Any:

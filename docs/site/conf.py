@@ -274,6 +274,8 @@ def leave_gallery(app, docname, content):
     """Leave the links in the code of gallery scripts to sphinx-gallery."""
     if docname.startswith("gallery/plot_"):
         content[0] = ".. autolink-skip:: file\n\n" + content[0]
+    if docname == "about/contributing":  # its code is not one program
+        content[0] = "```{autolink-skip} file\n```\n\n" + content[0]
 
 
 def setup(app):

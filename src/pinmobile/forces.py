@@ -259,7 +259,7 @@ class NoiseForce:
     """Band-limited noise in the inertial frame, a smooth function of time.
 
     The method is the spectral representation of Shinozuka and Deodatis (1991). It uses K = `TERMS` cosines of
-    equal power, one in each K-th of the band, at the frequencies f_kj of `forces.noise_frequencies`.
+    equal power, one in each K-th of the band, at the frequencies f_kj of ``noise_frequencies``.
     Component j is::
 
         std_j sqrt(2 / K) sum_k cos(2 pi f_kj t + phases[k, j])

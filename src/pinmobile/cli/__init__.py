@@ -11,6 +11,7 @@ from pinmobile.errors import InvalidArgument, PinmobileError
 
 __all__ = ["main"]
 
+_PAGE = "page of the documentation:"
 _INTERRUPTED = 130  # exit code of typer and shells
 
 
@@ -48,21 +49,24 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _run(arguments: Sequence[str] | None) -> int:
     import typer
 
-    from pinmobile.cli.verbs import app
+    from pinmobile.cli.verbs import TASKS, app
     from pinmobile.errors import Diverged, FileError
 
+    words = list(sys.argv[1:] if arguments is None else arguments) or ["--help"]
+    pages = {verb: page for verbs in TASKS.values() for verb, page in verbs.items()}
+    page = pages.get(words[0], "howto/headless")
     try:
         with warnings.catch_warnings():
             warnings.showwarning = _note
-            words = sys.argv[1:] if arguments is None else arguments
-            code = app(args=words or ["--help"], prog_name="pinmobile", standalone_mode=False)
+            code = app(args=words, prog_name="pinmobile", standalone_mode=False)
         sys.stdout.flush()
     except typer.TyperException as error:
-        return _refuse(f"{error.format_message()} (see 'pinmobile --help' or 'pinmobile COMMAND --help')")
+        _refuse(f"{error.format_message()} (see 'pinmobile --help' or 'pinmobile COMMAND --help')")
+        return _refuse(f"{_PAGE} {page}")
     except (Diverged, FileError) as error:
         return _refuse(str(error), 1)
     except InvalidArgument as error:
-        return max(map(_refuse, str(error).splitlines() or [""]))
+        return max(map(_refuse, [*str(error).splitlines(), f"{_PAGE} {page}"]))
     except PinmobileError as error:
         return _refuse(str(error), _INTERRUPTED if str(error).startswith("interrupted") else 2)
     except typer.Abort:

@@ -4,10 +4,44 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+import typer.core
 
 from pinmobile import __version__
 
+# The verbs by task, each with its page of the documentation.
+TASKS = {
+    "Learn": {
+        "lecture": "tutorials/index",
+        "exercises": "tutorials/exercises",
+        "derive": "reference/derivation",
+        "verify": "reference/derivation",
+    },
+    "Describe a robot and its loop": {
+        "write": "howto/scenario-files",
+        "parts": "howto/scenario-files",
+        "identify": "howto/identify",
+    },
+    "Run it": {
+        "run": "howto/scenario-files",
+        "ensemble": "howto/ensembles",
+        "sweep": "howto/sweeps",
+        "view": "howto/view",
+    },
+}
+
+
+class Verbs(typer.core.TyperGroup):
+    """The verbs of the command, listed by task."""
+
+    def format_commands(self, ctx: typer.Context, formatter: Any) -> None:
+        """Write the list of verbs into the help."""
+        for task, pages in TASKS.items():
+            with formatter.section(task):
+                formatter.write_dl([(verb, self.commands[verb].get_short_help_str(60)) for verb in pages])
+
+
 app = typer.Typer(
+    cls=Verbs,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
     help="Dynamics and control of ground robots on Pinocchio. Type first: pinmobile lecture, pinmobile run "
@@ -83,7 +117,9 @@ def run(
     film: Film = None,
     allow_code: Code = False,
 ) -> int:
-    """Run one closed loop, without spread, grid and cases. Default: the circle of the lecture.
+    """Run one closed loop; default: the lecture's circle.
+
+    Spread, grid and cases of the file have no effect.
 
     Example: pinmobile run controller.robot.com.x=0.1 dt=0.01
     """
@@ -98,7 +134,7 @@ def ensemble(
     out: Annotated[Path, _folder("out/ensemble")] = Path("out/ensemble"),
     allow_code: Code = False,
 ) -> int:
-    """Run the loop for n robots that differ by [spread].
+    """Run n robots that differ by [spread].
 
     Example: pinmobile ensemble n=1000 "spread.mass=Relative(Uniform(0.8, 1.2))" after=5
     """
@@ -116,7 +152,9 @@ def sweep(
     ] = None,
     allow_code: Code = False,
 ) -> int:
-    """Run the ensemble at each point of [grid] and [cases], and store the results in a Zarr store.
+    """Run an ensemble at each point of [grid] and [cases].
+
+    A Zarr store keeps the results.
 
     After an interruption, repeat the command: it resumes.
 
@@ -134,7 +172,9 @@ def view(
     port: Annotated[int | None, typer.Option(help="Port; default: a free one.")] = None,
     allow_code: Code = False,
 ) -> int:
-    """Serve a page that repeats a run, or saved rollouts (.npz), until Ctrl-C.
+    """Serve a page that repeats a run, or saved rollouts.
+
+    It ends with Ctrl-C.
 
     Example: pinmobile view out/run/rollout.npz
     """
@@ -145,7 +185,7 @@ def view(
 
 @app.command()
 def write(words: Words = None, allow_code: Code = False) -> int:
-    """Print the whole scenario as a file, each number with its meaning, unit and bound.
+    """Print a scenario as a file, with units and bounds.
 
     Example: pinmobile write mecanum controller.kp=9 > mine.toml
     """
@@ -190,7 +230,9 @@ def identify(
     ],
     out: Annotated[Path, _folder("out/identify")] = Path("out/identify"),
 ) -> int:
-    """Estimate mass, centre of mass, yaw inertia and friction, with confidence intervals, from robot logs.
+    """Estimate mass, inertia and friction from robot logs.
+
+    Confidence intervals belong to the estimates.
 
     Inputs are forces on a body, or with robot=... torques or volts of its wheels. Two inputs without a robot
     are commands of speed and yaw rate. Paths: robot, loads, method, delay, rolling_speed, columns.ROLE,
@@ -209,7 +251,9 @@ def verify(
     states: Annotated[int, typer.Option(help="Number of random states.")] = 200,
     allow_code: Code = False,
 ) -> int:
-    """Compare all methods for the dynamics of the robot: closed form, Pinocchio, symbolic, machine code.
+    """Compare all methods for the dynamics of a robot.
+
+    Closed form, Pinocchio, symbolic derivation and machine code.
 
     Example: pinmobile verify ur5
     """
@@ -224,7 +268,9 @@ def derive(
     latex: Annotated[bool, typer.Option("--latex", help="Print LaTeX instead of text.")] = False,
     allow_code: Code = False,
 ) -> int:
-    """Derive the equations of motion of the robot's DH table, or of wheels that roll, step by step.
+    """Derive the equations of motion, step by step.
+
+    They follow from the DH table of a robot, or from its rolling wheels.
 
     Example: pinmobile derive car
     """
@@ -239,7 +285,10 @@ def lecture(
     gif: Annotated[bool, typer.Option(help="Also draw the moving robot.")] = True,
     mp4: Annotated[bool, typer.Option("--mp4", help="Also make a film (needs Chromium, extra mp4).")] = False,
 ) -> int:
-    """Work through the whole lecture: derive, verify, run, and draw."""
+    """Derive, verify, run and draw the whole lecture.
+
+    Example: pinmobile lecture --no-gif
+    """
     from pinmobile.cli.lecture import show_lecture
 
     return show_lecture(out, gif=gif, mp4=mp4)
@@ -247,7 +296,7 @@ def lecture(
 
 exercises = typer.Typer(
     rich_markup_mode=None,
-    help="Exercises that check themselves: list them, start with notebooks, check answers.",
+    help="List, start and check exercises.",
     epilog="Example: pinmobile exercises start; pinmobile exercises check exercises/01_equations.ipynb",
 )
 app.add_typer(exercises, name="exercises")

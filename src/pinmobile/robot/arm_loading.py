@@ -140,8 +140,8 @@ def mountable() -> Mountables:
     Examples
     --------
     >>> from pinmobile.robot import mountable
-    >>> arms = mountable()  # doctest: +SKIP
-    >>> arms["ur5"].joints, arms["ur5"].mass  # doctest: +SKIP
+    >>> ur5 = mountable()["ur5"]
+    >>> ur5.joints, round(ur5.mass, 3)
     (6, 20.994)
     """
     found = Mountables()
