@@ -33,7 +33,7 @@ TASKS = {
 class Verbs(typer.core.TyperGroup):
     """The verbs of the command, listed by task."""
 
-    def format_commands(self, ctx: typer.Context, formatter: Any) -> None:
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write the list of verbs into the help."""
         for task, pages in TASKS.items():
             with formatter.section(task):
