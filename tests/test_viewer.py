@@ -28,7 +28,7 @@ from pinmobile.arrays import Array
 from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE
 from pinmobile.errors import ViewerError
 from pinmobile.palette import colour
-from pinmobile.viewer import Arrows, FixedCamera, Follow, Overlays, Recording, Viewer
+from pinmobile.viewer import Arrows, FixedCamera, Follow, Overlays, Recording, Viewer, shapes
 from pinmobile.viewer.recording import Browser, gif as encoded_gif
 from pinmobile.viewer.shapes import coarse
 from tests.chromium import Chromium, Page
@@ -760,3 +760,11 @@ def test_a_page_of_a_robot_with_hundreds_of_thousands_of_triangles_stays_small()
     with Viewer(robot) as viewer:
         viewer.display(robot.rest)
         assert len(viewer.static_html()) < 6e6
+
+
+def test_bands_along_many_lines_are_the_ribbon_of_each() -> None:
+    lines = np.random.default_rng(0).normal(size=(5, 2, 2))
+    expected = shapes.joined([shapes.ribbon(line, 0.01) for line in lines])
+    for found, of_each in zip(shapes.bands(lines, 0.01), expected, strict=True):
+        np.testing.assert_array_equal(found, of_each)
+        assert found.dtype == of_each.dtype
