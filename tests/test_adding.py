@@ -100,10 +100,16 @@ def test_every_file_and_folder_that_is_named_is_there() -> None:
 
 
 @cache
+def nodes_of(file: Path) -> list[ast.AST]:
+    """Return what a file is made of."""
+    return [*ast.walk(ast.parse(file.read_text()))]
+
+
+@cache
 def names_in(file: Path) -> set[str]:
     """Return the names that a module's code has: imported, read, or asked of another; not words of text."""
     found: set[str] = set()
-    for node in ast.walk(ast.parse(file.read_text())):
+    for node in nodes_of(file):
         if isinstance(node, ast.Name):
             found.add(node.id)
         elif isinstance(node, ast.Attribute):
@@ -148,7 +154,7 @@ def test_no_file_asks_a_part_what_it_is() -> None:
     """``type(x) is PD`` and ``isinstance(x, PD)`` would be a registry of one."""
     asked = []
     for file in SOURCE.rglob("*.py"):
-        for node in ast.walk(ast.parse(file.read_text())):
+        for node in nodes_of(file):
             if isinstance(node, ast.Compare) and "type" in {
                 call.func.id
                 for call in ast.walk(node.left)
