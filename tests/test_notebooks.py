@@ -116,18 +116,18 @@ def test_nbconvert_executes_a_notebook_without_a_screen_and_a_warning(executed: 
 
 
 @pytest.fixture
-def shell(monkeypatch: pytest.MonkeyPatch) -> Iterator[InteractiveShell]:
+def shell(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     """Return IPython's shell as a kernel has it, figures inline, but in this process: a kernel takes 6 s."""
     monkeypatch.chdir(SOURCES[0].parent)
     monkeypatch.setattr(sys, "path", [*sys.path])
     monkeypatch.setattr(InteractiveShell, "enable_gui", lambda *_: None)
     InteractiveShell.clear_instance()
     with matplotlib.rc_context(), np.printoptions():
-        made = InteractiveShell.instance(config=Config(HistoryManager={"enabled": False}))
-        made.enable_matplotlib("inline")  # type: ignore[no-untyped-call]
+        made: Any = InteractiveShell.instance(config=Config(HistoryManager={"enabled": False}))
+        made.enable_matplotlib("inline")
         yield made
         plt.close("all")
-        made.enable_matplotlib("agg")  # type: ignore[no-untyped-call]
+        made.enable_matplotlib("agg")
     InteractiveShell.clear_instance()
 
 
@@ -136,12 +136,12 @@ def shell(monkeypatch: pytest.MonkeyPatch) -> Iterator[InteractiveShell]:
 @pytest.mark.parametrize(
     "source", [source for source in SOURCES if source != VIEWING], ids=lambda path: path.stem
 )
-def test_it_runs_without_a_warning_and_its_claim_holds(source: Path, shell: InteractiveShell) -> None:
+def test_it_runs_without_a_warning_and_its_claim_holds(source: Path, shell: Any) -> None:
     pictures = 0
     for cell in jupytext.read(source).cells:
         if cell.cell_type == "code":
             with capture_output() as made:
-                shell.run_cell(cell.source).raise_error()  # type: ignore[no-untyped-call]
+                shell.run_cell(cell.source).raise_error()
             assert not made.stderr
             pictures += sum("image/png" in shown.data for shown in made.outputs)
     assert made.stdout.splitlines()[-1].startswith("Shown: ")
