@@ -166,8 +166,8 @@ except Diverged as error:
 
 # %% [markdown]
 # The lecture's script would continue and print numbers beyond the largest floating-point number. The
-# library stops the loop and keeps the samples recorded until then. The forces grow, and their signs
-# change from sample to sample:
+# library stops the loop and keeps the samples recorded until then. The forces change sign between
+# samples, and their amplitude grows:
 
 # %%
 plots.forces(until_divergence, title="PD with an offset centre of mass, until it diverges")
