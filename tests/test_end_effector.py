@@ -105,7 +105,7 @@ test_poses_that_make_no_path_are_refused = refusals(
         lambda: pm.PosePath.through(poses([R0, turned(("z", np.pi))], [(0, 0, 0)] * 2), [0, 1]),
         r"rotation\[1\] is half a turn from rotation\[0\], expected less",
     ),
-    (lambda: pm.PosePath(STAYS, [R0, R1]), r"times is not given, expected when each pose"),
+    (lambda: pm.PosePath(STAYS, [R0, R1]), r"times is not given, expected the time of each"),
     (lambda: pm.PosePath(STAYS, [R0, R1], times=[0, 5]), r"times goes from 0 to 5 s, expected from 0 to 6 s"),
     (
         lambda: pm.PosePath(STAYS, [R0, R1, R0], times=[0, 6, 6]),
