@@ -627,7 +627,7 @@ def test_a_robot_with_meshes_is_drawn_whole(page: Page, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("mesh", "words"),
-    [("gone", "missing: package://truck/gone.stl"), ("hull", "damaged .* read: .*truck/hull.stl$")],
+    [("gone", "missing: package://truck/gone.stl"), ("hull", "damaged .* format: .*truck/hull.stl$")],
 )
 def test_the_box_stands_for_a_mesh_that_is_missing_or_damaged(tmp_path: Path, mesh: str, words: str) -> None:
     robot = truck(tmp_path, mesh)
