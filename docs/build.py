@@ -294,7 +294,8 @@ def main(folder: Path) -> int:
     from sphinx.cmd.build import build_main
 
     source, html = folder / "source", folder / "html"
-    shutil.rmtree(source, ignore_errors=True)
+    for old in ("source", "doctrees", "html"):
+        shutil.rmtree(folder / old, ignore_errors=True)
     shutil.copytree(ROOT / "docs" / "site", source)
     shutil.copy(ROOT / "LICENSE", source)
     for words, step in (
