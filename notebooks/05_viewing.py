@@ -1,12 +1,12 @@
 # %% [markdown]
 # # 5 Viewing: live, recorded, headless
 #
-# A table of numbers says how large an error is; a moving picture says whether the robot does what one
-# thinks. This notebook shows the lecture's circle in three ways:
+# A table of numbers gives the size of an error. A moving picture shows whether the robot moves as
+# intended. This notebook shows the lecture's circle in three ways:
 #
-# - **recorded**: a page that plays in any browser, without Python and without a network;
-# - **headless**: pictures from a machine that has no screen;
-# - **live**: a page that shows what the program does while it does it.
+# - **recorded**: a web page that any browser plays, without Python and without a network;
+# - **headless**: pictures from a computer without a screen;
+# - **live**: a web page that shows the poses while the program runs.
 
 # %%
 import re
@@ -25,25 +25,27 @@ from pinmobile.errors import ViewerError
 from pinmobile.viewer import Arrows, FixedCamera, Follow, Overlays, Viewer
 
 # %% [markdown]
-# ## What is to be seen
+# ## The runs
 #
-# The robot of the lecture on its circle, 60 s long, once with PD and once with computed torque.
+# The lecture's robot follows its circle for 60 s, once under PD and once under computed torque.
 
 # %%
 robot = MobileRobot.lecture()
 circle = Tangent(Circle(radius=3, rate=0.1, duration=60))
+pd = PD((120, 120, 0.4), (120, 120, 0.4))
 runs = {
-    "PD": simulate(robot, PD((120, 120, 0.4), (120, 120, 0.4)), circle, dt=0.1),
+    "PD": simulate(robot, pd, circle, dt=0.1),
     "computed torque": simulate(robot, ComputedTorque(robot), circle, dt=0.1),
 }
-plots.path(runs, title="The circle: desired and travelled path")
+plots.path(runs, title="The circle: desired and simulated path")
 
 # %% [markdown]
 # ## Recorded
 #
-# A `Viewer` draws a robot; `record` makes a recording of one rollout, or of several under their names.
-# The first is solid, the others are ghosts. Here one second of watching is four seconds of the rollout,
-# and 40 frames per second make one frame of each sample.
+# A `Viewer` draws a robot. Its method `record` makes a recording of one rollout, or of several rollouts
+# with names. The recording shows the robot of the first rollout as a solid and the others as transparent
+# ghosts. Here the recording plays four times as fast as the rollout. It has 40 frames per second, so
+# each frame shows one sample.
 
 # %%
 with Viewer(robot) as viewer:
@@ -51,8 +53,9 @@ with Viewer(robot) as viewer:
 print(recording)
 
 # %% [markdown]
-# `save_html` writes the page. It is one file: keep it, send it by mail, open it from the file system. (The
-# folder here is deleted again at once; give a name of your own.)
+# The method `save_html` writes the page. The page is one file, which you can keep, send by mail, and open
+# from the file system. This notebook saves it to a temporary folder, which the program deletes. Use a
+# file name that you choose.
 
 # %%
 with TemporaryDirectory() as folder:
@@ -61,46 +64,54 @@ with TemporaryDirectory() as folder:
     print(f"{file.name}: {len(page) / 1e6:.1f} MB")
 
 # %% [markdown]
-# Most of it is the program that draws. Nothing is fetched from anywhere. A page fetches what its `src` and
-# `href` name, so these are looked for, and all web addresses wherever they stand:
+# The largest part of the file is the program that draws the scene. The page loads nothing from the
+# network. To check this, the cell below lists the addresses in all attributes `src` and `href`, which a
+# browser loads, and all web addresses in the text of the page:
 
 # %%
-fetched = re.findall(r'<(?:script|link|img|iframe)\b[^>]*\b(?:src|href)="([^"]*)"', page)
+tags = r"<(?:script|link|img|iframe)\b[^>]*"
+loaded = re.findall(tags + r'\b(?:src|href)="([^"]*)"', page)
 addresses = set(re.findall(r"(?:https?|wss?)://[^\s\"'`<>)]+", page))
-print("named by src and href:", fetched)
+print("addresses in src and href:", loaded)
 print("web addresses:", sorted(addresses))
-print("connects to somebody:", "viewer.connect()" in page)
+print("the page connects to a server:", "viewer.connect()" in page)
 
 # %% [markdown]
-# `data:,` is an empty icon that the page carries itself. The first address is no request:
-# it is how XML writes that an element belongs to HTML. The second one belongs to live viewing: `connect`
-# would ask there, and this page never calls it.
+# The address `data:,` is an empty icon inside the page. The first web address is no request: XML uses it
+# as the name of the HTML namespace. The second web address belongs to live viewing: the function
+# `connect` uses it, and this page never calls that function.
 #
-# In a notebook the page can be put into a frame. A notebook that is kept should be small, though, so this
-# object offers both: the page, which is shown when the notebook is run, and a picture, which stays. The
-# picture is made by a headless browser; where there is none, the notebook says so and goes on.
+# A notebook can show the page in a frame. But a stored notebook should be small. So the class below
+# offers the page and a picture. The running notebook displays the page, and the stored notebook contains
+# the picture. A headless browser takes the picture. Without such a browser, the notebook prints a
+# message and continues.
 
 
 # %%
+size = (640, 420)  # [pixels]
+
+
 def still(recording, t):
-    """Return a picture of a recording at a time [s], or None where there is no Chromium to draw it."""
+    """Return a picture of a recording at time t [s], or None without Chromium."""
     with TemporaryDirectory() as folder:
+        file = Path(folder) / "still.png"
         try:
-            return recording.screenshot(f"{folder}/still.png", t=t, size=(640, 420)).read_bytes()
+            return recording.screenshot(file, t=t, size=size).read_bytes()
         except ViewerError as error:
             print("No picture:", error)
             return None
 
 
 class Scene:
-    """A recording as a notebook shows it: the page that plays, or else a picture."""
+    """Display of a recording in a notebook: the page that plays, or a picture."""
 
     def __init__(self, recording, t):
         self.page, self.picture = recording.html(), still(recording, t)
 
     def _repr_html_(self):
         look = "width: 100%; max-width: 900px; height: 560px; border: 0"
-        return f'<iframe class="scene" style="{look}" srcdoc="{escape(self.page)}"></iframe>'
+        page = escape(self.page)
+        return f'<iframe class="scene" style="{look}" srcdoc="{page}"></iframe>'
 
     def _repr_png_(self):
         return self.picture
@@ -110,30 +121,31 @@ class Scene:
 display(Scene(recording, t=20))
 
 # %% [markdown]
-# The dashed line is the desired path, the bands are the paths travelled so far. The robot's front is the
-# wedge. If this moves, the slider below it chooses the time, and the mouse turns the view. If it does not,
-# you are reading the notebook as it is kept: run it.
+# The dashed line is the desired path. The bands are the paths of the robots up to the current time. The
+# wedge marks the front of the robot. In the running notebook, the slider below the scene selects the
+# time, and the mouse rotates the view. The stored notebook shows a still picture: run the notebook to
+# see the motion.
 #
-# The ghost is hardly seen, and that is right: 7.5 mm of error are not much beside a robot of 0.6 m. The
-# caption tells them apart.
+# The ghost is hardly visible, because an error of 7.5 mm is small compared with a robot of 0.6 m. The
+# caption names both robots.
 #
-# A recording can be kept in other ways, too: `save_gif`, and `save_mp4` for slides (with `pip install
-# 'pinmobile[mp4]'`).
+# Two more methods save a recording: `save_gif` writes a GIF, and `save_mp4` writes a film for slides
+# (after `pip install 'pinmobile[mp4]'`).
 
 # %% [markdown]
 # ## Headless
 #
-# `screenshot` needs no screen. It starts a Chromium without a window, opens the recorded page in it,
-# chooses the time, takes the picture and ends it. A Chromium or Chrome that is installed is found; another
-# one can be named in the environment variable `PINMOBILE_CHROMIUM`.
+# The method `screenshot` needs no screen. It starts a Chromium without a window, opens the recorded
+# page, selects the time, takes the picture and closes the browser. It finds an installed Chromium or
+# Chrome. The environment variable `PINMOBILE_CHROMIUM` selects another one.
 #
 # ### Frames
 #
 # The derivation of [notebook 1](01_from_table_to_equations.ipynb) begins with the frames of a DH table.
-# There were two tables: the one on the slide, and the one that the lecture computes with. Here are both,
-# with the robot at $q = (1.2\ \mathrm{m}, 0.9\ \mathrm{m}, 0.6\ \mathrm{rad})$. Frames that both tables
-# share are drawn once. The axes x, y, z are red, green, blue; frames 2 have their origin where the robot
-# has its own.
+# It uses two tables: the one on the slide and the one in the lecture's script. The picture shows the
+# frames of both, with the robot at $q = (1.2\ \mathrm{m}, 0.9\ \mathrm{m}, 0.6\ \mathrm{rad})$. It shows
+# equal frames of the two tables once. The x, y and z axes are red, green and blue. The frames {2} have
+# the same origin as the robot.
 
 # %%
 view = FixedCamera(eye=(0.5, -3.2, 2.6), target=(0.7, 0.6, 0.2))
@@ -141,28 +153,28 @@ both = Overlays(frames=(LECTURE_TABLE, SLIDE_TABLE), camera=view)
 with Viewer(robot, overlays=both) as viewer, TemporaryDirectory() as folder:
     viewer.display((1.2, 0.9, 0.6))
     try:
-        display(Image(viewer.screenshot(f"{folder}/frames.png", size=(640, 420)).read_bytes()))
+        file = viewer.screenshot(Path(folder) / "frames.png", size=size)
+        display(Image(file.read_bytes()))
     except ViewerError as error:
         print("No picture:", error)
 
 # %% [markdown]
 # ### Forces, and a camera that follows
 #
-# To see an error with the naked eye, PD is made twenty times weaker. The robot now runs outside the
-# desired pose (the ghost) by about
+# To make the error visible, this run uses PD gains that are twenty times smaller. The robot then moves
+# outside the desired pose (the ghost) by about
 #
 # $$e \approx \frac{r\omega^2}{K_p/m}
 # = \frac{0.03\ \mathrm{m/s^2}}{6/30\ \mathrm{1/s^2}} = 0.15\ \mathrm{m} .$$
 #
-# The arrow is the force of the controller: it pulls inwards, towards the ghost and round the circle. Its
-# scale stands in the legend. The camera goes along with the robot, 3 m away.
+# The arrow is the force of the controller. It points inwards, to the ghost, and forward along the
+# circle. The legend gives its scale. The camera follows the robot at a distance of 3 m.
 
 # %%
 weak = simulate(robot, PD((6, 6, 0.4), (6, 6, 0.4)), circle, dt=0.1)
+following = Overlays(desired=True, arrows=Arrows(), camera=Follow(distance=3))
 with Viewer(robot) as viewer:
-    close = viewer.record(
-        weak, fps=10, overlays=Overlays(desired=True, arrows=Arrows(), camera=Follow(distance=3))
-    )
+    close = viewer.record(weak, fps=10, overlays=following)
 picture = still(close, t=40)
 if picture:
     display(Image(picture))
@@ -170,54 +182,54 @@ if picture:
 # %% [markdown]
 # ## Live
 #
-# `live=True` serves a page from this program. Open `viewer.url` in a browser, and `display` shows a pose in
-# it, `play` a whole rollout in real time. The `with` block ends it: the page is served as long as the
-# block lasts, and no longer. Nobody has to look: `display` does not wait for a browser.
+# With `live=True`, this program serves a page. Open `viewer.url` in a browser. The method `display`
+# shows one pose on the page, and `play` shows a whole rollout in real time. The program serves the page
+# until the `with` block ends. A browser is optional: `display` does not wait for one.
 
 # %%
 with Viewer(robot, live=True) as viewer:
     address = urlsplit(viewer.url)
-    print(f"served at {address.scheme}://{address.hostname}, at a port that was free")
+    print(f"the page is at {address.scheme}://{address.hostname}, on a free port")
     for q in runs["PD"].q[::150]:
         viewer.display(q)
-        print("shown: x {:6.3f} m, y {:6.3f} m, psi {:6.3f} rad".format(*q))
+        print("pose: x {:6.3f} m, y {:6.3f} m, psi {:6.3f} rad".format(*q))
     with socket.create_connection((address.hostname, address.port), timeout=5):
-        print("somebody listens")
+        print("the server accepts a connection")
 
 try:
     socket.create_connection((address.hostname, address.port), timeout=5).close()
-    left_listening = True
+    server_stopped = False
 except ConnectionRefusedError:
-    left_listening = False
-    print("nobody listens any more")
+    server_stopped = True
+    print("the server has stopped")
 
 # %% [markdown]
-# The address 127.0.0.1 is this machine's own: nobody else on the network can reach the page.
+# The address 127.0.0.1 is the local computer. Other computers on the network cannot open the page.
 #
 # ### On a server
 #
-# When the program runs on another machine, without a screen, the page is fetched through an SSH tunnel.
-# There, choose a port:
+# The program can run on another computer without a screen. An SSH tunnel then transmits the page. In the
+# program on the server, select a port:
 #
 # ```python
 # with Viewer(robot, live=True, port=7100) as viewer:
-#     viewer.wait(timeout=300)  # until a browser has come
+#     viewer.wait(timeout=300)  # until a browser connects
 #     viewer.play(runs, repeat=3)
 # ```
 #
-# Here, in a terminal, with your name and the server's:
+# On your computer, type this command in a terminal, with your user name and the name of the server:
 #
 # ```
 # ssh -N -L 7100:127.0.0.1:7100 you@server
 # ```
 #
-# and then open http://127.0.0.1:7100/ in the browser. The tunnel ends with Ctrl-C.
+# Then open http://127.0.0.1:7100/ in the browser. Ctrl-C ends the tunnel.
 
 # %% [markdown]
 # ## The claim
 #
-# What is seen is what was computed: in the recording, at every sample, both robots stand where their
-# rollouts say. The page asks for nothing from outside, and a viewer that is closed listens no more.
+# The recording shows the computed motion: at every sample, both robots have the poses of their rollouts.
+# The page loads nothing from the network. A closed viewer accepts no connection.
 
 # %%
 tracks = {
@@ -227,17 +239,21 @@ tracks = {
 }
 for number, (name, run) in enumerate(runs.items()):
     position = tracks[f"meshcat/robot{number}", ".position"]
+    rotation = tracks[f"meshcat/robot{number}", ".quaternion"]
     x, y, z = np.reshape(position["values"], (-1, 3)).T
-    quaternion = np.reshape(tracks[f"meshcat/robot{number}", ".quaternion"]["values"], (-1, 4))
-    psi = 2 * np.arctan2(quaternion[:, 2], quaternion[:, 3])  # [rad], up to whole turns
+    quaternion = np.reshape(rotation["values"], (-1, 4))
+    psi = 2 * np.arctan2(quaternion[:, 2], quaternion[:, 3])  # [rad], up to full turns
     turn = np.abs(np.exp(1j * psi) - np.exp(1j * run.q[:, 2])).max()
-    assert np.allclose(position["times"], run.t, atol=1e-4), f"{name}: other times"
-    assert np.abs(x - run.q[:, 0]).max() < 1e-5, f"{name}: another x"
-    assert np.abs(y - run.q[:, 1]).max() < 1e-5, f"{name}: another y"
-    assert turn < 1e-5, f"{name}: another heading"
-assert fetched == ["data:,"], "the page fetches something"
-assert addresses == {"http://www.w3.org/1999/xhtml", "ws://${location.host}"}, "the page knows others"
-assert "viewer.connect()" not in page, "the page connects to somebody"
-assert not left_listening, "the closed viewer still listens"
-assert 0.12 < np.hypot(*weak.error[400:, :2].T).max() < 0.18, "the weak PD errs by something else"
-print("Shown: the recording is the rollout, the page needs no network, and nothing is left listening.")
+    assert np.allclose(position["times"], run.t, atol=1e-4), f"{name}: the times differ"
+    assert np.abs(x - run.q[:, 0]).max() < 1e-5, f"{name}: x differs"
+    assert np.abs(y - run.q[:, 1]).max() < 1e-5, f"{name}: y differs"
+    assert turn < 1e-5, f"{name}: the heading differs"
+harmless = {"http://www.w3.org/1999/xhtml", "ws://${location.host}"}
+error_weak = np.hypot(*weak.error[400:, :2].T).max()  # [m], from 40 s on
+assert loaded == ["data:,"], "the page loads a file"
+assert addresses == harmless, "the page contains another address"
+assert "viewer.connect()" not in page, "the page connects to a server"
+assert server_stopped, "the closed viewer accepts a connection"
+assert 0.12 < error_weak < 0.18, "the error of the weak PD differs from the estimate"
+print("Shown: the recording equals the rollouts, and the page needs no network.")
+print("Shown: a closed viewer accepts no connection.")
