@@ -167,7 +167,7 @@ with Viewer(robot, overlays=both) as viewer, TemporaryDirectory() as folder:
 # $$e \approx \frac{r\omega^2}{K_p/m}
 # = \frac{0.03\ \mathrm{m/s^2}}{6/30\ \mathrm{1/s^2}} = 0.15\ \mathrm{m} .$$
 #
-# The arrow is the force of the controller. It points inwards, to the ghost, and forward along the
+# The arrow is the force of the controller. It points inwards, to the ghost, and keeps the robot on a
 # circle. The legend gives its scale. The camera follows the robot at a distance of 3 m.
 
 # %%

@@ -128,9 +128,9 @@ plots.drivers(runs["nominal model"], title="Parameters of the worst 5 %")
 
 # %% [markdown]
 # The mass has the largest effect: the worst robots are too light or too heavy. The wind, from any
-# direction, has the second largest effect, and friction the third. The yaw inertia has no effect,
-# because the yaw rate on the circle is constant and requires no moment. So the most useful measurement
-# is the mass of each robot.
+# direction, has the second largest effect, and friction the third. The figure contains six parameters
+# only, without the yaw inertia. The yaw inertia has no effect, because the yaw rate on the circle is
+# constant and requires no moment. So the most useful measurement is the mass of each robot.
 #
 # The next figure shows the worst robot under PD and under computed torque with the nominal model. Both
 # ensembles have the same seed, so robot and wind are the same:
