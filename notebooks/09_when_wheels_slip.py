@@ -353,12 +353,12 @@ dress(axes)
 # %% [markdown]
 # ## How accurate is odometry?
 #
-# A wrong wheel radius misleads a robot without any slip. `OdometryFeedback` computes
-# the pose from the wheel angles and an assumed wheel table. Its controller receives
-# this pose. Let the left wheel be 1 % smaller than assumed, and let the reference be a
-# straight path of 10 m. By hand, the left side travels 1 % less. With a track of 0.5 m,
-# the heading turns by $0.01 / 0.5$ rad per metre. After 10 m the robot is
-# $\frac{1}{2} \cdot 0.02 \cdot 10^2 = 1$ m to the left of the path.
+# A wrong wheel radius causes an error of odometry, even without slip.
+# `OdometryFeedback` computes the pose from the wheel angles and an assumed wheel table.
+# Its controller receives this pose. Let the left wheel be 1 % smaller than assumed, and
+# let the reference be a straight path of 10 m. By hand, the left side travels 1 % less.
+# With a track of 0.5 m, the heading turns by $0.01 / 0.5$ rad per metre. After 10 m the
+# robot is $\frac{1}{2} \cdot 0.02 \cdot 10^2 = 1$ m to the left of the path.
 
 # %%
 straight = Tangent(RestToRest((0, 0), (10, 0), duration=20))

@@ -156,10 +156,10 @@ plots.prediction(prediction, width=8.0)
 #
 # Motion capture, filters and networks delay the measured poses by some samples relative
 # to the forces. The zero-order hold causes a second shift. At a sample the force
-# changes from its old to its new value, so its mean there is half of each. A method
-# that ignores this shifts the poses by half a sample, even without a delay. `identify`
-# estimates the delay and models the hold. Here the poses come three samples late. The
-# next cell also identifies the same log with four assumed delays:
+# changes from its old to its new value, so its mean value there is the average of both.
+# A method that ignores this shifts the poses by half a sample, even without a delay.
+# `identify` estimates the delay and models the hold. Here the poses come three samples
+# late. The next cell also identifies the same log with four assumed delays:
 
 # %%
 late = logged(run, delay=3)

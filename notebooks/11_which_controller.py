@@ -350,8 +350,8 @@ print(f"\np = 16 / s has the smaller distance in {closer} of {draws} draws of th
 # From 10 s on, a force of 25 N pushes the robot in a constant direction of the room. A
 # push through the centre of mass would cause an error of
 # $F / (m k_p) = 25 / (30 \cdot 16)$ m, or 52 mm, with computed torque. This push acts
-# beside the centre of mass and also turns the body, so the error reaches 67 mm. The
-# error of adaptation is hardly smaller:
+# beside the centre of mass and also turns the body, so the error reaches 67 mm.
+# Adaptation only reduces it to 52 mm:
 
 # %%
 pushed = {
