@@ -79,7 +79,7 @@ def test_the_readme_of_a_distribution_needs_no_files_beside_it() -> None:
     assert "recorded by" not in bare, "what stands below a picture goes with it"
     linked = outside()(README, "https://example.org/blob/v1/")
     assert not RELATIVE.findall(linked)
-    assert "](https://example.org/raw/v1/docs/ur5.gif)\nA UR5 on its base" in linked
+    assert "](https://example.org/raw/v1/docs/ur5.gif)\\\nA UR5 on its base" in linked
     assert "](https://example.org/blob/v1/docs/site/explain/errata.md)" in linked
     for block in re.findall(r"```.*?```", README, re.DOTALL):
         assert block in bare
