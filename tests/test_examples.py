@@ -37,6 +37,7 @@ def test_the_gallery_has_fifteen_scripts() -> None:
     assert len(GALLERY) == 15
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("path", GALLERY, ids=lambda path: path.stem)
 def test_a_script_of_the_gallery_prints_and_shows_something_and_writes_nothing(
     path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
