@@ -104,7 +104,7 @@ for name, (M, n) in methods.items():
 # The comparison so far has one state. The function `verify` draws 200 random states. In each state it
 # compares $M$, $n$, $\tau$ and the acceleration $a = M^{-1}(\tau - n)$ of all methods. It includes the
 # machine code that the library compiles for ensembles of robots, as in
-# [notebook 6](06_how_wrong_may_the_model_be.ipynb). The printed table calls a method a "route".
+# [notebook 6](06_how_wrong_may_the_model_be.ipynb).
 #
 # `verify` divides each difference by the size of the terms in that quantity. So the result is a relative
 # rounding error: $10^{-16}$ is about one unit in the last digit of a double-precision number. The bound

@@ -77,7 +77,7 @@ def test_lecture_prints_every_number_beside_the_lectures(lecture: tuple[Path, st
     for (trajectory, controller), (x, y) in EXPECTED.items():
         assert re.search(rf"{trajectory} +{controller} +{x} +{x} +{y} +{y}\n", text)
     assert "all twelve numbers are the lecture's, to every digit" in text
-    assert "the routes agree" in text
+    assert "the methods agree" in text
     assert "M[psi, psi] = Icz + m*(xbc**2 + ybc**2)" in text
     assert all(len(line) <= 80 for line in text.splitlines() if "/" not in line)
 
@@ -172,7 +172,7 @@ def test_verify_and_derive_take_robots(typed: Typed, tmp_path: Path) -> None:
     ):
         code, out, _ = typed("verify", *words, "--states", "3")
         assert code == 0
-        assert "every route agrees" in out
+        assert "all methods agree" in out
     for words, text in (([], "Mass matrix"), (["car"], "n_nu ="), (["mecanum"], "Null space")):
         code, out, _ = typed("derive", *words)
         assert (code, text in out) == (0, True)

@@ -72,7 +72,7 @@ def test_a_route_that_is_off_by_little_is_seen(
 
 def test_printed_it_is_a_table() -> None:
     lines = str(verify(MobileRobot(10, 1.2), states=5)).splitlines()
-    assert lines[0] == "5 random states, each route against the closed form"
+    assert lines[0] == "5 random states, each method against the closed form"
     assert len(lines) == 18
     assert lines[2].startswith("M   Pinocchio (CRBA, RNEA, ABA)")
 
@@ -127,7 +127,7 @@ def test_machine_code_that_is_off_by_little_is_seen(
         monkeypatch.setattr(routes, "_dynamics", law)
         rows = verify(robot, states=20).rows
         assert [row.quantity for row in rows if not row.agrees] == seen
-        assert [row.quantity for row in rows if row.route == COMPILED] == ["M", "n", "tau", "a"]
+        assert [row.quantity for row in rows if row.method == COMPILED] == ["M", "n", "tau", "a"]
 
 
 def test_where_there_is_no_machine_code_the_table_says_why() -> None:
@@ -136,7 +136,7 @@ def test_where_there_is_no_machine_code_the_table_says_why() -> None:
     model.appendBodyToJoint(joint, pin.Inertia(1.0, np.ones(3) / 10, np.eye(3)), pin.SE3.Identity())
     verification = verify(MobileRobot.box().mount(model), states=5)
     assert verification.passed
-    assert COMPILED not in {row.route for row in verification.rows}
+    assert COMPILED not in {row.method for row in verification.rows}
     assert str(verification).splitlines()[-1].startswith(f"left out, {COMPILED}: joint ")
     assert "JointModelHX, neither revolute nor prismatic" in verification.missing
 

@@ -101,7 +101,9 @@ def show_verification(words: Sequence[str], states: int, *, allow_code: bool) ->
     with progress(1, "deriving and comparing"):
         verification = verify(opened.content.robot, states=states)
     console.print(f"{opened.content.robot}\n{verification}", markup=False)
-    console.print("every route agrees" if verification.passed else "the routes do NOT agree")
+    console.print(
+        "all methods agree" if verification.passed else "verification failed: see the rows marked DIFFERS"
+    )
     return 0 if verification.passed else 1
 
 
@@ -294,10 +296,10 @@ def _refused(wheeled: WheeledRobot) -> str:
 
 def _summary(verification: "Verification", same: bool) -> str:
     largest = ", ".join(f"{name} {value:.0e}" for name, value in verification.largest.items())
-    routes = f"the routes {'' if verification.passed else 'do NOT '}agree; largest differences: {largest}"
+    methods = f"the methods {'' if verification.passed else 'do NOT '}agree; largest differences: {largest}"
     if same:
-        return f"{routes}\nall twelve numbers are the lecture's, to every digit"
-    return f"{routes}\nsome numbers are NOT the lecture's: see the rows marked DIFFERS"
+        return f"{methods}\nall twelve numbers are the lecture's, to every digit"
+    return f"{methods}\nsome numbers are NOT the lecture's: see the rows marked DIFFERS"
 
 
 def _sections(

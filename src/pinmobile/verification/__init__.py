@@ -34,7 +34,7 @@ class Comparison:
     quantity : str
         ``"M"``, ``"n"``, ``"tau"`` or ``"a"``. A robot with arms adds ``"M3"``, the block of the base in M,
         and ``"f"``, the wrench of the ground. For a robot on wheels, see `verify`.
-    route, against : str
+    method, against : str
         Names of the two methods.
     difference : float
         Largest difference over all states, relative to the scale of the terms.
@@ -54,7 +54,7 @@ class Comparison:
     """
 
     quantity: str
-    route: str
+    method: str
     against: str
     difference: float
     bound: float
@@ -90,8 +90,8 @@ class Verification:
     >>> from pinmobile.verification import Comparison, Verification
     >>> row = Comparison("M", "CRBA", "closed form", 3e-16, 1e-12)
     >>> print(Verification(MobileRobot.lecture(), 1, (row,)))
-    1 random states, each route against the closed form
-        route                            largest difference     bound
+    1 random states, each method against the closed form
+        method                           largest difference     bound
     M   CRBA                                        3.0e-16   1.0e-12  agrees
     """
 
@@ -113,10 +113,10 @@ class Verification:
 
     def __str__(self) -> str:
         against = {row.against for row in self.rows}
-        names = [row.route if len(against) == 1 else f"{row.route} / {row.against}" for row in self.rows]
+        names = [row.method if len(against) == 1 else f"{row.method} / {row.against}" for row in self.rows]
         width = max(32, *map(len, names))
         first = max(3, *(len(row.quantity) for row in self.rows))
-        head = f"{'':{first}} {'route':{width}} {'largest difference':>18} {'bound':>9}"
+        head = f"{'':{first}} {'method':{width}} {'largest difference':>18} {'bound':>9}"
         lines = [
             f"{row.quantity:{first}} {name:{width}} {row.difference:18.1e} {row.bound:9.1e}  "
             f"{'agrees' if row.agrees else 'DIFFERS'}"
@@ -124,7 +124,9 @@ class Verification:
         ]
         what = f"the {against.pop()}" if len(against) == 1 else "another"
         left_out = [f"left out, {self.missing}"] if self.missing else []
-        return "\n".join([f"{self.states} random states, each route against {what}", head, *lines, *left_out])
+        return "\n".join(
+            [f"{self.states} random states, each method against {what}", head, *lines, *left_out]
+        )
 
 
 def verify(
@@ -346,7 +348,7 @@ def compare_mounted(robot: MobileRobot, states: int, rng: np.random.Generator) -
     columns = np.stack([each(robot.inverse_dynamics, q, 0 * v, unit) - g for unit in units], axis=-1)
     parts, still = Parts(robot, q, v), Parts(robot, q, 0 * v)
     by_parts = still.forces(np.stack(units), gravity=False)
-    routes = {
+    methods = {
         ("M", "CRBA", _PARTS): M - np.moveaxis(by_parts, 0, -1),
         ("n", "RNEA", _PARTS): n - parts.forces(0 * a),
         ("tau", "RNEA", _PARTS): tau - parts.forces(a),
@@ -361,9 +363,9 @@ def compare_mounted(robot: MobileRobot, states: int, rng: np.random.Generator) -
     compiled, missing = _compiled(robot, q, v, a, tau)
     for dynamics in compiled.values():
         against = {"M": "CRBA", "n": "RNEA", "tau": "RNEA", "a": "ABA"}
-        routes |= {(x, COMPILED, against[x]): dynamics[x] - own[x] for x in against}
+        methods |= {(x, COMPILED, against[x]): dynamics[x] - own[x] for x in against}
     scales = _mounted_scales(parts, v, a, M)
-    return [(*names, off_by(off, scales[names[0]]), _ROUNDING) for names, off in routes.items()], missing
+    return [(*names, off_by(off, scales[names[0]]), _ROUNDING) for names, off in methods.items()], missing
 
 
 def _mounted_scales(parts: Parts, v: Array, a: Array, M: Array) -> dict[str, Array]:
