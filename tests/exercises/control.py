@@ -52,7 +52,7 @@ MISTAKES = [
     ("computed_torque", "(a_d + kd * (v_d - v) + kp * e)", "a_d + kd * (v_d - v) + kp * e",
      "M must multiply"),
     ("computed_torque", "e[2] =", "_ =", "The heading error is a plain difference"),
-    ("circle_error", "w**2", "w", "r w is the speed"),
+    ("circle_error", "w**2", "w", "the speed"),
     ("circle_error", "circle_error =", "circle_error = 1e3 *", "mm and m"),
     ("circle_error", "/ kp", "/ kp / m", "not r w^2"),
     ("largest_step", "2 / k", "1 / k", "not 1"),

@@ -49,7 +49,7 @@ MISTAKES = [
     ("break_even", "/ 2", "/ 2 * 1000", "g and kg"),
     ("break_even", "/ 2", "", "There the model is exact"),
     ("error_quantiles", "0.99", "0.98", "its range is delta wide"),
-    ("error_quantiles", "0.98", "0.99", "1 % of it is 0.02 delta"),
+    ("error_quantiles", "0.98", "0.99", "The range of PD is 2 delta wide"),
     ("error_quantiles", "/ kp", "", "The gain kp is missing"),
     ("share_within", " / len(errors)", "", "a number of robots"),
     ("share_within", "<=", ">", "beyond the bound"),

@@ -9,8 +9,9 @@ Everywhere q = (x, y, psi), v = dq/dt, a = dv/dt and tau = (F_x, F_y, M_z), with
 
 import numpy as np
 
+from pinmobile import closed_form
 from pinmobile.arrays import Array
-from pinmobile.exercises._01_equations import mass_matrix, nonlinear_effects
+from pinmobile.exercises._01_equations import mass_matrix, robot
 from pinmobile.exercises._exercise import Exercise, Numbers, uniform
 
 EXERCISE = Exercise("02_methods", __doc__, "m I_cz x_bc y_bc psi_0")
@@ -20,15 +21,15 @@ EXERCISE = Exercise("02_methods", __doc__, "m I_cz x_bc y_bc psi_0")
 def kinetic_energy(p: Numbers, q: Array, v: Array) -> float:
     """Return the kinetic energy [J].
 
-    ? The energy is half of v' M v.
-    ? Or: m |v_c|^2 / 2 + I_cz psi_dot^2 / 2, with the velocity v_c of the centre of mass.
+    ? Your mass matrix is defined by the kinetic energy.
+    ? Or add the energy of the centre of mass and of the rotation about it.
 
-    ! kinetic_energy(p.but(I_cz=0), q, v) => The energy of turning, I_cz psi_dot^2 / 2, is missing.
+    ! kinetic_energy(p.but(I_cz=1e-8), q, v) => The energy of turning is missing.
     ! kinetic_energy(p.but(x_bc=0, y_bc=0), q, v) => This is with the velocity of the origin, not of the mass.
-    ! v @ np.diag(np.diag(mass_matrix(p, q))) @ v / 2 => The terms off the diagonal of M are missing.
-    ! v @ nonlinear_effects(p, q, v) => This is a power, v' n; the energy is v' M v / 2.
+    ! np.diag(mass_matrix(p, q)) @ v**2 / 2 => The terms off the diagonal of M are missing.
+    ! v @ robot(p).nonlinear_effects(q, v) => This is a power, v' n.
     """
-    return float(v @ mass_matrix(p, q) @ v / 2)
+    return float(robot(p).kinetic_energy(q, v))
 
 
 @EXERCISE.function(2, uniform(3, 3))
@@ -44,8 +45,8 @@ def mass_matrix_rate(p: Numbers, q: Array, v: Array) -> Array:
     ! mass_matrix_rate(p, q + np.pi / 2, v) => It is differentiated twice.
     ! mass_matrix(p, q) * v[2] => This is M psi_dot; M is not differentiated.
     """
-    M = mass_matrix(p, q + np.pi / 2)  # the derivative of sine and cosine
-    return float(v[2]) * (M - np.diag(np.diag(M)))
+    step = 1e-5 * v
+    return (mass_matrix(p, q + step) - mass_matrix(p, q - step)) / 2e-5
 
 
 @EXERCISE.function(3, uniform(3, 3))
@@ -56,18 +57,15 @@ def coriolis_matrix(p: Numbers, q: Array, v: Array) -> Array:
 
     ? c_ijk = (dM_ij/dq_k + dM_ik/dq_j - dM_jk/dq_i) / 2, and C_ij is the sum of c_ijk v_k over k.
     ? M depends on psi alone: only derivatives with respect to q_3 are not zero. Most terms cancel.
-    ? Two entries remain, both in the last column.
 
     ! mass_matrix_rate(p, q, v) => This is dM/dt: then dM/dt - 2 C is symmetric, not skew-symmetric.
     ! mass_matrix_rate(p, q, v) / 2 => This is half of dM/dt: then dM/dt - 2 C = 0, but C v is not n.
     ! coriolis_matrix(p, q, v).T => It is transposed: C_ij v_j is summed over the columns.
     ! coriolis_matrix(p, q * [1, 1, -1], v) => R(psi) is transposed: psi has the wrong sign.
     ! coriolis_matrix(p, q, v) / v[2] => The factor psi_dot is missing.
-    ! np.diag(nonlinear_effects(p, q, v) / v) => C v = n holds, but dM/dt - 2 C is not skew-symmetric.
+    ! np.diag(robot(p).nonlinear_effects(q, v) / v) => C v = n holds, but dM/dt - 2 C is not skew-symmetric.
     """
-    C = np.zeros((3, 3))
-    C[:2, 2] = mass_matrix_rate(p, q, v)[:2, 2]
-    return C
+    return closed_form.coriolis_matrix(q, v, mass=p.m, com=(p.x_bc, p.y_bc))
 
 
 @EXERCISE.function(2, uniform(3, 3, 3))
@@ -78,13 +76,14 @@ def forward_dynamics(p: Numbers, q: Array, v: Array, tau: Array) -> Array:
     ? np.linalg.solve(M, right-hand side) needs no inverse.
 
     ! forward_dynamics(p, q, 0 * v, tau) => The nonlinear effects n are missing.
-    ! np.linalg.solve(mass_matrix(p, q), tau + nonlinear_effects(p, q, v)) => n has the wrong sign.
-    ! mass_matrix(p, q) @ (tau - nonlinear_effects(p, q, v)) => M is multiplied; its inverse is needed.
-    ! (tau - nonlinear_effects(p, q, v)) / np.diag(mass_matrix(p, q)) =>
+    ! forward_dynamics(p, q, v, tau + 2 * robot(p).nonlinear_effects(q, v)) => n has the wrong sign.
+    ! mass_matrix(p, q) @ mass_matrix(p, q) @ forward_dynamics(p, q, v, tau) =>
+      M is multiplied; its inverse is needed.
+    ! mass_matrix(p, q) @ forward_dynamics(p, q, v, tau) / np.diag(mass_matrix(p, q)) =>
       Only the diagonal of M is used: the coupling is missing.
-    ! mass_matrix(p, q) @ tau + nonlinear_effects(p, q, v) => This is inverse dynamics, tau from a.
+    ! mass_matrix(p, q) @ tau + robot(p).nonlinear_effects(q, v) => This is inverse dynamics, tau from a.
     """
-    return np.asarray(np.linalg.solve(mass_matrix(p, q), tau - nonlinear_effects(p, q, v)), float)
+    return closed_form.forward_dynamics(q, v, tau, mass=p.m, yaw_inertia=p.I_cz, com=(p.x_bc, p.y_bc))
 
 
 @EXERCISE.function(2, uniform(3, 3, 3))
@@ -94,24 +93,16 @@ def regressor(p: Numbers, q: Array, v: Array, a: Array) -> Array:
     I_zz is the yaw inertia about the origin of {3}.
 
     ? Write F_x, F_y and M_z out, and collect what multiplies m, m x_bc, m y_bc and I_zz.
-    ? I_zz = I_cz + m (x_bc^2 + y_bc^2) stands in M_z alone, with psi_ddot.
-    ? The first row is (x_ddot, -s psi_ddot - c psi_dot^2, -c psi_ddot + s psi_dot^2, 0).
+    ? I_zz contains the term of Steiner, and stands in M_z alone, with psi_ddot.
+    ? Column by column: which tau does m = 1 kg need at the origin? Which one does m x_bc = 1 kg m add?
 
-    ! regressor(p, q, 0 * v, a) => The centrifugal terms with psi_dot^2 are missing.
+    ! regressor(p, q, 0 * v, a) => The centrifugal terms are missing.
     ! regressor(p, q, v, a)[:, [0, 2, 1, 3]] => The columns of m x_bc and m y_bc are exchanged.
     ! regressor(p, q * [1, 1, -1], v, a) => R(psi) is transposed: psi has the wrong sign.
     ! regressor(p, q, v, a * [1, 1, 0]) => The terms with psi_ddot are missing.
     ! regressor(p, 0 * q, v, a) => psi is missing: this holds where the axes of {0} and {3} agree.
     """
-    c, s, w2 = np.cos(q[2]), np.sin(q[2]), v[2] ** 2
-    x, y, turn = a
-    return np.array(
-        [
-            [x, -s * turn - c * w2, -c * turn + s * w2, 0],
-            [y, c * turn - s * w2, -s * turn - c * w2, 0],
-            [0, c * y - s * x, -c * x - s * y, turn],
-        ]
-    )
+    return robot(p).regressor(q, v, a)[:, np.r_[:3, 9]]
 
 
 @EXERCISE.number(1, "N")
@@ -122,7 +113,7 @@ def slide_error(p: Numbers) -> float:
     (d_x, d_y) = R(psi) (x_bc, y_bc).
 
     ? In the right F_x, d_y multiplies psi_ddot. All other terms cancel.
-    ? m d_y (psi_ddot - psi_dot^2) with d_y = x_bc sin(psi_0) + y_bc cos(psi_0).
+    ? d_y is the second entry of R(psi_0) (x_bc, y_bc).
 
     ! slide_error(p.but(psi_0=0)) => d_y is taken along the axes of the body; psi_0 turns it.
     ! slide_error(p.but(psi_0=p.psi_0 + np.pi / 2)) => This is with d_x in place of d_y.
@@ -130,5 +121,10 @@ def slide_error(p: Numbers) -> float:
     ! slide_error(p) / 0.55 * 0.8 => psi_dot is not squared.
     ! slide_error(p) / -0.55 * 0.05 => psi_ddot has lost its sign.
     """
-    d_y = p.x_bc * np.sin(p.psi_0) + p.y_bc * np.cos(p.psi_0)
-    return float(p.m * d_y * (-0.3 - 0.5**2))
+    return _force(p, 0.5**2) - _force(p, -0.3)
+
+
+def _force(p: Numbers, turn: float) -> float:
+    """Return F_x at psi = psi_0 and psi_dot = 0.5 rad/s for a value of psi_ddot."""
+    body = {"mass": p.m, "yaw_inertia": p.I_cz, "com": (p.x_bc, p.y_bc)}
+    return float(closed_form.inverse_dynamics((0, 0, p.psi_0), (0, 0, 0.5), (0, 0, turn), **body)[0])

@@ -6,8 +6,14 @@ wheel slips. The mass m, the centre of mass (x_bc, y_bc) and the yaw inertia I_c
 robot; each wheel has the inertia I_w about its axle. g = 9.81 m/s^2.
 """
 
+from __future__ import annotations
+
+from functools import cache
+from types import SimpleNamespace
+
 import numpy as np
 
+import pinmobile as pm
 from pinmobile.arrays import Array
 from pinmobile.exercises._exercise import Exercise, Numbers, uniform
 from pinmobile.exercises._question import Requirement
@@ -15,12 +21,24 @@ from pinmobile.exercises._question import Requirement
 EXERCISE = Exercise("08_wheels", __doc__, "m I_cz x_bc y_bc r_w b I_w l_s mu")
 
 
+@cache
+def _made(**numbers: float) -> pm.WheeledRobot:
+    p, wheel = SimpleNamespace(**numbers), {"mass": 0.5, "spin_inertia": numbers["I_w"]}
+    table = pm.WheelTable.differential(2 * p.b, p.r_w, supports=[(p.l_s, 0)], **wheel)
+    return pm.WheeledRobot(pm.MobileRobot(p.m, p.I_cz, com=(p.x_bc, p.y_bc)), table)
+
+
+def robot(p: Numbers) -> pm.WheeledRobot:
+    """Return the robot of a course, on wheels."""
+    return _made(**vars(p))
+
+
 @EXERCISE.function(2, uniform(0, 0))
 def wheel_rates(p: Numbers, v: float, omega: float) -> Array:
     """Return the rates of the (left, right) wheel [rad/s] for the forward speed v and the yaw rate omega.
 
     ? How fast does the point of the body above each wheel move forward? The left one is at (0, b).
-    ? A wheel that rolls turns by its forward speed over r_w.
+    ? The point of a rolling wheel at the ground is at rest. How fast does the wheel turn?
 
     ! wheel_rates(p, v, omega)[[1, 0]] =>
       The sides are exchanged: turning to the left, the right wheel is faster.
@@ -30,7 +48,7 @@ def wheel_rates(p: Numbers, v: float, omega: float) -> Array:
     ! wheel_rates(p, v, omega) * p.r_w => These are speeds in m/s; the radius is missing.
     ! wheel_rates(p, v, omega) / (2 * np.pi) => These are turns per second, not rad/s.
     """
-    return np.array([v - p.b * omega, v + p.b * omega]) / p.r_w
+    return np.asarray(robot(p).wheel_rates([v, 0, omega]))
 
 
 @EXERCISE.function(1, uniform(0, 0))
@@ -38,14 +56,14 @@ def body_twist(p: Numbers, left: float, right: float) -> Array:
     """Return (v, omega) of the body for the rates of the left and the right wheel.
 
     ? Invert the last question: the mean of the wheels drives, their difference turns.
-    ? v = r_w (left + right) / 2, and omega = r_w (right - left) / (2 b).
+    ? Add both equations of the last question, then subtract one from the other.
 
     ! body_twist(p, right, left) => omega has the wrong sign: a faster right wheel turns to the left.
     ! body_twist(p, left, right) * [2, 1] => v is the mean of both wheels, not their sum.
     ! body_twist(p, left, right) * [1, 2] => The distance of the wheels is 2 b, not b.
     ! body_twist(p, left, right) / p.r_w => The radius is missing.
     """
-    return p.r_w / 2 * np.array([left + right, (right - left) / p.b])
+    return np.asarray(robot(p).odometry([left, right]))[[0, 2]]
 
 
 @EXERCISE.function(2, uniform(0))
@@ -56,18 +74,17 @@ def constraint_matrix(p: Numbers, psi: float) -> Array:
     the velocity of the body at the ground, forward or to the left, less what the wheel rolls.
 
     ? The forward velocity of the axle's middle is x_dot cos(psi) + y_dot sin(psi).
-    ? The first row is (cos psi, sin psi, -b, -r_w, 0).
+    ? Turning moves a wheel forward or backward by its arm b; the last columns are what the wheels roll.
 
-    ! constraint_matrix(p.but(b=-p.b), psi) => The arms of left and right are exchanged.
-    ! constraint_matrix(p, -psi) => psi has the wrong sign: forward is (cos psi, sin psi).
-    ! constraint_matrix(p.but(r_w=-p.r_w), psi) => The wheels roll backwards: r_w has the wrong sign.
-    ! constraint_matrix(p.but(r_w=1), psi) => The radius is missing.
+    ! constraint_matrix(p, psi) * [1, 1, -1, 1, 1] => The arms of left and right are exchanged.
+    ! constraint_matrix(p, -psi) => psi has the wrong sign.
+    ! constraint_matrix(p, psi) * [1, 1, 1, -1, -1] => The wheels roll backwards: r_w has the wrong sign.
+    ! constraint_matrix(p, psi) / [1, 1, 1, p.r_w, p.r_w] => The radius is missing.
     ! constraint_matrix(p, 0) => psi is missing: x and y are along the axes of {0}.
     ! constraint_matrix(p, psi)[[1, 0, 2]] => The rows of left and right are exchanged.
-    ! constraint_matrix(p.but(b=0), psi) => The arms b are missing: turning moves the wheels too.
+    ! constraint_matrix(p, psi) * [1, 1, 0, 1, 1] => The arms b are missing: turning moves the wheels too.
     """
-    c, s = np.cos(psi), np.sin(psi)
-    return np.array([[c, s, -p.b, -p.r_w, 0], [c, s, p.b, 0, -p.r_w], [-s, c, 0, 0, 0]])
+    return np.asarray(robot(p).constraint_matrix(np.array([0, 0, psi, 0, 0])))[[0, 2, 1]]
 
 
 @EXERCISE.function(1, uniform(0, 0, low=-20, high=20))
@@ -75,7 +92,7 @@ def wheel_torques(p: Numbers, F: float, M: float) -> Array:
     """Return the torques of the (left, right) wheel that push with the force F and turn with the moment M.
 
     ? A wheel with the torque tau pushes with tau / r_w, at its arm b.
-    ? F = (left + right) / r_w and M = b (right - left) / r_w.
+    ? Write F and M for both torques, and solve for the torques.
 
     ! wheel_torques(p, F, -M) => The sides are exchanged: the right wheel turns the robot to the left.
     ! wheel_torques(p, 2 * F, M) => F is the sum of both wheels: each has half of it.
@@ -84,14 +101,7 @@ def wheel_torques(p: Numbers, F: float, M: float) -> Array:
     ! wheel_torques(p, F, M * p.b**2) => Divide M by the arm b.
     ! wheel_torques(p, F, M) / p.r_w => These are forces; the torque is the force times r_w.
     """
-    return p.r_w / 2 * np.array([F - M / p.b, F + M / p.b])
-
-
-def _model(p: Numbers, v: float, omega: float) -> tuple[Array, Array]:
-    """Return the reduced mass matrix and nonlinear effects."""
-    inertia, wheel = p.m * (p.x_bc**2 + p.y_bc**2) + p.I_cz, 2 * p.I_w / p.r_w**2
-    M = np.array([[p.m + wheel, -p.m * p.y_bc], [-p.m * p.y_bc, inertia + wheel * p.b**2]])
-    return M, p.m * p.x_bc * omega * np.array([-omega, v])
+    return np.linalg.solve(robot(p).reduced(np.zeros(5), np.zeros(5)).B, [F, M])
 
 
 @EXERCISE.function(3, uniform(0, 0, 0, 0))
@@ -99,28 +109,29 @@ def acceleration(p: Numbers, v: float, omega: float, left: float, right: float) 
     """Return (dv/dt, domega/dt) for the torques of the left and the right wheel.
 
     ? Reduce M a + n = B tau + A' lambda by the null space S of A: S' M S, S' (M dS/dt nu + n), S' B.
-    ? M_bar = [[m + 2 I_w / r_w^2, -m y_bc], [-m y_bc, m (x_bc^2 + y_bc^2) + I_cz + 2 I_w b^2 / r_w^2]].
-    ? n_bar = (-m x_bc omega^2, m x_bc v omega), and the torques push with (left + right) / r_w.
+    ? S takes (v, omega) to the rates of (x, y, psi, left, right). M is that of exercise 1, and I_w twice.
+    ? The result does not depend on psi: take psi = 0, after dS/dt.
 
     ! acceleration(p.but(I_w=0), v, omega, left, right) => The inertia of the wheels is missing.
     ! acceleration(p.but(I_w=p.I_w / 2), v, omega, left, right) => There are two wheels, each with I_w.
     ! acceleration(p, 0, 0, left, right) => The nonlinear effects n_bar are missing.
-    ! np.linalg.solve(_model(p, v, omega)[0], _push(p, left, right) + _model(p, v, omega)[1]) =>
+    ! 2 * acceleration(p, 0, 0, left, right) - acceleration(p, v, omega, left, right) =>
       The nonlinear effects have the wrong sign: a mass ahead of the axle is flung forward.
-    ! acceleration(p.but(I_cz=p.I_cz - p.m * (p.x_bc**2 + p.y_bc**2)), v, omega, left, right) =>
-      I_cz is about the centre of mass; about the axle, m (x_bc^2 + y_bc^2) is added (Steiner).
+    ! _without_steiner(p, acceleration(p, v, omega, left, right)) =>
+      I_cz is about the centre of mass; about the axle, a term is added (Steiner).
     ! acceleration(p.but(x_bc=0, y_bc=0), v, omega, left, right) => The centre of mass is taken on the axle.
     ! acceleration(p, v, omega, right, left) => The sides are exchanged.
-    ! np.linalg.solve(_model(p, v, omega)[0], _push(p, left, right) * p.r_w - _model(p, v, omega)[1]) =>
+    ! acceleration(p, v, omega, left * p.r_w, right * p.r_w) =>
       The torques are taken for forces: divide them by r_w.
     """
-    M, n = _model(p, v, omega)
-    return np.asarray(np.linalg.solve(M, _push(p, left, right) - n), float)
+    q, rates = np.zeros(5), [v, 0, omega, *wheel_rates(p, v, omega)]
+    return np.asarray(robot(p).forward_dynamics(q, rates, [left, right]))[[0, 2]]
 
 
-def _push(p: Numbers, left: float, right: float) -> Array:
-    """Return force and moment of the wheels."""
-    return np.array([left + right, p.b * (right - left)]) / p.r_w
+def _without_steiner(p: Numbers, a: Array) -> Array:
+    q = np.zeros(5)
+    M, steiner = robot(p).reduced(q, q).M, robot(p).mass_matrix(q)[2, 2] - p.I_cz
+    return np.asarray(np.linalg.solve(M - np.diag([0, steiner]), M @ a))
 
 
 @EXERCISE.number(1, "N m")
@@ -131,7 +142,7 @@ def slip_torque(p: Numbers) -> float:
     friction is mu.
 
     ? The caster carries a part of the weight. Take moments about it.
-    ? The axle carries m g (1 - x_bc / l_s), each wheel half of that; the largest force is mu times the load.
+    ? Each wheel carries half of what the axle carries. Which force can it transmit at most?
 
     ! slip_torque(p.but(x_bc=0)) => The caster carries a part of the weight: take moments about it.
     ! slip_torque(p) * p.x_bc / (p.l_s - p.x_bc) => This is with the load of the caster.
@@ -140,7 +151,8 @@ def slip_torque(p: Numbers) -> float:
     ! slip_torque(p) / 9.81 => The mass is taken for the weight: g is missing.
     ! slip_torque(p) / p.mu => This is with a coefficient of friction of 1: mu is missing.
     """
-    return float(p.mu * p.m * 9.81 * (1 - p.x_bc / p.l_s) / 2 * p.r_w)
+    rest = np.zeros((3, 5))
+    return float(robot(p.but(y_bc=0)).contact_loads(*rest).values[0] * p.mu * p.r_w)
 
 
 @EXERCISE.design(2)
@@ -152,7 +164,6 @@ def tracking(p: Numbers, zeta: float, k: float) -> list[Requirement]:
 
     ? zeta is the damping of the error in the heading; without damping, the robot weaves about the circle.
     ? k is the rate at which the wheels take up the speeds: a large k needs large torques at the start.
-    ? zeta of 0.7 is a good damping; try k near 1.
 
     ! zeta <= 0 or k <= 0 => Both must be above 0.
     ! zeta < 0.4 => The damping zeta is too small: the robot weaves about the circle.
@@ -160,19 +171,10 @@ def tracking(p: Numbers, zeta: float, k: float) -> list[Requirement]:
     ! k > 1.2 => k is too large: the wheels must take up their speeds at once.
     ! k < 0.8 => k is too small: the wheels take up their speeds too late.
     """
-    from pinmobile.controllers import Backstepping, UnicycleTracking
-    from pinmobile.loop import simulate
-    from pinmobile.paths import Circle
-    from pinmobile.robot import MobileRobot
-    from pinmobile.trajectories import Tangent
-    from pinmobile.wheels import WheeledRobot, WheelTable
-
-    table = WheelTable.differential(2 * p.b, p.r_w, supports=[(p.l_s, 0)], mass=0.5, spin_inertia=p.I_w)
-    robot = WheeledRobot(MobileRobot(p.m, p.I_cz, com=(p.x_bc, p.y_bc)), table)
-    circle = Tangent(Circle(radius=3, rate=0.15, duration=16))
-    law, beside = Backstepping(UnicycleTracking(zeta), robot, k), np.array([0, 0.1, 0, 0, 0])
-    start = simulate(robot, law, circle, dt=0.05, duration=0.05)
-    run = simulate(robot, law, circle, dt=0.05, q0=start.q[0] + beside, v0=start.v[0])
+    circle = pm.Tangent(pm.Circle(radius=3, rate=0.15, duration=16))
+    law = pm.Backstepping(pm.UnicycleTracking(zeta), robot(p), k)
+    q0, v0 = robot(p).start(circle(0))
+    run = pm.simulate(robot(p), law, circle, dt=0.05, q0=q0 + np.array([0, 0.1, 0, 0, 0]), v0=v0)
     distance = np.hypot(*run.error[run.t >= 8, :2].T).max()
     return [
         Requirement("distance", float(1e3 * distance), 2, "mm"),

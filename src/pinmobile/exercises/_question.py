@@ -259,17 +259,17 @@ class Function(Question):
     Parameters
     ----------
     draw : callable
-        Function of a random generator that returns the arguments.
+        Function of the course's numbers and a random generator that returns the arguments.
     """
 
-    draw: Callable[[np.random.Generator], tuple[Any, ...]] = field(repr=False)
+    draw: Callable[[Any, np.random.Generator], tuple[Any, ...]] = field(repr=False)
 
     def judge(self, answer: Any) -> str:
         """Compare with the reference, then with known mistakes and factors."""
         if not callable(answer):
             raise Fault("wrong", f"the answer is {type(answer).__name__}, expected a function")
         rng = np.random.default_rng(1)
-        states = [self.draw(rng) for _ in range(N_STATES)]
+        states = [self.draw(self.numbers, rng) for _ in range(N_STATES)]
 
         def values(function: Callable[..., Any]) -> list[Array]:
             return [np.array(function(self.numbers, *copy.deepcopy(state)), dtype=float) for state in states]
