@@ -338,14 +338,14 @@ def check(
     ] = None,
     limit: Annotated[float, typer.Option(metavar="SECONDS", help="Longest time for a notebook (s).")] = 60.0,
 ) -> int:
-    """Run notebooks and print the points of each question; the exit code is 0 if all are complete.
+    """Run notebooks and print the points of each; the exit code is 0 if all are complete.
 
     Example: pinmobile exercises check exercises/*.ipynb
     """
     from pinmobile.exercises import check_exercises
 
-    complete = True
+    code = 0
     for report in check_exercises(files, seed=seed, limit=limit):
-        typer.echo(report)
-        complete &= report.is_complete
-    return 0 if complete else 1
+        typer.echo(report, err=not report.verdicts)
+        code = max(code, 0 if report.is_complete else 1 if report.verdicts else 2)
+    return code

@@ -40,7 +40,7 @@ def robot(p: Numbers) -> pm.MobileRobot:
     return _made(p.m, p.I_cz, p.x_bc, p.y_bc)
 
 
-@EXERCISE.function(2, uniform(0, 0, 0, 0))
+@EXERCISE(2, uniform(0, 0, 0, 0))
 def transform(p: Numbers, alpha: float, a: float, theta: float, d: float) -> Array:
     """Return the transform of a row of the table, 4x4, RotX(alpha) TransX(a) RotZ(theta) TransZ(d).
 
@@ -61,7 +61,7 @@ def transform(p: Numbers, alpha: float, a: float, theta: float, d: float) -> Arr
     return dh.transform(alpha, a, theta, d)
 
 
-@EXERCISE.function(2, uniform(3))
+@EXERCISE(2, uniform(3))
 def pose(p: Numbers, q: Array) -> Array:
     """Return the pose of the body in the inertial frame, T_0_3, a 4x4 matrix.
 
@@ -76,7 +76,7 @@ def pose(p: Numbers, q: Array) -> Array:
     return dh.LECTURE_TABLE.placements(q[[1, 0, 2]])[-1]
 
 
-@EXERCISE.function(2, uniform(3))
+@EXERCISE(2, uniform(3))
 def com_jacobian(p: Numbers, q: Array) -> Array:
     """Return the Jacobian J of the centre of mass, 2x3: its velocity in {0} is J v.
 
@@ -93,7 +93,7 @@ def com_jacobian(p: Numbers, q: Array) -> Array:
     return mass_matrix(p, q)[:2] / p.m
 
 
-@EXERCISE.function(3, uniform(3))
+@EXERCISE(3, uniform(3))
 def mass_matrix(p: Numbers, q: Array) -> Array:
     """Return the mass matrix M(q), 3x3, with which the kinetic energy is v' M v / 2.
 
@@ -113,7 +113,7 @@ def mass_matrix(p: Numbers, q: Array) -> Array:
     return closed_form.mass_matrix(q, mass=p.m, yaw_inertia=p.I_cz, com=(p.x_bc, p.y_bc))
 
 
-@EXERCISE.function(2, uniform(3, 3))
+@EXERCISE(2, uniform(3, 3))
 def nonlinear_effects(p: Numbers, q: Array, v: Array) -> Array:
     """Return the nonlinear effects n(q, v), three numbers, of M a + n = tau.
 
@@ -130,7 +130,7 @@ def nonlinear_effects(p: Numbers, q: Array, v: Array) -> Array:
     return closed_form.nonlinear_effects(q, v, mass=p.m, com=(p.x_bc, p.y_bc))
 
 
-@EXERCISE.number(1, "kg m")
+@EXERCISE(1, unit="kg m")
 def coupling(p: Numbers) -> float:
     """Give the entry of M in row x and column psi, where psi is a right angle.
 

@@ -17,7 +17,7 @@ from pinmobile.exercises._exercise import Exercise, Numbers, uniform
 EXERCISE = Exercise("02_methods", __doc__, "m I_cz x_bc y_bc psi_0")
 
 
-@EXERCISE.function(2, uniform(3, 3))
+@EXERCISE(2, uniform(3, 3))
 def kinetic_energy(p: Numbers, q: Array, v: Array) -> float:
     """Return the kinetic energy [J].
 
@@ -32,7 +32,7 @@ def kinetic_energy(p: Numbers, q: Array, v: Array) -> float:
     return float(robot(p).kinetic_energy(q, v))
 
 
-@EXERCISE.function(2, uniform(3, 3))
+@EXERCISE(2, uniform(3, 3))
 def mass_matrix_rate(p: Numbers, q: Array, v: Array) -> Array:
     """Return dM/dt on the way of the robot, a 3x3 matrix.
 
@@ -49,7 +49,7 @@ def mass_matrix_rate(p: Numbers, q: Array, v: Array) -> Array:
     return (mass_matrix(p, q + step) - mass_matrix(p, q - step)) / 2e-5
 
 
-@EXERCISE.function(3, uniform(3, 3))
+@EXERCISE(3, uniform(3, 3))
 def coriolis_matrix(p: Numbers, q: Array, v: Array) -> Array:
     """Return the Coriolis matrix C(q, v) by Christoffel symbols, 3x3.
 
@@ -68,7 +68,7 @@ def coriolis_matrix(p: Numbers, q: Array, v: Array) -> Array:
     return closed_form.coriolis_matrix(q, v, mass=p.m, com=(p.x_bc, p.y_bc))
 
 
-@EXERCISE.function(2, uniform(3, 3, 3))
+@EXERCISE(2, uniform(3, 3, 3))
 def forward_dynamics(p: Numbers, q: Array, v: Array, tau: Array) -> Array:
     """Return the acceleration a for a given tau, three numbers.
 
@@ -86,7 +86,7 @@ def forward_dynamics(p: Numbers, q: Array, v: Array, tau: Array) -> Array:
     return closed_form.forward_dynamics(q, v, tau, mass=p.m, yaw_inertia=p.I_cz, com=(p.x_bc, p.y_bc))
 
 
-@EXERCISE.function(2, uniform(3, 3, 3))
+@EXERCISE(2, uniform(3, 3, 3))
 def regressor(p: Numbers, q: Array, v: Array, a: Array) -> Array:
     """Return the regressor Y, a 3x4 matrix, with tau = Y (m, m x_bc, m y_bc, I_zz).
 
@@ -105,7 +105,7 @@ def regressor(p: Numbers, q: Array, v: Array, a: Array) -> Array:
     return robot(p).regressor(q, v, a)[:, np.r_[:3, 9]]
 
 
-@EXERCISE.number(1, "N")
+@EXERCISE(1, unit="N")
 def slide_error(p: Numbers) -> float:
     """Give F_x of the slide less the right F_x, at psi = psi_0, psi_dot = 0.5 rad/s, psi_ddot = -0.3 rad/s^2.
 

@@ -20,7 +20,7 @@ from pinmobile.exercises._question import Requirement
 EXERCISE = Exercise("03_trajectories", __doc__, "r w L T")
 
 
-@EXERCISE.function(2, lambda _, rng: (rng.uniform(0.2, 2.8), 3 + rng.uniform(), *rng.uniform(-3, 3, 2)))
+@EXERCISE(2, lambda _, rng: (rng.uniform(0.2, 2.8), 3 + rng.uniform(), *rng.uniform(-3, 3, 2)))
 def cubic(p: Numbers, t: float, T: float, start: float, end: float) -> Array:
     """Return (position, velocity) at time t of a cubic that takes the time T from start to end.
 
@@ -45,7 +45,7 @@ def _line(T: float, start: float, end: float) -> pm.Spline:
     return pm.Spline([[start], [end]], [0, T])
 
 
-@EXERCISE.function(1, uniform(0, 0))
+@EXERCISE(1, uniform(0, 0))
 def heading_error(p: Numbers, psi: float, psi_d: float) -> float:
     """Return the heading error psi_d - psi on the circle, between -pi and pi.
 
@@ -60,7 +60,7 @@ def heading_error(p: Numbers, psi: float, psi_d: float) -> float:
     return float(planar_difference(np.array([0, 0, psi]), np.array([0, 0, psi_d]))[2])
 
 
-@EXERCISE.function(2, uniform(2, 2))
+@EXERCISE(2, uniform(2, 2))
 def heading_rate(p: Numbers, v: Array, a: Array) -> float:
     """Return the rate of the heading along a path with velocity (v_x, v_y) and acceleration (a_x, a_y).
 
@@ -78,7 +78,7 @@ def heading_rate(p: Numbers, v: Array, a: Array) -> float:
     return float(np.angle(late / early) / 2e-5)
 
 
-@EXERCISE.function(2, uniform(2))
+@EXERCISE(2, uniform(2))
 def heading_at_stop(p: Numbers, a: Array) -> Array:
     """Return the heading just before the robot comes to rest, as (cos psi, sin psi), for its acceleration a.
 
@@ -97,7 +97,7 @@ def heading_at_stop(p: Numbers, a: Array) -> Array:
     return late / float(np.hypot(*late))
 
 
-@EXERCISE.function(2, lambda _, rng: (rng.uniform(0, 60),))
+@EXERCISE(2, lambda _, rng: (rng.uniform(0, 60),))
 def circle(p: Numbers, t: float) -> Array:
     """Return the reference on the lecture's circle, a 3x3 matrix with the rows q, v and a.
 
@@ -124,7 +124,7 @@ def _circle(radius: float, rate: float) -> pm.Tangent:
     return pm.Tangent(pm.Circle(radius=radius, rate=rate, duration=60))
 
 
-@EXERCISE.number(1, "m/s")
+@EXERCISE(1, unit="m/s")
 def peak_speed(p: Numbers) -> float:
     """Give the largest speed of a cubic of length L that takes the time T, from rest to rest.
 
@@ -139,7 +139,7 @@ def peak_speed(p: Numbers) -> float:
     return float(_line(p.T, 0, p.L).derivative(np.linspace(0, p.T, 201), 1).max())
 
 
-@EXERCISE.design(2)
+@EXERCISE(2)
 def duration(p: Numbers, T_m: float) -> list[Requirement]:
     """Choose the duration T_m of the same path for a robot of 30 kg, from rest to rest along a cubic.
 
@@ -156,4 +156,4 @@ def duration(p: Numbers, T_m: float) -> list[Requirement]:
     robot, path = pm.MobileRobot(30, 1.3), pm.Spline([(0, 0), (p.L, 0)], [0, T_m])
     run = pm.simulate(robot, pm.ComputedTorque(robot), pm.FixedHeading(path, 0), dt=T_m / 200)
     force = float(np.abs(run.u[:, 0]).max())
-    return [Requirement("force", force, 40, "N"), Requirement("duration", T_m, p.L / 0.3, "s")]
+    return [("force", force, 40, "N"), ("duration", T_m, p.L / 0.3, "s")]

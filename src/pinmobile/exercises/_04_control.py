@@ -19,7 +19,7 @@ from pinmobile.exercises._question import Requirement
 EXERCISE = Exercise("04_control", __doc__, "m I_cz x_bc y_bc r w kp kd")
 
 
-@EXERCISE.function(2, uniform(0, low=0.5, high=9))
+@EXERCISE(2, uniform(0, low=0.5, high=9))
 def critical(p: Numbers, omega: float) -> Array:
     """Return the gains (kp, kd) with which e_ddot + kd e_dot + kp e = 0 has both poles at -omega.
 
@@ -40,7 +40,7 @@ def _gains(rng: np.random.Generator) -> tuple[float, float]:
     return float(rng.uniform(1, 9)), float(rng.uniform(1, 9))
 
 
-@EXERCISE.function(2, lambda _, rng: (*_gains(rng), *rng.uniform(-3, 3, (4, 3))))
+@EXERCISE(2, lambda _, rng: (*_gains(rng), *rng.uniform(-3, 3, (4, 3))))
 def pd_force(p: Numbers, kp: float, kd: float, q: Array, v: Array, q_d: Array, v_d: Array) -> Array:
     """Return tau of PD control, three numbers: kp e + kd de/dt.
 
@@ -70,7 +70,7 @@ def _state(p: Numbers, rng: np.random.Generator) -> tuple[Any, ...]:
     return M, n, _gains(rng), q, v, rng.uniform(-3, 3, (3, 3))
 
 
-@EXERCISE.function(3, _state)
+@EXERCISE(3, _state)
 def computed_torque(
     p: Numbers, M: Array, n: Array, gains: tuple[float, float], q: Array, v: Array, reference: Array
 ) -> Array:
@@ -110,7 +110,7 @@ def _wanted(p: Numbers, M: Array, n: Array, *given: Any) -> Array:
     return np.asarray(np.linalg.solve(M, computed_torque(p, M, n, *given) - n), float)
 
 
-@EXERCISE.number(1, "m")
+@EXERCISE(1, unit="m")
 def circle_error(p: Numbers) -> float:
     """Give the error of PD on a circle of radius r at the rate w.
 
@@ -131,7 +131,7 @@ def circle_error(p: Numbers) -> float:
     return float(np.linalg.norm(needed) / np.linalg.norm(force))
 
 
-@EXERCISE.number(1, "s")
+@EXERCISE(1, unit="s")
 def largest_step(p: Numbers) -> float:
     """Give the largest time step dt of PD with the matrix Kd = kd diag(m, m, I_cz), at psi = 0.
 
@@ -155,7 +155,7 @@ def _rates(p: Numbers) -> Array:
     return np.asarray(eigh(Kd, mass_matrix(p, np.zeros(3)), eigvals_only=True))
 
 
-@EXERCISE.design(3)
+@EXERCISE(3)
 def gains(p: Numbers, gain_p: float, gain_d: float) -> list[Requirement]:
     """Choose the gains gain_p, gain_d of computed torque for a robot 0.5 m before its goal.
 
@@ -179,7 +179,7 @@ def gains(p: Numbers, gain_p: float, gain_d: float) -> list[Requirement]:
     error = 0.5 - run.q[:, 0]
     late = run.t[np.abs(error) > 5e-3].max()
     return [
-        Requirement("settling time", float(late) + 0.05, 2.8, "s"),
-        Requirement("overshoot", float(-1e3 * error.min()), 5, "mm"),
-        Requirement("force", float(np.abs(run.u[:, 0]).max()), 3.6 * p.m, "N"),
+        ("settling time", float(late) + 0.05, 2.8, "s"),
+        ("overshoot", float(-1e3 * error.min()), 5, "mm"),
+        ("force", float(np.abs(run.u[:, 0]).max()), 3.6 * p.m, "N"),
     ]

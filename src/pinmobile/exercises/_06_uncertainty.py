@@ -23,7 +23,7 @@ from pinmobile.exercises._question import Requirement
 EXERCISE = Exercise("06_uncertainty", __doc__, "I_cz r w kp kd m m_hat")
 
 
-@EXERCISE.function(2, lambda _, rng: tuple(rng.uniform(15, 60, 2)))
+@EXERCISE(2, lambda _, rng: tuple(rng.uniform(15, 60, 2)))
 def circle_errors(p: Numbers, m: float, m_hat: float) -> Array:
     """Return the largest errors [m] of (computed torque, PD) on the circle.
 
@@ -61,7 +61,7 @@ def _solved(law: Any, reference: Any, force: float) -> float:
     return float((force - one) / (other - one))
 
 
-@EXERCISE.number(1, "kg")
+@EXERCISE(1, unit="kg")
 def break_even(p: Numbers) -> float:
     """Give the true mass from which on computed torque with m_hat errs less than PD.
 
@@ -73,7 +73,7 @@ def break_even(p: Numbers) -> float:
     return float(brentq(lambda m: np.subtract(*circle_errors(p, m, p.m_hat)), 0.01 * p.m_hat, p.m_hat))
 
 
-@EXERCISE.function(2, lambda _, rng: (rng.uniform(0.05, 0.5),))
+@EXERCISE(2, lambda _, rng: (rng.uniform(0.05, 0.5),))
 def error_quantiles(p: Numbers, delta: float) -> Array:
     """Return the errors [m] that 99 % of the robots stay within, for (computed torque, PD).
 
@@ -103,7 +103,7 @@ def _two(p: Numbers, *beyond: float) -> Array:
     return np.array([circle_errors(p, (1 + x) * p.m_hat, p.m_hat)[k] for k, x in enumerate(beyond)])
 
 
-@EXERCISE.function(1, lambda _, rng: (rng.exponential(size=40), rng.uniform(0.2, 2)))
+@EXERCISE(1, lambda _, rng: (rng.exponential(size=40), rng.uniform(0.2, 2)))
 def share_within(p: Numbers, errors: Array, bound: float) -> float:
     """Return the share of the robots of an ensemble whose error is at most the bound, between 0 and 1.
 
@@ -117,7 +117,7 @@ def share_within(p: Numbers, errors: Array, bound: float) -> float:
     return float(np.searchsorted(np.sort(errors), bound, side="right") / len(errors))
 
 
-@EXERCISE.function(2, lambda _, rng: (rng.uniform(0, 0.5),))
+@EXERCISE(2, lambda _, rng: (rng.uniform(0, 0.5),))
 def eigenvalue(p: Numbers, c: float) -> float:
     """Return the largest eigenvalue of M^-1 M_hat for an unknown offset c of the centre of mass.
 
@@ -145,7 +145,7 @@ def _mass(p: Numbers, c: float) -> Array:
     return closed_form.mass_matrix(np.zeros(3), mass=p.m, yaw_inertia=p.I_cz, com=(c, 0))
 
 
-@EXERCISE.number(1, "m")
+@EXERCISE(1, unit="m")
 def largest_offset(p: Numbers) -> float:
     """Give the offset c at which the loop becomes unstable, for a force that is held for 0.1 s.
 
@@ -162,7 +162,7 @@ def largest_offset(p: Numbers) -> float:
     return float(brentq(lambda c: eigenvalue(p, c) - 2 / (0.1 * p.kd), 0, 9))
 
 
-@EXERCISE.design(3)
+@EXERCISE(3)
 def controller(p: Numbers, mass: float, gain: float) -> list[Requirement]:
     """Choose the mass of the controller model and the gain kp for robots of unknown mass.
 
@@ -187,7 +187,7 @@ def controller(p: Numbers, mass: float, gain: float) -> list[Requirement]:
     robots = pm.ensemble(pm.MobileRobot(30, 1.3), law, circle, n=400, spread=spread, dt=0.1, after=8)
     force = np.abs(robots.max_input[:, :2]).max() if not robots.diverged.any() else np.inf
     return [
-        Requirement("unstable", float(robots.diverged.sum()), 1, "robots"),
-        Requirement("error of 99 %", float(1e3 * robots.error_quantile(0.99).distance), 4, "mm"),
-        Requirement("force", float(force), 30, "N"),
+        ("unstable", float(robots.diverged.sum()), 1, "robots"),
+        ("error of 99 %", float(1e3 * robots.error_quantile(0.99).distance), 4, "mm"),
+        ("force", float(force), 30, "N"),
     ]

@@ -33,7 +33,7 @@ def robot(p: Numbers) -> pm.WheeledRobot:
     return _made(**vars(p))
 
 
-@EXERCISE.function(2, uniform(0, 0))
+@EXERCISE(2, uniform(0, 0))
 def wheel_rates(p: Numbers, v: float, omega: float) -> Array:
     """Return the rates of the (left, right) wheel [rad/s] for the forward speed v and the yaw rate omega.
 
@@ -51,7 +51,7 @@ def wheel_rates(p: Numbers, v: float, omega: float) -> Array:
     return np.asarray(robot(p).wheel_rates([v, 0, omega]))
 
 
-@EXERCISE.function(1, uniform(0, 0))
+@EXERCISE(1, uniform(0, 0))
 def body_twist(p: Numbers, left: float, right: float) -> Array:
     """Return (v, omega) of the body for the rates of the left and the right wheel.
 
@@ -66,7 +66,7 @@ def body_twist(p: Numbers, left: float, right: float) -> Array:
     return np.asarray(robot(p).odometry([left, right]))[[0, 2]]
 
 
-@EXERCISE.function(2, uniform(0))
+@EXERCISE(2, uniform(0))
 def constraint_matrix(p: Numbers, psi: float) -> Array:
     """Return A, a 3x5 matrix, with A dq/dt = 0 for q = (x, y, psi, left, right).
 
@@ -87,7 +87,7 @@ def constraint_matrix(p: Numbers, psi: float) -> Array:
     return np.asarray(robot(p).constraint_matrix(np.array([0, 0, psi, 0, 0])))[[0, 2, 1]]
 
 
-@EXERCISE.function(1, uniform(0, 0, low=-20, high=20))
+@EXERCISE(1, uniform(0, 0, low=-20, high=20))
 def wheel_torques(p: Numbers, F: float, M: float) -> Array:
     """Return the torques of the (left, right) wheel that push with the force F and turn with the moment M.
 
@@ -104,7 +104,7 @@ def wheel_torques(p: Numbers, F: float, M: float) -> Array:
     return np.linalg.solve(robot(p).reduced(np.zeros(5), np.zeros(5)).B, [F, M])
 
 
-@EXERCISE.function(3, uniform(0, 0, 0, 0))
+@EXERCISE(3, uniform(0, 0, 0, 0))
 def acceleration(p: Numbers, v: float, omega: float, left: float, right: float) -> Array:
     """Return (dv/dt, domega/dt) for the torques of the left and the right wheel.
 
@@ -134,7 +134,7 @@ def _without_steiner(p: Numbers, a: Array) -> Array:
     return np.asarray(np.linalg.solve(M - np.diag([0, steiner]), M @ a))
 
 
-@EXERCISE.number(1, "N m")
+@EXERCISE(1, unit="N m")
 def slip_torque(p: Numbers) -> float:
     """Give the torque at which a wheel starts to slip on level ground, at rest.
 
@@ -155,7 +155,7 @@ def slip_torque(p: Numbers) -> float:
     return float(robot(p.but(y_bc=0)).contact_loads(*rest).values[0] * p.mu * p.r_w)
 
 
-@EXERCISE.design(2)
+@EXERCISE(2)
 def tracking(p: Numbers, zeta: float, k: float) -> list[Requirement]:
     """Choose zeta of UnicycleTracking and k of Backstepping, for a robot that starts 0.1 m beside a circle.
 
@@ -177,6 +177,6 @@ def tracking(p: Numbers, zeta: float, k: float) -> list[Requirement]:
     run = pm.simulate(robot(p), law, circle, dt=0.05, q0=q0 + np.array([0, 0.1, 0, 0, 0]), v0=v0)
     distance = np.hypot(*run.error[run.t >= 8, :2].T).max()
     return [
-        Requirement("distance", float(1e3 * distance), 2, "mm"),
-        Requirement("torque", float(np.abs(run.u).max()), 0.9, "N m"),
+        ("distance", float(1e3 * distance), 2, "mm"),
+        ("torque", float(np.abs(run.u).max()), 0.9, "N m"),
     ]

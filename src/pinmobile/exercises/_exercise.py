@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from pinmobile.errors import InvalidArgument, UnknownName, shown
-from pinmobile.exercises._question import Design, Function, Number, Question
+from pinmobile.exercises._question import Question
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 _COURSE = tomllib.loads((Path(__file__).parent / "course.toml").read_text("utf-8"))
@@ -71,56 +71,41 @@ class Exercise:
     name: str
     text: str
     symbols: str
-    parts: list[tuple[Callable[..., Any], Callable[..., Question]]] = field(default_factory=list, repr=False)
+    parts: list[tuple[Callable[..., Any], dict[str, Any]]] = field(default_factory=list, repr=False)
 
     @property
     def title(self) -> str:
         """First line of the text, without its full stop."""
         return self.text.splitlines()[0].rstrip(".")
 
-    def question(self, kind: Callable[..., Question], points: int, **more: Any) -> Callable[[_F], _F]:
-        """Return a decorator of reference functions, which makes each a question.
+    def __call__(
+        self, points: int, draw: Callable[..., Any] | None = None, unit: str = ""
+    ) -> Callable[[_F], _F]:
+        """Return a decorator that makes a reference a question for a function, a number or a design.
 
         The docstring of the function contains the task, hints after ``?``, and known mistakes after ``!``: an
         expression for the wrong result, ``=>``, and the diagnosis.
         """
 
         def register(reference: _F) -> _F:
-            self.parts.append((reference, lambda **fixed: kind(points=points, **more, **fixed)))
+            self.parts.append((reference, {"points": points, "draw": draw, "unit": unit}))
             return reference
 
         return register
 
-    def function(self, points: int, draw: Callable[..., Any]) -> Callable[[_F], _F]:
-        """Return a decorator that makes a reference a question for a function."""
-        return self.question(Function, points, draw=draw)
-
-    def number(self, points: int, unit: str) -> Callable[[_F], _F]:
-        """Return a decorator that makes a reference a question for a number."""
-        return self.question(Number, points, unit=unit)
-
-    def design(self, points: int) -> Callable[[_F], _F]:
-        """Return a decorator that makes a simulation a question for a design."""
-        return self.question(Design, points)
-
     def questions(self, course: str) -> list[Question]:
         """Return the questions with the numbers of a course."""
         numbers, made = course_numbers(self.symbols, course), []
-        for reference, make in self.parts:
-            text, *items = re.split(r"^(?=[?!] )", inspect.getdoc(reference) or "", flags=re.M)
-            items = [" ".join(item.split()) for item in items]
-            wrong = (item[2:].partition(" => ") for item in items if item[0] == "!")
-            made.append(
-                make(
-                    name=reference.__name__,
-                    key=f"{self.name}/{course}/{reference.__name__}",
-                    text=text.strip(),
-                    hints=tuple(item[2:] for item in items if item[0] == "?"),
-                    mistakes=tuple((expression, words) for expression, _, words in wrong),
-                    reference=reference,
-                    numbers=numbers,
-                )
+        for reference, fixed in self.parts:
+            name, lines = (
+                reference.__name__,
+                re.split(r"^(?=[?!] )", inspect.getdoc(reference) or "", flags=re.M),
             )
+            items = [" ".join(line.split()) for line in lines[1:]]
+            hints = [item[2:] for item in items if item[0] == "?"]
+            mistakes = [item[2:].split(" => ") for item in items if item[0] == "!"]
+            key, text = f"{self.name}/{course}/{name}", lines[0].strip()
+            made.append(Question(name, key, text, hints, mistakes, reference, numbers, **fixed))
         return made
 
     def notebook(self, course: str) -> dict[str, Any]:
@@ -128,18 +113,15 @@ class Exercise:
         questions, numbers = self.questions(course), vars(course_numbers(self.symbols, course))
         start = f'ask = load_exercise("{self.name}", seed="{course}")'
         total, rules = sum(each.points for each in questions), _COURSE["rules"].format(questions[0].name)
-        lines = [
-            f"{key} = {value:g}  # {_COURSE['numbers'][key][4]} [{_COURSE['numbers'][key][3] or 1}]"
-            for key, value in numbers.items()
-        ]
+        known = {key: (value, *_COURSE["numbers"][key][3:]) for key, value in numbers.items()}
+        lines = [f"{key} = {value:g}  # {text} [{unit or 1}]" for key, (value, unit, text) in known.items()]
         head = f"# {self.title} ({total} points)\n{self.text.partition(chr(10))[2]}\n{rules}"
         setup = f"import numpy as np\n\nfrom pinmobile.exercises import load_exercise\n\n{start}\n"
         cells = [_cell(0, "markdown", head), _cell(1, "code", setup + "\n".join(lines))]
         for letter, each in zip("abcdefgh", questions, strict=False):
             points = f"{each.points} point{'s' * (each.points > 1)}"
             task = f"## {letter} {each.name.replace('_', ' ')} ({points})\n\n{each.text}"
-            answer, check = each.cells()
-            for kind, source in (("markdown", task), ("code", answer), ("code", check)):
+            for kind, source in zip(("markdown", "code", "code"), (task, *each.cells()), strict=True):
                 cells.append(_cell(len(cells), kind, source))
         kernel = {"display_name": "Python 3", "language": "python", "name": "python3"}
         metadata = {"kernelspec": kernel, "pinmobile": {"exercise": self.name, "seed": course}}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import html
 import inspect
 import os
 import sys
@@ -13,7 +12,7 @@ from contextlib import redirect_stdout
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from types import FrameType
-from typing import Any, NamedTuple
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -31,25 +30,12 @@ _FACTORS = {
 _EMPTY = "nothing is written yet; replace the dots"
 
 
-class TimeLimit(BaseException):
-    """A cell takes longer than it may."""
-
-
 class Fault(Exception):
     """An answer that earns nothing: state and reason of its verdict."""
 
 
-class Requirement(NamedTuple):
-    """One requirement of a design: the value must be below the bound."""
-
-    name: str
-    value: float
-    bound: float
-    unit: str
-
-    def __str__(self) -> str:
-        met = "met" if self.value < self.bound else "NOT met"
-        return f"{met}: {self.name} {self.value:.3g} {self.unit}, must be below {self.bound:g}"
+Requirement: TypeAlias = tuple[str, float, float, str]
+"""Requirement of a design: name, value, bound above the value, and unit."""
 
 
 @dataclass(frozen=True)
@@ -81,18 +67,14 @@ class Verdict:
         name = self.question.rpartition("/")[2]
         return f"{self.state:6} {self.points}/{self.out_of}  {name}: {self.words}"
 
-    def _repr_html_(self) -> str:
-        color = {"passed": "#0a6b2e", "empty": "#555555"}.get(self.state, "#9c3d00")
-        return f'<div style="border-left: 4px solid {color}; padding: 0.3em">{html.escape(repr(self))}</div>'
-
 
 # Receives each verdict; a file that is checked has a function of its own here.
 RECORD: ContextVar[Callable[[Verdict], object]] = ContextVar("RECORD", default=lambda _: None)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Question:
-    """A question with points, hints and the diagnoses of known mistakes.
+    """A question for a function, a number or a design, with points, hints and the diagnoses of known mistakes.
 
     Parameters
     ----------
@@ -100,28 +82,34 @@ class Question:
         Name of the answer in the notebook.
     key : str
         Exercise, course and name.
-    points : int
-        Points of a right answer.
     text : str
         The task.
-    hints : tuple of str
+    hints : list of str
         Hints, from the first to the most explicit.
-    mistakes : tuple of pairs of str
+    mistakes : list of pairs of str
         Expression for the answer with a mistake (for a design: whether it was made), and its diagnosis.
     reference : callable
         Function of the course's numbers and the arguments of the answer.
     numbers : object
         Numbers of the course, as attributes.
+    points : int
+        Points of a right answer.
+    draw : callable, optional
+        For a function: it takes the course's numbers and a random generator, and returns the arguments.
+    unit : str
+        Unit of a number.
     """
 
     name: str
     key: str
-    points: int
     text: str
-    hints: tuple[str, ...]
-    mistakes: tuple[tuple[str, str], ...]
+    hints: list[str]
+    mistakes: list[list[str]]
     reference: Callable[..., Any] = field(repr=False)
     numbers: Any = field(repr=False)
+    points: int
+    draw: Callable[..., tuple[Any, ...]] | None = field(repr=False)
+    unit: str
     given: list[str] = field(default_factory=list, repr=False)
 
     @property
@@ -156,8 +144,6 @@ class Question:
             state, words = "passed", self.judge(answer)
         except Fault as fault:
             state, words = fault.args
-        except TimeLimit:
-            state, words = "failed", "the answer takes longer than the time limit; is there an endless loop?"
         except (Exception, SystemExit) as error:
             state, words = "failed", f"the check did not work ({describe(error)}); restart and run all cells"
         verdict = Verdict(self.key, state, words, self.points if state == "passed" else 0, self.points)
@@ -166,11 +152,60 @@ class Question:
 
     def judge(self, answer: Any) -> str:
         """Return why the answer is right, or raise `Fault`."""
-        raise NotImplementedError
+        with np.errstate(all="ignore"), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            if self.draw is not None:
+                return self._judge_function(answer)
+            given, names = _entries(answer), self.arguments or [self.name]
+            if len(given) != len(names):
+                raise Fault("wrong", f"the answer has {len(given)} numbers, expected {', '.join(names)}")
+            values = [_as_array(each, (), "the answer is") for each in given]
+            if not self.unit:
+                return self._judge_design(values)
+            self.compare(values, [()], 2e-3, f"{values[0]:g} {self.unit} is not the value.")
+            return f"{values[0]:g} {self.unit} is right"
 
-    def cells(self) -> tuple[str, str]:
-        """Return the code of the answer's cell and of the check's cell."""
-        raise NotImplementedError
+    def _judge_function(self, answer: Any) -> str:
+        if not callable(answer):
+            raise Fault("wrong", f"the answer is {type(answer).__name__}, expected a function")
+        rng = np.random.default_rng(1)
+        states = [self.draw(self.numbers, rng) for _ in range(N_STATES)]  # type: ignore[misc]
+        shape = np.shape(self.reference(self.numbers, *states[0]))
+        with open(os.devnull, "w") as nowhere, redirect_stdout(nowhere):
+            got = [_as_array(_call(answer, s), shape, "the function returns") for s in [*states, states[0]]]
+        if not _close(got[-1:], got[:1], 1e-6):
+            raise Fault("wrong", "the function returns different values for the same arguments")
+        self.compare(got[:-1], states, 1e-6, "differs from the reference.")
+        return f"agrees with the reference at {N_STATES} random states"
+
+    def _judge_design(self, values: list[Array]) -> str:
+        reason = self.mistake(lambda made: made(self.numbers, *values))
+        try:
+            found: list[Requirement] = self.reference(self.numbers, *map(float, values))
+        except (ArithmeticError, ValueError) as error:  # Diverged and InvalidArgument are such
+            raise Fault("wrong", f"it cannot be simulated, {describe(error)}.{reason}") from None
+        met = {True: "met", False: "NOT met"}
+        words = "; ".join(
+            f"{met[bool(x < bound)]}: {name} {x:.3g} {unit}, must be below {bound:g}"
+            for name, x, bound, unit in found
+        )
+        if not all(x < bound for _, x, bound, _ in found):
+            raise Fault("wrong", f"{words}.{reason}")
+        return words
+
+    def compare(self, got: list[Array], states: list[Any], tolerance: float, words: str) -> None:
+        """Raise `Fault` with the diagnosis if values differ from the reference at the states."""
+
+        def agrees(twin: Callable[..., Any]) -> bool:
+            each = (np.array(twin(self.numbers, *copy.deepcopy(state)), float) for state in states)
+            return _close(got, each, tolerance)
+
+        def scaled(scale: float) -> bool:
+            return agrees(lambda *given: scale * self.reference(*given))
+
+        if not agrees(self.reference):
+            factors = (text for factor, text in _FACTORS.items() if scaled(factor) or scaled(1 / factor))
+            raise Fault("wrong", words + (self.mistake(agrees) or f" {next(factors, '')}".rstrip()))
 
     def mistake(self, agrees: Callable[[Callable[..., Any]], Any]) -> str:
         """Return the diagnosis of the first known mistake that agrees with the answer, or nothing."""
@@ -180,13 +215,15 @@ class Question:
                 return f" {words}"
         return ""
 
-    def factor(self, agrees: Callable[[Callable[..., Any]], Any]) -> str:
-        """Return the diagnosis of a result that is wrong by a factor only, or nothing."""
-        for factor, words in _FACTORS.items():
-            for scale in (factor, 1 / factor):
-                if agrees(lambda *given, scale=scale: scale * self.reference(*given)):
-                    return f" {words}"
-        return ""
+    def cells(self) -> tuple[str, str]:
+        """Return the code of the answer's cell and of the check's cell."""
+        names, given = ", ".join(self.arguments), self.name
+        answer = f"{given} = ...  # [{self.unit}]"
+        if self.draw is not None:
+            answer = f"def {given}({names}):\n    ..."
+        elif names:
+            answer, given = f"{names} = {', '.join('...' for _ in self.arguments)}", f"({names})"
+        return answer, f"ask.{self.name}.check({given})"
 
 
 def _entries(answer: object) -> list[object]:
@@ -236,141 +273,24 @@ def _call(answer: Callable[..., Any], arguments: Iterable[Any]) -> Any:
     return value
 
 
-def _as_array(value: Any, shape: tuple[int, ...]) -> Array:
-    """Return a copy of what a student's function returned, as an array of the given shape."""
+def _as_array(value: Any, shape: tuple[int, ...], words: str) -> Array:
+    """Return a copy of what a student wrote or returned, as an array of the given shape."""
     if value is None or value is ...:
-        raise Fault("empty", f"{_EMPTY}, and return the result")
-    expected = f"an array of shape {shape}" if shape else "a number"
+        raise Fault("empty", _EMPTY)
     try:
-        got = np.array(value, dtype=float)
+        got = np.array(np.nan if isinstance(value, str | bool) else value, dtype=float)
     except (Exception, SystemExit):
-        raise Fault("wrong", f"the function returns {type(value).__name__}, expected {expected}") from None
-    if got.shape != shape:
-        raise Fault("wrong", f"the function returns an array of shape {got.shape}, expected {expected}")
-    if not np.isfinite(got).all():
-        raise Fault("wrong", "the function returns NaN or infinity, expected finite numbers")
-    return got
+        got = np.array(np.nan)
+    if np.isfinite(got).all() and (got.shape == shape or (got.size == 1 and not shape)):
+        return got.reshape(shape)
+    given = f"of shape {got.shape}" if np.isfinite(got).all() else "not finite"
+    expected = f"finite numbers of shape {shape}" if shape else "a finite number"
+    raise Fault("wrong", f"{words} {type(value).__name__} {given}, expected {expected}")
 
 
-@dataclass(frozen=True, kw_only=True)
-class Function(Question):
-    """A question for a function, which is compared with the reference at random states.
-
-    Parameters
-    ----------
-    draw : callable
-        Function of the course's numbers and a random generator that returns the arguments.
-    """
-
-    draw: Callable[[Any, np.random.Generator], tuple[Any, ...]] = field(repr=False)
-
-    def judge(self, answer: Any) -> str:
-        """Compare with the reference, then with known mistakes and factors."""
-        if not callable(answer):
-            raise Fault("wrong", f"the answer is {type(answer).__name__}, expected a function")
-        rng = np.random.default_rng(1)
-        states = [self.draw(self.numbers, rng) for _ in range(N_STATES)]
-
-        def values(function: Callable[..., Any]) -> list[Array]:
-            return [np.array(function(self.numbers, *copy.deepcopy(state)), dtype=float) for state in states]
-
-        want = values(self.reference)
-        with np.errstate(all="ignore"), warnings.catch_warnings(), open(os.devnull, "w") as nowhere:
-            warnings.simplefilter("ignore")
-            with redirect_stdout(nowhere):
-                got = [_as_array(_call(answer, s), each.shape) for s, each in zip(states, want, strict=True)]
-                again = _as_array(_call(answer, states[0]), want[0].shape)
-        if not _close([again], got[:1]):
-            raise Fault("wrong", "the function returns different values for the same arguments")
-        if _close(got, want):
-            return f"agrees with the reference at {N_STATES} random states"
-
-        def agrees(twin: Callable[..., Any]) -> bool:
-            return _close(got, values(twin))
-
-        off = max(np.abs(a - b).max() / max(np.abs(b).max(), 1e-12) for a, b in zip(got, want, strict=True))
-        reason = self.mistake(agrees) or self.factor(agrees)
-        raise Fault("wrong", f"differs from the reference by up to {off:.1e} of its largest entry.{reason}")
-
-    def cells(self) -> tuple[str, str]:
-        """Return the function without its body, and its check."""
-        head = f"def {self.name}({', '.join(self.arguments)}):"
-        return f"{head}\n    ...", f"ask.{self.name}.check({self.name})"
-
-
-def _close(one: Iterable[Array], other: Iterable[Array]) -> bool:
-    """Return whether all arrays agree to a millionth of the largest entry."""
+def _close(one: Iterable[Array], other: Iterable[Array], tolerance: float) -> bool:
+    """Return whether all arrays agree to a part of the largest entry."""
     return all(
-        a.shape == b.shape and np.abs(a - b).max() <= 1e-6 * max(np.abs(b).max(), 1e-3)
+        a.shape == b.shape and np.abs(a - b).max() <= tolerance * max(np.abs(b).max(), 1e-3)
         for a, b in zip(one, other, strict=True)
     )
-
-
-def _as_float(answer: Any, expected: str) -> float:
-    """Return a number that a student wrote."""
-    try:
-        value = np.nan if isinstance(answer, str | bytes | bool) else float(np.array(answer, float).item())
-    except (Exception, SystemExit):
-        value = np.nan
-    if not np.isfinite(value):
-        given = answer if isinstance(answer, float) else type(answer).__name__
-        raise Fault("wrong", f"the answer is {given}, expected {expected}")
-    return value
-
-
-@dataclass(frozen=True, kw_only=True)
-class Number(Question):
-    """A question for a number, right to three digits.
-
-    Parameters
-    ----------
-    unit : str
-        Unit of the number.
-    """
-
-    unit: str
-
-    def judge(self, answer: Any) -> str:
-        """Compare with the reference, then with known mistakes and factors."""
-        value = _as_float(answer, f"a number [{self.unit}]")
-
-        def agrees(twin: Callable[..., Any]) -> bool:
-            other = float(twin(self.numbers))
-            return abs(value - other) <= 2e-3 * abs(other) + 1e-12
-
-        if agrees(self.reference):
-            return f"{value:g} {self.unit} is right"
-        reason = self.mistake(agrees) or self.factor(agrees)
-        raise Fault("wrong", f"{value:g} {self.unit} is not the value.{reason}")
-
-    def cells(self) -> tuple[str, str]:
-        """Return the name with dots, and its check."""
-        return f"{self.name} = ...  # [{self.unit}]", f"ask.{self.name}.check({self.name})"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Design(Question):
-    """A question for a few numbers, which are simulated and judged by requirements."""
-
-    def judge(self, answer: Any) -> str:
-        """Simulate, and compare each result with its bound."""
-        given = _entries(answer)
-        if len(given) != len(self.arguments):
-            raise Fault("wrong", f"the answer has {len(given)} numbers, expected {', '.join(self.arguments)}")
-        values = [_as_float(each, "a finite number") for each in given]
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            reason = self.mistake(lambda made: made(self.numbers, *values))
-            try:
-                found: list[Requirement] = self.reference(self.numbers, *values)
-            except (ArithmeticError, ValueError) as error:  # Diverged and InvalidArgument are such
-                raise Fault("wrong", f"it cannot be simulated, {describe(error)}.{reason}") from None
-        words = "; ".join(map(str, found))
-        if not all(each.value < each.bound for each in found):
-            raise Fault("wrong", f"{words}.{reason}")
-        return words
-
-    def cells(self) -> tuple[str, str]:
-        """Return the names with dots, and their check."""
-        names, dots = ", ".join(self.arguments), ", ".join("..." for _ in self.arguments)
-        return f"{names} = {dots}", f"ask.{self.name}.check(({names}))"

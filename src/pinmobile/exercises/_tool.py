@@ -9,15 +9,15 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.exercises._exercise import Exercise, check_course, exercise_names, read_exercise
-from pinmobile.exercises._question import RECORD, TimeLimit, Verdict, describe
+from pinmobile.exercises._exercise import check_course, exercise_names, read_exercise
+from pinmobile.exercises._question import RECORD, Verdict, describe
 
 _LOADED = re.compile(
     r"""^[^#\n]*load_exercise\(\s*["'](\w+)["'](?:\s*,\s*seed\s*=\s*["']([\w .:+-]*)["'])?\s*\)""", re.M
@@ -127,7 +127,7 @@ class Report:
     @property
     def is_complete(self) -> bool:
         """Whether each question has passed."""
-        return all(self.verdicts)
+        return bool(self.verdicts) and all(self.verdicts)
 
     def __str__(self) -> str:
         points, out_of = (sum(getattr(each, key) for each in self.verdicts) for key in ("points", "out_of"))
@@ -138,8 +138,8 @@ class Report:
 
 def check_exercises(
     files: Iterable[str | os.PathLike[str]], *, seed: str | None = None, limit: float = 60.0
-) -> list[Report]:
-    """Run notebooks, each in a process of its own, and return the verdicts.
+) -> Iterator[Report]:
+    """Run notebooks one by one, each in a process of its own, and return the verdicts.
 
     Parameters
     ----------
@@ -148,17 +148,17 @@ def check_exercises(
     seed : str, optional
         Name of the course that the notebooks must have; default: any.
     limit : float
-        Longest time for a notebook [s]; each cell has a sixth of it.
+        Longest time for a notebook [s].
 
     Returns
     -------
-    reports : list of Report
-        One for each file.
+    reports : iterator of Report
+        One for each file, once it has been checked. A file that cannot be read has a note, no verdicts.
 
     Raises
     ------
     InvalidArgument
-        If a file is no notebook of an exercise, or the limit is not above 0.
+        If the limit is not above 0, or the name of the course has signs that it may not have.
 
     See Also
     --------
@@ -174,8 +174,7 @@ def check_exercises(
     if not 0 < limit < 1e6:
         raise InvalidArgument(f"limit is {shown(limit)}, expected a number of seconds > 0")
     wanted = None if seed is None else check_course(seed)
-    opened = [(Path(file), *read_cells(Path(file))) for file in files]
-    return [_check(path, cells, read_exercise(name), own, wanted, limit) for path, cells, name, own in opened]
+    return (_check(Path(file), wanted, limit) for file in files)
 
 
 def read_cells(path: Path) -> tuple[list[str], str, str]:
@@ -202,32 +201,31 @@ def read_cells(path: Path) -> tuple[list[str], str, str]:
     return cells, loaded[1], loaded[2] or ""
 
 
-def _check(
-    path: Path, cells: list[str], exercise: Exercise, own: str, wanted: str | None, limit: float
-) -> Report:
+def _check(path: Path, wanted: str | None, limit: float) -> Report:
     """Run the cells, and return the last verdict of each question with the numbers of the course."""
+    try:
+        cells, name, own = read_cells(path)
+    except InvalidArgument as error:
+        return Report(str(path), "", (), (str(error),))
     course, found, notes = own if wanted is None else wanted, dict[str, Any](), list[str]()
     if own != course:
         notes.append(f"the notebook has the numbers of course {own or '(none)'}, expected {course}")
     with tempfile.TemporaryDirectory() as folder:
         program, sheet = Path(folder, "cells.json"), Path(folder, "sheet.jsonl")
         program.write_text(json.dumps(cells), encoding="utf-8")
-        end = _run_child([str(program), str(sheet), str(limit / 6)], path.parent, limit)
+        end = _run_child([str(program), str(sheet)], path.parent, limit)
         lines = sheet.read_text("utf-8", "replace").splitlines() if sheet.is_file() else []
     for line in lines:
-        with suppress(ValueError, TypeError, KeyError):  # of lines that the notebook wrote itself
-            entry = json.loads(line)
-            if entry is True:
-                end = ""  # it came to its end
-            elif isinstance(entry, str):
-                notes.append(entry[:300])
-            elif entry["state"] in _STATES and 0 <= entry["points"] < 100:
-                found[entry["question"]] = (entry["state"], str(entry["words"])[:900], int(entry["points"]))
+        with suppress(ValueError, TypeError):  # of lines that the notebook wrote itself
+            key, state, words = json.loads(line)
+            found[key] = (state if state in _STATES else "failed", str(words)[:900])
+            notes += [found[key][1][:300]] if key == "note" else []
     verdicts = []
-    for each in exercise.questions(course):
-        state, words, points = found.get(each.key, ("empty", "no verdict: its check did not run", 0))
-        verdicts.append(Verdict(each.key, state, words, min(points, each.points), each.points))
-    return Report(str(path), course, tuple(verdicts), tuple(filter(None, [*notes[:20], end])))
+    for each in read_exercise(name).questions(course):
+        state, words = found.get(each.key, ("empty", "no verdict: its check did not run"))
+        verdicts.append(Verdict(each.key, state, words, each.points * (state == "passed"), each.points))
+    notes = notes[:20] if "end" in found else [*notes[:20], end]
+    return Report(str(path), course, tuple(verdicts), tuple(notes))
 
 
 def _run_child(words: Sequence[str], folder: Path, limit: float) -> str:
@@ -247,44 +245,32 @@ def _run_child(words: Sequence[str], folder: Path, limit: float) -> str:
 
 def run_file() -> None:
     """Run the cells of a file and write a line of JSON for each verdict: the work of the process."""
-    program, path, limit = sys.argv[1:4]
+    program, path = sys.argv[1:3]
     sys.argv[1:] = []
     with open(path, "a", buffering=1, encoding="utf-8") as sheet:
         cells = json.loads(Path(program).read_text("utf-8"))
-        run_cells(cells, lambda entry: sheet.write(json.dumps(entry) + "\n"), float(limit))
-        sheet.write("true\n")
+        run_cells(cells, lambda *entry: sheet.write(json.dumps(entry) + "\n"))
 
 
-def run_cells(cells: Iterable[str], write: Callable[[object], object], limit: float) -> None:
-    """Run cells one after the other, with a time limit for each.
+def run_cells(cells: Iterable[str], write: Callable[[str, str, str], object]) -> None:
+    """Run cells one after the other.
 
     Parameters
     ----------
     cells : iterable of str
         Code of the cells.
     write : callable
-        Receives the verdicts as dictionaries, and the errors of cells as text.
-    limit : float
-        Longest time for a cell [s].
+        Receives key, state and words of each verdict; the key is "note" for errors, and "end" at last.
     """
-
-    def stop(*_: object) -> None:
-        raise TimeLimit(f"stopped after {limit:g} s")
-
     names: dict[str, Any] = {"__name__": "__main__", "display": print}
-    token, before = RECORD.set(lambda verdict: write(vars(verdict))), signal.signal(signal.SIGALRM, stop)
-    try:
-        for number, source in enumerate(cells, 1):
-            try:
-                signal.setitimer(signal.ITIMER_REAL, limit)
-                exec(_compile(source, number), names)
-            except BaseException as error:
-                write(f"code cell {number}: {describe(error)}")
-            finally:
-                signal.setitimer(signal.ITIMER_REAL, 0)
-    finally:
-        signal.signal(signal.SIGALRM, before)
-        RECORD.reset(token)
+    token = RECORD.set(lambda verdict: write(verdict.question, verdict.state, verdict.words))
+    for number, source in enumerate(cells, 1):
+        try:
+            exec(_compile(source, number), names)
+        except BaseException as error:
+            write("note", "failed", f"code cell {number}: {describe(error)}")
+    RECORD.reset(token)
+    write("end", "passed", "")
 
 
 def _compile(source: str, number: int) -> Any:
