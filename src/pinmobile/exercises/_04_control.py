@@ -171,10 +171,8 @@ def gains(p: Numbers, gain_p: float, gain_d: float) -> list[Requirement]:
     ! gain_d**2 > 5 * gain_p => The damping gain_d / (2 sqrt(gain_p)) is far above 1: the robot creeps.
     ! gain_p < 5.5 => gain_p is too small: omega = sqrt(gain_p) is too slow.
     """
-    goal, law = (
-        pm.FixedHeading(pm.Hold((0.5, 0.0), duration=6), 0),
-        pm.ComputedTorque(robot(p), gain_p, gain_d),
-    )
+    goal = pm.FixedHeading(pm.Hold((0.5, 0.0), duration=6), 0)
+    law = pm.ComputedTorque(robot(p), gain_p, gain_d)
     run = pm.simulate(robot(p), law, goal, dt=0.05, q0=np.zeros(3), v0=np.zeros(3))
     error = 0.5 - run.q[:, 0]
     late = run.t[np.abs(error) > 5e-3].max()

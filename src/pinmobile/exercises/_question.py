@@ -74,7 +74,7 @@ RECORD: ContextVar[Callable[[Verdict], object]] = ContextVar("RECORD", default=l
 
 @dataclass(frozen=True)
 class Question:
-    """A question for a function, a number or a design, with points, hints and the diagnoses of known mistakes.
+    """A question for a function, a number or a design, with hints and the diagnoses of known mistakes.
 
     Parameters
     ----------
@@ -184,12 +184,12 @@ class Question:
             found: list[Requirement] = self.reference(self.numbers, *map(float, values))
         except (ArithmeticError, ValueError) as error:  # Diverged and InvalidArgument are such
             raise Fault("wrong", f"it cannot be simulated, {describe(error)}.{reason}") from None
-        met = {True: "met", False: "NOT met"}
+        met = [x < bound for _, x, bound, _ in found]
+        lines = (f"{name} {x:.3g} {unit}, must be below {bound:g}" for name, x, bound, unit in found)
         words = "; ".join(
-            f"{met[bool(x < bound)]}: {name} {x:.3g} {unit}, must be below {bound:g}"
-            for name, x, bound, unit in found
+            f"{'met' if good else 'NOT met'}: {line}" for good, line in zip(met, lines, strict=True)
         )
-        if not all(x < bound for _, x, bound, _ in found):
+        if not all(met):
             raise Fault("wrong", f"{words}.{reason}")
         return words
 
