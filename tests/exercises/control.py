@@ -54,7 +54,7 @@ MISTAKES = [
     ("computed_torque", "e[2] =", "_ =", "The heading error is a plain difference"),
     ("circle_error", "w**2", "w", "the speed"),
     ("circle_error", "circle_error =", "circle_error = 1e3 *", "mm and m"),
-    ("circle_error", "/ kp", "/ kp / m", "not r w^2"),
+    ("circle_error", "/ kp", "/ kp / m", "contains the mass too"),
     ("largest_step", "2 / k", "1 / k", "not 1"),
     ("largest_step", "max(", "min(", "smallest eigenvalue"),
     ("largest_step", "2 / k", "k", "This is the eigenvalue"),

@@ -97,15 +97,12 @@ class Exercise:
         """Return the questions with the numbers of a course."""
         numbers, made = course_numbers(self.symbols, course), []
         for reference, fixed in self.parts:
-            name, lines = (
-                reference.__name__,
-                re.split(r"^(?=[?!] )", inspect.getdoc(reference) or "", flags=re.M),
-            )
-            items = [" ".join(line.split()) for line in lines[1:]]
+            text, *lines = re.split(r"^(?=[?!] )", inspect.getdoc(reference) or "", flags=re.M)
+            items = [" ".join(line.split()) for line in lines]
             hints = [item[2:] for item in items if item[0] == "?"]
             mistakes = [item[2:].split(" => ") for item in items if item[0] == "!"]
-            key, text = f"{self.name}/{course}/{name}", lines[0].strip()
-            made.append(Question(name, key, text, hints, mistakes, reference, numbers, **fixed))
+            name, key = reference.__name__, f"{self.name}/{course}/{reference.__name__}"
+            made.append(Question(name, key, text.strip(), hints, mistakes, reference, numbers, **fixed))
         return made
 
     def notebook(self, course: str) -> dict[str, Any]:
