@@ -45,9 +45,9 @@ USERS = {
         *("Circle", "CubicVia", "LectureHeading", "Tangent"),
     },
     "cli/scenario_file.py": {"Circle", "ComputedTorque", "Tangent"},  # where a file says nothing
-    "exercises/_03_trajectories.py": {"ComputedTorque", "CubicVia", "FixedHeading"},
-    "exercises/_04_control.py": {"ComputedTorque", "FixedHeading", "Hold"},
-    "exercises/_06_uncertainty.py": {"ComputedTorque", "Circle", "Tangent"},
+    "exercises/_03_trajectories.py": {"ComputedTorque", "Circle", "FixedHeading", "Spline", "Tangent"},
+    "exercises/_04_control.py": {"PD", "ComputedTorque", "Circle", "FixedHeading", "Hold"},
+    "exercises/_06_uncertainty.py": {"PD", "ComputedTorque", "Circle", "FixedHeading", "Tangent"},
     "exercises/_08_wheels.py": {"Backstepping", "UnicycleTracking", "Circle", "Tangent"},
     "identification/_planar_model.py": {
         "JointFriction",
