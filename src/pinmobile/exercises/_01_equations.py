@@ -30,9 +30,8 @@ _LAST = np.diag([False, False, True])  # the last entry of the diagonal
 
 
 @cache
-def _made(*numbers: float) -> pm.MobileRobot:
-    """Return a robot with mass, yaw inertia and centre of mass."""
-    return pm.MobileRobot(*numbers[:2], com=numbers[2:])
+def _made(mass: float, inertia: float, *com: float) -> pm.MobileRobot:
+    return pm.MobileRobot(mass, inertia, com=com)
 
 
 def robot(p: Numbers) -> pm.MobileRobot:
@@ -73,7 +72,7 @@ def pose(p: Numbers, q: Array) -> Array:
     ! pose(p, q * [1, 1, 0]) => psi is missing: the third joint adds it to theta.
     ! np.linalg.inv(pose(p, q)) => This is the pose of the ground in the body frame, the inverse.
     """
-    return dh.LECTURE_TABLE.placements(q[[1, 0, 2]])[-1]
+    return np.asarray(dh.LECTURE_TABLE.placements(q[[1, 0, 2]])[-1])
 
 
 @EXERCISE(2, uniform(3))

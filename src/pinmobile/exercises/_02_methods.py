@@ -126,5 +126,4 @@ def slide_error(p: Numbers) -> float:
 
 def _force(p: Numbers, turn: float) -> float:
     """Return F_x at psi = psi_0 and psi_dot = 0.5 rad/s for a value of psi_ddot."""
-    body = {"mass": p.m, "yaw_inertia": p.I_cz, "com": (p.x_bc, p.y_bc)}
-    return float(closed_form.inverse_dynamics((0, 0, p.psi_0), (0, 0, 0.5), (0, 0, turn), **body)[0])
+    return float(robot(p).inverse_dynamics([0, 0, p.psi_0], [0, 0, 0.5], [0, 0, turn])[0])

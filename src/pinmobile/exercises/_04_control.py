@@ -32,7 +32,7 @@ def critical(p: Numbers, omega: float) -> Array:
     ! critical(p, omega) * [1, -1] => kd has the wrong sign: the poles would be at +omega.
     ! critical(p, omega) * [1, 0.7] => This has a damping ratio of 0.7; critical damping has 1.
     """
-    return np.poly([-omega, -omega])[:0:-1]
+    return np.asarray(np.poly([-omega, -omega])[:0:-1], float)
 
 
 def _gains(rng: np.random.Generator) -> tuple[float, float]:
