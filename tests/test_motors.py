@@ -6,8 +6,21 @@ import numpy as np
 import pytest
 
 import pinmobile as pm
-from pinmobile import Coulomb, Engine, MobileRobot, Motor, Rolling, WheeledRobot, WheelTable, errors, parts
+from pinmobile import (
+    Circle,
+    Coulomb,
+    Engine,
+    MobileRobot,
+    Motor,
+    Rolling,
+    Tangent,
+    WheeledRobot,
+    WheelTable,
+    errors,
+    parts,
+)
 from pinmobile.arrays import Array
+from pinmobile.balance import max_path_speed
 from pinmobile.controllers import Backstepping, TorqueToVoltage, UnicycleTracking, WheelSpeed
 from pinmobile.parts import evolved
 from pinmobile.wheels import MOTORS, ByVoltage, DifferentialGear, Ramp, Support, Wheel, WheelFriction
@@ -383,3 +396,19 @@ test_what_has_no_volts_is_refused = refusals(
     (lambda: WheelSpeed(UnicycleTracking(), WheeledRobot(BODY, drives()["tricycle"]), 1.0), "that steer"),
     (lambda: Motor.from_sheet(12.0, 3.0, 1.0, 10.0), "stall_torque is 3 N m, expected at most"),
 )
+
+
+@pytest.mark.parametrize("torque", [-1e-6, 0.0, 1e-6])
+def test_beyond_the_rate_without_load_a_motor_lacks_torque_in_both_directions(torque: float) -> None:
+    motor = Motor.from_sheet(12, 0.6, 0.3, 6)  # at 8 rad/s, 12 V brake with .2 N m
+    assert motor.margin(np.array(torque), np.array(8.0)) == pytest.approx(-0.2, abs=2e-6)
+    assert motor.margin(np.array(-torque), np.array(-8.0)) == pytest.approx(-0.2, abs=2e-6)
+
+
+def test_the_largest_speed_on_a_circle_is_that_of_the_outer_wheel() -> None:
+    motor = Motor.from_sheet(12, 0.6, 0.3, 6)
+    wheels = WheelTable.differential(0.288, 0.033, supports=[(-0.1, 0), (0.1, 0)], motor=motor)
+    cart = WheeledRobot(MobileRobot(1.6, 0.02, com=(-0.006, 0, 0.02)), wheels)
+    speed = max_path_speed(cart, Tangent(Circle(0.5, 0.2, 6.0)), samples=50)
+    assert speed.value == pytest.approx(6 * 0.033 / (1 + 0.144 / 0.5), rel=1e-3)
+    assert speed.what == "right lacks torque"

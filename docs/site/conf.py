@@ -5,6 +5,7 @@ import enum
 import inspect
 import re
 import sys
+from collections import Counter
 from functools import cache
 from pathlib import Path
 
@@ -62,6 +63,7 @@ nitpick_ignore_regex = [
 # Notebooks show the outputs that are stored in them: the tests execute them.
 nb_execution_mode = "off"
 nb_merge_streams = True
+nb_render_markdown_format = "myst"  # formulas in outputs
 myst_enable_extensions = [
     "dollarmath",
     "amsmath",
@@ -129,9 +131,29 @@ html_theme_options = {
 
 PUBLIC = find()
 MODULES = {module for _, modules in TOPICS.values() for module in modules}
-# Short names that docstrings use for public objects of other modules.
-SHORT = {name.rpartition(".")[2]: name for name in reversed(PUBLIC)} | {
-    name: name for name in PUBLIC
+# A class may stand without its module: its last name leads to it, where only one class is called so.
+COUNTS = Counter(name.rpartition(".")[2] for name in PUBLIC)
+SHORT = {
+    name.rpartition(".")[2]: name
+    for name in PUBLIC
+    if name.rpartition(".")[2][0].isupper() and COUNTS[name.rpartition(".")[2]] == 1
+} | {name: name for name in PUBLIC}
+
+
+def meant(name: str, page: str) -> str | None:
+    """Return the public object that a name on a page means: one of the same module first."""
+    module = page.rpartition("/")[2].removeprefix("pinmobile.").rpartition(".")[
+        0
+    ] or OWNERS.get(page.rpartition("/")[2].removeprefix("pinmobile."), "")
+    beside = f"{module}.{name}"
+    return beside if beside in PUBLIC else SHORT.get(name)
+
+
+OWNERS = {
+    name: module
+    for _, modules in TOPICS.values()
+    for module in modules
+    for name in public(module)
 }
 numpydoc_xref_aliases = {word: word for word in DEFAULT_LINKS} | {
     short: f"pinmobile.{full}" for short, full in SHORT.items() if short[0].isupper()
@@ -201,7 +223,7 @@ def resolve(app, env, node, shown):
     short = node.get("reftarget", "").partition("(")[0].removeprefix("pinmobile.")
     first, *rest = short.split(".")
     for cut in range(len(rest), -1, -1):
-        full = SHORT.get(".".join([first, *rest[:cut]]))
+        full = meant(".".join([first, *rest[:cut]]), page)
         if full is not None:
             target = ".".join(["pinmobile", full, *rest[cut:]])
             found = env.domains["py"].resolve_xref(

@@ -299,7 +299,10 @@ class Motor:
         return self.stall_torque() if self.is_electric else self.torque_limit
 
     def margin(self, torque: Array, rate: Array) -> Array:
-        """Return the remaining torque at a rate, shape (...) [N m].
+        """Return the remaining torque at a rate in the direction of the torque, shape (...) [N m].
+
+        It is negative where the motor cannot provide the torque. Above the rate without load, a motor at its
+        voltage brakes: a smaller braking torque is then out of reach, too.
 
         Parameters
         ----------
@@ -311,7 +314,9 @@ class Motor:
         if self.voltage is None:
             return np.asarray(self.torque_limit - np.abs(torque))
         way = np.where(torque < 0, -1.0, 1.0)
-        return np.asarray(self.torque(way * self.voltage, rate) * way - np.abs(torque))
+        left = self.torque(way * self.voltage, rate) * way - np.abs(torque)
+        least = np.abs(torque) - self.torque(-way * self.voltage, rate) * way
+        return np.asarray(np.where(least < 0, np.minimum(left, least), left))
 
 
 class TorqueSpeedLine(NamedTuple):
