@@ -3,7 +3,7 @@ Equations of motion from a DH table, by two routes
 ==================================================
 
 A student has the modified-DH table of a mechanism, here a cart that carries two links, and wants
-M(q) and n(q, v). `derive` obtains them by Newton and Euler, `lagrange` from the energies. Their
+M(q) and n(q, v). ``derive`` obtains them by Newton and Euler, ``lagrange`` from the energies. Their
 difference is zero, in symbols. The figure shows n along a motion, as numbers.
 """
 
