@@ -415,7 +415,7 @@ class TestDrivers:
             drivers(pair)
         for share in (0, 1, 1e-4):
             with pytest.raises(
-                pm.InvalidArgument, match=rf"^share is {float(share)}, \d+ of 300 robots; exp"
+                pm.InvalidArgument, match=rf"^share is {float(share)}, \d+ of 300 robots, exp"
             ):
                 drivers(pair["PD"], share=share)
         with pytest.raises(pm.InvalidArgument, match=r"^ensemble has robots with the same parameters"):

@@ -486,7 +486,9 @@ def test_what_a_controller_keeps_in_itself_is_refused(engine: Any) -> None:
     generator = np.random.default_rng(0)
     drawing = pm.law(lambda t, q, v, r: KP * (r.q - q) + generator.normal(size=3))
     for controller in (Summing(), pm.InputSaturation(Summing(), 9.0), drawing):
-        with pytest.raises(pm.InvalidArgument, match=r"asked again .* keep memory in state, and take random"):
+        with pytest.raises(
+            pm.InvalidArgument, match=r"called again .* keep memory in state, and take random"
+        ):
             run_scenario(made(controller=controller, n=2, duration=2.0), engine=engine)
 
 

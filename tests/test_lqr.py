@@ -149,7 +149,7 @@ def test_the_weight_of_the_input_is_spread_one_robot_after_another(kind: Any) ->
 def test_a_model_that_differs_from_robot_to_robot_is_run_one_after_another() -> None:
     spread = {"controller.mass": pm.Uniform(20, 40)}
     given: Any = {"dt": 0.01, "integrator": pm.rk4, "n": 2, "seed": 1, "spread": spread}
-    with pytest.warns(UserWarning, match=r"depends on controller.robot.mass, which each"):
+    with pytest.warns(UserWarning, match=r"depends on controller.robot.mass, which differs"):
         found = pm.ensemble(HEAVY, pm.LQR(NOMINAL), SHORT, **given)
     assert found.engine == repr(pm.Engine.PYTHON)
     masses = found.draws["controller.mass"]

@@ -361,7 +361,7 @@ def test_joints_with_several_axes_are_refused_unless_they_are_locked(
         base.mount(model)
     assert str(refused.value) == (
         f"arm 'toy': joint 'joint1' is a JointModel{kind}, which has several axes, expected one axis: model "
-        "it as revolute and prismatic joints in series, or lock it with locked=['joint1']"
+        "the joint as revolute and prismatic joints in series, or lock it with locked=['joint1']"
     )
     assert base.mount(model, locked=["joint1"]).nq == 5
 

@@ -230,7 +230,7 @@ def test_the_player_has_names_and_a_visible_focus_and_follows_the_keyboard(
         press(page, "Tab", 9)
         names.append(page.evaluate("document.activeElement.ariaLabel"))
         outlines.add(page.evaluate("getComputedStyle(document.activeElement).outline"))
-    assert names == ["play", "time", "speed"]
+    assert names == ["play", "time", "playback speed"]
     assert outlines == {"rgb(194, 78, 0) solid 3px"}
     assert page.evaluate("document.getElementById('meshcat-pane').ariaLabel") == "Two gains"
     page.evaluate("document.getElementById('toggle').focus()")
