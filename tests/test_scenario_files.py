@@ -241,9 +241,17 @@ def test_robots_of_files_and_lists_of_parts_are_stated(tmp_path: Path) -> None:
 
 
 def test_grids_and_cases_change_what_they_name_and_no_model() -> None:
-    opened = Opened(["rivals", "grid.mass=[30, 40]"])
-    points = opened.points()
-    assert points.shape == (2, 3, 2) or len(points.scenarios) == 12
+    with pytest.raises(
+        pm.InvalidArgument, match="robot.mass is an axis of the grid too, expected one of them"
+    ):
+        Opened(["rivals", "grid.mass=[30, 40]"]).points()
+    points = Opened(
+        [
+            "rivals",
+            "grid.mass=[30, 40]",
+            "cases={nominal = {}, push = {forces.push = 'ConstantForce((10, 0, 0))'}}",
+        ]
+    ).points()
     for k, scenario in enumerate(points.scenarios):
         at = {
             name: axis.values[i] for (name, axis), i in zip(points.axes.items(), points.index(k), strict=True)

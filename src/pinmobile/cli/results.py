@@ -199,6 +199,8 @@ def show_sweep(words: Sequence[str], out: Path | None, scheduler: str | None, *,
     folder = output_folder(Path("out") / opened.title if out is None else out)
     client = None if scheduler is None else connected(scheduler)
     store = folder / "sweep.zarr"
+    if store.exists():
+        console.print(f"{store} is there: only what it lacks is run", markup=False)
     try:
         with progress(len(points.scenarios) * points.n, "sweeping") as bar:
             found = run_points(

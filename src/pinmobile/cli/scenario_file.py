@@ -174,14 +174,16 @@ class Opened:
 
     def axes(self) -> dict[str, dict[str, Any] | list[Any]]:
         """Return the axes of cases and grid: numbers, or values by label."""
-        axes: dict[str, Any] = {"case": {name: name for name in self.content.cases}}
+        axes: dict[str, Any] = {}
         for path, values in self.content.grid.items():
             is_numeric = isinstance(values, list) and all(
                 isinstance(each, int | float) and not isinstance(each, bool) for each in values
             )
             listed = isinstance(values, list) and not is_numeric
             axes[path] = {_label(each): each for each in values} if listed else values
-        return axes if self.content.cases else {k: v for k, v in axes.items() if k != "case"}
+        if self.content.cases:
+            axes["case"] = {name: name for name in self.content.cases}
+        return axes
 
     def scenario(self) -> Scenario:
         """Return the nominal scenario of the ensemble.
@@ -214,8 +216,14 @@ class Opened:
         InvalidArgument
             If values are invalid; the message has a line for each path.
         """
-        problems: dict[str, str] = {}
         plain, nominal = evolved(self.content, grid={}, cases={}), self.scenario()
+        varied = {_full(nominal, path) for path in self.content.grid}
+        problems: dict[str, str] = {
+            f"cases.{case}.{path}": f"{path} is an axis of the grid too, expected one of them"
+            for case, changes in self.content.cases.items()
+            for path in changes
+            if _full(nominal, path) in varied
+        }
 
         def made(values: dict[str, Any]) -> Scenario:
             case = values.pop("case", "")

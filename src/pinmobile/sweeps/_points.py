@@ -132,6 +132,8 @@ class Points:
         instance("scenario", scenario, Scenario, "a Scenario")
         grid, cases = _mapping("grid", grid), _mapping("cases", cases)
         cases = {name: _mapping(f"cases[{name!r}]", changes) for name, changes in cases.items()}
+        for path in sorted(grid.keys() & {path for changes in cases.values() for path in changes}):
+            raise InvalidArgument(f"grid and cases both change {path!r}, expected one of them")
         given = {_axis_name(name): values for name, values in grid.items()}
         if cases or not given:
             given["case"] = cases or {"all": {}}
