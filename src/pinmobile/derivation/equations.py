@@ -243,6 +243,8 @@ def derive(
     --------
     derivation.lagrange : the same equations by Lagrange
     derivation.lecture : equations of the lecture's robot
+    derivation.Derivation.numeric : the equations as functions of arrays, for checks and for a plant
+    derivation.Derivation.written_out : the equations without names of intermediate results
 
     Examples
     --------
@@ -437,9 +439,12 @@ def difference(first: Derivation, second: Derivation) -> ImmutableMatrix:
     >>> difference(by_newton, lagrange(by_newton))
     Matrix([[0]])
     """
-    if first.q != second.q or len(first.q) > SIMPLIFIED_JOINTS:
+    if first.q != second.q:
+        raise InvalidArgument(f"coordinates are {first.q} and {second.q}, expected equal ones")
+    if len(first.q) > SIMPLIFIED_JOINTS:
         raise InvalidArgument(
-            f"coordinates are {first.q} and {second.q}, expected equal ones, at most {SIMPLIFIED_JOINTS}"
+            f"first and second have {len(first.q)} joints, expected at most {SIMPLIFIED_JOINTS}: compare "
+            "numeric() of both at random states, or simplify the difference of entries of written_out()"
         )
     return (first.inputs - second.inputs).applyfunc(normal)
 
