@@ -225,6 +225,24 @@ def test_limits_hold_after_wrappers_and_are_what_is_applied() -> None:
     np.testing.assert_allclose(run.a[3], acceleration, rtol=1e-14)
 
 
+def test_a_plant_around_a_robot_needs_no_names() -> None:
+    robot = pm.MobileRobot(30.0, 1.3)
+
+    class Around:
+        nq = nv = nu = 3
+        forward_dynamics, integrate, difference = (
+            robot.forward_dynamics,
+            robot.integrate,
+            robot.difference,
+        )
+
+        def __init__(self) -> None:
+            self.robot = robot
+
+    run = pm.simulate(Around(), pm.PD(120, 120), PATH, dt=0.1, duration=0.5)
+    assert run.events == ()
+
+
 def test_a_start_is_completed_and_checked() -> None:
     class Held(TwoWheels):
         def check_start(self, q: Array, v: Array) -> None:

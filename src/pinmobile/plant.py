@@ -935,12 +935,13 @@ def limits_exceeded(plant: object, t: Array, q: Array, v: Array, u: Array | None
     robot: Any = next((each for each in robots if stated(each, "effort_limit") is not None), None)
     if robot is None:
         return tuple(found)
+    rates = [one.name for one in named]
     columns = [one.name for one in inputs_of(plant)] if u is not None else []
     for one, own, speed, effort in zip(
         coordinates_of(robot), inputs_of(robot), robot.velocity_limit, robot.effort_limit, strict=True
     ):
-        at = [each.name for each in named].index(one.name)
-        check(v[:, at], -speed, speed, f"{one.name} moves at", f"{one.unit}/s")
+        if one.name in rates:
+            check(v[:, rates.index(one.name)], -speed, speed, f"{one.name} moves at", f"{one.unit}/s")
         if u is not None and own.name in columns:
             check(u[:, columns.index(own.name)], -effort, effort, f"input of {own.name} reaches", own.unit)
     return tuple(found)
