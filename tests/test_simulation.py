@@ -390,7 +390,7 @@ class ScalarOnly:
         ),
         ({"dt": 1e-9}, "dt is 1e-09 s, expected at most the duration, 12.0 s, and at least 1.2e-07 s"),
         ({"integrator": "rk4"}, "integrator is 'rk4', expected one of pinmobile.integrators or such a step"),
-        ({"controller": pm.ComputedTorque}, "expected a controller"),
+        ({"controller": pm.ComputedTorque}, "expected an object: ComputedTorque(...)"),
         ({"controller": TauAlone()}, "controller returned array([0., 0., 0.]) at t = 0 s, expected (u,"),
         (
             {"controller": pm.PD(1, 1, difference=plain_difference), "trajectory": ScalarOnly()},

@@ -298,8 +298,8 @@ def once(controller: Any) -> Any:
         (lambda: pm.InputSaturation(3, 1),
          "controller is 3, expected a controller: wrap a function in law(...)"),
         (lambda: pm.MeasurementDelay(pm.ComputedTorque, 1),
-         "controller is <class 'pinmobile.controllers.feedback.ComputedTorque'>, expected a "
-         "controller: wrap a function in law(...)"),
+         "controller is <class 'pinmobile.controllers.feedback.ComputedTorque'>, expected an "
+         "object: ComputedTorque(...)"),
         (lambda: pm.InputSaturation(TOLD, (1, 0, 1)), "limits is 0.0 N, expected > 0"),
         (lambda: pm.InputSaturation(TOLD, np.ones((2, 3))), "limits has shape (2, 3), expected () or (n,)"),
         (lambda: once(pm.InputSaturation(TOLD, (1, 2))), "limits has shape (2,), expected () or (..., 3)"),

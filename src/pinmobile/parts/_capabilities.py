@@ -507,8 +507,10 @@ def lacks(part: object, kind: type) -> str:
     return f", which has no {lacking[0]}" if 0 < len(lacking) < len(names) else ""
 
 
-def meaning(kind: type) -> str:
-    """Return a capability as text: the first line of its docstring."""
+def meaning(kind: type, part: object = None) -> str:
+    """Return a capability as text: the first line of its docstring, or an object of a class that has it."""
+    if isinstance(part, type) and members(kind) and offers(part, kind):
+        return f"an object: {part.__name__}(...)"
     words = (kind.__doc__ or kind.__name__).split("\n")[0].rstrip(".")
     return words[:1].lower() + words[1:]
 
@@ -532,5 +534,5 @@ def required(name: str, part: Any, kind: type, why: str = "") -> Any:
     """
     if isinstance(part, type) or not offers(part, kind):
         told = lacks(part, kind) + (why and f", and {why}")
-        raise InvalidArgument(f"{name} is {shown(part)}{told}, expected {meaning(kind)}")
+        raise InvalidArgument(f"{name} is {shown(part)}{told}, expected {meaning(kind, part)}")
     return part

@@ -305,7 +305,7 @@ class Child(Field):
     def _one(self, name: str, value: Any) -> Any:
         kind = self.kind
         if value is None or isinstance(value, type) or not _is_of(value, kind):
-            expected = self.expected or (meaning(kind) if not isinstance(kind, tuple) else "a part")
+            expected = self.expected or (meaning(kind, value) if not isinstance(kind, tuple) else "a part")
             told = lacks(value, kind) if is_protocol(kind) else ""
             raise InvalidArgument(f"{name} is {shown(value)}{told}, expected {expected}")
         return value
