@@ -280,12 +280,16 @@ def test_noise_differs_from_robot_to_robot_and_not_from_run_to_run() -> None:
             "spread has 'force.x', which forces.0.force.x and forces.1.force.x have, expected one of them: "
             "'forces.0.force.x' or 'forces.1.force.x'",
         ),
-        ({"spread": {"force.x": 3}}, "unknown parameter in spread 'force.x'"),
+        (
+            {"spread": {"force.x": 3}},
+            "spread has 'force.x' and forces is empty, expected a force whose number it is: add "
+            "forces=[ConstantForce((0, 0, 0))]",
+        ),
         ({"after": 1.1}, "after is 1.1 s, expected 0 <= after <= 1 s"),
         ({"after": -0.1}, "after is -0.1 s, expected 0 <= after <= 1 s"),
         ({"every": 0}, "every is 0, expected a whole number >= 1"),
         ({"dt": 0.3, "duration": 1.0}, "duration is 1.0 s, expected a whole number of steps dt = 0.3 s"),
-        ({"controller": pm.PD}, "expected a controller"),
+        ({"controller": pm.PD}, "expected an object: PD(...)"),
     ],
 )
 def test_a_scenario_checks_itself(changes: Any, text: str) -> None:

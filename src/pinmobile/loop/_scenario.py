@@ -227,6 +227,11 @@ class Scenario(Recorded):
             self._set(spread=checked_spread(self.spread, n, self.find))
         except UnknownName as error:
             self._refuse_shared(str(error.name))
+            if str(error.name).startswith("force") and not self.forces:
+                raise InvalidArgument(
+                    f"spread has {error.name!r} and forces is empty, expected a force whose number it is: "
+                    "add forces=[ConstantForce((0, 0, 0))]"
+                ) from None
             raise
         check_supports(self.spread, self.found)
         self._check_answers()
