@@ -167,6 +167,13 @@ def test_hints_come_one_by_one(question: Question, capsys: pytest.CaptureFixture
     assert lines[-1] == lines[-2] == "That was the last hint. The notebook of the lecture has the derivation."
 
 
+def test_the_questions_are_listed_with_their_points_alone() -> None:
+    lines = repr(load_exercise("01_equations")).splitlines()
+    assert lines[0] == "transform (2 points)"
+    assert lines[-1] == "coupling (1 point)"
+    assert len(lines) == 6
+
+
 class Odd:
     """An object whose methods fail."""
 

@@ -22,6 +22,13 @@ _F = TypeVar("_F", bound=Callable[..., Any])
 _COURSE = tomllib.loads((Path(__file__).parent / "course.toml").read_text("utf-8"))
 
 
+class Questions(SimpleNamespace):
+    """Questions by name; the ``repr`` lists them with their points."""
+
+    def __repr__(self) -> str:
+        return "\n".join(map(repr, vars(self).values()))
+
+
 class Numbers(SimpleNamespace):
     """Numbers of a course, as attributes."""
 
@@ -116,8 +123,7 @@ class Exercise:
         setup = f"import numpy as np\n\nfrom pinmobile.exercises import load_exercise\n\n{start}\n"
         cells = [_cell(0, "markdown", head), _cell(1, "code", setup + "\n".join(lines))]
         for letter, each in zip("abcdefgh", questions, strict=False):
-            points = f"{each.points} point{'s' * (each.points > 1)}"
-            task = f"## {letter} {each.name.replace('_', ' ')} ({points})\n\n{each.text}"
+            task = f"## {letter} {each!r}".replace("_", " ") + f"\n\n{each.text}"
             for kind, source in zip(("markdown", "code", "code"), (task, *each.cells()), strict=True):
                 cells.append(_cell(len(cells), kind, source))
         kernel = {"display_name": "Python 3", "language": "python", "name": "python3"}
@@ -175,7 +181,8 @@ def load_exercise(name: str, *, seed: str = "") -> SimpleNamespace:
     Returns
     -------
     ask : SimpleNamespace
-        Questions by name: ``ask.transform.check(transform)``, ``ask.transform.hint()``.
+        Questions by name: ``ask.transform.check(transform)``, ``ask.transform.hint()``. Its ``repr`` lists
+        them with their points.
 
     Raises
     ------
@@ -192,8 +199,10 @@ def load_exercise(name: str, *, seed: str = "") -> SimpleNamespace:
     --------
     >>> from pinmobile.exercises import load_exercise
     >>> ask = load_exercise("01_equations", seed="ROB-2026")
+    >>> ask.coupling
+    coupling (1 point)
     >>> ask.coupling.check(3.0)
     wrong  0/1  coupling: 3 kg m is not the value.
     """
     questions = read_exercise(name).questions(check_course(seed))
-    return SimpleNamespace(**{each.name: each for each in questions})
+    return Questions(**{each.name: each for each in questions})

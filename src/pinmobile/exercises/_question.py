@@ -105,12 +105,15 @@ class Question:
     text: str
     hints: list[str]
     mistakes: list[list[str]]
-    reference: Callable[..., Any] = field(repr=False)
-    numbers: Any = field(repr=False)
+    reference: Callable[..., Any]
+    numbers: Any
     points: int
-    draw: Callable[..., tuple[Any, ...]] | None = field(repr=False)
+    draw: Callable[..., tuple[Any, ...]] | None
     unit: str
-    given: list[str] = field(default_factory=list, repr=False)
+    given: list[str] = field(default_factory=list)
+
+    def __repr__(self) -> str:
+        return f"{self.name} ({self.points} point{'s' * (self.points > 1)})"
 
     @property
     def arguments(self) -> list[str]:
