@@ -136,7 +136,10 @@ test_gains_and_arguments_that_do_not_fit_are_refused = refusals(
     (lambda: PD(np.nan, 1), "kp is nan, expected a finite number"),
     (lambda: ComputedTorque(ROBOT, kp=(1, 2)), "kp has shape (2,), expected (), (3,) or (3, 3)"),
     (lambda: ComputedTorque(ROBOT, kd=np.ones((2, 2))), "kd has shape (2, 2), expected (), (3,) or (3, 3)"),
-    (lambda: ComputedTorque("robot"), "robot is 'robot', expected a MobileRobot"),
+    (
+        lambda: ComputedTorque("robot"),
+        "robot is 'robot', expected a MobileRobot, or a plant with inverse_dynamics(q, v, a) and nv",
+    ),
     (lambda: PD(1, 1, difference=3), "difference is 3, expected a function of q0 and q1"),
     (lambda: law(3), "function is 3, expected a function of t, q, v and reference"),  # type: ignore[arg-type]
     by=told,

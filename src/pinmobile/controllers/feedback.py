@@ -342,12 +342,15 @@ class PDGravity(OfBody):
 class ComputedTorque:
     """Computed torque, tau = M(q) (a_d + Kd de/dt + Kp e) + n(q, v) (lecture, section 4).
 
+    Any plant with ``inverse_dynamics(q, v, a)``, ``difference(q0, q1)`` and ``nv`` serves as `robot`, such as
+    one made of `derivation.Derivation.numeric`.
+
     For an omnidirectional robot on wheels, it returns the minimum-norm torques that produce this acceleration
     of body and arms. Its reference contains the coordinates of body and arms.
 
     Parameters
     ----------
-    robot : MobileRobot or WheeledRobot
+    robot : MobileRobot, WheeledRobot or other plant
         Controller model; it may differ from the plant.
     kp, kd : array_like, shape (), (n,) or (n, n)
         Gains [1/s^2] and [1/s]: a scalar, one value per coordinate, or a matrix; n is 3 plus the degrees of

@@ -222,7 +222,9 @@ class Remembering(Protocol):
 class Measuring(Protocol):
     """A plant with metrics: metrics, and evaluate_metrics(t, q, v, a, u, reference).
 
-    Ensembles keep the worst value of each metric beside the errors.
+    Ensembles keep the worst value and the root mean square of each metric beside the errors. One sample gives
+    the shape (m,), with vectors q, v, a and u. A plant with ``broadcasts = True`` gets leading axes too, and
+    returns the shape (..., m). COMPILED traces the method with the loop: write it as a control law.
 
     See Also
     --------
@@ -245,7 +247,7 @@ class Measuring(Protocol):
         """Tuple of m `pinmobile.metrics.Metric`: names, units and meanings of the metrics."""
 
     def evaluate_metrics(self, t: Any, q: Any, v: Any, a: Any, u: Any, reference: Any, /) -> Any:
-        """Return the metrics of a sample, shape (m,).
+        """Return the metrics of a sample, shape (m,), or (..., m) if the plant ``broadcasts``.
 
         Parameters
         ----------
@@ -293,7 +295,7 @@ class _Sized(Protocol):
 
 
 class Invertible(Protocol):
-    """A MobileRobot."""
+    """A MobileRobot, or a plant with inverse_dynamics(q, v, a) and nv."""
 
     @property
     def nv(self) -> int:
