@@ -84,7 +84,8 @@ class Loop:
     substeps : int
         Integrator steps per sample.
     recorder : recorder, optional
-        Part that records samples, such as `Samples`.
+        Part that records samples, such as `Samples`, where you call `loop.step` yourself; `simulate` and
+        `ensemble` use their own.
     start : array_like, shape (nv,)
         Displacement of the initial configuration [m, m, rad, ...].
     start_rate : array_like, shape (nv,)
@@ -288,6 +289,9 @@ class Sample(NamedTuple):
 
 class Record(NamedTuple):
     """Result of a recorder for one sample.
+
+    A recorder of your own is for a loop that you run by `loop.step`: `simulate`, `ensemble` and
+    `loop.run_scenario` use their own. There, a controller records by ``signals``, and a plant by metrics.
 
     Attributes
     ----------
