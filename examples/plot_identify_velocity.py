@@ -23,16 +23,16 @@ from pinmobile import (
 from pinmobile.controllers import RandomSteps, VelocityCommand
 
 real = VelocityRobot((0.35, 0.3, 0.002, 1.0, 0.01, 1.05), size=(0.28, 0.31, 0.14))
-still = FixedHeading(Hold((0, 0), duration=60), psi=0)
+still = FixedHeading(Hold((0, 0), duration=80), psi=0)
 steps = RandomSteps(lowest=(-0.2, -1.3), largest=(0.5, 1.3))
 log = Log.from_rollout(simulate(real, steps, still, dt=0.05), noise=0.002)
-found = identify_velocity(log)
+found = identify_velocity(log.between(0, 60))
 low, high = found.interval(0.95)["theta_1"]
 print(f"lag of the speed from {low:.3f} to {high:.3f} s, 0.35 s in truth")
 
 # %%
-# What the model predicts of the log, two seconds at a time:
-prediction = plots.prediction(found.predict(log.between(0, 20), seconds=2.0))
+# What the model predicts of the next 20 s, which the estimate has not seen, two seconds at a time:
+prediction = plots.prediction(found.predict(log.between(60, 80), seconds=2.0))
 
 # %%
 # The same path with the lag ignored, and with the lag in the controller:
