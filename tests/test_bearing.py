@@ -315,7 +315,9 @@ def test_a_robot_by_voltage_tells_loads_and_takes_no_volts_for_torques() -> None
     electric = robot.by_voltage()
     at = still(electric, [12.0, 12.0])
     np.testing.assert_array_equal(contact_loads(at).values, contact_loads(still(robot)).values)
-    with pytest.raises(errors.InvalidArgument, match=r"^motion.plant is .*, which does not compute slip"):
+    with pytest.raises(
+        errors.InvalidArgument, match=r"^motion.plant is ByVoltage\(...\), .* simulate motion"
+    ):
         slip_margins(at)
     assert not hasattr(electric, "metrics")
     assert not hasattr(electric.array_dynamics, "evaluate_metrics")

@@ -177,6 +177,18 @@ test_what_is_no_robot_is_refused = refusals(
 )
 
 
+def test_errors_of_other_controllers_name_those_of_commands() -> None:
+    robot, circle = pm.VelocityRobot(THETA), pm.Tangent(pm.Circle(1.0, 0.5, 1.0))
+    for make in (
+        pm.LQR,
+        pm.MPC,
+        pm.ComputedTorque,
+        lambda robot: pm.simulate(robot, pm.PD(4, 4), circle, dt=0.1),
+    ):
+        with pytest.raises(pm.InvalidArgument, match=r"need Backstepping, controllers\.VelocityCommand or"):
+            make(robot)
+
+
 def test_no_force_pushes_it_and_it_starts_rolling() -> None:
     robot = pm.VelocityRobot(THETA)
     command, circle = VelocityCommand(pm.UnicycleTracking(), robot), pm.Tangent(pm.Circle(1.0, 0.5, 1.0))

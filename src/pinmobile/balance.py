@@ -403,9 +403,11 @@ def slip_margins(motion: Moving) -> SlipMargins:
 def _method(argument: str, plant: Any, name: str, words: str) -> Any:
     found = getattr(plant, name, None)
     if isinstance(plant, type) or not callable(found):
+        expected = f"a WheeledRobot, or a plant with {name}"
+        if hasattr(plant, "wheeled"):
+            expected = f"torques as inputs: simulate {argument}.wheeled, without TorqueToVoltage"
         raise InvalidArgument(
-            f"{argument} is {shown(plant)}, which does not compute {words}, expected a WheeledRobot, or a "
-            f"plant with {name}"
+            f"{argument} is {shown(plant, brief=True)}, which does not compute {words}, expected {expected}"
         )
     return found
 

@@ -8,10 +8,11 @@ from importlib import import_module
 from typing import Any
 
 _LONGEST = 500  # letters of a value that a message shows
+_LONGEST_PART = 200  # letters of a part in a brief text
 _LONGEST_LIST = 4000  # letters of a list of names
 
 
-def shown(value: object) -> str:
+def shown(value: object, *, brief: bool = False) -> str:
     """Return a value as text for a message.
 
     The text is the ``repr`` of the value, cut after 500 letters. A value whose ``repr`` fails, such as a list
@@ -21,6 +22,8 @@ def shown(value: object) -> str:
     ----------
     value : object
         Value that a message shows.
+    brief : bool
+        Whether the text of a part with more than 200 letters, such as a robot, is its class with ``(...)``.
 
     Returns
     -------
@@ -43,6 +46,8 @@ def shown(value: object) -> str:
         text = repr(value)
     except Exception:
         return f"<{type(value).__name__} without a repr>"
+    if brief and len(text) > _LONGEST_PART and hasattr(type(value), "__attrs_attrs__"):
+        return f"{type(value).__name__}(...)"
     return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}... ({len(text):,} letters)"
 
 

@@ -174,8 +174,8 @@ def clearance(robot: Any, q: ArrayLike) -> Clearance:
     """
     if isinstance(robot, type) or not hasattr(type(robot), "solid_placements"):
         raise InvalidArgument(
-            f"robot is {shown(robot)}, which has no collision geometry, expected a MobileRobot or a "
-            "WheeledRobot"
+            f"robot is {shown(robot, brief=True)}, which has no collision geometry, expected a "
+            "MobileRobot or a WheeledRobot"
         )
     choice = _choice(robot)
     placements = np.asarray(robot.solid_placements(q))

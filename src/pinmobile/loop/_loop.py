@@ -27,6 +27,7 @@ from pinmobile.parts import (
     Signalling,
     Stepping,
     able,
+    advice,
     array,
     child,
     children,
@@ -387,7 +388,7 @@ def step(
         raise InvalidArgument(f"controller returned {shown(answer)}{when(t)}, expected (u, state)")
     u, kept = answer
     if type(u) is not np.ndarray or u.dtype != np.float64 or u.shape != (plant.nu,):
-        u = _numbers("controller", u, t, (plant.nu,))
+        u = _numbers("controller", u, t, (plant.nu,), advice(loop.plant))
     if loop.limits is not None:
         u = np.clip(u, *loop.limits)
     if loop.is_informed:
@@ -405,13 +406,13 @@ def step(
     return State(q1, v1, after, kept, record.state), sample, record
 
 
-def _numbers(name: str, found: Any, t: Any, shape: tuple[int, ...]) -> Any:
+def _numbers(name: str, found: Any, t: Any, shape: tuple[int, ...], instead: str = "") -> Any:
     """Return the result of a part as an array of real numbers of this shape."""
     array = np.asarray(found)
     if np.shape(array) != shape or not are_real(array):
         of = "" if are_real(array) else " of real numbers"
         raise InvalidArgument(
-            f"{name} returned {shown(found)}{when(t)}, expected an array of shape {shape}{of}"
+            f"{name} returned {shown(found)}{when(t)}, expected an array of shape {shape}{of}{instead}"
         )
     return array
 

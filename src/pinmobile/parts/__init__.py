@@ -31,6 +31,7 @@ from pinmobile.parts._capabilities import (
     Tabled as Tabled,
     Touching as Touching,
     able as able,
+    advice as advice,
     meaning as meaning,
     offers as offers,
     required as required,

@@ -509,6 +509,12 @@ def lacks(part: object, kind: type) -> str:
     return f", which has no {lacking[0]}" if 0 < len(lacking) < len(names) else ""
 
 
+def advice(part: object) -> str:
+    """Return a text that names the controllers of a robot with commands as inputs; "" for other parts."""
+    words = "commands of speed and yaw rate need Backstepping, controllers.VelocityCommand"
+    return f": {words} or controllers.AdaptiveVelocity" if offers(part, Commanded) else ""
+
+
 def meaning(kind: type, part: object = None) -> str:
     """Return a capability as text: the first line of its docstring, or an object of a class that has it."""
     if isinstance(part, type) and members(kind) and offers(part, kind):
@@ -536,5 +542,5 @@ def required(name: str, part: Any, kind: type, why: str = "") -> Any:
     """
     if isinstance(part, type) or not offers(part, kind):
         told = lacks(part, kind) + (why and f", and {why}")
-        raise InvalidArgument(f"{name} is {shown(part)}{told}, expected {meaning(kind, part)}")
+        raise InvalidArgument(f"{name} is {shown(part, brief=True)}{told}, expected {meaning(kind, part)}")
     return part

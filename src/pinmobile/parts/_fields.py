@@ -26,7 +26,7 @@ from pinmobile.arrays import (
     whole as checked_whole,
 )
 from pinmobile.errors import InvalidArgument, NotTraceable, shown
-from pinmobile.parts._capabilities import lacks, meaning, offers
+from pinmobile.parts._capabilities import advice, lacks, meaning, offers
 
 _T = TypeVar("_T")
 _Method = TypeVar("_Method", bound=Callable[..., Any])
@@ -306,8 +306,8 @@ class Child(Field):
         kind = self.kind
         if value is None or isinstance(value, type) or not _is_of(value, kind):
             expected = self.expected or (meaning(kind, value) if not isinstance(kind, tuple) else "a part")
-            told = lacks(value, kind) if is_protocol(kind) else ""
-            raise InvalidArgument(f"{name} is {shown(value)}{told}, expected {expected}")
+            told, other = (lacks(value, kind), advice(value)) if is_protocol(kind) else ("", "")
+            raise InvalidArgument(f"{name} is {shown(value, brief=True)}{told}, expected {expected}{other}")
         return value
 
 
