@@ -394,7 +394,7 @@ test_what_has_no_volts_is_refused = refusals(
     (lambda: WheeledRobot(BODY, OPEN, Coulomb()).by_voltage(), "slip independently, expected"),
     (lambda: TorqueToVoltage(steady(0.0), BODY), "expected a WheeledRobot with electric motors"),
     (lambda: WheelSpeed(UnicycleTracking(), WheeledRobot(BODY, drives()["tricycle"]), 1.0), "that steer"),
-    (lambda: Motor.from_sheet(12.0, 3.0, 1.0, 10.0), "stall_torque is 3 N m, expected at most"),
+    (lambda: Motor.from_sheet(12.0, 3.0, 1.0, 10.0), "stall_current is 1 A, expected at least 2.5 A"),
 )
 
 

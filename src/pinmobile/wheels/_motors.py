@@ -148,12 +148,17 @@ class Motor:
         R = V / i_s;  k G = (V - R i_0) / W_0;  T_c = k i_0;  efficiency = stall torque / (G k (i_s - i_0)).
         Without a no-load current there is no dry friction, and the efficiency contains all losses.
 
+        Without a no-load current, torque, rate and voltage alone determine the torque with which the motor
+        drives. If the sheet has no stall current, pass any current of at least ``stall_torque * no_load_rate /
+        voltage``: `torque` and `margin` of a driving motor do not depend on it. Currents, and torques against
+        the rate, do.
+
         Parameters
         ----------
         voltage : float
             Voltage of all other values [V].
         stall_torque, stall_current : float
-            Torque at the wheel [N m] and current of the motor [A] at stall.
+            Torque at the wheel [N m] and current of the motor [A] at stall, at this voltage.
         no_load_rate, no_load_current : float
             Rate of the wheel [rad/s] and current of the motor [A] without load.
         gear : float
@@ -169,7 +174,18 @@ class Motor:
         Raises
         ------
         InvalidArgument
-            If a number is not finite or not in its range, or the efficiency would exceed 1.
+            If a number is not finite or not in its range, or the stall current is too small for the stall
+            torque, so the efficiency would exceed 1.
+
+        Examples
+        --------
+        >>> from pinmobile import Motor
+        >>> sheet = {"voltage": 12, "stall_torque": 0.6, "no_load_rate": 6}
+        >>> for current in (0.3, 1.0):  # stall current [A]
+        ...     motor = Motor.from_sheet(stall_current=current, **sheet)
+        ...     print(f"{motor.torque(volts=12, rate=3):.2f} N m")
+        0.30 N m
+        0.30 N m
         """
         V, torque = positive("voltage", voltage, "V"), positive("stall_torque", stall_torque, "N m")
         i_s, G = positive("stall_current", stall_current, "A"), positive("gear", gear)
@@ -185,9 +201,11 @@ class Motor:
             )
         share = torque / given
         if share > 1:
+            half = torque * W / V / 2
+            least = i_0 + half + np.sqrt(half * (half + 2 * i_0))
             raise InvalidArgument(
-                f"stall_torque is {torque:g} N m, expected at most {torque / share:.4g} N m, by these "
-                "currents and this rate"
+                f"stall_current is {i_s:g} A, expected at least {least:.4g} A for a stall_torque of "
+                f"{torque:g} N m: check the units, or pass a larger stall_current"
             )
         known = {"resistance": R, "torque_constant": k, "voltage": V, "coulomb": k * i_0, "efficiency": share}
         return cls(**{**known, "gear": G, **others})
@@ -304,12 +322,31 @@ class Motor:
         It is negative where the motor cannot provide the torque. Above the rate without load, a motor at its
         voltage brakes: a smaller braking torque is then out of reach, too.
 
+        This is the torque at the largest voltage in the direction of `torque`, minus the magnitude of
+        `torque`. It is negative if the motor cannot produce the torque at this rate. A torque against the
+        rate has a larger margin, because the back-EMF helps. For the margins along a run, pass the torques
+        ``run.u`` and the rates of the driven wheels, entries of ``run.v``.
+
         Parameters
         ----------
         torque : ndarray, shape (...)
             Torque at the wheel [N m].
         rate : ndarray, shape (...)
             Rate of the wheel [rad/s].
+
+        Returns
+        -------
+        margin : ndarray, shape (...)
+            Remaining torque; for a torque source, `torque_limit` minus the magnitude of `torque`.
+
+        Examples
+        --------
+        >>> from pinmobile import Motor
+        >>> motor = Motor.from_sheet(
+        ...     voltage=12, stall_torque=0.6, stall_current=0.5,
+        ...     no_load_rate=6)
+        >>> motor.margin(torque=0.1, rate=3.0).round(2)  # [N m]
+        np.float64(0.2)
         """
         if self.voltage is None:
             return np.asarray(self.torque_limit - np.abs(torque))
