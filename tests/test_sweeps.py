@@ -19,6 +19,7 @@ import pinmobile as pm
 from pinmobile.errors import UnknownName
 from pinmobile.loop import run_scenario
 from pinmobile.loop._variables import edges
+from pinmobile.parts import evolved
 from pinmobile.sweeps import Axis, Points
 from pinmobile.sweeps._points import _NAMES, changed
 from pinmobile.sweeps._sweep import compared, length
@@ -45,6 +46,12 @@ def stop_at(robots: int) -> Callable[[int, int], None]:
 @pytest.fixture(scope="module")
 def done(tmp_path_factory: pytest.TempPathFactory) -> pm.Sweep:
     return swept(tmp_path_factory.mktemp("sweep") / "store")
+
+
+def test_a_spread_that_replaces_a_number_of_a_part_of_a_case_warns() -> None:
+    base = replace(scenario(), spread={"robot.mass": pm.Uniform(28.0, 32.0)})
+    with pytest.warns(UserWarning, match=r"grid or cases change robot\.mass"):
+        changed(base, {"robot": evolved(ROBOT, mass=40.0)})
 
 
 @pytest.fixture

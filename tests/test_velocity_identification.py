@@ -72,6 +72,8 @@ def test_where_the_axle_is_and_what_firmware_allows_are_found() -> None:
     robot = pm.VelocityRobot(ROBOT.theta, accelerations=(0.6, 1.5))
     one = pm.identify_velocity(logged(robot), accelerations=None)
     np.testing.assert_array_equal(one.robot().accelerations, one.values[-2:])
+    with pytest.raises(pm.InvalidArgument, match="; accelerations=None also needs a log that reaches"):
+        pm.identify_velocity(logged(), accelerations=None)
     plain = pm.identify_velocity(logged(robot))
     assert any("the residual is correlated" in note for note in plain.notes)
 
@@ -161,7 +163,7 @@ test_what_is_no_such_log_is_refused = refusals(
     (lambda: pm.identify_velocity([]), r"log is \[\], expected a Log"),
     (
         lambda: pm.identify_velocity(logged().between(0.0, 30.0)),
-        r"29.9 s long, too short: it gives 14 segments of 2 s, expected 20 for .*: 41 s or more",
+        r"29.9 s long, too short: it gives 14 segments of 2 s, expected at least 20 .*: a log of 41 s",
     ),
     (
         lambda: pm.identify_velocity(changed(logged(), u=np.zeros((601, 3)))),

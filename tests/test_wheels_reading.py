@@ -69,7 +69,9 @@ def test_husky_has_four_tyres_and_both_its_sides_may_be_coupled(tmp_path: Path) 
         assert (wheel.angle, wheel.steering, wheel.roller, wheel.motor) == (0.0, "fixed", None, Motor())
     assert robot.mass == pytest.approx(46.034 + 4 * 2.637, rel=1e-14)  # the wheels are in the whole, once
     assert table.supports == ()
-    assert "guessed: motors at all; no rollers as given" in table.source
+    assert (
+        "wheels with a motor, assumed because driven is not given: all; no rollers as given" in table.source
+    )
     assert WheeledRobot(robot, table).ground == Coulomb()
     with pytest.raises(InvalidArgument, match="fixed on more than one axle, so it turns only by skidding"):
         WheeledRobot(robot, table, Rolling())
@@ -77,7 +79,7 @@ def test_husky_has_four_tyres_and_both_its_sides_may_be_coupled(tmp_path: Path) 
     coupled = read_wheels(robot, couplings=trains)
     assert [actuator.name for actuator in coupled.actuators] == ["wheel_0", "wheel_1"]
     assert coupled.couplings == tuple(trains)
-    assert "guessed: motors at wheel_0, wheel_1;" in coupled.source
+    assert "driven is not given: wheel_0, wheel_1;" in coupled.source
     assert read_wheels(robot, driven=["wheel_0", "wheel_1"], couplings=trains) == coupled
 
 

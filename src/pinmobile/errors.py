@@ -8,7 +8,6 @@ from importlib import import_module
 from typing import Any
 
 _LONGEST = 500  # letters of a value that a message shows
-_LONGEST_PART = 200  # letters of a part in a brief text
 _LONGEST_LIST = 4000  # letters of a list of names
 
 
@@ -46,7 +45,7 @@ def shown(value: object, *, brief: bool = False) -> str:
         text = repr(value)
     except Exception:
         return f"<{type(value).__name__} without a repr>"
-    if brief and len(text) > _LONGEST_PART and hasattr(type(value), "__attrs_attrs__"):
+    if brief and len(text) > 200 and hasattr(type(value), "__attrs_attrs__"):
         return f"{type(value).__name__}(...)"
     return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}... ({len(text):,} letters)"
 

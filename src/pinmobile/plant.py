@@ -725,9 +725,7 @@ class Context:
         missing = [name for name in ("difference", "integrate") if not callable(stated(plant, name))]
         if isinstance(plant, type) or missing:
             what = f", which has no {missing[0]}" if missing else ""
-            raise InvalidArgument(
-                f"plant is {shown(plant, brief=True)}{what}, expected a MobileRobot or other plant"
-            )
+            raise InvalidArgument(f"plant is {shown(plant)}{what}, expected a MobileRobot or other plant")
         check_difference(plant.difference)
         times = shaped("t", finite("t", np.zeros(1) if t is None else t), ("n",))
         named = coordinates_of(plant), inputs_of(plant), reference_sizes_of(plant)

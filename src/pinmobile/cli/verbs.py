@@ -236,9 +236,9 @@ def identify(
 
     Inputs are forces on a body, or with robot=... torques or volts of its wheels. Two inputs without a robot
     are commands of speed and yaw rate. Paths: robot, loads, method, delay, rolling_speed, columns.ROLE,
-    topics.ROLE.
+    topics.ROLE. The roles are t, q, u, twist and wheel_rates.
 
-    Example: pinmobile identify run.csv "robot=WheelTable.differential(0.5, 0.1)"
+    Example: pinmobile identify run.csv columns.q=px,py,yaw "robot=WheelTable.differential(0.5, 0.1)"
     """
     from pinmobile.cli.identify import show_identification
 

@@ -231,7 +231,7 @@ def hidden(J: Array, sizes: Array) -> NDArray[np.bool_]:
     return np.asarray(lost | (size == 0) | (deviations > sizes))
 
 
-def jackknife(near: Linear, pull: Array | float = 0.0) -> Array:
+def jackknife(near: Linear, pull: Array | float = 0.0, hint: str = "") -> Array:
     """Return the covariance by the jackknife over segments, CR3 (Bell and McCaffrey 2002), shape (P, P).
 
     Parameters
@@ -240,6 +240,8 @@ def jackknife(near: Linear, pull: Array | float = 0.0) -> Array:
         Linear problem at the estimate.
     pull : ndarray, shape (P,)
         Gradient of the cost at the estimate, which a shift of the residuals causes.
+    hint : str
+        End of the message of the error.
 
     Raises
     ------
@@ -255,7 +257,7 @@ def jackknife(near: Linear, pull: Array | float = 0.0) -> Array:
     except np.linalg.LinAlgError as error:
         raise InvalidArgument(
             f"log has {S} segments, and only one of them identifies some parameter, expected a longer log or "
-            "a more informative motion, see excitation"
+            f"a more informative motion, see excitation{hint}"
         ) from error
     return np.asarray((S - 1) / S * d.T @ d)
 

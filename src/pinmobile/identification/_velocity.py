@@ -211,7 +211,7 @@ def identify_velocity(
     Parameters
     ----------
     log : Log or sequence of Log
-        Commands and motion, at least 20 segments of 2 s.
+        Commands and motion, at least 20 segments of 2 s: 41 s or more.
     delay : float, optional
         Delay of measurements relative to commands [s]; default: estimated. The intervals of the other
         numbers then include the uncertainty of the delay.
@@ -286,7 +286,8 @@ def identify_velocity(
                 "about 1: are commands in m/s and rad/s, positions in metres and psi in radians?"
             )
     covariance, good = np.zeros((len(p), len(p))), found.good
-    covariance[np.ix_(~lost, ~lost)] = jackknife(found.near._replace(J=found.near.J[..., ~lost]))
+    hint = "; accelerations=None also needs a log that reaches both limits" * (accelerations is None)
+    covariance[np.ix_(~lost, ~lost)] = jackknife(found.near._replace(J=found.near.J[..., ~lost]), hint=hint)
     listed = ", ".join(one.name for one, is_so in zip(model.quantities, lost, strict=True) if is_so)
     rank, white = int((~lost).sum()), Whiteness.of(found.near.residual * good[..., None], good)
     return Identification(
@@ -361,8 +362,8 @@ def _cut(
     if len(found.y) < least:
         raise InvalidArgument(
             f"log is {sum(float(run.t[-1]) for run in runs):.3g} s long, too short: it gives {len(found.y)} "
-            f"segments of {seconds:g} s, expected {least} for valid intervals: "
-            f"{(least + 0.5) * seconds:g} s or more"
+            f"segments of {seconds:g} s, expected at least {least}{' for valid intervals' * (least > 1)}: "
+            f"a log of {(least + 0.5) * seconds:g} s or more"
         )
     if least > 1 and not (np.ptp(found.inputs, axis=0) > _STILL).any():
         raise InvalidArgument("log has constant commands, expected changing commands, such as RandomSteps")

@@ -354,7 +354,7 @@ class VelocityRobot:
         """
         three, four, five, six = self.theta[2:].tolist()
         found = [
-            f"{name} is {value:g}, but motors with losses have more than 1"
+            f"{name} is {value:g}, but motors with losses have more than 1: keep it if near 1"
             for name, value in (("theta_4", four), ("theta_6", six))
             if value < 1
         ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
@@ -295,6 +296,11 @@ def changed(scenario: Scenario, changes: Changes) -> Scenario:
             raise InvalidArgument(
                 f"grid or cases have {new.found[name].path!r}, which the spread replaces for each robot: "
                 f"expected 'spread.{name}', or a Relative spread"
+            )
+        old = scenario.found.get(name)
+        if old and not isinstance(source, Relative) and old.value != new.found[name].value:
+            warnings.warn(
+                f"grid or cases change {name}, which the spread replaces: use Relative", stacklevel=2
             )
     return new
 

@@ -420,7 +420,8 @@ def sweep(
         torque": ComputedTorque(robot)}}``. The last axis runs fastest.
     cases : mapping of str to mapping of str to value, optional
         Values by path of each case, by name: ``{"nominal": {}, "push": {"forces.push": force}}``. They are
-        the last axis, ``case``.
+        the last axis, ``case``. A spread replaces the numbers that it names for each robot, also those of a
+        part of a case; a `Relative` spread multiplies them instead.
     client : distributed.Client, optional
         Dask cluster that computes; default: this process, on all cores. The workers need pinmobile and your
         modules (``client.upload_file``).

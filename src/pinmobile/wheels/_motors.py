@@ -149,9 +149,9 @@ class Motor:
         Without a no-load current there is no dry friction, and the efficiency contains all losses.
 
         Without a no-load current, torque, rate and voltage alone determine the torque with which the motor
-        drives. If the sheet has no stall current, pass any current of at least ``stall_torque * no_load_rate /
-        voltage``: `torque` and `margin` of a driving motor do not depend on it. Currents, and torques against
-        the rate, do.
+        drives. If the sheet has no stall current, pass any current of at least
+        ``stall_torque * no_load_rate / voltage``: `torque` and `margin` of a driving motor do
+        not depend on it. Currents, and torques against the rate, do.
 
         Parameters
         ----------
@@ -201,8 +201,7 @@ class Motor:
             )
         share = torque / given
         if share > 1:
-            half = torque * W / V / 2
-            least = i_0 + half + np.sqrt(half * (half + 2 * i_0))
+            least = i_0 + (c := torque * W / V / 2) + (c * (c + 2 * i_0)) ** 0.5
             raise InvalidArgument(
                 f"stall_current is {i_s:g} A, expected at least {least:.4g} A for a stall_torque of "
                 f"{torque:g} N m: check the units, or pass a larger stall_current"

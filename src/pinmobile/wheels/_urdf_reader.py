@@ -312,7 +312,7 @@ class _Reader:
         """Return the origin of the table's numbers, in words."""
         found = [f"wheels of its file: {', '.join(joint.name for joint in self.joints)}"]
         pairs, signs = list(zip(table.wheels, self.joints, strict=True)), joint_signs(self.robot, table)
-        guess = "" if self.driven is not None else "guessed: "
+        guess = "" if self.driven is not None else ", assumed because driven is not given"
 
         def tell(words: str, holds: Callable[[Wheel, WheelJoint], object]) -> None:
             names = [joint.name for row, joint in pairs if holds(row, joint)]
@@ -330,7 +330,7 @@ class _Reader:
         tell("axes that the file rounds are exact at", rounds)
         given = "inertia as given, the whole's as in the file, of"
         tell(given, lambda row, joint: self._given("inertia", joint.name) is not None)
-        tell(f"{guess}motors at", lambda row, joint: row.motor)
+        tell(f"wheels with a motor{guess}:", lambda row, joint: row.motor)
         limit = "torque limit by the file's effort at"
         tell(limit, lambda row, joint: row.motor and np.isfinite(row.motor.torque_limit))
         words = "damping and friction of the joint are"
@@ -342,7 +342,7 @@ class _Reader:
         if self.rollers is not None:
             tell("rollers as given at", lambda row, joint: row.roller is not None)
         if self.rollers is None:
-            found.append("guessed: no wheel has rollers, which files do not define")
+            found.append("no wheel has rollers, assumed because rollers is not given")
         elif not any(row.roller is not None for row in table.wheels):
             found.append("no rollers as given")
         found += self.words
