@@ -50,7 +50,7 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> pm.Sweep:
 
 def test_a_spread_that_replaces_a_number_of_a_part_of_a_case_warns() -> None:
     base = replace(scenario(), spread={"robot.mass": pm.Uniform(28.0, 32.0)})
-    with pytest.warns(UserWarning, match=r"grid or cases change robot\.mass"):
+    with pytest.warns(UserWarning, match=r"grid or cases set robot\.mass"):
         changed(base, {"robot": evolved(ROBOT, mass=40.0)})
 
 

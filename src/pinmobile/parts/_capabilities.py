@@ -511,8 +511,7 @@ def lacks(part: object, kind: type) -> str:
 
 def advice(part: object) -> str:
     """Return a text that names the controllers of a robot with commands as inputs; "" for other parts."""
-    words = "commands of speed and yaw rate need Backstepping, controllers.VelocityCommand"
-    return f": {words} or controllers.AdaptiveVelocity" if offers(part, Commanded) else ""
+    return ": use Backstepping, VelocityCommand or AdaptiveVelocity" if offers(part, Commanded) else ""
 
 
 def meaning(kind: type, part: object = None) -> str:

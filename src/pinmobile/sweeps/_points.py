@@ -299,9 +299,7 @@ def changed(scenario: Scenario, changes: Changes) -> Scenario:
             )
         old = scenario.found.get(name)
         if old and not isinstance(source, Relative) and old.value != new.found[name].value:
-            warnings.warn(
-                f"grid or cases change {name}, which the spread replaces: use Relative", stacklevel=2
-            )
+            warnings.warn(f"grid or cases set {name}, which the spread replaces: use Relative", stacklevel=2)
     return new
 
 
