@@ -242,7 +242,7 @@ def test_robots_of_files_and_lists_of_parts_are_stated(tmp_path: Path) -> None:
 
 def test_grids_and_cases_change_what_they_name_and_no_model() -> None:
     with pytest.raises(
-        pm.InvalidArgument, match="robot.mass is an axis of the grid too, expected one of them"
+        pm.InvalidArgument, match=r"robot\.mass is an axis of the grid too, expected one of them"
     ):
         Opened(["rivals", "grid.mass=[30, 40]"]).points()
     points = Opened(
