@@ -6,6 +6,7 @@ write the pages, and checks each link.
 
 import importlib.metadata
 import json
+import os
 import re
 import shutil
 import sys
@@ -294,6 +295,7 @@ def main(folder: Path) -> int:
     from sphinx.cmd.build import build_main
 
     source, html = folder / "source", folder / "html"
+    os.environ["PINMOBILE_ROOT"] = str(ROOT)
     for old in ("source", "doctrees", "html"):
         shutil.rmtree(folder / old, ignore_errors=True)
     shutil.copytree(ROOT / "docs" / "site", source)

@@ -3,6 +3,7 @@
 import contextlib
 import enum
 import inspect
+import os
 import re
 import sys
 from collections import Counter
@@ -17,7 +18,9 @@ from sphinx.transforms import SphinxTransform
 import pinmobile
 
 HERE = Path(__file__).parent
-ROOT = next(each for each in HERE.parents if (each / "pyproject.toml").exists())
+ROOT = Path(
+    os.environ.get("PINMOBILE_ROOT") or HERE.parents[2]
+)  # the build may be elsewhere
 sys.path[:0] = [str(HERE / "_ext"), str(ROOT / "docs")]
 
 from public import TOPICS, find, public, spelled  # noqa: E402
