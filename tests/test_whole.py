@@ -430,7 +430,10 @@ def test_in_the_loop_and_asked_from_outside_a_controller_is_the_same(make: Any, 
 
 test_sizes_that_do_not_fit_are_refused = refusals(
     (lambda: pm.PDGravity("ur5", 1, 1), "robot is 'ur5', expected a MobileRobot"),
-    (lambda: Decoupled("ur5"), "robot is 'ur5', expected a MobileRobot"),
+    (
+        lambda: Decoupled("ur5"),
+        "robot is 'ur5', expected a MobileRobot, or a plant with inverse_dynamics(q, v, a) and nv",
+    ),
     (lambda: pm.PDGravity(UR5, (1, 2, 3), 1), "kp has shape (3,), expected (), (9,) or (9, 9)"),
     (lambda: Decoupled(UR5, 1, np.eye(3)), "kd has shape (3, 3), expected (), (9,) or (9, 9)"),
     (lambda: Decoupled(UR5, np.inf, 1), "kp is inf, expected a finite number"),
