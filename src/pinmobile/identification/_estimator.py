@@ -283,7 +283,7 @@ class Whiteness(NamedTuple):
 
     @classmethod
     def of(cls, residuals: Array, good: NDArray[np.bool_]) -> Whiteness:
-        """Return the whiteness of residuals, shape (S, L, m), zero where they are not good, shape (S, L)."""
+        """Return the whiteness of residuals (S, L, m). They are zero at samples that are not good (S, L)."""
         power = (residuals**2).sum(axis=(0, 1)) / good.sum()
         pairs = max((good[:, 1:] * good[:, :-1]).sum(), 1.0)
         product = (residuals[:, 1:] * residuals[:, :-1]).sum(axis=(0, 1)) / pairs

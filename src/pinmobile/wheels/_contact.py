@@ -171,7 +171,7 @@ class WheelContact:
         return FrictionConstraint([row], [self.spun], [bounds.spin], False, [0.0], 0.0)
 
     def _wanted(self, own: Pair, p: Vector, slip: Vector) -> Vector:
-        """Return the product of its matrix and the impulses at which it sticks."""
+        """Return own p - slip: the product of the Delassus matrix and the impulses that stop the slip."""
         return [a - s for a, s in zip(own.times(p), slip, strict=True)]
 
     def _moved(self, v: Vector, p: Vector, now: Vector, spin: Any) -> Vector:
