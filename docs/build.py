@@ -102,32 +102,18 @@ def tables(source: Path) -> None:
 
 
 def scenario_keys(source: Path) -> None:
-    """Write the keys of scenario files, with meaning and unit."""
-    import io
-    from contextlib import redirect_stdout
+    """Write the keys of scenario files, with meaning and unit: those of the scenario, and of each part."""
+    from pinmobile.cli.scenario_file import described, listed
 
-    from pinmobile.cli import main
-
+    rows = [line.split() for line in listed().splitlines() if line.startswith("  ")]
     lines = [
         "# Keys of scenario files",
         "",
         "`pinmobile parts NAME` prints one of these; `pinmobile parts` lists all.",
         "",
     ]
-    for name in (
-        "scenario",
-        "MobileRobot",
-        "WheeledRobot",
-        "WheelTable",
-        "Motor",
-        "PD",
-        "ComputedTorque",
-        "Circle",
-        "Tangent",
-    ):
-        with redirect_stdout(io.StringIO()) as out:
-            main(["parts", name])
-        lines += [f"## {name}", "", "```text", out.getvalue().rstrip(), "```", ""]
+    for name in ("scenario", *(row[0] for row in rows)):
+        lines += [f"## {name}", "", "```text", described(name), "```", ""]
     write(source / "reference" / "scenario-keys.md", *lines)
 
 

@@ -19,6 +19,7 @@ TOPICS = {
     "balance": ("Balance and contact", ["balance"]),
     "identification": ("Identification", ["identification"]),
     "derivation": ("Derivation and verification", ["derivation", "closed_form", "verification"]),
+    "exercises": ("Exercises", ["exercises"]),
     "plots": ("Figures", ["plots"]),
     "viewer": ("Viewer", ["viewer"]),
     "parts": ("User-defined parts", ["parts", "plant", "compiled"]),

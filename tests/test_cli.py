@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import typer
 from matplotlib.figure import Figure
 
 import pinmobile
@@ -21,7 +22,7 @@ from pinmobile import plots
 from pinmobile.cli import main, verbs
 from pinmobile.cli.identify import IdentifyPaths
 from pinmobile.cli.lecture import EXPECTED
-from pinmobile.cli.verbs import TASKS, complete
+from pinmobile.cli.verbs import TASKS, app, complete
 from pinmobile.parts import parameters
 from tests import wheeled
 from tests.damage import full_disk
@@ -56,6 +57,7 @@ def typed(capsys: pytest.CaptureFixture[str]) -> Typed:
 def test_an_error_names_its_page(capsys: pytest.CaptureFixture[str], words: str, page: str) -> None:
     assert main(words.split()) == 2
     assert capsys.readouterr().err.endswith(f"\npinmobile: page of the documentation: {page}\n")
+    assert {verb for verbs in TASKS.values() for verb in verbs} == {*typer.main.get_command(app).commands}  # type: ignore[attr-defined]
     pages = {page for verbs in TASKS.values() for page in verbs.values()} - {"reference/derivation"}
     site = Path(__file__).parents[1] / "docs" / "site"
     assert all((site / f"{page}.md").exists() for page in pages)

@@ -407,7 +407,7 @@ def _method(argument: str, plant: Any, name: str, words: str) -> Any:
         if hasattr(plant, "wheeled"):
             expected = f"torques as inputs: simulate {argument}.wheeled, without TorqueToVoltage"
         raise InvalidArgument(
-            f"{argument} is {shown(plant, brief=True)}, which does not compute {words}, expected {expected}"
+            f"{argument} is {shown(plant)}, which does not compute {words}, expected {expected}"
         )
     return found
 

@@ -11,18 +11,17 @@ _LONGEST = 500  # letters of a value that a message shows
 _LONGEST_LIST = 4000  # letters of a list of names
 
 
-def shown(value: object, *, brief: bool = False) -> str:
+def shown(value: object) -> str:
     """Return a value as text for a message.
 
-    The text is the ``repr`` of the value, cut after 500 letters. A value whose ``repr`` fails, such as a list
+    The text is the ``repr`` of the value, cut after 500 letters. A part with more than 200 letters, such as
+    a robot, is its class with ``(...)``. A value whose ``repr`` fails, such as a list
     that is nested too deep, is named by its class.
 
     Parameters
     ----------
     value : object
         Value that a message shows.
-    brief : bool
-        Whether the text of a part with more than 200 letters, such as a robot, is its class with ``(...)``.
 
     Returns
     -------
@@ -45,7 +44,7 @@ def shown(value: object, *, brief: bool = False) -> str:
         text = repr(value)
     except Exception:
         return f"<{type(value).__name__} without a repr>"
-    if brief and len(text) > 200 and hasattr(type(value), "__attrs_attrs__"):
+    if len(text) > 200 and hasattr(type(value), "__attrs_attrs__"):
         return f"{type(value).__name__}(...)"
     return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}... ({len(text):,} letters)"
 

@@ -174,7 +174,7 @@ def clearance(robot: Any, q: ArrayLike) -> Clearance:
     """
     if isinstance(robot, type) or not hasattr(type(robot), "solid_placements"):
         raise InvalidArgument(
-            f"robot is {shown(robot, brief=True)}, which has no collision geometry, expected a "
+            f"robot is {shown(robot)}, which has no collision geometry, expected a "
             "MobileRobot or a WheeledRobot"
         )
     choice = _choice(robot)

@@ -7,11 +7,10 @@ from collections.abc import Sequence
 from contextlib import suppress
 from io import UnsupportedOperation
 
-from pinmobile.errors import InvalidArgument, PinmobileError
+from pinmobile.errors import PinmobileError
 
 __all__ = ["main"]
 
-_PAGE = "page of the documentation:"
 _INTERRUPTED = 130  # exit code of typer and shells
 
 
@@ -54,21 +53,24 @@ def _run(arguments: Sequence[str] | None) -> int:
 
     words = list(sys.argv[1:] if arguments is None else arguments) or ["--help"]
     pages = {verb: page for verbs in TASKS.values() for verb, page in verbs.items()}
-    page = pages.get(words[0], "howto/headless")
+
+    def wrong(text: str) -> int:
+        """Print what is wrong, a line each, and the page of the verb."""
+        page = pages.get(words[0], "howto/headless")
+        return max(map(_refuse, [*text.splitlines(), f"page of the documentation: {page}"]))
+
     try:
         with warnings.catch_warnings():
             warnings.showwarning = _note
             code = app(args=words, prog_name="pinmobile", standalone_mode=False)
         sys.stdout.flush()
     except typer.TyperException as error:
-        _refuse(f"{error.format_message()} (see 'pinmobile --help' or 'pinmobile COMMAND --help')")
-        return _refuse(f"{_PAGE} {page}")
+        return wrong(f"{error.format_message()} (see 'pinmobile --help' or 'pinmobile COMMAND --help')")
     except (Diverged, FileError) as error:
         return _refuse(str(error), 1)
-    except InvalidArgument as error:
-        return max(map(_refuse, [*str(error).splitlines(), f"{_PAGE} {page}"]))
     except PinmobileError as error:
-        return _refuse(str(error), _INTERRUPTED if str(error).startswith("interrupted") else 2)
+        text = str(error)
+        return _refuse(text, _INTERRUPTED) if text.startswith("interrupted") else wrong(text)
     except typer.Abort:
         return _refuse("interrupted", _INTERRUPTED)
     except BrokenPipeError:

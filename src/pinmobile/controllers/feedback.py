@@ -96,7 +96,7 @@ def check_compares(controller: Any) -> None:
     """
     if controller.difference is None and not able(controller.robot, Comparing):
         raise InvalidArgument(
-            f"robot is {shown(controller.robot, brief=True)}, which has no difference(q0, q1), "
+            f"robot is {shown(controller.robot)}, which has no difference(q0, q1), "
             "expected one, or the argument difference of the controller: difference=planar_difference"
         )
 

@@ -193,7 +193,7 @@ def load_exercise(name: str, *, seed: str = "") -> SimpleNamespace:
 
     See Also
     --------
-    start_exercises : notebooks for students
+    exercises.start_exercises : notebooks for students
 
     Examples
     --------

@@ -36,7 +36,7 @@ def list_exercises() -> str:
 
     See Also
     --------
-    start_exercises : notebooks for students
+    exercises.start_exercises : notebooks for students
 
     Examples
     --------
@@ -76,13 +76,15 @@ def start_exercises(folder: str | os.PathLike[str] = "exercises", *, seed: str =
 
     See Also
     --------
-    check_exercises : points of the notebooks
+    exercises.check_exercises : points of the notebooks
 
     Examples
     --------
+    >>> from tempfile import TemporaryDirectory
     >>> from pinmobile.exercises import start_exercises
-    >>> start_exercises("exercises", seed="ROB-2026")  # doctest: +SKIP
-    ['exercises/01_equations.ipynb', 'exercises/02_methods.ipynb', ...]
+    >>> with TemporaryDirectory() as folder:
+    ...     len(start_exercises(folder, seed="ROB-2026"))
+    6
     """
     home, lines = Path(folder), []
     check_course(seed)
@@ -162,14 +164,14 @@ def check_exercises(
 
     See Also
     --------
-    start_exercises : notebooks for students
+    exercises.start_exercises : notebooks for students
 
     Examples
     --------
     >>> from pinmobile.exercises import check_exercises
-    >>> (report,) = check_exercises(["01_equations.ipynb"])  # doctest: +SKIP
-    >>> report.is_complete  # doctest: +SKIP
-    True
+    >>> (report,) = check_exercises(["no such file.ipynb"])
+    >>> report.is_complete
+    False
     """
     if not 0 < limit < 1e6:
         raise InvalidArgument(f"limit is {shown(limit)}, expected a number of seconds > 0")

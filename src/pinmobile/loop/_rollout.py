@@ -184,7 +184,7 @@ def end_effector_of(rollout: Any, frame: str | None) -> EndEffector:
     plant = rollout.plant
     if not all(callable(stated(plant, name)) for name in ("frame_pose", "frame_name")):
         raise InvalidArgument(
-            f"plant is {shown(plant, brief=True)}, which has no poses of frames, expected a MobileRobot, a "
+            f"plant is {shown(plant)}, which has no poses of frames, expected a MobileRobot, a "
             "WheeledRobot, or a plant with frame_name(frame) and frame_pose(q, frame)"
         )
     name = plant.frame_name(aimed_at(rollout) if frame is None else frame)

@@ -227,7 +227,7 @@ class Scenario(Recorded):
             self._set(spread=checked_spread(self.spread, n, self.find))
         except UnknownName as error:
             self._refuse_shared(str(error.name))
-            if str(error.name).startswith("force") and not self.forces:
+            if str(error.name).partition(".")[0] in ("force", "forces") and not self.forces:
                 raise InvalidArgument(
                     f"spread has {error.name!r} and forces is empty, expected a force whose number it is: "
                     "add forces=[ConstantForce((0, 0, 0))]"

@@ -541,5 +541,5 @@ def required(name: str, part: Any, kind: type, why: str = "") -> Any:
     """
     if isinstance(part, type) or not offers(part, kind):
         told = lacks(part, kind) + (why and f", and {why}")
-        raise InvalidArgument(f"{name} is {shown(part, brief=True)}{told}, expected {meaning(kind, part)}")
+        raise InvalidArgument(f"{name} is {shown(part)}{told}, expected {meaning(kind, part)}")
     return part

@@ -307,7 +307,7 @@ class Child(Field):
         if value is None or isinstance(value, type) or not _is_of(value, kind):
             expected = self.expected or (meaning(kind, value) if not isinstance(kind, tuple) else "a part")
             told, other = (lacks(value, kind), advice(value)) if is_protocol(kind) else ("", "")
-            raise InvalidArgument(f"{name} is {shown(value, brief=True)}{told}, expected {expected}{other}")
+            raise InvalidArgument(f"{name} is {shown(value)}{told}, expected {expected}{other}")
         return value
 
 

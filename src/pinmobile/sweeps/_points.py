@@ -275,6 +275,8 @@ def changed(scenario: Scenario, changes: Changes) -> Scenario:
             loop = replaced(loop, {"forces": _with_force(loop.forces, rest, value)})
         else:
             one = find(loop, path, _known(loop), "grid or cases")
+            if one.path in found:
+                raise InvalidArgument(f"grid and cases both change {one.path!r}, expected one of them")
             found.add(one.path)
             if one.entry is not None:
                 value = _with_entry(numbers.get(one.leaf.path, one.leaf.value), one, value, scenario.size)
@@ -298,7 +300,7 @@ def changed(scenario: Scenario, changes: Changes) -> Scenario:
                 f"expected 'spread.{name}', or a Relative spread"
             )
         old = scenario.found.get(name)
-        if old and not isinstance(source, Relative) and old.value != new.found[name].value:
+        if old and not isinstance(source, Relative) and not np.array_equal(old.value, new.found[name].value):
             warnings.warn(f"grid or cases set {name}, which the spread replaces: use Relative", stacklevel=2)
     return new
 
