@@ -15,6 +15,7 @@ from base64 import b64decode
 from collections.abc import Callable, Iterator
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 from urllib.parse import unquote, urlsplit
 
 ROOT = Path(__file__).parents[1]
@@ -123,15 +124,23 @@ def command(source: Path) -> None:
 
     from pinmobile.cli.verbs import app
 
-    lines = ["# The command pinmobile", ""]
+    def helped(verb: Any, context: Any) -> list[str]:
+        """Return the help of a verb, and of the verbs below it."""
+        path = context.command_path
+        lines = [
+            f"{'#' if path == 'pinmobile' else '##'} {path}",
+            "",
+            "```text",
+            verb.get_help(context).rstrip(),
+            "```",
+            "",
+        ]
+        for name, each in getattr(verb, "commands", {}).items():
+            lines += helped(each, typer.Context(each, info_name=name, parent=context))
+        return lines
+
     group = typer.main.get_command(app)
-    context = typer.Context(group, info_name="pinmobile")
-    lines += ["```text", group.get_help(context).rstrip(), "```", ""]
-    for name in group.list_commands(context):
-        verb = group.get_command(context, name)
-        text = verb.get_help(typer.Context(verb, info_name=name, parent=context))
-        lines += [f"## pinmobile {name}", "", "```text", text.rstrip(), "```", ""]
-    write(source / "reference" / "command.md", *lines)
+    write(source / "reference" / "command.md", *helped(group, typer.Context(group, info_name="pinmobile")))
 
 
 def about(source: Path) -> None:
