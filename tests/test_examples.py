@@ -7,6 +7,8 @@ import sys
 from importlib.util import find_spec
 from pathlib import Path
 
+import matplotlib
+import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
@@ -47,7 +49,8 @@ def test_a_script_of_the_gallery_prints_and_shows_something_and_writes_nothing(
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "dont_write_bytecode", True)
     before = sorted(EXAMPLES.rglob("*"))
-    left = runpy.run_path(str(path))
+    with np.printoptions(), matplotlib.rc_context():
+        left = runpy.run_path(str(path))
     assert (list(tmp_path.rglob("*")), sorted(EXAMPLES.rglob("*"))) == ([], before)
     assert 1 <= len(capsys.readouterr().out.splitlines()) <= 3
     shown = [value for value in left.values() if isinstance(value, Figure | Recording)]

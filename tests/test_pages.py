@@ -5,6 +5,8 @@ import io
 import re
 from pathlib import Path
 
+import matplotlib
+import numpy as np
 import pytest
 
 from pinmobile.cli.scenario_file import Opened
@@ -28,11 +30,12 @@ def test_a_page_prints_what_it_says(page: str, tmp_path: Path, monkeypatch: pyte
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("MPLBACKEND", "Agg")
     names: dict[str, object] = {"__name__": "page"}
-    for code, printed in BLOCK.findall(PAGES[page]):
-        out = io.StringIO()
-        with contextlib.redirect_stdout(out):
-            exec(compile(code, page, "exec"), names)
-        assert out.getvalue() == printed
+    with np.printoptions(), matplotlib.rc_context():
+        for code, printed in BLOCK.findall(PAGES[page]):
+            out = io.StringIO()
+            with contextlib.redirect_stdout(out):
+                exec(compile(code, page, "exec"), names)
+            assert out.getvalue() == printed
 
 
 @pytest.mark.parametrize("page", PAGES)
