@@ -40,12 +40,16 @@ def shown(value: object) -> str:
     >>> len(shown("x" * 1000)) < 600
     True
     """
+    text = text_of(value)
+    return f"{type(value).__name__}(...)" if len(text) > 200 and hasattr(type(value), "__attrs_attrs__") else text
+
+
+def text_of(value: object) -> str:
+    """Return the ``repr`` of a value, cut after 500 letters, or its class if the ``repr`` fails."""
     try:
         text = repr(value)
     except Exception:
         return f"<{type(value).__name__} without a repr>"
-    if len(text) > 200 and hasattr(type(value), "__attrs_attrs__"):
-        return f"{type(value).__name__}(...)"
     return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}... ({len(text):,} letters)"
 
 

@@ -11,7 +11,7 @@ from typing import Any, final
 import numpy as np
 
 from pinmobile.arrays import Array
-from pinmobile.errors import shown
+from pinmobile.errors import text_of
 from pinmobile.loop._loop import named_forces
 from pinmobile.loop._scenario import Recorded, Scenario, checked_scenario
 from pinmobile.loop._spread import SameAs, Source
@@ -291,5 +291,5 @@ def _drawn_from(source: Any) -> str:
 def _words(value: object) -> str:
     """Return the ``repr`` of a part on one line, without its address in memory."""
     with np.printoptions(**_PRINTED):
-        line = " ".join(re.sub(r" at 0x[0-9a-fA-F]+", "", shown(value)).split())
+        line = " ".join(re.sub(r" at 0x[0-9a-fA-F]+", "", text_of(value)).split())
     return "".join(letter if letter.isprintable() else "?" for letter in line)
