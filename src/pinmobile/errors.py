@@ -41,7 +41,8 @@ def shown(value: object) -> str:
     True
     """
     text = text_of(value)
-    return f"{type(value).__name__}(...)" if len(text) > 200 and hasattr(type(value), "__attrs_attrs__") else text
+    is_part = hasattr(type(value), "__attrs_attrs__")
+    return f"{type(value).__name__}(...)" if len(text) > 200 and is_part else text
 
 
 def text_of(value: object) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
 from typing import Any, NamedTuple, final
@@ -185,6 +185,8 @@ class Identification:
     prior: Any = None
     slippage: Slippage | None = None
     clipped: str = ""
+    free_run: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    remarks: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for name, value in vars(self).copy().items():
@@ -324,6 +326,7 @@ class Identification:
         low, high = (1e3 * each for each in self.delay_interval())
         rho = np.abs(self.whiteness.correlation).max()
         correlated = f"the residual is correlated ({rho:.2f} between successive samples)"
+        runs = [f"{name} {one:.3g} (hold-out {other:.3g})" for name, (one, other) in self.free_run.items()]
         bias = f"noise of the inputs biases output error by {self.input_noise_bias:.1f} standard deviations"
         found = [
             f"{self.samples} samples at {1 / self.dt:.4g} Hz, {self.dropped} dropped, {self.outliers} "
@@ -343,7 +346,8 @@ class Identification:
             else f"{correlated}, more than noise explains: the structure of the model is wrong, "
             "and the intervals are not valid; is there slip, a clipped input, a limit of the firmware, a "
             "slope, or resistance that depends on load?",
-            *(self.unseen, self.clipped, *self._negative, *self.model.notes(self)),
+            f"R^2 of a free run: {'; '.join(runs)}" if runs else "",
+            *(self.unseen, self.clipped, *self.remarks, *self._negative, *self.model.notes(self)),
         ]
         return tuple(filter(None, found))
 

@@ -25,6 +25,7 @@ _CONVERGED = 1e-7  # relative change of the cost
 _EVALUATIONS = 40  # largest number of evaluations of the cost
 _ROUNDS = 4  # updates of weights and outliers
 _OUTLIER = 6.0  # standard deviations
+_CLUSTER = 2  # samples: more outliers within this distance on both sides are no outliers
 _UNSEEN = 1e-10  # smaller eigenvalues of the scaled normal matrix count as zero
 
 
@@ -190,7 +191,8 @@ def solve_robustly(
         found = solve(model, segments._replace(good=good), p, moves=moves, white=white, starts=starts)
         p, starts, left, counted = found.p, found.starts, found.near.residual, good
         deviation = NORMAL * np.median(np.abs(left[good]), axis=0) + 1e-300
-        good = segments.good & (np.abs(left) <= _OUTLIER * deviation).all(axis=-1)
+        far = np.asarray((np.abs(left) > _OUTLIER * deviation).any(axis=-1))
+        good = segments.good & ~_alone(far, segments.good)
         if good.sum() <= left.shape[-1]:
             raise unexplained(0.0)
         before, covariance = covariance, np.cov(left[good & counted].T)
@@ -205,6 +207,14 @@ def solve_robustly(
         if natural is not None:
             moves, p = ~lost, np.where(lost, guess, p)
     return found, lost | ~moves
+
+
+def _alone(far: NDArray[np.bool_], seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the samples that are far off while others nearby are not: of a cluster, the model is wrong."""
+    from scipy.ndimage import uniform_filter1d  # slow to load
+
+    near = uniform_filter1d((far & seen).astype(float), 2 * _CLUSTER + 1, axis=1, mode="constant")
+    return np.asarray(far & (near * (2 * _CLUSTER + 1) < _CLUSTER + 0.5))
 
 
 def _by(covariance: Array) -> White:
@@ -231,8 +241,8 @@ def hidden(J: Array, sizes: Array) -> NDArray[np.bool_]:
     return np.asarray(lost | (size == 0) | (deviations > sizes))
 
 
-def jackknife(near: Linear, pull: Array | float = 0.0, hint: str = "") -> Array:
-    """Return the covariance by the jackknife over segments, CR3 (Bell and McCaffrey 2002), shape (P, P).
+def jackknife(near: Linear, pull: Array | float = 0.0, blocks: int = 1) -> tuple[Array, int]:
+    """Return the covariance by the jackknife, CR3 (Bell and McCaffrey 2002), shape (P, P), and its blocks.
 
     Parameters
     ----------
@@ -240,26 +250,29 @@ def jackknife(near: Linear, pull: Array | float = 0.0, hint: str = "") -> Array:
         Linear problem at the estimate.
     pull : ndarray, shape (P,)
         Gradient of the cost at the estimate, which a shift of the residuals causes.
-    hint : str
-        End of the message of the error.
+    blocks : int
+        Number of blocks of each segment.
 
     Raises
     ------
     InvalidArgument
-        If only one segment identifies a number.
+        If only one block identifies a number.
     """
-    J, S = near.J, len(near.J)
+    P = near.J.shape[-1]
+    J, e = near.J.reshape(len(near.J) * blocks, -1, P), near.e.reshape(len(near.J) * blocks, -1)
+    used = J.any(axis=(1, 2))
+    J, e, S = J[used], e[used], int(used.sum())
     H = np.einsum("smp,smq->spq", J, J)
     _, size = scaled(H.sum(axis=0))
-    g = (np.einsum("smp,sm->sp", J, near.e) - pull / S) * size
+    g = (np.einsum("smp,sm->sp", J, e) - pull / S) * size
     try:
         d = np.linalg.solve((H.sum(axis=0) - H) * np.outer(size, size), g[..., None])[..., 0] * size
     except np.linalg.LinAlgError as error:
         raise InvalidArgument(
-            f"log has {S} segments, and only one of them identifies some parameter, expected a longer log or "
-            f"a more informative motion, see excitation{hint}"
+            f"log has {S} blocks, and only one of them identifies some parameter, expected a longer log or "
+            f"a more informative motion, see excitation"
         ) from error
-    return np.asarray((S - 1) / S * d.T @ d)
+    return np.asarray((S - 1) / S * d.T @ d), S
 
 
 class Whiteness(NamedTuple):

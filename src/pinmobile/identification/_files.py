@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import re
 from collections.abc import Callable, Mapping, Sequence
+from datetime import datetime
 from itertools import takewhile
 from operator import attrgetter
 from os import PathLike
@@ -27,6 +28,8 @@ from pinmobile.files import refusals
 
 _UNIT = re.compile(r"[\[(]([^][()]*)[\])]$")
 _SEPARATORS = ";", "\t", ",", " "
+_DATE = re.compile(r"(\d{4})\D(\d\d)\D(\d\d)\D(\d\d)\D(\d\d)\D(\d\d)(?:\D(\d{1,9}))?(Z|[+-]\d\d:?\d\d)?")
+_EPOCH = 1e9  # [s]: stamps of this century are above it; those in ms, us and ns exceed it 1e3 times and more
 _SIX = 6  # columns of x, y and a quaternion
 _TURNS = [
     *(["psi"], ["yaw"], ["theta"], ["heading"]),
@@ -62,10 +65,12 @@ def read_csv(
 ) -> tuple[dict[str, Array], tuple[str, ...], int]:
     """Return columns by role, units of inputs, and the number of rows with another length; see `Log`."""
     file = location("path", path)
-    head, rows = _table(file)
-    names = [_UNIT.sub("", title).strip() for title in head]
     instance("columns", columns or {}, Mapping, "a mapping of roles to titles")
-    wanted = _known_columns(names) | dict(columns or {})
+    given = {role: [one] if isinstance(one, str) else [*one] for role, one in (columns or {}).items()}
+    bare = bool(given) and all(name.isdecimal() for listed in given.values() for name in listed)
+    head, rows = _table(file, bare)
+    names = [_UNIT.sub("", title).strip() for title in head]
+    wanted = _known_columns(names) | given
     for roles in (("t",), ("u",), ("q", "twist")):
         if not set(roles) & set(wanted):
             raise _refused(
@@ -80,7 +85,6 @@ def read_csv(
     units: list[str] = []
     for role, listed in wanted.items():
         one_of("part of a log", role, ("t", *_RULES))
-        listed = [listed] if isinstance(listed, str) else [*listed]
         for name in listed:
             one_of(f"column of {str(file)!r}", name, names)
             if names.count(name) > 1:
@@ -91,16 +95,26 @@ def read_csv(
         cells = [_column(file, head[k], [row[k] for row in kept]) for k in at]
         parts[role] = np.column_stack(cells) * [factor for _, factor in in_si]
         units = [unit for unit, _ in in_si] if role == "u" else units
+    if not _si_unit(head[names.index(wanted["t"][0])], "s")[0]:
+        parts["t"] = _since_start(parts["t"])
     if "q" in parts and parts["q"].shape[1] == _SIX:
         x, y, *quaternion = parts["q"].T
         parts["q"] = np.column_stack([x, y, _yaw_of(*quaternion)])
     return parts, tuple(units), len(rows) - len(kept)
 
 
-def _table(file: Path) -> tuple[list[str], list[list[str]]]:
+def _since_start(t: Array) -> Array:
+    """Return times without a unit [s]: stamps since 1970 in ms, us or ns are recognised by their size."""
+    size = np.nanmin(t)
+    power = next((n for n in (9, 6, 3) if size > _EPOCH * 10**n), 0)
+    return (t - size) * 10.0**-power if power else t
+
+
+def _table(file: Path, bare: bool) -> tuple[list[str], list[list[str]]]:
     """Return header and rows of a file with cells between commas, semicolons, tabs or blanks.
 
     Lines before the header that begin with # are comments. The last comment is the header if numbers follow.
+    A bare file without header has the numbers of its columns as names: 1, 2, ...
     """
     with refusals("read", "path", file):
         content = file.read_bytes().decode("utf-8-sig", errors="replace")
@@ -111,14 +125,18 @@ def _table(file: Path) -> tuple[list[str], list[list[str]]]:
     lines = lines[len(comments) :]
     if comments and lines and _is_numbers(lines[0]):
         lines = [comments[-1].lstrip("# "), *lines]
-    if not lines or _is_numbers(lines[0]):
+    headless = bool(lines) and _is_numbers(lines[0])
+    if not lines or (headless and not bare):
         said = f"whose first line {shown(lines[0])} contains numbers" if lines else "which is empty"
-        raise _refused(file, said, "a header that names the columns, such as t,x,y,psi,Fx,Fy,Mz")
-    bare = re.sub(r"\[[^][]*\]|\([^()]*\)", "", lines[0])  # units may contain blanks
-    between = next((each for each in _SEPARATORS if each in bare), ",")
+        by_number = "; without a header, columns={'t': '1', 'q': ('2', '3', '4'), ...} counts them from 1"
+        expected = "a header that names the columns, such as t,x,y,psi,Fx,Fy,Mz" + by_number * headless
+        raise _refused(file, said, expected)
+    plain = re.sub(r"\[[^][]*\]|\([^()]*\)", "", lines[0])  # units may contain blanks
+    between = next((each for each in _SEPARATORS if each in plain), ",")
     try:
         read = csv.reader(lines, delimiter=between, skipinitialspace=True)
-        head, *rows = [[cell.strip() for cell in row] for row in read]
+        rows = [[cell.strip() for cell in row] for row in read]
+        head = [str(k) for k in range(1, len(rows[0]) + 1)] if headless else rows.pop(0)
     except csv.Error as error:
         raise InvalidArgument(f"path is {str(file)!r}, expected a CSV file: {error}") from error
     if between != ",":  # a comma then is a decimal comma
@@ -132,8 +150,14 @@ def _is_numbers(line: str) -> bool:
 
 
 def _number(cell: str) -> float:
+    """Return a number, or a date in seconds since 1970; NaN for another text."""
+    date = _DATE.fullmatch(cell)
     try:
-        return float(cell)
+        if date is None:
+            return np.nan if "_" in cell else float(cell)
+        *parts, share, zone = date.groups(default="")
+        day = "{}-{}-{}T{}:{}:{}".format(*parts) + (zone or "+00:00")
+        return datetime.fromisoformat(day).timestamp() + float(f"0.{share or 0}")
     except ValueError:
         return np.nan
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from pinmobile.arrays import Array, bounded, instance, one_of, scalar, sequence
 from pinmobile.errors import InvalidArgument, shown
+from pinmobile.identification._clocks import clock_hint
 from pinmobile.identification._estimates import Identification
 from pinmobile.identification._estimator import (
     Fit,
@@ -21,7 +22,7 @@ from pinmobile.identification._estimator import (
     solve,
     unexplained,
 )
-from pinmobile.identification._log import Log, check_steps, logs_of
+from pinmobile.identification._log import Log, alike, continuous, logs_of
 from pinmobile.identification._planar_model import PlanarModel, PlanarProblem
 from pinmobile.identification._preprocessing import PreprocessedLog, Slippage
 from pinmobile.identification._simulation import Segments
@@ -128,10 +129,12 @@ def identify(
     carried = _moments(loads, len(logs))
     model = PlanarModel.of(robot, rolling_speed, loads is not None)
     names = ["log"] if len(logs) == 1 else [f"log[{k}]" for k in range(len(logs))]
-    triples = zip(logs, carried, names, strict=True)
-    runs = [PreprocessedLog.of(one, model, each, name) for one, each, name in triples]
-    check_steps([one.dt for one in runs])
-    slips = [each for one, name in zip(runs, names, strict=True) if (each := Slippage.of(one, model, name))]
+    triples = zip(alike(logs), carried, names, strict=True)
+    parts = [(each, load, n) for one, load, n in triples for each in continuous(one, n, *model.sensors)]
+    runs = [PreprocessedLog.of(part, model, load, name) for part, load, name in parts]
+    slips = [
+        each for run, part in zip(runs, parts, strict=True) if (each := Slippage.of(run, model, part[2]))
+    ]
     worst = max(slips, key=lambda each: each.share, default=None)
     clipped = "; ".join(filter(None, (_clipped(one, model, n) for one, n in zip(logs, names, strict=True))))
     if delay is not None:
@@ -139,12 +142,18 @@ def identify(
         delay = bounded("delay", scalar("delay", delay), least=-most, most=most, unit="s")
     prior = None if alone or robot is None else model.prior(robot)
     try:
-        found = _identified(runs, model, prior, method, delay)
+        result = _identified(runs, model, prior, method, delay)
     except InvalidArgument as error:
         hints = [f"Its {worst}"] * bool(worst is not None and worst.matters) + [clipped] * bool(clipped)
-        raise InvalidArgument(" ".join([str(error), *hints])) from error
+        hints += [clock_hint(*_motion(parts[0][0]))]
+        raise InvalidArgument(" ".join(filter(None, [str(error), *hints]))) from error
     dropped = sum(one.dropped for one in logs)
-    return replace(found, dropped=dropped, prior=robot, slippage=worst, clipped=clipped)
+    return replace(result, dropped=dropped, prior=robot, slippage=worst, clipped=clipped)
+
+
+def _motion(log: Log) -> tuple[Any, Any, Any, bool]:
+    """Return times, inputs and motion of a log, and whether the motion is given as poses."""
+    return log.t, log.u, log.wheel_rates if log.q is None else log.q, log.q is not None
 
 
 def _clipped(log: Log, model: PlanarModel, name: str) -> str:
@@ -290,7 +299,7 @@ def _output_error(problem: PlanarProblem, segments: Segments, moves: bool) -> _E
         near = Linear.of(problem, segments, plain.p, plain.starts, white)
         left = Whiteness.of(near.e.reshape(segments.y.shape), segments.good)
         is_noise = bool(np.abs(left.correlation).max() <= _COLOURED * left.bound)
-    return _Estimate(fit, plain, jackknife(fit.near, gradient), bias, is_noise)
+    return _Estimate(fit, plain, jackknife(fit.near, gradient)[0], bias, is_noise)
 
 
 def _noise(problem: PlanarProblem, segments: Segments, fit: Fit) -> ResidualNoise:

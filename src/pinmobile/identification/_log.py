@@ -18,6 +18,7 @@ from pinmobile.arrays import (
     frozen,
     increasing,
     instance,
+    positive,
     real,
     scalar,
     seeded,
@@ -26,12 +27,15 @@ from pinmobile.arrays import (
     whole,
 )
 from pinmobile.errors import InvalidArgument, shown
+from pinmobile.identification._clocks import clock_of
 from pinmobile.identification._files import read_bag, read_csv
 from pinmobile.loop import Rollout
 from pinmobile.plant import coordinates_of, inputs_of
 
-_HOLE = 3  # rows in a row that may be lost, with their inputs
+_HOLE = 3  # rows in a row that may be lost at any time step
 _BRIDGED = 0.3  # [s] without a measurement: half a window of the weak form; a longer gap needs a guess
+_AGAIN = 0.1  # largest share of rows with the time of the row before
+_SHORTEST = 1.0  # [s] of a part between gaps
 _LONGEST_STEP = 5.0  # [s]; larger steps are probably not in seconds
 _FASTEST = 60.0  # [m/s]; faster positions are probably not in metres
 _HELD, _OFTEN = 1.0, 20  # longest repetition of a slow sensor's pose [s]; number that shows such a sensor
@@ -52,53 +56,39 @@ def lost_rows(given: Mapping[str, Array]) -> NDArray[np.bool_]:
     return np.asarray(np.logical_or.reduce(lost))
 
 
-def check_times(given: Mapping[str, Array], kept: NDArray[np.int_], lost: NDArray[np.bool_]) -> None:
-    """Reject times that do not increase, have another unit, or have a long gap.
-
-    Parameters
-    ----------
-    given : mapping of str to ndarray
-        Arrays of the log by name.
-    kept : ndarray of int
-        Indices of the rows with a known time and input.
-    lost : ndarray of bool, shape (N,)
-        Mask of the rows that have NaN in any array.
-    """
-    t, there = given["t"], kept[~lost[kept]]
-    if len(there) < 2:
-        raise InvalidArgument(f"t has {len(there)} rows without NaN, expected two or more")
-    increasing("t", t[kept])
-    usual = float(np.median(np.diff(t[kept])))
+def check_times(t: Array) -> None:
+    """Reject times that do not increase, or have another unit."""
+    increasing("t", t)
+    usual = float(np.median(np.diff(t)))
     if usual > _LONGEST_STEP:
         raise InvalidArgument(f"t has steps of {usual:g} s, expected seconds: are these milliseconds?")
-    bridged = max(_HOLE, round(_BRIDGED / usual)), f"interpolation is a guess over more than {_BRIDGED} s"
-    for at, (most, why) in ((kept, (_HOLE, "the inputs in the gap are unknown")), (there, bridged)):
-        worst = int(np.diff(t[at]).argmax())
-        first, last = at[[worst, worst + 1]]
-        if t[last] - t[first] > (most + 1.5) * usual:
-            gone = {name: int(lost_rows({name: x[first + 1 : last]}).sum()) for name, x in given.items()}
-            name = max(gone, key=lambda each: gone[each])
-            what = f"{name} has {gone[name]} rows of NaN in a row" if gone[name] else "t has a gap"
-            raise InvalidArgument(
-                f"{what}, between {t[first]:g} and {t[last]:g} s, expected {most} rows at most: {why}; cut "
-                "the log there and pass the parts to identify as a list"
-            )
+
+
+def repeated(t: Array, x: Array, slack: int) -> NDArray[np.bool_]:
+    """Return the rows in which a slow sensor only repeats its last measurement, as a mask.
+
+    A sensor is slow if nearly all of its values stay for the same number of rows, apart from standstill. The
+    numbers may differ by `slack` and a quarter.
+    """
+    if len(x) <= _OFTEN:
+        return np.zeros(len(x), bool)
+    starts = np.flatnonzero((np.diff(x, axis=0, prepend=np.nan) != 0).any(axis=1))
+    lasts, dt = np.diff(starts), step(t)
+    held = lasts[lasts * dt < _HELD]
+    usual = round(float(np.median(held))) if len(held) > _OFTEN else 1
+    if usual == 1 or (np.abs(held - usual) <= max(slack, usual // 4)).mean() <= _EVENLY:
+        return np.zeros(len(x), bool)
+    since = np.arange(len(x)) - starts[np.searchsorted(starts, np.arange(len(x)), side="right") - 1]
+    last = np.repeat(np.append(lasts, usual), np.append(lasts, len(x) - starts[-1]))
+    return np.asarray((since % usual > 0) | ((since > 0) & (last <= usual + 1)))
 
 
 def check_pose(t: Array, q: Array) -> None:
-    """Reject poses that a slow sensor repeats, and poses in other units."""
+    """Reject poses in other units."""
     dt, psi = step(t), q[:, 2]
     apart = max(1, round(_WINDOW / dt))
     if len(t) <= apart:
         return
-    lasts = np.diff(np.flatnonzero((np.diff(q, axis=0) != 0).any(axis=1)))
-    held = lasts[lasts * dt < _HELD]  # during a longer repetition the robot stands still
-    usual = float(np.median(held)) if len(held) > _OFTEN else 1.0
-    if usual > 1 and (np.abs(held - usual) <= 1).mean() > _EVENLY:
-        raise InvalidArgument(
-            f"q repeats each pose in {usual:g} rows of {dt:.3g} s, expected each pose once: write NaN in the "
-            "other rows, or use Log.from_streams"
-        )
 
     def rates(x: Array) -> Array:
         return np.abs(x[apart:] - x[:-apart]) / (t[apart:] - t[:-apart])
@@ -230,25 +220,40 @@ class Log:
             if name != "t":
                 width = _POSE if name in ("q", "twist") else "k>=1"
                 shaped(name, array, (len(t), width), words=", a row for each time")
-        if not {"q", "twist"} & set(given):
-            raise InvalidArgument("q and twist are None, expected at least one of them: the measured motion")
-        for name in given:
-            if lost_rows({name: given[name]}).all():
+        measured = [name for name in given if name not in ("t", "u")]
+        if not measured:
+            raise InvalidArgument("q, twist and wheel_rates are None, expected at least one: measured motion")
+        again = np.flatnonzero(np.diff(t) == 0) + 1
+        if len(again) > _AGAIN * len(t):
+            raise InvalidArgument(
+                f"t has the time of the row before in {len(again)} of {len(t)} rows, expected increasing "
+                "times: were they rounded?"
+            )
+        given = {name: np.delete(array, again, axis=0) for name, array in given.items()}
+        lost = {name: lost_rows({name: array}) for name, array in given.items()}
+        for name, rows in lost.items():
+            if rows.all():
                 raise InvalidArgument(f"{name} has {len(t)} rows, each with NaN, expected rows without NaN")
-        lost = lost_rows(given)
-        known = np.flatnonzero(~lost_rows({"t": t, "u": given["u"]}))
-        there = np.flatnonzero(~lost)
-        kept = known[(known >= there[0]) & (known <= there[-1])] if there.size else there
-        check_times(given, kept, lost)
-        object.__setattr__(self, "dropped", self.dropped + int(lost.sum()))
-        given, seen = {name: array[kept] for name, array in given.items()}, ~lost[kept]
+        known = ~(lost["t"] | lost["u"])
+        there = np.flatnonzero(known & ~np.logical_and.reduce([lost[name] for name in measured]))
+        if len(there) < 2:
+            raise InvalidArgument(f"t has {len(there)} rows without NaN, expected two or more")
+        known[: there[0]] = known[there[-1] + 1 :] = False
+        dropped = int(np.logical_or.reduce([*lost.values()]).sum()) + len(again)
+        object.__setattr__(self, "dropped", self.dropped + dropped)
+        given = {name: array[known] for name, array in given.items()}
+        check_times(given["t"])
         for name, array in given.items():
             finite(name, np.where(np.isnan(array), 0.0, array))
-        if "q" in given:
-            q = given["q"] = np.array(given["q"])
-            check_pose(given["t"][seen], q[seen])
-            q[seen, 2] = np.unwrap(q[seen, 2])
-            q[~seen] = np.nan
+        for name in measured:
+            at, array = np.flatnonzero(~lost[name][known]), np.array(given[name])
+            at = at[~repeated(given["t"][at], array[at], 1 if name == "q" else 0)]
+            gone = np.ones(len(array), bool)
+            gone[at] = False
+            array[gone], given[name] = np.nan, array
+            if name == "q":
+                check_pose(given["t"][at], array[at])
+                array[at, 2] = np.unwrap(array[at, 2])
         for name, array in given.items():
             object.__setattr__(self, name, frozen(array))
 
@@ -288,22 +293,81 @@ class Log:
         new = {name: array[kept] for name, array in self._given().items()}
         return replace(self, **new, dropped=0)
 
-    def samples(self) -> Samples:
-        """Return the log at equal time steps, interpolated, with a mask of the measured rows."""
-        dt, given = self.dt, self._given()
-        t, u = given.pop("t") - self.t[0], given.pop("u")
+    def split(self, max_gap: float = _BRIDGED) -> list[Self]:
+        """Return the parts of the log between gaps: times without a known input and a measurement.
+
+        `identify` and `identify_velocity` split logs by this method.
+
+        Parameters
+        ----------
+        max_gap : float
+            Longest gap within a part [s]; three lost rows are always allowed.
+
+        Raises
+        ------
+        InvalidArgument
+            If `max_gap` is not positive.
+        """
+        longest, given = positive("max_gap", max_gap, "s"), dict[str, Any](self._given())
+        measured = [x for name, x in given.items() if name not in ("t", "u")]
+        there = np.flatnonzero(~np.logical_and.reduce([lost_rows({"": x}) for x in measured]))
+        steps = np.diff(self.t[there])
+        usual = float(np.median(steps))
+        gaps = np.flatnonzero(steps > max(longest, _HOLE * usual) + 1.5 * usual)
+        if not gaps.size:
+            return [self]
+        cuts = zip(np.append(there[0], there[gaps + 1]), np.append(there[gaps], there[-1]) + 1, strict=True)
+        return [
+            replace(self, **{name: x[a:b] for name, x in given.items()}, dropped=0)
+            for a, b in cuts
+            if (~np.isnan(self.t[a:b])).sum() > 1
+        ]
+
+    def resample(self, dt: float) -> Self:
+        """Return the log with another time step, from its first sample on.
+
+        Inputs become their means over the new steps, measurements are interpolated. A row whose nearest
+        measurement is more than half a step away has NaN.
+
+        Parameters
+        ----------
+        dt : float
+            New time step [s].
+
+        Raises
+        ------
+        InvalidArgument
+            If `dt` is not positive, or the log is shorter than two steps.
+        """
+        steps = int((self.t[-1] - self.t[0]) / positive("dt", dt, "s") + 1e-6)
+        return self._at(self.t[0] + dt * np.arange(steps + 1))
+
+    def _at(self, t: Array) -> Self:
+        given = self._given()
+        old, u = given.pop("t"), given.pop("u")
+        there = {name: ~lost_rows({name: x}) for name, x in given.items()}
+        half = 0.5 * step(t) * (1 + 1e-9)
+        rows: dict[str, Any] = {n: _near(old[there[n]], x[there[n]], t, half) for n, x in given.items()}
+        return replace(self, t=t, u=_mean_inputs(old, u, t), **rows, dropped=0)
+
+    def samples(self, *names: str) -> Samples:
+        """Return named measurements at equal time steps, interpolated, with a mask of the measured rows."""
+        given = {name: x for name in names if (x := getattr(self, name)) is not None}
         there = ~lost_rows(given)
-        steps = np.rint(t / dt).astype(int)
-        grid = dt * np.arange(steps[-1] + 1)
-        seen = np.zeros(len(grid), bool)
-        seen[steps[there]] = True
-        u = u[np.searchsorted(steps, np.arange(len(grid)), side="right") - 1]
-        even = seen.all() and np.abs(t - grid).max() < 1e-3 * dt  # no interpolation is needed
-        measured: dict[str, Array] = (
-            given if even else {n: _interpolated(t[there], x[there], grid) for n, x in given.items()}
-        )
-        parts = (measured.get(name) for name in ("twist", "wheel_rates"))
-        return Samples(dt, grid, seen, measured.get("q"), u, *parts)
+        t, given = self.t[there], {name: x[there] for name, x in given.items()}
+        dt = step(t)
+        steps = np.rint((t - t[0]) / dt).astype(int)
+        since = dt * np.arange(steps[-1] + 1)
+        grid, seen = t[0] + since, np.zeros(len(since), bool)
+        seen[steps] = True
+        if step(self.t) < 0.75 * dt:  # a sensor that is slower than the inputs
+            u = _mean_inputs(self.t, self.u, grid)
+        else:
+            rows = np.rint((self.t - t[0]) / dt).astype(int)
+            u = self.u[np.searchsorted(rows, np.arange(len(grid)), side="right") - 1]
+        if not (seen.all() and np.abs(t - grid).max() < 1e-3 * dt):
+            given = {name: _interpolated(t, x, grid) for name, x in given.items()}
+        return Samples(dt, since, seen, given.get("q"), u, given.get("twist"), given.get("wheel_rates"))
 
     @classmethod
     def from_streams(
@@ -315,50 +379,72 @@ class Log:
         *,
         twist: ArrayLike | None = None,
         wheel_rates: ArrayLike | None = None,
+        t_twist: ArrayLike | None = None,
+        t_wheel_rates: ArrayLike | None = None,
+        one_clock: bool = True,
     ) -> Self:
-        """Return the log of poses and inputs with separate times of one clock.
+        """Return the log of measurements and inputs with separate times.
 
-        Each input is constant until the next one. The input of a sample is the mean over its time step.
+        Each input is constant until the next one. The input of a sample is the mean over its time step. The
+        samples are those of the fastest sensor. A slower sensor has NaN in the rows between its measurements.
 
         Parameters
         ----------
         t_q : array_like, shape (N,)
             Times of the poses [s].
         q : array_like, shape (N, 3), or None
-            Poses [m, m, rad]; None if only the twist was measured.
+            Poses [m, m, rad]; None if they were not measured.
         t_u : array_like, shape (M,)
             Times of the inputs [s].
         u : array_like, shape (M, nu)
             Inputs, see the class.
         twist, wheel_rates : array_like, shape (N, ...), optional
-            Twist and encoder rates at the times of the poses, see the class.
+            Twist and encoder rates, see the class.
+        t_twist, t_wheel_rates : array_like, shape (N,), optional
+            Their times [s]; default: `t_q`.
+        one_clock : bool
+            Whether all times are of one clock. If not, the times of the inputs are corrected: `clock_of`
+            estimates offset and rate of their clock.
 
         Raises
         ------
         InvalidArgument
             If the class rejects the data, or the times overlap by less than half, as those of two clocks.
         """
-        given: dict[str, Array] = {}
-        poses: dict[str, Any] = {"q": q, "twist": twist, "wheel_rates": wheel_rates}
-        u = real("u", u)
-        times = {"t_q": finite("t_q", t_q), "t_u": finite("t_u", t_u)}
-        for time, parts in (("t_q", poses), ("t_u", {"u": u})):
-            increasing(time, times[time])
-            words, found = f", as {time} has", {n: real(n, x) for n, x in parts.items() if x is not None}
-            given |= {n: shaped(n, x, (len(times[time]), "k"), words=words) for n, x in found.items()}
-        t, held = times.values()
+        streams: dict[str, tuple[Array, Array]] = {}
+        for name, time, x in (
+            ("q", t_q, q),
+            ("twist", t_q if t_twist is None else t_twist, twist),
+            ("wheel_rates", t_q if t_wheel_rates is None else t_wheel_rates, wheel_rates),
+            ("u", t_u, u),
+        ):
+            if x is not None:
+                own = f"t_{name}" if time is not t_q else "t_q"
+                t = finite(own, time)
+                increasing(own, t)
+                streams[name] = t, shaped(name, real(name, x), (len(t), "k"), words=f", as {own} has")
+        held, inputs = streams.pop("u")
+        if not streams:
+            raise InvalidArgument("q, twist and wheel_rates are None, expected at least one: measured motion")
+        t = min((time for time, _ in streams.values()), key=step)
+        if not one_clock:
+            name, motion = next(iter(streams.items()))
+            offset, rate = clock_of(held, inputs, *motion, name == "q")
+            held = offset + rate * held
         first, last = max(t[0], held[0]), min(t[-1], held[-1])
         if last - first < 0.5 * (t[-1] - t[0]):
             raise InvalidArgument(
                 f"t_u is from {held[0]:.9g} to {held[-1]:.9g} s and t_q from {t[0]:.9g} to {t[-1]:.9g} s, "
-                "which overlap by less than half, expected times of one clock: correct the offset of one"
+                "which overlap by less than half, expected times of one clock: correct the offset of one, or "
+                "estimate it by one_clock=False"
             )
-        inputs, kept = given.pop("u"), (t >= first) & (t <= held[-1])
-        edges = np.append(t[kept], t[kept][-1] + step(t[kept]))
-        mean = held_integrals(held, np.nan_to_num(inputs), edges) / np.diff(edges)[:, None]
-        gone = np.isnan(inputs).any(axis=1, keepdims=True)
-        mean[held_integrals(held, gone.astype(float), edges)[:, 0] > 0] = np.nan
-        return cls(t[kept], u=mean, **{"q": None} | {name: x[kept] for name, x in given.items()})
+        t = t[(t >= first) & (t <= held[-1])]
+        half = 0.5 * step(t) * (1 + 1e-9)
+        rows: dict[str, Any] = {
+            name: x[np.searchsorted(own, t)] if np.isin(t, own).all() else _near(own, x, t, half)
+            for name, (own, x) in streams.items()
+        }
+        return cls(t, u=_mean_inputs(held, inputs, t), **{"q": None} | rows)
 
     @classmethod
     def from_rollout(
@@ -474,11 +560,13 @@ class Log:
             If the bag has no such topic; the message lists its topics.
         """
         streams = read_bag(path, topics)
-        (t_u, u), (t, _) = streams.pop("u"), streams["q" if "q" in streams else "twist"]
-        rows = {
-            name: _interpolated(*each, t) if each[0] is not t else each[1] for name, each in streams.items()
+        (t_u, u), (t_q, q) = streams.pop("u"), streams.pop("q", (np.zeros(0), None))
+        named: dict[str, Any] = {
+            f"{kind}{name}": x
+            for name, each in streams.items()
+            for kind, x in zip(("t_", ""), each, strict=True)
         }
-        return cls.from_streams(t, rows.pop("q", None), t_u, u, **rows)
+        return cls.from_streams(t_q, q, t_u, u, **named)
 
 
 def logs_of(log: object) -> list[Log]:
@@ -527,11 +615,48 @@ def check_units(log: Log, name: str, expected: Mapping[str, str], also: str = ""
             raise InvalidArgument(f"{name} has input {one} in {unit}, expected {wanted}: {why}")
 
 
-def check_steps(steps: Sequence[float]) -> None:
-    """Reject logs with different time steps."""
-    low, high = min(steps), max(steps)
-    if high > 1.001 * low:
-        raise InvalidArgument(f"log has samples every {low:g} and {high:g} s, expected equal steps")
+def continuous(log: Log, name: str, *names: str) -> list[Log]:
+    """Return the parts of a log between gaps of named measurements, without other measurements.
+
+    Raises
+    ------
+    InvalidArgument
+        If all parts are shorter than a second.
+    """
+    others: dict[str, Any] = {other: None for other in ("q", "twist", "wheel_rates") if other not in names}
+    parts = replace(log, **others, dropped=0).split()
+    long = [one for one in parts if one.t[-1] - one.t[0] >= _SHORTEST or len(parts) == 1]
+    if not long:
+        raise InvalidArgument(
+            f"{name} has {len(parts)} parts between gaps of more than {_BRIDGED:g} s, the longest of "
+            f"{max(one.t[-1] - one.t[0] for one in parts):.2g} s, expected {_SHORTEST:g} s or more"
+        )
+    return long
+
+
+def alike(logs: list[Log]) -> list[Log]:
+    """Return logs with one time step: that of the slowest, if they differ by more than rounding."""
+    steps = [one.dt for one in logs]
+    slowest = max(steps)
+    return [
+        one if slowest <= 1.001 * dt else one.resample(slowest) for one, dt in zip(logs, steps, strict=True)
+    ]
+
+
+def _near(t: Array, x: Array, rows: Array, farthest: float) -> Array:
+    """Return columns interpolated at rows, with NaN where no time t is near."""
+    k = np.clip(np.searchsorted(t, rows), 1, len(t) - 1)
+    apart = np.minimum(np.abs(rows - t[k - 1]), np.abs(t[k] - rows))
+    return np.where(apart[:, None] <= farthest, _interpolated(t, x, rows), np.nan)
+
+
+def _mean_inputs(t: Array, u: Array, rows: Array) -> Array:
+    """Return the means of held inputs over the steps from each of some times, with NaN where one is NaN."""
+    edges = np.append(rows, rows[-1] + step(rows))
+    mean = held_integrals(t, np.nan_to_num(u), edges) / np.diff(edges)[:, None]
+    gone = np.isnan(u).any(axis=1, keepdims=True)
+    mean[held_integrals(t, gone.astype(float), edges)[:, 0] > 0] = np.nan
+    return np.asarray(mean)
 
 
 def _interpolated(t: Array, columns: Array, grid: Array) -> Array:

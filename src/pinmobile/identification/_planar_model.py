@@ -250,6 +250,11 @@ class PlanarModel:
         return self.phi(told)
 
     @property
+    def sensors(self) -> tuple[str, ...]:
+        """Names of the measurements of a log."""
+        return ("q", "wheel_rates") if self.wheels else ("q",)
+
+    @property
     def free(self) -> int:
         """Number of independent velocities."""
         return int(self.S.shape[1])

@@ -84,7 +84,7 @@ class PreprocessedLog:
             )
             raise InvalidArgument(f"{name} has {log.u.shape[1]} inputs, expected {model.nu}: {expected}")
         check_units(log, name, model.inputs, "A" if model.scaled and not model.motors else "")
-        even = log.samples()
+        even = log.samples(*model.sensors)
         if even.dt > 1.001 * _COARSEST:
             raise InvalidArgument(
                 f"{name} has samples every {even.dt:.3g} s, expected {_COARSEST:g} s or less: the motion "

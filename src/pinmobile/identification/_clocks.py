@@ -1,0 +1,136 @@
+"""Two clocks: offset and rate of the clock of inputs, relative to the clock of measured motion."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from pinmobile.arrays import Array
+from pinmobile.errors import InvalidArgument
+
+_SLOWEST, _FASTEST = 0.25, 4.0  # range of rates
+_SAMPLES = 4096  # largest number of samples of a signal
+_PARTS = 40.0  # of the span, in which the first search looks at the activity
+_FINER = 4.0  # by which each search is finer than the one before
+_EARLIER = 0.1  # [s], by which the inputs are taken earlier: their delay is estimated, and not negative
+_KEPT = 8  # candidates of a search that the next one refines
+_TOLD = 0.15  # [s], smallest reported offset, and change of the offset along a log
+_SMALL = 1e-3  # smallest singular value of the motion, as a share of the largest
+_ALIKE = 0.4  # smallest mean R^2 of inputs that move the robot
+
+
+def clock_of(t_u: Array, u: Array, t: Array, x: Array, is_pose: bool) -> tuple[float, float]:
+    """Return offset [s] and rate of the clock of inputs: time of the motion = offset + rate * t_u.
+
+    The method searches the rate and the offset at which speeds and accelerations explain the inputs best:
+    first their smoothed activity, then the signals themselves, finer and finer. Within some tenths of a
+    second the offset cannot be told from a delay, which `identify` estimates.
+
+    Parameters
+    ----------
+    t_u, t : ndarray, shape (M,), (N,)
+        Times of the inputs, and of the motion, each of its own clock [s].
+    u : ndarray, shape (M, nu)
+        Inputs.
+    x : ndarray, shape (N, k)
+        Poses (x, y, psi), or rates: body twists or wheel rates.
+    is_pose : bool
+        Whether the motion is given as poses.
+
+    Raises
+    ------
+    InvalidArgument
+        If the motion does not explain the inputs at any rate.
+    """
+    span = t[-1] - t[0]
+    h = max(float(np.median(np.diff(t))), span / _SAMPLES)
+    motion = _signals(t - t[0], x, np.arange(0.0, span, h), is_pose)
+    moved = np.column_stack([t_u - t_u[0], u])
+    both = np.array([span / moved[-1, 0], 1.0])  # both logs begin and end together, or have one rate
+
+    def best(rates: Array, width: float, smooth: float, finer: float = 1.0, envelope: bool = False) -> Any:
+        spacing = 0.25 * smooth / finer / span
+        around = np.arange(-np.ceil(width / spacing), np.ceil(width / spacing) + 1) * spacing
+        tried = np.unique(np.append(np.outer(rates, np.exp(around)), both))
+        tried = tried[(tried >= _SLOWEST) & (tried <= _FASTEST)]
+        columns = _smoothed(_activity(motion) if envelope else motion, smooth / h)
+        left, sizes, _ = np.linalg.svd(columns, full_matrices=False)
+        given = left[:, sizes > _SMALL * sizes[0]]
+        found = [_match(given, moved, rate, h, smooth, envelope) for rate in tried]
+        return np.array(sorted(found, reverse=True)[:_KEPT]), 2 * spacing
+
+    smooth, finer = span / _PARTS, 1.0
+    found, width = best(both, np.log(_FASTEST), smooth, envelope=True)
+    found, width = best(found[:, 1], width, smooth)
+    while smooth / finer > h:
+        if finer == 1.0 and smooth > 2 * _FINER * h:
+            other, narrow = best(found[:, 1], width, smooth / _FINER)
+            if other[0, 0] > found[0, 0]:  # coarser is better where accelerations are noisy
+                found, width, smooth = other, narrow, smooth / _FINER
+                continue
+        finer *= _FINER
+        found, width = best(found[:, 1], width, smooth, finer)
+    explained, rate, offset = found[0].tolist()
+    if explained < _ALIKE:
+        raise InvalidArgument(
+            f"t_u belongs to inputs of which the motion explains {max(explained, 0.0):.0%} at most, at any "
+            "rate and offset of their clock, expected inputs that move the robot"
+        )
+    return float(t[0] + offset - _EARLIER - rate * t_u[0]), float(rate)
+
+
+def clock_hint(t: Array, u: Array, x: Array, is_pose: bool) -> str:
+    """Return in words how the clock of the inputs of a log may be corrected; "" if it need not be."""
+    try:
+        offset, rate = clock_of(t, u, t, x, is_pose)
+    except InvalidArgument:
+        return ""
+    moved = offset + _EARLIER + (rate - 1) * t[0]
+    if abs(moved) < _TOLD and abs(rate - 1) * (t[-1] - t[0]) < _TOLD:
+        return ""
+    return (
+        f"The motion explains the inputs best if their times are multiplied by {rate:.6g} and moved by "
+        f"{moved:.3g} s, as of another clock: Log.from_streams(..., one_clock=False) corrects this"
+    )
+
+
+def _match(
+    motion: Array, moved: Array, rate: float, h: float, smooth: float, envelope: bool
+) -> tuple[float, float, float]:
+    """Return the largest mean R^2 of inputs for the orthonormal columns of a motion, rate, and offset [s]."""
+    from scipy.fft import irfft, next_fast_len, rfft  # slow to load
+
+    t, u = rate * moved[:, 0], moved[:, 1:]
+    held = u[np.searchsorted(t, np.arange(0.0, t[-1], h), side="right") - 1]
+    held = _smoothed(_activity(held) if envelope else held, smooth / h)
+    size = next_fast_len(len(motion) + len(held))
+    one, other = (rfft(each, size, axis=0) for each in (motion, held))
+    each = irfft(one[:, :, None] * np.conj(other[:, None]), size, axis=0)
+    total = (each**2).sum(axis=(1, 2)) / held.shape[1]
+    lag = int(total.argmax())
+    return float(total[lag]), rate, h * (lag if lag < len(motion) else lag - size)
+
+
+def _signals(t: Array, x: Array, grid: Array, is_pose: bool) -> Array:
+    """Return speeds, of poses both in the body and in the inertial frame, and accelerations on a grid."""
+    there = ~np.isnan(x).any(axis=1)
+    speeds = np.column_stack([np.interp(grid, t[there], column) for column in x[there].T])
+    if is_pose:
+        v = np.gradient(speeds, grid[1], axis=0)
+        along = np.exp(-1j * speeds[:, 2]) * (v[:, 0] + 1j * v[:, 1])
+        speeds = np.column_stack([along.real, along.imag, v])
+    return np.column_stack([speeds, np.gradient(speeds, grid[1], axis=0)])
+
+
+def _activity(x: Array) -> Array:
+    return np.asarray(np.linalg.norm(x / (x.std(axis=0) + 1e-300), axis=1, keepdims=True))
+
+
+def _smoothed(x: Array, samples: float) -> Array:
+    """Return columns after a moving average, without their means, of length 1."""
+    from scipy.ndimage import uniform_filter1d  # slow to load
+
+    y = uniform_filter1d(x, max(1, round(samples)), axis=0)
+    y = y - y.mean(axis=0)
+    return np.asarray(y / (np.linalg.norm(y, axis=0) + 1e-300))

@@ -1,0 +1,197 @@
+"""Logs of commands and motion: runs at equal time steps, parts that the commands explain, and segments."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pinmobile.arrays import Array
+from pinmobile.errors import InvalidArgument
+from pinmobile.identification._lag import Channel, Lag
+from pinmobile.identification._log import Log, alike, check_units, continuous
+from pinmobile.identification._preprocessing import twist_of, without_outliers
+from pinmobile.identification._simulation import Segments
+
+CHANNELS = "speed", "yaw rate"
+LEAST_BLOCKS = 20  # smallest number of blocks of the jackknife
+BLOCK, _LONG_BLOCK = 2.0, 5.0  # [s], their length: the longest that a log allows
+_LATEST, _MOST_LATE = 0.6, 60  # largest delay [s] and [samples]
+_LEAST = 0.3  # smallest explained share of the motion
+_MOST_UNEXPLAINED = 0.5  # largest share of a log under other control
+_FINEST = 1e-4  # [m, rad]: smallest noise of poses
+_TOLD = 5  # largest number of sections in a message
+
+
+class Run(NamedTuple):
+    """A log with equal time steps.
+
+    Attributes
+    ----------
+    dt : float
+        Time step [s].
+    u : ndarray, shape (N, 2)
+        Commands.
+    y, calm : ndarray, shape (N, k)
+        Measurements, and the same without gross outliers.
+    seen : ndarray of bool, shape (N,)
+        Rows with a measurement.
+    nu : ndarray, shape (N, 2)
+        Speed and yaw rate, filtered if poses are measured.
+    """
+
+    dt: float
+    u: Array
+    y: Array
+    calm: Array
+    seen: NDArray[np.bool_]
+    nu: Array
+
+
+class Part(NamedTuple):
+    """Samples `start` to before `stop` of a run."""
+
+    run: Run
+    start: int
+    stop: int
+
+
+def runs_of(logs: list[Log], is_pose: bool) -> list[Run]:
+    """Return the checked logs at equal time steps."""
+    for one in logs:
+        if one.u.shape[1] != 2:
+            raise InvalidArgument(
+                f"log has {one.u.shape[1]} inputs, expected two, commands of speed and yaw rate: for forces, "
+                "torques or voltages use identify"
+            )
+        check_units(one, "log", {"speed": "m/s", "yaw rate": "rad/s"})
+    if any((one.twist is None) != is_pose for one in logs):
+        raise InvalidArgument("log has a twist, and another log has none, expected a twist in all or in none")
+    name, found = "q" if is_pose else "twist", []
+    for part in (part for one in alike(logs) for part in continuous(one, "log", name)):
+        run = part.samples(name)
+        if run.twist is not None:
+            y = calm = nu = run.twist[:, [0, 2]]
+        else:
+            y = np.asarray(run.q)
+            calm, _, _ = without_outliers(y, run.seen, run.dt, _FINEST)
+            nu = twist_of(calm, run.dt)[:, [0, 2]]
+        found.append(Run(run.dt, run.u, y, calm, run.seen, nu))
+    return found
+
+
+def lead_of(runs: Sequence[Run]) -> int:
+    """Return the largest delay of a command [samples]."""
+    longest = max(len(run.u) for run in runs)
+    return max(3, min(_MOST_LATE, round(_LATEST / runs[0].dt), longest // 10))
+
+
+def block_of(parts: Sequence[Part]) -> int:
+    """Return the length of a block of the jackknife [samples]."""
+    dt = parts[0].run.dt
+    span = dt * _samples(parts) / (LEAST_BLOCKS + 1)
+    return max(3, round(min(max(span, BLOCK), _LONG_BLOCK) / dt))
+
+
+def whole(runs: Sequence[Run]) -> list[Part]:
+    """Return each run as one part."""
+    return [Part(run, 0, len(run.u)) for run in runs]
+
+
+def channels_of(parts: Sequence[Part]) -> list[Channel]:
+    """Return commands and motion of speed and yaw rate."""
+    return [
+        Channel(
+            [run.u[a:b, k] for run, a, b in parts],
+            [np.where(run.seen, run.nu[:, k], np.nan)[a:b] for run, a, b in parts],
+            parts[0].run.dt,
+        )
+        for k in range(2)
+    ]
+
+
+def explained_parts(runs: Sequence[Run], lags: Sequence[Lag]) -> list[Part]:
+    """Return the parts of runs whose motion the commands explain.
+
+    Raises
+    ------
+    InvalidArgument
+        If the commands explain too little of the motion.
+    """
+    channels, found = channels_of(whole(runs)), []
+    masks = [channel.unexplained(lag) for channel, lag in zip(channels, lags, strict=True)]
+    for run, one, other in zip(runs, *masks, strict=True):
+        edges = np.flatnonzero(np.diff(~(one | other), prepend=False, append=False)).reshape(-1, 2)
+        found += [Part(run, a, b) for a, b in edges.tolist() if (b - a) * run.dt > BLOCK]
+    left = 1 - _samples(found) / _samples(whole(runs))
+    of = channels_of(found) if found else channels
+    check_explained(
+        [channel.share(lag) for channel, lag in zip(of, lags, strict=True)], lags, runs[0].dt, left
+    )
+    return found
+
+
+def check_explained(shares: Sequence[float], lags: Sequence[Lag], dt: float, left_out: float = 0.0) -> None:
+    """Reject commands that explain too small shares of speed and yaw rate, or nothing in most of the log."""
+    if left_out <= _MOST_UNEXPLAINED and min(shares, default=1.0) >= _LEAST:
+        return
+    told = " and ".join(
+        f"{max(share, 0.0):.0%} of the {name} (delay {1e3 * lag.late * dt:.3g} ms, gain {lag.gain:.3g}, "
+        f"time constant {lag.tau:.2g} s)"
+        for name, share, lag in zip(CHANNELS, shares, lags, strict=True)
+    )
+    where = f" nothing in {left_out:.0%} of the log, and in the rest" * (left_out > _MOST_UNEXPLAINED)
+    raise InvalidArgument(
+        f"log has commands that explain{where} {told}, expected most of it: are the commands from another "
+        "robot or another driver, with another sign, or with times of another clock?"
+    )
+
+
+def left_out_in_words(runs: Sequence[Run], parts: Sequence[Part]) -> str:
+    """Return the longest sections of runs outside the parts in words; "" if there are none."""
+    gaps = []
+    for k, run in enumerate(runs):
+        edges = [0, *(edge for part in parts if part.run is run for edge in part[1:]), len(run.u)]
+        where = f"log[{k}] " * (len(runs) > 1)
+        for a, b in np.reshape(edges, (-1, 2)).tolist():
+            gaps += [(b - a, f"{where}{a * run.dt:.4g} to {b * run.dt:.4g} s")] * (b > a)
+    if not gaps:
+        return ""
+    told = [text for _, text in sorted(gaps, key=lambda gap: -gap[0])]
+    seconds = sum(count for count, _ in gaps) * runs[0].dt
+    return (
+        f"{seconds:.3g} s of the log are left out: there the commands do not explain the motion, as if "
+        f"another driver had taken over: {', '.join(told[:_TOLD])}{', ...' * (len(told) > _TOLD)}"
+    )
+
+
+def segments_of(
+    parts: Sequence[Part], lead: int, seconds: float, filled: bool = True
+) -> tuple[Segments, NDArray[np.bool_]]:
+    """Return segments of a length [s], whole blocks if longer, and a mask of samples without gross outliers.
+
+    The last segment of a part is filled up, or left out if not `filled`.
+    """
+    dt, block = parts[0].run.dt, block_of(parts)
+    length = max(3, round(seconds / dt))
+    length, found, calms = length if length < block else block * round(length / block), [], []
+    for run, a, b in parts:
+        N, is_pose = len(run.u), run.y.shape[1] > len(CHANNELS)
+        first = max(a, lead if a == 0 else 0)
+        at = first + np.arange(max(0, -(-(b - first) // length)) * length).reshape(-1, length)
+        inside = (at < b) & run.seen[np.minimum(at, N - 1)]
+        kept = (inside.sum(axis=1) >= max(3, min(length, block) // 2)) & (filled | (at[:, -1] < b))
+        at, inside = np.minimum(at[kept], N - 1), inside[kept]
+        states = np.concatenate([run.nu, run.calm] if is_pose else [run.nu], axis=-1)
+        near = np.clip(at[:, :1] - lead - 1 + np.arange(lead + 1 + length + 1), 0, N - 1)
+        times, noise, load = np.full(len(at), dt), np.ones((len(at), run.y.shape[1])), np.zeros((len(at), 4))
+        start = states[at[:, 0]]
+        found.append(Segments(times, at * dt, run.y[at], inside, noise, start, run.u, near, lead + 1, load))
+        calms.append((run.calm == run.y).all(axis=-1)[at])
+    return Segments.joined(found), np.concatenate(calms)
+
+
+def _samples(parts: Sequence[Part]) -> int:
+    return sum(part.stop - part.start for part in parts)
