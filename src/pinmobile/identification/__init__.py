@@ -4,6 +4,7 @@ from pinmobile.identification._estimates import Identification, Prediction
 from pinmobile.identification._excitation import Excitation, excitation
 from pinmobile.identification._identify import METHODS as METHODS, identify
 from pinmobile.identification._log import Log
+from pinmobile.identification._validation import Validation, validate
 from pinmobile.identification._velocity import identify_velocity
 from pinmobile.identification._velocity_robot import VELOCITY_ROBOTS, VelocityRobot
 
@@ -13,8 +14,10 @@ __all__ = [
     "Identification",
     "Log",
     "Prediction",
+    "Validation",
     "VelocityRobot",
     "excitation",
     "identify",
     "identify_velocity",
+    "validate",
 ]

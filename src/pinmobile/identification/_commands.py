@@ -21,7 +21,7 @@ BLOCK, _LONG_BLOCK = 2.0, 5.0  # [s], their length: the longest that a log allow
 _LATEST, _MOST_LATE = 0.6, 60  # largest delay [s] and [samples]
 _LEAST = 0.3  # smallest explained share of the motion
 _MOST_UNEXPLAINED = 0.5  # largest share of a log under other control
-_FINEST = 1e-4  # [m, rad]: smallest noise of poses
+FINEST = 1e-4  # [m, rad]: smallest noise of poses
 _TOLD = 5  # largest number of sections in a message
 
 
@@ -76,7 +76,7 @@ def runs_of(logs: list[Log], is_pose: bool) -> list[Run]:
             y = calm = nu = run.twist[:, [0, 2]]
         else:
             y = np.asarray(run.q)
-            calm, _, _ = without_outliers(y, run.seen, run.dt, _FINEST)
+            calm, _, _ = without_outliers(y, run.seen, run.dt, FINEST)
             nu = twist_of(calm, run.dt)[:, [0, 2]]
         found.append(Run(run.dt, run.u, y, calm, run.seen, nu))
     return found
@@ -112,8 +112,8 @@ def channels_of(parts: Sequence[Part]) -> list[Channel]:
     ]
 
 
-def explained_parts(runs: Sequence[Run], lags: Sequence[Lag]) -> list[Part]:
-    """Return the parts of runs whose motion the commands explain.
+def explained_parts(runs: Sequence[Run], lags: Sequence[Lag], least: float = _LEAST) -> list[Part]:
+    """Return the parts of runs whose motion the commands explain, by at least a share of each channel.
 
     Raises
     ------
@@ -125,17 +125,17 @@ def explained_parts(runs: Sequence[Run], lags: Sequence[Lag]) -> list[Part]:
     for run, one, other in zip(runs, *masks, strict=True):
         edges = np.flatnonzero(np.diff(~(one | other), prepend=False, append=False)).reshape(-1, 2)
         found += [Part(run, a, b) for a, b in edges.tolist() if (b - a) * run.dt > BLOCK]
-    left = 1 - _samples(found) / _samples(whole(runs))
-    of = channels_of(found) if found else channels
-    check_explained(
-        [channel.share(lag) for channel, lag in zip(of, lags, strict=True)], lags, runs[0].dt, left
-    )
+    left_out = 1 - _samples(found) / _samples(whole(runs))
+    pairs = zip(channels_of(found) if found else channels, lags, strict=True)
+    check_explained([channel.share(lag) for channel, lag in pairs], lags, runs[0].dt, left_out, least)
     return found
 
 
-def check_explained(shares: Sequence[float], lags: Sequence[Lag], dt: float, left_out: float = 0.0) -> None:
+def check_explained(
+    shares: Sequence[float], lags: Sequence[Lag], dt: float, left_out: float = 0.0, least: float = _LEAST
+) -> None:
     """Reject commands that explain too small shares of speed and yaw rate, or nothing in most of the log."""
-    if left_out <= _MOST_UNEXPLAINED and min(shares, default=1.0) >= _LEAST:
+    if left_out <= _MOST_UNEXPLAINED and min(shares, default=1.0) >= least:
         return
     told = " and ".join(
         f"{max(share, 0.0):.0%} of the {name} (delay {1e3 * lag.late * dt:.3g} ms, gain {lag.gain:.3g}, "
@@ -170,13 +170,14 @@ def left_out_in_words(runs: Sequence[Run], parts: Sequence[Part]) -> str:
 def segments_of(
     parts: Sequence[Part], lead: int, seconds: float, filled: bool = True
 ) -> tuple[Segments, NDArray[np.bool_]]:
-    """Return segments of a length [s], whole blocks if longer, and a mask of samples without gross outliers.
+    """Return segments of a length [s], and a mask of samples without gross outliers.
 
-    The last segment of a part is filled up, or left out if not `filled`.
+    If `filled`, long segments are whole blocks, and the last one of a part is filled up; otherwise it is left
+    out.
     """
     dt, block = parts[0].run.dt, block_of(parts)
     length = max(3, round(seconds / dt))
-    length, found, calms = length if length < block else block * round(length / block), [], []
+    length, found, calms = block * round(length / block) if filled and length > block else length, [], []
     for run, a, b in parts:
         N, is_pose = len(run.u), run.y.shape[1] > len(CHANNELS)
         first = max(a, lead if a == 0 else 0)

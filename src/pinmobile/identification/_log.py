@@ -369,6 +369,31 @@ class Log:
             given = {name: _interpolated(t, x, grid) for name, x in given.items()}
         return Samples(dt, since, seen, given.get("q"), u, given.get("twist"), given.get("wheel_rates"))
 
+    def rollout(self, robot: Any, *, delay: float = 0.0, **options: Any) -> Rollout:
+        """Return the log as a rollout, beside a robot that replays its inputs.
+
+        The states are the measured ones, and the reference is the motion of the robot from the same start. So
+        figures and the viewer show the measured robot solid, the model as the ghost, and their difference as
+        the error. A log without poses shows the odometry of its twist.
+
+        Parameters
+        ----------
+        robot : plant
+            Robot in the plane with the inputs of the log, such as ``robot()`` of an `Identification`.
+        delay : float
+            Delay of the inputs [s], such as that of an `Identification`.
+        **options
+            Of `simulate`, such as ``substeps`` and ``forces``.
+
+        Raises
+        ------
+        InvalidArgument
+            If the robot has other inputs, or `simulate` rejects an option.
+        """
+        from pinmobile.identification._replay import rollout_of
+
+        return rollout_of(self, robot, delay, **options)
+
     @classmethod
     def from_streams(
         cls,

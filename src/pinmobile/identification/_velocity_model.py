@@ -181,7 +181,7 @@ class VelocityModel:
         runs, length = runs_of([log], self.is_pose), scalar("seconds", BLOCK if seconds is None else seconds)
         bounded("seconds", length, least=3 * runs[0].dt, unit="s")
         model = replace(self, dt=runs[0].dt, lead=lead_of(runs))
-        parts = explained_parts(runs, model.lags(found.phi))
+        parts = explained_parts(runs, model.lags(found.phi), least=-np.inf)  # also of a poor model
         segments, calm = segments_of(parts, model.lead, length, filled=False)
         left, _ = solve_robustly(model, segments, found.phi, calm=calm)
         return segments, left.near.residual, left.good, found.noise

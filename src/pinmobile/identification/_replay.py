@@ -1,0 +1,82 @@
+"""`rollout_of`: a log beside the same commands replayed by a simulated robot."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from pinmobile.arrays import Array, bounded, scalar
+from pinmobile.errors import InvalidArgument, shown
+from pinmobile.identification._commands import FINEST
+from pinmobile.identification._log import Log
+from pinmobile.identification._preprocessing import without_outliers
+from pinmobile.integrators import rk4
+from pinmobile.loop import Rollout
+from pinmobile.plant import coordinates_of, inputs_of
+from pinmobile.trajectories import Reference
+
+_LATEST = 10.0  # [s], largest delay
+
+
+class MeasuredMotion:
+    """Trajectory through the measured poses of a log.
+
+    Parameters
+    ----------
+    t : ndarray, shape (N,)
+        Times from 0 [s].
+    q : ndarray, shape (N, 3)
+        Poses.
+    """
+
+    def __init__(self, t: Array, q: Array) -> None:
+        from scipy.interpolate import CubicSpline  # slow to load
+
+        self.duration, self._spline = float(t[-1]), CubicSpline(t, q)
+
+    def __call__(self, t: Any) -> Reference:
+        """Return the poses, velocities and accelerations at times t."""
+        return Reference(*(self._spline(t, order) for order in range(3)))
+
+
+def rollout_of(log: Log, robot: Any, delay: float = 0.0, **options: Any) -> Rollout:
+    """Return the log as a rollout, whose reference is the replay; see `Log.rollout`."""
+    from pinmobile.controllers import law  # which imports this package
+    from pinmobile.loop import simulate
+
+    inputs, names = inputs_of(robot), [one.name for one in coordinates_of(robot)[:3]]
+    if log.u.shape[1] != len(inputs) or names != ["x", "y", "psi"]:
+        raise InvalidArgument(
+            f"robot is {shown(robot)}, with {len(inputs)} inputs, expected a robot in the plane with "
+            f"{log.u.shape[1]}, as the log has"
+        )
+    if log.q is None and log.twist is None:
+        raise InvalidArgument("log has no poses and no twist, expected one of them: nothing else is drawn")
+    run = log.samples("q" if log.q is not None else "twist")
+    late = bounded("delay", scalar("delay", delay), least=0, most=_LATEST, unit="s")
+    measured = (
+        _poses(run.twist, run.dt) if run.q is None else without_outliers(run.q, run.seen, run.dt, FINEST)[0]
+    )
+    u = run.u[np.clip(np.arange(len(run.t)) - round(late / run.dt), 0, None)]
+    motion, rest = MeasuredMotion(run.t, measured), np.zeros(robot.nv - 3)
+    q0 = np.append(measured[0], np.zeros(robot.nq - 3))
+    v0 = np.append(motion(0.0).v, rest)
+    v0 = robot.project(q0, v0) if hasattr(robot, "project") else v0
+    command = law(lambda t, q, v, reference: u[min(round(t / run.dt), len(u) - 1)])
+    made = simulate(robot, command, motion, q0=q0, v0=v0, **{"dt": run.dt, "integrator": rk4, **options})
+    q, v, a = (np.array(each) for each in (made.q, made.v, made.a))
+    seen, n = made.reference, 3
+    q[:, :n], v[:, :n], a[:, :n] = seen
+    replayed = Reference(made.q[:, :n], made.v[:, :n], made.a[:, :n])
+    return replace(made, q=q, v=v, a=a, u=u[: len(made)], error=-made.error, reference=replayed, signals={})
+
+
+def _poses(twist: Any, dt: float) -> Array:
+    """Return the poses of the odometry from body twists, shape (N, 3)."""
+    forward, left, turn = np.asarray(twist).T
+    psi = np.append(0.0, np.cumsum(turn[:-1]) * dt)
+    way = np.exp(1j * (psi + 0.5 * dt * turn)) * (forward + 1j * left)
+    at = np.append(0.0, np.cumsum(way[:-1]) * dt)
+    return np.column_stack([at.real, at.imag, psi])

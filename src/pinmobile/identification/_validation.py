@@ -1,0 +1,170 @@
+"""`validate`: errors of predictions on the last third of a log, beside simpler models."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, final
+
+import numpy as np
+
+from pinmobile.arrays import Array
+from pinmobile.identification._commands import (
+    CHANNELS,
+    Part,
+    channels_of,
+    explained_parts,
+    runs_of,
+    segments_of,
+)
+from pinmobile.identification._estimates import Identification
+from pinmobile.identification._lag import Lag
+from pinmobile.identification._log import Log, logs_of
+from pinmobile.identification._simulation import simulate
+from pinmobile.identification._velocity import identify_velocity
+from pinmobile.identification._velocity_model import MOST, STEEPEST, VelocityModel
+
+_HORIZONS = 0.1, 2.0, 5.0  # [s]
+_STARTS = 10  # predictions that start within the longest horizon
+_TRAINED = 2 / 3  # share of a log before the hold-out
+_AT_ONCE = 0.05  # time constant of a robot without lag, as a share of the time step
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Validation:
+    """Errors of predictions of a hold-out, by model: the result of `validate`. ``print`` gives a table.
+
+    Attributes
+    ----------
+    horizons : ndarray, shape (H,)
+        Times after the start of a prediction [s].
+    names, units : tuple of k str
+        Names and units of the columns: speed and yaw rate, and for poses distance and heading.
+    rms : mapping of str to ndarray, shape (H, k)
+        Root mean square errors of ``"kinematics"``, ``"lag"`` and ``"identified"``.
+    found : Identification
+        Estimates from the first two thirds of the log.
+
+    See Also
+    --------
+    identification.validate : makes it
+
+    Examples
+    --------
+    >>> from pinmobile import FixedHeading, Hold, Log, VelocityRobot, simulate
+    >>> from pinmobile.controllers import RandomSteps
+    >>> from pinmobile.identification import validate
+    >>> robot = VelocityRobot([0.4, 0.3, 0.0, 1.0, 0.0, 1.0])
+    >>> still = FixedHeading(Hold((0, 0), duration=90), psi=0)
+    >>> run = simulate(robot, RandomSteps(), still, dt=0.1)
+    >>> result = validate(Log.from_rollout(run, noise=1e-4))
+    >>> speed = {name: rms[1, 0] for name, rms in result.rms.items()}
+    >>> speed["identified"] < 0.1 * speed["kinematics"]
+    True
+    """
+
+    horizons: Array
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    rms: Mapping[str, Array]
+    found: Identification
+
+    def __str__(self) -> str:
+        heads = [f"{name} [{unit}]" for name, unit in zip(self.names, self.units, strict=True)]
+        lines = [f"{'rms error after':>15}  {'model':<10}  {'  '.join(heads)}"]
+        for k, horizon in enumerate(self.horizons):
+            for name, rms in self.rms.items():
+                cells = "  ".join(f"{x:>{len(head)}.3g}" for x, head in zip(rms[k], heads, strict=True))
+                lines.append(f"{horizon:13.3g} s  {name:<10}  {cells}")
+        return "\n".join(lines)
+
+
+def validate(log: Log, **options: Any) -> Validation:
+    """Return the errors of predictions on the last third of a log, from what the first two thirds identify.
+
+    Each prediction starts from the measured motion and runs free. Beside the identified `VelocityRobot` stand
+    a robot that follows its commands at once (kinematics), and a first-order lag of each channel with its
+    gain, delay and limits. Sections that the commands do not explain do not count.
+
+    Parameters
+    ----------
+    log : Log
+        Log of commands of speed and yaw rate, and of poses or twists: 62 s or more.
+    **options
+        Of `identify_velocity`.
+
+    Returns
+    -------
+    result : Validation
+        Errors after 0.1, 2 and 5 s.
+
+    Raises
+    ------
+    InvalidArgument
+        If `identify_velocity` rejects the first two thirds, or the commands do not explain the last third.
+
+    See Also
+    --------
+    identify_velocity : estimates from the whole log
+    identification.Validation : the result
+
+    Examples
+    --------
+    >>> from pinmobile import FixedHeading, Hold, Log, VelocityRobot, simulate
+    >>> from pinmobile.controllers import RandomSteps
+    >>> from pinmobile.identification import validate
+    >>> robot = VelocityRobot([0.4, 0.3, 0.0, 1.0, 0.0, 1.0])
+    >>> still = FixedHeading(Hold((0, 0), duration=90), psi=0)
+    >>> run = simulate(robot, RandomSteps(), still, dt=0.1)
+    >>> print(str(validate(Log.from_rollout(run, noise=1e-4)))[:60])
+    rms error after  model       speed [m/s]  yaw rate [rad/s]
+    """
+    (one,) = logs_of(log)
+    span = float(one.t[-1] - one.t[0])
+    first, last = one.between(0.0, _TRAINED * span), one.between(_TRAINED * span, span + one.dt)
+    found = identify_velocity(first, **options)
+    model = found.model
+    trained, held = (runs_of([part], model.is_pose) for part in (first, last))
+    lags = [each.lag(model.lead) for each in channels_of(explained_parts(trained, model.lags(found.phi)))]
+    parts = explained_parts(held, model.lags(found.phi), least=-np.inf)  # also of a poor model
+    dt = held[0].dt
+    quick = Lag(1.0, _AT_ONCE * dt, 0, np.inf)
+    models = {"kinematics": _of_lags(model, [quick, quick]), "lag": _of_lags(model, lags)}
+    models["identified"] = model, found.phi
+    horizons = np.maximum(1, np.rint(np.array(_HORIZONS) / dt)).astype(int)
+    shifts = np.unique(np.linspace(0, horizons[-1], _STARTS, endpoint=False).astype(int)).tolist()
+    shifted = [part._replace(start=part.start + more) for part in parts for more in shifts]
+    names, units = (*CHANNELS, "distance", "heading"), ("m/s", "rad/s", "m", "rad")
+    count = len(names) if model.is_pose else len(CHANNELS)
+    rms = {n: _errors(each, p, shifted, horizons, n == "kinematics") for n, (each, p) in models.items()}
+    return Validation(horizons * dt, names[:count], units[:count], rms, found)
+
+
+def _of_lags(model: VelocityModel, lags: list[Lag]) -> tuple[VelocityModel, Array]:
+    """Return the model without coupling, with the delays and limits of lags."""
+    given = {"ahead": 0.0, "delay": model.dt * float(np.mean([lag.late for lag in lags]))}
+    for steepest, largest, lag in zip(STEEPEST, MOST, lags, strict=True):
+        given |= {steepest: lag.steepest, largest: lag.limit}
+    (a, b), (g, h) = ([lag.tau / lag.gain for lag in lags], [1 / lag.gain for lag in lags])
+    return replace(model, free=(), given=given), np.array([a, b, 0.0, g, 0.0, h])
+
+
+def _errors(model: VelocityModel, p: Array, parts: list[Part], horizons: Array, at_once: bool) -> Array:
+    """Return the rms errors, shape (H, k), of predictions that start from the measured motion."""
+    speeds = [part._replace(run=part.run._replace(y=part.run.nu, calm=part.run.nu)) for part in parts]
+    squares = [_squares(replace(model, is_pose=False), p, speeds, horizons, at_once)]
+    if model.is_pose:
+        x, y, psi = np.moveaxis(_squares(model, p, parts, horizons, at_once), -1, 0)
+        squares.append(np.stack([x + y, psi], axis=-1))
+    return np.asarray(np.sqrt(np.nanmean(np.concatenate(squares, axis=-1), axis=0)))
+
+
+def _squares(model: VelocityModel, p: Array, parts: list[Part], horizons: Array, at_once: bool) -> Array:
+    """Return the squared errors of segments, shape (S, H, m); NaN without a measurement."""
+    segments, _ = segments_of(parts, model.lead, (int(horizons[-1]) + 1) * model.dt, filled=False)
+    starts = segments.start.copy()
+    if at_once:
+        starts[:, :2] = segments.applied(0, 1)[0, :, 0]
+    left = (segments.y - simulate(model, segments, p[None], starts[None])[0])[:, horizons]
+    return np.where(segments.good[:, horizons, None], left**2, np.nan)
