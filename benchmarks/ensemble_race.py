@@ -36,7 +36,7 @@ class Line:
 
     def estimate(self, fleet: Any) -> float:
         """Return what a turn will take [s], by the largest ensemble so far that is not overhead alone."""
-        known = [rate for n in self.rows if n >= 100 and (rate := self.pose_rate(n))]
+        known = [rate for n in self.rows if n >= 100 and (rate := self.rate(n))]
         return fleet.steps / known[-1] / 1e6 if known else 0.0
 
     def words(self) -> Iterator[str]:

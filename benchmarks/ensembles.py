@@ -84,7 +84,7 @@ def show_ratios(out: Console, lines: dict[Entrant, Line], sizes: Sequence[int]) 
 
 def times_as_fast(line: Line | None, base: Line | None, n: int) -> str:
     """Return the ratio of two rates, round by round where both had the same rounds of the same work."""
-    rates = [one.pose_rate(n) if one else None for one in (line, base)]
+    rates = [one.rate(n) if one else None for one in (line, base)]
     if not all(rates):
         return ""
     mine, others = line.rows[n], base.rows[n]
