@@ -1,53 +1,21 @@
 """Every benchmark, one after the other: `python benchmarks [--quick] [--rounds N] [--only WORD ...]`.
 
 With `--only`, just those in which somebody has such a word in the name, and of these the ones who have. With
-`--before PYTHON`, just the loop of parts, beside the version of pinmobile that this interpreter has.
+`--before PYTHON`, just the loop of parts, beside the version of pinmobile that this interpreter has. The logs
+of real robots need clones of public repositories: `python benchmarks/real_logs.py --help`.
 """
 
 import sys
 from collections.abc import Sequence
+from importlib import import_module
 
-import arm_ensembles
-import batches
-import calls
-import ensembles
-import identification
-import imports
-import loop
-import mpc
-import rollout
-import viewing
-import wheels
 from measuring import picked, selecting
 
-import memory
-
-PARTS = (
-    rollout,
-    ensembles,
-    arm_ensembles,
-    loop,
-    calls,
-    batches,
-    memory,
-    wheels,
-    mpc,
-    identification,
-    viewing,
-    imports,
+NAMES = (
+    *("rollout", "ensembles", "arm_ensembles", "loop", "calls", "batches"),
+    *("memory", "wheels", "mpc", "identification", "viewing", "imports"),
 )
-PEOPLE = {
-    rollout: rollout.EVERYONE,
-    ensembles: ensembles.EVERYONE,
-    arm_ensembles: arm_ensembles.EVERYONE,
-    loop: loop.EVERYONE,
-    calls: calls.PEOPLE,
-    batches: batches.EVERYONE,
-    memory: memory.EVERYONE,
-    wheels: wheels.EVERYONE,
-    mpc: mpc.EVERYONE,
-    identification: identification.EVERYONE,
-}
+PARTS = [import_module(name) for name in NAMES]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -56,9 +24,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--before", metavar="PYTHON", help="an interpreter that has another version")
     chosen = parser.parse_args(given)
     words = chosen.only
-    parts = [part for part in PARTS if not words or picked(PEOPLE.get(part, ()), words)]
+    parts = [part for part in PARTS if not words or picked(vars(part).get("EVERYONE", ()), words)]
     if chosen.before is not None:
-        parts = [part for part in parts if part is loop]
+        parts = [part for part in parts if part.__name__ == "loop"]
     if not parts:
         parser.error(f"--only: nobody has {' or '.join(map(repr, words))} in the name")
     return max(part.main(given) for part in parts)

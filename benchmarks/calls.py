@@ -26,7 +26,7 @@ RIGHT = {
     "inverse": mass_matrix(BODY, Q) @ A + nonlinear_effects(BODY, Q, V),
     "forward": forward_dynamics(BODY, Q, V, FORCE),
 }
-PEOPLE = (
+EVERYONE = (
     Contestant("pinmobile", PINMOBILE, "of_pinmobile"),
     Contestant("Pinocchio", PYTHON, "raw_pinocchio"),
     Contestant("closed form in numpy", NUMPY, "closed_form"),
@@ -38,7 +38,7 @@ PEOPLE = (
 def main(arguments: Sequence[str] | None = None) -> int:
     chosen = selecting(__doc__.splitlines()[0]).parse_args(arguments)
     rounds = chosen.rounds or (1 if chosen.quick else 9)
-    people = picked(PEOPLE, chosen.only)
+    people = picked(EVERYONE, chosen.only)
     number = 100 if chosen.quick else 5_000
     out = console()
     out.print(about(), f"medians over {rounds} interleaved rounds of {number} calls", sep="; ")
