@@ -13,6 +13,7 @@ import pinocchio as pin
 from ensemble_contestants import Entrant
 from example_robot_data import load
 from fleet import Figures
+from task import stepped
 
 DT = 0.001  # [s]
 KP, KD = 100.0, 20.0  # of computed torque
@@ -204,21 +205,8 @@ def _rolled(
             wanted = AD[k] + KD * (VD[k] - v) + KP * e
             forces[k] = pin.crba(known, model, q) @ wanted + pin.nle(known, model, q, v)
         force = forces[k]
-        q, v = stepped(accelerated, q, v, task.step)
+        q, v = stepped(accelerated, q, v, DT, task.step)
     return errors, forces
-
-
-def stepped(accelerated, q: np.ndarray, v: np.ndarray, step: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return the state after a step."""
-    h, a = DT, accelerated(q, v)
-    if step == "lecture":
-        return q + h * v + h * h / 2 * a, v + h * a
-    if step == "euler":
-        return q + h * (v + h * a), v + h * a
-    b = accelerated(q + h / 2 * v, v + h / 2 * a)
-    c = accelerated(q + h / 2 * (v + h / 2 * a), v + h / 2 * b)
-    d = accelerated(q + h * (v + h / 2 * b), v + h * c)
-    return q + h * v + h * h / 6 * (a + b + c), v + h / 6 * (a + 2 * b + 2 * c + d)
 
 
 def expected(fleet: ArmFleet) -> Figures:

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import remainder, tau
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -126,6 +126,10 @@ def expected(task: Task) -> Log:
     body, dt, log = task.body, task.dt, empty(task)
     desired = references(task)
     q, v = desired[0][0], desired[1][0]
+
+    def accelerated(q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        return forward_dynamics(body, q, v, force)
+
     for k, (qd, vd, ad) in enumerate(zip(*desired, strict=True)):
         e, ed = qd - q, vd - v
         e[2] = remainder(e[2], tau)
@@ -134,25 +138,23 @@ def expected(task: Task) -> Log:
             force = mass_matrix(body, q) @ command + nonlinear_effects(body, q, v)
         else:
             force = PD_GAINS * e + PD_GAINS * ed
-        a = forward_dynamics(body, q, v, force)
+        a = accelerated(q, v)
         log.q[k], log.v[k], log.a[k], log.tau[k], log.error[k] = q, v, a, force, e
-        q, v = _rk4(body, q, v, force, dt) if task.step == "rk4" else (q + dt * v + dt**2 / 2 * a, v + dt * a)
+        q, v = stepped(accelerated, q, v, dt, task.step)
     return log
 
 
-def _rk4(
-    body: Body, q: np.ndarray, v: np.ndarray, force: np.ndarray, dt: float
-) -> tuple[np.ndarray, np.ndarray]:
-    def rate(x: np.ndarray) -> np.ndarray:
-        return np.concatenate([x[3:], forward_dynamics(body, x[:3], x[3:], force)])
-
-    x = np.concatenate([q, v])
-    k1 = rate(x)
-    k2 = rate(x + dt / 2 * k1)
-    k3 = rate(x + dt / 2 * k2)
-    k4 = rate(x + dt * k3)
-    x = x + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-    return x[:3], x[3:]
+def stepped(accelerated: Callable[..., np.ndarray], q: Any, v: Any, h: float, step: str) -> tuple[Any, Any]:
+    """Return the state after a step of h: ``"lecture"``, ``"euler"`` (semi-implicit) or ``"rk4"``."""
+    a = accelerated(q, v)
+    if step == "lecture":
+        return q + h * v + h * h / 2 * a, v + h * a
+    if step == "euler":
+        return q + h * (v + h * a), v + h * a
+    b = accelerated(q + h / 2 * v, v + h / 2 * a)
+    c = accelerated(q + h / 2 * (v + h / 2 * a), v + h / 2 * b)
+    d = accelerated(q + h * (v + h / 2 * b), v + h * c)
+    return q + h * v + h * h / 6 * (a + b + c), v + h / 6 * (a + 2 * b + 2 * c + d)
 
 
 def difference(log: Log, right: Log) -> float:
