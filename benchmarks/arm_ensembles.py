@@ -8,16 +8,15 @@ solves before anybody is timed, as in `ensembles.py`.
 """
 
 import os
-import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping, Sequence
 
 from arm_ensemble_contestants import ARMS, EVERYONE
-from ensemble_costs import measure, show_memory
+from ensemble_costs import measure, show_memory, weighing
 from ensemble_race import Line, race
-from ensembles import times_as_fast
-from measuring import about, console, picked, say, selecting, table
+from ensembles import show_speeds, times_as_fast
+from measuring import about, console, last_line, picked, say, table
 from rich.console import Console
 
 SIZES, QUICK_SIZES = (1, 100, 10_000), (1, 20)
@@ -56,11 +55,7 @@ print("\\n", imported - start, made - imported, first - made, now() - first)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    parser = selecting(__doc__.splitlines()[0])
-    parser.add_argument("--one", help="weigh this contestant in this process, and print JSON")
-    parser.add_argument("--robots", type=int, default=1, help="how many with --one")
-    parser.add_argument("--duration", type=float, help="of the rollout with --one [s]")
-    chosen = parser.parse_args(arguments)
+    chosen = weighing(__doc__.splitlines()[0]).parse_args(arguments)
     if chosen.one is not None:
         one = next(one for one in EVERYONE if one.name == chosen.one)
         print(measure(one, one.lasting(chosen.robots, chosen.duration)))
@@ -78,27 +73,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         lines, right = race(people, sizes, rounds, longest, least, note=out.status)
         sound &= right
         by_name = {line.one.name.partition(": ")[2]: line for line in lines}
-        show_speeds(out, arm, by_name, sizes)
+        show_speeds(out, f"{arm} on a base: ensembles of n robots", by_name, sizes)
         show_ratios(out, arm, by_name)
         weighed = [(line.one, line.fleets) for line in lines if line.fleets]
         sound &= show_memory(out, weighed[: 1 if chosen.quick else None], sizes[-1:], "arm_ensembles.py")
         if STEP in by_name and not chosen.quick:
             sound &= show_first_results(out, arm)
     return 0 if sound else 1
-
-
-def show_speeds(out: Console, arm: str, lines: Mapping[str, Line], sizes: Sequence[int]) -> None:
-    title = f"\n{arm} on a base: ensembles of n robots, million robot-steps a second"
-    columns = (*(f"n = {n:,}" for n in sizes), "largest difference")
-    shown, others = table(title, "contestant", "version", *columns), []
-    for name, line in lines.items():
-        rates = [line.rate(n) for n in sizes]
-        if any(rates):
-            cells = (f"{rate:.3g}" if rate else "" for rate in rates)
-            shown.add_row(name, line.one.peer.version, *cells, f"{line.apart:.0e}")
-        others += [f"{name}: {word}" for word in line.words()]
-    out.print(shown)
-    say(out, others)
 
 
 def show_ratios(out: Console, arm: str, lines: Mapping[str, Line]) -> None:
@@ -136,11 +117,8 @@ def first_result(arm: str, cache: str, new: bool) -> tuple[float, ...] | str:
         for file in os.scandir(cache):
             os.unlink(file)
     command = [sys.executable, "-W", "ignore", "-c", FIRST.format(arm=arm.lower())]
-    environment = {**os.environ, "PINMOBILE_CACHE": cache}
-    done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
-    if done.returncode:
-        return f"FAILED: {(done.stderr.strip().splitlines() or [f'exit {done.returncode}'])[-1]}"
-    return tuple(map(float, done.stdout.split()[-4:]))
+    said = last_line(command, PINMOBILE_CACHE=cache)
+    return said if said.startswith("FAILED") else tuple(map(float, said.split()))
 
 
 if __name__ == "__main__":

@@ -7,13 +7,13 @@ the expected ones is printed as WRONG and not timed; one that would take too lon
 """
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from ensemble_contestants import EVERYONE, LIMIT, MUJOCO_CLOSED, MUJOCO_OPEN, OURS, Entrant
-from ensemble_costs import measure, show_first_calls, show_memory
+from ensemble_costs import measure, show_memory, weighing
 from ensemble_race import Line, race, timed
-from fleet import LECTURE, Fleet, difference, simulated
-from measuring import Row, about, console, interleaved, median_time, picked, say, selecting, table
+from fleet import Fleet, difference, simulated
+from measuring import Row, about, console, interleaved, median_time, picked, say, table
 from rich.console import Console
 from task import TOLERANCE
 
@@ -24,13 +24,7 @@ ASKED = {LIMIT: 0.5, MUJOCO_OPEN: 100, MUJOCO_CLOSED: 100}  # times as fast
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    parser = selecting(__doc__.splitlines()[0])
-    parser.add_argument("--one", help="weigh this contestant in this process, and print JSON")
-    parser.add_argument("--robots", type=int, default=1, help="how many with --one")
-    parser.add_argument(
-        "--duration", type=float, default=LECTURE.duration, help="of the rollout with --one [s]"
-    )
-    chosen = parser.parse_args(arguments)
+    chosen = weighing(__doc__.splitlines()[0]).parse_args(arguments)
     if chosen.one is not None:
         one = next(one for one in EVERYONE if one.name == chosen.one)
         print(measure(one, one.fleet_of(chosen.robots, chosen.duration)))
@@ -45,27 +39,26 @@ def main(arguments: Sequence[str] | None = None) -> int:
     say(out, [f"what is expected of two robots is what `simulate` returns, to {apart:.0e}"])
     longest, least = (QUICK_LONGEST, 0.0) if chosen.quick else (LONGEST, 0.1)
     lines, sound = race(people, sizes, rounds, longest, least, note=out.status)
-    show_speeds(out, lines, sizes)
+    title = "Ensembles of n robots, 600 steps each"
+    show_speeds(out, title, {line.one.name: line for line in lines}, sizes)
     show_ratios(out, {line.one: line for line in lines}, sizes)
     show_growth(out, lines, sizes, rounds)
     weighed = [(line.one, line.fleets) for line in lines if line.fleets]
     weighed, at = (weighed[:2], sizes[-1:]) if chosen.quick else (weighed, sizes[-2:])
     sound &= show_memory(out, weighed, at)
-    if OURS in people:
-        sound &= show_first_calls(out, chosen.quick)
     return 0 if sound and apart <= TOLERANCE else 1
 
 
-def show_speeds(out: Console, lines: Sequence[Line], sizes: Sequence[int]) -> None:
-    title = "\nEnsembles of n robots, 600 steps each: million robot-steps a second"
+def show_speeds(out: Console, title: str, lines: Mapping[str, Line], sizes: Sequence[int]) -> None:
     columns = (*(f"n = {n:,}" for n in sizes), "largest difference")
-    shown, others = table(title, "contestant", "version", *columns), []
-    for line in lines:
+    shown = table(f"\n{title}: million robot-steps a second", "contestant", "version", *columns)
+    others: list[str] = []
+    for name, line in lines.items():
         rates = [line.rate(n) for n in sizes]
         if any(rates):
             cells = (f"{rate:.3g}" if rate else "" for rate in rates)
-            shown.add_row(line.one.name, line.one.peer.version, *cells, f"{line.apart:.0e}")
-        others += [f"{line.one.name}: {word}" for word in line.words()]
+            shown.add_row(name, line.one.peer.version, *cells, f"{line.apart:.0e}")
+        others += [f"{name}: {word}" for word in line.words()]
     out.print(shown)
     say(out, others)
 

@@ -3,15 +3,13 @@
 python benchmarks/imports.py [--quick] [--rounds N]
 """
 
-import os
-import subprocess
 import sys
 from collections.abc import Sequence
 from functools import partial
 from tempfile import TemporaryDirectory
 
 from contestants import MUJOCO, NUMPY, PINMOBILE, PYTHON, TOOLBOX, Peer
-from measuring import Row, about, console, interleaved, options, say, table
+from measuring import Row, about, console, interleaved, last_line, options, say, table
 
 MODULES = {
     "pinmobile": PINMOBILE,
@@ -61,11 +59,9 @@ def milliseconds(statement: str, compiled: str) -> float:
     Its own start is not counted. In a folder of their own the bytecodes of all are there from the second
     round on, also where nothing may be written beside the sources or into a checkout.
     """
-    kept = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
     command = [sys.executable, "-W", "ignore", "-c", TIMED.format(statement)]
-    environment = {**kept, "PYTHONPYCACHEPREFIX": compiled}
-    done = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
-    return float(done.stdout.split()[-1]) * 1e3
+    kept = {"PYTHONPYCACHEPREFIX": compiled, "PYTHONDONTWRITEBYTECODE": ""}
+    return float(last_line(command, **kept)) * 1e3
 
 
 if __name__ == "__main__":

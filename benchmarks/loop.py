@@ -7,22 +7,19 @@ In each round each version has a process of its own, in turn; it runs every row 
 """
 
 import json
-import os
 import shutil
 import statistics
-import subprocess
 import sys
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from ensemble_costs import first_call
 from loop_work import (
-    FIRST as PRINTED,
+    FIRST_ENSEMBLE,
     FIRST_RESULTS,
     LONGEST,
     LOOPS,
+    PRINTED,
     QUICK_ROBOTS,
     QUICK_STEPS,
     ROBOTS,
@@ -30,7 +27,7 @@ from loop_work import (
     SHORT,
     STEPS,
 )
-from measuring import Row, about, console, picked, say, selecting, table
+from measuring import Row, about, console, last_line, picked, say, selecting, table
 from rich.console import Console
 
 BASE = "computed torque"
@@ -47,14 +44,7 @@ HOW = (
 )
 
 
-@dataclass(frozen=True)
-class Work:
-    """A row's name, which `--only` picks by."""
-
-    name: str
-
-
-EVERYONE = tuple(Work(name) for name in (*LOOPS, *RUNS, *FIRST, *FIRST_RESULTS))
+EVERYONE = tuple(Row(name) for name in (*LOOPS, *RUNS, *FIRST, *FIRST_RESULTS))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -66,7 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             f"--before: {chosen.before} is no program, expected an interpreter such as .venv/bin/python"
         )
     rounds = chosen.rounds or (1 if chosen.quick else 5)
-    names = [work.name for work in picked(EVERYONE, chosen.only)]
+    names = [row.name for row in picked(EVERYONE, chosen.only)]
     if set(names) & set(LOOPS) and BASE not in names:
         names.insert(0, BASE)  # which the others are shares of
     versions = {"now": [sys.executable]}
@@ -98,33 +88,24 @@ def told(
     if rows:
         program = str(Path(__file__).with_name("loop_work.py"))
         command = [*interpreter, program, *(("--quick", "--least", "0") if quick else ()), *rows]
-        environment = {**os.environ, "PINMOBILE_CACHE": folder, "NUMBA_CACHE_DIR": folder}
-        done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
-        if done.returncode:
-            word = f"FAILED: {(done.stderr.strip().splitlines() or [f'exit {done.returncode}'])[-1]}"
-            answers |= dict.fromkeys(rows, word)
-        else:
-            answers |= json.loads(done.stdout.splitlines()[-1])
+        said = last_line(command, PINMOBILE_CACHE=folder, NUMBA_CACHE_DIR=folder)
+        answers |= dict.fromkeys(rows, said) if said.startswith("FAILED") else json.loads(said)
     if set(FIRST) & set(names):
         with TemporaryDirectory(prefix="pinmobile-") as empty:
             for name in FIRST:
-                times = first_call(empty, interpreter)
-                answers[name] = times if isinstance(times, str) else times[1]
-    for name in FIRST_RESULTS:
-        if name in names:
-            answers[name] = first_result(interpreter, folder, FIRST_RESULTS[name])
+                answers[name] = printed(interpreter, empty, FIRST_ENSEMBLE)
+    for name in set(FIRST_RESULTS) & set(names):
+        for _ in range(2):  # the first fills the folder
+            answers[name] = printed(interpreter, folder, FIRST_RESULTS[name] + PRINTED)
     return {name: answers[name] for name in names}
 
 
-def first_result(interpreter: Sequence[str], folder: str, program: str) -> float | str:
-    """Return the seconds of the processor until a process has its first result, its machine code on disk."""
-    environment = {**os.environ, "PINMOBILE_CACHE": folder}
-    for _ in range(2):  # the first fills the folder
-        command = [*interpreter, "-W", "ignore", "-c", program + PRINTED]
-        done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
-        if done.returncode:
-            return f"FAILED: {(done.stderr.strip().splitlines() or [f'exit {done.returncode}'])[-1]}"
-    return float(done.stdout.splitlines()[-1])
+def printed(interpreter: Sequence[str], folder: str, program: str) -> float | str:
+    """Return the seconds that a program prints, with its machine code in a folder, or why it does not."""
+    # An older version's compiler keeps its files by the second name.
+    command, folders = [*interpreter, "-W", "ignore", "-c", program], ("PINMOBILE_CACHE", "NUMBA_CACHE_DIR")
+    said = last_line(command, **dict.fromkeys(folders, folder))
+    return said if said.startswith("FAILED") else float(said)
 
 
 def keep(rows: Mapping[str, Row], answers: Mapping[str, float | str]) -> None:

@@ -12,12 +12,11 @@ import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from time import process_time
 from typing import Any
 
 import numpy as np
 from contestants import raw_pinocchio
-from measuring import median_time
+from measuring import median_time, processor_seconds
 from task import GAIN, PD_GAINS, RADIUS, RATE, Task
 
 ROBOTS, QUICK_ROBOTS = 10_000, 100
@@ -30,7 +29,18 @@ DT, FINE = 0.05, 0.01  # of an ensemble, of a rollout [s]
 ENGINES = {"PYTHON": ("PYTHON", "PINOCCHIO"), "COMPILED": ("COMPILED",)}
 """What engines are called, in this version and in older ones."""
 
-FIRST = "\nfrom time import process_time\nprint()\nprint(process_time())\n"
+PRINTED = "\nfrom time import process_time\nprint()\nprint(process_time())\n"
+FIRST_ENSEMBLE = """
+from time import perf_counter as now
+import pinmobile
+from pinmobile import Circle, ComputedTorque, MobileRobot, Normal, Tangent, Uniform, ensemble
+start, com = now(), "com.x" if hasattr(pinmobile, "parts") else "com_x"  # before parts, names had no dot
+robot = MobileRobot(30.0, 1.3, com=(0.1, 0.0))
+spread = {"mass": Uniform(20, 40), com: Normal(0.1, 0.02)}
+trajectory = Tangent(Circle(3.0, 0.1, 60.0))
+ensemble(robot, ComputedTorque(robot, 4, 4), trajectory, n=100, spread=spread, seed=0, dt=0.1)
+print("\\n", now() - start, sep="")
+"""
 PLANAR = "import pinmobile as p; b = p.MobileRobot(30, 1.3, (0.1, 0.05)); "
 FIRST_RESULTS = {
     "first result, planar": PLANAR + "p.simulate(b, p.ComputedTorque(b), p.Tangent(p.Circle(2, 0.5, 6)), "
@@ -146,7 +156,7 @@ class Work:
 
         run(SHORT)  # which compiles
         tried = SHORT
-        while tried < steps and seconds(partial(run, tried)) <= LONGEST:
+        while tried < steps and processor_seconds(partial(run, tried)) <= LONGEST:
             tried = min(10 * tried, steps)
         return self.timed(partial(run, tried)) / (n * (tried + 1))
 
@@ -193,7 +203,7 @@ class Work:
     def timed(self, run: Callable[[], Any]) -> float:
         """Return the median time of a run, after a first one [s]."""
         run()
-        return median_time(lambda: seconds(run), self.least)
+        return median_time(lambda: processor_seconds(run), self.least)
 
 
 def turning(t: float, q: Any, v: Any, reference: Any) -> Any:
@@ -205,13 +215,6 @@ def branching(t: float, q: Any, v: Any, reference: Any) -> Any:
     """Return PD by a law that cannot be traced."""
     gains = PD_GAINS if q[0] < 1e9 else 0.0
     return gains * (reference.q - q) + gains * (reference.v - v)
-
-
-def seconds(run: Callable[[], Any]) -> float:
-    """Return the seconds of the processor that a run takes: other work on the machine counts less."""
-    start = process_time()
-    run()
-    return process_time() - start
 
 
 LOOPS: dict[str, Callable[[Work], float]] = {

@@ -6,11 +6,12 @@ import os
 import platform
 import re
 import statistics
+import subprocess
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from time import perf_counter
-from typing import Protocol, TypeVar
+from time import perf_counter, process_time
+from typing import Any, Protocol, TypeVar
 
 from rich.console import Console
 from rich.table import Table
@@ -67,6 +68,22 @@ def median_time(work: Callable[[], float | None], least: float) -> float:
         own = work()
         times.append(perf_counter() - start if own is None else own)
     return statistics.median(times)
+
+
+def processor_seconds(work: Callable[[], Any]) -> float:
+    """Return the seconds of the processor that `work` takes: other work on the machine counts less."""
+    start = process_time()
+    work()
+    return process_time() - start
+
+
+def last_line(command: Sequence[str], **environment: str) -> str:
+    """Return the last line that a process prints, or a word on why it failed, which begins with FAILED."""
+    around = {**os.environ, **environment}
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=around)
+    if done.returncode:
+        return f"FAILED: {(done.stderr.strip().splitlines() or [f'exit {done.returncode}'])[-1]}"
+    return done.stdout.splitlines()[-1]
 
 
 def options(description: str) -> argparse.ArgumentParser:

@@ -9,13 +9,12 @@ rollout stands beside it, so the difference is the rollout's; its log alone is 6
 import json
 import re
 import resource
-import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 from contestants import EVERYONE, Contestant
-from measuring import about, console, picked, say, selecting, table
+from measuring import about, console, last_line, picked, say, selecting, table
 from task import Task
 
 
@@ -48,11 +47,10 @@ def cells_of(one: Contestant, quick: bool) -> tuple[str, ...] | str:
     """Return the numbers of a row, or the word on why there are none."""
     if not one.peer.installed:
         return f"not installed: {one.peer.install}"
-    command = [sys.executable, __file__, "--one", one.name, *["--quick"] * quick]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    if done.returncode:
-        return f"FAILED: {done.stderr.strip().splitlines()[-1]}"
-    before, peak = json.loads(done.stdout.splitlines()[-1])
+    said = last_line([sys.executable, __file__, "--one", one.name, *["--quick"] * quick])
+    if said.startswith("FAILED"):
+        return said
+    before, peak = json.loads(said)
     if before is None:
         return "", f"{peak:.0f}", ""
     return f"{before:.0f}", f"{peak:.0f}", f"{peak - before:.0f}"

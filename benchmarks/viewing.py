@@ -8,7 +8,6 @@ part is left out.
 
 import json
 import statistics
-import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
@@ -18,7 +17,7 @@ from time import perf_counter, sleep
 from typing import Any
 
 import numpy as np
-from measuring import about, console, options, say, table
+from measuring import about, console, last_line, options, say, table
 from rich.console import Console
 from task import GAIN, PD_GAINS, RADIUS, RATE
 
@@ -174,11 +173,10 @@ def show_recordings(out: Console, sizes: Sequence[int], rounds: int) -> None:
 
 
 def in_fresh_process(frames: int) -> list[float]:
-    command = [sys.executable, "-W", "ignore", __file__, "--record", str(frames)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
-    if done.returncode:
-        raise RuntimeError(done.stderr.strip().splitlines()[-1])
-    return list(json.loads(done.stdout.splitlines()[-1]))
+    said = last_line([sys.executable, "-W", "ignore", __file__, "--record", str(frames)])
+    if said.startswith("FAILED"):
+        raise RuntimeError(said)
+    return list(json.loads(said))
 
 
 def recorded(frames: int) -> list[float]:

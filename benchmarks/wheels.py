@@ -11,12 +11,12 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from time import process_time
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from measuring import Row, about, console, interleaved, picked, say, selecting, table
+from measuring import Row, about, console, interleaved, picked, processor_seconds, say, selecting, table
 from rich.console import Console
 
 import pinmobile as pm
@@ -281,15 +281,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0 if sound else 1
 
 
-def timed(run: Callable[[], Any]) -> Callable[[], float]:
-    def turn() -> float:
-        start = process_time()
-        run()
-        return process_time() - start
-
-    return turn
-
-
 def show_steps(out: Console, people: Sequence[One], steps: int, rounds: int) -> bool:
     """Print what a step of one robot takes."""
     expected = simulated(differential(), TORQUES)(steps)()
@@ -306,7 +297,7 @@ def show_steps(out: Console, people: Sequence[One], steps: int, rounds: int) -> 
             words.append(f"{one.name}: WRONG, not timed: off by {found:.1e} of the path")
             sound = False
             continue
-        runs[one.name] = timed(run)
+        runs[one.name] = partial(processor_seconds, run)
     times = interleaved(runs, rounds)
     shown = table(
         f"\nOne robot on wheels, dt = {DT} s, {steps} steps", "contestant", "", "us/step", "off, of the path"
@@ -329,7 +320,7 @@ def show_ensembles(out: Console, names: Sequence[str], n: int, steps: int, round
         except ImportError as error:
             words.append(f"{name}: not installed, {error}")
             continue
-        runs[name] = timed(run)
+        runs[name] = partial(processor_seconds, run)
     times = interleaved(runs, rounds)
     title = f"\nEnsembles of {n:,} robots, {steps} steps: million robot-steps"
     columns = ("a processor second", f"a second, {count} processors", "asked, at least")
