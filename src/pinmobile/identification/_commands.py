@@ -71,7 +71,7 @@ def runs_of(logs: list[Log], is_pose: bool) -> list[Run]:
         raise InvalidArgument("log has a twist, and another log has none, expected a twist in all or in none")
     name, found = "q" if is_pose else "twist", []
     for part in (part for one in alike(logs) for part in continuous(one, "log", name)):
-        run = part.samples(name)
+        run = part.samples(name, fine=True)
         if run.twist is not None:
             y = calm = nu = run.twist[:, [0, 2]]
         else:
@@ -183,7 +183,8 @@ def segments_of(
         first = max(a, lead if a == 0 else 0)
         at = first + np.arange(max(0, -(-(b - first) // length)) * length).reshape(-1, length)
         inside = (at < b) & run.seen[np.minimum(at, N - 1)]
-        kept = (inside.sum(axis=1) >= max(3, min(length, block) // 2)) & (filled | (at[:, -1] < b))
+        least = max(3.0, 0.5 * min(length, block) * run.seen.mean())
+        kept = (inside.sum(axis=1) >= least) & (filled | (at[:, -1] < b))
         at, inside = np.minimum(at[kept], N - 1), inside[kept]
         states = np.concatenate([run.nu, run.calm] if is_pose else [run.nu], axis=-1)
         near = np.clip(at[:, :1] - lead - 1 + np.arange(lead + 1 + length + 1), 0, N - 1)

@@ -296,11 +296,12 @@ class Whiteness(NamedTuple):
 
     @classmethod
     def of(cls, residuals: Array, good: NDArray[np.bool_]) -> Whiteness:
-        """Return the whiteness of residuals (S, L, m). They are zero at samples that are not good (S, L)."""
-        power = (residuals**2).sum(axis=(0, 1)) / good.sum()
-        pairs = max((good[:, 1:] * good[:, :-1]).sum(), 1.0)
-        product = (residuals[:, 1:] * residuals[:, :-1]).sum(axis=(0, 1)) / pairs
-        return cls(product / np.maximum(power, np.finfo(float).tiny), 1.96 / np.sqrt(float(good.sum())))
+        """Return the whiteness of residuals (S, L, m), for samples that are good (S, L)."""
+        rows, segment = residuals[good], np.nonzero(good)[0]
+        pairs = np.flatnonzero(np.diff(segment) == 0)
+        product = (rows[pairs + 1] * rows[pairs]).sum(axis=0) / max(len(pairs), 1)
+        power = (rows**2).mean(axis=0)
+        return cls(product / np.maximum(power, np.finfo(float).tiny), 1.96 / np.sqrt(float(len(rows))))
 
 
 _MEMORY = 0.15  # [s], correlation time of a force that is not white noise: Matern covariance of order 3/2

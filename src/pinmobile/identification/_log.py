@@ -34,6 +34,7 @@ from pinmobile.plant import coordinates_of, inputs_of
 
 _HOLE = 3  # rows in a row that may be lost at any time step
 _BRIDGED = 0.3  # [s] without a measurement: half a window of the weak form; a longer gap needs a guess
+_FINER = 10  # largest number of rows for a measurement where inputs are faster
 _AGAIN = 0.1  # largest share of rows with the time of the row before
 _SHORTEST = 1.0  # [s] of a part between gaps
 _LONGEST_STEP = 5.0  # [s]; larger steps are probably not in seconds
@@ -350,12 +351,15 @@ class Log:
         rows: dict[str, Any] = {n: _near(old[there[n]], x[there[n]], t, half) for n, x in given.items()}
         return replace(self, t=t, u=_mean_inputs(old, u, t), **rows, dropped=0)
 
-    def samples(self, *names: str) -> Samples:
-        """Return named measurements at equal time steps, interpolated, with a mask of the measured rows."""
+    def samples(self, *names: str, fine: bool = False) -> Samples:
+        """Return named measurements at equal time steps, interpolated, with a mask of the measured rows.
+
+        The time step is that of the measurements, with mean inputs; if `fine`, that of the rows of the log.
+        """
         given = {name: x for name in names if (x := getattr(self, name)) is not None}
         there = ~lost_rows(given)
         t, given = self.t[there], {name: x[there] for name, x in given.items()}
-        dt = step(t)
+        dt = step(self.t if fine else t)
         steps = np.rint((t - t[0]) / dt).astype(int)
         since = dt * np.arange(steps[-1] + 1)
         grid, seen = t[0] + since, np.zeros(len(since), bool)
@@ -410,8 +414,9 @@ class Log:
     ) -> Self:
         """Return the log of measurements and inputs with separate times.
 
-        Each input is constant until the next one. The input of a sample is the mean over its time step. The
-        samples are those of the fastest sensor. A slower sensor has NaN in the rows between its measurements.
+        Each input is constant until the next one. The input of a row is the mean over its time step. The rows
+        have the times of the fastest sensor, and times between them if inputs are faster. A sensor has NaN in
+        the rows between its measurements.
 
         Parameters
         ----------
@@ -464,12 +469,17 @@ class Log:
                 "estimate it by one_clock=False"
             )
         t = t[(t >= first) & (t <= held[-1])]
-        half = 0.5 * step(t) * (1 + 1e-9)
+        half, more = 0.5 * step(t) * (1 + 1e-9), min(round(step(t) / step(held)), _FINER)
+        if more > 1:  # rows without a measurement keep the times of faster inputs
+            t = np.interp(np.arange((len(t) - 1) * more + 1) / more, np.arange(len(t)), t)
+            half = half / more
         rows: dict[str, Any] = {
             name: x[np.searchsorted(own, t)] if np.isin(t, own).all() else _near(own, x, t, half)
             for name, (own, x) in streams.items()
         }
-        return cls(t, u=_mean_inputs(held, inputs, t), **{"q": None} | rows)
+        lost = max(int(lost_rows({name: x}).sum()) for name, (_, x) in streams.items())
+        between = int(lost_rows(rows).sum()) - lost  # rows between measurements are not lost
+        return cls(t, u=_mean_inputs(held, inputs, t), **{"q": None} | rows, dropped=-between)
 
     @classmethod
     def from_rollout(

@@ -40,6 +40,7 @@ _TRAINED = 2 / 3  # share of a log before the hold-out
 _TOGETHER = 0.2  # largest correlation of successive residuals that counts as noise
 _DIFFERENT = 4.0  # standard deviations by which results for two lengths of segments differ
 _SURE = 2.0  # standard deviations by which a negative delay is reported
+_EARLY = 0.9  # samples by which it is reported in any case: the search ends at one
 _GAINS = 0.1, 10.0  # range of the command per steady speed or yaw rate
 _FARTHEST = 10.0  # [m]: largest distance ahead of the axle
 
@@ -146,7 +147,7 @@ def identify_velocity(
     if useless:
         model, best = _without(useless, model, parts, best)
     if "delay" in model.free and best.fit.p[6] < 0:
-        if best.fit.p[6] < -_SURE * np.sqrt(best.covariance[6, 6]):
+        if best.fit.p[6] < -min(_SURE * np.sqrt(best.covariance[6, 6]), _EARLY * dt):
             remarks.append(f"the delay is taken as zero: its estimate is {1e3 * best.fit.p[6]:.3g} ms")
         _, other = _without(["delay"], model, parts, best)
         fit = other.fit._replace(p=np.insert(other.fit.p, 6, 0.0))

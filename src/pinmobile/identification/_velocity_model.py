@@ -21,6 +21,7 @@ from pinmobile.identification._velocity_robot import ABOVE_ZERO, THETA, Velocity
 
 _EXPLAINED = 0.8  # explained share of the motion below which a note follows
 _NEUTRAL = {"theta_3": 0.0, "theta_4": 1.0, "theta_5": 0.0, "theta_6": 1.0}  # without losses and offset
+_QUICKEST = 0.1  # shortest time constant that a log shows, as a share of its time step
 _FINE = 0.3  # longest time step of the integrator, as a share of the shortest time constant
 _BENDS = 4  # factor on the number of steps where a limit of acceleration may end within a step
 _MOST_STEPS = 40  # largest number of steps per sample
@@ -102,8 +103,9 @@ class VelocityModel:
 
     def is_possible(self, p: Array) -> bool:
         """Return whether the numbers p, shape (P,), are possible and the delay is within its range."""
-        late = self.others(p[None])["delay"][0] / self.dt
-        return bool(np.isfinite(p).all() and self.are_possible(p) and -1 < late < self.lead)
+        late, quickest = self.others(p[None])["delay"][0] / self.dt, (p[:2] / p[[3, 5]]).min()
+        is_possible = np.isfinite(p).all() and self.are_possible(p) and quickest > _QUICKEST * self.dt
+        return bool(is_possible and -1 < late < self.lead)
 
     def are_possible(self, p: Array) -> Any:
         """Return which numbers, shape (..., P), a robot can have."""
