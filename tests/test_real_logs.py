@@ -10,6 +10,7 @@ import pinmobile as pm
 from pinmobile import plots
 from pinmobile.arrays import Array
 from pinmobile.identification import Identification, validate
+from tests import test_identification as wheels
 from tests.refusals import refused
 
 pytestmark = pytest.mark.once
@@ -134,6 +135,29 @@ def test_times_and_sensors_of_real_logs_are_taken_as_they_are(kind: str) -> None
     found = pm.identify_velocity(log)
     assert np.abs(true(found)).max() < 4
     assert found.is_noise
+
+
+def test_encoders_alone_identify_body_friction_and_delay() -> None:
+    log = wheels.rolled(False)
+    plant = wheels.on_wheels(wheels.BODY)
+    blind = pm.Log(log.t, None, log.u, wheel_rates=log.wheel_rates)
+    found, both = pm.identify(blind, plant), pm.identify(log, plant)
+    assert found.is_noise
+    for name, value in (("mass", 30.0), ("com_x", 0.06), ("com_y", 0.02), ("yaw_inertia", 1.3)):
+        low, high = found.interval(0.999)[name]
+        assert low < value < high
+        assert found.standard_errors[name] < 6 * both.standard_errors[name]
+    assert found.standard_errors["mass"] < 0.3
+    assert "residual: left " in str(found)
+    again = found.predict(blind)
+    assert again.names == ("left", "right")
+    np.testing.assert_allclose(again.rms, 0.02, rtol=0.1)
+    S = plant.wheeled.reduced(plant.rest, np.zeros(plant.nv)).S
+    twist = log.wheel_rates @ np.linalg.pinv(S[3:]).T @ S[:3].T
+    by_twist = pm.identify(pm.Log(log.t, None, log.u, twist=twist), plant)
+    np.testing.assert_allclose(by_twist.values, found.values, rtol=1e-6, atol=1e-6)
+    with refused("log has no q, expected a measurement of the motion"):
+        pm.identify(pm.Log(log.t, None, np.ones((len(log), 3)), twist=twist))
 
 
 def test_a_prediction_beside_simpler_models() -> None:

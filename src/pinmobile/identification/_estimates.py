@@ -482,7 +482,7 @@ class Identification:
         instance("log", log, Log, "a Log")
         segments, residual, good, noise = self.model.predicted(self, log, seconds)
         names, units = zip(*self.model.measured, strict=True)
-        measured, left = segments.y[..., : len(names)], residual[..., : len(names)]
+        measured, left = segments.y[..., self.model.columns], residual[..., self.model.columns]
         rms = np.sqrt((left[good] ** 2).mean(axis=0))
         return Prediction(names, units, segments.t, measured, measured - left, rms, noise)
 

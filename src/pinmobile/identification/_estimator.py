@@ -69,6 +69,10 @@ class Linear(NamedTuple):
         columns = np.moveaxis(rows.reshape(*rows.shape[:2], -1), 0, -1)
         raw, slopes, by_start = np.split(columns, [1, 1 + len(p)], axis=-1)
         Q, R = np.linalg.qr(by_start)
+        size = np.abs(np.diagonal(R, axis1=1, axis2=2))
+        Q = (
+            Q * (size > _UNSEEN * size.max(axis=1, keepdims=True))[:, None]
+        )  # without states that nothing shows
         J, e = (each - Q @ (np.swapaxes(Q, 1, 2) @ each) for each in (slopes, raw))
         return cls(J, e[..., 0], Q, R, raw[..., 0], slopes, residual)
 

@@ -22,7 +22,7 @@ from pinmobile.identification._estimator import (
     solve,
     unexplained,
 )
-from pinmobile.identification._log import Log, alike, continuous, logs_of
+from pinmobile.identification._log import Log, alike, continuous, logs_of, lost_rows
 from pinmobile.identification._planar_model import PlanarModel, PlanarProblem
 from pinmobile.identification._preprocessing import PreprocessedLog, Slippage
 from pinmobile.identification._simulation import Segments
@@ -128,6 +128,9 @@ def identify(
     robot = _on_wheels(robot) if alone else robot
     carried = _moments(loads, len(logs))
     model = PlanarModel.of(robot, rolling_speed, loads is not None)
+    if model.wheels:
+        logs = [_with_rates(one, model) for one in logs]
+        model = replace(model, blind=all(one.q is None for one in logs))
     names = ["log"] if len(logs) == 1 else [f"log[{k}]" for k in range(len(logs))]
     triples = zip(alike(logs), carried, names, strict=True)
     parts = [(each, load, n) for one, load, n in triples for each in continuous(one, n, *model.sensors)]
@@ -154,6 +157,16 @@ def identify(
 def _motion(log: Log) -> tuple[Any, Any, Any, bool]:
     """Return times, inputs and motion of a log, and whether the motion is given as poses."""
     return log.t, log.u, log.wheel_rates if log.q is None else log.q, log.q is not None
+
+
+def _with_rates(log: Log, model: PlanarModel) -> Log:
+    """Return a log with twists alone as a log with the rates of the wheels that roll so."""
+    if log.twist is None or log.q is not None or log.wheel_rates is not None:
+        return log
+    rates = log.twist @ np.linalg.pinv(model.S).T @ model.A.T
+    return replace(
+        log, twist=None, wheel_rates=rates, dropped=log.dropped - int(lost_rows({"": rates}).sum())
+    )
 
 
 def _clipped(log: Log, model: PlanarModel, name: str) -> str:
@@ -209,16 +222,22 @@ def _identified(
     if method == METHODS[0] and bias >= _BIASED:
         method, estimate = METHODS[1], _output_error(problem, segments, False)
     if method == METHODS[0]:
-        phi, samples = problem.values(estimate.fit.p)
-        late, freedom, free = float(samples), kept - 1, estimate.covariance
+        freedom, free, p = kept - 1, estimate.covariance, estimate.fit.p
+        phi, samples = problem.values(p)
+        late, error = float(samples), float(np.sqrt(free[-1, -1])) if problem.free else np.nan
+        if problem.free and late < 0:
+            phi, _ = problem.values(p - free[:, -1] / free[-1, -1] * late)  # the estimate for no delay
         covariance = basis @ free[: basis.shape[1], : basis.shape[1]] @ basis.T
-        error = float(np.sqrt(free[-1, -1])) if problem.free else np.nan
         _check(model, fit._replace(phi=phi), prior)
     else:
         phi, covariance, late, error = fit.phi, fit.covariance, fit.delay, fit.delay_error
         freedom = max(5, round(sum(len(one.q) * one.dt for one in runs) / WINDOW) - len(phi))
+    remarks = []
     if not given:
         _check_late(late, error, dt)
+        if late < -min(_EARLY, 2 * error):
+            remarks.append(f"the delay is taken as zero: its estimate is {1e3 * late * dt:.3g} ms")
+        late = max(late, 0.0)
     measured = segments.good[..., None] & np.isfinite(segments.noise)[:, None]
     residual = np.where(measured, estimate.plain.near.residual, 0.0)
     count = max(1, int(measured.sum()) - basis.shape[1] - segments.start.size)
@@ -242,12 +261,13 @@ def _identified(
         samples=outliers + sum(int(one.good.sum()) for one in runs),
         segments=kept,
         seconds=seconds,
-        noise=runs[0].noise,
-        residual=np.sqrt((residual[..., :3] ** 2).sum(axis=(0, 1)) / segments.good.sum()),
+        noise=runs[0].told_noise,
+        residual=np.sqrt((residual[..., model.columns] ** 2).sum(axis=(0, 1)) / segments.good.sum()),
         chi2=float((segments.weighed(residual) ** 2).sum()) / count,
         whiteness=_whiteness(estimate.plain, segments),
         is_noise=estimate.is_noise,
         explained=fit.explained,
+        remarks=tuple(remarks),
     )
 
 

@@ -656,8 +656,10 @@ def continuous(log: Log, name: str, *names: str) -> list[Log]:
     Raises
     ------
     InvalidArgument
-        If all parts are shorter than a second.
+        If none of them is measured, or all parts are shorter than a second.
     """
+    if all(getattr(log, other) is None for other in names):
+        raise InvalidArgument(f"{name} has no {' and no '.join(names)}, expected a measurement of the motion")
     others: dict[str, Any] = {other: None for other in ("q", "twist", "wheel_rates") if other not in names}
     parts = replace(log, **others, dropped=0).split()
     long = [one for one in parts if one.t[-1] - one.t[0] >= _SHORTEST or len(parts) == 1]

@@ -139,6 +139,7 @@ class PlanarProblem:
         return np.asarray(np.moveaxis((sizes[..., None] * rows)[:, :_RESPONSES], 0, -1))
 
 
+POSE = ("x", "m"), ("y", "m"), ("psi", "rad")
 _SPEED, _WHEEL_SPEED = 0.01, 0.1  # where dry friction has 71 %: [m/s, rad/s] of a body, [rad/s] of wheels
 _CONSTANTS = "resistance", "torque_constant", "viscous", "coulomb", "efficiency"
 _STILL = 2e-3  # [rad/s], where losses of a motor have 71 % of their size; those of real ones are sharp
@@ -189,6 +190,8 @@ class PlanarModel:
         Motor of each input if any input is a voltage; otherwise empty.
     offset : bool
         Whether phi has, after the friction, a constant offset of each input.
+    blind : bool
+        Whether only the rates of wheels are measured.
     """
 
     S: Array
@@ -200,8 +203,8 @@ class PlanarModel:
     scaled: bool = False
     motors: tuple[Motor, ...] = ()
     offset: bool = False
+    blind: bool = False
 
-    measured: ClassVar[tuple[tuple[str, str], ...]] = (("x", "m"), ("y", "m"), ("psi", "rad"))
     told_first: ClassVar[int] = 4
 
     @classmethod
@@ -248,6 +251,16 @@ class PlanarModel:
         told[:4] = body.mass, *body.com[:2], body.body.yaw_inertia
         told[self.size - self.scaled :] = 1.0
         return self.phi(told)
+
+    @property
+    def measured(self) -> tuple[tuple[str, str], ...]:
+        """Names and units of the measurements that residuals are told of."""
+        return tuple((n, "rad/s") for n in self.wheels) if self.blind else (*POSE,)
+
+    @property
+    def columns(self) -> slice:
+        """Their columns among all measurements of a segment."""
+        return slice(3, None) if self.blind else slice(3)
 
     @property
     def sensors(self) -> tuple[str, ...]:
@@ -446,7 +459,7 @@ class PlanarModel:
         ahead = bounded("seconds", length, least=10 * run.dt, most=longest, unit="s")
         segments = run.segments(self, late, ahead, run.rates is not None)
         search = PlanarProblem(self, found.phi, np.zeros((len(found.phi), 0)), late)
-        return segments, solve(search, segments, search.start).near.residual, segments.good, run.noise
+        return segments, solve(search, segments, search.start).near.residual, segments.good, run.told_noise
 
     def rows(self, a_u: Array, a_w: Array, turn: Array, square: Array, rates: Array, dry: Array) -> Array:
         """Return the regressor along the independent velocities, shape (n, k, p), without the input scale.

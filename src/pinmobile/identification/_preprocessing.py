@@ -45,7 +45,7 @@ class PreprocessedLog:
     rates : ndarray, shape (N, a), or None
         Rates of the driven wheels [rad/s].
     noise : ndarray, shape (3,)
-        Standard deviation of the pose noise [m, m, rad].
+        Standard deviation of the pose noise [m, m, rad]; infinite if only rates are measured.
     rates_noise : ndarray, shape (a,) or (0,)
         Standard deviation of the noise of the rates [rad/s].
     outliers : int
@@ -71,10 +71,8 @@ class PreprocessedLog:
         Raises
         ------
         InvalidArgument
-            If the log has no poses, or has inputs or wheels of another robot.
+            If the log has inputs or wheels of another robot.
         """
-        if log.q is None:
-            raise InvalidArgument(f"{name} has no poses q, expected poses: forces are identified by motion")
         if log.u.shape[1] != model.nu:
             expected = (
                 "(Fx, Fy, Mz) of a body driven by forces; for wheels give robot=..., for commands of speed "
@@ -92,16 +90,23 @@ class PreprocessedLog:
             )
         if len(even.t) < max(_ROWS, 4 * _WINDOW / even.dt):
             raise InvalidArgument(f"{name} is {even.t[-1]:.3g} s long, too short, expected 20 s or more")
-        assert even.q is not None
-        q, good, noise = without_outliers(even.q, even.seen, even.dt, _FINEST)
         rates = even.wheel_rates if model.wheels else None
-        rates_noise = np.zeros(0)
+        good, rates_noise = even.seen, np.zeros(0)
         if rates is not None:
             shaped(f"{name} has wheel_rates, which", rates, (len(rates), len(model.A)))
-            rates, usual, rates_noise = without_outliers(rates, even.seen, even.dt, _FINEST_RATE)
+            rates, good, rates_noise = without_outliers(rates, even.seen, even.dt, _FINEST_RATE)
+        if even.q is not None:
+            q, usual, noise = without_outliers(even.q, even.seen, even.dt, _FINEST)
             good = good & usual
+        else:  # the start of the odometry, and its drift, are arbitrary
+            q, noise = odometry(rates @ np.linalg.pinv(model.A).T @ model.S.T, even.dt), np.full(3, np.inf)
         lost = int((even.seen & ~good).sum())
         return cls(even.dt, q, good, even.u, rates, noise, rates_noise, lost, load)
+
+    @property
+    def told_noise(self) -> Array:
+        """Noise of the poses, or of the rates if only these are measured."""
+        return self.noise if np.isfinite(self.noise).all() else self.rates_noise
 
     @cached_property
     def twist(self) -> Array:
@@ -117,7 +122,8 @@ class PreprocessedLog:
     def shaken(self, generator: np.random.Generator, level: float) -> PreprocessedLog:
         """Return the log with additional noise; `level` is its variance per variance of the sensor noise."""
         size = np.sqrt(level)
-        q, rates = self.q + size * self.noise * generator.standard_normal(self.q.shape), self.rates
+        noise, rates = np.where(np.isfinite(self.noise), self.noise, 0.0), self.rates
+        q = self.q + size * noise * generator.standard_normal(self.q.shape)
         if rates is not None:
             rates = rates + size * self.rates_noise * generator.standard_normal(rates.shape)
         return replace(self, q=q, rates=rates)
@@ -156,6 +162,15 @@ def twist_of(q: Array, dt: float) -> Array:
     v, psi = np.gradient(smooth, dt, axis=0), smooth[:, 2]
     nu = np.exp(-1j * psi) * (v[:, 0] + 1j * v[:, 1])
     return np.column_stack([nu.real, nu.imag, v[:, 2]])
+
+
+def odometry(twist: Array, dt: float) -> Array:
+    """Return the poses from body twists, shape (N, 3), beginning at zero."""
+    forward, left, turn = twist.T
+    psi = np.append(0.0, np.cumsum(turn[:-1]) * dt)
+    way = np.exp(1j * (psi + 0.5 * dt * turn)) * (forward + 1j * left)
+    at = np.append(0.0, np.cumsum(way[:-1]) * dt)
+    return np.column_stack([at.real, at.imag, psi])
 
 
 def mean_inputs(u: Array, edges: Array) -> Array:
@@ -269,7 +284,7 @@ class Slippage(NamedTuple):
         InvalidArgument
             If the slippage is too large for estimates; the message has the name of the log.
         """
-        if not model.wheels or (run.rates is None and model.free == 3):
+        if not model.wheels or np.isinf(run.noise).any() or (run.rates is None and model.free == 3):
             return None
         size = 2 * round(_AVERAGED / run.dt / 2) + 1
         g = (1 - np.linspace(-1, 1, size + 2)[1:-1] ** 2) ** 3

@@ -11,7 +11,7 @@ from pinmobile.arrays import Array, bounded, scalar
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.identification._commands import FINEST
 from pinmobile.identification._log import Log
-from pinmobile.identification._preprocessing import without_outliers
+from pinmobile.identification._preprocessing import odometry, without_outliers
 from pinmobile.integrators import rk4
 from pinmobile.loop import Rollout
 from pinmobile.plant import coordinates_of, inputs_of
@@ -56,9 +56,10 @@ def rollout_of(log: Log, robot: Any, delay: float = 0.0, **options: Any) -> Roll
         raise InvalidArgument("log has no poses and no twist, expected one of them: nothing else is drawn")
     run = log.samples("q" if log.q is not None else "twist")
     late = bounded("delay", scalar("delay", delay), least=0, most=_LATEST, unit="s")
-    measured = (
-        _poses(run.twist, run.dt) if run.q is None else without_outliers(run.q, run.seen, run.dt, FINEST)[0]
-    )
+    if run.q is None:
+        measured = odometry(np.asarray(run.twist), run.dt)
+    else:
+        measured, _, _ = without_outliers(run.q, run.seen, run.dt, FINEST)
     u = run.u[np.clip(np.arange(len(run.t)) - round(late / run.dt), 0, None)]
     motion, rest = MeasuredMotion(run.t, measured), np.zeros(robot.nv - 3)
     q0 = np.append(measured[0], np.zeros(robot.nq - 3))
@@ -71,12 +72,3 @@ def rollout_of(log: Log, robot: Any, delay: float = 0.0, **options: Any) -> Roll
     q[:, :n], v[:, :n], a[:, :n] = seen
     replayed = Reference(made.q[:, :n], made.v[:, :n], made.a[:, :n])
     return replace(made, q=q, v=v, a=a, u=u[: len(made)], error=-made.error, reference=replayed, signals={})
-
-
-def _poses(twist: Any, dt: float) -> Array:
-    """Return the poses of the odometry from body twists, shape (N, 3)."""
-    forward, left, turn = np.asarray(twist).T
-    psi = np.append(0.0, np.cumsum(turn[:-1]) * dt)
-    way = np.exp(1j * (psi + 0.5 * dt * turn)) * (forward + 1j * left)
-    at = np.append(0.0, np.cumsum(way[:-1]) * dt)
-    return np.column_stack([at.real, at.imag, psi])

@@ -15,7 +15,7 @@ from pinmobile.identification._estimates import Identification, check_identifiab
 from pinmobile.identification._estimator import solve_robustly
 from pinmobile.identification._lag import Lag
 from pinmobile.identification._log import Log
-from pinmobile.identification._planar_model import PlanarModel
+from pinmobile.identification._planar_model import POSE
 from pinmobile.identification._simulation import Quantity, Segments
 from pinmobile.identification._velocity_robot import ABOVE_ZERO, THETA, VelocityRobot, rates_of, rolling_of
 
@@ -71,6 +71,7 @@ class VelocityModel:
     is_pose: bool
 
     told_first: ClassVar[int] = 6
+    columns: ClassVar[slice] = slice(None)
 
     @cached_property
     def quantities(self) -> tuple[Quantity, ...]:
@@ -85,7 +86,7 @@ class VelocityModel:
     @property
     def measured(self) -> tuple[tuple[str, str], ...]:
         """Names and units of the measurements."""
-        return PlanarModel.measured if self.is_pose else tuple(zip(CHANNELS, ("m/s", "rad/s"), strict=True))
+        return POSE if self.is_pose else tuple(zip(CHANNELS, ("m/s", "rad/s"), strict=True))
 
     def sizes(self, p: Array) -> Array:
         """Return the typical sizes of numbers near p, shape (P,)."""

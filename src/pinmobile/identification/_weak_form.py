@@ -257,7 +257,7 @@ class WeakForm:
         turned = np.concatenate([np.gradient(one.twist, one.dt, axis=0) for one in logs])
         wrench = self.forces() @ (np.eye(3) if model.B is None else np.linalg.pinv(model.S))
         f, moment = np.sqrt((wrench[:, :2] ** 2).sum(axis=1).mean()), np.sqrt((wrench[:, 2] ** 2).mean())
-        noise = np.max([one.noise for one in logs], axis=0)
+        noise = np.max([np.where(np.isfinite(one.noise), one.noise, 0.0) for one in logs], axis=0)
         speed, rate = np.sqrt((twist[:, :2] ** 2).sum(axis=1).mean()), np.sqrt((twist[:, 2] ** 2).mean())
         moved = np.ptp(np.concatenate([one.q for one in logs]), axis=0)
         if not (moved > 20 * noise).any() or not max(f, moment) > 0:
