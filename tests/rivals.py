@@ -68,7 +68,7 @@ def swept(path: Path) -> pm.Sweep:
     """Return all controllers in all cases."""
     measured = pm.MeasurementDelay(pm.MeasurementNoise(pm.PD(120.0, 120.0), 0.0, 0.0, seed=0), 0)
     parts: dict[str, Any] = {"robot": NOMINAL, "controller": measured, "trajectory": CIRCLE, "spread": {}}
-    nominal = pm.Scenario(**parts, n=1, dt=0.01, after=5.0, integrator=pm.rk4, substeps=4)
+    nominal = pm.Scenario(**parts, n=1, dt=0.01, after=5.0, integrator=pm.rk4)
     return pm.sweep(nominal, path, grid={LAW: RIVALS}, cases=CASES)
 
 
