@@ -65,7 +65,7 @@ HEAVY = MobileRobot(mass=36.0, yaw_inertia=1.56, com=(0.1, 0.05))
 circle = Tangent(Circle(radius=1.5, rate=0.6, duration=30.0))
 measured = MeasurementDelay(MeasurementNoise(PD(120, 120), 0.0, 0.0, seed=0), 0)
 LAW = "controller.controller.controller"
-GIVEN = {"dt": 0.01, "integrator": rk4, "substeps": 4}
+GIVEN = {"dt": 0.01, "integrator": rk4}
 COMMON = {"robot": NOMINAL, "controller": measured, "trajectory": circle}
 base = Scenario(**COMMON, n=1, spread={}, after=5.0, **GIVEN)
 
