@@ -150,9 +150,9 @@ def fits(choice: Mapping[str, str]) -> bool:
 
 @cache
 def compositions() -> list[dict[str, str]]:
-    """Return three choices for each controller; of the parts that fit, those that were taken least."""
+    """Return two choices for each controller; of the parts that fit, those that were taken least."""
     draws, used, found = random.Random(3), Counter[tuple[str, str]](), []
-    for controller in (*CONTROLLERS, *CONTROLLERS, *CONTROLLERS):
+    for controller in (*CONTROLLERS, *CONTROLLERS):
         choice = {"controller": controller}
         for factor, names in FACTORS.items():
             if factor not in choice:
