@@ -259,8 +259,7 @@ def test_what_is_projected_rolls_and_is_nearest(kind: str) -> None:
     np.testing.assert_allclose(traced.project(q, v), near, atol=1e-11)
 
 
-@pytest.mark.parametrize("kind", ["differential", "car", "casters"])
-@pytest.mark.parametrize("substeps", [1, 2])
+@pytest.mark.parametrize(("kind", "substeps"), [("differential", 1), ("car", 2), ("casters", 1)])
 def test_compiled_it_rolls_as_in_python_from_the_start_that_is_given(kind: str, substeps: int) -> None:
     """At dt = 0.02 a step leaves 1e-4 m/s for the projection to take: not to project would be seen."""
     wheeled, rng = pm.WheeledRobot(BASE, ROLLING[kind]), np.random.default_rng(8)
