@@ -417,7 +417,6 @@ def test_exact_numbers_leave_no_rounding() -> None:
     everything = [step.expression for step in derivation.steps]
     assert not any(expression.atoms(sympy.Float) for expression in everything)
     assert derivation["T_1_2"].expression[0, 3] == sympy.Rational(2, 5)
-    assert difference(derivation, lagrange(derivation)) == zeros(2, 1)
 
 
 # Numbers
