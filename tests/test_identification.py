@@ -337,6 +337,12 @@ def on_wheels(
 
 
 @cache
+def rolling_motion() -> Excitation:
+    how: dict[str, Any] = {"velocity": (0.8, 1.0, 1.2), "acceleration": (1.0, 1.0, 2.0)}
+    return pm.excitation(on_wheels(BODY), duration=44.0, period=11.0, **how)
+
+
+@cache
 def rolled(loaded: bool) -> pm.Log:
     return noisy(run_on_wheels(loaded), int(loaded))
 
@@ -345,10 +351,7 @@ def rolled(loaded: bool) -> pm.Log:
 def run_on_wheels(
     loaded: bool = False, dry: WheelFriction | None = None, motor: pm.Motor = MOTOR
 ) -> pm.Rollout:
-    plant = on_wheels(BODY.attach(LOAD).lumped() if loaded else BODY, motor)
-    path = pm.excitation(
-        plant, duration=44.0, period=11.0, velocity=(0.8, 1.0, 1.2), acceleration=(1.0, 1.0, 2.0)
-    )
+    plant, path = on_wheels(BODY.attach(LOAD).lumped() if loaded else BODY, motor), rolling_motion()
     controller = TorqueToVoltage(pm.Backstepping(pm.UnicycleTracking(), plant.wheeled), plant)
     if dry is not None:
         return pm.simulate(on_wheels(BODY, dry=dry), controller, path, dt=0.02, engine=pm.Engine.COMPILED)
@@ -436,13 +439,11 @@ def test_resistance_that_depends_on_load_is_not_given_a_valid_interval(rolling: 
     body = pm.MobileRobot(30.0, 1.3, com=(0.06, 0.02, 0.5))
     table = pm.WheelTable.differential(0.5, 0.1, friction=WheelFriction(rolling=rolling), **wheel)
     rolls = pm.WheeledRobot(body, pm.WheelTable.differential(0.5, 0.1, **wheel))
-    path = pm.excitation(
-        rolls, duration=44.0, period=11.0, velocity=(0.8, 1.0, 1.2), acceleration=(1.0, 1.0, 2.0)
+    controller, slips = (
+        pm.Backstepping(pm.UnicycleTracking(), rolls),
+        pm.WheeledRobot(body, table, pm.Coulomb()),
     )
-    controller = pm.Backstepping(pm.UnicycleTracking(), rolls)
-    run = pm.simulate(
-        pm.WheeledRobot(body, table, pm.Coulomb()), controller, path, dt=0.02, engine=pm.Engine.COMPILED
-    )
+    run = pm.simulate(slips, controller, rolling_motion(), dt=0.02, engine=pm.Engine.COMPILED)
     read = pm.Log.from_rollout(run, 1e-3, seed=1)
     known = pm.identify(pm.Log(read.t, read.q, read.u), rolls.table)
     assert said in str(known).splitlines()[0]
