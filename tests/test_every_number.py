@@ -45,8 +45,8 @@ OTHERS = {  # of controllers that ask their models for little, or whose limits a
     "adaptive velocity": ("lower", "upper", "theta"),
     **dict.fromkeys(("commanded", "dynamic feedback", "Kanayama"), ("theta", "least")),
 }
-# Numbers that another loop changes too, of which each pair of samples takes long here: those of the controller
-# of `mecanum Rolling`, and those of each of four wheels on dry ground, which `mecanum Coulomb` has.
+# Numbers that a faster loop changes too: of the controller of `mecanum Rolling`, and of the other three wheels
+# on dry ground, of which `mecanum Coulomb` changes all four.
 ELSEWHERE = {"mecanum Coulomb": ("controller.",), "skid-steer": ("front_right.", "rear_left.", "rear_right.")}
 # A controller that believes in another axle refuses the reference; two wheels are always on one.
 ITS_OWN_AXLE = "robot.ahead", "left.x", "right.x"

@@ -252,8 +252,9 @@ def test_import_pulls_in_none_of_its_own_modules_and_no_library() -> None:
     ("use", "heavy"),
     [
         (
-            "from pinmobile import PD, Circle, ComputedTorque, EndEffectorTracking, InvalidArgument, Scenario, "
-            "Spline, simulate, sweep; import pinmobile; pinmobile.balance, pinmobile.closed_form, pinmobile.loop",
+            "from pinmobile import PD, Circle, ComputedTorque, EndEffectorTracking, InvalidArgument; "
+            "from pinmobile import Scenario, Spline, simulate, sweep; "
+            "import pinmobile; pinmobile.balance, pinmobile.closed_form, pinmobile.loop",
             (),
         ),
         ("import pinmobile.derivation", ("sympy",)),
