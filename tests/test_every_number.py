@@ -45,7 +45,7 @@ OTHERS = {  # of controllers that ask their models for little, or whose limits a
     "adaptive velocity": ("lower", "upper", "theta"),
     **dict.fromkeys(("commanded", "dynamic feedback", "Kanayama"), ("theta", "least")),
 }
-# Numbers that a faster loop changes too: of the controller of `mecanum Rolling`, and of the other three wheels
+# Numbers that a faster loop changes too: of the controller of `mecanum Rolling`, and of the other wheels
 # on dry ground, of which `mecanum Coulomb` changes all four.
 ELSEWHERE = {"mecanum Coulomb": ("controller.",), "skid-steer": ("front_right.", "rear_left.", "rear_right.")}
 # A controller that believes in another axle refuses the reference; two wheels are always on one.
