@@ -4,6 +4,7 @@
 """
 
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -26,19 +27,15 @@ def short(log: pm.Log, offset: Any = 0.0) -> pm.Log:
     return pm.Log(part.t, part.q, part.u + np.array(offset), part.twist, part.wheel_rates, units=part.units)
 
 
-def by_torques(noise: float) -> pm.Log:
-    """Return the log of a differential drive whose torques are logged with noise."""
+@cache
+def run_by_torques() -> pm.Rollout:
+    """Return the run of a differential drive by torques."""
     plant = forces.on_wheels(forces.BODY).wheeled
-    path = pm.excitation(plant, duration=31.0, period=11.0)
-    run = pm.simulate(
-        plant,
+    path, law = (
+        pm.excitation(plant, duration=31.0, period=11.0),
         pm.Backstepping(pm.UnicycleTracking(), plant),
-        path,
-        dt=0.02,
-        substeps=4,
-        engine=pm.Engine.COMPILED,
     )
-    return pm.Log.from_rollout(run, 1e-3, noise, seed=1)
+    return pm.simulate(plant, law, path, dt=0.02, substeps=4, engine=pm.Engine.COMPILED)
 
 
 def of_mecanum() -> Any:
@@ -90,8 +87,12 @@ CASES: dict[str, Callable[[], Any]] = {
         loads=[None, forces.LOAD],
         method="weak",
     ),
-    "torques": lambda: pm.identify(by_torques(0.02), forces.on_wheels(BELIEVED).wheeled),
-    "noisy torques": lambda: pm.identify(by_torques(0.3), forces.on_wheels(BELIEVED).wheeled),
+    "torques": lambda: pm.identify(
+        pm.Log.from_rollout(run_by_torques(), 1e-3, 0.02, seed=1), forces.on_wheels(BELIEVED).wheeled
+    ),
+    "noisy torques": lambda: pm.identify(
+        pm.Log.from_rollout(run_by_torques(), 1e-3, 0.3, seed=1), forces.on_wheels(BELIEVED).wheeled
+    ),
     "mecanum": of_mecanum,
     "car": lambda: pm.identify(forces.log(), of_a_car()),
     "speeds": lambda: pm.identify_velocity(speeds.logged()),
