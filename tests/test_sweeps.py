@@ -304,7 +304,7 @@ def test_lengths_and_shares_in_words() -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("robots", [0, 264, 800])
+@pytest.mark.parametrize("robots", [0, 264])
 @pytest.mark.once
 def test_a_killed_sweep_resumes_and_ends_with_the_same_store(
     done: pm.Sweep, tmp_path: Path, robots: int
