@@ -105,12 +105,13 @@ def test_each_mounts_drives_and_draws(name: str, monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(VisualFile, "tree", boxes)
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # of meshes that are missing
-        shown = [item for item in robot.visual_model.geometryObjects if item.name.startswith(f"{name}/")]
+        visual = robot.visual_model
+    items = visual.geometryObjects
+    shown = [item for item in items if item.name.startswith(f"{name}/")]
     assert (len(shown) == 0) == (name in EXCEPTIONS)  # what mounts, and is in the table, has no visuals
     assert {item.parentJoint for item in shown} <= set(range(BODY_JOINT, robot.model.njoints))
     q = robot.random_configuration(np.random.default_rng(1))
     there, T = sent(robot, q), robot.frame_placements(q)
-    items = robot.visual_model.geometryObjects
     assert {*there} == {item.name for item in items}
     for item in items:
         # A sum of a few metres, some dozen roundings.
