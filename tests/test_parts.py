@@ -186,7 +186,7 @@ CARTED: dict[str, dict[str, Any]] = {
 
 @pytest.mark.parametrize("what", CARTED)
 def test_a_users_plant_has_the_same_numbers_by_all_engines(what: str) -> None:
-    scenario = carted(duration=2.0, **CARTED[what])
+    scenario = carted(duration=1.0, **CARTED[what])
     runs = [run_scenario(scenario, engine=engine) for engine in (Engine.COMPILED, Engine.PYTHON)]
     assert not runs[0].diverged.any()
     assert runs[0].max_error.shape == (N, 3 if what == "pose alone" else 5)
