@@ -75,7 +75,7 @@ def test_all_engines_agree_and_each_robot_has_its_own() -> None:
         "plant.mass": pm.Uniform(25, 36),
     }
     push = pm.ConstantForce((3, 1, 0.1), 0.5, 1.2)
-    given: Any = {"dt": 0.01, "integrator": pm.rk4, "seed": 2, "n": 5, "forces": [CARRIED, push]}
+    given: Any = {"dt": 0.01, "integrator": pm.rk4, "seed": 2, "n": 3, "forces": [CARRIED, push]}
     controller = pm.ComputedTorque(BODY, 16, 8)
     runs = [
         pm.ensemble(BODY, controller, CIRCLE, spread=spread, engine=engine, **given)
