@@ -230,11 +230,7 @@ def test_a_plant_around_a_robot_needs_no_names() -> None:
 
     class Around:
         nq = nv = nu = 3
-        forward_dynamics, integrate, difference = (
-            robot.forward_dynamics,
-            robot.integrate,
-            robot.difference,
-        )
+        forward_dynamics, integrate, difference = (robot.forward_dynamics, robot.integrate, robot.difference)
 
         def __init__(self) -> None:
             self.robot = robot

@@ -871,10 +871,7 @@ def test_columns_of_a_file_without_a_header_have_numbers(tmp_path: Path) -> None
         ("", "which is empty, expected a header that names the columns"),
         (lines_of(FEW).partition("\n")[2], "whose first line .* contains numbers, expected .*; without"),
         (lines_of(FEW[:1]), "with 1 rows as long as its header, expected two or more"),
-        (
-            lines_of(FEW, "a,b,c,d,Fx,Fy,Mz"),
-            "whose columns are a, b, .* none of them known for t, expected",
-        ),
+        (lines_of(FEW, "a,b,c,d,Fx,Fy,Mz"), "whose columns are a, b, .* none of them known for t, expected"),
         (
             lines_of(FEW, "t,b,c,d,Fx,Fy,Mz"),
             "whose columns are .*, none of them known for q or twist, expected columns=",

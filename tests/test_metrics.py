@@ -345,10 +345,7 @@ OF = "^metrics of the plant, a Stating"
             stating([ONE._replace(worst="least")], lambda q: q[..., :1]),
             "worst of the metric 'clearance': 'least'",
         ),
-        (
-            stating([ONE], lambda q: q[..., :2]),
-            r"has shape \(2,\), expected \(1,\): one number for each",
-        ),
+        (stating([ONE], lambda q: q[..., :2]), r"has shape \(2,\), expected \(1,\): one number for each"),
         (stating([ONE], lambda q: q[..., :1] * np.nan), "returned NaN as 'clearance' where it starts"),
     ],
 )

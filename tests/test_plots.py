@@ -282,8 +282,7 @@ class TestFigures:
         desired = run.reference._replace(q=run.reference.q[:, :2])
         flat = replace(run, plant=None, q=run.q[:, :2], reference=desired)
         with pytest.raises(
-            InvalidArgument,
-            match=r"^rollouts\['a'\].plant is a NoneType, which has no pose of its body",
+            InvalidArgument, match=r"^rollouts\['a'\].plant is a NoneType, which has no pose of its body"
         ):
             plots.path({"a": flat})
 
