@@ -179,19 +179,6 @@ def test_nothing_winds_up_where_the_force_is_limited(name: str) -> None:
     assert off[run.t > 6].max() < 0.02
 
 
-def test_integral_action_without_being_told_of_limits_winds_up() -> None:
-    class Deaf:
-        parameters = ()
-
-        def initial_state(self, context: Any) -> Any:
-            return EACH["PID"].initial_state(context)
-
-        def __call__(self, t: Any, q: Any, v: Any, reference: Any, state: Any) -> Any:
-            return EACH["PID"](t, q, v, reference, state)
-
-    assert cut_off(Deaf())[1].max() > 1.3 * cut_off(EACH["PID"])[1].max()
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_all_engines_agree(name: str) -> None:
     given: Any = {"dt": 0.01, "integrator": pm.rk4, "seed": 2, "n": 2, "duration": 1.0}
