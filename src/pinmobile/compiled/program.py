@@ -178,9 +178,15 @@ class Program:
         loop, first = self.tape, self.tape.outputs_kept
         kept = aligned((blocks, samples, first + loop.tracks, self.shape.width))
         if tracks is not None:
-            numbers = np.concatenate(tracks, axis=-1).swapaxes(1, 2)  # (samples, tracks, n)
-            for k, columns in enumerate(numbers):
-                self.set_rows(kept[:, k], first, columns)
+            numbers, width = np.concatenate(tracks, axis=-1).swapaxes(1, 2), self.shape.width
+            if samples < blocks:
+                for k, columns in enumerate(numbers):
+                    self.set_rows(kept[:, k], first, columns)
+            else:  # of few robots, and long
+                for k, block in enumerate(kept):
+                    columns = numbers[..., k * width : (k + 1) * width]  # (samples, tracks, robots)
+                    block[:, first:, : columns.shape[2]] = columns
+                    block[:, first:, columns.shape[2] :] = columns[..., -1:]
         return kept
 
     def set_rows(self, blocks: Array, first: int, columns: Array) -> None:

@@ -221,6 +221,12 @@ def _alone(far: NDArray[np.bool_], seen: NDArray[np.bool_]) -> NDArray[np.bool_]
     return np.asarray(far & (near * (2 * _CLUSTER + 1) < _CLUSTER + 0.5))
 
 
+def white_of(residuals: Array) -> White:
+    """Return a function that whitens residuals, shape (..., m), by the covariance of some, shape (n, m)."""
+    covariance = np.cov(residuals.T)
+    return _by(covariance + np.diag(1e-24 + 1e-12 * np.diag(covariance)))
+
+
 def _by(covariance: Array) -> White:
     """Return a function that whitens residuals of a covariance, shape (..., m)."""
     weight = np.linalg.inv(np.linalg.cholesky(covariance)).T

@@ -28,7 +28,7 @@ from pinmobile.identification._commands import (
     whole,
 )
 from pinmobile.identification._estimates import Identification
-from pinmobile.identification._estimator import Fit, Whiteness, jackknife, solve_robustly
+from pinmobile.identification._estimator import Fit, Whiteness, jackknife, solve, solve_robustly, white_of
 from pinmobile.identification._lag import Lag
 from pinmobile.identification._log import Log, logs_of
 from pinmobile.identification._simulation import Segments, simulate
@@ -147,11 +147,13 @@ def identify_velocity(
     if useless:
         model, best = _without(useless, model, parts, best)
     if "delay" in model.free and best.fit.p[6] < 0:
-        if best.fit.p[6] < -min(_SURE * np.sqrt(best.covariance[6, 6]), _EARLY * dt):
-            remarks.append(f"the delay is taken as zero: its estimate is {1e3 * best.fit.p[6]:.3g} ms")
-        _, other = _without(["delay"], model, parts, best)
-        fit = other.fit._replace(p=np.insert(other.fit.p, 6, 0.0))
-        best = best._replace(segments=other.segments, fit=fit)  # the covariance contains that of the delay
+        early, C = best.fit.p[6], best.covariance
+        p = best.fit.p - C[:, 6] / C[6, 6] * early  # the estimate for no delay
+        if early < -min(_SURE * np.sqrt(C[6, 6]), _EARLY * dt):
+            remarks.append(f"the delay is taken as zero: its estimate is {1e3 * early:.3g} ms")
+            _, other = _without(["delay"], model, parts, best)
+            p, best = np.insert(other.fit.p, 6, 0.0), best._replace(segments=other.segments, fit=other.fit)
+        best = best._replace(fit=best.fit._replace(p=p))  # the covariance contains that of the delay
     found, lost, p = best.fit, best.lost, best.fit.p
     free_run = _free_run(model, parts, best)
     check_explained([free_run.get(name, (1.0, 1.0))[0] for name in CHANNELS], lags, dt)
@@ -316,8 +318,16 @@ def _free_run(model: VelocityModel, parts: Sequence[Part], best: _Tried) -> dict
         ahead -= b - a
     before = _explained(model, best.fit.p, parts)
     try:
-        fit = _Tried.of(model, train, best.seconds, best.fit.p).fit.p
-        after = _explained(model, fit, test)
+        segments, calm = segments_of(train, model.lead, best.seconds)
+        left = best.fit.near.residual[best.fit.good]
+        fit = solve(
+            model,
+            segments._replace(good=segments.good & calm),
+            best.fit.p,
+            moves=~best.lost,
+            white=white_of(left),
+        )
+        after = _explained(model, fit.p, test)
     except (InvalidArgument, np.linalg.LinAlgError, ValueError):
         after = np.full(2, np.nan)
     rows = zip(CHANNELS, before.tolist(), after.tolist(), channels_of(parts), strict=True)
