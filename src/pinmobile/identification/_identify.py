@@ -33,6 +33,7 @@ from pinmobile.wheels import WheeledRobot, WheelTable
 METHODS = ("output error", "weak")
 
 _CLIPPED = 0.02  # share of rows at an extreme from which an input counts as clipped
+_BOTH_WAYS = 0.05  # share of the rows in which a wheel turns fast, each way
 _LEAST_SEGMENTS = 20  # fewer segments do not show the scatter
 _LENGTHS = 2.0, 1.5, 1.0  # [s] of a segment: the first length that gives enough segments
 _LATEST, _EARLIEST = 0.3, 0.05  # [s], range of delays
@@ -135,6 +136,8 @@ def identify(
     triples = zip(alike(logs), carried, names, strict=True)
     parts = [(each, load, n) for one, load, n in triples for each in continuous(one, n, *model.sensors)]
     runs = [PreprocessedLog.of(part, model, load, name) for part, load, name in parts]
+    if model.wheels and model.nu == len(model.A):
+        _check_signs(runs, model, [name for _, _, name in parts])
     slips = [
         each for run, part in zip(runs, parts, strict=True) if (each := Slippage.of(run, model, part[2]))
     ]
@@ -152,6 +155,20 @@ def identify(
         raise InvalidArgument(" ".join(filter(None, [str(error), *hints]))) from error
     dropped = sum(one.dropped for one in logs)
     return replace(result, dropped=dropped, prior=robot, slippage=worst, clipped=clipped)
+
+
+def _check_signs(runs: Sequence[PreprocessedLog], model: PlanarModel, names: Sequence[str]) -> None:
+    """Reject inputs of wheels without a sign, as of a current sensor."""
+    for run, name in zip(runs, names, strict=True):
+        rates = run.rates_of(model)
+        for one, u, rate in zip(model.inputs, run.u.T, rates.T, strict=True):
+            usual = 0.1 * np.abs(rate).max()
+            both = min((rate > usual).mean(), (rate < -usual).mean())
+            if both > _BOTH_WAYS and (u.min() >= 0 or u.max() <= 0) and u.any():
+                raise InvalidArgument(
+                    f"{name} has input {one} from {u.min():.3g} to {u.max():.3g}, but its wheel turns both "
+                    "ways, expected an input with a sign: of a current, np.copysign(current, command)"
+                )
 
 
 def _motion(log: Log) -> tuple[Any, Any, Any, bool]:

@@ -25,6 +25,7 @@ _PASSES = 40  # largest number of passes
 _COARSEST, _ROWS = 0.1, 16  # largest time step [s], and smallest number of samples, of filters and windows
 _CUTOFF = 8.0  # [Hz], cutoff frequency of velocities
 _FINEST, _FINEST_RATE = 1e-4, 1e-2  # [m, rad], [rad/s]: smallest noise, for simulated logs
+_COARSE = 0.1  # largest share of different values of a quantised sensor
 _LONG = 3  # longest gap that a spline fills [samples]; a longer gap would amplify noise
 
 
@@ -94,9 +95,13 @@ class PreprocessedLog:
         good, rates_noise = even.seen, np.zeros(0)
         if rates is not None:
             shaped(f"{name} has wheel_rates, which", rates, (len(rates), len(model.A)))
-            rates, good, rates_noise = without_outliers(rates, even.seen, even.dt, _FINEST_RATE)
+            grain = quantisation(rates[even.seen])
+            rates, good, rates_noise = without_outliers(
+                rates, even.seen, even.dt, np.maximum(_FINEST_RATE, grain)
+            )
         if even.q is not None:
-            q, usual, noise = without_outliers(even.q, even.seen, even.dt, _FINEST)
+            grain = quantisation(even.q[even.seen])
+            q, usual, noise = without_outliers(even.q, even.seen, even.dt, np.maximum(_FINEST, grain))
             good = good & usual
         else:  # the start of the odometry, and its drift, are arbitrary
             q, noise = odometry(rates @ np.linalg.pinv(model.A).T @ model.S.T, even.dt), np.full(3, np.inf)
@@ -178,8 +183,19 @@ def mean_inputs(u: Array, edges: Array) -> Array:
     return held_integrals(np.arange(len(u) + 0.0), u, np.clip(edges, 0, len(u)))
 
 
+def quantisation(columns: Array) -> Array:
+    """Return the standard deviation of the rounding of each column, shape (k,); 0 if values do not repeat."""
+    found = []
+    for column in columns.T:
+        values = np.unique(column)
+        steps = np.diff(values)
+        is_coarse = 1 < len(values) < _COARSE * len(column)
+        found.append(float(np.median(steps)) / np.sqrt(12) if is_coarse else 0.0)
+    return np.array(found)
+
+
 def without_outliers(
-    columns: Array, seen: NDArray[np.bool_], dt: float, least: float
+    columns: Array, seen: NDArray[np.bool_], dt: float, least: Any
 ) -> tuple[Array, NDArray[np.bool_], Array]:
     """Return columns with interpolated outliers, a mask of good rows, and the noise of each column.
 

@@ -61,12 +61,9 @@ def rollout_of(log: Log, robot: Any, delay: float = 0.0, **options: Any) -> Roll
     else:
         measured, _, _ = without_outliers(run.q, run.seen, run.dt, FINEST)
     u = run.u[np.clip(np.arange(len(run.t)) - round(late / run.dt), 0, None)]
-    motion, rest = MeasuredMotion(run.t, measured), np.zeros(robot.nv - 3)
-    q0 = np.append(measured[0], np.zeros(robot.nq - 3))
-    v0 = np.append(motion(0.0).v, rest)
-    v0 = robot.project(q0, v0) if hasattr(robot, "project") else v0
+    motion = MeasuredMotion(run.t, measured)
     command = law(lambda t, q, v, reference: u[min(round(t / run.dt), len(u) - 1)])
-    made = simulate(robot, command, motion, q0=q0, v0=v0, **{"dt": run.dt, "integrator": rk4, **options})
+    made = simulate(robot, command, motion, **{"dt": run.dt, "integrator": rk4, **options})
     q, v, a = (np.array(each) for each in (made.q, made.v, made.a))
     seen, n = made.reference, 3
     q[:, :n], v[:, :n], a[:, :n] = seen
