@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from pinmobile.arrays import Array
 from pinmobile.errors import InvalidArgument
+from pinmobile.identification._filters import FINEST, twist_of, without_outliers
 from pinmobile.identification._lag import Channel, Lag
 from pinmobile.identification._log import Log, alike, check_units, continuous
-from pinmobile.identification._preprocessing import twist_of, without_outliers
 from pinmobile.identification._simulation import Segments
 
 CHANNELS = "speed", "yaw rate"
@@ -21,7 +21,6 @@ BLOCK, _LONG_BLOCK = 2.0, 5.0  # [s], their length: the longest that a log allow
 _LATEST, _MOST_LATE = 0.6, 60  # largest delay [s] and [samples]
 _LEAST = 0.3  # smallest explained share of the motion
 _MOST_UNEXPLAINED = 0.5  # largest share of a log under other control
-FINEST = 1e-4  # [m, rad]: smallest noise of poses
 _TOLD = 5  # largest number of sections in a message
 
 

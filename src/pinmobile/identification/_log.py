@@ -433,8 +433,8 @@ class Log:
         t_twist, t_wheel_rates : array_like, shape (N,), optional
             Their times [s]; default: `t_q`.
         one_clock : bool
-            Whether all times are of one clock. If not, the times of the inputs are corrected: `clock_of`
-            estimates offset and rate of their clock.
+            Whether all times are of one clock. If not, the offset and the rate of the clock of the inputs are
+            estimated, and their times corrected.
 
         Raises
         ------

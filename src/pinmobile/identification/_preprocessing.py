@@ -11,22 +11,22 @@ from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, shaped
 from pinmobile.errors import InvalidArgument
-from pinmobile.identification._estimator import NORMAL
+from pinmobile.identification._filters import (
+    FINEST,
+    WINDOW,
+    filtered,
+    quantisation,
+    twist_of,
+    without_outliers,
+)
 from pinmobile.identification._log import Log, check_units, held_integrals
+from pinmobile.identification._replay import odometry
 from pinmobile.identification._simulation import Segments
 
 _HALF = 0.5  # smallest measured share of a segment with an identifiable initial state
 LATER = 8  # largest change of the delay in the search [samples]
-_WINDOW = 0.15  # [s], window of the local cubic whose residual shows outliers and noise
-_OUTLIER = 6.0  # standard deviations
-_BENT = 3e-3  # smallest outlier, as a share of the motion in a window
-_OFTEN, _TIMES = 0.8, 4.0  # quantile of the residuals of the cubic; multiple of it that an outlier exceeds
-_PASSES = 40  # largest number of passes
 _COARSEST, _ROWS = 0.1, 16  # largest time step [s], and smallest number of samples, of filters and windows
-_CUTOFF = 8.0  # [Hz], cutoff frequency of velocities
-_FINEST, _FINEST_RATE = 1e-4, 1e-2  # [m, rad], [rad/s]: smallest noise, for simulated logs
-_COARSE = 0.1  # largest share of different values of a quantised sensor
-_LONG = 3  # longest gap that a spline fills [samples]; a longer gap would amplify noise
+_FINEST_RATE = 1e-2  # [rad/s], smallest noise of rates
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +89,7 @@ class PreprocessedLog:
                 f"{name} has samples every {even.dt:.3g} s, expected {_COARSEST:g} s or less: the motion "
                 "between the samples is unknown"
             )
-        if len(even.t) < max(_ROWS, 4 * _WINDOW / even.dt):
+        if len(even.t) < max(_ROWS, 4 * WINDOW / even.dt):
             raise InvalidArgument(f"{name} is {even.t[-1]:.3g} s long, too short, expected 20 s or more")
         rates = even.wheel_rates if model.wheels else None
         good, rates_noise = even.seen, np.zeros(0)
@@ -101,7 +101,7 @@ class PreprocessedLog:
             )
         if even.q is not None:
             grain = quantisation(even.q[even.seen])
-            q, usual, noise = without_outliers(even.q, even.seen, even.dt, np.maximum(_FINEST, grain))
+            q, usual, noise = without_outliers(even.q, even.seen, even.dt, np.maximum(FINEST, grain))
             good = good & usual
         else:  # the start of the odometry, and its drift, are arbitrary
             q, noise = odometry(rates @ np.linalg.pinv(model.A).T @ model.S.T, even.dt), np.full(3, np.inf)
@@ -121,7 +121,7 @@ class PreprocessedLog:
     def free_velocities(self, model: Any) -> Array:
         """Return the independent velocities at all samples, shape (N, k), from encoders if there are any."""
         if self.rates is not None:
-            return np.asarray(_filtered(self.rates, self.dt) @ np.linalg.pinv(model.A).T)
+            return np.asarray(filtered(self.rates, self.dt) @ np.linalg.pinv(model.A).T)
         return np.asarray(self.twist @ np.linalg.pinv(model.S).T)
 
     def shaken(self, generator: np.random.Generator, level: float) -> PreprocessedLog:
@@ -153,95 +153,9 @@ class PreprocessedLog:
         return Segments.cut(self.dt, (y, self.good, states, self.u, noise), span, load=self.load, least=_HALF)
 
 
-def _filtered(columns: Array, dt: float) -> Array:
-    """Return columns after a low-pass filter without delay."""
-    from scipy.signal import butter, sosfiltfilt  # slow to load
-
-    sos = butter(4, min(_CUTOFF, 0.2 / dt), fs=1 / dt, output="sos")
-    return np.asarray(sosfiltfilt(sos, columns, axis=0))
-
-
-def twist_of(q: Array, dt: float) -> Array:
-    """Return the body twist of filtered poses, shape (N, 3): forward, left, yaw rate."""
-    smooth = _filtered(q, dt)
-    v, psi = np.gradient(smooth, dt, axis=0), smooth[:, 2]
-    nu = np.exp(-1j * psi) * (v[:, 0] + 1j * v[:, 1])
-    return np.column_stack([nu.real, nu.imag, v[:, 2]])
-
-
-def odometry(twist: Array, dt: float) -> Array:
-    """Return the poses from body twists, shape (N, 3), beginning at zero."""
-    forward, left, turn = twist.T
-    psi = np.append(0.0, np.cumsum(turn[:-1]) * dt)
-    way = np.exp(1j * (psi + 0.5 * dt * turn)) * (forward + 1j * left)
-    at = np.append(0.0, np.cumsum(way[:-1]) * dt)
-    return np.column_stack([at.real, at.imag, psi])
-
-
 def mean_inputs(u: Array, edges: Array) -> Array:
     """Return the means between edges of zero-order held inputs that are zero outside the log."""
     return held_integrals(np.arange(len(u) + 0.0), u, np.clip(edges, 0, len(u)))
-
-
-def quantisation(columns: Array) -> Array:
-    """Return the standard deviation of the rounding of each column, shape (k,); 0 if values do not repeat."""
-    found = []
-    for column in columns.T:
-        values = np.unique(column)
-        steps = np.diff(values)
-        is_coarse = 1 < len(values) < _COARSE * len(column)
-        found.append(float(np.median(steps)) / np.sqrt(12) if is_coarse else 0.0)
-    return np.array(found)
-
-
-def without_outliers(
-    columns: Array, seen: NDArray[np.bool_], dt: float, least: Any
-) -> tuple[Array, NDArray[np.bool_], Array]:
-    """Return columns with interpolated outliers, a mask of good rows, and the noise of each column.
-
-    Outliers have large residuals of a local cubic, relative to the residual of noise at this position in the
-    window. An outlier also increases the residuals of its neighbours, so each pass removes only the worst
-    sample of a window. Unlike a running median, this method accepts fast motions.
-    """
-    from scipy.interpolate import CubicSpline  # slow to load
-    from scipy.ndimage import maximum_filter1d
-    from scipy.signal import savgol_coeffs, savgol_filter
-
-    size = max(7, 2 * round(_WINDOW / dt / 2) + 1)
-    follows = np.full(len(columns), savgol_coeffs(size, 3)[size // 2])  # weight of a sample in its own fit
-    follows[: size // 2] = [savgol_coeffs(size, 3, pos=k, use="dot")[k] for k in range(size // 2)]
-    follows[-(size // 2) :] = follows[: size // 2][::-1]
-    at, good, q = np.arange(len(columns)), seen.copy(), columns.copy()
-    way = columns[size:] - columns[:-size]
-    bent = _BENT * NORMAL * np.median(np.abs(way), axis=0)  # residual of a cubic for the motion itself
-    for _ in range(_PASSES):
-        residual = columns - savgol_filter(q, size, 3, axis=0, mode="interp")
-        residual /= np.sqrt(1 - follows)[:, None]
-        deviation = NORMAL * np.median(np.abs(residual[good]), axis=0)
-        deviation = np.maximum(deviation, least)
-        often = np.quantile(np.abs(residual[good]), _OFTEN, axis=0)  # by which jumps of the acceleration bend
-        bound = np.maximum.reduce([_OUTLIER * deviation, bent, _TIMES * often])
-        size_of = (np.abs(residual) / bound).max(axis=1)
-        worst = size_of >= maximum_filter1d(np.where(good, size_of, 0.0), 2 * size + 1)
-        before, good = good, seen & ~((size_of > 1) & (worst | ~good))
-        inside = np.clip(at[~good], at[good][0], at[good][-1])  # constant before the first, after the last
-        q = columns.copy()
-        q[~good] = CubicSpline(at[good], columns[good])(inside)
-        _bridge(q, good, size)
-        if np.array_equal(before, good):
-            break
-    return q, good, deviation
-
-
-def _bridge(q: Array, good: NDArray[np.bool_], size: int) -> None:
-    """Fill long gaps by polynomials of degree 5, fitted to `size` samples on each side."""
-    edges = np.flatnonzero(np.diff(good, prepend=True, append=True))
-    for begin, end in edges.reshape(-1, 2):
-        if end - begin > _LONG:
-            k = np.arange(max(begin - size, 0), min(end + size, len(q)))
-            V = np.polynomial.chebyshev.chebvander(np.linspace(-1, 1, len(k)), 5)
-            near, lost = good[k], (k >= begin) & (k < end)
-            q[k[lost]] = V[lost] @ np.linalg.lstsq(V[near], q[k[near]], rcond=None)[0]
 
 
 _AVERAGED = 0.4  # [s], window of averaged velocities: pose noise of 1 mm gives 2 mm/s

@@ -1,4 +1,4 @@
-"""`rollout_of`: a log beside the same commands replayed by a simulated robot."""
+"""Poses from measured speeds, and a log beside its inputs replayed by a simulated robot."""
 
 from __future__ import annotations
 
@@ -9,9 +9,7 @@ import numpy as np
 
 from pinmobile.arrays import Array, bounded, scalar
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.identification._commands import FINEST
-from pinmobile.identification._log import Log
-from pinmobile.identification._preprocessing import odometry, without_outliers
+from pinmobile.identification._filters import FINEST, without_outliers
 from pinmobile.integrators import rk4
 from pinmobile.loop import Rollout
 from pinmobile.plant import coordinates_of, inputs_of
@@ -41,7 +39,7 @@ class MeasuredMotion:
         return Reference(*(self._spline(t, order) for order in range(3)))
 
 
-def rollout_of(log: Log, robot: Any, delay: float = 0.0, **options: Any) -> Rollout:
+def rollout_of(log: Any, robot: Any, delay: float = 0.0, **options: Any) -> Rollout:
     """Return the log as a rollout, whose reference is the replay; see `Log.rollout`."""
     from pinmobile.controllers import law  # which imports this package
     from pinmobile.loop import simulate
@@ -69,3 +67,12 @@ def rollout_of(log: Log, robot: Any, delay: float = 0.0, **options: Any) -> Roll
     q[:, :n], v[:, :n], a[:, :n] = seen
     replayed = Reference(made.q[:, :n], made.v[:, :n], made.a[:, :n])
     return replace(made, q=q, v=v, a=a, u=u[: len(made)], error=-made.error, reference=replayed, signals={})
+
+
+def odometry(twist: Array, dt: float) -> Array:
+    """Return the poses from body twists, shape (N, 3), beginning at zero."""
+    forward, left, turn = twist.T
+    psi = np.append(0.0, np.cumsum(turn[:-1]) * dt)
+    way = np.exp(1j * (psi + 0.5 * dt * turn)) * (forward + 1j * left)
+    at = np.append(0.0, np.cumsum(way[:-1]) * dt)
+    return np.column_stack([at.real, at.imag, psi])

@@ -14,6 +14,10 @@ from pinmobile.compiled import Recurrence, entries, repeated, symbols
 
 _SLOPE = 1e-4  # step of differences, as a share of the size of an initial state
 _LEAST_SIZE = 1e-3  # smallest size of an input, as a share of the largest
+_AT_ONCE, _LANES = (
+    2_000_000,
+    8,
+)  # simulated samples at a time, and least number of variants: bounds the memory
 _MOST_STEPS = 10**9  # bound of the integration steps in a sample; the actual count is one of the numbers
 
 
@@ -185,8 +189,12 @@ def simulate(model: Model, segments: Segments, p: Array, starts: Array) -> Array
 
     In each sample, the previous input acts for the fractional part of the delay, then the present input.
     """
-    numbers, late, longest = model.resolved(segments, p)
     (V, S, n), K = starts.shape, segments.y.shape[1] - 1
+    group = max(_LANES, _AT_ONCE // max(S * K, 1))
+    if group < V:
+        cuts = [slice(k, k + group) for k in range(0, V, group)]
+        return np.concatenate([simulate(model, segments, p[cut], starts[cut]) for cut in cuts])
+    numbers, late, longest = model.resolved(segments, p)
     lag = np.floor(late + 1e-9).astype(int)
     share = np.maximum(late - lag, 0.0)
     lag = lag[:1] if (lag == lag[0]).all() else lag

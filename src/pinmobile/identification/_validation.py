@@ -33,7 +33,7 @@ _AT_ONCE = 0.05  # time constant of a robot without lag, as a share of the time 
 @final
 @dataclass(frozen=True, eq=False)
 class Validation:
-    """Errors of predictions of a hold-out, by model: the result of `validate`. ``print`` gives a table.
+    """Errors of predictions of a hold-out, by model: the result of `identification.validate`.
 
     Attributes
     ----------

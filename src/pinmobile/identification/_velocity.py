@@ -35,6 +35,7 @@ from pinmobile.identification._simulation import Segments, simulate
 from pinmobile.identification._velocity_model import MOST, STEEPEST, VelocityModel
 from pinmobile.identification._velocity_robot import THETA, VelocityRobot
 
+_MANY = 30_000  # samples of the segments that begin the search
 _LONGER = 3  # ratio of successive lengths of segments
 _TRAINED = 2 / 3  # share of a log before the hold-out
 _TOGETHER = 0.2  # largest correlation of successive residuals that counts as noise
@@ -126,7 +127,7 @@ def identify_velocity(
         limits=np.inf if limits is None else limits,
         accelerations=np.inf if accelerations is None else accelerations,
     )
-    late, far = (scalar(name, x or 0.0) for name, x in (("delay", delay), ("ahead", ahead)))
+    late, far = (scalar(name, 0.0 if x is None else x) for name, x in (("delay", delay), ("ahead", ahead)))
     given = {
         "delay": bounded("delay", late, least=0, most=lead * dt, unit="s"),
         "ahead": bounded("ahead", far, least=-_FARTHEST, most=_FARTHEST, unit="m"),
@@ -241,19 +242,29 @@ class _Tried(NamedTuple):
 def _tried(model: VelocityModel, parts: list[Part], p: Array) -> Iterator[_Tried]:
     """Yield the estimates from segments of 6 s, and from longer ones.
 
-    Speeds of a stable model do not drift, so that the longest segment is a whole part. Poses drift: segments
-    grow until the confidence region does.
+    Speeds of a stable model do not drift, so that the longest segment is a whole part; the short ones then
+    are of the first samples alone. Poses drift: segments grow until the confidence region does.
     """
     longest, block = max(b - a for _, a, b in parts) * model.dt, model.dt * block_of(parts)
     seconds = _LONGER * block
     before = np.inf
     while True:
-        one = _Tried.of(model, parts, seconds, p)
+        given = parts if model.is_pose or seconds > longest else _first(parts, _MANY)
+        one = _Tried.of(model, given, seconds, p)
         yield one
         if seconds >= longest or one.size > before:
             return
-        before, p = (one.size, one.fit.p) if model.is_pose else (np.inf, p)
+        before, p = (one.size if model.is_pose else np.inf), one.fit.p
         seconds = min(seconds * _LONGER, longest + block) if model.is_pose else longest + block
+
+
+def _first(parts: Sequence[Part], count: int) -> list[Part]:
+    """Return the first parts with at most so many samples."""
+    found = list[Part]()
+    for part in parts:
+        found += [part._replace(stop=min(part.stop, part.start + count))] * (count > 0)
+        count -= part.stop - part.start
+    return found
 
 
 def _without(
@@ -309,13 +320,9 @@ def _start(model: VelocityModel, lags: Sequence[Lag]) -> Array:
 
 def _free_run(model: VelocityModel, parts: Sequence[Part], best: _Tried) -> dict[str, tuple[float, float]]:
     """Return R^2 of free runs by channel: of the log, and of its last third for a fit to the rest."""
-    total = sum(b - a for _, a, b in parts)
-    ahead, train, test = round(_TRAINED * total), list[Part](), list[Part]()
-    for run, a, b in parts:
-        cut = a + min(max(ahead, 0), b - a)
-        train += [Part(run, a, cut)] * (cut > a)
-        test += [Part(run, cut, b)] * (b > cut)
-        ahead -= b - a
+    train = _first(parts, round(_TRAINED * sum(b - a for _, a, b in parts)))
+    rest = [part._replace(start=train[-1].stop) for part in parts[len(train) - 1 : len(train)]]
+    test = [part for part in (*rest, *parts[len(train) :]) if part.stop > part.start]
     before = _explained(model, best.fit.p, parts)
     try:
         segments, calm = segments_of(train, model.lead, best.seconds)
