@@ -148,28 +148,29 @@ class Samples(NamedTuple):
 class Log:
     """Measured poses and inputs of a robot, for `identify` and `identify_velocity`.
 
-    The times increase in equal steps; small jitter and lost rows are allowed.
+    Times increase, with small jitter. A time that occurs twice counts once. A gap divides the log, see
+    ``split``. A sensor that is slower than the rows has NaN between its measurements, or repeats them:
+    repeated values do not count.
 
     Parameters
     ----------
     t : array_like, shape (N,)
         Times [s].
     q : array_like, shape (N, 3), or None
-        Measured pose (x, y, psi) [m, m, rad]; None if only the twist was measured. psi may be wrapped or
-        unwrapped. A row may have NaN here or in the other measurements: its input still counts. Gaps of up
-        to 0.3 s are interpolated.
+        Measured pose (x, y, psi) [m, m, rad]; None if it was not measured. psi may be wrapped or unwrapped. A
+        row may have NaN here or in the other measurements: its input still counts.
     u : array_like, shape (N, nu)
         Input, constant from each time to the next. A body driven by forces has (Fx, Fy, Mz) in the inertial
         frame [N, N, N m]. Wheels have torques [N m], voltages [V] or currents [A]; currents need a known
-        load, see `identify`. A robot with velocity inputs has (forward speed, yaw rate) [m/s, rad/s].
-        At most three successive rows may have NaN; the last known input fills them.
+        load, see `identify`. A robot with velocity inputs has (forward speed, yaw rate) [m/s, rad/s]. Over
+        rows with NaN the last known input holds.
     twist : array_like, shape (N, 3) or (N, 2), optional
         Measured body twist (forward, left, yaw rate) [m/s, m/s, rad/s], or (forward, yaw rate).
     wheel_rates : array_like, shape (N, k), optional
         Encoder rates of the driven wheels at the times, in the order of the inputs [rad/s]. The difference
         of two angles is the rate half a step before the later one.
     dropped : int
-        Number of rows that a reader has already dropped.
+        Number of rows that a reader has already dropped, less the rows between slow measurements.
     units : tuple of str
         Units of the inputs: "N", "N m", "V", "A", "m/s" or "rad/s", or "" if unknown; () if all are unknown.
         `identify` rejects units that do not fit its robot.
@@ -177,15 +178,15 @@ class Log:
     Attributes
     ----------
     dropped : int
-        Number of rows with NaN.
+        Number of rows with NaN, and of repeated times.
     dt : float
         Time step [s].
 
     Raises
     ------
     InvalidArgument
-        If a shape is wrong, times do not increase or have gaps, or numbers seem to be in degrees, millimetres
-        or milliseconds. The message gives the reason.
+        If a shape is wrong, times do not increase, nothing was measured, or numbers seem to be in degrees,
+        millimetres or milliseconds. The message gives the reason.
 
     See Also
     --------
