@@ -863,6 +863,8 @@ def test_columns_of_a_file_without_a_header_have_numbers(tmp_path: Path) -> None
     read = pm.Log.from_csv(path, {"t": "1", "q": ("2", "3", "4"), "u": ("5", "6", "7")})
     np.testing.assert_allclose(read.u, FEW[:, 4:], atol=1e-8)
     assert read.units == ("", "", "")
+    whole = pm.Log.from_csv(path, {"t": 1, "q": (2, 3, 4), "u": (5, 6, 7)})  # type: ignore[dict-item]
+    np.testing.assert_array_equal(whole.u, read.u)
 
 
 @pytest.mark.parametrize(
@@ -874,7 +876,7 @@ def test_columns_of_a_file_without_a_header_have_numbers(tmp_path: Path) -> None
         (lines_of(FEW, "a,b,c,d,Fx,Fy,Mz"), "whose columns are a, b, .* none of them known for t, expected"),
         (
             lines_of(FEW, "t,b,c,d,Fx,Fy,Mz"),
-            "whose columns are .*, none of them known for q or twist, expected columns=",
+            "whose columns are .*, none of them known for q or twist or wheel_rates, expected columns=",
         ),
         (
             lines_of(FEW, "t,x,y,psi,a,b,c"),

@@ -66,12 +66,13 @@ def read_csv(
     """Return columns by role, units of inputs, and the number of rows with another length; see `Log`."""
     file = location("path", path)
     instance("columns", columns or {}, Mapping, "a mapping of roles to titles")
-    given = {role: [one] if isinstance(one, str) else [*one] for role, one in (columns or {}).items()}
+    pairs: Any = (columns or {}).items()
+    given = {r: [str(n) for n in ([one] if isinstance(one, str | int) else one)] for r, one in pairs}
     bare = bool(given) and all(name.isdecimal() for listed in given.values() for name in listed)
     head, rows = _table(file, bare)
     names = [_UNIT.sub("", title).strip() for title in head]
     wanted = _known_columns(names) | given
-    for roles in (("t",), ("u",), ("q", "twist")):
+    for roles in (("t",), ("u",), ("q", "twist", "wheel_rates")):
         if not set(roles) & set(wanted):
             raise _refused(
                 file,
@@ -216,9 +217,13 @@ def _known_columns(names: Sequence[str]) -> dict[str, str | Sequence[str]]:
 def read_bag(path: str | PathLike[str], topics: Mapping[str, str]) -> dict[str, tuple[Array, Array]]:
     """Return times since the first message, and rows of each topic, by role; see `Log.from_bag`."""
     file = location("path", path)
-    if not isinstance(topics, Mapping) or "u" not in topics or not {"q", "twist"} & set(topics):
+    if (
+        not isinstance(topics, Mapping)
+        or "u" not in topics
+        or not {"q", "twist", "wheel_rates"} & set(topics)
+    ):
         raise InvalidArgument(
-            f"topics is {shown(topics)}, expected topics of u and of q or twist, such as "
+            f"topics is {shown(topics)}, expected topics of u and of q, twist or wheel_rates, such as "
             "{'q': '/odom', 'u': '/wrench'}"
         )
     for role in topics:
