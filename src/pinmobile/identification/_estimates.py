@@ -283,6 +283,8 @@ class Identification:
     def delay_interval(self, level: float = 0.95) -> tuple[float, float]:
         """Return the confidence interval of the delay [s]; NaN if the delay was given or is not identifiable.
 
+        Like that of any number that cannot be negative, it is cut at zero.
+
         Parameters
         ----------
         level : float
@@ -294,7 +296,7 @@ class Identification:
             If `level` is outside (0, 1).
         """
         half = self._deviations(level) * self.delay_error
-        return self.delay - half, self.delay + half
+        return float(np.maximum(self.delay - half, 0.0)), self.delay + half
 
     def _deviations(self, level: float) -> float:
         """Return the half width of Student's interval in standard deviations."""
@@ -330,8 +332,8 @@ class Identification:
         bias = f"noise of the inputs biases output error by {self.input_noise_bias:.1f} standard deviations"
         found = [
             f"{self.samples} samples at {1 / self.dt:.4g} Hz, {self.dropped} dropped, {self.outliers} "
-            f"outliers; {self.method}, {self.segments} segments of {self.seconds:g} s; rank {self.rank} of "
-            f"{len(self.phi)}",
+            f"outliers; {self.method}, {self.segments} segment{'s' * (self.segments != 1)} of "
+            f"{self.seconds:g} s; rank {self.rank} of {len(self.phi)}",
             f"{bias}: the weak form replaces it" if self.input_noise_bias and self.method == "weak" else "",
             f"delay of measurements {1e3 * self.delay:.3g} ms"
             + ("" if np.isnan(low) else f" (95 % interval {low:.3g} to {high:.3g})")

@@ -29,7 +29,7 @@ _SLOPE = 1e-4  # step of differences, as a share of the size of a number
 STEEPEST = "acceleration", "yaw_acceleration"
 MOST = "largest_speed", "largest_yaw_rate"
 _OTHERS = {
-    "delay": Quantity("delay", "s", False),
+    "delay": Quantity("delay", "s", True),
     "ahead": Quantity("ahead", "m", False, "ahead"),
     STEEPEST[0]: Quantity(STEEPEST[0], "m/s^2", False, f"accelerations.{STEEPEST[0]}"),
     STEEPEST[1]: Quantity(STEEPEST[1], "rad/s^2", False, f"accelerations.{STEEPEST[1]}"),
