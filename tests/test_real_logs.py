@@ -66,8 +66,8 @@ def saturated() -> pm.Log:
 def test_steps_of_commands_are_no_outliers_and_a_limit_of_the_robot_is_found() -> None:
     found = pm.identify_velocity(saturated())
     assert found.outliers <= 2
-    assert np.abs(true(found, largest_yaw_rate=3.7)).max() < 4
-    assert found.robot().limits[1] == found.parameters["largest_yaw_rate"]
+    assert np.abs(true(found, largest_yaw_rate_command=3.7)).max() < 4
+    assert found.robot().limits[1] == found.parameters["largest_yaw_rate_command"]
     assert found.standard_errors["theta_1"] < 0.02
     assert min(share for both in found.free_run.values() for share in both) > 0.98
     assert "R^2 of a free run: speed 1 (hold-out 1); yaw rate 1 (hold-out 1)" in str(found)

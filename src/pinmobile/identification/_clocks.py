@@ -15,6 +15,7 @@ _PARTS = 40.0  # of the span, in which the first search looks at the activity
 _FINER = 4.0  # by which each search is finer than the one before
 _EARLIER = 0.1  # [s], by which the inputs are taken earlier: their delay is estimated, and not negative
 _KEPT = 8  # candidates of a search that the next one refines
+_CLEARLY = 0.8  # unexplained share per that at the rate 1 above which the rate is 1
 _TOLD = 0.15  # [s], smallest reported offset, and change of the offset along a log
 _SMALL = 1e-3  # smallest singular value of the motion, as a share of the largest
 _ALIKE = 0.4  # smallest mean R^2 of inputs that move the robot
@@ -43,7 +44,8 @@ def clock_of(t_u: Array, u: Array, t: Array, x: Array, is_pose: bool) -> tuple[f
     InvalidArgument
         If the motion does not explain the inputs at any rate.
     """
-    span = t[-1] - t[0]
+    known = ~np.isnan(u).any(axis=1)
+    t_u, u, span = t_u[known], u[known], t[-1] - t[0]
     h = max(float(np.median(np.diff(t))), span / _SAMPLES)
     motion = _signals(t - t[0], x, np.arange(0.0, span, h), is_pose)
     moved = np.column_stack([t_u - t_u[0], u])
@@ -72,6 +74,13 @@ def clock_of(t_u: Array, u: Array, t: Array, x: Array, is_pose: bool) -> tuple[f
         finer *= _FINER
         found, width = best(found[:, 1], width, smooth, finer)
     explained, rate, offset = found[0].tolist()
+    one = max((each for each in found.tolist() if each[1] == 1.0), default=None)
+    if one is None:  # the candidates contain the rate 1 if it is among the best
+        columns = _smoothed(motion, smooth / h)
+        left, sizes, _ = np.linalg.svd(columns, full_matrices=False)
+        one = _match(left[:, sizes > _SMALL * sizes[0]], moved, 1.0, h, smooth, False)
+    if 1 - explained > _CLEARLY * (1 - one[0]):
+        explained, rate, offset = one
     if explained < _ALIKE:
         raise InvalidArgument(
             f"t_u belongs to inputs of which the motion explains {max(explained, 0.0):.0%} at most, at any "

@@ -12,7 +12,7 @@ from pinmobile.arrays import Array
 from pinmobile.errors import InvalidArgument
 from pinmobile.identification._filters import FINEST, twist_of, without_outliers
 from pinmobile.identification._lag import Channel, Lag
-from pinmobile.identification._log import Log, alike, check_units, continuous
+from pinmobile.identification._log import Log, check_units, continuous
 from pinmobile.identification._simulation import Segments
 
 CHANNELS = "speed", "yaw rate"
@@ -21,7 +21,6 @@ BLOCK, _LONG_BLOCK = 2.0, 5.0  # [s], their length: the longest that a log allow
 _LATEST, _MOST_LATE = 0.6, 60  # largest delay [s] and [samples]
 _LEAST = 0.3  # smallest explained share of the motion
 _MOST_UNEXPLAINED = 0.5  # largest share of a log under other control
-_TOLD = 5  # largest number of sections in a message
 
 
 class Run(NamedTuple):
@@ -29,6 +28,10 @@ class Run(NamedTuple):
 
     Attributes
     ----------
+    log : int
+        Index of the log.
+    start : float
+        Time of the first row since the start of the log [s].
     dt : float
         Time step [s].
     u : ndarray, shape (N, 2)
@@ -41,6 +44,8 @@ class Run(NamedTuple):
         Speed and yaw rate, filtered if poses are measured.
     """
 
+    log: int
+    start: float
     dt: float
     u: Array
     y: Array
@@ -63,21 +68,23 @@ def runs_of(logs: list[Log], is_pose: bool) -> list[Run]:
         if one.u.shape[1] != 2:
             raise InvalidArgument(
                 f"log has {one.u.shape[1]} inputs, expected two, commands of speed and yaw rate: for forces, "
-                "torques or voltages use identify"
+                "torques or voltages use identify; commands of sideways speeds are not identified"
             )
         check_units(one, "log", {"speed": "m/s", "yaw rate": "rad/s"})
     if any((one.twist is None) != is_pose for one in logs):
         raise InvalidArgument("log has a twist, and another log has none, expected a twist in all or in none")
     name, found = "q" if is_pose else "twist", []
-    for part in (part for one in alike(logs) for part in continuous(one, "log", name)):
-        run = part.samples(name, fine=True)
+    pairs = [(k, part) for k, one in enumerate(logs) for part in continuous(one, "log", name)]
+    dt = max(part.dt for _, part in pairs)
+    for k, part in pairs:
+        run = part.samples(name, dt=dt)
         if run.twist is not None:
             y = calm = nu = run.twist[:, [0, 2]]
         else:
             y = np.asarray(run.q)
             calm, _, _ = without_outliers(y, run.seen, run.dt, FINEST)
             nu = twist_of(calm, run.dt)[:, [0, 2]]
-        found.append(Run(run.dt, run.u, y, calm, run.seen, nu))
+        found.append(Run(k, float(part.t[0] - logs[k].t[0]), run.dt, run.u, y, calm, run.seen, nu))
     return found
 
 
@@ -131,13 +138,22 @@ def explained_parts(runs: Sequence[Run], lags: Sequence[Lag], least: float = _LE
 
 
 def check_explained(
-    shares: Sequence[float], lags: Sequence[Lag], dt: float, left_out: float = 0.0, least: float = _LEAST
+    shares: Sequence[float | None],
+    lags: Sequence[Lag],
+    dt: float,
+    left_out: float = 0.0,
+    least: float = _LEAST,
 ) -> None:
-    """Reject commands that explain too small shares of speed and yaw rate, or nothing in most of the log."""
-    if left_out <= _MOST_UNEXPLAINED and min(shares, default=1.0) >= least:
+    """Reject commands that explain too small shares of speed and yaw rate, or nothing in most of the log.
+
+    The share of a channel with constant commands is None.
+    """
+    if left_out <= _MOST_UNEXPLAINED and all(share is None or share >= least for share in shares):
         return
     told = " and ".join(
-        f"{max(share, 0.0):.0%} of the {name} (delay {1e3 * lag.late * dt:.3g} ms, gain {lag.gain:.3g}, "
+        f"nothing of the {name}, whose command is constant"
+        if share is None
+        else f"{max(share, 0.0):.0%} of the {name} (delay {1e3 * lag.late * dt:.3g} ms, gain {lag.gain:.3g}, "
         f"time constant {lag.tau:.2g} s)"
         for name, share, lag in zip(CHANNELS, shares, lags, strict=True)
     )
@@ -150,19 +166,19 @@ def check_explained(
 
 def left_out_in_words(runs: Sequence[Run], parts: Sequence[Part]) -> str:
     """Return the longest sections of runs outside the parts in words; "" if there are none."""
-    gaps = []
-    for k, run in enumerate(runs):
+    gaps, several = list[tuple[float, str]](), len({run.log for run in runs}) > 1
+    for run in runs:
         edges = [0, *(edge for part in parts if part.run is run for edge in part[1:]), len(run.u)]
-        where = f"log[{k}] " * (len(runs) > 1)
+        where = f"log[{run.log}] " * several
         for a, b in np.reshape(edges, (-1, 2)).tolist():
-            gaps += [(b - a, f"{where}{a * run.dt:.4g} to {b * run.dt:.4g} s")] * (b > a)
+            times = f"{where}{run.start + a * run.dt:.4g} to {run.start + b * run.dt:.4g} s"
+            gaps += [((b - a) * run.dt, times)] * (b > a)
     if not gaps:
         return ""
-    told = [text for _, text in sorted(gaps, key=lambda gap: -gap[0])]
-    seconds = sum(count for count, _ in gaps) * runs[0].dt
+    total = sum(seconds for seconds, _ in gaps)
     return (
-        f"{seconds:.3g} s of the log are left out: there the commands do not explain the motion, as if "
-        f"another driver had taken over: {', '.join(told[:_TOLD])}{', ...' * (len(told) > _TOLD)}"
+        f"{total:.3g} s of the log are left out: there the commands do not explain the motion, as if "
+        f"another driver had taken over: {', '.join(text for _, text in gaps)}"
     )
 
 
@@ -191,6 +207,10 @@ def segments_of(
         start = states[at[:, 0]]
         found.append(Segments(times, at * dt, run.y[at], inside, noise, start, run.u, near, lead + 1, load))
         calms.append((run.calm == run.y).all(axis=-1)[at])
+    if not any(len(each.y) for each in found):
+        raise InvalidArgument(
+            f"log has no part of {length * dt:.3g} s with measurements, expected a longer one"
+        )
     return Segments.joined(found), np.concatenate(calms)
 
 

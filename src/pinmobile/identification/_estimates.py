@@ -74,7 +74,7 @@ class Prediction(NamedTuple):
 def _residuals(*rows: Any) -> str:
     """Return names, units, residuals and noise of measurements as text."""
     return ", ".join(
-        f"{name} {1e3 * left:.3g} m{unit} (noise {1e3 * noise:.3g})"
+        f"{name} {1e3 * left:.3g} m{unit}" + f" (noise {1e3 * noise:.3g})" * bool(noise != left)
         for name, unit, left, noise in zip(*rows, strict=True)
     )
 
@@ -134,6 +134,12 @@ class Identification:
         that the commands explain.
     slippage : object or None
         Deviation of the poses from rolling, for the worst log; None if it is not identifiable.
+    free_run : mapping of str to tuple of 2 float
+        R^2 of a free run, by channel: of the log, and of its last third for a fit to the rest. Empty for
+        forces and torques.
+    remarks : tuple of str
+        Further findings about the log: sections that are left out, a delay that is taken as zero, results
+        that depend on the length of segments.
     clipped : str
         Inputs that stay at their extremes, in words; "" if there are none.
 
@@ -333,7 +339,8 @@ class Identification:
         found = [
             f"{self.samples} samples at {1 / self.dt:.4g} Hz, {self.dropped} dropped, {self.outliers} "
             f"outliers; {self.method}, {self.segments} segment{'s' * (self.segments != 1)} of "
-            f"{self.seconds:g} s; rank {self.rank} of {len(self.phi)}",
+            f"{'up to ' * (self.freedom >= self.segments)}{self.seconds:.3g} s; rank {self.rank} of "
+            f"{len(self.phi)}",
             f"{bias}: the weak form replaces it" if self.input_noise_bias and self.method == "weak" else "",
             f"delay of measurements {1e3 * self.delay:.3g} ms"
             + ("" if np.isnan(low) else f" (95 % interval {low:.3g} to {high:.3g})")

@@ -16,6 +16,7 @@ _OUTLIER = 6.0  # standard deviations
 _BENT = 3e-3  # smallest outlier, as a share of the motion in a window
 _OFTEN, _TIMES = 0.8, 4.0  # quantile of the residuals of the cubic; multiple of it that an outlier exceeds
 _PASSES = 40  # largest number of passes
+_PADDED = 15  # samples that a filter mirrors at the ends
 _CUTOFF = 8.0  # [Hz], cutoff frequency of velocities
 _COARSE = 0.1  # largest share of different values of a quantised sensor
 _LONG = 3  # longest gap that a spline fills [samples]; a longer gap would amplify noise
@@ -26,7 +27,7 @@ def filtered(columns: Array, dt: float) -> Array:
     from scipy.signal import butter, sosfiltfilt  # slow to load
 
     sos = butter(4, min(_CUTOFF, 0.2 / dt), fs=1 / dt, output="sos")
-    return np.asarray(sosfiltfilt(sos, columns, axis=0))
+    return np.asarray(sosfiltfilt(sos, columns, axis=0, padlen=min(_PADDED, len(columns) - 1)))
 
 
 def twist_of(q: Array, dt: float) -> Array:

@@ -22,7 +22,7 @@ from pinmobile.identification._estimator import (
     solve,
     unexplained,
 )
-from pinmobile.identification._log import Log, alike, continuous, logs_of, lost_rows
+from pinmobile.identification._log import Log, continuous, logs_of, lost_rows, unused
 from pinmobile.identification._planar_model import PlanarModel, PlanarProblem
 from pinmobile.identification._preprocessing import PreprocessedLog, Slippage
 from pinmobile.identification._simulation import Segments
@@ -133,9 +133,10 @@ def identify(
         logs = [_with_rates(one, model) for one in logs]
         model = replace(model, blind=all(one.q is None for one in logs))
     names = ["log"] if len(logs) == 1 else [f"log[{k}]" for k in range(len(logs))]
-    triples = zip(alike(logs), carried, names, strict=True)
+    triples = zip(logs, carried, names, strict=True)
     parts = [(each, load, n) for one, load, n in triples for each in continuous(one, n, *model.sensors)]
-    runs = [PreprocessedLog.of(part, model, load, name) for part, load, name in parts]
+    dt = max(part.step_of(*model.sensors) for part, _, _ in parts)
+    runs = [PreprocessedLog.of(part, model, load, name, dt) for part, load, name in parts]
     if model.wheels and model.nu == len(model.A):
         _check_signs(runs, model, [name for _, _, name in parts])
     slips = [
@@ -153,7 +154,9 @@ def identify(
         hints = [f"Its {worst}"] * bool(worst is not None and worst.matters) + [clipped] * bool(clipped)
         hints += [clock_hint(*_motion(parts[0][0]))]
         raise InvalidArgument(" ".join(filter(None, [str(error), *hints]))) from error
-    dropped = sum(one.dropped for one in logs)
+    dropped = sum(
+        one.dropped + unused(one, continuous(one, "log", *model.sensors), *model.sensors) for one in logs
+    )
     return replace(result, dropped=dropped, prior=robot, slippage=worst, clipped=clipped)
 
 
@@ -278,7 +281,7 @@ def _identified(
         samples=outliers + sum(int(one.good.sum()) for one in runs),
         segments=kept,
         seconds=seconds,
-        noise=runs[0].told_noise,
+        noise=next((run for run in runs if np.isfinite(run.noise).all()), runs[0]).told_noise,
         residual=np.sqrt((residual[..., model.columns] ** 2).sum(axis=(0, 1)) / segments.good.sum()),
         chi2=float((segments.weighed(residual) ** 2).sum()) / count,
         whiteness=_whiteness(estimate.plain, segments),

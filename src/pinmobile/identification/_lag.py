@@ -75,6 +75,8 @@ class Channel(NamedTuple):
     def lag(self, lead: int, late: int | None = None) -> Lag:
         """Return the lag with the least absolute residuals; default: of all delays below `lead` samples."""
         delays = range(lead) if late is None else [late]
+        if not self.moves:
+            return Lag(0.0, _SLOWEST, 0, np.inf)
         most = max(float(np.abs(u).max()) for u in self.u)
         taus = np.geomspace(0.3 * self.dt, max(_SLOWEST, self.dt), _TAUS)
         best = self._best([(tau, late, np.inf) for tau in taus for late in delays])
@@ -122,12 +124,12 @@ class Channel(NamedTuple):
         """Whether the commands change."""
         return bool(np.ptp(np.concatenate(self.u)) > _STILL)
 
-    def share(self, lag: Lag) -> float:
-        """Return R^2 of a lag; 1 for constant commands."""
+    def share(self, lag: Lag) -> float | None:
+        """Return R^2 of a lag; None for constant commands."""
         y, x = np.concatenate(self.y), np.concatenate([lag.response(u, self.dt) for u in self.u])
         seen = ~np.isnan(y)
         spent = float(((y[seen] - y[seen].mean()) ** 2).sum()) if seen.any() else 0.0
-        return 1 - float(((y - x)[seen] ** 2).sum()) / spent if self.moves and spent else 1.0
+        return 1 - float(((y - x)[seen] ** 2).sum()) / spent if self.moves and spent else None
 
     def unexplained(self, lag: Lag) -> list[NDArray[np.bool_]]:
         """Return the rows in sections whose motion the commands do not explain, as masks."""

@@ -36,7 +36,7 @@ _HOLE = 3  # rows in a row that may be lost at any time step
 _BRIDGED = 0.3  # [s] without a measurement: half a window of the weak form; a longer gap needs a guess
 _FINER = 10  # largest number of rows for a measurement where inputs are faster
 _AGAIN = 0.1  # largest share of rows with the time of the row before
-_SHORTEST = 1.0  # [s] of a part between gaps
+_SHORTEST, _ROWS = 2.0, 16  # [s], and measurements, of a part between gaps
 _LONGEST_STEP = 5.0  # [s]; larger steps are probably not in seconds
 _FASTEST = 60.0  # [m/s]; faster positions are probably not in metres
 _HELD, _OFTEN = 1.0, 20  # longest repetition of a slow sensor's pose [s]; number that shows such a sensor
@@ -91,8 +91,13 @@ def check_pose(t: Array, q: Array) -> None:
     if len(t) <= apart:
         return
 
+    spent = t[apart:] - t[:-apart]
+    near = spent < 2 * apart * dt  # without a gap
+    if not near.any():
+        return
+
     def rates(x: Array) -> Array:
-        return np.abs(x[apart:] - x[:-apart]) / (t[apart:] - t[:-apart])
+        return np.asarray(np.abs(x[apart:] - x[:-apart])[near] / spent[near])
 
     speed, fast = np.median(np.hypot(rates(q[:, 0]), rates(q[:, 1]))), np.quantile(rates(psi), 0.9)
     if speed > _FASTEST:
@@ -100,7 +105,8 @@ def check_pose(t: Array, q: Array) -> None:
             f"q moves at {speed:.3g} m/s most of the time, expected metres: are these centimetres or "
             "millimetres?"
         )
-    whole = (steps := np.abs(np.diff(psi)))[steps > 1.9 * np.pi]
+    steps = np.abs(np.diff(psi))[np.diff(t) < 2 * dt]
+    whole = steps[steps > 1.9 * np.pi]
     turns = max(np.median(rates(np.unwrap(psi))), fast) > _FASTEST_TURN
     if np.median(whole) > 4 * np.pi if whole.size else turns:
         raise InvalidArgument(
@@ -174,6 +180,8 @@ class Log:
     units : tuple of str
         Units of the inputs: "N", "N m", "V", "A", "m/s" or "rad/s", or "" if unknown; () if all are unknown.
         `identify` rejects units that do not fit its robot.
+    clock : tuple of 2 float
+        Offset [s] and rate by which `from_streams` corrected the times of the inputs: offset + rate * time.
 
     Attributes
     ----------
@@ -211,6 +219,7 @@ class Log:
     wheel_rates: Array | None = None
     dropped: int = 0
     units: tuple[str, ...] = ()
+    clock: tuple[float, float] = (0.0, 1.0)
 
     def __post_init__(self) -> None:
         given = self._given()
@@ -263,6 +272,10 @@ class Log:
         named = {name: getattr(self, name) for name in ("t", "q", "u", "twist", "wheel_rates")}
         return {name: real(name, x) for name, x in named.items() if x is not None or name in ("t", "u")}
 
+    def _with(self, given: dict[str, Any]) -> Self:
+        """Return the log with other rows, of which those with NaN are known."""
+        return replace(self, **given, dropped=-int(lost_rows(given).sum()))
+
     def __len__(self) -> int:
         return len(self.t)
 
@@ -270,7 +283,9 @@ class Log:
         lost = f", {self.dropped} rows dropped" if self.dropped else ""
         kept = [n for n in ("q", "u", "twist", "wheel_rates") if getattr(self, n) is not None]
         measured = ", ".join(f"{n} of {getattr(self, n).shape[1]}" for n in kept)
-        return f"<Log: {len(self)} samples over {self.t[-1] - self.t[0]:g} s, {measured}{lost}>"
+        offset, rate = self.clock
+        moved = f", times of inputs {offset:.4g} s + {rate:.6g} t" if self.clock != (0.0, 1.0) else ""
+        return f"<Log: {len(self)} samples over {self.t[-1] - self.t[0]:g} s, {measured}{lost}{moved}>"
 
     @property
     def dt(self) -> float:
@@ -292,8 +307,7 @@ class Log:
         """
         since = self.t - self.t[0]
         kept = (since >= scalar("start", start)) & (since < scalar("stop", stop))
-        new = {name: array[kept] for name, array in self._given().items()}
-        return replace(self, **new, dropped=0)
+        return self._with({name: array[kept] for name, array in self._given().items()})
 
     def split(self, max_gap: float = _BRIDGED) -> list[Self]:
         """Return the parts of the log between gaps: times without a known input and a measurement.
@@ -319,11 +333,7 @@ class Log:
         if not gaps.size:
             return [self]
         cuts = zip(np.append(there[0], there[gaps + 1]), np.append(there[gaps], there[-1]) + 1, strict=True)
-        return [
-            replace(self, **{name: x[a:b] for name, x in given.items()}, dropped=0)
-            for a, b in cuts
-            if (~np.isnan(self.t[a:b])).sum() > 1
-        ]
+        return [self._with({name: x[a:b] for name, x in given.items()}) for a, b in cuts if b - a > 1]
 
     def resample(self, dt: float) -> Self:
         """Return the log with another time step, from its first sample on.
@@ -350,17 +360,34 @@ class Log:
         there = {name: ~lost_rows({name: x}) for name, x in given.items()}
         half = 0.5 * step(t) * (1 + 1e-9)
         rows: dict[str, Any] = {n: _near(old[there[n]], x[there[n]], t, half) for n, x in given.items()}
-        return replace(self, t=t, u=_mean_inputs(old, u, t), **rows, dropped=0)
+        return self._with({"t": t, "u": _mean_inputs(old, u, t), **rows})
 
-    def samples(self, *names: str, fine: bool = False) -> Samples:
+    def step_of(self, *names: str) -> float:
+        """Return the time step of rows in which all named sensors that there are have measured [s].
+
+        Raises
+        ------
+        InvalidArgument
+            If there are no such rows.
+        """
+        given = {name: x for name in names if (x := getattr(self, name)) is not None}
+        t = self.t[~lost_rows(given)]
+        if len(t) < 2:
+            raise InvalidArgument(
+                f"log has {len(t)} rows with {' and '.join(given)}, expected two or more: for sensors with "
+                "times of their own use Log.from_streams"
+            )
+        return step(t)
+
+    def samples(self, *names: str, dt: float | None = None) -> Samples:
         """Return named measurements at equal time steps, interpolated, with a mask of the measured rows.
 
-        The time step is that of the measurements, with mean inputs; if `fine`, that of the rows of the log.
+        The time step is `dt` [s], with mean inputs; default: that of the measurements.
         """
+        dt = self.step_of(*names) if dt is None else dt
         given = {name: x for name in names if (x := getattr(self, name)) is not None}
         there = ~lost_rows(given)
         t, given = self.t[there], {name: x[there] for name, x in given.items()}
-        dt = step(self.t if fine else t)
         steps = np.rint((t - t[0]) / dt).astype(int)
         since = dt * np.arange(steps[-1] + 1)
         grid, seen = t[0] + since, np.zeros(len(since), bool)
@@ -370,7 +397,8 @@ class Log:
         else:
             rows = np.rint((self.t - t[0]) / dt).astype(int)
             u = self.u[np.searchsorted(rows, np.arange(len(grid)), side="right") - 1]
-        if not (seen.all() and np.abs(t - grid).max() < 1e-3 * dt):
+        is_even = len(t) == len(grid) and np.abs(t - grid).max() < 1e-3 * dt
+        if not is_even:
             given = {name: _interpolated(t, x, grid) for name, x in given.items()}
         return Samples(dt, since, seen, given.get("q"), u, given.get("twist"), given.get("wheel_rates"))
 
@@ -453,11 +481,18 @@ class Log:
                 own = f"t_{name}" if time is not t_q else "t_q"
                 t = finite(own, time)
                 increasing(own, t)
-                streams[name] = t, shaped(name, real(name, x), (len(t), "k"), words=f", as {own} has")
+                x = np.array(shaped(name, real(name, x), (len(t), "k"), words=f", as {own} has"))
+                seen = ~np.isnan(x).any(axis=1)
+                if seen.sum() < 2:
+                    raise InvalidArgument(f"{name} has {seen.sum()} rows without NaN, expected two or more")
+                if name == "q" and x.shape[1] == _POSE:
+                    x[seen, 2] = np.unwrap(x[seen, 2])
+                streams[name] = t, x
         held, inputs = streams.pop("u")
         if not streams:
             raise InvalidArgument("q, twist and wheel_rates are None, expected at least one: measured motion")
         t = min((time for time, _ in streams.values()), key=step)
+        offset, rate = 0.0, 1.0
         if not one_clock:
             name, motion = next(iter(streams.items()))
             offset, rate = clock_of(held, inputs, *motion, name == "q")
@@ -480,7 +515,9 @@ class Log:
         }
         lost = max(int(lost_rows({name: x}).sum()) for name, (_, x) in streams.items())
         between = int(lost_rows(rows).sum()) - lost  # rows between measurements are not lost
-        return cls(t, u=_mean_inputs(held, inputs, t), **{"q": None} | rows, dropped=-between)
+        return cls(
+            t, u=_mean_inputs(held, inputs, t), **{"q": None} | rows, dropped=-between, clock=(offset, rate)
+        )
 
     @classmethod
     def from_rollout(
@@ -567,7 +604,8 @@ class Log:
         """
         parts, units, short = read_csv(path, columns)
         times = parts.pop("t")[:, 0]
-        return cls(times, parts.pop("q", None), parts.pop("u"), **parts, dropped=short, units=units)
+        given: dict[str, Any] = parts
+        return cls(times, given.pop("q", None), given.pop("u"), **given, dropped=short, units=units)
 
     @classmethod
     def from_bag(cls, path: str | PathLike[str], topics: Mapping[str, str]) -> Self:
@@ -663,7 +701,8 @@ def continuous(log: Log, name: str, *names: str) -> list[Log]:
         raise InvalidArgument(f"{name} has no {' and no '.join(names)}, expected a measurement of the motion")
     others: dict[str, Any] = {other: None for other in ("q", "twist", "wheel_rates") if other not in names}
     parts = replace(log, **others, dropped=0).split()
-    long = [one for one in parts if one.t[-1] - one.t[0] >= _SHORTEST or len(parts) == 1]
+    long = [one for one in parts if one.t[-1] - one.t[0] >= _SHORTEST and _count(one, names) >= _ROWS]
+    long = parts if len(parts) == 1 else long
     if not long:
         raise InvalidArgument(
             f"{name} has {len(parts)} parts between gaps of more than {_BRIDGED:g} s, the longest of "
@@ -672,13 +711,14 @@ def continuous(log: Log, name: str, *names: str) -> list[Log]:
     return long
 
 
-def alike(logs: list[Log]) -> list[Log]:
-    """Return logs with one time step: that of the slowest, if they differ by more than rounding."""
-    steps = [one.dt for one in logs]
-    slowest = max(steps)
-    return [
-        one if slowest <= 1.001 * dt else one.resample(slowest) for one, dt in zip(logs, steps, strict=True)
-    ]
+def unused(log: Log, parts: Sequence[Log], *names: str) -> int:
+    """Return the number of rows of a log with named measurements that are in none of its parts."""
+    return _count(log, names) - sum(_count(part, names) for part in parts)
+
+
+def _count(log: Log, names: Sequence[str]) -> int:
+    given = {name: x for name in names if (x := getattr(log, name)) is not None}
+    return int((~lost_rows(given)).sum()) if given else 0
 
 
 def _near(t: Array, x: Array, rows: Array, farthest: float) -> Array:

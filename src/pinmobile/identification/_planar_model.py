@@ -453,6 +453,8 @@ class PlanarModel:
         self, found: Identification, log: Log, seconds: float | None
     ) -> tuple[Segments, Array, NDArray[np.bool_], Array]:
         """Return segments of a log, residuals, mask of good samples, and the noise of the sensors."""
+        if log.q is None and not self.blind:
+            raise InvalidArgument("log has no q, expected poses, as the identified logs have")
         run = PreprocessedLog.of(log, self, np.zeros(4))
         late, longest = found.delay / run.dt, len(run.q) * run.dt - 2 * abs(found.delay) - 4 * run.dt
         length = scalar("seconds", _AHEAD if seconds is None else seconds)

@@ -66,8 +66,10 @@ class PreprocessedLog:
     load: Array
 
     @classmethod
-    def of(cls, log: Log, model: Any, load: Array, name: str = "log") -> PreprocessedLog:
-        """Return the preprocessed log for a model.
+    def of(
+        cls, log: Log, model: Any, load: Array, name: str = "log", dt: float | None = None
+    ) -> PreprocessedLog:
+        """Return the preprocessed log for a model, with a time step [s].
 
         Raises
         ------
@@ -83,7 +85,7 @@ class PreprocessedLog:
             )
             raise InvalidArgument(f"{name} has {log.u.shape[1]} inputs, expected {model.nu}: {expected}")
         check_units(log, name, model.inputs, "A" if model.scaled and not model.motors else "")
-        even = log.samples(*model.sensors)
+        even = log.samples(*model.sensors, dt=dt)
         if even.dt > 1.001 * _COARSEST:
             raise InvalidArgument(
                 f"{name} has samples every {even.dt:.3g} s, expected {_COARSEST:g} s or less: the motion "

@@ -15,7 +15,7 @@ from pinmobile.loop import Rollout
 from pinmobile.plant import coordinates_of, inputs_of
 from pinmobile.trajectories import Reference
 
-_LATEST = 10.0  # [s], largest delay
+_LATEST, _ROWS = 10.0, 16  # [s], largest delay; smallest number of rows
 
 
 class MeasuredMotion:
@@ -52,6 +52,8 @@ def rollout_of(log: Any, robot: Any, delay: float = 0.0, **options: Any) -> Roll
         )
     if log.q is None and log.twist is None:
         raise InvalidArgument("log has no poses and no twist, expected one of them: nothing else is drawn")
+    if len(log.split()) > 1 or len(log) < _ROWS:
+        raise InvalidArgument(f"log has gaps or less than {_ROWS} rows, expected one part, see log.split()")
     run = log.samples("q" if log.q is not None else "twist")
     late = bounded("delay", scalar("delay", delay), least=0, most=_LATEST, unit="s")
     if run.q is None:
@@ -66,7 +68,7 @@ def rollout_of(log: Any, robot: Any, delay: float = 0.0, **options: Any) -> Roll
     seen, n = made.reference, 3
     q[:, :n], v[:, :n], a[:, :n] = seen
     replayed = Reference(made.q[:, :n], made.v[:, :n], made.a[:, :n])
-    return replace(made, q=q, v=v, a=a, u=u[: len(made)], error=-made.error, reference=replayed, signals={})
+    return replace(made, q=q, v=v, a=a, error=-made.error, reference=replayed, signals={})
 
 
 def odometry(twist: Array, dt: float) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, final
 
@@ -79,11 +79,15 @@ class Validation:
             for name, rms in self.rms.items():
                 cells = "  ".join(f"{x:>{len(head)}.3g}" for x, head in zip(rms[k], heads, strict=True))
                 lines.append(f"{horizon:13.3g} s  {name:<10}  {cells}")
+        own = self.rms["identified"]
+        for name in ("kinematics", "lag"):
+            worse = [n for k, n in enumerate(self.names) if (own > self.rms[name])[1:, k].any()]
+            lines += [f"no better than {name}: {', '.join(worse)}"] * bool(worse)
         return "\n".join(lines)
 
 
-def validate(log: Log, **options: Any) -> Validation:
-    """Return the errors of predictions on the last third of a log, from what the first two thirds identify.
+def validate(log: Log | Sequence[Log], **options: Any) -> Validation:
+    """Return errors of predictions on the last third of each log, from what the first two thirds identify.
 
     Each prediction starts from the measured motion and runs free. Beside the identified `VelocityRobot` stand
     a robot that follows its commands at once (kinematics), and a first-order lag of each channel with its
@@ -91,8 +95,8 @@ def validate(log: Log, **options: Any) -> Validation:
 
     Parameters
     ----------
-    log : Log
-        Log of commands of speed and yaw rate, and of poses or twists: 62 s or more.
+    log : Log or sequence of Log
+        Commands of speed and yaw rate, and poses or twists: 62 s or more.
     **options
         Of `identify_velocity`.
 
@@ -123,12 +127,13 @@ def validate(log: Log, **options: Any) -> Validation:
     >>> print(str(validate(Log.from_rollout(run, noise=1e-4)))[:60])
     rms error after  model       speed [m/s]  yaw rate [rad/s]
     """
-    (one,) = logs_of(log)
-    span = float(one.t[-1] - one.t[0])
-    first, last = one.between(0.0, _TRAINED * span), one.between(_TRAINED * span, span + one.dt)
+    logs = logs_of(log)
+    spans = [float(one.t[-1] - one.t[0]) for one in logs]
+    first = [one.between(0.0, _TRAINED * span) for one, span in zip(logs, spans, strict=True)]
+    last = [one.between(_TRAINED * span, span + one.dt) for one, span in zip(logs, spans, strict=True)]
     found = identify_velocity(first, **options)
     model = found.model
-    trained, held = (runs_of([part], model.is_pose) for part in (first, last))
+    trained, held = (runs_of(part, model.is_pose) for part in (first, last))
     lags = [each.lag(model.lead) for each in channels_of(explained_parts(trained, model.lags(found.phi)))]
     parts = explained_parts(held, model.lags(found.phi), least=-np.inf)  # also of a poor model
     dt = held[0].dt
@@ -152,6 +157,7 @@ def _of_lags(model: VelocityModel, lags: list[Lag]) -> tuple[VelocityModel, Arra
     given = {"ahead": 0.0, "delay": model.dt * float(np.mean([lag.late for lag in lags]))}
     for steepest, largest, lag in zip(STEEPEST, MOST, lags, strict=True):
         given |= {steepest: lag.steepest, largest: lag.limit}
+    lags = [lag if lag.gain > 0 else lag._replace(gain=1.0) for lag in lags]
     (a, b), (g, h) = ([lag.tau / lag.gain for lag in lags], [1 / lag.gain for lag in lags])
     return replace(model, free=(), given=given), np.array([a, b, 0.0, g, 0.0, h])
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -30,7 +31,7 @@ from pinmobile.identification._commands import (
 from pinmobile.identification._estimates import Identification
 from pinmobile.identification._estimator import Fit, Whiteness, jackknife, solve, solve_robustly, white_of
 from pinmobile.identification._lag import Lag
-from pinmobile.identification._log import Log, logs_of
+from pinmobile.identification._log import Log, continuous, logs_of, unused
 from pinmobile.identification._simulation import Segments, simulate
 from pinmobile.identification._velocity_model import MOST, STEEPEST, VelocityModel
 from pinmobile.identification._velocity_robot import THETA, VelocityRobot
@@ -42,6 +43,9 @@ _TOGETHER = 0.2  # largest correlation of successive residuals that counts as no
 _DIFFERENT = 4.0  # standard deviations by which results for two lengths of segments differ
 _SURE = 2.0  # standard deviations by which a negative delay is reported
 _EARLY = 0.9  # samples by which it is reported in any case: the search ends at one
+_ROUNDS = 2  # of lags and of parts that they explain
+_POOR = 0.5  # R^2 of a hold-out below which a note follows
+_WASTE = 3.0  # largest number of samples in segments of unequal parts, per sample
 _GAINS = 0.1, 10.0  # range of the command per steady speed or yaw rate
 _FARTHEST = 10.0  # [m]: largest distance ahead of the axle
 
@@ -117,6 +121,7 @@ def identify_velocity(
     """
     logs = logs_of(log)
     is_pose = logs[0].twist is None
+    sensor = "q" if is_pose else "twist"
     runs = runs_of(logs, is_pose)
     dt, lead = runs[0].dt, lead_of(runs)
     if ahead is None and not is_pose:
@@ -133,14 +138,17 @@ def identify_velocity(
         "ahead": bounded("ahead", far, least=-_FARTHEST, most=_FARTHEST, unit="m"),
         **dict(zip(STEEPEST + MOST, [*most.accelerations.tolist(), *most.limits.tolist()], strict=True)),
     }
-    lags = [each.lag(lead, None if delay is None else round(late / dt)) for each in channels_of(whole(runs))]
+    parts = whole(runs)
+    for _ in range(_ROUNDS):  # what other drivers did hides the limits
+        known = None if delay is None else round(late / dt)
+        lags = [each.lag(lead, known) for each in channels_of(parts)]
+        parts = explained_parts(runs, lags)
     sought = {"delay": delay is None, "ahead": ahead is None}
     for steepest, largest, lag in zip(STEEPEST, MOST, lags, strict=True):
         sought[steepest] = accelerations is None and np.isfinite(lag.steepest)
         sought[largest] = limits is None and np.isfinite(lag.limit)
     order = [name for name in ("delay", "ahead", *STEEPEST, *MOST) if sought[name]]
     model = VelocityModel(tuple(order), given, lead, dt, is_pose)
-    parts = explained_parts(runs, lags)
     tried = list(_tried(model, parts, _start(model, lags)))
     best = min(tried, key=lambda each: (each.lost.sum(), each.size)) if is_pose else tried[-1]
     remarks = [left_out_in_words(runs, parts), _compared(model, tried[0], best)]
@@ -151,13 +159,21 @@ def identify_velocity(
         early, C = best.fit.p[6], best.covariance
         p = best.fit.p - C[:, 6] / C[6, 6] * early  # the estimate for no delay
         if early < -min(_SURE * np.sqrt(C[6, 6]), _EARLY * dt):
-            remarks.append(f"the delay is taken as zero: its estimate is {1e3 * early:.3g} ms")
+            less = " or less" * bool(early < -_EARLY * dt)
+            remarks.append(
+                f"the delay is taken as zero: its estimate is {1e3 * early:.3g} ms{less}; with times of two "
+                "clocks, use Log.from_streams(..., one_clock=False)"
+            )
             _, other = _without(["delay"], model, parts, best)
             p, best = np.insert(other.fit.p, 6, 0.0), best._replace(segments=other.segments, fit=other.fit)
         best = best._replace(fit=best.fit._replace(p=p))  # the covariance contains that of the delay
     found, lost, p = best.fit, best.lost, best.fit.p
     free_run = _free_run(model, parts, best)
-    check_explained([free_run.get(name, (1.0, 1.0))[0] for name in CHANNELS], lags, dt)
+    check_explained([free_run.get(name, (None,))[0] for name in CHANNELS], lags, dt)
+    poor = [name for name, (_, after) in free_run.items() if after < _POOR]
+    if poor:
+        named = " and the ".join(poor)
+        remarks.append(f"the model does not predict the {named} of the hold-out: do not use it elsewhere")
     for k in (3, 5):
         if not (lost[k] or _GAINS[0] < p[k] < _GAINS[1]):
             raise InvalidArgument(
@@ -181,7 +197,7 @@ def identify_velocity(
         dt=dt,
         seconds=min(best.seconds, max(b - a for _, a, b in parts) * dt),
         outliers=int((best.segments.good & ~good).sum()),
-        dropped=sum(one.dropped for one in logs),
+        dropped=sum(one.dropped + unused(one, continuous(one, "log", sensor), sensor) for one in logs),
         samples=int(good.sum()),
         segments=len(good),
         noise=np.sqrt(square),
@@ -189,7 +205,7 @@ def identify_velocity(
         whiteness=white,
         is_noise=bool(np.abs(white.correlation).max() <= _TOGETHER),
         explained=min((share for share, _ in free_run.values()), default=1.0),
-        free_run=free_run,
+        free_run=MappingProxyType(free_run),
         remarks=tuple(filter(None, remarks)),
     )
 
@@ -246,6 +262,8 @@ def _tried(model: VelocityModel, parts: list[Part], p: Array) -> Iterator[_Tried
     are of the first samples alone. Poses drift: segments grow until the confidence region does.
     """
     longest, block = max(b - a for _, a, b in parts) * model.dt, model.dt * block_of(parts)
+    total = sum(b - a for _, a, b in parts) * model.dt
+    longest = min(longest, max(_WASTE * total / len(parts), _LONGER * block))
     seconds = _LONGER * block
     before = np.inf
     while True:
@@ -312,7 +330,8 @@ def _start(model: VelocityModel, lags: Sequence[Lag]) -> Array:
     for a, b, lag in zip((0, 1), (3, 5), lags, strict=True):
         if lag.gain > 0:
             theta[[a, b]] = lag.tau / lag.gain, 1 / lag.gain
-    known = {"delay": model.dt * np.mean([lag.late for lag in lags]), "ahead": 0.0}
+    late = [lag.late for lag in lags if lag.gain > 0] or [0]
+    known = {"delay": model.dt * np.mean(late), "ahead": 0.0}
     for names, lag in zip(zip(STEEPEST, MOST, strict=True), lags, strict=True):
         known |= dict(zip(names, (lag.steepest, lag.limit), strict=True))
     return np.append(theta, [known[name] for name in model.free])

@@ -27,7 +27,7 @@ _BENDS = 4  # factor on the number of steps where a limit of acceleration may en
 _MOST_STEPS = 40  # largest number of steps per sample
 _SLOPE = 1e-4  # step of differences, as a share of the size of a number
 STEEPEST = "acceleration", "yaw_acceleration"
-MOST = "largest_speed", "largest_yaw_rate"
+MOST = "largest_speed_command", "largest_yaw_rate_command"
 _OTHERS = {
     "delay": Quantity("delay", "s", True),
     "ahead": Quantity("ahead", "m", False, "ahead"),
@@ -76,7 +76,7 @@ class VelocityModel:
     @cached_property
     def quantities(self) -> tuple[Quantity, ...]:
         """Estimated numbers."""
-        theta = [Quantity(name, unit, False, f"theta.{name}") for name, unit, _ in THETA]
+        theta = [Quantity(n, unit, k in ABOVE_ZERO, f"theta.{n}") for k, (n, unit, _) in enumerate(THETA)]
         return (*theta, *(_OTHERS[name] for name in self.free))
 
     @cached_property
@@ -106,7 +106,7 @@ class VelocityModel:
         """Return whether the numbers p, shape (P,), are possible and the delay is within its range."""
         late, quickest = self.others(p[None])["delay"][0] / self.dt, (p[:2] / p[[3, 5]]).min()
         is_possible = np.isfinite(p).all() and self.are_possible(p) and quickest > _QUICKEST * self.dt
-        return bool(is_possible and -1 < late < self.lead)
+        return bool(is_possible and -1 < late <= self.lead)
 
     def are_possible(self, p: Array) -> Any:
         """Return which numbers, shape (..., P), a robot can have."""
@@ -183,7 +183,8 @@ class VelocityModel:
         """Return segments of a log, residuals, mask of good samples, and the noise."""
         runs, length = runs_of([log], self.is_pose), scalar("seconds", BLOCK if seconds is None else seconds)
         bounded("seconds", length, least=3 * runs[0].dt, unit="s")
-        model = replace(self, dt=runs[0].dt, lead=lead_of(runs))
+        lead = max(lead_of(runs), int(np.ceil(max(found.delay, 0.0) / runs[0].dt)) + 1)
+        model = replace(self, dt=runs[0].dt, lead=lead)
         parts = explained_parts(runs, model.lags(found.phi), least=-np.inf)  # also of a poor model
         segments, calm = segments_of(parts, model.lead, length, filled=False)
         left, _ = solve_robustly(model, segments, found.phi, calm=calm)
