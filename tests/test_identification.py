@@ -688,7 +688,7 @@ test_a_log_that_tells_something_else_is_refused_with_what_it_is = refusals(
         lambda: pm.identify(
             pm.Log(np.add.outer(np.arange(20), [0, 0.01, 0.02]).ravel(), *np.ones((2, 60, 3)))
         ),
-        r"^log has 20 parts between gaps of more than 0\.3 s, the longest of 0\.02 s, expected 2 s or more$",
+        r"^log has 20 parts between gaps of .* the longest of 0\.02 s, expected 2 s and 16 measurements",
     ),
     (
         lambda: pm.identify(log(), loads=[None]),

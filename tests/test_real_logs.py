@@ -215,3 +215,24 @@ def test_a_log_is_shown_beside_its_model() -> None:
     np.testing.assert_allclose(by_odometry.q, q, atol=0.05)
     with refused("robot is .*, with 3 inputs, expected a robot in the plane with 2, as the log has"):
         log.rollout(pm.MobileRobot(10.0, 1.0))
+
+
+@pytest.mark.parametrize(
+    ("call", "text"),
+    [
+        (
+            lambda t, u, nu: pm.Log.from_streams(t, None, t, None, twist=nu),
+            "^u is None, expected real numbers$",
+        ),
+        (
+            lambda t, u, nu: pm.Log(t, None, u, twist=nu).resample(1e4),
+            "^dt is 10000.0 s, expected 0 < dt <= 60",
+        ),
+        (lambda t, u, nu: pm.Log(t, None, u, twist=nu).split(-1), "^max_gap is -1.0 s, expected > 0"),
+        (lambda t, u, nu: validate(pm.Log(t, None, u, twist=nu)), "^log is 40 s long, too short"),
+    ],
+)
+def test_wrong_arguments_are_refused(call: Any, text: str) -> None:
+    t, u = steps(7, 60.0)
+    with refused(text):
+        call(t, u, driven(t, u))

@@ -15,8 +15,8 @@ def shown(value: object) -> str:
     """Return a value as text for a message.
 
     The text is the ``repr`` of the value, cut after 500 letters. A part with more than 200 letters, such as
-    a robot, is its class with ``(...)``. A value whose ``repr`` fails, such as a list
-    that is nested too deep, is named by its class.
+    a robot, is its class with ``(...)``. A value whose ``repr`` fails, such as a list that is nested too
+    deep, is named by its class.
 
     Parameters
     ----------

@@ -16,7 +16,7 @@ _FINER = 4.0  # by which each search is finer than the one before
 _EARLIER = 0.1  # [s], by which the inputs are taken earlier: their delay is estimated, and not negative
 _KEPT = 8  # candidates of a search that the next one refines
 _CLEARLY = 0.8  # unexplained share per that at the rate 1 above which the rate is 1
-_TOLD = 0.15  # [s], smallest reported offset, and change of the offset along a log
+_REPORTED = 0.15  # [s], smallest reported offset, and change of the offset along a log
 _SMALL = 1e-3  # smallest singular value of the motion, as a share of the largest
 _ALIKE = 0.4  # smallest mean R^2 of inputs that move the robot
 
@@ -26,7 +26,7 @@ def clock_of(t_u: Array, u: Array, t: Array, x: Array, is_pose: bool) -> tuple[f
 
     The method searches the rate and the offset at which speeds and accelerations explain the inputs best:
     first their smoothed activity, then the signals themselves, finer and finer. Within some tenths of a
-    second the offset cannot be told from a delay, which `identify` estimates.
+    second the offset cannot be distinguished from a delay, which `identify` estimates.
 
     Parameters
     ----------
@@ -60,25 +60,21 @@ def clock_of(t_u: Array, u: Array, t: Array, x: Array, is_pose: bool) -> tuple[f
         left, sizes, _ = np.linalg.svd(columns, full_matrices=False)
         given = left[:, sizes > _SMALL * sizes[0]]
         found = [_match(given, moved, rate, h, smooth, envelope) for rate in tried]
-        return np.array(sorted(found, reverse=True)[:_KEPT]), 2 * spacing
+        return np.array(sorted(found, reverse=True)), 2 * spacing
 
     smooth, finer = span / _PARTS, 1.0
     found, width = best(both, np.log(_FASTEST), smooth, envelope=True)
-    found, width = best(found[:, 1], width, smooth)
+    found, width = best(found[:_KEPT, 1], width, smooth)
     while smooth / finer > h:
         if finer == 1.0 and smooth > 2 * _FINER * h:
-            other, narrow = best(found[:, 1], width, smooth / _FINER)
+            other, narrow = best(found[:_KEPT, 1], width, smooth / _FINER)
             if other[0, 0] > found[0, 0]:  # coarser is better where accelerations are noisy
                 found, width, smooth = other, narrow, smooth / _FINER
                 continue
         finer *= _FINER
-        found, width = best(found[:, 1], width, smooth, finer)
+        found, width = best(found[:_KEPT, 1], width, smooth, finer)
     explained, rate, offset = found[0].tolist()
-    one = max((each for each in found.tolist() if each[1] == 1.0), default=None)
-    if one is None:  # the candidates contain the rate 1 if it is among the best
-        columns = _smoothed(motion, smooth / h)
-        left, sizes, _ = np.linalg.svd(columns, full_matrices=False)
-        one = _match(left[:, sizes > _SMALL * sizes[0]], moved, 1.0, h, smooth, False)
+    one = found[found[:, 1] == 1.0][0].tolist()
     if 1 - explained > _CLEARLY * (1 - one[0]):
         explained, rate, offset = one
     if explained < _ALIKE:
@@ -90,13 +86,13 @@ def clock_of(t_u: Array, u: Array, t: Array, x: Array, is_pose: bool) -> tuple[f
 
 
 def clock_hint(t: Array, u: Array, x: Array, is_pose: bool) -> str:
-    """Return in words how the clock of the inputs of a log may be corrected; "" if it need not be."""
+    """Return the correction of the clock of a log's inputs as text; "" if there is none."""
     try:
         offset, rate = clock_of(t, u, t, x, is_pose)
     except InvalidArgument:
         return ""
     moved = offset + _EARLIER + (rate - 1) * t[0]
-    if abs(moved) < _TOLD and abs(rate - 1) * (t[-1] - t[0]) < _TOLD:
+    if abs(moved) < _REPORTED and abs(rate - 1) * (t[-1] - t[0]) < _REPORTED:
         return ""
     return (
         f"The motion explains the inputs best if their times are multiplied by {rate:.6g} and moved by "

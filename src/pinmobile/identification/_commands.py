@@ -15,7 +15,7 @@ from pinmobile.identification._lag import Channel, Lag
 from pinmobile.identification._log import Log, check_units, continuous
 from pinmobile.identification._simulation import Segments
 
-CHANNELS = "speed", "yaw rate"
+CHANNELS = {"speed": "m/s", "yaw rate": "rad/s"}  # names and units
 LEAST_BLOCKS = 20  # smallest number of blocks of the jackknife
 BLOCK, _LONG_BLOCK = 2.0, 5.0  # [s], their length: the longest that a log allows
 _LATEST, _MOST_LATE = 0.6, 60  # largest delay [s] and [samples]
@@ -70,7 +70,7 @@ def runs_of(logs: list[Log], is_pose: bool) -> list[Run]:
                 f"log has {one.u.shape[1]} inputs, expected two, commands of speed and yaw rate: for forces, "
                 "torques or voltages use identify; commands of sideways speeds are not identified"
             )
-        check_units(one, "log", {"speed": "m/s", "yaw rate": "rad/s"})
+        check_units(one, "log", CHANNELS)
     if any((one.twist is None) != is_pose for one in logs):
         raise InvalidArgument("log has a twist, and another log has none, expected a twist in all or in none")
     name, found = "q" if is_pose else "twist", []
@@ -101,7 +101,7 @@ def block_of(parts: Sequence[Part]) -> int:
     return max(3, round(min(max(span, BLOCK), _LONG_BLOCK) / dt))
 
 
-def whole(runs: Sequence[Run]) -> list[Part]:
+def parts_of(runs: Sequence[Run]) -> list[Part]:
     """Return each run as one part."""
     return [Part(run, 0, len(run.u)) for run in runs]
 
@@ -126,12 +126,12 @@ def explained_parts(runs: Sequence[Run], lags: Sequence[Lag], least: float = _LE
     InvalidArgument
         If the commands explain too little of the motion.
     """
-    channels, found = channels_of(whole(runs)), []
+    channels, found = channels_of(parts_of(runs)), []
     masks = [channel.unexplained(lag) for channel, lag in zip(channels, lags, strict=True)]
     for run, one, other in zip(runs, *masks, strict=True):
         edges = np.flatnonzero(np.diff(~(one | other), prepend=False, append=False)).reshape(-1, 2)
         found += [Part(run, a, b) for a, b in edges.tolist() if (b - a) * run.dt > BLOCK]
-    left_out = 1 - _samples(found) / _samples(whole(runs))
+    left_out = 1 - _samples(found) / _samples(parts_of(runs))
     pairs = zip(channels_of(found) if found else channels, lags, strict=True)
     check_explained([channel.share(lag) for channel, lag in pairs], lags, runs[0].dt, left_out, least)
     return found
@@ -150,7 +150,7 @@ def check_explained(
     """
     if left_out <= _MOST_UNEXPLAINED and all(share is None or share >= least for share in shares):
         return
-    told = " and ".join(
+    found = " and ".join(
         f"nothing of the {name}, whose command is constant"
         if share is None
         else f"{max(share, 0.0):.0%} of the {name} (delay {1e3 * lag.late * dt:.3g} ms, gain {lag.gain:.3g}, "
@@ -159,13 +159,13 @@ def check_explained(
     )
     where = f" nothing in {left_out:.0%} of the log, and in the rest" * (left_out > _MOST_UNEXPLAINED)
     raise InvalidArgument(
-        f"log has commands that explain{where} {told}, expected most of it: are the commands from another "
+        f"log has commands that explain{where} {found}, expected most of it: are the commands from another "
         "robot or another driver, with another sign, or with times of another clock?"
     )
 
 
-def left_out_in_words(runs: Sequence[Run], parts: Sequence[Part]) -> str:
-    """Return the longest sections of runs outside the parts in words; "" if there are none."""
+def format_left_out(runs: Sequence[Run], parts: Sequence[Part]) -> str:
+    """Return the sections of runs outside the parts as text; "" if there are none."""
     gaps, several = list[tuple[float, str]](), len({run.log for run in runs}) > 1
     for run in runs:
         edges = [0, *(edge for part in parts if part.run is run for edge in part[1:]), len(run.u)]

@@ -25,7 +25,7 @@ _CONVERGED = 1e-7  # relative change of the cost
 _EVALUATIONS = 40  # largest number of evaluations of the cost
 _ROUNDS = 4  # updates of weights and outliers
 _OUTLIER = 6.0  # standard deviations
-_CLUSTER = 2  # samples: more outliers within this distance on both sides are no outliers
+_CLUSTER = 2  # samples: an outlier has at most one other outlier within this distance
 _UNSEEN = 1e-10  # smaller eigenvalues of the scaled normal matrix count as zero
 
 
@@ -70,9 +70,8 @@ class Linear(NamedTuple):
         raw, slopes, by_start = np.split(columns, [1, 1 + len(p)], axis=-1)
         Q, R = np.linalg.qr(by_start)
         size = np.abs(np.diagonal(R, axis1=1, axis2=2))
-        Q = (
-            Q * (size > _UNSEEN * size.max(axis=1, keepdims=True))[:, None]
-        )  # without states that nothing shows
+        # The measurements do not depend on states without a diagonal entry: their columns of Q are arbitrary.
+        Q = Q * (size > _UNSEEN * size.max(axis=1, keepdims=True))[:, None]
         J, e = (each - Q @ (np.swapaxes(Q, 1, 2) @ each) for each in (slopes, raw))
         return cls(J, e[..., 0], Q, R, raw[..., 0], slopes, residual)
 
@@ -199,8 +198,7 @@ def solve_robustly(
         good = segments.good & ~_alone(far, segments.good)
         if good.sum() <= left.shape[-1]:
             raise unexplained(0.0)
-        before, covariance = covariance, np.cov(left[good & counted].T)
-        covariance = covariance + np.diag(1e-24 + 1e-12 * np.diag(covariance))
+        before, covariance = covariance, _covariance(left[good & counted])
         lost = ~moves
         if natural is not None:
             near = Linear.of(model, segments._replace(good=good), p, starts, _by(covariance))
@@ -214,7 +212,7 @@ def solve_robustly(
 
 
 def _alone(far: NDArray[np.bool_], seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return the samples that are far off while others nearby are not: of a cluster, the model is wrong."""
+    """Return the samples that are far off without others nearby: a cluster is an error of the model."""
     from scipy.ndimage import uniform_filter1d  # slow to load
 
     near = uniform_filter1d((far & seen).astype(float), 2 * _CLUSTER + 1, axis=1, mode="constant")
@@ -223,8 +221,13 @@ def _alone(far: NDArray[np.bool_], seen: NDArray[np.bool_]) -> NDArray[np.bool_]
 
 def white_of(residuals: Array) -> White:
     """Return a function that whitens residuals, shape (..., m), by the covariance of some, shape (n, m)."""
-    covariance = np.cov(residuals.T)
-    return _by(covariance + np.diag(1e-24 + 1e-12 * np.diag(covariance)))
+    return _by(_covariance(residuals))
+
+
+def _covariance(residuals: Array) -> Array:
+    """Return the covariance of residuals, shape (m, m), which is not singular."""
+    found = np.cov(residuals.T)
+    return np.asarray(found + np.diag(1e-24 + 1e-12 * np.diag(found)))
 
 
 def _by(covariance: Array) -> White:
@@ -280,7 +283,7 @@ def jackknife(near: Linear, pull: Array | float = 0.0, blocks: int = 1) -> tuple
     except np.linalg.LinAlgError as error:
         raise InvalidArgument(
             f"log has {S} blocks, and only one of them identifies some parameter, expected a longer log or "
-            f"a more informative motion, see excitation"
+            "a more informative motion, see excitation"
         ) from error
     return np.asarray((S - 1) / S * d.T @ d), S
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from pinmobile.arrays import Array
 from pinmobile.identification._estimator import NORMAL
 
+LEAST_ROWS = 16  # smallest number of samples of filters and windows
 FINEST = 1e-4  # [m, rad]: smallest noise of poses
 WINDOW = 0.15  # [s], window of the local cubic whose residual shows outliers and noise
 _OUTLIER = 6.0  # standard deviations
@@ -42,7 +43,8 @@ def quantisation(columns: Array) -> Array:
     """Return the standard deviation of the rounding of each column, shape (k,); 0 if values do not repeat."""
     found = []
     for column in columns.T:
-        values = np.unique(column)
+        size = float(np.abs(column).max(initial=0.0)) or 1.0
+        values = size * np.unique(np.round(column / size, 9))
         steps = np.diff(values)
         is_coarse = 1 < len(values) < _COARSE * len(column)
         found.append(float(np.median(steps)) / np.sqrt(12) if is_coarse else 0.0)

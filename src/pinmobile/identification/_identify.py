@@ -154,9 +154,7 @@ def identify(
         hints = [f"Its {worst}"] * bool(worst is not None and worst.matters) + [clipped] * bool(clipped)
         hints += [clock_hint(*_motion(parts[0][0]))]
         raise InvalidArgument(" ".join(filter(None, [str(error), *hints]))) from error
-    dropped = sum(
-        one.dropped + unused(one, continuous(one, "log", *model.sensors), *model.sensors) for one in logs
-    )
+    dropped = sum(one.dropped + unused(one, *model.sensors) for one in logs)
     return replace(result, dropped=dropped, prior=robot, slippage=worst, clipped=clipped)
 
 
@@ -281,7 +279,7 @@ def _identified(
         samples=outliers + sum(int(one.good.sum()) for one in runs),
         segments=kept,
         seconds=seconds,
-        noise=next((run for run in runs if np.isfinite(run.noise).all()), runs[0]).told_noise,
+        noise=next((run for run in runs if np.isfinite(run.noise).all()), runs[0]).reported_noise,
         residual=np.sqrt((residual[..., model.columns] ** 2).sum(axis=(0, 1)) / segments.good.sum()),
         chi2=float((segments.weighed(residual) ** 2).sum()) / count,
         whiteness=_whiteness(estimate.plain, segments),

@@ -14,14 +14,10 @@ _STILL = 1e-9  # [m/s, rad/s]: commands that change less count as constant
 _SLOWEST = 10.0  # [s], largest time constant
 _TAUS, _REFINED = 14, 7  # numbers of time constants in the first search and in its refinements
 _ROWS = 2000  # largest number of rows that the search compares
-_LIMITED, _STEEP = (
-    0.03,
-    0.1,
-)  # smallest share of the residual that a limit of commands, of acceleration, removes
-_RAMPS, _RAMPED = (
-    np.geomspace(0.03, 0.9, 12),
-    (0.1, 0.3, 1.0),
-)  # tried accelerations and time constants, as shares
+_LIMITED = 0.03  # smallest share of the residual that a limit of commands removes
+_STEEP = 0.1  # smallest share of the residual that a limit of acceleration removes
+_RAMPS = np.geomspace(0.03, 0.9, 12)  # tried accelerations, as shares of the largest without a limit
+_RAMPED = np.array([0.1, 0.3, 1.0])  # tried time constants, as shares of that without a limit
 _LONGEST = 20_000  # rows of the search for a limit of acceleration
 _SECTION = 3.0  # [s], shortest section under other control
 _UNEXPLAINED = 0.7  # square of the residual per square of motion or command in such a section
@@ -96,7 +92,7 @@ class Channel(NamedTuple):
         u, y = np.concatenate(self.u)[:_LONGEST], np.concatenate(self.y)[:_LONGEST]
         given, seen = lag.given(u), ~np.isnan(y)
         top = float(np.abs(np.diff(given)).max(initial=0.0)) / lag.tau
-        tau, most = (each.ravel() for each in np.meshgrid(lag.tau * np.array(_RAMPED), top * _RAMPS))
+        tau, most = (each.ravel() for each in np.meshgrid(lag.tau * _RAMPED, top * _RAMPS))
         costs = np.abs(_ramped(given, self.dt, tau, most) - y[:, None])[seen].mean(axis=0)
         k = int(costs.argmin())
         before = np.abs(lag.response(u, self.dt) - y)[seen].mean()
@@ -140,9 +136,9 @@ class Channel(NamedTuple):
         for u, y in zip(self.u, self.y, strict=True):
             x = lag.response(u, self.dt)
             seen = ~np.isnan(y)
-            left, moved, told = (np.where(seen, each**2, 0.0) for each in (y - x, y, x))
+            left, moved, given = (np.where(seen, each**2, 0.0) for each in (y - x, y, x))
             count = _summed(seen.astype(float), size)
-            spent, motion, command = (_summed(each, size) for each in (left, moved, told))
+            spent, motion, command = (_summed(each, size) for each in (left, moved, given))
             wrong = (spent > _UNEXPLAINED * np.maximum(motion, command)) & (
                 spent > count * (_MOVES * usual) ** 2
             )

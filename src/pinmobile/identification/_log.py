@@ -29,6 +29,7 @@ from pinmobile.arrays import (
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.identification._clocks import clock_of
 from pinmobile.identification._files import read_bag, read_csv
+from pinmobile.identification._filters import LEAST_ROWS
 from pinmobile.loop import Rollout
 from pinmobile.plant import coordinates_of, inputs_of
 
@@ -36,7 +37,7 @@ _HOLE = 3  # rows in a row that may be lost at any time step
 _BRIDGED = 0.3  # [s] without a measurement: half a window of the weak form; a longer gap needs a guess
 _FINER = 10  # largest number of rows for a measurement where inputs are faster
 _AGAIN = 0.1  # largest share of rows with the time of the row before
-_SHORTEST, _ROWS = 2.0, 16  # [s], and measurements, of a part between gaps
+_SHORTEST = 2.0  # [s] of a part between gaps
 _LONGEST_STEP = 5.0  # [s]; larger steps are probably not in seconds
 _FASTEST = 60.0  # [m/s]; faster positions are probably not in metres
 _HELD, _OFTEN = 1.0, 20  # longest repetition of a slow sensor's pose [s]; number that shows such a sensor
@@ -351,7 +352,8 @@ class Log:
         InvalidArgument
             If `dt` is not positive, or the log is shorter than two steps.
         """
-        steps = int((self.t[-1] - self.t[0]) / positive("dt", dt, "s") + 1e-6)
+        span = float(self.t[-1] - self.t[0])
+        steps = int(span / bounded("dt", scalar("dt", dt), above=0, most=span, unit="s") + 1e-6)
         return self._at(self.t[0] + dt * np.arange(steps + 1))
 
     def _at(self, t: Array) -> Self:
@@ -471,13 +473,14 @@ class Log:
             If the class rejects the data, or the times overlap by less than half, as those of two clocks.
         """
         streams: dict[str, tuple[Array, Array]] = {}
-        for name, time, x in (
+        given: Sequence[tuple[str, Any, Any]] = (
             ("q", t_q, q),
             ("twist", t_q if t_twist is None else t_twist, twist),
             ("wheel_rates", t_q if t_wheel_rates is None else t_wheel_rates, wheel_rates),
             ("u", t_u, u),
-        ):
-            if x is not None:
+        )
+        for name, time, x in given:
+            if x is not None or name == "u":
                 own = f"t_{name}" if time is not t_q else "t_q"
                 t = finite(own, time)
                 increasing(own, t)
@@ -695,25 +698,26 @@ def continuous(log: Log, name: str, *names: str) -> list[Log]:
     Raises
     ------
     InvalidArgument
-        If none of them is measured, or all parts are shorter than a second.
+        If none of them is measured, or all parts are shorter than 2 s or 16 measurements.
     """
     if all(getattr(log, other) is None for other in names):
         raise InvalidArgument(f"{name} has no {' and no '.join(names)}, expected a measurement of the motion")
     others: dict[str, Any] = {other: None for other in ("q", "twist", "wheel_rates") if other not in names}
     parts = replace(log, **others, dropped=0).split()
-    long = [one for one in parts if one.t[-1] - one.t[0] >= _SHORTEST and _count(one, names) >= _ROWS]
+    long = [one for one in parts if one.t[-1] - one.t[0] >= _SHORTEST and _count(one, names) >= LEAST_ROWS]
     long = parts if len(parts) == 1 else long
     if not long:
+        longest = max(one.t[-1] - one.t[0] for one in parts)
         raise InvalidArgument(
             f"{name} has {len(parts)} parts between gaps of more than {_BRIDGED:g} s, the longest of "
-            f"{max(one.t[-1] - one.t[0] for one in parts):.2g} s, expected {_SHORTEST:g} s or more"
+            f"{longest:.2g} s, expected {_SHORTEST:g} s and {LEAST_ROWS} measurements or more"
         )
     return long
 
 
-def unused(log: Log, parts: Sequence[Log], *names: str) -> int:
-    """Return the number of rows of a log with named measurements that are in none of its parts."""
-    return _count(log, names) - sum(_count(part, names) for part in parts)
+def unused(log: Log, *names: str) -> int:
+    """Return the number of rows with named measurements that are in none of the parts of a log."""
+    return _count(log, names) - sum(_count(part, names) for part in continuous(log, "log", *names))
 
 
 def _count(log: Log, names: Sequence[str]) -> int:

@@ -254,12 +254,12 @@ class PlanarModel:
 
     @property
     def measured(self) -> tuple[tuple[str, str], ...]:
-        """Names and units of the measurements that residuals are told of."""
+        """Names and units of the measurements in results."""
         return tuple((n, "rad/s") for n in self.wheels) if self.blind else (*POSE,)
 
     @property
     def columns(self) -> slice:
-        """Their columns among all measurements of a segment."""
+        """Columns of these measurements in a segment."""
         return slice(3, None) if self.blind else slice(3)
 
     @property
@@ -461,7 +461,12 @@ class PlanarModel:
         ahead = bounded("seconds", length, least=10 * run.dt, most=longest, unit="s")
         segments = run.segments(self, late, ahead, run.rates is not None)
         search = PlanarProblem(self, found.phi, np.zeros((len(found.phi), 0)), late)
-        return segments, solve(search, segments, search.start).near.residual, segments.good, run.told_noise
+        return (
+            segments,
+            solve(search, segments, search.start).near.residual,
+            segments.good,
+            run.reported_noise,
+        )
 
     def rows(self, a_u: Array, a_w: Array, turn: Array, square: Array, rates: Array, dry: Array) -> Array:
         """Return the regressor along the independent velocities, shape (n, k, p), without the input scale.

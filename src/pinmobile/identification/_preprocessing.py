@@ -13,6 +13,7 @@ from pinmobile.arrays import Array, shaped
 from pinmobile.errors import InvalidArgument
 from pinmobile.identification._filters import (
     FINEST,
+    LEAST_ROWS,
     WINDOW,
     filtered,
     quantisation,
@@ -25,7 +26,7 @@ from pinmobile.identification._simulation import Segments
 
 _HALF = 0.5  # smallest measured share of a segment with an identifiable initial state
 LATER = 8  # largest change of the delay in the search [samples]
-_COARSEST, _ROWS = 0.1, 16  # largest time step [s], and smallest number of samples, of filters and windows
+_COARSEST = 0.1  # [s], largest time step of filters and windows
 _FINEST_RATE = 1e-2  # [rad/s], smallest noise of rates
 
 
@@ -91,7 +92,7 @@ class PreprocessedLog:
                 f"{name} has samples every {even.dt:.3g} s, expected {_COARSEST:g} s or less: the motion "
                 "between the samples is unknown"
             )
-        if len(even.t) < max(_ROWS, 4 * WINDOW / even.dt):
+        if len(even.t) < max(LEAST_ROWS, 4 * WINDOW / even.dt):
             raise InvalidArgument(f"{name} is {even.t[-1]:.3g} s long, too short, expected 20 s or more")
         rates = even.wheel_rates if model.wheels else None
         good, rates_noise = even.seen, np.zeros(0)
@@ -111,7 +112,7 @@ class PreprocessedLog:
         return cls(even.dt, q, good, even.u, rates, noise, rates_noise, lost, load)
 
     @property
-    def told_noise(self) -> Array:
+    def reported_noise(self) -> Array:
         """Noise of the poses, or of the rates if only these are measured."""
         return self.noise if np.isfinite(self.noise).all() else self.rates_noise
 

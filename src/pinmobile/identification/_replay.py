@@ -9,13 +9,13 @@ import numpy as np
 
 from pinmobile.arrays import Array, bounded, scalar
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.identification._filters import FINEST, without_outliers
+from pinmobile.identification._filters import FINEST, LEAST_ROWS, without_outliers
 from pinmobile.integrators import rk4
 from pinmobile.loop import Rollout
 from pinmobile.plant import coordinates_of, inputs_of
 from pinmobile.trajectories import Reference
 
-_LATEST, _ROWS = 10.0, 16  # [s], largest delay; smallest number of rows
+_LATEST = 10.0  # [s], largest delay
 
 
 class MeasuredMotion:
@@ -52,8 +52,8 @@ def rollout_of(log: Any, robot: Any, delay: float = 0.0, **options: Any) -> Roll
         )
     if log.q is None and log.twist is None:
         raise InvalidArgument("log has no poses and no twist, expected one of them: nothing else is drawn")
-    if len(log.split()) > 1 or len(log) < _ROWS:
-        raise InvalidArgument(f"log has gaps or less than {_ROWS} rows, expected one part, see log.split()")
+    if len(log.split()) > 1 or len(log) < LEAST_ROWS:
+        raise InvalidArgument(f"log has gaps, or fewer than {LEAST_ROWS} rows, expected a part of split()")
     run = log.samples("q" if log.q is not None else "twist")
     late = bounded("delay", scalar("delay", delay), least=0, most=_LATEST, unit="s")
     if run.q is None:

@@ -14,10 +14,8 @@ from pinmobile.compiled import Recurrence, entries, repeated, symbols
 
 _SLOPE = 1e-4  # step of differences, as a share of the size of an initial state
 _LEAST_SIZE = 1e-3  # smallest size of an input, as a share of the largest
-_AT_ONCE, _LANES = (
-    2_000_000,
-    8,
-)  # simulated samples at a time, and least number of variants: bounds the memory
+_AT_ONCE = 2_000_000  # largest number of samples that are simulated together: it bounds the memory
+_LANES = 8  # smallest number of variants that are simulated together
 _MOST_STEPS = 10**9  # bound of the integration steps in a sample; the actual count is one of the numbers
 
 

@@ -21,12 +21,11 @@ from pinmobile.identification._estimates import Identification
 from pinmobile.identification._lag import Lag
 from pinmobile.identification._log import Log, logs_of
 from pinmobile.identification._simulation import simulate
-from pinmobile.identification._velocity import identify_velocity
+from pinmobile.identification._velocity import TRAINED, identify_velocity
 from pinmobile.identification._velocity_model import MOST, STEEPEST, VelocityModel
 
 _HORIZONS = 0.1, 2.0, 5.0  # [s]
 _STARTS = 10  # predictions that start within the longest horizon
-_TRAINED = 2 / 3  # share of a log before the hold-out
 _AT_ONCE = 0.05  # time constant of a robot without lag, as a share of the time step
 
 
@@ -48,7 +47,7 @@ class Validation:
 
     See Also
     --------
-    identification.validate : makes it
+    identification.validate : compute these errors
 
     Examples
     --------
@@ -129,8 +128,8 @@ def validate(log: Log | Sequence[Log], **options: Any) -> Validation:
     """
     logs = logs_of(log)
     spans = [float(one.t[-1] - one.t[0]) for one in logs]
-    first = [one.between(0.0, _TRAINED * span) for one, span in zip(logs, spans, strict=True)]
-    last = [one.between(_TRAINED * span, span + one.dt) for one, span in zip(logs, spans, strict=True)]
+    first = [one.between(0.0, TRAINED * span) for one, span in zip(logs, spans, strict=True)]
+    last = [one.between(TRAINED * span, span + one.dt) for one, span in zip(logs, spans, strict=True)]
     found = identify_velocity(first, **options)
     model = found.model
     trained, held = (runs_of(part, model.is_pose) for part in (first, last))
@@ -144,12 +143,11 @@ def validate(log: Log | Sequence[Log], **options: Any) -> Validation:
     horizons = np.maximum(every, np.rint(np.array(_HORIZONS) / dt)).astype(int)
     shifts = np.unique(np.linspace(0, horizons[-1], _STARTS, endpoint=False).astype(int)).tolist()
     shifted = [part._replace(start=part.start + more) for part in parts for more in shifts]
-    names, units = (*CHANNELS, "distance", "heading"), ("m/s", "rad/s", "m", "rad")
-    count = len(names) if model.is_pose else len(CHANNELS)
+    columns = CHANNELS | ({"distance": "m", "heading": "rad"} if model.is_pose else {})
     rms = {
         n: _errors(each, p, shifted, horizons, every, n == "kinematics") for n, (each, p) in models.items()
     }
-    return Validation(horizons * dt, names[:count], units[:count], rms, found)
+    return Validation(horizons * dt, tuple(columns), tuple(columns.values()), rms, found)
 
 
 def _of_lags(model: VelocityModel, lags: list[Lag]) -> tuple[VelocityModel, Array]:

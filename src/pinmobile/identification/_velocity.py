@@ -22,23 +22,23 @@ from pinmobile.identification._commands import (
     channels_of,
     check_explained,
     explained_parts,
+    format_left_out,
     lead_of,
-    left_out_in_words,
+    parts_of,
     runs_of,
     segments_of,
-    whole,
 )
 from pinmobile.identification._estimates import Identification
 from pinmobile.identification._estimator import Fit, Whiteness, jackknife, solve, solve_robustly, white_of
 from pinmobile.identification._lag import Lag
-from pinmobile.identification._log import Log, continuous, logs_of, unused
+from pinmobile.identification._log import Log, logs_of, unused
 from pinmobile.identification._simulation import Segments, simulate
 from pinmobile.identification._velocity_model import MOST, STEEPEST, VelocityModel
 from pinmobile.identification._velocity_robot import THETA, VelocityRobot
 
 _MANY = 30_000  # samples of the segments that begin the search
 _LONGER = 3  # ratio of successive lengths of segments
-_TRAINED = 2 / 3  # share of a log before the hold-out
+TRAINED = 2 / 3  # share of a log before the hold-out
 _TOGETHER = 0.2  # largest correlation of successive residuals that counts as noise
 _DIFFERENT = 4.0  # standard deviations by which results for two lengths of segments differ
 _SURE = 2.0  # standard deviations by which a negative delay is reported
@@ -138,7 +138,7 @@ def identify_velocity(
         "ahead": bounded("ahead", far, least=-_FARTHEST, most=_FARTHEST, unit="m"),
         **dict(zip(STEEPEST + MOST, [*most.accelerations.tolist(), *most.limits.tolist()], strict=True)),
     }
-    parts = whole(runs)
+    parts = parts_of(runs)
     for _ in range(_ROUNDS):  # what other drivers did hides the limits
         known = None if delay is None else round(late / dt)
         lags = [each.lag(lead, known) for each in channels_of(parts)]
@@ -151,7 +151,8 @@ def identify_velocity(
     model = VelocityModel(tuple(order), given, lead, dt, is_pose)
     tried = list(_tried(model, parts, _start(model, lags)))
     best = min(tried, key=lambda each: (each.lost.sum(), each.size)) if is_pose else tried[-1]
-    remarks = [left_out_in_words(runs, parts), _compared(model, tried[0], best)]
+    differ = _compared(model, *(tried[0], best) if best is not tried[0] else (best, tried[-1]))
+    remarks = [format_left_out(runs, parts), differ]
     useless = [n for n, lost in zip(model.free, best.lost[6:], strict=True) if lost and n in STEEPEST + MOST]
     if useless:
         model, best = _without(useless, model, parts, best)
@@ -197,13 +198,13 @@ def identify_velocity(
         dt=dt,
         seconds=min(best.seconds, max(b - a for _, a, b in parts) * dt),
         outliers=int((best.segments.good & ~good).sum()),
-        dropped=sum(one.dropped + unused(one, continuous(one, "log", sensor), sensor) for one in logs),
+        dropped=sum(one.dropped + unused(one, sensor) for one in logs),
         samples=int(good.sum()),
         segments=len(good),
         noise=np.sqrt(square),
         residual=np.sqrt(square),
         whiteness=white,
-        is_noise=bool(np.abs(white.correlation).max() <= _TOGETHER),
+        is_noise=bool(np.abs(white.correlation).max() <= _TOGETHER) and not differ,
         explained=min((share for share, _ in free_run.values()), default=1.0),
         free_run=MappingProxyType(free_run),
         remarks=tuple(filter(None, remarks)),
@@ -294,20 +295,18 @@ def _without(
     return less, _Tried.of(less, parts, best.seconds, best.fit.p[kept])
 
 
-def _compared(model: VelocityModel, short: _Tried, best: _Tried) -> str:
-    """Return a note on numbers that depend on the length of the segments."""
-    if best is short:
-        return ""
-    wide, narrow = np.diag(short.covariance), np.diag(best.covariance)
-    spread = np.sqrt(np.maximum(wide - narrow, 0.3 * wide))
-    off = np.abs(short.fit.p - best.fit.p) > _DIFFERENT * spread
-    rows = zip(model.quantities, short.fit.p, best.fit.p, off & ~(short.lost | best.lost), strict=True)
-    told = ", ".join(f"{one.name} {a:.3g} and {b:.3g}" for one, a, b, differs in rows if differs)
-    why = (
-        f"estimates from segments of {short.seconds:g} s and of {best.seconds:g} s differ: {told}: the "
+def _compared(model: VelocityModel, short: _Tried, long: _Tried) -> str:
+    """Return a note on numbers that depend on the length of the segments; "" if there are none."""
+    wide, narrow = np.diag(short.covariance), np.diag(long.covariance)
+    deviation = np.sqrt(np.maximum(wide - narrow, 0.3 * wide))
+    off = np.abs(short.fit.p - long.fit.p) > _DIFFERENT * deviation
+    rows = zip(model.quantities, short.fit.p, long.fit.p, off & ~(short.lost | long.lost), strict=True)
+    listed = ", ".join(f"{one.name} {a:.3g} and {b:.3g}" for one, a, b, differs in rows if differs)
+    note = (
+        f"estimates from segments of {short.seconds:.3g} s and of {long.seconds:.3g} s differ: {listed}: the "
         "structure of the model is wrong, and the intervals are not valid"
     )
-    return why if told else ""
+    return note if listed else ""
 
 
 def _check_changes(runs: Sequence[Run]) -> None:
@@ -320,7 +319,7 @@ def _check_changes(runs: Sequence[Run]) -> None:
             f"s, expected at least {LEAST_BLOCKS} for valid intervals: a log of "
             f"{(LEAST_BLOCKS + 0.5) * BLOCK:g} s or more"
         )
-    if not any(channel.moves for channel in channels_of(whole(runs))):
+    if not any(channel.moves for channel in channels_of(parts_of(runs))):
         raise InvalidArgument("log has constant commands, expected changing commands, such as RandomSteps")
 
 
@@ -339,7 +338,7 @@ def _start(model: VelocityModel, lags: Sequence[Lag]) -> Array:
 
 def _free_run(model: VelocityModel, parts: Sequence[Part], best: _Tried) -> dict[str, tuple[float, float]]:
     """Return R^2 of free runs by channel: of the log, and of its last third for a fit to the rest."""
-    train = _first(parts, round(_TRAINED * sum(b - a for _, a, b in parts)))
+    train = _first(parts, round(TRAINED * sum(b - a for _, a, b in parts)))
     rest = [part._replace(start=train[-1].stop) for part in parts[len(train) - 1 : len(train)]]
     test = [part for part in (*rest, *parts[len(train) :]) if part.stop > part.start]
     before = _explained(model, best.fit.p, parts)
@@ -354,7 +353,7 @@ def _free_run(model: VelocityModel, parts: Sequence[Part], best: _Tried) -> dict
             white=white_of(left),
         )
         after = _explained(model, fit.p, test)
-    except (InvalidArgument, np.linalg.LinAlgError, ValueError):
+    except ValueError:  # too short, or the fit has no solution
         after = np.full(2, np.nan)
     rows = zip(CHANNELS, before.tolist(), after.tolist(), channels_of(parts), strict=True)
     return {name: (one, other) for name, one, other, channel in rows if channel.moves}

@@ -86,7 +86,7 @@ class VelocityModel:
     @property
     def measured(self) -> tuple[tuple[str, str], ...]:
         """Names and units of the measurements."""
-        return POSE if self.is_pose else tuple(zip(CHANNELS, ("m/s", "rad/s"), strict=True))
+        return POSE if self.is_pose else tuple(CHANNELS.items())
 
     def sizes(self, p: Array) -> Array:
         """Return the typical sizes of numbers near p, shape (P,)."""
@@ -194,5 +194,5 @@ class VelocityModel:
         """Return the lags of speed and yaw rate without coupling."""
         others = {name: float(x[0]) for name, x in self.others(p[None]).items()}
         late = max(0, round(others["delay"] / self.dt))
-        pairs = zip((0, 1), (3, 5), MOST, strict=True)
-        return [Lag(1 / p[b], p[a] / p[b], late, others[name]) for a, b, name in pairs]
+        pairs = zip((0, 1), (3, 5), MOST, STEEPEST, strict=True)
+        return [Lag(1 / p[b], p[a] / p[b], late, others[most], others[top]) for a, b, most, top in pairs]
