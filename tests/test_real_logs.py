@@ -1,7 +1,7 @@
 """Logs with the difficulties of real robots, of which the true values are known."""
 
 from functools import cache
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -221,7 +221,7 @@ def test_a_log_is_shown_beside_its_model() -> None:
     ("call", "text"),
     [
         (
-            lambda t, u, nu: pm.Log.from_streams(t, None, t, None, twist=nu),
+            lambda t, u, nu: pm.Log.from_streams(t, None, t, cast(Any, None), twist=nu),
             "^u is None, expected real numbers$",
         ),
         (
