@@ -20,7 +20,7 @@ from pinmobile.controllers.kinematic_laws import (
 from pinmobile.errors import InvalidArgument
 from pinmobile.parts import (
     Child,
-    Commanded,
+    Driven,
     Electric,
     Powered,
     Tabled,
@@ -254,8 +254,8 @@ class VelocityCommand:
     law : kinematic law
         Law from tracking error to speed and yaw rate, such as `UnicycleTracking`, which states its conditions
         on the reference.
-    robot : VelocityRobot
-        Controller model, which defines the position of the axle.
+    robot : VelocityRobot or VelocityCar
+        Controller model, which defines the position of the axle, and the steering angles of a car.
 
     Raises
     ------
@@ -265,6 +265,7 @@ class VelocityCommand:
     See Also
     --------
     VelocityRobot : plant whose input is speed and yaw rate
+    identification.VelocityCar : plant whose input is speed and steering angle
     UnicycleTracking : a kinematic law
     Backstepping : law that compensates the robot's dynamics
     controllers.AdaptiveVelocity : law that estimates the robot's parameters
@@ -283,7 +284,7 @@ class VelocityCommand:
     """
 
     law: Any = child(KinematicLaw, doc="kinematic law", expected=LAW)
-    robot: Any = child(Commanded, doc="model of the controller")
+    robot: Any = child(Driven, doc="model of the controller")
 
     def check(self) -> None:
         """Raise `InvalidArgument` if the law is not callable as a kinematic law."""
@@ -300,12 +301,11 @@ class VelocityCommand:
         return self.law.initial_state(context)
 
     def __call__(self, t: float, q: Array, v: Array, reference: State, state: Any) -> tuple[Array, Any]:
-        """Return the commands, shape (..., 2) [m/s, rad/s], and the law's next state."""
+        """Return the commands, shape (..., 2) [m/s, rad/s or rad], and the law's next state."""
         own = self.robot.independent(q, v)[..., 0]
         known, _ = tracked(self.robot, self.robot.axle, q, v, reference, own)
         (speed, yaw_rate), state = self.law(known, state)
-        wanted = value_of(speed), value_of(yaw_rate)
-        return np.stack(np.broadcast_arrays(*wanted), axis=-1), state
+        return self.robot.command_for(value_of(speed), value_of(yaw_rate)), state
 
 
 @final

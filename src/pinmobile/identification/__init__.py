@@ -6,6 +6,7 @@ from pinmobile.identification._identify import METHODS as METHODS, identify
 from pinmobile.identification._log import Log
 from pinmobile.identification._validation import Validation, validate
 from pinmobile.identification._velocity import identify_velocity
+from pinmobile.identification._velocity_car import VelocityCar
 from pinmobile.identification._velocity_robot import VELOCITY_ROBOTS, VelocityRobot
 
 __all__ = [
@@ -15,6 +16,7 @@ __all__ = [
     "Log",
     "Prediction",
     "Validation",
+    "VelocityCar",
     "VelocityRobot",
     "excitation",
     "identify",

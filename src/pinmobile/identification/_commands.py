@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -16,11 +16,14 @@ from pinmobile.identification._log import Log, check_units, continuous
 from pinmobile.identification._simulation import Segments
 
 CHANNELS = {"speed": "m/s", "yaw rate": "rad/s"}  # names and units
+CAR_COMMANDS = {"speed": "m/s", "steering angle": "rad"}
 LEAST_BLOCKS = 20  # smallest number of blocks of the jackknife
 BLOCK, _LONG_BLOCK = 2.0, 5.0  # [s], their length: the longest that a log allows
 _LATEST, _MOST_LATE = 0.6, 60  # largest delay [s] and [samples]
 _LEAST = 0.3  # smallest explained share of the motion
 _MOST_UNEXPLAINED = 0.5  # largest share of a log under other control
+_USUAL, _SLOW = 0.9, 0.3  # quantile of the usual speed, and the share of it from which curvatures are known
+_STEEPEST = 1.3  # [rad], steering commands beyond it have no curvature
 
 
 class Run(NamedTuple):
@@ -42,6 +45,11 @@ class Run(NamedTuple):
         Rows with a measurement.
     nu : ndarray, shape (N, 2)
         Speed and yaw rate, filtered if poses are measured.
+    state : ndarray, shape (N, n)
+        First estimates of the states of the model, without a pose: `nu`, or for a car its speed, steering
+        angle and steering rate.
+    is_car : bool
+        Whether the second command is a steering angle.
     """
 
     log: int
@@ -52,6 +60,8 @@ class Run(NamedTuple):
     calm: Array
     seen: NDArray[np.bool_]
     nu: Array
+    state: Array
+    is_car: bool
 
 
 class Part(NamedTuple):
@@ -62,7 +72,7 @@ class Part(NamedTuple):
     stop: int
 
 
-def runs_of(logs: list[Log], is_pose: bool) -> list[Run]:
+def runs_of(logs: list[Log], is_pose: bool, is_car: bool) -> list[Run]:
     """Return the checked logs at equal time steps."""
     for one in logs:
         if one.u.shape[1] != 2:
@@ -70,7 +80,7 @@ def runs_of(logs: list[Log], is_pose: bool) -> list[Run]:
                 f"log has {one.u.shape[1]} inputs, expected two, commands of speed and yaw rate: for forces, "
                 "torques or voltages use identify; commands of sideways speeds are not identified"
             )
-        check_units(one, "log", CHANNELS)
+        check_units(one, "log", CAR_COMMANDS if is_car else CHANNELS)
     if any((one.twist is None) != is_pose for one in logs):
         raise InvalidArgument("log has a twist, and another log has none, expected a twist in all or in none")
     name, found = "q" if is_pose else "twist", []
@@ -84,7 +94,9 @@ def runs_of(logs: list[Log], is_pose: bool) -> list[Run]:
             y = np.asarray(run.q)
             calm, _, _ = without_outliers(y, run.seen, run.dt, FINEST)
             nu = twist_of(calm, run.dt)[:, [0, 2]]
-        found.append(Run(k, float(part.t[0] - logs[k].t[0]), run.dt, run.u, y, calm, run.seen, nu))
+        state = np.column_stack([nu[:, 0], run.u[:, 1], 0 * nu[:, 0]]) if is_car else nu
+        start = float(part.t[0] - logs[k].t[0])
+        found.append(Run(k, start, run.dt, run.u, y, calm, run.seen, nu, state, is_car))
     return found
 
 
@@ -107,14 +119,21 @@ def parts_of(runs: Sequence[Run]) -> list[Part]:
 
 
 def channels_of(parts: Sequence[Part]) -> list[Channel]:
-    """Return commands and motion of speed and yaw rate."""
+    """Return commands and motion of speed and yaw rate, or for a car of speed and curvature."""
+    dt, names = parts[0].run.dt, [*CHANNELS]
+    commands = [run.u[a:b] for run, a, b in parts]
+    motions = [np.where(run.seen[:, None], run.nu, np.nan)[a:b] for run, a, b in parts]
+    is_car = parts[0].run.is_car
+    if is_car:
+        names[1] = "curvature"
+        slow = _SLOW * np.nanquantile(np.abs(np.concatenate(motions)[:, 0]), _USUAL)
+        wheels = [np.tan(np.clip(u[:, 1], -_STEEPEST, _STEEPEST)) for u in commands]
+        commands = [np.column_stack([u[:, 0], wheel]) for u, wheel in zip(commands, wheels, strict=True)]
+        fast = [np.where(np.abs(nu[:, 0]) > slow, nu[:, 0], np.nan) for nu in motions]
+        motions = [np.column_stack([nu[:, 0], nu[:, 1] / v]) for nu, v in zip(motions, fast, strict=True)]
     return [
-        Channel(
-            [run.u[a:b, k] for run, a, b in parts],
-            [np.where(run.seen, run.nu[:, k], np.nan)[a:b] for run, a, b in parts],
-            parts[0].run.dt,
-        )
-        for k in range(2)
+        Channel(name, [u[:, k] for u in commands], [y[:, k] for y in motions], dt, is_car and k == 1)
+        for k, name in enumerate(names)
     ]
 
 
@@ -133,29 +152,30 @@ def explained_parts(runs: Sequence[Run], lags: Sequence[Lag], least: float = _LE
         found += [Part(run, a, b) for a, b in edges.tolist() if (b - a) * run.dt > BLOCK]
     left_out = 1 - _samples(found) / _samples(parts_of(runs))
     pairs = zip(channels_of(found) if found else channels, lags, strict=True)
-    check_explained([channel.share(lag) for channel, lag in pairs], lags, runs[0].dt, left_out, least)
+    shares = {channel.name: channel.share(lag) for channel, lag in pairs}
+    check_explained(shares, lags, runs[0].dt, left_out, least)
     return found
 
 
 def check_explained(
-    shares: Sequence[float | None],
+    shares: Mapping[str, float | None],
     lags: Sequence[Lag],
     dt: float,
     left_out: float = 0.0,
     least: float = _LEAST,
 ) -> None:
-    """Reject commands that explain too small shares of speed and yaw rate, or nothing in most of the log.
+    """Reject commands that explain too small shares of the motion by channel, or nothing in most of the log.
 
     The share of a channel with constant commands is None.
     """
-    if left_out <= _MOST_UNEXPLAINED and all(share is None or share >= least for share in shares):
+    if left_out <= _MOST_UNEXPLAINED and all(share is None or share >= least for share in shares.values()):
         return
     found = " and ".join(
         f"nothing of the {name}, whose command is constant"
         if share is None
         else f"{max(share, 0.0):.0%} of the {name} (delay {1e3 * lag.late * dt:.3g} ms, gain {lag.gain:.3g}, "
         f"time constant {lag.tau:.2g} s)"
-        for name, share, lag in zip(CHANNELS, shares, lags, strict=True)
+        for (name, share), lag in zip(shares.items(), lags, strict=True)
     )
     where = f" nothing in {left_out:.0%} of the log, and in the rest" * (left_out > _MOST_UNEXPLAINED)
     raise InvalidArgument(
@@ -201,7 +221,7 @@ def segments_of(
         least = max(3.0, 0.5 * min(length, block) * run.seen.mean())
         kept = (inside.sum(axis=1) >= least) & (filled | (at[:, -1] < b))
         at, inside = np.minimum(at[kept], N - 1), inside[kept]
-        states = np.concatenate([run.nu, run.calm] if is_pose else [run.nu], axis=-1)
+        states = np.concatenate([run.state, run.calm] if is_pose else [run.state], axis=-1)
         near = np.clip(at[:, :1] - lead - 1 + np.arange(lead + 1 + length + 1), 0, N - 1)
         times, noise, load = np.full(len(at), dt), np.ones((len(at), run.y.shape[1])), np.zeros((len(at), 4))
         start = states[at[:, 0]]

@@ -21,11 +21,12 @@ _RAMPED = np.array([0.1, 0.3, 1.0])  # tried time constants, as shares of that w
 _LONGEST = 20_000  # rows of the search for a limit of acceleration
 _SECTION = 3.0  # [s], shortest section under other control
 _UNEXPLAINED = 0.7  # square of the residual per square of motion or command in such a section
+_OFFSETS = 2  # rounds that estimate an offset
 _MOVES = 0.2  # smallest residual in such a section, as a share of the usual motion
 
 
 class Lag(NamedTuple):
-    """Lag of one channel: y' = (gain * clip(u, +-limit) - y) / tau, with u delayed by `late` samples.
+    """Lag of one channel: y' = (gain * clip(u, +-limit) + offset - y) / tau, with u `late` samples late.
 
     `steepest` limits the absolute value of y'. `cost` is the mean absolute residual.
     """
@@ -36,11 +37,12 @@ class Lag(NamedTuple):
     limit: float
     steepest: float = np.inf
     cost: float = 0.0
+    offset: float = 0.0
 
     def given(self, u: Array) -> Array:
         """Return the motion that commands u, shape (N,), would have without the lag."""
         late = np.concatenate([np.full(self.late, u[0]), u])[: len(u)]
-        return np.asarray(self.gain * np.clip(late, -self.limit, self.limit))
+        return np.asarray(self.gain * np.clip(late, -self.limit, self.limit) + self.offset)
 
     def response(self, u: Array, dt: float) -> Array:
         """Return the motion for commands u, shape (N,), from the steady motion of the first."""
@@ -62,17 +64,30 @@ def _ramped(given: Array, dt: float, tau: Array, steepest: Array) -> Array:
 
 
 class Channel(NamedTuple):
-    """Commands and motion of one channel, of several logs with one time step; NaN where not measured."""
+    """Commands and motion of one channel, of several logs with one time step; NaN where not measured.
 
+    `name` is that of the motion. If `shifts`, the motion may have an offset.
+    """
+
+    name: str
     u: Sequence[Array]
     y: Sequence[Array]
     dt: float
+    shifts: bool = False
 
     def lag(self, lead: int, late: int | None = None) -> Lag:
         """Return the lag with the least absolute residuals; default: of all delays below `lead` samples."""
         delays = range(lead) if late is None else [late]
         if not self.moves:
             return Lag(0.0, _SLOWEST, 0, np.inf)
+        found, offset = self._lag(delays), 0.0
+        for _ in range(_OFFSETS * self.shifts):
+            left = [y - found.response(u, self.dt) for u, y in zip(self.u, self.y, strict=True)]
+            offset += float(np.nanmedian(np.concatenate(left)))
+            found = self._replace(y=[y - offset for y in self.y])._lag(delays)
+        return found._replace(offset=offset)
+
+    def _lag(self, delays: Sequence[int]) -> Lag:
         most = max(float(np.abs(u).max()) for u in self.u)
         taus = np.geomspace(0.3 * self.dt, max(_SLOWEST, self.dt), _TAUS)
         best = self._best([(tau, late, np.inf) for tau in taus for late in delays])

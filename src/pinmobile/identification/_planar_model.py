@@ -111,7 +111,7 @@ class PlanarProblem:
         rubs = any(each.coulomb or each.efficiency < 1 for each in self.model.motors)
         return body, late, _RUBBING_STEP if rubs else _STEP
 
-    def observed(self, segments: Segments, states: Array) -> Array:
+    def observed(self, segments: Segments, states: Array, numbers: Array) -> Array:
         """Return the poses, and rates of wheels where they are measured."""
         if segments.y.shape[-1] == 3:
             return states[..., :3]

@@ -135,8 +135,8 @@ class Model(Protocol):
     def resolved(self, segments: Segments, p: Array) -> tuple[Array, Array, float]:
         """Return numbers (V, 1 or S, k) for `rates`, delays (V,) [samples] and the longest time step [s]."""
 
-    def observed(self, segments: Segments, states: Array) -> Array:
-        """Return the measurements, shape (..., m), of states, shape (..., n)."""
+    def observed(self, segments: Segments, states: Array, numbers: Array) -> Array:
+        """Return the measurements, shape (V, S, L, m), of states, shape (V, S, L, n)."""
 
     def is_possible(self, p: Array) -> bool:
         """Return whether a robot can have the numbers p."""
@@ -209,7 +209,7 @@ def simulate(model: Model, segments: Segments, p: Array, starts: Array) -> Array
         np.broadcast_to(u, (K, V, S, 2 * m)).reshape(K, V * S, 2 * m),
         each.reshape(V * S, -1),
     )
-    return model.observed(segments, states.reshape(V, S, K + 1, n))
+    return model.observed(segments, states.reshape(V, S, K + 1, n), numbers)
 
 
 def linearize(model: Model, segments: Segments, p: Array, starts: Array) -> tuple[Array, Array]:

@@ -22,7 +22,7 @@ from pinmobile.identification._lag import Lag
 from pinmobile.identification._log import Log, logs_of
 from pinmobile.identification._simulation import simulate
 from pinmobile.identification._velocity import TRAINED, identify_velocity
-from pinmobile.identification._velocity_model import MOST, STEEPEST, VelocityModel
+from pinmobile.identification._velocity_model import VelocityModel
 
 _HORIZONS = 0.1, 2.0, 5.0  # [s]
 _STARTS = 10  # predictions that start within the longest horizon
@@ -132,12 +132,12 @@ def validate(log: Log | Sequence[Log], **options: Any) -> Validation:
     last = [one.between(TRAINED * span, span + one.dt) for one, span in zip(logs, spans, strict=True)]
     found = identify_velocity(first, **options)
     model = found.model
-    trained, held = (runs_of(part, model.is_pose) for part in (first, last))
+    trained, held = (runs_of(part, model.is_pose, model.is_car) for part in (first, last))
     lags = [each.lag(model.lead) for each in channels_of(explained_parts(trained, model.lags(found.phi)))]
     parts = explained_parts(held, model.lags(found.phi), least=-np.inf)  # also of a poor model
     dt = held[0].dt
     quick = Lag(1.0, _AT_ONCE * dt, 0, np.inf)
-    models = {"kinematics": _of_lags(model, [quick, quick]), "lag": _of_lags(model, lags)}
+    models = {"kinematics": model.of_lags([quick, quick]), "lag": model.of_lags(lags)}
     models["identified"] = model, found.phi
     every = round(1 / float(held[0].seen.mean()))
     horizons = np.maximum(every, np.rint(np.array(_HORIZONS) / dt)).astype(int)
@@ -148,16 +148,6 @@ def validate(log: Log | Sequence[Log], **options: Any) -> Validation:
         n: _errors(each, p, shifted, horizons, every, n == "kinematics") for n, (each, p) in models.items()
     }
     return Validation(horizons * dt, tuple(columns), tuple(columns.values()), rms, found)
-
-
-def _of_lags(model: VelocityModel, lags: list[Lag]) -> tuple[VelocityModel, Array]:
-    """Return the model without coupling, with the delays and limits of lags."""
-    given = {"ahead": 0.0, "delay": model.dt * float(np.mean([lag.late for lag in lags]))}
-    for steepest, largest, lag in zip(STEEPEST, MOST, lags, strict=True):
-        given |= {steepest: lag.steepest, largest: lag.limit}
-    lags = [lag if lag.gain > 0 else lag._replace(gain=1.0) for lag in lags]
-    (a, b), (g, h) = ([lag.tau / lag.gain for lag in lags], [1 / lag.gain for lag in lags])
-    return replace(model, free=(), given=given), np.array([a, b, 0.0, g, 0.0, h])
 
 
 def _errors(
@@ -176,6 +166,7 @@ def _squares(
     model: VelocityModel, p: Array, parts: list[Part], horizons: Array, every: int, at_once: bool
 ) -> Array:
     """Return the squared errors of segments at the last measurement before each horizon, shape (S, H, m)."""
+    parts = model.started(parts, p)
     segments, _ = segments_of(parts, model.lead, (int(horizons[-1]) + 1) * model.dt, filled=False)
     starts = segments.start.copy()
     if at_once:

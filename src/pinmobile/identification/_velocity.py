@@ -10,8 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pinmobile.arrays import Array, ArrayLike, bounded, scalar
+from pinmobile.arrays import Array, ArrayLike, bounded, positive, scalar
 from pinmobile.errors import InvalidArgument
+from pinmobile.identification._car_model import CarModel
 from pinmobile.identification._commands import (
     BLOCK,
     CHANNELS,
@@ -30,11 +31,10 @@ from pinmobile.identification._commands import (
 )
 from pinmobile.identification._estimates import Identification
 from pinmobile.identification._estimator import Fit, Whiteness, jackknife, solve, solve_robustly, white_of
-from pinmobile.identification._lag import Lag
 from pinmobile.identification._log import Log, logs_of, unused
 from pinmobile.identification._simulation import Segments, simulate
-from pinmobile.identification._velocity_model import MOST, STEEPEST, VelocityModel
-from pinmobile.identification._velocity_robot import THETA, VelocityRobot
+from pinmobile.identification._velocity_model import VelocityModel
+from pinmobile.identification._velocity_robot import VelocityRobot
 
 _MANY = 30_000  # samples of the segments that begin the search
 _LONGER = 3  # ratio of successive lengths of segments
@@ -46,7 +46,6 @@ _EARLY = 0.9  # samples by which it is reported in any case: the search ends at 
 _ROUNDS = 2  # of lags and of parts that they explain
 _POOR = 0.5  # R^2 of a hold-out below which a note follows
 _WASTE = 3.0  # largest number of samples in segments of unequal parts, per sample
-_GAINS = 0.1, 10.0  # range of the command per steady speed or yaw rate
 _FARTHEST = 10.0  # [m]: largest distance ahead of the axle
 
 
@@ -57,6 +56,7 @@ def identify_velocity(
     ahead: float | None = 0.0,
     accelerations: ArrayLike | None = None,
     limits: ArrayLike | None = None,
+    wheelbase: float | None = None,
 ) -> Identification:
     """Estimate theta of a `VelocityRobot` from a log of its commands and its motion.
 
@@ -120,40 +120,45 @@ def identify_velocity(
     array([0.4, 0.3])
     """
     logs = logs_of(log)
-    is_pose = logs[0].twist is None
+    is_pose, is_car = logs[0].twist is None, wheelbase is not None or logs[0].units[1:] == ("rad",)
     sensor = "q" if is_pose else "twist"
-    runs = runs_of(logs, is_pose)
+    runs = runs_of(logs, is_pose, is_car)
     dt, lead = runs[0].dt, lead_of(runs)
     if ahead is None and not is_pose:
         raise InvalidArgument("ahead is None, expected a number [m]: a log of twists does not identify it")
     _check_changes(runs)
+    late, far = (scalar(name, 0.0 if x is None else x) for name, x in (("delay", delay), ("ahead", ahead)))
+    given = {
+        "delay": bounded("delay", late, least=0, most=lead * dt, unit="s"),
+        "ahead": bounded("ahead", far, least=-_FARTHEST, most=_FARTHEST, unit="m"),
+    }
+    if wheelbase is not None:
+        given["wheelbase"] = positive("wheelbase", wheelbase, "m")
+    model = (CarModel if is_car else VelocityModel)((), given, lead, dt, is_pose)
     most = VelocityRobot(
         np.ones(6),
         limits=np.inf if limits is None else limits,
         accelerations=np.inf if accelerations is None else accelerations,
     )
-    late, far = (scalar(name, 0.0 if x is None else x) for name, x in (("delay", delay), ("ahead", ahead)))
-    given = {
-        "delay": bounded("delay", late, least=0, most=lead * dt, unit="s"),
-        "ahead": bounded("ahead", far, least=-_FARTHEST, most=_FARTHEST, unit="m"),
-        **dict(zip(STEEPEST + MOST, [*most.accelerations.tolist(), *most.limits.tolist()], strict=True)),
-    }
+    given |= dict(zip(model.limits(), [*most.accelerations.tolist(), *most.limits.tolist()], strict=True))
     parts = parts_of(runs)
     for _ in range(_ROUNDS):  # what other drivers did hides the limits
-        known = None if delay is None else round(late / dt)
-        lags = [each.lag(lead, known) for each in channels_of(parts)]
+        lags = [each.lag(lead, None if delay is None else round(late / dt)) for each in channels_of(parts)]
         parts = explained_parts(runs, lags)
-    sought = {"delay": delay is None, "ahead": ahead is None}
-    for steepest, largest, lag in zip(STEEPEST, MOST, lags, strict=True):
-        sought[steepest] = accelerations is None and np.isfinite(lag.steepest)
-        sought[largest] = limits is None and np.isfinite(lag.limit)
-    order = [name for name in ("delay", "ahead", *STEEPEST, *MOST) if sought[name]]
-    model = VelocityModel(tuple(order), given, lead, dt, is_pose)
-    tried = list(_tried(model, parts, _start(model, lags)))
+    sought, seen = {"delay": delay is None, "ahead": ahead is None}, model.limits_of(lags)
+    for name, known in zip(model.limits(), (accelerations, accelerations, limits, limits), strict=True):
+        sought[name] = known is None and np.isfinite(seen[name])
+    order = [name for name, is_sought in sought.items() if is_sought]
+    guess = {"delay": dt * float(np.mean([lag.late for lag in lags if lag.gain] or [0])), "ahead": 0.0} | seen
+    start = np.append(model.start(lags), [guess[name] for name in order])
+    model = replace(model, free=tuple(order))
+    left_out, parts = format_left_out(runs, parts), model.started(parts, start)
+    tried = list(_tried(model, parts, start))
     best = min(tried, key=lambda each: (each.lost.sum(), each.size)) if is_pose else tried[-1]
     differ = _compared(model, *(tried[0], best) if best is not tried[0] else (best, tried[-1]))
-    remarks = [format_left_out(runs, parts), differ]
-    useless = [n for n, lost in zip(model.free, best.lost[6:], strict=True) if lost and n in STEEPEST + MOST]
+    remarks = [left_out, differ]
+    limited = model.limits()
+    useless = [n for n, lost in zip(model.free, best.lost[6:], strict=True) if lost and n in limited]
     if useless:
         model, best = _without(useless, model, parts, best)
     if "delay" in model.free and best.fit.p[6] < 0:
@@ -170,17 +175,12 @@ def identify_velocity(
         best = best._replace(fit=best.fit._replace(p=p))  # the covariance contains that of the delay
     found, lost, p = best.fit, best.lost, best.fit.p
     free_run = _free_run(model, parts, best)
-    check_explained([free_run.get(name, (None,))[0] for name in CHANNELS], lags, dt)
+    check_explained({name: free_run.get(name, (None,))[0] for name in CHANNELS}, lags, dt)
     poor = [name for name, (_, after) in free_run.items() if after < _POOR]
     if poor:
         named = " and the ".join(poor)
         remarks.append(f"the model does not predict the {named} of the hold-out: do not use it elsewhere")
-    for k in (3, 5):
-        if not (lost[k] or _GAINS[0] < p[k] < _GAINS[1]):
-            raise InvalidArgument(
-                f"log leads to {THETA[k][0]} = {p[k]:.3g} ({THETA[k][2].partition(':')[0]}), expected "
-                "about 1: are commands in m/s and rad/s, positions in metres and psi in radians?"
-            )
+    model.check(p, lost)
     listed = ", ".join(one.name for one, is_so in zip(model.quantities, lost, strict=True) if is_so)
     good, square = found.good, (found.near.residual[found.good] ** 2).mean(axis=0)
     rank, white = int((~lost).sum()), Whiteness.of(found.near.residual * good[..., None], good)
@@ -321,19 +321,6 @@ def _check_changes(runs: Sequence[Run]) -> None:
         )
     if not any(channel.moves for channel in channels_of(parts_of(runs))):
         raise InvalidArgument("log has constant commands, expected changing commands, such as RandomSteps")
-
-
-def _start(model: VelocityModel, lags: Sequence[Lag]) -> Array:
-    """Return first estimates, shape (P,), from the lags of speed and yaw rate."""
-    theta = np.array([0.3, 0.3, 0.0, 1.0, 0.0, 1.0])
-    for a, b, lag in zip((0, 1), (3, 5), lags, strict=True):
-        if lag.gain > 0:
-            theta[[a, b]] = lag.tau / lag.gain, 1 / lag.gain
-    late = [lag.late for lag in lags if lag.gain > 0] or [0]
-    known = {"delay": model.dt * np.mean(late), "ahead": 0.0}
-    for names, lag in zip(zip(STEEPEST, MOST, strict=True), lags, strict=True):
-        known |= dict(zip(names, (lag.steepest, lag.limit), strict=True))
-    return np.append(theta, [known[name] for name in model.free])
 
 
 def _free_run(model: VelocityModel, parts: Sequence[Part], best: _Tried) -> dict[str, tuple[float, float]]:

@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, bounded, scalar
-from pinmobile.identification._commands import BLOCK, CHANNELS, explained_parts, lead_of, runs_of, segments_of
+from pinmobile.errors import InvalidArgument
+from pinmobile.identification._commands import (
+    BLOCK,
+    CHANNELS,
+    Part,
+    explained_parts,
+    lead_of,
+    runs_of,
+    segments_of,
+)
 from pinmobile.identification._estimates import Identification, check_identifiable
 from pinmobile.identification._estimator import solve_robustly
 from pinmobile.identification._lag import Lag
@@ -26,24 +36,26 @@ _FINE = 0.3  # longest time step of the integrator, as a share of the shortest t
 _BENDS = 4  # factor on the number of steps where a limit of acceleration may end within a step
 _MOST_STEPS = 40  # largest number of steps per sample
 _SLOPE = 1e-4  # step of differences, as a share of the size of a number
-STEEPEST = "acceleration", "yaw_acceleration"
-MOST = "largest_speed_command", "largest_yaw_rate_command"
-_OTHERS = {
-    "delay": Quantity("delay", "s", True),
-    "ahead": Quantity("ahead", "m", False, "ahead"),
-    STEEPEST[0]: Quantity(STEEPEST[0], "m/s^2", False, f"accelerations.{STEEPEST[0]}"),
-    STEEPEST[1]: Quantity(STEEPEST[1], "rad/s^2", False, f"accelerations.{STEEPEST[1]}"),
-    MOST[0]: Quantity(MOST[0], "m/s", False),
-    MOST[1]: Quantity(MOST[1], "rad/s", False),
-}
-_SIZES = {  # prior value, typical size (NaN: that of the number), smallest size
-    **dict.fromkeys(("theta_1", "theta_2"), (0.3, np.nan, 1e-6)),
-    **dict.fromkeys(("theta_4", "theta_6"), (1.0, np.nan, 1e-6)),
-    **dict.fromkeys(("theta_3", "theta_5"), (0.0, 1.0, 0.1)),
-    **{"delay": (0.0, 0.3, 0.1), "ahead": (0.0, 1.0, 0.1)},
-    **{STEEPEST[0]: (1.0, np.nan, 1e-3), STEEPEST[1]: (3.0, np.nan, 1e-3)},
-    **dict.fromkeys(MOST, (1.0, np.nan, 1e-3)),
-}
+_GAINS = 0.1, 10.0  # range of the command per steady speed or yaw rate
+
+
+class Sized(NamedTuple):
+    """Number of a model: the identified quantity, its prior value, its typical and its smallest size."""
+
+    quantity: Quantity
+    prior: float
+    size: float = np.nan
+    least: float = 1e-3
+
+
+def _theta() -> Iterator[Sized]:
+    for k, (name, unit, _) in enumerate(THETA):
+        sizes = (_NEUTRAL.get(name, 0.3), np.nan, 1e-6) if k in ABOVE_ZERO else (0.0, 1.0, 0.1)
+        yield Sized(Quantity(name, unit, k in ABOVE_ZERO, f"theta.{name}"), *sizes)
+
+
+DELAY = Sized(Quantity("delay", "s", True), 0.0, 0.3, 0.1)
+AHEAD = Sized(Quantity("ahead", "m", False, "ahead"), 0.0, 1.0, 0.1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,16 +84,36 @@ class VelocityModel:
 
     told_first: ClassVar[int] = 6
     columns: ClassVar[slice] = slice(None)
+    is_car: ClassVar[bool] = False
+    neutral: ClassVar[Mapping[str, float]] = _NEUTRAL
+    first: ClassVar[tuple[Sized, ...]] = tuple(_theta())
+    steepest: ClassVar[tuple[Sized, Sized]] = (
+        Sized(Quantity("acceleration", "m/s^2", False, "accelerations.acceleration"), 1.0),
+        Sized(Quantity("yaw_acceleration", "rad/s^2", False, "accelerations.yaw_acceleration"), 3.0),
+    )
+    most: ClassVar[tuple[Sized, Sized]] = (
+        Sized(Quantity("largest_speed_command", "m/s", False), 1.0),
+        Sized(Quantity("largest_yaw_rate_command", "rad/s", False), 1.0),
+    )
+
+    @classmethod
+    def limits(cls) -> list[str]:
+        """Return the names of the limits: of both rates, then of both commands."""
+        return [one.quantity.name for one in (*cls.steepest, *cls.most)]
 
     @cached_property
+    def _numbers(self) -> list[Sized]:
+        others = {one.quantity.name: one for one in (DELAY, AHEAD, *self.steepest, *self.most)}
+        return [*self.first, *(others[name] for name in self.free)]
+
+    @property
     def quantities(self) -> tuple[Quantity, ...]:
         """Estimated numbers."""
-        theta = [Quantity(n, unit, k in ABOVE_ZERO, f"theta.{n}") for k, (n, unit, _) in enumerate(THETA)]
-        return (*theta, *(_OTHERS[name] for name in self.free))
+        return tuple(one.quantity for one in self._numbers)
 
     @cached_property
     def _sizes(self) -> Array:
-        return np.asarray([_SIZES[one.name] for one in self.quantities]).T
+        return np.asarray([one[1:] for one in self._numbers]).T
 
     @property
     def measured(self) -> tuple[tuple[str, str], ...]:
@@ -102,15 +134,21 @@ class VelocityModel:
         known = {name: np.full(len(p), value) for name, value in self.given.items()}
         return known | {name: p[:, 6 + k] for k, name in enumerate(self.free)}
 
+    def time_constants(self, p: Array) -> Array:
+        """Return the time constants of both channels, shape (..., 2) [s]."""
+        return np.asarray(p[..., :2] / p[..., [3, 5]])
+
     def is_possible(self, p: Array) -> bool:
         """Return whether the numbers p, shape (P,), are possible and the delay is within its range."""
-        late, quickest = self.others(p[None])["delay"][0] / self.dt, (p[:2] / p[[3, 5]]).min()
+        late, quickest = self.others(p[None])["delay"][0] / self.dt, self.time_constants(p).min()
         is_possible = np.isfinite(p).all() and self.are_possible(p) and quickest > _QUICKEST * self.dt
         return bool(is_possible and -1 < late <= self.lead)
 
     def are_possible(self, p: Array) -> Any:
         """Return which numbers, shape (..., P), a robot can have."""
-        above = [k for k, one in enumerate(self.quantities) if k in ABOVE_ZERO or one.name in STEEPEST + MOST]
+        limits = self.limits()
+        above = [k for k, one in enumerate(self.quantities[:6]) if one.bounded]
+        above += [k for k, one in enumerate(self.quantities) if one.name in limits]
         return (p[..., above] > 0).all(axis=-1)
 
     def increments(self, p: Array) -> Array:
@@ -119,12 +157,11 @@ class VelocityModel:
 
     def resolved(self, segments: Segments, p: Array) -> tuple[Array, Array, float]:
         """Return the numbers of the rates, delays [samples] and the longest time step [s]."""
-        others, theta = self.others(p), p[:, :6]
-        numbers = np.column_stack([theta, others["ahead"], *(others[name] for name in STEEPEST + MOST)])[
-            :, None
-        ]
+        others = self.others(p)
+        columns = [p[:, :6], others["ahead"], *(others[name] for name in self.limits())]
+        numbers = np.column_stack(columns)[:, None]
         bends = _BENDS if np.isfinite(numbers[..., 7:9]).any() else 1
-        fastest = bends * (theta[:, [3, 5]] / theta[:, [0, 1]]).max()
+        fastest = bends / self.time_constants(p).min()
         longest = self.dt / float(np.clip(self.dt * fastest / _FINE, 1, _MOST_STEPS))
         return numbers, others["delay"] / self.dt, longest
 
@@ -134,9 +171,13 @@ class VelocityModel:
         faster = rates_of(numbers[:6], numbers[7:9], z[:2], given)
         return np.concatenate([faster, rolling_of(numbers[6], z[2:], z[:2])]) if self.is_pose else faster
 
-    def observed(self, segments: Segments, states: Array) -> Array:
+    def observed(self, segments: Segments, states: Array, numbers: Array) -> Array:
         """Return the measurements: poses, or speed and yaw rate."""
         return states[..., 2:] if self.is_pose else states
+
+    def started(self, parts: Sequence[Part], p: Array) -> list[Part]:
+        """Return parts with the states of a robot with numbers p that are not measured."""
+        return list(parts)
 
     def to_physical(self, p: Array) -> Array:
         """Return the numbers unchanged."""
@@ -155,8 +196,8 @@ class VelocityModel:
         check_identifiable("robot", found.unseen)
         others = {name: float(x[0]) for name, x in self.others(found.phi[None]).items()}
         source = f"identified from {found.samples} samples in {found.segments} segments"
-        steepest, most = ([others[name] for name in names] for names in (STEEPEST, MOST))
-        return VelocityRobot(found.theta, others["ahead"], most, steepest, source=source)
+        limits = [others[name] for name in self.limits()]
+        return VelocityRobot(found.theta, others["ahead"], limits[2:], limits[:2], source=source)
 
     def forces(self, found: Identification) -> list[Any]:
         """Return no forces: theta includes the losses."""
@@ -165,34 +206,83 @@ class VelocityModel:
     def notes(self, found: Identification) -> list[str]:
         """Return notes on numbers that may be neutral, and on numbers that no robot can have."""
         bounds = found.interval()
-        neutral = [n for n, x in _NEUTRAL.items() if bounds[n][0] <= x <= bounds[n][1]]
-        told = [f"the interval of {n}{' - 1' * bool(_NEUTRAL[n])} contains zero" for n in neutral]
+        neutral = [n for n, x in self.neutral.items() if bounds[n][0] <= x <= bounds[n][1]]
+        told = [f"the interval of {n}{' - 1' * bool(self.neutral[n])} contains zero" for n in neutral]
         if found.explained < _EXPLAINED:
             told.append(
                 f"the model explains {found.explained:.0%} of a motion: do commands and motion come from one "
                 "robot, with times of one clock?"
             )
-        if not found.unseen:
-            pairs = zip(found.names, found.theta.tolist(), strict=False)
-            told += VelocityRobot([_NEUTRAL[n] if n in neutral else x for n, x in pairs]).problems
-        return told
+        return told + (self.problems(found, neutral) if not found.unseen else [])
+
+    def problems(self, found: Identification, neutral: Sequence[str]) -> list[str]:
+        """Return values that no robot can have, in words; those that may be neutral count as neutral."""
+        pairs = zip(found.names, found.theta.tolist(), strict=False)
+        return [*VelocityRobot([self.neutral[n] if n in neutral else x for n, x in pairs]).problems]
 
     def predicted(
         self, found: Identification, log: Log, seconds: float | None
     ) -> tuple[Segments, Array, NDArray[np.bool_], Array]:
         """Return segments of a log, residuals, mask of good samples, and the noise."""
-        runs, length = runs_of([log], self.is_pose), scalar("seconds", BLOCK if seconds is None else seconds)
+        runs, length = (
+            runs_of([log], self.is_pose, self.is_car),
+            scalar("seconds", BLOCK if seconds is None else seconds),
+        )
         bounded("seconds", length, least=3 * runs[0].dt, unit="s")
         lead = max(lead_of(runs), int(np.ceil(max(found.delay, 0.0) / runs[0].dt)) + 1)
         model = replace(self, dt=runs[0].dt, lead=lead)
         parts = explained_parts(runs, model.lags(found.phi), least=-np.inf)  # also of a poor model
+        parts = model.started(parts, found.phi)
         segments, calm = segments_of(parts, model.lead, length, filled=False)
         left, _ = solve_robustly(model, segments, found.phi, calm=calm)
         return segments, left.near.residual, left.good, found.noise
 
     def lags(self, p: Array) -> list[Lag]:
-        """Return the lags of speed and yaw rate without coupling."""
+        """Return the lags of both channels without coupling."""
+        rows = ((1 / p[b], p[a] / p[b]) for a, b in ((0, 3), (1, 5)))
+        return self.lags_of(p, *rows)
+
+    def lags_of(self, p: Array, *gains: tuple[float, float], scale: float = 1.0) -> list[Lag]:
+        """Return lags with gains and time constants, and the delay and the limits of the numbers p.
+
+        The limit of the second rate is multiplied by `scale`.
+        """
         others = {name: float(x[0]) for name, x in self.others(p[None]).items()}
         late = max(0, round(others["delay"] / self.dt))
-        pairs = zip((0, 1), (3, 5), MOST, STEEPEST, strict=True)
-        return [Lag(1 / p[b], p[a] / p[b], late, others[most], others[top]) for a, b, most, top in pairs]
+        top, turning, *most = (others[name] for name in self.limits())
+        rows = zip(gains, most, (top, scale * turning), strict=True)
+        return [Lag(*gain, late, limit, steepest) for gain, limit, steepest in rows]
+
+    def start(self, lags: Sequence[Lag]) -> Array:
+        """Return first estimates of the first six numbers from the lags of both channels."""
+        theta = np.array([0.3, 0.3, 0.0, 1.0, 0.0, 1.0])
+        for a, b, lag in zip((0, 1), (3, 5), lags, strict=True):
+            if lag.gain > 0:
+                theta[[a, b]] = lag.tau / lag.gain, 1 / lag.gain
+        return theta
+
+    def of_lags(self, lags: Sequence[Lag]) -> tuple[VelocityModel, Array]:
+        """Return the model of lags without coupling, and its numbers."""
+        given = {"ahead": 0.0, "delay": self.dt * float(np.mean([lag.late for lag in lags]))}
+        bare = replace(self, free=(), given=self.given | given | self.limits_of(lags))
+        return bare, bare.start([lag if lag.gain > 0 else lag._replace(gain=1.0) for lag in lags])
+
+    def limits_of(self, lags: Sequence[Lag]) -> dict[str, float]:
+        """Return the limits that lags have, by name."""
+        values = [*(lag.steepest for lag in lags), *(lag.limit for lag in lags)]
+        return dict(zip(self.limits(), values, strict=True))
+
+    def check(self, p: Array, lost: NDArray[np.bool_]) -> None:
+        """Reject numbers of wrong units.
+
+        Raises
+        ------
+        InvalidArgument
+            If the steady motion differs too much from the commands.
+        """
+        for k in (3, 5):
+            if not (lost[k] or _GAINS[0] < p[k] < _GAINS[1]):
+                raise InvalidArgument(
+                    f"log leads to {THETA[k][0]} = {p[k]:.3g} ({THETA[k][2].partition(':')[0]}), expected "
+                    "about 1: are commands in m/s and rad/s, positions in metres and psi in radians?"
+                )

@@ -129,7 +129,7 @@ def _pair_of(robot: WheeledRobot) -> tuple[Any, Any]:
 _Method = TypeVar("_Method", bound=Callable[..., Any])
 
 
-def _arrays(**sizes: int) -> Callable[[_Method], _Method]:
+def arrays(**sizes: int) -> Callable[[_Method], _Method]:
     """Decorate a method so that it checks the sizes of its arrays; symbols pass unchecked."""
 
     def wrapped(method: _Method) -> _Method:
@@ -159,7 +159,7 @@ class Mobile(NamedTuple):
     steerability: int = 0
 
 
-def _pair(doc: str, unit: str, labels: tuple[str, str], fixed: bool = False) -> Any:
+def pair(doc: str, unit: str, labels: tuple[str, str], fixed: bool = False) -> Any:
     """Declare two positive limits; a scalar sets both."""
     how: dict[str, Any] = {"doc": doc, "unit": unit, "labels": labels, "above": 0, "fixed": fixed}
     return array(default=np.inf, shapes=((), ("n",)), endless=True, size=lambda robot: 2, **how)
@@ -237,10 +237,8 @@ class VelocityRobot:
         doc="parameters of the velocity loops",
     )
     ahead: float = number(default=0.0, unit="m", doc="distance of the body origin ahead of the axle")
-    limits: Any = _pair("largest commands", "m/s, rad/s", ("speed", "yaw_rate"), fixed=True)
-    accelerations: Any = _pair(
-        "largest |u'| and |w'|", "m/s^2, rad/s^2", ("acceleration", "yaw_acceleration")
-    )
+    limits: Any = pair("largest commands", "m/s, rad/s", ("speed", "yaw_rate"), fixed=True)
+    accelerations: Any = pair("largest |u'| and |w'|", "m/s^2, rad/s^2", ("acceleration", "yaw_acceleration"))
     size: tuple[float, float, float] = option(
         default=(0.45, 0.38, 0.25), check=lambda name, value: tuple(lengths(value).tolist())
     )
@@ -361,6 +359,10 @@ class VelocityRobot:
         signs = [f"theta_3 is {three:g} and theta_5 is {five:g}, but both have the same sign in the model"]
         return (*found, *signs * (three * five < 0))
 
+    def command_for(self, speed: Any, yaw_rate: Any) -> Any:
+        """Return the commands that a kinematic law gives: its speed and yaw rate, shape (..., 2)."""
+        return stacked(speed, yaw_rate)
+
     @property
     def axle(self) -> Any:
         """Coefficients c of the no-slip constraint c . (u, v, r) = 0 across the wheels, shape (3,)."""
@@ -369,38 +371,38 @@ class VelocityRobot:
 
     # Kinematics
 
-    @_arrays(q=3, dq=3)
+    @arrays(q=3, dq=3)
     def integrate(self, q: ArrayLike, dq: ArrayLike) -> Any:
         """Return the configuration `q` + `dq`, shape (..., 3) [m, m, rad]."""
         return q + dq  # type: ignore[operator]
 
-    @_arrays(q0=3, q1=3)
+    @arrays(q0=3, q1=3)
     def difference(self, q0: Any, q1: Any) -> Any:
         """Return the displacement from `q0` to `q1`, shape (..., 3) [m, m, rad], with psi in (-pi, pi]."""
         d = q1 - q0
         return stacked(d[..., 0], d[..., 1], wrap_angle(d[..., 2]))
 
-    @_arrays(q=3)
+    @arrays(q=3)
     def pose(self, q: Any) -> Any:
         """Return the pose (x, y, psi), shape (..., 3) [m, m, rad]."""
         return q
 
-    @_arrays(q=3, v=3)
+    @arrays(q=3, v=3)
     def pose_rate(self, q: Any, v: Any) -> Any:
         """Return the rates of x, y and psi, shape (..., 3) [m/s, m/s, rad/s]."""
         return v
 
-    @_arrays(q=3, v=3)
+    @arrays(q=3, v=3)
     def independent(self, q: Any, v: Any) -> Any:
         """Return the independent velocities nu: speed along the wheels and yaw rate, shape (..., 2)."""
         return stacked(np.cos(q[..., 2]) * v[..., 0] + np.sin(q[..., 2]) * v[..., 1], v[..., 2])
 
-    @_arrays(q=3, nu=2)
+    @arrays(q=3, nu=2)
     def rolling(self, q: Any, nu: Any) -> Any:
         """Return v for independent velocities `nu`, shape (..., 3) [m/s, m/s, rad/s]."""
         return rolling_of(self.ahead, q, nu)
 
-    @_arrays(q=3, v=3)
+    @arrays(q=3, v=3)
     def project(self, q: Any, v: Any) -> Any:
         """Return `v` without its part across the wheels, shape (..., 3) [m/s, m/s, rad/s]."""
         return self.rolling(q, self.independent(q, v))
@@ -427,7 +429,7 @@ class VelocityRobot:
 
     # Dynamics
 
-    @_arrays(nu=2, u=2)
+    @arrays(nu=2, u=2)
     def rates(self, nu: Any, u: Any) -> Any:
         """Return the rates of speed and yaw rate, shape (..., 2) [m/s^2, rad/s^2].
 
@@ -440,7 +442,7 @@ class VelocityRobot:
         """
         return rates_of(self.theta, self.accelerations, nu, u)
 
-    @_arrays(q=3, v=3, u=2)
+    @arrays(q=3, v=3, u=2)
     def forward_dynamics(self, q: Any, v: Any, u: Any, f: Any = 0.0) -> Any:
         """Return the acceleration, shape (..., 3) [m/s^2, m/s^2, rad/s^2].
 
@@ -468,7 +470,7 @@ class VelocityRobot:
         aside = nu[..., 0] * w + self.ahead * rates[..., 1]
         return stacked(along * c - aside * s, along * s + aside * c, rates[..., 1])
 
-    @_arrays(q=3, v=3, rates=2)
+    @arrays(q=3, v=3, rates=2)
     def commands(self, q: Any, v: Any, rates: Any) -> Any:
         """Return the commands for desired rates of speed and yaw rate, shape (..., 2) [m/s, rad/s].
 
@@ -488,7 +490,7 @@ class VelocityRobot:
         turning = theta[..., 1] * rates[..., 1] + theta[..., 4] * (u * w) + theta[..., 5] * w
         return stacked(ahead, turning)
 
-    @_arrays(q=3, v=3, rates=2)
+    @arrays(q=3, v=3, rates=2)
     def regressor(self, q: Any, v: Any, rates: Any) -> Any:
         """Return the regressor Y with ``commands(q, v, rates) = Y theta``, shape (..., 2, 6).
 

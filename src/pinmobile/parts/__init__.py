@@ -7,6 +7,7 @@ from pinmobile.parts._capabilities import (
     Comparing as Comparing,
     Constrained,
     Desired as Desired,
+    Driven as Driven,
     Electric as Electric,
     Followed as Followed,
     Following as Following,

@@ -375,6 +375,13 @@ class Commanded(Protocol):
         """Return the commands that produce these rates of the independent velocities."""
 
 
+class Driven(Protocol):
+    """A VelocityRobot or a VelocityCar."""
+
+    def command_for(self, speed: Any, yaw_rate: Any, /) -> Any:
+        """Return the commands for a steady speed and yaw rate."""
+
+
 class Allocating(Protocol):
     """A WheeledRobot."""
 

@@ -1,0 +1,311 @@
+"""`VelocityCar`: a car with commands of speed and steering angle."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cached_property
+from types import MappingProxyType
+from typing import Any, ClassVar, final
+
+import numpy as np
+import pinocchio as pin
+
+from pinmobile.arrays import Array, ArrayLike, finite, frozen, lengths, shaped, text, vector, wrap_angle
+from pinmobile.errors import InvalidArgument, shown
+from pinmobile.identification._velocity_robot import arrays, pair, rolling_of, stacked
+from pinmobile.integrators import rk4
+from pinmobile.parts import by_value, is_symbolic, number, option, part, structure
+from pinmobile.plant import Coordinate, Input
+from pinmobile.robot import MobileRobot
+from pinmobile.wheels import WheeledRobot, WheelTable
+
+_QUICKER = 4.0  # time constant of the steering angle per time constant of its rate: critical damping
+_SIDEWAYS = 1.4  # [rad], steering angle from which the curvature stays the same
+_OFF = 1e-9  # largest difference of a start velocity from rolling, relative to the velocity
+
+
+def curvature_of(wheelbase: Any, understeer: Any, speed: Any, steering: Any) -> Any:
+    """Return the curvature of the path at a speed and a steering angle [1/m]."""
+    angle = np.minimum(np.maximum(steering, -_SIDEWAYS), _SIDEWAYS)
+    return np.tan(angle) / (wheelbase + understeer * (speed * speed))
+
+
+def car_rates(
+    time_constants: Any, gains: Any, offset: Any, most: Any, state: Any, u: Any
+) -> tuple[Any, Any, Any]:
+    """Return the rates of speed, steering angle and steering rate of a state; see `VelocityCar`.
+
+    All arguments except `offset` are sequences, and `most` has the largest acceleration and steering rate.
+    """
+    speed, steering, turning = state
+    faster = (gains[0] * u[0] - speed) / time_constants[0]
+    wanted = (gains[1] * u[1] + offset - steering) / time_constants[1]
+    faster, wanted = (
+        np.minimum(np.maximum(x, -top), top) for x, top in zip((faster, wanted), most, strict=True)
+    )
+    return faster, turning, _QUICKER * (wanted - turning) / time_constants[1]
+
+
+@final
+@part
+@by_value
+class VelocityCar:
+    """A car with commands of speed and steering angle as inputs: a kinematic bicycle with lags.
+
+    The firmware of the car controls speed u and steering angle delta with time constants T. The wheels roll,
+    and the path has the curvature k at the middle of the rear axle::
+
+        u' = (g_u u_c - u) / T_u
+        delta'' = 4 ((g_d delta_c + delta_0 - delta) / T_d - delta') / T_d
+        k = tan delta / (L + K u^2),   psi' = k u
+        x' = u cos psi - a psi' sin psi,  y' = u sin psi + a psi' cos psi
+
+    Here (u_c, delta_c) are the commands, L is the wheelbase, and K is the understeer. The steering is
+    critically damped, and T_d is its delay behind a command that changes slowly. q = (x, y, psi, delta) is
+    the pose of a point at distance a ahead of the rear axle and the steering angle, and v = dq/dt.
+
+    The model accepts no forces. The integrator is `rk4`. It needs time steps, or substeps, shorter than T_u
+    and T_d.
+
+    Parameters
+    ----------
+    wheelbase : float
+        Distance L between the axles, > 0 [m].
+    speed_time_constant, steering_time_constant : float
+        Time constants T_u and T_d, > 0 [s].
+    speed_gain, steering_gain : float
+        Steady speed g_u and steering angle g_d per command.
+    steering_offset : float
+        Steering angle delta_0 of the command 0 [rad].
+    understeer : float
+        Steering angle K per lateral acceleration, beyond that of rolling wheels [rad s^2/m]; negative:
+        oversteer.
+    ahead : float
+        Distance a of the body origin ahead of the rear axle [m].
+    limits : array_like, shape () or (2,)
+        Largest commands in both directions, > 0 [m/s, rad]; infinite: no limit.
+    rate_limits : array_like, shape () or (2,)
+        Largest acceleration and steering rate in the firmware, > 0 [m/s^2, rad/s]; infinite: no limit.
+    size : array_like, shape (3,), optional
+        Length, width and height of the drawn box [m]; default: of a car with this wheelbase.
+    source : str
+        Source of the numbers.
+
+    Raises
+    ------
+    InvalidArgument
+        If a number is not finite or out of range, or an array has another shape.
+
+    See Also
+    --------
+    identify_velocity : estimate the numbers from a log
+    VelocityRobot : robot with commands of speed and yaw rate
+    wheels.WheelTable : its method ``car`` returns wheels of a car with masses and torques
+    controllers.VelocityCommand : commands from a kinematic law
+
+    Notes
+    -----
+    The understeer is that of the linear single-track model in a steady turn. The model has no sideslip at the
+    rear axle.
+
+    References
+    ----------
+    R. Rajamani, Vehicle Dynamics and Control, 2nd edition, chapters 2 and 3 (Springer 2012).
+
+    Examples
+    --------
+    >>> from pinmobile import law, simulate
+    >>> from pinmobile.identification import VelocityCar
+    >>> car = VelocityCar(wheelbase=0.3, speed_time_constant=0.2,
+    ...                   steering_time_constant=0.1)
+    >>> float(car.curvature(speed=1.0, steering=0.2).round(3))  # [1/m]
+    0.676
+    """
+
+    wheelbase: float = number(above=0, unit="m", doc="distance between the axles")
+    speed_time_constant: float = number(above=0, unit="s", doc="time constant of the speed")
+    steering_time_constant: float = number(above=0, unit="s", doc="time constant of the steering")
+    speed_gain: float = number(default=1.0, doc="steady speed per command")
+    steering_gain: float = number(default=1.0, doc="steady steering angle per command")
+    steering_offset: float = number(default=0.0, unit="rad", doc="steering angle of the command 0")
+    understeer: float = number(default=0.0, unit="rad s^2/m", doc="steering angle per lateral acceleration")
+    ahead: float = number(default=0.0, unit="m", doc="distance of the body origin ahead of the rear axle")
+    limits: Any = pair("largest commands", "m/s, rad", ("speed", "steering"), fixed=True)
+    rate_limits: Any = pair(
+        "largest acceleration and steering rate", "m/s^2, rad/s", ("acceleration", "steering_rate")
+    )
+    size: Any = option(
+        default=None, check=lambda name, value: None if value is None else tuple(lengths(value).tolist())
+    )
+    source: str = option(default="", check=text)
+
+    nq: ClassVar[int] = 4
+    nv: ClassVar[int] = 4
+    nu: ClassVar[int] = 2
+    broadcasts: ClassVar[bool] = True
+    compiles: ClassVar[bool] = True
+    integrator: ClassVar[Any] = rk4
+    coordinates: ClassVar[tuple[Coordinate, ...]] = (
+        Coordinate("x", "m", rate="vx"),
+        Coordinate("y", "m", rate="vy"),
+        Coordinate("psi", "rad", rate="yaw_rate"),
+        Coordinate("steering", "rad"),
+    )
+    reference_sizes: ClassVar[Mapping[int, int]] = MappingProxyType({3: 3})
+    rest: ClassVar[Array] = frozen(np.zeros(4))
+
+    @structure
+    def inputs(self) -> tuple[Input, ...]:
+        """Commands: speed [m/s] and steering angle [rad], with their limits."""
+        named = ("speed command", "m/s"), ("steering command", "rad")
+        return tuple(Input(*x, -float(most), float(most)) for x, most in zip(named, self.limits, strict=True))
+
+    @property
+    def axle(self) -> Any:
+        """Coefficients c of the no-slip constraint c . (u, v, r) = 0 across the rear wheels, shape (3,)."""
+        ahead = np.asarray(self.ahead)
+        return np.stack([0.0 * ahead, 0.0 * ahead + 1.0, -ahead], axis=-1)
+
+    # Kinematics
+
+    @arrays(q=4, dq=4)
+    def integrate(self, q: ArrayLike, dq: ArrayLike) -> Any:
+        """Return the configuration `q` + `dq`, shape (..., 4) [m, m, rad, rad]."""
+        return q + dq  # type: ignore[operator]
+
+    @arrays(q0=4, q1=4)
+    def difference(self, q0: Any, q1: Any) -> Any:
+        """Return the displacement from `q0` to `q1`, shape (..., 4) [m, m, rad, rad], psi in (-pi, pi]."""
+        d = q1 - q0
+        return stacked(d[..., 0], d[..., 1], wrap_angle(d[..., 2]), d[..., 3])
+
+    @arrays(q=4)
+    def pose(self, q: Any) -> Any:
+        """Return the pose (x, y, psi), shape (..., 3) [m, m, rad]."""
+        return q[..., :3]
+
+    @arrays(q=4, v=4)
+    def pose_rate(self, q: Any, v: Any) -> Any:
+        """Return the rates of x, y and psi, shape (..., 3) [m/s, m/s, rad/s]."""
+        return v[..., :3]
+
+    def curvature(self, speed: Any, steering: Any) -> Any:
+        """Return the curvature of the path of the rear axle [1/m] at a speed [m/s] and an angle [rad]."""
+        return curvature_of(self.wheelbase, self.understeer, speed, steering)
+
+    def command_for(self, speed: Any, yaw_rate: Any) -> Any:
+        """Return the commands for a steady speed and yaw rate, shape (..., 2) [m/s, rad].
+
+        At rest the steering is straight.
+        """
+        still = speed == 0.0
+        curvature = np.where(still, 0.0, yaw_rate / np.where(still, 1.0, speed))
+        steering = np.arctan((self.wheelbase + self.understeer * (speed * speed)) * curvature)
+        return stacked(speed / self.speed_gain, (steering - self.steering_offset) / self.steering_gain)
+
+    @arrays(q=4, v=4)
+    def independent(self, q: Any, v: Any) -> Any:
+        """Return the independent velocities: speed of the rear axle and steering rate, shape (..., 2)."""
+        return stacked(np.cos(q[..., 2]) * v[..., 0] + np.sin(q[..., 2]) * v[..., 1], v[..., 3])
+
+    @arrays(q=4, nu=2)
+    def rolling(self, q: Any, nu: Any) -> Any:
+        """Return v for independent velocities `nu`, shape (..., 4) [m/s, m/s, rad/s, rad/s]."""
+        speed = nu[..., 0]
+        twist = stacked(speed, speed * self.curvature(speed, q[..., 3]))
+        return np.concatenate([rolling_of(self.ahead, q, twist), nu[..., 1:]], axis=-1)
+
+    @arrays(q=4, v=4)
+    def project(self, q: Any, v: Any) -> Any:
+        """Return the velocity of rolling wheels with the speed and the steering rate of v, shape (..., 4)."""
+        return self.rolling(q, self.independent(q, v))
+
+    def start(self, reference: Any) -> tuple[Array, Array]:
+        """Return q and v at the start of a reference, shape (4,) each, with rolling and steered wheels."""
+        pose = shaped("reference.q", finite("reference.q", reference.q), (3,))
+        vx, vy, yaw_rate = np.asarray(reference.v, float)
+        speed = np.cos(pose[2]) * vx + np.sin(pose[2]) * vy
+        steering = self.command_for(speed, yaw_rate)[1] * self.steering_gain + self.steering_offset
+        q = np.append(pose, steering)
+        return q, self.rolling(q, np.array([speed, 0.0]))
+
+    def check_start(self, q: ArrayLike, v: ArrayLike) -> None:
+        """Reject a start at which the wheels slide.
+
+        Raises
+        ------
+        InvalidArgument
+            If the velocity is not that of rolling wheels.
+        """
+        off = float(np.abs(self.project(q, v) - np.asarray(v)).max(initial=0.0))
+        if off > _OFF * (1 + float(np.abs(v).max(initial=0.0))):
+            raise InvalidArgument(
+                f"start has wheels that slide at {off:.3g} m/s, expected rolling wheels: use a reference "
+                "along which wheels roll, such as Tangent(path), or v0 = car.project(q0, v0)"
+            )
+
+    # Dynamics
+
+    @arrays(q=4, v=4, u=2)
+    def forward_dynamics(self, q: Any, v: Any, u: Any, f: Any = 0.0) -> Any:
+        """Return the acceleration, shape (..., 4) [m/s^2, m/s^2, rad/s^2, rad/s^2].
+
+        Parameters
+        ----------
+        q, v : array_like, shape (..., 4)
+            State with rolling wheels. The model only uses the speed and the steering rate of v.
+        u : array_like, shape (..., 2)
+            Commands [m/s, rad].
+        f : array_like
+            External forces: zero.
+
+        Raises
+        ------
+        InvalidArgument
+            If an array has another shape or is not finite, or `f` is not zero.
+        """
+        if not is_symbolic(f) and finite("f", f).any():
+            raise InvalidArgument(
+                f"f is {shown(f)}, expected zero: the model does not describe how a car responds to a force"
+            )
+        speed, turning = (self.independent(q, v)[..., k] for k in (0, 1))
+        c, s, steering, most = np.cos(q[..., 2]), np.sin(q[..., 2]), q[..., 3], self.rate_limits
+        faster, _, steered = car_rates(
+            (self.speed_time_constant, self.steering_time_constant),
+            (self.speed_gain, self.steering_gain),
+            self.steering_offset,
+            (most[..., 0], most[..., 1]),
+            (speed, steering, turning),
+            (u[..., 0], u[..., 1]),
+        )
+        stretched = self.wheelbase + self.understeer * (speed * speed)
+        k = self.curvature(speed, steering)
+        bends = turning * (1 / stretched + k * k * stretched)  # k' by the steering angle
+        bends = np.where(np.abs(steering) < _SIDEWAYS, bends, 0.0)
+        bends = bends - 2 * self.understeer * speed * faster * k / stretched
+        w, spin = k * speed, bends * speed + k * faster
+        along, aside = faster - self.ahead * (w * w), speed * w + self.ahead * spin
+        return stacked(along * c - aside * s, along * s + aside * c, spin, steered)
+
+    # What is drawn
+
+    @cached_property
+    def _drawn(self) -> WheeledRobot:
+        L = float(self.wheelbase)
+        length, width, height = (1.4 * L, 0.7 * L, 0.3 * L) if self.size is None else self.size
+        radius, inertias = min(0.45 * height, 0.2 * L), {"spin_inertia": 1e-3, "yaw_inertia": 1e-3}
+        table = WheelTable.car(L, 0.9 * width, radius, steering_limit=_SIDEWAYS, **inertias)
+        return WheeledRobot(MobileRobot(1.0, 1.0, com=(0.5 * L, 0, 0), size=(length, width, height)), table)
+
+    @property
+    def visual_model(self) -> pin.GeometryModel:
+        """Visual geometry, a copy: a box with a dark front, and wheels that steer and do not spin."""
+        return self._drawn.visual_model
+
+    def drawing(self, q: ArrayLike) -> Array:
+        """Return the poses of the objects of `visual_model` in the inertial frame, shape (..., k, 4, 4)."""
+        q, drawn = vector("q", q, 4), self._drawn
+        there = np.zeros((*q.shape[:-1], drawn.nq))
+        there[..., :2] = q[..., :2] - self.ahead * stacked(np.cos(q[..., 2]), np.sin(q[..., 2]))
+        there[..., 2:4] = q[..., 2:]
+        return np.asarray(drawn.drawing(there))
