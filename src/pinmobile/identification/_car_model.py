@@ -14,7 +14,7 @@ from pinmobile.errors import InvalidArgument
 from pinmobile.identification._commands import Part, Run, segments_of
 from pinmobile.identification._lag import Lag
 from pinmobile.identification._simulation import Quantity, Segments, simulate
-from pinmobile.identification._velocity_car import VelocityCar, car_rates, curvature_of
+from pinmobile.identification._velocity_car import CarLaw, VelocityCar
 from pinmobile.identification._velocity_model import Sized, VelocityModel
 from pinmobile.identification._velocity_robot import rolling_of
 
@@ -37,7 +37,12 @@ class CarModel(VelocityModel):
     """
 
     is_car: ClassVar[bool] = True
-    neutral: ClassVar[Mapping[str, float]] = {"speed_gain": 1.0, "steering_offset": 0.0, "understeer": 0.0}
+    neutral: ClassVar[Mapping[str, float]] = {
+        "speed_gain": 1.0,
+        "steering_offset": 0.0,
+        "understeer": 0.0,
+        "cornering_drag": 0.0,
+    }
     steepest: ClassVar[tuple[Sized, Sized]] = (
         Sized(Quantity("acceleration", "m/s^2", False, "rate_limits.acceleration"), 1.0),
         Sized(Quantity("steering_rate", "rad/s", False, "rate_limits.steering_rate"), 3.0),
@@ -49,7 +54,7 @@ class CarModel(VelocityModel):
 
     @property
     def first(self) -> tuple[Sized, ...]:  # type: ignore[override]
-        """First six numbers."""
+        """First seven numbers."""
         steering = _sized("wheelbase", "m", True, 0.3)
         if "wheelbase" in self.given:
             steering = _sized("steering_gain", "", False, 1.0)
@@ -60,11 +65,12 @@ class CarModel(VelocityModel):
             _sized("steering_offset", "rad", False, 0.0, 0.3, 0.03),
             steering,
             _sized("understeer", "rad s^2/m", False, 0.0, 0.1, 0.01),
+            _sized("cornering_drag", "", False, 0.0, 1.0, 0.1),
         )
 
     def time_constants(self, p: Array) -> Array:
-        """Return the time constants of speed and steering, shape (..., 2) [s]."""
-        return np.asarray(p[..., [0, 2]])
+        """Return the time constants of the speed, and of both poles of the steering, shape (..., 2) [s]."""
+        return np.asarray(p[..., [0, 2]] * [1.0, 0.5])
 
     def resolved(self, segments: Segments, p: Array) -> tuple[Array, Array, float]:
         """Return the numbers of the rates, delays [samples] and the longest time step [s]."""
@@ -74,22 +80,24 @@ class CarModel(VelocityModel):
 
     def rates(self, z: Any, u: Any, numbers: Any) -> Any:
         """Return the rates of speed, steering angle and steering rate, and of the pose if it is measured."""
-        given = np.minimum(np.maximum(u, -numbers[9:11]), numbers[9:11])
-        n = numbers
-        faster = np.stack(
-            car_rates((n[0], n[2]), (n[1], n[11]), n[3], (n[7], n[8]), (z[0], z[1], z[2]), given)
-        )
+        law, u = self._law(numbers), np.minimum(np.maximum(u, -numbers[10:12]), numbers[10:12])
+        faster = np.stack(law.rates((z[0], z[1], z[2]), u))
         if not self.is_pose:
             return faster
-        twist = np.stack([z[0], z[0] * curvature_of(n[12], n[5], z[0], z[1])])
-        return np.concatenate([faster, rolling_of(n[6], z[3:], twist)])
+        twist = np.stack([z[0], z[0] * law.curvature(z[0], z[1])])
+        return np.concatenate([faster, rolling_of(numbers[7], z[3:], twist)])
+
+    @staticmethod
+    def _law(numbers: Any) -> CarLaw:
+        time, gain, late, offset, _, understeer, drag, _, *most = (numbers[..., k] for k in range(10))
+        return CarLaw(numbers[..., 13], time, late, gain, numbers[..., 12], offset, understeer, drag, *most)
 
     def observed(self, segments: Segments, states: Array, numbers: Array) -> Array:
         """Return the measurements: poses, or speed and yaw rate."""
         if self.is_pose:
             return states[..., 3:]
-        n, speed = numbers[:, :, None], states[..., 0]
-        return np.stack([speed, speed * curvature_of(n[..., 12], n[..., 5], speed, states[..., 1])], -1)
+        speed, curvature = states[..., 0], self._law(numbers[:, :, None]).curvature
+        return np.stack([speed, speed * curvature(speed, states[..., 1])], axis=-1)
 
     def started(self, parts: Sequence[Part], p: Array) -> list[Part]:
         """Return parts whose steering has followed the commands since the start of its log."""
@@ -115,7 +123,7 @@ class CarModel(VelocityModel):
     def robot(self, found: Identification) -> Any:
         """Return the identified car."""
         others = {name: float(x[0]) for name, x in self.others(found.phi[None]).items()}
-        values = dict(zip(found.names[:6], found.phi[:6].tolist(), strict=True))
+        values = dict(zip(found.names, found.phi[: len(self.first)].tolist(), strict=False))
         top, turning, *most = (others[name] for name in self.limits())
         source = f"identified from {found.samples} samples in {found.segments} segments"
         known = {"wheelbase": self.given.get("wheelbase")} | values
@@ -135,7 +143,7 @@ class CarModel(VelocityModel):
         return [speed, curvature._replace(offset=p[3] / wheelbase, limit=limit)]
 
     def start(self, lags: Sequence[Lag]) -> Array:
-        """Return first estimates of the first six numbers from the lags of speed and curvature.
+        """Return first estimates of the first numbers from the lags of speed and curvature.
 
         Raises
         ------
@@ -151,7 +159,7 @@ class CarModel(VelocityModel):
             )
         steering = 1 / gain if known is None else gain * known
         offset = curvature.offset * (1 / gain if known is None else known)
-        return np.array([speed.tau, speed.gain or 1.0, curvature.tau, offset, steering, 0.0])
+        return np.array([speed.tau, speed.gain or 1.0, curvature.tau, offset, steering, 0.0, 0.0])
 
     def limits_of(self, lags: Sequence[Lag]) -> dict[str, float]:
         """Return the limits that lags have, by name: those of curvature as angles."""

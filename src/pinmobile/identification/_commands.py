@@ -93,11 +93,26 @@ def runs_of(logs: list[Log], is_pose: bool, is_car: bool) -> list[Run]:
         else:
             y = np.asarray(run.q)
             calm, _, _ = without_outliers(y, run.seen, run.dt, FINEST)
-            nu = twist_of(calm, run.dt)[:, [0, 2]]
+            nu = twist_of(calm, run.dt)
+            _check_heading(nu)
+            nu = nu[:, [0, 2]]
         state = np.column_stack([nu[:, 0], run.u[:, 1], 0 * nu[:, 0]]) if is_car else nu
         start = float(part.t[0] - logs[k].t[0])
         found.append(Run(k, start, run.dt, run.u, y, calm, run.seen, nu, state, is_car))
     return found
+
+
+def _check_heading(twist: Array) -> None:
+    """Reject poses that move sideways more than forward, even for a point ahead of the axle."""
+    forward, left, turn = twist.T
+    aside = left - (left @ turn) / max(float(turn @ turn), 1e-300) * turn
+    speeds = [float(np.sqrt(np.mean(x**2))) for x in (forward, aside)]
+    if speeds[1] > speeds[0]:
+        raise InvalidArgument(
+            f"log has poses that move sideways at {speeds[1]:.3g} m/s and forward at {speeds[0]:.3g} m/s, "
+            "expected psi in the direction of travel [rad]: is psi in degrees, from a compass, of another "
+            "frame, or with times of another clock?"
+        )
 
 
 def lead_of(runs: Sequence[Run]) -> int:
@@ -116,6 +131,11 @@ def block_of(parts: Sequence[Part]) -> int:
 def parts_of(runs: Sequence[Run]) -> list[Part]:
     """Return each run as one part."""
     return [Part(run, 0, len(run.u)) for run in runs]
+
+
+def speeds_of(parts: Sequence[Part]) -> list[Part]:
+    """Return parts with speed and yaw rate as measurements."""
+    return [part._replace(run=part.run._replace(y=part.run.nu, calm=part.run.nu)) for part in parts]
 
 
 def channels_of(parts: Sequence[Part]) -> list[Channel]:

@@ -16,6 +16,7 @@ from pinmobile.identification._commands import (
     explained_parts,
     runs_of,
     segments_of,
+    speeds_of,
 )
 from pinmobile.identification._estimates import Identification
 from pinmobile.identification._lag import Lag
@@ -154,8 +155,7 @@ def _errors(
     model: VelocityModel, p: Array, parts: list[Part], horizons: Array, every: int, at_once: bool
 ) -> Array:
     """Return the rms errors, shape (H, k), of predictions that start from the measured motion."""
-    speeds = [part._replace(run=part.run._replace(y=part.run.nu, calm=part.run.nu)) for part in parts]
-    squares = [_squares(replace(model, is_pose=False), p, speeds, horizons, every, at_once)]
+    squares = [_squares(replace(model, is_pose=False), p, speeds_of(parts), horizons, every, at_once)]
     if model.is_pose:
         x, y, psi = np.moveaxis(_squares(model, p, parts, horizons, every, at_once), -1, 0)
         squares.append(np.stack([x + y, psi], axis=-1))

@@ -28,6 +28,7 @@ from pinmobile.identification._commands import (
     parts_of,
     runs_of,
     segments_of,
+    speeds_of,
 )
 from pinmobile.identification._estimates import Identification
 from pinmobile.identification._estimator import Fit, Whiteness, jackknife, solve, solve_robustly, white_of
@@ -153,25 +154,30 @@ def identify_velocity(
     start = np.append(model.start(lags), [guess[name] for name in order])
     model = replace(model, free=tuple(order))
     left_out, parts = format_left_out(runs, parts), model.started(parts, start)
+    if is_pose:  # speeds do not drift: a poor start does not lead far away
+        free = replace(model, is_pose=False)
+        segments, calm = segments_of(speeds_of(parts), lead, dt * _LONGER * block_of(parts))
+        speeds, lost = solve_robustly(free, segments, start, calm=calm, natural=free.natural)
+        start = np.where(lost, start, speeds.p)
     tried = list(_tried(model, parts, start))
     best = min(tried, key=lambda each: (each.lost.sum(), each.size)) if is_pose else tried[-1]
     differ = _compared(model, *(tried[0], best) if best is not tried[0] else (best, tried[-1]))
     remarks = [left_out, differ]
-    limited = model.limits()
-    useless = [n for n, lost in zip(model.free, best.lost[6:], strict=True) if lost and n in limited]
+    limited, late = model.limits(), len(model.first)
+    useless = [n for n, lost in zip(model.free, best.lost[late:], strict=True) if lost and n in limited]
     if useless:
         model, best = _without(useless, model, parts, best)
-    if "delay" in model.free and best.fit.p[6] < 0:
-        early, C = best.fit.p[6], best.covariance
-        p = best.fit.p - C[:, 6] / C[6, 6] * early  # the estimate for no delay
-        if early < -min(_SURE * np.sqrt(C[6, 6]), _EARLY * dt):
+    if "delay" in model.free and best.fit.p[late] < 0:
+        early, C = best.fit.p[late], best.covariance
+        p = best.fit.p - C[:, late] / C[late, late] * early  # the estimate for no delay
+        if early < -min(_SURE * np.sqrt(C[late, late]), _EARLY * dt):
             less = " or less" * bool(early < -_EARLY * dt)
             remarks.append(
                 f"the delay is taken as zero: its estimate is {1e3 * early:.3g} ms{less}; with times of two "
                 "clocks, use Log.from_streams(..., one_clock=False)"
             )
             _, other = _without(["delay"], model, parts, best)
-            p, best = np.insert(other.fit.p, 6, 0.0), best._replace(segments=other.segments, fit=other.fit)
+            p, best = np.insert(other.fit.p, late, 0.0), best._replace(segments=other.segments, fit=other.fit)
         best = best._replace(fit=best.fit._replace(p=p))  # the covariance contains that of the delay
     found, lost, p = best.fit, best.lost, best.fit.p
     free_run = _free_run(model, parts, best)
@@ -194,7 +200,7 @@ def identify_velocity(
         hidden=lost.astype(float),
         unknown=np.zeros((len(p), 0)),
         delay=float(model.others(p[None])["delay"][0]),
-        delay_error=float(np.sqrt(best.covariance[6, 6])) if "delay" in model.free else np.nan,
+        delay_error=float(np.sqrt(best.covariance[late, late])) if "delay" in model.free else np.nan,
         dt=dt,
         seconds=min(best.seconds, max(b - a for _, a, b in parts) * dt),
         outliers=int((best.segments.good & ~good).sum()),
@@ -290,7 +296,8 @@ def _without(
     names: Sequence[str], model: VelocityModel, parts: list[Part], best: _Tried
 ) -> tuple[VelocityModel, _Tried]:
     """Return the model without some free numbers, and its estimates."""
-    kept = [*range(6), *(6 + k for k, name in enumerate(model.free) if name not in names)]
+    count = len(model.first)
+    kept = [*range(count), *(count + k for k, name in enumerate(model.free) if name not in names)]
     less = replace(model, free=tuple(name for name in model.free if name not in names))
     return less, _Tried.of(less, parts, best.seconds, best.fit.p[kept])
 
@@ -349,9 +356,8 @@ def _free_run(model: VelocityModel, parts: Sequence[Part], best: _Tried) -> dict
 def _explained(model: VelocityModel, p: Array, parts: Sequence[Part]) -> Array:
     """Return R^2 of the speed and of the yaw rate in free runs over parts."""
     free, left, y = replace(model, is_pose=False), [], []
-    for run, a, b in parts:
-        plain = run._replace(y=run.nu, calm=run.nu)
-        segments, _ = segments_of([Part(plain, a, b)], free.lead, (b - a) * run.dt)
+    for part in speeds_of(parts):
+        segments, _ = segments_of([part], free.lead, (part.stop - part.start) * free.dt)
         if len(segments.y):
             out = simulate(free, segments, p[None], segments.start[None])[0]
             left.append((segments.y - out)[segments.good])

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any, ClassVar, final
+from typing import Any, ClassVar, NamedTuple, final
 
 import numpy as np
 import pinocchio as pin
@@ -24,26 +24,39 @@ _SIDEWAYS = 1.4  # [rad], steering angle from which the curvature stays the same
 _OFF = 1e-9  # largest difference of a start velocity from rolling, relative to the velocity
 
 
-def curvature_of(wheelbase: Any, understeer: Any, speed: Any, steering: Any) -> Any:
-    """Return the curvature of the path at a speed and a steering angle [1/m]."""
-    angle = np.minimum(np.maximum(steering, -_SIDEWAYS), _SIDEWAYS)
-    return np.tan(angle) / (wheelbase + understeer * (speed * speed))
+class CarLaw(NamedTuple):
+    """Rates of a car with numbers, arrays or symbols; see `VelocityCar`.
 
-
-def car_rates(
-    time_constants: Any, gains: Any, offset: Any, most: Any, state: Any, u: Any
-) -> tuple[Any, Any, Any]:
-    """Return the rates of speed, steering angle and steering rate of a state; see `VelocityCar`.
-
-    All arguments except `offset` are sequences, and `most` has the largest acceleration and steering rate.
+    `acceleration` and `steering_rate` are the largest ones.
     """
-    speed, steering, turning = state
-    faster = (gains[0] * u[0] - speed) / time_constants[0]
-    wanted = (gains[1] * u[1] + offset - steering) / time_constants[1]
-    faster, wanted = (
-        np.minimum(np.maximum(x, -top), top) for x, top in zip((faster, wanted), most, strict=True)
-    )
-    return faster, turning, _QUICKER * (wanted - turning) / time_constants[1]
+
+    wheelbase: Any
+    speed_time_constant: Any
+    steering_time_constant: Any
+    speed_gain: Any
+    steering_gain: Any
+    steering_offset: Any
+    understeer: Any
+    cornering_drag: Any
+    acceleration: Any
+    steering_rate: Any
+
+    def curvature(self, speed: Any, steering: Any) -> Any:
+        """Return the curvature of the path at a speed and a steering angle [1/m]."""
+        angle = np.minimum(np.maximum(steering, -_SIDEWAYS), _SIDEWAYS)
+        return np.tan(angle) / (self.wheelbase + self.understeer * (speed * speed))
+
+    def rates(self, state: Any, u: Any) -> tuple[Any, Any, Any]:
+        """Return the rates of speed, steering angle and steering rate of a state."""
+        (speed, steering, turning), T = state, self.steering_time_constant
+        k, square = self.curvature(speed, steering), speed * speed
+        bent = k * k * (self.wheelbase + self.understeer * square)
+        faster = (self.speed_gain * u[0] - speed) / self.speed_time_constant
+        faster = faster - self.cornering_drag * speed * np.abs(speed) * bent
+        wanted = (self.steering_gain * u[1] + self.steering_offset - steering) / T
+        faster = np.minimum(np.maximum(faster, -self.acceleration), self.acceleration)
+        wanted = np.minimum(np.maximum(wanted, -self.steering_rate), self.steering_rate)
+        return faster, turning, _QUICKER * (wanted - turning) / T
 
 
 @final
@@ -55,14 +68,15 @@ class VelocityCar:
     The firmware of the car controls speed u and steering angle delta with time constants T. The wheels roll,
     and the path has the curvature k at the middle of the rear axle::
 
-        u' = (g_u u_c - u) / T_u
+        u' = (g_u u_c - u) / T_u - c u |u| k tan delta
         delta'' = 4 ((g_d delta_c + delta_0 - delta) / T_d - delta') / T_d
         k = tan delta / (L + K u^2),   psi' = k u
         x' = u cos psi - a psi' sin psi,  y' = u sin psi + a psi' cos psi
 
-    Here (u_c, delta_c) are the commands, L is the wheelbase, and K is the understeer. The steering is
-    critically damped, and T_d is its delay behind a command that changes slowly. q = (x, y, psi, delta) is
-    the pose of a point at distance a ahead of the rear axle and the steering angle, and v = dq/dt.
+    Here (u_c, delta_c) are the commands, L is the wheelbase, K is the understeer, and c is the cornering
+    drag. The steering is critically damped, and T_d is its delay behind a command that changes slowly.
+    q = (x, y, psi, delta) is the pose of a point at distance a ahead of the rear axle and the steering angle,
+    and v = dq/dt.
 
     The model accepts no forces. The integrator is `rk4`. It needs time steps, or substeps, shorter than T_u
     and T_d.
@@ -80,6 +94,9 @@ class VelocityCar:
     understeer : float
         Steering angle K per lateral acceleration, beyond that of rolling wheels [rad s^2/m]; negative:
         oversteer.
+    cornering_drag : float
+        Braking c by the lateral force of the front wheels, per lateral acceleration and tan delta. Without
+        control of the speed, it is the share of the mass on the front axle.
     ahead : float
         Distance a of the body origin ahead of the rear axle [m].
     limits : array_like, shape () or (2,)
@@ -129,6 +146,7 @@ class VelocityCar:
     steering_gain: float = number(default=1.0, doc="steady steering angle per command")
     steering_offset: float = number(default=0.0, unit="rad", doc="steering angle of the command 0")
     understeer: float = number(default=0.0, unit="rad s^2/m", doc="steering angle per lateral acceleration")
+    cornering_drag: float = number(default=0.0, doc="braking by the lateral force of the front wheels")
     ahead: float = number(default=0.0, unit="m", doc="distance of the body origin ahead of the rear axle")
     limits: Any = pair("largest commands", "m/s, rad", ("speed", "steering"), fixed=True)
     rate_limits: Any = pair(
@@ -191,7 +209,12 @@ class VelocityCar:
 
     def curvature(self, speed: Any, steering: Any) -> Any:
         """Return the curvature of the path of the rear axle [1/m] at a speed [m/s] and an angle [rad]."""
-        return curvature_of(self.wheelbase, self.understeer, speed, steering)
+        return self._law.curvature(speed, steering)
+
+    @property
+    def _law(self) -> CarLaw:
+        names, limits = CarLaw._fields, np.moveaxis(self.rate_limits, -1, 0)
+        return CarLaw(*(getattr(self, name) for name in names[:-2]), *limits)
 
     def command_for(self, speed: Any, yaw_rate: Any) -> Any:
         """Return the commands for a steady speed and yaw rate, shape (..., 2) [m/s, rad].
@@ -269,15 +292,8 @@ class VelocityCar:
                 f"f is {shown(f)}, expected zero: the model does not describe how a car responds to a force"
             )
         speed, turning = (self.independent(q, v)[..., k] for k in (0, 1))
-        c, s, steering, most = np.cos(q[..., 2]), np.sin(q[..., 2]), q[..., 3], self.rate_limits
-        faster, _, steered = car_rates(
-            (self.speed_time_constant, self.steering_time_constant),
-            (self.speed_gain, self.steering_gain),
-            self.steering_offset,
-            (most[..., 0], most[..., 1]),
-            (speed, steering, turning),
-            (u[..., 0], u[..., 1]),
-        )
+        c, s, steering = np.cos(q[..., 2]), np.sin(q[..., 2]), q[..., 3]
+        faster, _, steered = self._law.rates((speed, steering, turning), (u[..., 0], u[..., 1]))
         stretched = self.wheelbase + self.understeer * (speed * speed)
         k = self.curvature(speed, steering)
         bends = turning * (1 / stretched + k * k * stretched)  # k' by the steering angle
@@ -294,7 +310,8 @@ class VelocityCar:
         L = float(self.wheelbase)
         length, width, height = (1.4 * L, 0.7 * L, 0.3 * L) if self.size is None else self.size
         radius, inertias = min(0.45 * height, 0.2 * L), {"spin_inertia": 1e-3, "yaw_inertia": 1e-3}
-        table = WheelTable.car(L, 0.9 * width, radius, steering_limit=_SIDEWAYS, **inertias)
+        wheels: dict[str, Any] = {"steering_limit": _SIDEWAYS, **inertias}
+        table = WheelTable.car(L, 0.9 * width, radius, **wheels)
         return WheeledRobot(MobileRobot(1.0, 1.0, com=(0.5 * L, 0, 0), size=(length, width, height)), table)
 
     @property

@@ -132,7 +132,7 @@ class VelocityModel:
     def others(self, p: Array) -> dict[str, Array]:
         """Return delay, distance ahead of the axle and limits by name, shape (K,) each, for p (K, P)."""
         known = {name: np.full(len(p), value) for name, value in self.given.items()}
-        return known | {name: p[:, 6 + k] for k, name in enumerate(self.free)}
+        return known | {name: p[:, len(self.first) + k] for k, name in enumerate(self.free)}
 
     def time_constants(self, p: Array) -> Array:
         """Return the time constants of both channels, shape (..., 2) [s]."""
@@ -147,7 +147,7 @@ class VelocityModel:
     def are_possible(self, p: Array) -> Any:
         """Return which numbers, shape (..., P), a robot can have."""
         limits = self.limits()
-        above = [k for k, one in enumerate(self.quantities[:6]) if one.bounded]
+        above = [k for k, one in enumerate(self.quantities) if one.bounded and one.name != "delay"]
         above += [k for k, one in enumerate(self.quantities) if one.name in limits]
         return (p[..., above] > 0).all(axis=-1)
 
@@ -158,9 +158,9 @@ class VelocityModel:
     def resolved(self, segments: Segments, p: Array) -> tuple[Array, Array, float]:
         """Return the numbers of the rates, delays [samples] and the longest time step [s]."""
         others = self.others(p)
-        columns = [p[:, :6], others["ahead"], *(others[name] for name in self.limits())]
+        columns = [p[:, : len(self.first)], others["ahead"], *(others[name] for name in self.limits())]
         numbers = np.column_stack(columns)[:, None]
-        bends = _BENDS if np.isfinite(numbers[..., 7:9]).any() else 1
+        bends = _BENDS if np.isfinite(numbers[..., -4:-2]).any() else 1
         fastest = bends / self.time_constants(p).min()
         longest = self.dt / float(np.clip(self.dt * fastest / _FINE, 1, _MOST_STEPS))
         return numbers, others["delay"] / self.dt, longest
@@ -254,7 +254,7 @@ class VelocityModel:
         return [Lag(*gain, late, limit, steepest) for gain, limit, steepest in rows]
 
     def start(self, lags: Sequence[Lag]) -> Array:
-        """Return first estimates of the first six numbers from the lags of both channels."""
+        """Return first estimates of the first numbers from the lags of both channels."""
         theta = np.array([0.3, 0.3, 0.0, 1.0, 0.0, 1.0])
         for a, b, lag in zip((0, 1), (3, 5), lags, strict=True):
             if lag.gain > 0:
