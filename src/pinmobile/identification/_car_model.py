@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,16 +12,15 @@ from numpy.typing import NDArray
 from pinmobile.arrays import Array
 from pinmobile.errors import InvalidArgument
 from pinmobile.identification._commands import Part, Run, segments_of
+from pinmobile.identification._estimates import Identification, check_identifiable
 from pinmobile.identification._lag import Lag
 from pinmobile.identification._simulation import Quantity, Segments, simulate
 from pinmobile.identification._velocity_car import CarLaw, VelocityCar
 from pinmobile.identification._velocity_model import Sized, VelocityModel
 from pinmobile.identification._velocity_robot import rolling_of
 
-if TYPE_CHECKING:
-    from pinmobile.identification._estimates import Identification
-
 _LONGEST, _GAINS = (0.03, 10.0), (0.02, 50.0)  # ranges of the wheelbase [m], and of gains
+_AT_SPEED = "understeer", "cornering_drag"
 _STEERING = 4  # index of the wheelbase, or of the gain of the steering if the wheelbase is known
 
 
@@ -64,7 +63,7 @@ class CarModel(VelocityModel):
             _sized("steering_time_constant", "s", True, 0.1, np.nan, 1e-6),
             _sized("steering_offset", "rad", False, 0.0, 0.3, 0.03),
             steering,
-            _sized("understeer", "rad s^2/m", False, 0.0, 0.1, 0.01),
+            _sized("understeer", "rad s^2/m", False, 0.0, 0.02, 0.005),
             _sized("cornering_drag", "", False, 0.0, 1.0, 0.1),
         )
 
@@ -121,7 +120,10 @@ class CarModel(VelocityModel):
         return (1.0 + 0.0 * number, number) if known is None else (number, known + 0.0 * number)
 
     def robot(self, found: Identification) -> Any:
-        """Return the identified car."""
+        """Return the identified car; effects of its speed that are not identifiable are zero."""
+        unseen = zip(self.first, found.hidden > 0, strict=False)
+        if any(lost and one.quantity.name not in _AT_SPEED for one, lost in unseen):
+            check_identifiable("robot", found.unseen)
         others = {name: float(x[0]) for name, x in self.others(found.phi[None]).items()}
         values = dict(zip(found.names, found.phi[: len(self.first)].tolist(), strict=False))
         top, turning, *most = (others[name] for name in self.limits())

@@ -18,6 +18,7 @@ _LIMITED = 0.03  # smallest share of the residual that a limit of commands remov
 _STEEP = 0.1  # smallest share of the residual that a limit of acceleration removes
 _RAMPS = np.geomspace(0.03, 0.9, 12)  # tried accelerations, as shares of the largest without a limit
 _RAMPED = np.array([0.1, 0.3, 1.0])  # tried time constants, as shares of that without a limit
+_DELAYS = 4  # tried delays
 _LONGEST = 20_000  # rows of the search for a limit of acceleration
 _SECTION = 3.0  # [s], shortest section under other control
 _UNEXPLAINED = 0.7  # square of the residual per square of motion or command in such a section
@@ -55,7 +56,7 @@ class Lag(NamedTuple):
 
 
 def _ramped(given: Array, dt: float, tau: Array, steepest: Array) -> Array:
-    """Return the motions, shape (N, C), of C lags with limits of acceleration."""
+    """Return the motions, shape (N, C), of C lags with limits of acceleration, for motions without lags."""
     y = np.empty((len(given), len(tau)))
     y[0], share, most = given[0], 1 - np.exp(-dt / tau), steepest * dt
     for k in range(len(given) - 1):
@@ -100,20 +101,28 @@ class Channel(NamedTuple):
         for width in (1.6, 1.15):
             around = best.tau * np.geomspace(1 / width, width, _REFINED)
             best = self._best([(tau, best.late, best.limit) for tau in around])
-        return self._steepest(best)
+        return self._steepest(best, delays)
 
-    def _steepest(self, lag: Lag) -> Lag:
-        """Return a lag with a limit of acceleration, where the motion shows one."""
+    def _steepest(self, lag: Lag, delays: Sequence[int]) -> Lag:
+        """Return a lag with a limit of acceleration, where the motion shows one.
+
+        Without the limit, a longer delay imitates it.
+        """
         u, y = np.concatenate(self.u)[:_LONGEST], np.concatenate(self.y)[:_LONGEST]
         given, seen = lag.given(u), ~np.isnan(y)
         top = float(np.abs(np.diff(given)).max(initial=0.0)) / lag.tau
-        tau, most = (each.ravel() for each in np.meshgrid(lag.tau * _RAMPED, top * _RAMPS))
+        tried = [late for late in delays if late <= lag.late]
+        tried = sorted({tried[round(k)] for k in np.linspace(0, len(tried) - 1, _DELAYS)})
+        late, tau, most = (x.ravel() for x in np.meshgrid(tried, lag.tau * _RAMPED, top * _RAMPS))
+        given = np.stack([lag._replace(late=k).given(u) for k in tried], axis=-1)[
+            :, np.searchsorted(tried, late)
+        ]
         costs = np.abs(_ramped(given, self.dt, tau, most) - y[:, None])[seen].mean(axis=0)
         k = int(costs.argmin())
         before = np.abs(lag.response(u, self.dt) - y)[seen].mean()
         if costs[k] >= (1 - _STEEP) * before:
             return lag
-        found = lag._replace(tau=float(tau[k]), steepest=float(most[k]))
+        found = lag._replace(tau=float(tau[k]), steepest=float(most[k]), late=int(late[k]))
         free = found._replace(limit=np.inf)
         same = np.abs(free.response(u, self.dt) - y)[seen].mean() < costs[k] / (1 - _LIMITED)
         return free if same else found

@@ -207,7 +207,11 @@ class VelocityModel:
         """Return notes on numbers that may be neutral, and on numbers that no robot can have."""
         bounds = found.interval()
         neutral = [n for n, x in self.neutral.items() if bounds[n][0] <= x <= bounds[n][1]]
-        told = [f"the interval of {n}{' - 1' * bool(self.neutral[n])} contains zero" for n in neutral]
+        told = [
+            f"the interval of {n}{' - 1' * bool(self.neutral[n])} contains zero"
+            for n in neutral
+            if np.isfinite(bounds[n][0])
+        ]
         if found.explained < _EXPLAINED:
             told.append(
                 f"the model explains {found.explained:.0%} of a motion: do commands and motion come from one "
