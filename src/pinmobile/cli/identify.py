@@ -44,6 +44,8 @@ class IdentifyPaths:
         See `identify`.
     delay : float, optional
         Delay of poses relative to inputs [s]; default: estimated.
+    wheelbase : float, optional
+        Known distance between the axles of a car [m]: the gain of its steering is estimated.
     rolling_speed : float, optional
         Speed at which dry friction has 71 % of its size [m/s], for wheels [rad/s].
     columns, topics : mapping of str to str or sequence of str, optional
@@ -54,6 +56,7 @@ class IdentifyPaths:
     loads: Any = attrs.field(default=None)
     method: str = option(default=METHODS[0], doc=f"method: {' or '.join(METHODS)}")
     delay: Any = number(default=None, optional=True, unit="s", doc="delay of poses relative to inputs")
+    wheelbase: Any = number(default=None, optional=True, unit="m", doc="distance between the axles of a car")
     rolling_speed: Any = number(
         default=None,
         optional=True,
@@ -68,7 +71,7 @@ class IdentifyPaths:
 def show_identification(words: Sequence[str], out: Path) -> int:
     """Print the estimates from logs, and draw the longest log beside its prediction.
 
-    Two inputs without a robot are commands of speed and yaw rate; the estimates are theta.
+    Two inputs without a robot are commands of speed and yaw rate, or of a car: speed and steering angle.
 
     Raises
     ------
@@ -90,7 +93,7 @@ def show_identification(words: Sequence[str], out: Path) -> int:
             for name in ("loads", "rolling_speed"):
                 if getattr(known, name) is not None:
                     raise InvalidArgument(f"{name} does not apply to a log of commands of speed and yaw rate")
-            found: Any = identify_velocity(logs, delay=known.delay)
+            found: Any = identify_velocity(logs, delay=known.delay, wheelbase=known.wheelbase)
         else:
             own = {"method": known.method, "delay": known.delay, "rolling_speed": known.rolling_speed}
             found = identify(logs, known.robot, loads=loads, **own)

@@ -235,8 +235,9 @@ def identify(
     Confidence intervals belong to the estimates.
 
     Inputs are forces on a body, or with robot=... torques or volts of its wheels. Two inputs without a robot
-    are commands of speed and yaw rate. Paths: robot, loads, method, delay, rolling_speed, columns.ROLE,
-    topics.ROLE. The roles are t, q, u, twist and wheel_rates.
+    are commands of speed and yaw rate, or of a car: speed [m/s] and steering angle [rad]. Paths: robot,
+    loads, method, delay, rolling_speed, wheelbase, columns.ROLE, topics.ROLE. The roles are t, q, u, twist
+    and wheel_rates.
 
     Example: pinmobile identify run.csv columns.q=px,py,yaw "robot=WheelTable.differential(0.5, 0.1)"
     """

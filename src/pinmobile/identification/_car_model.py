@@ -43,12 +43,12 @@ class CarModel(VelocityModel):
         "cornering_drag": 0.0,
     }
     steepest: ClassVar[tuple[Sized, Sized]] = (
-        Sized(Quantity("acceleration", "m/s^2", False, "rate_limits.acceleration"), 1.0),
-        Sized(Quantity("steering_rate", "rad/s", False, "rate_limits.steering_rate"), 3.0),
+        Sized(Quantity("acceleration", "m/s^2", False, "rate_limits.acceleration"), np.inf),
+        Sized(Quantity("steering_rate", "rad/s", False, "rate_limits.steering_rate"), np.inf),
     )
     most: ClassVar[tuple[Sized, Sized]] = (
-        Sized(Quantity("largest_speed_command", "m/s", False), 1.0),
-        Sized(Quantity("largest_steering_command", "rad", False), 1.0),
+        Sized(Quantity("largest_speed_command", "m/s", False), np.inf),
+        Sized(Quantity("largest_steering_command", "rad", False), np.inf),
     )
 
     @property

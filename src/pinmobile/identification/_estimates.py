@@ -92,7 +92,8 @@ class Identification:
         Internal model of the robot.
     phi : ndarray, shape (p,)
         Estimated numbers of the model. A body has (m, m x, m y, I about its origin, friction, ...): the
-        equations of motion are linear in them. A robot with velocity inputs has theta and further numbers.
+        equations of motion are linear in them. A robot with velocity inputs has theta and further numbers, a
+        car the fields of `VelocityCar`.
     covariance_of_phi : ndarray, shape (p, p)
         Covariance of `phi`, by the jackknife over segments; for the weak form by Newey and West.
     freedom : int
@@ -407,7 +408,7 @@ class Identification:
 
         Returns
         -------
-        robot : MobileRobot, WheeledRobot, ByVoltage or VelocityRobot
+        robot : MobileRobot, WheeledRobot, ByVoltage, VelocityRobot or VelocityCar
             Robot of the kind that was identified.
 
         Raises
@@ -418,7 +419,7 @@ class Identification:
         return self.model.robot(self)
 
     def forces(self) -> list[Any]:
-        """Return the friction as forces for `simulate`, see `plausible`; empty for a `VelocityRobot`."""
+        """Return the friction as forces for `simulate`, see `plausible`; empty for velocity inputs."""
         return list(self.model.forces(self))
 
     def spread(self, n: int, seed: Any = 0) -> dict[str, Array]:

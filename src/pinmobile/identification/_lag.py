@@ -54,6 +54,10 @@ class Lag(NamedTuple):
             return _ramped(given, dt, np.array([self.tau]), np.array([self.steepest]))[:, 0]
         return np.asarray(lfilter([0.0, 1 - fades], [1.0, -fades], given, zi=given[:1])[0])
 
+    def top(self, commands: Sequence[Array]) -> float:
+        """Return the largest rate of the motion without a limit."""
+        return max(float(np.abs(np.diff(self.given(u))).max(initial=0.0)) for u in commands) / self.tau
+
 
 def _ramped(given: Array, dt: float, tau: Array, steepest: Array) -> Array:
     """Return the motions, shape (N, C), of C lags with limits of acceleration, for motions without lags."""
@@ -110,7 +114,7 @@ class Channel(NamedTuple):
         """
         u, y = np.concatenate(self.u)[:_LONGEST], np.concatenate(self.y)[:_LONGEST]
         given, seen = lag.given(u), ~np.isnan(y)
-        top = float(np.abs(np.diff(given)).max(initial=0.0)) / lag.tau
+        top = lag.top([u])
         tried = [late for late in delays if late <= lag.late]
         tried = sorted({tried[round(k)] for k in np.linspace(0, len(tried) - 1, _DELAYS)})
         late, tau, most = (x.ravel() for x in np.meshgrid(tried, lag.tau * _RAMPED, top * _RAMPS))

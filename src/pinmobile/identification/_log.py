@@ -169,8 +169,8 @@ class Log:
     u : array_like, shape (N, nu)
         Input, constant from each time to the next. A body driven by forces has (Fx, Fy, Mz) in the inertial
         frame [N, N, N m]. Wheels have torques [N m], voltages [V] or currents [A]; currents need a known
-        load, see `identify`. A robot with velocity inputs has (forward speed, yaw rate) [m/s, rad/s]. Over
-        rows with NaN the last known input holds.
+        load, see `identify`. A robot with velocity inputs has (forward speed, yaw rate) [m/s, rad/s], a car
+        (speed, steering angle) [m/s, rad]. Over rows with NaN the last known input holds.
     twist : array_like, shape (N, 3) or (N, 2), optional
         Measured body twist (forward, left, yaw rate) [m/s, m/s, rad/s], or (forward, yaw rate).
     wheel_rates : array_like, shape (N, k), optional
@@ -179,8 +179,8 @@ class Log:
     dropped : int
         Number of rows that a reader has already dropped, less the rows between slow measurements.
     units : tuple of str
-        Units of the inputs: "N", "N m", "V", "A", "m/s" or "rad/s", or "" if unknown; () if all are unknown.
-        `identify` rejects units that do not fit its robot.
+        Units of the inputs: "N", "N m", "V", "A", "m/s", "rad/s" or "rad", or "" if unknown; () if all
+        are unknown. `identify` rejects units that do not fit its robot.
     clock : tuple of 2 float
         Offset [s] and rate by which `from_streams` corrected the times of the inputs: offset + rate * time.
 

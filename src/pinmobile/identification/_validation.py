@@ -89,14 +89,14 @@ class Validation:
 def validate(log: Log | Sequence[Log], **options: Any) -> Validation:
     """Return errors of predictions on the last third of each log, from what the first two thirds identify.
 
-    Each prediction starts from the measured motion and runs free. Beside the identified `VelocityRobot` stand
+    Each prediction starts from the measured motion and runs free. Beside the identified robot stand
     a robot that follows its commands at once (kinematics), and a first-order lag of each channel with its
     gain, delay and limits. Sections that the commands do not explain do not count.
 
     Parameters
     ----------
     log : Log or sequence of Log
-        Commands of speed and yaw rate, and poses or twists: 62 s or more.
+        Commands and poses or twists, see `identify_velocity`: 62 s or more.
     **options
         Of `identify_velocity`.
 

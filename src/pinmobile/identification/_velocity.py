@@ -1,8 +1,8 @@
-"""`identify_velocity`: theta from a log of commands and motion, with confidence intervals."""
+"""`identify_velocity`: numbers of a robot with velocity inputs from logs of commands and motion."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
 from typing import NamedTuple
@@ -42,11 +42,14 @@ _LONGER = 3  # ratio of successive lengths of segments
 TRAINED = 2 / 3  # share of a log before the hold-out
 _TOGETHER = 0.2  # largest correlation of successive residuals that counts as noise
 _DIFFERENT = 4.0  # standard deviations by which results for two lengths of segments differ
+_NOTABLE = 0.01  # share of the size of a number, by which they differ at least
 _SURE = 2.0  # standard deviations by which a negative delay is reported
 _EARLY = 0.9  # samples by which it is reported in any case: the search ends at one
 _ROUNDS = 2  # of lags and of parts that they explain
 _POOR = 0.5  # R^2 of a hold-out below which a note follows
 _WASTE = 3.0  # largest number of samples in segments of unequal parts, per sample
+_HARD = 0.4  # first estimate of a limit of rates, as a share of the largest rate without it
+_BETTER = 0.05  # smallest reduction of the logarithm of the residual by a limit
 _FARTHEST = 10.0  # [m]: largest distance ahead of the axle
 
 
@@ -59,21 +62,24 @@ def identify_velocity(
     limits: ArrayLike | None = None,
     wheelbase: float | None = None,
 ) -> Identification:
-    """Estimate theta of a `VelocityRobot` from a log of its commands and its motion.
+    """Estimate a `VelocityRobot` or a `VelocityCar` from a log of its commands and its motion.
 
-    The inputs of the log are commands of speed and yaw rate. The measurements are the twist if the log has
-    one, such as from encoders, and otherwise the pose. A first-order lag gives first estimates of gains, time
-    constants, delay and limits of the commands. Sections that the commands do not explain, such as driving by
-    hand, are left out and reported. Output error then fits simulations of segments to the measurements, as
-    long as the noise allows. It weights residuals by their covariance and drops single samples beyond six
-    standard deviations.
+    The inputs of the log are commands of speed and yaw rate, and the estimates are theta. Commands of a car
+    are speed and steering angle: the unit of the second input is ``"rad"``, or `wheelbase` is given. The
+    estimates are then the fields of a `VelocityCar`. The measurements are the twist if the log has one, such
+    as from encoders, and otherwise the pose.
+
+    A first-order lag gives first estimates of gains, time constants, delay and limits of the commands.
+    Sections that the commands do not explain, such as driving by hand, are left out and reported. Output
+    error then fits simulations of segments to the measurements, as long as the noise allows. It weights
+    residuals by their covariance and drops single samples beyond six standard deviations.
 
     The confidence intervals come from the jackknife over blocks of 2 to 5 s with Student's t. They are also
     valid if the noise is correlated. They do not cover the error of a wrong model: `free_run` of the result
     states how much of the motion the model explains, and `notes` whether results depend on the length of the
     segments.
 
-    Speed and yaw rate must change often and independently, for example by `controllers.RandomSteps`.
+    Both commands must change often and independently, for example by `controllers.RandomSteps`.
 
     Parameters
     ----------
@@ -83,28 +89,34 @@ def identify_velocity(
         Delay of measurements relative to commands [s]; default: estimated. The intervals of the other
         numbers then include the uncertainty of the delay.
     ahead : float, optional
-        Distance of the measured point ahead of the axle [m]; None: estimated from poses.
+        Distance of the measured point ahead of the axle, of a car the rear one [m]; None: estimated from
+        poses.
     accelerations : array_like, shape () or (2,), optional
-        Largest absolute accelerations of the firmware, of speed and yaw rate [m/s^2, rad/s^2]; infinite: no
-        limit. Default: estimated where the log shows a limit.
+        Largest absolute accelerations of the firmware, of speed and yaw rate [m/s^2, rad/s^2]; of a car,
+        acceleration and steering rate [m/s^2, rad/s]; infinite: no limit. Default: estimated where the log
+        shows a limit.
     limits : array_like, shape () or (2,), optional
-        Largest absolute commands that the robot follows [m/s, rad/s]; infinite: no limit. Default: estimated
-        where the log shows a limit.
+        Largest absolute commands that the robot follows [m/s, rad/s or rad]; infinite: no limit. Default:
+        estimated where the log shows a limit.
+    wheelbase : float, optional
+        Distance between the axles of a car, > 0 [m]: the gain of the steering is estimated. Default: the
+        wheelbase is estimated, and the gain of the steering is 1.
 
     Returns
     -------
     found : Identification
-        Estimates of theta and of the further numbers.
+        Estimates of the numbers of the robot; its method `robot` returns it.
 
     Raises
     ------
     InvalidArgument
-        If the log is too short or from another robot, units are wrong, commands do not change or explain
-        less than a third of the motion, or an argument is out of range.
+        If the log is too short or from another robot, units are wrong, poses move sideways, commands do not
+        change or explain less than a third of the motion, or an argument is out of range.
 
     See Also
     --------
     VelocityRobot : the model
+    identification.VelocityCar : the model of a car
     controllers.RandomSteps : commands for an informative log
     identify : the same for a robot with forces, torques or voltages as inputs
 
@@ -154,11 +166,11 @@ def identify_velocity(
     start = np.append(model.start(lags), [guess[name] for name in order])
     model = replace(model, free=tuple(order))
     left_out, parts = format_left_out(runs, parts), model.started(parts, start)
-    if is_pose:  # speeds do not drift: a poor start does not lead far away
-        free = replace(model, is_pose=False)
-        segments, calm = segments_of(speeds_of(parts), lead, dt * _LONGER * block_of(parts))
-        speeds, lost = solve_robustly(free, segments, start, calm=calm, natural=free.natural)
-        start = np.where(lost, start, speeds.p)
+    unknown = [] if accelerations is not None else [n for n in model.limits()[:2] if n not in order]
+    tops = [
+        lag._replace(steepest=_HARD * lag.top([run.u[:, k] for run in runs])) for k, lag in enumerate(lags)
+    ]
+    model, start = _by_speeds(model, parts, start, {n: model.limits_of(tops)[n] for n in unknown})
     tried = list(_tried(model, parts, start))
     best = min(tried, key=lambda each: (each.lost.sum(), each.size)) if is_pose else tried[-1]
     differ = _compared(model, *(tried[0], best) if best is not tried[0] else (best, tried[-1]))
@@ -215,6 +227,36 @@ def identify_velocity(
         free_run=MappingProxyType(free_run),
         remarks=tuple(filter(None, remarks)),
     )
+
+
+def _by_speeds(
+    model: VelocityModel, parts: list[Part], p: Array, limits: Mapping[str, float]
+) -> tuple[VelocityModel, Array]:
+    """Return the model and first estimates by speeds, which do not drift, beginning with numbers p.
+
+    The model has more limits of rates, with first estimates by name, where correlated residuals show them.
+    """
+    free = replace(model, is_pose=False)
+    given = speeds_of(_first(parts, _MANY))
+    segments, calm = segments_of(given, model.lead, model.dt * _LONGER * block_of(given))
+
+    def fit(model: VelocityModel, p: Array) -> tuple[VelocityModel, Array, float, bool]:
+        found, lost = solve_robustly(model, segments, p, calm=calm, natural=model.natural)
+        useless = [name for name, is_lost in zip(model.free, lost[count:], strict=True) if is_lost]
+        useless = [name for name in useless if name in model.limits()]
+        p, kept = np.where(lost, p, found.p), [k for k, name in enumerate(model.free) if name not in useless]
+        left, whiteness = found.near.residual, Whiteness.of(found.near.residual, found.good)
+        less = replace(model, free=tuple(model.free[k] for k in kept))
+        rows = [*range(count), *(count + k for k in kept)]
+        return less, p[rows], float(np.log(left[found.good].var(axis=0)).sum()), whiteness.is_white
+
+    count = len(model.first)
+    found, p, cost, white = fit(free, p)
+    for name, guess in limits.items() if not white else ():
+        more, q, less, _ = fit(replace(found, free=(*found.free, name)), np.append(p, guess))
+        if less < cost - _BETTER and name in more.free:
+            found, p, cost = more, q, less
+    return replace(model, free=found.free), p
 
 
 class _Tried(NamedTuple):
@@ -306,7 +348,8 @@ def _compared(model: VelocityModel, short: _Tried, long: _Tried) -> str:
     """Return a note on numbers that depend on the length of the segments; "" if there are none."""
     wide, narrow = np.diag(short.covariance), np.diag(long.covariance)
     deviation = np.sqrt(np.maximum(wide - narrow, 0.3 * wide))
-    off = np.abs(short.fit.p - long.fit.p) > _DIFFERENT * deviation
+    least = _NOTABLE * model.sizes(long.fit.p)
+    off = np.abs(short.fit.p - long.fit.p) > np.maximum(_DIFFERENT * deviation, least)
     rows = zip(model.quantities, short.fit.p, long.fit.p, off & ~(short.lost | long.lost), strict=True)
     listed = ", ".join(f"{one.name} {a:.3g} and {b:.3g}" for one, a, b, differs in rows if differs)
     note = (

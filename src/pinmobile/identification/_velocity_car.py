@@ -7,6 +7,7 @@ from functools import cached_property
 from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple, final
 
+import attrs
 import numpy as np
 import pinocchio as pin
 
@@ -14,7 +15,7 @@ from pinmobile.arrays import Array, ArrayLike, finite, frozen, lengths, shaped, 
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.identification._velocity_robot import arrays, pair, rolling_of, stacked
 from pinmobile.integrators import rk4
-from pinmobile.parts import by_value, is_symbolic, number, option, part, structure
+from pinmobile.parts import by_value, evolved, is_symbolic, number, option, part, structure
 from pinmobile.plant import Coordinate, Input
 from pinmobile.robot import MobileRobot
 from pinmobile.wheels import WheeledRobot, WheelTable
@@ -22,6 +23,11 @@ from pinmobile.wheels import WheeledRobot, WheelTable
 _QUICKER = 4.0  # time constant of the steering angle per time constant of its rate: critical damping
 _SIDEWAYS = 1.4  # [rad], steering angle from which the curvature stays the same
 _OFF = 1e-9  # largest difference of a start velocity from rolling, relative to the velocity
+
+
+def _box(wheelbase: Any) -> Any:
+    """Return the size of the box of a car [m]."""
+    return 1.4 * wheelbase, 0.7 * wheelbase, 0.3 * wheelbase
 
 
 class CarLaw(NamedTuple):
@@ -153,7 +159,8 @@ class VelocityCar:
         "largest acceleration and steering rate", "m/s^2, rad/s", ("acceleration", "steering_rate")
     )
     size: Any = option(
-        default=None, check=lambda name, value: None if value is None else tuple(lengths(value).tolist())
+        default=attrs.Factory(lambda car: _box(car.wheelbase), takes_self=True),
+        check=lambda name, value: tuple(lengths(value).tolist()),
     )
     source: str = option(default="", check=text)
 
@@ -307,12 +314,13 @@ class VelocityCar:
 
     @cached_property
     def _drawn(self) -> WheeledRobot:
-        L = float(self.wheelbase)
-        length, width, height = (1.4 * L, 0.7 * L, 0.3 * L) if self.size is None else self.size
-        radius, inertias = min(0.45 * height, 0.2 * L), {"spin_inertia": 1e-3, "yaw_inertia": 1e-3}
-        wheels: dict[str, Any] = {"steering_limit": _SIDEWAYS, **inertias}
-        table = WheelTable.car(L, 0.9 * width, radius, **wheels)
-        return WheeledRobot(MobileRobot(1.0, 1.0, com=(0.5 * L, 0, 0), size=(length, width, height)), table)
+        L, (_, width, height) = float(self.wheelbase), self.size
+        wheels: dict[str, Any] = {"steering_limit": _SIDEWAYS, "spin_inertia": 1e-3, "yaw_inertia": 1e-3}
+        table = WheelTable.car(L, 0.9 * width, min(0.45 * height, 0.2 * L), **wheels)
+        drive, steering = table.couplings  # with the origin in the middle, as the box
+        rows = [evolved(wheel, x=wheel.x - 0.5 * L) for wheel in table.wheels]
+        table = WheelTable(rows, (), (drive, evolved(steering, axle=-0.5 * L)))
+        return WheeledRobot(MobileRobot(1.0, 1.0, size=self.size), table)
 
     @property
     def visual_model(self) -> pin.GeometryModel:
@@ -323,6 +331,7 @@ class VelocityCar:
         """Return the poses of the objects of `visual_model` in the inertial frame, shape (..., k, 4, 4)."""
         q, drawn = vector("q", q, 4), self._drawn
         there = np.zeros((*q.shape[:-1], drawn.nq))
-        there[..., :2] = q[..., :2] - self.ahead * stacked(np.cos(q[..., 2]), np.sin(q[..., 2]))
+        middle = 0.5 * self.wheelbase - self.ahead
+        there[..., :2] = q[..., :2] + middle * stacked(np.cos(q[..., 2]), np.sin(q[..., 2]))
         there[..., 2:4] = q[..., 2:]
         return np.asarray(drawn.drawing(there))

@@ -35,12 +35,16 @@ _QUICKEST = 0.1  # shortest time constant that a log shows, as a share of its ti
 _FINE = 0.3  # longest time step of the integrator, as a share of the shortest time constant
 _BENDS = 4  # factor on the number of steps where a limit of acceleration may end within a step
 _MOST_STEPS = 40  # largest number of steps per sample
+_FAR = 100.0  # value of a limit that the log does not show, per first estimate
 _SLOPE = 1e-4  # step of differences, as a share of the size of a number
 _GAINS = 0.1, 10.0  # range of the command per steady speed or yaw rate
 
 
 class Sized(NamedTuple):
-    """Number of a model: the identified quantity, its prior value, its typical and its smallest size."""
+    """Number of a model: the identified quantity, its prior value, its typical and its smallest size.
+
+    The prior value of a limit is infinite; a typical size of NaN is that of the number.
+    """
 
     quantity: Quantity
     prior: float
@@ -88,12 +92,12 @@ class VelocityModel:
     neutral: ClassVar[Mapping[str, float]] = _NEUTRAL
     first: ClassVar[tuple[Sized, ...]] = tuple(_theta())
     steepest: ClassVar[tuple[Sized, Sized]] = (
-        Sized(Quantity("acceleration", "m/s^2", False, "accelerations.acceleration"), 1.0),
-        Sized(Quantity("yaw_acceleration", "rad/s^2", False, "accelerations.yaw_acceleration"), 3.0),
+        Sized(Quantity("acceleration", "m/s^2", False, "accelerations.acceleration"), np.inf),
+        Sized(Quantity("yaw_acceleration", "rad/s^2", False, "accelerations.yaw_acceleration"), np.inf),
     )
     most: ClassVar[tuple[Sized, Sized]] = (
-        Sized(Quantity("largest_speed_command", "m/s", False), 1.0),
-        Sized(Quantity("largest_yaw_rate_command", "rad/s", False), 1.0),
+        Sized(Quantity("largest_speed_command", "m/s", False), np.inf),
+        Sized(Quantity("largest_yaw_rate_command", "rad/s", False), np.inf),
     )
 
     @classmethod
@@ -127,7 +131,7 @@ class VelocityModel:
     def natural(self, p: Array) -> tuple[Array, Array]:
         """Return the typical sizes of numbers near p, and their prior values, shape (P,) each."""
         first, given, _ = self._sizes
-        return np.where(np.isnan(given), np.abs(p), given), first
+        return np.where(np.isnan(given), np.abs(p), given), np.where(np.isinf(first), _FAR * np.abs(p), first)
 
     def others(self, p: Array) -> dict[str, Array]:
         """Return delay, distance ahead of the axle and limits by name, shape (K,) each, for p (K, P)."""

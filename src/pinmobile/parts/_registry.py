@@ -185,6 +185,7 @@ _PACKAGES = [
     "controllers",
     "dh",
     "forces",
+    "identification",
     "integrators",
     "loop",
     "paths",
