@@ -20,6 +20,7 @@ import subprocess
 import sys
 import zlib
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from importlib import import_module
 from itertools import product
 from pathlib import Path
@@ -54,6 +55,8 @@ class Log(NamedTuple):
         Whether commands act and the motion is measured.
     names : sequence of str
         What the motions are called.
+    steering : ndarray, shape (N,), or None
+        Steering angles that a car is commanded [rad].
     """
 
     dt: float
@@ -63,6 +66,7 @@ class Log(NamedTuple):
     y: Array
     good: Array
     names: Any = ("speed", "yaw rate")
+    steering: Any = None
 
     @property
     def parts(self) -> tuple[Array, Array]:
@@ -152,7 +156,8 @@ def dart(path: Path) -> Log:
     acts, throttle, steering, t, x, y, psi = rows[rows[:, 0] > 0, 7:].T
     throttle, grid = throttle * acts, np.arange(t[0] + 0.1, t[-1] - 0.1, 0.05)
     u, q = np.column_stack([throttle, throttle * steering]), np.column_stack([x, y, np.unwrap(psi)])
-    return Log(0.05, t, u, grid, twist(t, q, grid, 0.05)[:, [0, 2]], np.interp(grid, t, acts) == 1)
+    y, good = twist(t, q, grid, 0.05)[:, [0, 2]], np.interp(grid, t, acts) == 1
+    return Log(0.05, t, u, grid, y, good, steering=0.35 * steering)
 
 
 def slow_car(path: Path) -> Log:
@@ -163,7 +168,8 @@ def slow_car(path: Path) -> Log:
     grid, u = np.arange(t[0] + 1, t[-1] - 1, 0.1), np.column_stack([speed, -speed * steering])
     nu = twist(t, np.array(q).T, grid, 0.6)
     ahead = np.hypot(nu[:, 0], nu[:, 1])
-    return Log(0.1, t, u, grid, np.column_stack([ahead, nu[:, 2]]), ~near(ahead > 0.2, 10))
+    y = np.column_stack([ahead, nu[:, 2]])
+    return Log(0.1, t, u, grid, y, ~near(ahead > 0.2, 10), steering=-steering)
 
 
 def robotino(path: Path) -> Log:
@@ -232,17 +238,45 @@ def identified(log: Log) -> tuple[list[str], Array, Step]:
     """Return the same of the model that pinmobile identifies from the pieces of a log, of 81 rows or more."""
     rows = np.flatnonzero(log.parts[0])
     pieces = [part for part in np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1) if len(part) > 80]
-    logs = [pm.Log.from_streams(log.grid[k], None, log.t, log.u, twist=log.y[k]) for k in pieces]
-    found = pm.identify_velocity(logs)
-    robot, told = found.robot(), " ".join(f"{x:.3g}" for x in found.theta)
-    finer = 5 + int(2 * log.dt / min(robot.time_constants))
-
-    def step(z: Array, u: Array) -> Array:
+    u, units = log.u, ("m/s", "rad/s")
+    if log.steering is not None:
+        u, units = np.column_stack([u[:, 0], log.steering]), ("m/s", "rad")
+    logs = [pm.Log.from_streams(log.grid[k], None, log.t, u, twist=log.y[k]) for k in pieces]
+    found = pm.identify_velocity([replace(each, units=units) for each in logs])
+    robot, told = found.robot(), " ".join(f"{x:.2g}" for x in found.phi[: len(found.model.first)])
+    finer = 5 + int(2 * log.dt / min(found.model.time_constants(found.phi)))
+    h, now = log.dt / finer, log._replace(u=u).late(found.delay)
+    now = np.clip(now, -robot.limits, robot.limits)
+    told = [told, f"numbers above, {1e3 * found.delay:.0f} ms late"]
+    if log.steering is None:
+        return told, now, repeated(lambda z, u: z + h * np.asarray(robot.rates(z, u)), finer)
+    (most, fastest), T, turned = robot.rate_limits, robot.steering_time_constant, np.zeros(2)
+    for row in now:  # the steering follows its commands alone
+        wanted = robot.steering_gain * row[1] + robot.steering_offset
         for _ in range(finer):
-            z = z + log.dt / finer * np.asarray(robot.rates(z, np.clip(u, -robot.limits, robot.limits)))
+            rate = np.clip((wanted - turned[0]) / T, -fastest, fastest)
+            turned = turned + h * np.array([turned[1], 4 * (rate - turned[1]) / T])
+        row[1] = turned[0]
+
+    def drive(z: Array, u: Array) -> Array:
+        speed, k = z[..., 0], robot.curvature(z[..., 0], u[..., 1])
+        drag = robot.cornering_drag * speed * np.abs(speed) * k * np.tan(u[..., 1])
+        faster = (robot.speed_gain * u[..., 0] - speed) / robot.speed_time_constant - drag
+        speed = speed + h * np.clip(faster, -most, most)
+        return np.stack([speed, speed * robot.curvature(speed, u[..., 1])], axis=-1)
+
+    return told, now, repeated(drive, finer)
+
+
+def repeated(step: Step, count: int) -> Step:
+    """Return a number of steps as one."""
+
+    def steps(z: Array, u: Array) -> Array:
+        for _ in range(count):
+            z = step(z, u)
         return z
 
-    return [told, f"theta above, {1e3 * found.delay:.0f} ms late"], log.late(found.delay), step
+    return steps
 
 
 def scores(log: Log, u: Array, step: Step) -> Array:

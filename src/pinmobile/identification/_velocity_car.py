@@ -123,7 +123,7 @@ class VelocityCar:
     --------
     identify_velocity : estimate the numbers from a log
     VelocityRobot : robot with commands of speed and yaw rate
-    wheels.WheelTable : its method ``car`` returns wheels of a car with masses and torques
+    WheelTable : its constructor `car` returns wheels of a car with masses and torques
     controllers.VelocityCommand : commands from a kinematic law
 
     Notes
@@ -319,7 +319,7 @@ class VelocityCar:
         table = WheelTable.car(L, 0.9 * width, min(0.45 * height, 0.2 * L), **wheels)
         drive, steering = table.couplings  # with the origin in the middle, as the box
         rows = [evolved(wheel, x=wheel.x - 0.5 * L) for wheel in table.wheels]
-        table = WheelTable(rows, (), (drive, evolved(steering, axle=-0.5 * L)))
+        table = WheelTable(tuple(rows), (), (drive, evolved(steering, axle=-0.5 * L)))
         return WheeledRobot(MobileRobot(1.0, 1.0, size=self.size), table)
 
     @property
