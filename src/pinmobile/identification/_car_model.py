@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pinmobile.arrays import Array
 from pinmobile.errors import InvalidArgument
-from pinmobile.identification._commands import Part, Run, segments_of
+from pinmobile.identification._commands import CAR_COMMANDS, Part, Run, segments_of
 from pinmobile.identification._estimates import Identification, check_identifiable
 from pinmobile.identification._lag import Lag
 from pinmobile.identification._simulation import Quantity, Segments, simulate
@@ -35,7 +35,7 @@ class CarModel(VelocityModel):
     The gain of the steering is 1 unless `given` has the ``"wheelbase"``: curvatures are the ratio of both.
     """
 
-    is_car: ClassVar[bool] = True
+    inputs: ClassVar[Mapping[str, str]] = CAR_COMMANDS
     neutral: ClassVar[Mapping[str, float]] = {
         "speed_gain": 1.0,
         "steering_offset": 0.0,

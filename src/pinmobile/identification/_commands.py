@@ -20,7 +20,7 @@ CAR_COMMANDS = {"speed": "m/s", "steering angle": "rad"}
 LEAST_BLOCKS = 20  # smallest number of blocks of the jackknife
 BLOCK, _LONG_BLOCK = 2.0, 5.0  # [s], their length: the longest that a log allows
 _LATEST, _MOST_LATE = 0.6, 60  # largest delay [s] and [samples]
-_LEAST = 0.3  # smallest explained share of the motion
+LEAST = 0.3  # smallest explained share of the motion
 _MOST_UNEXPLAINED = 0.5  # largest share of a log under other control
 _USUAL, _SLOW = 0.9, 0.3  # quantile of the usual speed, and the share of it from which curvatures are known
 _STEEPEST = 1.3  # [rad], steering commands beyond it have no curvature
@@ -72,15 +72,19 @@ class Part(NamedTuple):
     stop: int
 
 
-def runs_of(logs: list[Log], is_pose: bool, is_car: bool) -> list[Run]:
-    """Return the checked logs at equal time steps."""
+def runs_of(logs: list[Log], is_pose: bool, inputs: Mapping[str, str]) -> list[Run]:
+    """Return the checked logs, with the units of their inputs by name, at equal time steps."""
+    is_car = inputs is CAR_COMMANDS
     for one in logs:
-        if one.u.shape[1] != 2:
+        if one.u.shape[1] != len(inputs):
             raise InvalidArgument(
                 f"log has {one.u.shape[1]} inputs, expected two, commands of speed and yaw rate: for forces, "
                 "torques or voltages use identify; commands of sideways speeds are not identified"
+                if is_car or inputs is CHANNELS
+                else f"log has {one.u.shape[1]} inputs, expected {', '.join(inputs)}: of a car, give the "
+                "steering angle [rad] in place of its torque"
             )
-        check_units(one, "log", CAR_COMMANDS if is_car else CHANNELS)
+        check_units(one, "log", inputs)
     if any((one.twist is None) != is_pose for one in logs):
         raise InvalidArgument("log has a twist, and another log has none, expected a twist in all or in none")
     name, found = "q" if is_pose else "twist", []
@@ -157,7 +161,7 @@ def channels_of(parts: Sequence[Part]) -> list[Channel]:
     ]
 
 
-def explained_parts(runs: Sequence[Run], lags: Sequence[Lag], least: float = _LEAST) -> list[Part]:
+def explained_parts(runs: Sequence[Run], lags: Sequence[Lag], least: float = LEAST) -> list[Part]:
     """Return the parts of runs whose motion the commands explain, by at least a share of each channel.
 
     Raises
@@ -182,7 +186,7 @@ def check_explained(
     lags: Sequence[Lag],
     dt: float,
     left_out: float = 0.0,
-    least: float = _LEAST,
+    least: float = LEAST,
 ) -> None:
     """Reject commands that explain too small shares of the motion by channel, or nothing in most of the log.
 

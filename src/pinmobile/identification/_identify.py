@@ -26,7 +26,9 @@ from pinmobile.identification._log import Log, continuous, logs_of, lost_rows, u
 from pinmobile.identification._planar_model import PlanarModel, PlanarProblem
 from pinmobile.identification._preprocessing import PreprocessedLog, Slippage
 from pinmobile.identification._simulation import Segments
+from pinmobile.identification._torque_car import identify_car
 from pinmobile.identification._weak_form import WINDOW, WeakFit, WeakForm
+from pinmobile.parts import Tabled, offers
 from pinmobile.robot import MobileRobot, PayloadBody
 from pinmobile.wheels import WheeledRobot, WheelTable
 
@@ -78,6 +80,10 @@ def identify(
         Prior robot. Its numbers replace those that the log does not identify. Its wheels and motors are not
         estimated. A wheel table gives only the wheels: its inputs are voltages if the wheels have electric
         motors, otherwise torques. Default: a body driven by forces, without prior numbers.
+
+        The last input of a car (`WheelTable.car`) is its measured steering angle [rad], in place of a torque.
+        Its wheels roll. If they have a `wheels.WheelFriction` with ``slip`` on `Coulomb` ground, the
+        estimates include the cornering stiffness of both axles [N s/m] and the centre of mass.
     loads : sequence of PayloadBody or None, optional
         Load on the robot in each log, in the body frame. Loads that differ make the scale of the inputs
         identifiable, such as an unknown torque constant or the torque per ampere. All inputs have one scale.
@@ -127,6 +133,10 @@ def identify(
     one_of("method", method, METHODS)
     alone = isinstance(robot, WheelTable)
     robot = _on_wheels(robot) if alone else robot
+    if robot is not None and offers(robot, Tabled) and robot.table.axes:
+        if loads is not None or method != METHODS[0]:
+            raise InvalidArgument('loads and method="weak" do not apply to a car, expected neither of them')
+        return identify_car(logs, robot, delay, rolling_speed)
     carried = _moments(loads, len(logs))
     model = PlanarModel.of(robot, rolling_speed, loads is not None)
     if model.wheels:

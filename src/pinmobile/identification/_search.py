@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pinmobile.arrays import Array
 from pinmobile.identification._commands import (
     CHANNELS,
+    LEAST,
     Part,
     block_of,
     channels_of,
@@ -21,7 +22,15 @@ from pinmobile.identification._commands import (
     speeds_of,
 )
 from pinmobile.identification._estimates import Identification
-from pinmobile.identification._estimator import Fit, Whiteness, jackknife, solve, solve_robustly, white_of
+from pinmobile.identification._estimator import (
+    Fit,
+    Whiteness,
+    jackknife,
+    solve,
+    solve_robustly,
+    unexplained,
+    white_of,
+)
 from pinmobile.identification._lag import Lag
 from pinmobile.identification._simulation import Segments, simulate
 from pinmobile.identification._velocity_model import VelocityModel
@@ -93,7 +102,10 @@ def searched(
         best = best._replace(fit=best.fit._replace(p=p))  # the covariance contains that of the delay
     found, lost, p = best.fit, best.lost, best.fit.p
     free_run = _free_run(model, parts, best)
-    check_explained({name: free_run.get(name, (None,))[0] for name in CHANNELS}, lags, dt)
+    if lags:
+        check_explained({name: free_run.get(name, (None,))[0] for name in CHANNELS}, lags, dt)
+    elif (share := min(each for each, _ in free_run.values())) < LEAST:
+        raise unexplained(share)
     poor = [name for name, (_, after) in free_run.items() if after < _POOR]
     if poor:
         named = " and the ".join(poor)

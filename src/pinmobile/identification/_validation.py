@@ -134,7 +134,7 @@ def validate(log: Log | Sequence[Log], **options: Any) -> Validation:
     last = [one.between(TRAINED * span, span + one.dt) for one, span in zip(logs, spans, strict=True)]
     found = identify_velocity(first, **options)
     model = found.model
-    trained, held = (runs_of(part, model.is_pose, model.is_car) for part in (first, last))
+    trained, held = (runs_of(part, model.is_pose, model.inputs) for part in (first, last))
     lags = [each.lag(model.lead) for each in channels_of(explained_parts(trained, model.lags(found.phi)))]
     parts = explained_parts(held, model.lags(found.phi), least=-np.inf)  # also of a poor model
     dt = held[0].dt

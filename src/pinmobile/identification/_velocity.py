@@ -12,6 +12,8 @@ from pinmobile.errors import InvalidArgument
 from pinmobile.identification._car_model import CarModel
 from pinmobile.identification._commands import (
     BLOCK,
+    CAR_COMMANDS,
+    CHANNELS,
     LEAST_BLOCKS,
     Run,
     channels_of,
@@ -114,7 +116,7 @@ def identify_velocity(
     logs = logs_of(log)
     is_pose, is_car = logs[0].twist is None, wheelbase is not None or logs[0].units[1:] == ("rad",)
     sensor = "q" if is_pose else "twist"
-    runs = runs_of(logs, is_pose, is_car)
+    runs = runs_of(logs, is_pose, CAR_COMMANDS if is_car else CHANNELS)
     dt, lead = runs[0].dt, lead_of(runs)
     if ahead is None and not is_pose:
         raise InvalidArgument("ahead is None, expected a number [m]: a log of twists does not identify it")

@@ -88,7 +88,7 @@ class VelocityModel:
 
     told_first: ClassVar[int] = 6
     columns: ClassVar[slice] = slice(None)
-    is_car: ClassVar[bool] = False
+    inputs: ClassVar[Mapping[str, str]] = CHANNELS
     neutral: ClassVar[Mapping[str, float]] = _NEUTRAL
     first: ClassVar[tuple[Sized, ...]] = tuple(_theta())
     steepest: ClassVar[tuple[Sized, Sized]] = (
@@ -233,7 +233,7 @@ class VelocityModel:
     ) -> tuple[Segments, Array, NDArray[np.bool_], Array]:
         """Return segments of a log, residuals, mask of good samples, and the noise."""
         runs, length = (
-            runs_of([log], self.is_pose, self.is_car),
+            runs_of([log], self.is_pose, self.inputs),
             scalar("seconds", BLOCK if seconds is None else seconds),
         )
         bounded("seconds", length, least=3 * runs[0].dt, unit="s")

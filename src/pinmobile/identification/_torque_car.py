@@ -1,0 +1,393 @@
+"""`TorqueCar`: mass, inertia, friction and cornering stiffness of a car with torques as inputs.
+
+The body twist is nu = (u, v, r). The steering angle delta is measured. With the mass matrix M of body and
+wheels, the nonlinear effects c, the directions b of the driven wheels and n across the axles::
+
+    M nu' + c = sum_k (tau_k - friction_k) b_k - sum_i C_i (n_i nu) n_i
+
+Rolling wheels have the twist nu = S u with S = (1, -x_r t, t), t = tan(delta) / L. The equation along S
+contains no lateral force. L is the wheelbase, and x_r is the position of the rear axle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pinmobile import parts
+from pinmobile.arrays import Array, bounded, positive, scalar
+from pinmobile.errors import InvalidArgument
+from pinmobile.forces import JointFriction
+from pinmobile.identification._commands import Run, lead_of, parts_of, runs_of, segments_of
+from pinmobile.identification._estimates import Identification, check_identifiable
+from pinmobile.identification._estimator import solve_robustly, unexplained
+from pinmobile.identification._log import Log, unused
+from pinmobile.identification._planar_model import PlanarModel
+from pinmobile.identification._search import searched
+from pinmobile.identification._simulation import Quantity, Segments
+from pinmobile.identification._velocity_model import Sized, VelocityModel
+from pinmobile.identification._weak_form import WINDOW, Bump
+from pinmobile.urdf import Body
+from pinmobile.wheels import Motor
+
+_SLOW = 0.1  # [rad/s], where dry friction has 71 % of its size
+_STEP = 5e-3  # [s], longest integration step
+_STIFF = 0.5  # longest step per decay time of lateral velocities
+
+
+class CarWheels(NamedTuple):
+    """Geometry and wheels of a car, with one wheel in the middle of each axle.
+
+    Attributes
+    ----------
+    rear, front : float
+        Positions of the axles [m].
+    fixed : ndarray, shape (a, 3)
+        Rate of each motor per body twist, by the wheels of the rear axle.
+    steered : ndarray, shape (a,)
+        Rate of each motor per velocity along the front wheels.
+    inertia : ndarray, shape (3, 3)
+        Inertia of the rear wheels about their axles, for the body twist.
+    spin : float
+        Inertia of the front wheels about their axles, as a mass along the wheels [kg].
+    names : tuple of str
+        Names of the motors.
+    motors : tuple of Motor
+        Motors with voltages as inputs; empty for torques.
+    """
+
+    rear: float
+    front: float
+    fixed: Array
+    steered: Array
+    inertia: Array
+    spin: float
+    names: tuple[str, ...]
+    motors: tuple[Motor, ...]
+
+    @classmethod
+    def of(cls, robot: Any) -> Self:
+        """Return the wheels of a robot.
+
+        Raises
+        ------
+        InvalidArgument
+            If the robot is no car: one fixed and one steered axle of wheels with tyres, without arms.
+        """
+        table, wheeled = robot.table, getattr(robot, "wheeled", robot)
+        axis = table.axes[0]
+        steered = [table.wheels[k] for k in axis.wheels]
+        fixed = [each for each in table.wheels if each not in steered]
+        places = {each.x for each in fixed}, {each.x for each in steered}
+        if (
+            len(table.axes) > 1
+            or wheeled.mounts
+            or any(each.roller or each.angle or any(each.trail) for each in table.wheels)
+            or any(len(each) != 1 for each in places)
+            or places[0] == places[1]
+        ):
+            raise InvalidArgument(
+                "robot has wheels that steer, and is no car, expected one fixed and one steered axle of "
+                "wheels with tyres, one steering coordinate and no arms, such as WheelTable.car"
+            )
+        drives = [each for each in table.actuators if each.name != axis.name]
+        columns, steers = np.array([each.column for each in drives]), list(axis.wheels)
+        others = [k for k in range(len(table.wheels)) if k not in steers]
+        along = np.array([(1 / w.radius, 0.0, -w.y / w.radius) for w in table.wheels])
+        inertias = np.array([w.spin_inertia for w in table.wheels])
+        if any(each.motor.is_electric for each in drives):
+            inertias = inertias + sum(
+                each.motor.reflected_inertia * np.abs(c[1:]) for each, c in zip(drives, columns, strict=True)
+            )
+        rows = along[others]
+        volts = [one.unit == "V" for one in robot.inputs if one.name != axis.name]
+        return cls(
+            float(*places[0]),
+            float(*places[1]),
+            columns[:, 1:][:, others] @ rows,
+            columns[:, 1:][:, steers] @ along[steers, 0],
+            (rows.T * inertias[others]) @ rows,
+            float(inertias[steers] @ along[steers, 0] ** 2),
+            tuple(each.name for each in drives),
+            tuple(each.motor for each in drives) if any(volts) else (),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class TorqueCar(VelocityModel):
+    """Model of a car with torques or voltages, and a measured steering angle, as inputs.
+
+    Parameters
+    ----------
+    wheels : CarWheels
+        Wheels and motors.
+    body : Body
+        Prior body, which has the numbers that are not estimated.
+    slow : float
+        Speed at which dry friction has 71 % of its size [rad/s].
+    typical : tuple of 2 float
+        Typical torque and rate of a motor [N m, rad/s].
+    stiffness : tuple of 2 float
+        Prior cornering stiffness of front and rear axle [N s/m]; () if the wheels roll.
+    """
+
+    wheels: Any = None
+    body: Any = None
+    slow: float = _SLOW
+    typical: tuple[float, float] = (1.0, 1.0)
+    stiffness: tuple[float, ...] = ()
+
+    told_first: ClassVar[int] = 2
+    neutral: ClassVar[Mapping[str, float]] = {}
+
+    @property
+    def first(self) -> tuple[Sized, ...]:  # type: ignore[override]
+        """Numbers without the delay."""
+        torque, rate = self.typical
+        found = [Sized(Quantity("mass", "kg", True, "mass"), self.body.mass)]
+        if self.stiffness:
+            found.append(Sized(Quantity("com_x", "m", False, "com.x"), float(self.body.com[0]), 0.3, 0.03))
+        found.append(Sized(Quantity("yaw_inertia", "kg m^2", True, "yaw_inertia"), self.body.yaw_inertia))
+        kinds = ("viscous", "N m s/rad", torque / rate), ("coulomb", "N m", torque)
+        for kind, unit, size in kinds:
+            for n in self.wheels.names:
+                quantity = Quantity(f"joint_{kind}_{n}", unit, True, f"{kind}.{n}")
+                found.append(Sized(quantity, 0.0, size, 0.01 * size))
+        found.append(Sized(Quantity("steering_offset", "rad", False), 0.0, 0.3, 0.03))
+        for axle, each in zip(("front", "rear"), self.stiffness, strict=False):
+            found.append(Sized(Quantity(f"cornering_{axle}", "N s/m", True), each))
+        return tuple(found)
+
+    @classmethod
+    def limits(cls) -> list[str]:
+        """Return no names."""
+        return []
+
+    def are_possible(self, p: Array) -> Any:
+        """Return which numbers, shape (..., P), a car can have."""
+        named = [
+            k for k, one in enumerate(self.quantities) if one.bounded and not one.name.startswith("joint")
+        ]
+        return (p[..., [k for k in named if self.quantities[k].name != "delay"]] > 0).all(axis=-1)
+
+    def time_constants(self, p: Array) -> Array:
+        """Return infinity: torques act at once."""
+        return np.full((*p.shape[:-1], 2), np.inf)
+
+    def resolved(self, segments: Segments, p: Array) -> tuple[Array, Array, float]:
+        """Return the numbers of the rates, delays [samples] and the longest time step [s]."""
+        late, longest = self.others(p)["delay"] / self.dt, _STEP
+        if self.stiffness:
+            stiff = p[:, len(self.first) - 2 : len(self.first)].max() / p[:, 0].min()
+            lever = max(abs(self.wheels.front), abs(self.wheels.rear)) ** 2 * p[:, 0].max() / p[:, 2].min()
+            longest = min(_STEP, _STIFF / (2 * stiff * max(1.0, lever)))
+        return np.column_stack([p[:, : len(self.first)], late])[:, None], late, longest
+
+    def rates(self, z: Any, u: Any, numbers: Any) -> Any:
+        """Return the rates of the velocities, and of the pose if it is measured, of one state and input."""
+        wheels, count, n = self.wheels, len(self.wheels.names), numbers
+        m, place, k = n[0], n[1] if self.stiffness else float(self.body.com[0]), 2 if self.stiffness else 1
+        inertia, y = n[k], float(self.body.com[1])
+        viscous, dry = n[k + 1 : k + 1 + count], n[k + 1 + count : k + 1 + 2 * count]
+        steering, turning = u[count] + n[k + 1 + 2 * count], u[count + 1]
+        c, s, L = np.cos(steering), np.sin(steering), wheels.front - wheels.rear
+        along, across = np.stack([c, s, wheels.front * s]), np.stack([-s, c, wheels.front * c])
+        tangent = s / c / L
+        S = np.stack([1.0 + 0.0 * tangent, -wheels.rear * tangent, tangent])
+        nu = z[:3] if self.stiffness else S * z[0]
+        forward, left, r = nu[0], nu[1], nu[2]
+        zero = 0.0 * m
+        M = np.stack(
+            [
+                np.stack([m, zero, -m * y]),
+                np.stack([zero, m, m * place]),
+                np.stack([-m * y, m * place, inertia + m * (place * place + y * y)]),
+            ]
+        )
+        M = M + wheels.inertia + wheels.spin * along[:, None] * along[None, :]
+        drives = [
+            np.asarray(fixed) + front * along
+            for fixed, front in zip(wheels.fixed, wheels.steered, strict=True)
+        ]
+        turns = [drive @ nu for drive in drives]
+        force = np.stack(
+            [
+                m * r * (left + place * r),
+                m * r * (y * r - forward),
+                -m * r * (place * forward + y * left),
+            ]
+        )
+        for torque, rate, drive, a, b in zip(
+            self.torques(u[:count], turns), turns, drives, viscous, dry, strict=True
+        ):
+            force = force + (torque - a * rate - b * rate / np.sqrt(rate * rate + self.slow**2)) * drive
+        if self.stiffness:
+            back = np.array([0.0, 1.0, wheels.rear])
+            front, rear = n[k + 2 + 2 * count], n[k + 3 + 2 * count]
+            force = force - front * (across @ nu) * across - rear * (back @ nu) * back
+            faster = np.linalg.solve(M, force)
+        else:
+            bent = turning * (1 / (c * c) / L) * z[0]
+            more = np.stack([0.0 * bent, -wheels.rear * bent, bent])
+            faster = np.stack([(S @ force - S @ (M @ more)) / (S @ (M @ S))])
+        if not self.is_pose:
+            return faster
+        psi = z[-1]
+        c, s = np.cos(psi), np.sin(psi)
+        return np.concatenate([faster, np.stack([c * forward - s * left, s * forward + c * left, r])])
+
+    def torques(self, u: Any, turns: Sequence[Any]) -> list[Any]:
+        """Return the torques of the inputs at rates of the motors [rad/s]."""
+        eye = np.eye(3)
+        return PlanarModel(eye, eye, None, eye, self.slow, motors=self.wheels.motors).torques([*u], turns)
+
+    def observed(self, segments: Segments, states: Array, numbers: Array) -> Array:
+        """Return the measurements: poses, or speed and yaw rate."""
+        if self.is_pose:
+            return states[..., -3:]
+        if self.stiffness:
+            return states[..., [0, 2]]
+        count, lag = len(self.wheels.names), np.maximum(np.floor(numbers[:, 0, -1] + 1e-9), 0).astype(int)
+        share = (numbers[:, 0, -1] - lag)[:, None, None]
+        length = states.shape[2]
+        now, before, earlier = (segments.applied(lag + k, length)[..., count] for k in (0, 1, 2))
+        offset = numbers[:, :, None, (2 if self.stiffness else 1) + 1 + 2 * count]
+        angle = (1 - share) * (now + before) / 2 + share * (before + earlier) / 2 + offset
+        turn = states[..., 0] * np.tan(angle) / (self.wheels.front - self.wheels.rear)
+        return np.stack([states[..., 0], turn], axis=-1)
+
+    def lags(self, p: Array) -> list[Any]:
+        """Return no lags."""
+        return []
+
+    def check(self, p: Array, lost: NDArray[np.bool_]) -> None:
+        """Accept all numbers."""
+
+    def problems(self, found: Identification, neutral: Sequence[str]) -> list[str]:
+        """Return what the log cannot tell."""
+        rolls = "rolling wheels: give the table a WheelFriction(slip=...) to estimate cornering stiffness"
+        return [
+            "the inertia of the wheels about their axles is the given value",
+            "all estimates are proportional to the given torque per input",
+            *[rolls] * (not self.stiffness),
+        ]
+
+    def robot(self, found: Identification) -> Any:
+        """Return the identified car."""
+        check_identifiable("robot", found.unseen)
+        values, prior = found.parameters, found.prior
+        wheeled = getattr(prior, "wheeled", prior)
+        centre, J = np.array(self.body.com), np.array(self.body.inertia)
+        centre[0] = values.get("com_x", centre[0])
+        scaled, J[2, 2] = J * (values["yaw_inertia"] / J[2, 2]), values["yaw_inertia"]
+        body = Body(values["mass"], centre, J if J[2, 2] <= J[0, 0] + J[1, 1] else scaled)
+        bare = wheeled.robot.lumped()
+        new = parts.evolved(wheeled, robot=bare.with_body(body, f"{bare.source}; identified from a log"))
+        if self.stiffness:
+            steered, rows = new.table.axes[0].wheels, []
+            for k, wheel in enumerate(new.table.wheels):
+                axle, size = (
+                    ("front", len(steered))
+                    if k in steered
+                    else ("rear", len(new.table.wheels) - len(steered))
+                )
+                slip = size / values[f"cornering_{axle}"]
+                rows.append(parts.evolved(wheel, friction=parts.evolved(wheel.friction, slip=slip)))
+            new = parts.evolved(new, table=parts.evolved(new.table, wheels=tuple(rows)))
+        return new.by_voltage() if self.wheels.motors else new
+
+    def forces(self, found: Identification) -> list[Any]:
+        """Return the friction of the motors for `simulate`."""
+        values, names = found.parameters, [one.name for one in found.prior.coordinates]
+        table = found.prior.table
+        columns = np.zeros((2, len(names)))
+        drives = {each.name: np.array(each.column) for each in table.actuators}
+        first = len(names) - len(next(iter(drives.values())))
+        for n in self.wheels.names:
+            shares = np.abs(drives[n])
+            columns[0, first:] += max(values[f"joint_viscous_{n}"], 0.0) * shares * shares.sum()
+            columns[1, first:] += max(values[f"joint_coulomb_{n}"], 0.0) * shares
+        return [JointFriction(columns[0], columns[1], self.slow, names)]
+
+    def run_of(self, run: Run) -> Run:
+        """Return a run with the mean steering angle and the steering rate of each time step."""
+        after = np.append(run.u[1:, -1:], run.u[-1:, -1:], axis=0)
+        u = np.column_stack([run.u[:, :-1], (run.u[:, -1:] + after) / 2, (after - run.u[:, -1:]) / run.dt])
+        speed, turn = run.nu.T
+        state = np.column_stack([speed, -self.wheels.rear * turn, turn]) if self.stiffness else run.nu[:, :1]
+        return run._replace(u=u, state=state)
+
+    @property
+    def inputs(self) -> Mapping[str, str]:  # type: ignore[override]
+        """Units of the inputs by name."""
+        electric = [each.is_electric for each in self.wheels.motors] or [False] * len(self.wheels.names)
+        units = {n: "V" if volts else "N m" for n, volts in zip(self.wheels.names, electric, strict=True)}
+        return units | {"steering": "rad"}
+
+    def predicted(
+        self, found: Identification, log: Log, seconds: float | None
+    ) -> tuple[Segments, Array, NDArray[np.bool_], Array]:
+        """Return segments of a log, residuals, mask of good samples, and the noise."""
+        runs = [self.run_of(each) for each in runs_of([log], self.is_pose, self.inputs)]
+        length = scalar("seconds", 2.0 if seconds is None else seconds)
+        bounded("seconds", length, least=3 * runs[0].dt, unit="s")
+        model = replace(self, dt=runs[0].dt, lead=max(lead_of(runs), self.lead))
+        segments, calm = segments_of(parts_of(runs), model.lead, length, filled=False)
+        left, _ = solve_robustly(model, segments, found.phi, calm=calm)
+        return segments, left.near.residual, left.good, found.noise
+
+
+def identify_car(logs: list[Log], robot: Any, delay: float | None, speed: float | None) -> Identification:
+    """Return the estimates for a car, see `identify`; `speed` is its rolling speed."""
+    slow = positive("rolling_speed", _SLOW if speed is None else speed, "rad/s")
+    wheels, is_pose, stiffness = CarWheels.of(robot), logs[0].q is not None, list[float]()
+    slips = np.array([wheel.friction.slip for wheel in robot.table.wheels])
+    if robot.ground.slips and (slips > 0).all():
+        steered = np.isin(np.arange(len(slips)), robot.table.axes[0].wheels)
+        stiffness = [float((1 / slips[axle]).sum()) for axle in (steered, ~steered)]
+    body, given = getattr(robot, "wheeled", robot).robot.lumped().body, {"delay": 0.0, "ahead": 0.0}
+    model = TorqueCar((), given, 1, 1.0, is_pose, wheels, body, slow, stiffness=tuple(stiffness))
+    runs = [model.run_of(run) for run in runs_of(logs, is_pose, model.inputs)]
+    dt, lead = runs[0].dt, lead_of(runs)
+    if delay is not None:
+        given["delay"] = bounded("delay", scalar("delay", delay), least=0, most=lead * dt, unit="s")
+    u = np.concatenate([run.u[:, : len(wheels.names)] for run in runs])
+    torque = np.stack(model.torques(u.T, [0.0 * u[:, 0]] * len(wheels.names)))
+    turns = np.concatenate([run.nu[:, 0] for run in runs]) * np.abs(wheels.fixed[:, 0] + wheels.steered).max()
+    size, rate = (max(float(np.sqrt(np.mean(x**2))), 1e-9) for x in (torque, turns))
+    free = ("delay",) if delay is None else ()
+    model = replace(model, free=free, lead=lead, dt=dt, typical=(size, rate))
+    start = _start(model, runs, range(lead) if delay is None else [given["delay"] / dt])
+    dropped = sum(one.dropped + unused(one, "q" if is_pose else "twist") for one in logs)
+    return replace(searched(model, parts_of(runs), start, {}), prior=robot, dropped=dropped)
+
+
+def _start(model: TorqueCar, runs: Sequence[Run], delays: Sequence[float]) -> Array:
+    """Return first estimates by the weak form of straight motion, for the best of some delays [samples]."""
+    drives, count, found = model.wheels.fixed[:, 0] + model.wheels.steered, len(model.wheels.names), []
+    for late in delays:
+        rows, forces = [], []
+        for run in runs:
+            over, speed = Bump.of(WINDOW, run.dt).over, run.nu[:, 0]
+            turns = [drive * speed for drive in drives]
+            u = run.u[np.clip(np.arange(len(speed)) - round(late), 0, None), :count]
+            forces.append(over(drives @ model.torques(u.T, turns)))
+            dry = sum(
+                abs(d) * rate / np.hypot(rate, model.slow) for d, rate in zip(drives, turns, strict=True)
+            )
+            rows.append(np.stack([-over(speed, 1), (drives @ drives) * over(speed), over(dry)], axis=-1))
+        Y, y = np.concatenate(rows), np.concatenate(forces)
+        fit = np.linalg.lstsq(Y, y, rcond=None)[0]
+        found.append((float(((y - Y @ fit) ** 2).sum()), late, fit))
+    _, late, (mass, viscous, dry) = min(found, key=lambda each: each[0])
+    told = {"mass": mass - model.wheels.inertia[0, 0] - model.wheels.spin, "delay": late * model.dt}
+    for n in model.wheels.names:
+        told |= {f"joint_viscous_{n}": viscous, f"joint_coulomb_{n}": dry}
+    if told["mass"] <= 0:
+        raise unexplained(0.0)
+    priors = [*((one.quantity.name, one.prior) for one in model.first), *((n, 0.0) for n in model.free)]
+    return np.array([told.get(name, prior) for name, prior in priors])
