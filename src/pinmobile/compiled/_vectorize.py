@@ -250,6 +250,5 @@ class Recurrence:
             values={_NUMBERS: numbers},
             first=(),
             tracks=(inputs, *[np.empty((count, len(start), 0))] * 2),
-            threads=processors(),
         )
         return outcome.kept["z"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 from typing import Any, NamedTuple, Protocol, Self
 
@@ -10,12 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinmobile.arrays import Array
-from pinmobile.compiled import Recurrence, entries, repeated, symbols
+from pinmobile.compiled import Recurrence, entries, processors, repeated, symbols
 
 _SLOPE = 1e-4  # step of differences, as a share of the size of an initial state
 _LEAST_SIZE = 1e-3  # smallest size of an input, as a share of the largest
-_AT_ONCE = 2_000_000  # largest number of samples that are simulated together: it bounds the memory
-_LANES = 8  # smallest number of variants that are simulated together
+MANY = 30_000  # samples that give first estimates
+_AT_ONCE = 60_000  # samples that a thread simulates at once: they bound the memory, and fit in a cache
+_SHARED = "inputs", "lead", "blocks"  # that all segments have in common
 _MOST_STEPS = 10**9  # bound of the integration steps in a sample; the actual count is one of the numbers
 
 
@@ -44,6 +46,8 @@ class Segments(NamedTuple):
         Number of these rows before the first sample.
     load : ndarray, shape (S, 4)
         Mass, first moments and inertia of the known load.
+    blocks : int
+        Number of blocks of a segment for the jackknife.
     """
 
     dt: Array
@@ -56,6 +60,7 @@ class Segments(NamedTuple):
     at: NDArray[np.int_]
     lead: int
     load: Array
+    blocks: int = 1
 
     @classmethod
     def cut(cls, dt: float, rows: tuple[Any, ...], span: Any, load: Any = 0.0, least: float = 0.0) -> Self:
@@ -88,8 +93,17 @@ class Segments(NamedTuple):
         """Return the segments of several logs together."""
         before = np.cumsum([0, *(len(part.inputs) for part in parts)])
         moved = [part._replace(at=part.at + n) for part, n in zip(parts, before, strict=False)]
-        joined = {n: np.concatenate([getattr(x, n) for x in moved]) for n in cls._fields if n != "lead"}
-        return cls(lead=parts[0].lead, **joined)
+        joined = {n: np.concatenate([getattr(x, n) for x in moved]) for n in cls._fields if n not in _SHARED}
+        return cls(inputs=np.concatenate([x.inputs for x in parts]), lead=parts[0].lead, **joined)
+
+    def some(self, rows: slice) -> Self:
+        """Return some of the segments."""
+        return self._replace(**{n: getattr(self, n)[rows] for n in self._fields if n not in _SHARED})
+
+    @property
+    def few(self) -> slice:
+        """Segments at equal distances with samples enough for first estimates."""
+        return slice(None, None, max(1, min(len(self.good), self.good.size // MANY)))
 
     @property
     def sizes(self) -> Array:
@@ -188,10 +202,6 @@ def simulate(model: Model, segments: Segments, p: Array, starts: Array) -> Array
     In each sample, the previous input acts for the fractional part of the delay, then the present input.
     """
     (V, S, n), K = starts.shape, segments.y.shape[1] - 1
-    group = max(_LANES, _AT_ONCE // max(S * K, 1))
-    if group < V:
-        cuts = [slice(k, k + group) for k in range(0, V, group)]
-        return np.concatenate([simulate(model, segments, p[cut], starts[cut]) for cut in cuts])
     numbers, late, longest = model.resolved(segments, p)
     lag = np.floor(late + 1e-9).astype(int)
     share = np.maximum(late - lag, 0.0)
@@ -210,6 +220,28 @@ def simulate(model: Model, segments: Segments, p: Array, starts: Array) -> Array
         each.reshape(V * S, -1),
     )
     return model.observed(segments, states.reshape(V, S, K + 1, n))
+
+
+def by_groups(
+    function: Callable[[Segments, slice], tuple[Array, ...]], segments: Segments, variants: int = 1
+) -> list[Array]:
+    """Return the arrays, shape (S, ...), of a function of some segments and their rows; threads share them.
+
+    Parameters
+    ----------
+    function : callable
+        Function of segments and their rows, which returns arrays of shape (rows, ...).
+    segments : Segments
+        All segments.
+    variants : int
+        Number of simulations of a segment.
+    """
+    size = max(1, _AT_ONCE // (variants * segments.y.shape[1]))
+    cuts = [slice(k, k + size) for k in range(0, len(segments.y), size)]
+    found = [function(segments.some(cuts[0]), cuts[0])]  # compiles the model
+    with ThreadPoolExecutor(processors()) as pool:
+        found += pool.map(lambda rows: function(segments.some(rows), rows), cuts[1:])
+    return [np.concatenate(each) for each in zip(*found, strict=True)]
 
 
 def linearize(model: Model, segments: Segments, p: Array, starts: Array) -> tuple[Array, Array]:

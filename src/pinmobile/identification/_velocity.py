@@ -32,11 +32,10 @@ from pinmobile.identification._estimates import Identification
 from pinmobile.identification._estimator import Fit, Whiteness, jackknife, solve, solve_robustly, white_of
 from pinmobile.identification._lag import Lag
 from pinmobile.identification._log import Log, logs_of, unused
-from pinmobile.identification._simulation import Segments, simulate
+from pinmobile.identification._simulation import MANY, Segments, simulate
 from pinmobile.identification._velocity_model import MOST, STEEPEST, VelocityModel
 from pinmobile.identification._velocity_robot import THETA, VelocityRobot
 
-_MANY = 30_000  # samples of the segments that begin the search
 _LONGER = 3  # ratio of successive lengths of segments
 TRAINED = 2 / 3  # share of a log before the hold-out
 _TOGETHER = 0.2  # largest correlation of successive residuals that counts as noise
@@ -247,12 +246,9 @@ class _Tried(NamedTuple):
     def of(cls, model: VelocityModel, parts: list[Part], seconds: float, p: Array) -> _Tried:
         """Return the estimates from segments of a length [s], a multiple of a block."""
         segments, calm = segments_of(parts, model.lead, seconds)
+        segments = segments._replace(blocks=segments.y.shape[1] // block_of(parts))
         fit, lost = solve_robustly(model, segments, p, calm=calm, natural=model.natural)
-        covariance = np.zeros((len(p), len(p)))
-        count = segments.y.shape[1] // block_of(parts)
-        near = fit.near._replace(J=fit.near.J[..., ~lost])
-        C, blocks = jackknife(near, blocks=count)
-        covariance[np.ix_(~lost, ~lost)] = C
+        covariance, blocks = jackknife(fit.near, kept=~lost)
         return cls(segments.y.shape[1] * model.dt, segments, fit, lost, covariance, blocks)
 
 
@@ -264,11 +260,11 @@ def _tried(model: VelocityModel, parts: list[Part], p: Array) -> Iterator[_Tried
     """
     longest, block = max(b - a for _, a, b in parts) * model.dt, model.dt * block_of(parts)
     total = sum(b - a for _, a, b in parts) * model.dt
-    longest = min(longest, max(_WASTE * total / len(parts), _LONGER * block))
+    longest = min(longest, MANY * model.dt, max(_WASTE * total / len(parts), _LONGER * block))
     seconds = _LONGER * block
     before = np.inf
     while True:
-        given = parts if model.is_pose or seconds > longest else _first(parts, _MANY)
+        given = parts if model.is_pose or seconds > longest else _first(parts, MANY)
         one = _Tried.of(model, given, seconds, p)
         yield one
         if seconds >= longest or one.size > before:
