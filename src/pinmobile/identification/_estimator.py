@@ -19,7 +19,8 @@ from pinmobile.identification._simulation import Model, Segments, by_groups, lin
 
 NORMAL = 1.4826  # standard deviation of a normal distribution per median absolute one
 White = Callable[[Array, NDArray[np.bool_]], Array]
-_PASSES = 2  # passes that find initial states
+_PASSES = 20  # largest number of passes that find initial states
+_SETTLED = 0.01  # largest decrease of the squares of a segment by a further pass [variances]
 _SHARES = np.array([1.0, 0.5, 0.2, 0.05, 0.0])  # tried shares of the step of an initial state
 _CONVERGED = 0.03  # last step of the numbers [standard errors of white residuals]
 _EVALUATIONS = 40  # largest number of evaluations of the cost
@@ -133,6 +134,23 @@ def unexplained(share: float) -> InvalidArgument:
     )
 
 
+def _settled(
+    model: Model, segments: Segments, p: Array, starts: Array, white: White
+) -> tuple[Linear, Array]:
+    """Return the linear problem at numbers and the best initial states near some, and these states."""
+    near, starts = Linear.of(model, segments, p, starts, white), starts.copy()
+    for _ in range(_PASSES):
+        least = near.normal[..., 0, 0].sum(axis=1)
+        rows = np.flatnonzero(near.squares - least > _SETTLED * least.sum() / segments.good.sum())
+        if not rows.size:
+            break
+        part = segments.some(rows)
+        _, starts[rows] = _nearest(model, part, p, starts[rows], near.back[rows, :, 0], white)
+        for all_of, some in zip(near, Linear.of(model, part, p, starts[rows], white), strict=True):
+            all_of[rows] = some
+    return near, starts
+
+
 def solve(
     model: Model,
     segments: Segments,
@@ -170,15 +188,12 @@ def solve(
         If the simulation diverges.
     """
     free, few = np.broadcast_to(np.asarray(moves), p.shape), segments.few
-    passes, z = (_PASSES, segments.start) if starts is None else (0, starts)
+    z = segments.start if starts is None else starts
     if free.any() and few.step > 1:
         given, share = None if starts is None else starts[few], len(z[few]) / len(z)
         options = {"moves": free, "white": white, "starts": given, "pull": share * pull}
-        p, passes = solve(model, segments.some(few), p, **options).p, min(passes, 1)
-    for _ in range(passes):
-        near = Linear.of(model, segments, p, z, white)
-        _, z = _nearest(model, segments, p, z, near.back[..., 0], white)
-    near, size = Linear.of(model, segments, p, z, white), np.where(free, model.sizes(p), 0.0)
+        p = solve(model, segments.some(few), p, **options).p
+    (near, z), size = _settled(model, segments, p, z, white), np.where(free, model.sizes(p), 0.0)
     radius = float(np.linalg.norm(p[free] / size[free])) or 1.0
     for _ in range(_EVALUATIONS if free.any() else 0):
         H, g = near.information, near.normal[..., 0, 1:].sum(axis=(0, 1)) - pull
@@ -192,8 +207,8 @@ def solve(
             cost, tried = _nearest(model, segments, p + step, z, near.starts(step), white)
             gained = spent - cost - float(np.sum(2 * pull * step))
         if gained > 0:
-            p, z = p + step, tried
-            near = Linear.of(model, segments, p, z, white)
+            p = p + step
+            near, z = _settled(model, segments, p, tried, white)
         if gained < 0.25 * gain:
             radius = 0.25 * length
         elif gained > 0.75 * gain:

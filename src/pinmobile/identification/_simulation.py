@@ -16,7 +16,7 @@ from pinmobile.compiled import Recurrence, entries, processors, repeated, symbol
 _SLOPE = 1e-4  # step of differences, as a share of the size of an initial state
 _LEAST_SIZE = 1e-3  # smallest size of an input, as a share of the largest
 MANY = 30_000  # samples that give first estimates
-_AT_ONCE = 60_000  # samples that a thread simulates at once: they bound the memory, and fit in a cache
+_AT_ONCE = 30_000  # samples that a thread simulates at once: they bound the memory, and fit in a cache
 _SHARED = "inputs", "lead", "blocks"  # that all segments have in common
 _MOST_STEPS = 10**9  # bound of the integration steps in a sample; the actual count is one of the numbers
 
@@ -96,7 +96,7 @@ class Segments(NamedTuple):
         joined = {n: np.concatenate([getattr(x, n) for x in moved]) for n in cls._fields if n not in _SHARED}
         return cls(inputs=np.concatenate([x.inputs for x in parts]), lead=parts[0].lead, **joined)
 
-    def some(self, rows: slice) -> Self:
+    def some(self, rows: Any) -> Self:
         """Return some of the segments."""
         return self._replace(**{n: getattr(self, n)[rows] for n in self._fields if n not in _SHARED})
 
