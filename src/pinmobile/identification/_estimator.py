@@ -71,7 +71,7 @@ class Linear(NamedTuple):
             rows = columns.reshape(len(columns), part.blocks, -1, columns.shape[2])
             return np.swapaxes(rows, 2, 3) @ rows, back, columns[..., 0], squares, residual
 
-        return cls(*by_groups(some, segments, 2 * (len(p) + starts.shape[1]) + 1))
+        return cls(*by_groups(some, segments, len(p) + starts.shape[1] + 1))
 
     @property
     def information(self) -> Array:
@@ -193,14 +193,18 @@ def solve(
         given, share = None if starts is None else starts[few], len(z[few]) / len(z)
         options = {"moves": free, "white": white, "starts": given, "pull": share * pull}
         p = solve(model, segments.some(few), p, **options).p
-    (near, z), size = _settled(model, segments, p, z, white), np.where(free, model.sizes(p), 0.0)
+        near = Linear.of(model, segments, p, z, white)
+    else:
+        near, z = _settled(model, segments, p, z, white)
+    size = np.where(free, model.sizes(p), 0.0)
     radius = float(np.linalg.norm(p[free] / size[free])) or 1.0
     for _ in range(_EVALUATIONS if free.any() else 0):
         H, g = near.information, near.normal[..., 0, 1:].sum(axis=(0, 1)) - pull
         step = size * _within(radius, H * np.outer(size, size), g * size)
         gain, length = float(2 * g @ step - step @ H @ step), float(np.linalg.norm(step[free] / size[free]))
         spent, left = float(near.squares.sum()), float(near.normal[..., 0, 0].sum())
-        if gain <= _CONVERGED**2 * left / segments.good.sum():
+        least = left / segments.good.sum()
+        if gain <= _CONVERGED**2 * least and spent - left <= _SETTLED * len(z) * least:
             break
         gained, gain = -np.inf, gain + spent - left
         if model.is_possible(p + step):
@@ -248,8 +252,11 @@ def solve_robustly(
     InvalidArgument
         If the simulation diverges.
     """
-    good, starts, moves = segments.good & calm, None, np.full(len(p), natural is not None)
+    good, starts, moves, few = segments.good & calm, None, np.full(len(p), natural is not None), segments.few
     covariance = np.diag(np.maximum(np.var(segments.y[calm], axis=0), 1e-12))
+    if few.step > 1:
+        found, lost = solve_robustly(model, segments.some(few), p, calm=calm[few], natural=natural)
+        p, moves, covariance = found.p, moves & ~lost, _covariance(found.near.residual[found.good])
     for _ in range(_ROUNDS):
         white = _by(covariance)
         found = solve(model, segments._replace(good=good), p, moves=moves, white=white, starts=starts)
@@ -535,7 +542,7 @@ def input_noise_gradient(model: Model, segments: Segments, found: Fit, noise: Re
     power = [((left(shaken(row)) - before) ** 2).mean(axis=0).sum(axis=0) for row in np.diag(unit)]
     sizes = unit * np.sqrt(_variances(np.array(power).T, noise.share))
     draws = [shaken(sizes) for _ in range(_DRAWS)]
-    total = by_groups(gradients, part, 2 * (len(found.p) + starts.shape[1]) + 1)[0].sum(axis=0)
+    total = by_groups(gradients, part, len(found.p) + starts.shape[1] + 1)[0].sum(axis=0)
     return np.asarray(total * len(segments.y) / len(part.y))
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pinmobile.arrays import Array
 from pinmobile.compiled import Recurrence, entries, processors, repeated, symbols
 
-_SLOPE = 1e-4  # step of differences, as a share of the size of an initial state
+_SLOPE = 1e-6  # step of differences, as a share of the size of an initial state
 _LEAST_SIZE = 1e-3  # smallest size of an input, as a share of the largest
 MANY = 30_000  # samples that give first estimates
 _AT_ONCE = 30_000  # samples that a thread simulates at once: they bound the memory, and fit in a cache
@@ -216,7 +216,7 @@ def simulate(model: Model, segments: Segments, p: Array, starts: Array) -> Array
     each = np.concatenate([np.broadcast_to(x, (V, S, x.shape[2])) for x in (*rows, numbers)], axis=2)
     states = _recurrence(model.rates, (n, m, numbers.shape[2]))(
         starts.reshape(V * S, n),
-        np.broadcast_to(u, (K, V, S, 2 * m)).reshape(K, V * S, 2 * m),
+        np.broadcast_to(u, (K, V, S, 2 * m)),
         each.reshape(V * S, -1),
     )
     return model.observed(segments, states.reshape(V, S, K + 1, n))
@@ -245,10 +245,16 @@ def by_groups(
 
 
 def linearize(model: Model, segments: Segments, p: Array, starts: Array) -> tuple[Array, Array]:
-    """Return simulated measurements (S, L, m), and slopes by numbers and initial states (P + n, S, L, m)."""
+    """Return simulated measurements (S, L, m), and slopes by numbers and initial states (P + n, S, L, m).
+
+    The slopes are differences to the values themselves, or central differences for steps of whole samples.
+    """
     P, n = len(p), starts.shape[1]
     size = np.append(model.increments(p), _SLOPE * np.maximum(np.abs(starts).mean(axis=0), 0.1))
-    ways = np.vstack([np.zeros(P + n), np.kron(np.diag(size), [[1.0], [-1.0]])])
+    wide = size >= 1.0
+    ways = np.vstack([np.zeros(P + n), np.diag(size), -np.diag(size)[wide]])
     out = simulate(model, segments, p + ways[:, :P], starts + ways[:, None, P:])
     with np.errstate(all="ignore"):
-        return out[0], np.nan_to_num(out[1::2] - out[2::2]) / (2 * size[:, None, None, None])
+        slopes = out[1 : 1 + P + n] - out[0]
+        slopes[wide] = (out[1 : 1 + P + n][wide] - out[1 + P + n :]) / 2
+        return out[0], np.nan_to_num(slopes) / size[:, None, None, None]

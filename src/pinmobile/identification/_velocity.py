@@ -36,6 +36,7 @@ from pinmobile.identification._simulation import MANY, Segments, simulate
 from pinmobile.identification._velocity_model import MOST, STEEPEST, VelocityModel
 from pinmobile.identification._velocity_robot import THETA, VelocityRobot
 
+_PIECES = 10  # of the samples that give first estimates
 _LONGER = 3  # ratio of successive lengths of segments
 TRAINED = 2 / 3  # share of a log before the hold-out
 _TOGETHER = 0.2  # largest correlation of successive residuals that counts as noise
@@ -140,7 +141,7 @@ def identify_velocity(
     parts = parts_of(runs)
     for _ in range(_ROUNDS):  # what other drivers did hides the limits
         known = None if delay is None else round(late / dt)
-        lags = [each.lag(lead, known) for each in channels_of(parts)]
+        lags = [each.lag(lead, known) for each in channels_of(_few(parts))]
         parts = explained_parts(runs, lags)
     sought = {"delay": delay is None, "ahead": ahead is None}
     for steepest, largest, lag in zip(STEEPEST, MOST, lags, strict=True):
@@ -151,6 +152,8 @@ def identify_velocity(
     tried = list(_tried(model, parts, _start(model, lags)))
     best = min(tried, key=lambda each: (each.lost.sum(), each.size)) if is_pose else tried[-1]
     differ = _compared(model, *(tried[0], best) if best is not tried[0] else (best, tried[-1]))
+    if best.is_few:
+        best = _Tried.of(model, parts, best.seconds, best.fit.p)
     remarks = [format_left_out(runs, parts), differ]
     useless = [n for n, lost in zip(model.free, best.lost[6:], strict=True) if lost and n in STEEPEST + MOST]
     if useless:
@@ -227,6 +230,8 @@ class _Tried(NamedTuple):
         Covariance by the jackknife over blocks.
     blocks : int
         Number of blocks.
+    is_few : bool
+        Whether a few of many segments gave the estimates.
     """
 
     seconds: float
@@ -235,6 +240,7 @@ class _Tried(NamedTuple):
     lost: NDArray[np.bool_]
     covariance: Array
     blocks: int
+    is_few: bool
 
     @property
     def size(self) -> float:
@@ -243,20 +249,25 @@ class _Tried(NamedTuple):
         return float(np.linalg.slogdet(self.covariance[np.ix_(kept, kept)])[1])
 
     @classmethod
-    def of(cls, model: VelocityModel, parts: list[Part], seconds: float, p: Array) -> _Tried:
-        """Return the estimates from segments of a length [s], a multiple of a block."""
+    def of(
+        cls, model: VelocityModel, parts: list[Part], seconds: float, p: Array, few: bool = False
+    ) -> _Tried:
+        """Return the estimates from segments of a length [s], a multiple of a block, or from a few of them."""
         segments, calm = segments_of(parts, model.lead, seconds)
-        segments = segments._replace(blocks=segments.y.shape[1] // block_of(parts))
-        fit, lost = solve_robustly(model, segments, p, calm=calm, natural=model.natural)
+        kept = segments.few if few else slice(None, None, 1)
+        segments = segments.some(kept)._replace(blocks=segments.y.shape[1] // block_of(parts))
+        fit, lost = solve_robustly(model, segments, p, calm=calm[kept], natural=model.natural)
         covariance, blocks = jackknife(fit.near, kept=~lost)
-        return cls(segments.y.shape[1] * model.dt, segments, fit, lost, covariance, blocks)
+        return cls(
+            segments.y.shape[1] * model.dt, segments, fit, lost, covariance, blocks, kept.step > 1
+        )
 
 
 def _tried(model: VelocityModel, parts: list[Part], p: Array) -> Iterator[_Tried]:
     """Yield the estimates from segments of 6 s, and from longer ones.
 
-    Speeds of a stable model do not drift, so that the longest segment is a whole part; the short ones then
-    are of the first samples alone. Poses drift: segments grow until the confidence region does.
+    Speeds of a stable model do not drift, so that the longest segment is a whole part. Poses drift: segments
+    grow until the confidence region does. A few of many segments choose the length.
     """
     longest, block = max(b - a for _, a, b in parts) * model.dt, model.dt * block_of(parts)
     total = sum(b - a for _, a, b in parts) * model.dt
@@ -264,13 +275,20 @@ def _tried(model: VelocityModel, parts: list[Part], p: Array) -> Iterator[_Tried
     seconds = _LONGER * block
     before = np.inf
     while True:
-        given = parts if model.is_pose or seconds > longest else _first(parts, MANY)
-        one = _Tried.of(model, given, seconds, p)
+        one = _Tried.of(model, parts, seconds, p, model.is_pose or seconds <= longest)
         yield one
         if seconds >= longest or one.size > before:
             return
         before, p = (one.size if model.is_pose else np.inf), one.fit.p
         seconds = min(seconds * _LONGER, longest + block) if model.is_pose else longest + block
+
+
+def _few(parts: Sequence[Part]) -> list[Part]:
+    """Return pieces of parts at equal distances with samples enough for first estimates."""
+    size, step = MANY // _PIECES, max(1, sum(b - a for _, a, b in parts) // MANY)
+    return [
+        Part(run, k, min(k + size, b)) for run, a, b in parts for k in range(a, b, size * step)
+    ] if step > 1 else list(parts)
 
 
 def _first(parts: Sequence[Part], count: int) -> list[Part]:
@@ -341,9 +359,10 @@ def _free_run(model: VelocityModel, parts: Sequence[Part], best: _Tried) -> dict
     try:
         segments, calm = segments_of(train, model.lead, best.seconds)
         left = best.fit.near.residual[best.fit.good]
+        segments = segments._replace(good=segments.good & calm)
         fit = solve(
             model,
-            segments._replace(good=segments.good & calm),
+            segments.some(segments.few),
             best.fit.p,
             moves=~best.lost,
             white=white_of(left),
@@ -360,7 +379,7 @@ def _explained(model: VelocityModel, p: Array, parts: Sequence[Part]) -> Array:
     free, left, y = replace(model, is_pose=False), [], []
     for run, a, b in parts:
         plain = run._replace(y=run.nu, calm=run.nu)
-        segments, _ = segments_of([Part(plain, a, b)], free.lead, (b - a) * run.dt)
+        segments, _ = segments_of([Part(plain, a, b)], free.lead, min(b - a, MANY) * run.dt)
         if len(segments.y):
             out = simulate(free, segments, p[None], segments.start[None])[0]
             left.append((segments.y - out)[segments.good])
