@@ -22,7 +22,7 @@ White = Callable[[Array, NDArray[np.bool_]], Array]
 _PASSES = 20  # largest number of passes that find initial states
 _SETTLED = 0.01  # largest decrease of the squares of a segment by a further pass [variances]
 _SHARES = np.array([1.0, 0.5, 0.2, 0.05, 0.0])  # tried shares of the step of an initial state
-_CONVERGED = 0.03  # last step of the numbers [standard errors of white residuals]
+_CONVERGED = 0.1  # last step of the numbers [standard errors of white residuals]
 _EVALUATIONS = 40  # largest number of evaluations of the cost
 _DAMPINGS = 60  # tried dampings of a step
 _ROUNDS = 4  # updates of weights and outliers
@@ -164,7 +164,7 @@ def solve(
     """Return the least squares of white residuals over numbers and initial states.
 
     A trust region limits the steps of Gauss and Newton. The search begins with a few of many segments. It
-    ends where the next step is far below the standard errors of white residuals.
+    ends with a step far below the standard errors of white residuals.
 
     Parameters
     ----------
@@ -193,19 +193,15 @@ def solve(
         given, share = None if starts is None else starts[few], len(z[few]) / len(z)
         options = {"moves": free, "white": white, "starts": given, "pull": share * pull}
         p = solve(model, segments.some(few), p, **options).p
-        near = Linear.of(model, segments, p, z, white)
-    else:
-        near, z = _settled(model, segments, p, z, white)
-    size = np.where(free, model.sizes(p), 0.0)
+    (near, z), size = _settled(model, segments, p, z, white), np.where(free, model.sizes(p), 0.0)
     radius = float(np.linalg.norm(p[free] / size[free])) or 1.0
     for _ in range(_EVALUATIONS if free.any() else 0):
         H, g = near.information, near.normal[..., 0, 1:].sum(axis=(0, 1)) - pull
         step = size * _within(radius, H * np.outer(size, size), g * size)
         gain, length = float(2 * g @ step - step @ H @ step), float(np.linalg.norm(step[free] / size[free]))
         spent, left = float(near.squares.sum()), float(near.normal[..., 0, 0].sum())
-        least = left / segments.good.sum()
-        if gain <= _CONVERGED**2 * least and spent - left <= _SETTLED * len(z) * least:
-            break
+        if gain <= _CONVERGED**2 * left / segments.good.sum():
+            return Fit(p + step, z + near.starts(step), near, segments.good)
         gained, gain = -np.inf, gain + spent - left
         if model.is_possible(p + step):
             cost, tried = _nearest(model, segments, p + step, z, near.starts(step), white)
