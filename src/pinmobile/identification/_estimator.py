@@ -20,9 +20,12 @@ from pinmobile.identification._simulation import Model, Segments, by_groups, lin
 NORMAL = 1.4826  # standard deviation of a normal distribution per median absolute one
 White = Callable[[Array, NDArray[np.bool_]], Array]
 _PASSES = 20  # largest number of passes that find initial states
+_FIRST_PASSES = 2  # the same for first numbers, whose errors initial states should not compensate
+_FAR = 2.0  # ratio of the squares and their least value with the best initial states, with the same meaning
 _SETTLED = 0.01  # largest decrease of the squares of a segment by a further pass [variances]
 _SHARES = np.array([1.0, 0.5, 0.2, 0.05, 0.0])  # tried shares of the step of an initial state
 _CONVERGED = 0.1  # last step of the numbers [standard errors of white residuals]
+_FEWER = 6  # ratio of the numbers of segments in successive searches
 _EVALUATIONS = 40  # largest number of evaluations of the cost
 _DAMPINGS = 60  # tried dampings of a step
 _ROUNDS = 4  # updates of weights and outliers
@@ -135,11 +138,11 @@ def unexplained(share: float) -> InvalidArgument:
 
 
 def _settled(
-    model: Model, segments: Segments, p: Array, starts: Array, white: White
+    model: Model, segments: Segments, p: Array, starts: Array, white: White, passes: int = _PASSES
 ) -> tuple[Linear, Array]:
     """Return the linear problem at numbers and the best initial states near some, and these states."""
     near, starts = Linear.of(model, segments, p, starts, white), starts.copy()
-    for _ in range(_PASSES):
+    for _ in range(passes):
         least = near.normal[..., 0, 0].sum(axis=1)
         rows = np.flatnonzero(near.squares - least > _SETTLED * least.sum() / segments.good.sum())
         if not rows.size:
@@ -187,13 +190,14 @@ def solve(
     InvalidArgument
         If the simulation diverges.
     """
-    free, few = np.broadcast_to(np.asarray(moves), p.shape), segments.few
+    free, few = np.broadcast_to(np.asarray(moves), p.shape), slice(None, None, min(segments.few.step, _FEWER))
     z = segments.start if starts is None else starts
     if free.any() and few.step > 1:
         given, share = None if starts is None else starts[few], len(z[few]) / len(z)
         options = {"moves": free, "white": white, "starts": given, "pull": share * pull}
         p = solve(model, segments.some(few), p, **options).p
-    (near, z), size = _settled(model, segments, p, z, white), np.where(free, model.sizes(p), 0.0)
+    passes, size = _FIRST_PASSES if free.any() else _PASSES, np.where(free, model.sizes(p), 0.0)
+    near, z = _settled(model, segments, p, z, white, passes)
     radius = float(np.linalg.norm(p[free] / size[free])) or 1.0
     for _ in range(_EVALUATIONS if free.any() else 0):
         H, g = near.information, near.normal[..., 0, 1:].sum(axis=(0, 1)) - pull
@@ -208,7 +212,7 @@ def solve(
             gained = spent - cost - float(np.sum(2 * pull * step))
         if gained > 0:
             p = p + step
-            near, z = _settled(model, segments, p, tried, white)
+            near, z = _settled(model, segments, p, tried, white, _PASSES if spent < _FAR * left else 0)
         if gained < 0.25 * gain:
             radius = 0.25 * length
         elif gained > 0.75 * gain:

@@ -397,6 +397,8 @@ def _first_delay(form: WeakForm, base: Array, basis: Array) -> float:
     """Return the delay with the smallest residual of the weak form [samples]."""
     if basis.shape[1] < len(base):
         return 0.0  # the motion does not identify the delay
+    few = [piece for one in form.logs for piece in one.few]
+    form = form if len(few) == len(form.logs) else WeakForm.of(few, form.model)
     dt = form.logs[0].dt
     delays = np.arange(-max(2, round(_EARLIEST / dt)), max(4, round(_LATEST / dt)) + 0.25, 0.5)
     k, late, explained = form.first_delay(delays, base, basis)

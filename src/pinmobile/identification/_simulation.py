@@ -17,8 +17,17 @@ _SLOPE = 1e-6  # step of differences, as a share of the size of an initial state
 _LEAST_SIZE = 1e-3  # smallest size of an input, as a share of the largest
 MANY = 30_000  # samples that give first estimates
 _AT_ONCE = 30_000  # samples that a thread simulates at once: they bound the memory, and fit in a cache
+_PIECES = 10  # of these samples
 _SHARED = "inputs", "lead", "blocks"  # that all segments have in common
 _MOST_STEPS = 10**9  # bound of the integration steps in a sample; the actual count is one of the numbers
+
+
+def pieces(start: int, stop: int, samples: int) -> list[slice]:
+    """Return pieces of a part of so many samples in all, at equal distances: enough for first estimates."""
+    size, step = MANY // _PIECES, samples // MANY
+    if step < 2:
+        return [slice(start, stop)]
+    return [slice(k, min(k + size, stop)) for k in range(start, stop, size * step)]
 
 
 class Segments(NamedTuple):

@@ -32,11 +32,10 @@ from pinmobile.identification._estimates import Identification
 from pinmobile.identification._estimator import Fit, Whiteness, jackknife, solve, solve_robustly, white_of
 from pinmobile.identification._lag import Lag
 from pinmobile.identification._log import Log, logs_of, unused
-from pinmobile.identification._simulation import MANY, Segments, simulate
+from pinmobile.identification._simulation import MANY, Segments, pieces, simulate
 from pinmobile.identification._velocity_model import MOST, STEEPEST, VelocityModel
 from pinmobile.identification._velocity_robot import THETA, VelocityRobot
 
-_PIECES = 10  # of the samples that give first estimates
 _LONGER = 3  # ratio of successive lengths of segments
 TRAINED = 2 / 3  # share of a log before the hold-out
 _TOGETHER = 0.2  # largest correlation of successive residuals that counts as noise
@@ -284,11 +283,9 @@ def _tried(model: VelocityModel, parts: list[Part], p: Array) -> Iterator[_Tried
 
 
 def _few(parts: Sequence[Part]) -> list[Part]:
-    """Return pieces of parts at equal distances with samples enough for first estimates."""
-    size, step = MANY // _PIECES, max(1, sum(b - a for _, a, b in parts) // MANY)
-    return [
-        Part(run, k, min(k + size, b)) for run, a, b in parts for k in range(a, b, size * step)
-    ] if step > 1 else list(parts)
+    """Return pieces of parts with samples enough for first estimates."""
+    total = sum(b - a for _, a, b in parts)
+    return [Part(run, one.start, one.stop) for run, a, b in parts for one in pieces(a, b, total)]
 
 
 def _first(parts: Sequence[Part], count: int) -> list[Part]:

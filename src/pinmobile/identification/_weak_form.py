@@ -149,8 +149,8 @@ class WeakForm:
             found.append(bump.over(columns if model.B is None else columns @ model.B.T))
         return np.concatenate(found)
 
-    def equations(self, delay: float, scale: float = 1.0) -> tuple[Array, Array, Array]:
-        """Return the regressor, shape (n, k, p), the regressors with noise, and the forces, shape (n, k).
+    def equations(self, delay: float, scale: float = 1.0) -> tuple[Array, Array]:
+        """Return the last columns of the regressor, shape (n, k, ...), and the forces, shape (n, k).
 
         The equations are linearised about a scale of the inputs.
         """
@@ -163,7 +163,7 @@ class WeakForm:
             more, less = (self.forces(delay, scale * (1 + way * _NEAR)) for way in (1, -1))
             slope = (more - less) / (2 * _NEAR * scale)
             columns, y = _beside(columns, -slope[..., None]), y - slope * scale
-        return _beside(self.Y, columns), _beside(self.shaken, columns), y
+        return columns, y
 
     def first_delay(self, delays: Array, base: Array, basis: Array) -> tuple[int, float, float]:
         """Return the index of the best of some delays, the minimum near it, and the explained share."""
@@ -172,8 +172,8 @@ class WeakForm:
         basis = basis[:keep, : basis.shape[1] - self.model.scaled]
 
         def fit(delay: float) -> WeakFit:
-            Y, _, y = form.equations(delay)
-            return fitted(Y, y, form.counts, base, basis, 2)[0]
+            columns, y = form.equations(delay)
+            return fitted(_beside(form.Y, columns), y, form.counts, base, basis, 2)[0]
 
         return scanned(fit, delays)
 
@@ -206,17 +206,17 @@ class WeakForm:
 
     def _near(self, scale: float, delay: float, prior: Array, basis: Array, free: bool) -> WeakFit:
         """Return the extrapolated least squares of the equations, linearised about a scale of the inputs."""
-        Y, shaken, y = self.equations(delay, scale)
+        columns, y = self.equations(delay, scale)
         if free:
             less, more = (self.forces(delay + shift, scale)[..., None] for shift in (-0.5, 0.5))
-            Y, shaken = _beside(Y, less - more), _beside(shaken, less - more)
+            columns = _beside(columns, less - more)
             prior, basis = np.append(prior, 0.0), np.pad(basis, ((0, 1), (0, 1)))
             basis[-1, -1] = 1.0
-        plain, influence = fitted(Y, y, self.counts, prior, basis)
+        plain, influence = fitted(_beside(self.Y, columns), y, self.counts, prior, basis)
         phi, influence = _WEIGHTS[0] * plain.phi, _WEIGHTS[0] * influence
-        for weight, level in zip(_WEIGHTS[1:], shaken, strict=True):
+        for weight, level in zip(_WEIGHTS[1:], self.shaken, strict=True):
             for each in level:
-                noisy, more = fitted(each, y, self.counts, prior, basis)
+                noisy, more = fitted(_beside(each, columns), y, self.counts, prior, basis)
                 phi, influence = phi + weight / _SHAKES * noisy.phi, influence + weight / _SHAKES * more
         covariance = _newey_west(influence, self.counts, basis.shape[1])
         if not free:
@@ -349,7 +349,7 @@ def fitted(
     weights = np.ones(y.shape) / deviation
     for _ in range(passes):
         A = Y * weights[..., None]
-        right = np.einsum("nki,nk->i", A, (y - Y @ prior) * weights)
+        right = ((y - Y @ prior) * weights).ravel() @ A.reshape(-1, len(prior))
         phi = prior + _inverse(A, basis) @ right
         left = y - Y @ phi
         deviation = np.maximum(NORMAL * np.median(np.abs(left), axis=0), least)
@@ -365,7 +365,8 @@ def fitted(
 
 def _inverse(A: Array, basis: Array) -> Array:
     """Return the inverse of the normal matrix within the span of the basis."""
-    normal = basis.T @ np.einsum("nki,nkj->ij", A, A) @ basis
+    rows = A.reshape(-1, len(basis))
+    normal = basis.T @ (rows.T @ rows) @ basis
     return np.asarray(basis @ np.linalg.pinv(normal, rcond=1e-12, hermitian=True) @ basis.T)
 
 
