@@ -194,8 +194,8 @@ def solve(
     z = segments.start if starts is None else starts
     if free.any() and few.step > 1:
         given, share = None if starts is None else starts[few], len(z[few]) / len(z)
-        options = {"moves": free, "white": white, "starts": given, "pull": share * pull}
-        p = solve(model, segments.some(few), p, **options).p
+        part = segments.some(few)
+        p = solve(model, part, p, moves=free, white=white, starts=given, pull=share * pull).p
     passes, size = _FIRST_PASSES if free.any() else _PASSES, np.where(free, model.sizes(p), 0.0)
     near, z = _settled(model, segments, p, z, white, passes)
     radius = float(np.linalg.norm(p[free] / size[free])) or 1.0

@@ -325,7 +325,7 @@ def _output_error(problem: PlanarProblem, segments: Segments, moves: bool) -> _E
         gradient = input_noise_gradient(problem, segments, fit, noise)
         near = Linear.of(problem, segments, fit.p, fit.starts, noise.white)
         way = np.linalg.lstsq(near.information, gradient, rcond=None)[0]
-        bias = float(np.sqrt(max(gradient @ way, 0.0)))
+        bias = float(np.sqrt(max(float(gradient @ way), 0.0)))
         if bias < _BIASED:
             fit = solve(problem, segments, fit.p, white=noise.white, starts=fit.starts, pull=gradient)
             plain = solve(problem, segments, fit.p, moves=False)

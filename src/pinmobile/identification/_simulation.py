@@ -102,7 +102,9 @@ class Segments(NamedTuple):
         """Return the segments of several logs together."""
         before = np.cumsum([0, *(len(part.inputs) for part in parts)])
         moved = [part._replace(at=part.at + n) for part, n in zip(parts, before, strict=False)]
-        joined = {n: np.concatenate([getattr(x, n) for x in moved]) for n in cls._fields if n not in _SHARED}
+        joined: dict[str, Any] = {
+            n: np.concatenate([getattr(x, n) for x in moved]) for n in cls._fields if n not in _SHARED
+        }
         return cls(inputs=np.concatenate([x.inputs for x in parts]), lead=parts[0].lead, **joined)
 
     def some(self, rows: Any) -> Self:

@@ -251,15 +251,13 @@ class _Tried(NamedTuple):
     def of(
         cls, model: VelocityModel, parts: list[Part], seconds: float, p: Array, few: bool = False
     ) -> _Tried:
-        """Return the estimates from segments of a length [s], a multiple of a block, or from a few of them."""
+        """Return the estimates from segments of a length [s], a multiple of a block, or a few of them."""
         segments, calm = segments_of(parts, model.lead, seconds)
         kept = segments.few if few else slice(None, None, 1)
         segments = segments.some(kept)._replace(blocks=segments.y.shape[1] // block_of(parts))
         fit, lost = solve_robustly(model, segments, p, calm=calm[kept], natural=model.natural)
         covariance, blocks = jackknife(fit.near, kept=~lost)
-        return cls(
-            segments.y.shape[1] * model.dt, segments, fit, lost, covariance, blocks, kept.step > 1
-        )
+        return cls(segments.y.shape[1] * model.dt, segments, fit, lost, covariance, blocks, kept.step > 1)
 
 
 def _tried(model: VelocityModel, parts: list[Part], p: Array) -> Iterator[_Tried]:

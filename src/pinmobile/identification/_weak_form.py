@@ -99,8 +99,8 @@ class WeakForm:
         Model of the robot.
     Y : ndarray, shape (n, k, p)
         Regressor, without columns of offsets and of an unknown input scale.
-    shaken : ndarray, shape (levels, draws, n, k, p)
-        Regressors for poses with additional noise.
+    shaken : sequence of sequence of ndarray, shape (n, k, p)
+        Regressors for poses with additional noise, by level and draw.
     known : ndarray, shape (n, k)
         Forces of known inertia and loads.
     rates : list of ndarray, shape (a, N)
@@ -112,7 +112,7 @@ class WeakForm:
     logs: Sequence[PreprocessedLog]
     model: PlanarModel
     Y: Array
-    shaken: Array
+    shaken: Sequence[Sequence[Array]]
     known: Array
     rates: Sequence[Array]
     counts: tuple[int, ...]
@@ -120,17 +120,22 @@ class WeakForm:
     @classmethod
     def of(cls, logs: Sequence[PreprocessedLog], model: PlanarModel) -> WeakForm:
         """Return the weak form of logs."""
-        build, rows = (_inertial if model.B is None else _along_free), []
-        for log in logs:
-            bump, generator = Bump.of(WINDOW, log.dt), np.random.default_rng(0)
-            Y, known = build(log, model, bump)
-            more = [build(log.shaken(generator, x), model, bump)[0] for x in np.repeat(_LEVELS, _SHAKES)]
-            shaken = np.reshape(more, (len(_LEVELS), _SHAKES, *Y.shape))
-            rows.append((Y, np.moveaxis(shaken, 2, 0), known + Y[..., :4] @ log.load))
-        counts = tuple(len(Y) for Y, _, _ in rows)
-        Y, shaken, known = (np.concatenate(each) for each in zip(*rows, strict=True))
-        rates = [log.rates_of(model).T for log in logs]
-        return cls(logs, model, Y, np.moveaxis(shaken, 0, 2), known, rates, counts)
+
+        def build(log: PreprocessedLog) -> tuple[Array, Array]:
+            rows = _inertial if model.B is None else _along_free
+            return rows(log, model, Bump.of(WINDOW, log.dt))
+
+        pairs = [(log, np.random.default_rng(0)) for log in logs]
+        shaken = [
+            [np.concatenate([build(log.shaken(one, x))[0] for log, one in pairs]) for _ in range(_SHAKES)]
+            for x in _LEVELS
+        ]
+        rows = [build(log) for log in logs]
+        known = [force + Y[..., :4] @ log.load for (Y, force), log in zip(rows, logs, strict=True)]
+        counts, rates = tuple(map(len, known)), [log.rates_of(model).T for log in logs]
+        return cls(
+            logs, model, np.concatenate([Y for Y, _ in rows]), shaken, np.concatenate(known), rates, counts
+        )
 
     @property
     def _constant(self) -> Array:
@@ -231,13 +236,18 @@ class WeakForm:
         An identifiable direction has more than 1 % of the forces in the regressor, without the part of the
         pose noise. Additional draws of noise show the size of this part.
         """
-        model, extra, shaken = self.model, self.model.scaled, _beside(self.shaken[0], self._constant)
-        Y, size = _beside(self.Y, self._constant), np.sqrt((self.forces() ** 2).mean(axis=0))
+        model, extra, size = self.model, self.model.scaled, np.sqrt((self.forces() ** 2).mean(axis=0))
         force = max(np.hypot(*size[:2]) if model.free == 3 else size[0], 4 * size[-1])
         per_row = np.array([*[force] * (model.free - 1), max(size[-1], force * _LEVER)])
-        Y, N = (each * scales[: Y.shape[-1]] / per_row[:, None] for each in (Y, shaken - Y))
-        gram = np.einsum("nki,nkj->ij", Y, Y) - 1.5 * np.einsum("dnki,dnkj->ij", N, N) / len(N)
-        values, vectors = np.linalg.eigh(gram / (Y.shape[0] * Y.shape[1]))
+
+        def gram(Y: Array, constant: Array) -> Array:
+            Y = _beside(Y, constant)
+            rows = (Y * scales[: Y.shape[-1]] / per_row[:, None]).reshape(-1, Y.shape[-1])
+            return np.asarray(rows.T @ rows)
+
+        noise = [gram(each - self.Y, 0 * self._constant) for each in self.shaken[0]]
+        total = gram(self.Y, self._constant) - 1.5 * np.mean(noise, axis=0)
+        values, vectors = np.linalg.eigh(total / (self.Y.shape[0] * self.Y.shape[1]))
         told = values > _SEEN**2
         # The scale is identifiable where all else is, as loads differ.
         seen = np.pad(vectors[:, told], ((0, extra), (0, extra)))
