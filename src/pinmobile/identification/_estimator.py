@@ -183,7 +183,7 @@ def solve(
     starts : ndarray, shape (S, n), optional
         Initial states, if known.
     pull : ndarray, shape (P,)
-        Half the gradient of the cost at the solution.
+        J'e at the solution, see `Linear`.
 
     Raises
     ------
@@ -204,10 +204,11 @@ def solve(
         step = size * _within(radius, H * np.outer(size, size), g * size)
         gain, length = float(2 * g @ step - step @ H @ step), float(np.linalg.norm(step[free] / size[free]))
         spent, left = float(near.squares.sum()), float(near.normal[..., 0, 0].sum())
+        possible = model.is_possible(p + step)
         if gain <= _CONVERGED**2 * left / segments.good.sum():
-            return Fit(p + step, z + near.starts(step), near, segments.good)
+            return Fit(p + possible * step, z + near.starts(possible * step), near, segments.good)
         gained, gain = -np.inf, gain + spent - left
-        if model.is_possible(p + step):
+        if possible:
             cost, tried = _nearest(model, segments, p + step, z, near.starts(step), white)
             gained = spent - cost - float(np.sum(2 * pull * step))
         if gained > 0:
@@ -330,7 +331,7 @@ def jackknife(near: Linear, pull: Array | float = 0.0, kept: Any = True) -> tupl
     near : Linear
         Linear problem at the estimate.
     pull : ndarray, shape (P,)
-        Half the gradient of the cost at the estimate.
+        J'e at the estimate, see `solve`.
     kept : bool or ndarray of bool, shape (P,)
         Mask of the estimated numbers; the covariance of the others is zero.
 
