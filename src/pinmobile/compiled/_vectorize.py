@@ -229,27 +229,32 @@ class Recurrence:
         self._program = Program(loop)
 
     def __call__(self, start: Array, u: Array, numbers: Array) -> Array:
-        """Return the states, shape (N, K + 1, n).
+        """Return the states, shape (N, K + 1, n); the inputs of some samples at once are in memory.
 
         Parameters
         ----------
         start : ndarray, shape (N, n)
             Initial states.
-        u : ndarray, shape (K, N, m)
-            Inputs.
+        u : ndarray, shape (K, ..., m)
+            Inputs of N systems.
         numbers : ndarray, shape (N, k)
             Numbers of the systems.
         """
-        count, none = len(u) + 1, np.empty((len(u) + 1, 0))
-        inputs = np.concatenate([u, np.zeros((1, *u.shape[1:]))])  # the last state needs no input
-        outcome = self._program.run(
-            (start, np.empty((len(start), 0))),
-            np.zeros(count),
-            (np.zeros((count, u.shape[2])), none, none),
-            h=0.0,
-            values={_NUMBERS: numbers},
-            first=(),
-            tracks=(inputs, *[np.empty((count, len(start), 0))] * 2),
-            threads=processors(),
-        )
-        return outcome.kept["z"]
+        N, m = len(start), u.shape[-1]
+        found = np.empty((N, len(u) + 1, start.shape[1]))
+        found[:, 0], step = start, max(1, _STATES // N)
+        for first in range(0, len(u), step):
+            inputs = u[first : first + step].reshape(-1, N, m)
+            inputs = np.concatenate([inputs, inputs[:1]])  # the last state needs no input
+            count, none = len(inputs), np.empty((len(inputs), 0))
+            outcome = self._program.run(
+                (found[:, first], np.empty((N, 0))),
+                np.zeros(count),
+                (np.zeros((count, m)), none, none),
+                h=0.0,
+                values={_NUMBERS: numbers},
+                first=(),
+                tracks=(inputs, *[np.empty((count, N, 0))] * 2),
+            )
+            found[:, first : first + count] = outcome.kept["z"]
+        return found

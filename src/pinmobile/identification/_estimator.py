@@ -15,14 +15,19 @@ from numpy.typing import NDArray
 
 from pinmobile.arrays import Array
 from pinmobile.errors import InvalidArgument
-from pinmobile.identification._simulation import Model, Segments, linearize, simulate
+from pinmobile.identification._simulation import Model, Segments, by_groups, linearize, simulate
 
 NORMAL = 1.4826  # standard deviation of a normal distribution per median absolute one
-White = Callable[[Array], Array]
-_PASSES = 2  # passes that find initial states
+White = Callable[[Array, NDArray[np.bool_]], Array]
+_PASSES = 20  # largest number of passes that find initial states
+_FIRST_PASSES = 2  # the same for first numbers, whose errors initial states should not compensate
+_FAR = 2.0  # ratio of the squares and their least value with the best initial states, with the same meaning
+_SETTLED = 0.01  # largest decrease of the squares of a segment by a further pass [variances]
 _SHARES = np.array([1.0, 0.5, 0.2, 0.05, 0.0])  # tried shares of the step of an initial state
-_CONVERGED = 1e-7  # relative change of the cost
+_CONVERGED = 0.1  # last step of the numbers [standard errors of white residuals]
+_FEWER = 6  # ratio of the numbers of segments in successive searches
 _EVALUATIONS = 40  # largest number of evaluations of the cost
+_DAMPINGS = 60  # tried dampings of a step
 _ROUNDS = 4  # updates of weights and outliers
 _OUTLIER = 6.0  # standard deviations
 _CLUSTER = 2  # samples: an outlier has at most one other outlier within this distance
@@ -30,26 +35,26 @@ _UNSEEN = 1e-10  # smaller eigenvalues of the scaled normal matrix count as zero
 
 
 class Linear(NamedTuple):
-    """Linearised white residuals: e - J times a step of the numbers, without the initial states.
+    """Least squares of linearised white residuals, e - J times a step of the numbers, without initial states.
 
     Attributes
     ----------
-    J, e : ndarray, shape (S, n, P), (S, n)
-        Slopes and residuals after the projection that removes initial states.
-    Q, R : ndarray
-        QR factors of the slopes with respect to the initial states.
-    raw, slopes : ndarray, shape (S, n), (S, n, P)
-        Residuals and slopes before the projection.
+    normal : ndarray, shape (S, blocks, 1 + P, 1 + P)
+        Products of the columns e and J of each block.
+    back : ndarray, shape (S, n, 1 + P)
+        Best change of the initial states, and minus its slopes by the numbers.
+    e : ndarray, shape (S, L m)
+        White residuals without the part that initial states explain.
+    squares : ndarray, shape (S,)
+        Sums of the squares of white residuals.
     residual : ndarray, shape (S, L, m)
         Measured minus simulated values.
     """
 
-    J: Array
+    normal: Array
+    back: Array
     e: Array
-    Q: Array
-    R: Array
-    raw: Array
-    slopes: Array
+    squares: Array
     residual: Array
 
     @classmethod
@@ -61,24 +66,58 @@ class Linear(NamedTuple):
         InvalidArgument
             If the simulation diverges.
         """
-        out, slopes = linearize(model, segments, p, starts)
-        residual = segments.y - out
-        if not np.isfinite(residual).all():
-            raise unexplained(0.0)
-        rows = white(segments.weighed(np.concatenate([residual[None], slopes])))
-        columns = np.moveaxis(rows.reshape(*rows.shape[:2], -1), 0, -1)
-        raw, slopes, by_start = np.split(columns, [1, 1 + len(p)], axis=-1)
-        Q, R = np.linalg.qr(by_start)
-        size = np.abs(np.diagonal(R, axis1=1, axis2=2))
-        # The measurements do not depend on states without a diagonal entry: their columns of Q are arbitrary.
-        Q = Q * (size > _UNSEEN * size.max(axis=1, keepdims=True))[:, None]
-        J, e = (each - Q @ (np.swapaxes(Q, 1, 2) @ each) for each in (slopes, raw))
-        return cls(J, e[..., 0], Q, R, raw[..., 0], slopes, residual)
+
+        def some(part: Segments, at: slice) -> tuple[Array, ...]:
+            residual, columns, Q, R = _columns(model, part, p, starts[at], white)
+            known, squares = np.swapaxes(Q, 1, 2) @ columns, (columns[..., 0] ** 2).sum(axis=1)
+            back, columns = np.linalg.pinv(R, rcond=_UNSEEN) @ known, columns - Q @ known
+            rows = columns.reshape(len(columns), part.blocks, -1, columns.shape[2])
+            return np.swapaxes(rows, 2, 3) @ rows, back, columns[..., 0], squares, residual
+
+        return cls(*by_groups(some, segments, len(p) + starts.shape[1] + 1))
+
+    @property
+    def information(self) -> Array:
+        """Normal matrix of the numbers, shape (P, P)."""
+        return np.asarray(self.normal[..., 1:, 1:].sum(axis=(0, 1)))
 
     def starts(self, step: Array) -> Array:
         """Return the change of the initial states, shape (S, n), for a step of the numbers."""
-        rest = np.swapaxes(self.Q, 1, 2) @ (self.raw - self.slopes @ step)[..., None]
-        return np.asarray((np.linalg.pinv(self.R, rcond=_UNSEEN) @ rest)[..., 0])
+        return np.asarray(self.back[..., 0] - self.back[..., 1:] @ step)
+
+
+def _columns(
+    model: Model, segments: Segments, p: Array, starts: Array, white: White
+) -> tuple[Array, Array, Array, Array]:
+    """Return residuals, white ones and their slopes (S, L m, 1 + P), and QR factors of initial states."""
+    out, slopes = linearize(model, segments, p, starts)
+    residual = segments.y - out
+    if not np.isfinite(residual).all():
+        raise unexplained(0.0)
+    rows = white(segments.weighed(np.concatenate([residual[None], slopes])), segments.good)
+    columns = np.moveaxis(rows.reshape(*rows.shape[:2], -1), 0, -1)
+    columns, by_start = np.split(columns, [1 + len(p)], axis=-1)
+    Q, R = np.linalg.qr(by_start)
+    size = np.abs(np.diagonal(R, axis1=1, axis2=2))
+    # The measurements do not depend on states without a diagonal entry: their columns of Q are arbitrary.
+    return residual, columns, Q * (size > _UNSEEN * size.max(axis=1, keepdims=True))[:, None], R
+
+
+def _nearest(
+    model: Model, segments: Segments, p: Array, starts: Array, steps: Array, white: White
+) -> tuple[float, Array]:
+    """Return the cost, and the initial states, (S, n), by the best share of a step for each segment."""
+
+    def some(part: Segments, at: slice) -> tuple[Array, ...]:
+        ways = starts[at] + _SHARES[:, None, None] * steps[at]
+        with np.errstate(all="ignore"):
+            out = simulate(model, part, np.tile(p, (len(ways), 1)), ways)
+            costs = (white(part.weighed(part.y - out), part.good) ** 2).sum(axis=(2, 3))
+        best = np.nan_to_num(costs, nan=np.inf, posinf=np.inf).argmin(axis=0), np.arange(ways.shape[1])
+        return costs[best], ways[best]
+
+    costs, found = by_groups(some, segments, len(_SHARES))
+    return float(np.nan_to_num(costs.sum(), nan=np.inf, posinf=np.inf)), found
 
 
 class Fit(NamedTuple):
@@ -98,17 +137,37 @@ def unexplained(share: float) -> InvalidArgument:
     )
 
 
+def _settled(
+    model: Model, segments: Segments, p: Array, starts: Array, white: White, passes: int = _PASSES
+) -> tuple[Linear, Array]:
+    """Return the linear problem at numbers and the best initial states near some, and these states."""
+    near, starts = Linear.of(model, segments, p, starts, white), starts.copy()
+    for _ in range(passes):
+        least = near.normal[..., 0, 0].sum(axis=1)
+        rows = np.flatnonzero(near.squares - least > _SETTLED * least.sum() / segments.good.sum())
+        if not rows.size:
+            break
+        part = segments.some(rows)
+        _, starts[rows] = _nearest(model, part, p, starts[rows], near.back[rows, :, 0], white)
+        for all_of, some in zip(near, Linear.of(model, part, p, starts[rows], white), strict=True):
+            all_of[rows] = some
+    return near, starts
+
+
 def solve(
     model: Model,
     segments: Segments,
     p: Array,
     *,
     moves: Any = True,
-    white: White = lambda residuals: residuals,
+    white: White = lambda residuals, _: residuals,
     starts: Array | None = None,
-    shift: Array | float = 0.0,
+    pull: Array | float = 0.0,
 ) -> Fit:
     """Return the least squares of white residuals over numbers and initial states.
+
+    A trust region limits the steps of Gauss and Newton. The search begins with a few of many segments. It
+    ends with a step far below the standard errors of white residuals.
 
     Parameters
     ----------
@@ -119,52 +178,59 @@ def solve(
     moves : bool or ndarray of bool, shape (P,)
         Mask of the unknown numbers; the others remain.
     white : callable
-        Function that whitens residuals divided by the noise, shape (V, S, L, m), to variance 1.
+        Function that whitens residuals divided by the noise, shape (V, S, L, m), to variance 1. Its second
+        argument is the mask of the samples that count.
     starts : ndarray, shape (S, n), optional
         Initial states, if known.
-    shift : ndarray, shape (S, n)
-        Offset of the white residuals.
+    pull : ndarray, shape (P,)
+        J'e at the solution, see `Linear`.
 
     Raises
     ------
     InvalidArgument
         If the simulation diverges.
     """
-    from scipy.optimize import least_squares  # slow to load
+    free, few = np.broadcast_to(np.asarray(moves), p.shape), slice(None, None, min(segments.few.step, _FEWER))
+    z = segments.start if starts is None else starts
+    if free.any() and few.step > 1:
+        given, share = None if starts is None else starts[few], len(z[few]) / len(z)
+        part = segments.some(few)
+        p = solve(model, part, p, moves=free, white=white, starts=given, pull=share * pull).p
+    passes, size = _FIRST_PASSES if free.any() else _PASSES, np.where(free, model.sizes(p), 0.0)
+    near, z = _settled(model, segments, p, z, white, passes)
+    radius = float(np.linalg.norm(p[free] / size[free])) or 1.0
+    for _ in range(_EVALUATIONS if free.any() else 0):
+        H, g = near.information, near.normal[..., 0, 1:].sum(axis=(0, 1)) - pull
+        step = size * _within(radius, H * np.outer(size, size), g * size)
+        gain, length = float(2 * g @ step - step @ H @ step), float(np.linalg.norm(step[free] / size[free]))
+        spent, left = float(near.squares.sum()), float(near.normal[..., 0, 0].sum())
+        possible = model.is_possible(p + step)
+        if gain <= _CONVERGED**2 * left / segments.good.sum():
+            return Fit(p + possible * step, z + near.starts(possible * step), near, segments.good)
+        gained, gain = -np.inf, gain + spent - left
+        if possible:
+            cost, tried = _nearest(model, segments, p + step, z, near.starts(step), white)
+            gained = spent - cost - float(np.sum(2 * pull * step))
+        if gained > 0:
+            p = p + step
+            near, z = _settled(model, segments, p, tried, white, _PASSES if spent < _FAR * left else 0)
+        if gained < 0.25 * gain:
+            radius = 0.25 * length
+        elif gained > 0.75 * gain:
+            radius = max(radius, 2 * length)
+    return Fit(p, z, near, segments.good)
 
-    free = np.broadcast_to(np.asarray(moves), p.shape)
-    at, z = p, segments.start if starts is None else starts
-    near, last = Linear.of(model, segments, at, z, white), (at, z)
 
-    def rows(x: Array) -> Array:
-        nonlocal last
-        tried = at.copy()
-        tried[free] = x
-        if not model.is_possible(tried):
-            return np.full(near.raw.size, np.inf)
-        ways = z + _SHARES[:, None, None] * near.starts(tried - at)
-        with np.errstate(all="ignore"):
-            out = simulate(model, segments, np.tile(tried, (len(ways), 1)), ways)
-            found = white(segments.weighed(segments.y - out)).reshape(*out.shape[:2], -1) + shift
-            costs = np.nan_to_num((found**2).sum(axis=-1), nan=np.inf)
-        best = costs.argmin(axis=0), np.arange(len(z))
-        last = tried, ways[best]
-        return np.asarray(found[best].ravel())
-
-    def jacobian(x: Array) -> Array:
-        nonlocal at, z, near
-        if last[0] is not at and np.array_equal(last[0][free], x):
-            at, z = last
-            near = Linear.of(model, segments, at, z, white)
-        return -near.J.reshape(near.raw.size, len(p))[:, free]
-
-    for _ in range(_PASSES if starts is None else 0):
-        rows(at[free])
-        jacobian(at[free])
-    if free.any():
-        limits = {"ftol": _CONVERGED, "xtol": _CONVERGED, "gtol": None, "max_nfev": _EVALUATIONS}
-        jacobian(least_squares(rows, at[free], jacobian, x_scale=model.sizes(at)[free], **limits).x)
-    return Fit(at, z, near, segments.good)
+def _within(radius: float, H: Array, g: Array) -> Array:
+    """Return the minimum of z' H z / 2 - g' z, shape (P,), within a radius."""
+    values, vectors = np.linalg.eigh(H)
+    along, most = vectors.T @ g, values[-1]
+    for damping in most * np.append(0.0, np.geomspace(_UNSEEN, 1 / _UNSEEN, _DAMPINGS)):
+        seen = values + damping > _UNSEEN * most
+        z = np.where(seen, along / np.where(seen, values + damping, 1.0), 0.0)
+        if np.linalg.norm(z) <= radius:
+            break
+    return np.asarray(vectors @ z)
 
 
 def solve_robustly(
@@ -187,8 +253,11 @@ def solve_robustly(
     InvalidArgument
         If the simulation diverges.
     """
-    good, starts, moves = segments.good & calm, None, np.full(len(p), natural is not None)
+    good, starts, moves, few = segments.good & calm, None, np.full(len(p), natural is not None), segments.few
     covariance = np.diag(np.maximum(np.var(segments.y[calm], axis=0), 1e-12))
+    if few.step > 1:
+        found, lost = solve_robustly(model, segments.some(few), p, calm=calm[few], natural=natural)
+        p, moves, covariance = found.p, moves & ~lost, _covariance(found.near.residual[found.good])
     for _ in range(_ROUNDS):
         white = _by(covariance)
         found = solve(model, segments._replace(good=good), p, moves=moves, white=white, starts=starts)
@@ -203,7 +272,7 @@ def solve_robustly(
         if natural is not None:
             near = Linear.of(model, segments._replace(good=good), p, starts, _by(covariance))
             sizes, guess = natural(p)
-            lost = hidden(near.J, sizes)
+            lost = hidden(near.information, sizes)
         if (good == counted).all() and np.allclose(covariance, before, rtol=0.02, atol=0):
             break
         if natural is not None:
@@ -233,7 +302,7 @@ def _covariance(residuals: Array) -> Array:
 def _by(covariance: Array) -> White:
     """Return a function that whitens residuals of a covariance, shape (..., m)."""
     weight = np.linalg.inv(np.linalg.cholesky(covariance)).T
-    return lambda residuals: residuals @ weight
+    return lambda residuals, _: residuals @ weight
 
 
 def scaled(H: Array) -> tuple[Array, Array]:
@@ -244,9 +313,9 @@ def scaled(H: Array) -> tuple[Array, Array]:
     return H * np.outer(size, size), size
 
 
-def hidden(J: Array, sizes: Array) -> NDArray[np.bool_]:
+def hidden(H: Array, sizes: Array) -> NDArray[np.bool_]:
     """Return a mask of numbers that are not identifiable: their standard errors exceed their sizes."""
-    R, size = scaled(np.einsum("smp,smq->pq", J, J))
+    R, size = scaled(H)
     values, vectors = np.linalg.eigh(R)
     seen = values > _UNSEEN
     deviations = size * np.sqrt((vectors[:, seen] ** 2 / values[seen]).sum(axis=1))
@@ -254,7 +323,7 @@ def hidden(J: Array, sizes: Array) -> NDArray[np.bool_]:
     return np.asarray(lost | (size == 0) | (deviations > sizes))
 
 
-def jackknife(near: Linear, pull: Array | float = 0.0, blocks: int = 1) -> tuple[Array, int]:
+def jackknife(near: Linear, pull: Array | float = 0.0, kept: Any = True) -> tuple[Array, int]:
     """Return the covariance by the jackknife, CR3 (Bell and McCaffrey 2002), shape (P, P), and its blocks.
 
     Parameters
@@ -262,22 +331,23 @@ def jackknife(near: Linear, pull: Array | float = 0.0, blocks: int = 1) -> tuple
     near : Linear
         Linear problem at the estimate.
     pull : ndarray, shape (P,)
-        Gradient of the cost at the estimate, which a shift of the residuals causes.
-    blocks : int
-        Number of blocks of each segment.
+        J'e at the estimate, see `solve`.
+    kept : bool or ndarray of bool, shape (P,)
+        Mask of the estimated numbers; the covariance of the others is zero.
 
     Raises
     ------
     InvalidArgument
         If only one block identifies a number.
     """
-    P = near.J.shape[-1]
-    J, e = near.J.reshape(len(near.J) * blocks, -1, P), near.e.reshape(len(near.J) * blocks, -1)
-    used = J.any(axis=(1, 2))
-    J, e, S = J[used], e[used], int(used.sum())
-    H = np.einsum("smp,smq->spq", J, J)
+    P = near.normal.shape[-1] - 1
+    found, rows = np.zeros((P, P)), np.flatnonzero(np.broadcast_to(kept, P))
+    H = near.normal.reshape(-1, 1 + P, 1 + P)
+    H, g = H[:, 1 + rows[:, None], 1 + rows], H[:, 0, 1 + rows]
+    used = H.any(axis=(1, 2))
+    H, S = H[used], int(used.sum())
     _, size = scaled(H.sum(axis=0))
-    g = (np.einsum("smp,sm->sp", J, e) - pull / S) * size
+    g = (g[used] - np.broadcast_to(pull, P)[rows] / S) * size
     try:
         d = np.linalg.solve((H.sum(axis=0) - H) * np.outer(size, size), g[..., None])[..., 0] * size
     except np.linalg.LinAlgError as error:
@@ -285,7 +355,8 @@ def jackknife(near: Linear, pull: Array | float = 0.0, blocks: int = 1) -> tuple
             f"log has {S} blocks, and only one of them identifies some parameter, expected a longer log or "
             "a more informative motion, see excitation"
         ) from error
-    return np.asarray((S - 1) / S * d.T @ d), S
+    found[np.ix_(rows, rows)] = (S - 1) / S * d.T @ d
+    return found, S
 
 
 class Whiteness(NamedTuple):
@@ -329,18 +400,15 @@ class ResidualNoise:
 
     Attributes
     ----------
-    usual : ndarray, shape (m, L, L)
+    root : ndarray, shape (m, L, L)
         Inverse roots of the covariance of a complete segment, for each sensor.
-    others : dict of int to ndarray, shape (m, L, L)
-        Inverse roots for segments with lost samples, by index.
     remembers : bool
         Whether a correlated force is a more likely cause of the residuals than white force noise.
     share : ndarray, shape (m,)
         Part of the force noise in the squares of the white residuals of a segment.
     """
 
-    usual: Array
-    others: dict[int, Array]
+    root: Array
     remembers: bool
     share: Array
 
@@ -376,24 +444,17 @@ class ResidualNoise:
             tried = [_likeliest(filled[..., j], 1 + (j < poses), _moved(answers, each)) for each in kernels]
             costs += [each[0] for each in tried]
             found.append(tried[0][1:])
-        V, root = np.array([each[0] for each in found]), _inverse_root(np.array([each[0] for each in found]))
-        others = {
-            int(s): _inverse_root(V * np.outer(good[s], good[s]) + np.diag(1.0 - good[s])) for s in lacking
-        }
+        root = np.linalg.inv(np.linalg.cholesky(np.array([each[0] for each in found])))
         share = len(at) - np.array([each[1] for each in found]) * (root**2).sum(axis=(1, 2))
-        return cls(root, others, bool(costs[1] < costs[0]), share)
+        return cls(root, bool(costs[1] < costs[0]), share)
 
-    def white(self, residuals: Array) -> Array:
-        """Return white residuals, shape (V, S, L, m); zero without a measurement."""
-        columns = np.moveaxis(residuals, -1, 0)  # (m, V, S, L)
-        found = columns @ np.swapaxes(self.usual, 1, 2)[:, None]
-        for s, root in self.others.items():
-            found[:, :, s] = columns[:, :, s] @ np.swapaxes(root, 1, 2)
+    def white(self, residuals: Array, good: NDArray[np.bool_]) -> Array:
+        """Return white residuals, shape (V, S, L, m), with the most likely values of lost samples."""
+        found = np.moveaxis(residuals, -1, 0) @ np.swapaxes(self.root, 1, 2)[:, None]  # (m, V, S, L)
+        for s in np.flatnonzero(~good.all(axis=1)):
+            lost, Q = found[:, :, s], np.linalg.qr(self.root[:, :, ~good[s]])[0]
+            found[:, :, s] = lost - lost @ Q @ np.swapaxes(Q, 1, 2)
         return np.asarray(np.moveaxis(found, 0, -1))
-
-
-def _inverse_root(V: Array) -> Array:
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(V)))
 
 
 def _moved(responses: Sequence[Array], kernel: Array) -> Array:
@@ -455,26 +516,35 @@ def input_noise_gradient(model: Model, segments: Segments, found: Fit, noise: Re
     noise : ResidualNoise
         Noise of the residuals.
     """
-    generator, unit = np.random.default_rng(0), _SHAKE * segments.sizes
+    generator, unit, few = np.random.default_rng(0), _SHAKE * segments.sizes, segments.few
 
     def shaken(size: Array) -> Segments:
         more = generator.standard_normal(segments.inputs.shape) * size
-        return segments._replace(inputs=segments.inputs + more)
+        return segments._replace(inputs=segments.inputs + more).some(few)
 
-    def left(part: Segments) -> Array:
-        out = simulate(model, part, found.p[None], found.starts[None])
-        return np.asarray(noise.white(part.weighed(part.y - out))[0])
+    def left(given: Segments) -> Array:
+        def some(part: Segments, at: slice) -> tuple[Array, ...]:
+            out = simulate(model, part, found.p[None], starts[None, at])
+            return (noise.white(part.weighed(part.y - out), part.good)[0],)
 
-    before = left(segments)
+        return by_groups(some, given)[0]
+
+    def gradients(part: Segments, at: slice) -> tuple[Array, ...]:
+        _, columns, Q, _ = _columns(model, part, found.p, starts[at], noise.white)
+        total = np.zeros((len(columns), len(found.p)))
+        for draw in draws:
+            more = _columns(model, draw.some(at), found.p, starts[at], noise.white)[1] - columns
+            way = more[..., :1] - Q @ (np.swapaxes(Q, 1, 2) @ more[..., :1])
+            total = total + (np.swapaxes(more[..., 1:], 1, 2) @ way)[..., 0] / _DRAWS
+        return (total,)
+
+    part, starts = segments.some(few), found.starts[few]
+    before = left(part)
     power = [((left(shaken(row)) - before) ** 2).mean(axis=0).sum(axis=0) for row in np.diag(unit)]
     sizes = unit * np.sqrt(_variances(np.array(power).T, noise.share))
-    near, total = Linear.of(model, segments, found.p, found.starts, noise.white), np.zeros(len(found.p))
-    for _ in range(_DRAWS):
-        there = Linear.of(model, shaken(sizes), found.p, found.starts, noise.white)
-        way, slopes = (there.raw - near.raw)[..., None], there.slopes - near.slopes
-        way = way - near.Q @ (np.swapaxes(near.Q, 1, 2) @ way)
-        total = total + np.einsum("sni,sn->i", slopes, way[..., 0]) / _DRAWS
-    return total
+    draws = [shaken(sizes) for _ in range(_DRAWS)]
+    total = by_groups(gradients, part, len(found.p) + starts.shape[1] + 1)[0].sum(axis=0)
+    return np.asarray(total * len(segments.y) / len(part.y))
 
 
 def _variances(power: Array, share: Array) -> Array:

@@ -334,11 +334,10 @@ def _output_error(problem: PlanarProblem, segments: Segments, moves: bool) -> _E
         # The controller responds to a correlated force, so whitening would fit the controller's response.
         gradient = input_noise_gradient(problem, segments, fit, noise)
         near = Linear.of(problem, segments, fit.p, fit.starts, noise.white)
-        way = np.linalg.lstsq(np.einsum("smp,smq->pq", near.J, near.J), gradient, rcond=None)[0]
-        bias = float(np.sqrt(max(gradient @ way, 0.0)))
+        way = np.linalg.lstsq(near.information, gradient, rcond=None)[0]
+        bias = float(np.sqrt(max(float(gradient @ way), 0.0)))
         if bias < _BIASED:
-            shift = -near.J @ way
-            fit = solve(problem, segments, fit.p, white=noise.white, starts=fit.starts, shift=shift)
+            fit = solve(problem, segments, fit.p, white=noise.white, starts=fit.starts, pull=gradient)
             plain = solve(problem, segments, fit.p, moves=False)
     left = _whiteness(plain, segments)
     is_noise = left.is_white
@@ -351,7 +350,7 @@ def _output_error(problem: PlanarProblem, segments: Segments, moves: bool) -> _E
 
 
 def _noise(problem: PlanarProblem, segments: Segments, fit: Fit) -> ResidualNoise:
-    answers = problem.responses(segments, fit.p, fit.starts)
+    answers = problem.responses(segments.some(segments.few), fit.p, fit.starts[segments.few])
     return ResidualNoise.of(
         segments.weighed(fit.near.residual), segments.good, float(segments.dt[0]), answers
     )
@@ -408,6 +407,8 @@ def _first_delay(form: WeakForm, base: Array, basis: Array) -> float:
     """Return the delay with the smallest residual of the weak form [samples]."""
     if basis.shape[1] < len(base):
         return 0.0  # the motion does not identify the delay
+    few = [piece for one in form.logs for piece in one.few]
+    form = form if len(few) == len(form.logs) else WeakForm.of(few, form.model)
     dt = form.logs[0].dt
     delays = np.arange(-max(2, round(_EARLIEST / dt)), max(4, round(_LATEST / dt)) + 0.25, 0.5)
     k, late, explained = form.first_delay(delays, base, basis)
@@ -425,8 +426,7 @@ def _first_delay(form: WeakForm, base: Array, basis: Array) -> float:
 
 def _check_drift(near: Linear) -> None:
     """Reject a log in which the delay drifts, because one of two clocks is faster."""
-    by_delay = near.J[..., -1]
-    gradient, curvature = (by_delay * near.e).sum(axis=1), (by_delay**2).sum(axis=1)
+    gradient, curvature = near.normal[:, 0, 0, -1], near.normal[:, 0, -1, -1]
     time = np.linspace(-0.5, 0.5, len(gradient))
     weight = max(float((curvature * time**2).sum()), 1e-300)
     slope = float((gradient * time).sum()) / weight

@@ -46,7 +46,7 @@ from pinmobile.identification._preprocessing import LATER
 from pinmobile.identification._simulation import simulate
 
 _STEP, _RUBBING_STEP = 5e-3, 1e-3  # [s], longest integration steps, without and with dry friction of motors
-_SHIFT = 1e-5  # step of differences, as a share of a parameter's scale
+_SHIFT = 1e-6  # step of differences, as a share of a parameter's scale
 _LEAST_RESPONSE = 1e-3  # smallest response to an input, as a share of the largest
 _RESPONSES = 3  # largest number of responses of a sensor
 

@@ -22,7 +22,7 @@ from pinmobile.identification._filters import (
 )
 from pinmobile.identification._log import Log, check_units, held_integrals
 from pinmobile.identification._replay import odometry
-from pinmobile.identification._simulation import Segments
+from pinmobile.identification._simulation import Segments, pieces
 
 _HALF = 0.5  # smallest measured share of a segment with an identifiable initial state
 LATER = 8  # largest change of the delay in the search [samples]
@@ -115,6 +115,13 @@ class PreprocessedLog:
     def reported_noise(self) -> Array:
         """Noise of the poses, or of the rates if only these are measured."""
         return self.noise if np.isfinite(self.noise).all() else self.rates_noise
+
+    @property
+    def few(self) -> list[PreprocessedLog]:
+        """Pieces of a long log at equal distances with samples enough for first estimates."""
+        cuts = pieces(0, len(self.q), len(self.q))
+        own = [(n, getattr(self, n)) for n in ("q", "good", "u", "rates") if getattr(self, n) is not None]
+        return [replace(self, **{n: x[cut] for n, x in own}) for cut in cuts]
 
     @cached_property
     def twist(self) -> Array:

@@ -32,10 +32,9 @@ from pinmobile.identification._estimator import (
     white_of,
 )
 from pinmobile.identification._lag import Lag
-from pinmobile.identification._simulation import Segments, simulate
+from pinmobile.identification._simulation import MANY, Segments, pieces, simulate
 from pinmobile.identification._velocity_model import VelocityModel
 
-_MANY = 30_000  # samples of the segments that begin the search
 _LONGER = 3  # ratio of successive lengths of segments
 TRAINED = 2 / 3  # share of a log before the hold-out
 _TOGETHER = 0.2  # largest correlation of successive residuals that counts as noise
@@ -83,6 +82,8 @@ def searched(
     tried = list(_tried(model, parts, start))
     best = min(tried, key=lambda each: (each.lost.sum(), each.size)) if model.is_pose else tried[-1]
     differ = _compared(model, *(tried[0], best) if best is not tried[0] else (best, tried[-1]))
+    if best.is_few:
+        best = _Tried.of(model, parts, best.seconds, best.fit.p)
     remarks = [left_out, differ]
     limited, late = model.limits(), len(model.first)
     useless = [n for n, lost in zip(model.free, best.lost[late:], strict=True) if lost and n in limited]
@@ -149,7 +150,7 @@ def _by_speeds(
     The model has more limits of rates, with first estimates by name, where correlated residuals show them.
     """
     free = replace(model, is_pose=False)
-    given = speeds_of(_first(parts, _MANY))
+    given = speeds_of(few_of(parts))
     segments, calm = segments_of(given, model.lead, model.dt * _LONGER * block_of(given))
 
     def fit(model: VelocityModel, p: Array) -> tuple[VelocityModel, Array, float, bool]:
@@ -188,6 +189,8 @@ class _Tried(NamedTuple):
         Covariance by the jackknife over blocks.
     blocks : int
         Number of blocks.
+    is_few : bool
+        Whether a few of many segments gave the estimates.
     """
 
     seconds: float
@@ -196,6 +199,7 @@ class _Tried(NamedTuple):
     lost: NDArray[np.bool_]
     covariance: Array
     blocks: int
+    is_few: bool
 
     @property
     def size(self) -> float:
@@ -204,37 +208,42 @@ class _Tried(NamedTuple):
         return float(np.linalg.slogdet(self.covariance[np.ix_(kept, kept)])[1])
 
     @classmethod
-    def of(cls, model: VelocityModel, parts: list[Part], seconds: float, p: Array) -> _Tried:
-        """Return the estimates from segments of a length [s], a multiple of a block."""
+    def of(
+        cls, model: VelocityModel, parts: list[Part], seconds: float, p: Array, few: bool = False
+    ) -> _Tried:
+        """Return the estimates from segments of a length [s], a multiple of a block, or a few of them."""
         segments, calm = segments_of(parts, model.lead, seconds)
-        fit, lost = solve_robustly(model, segments, p, calm=calm, natural=model.natural)
-        covariance = np.zeros((len(p), len(p)))
-        count = segments.y.shape[1] // block_of(parts)
-        near = fit.near._replace(J=fit.near.J[..., ~lost])
-        C, blocks = jackknife(near, blocks=count)
-        covariance[np.ix_(~lost, ~lost)] = C
-        return cls(segments.y.shape[1] * model.dt, segments, fit, lost, covariance, blocks)
+        kept = segments.few if few else slice(None, None, 1)
+        segments = segments.some(kept)._replace(blocks=segments.y.shape[1] // block_of(parts))
+        fit, lost = solve_robustly(model, segments, p, calm=calm[kept], natural=model.natural)
+        covariance, blocks = jackknife(fit.near, kept=~lost)
+        return cls(segments.y.shape[1] * model.dt, segments, fit, lost, covariance, blocks, kept.step > 1)
 
 
 def _tried(model: VelocityModel, parts: list[Part], p: Array) -> Iterator[_Tried]:
     """Yield the estimates from segments of 6 s, and from longer ones.
 
-    Speeds of a stable model do not drift, so that the longest segment is a whole part; the short ones then
-    are of the first samples alone. Poses drift: segments grow until the confidence region does.
+    Speeds of a stable model do not drift, so that the longest segment is a whole part. Poses drift: segments
+    grow until the confidence region does. A few of many segments choose the length.
     """
     longest, block = max(b - a for _, a, b in parts) * model.dt, model.dt * block_of(parts)
     total = sum(b - a for _, a, b in parts) * model.dt
-    longest = min(longest, max(_WASTE * total / len(parts), _LONGER * block))
+    longest = min(longest, MANY * model.dt, max(_WASTE * total / len(parts), _LONGER * block))
     seconds = _LONGER * block
     before = np.inf
     while True:
-        given = parts if model.is_pose or seconds > longest else _first(parts, _MANY)
-        one = _Tried.of(model, given, seconds, p)
+        one = _Tried.of(model, parts, seconds, p, model.is_pose or seconds <= longest)
         yield one
         if seconds >= longest or one.size > before:
             return
         before, p = (one.size if model.is_pose else np.inf), one.fit.p
         seconds = min(seconds * _LONGER, longest + block) if model.is_pose else longest + block
+
+
+def few_of(parts: Sequence[Part]) -> list[Part]:
+    """Return pieces of parts with samples enough for first estimates."""
+    total = sum(b - a for _, a, b in parts)
+    return [Part(run, one.start, one.stop) for run, a, b in parts for one in pieces(a, b, total)]
 
 
 def _first(parts: Sequence[Part], count: int) -> list[Part]:
@@ -280,9 +289,10 @@ def _free_run(model: VelocityModel, parts: Sequence[Part], best: _Tried) -> dict
     try:
         segments, calm = segments_of(train, model.lead, best.seconds)
         left = best.fit.near.residual[best.fit.good]
+        segments = segments._replace(good=segments.good & calm)
         fit = solve(
             model,
-            segments._replace(good=segments.good & calm),
+            segments.some(segments.few),
             best.fit.p,
             moves=~best.lost,
             white=white_of(left),
@@ -298,7 +308,7 @@ def _explained(model: VelocityModel, p: Array, parts: Sequence[Part]) -> Array:
     """Return R^2 of the speed and of the yaw rate in free runs over parts."""
     free, left, y = replace(model, is_pose=False), [], []
     for part in speeds_of(parts):
-        segments, _ = segments_of([part], free.lead, (part.stop - part.start) * free.dt)
+        segments, _ = segments_of([part], free.lead, min(part.stop - part.start, MANY) * free.dt)
         if len(segments.y):
             out = simulate(free, segments, p[None], segments.start[None])[0]
             left.append((segments.y - out)[segments.good])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 from typing import Any, NamedTuple, Protocol, Self
 
@@ -10,13 +11,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinmobile.arrays import Array
-from pinmobile.compiled import Recurrence, entries, repeated, symbols
+from pinmobile.compiled import Recurrence, entries, processors, repeated, symbols
 
-_SLOPE = 1e-4  # step of differences, as a share of the size of an initial state
+_SLOPE = 1e-6  # step of differences, as a share of the size of an initial state
 _LEAST_SIZE = 1e-3  # smallest size of an input, as a share of the largest
-_AT_ONCE = 2_000_000  # largest number of samples that are simulated together: it bounds the memory
-_LANES = 8  # smallest number of variants that are simulated together
+MANY = 30_000  # samples that give first estimates
+_AT_ONCE = 30_000  # samples that a thread simulates at once: they bound the memory, and fit in a cache
+_PIECES = 10  # of these samples
+_SHARED = "inputs", "lead", "blocks"  # that all segments have in common
 _MOST_STEPS = 10**9  # bound of the integration steps in a sample; the actual count is one of the numbers
+
+
+def pieces(start: int, stop: int, samples: int) -> list[slice]:
+    """Return pieces of a part of so many samples in all, at equal distances: enough for first estimates."""
+    size, step = MANY // _PIECES, samples // MANY
+    if step < 2:
+        return [slice(start, stop)]
+    return [slice(k, min(k + size, stop)) for k in range(start, stop, size * step)]
 
 
 class Segments(NamedTuple):
@@ -44,6 +55,8 @@ class Segments(NamedTuple):
         Number of these rows before the first sample.
     load : ndarray, shape (S, 4)
         Mass, first moments and inertia of the known load.
+    blocks : int
+        Number of blocks of a segment for the jackknife.
     """
 
     dt: Array
@@ -56,6 +69,7 @@ class Segments(NamedTuple):
     at: NDArray[np.int_]
     lead: int
     load: Array
+    blocks: int = 1
 
     @classmethod
     def cut(cls, dt: float, rows: tuple[Any, ...], span: Any, load: Any = 0.0, least: float = 0.0) -> Self:
@@ -88,8 +102,19 @@ class Segments(NamedTuple):
         """Return the segments of several logs together."""
         before = np.cumsum([0, *(len(part.inputs) for part in parts)])
         moved = [part._replace(at=part.at + n) for part, n in zip(parts, before, strict=False)]
-        joined = {n: np.concatenate([getattr(x, n) for x in moved]) for n in cls._fields if n != "lead"}
-        return cls(lead=parts[0].lead, **joined)
+        joined: dict[str, Any] = {
+            n: np.concatenate([getattr(x, n) for x in moved]) for n in cls._fields if n not in _SHARED
+        }
+        return cls(inputs=np.concatenate([x.inputs for x in parts]), lead=parts[0].lead, **joined)
+
+    def some(self, rows: Any) -> Self:
+        """Return some of the segments."""
+        return self._replace(**{n: getattr(self, n)[rows] for n in self._fields if n not in _SHARED})
+
+    @property
+    def few(self) -> slice:
+        """Segments at equal distances with samples enough for first estimates."""
+        return slice(None, None, max(1, min(len(self.good), self.good.size // MANY)))
 
     @property
     def sizes(self) -> Array:
@@ -188,10 +213,6 @@ def simulate(model: Model, segments: Segments, p: Array, starts: Array) -> Array
     In each sample, the previous input acts for the fractional part of the delay, then the present input.
     """
     (V, S, n), K = starts.shape, segments.y.shape[1] - 1
-    group = max(_LANES, _AT_ONCE // max(S * K, 1))
-    if group < V:
-        cuts = [slice(k, k + group) for k in range(0, V, group)]
-        return np.concatenate([simulate(model, segments, p[cut], starts[cut]) for cut in cuts])
     numbers, late, longest = model.resolved(segments, p)
     lag = np.floor(late + 1e-9).astype(int)
     share = np.maximum(late - lag, 0.0)
@@ -206,17 +227,45 @@ def simulate(model: Model, segments: Segments, p: Array, starts: Array) -> Array
     each = np.concatenate([np.broadcast_to(x, (V, S, x.shape[2])) for x in (*rows, numbers)], axis=2)
     states = _recurrence(model.rates, (n, m, numbers.shape[2]))(
         starts.reshape(V * S, n),
-        np.broadcast_to(u, (K, V, S, 2 * m)).reshape(K, V * S, 2 * m),
+        np.broadcast_to(u, (K, V, S, 2 * m)),
         each.reshape(V * S, -1),
     )
     return model.observed(segments, states.reshape(V, S, K + 1, n), numbers)
 
 
+def by_groups(
+    function: Callable[[Segments, slice], tuple[Array, ...]], segments: Segments, variants: int = 1
+) -> list[Array]:
+    """Return the arrays, shape (S, ...), of a function of some segments and their rows; threads share them.
+
+    Parameters
+    ----------
+    function : callable
+        Function of segments and their rows, which returns arrays of shape (rows, ...).
+    segments : Segments
+        All segments.
+    variants : int
+        Number of simulations of a segment.
+    """
+    size = max(1, _AT_ONCE // (variants * segments.y.shape[1]))
+    cuts = [slice(k, k + size) for k in range(0, len(segments.y), size)]
+    found = [function(segments.some(cuts[0]), cuts[0])]  # compiles the model
+    with ThreadPoolExecutor(processors()) as pool:
+        found += pool.map(lambda rows: function(segments.some(rows), rows), cuts[1:])
+    return [np.concatenate(each) for each in zip(*found, strict=True)]
+
+
 def linearize(model: Model, segments: Segments, p: Array, starts: Array) -> tuple[Array, Array]:
-    """Return simulated measurements (S, L, m), and slopes by numbers and initial states (P + n, S, L, m)."""
+    """Return simulated measurements (S, L, m), and slopes by numbers and initial states (P + n, S, L, m).
+
+    The slopes are differences to the values themselves, or central differences for steps of whole samples.
+    """
     P, n = len(p), starts.shape[1]
     size = np.append(model.increments(p), _SLOPE * np.maximum(np.abs(starts).mean(axis=0), 0.1))
-    ways = np.vstack([np.zeros(P + n), np.kron(np.diag(size), [[1.0], [-1.0]])])
+    wide = size >= 1.0
+    ways = np.vstack([np.zeros(P + n), np.diag(size), -np.diag(size)[wide]])
     out = simulate(model, segments, p + ways[:, :P], starts + ways[:, None, P:])
     with np.errstate(all="ignore"):
-        return out[0], np.nan_to_num(out[1::2] - out[2::2]) / (2 * size[:, None, None, None])
+        slopes = out[1 : 1 + P + n] - out[0]
+        slopes[wide] = (out[1 : 1 + P + n][wide] - out[1 + P + n :]) / 2
+        return out[0], np.nan_to_num(slopes) / size[:, None, None, None]

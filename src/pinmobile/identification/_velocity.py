@@ -25,7 +25,7 @@ from pinmobile.identification._commands import (
 )
 from pinmobile.identification._estimates import Identification
 from pinmobile.identification._log import Log, logs_of, unused
-from pinmobile.identification._search import searched
+from pinmobile.identification._search import few_of, searched
 from pinmobile.identification._velocity_model import VelocityModel
 from pinmobile.identification._velocity_robot import VelocityRobot
 
@@ -137,7 +137,9 @@ def identify_velocity(
     given |= dict(zip(model.limits(), [*most.accelerations.tolist(), *most.limits.tolist()], strict=True))
     parts = parts_of(runs)
     for _ in range(_ROUNDS):  # what other drivers did hides the limits
-        lags = [each.lag(lead, None if delay is None else round(late / dt)) for each in channels_of(parts)]
+        lags = [
+            each.lag(lead, None if delay is None else round(late / dt)) for each in channels_of(few_of(parts))
+        ]
         parts = explained_parts(runs, lags)
     sought, seen = {"delay": delay is None, "ahead": ahead is None}, model.limits_of(lags)
     for name, known in zip(model.limits(), (accelerations, accelerations, limits, limits), strict=True):

@@ -36,7 +36,7 @@ _FINE = 0.3  # longest time step of the integrator, as a share of the shortest t
 _BENDS = 4  # factor on the number of steps where a limit of acceleration may end within a step
 _MOST_STEPS = 40  # largest number of steps per sample
 _FAR = 100.0  # value of a limit that the log does not show, per first estimate
-_SLOPE = 1e-4  # step of differences, as a share of the size of a number
+_SLOPE = 1e-6  # step of differences, as a share of the size of a number
 _GAINS = 0.1, 10.0  # range of the command per steady speed or yaw rate
 
 

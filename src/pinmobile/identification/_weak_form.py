@@ -99,8 +99,8 @@ class WeakForm:
         Model of the robot.
     Y : ndarray, shape (n, k, p)
         Regressor, without columns of offsets and of an unknown input scale.
-    shaken : ndarray, shape (levels, draws, n, k, p)
-        Regressors for poses with additional noise.
+    shaken : sequence of sequence of ndarray, shape (n, k, p)
+        Regressors for poses with additional noise, by level and draw.
     known : ndarray, shape (n, k)
         Forces of known inertia and loads.
     rates : list of ndarray, shape (a, N)
@@ -112,7 +112,7 @@ class WeakForm:
     logs: Sequence[PreprocessedLog]
     model: PlanarModel
     Y: Array
-    shaken: Array
+    shaken: Sequence[Sequence[Array]]
     known: Array
     rates: Sequence[Array]
     counts: tuple[int, ...]
@@ -120,17 +120,22 @@ class WeakForm:
     @classmethod
     def of(cls, logs: Sequence[PreprocessedLog], model: PlanarModel) -> WeakForm:
         """Return the weak form of logs."""
-        build, rows = (_inertial if model.B is None else _along_free), []
-        for log in logs:
-            bump, generator = Bump.of(WINDOW, log.dt), np.random.default_rng(0)
-            Y, known = build(log, model, bump)
-            more = [build(log.shaken(generator, x), model, bump)[0] for x in np.repeat(_LEVELS, _SHAKES)]
-            shaken = np.reshape(more, (len(_LEVELS), _SHAKES, *Y.shape))
-            rows.append((Y, np.moveaxis(shaken, 2, 0), known + Y[..., :4] @ log.load))
-        counts = tuple(len(Y) for Y, _, _ in rows)
-        Y, shaken, known = (np.concatenate(each) for each in zip(*rows, strict=True))
-        rates = [log.rates_of(model).T for log in logs]
-        return cls(logs, model, Y, np.moveaxis(shaken, 0, 2), known, rates, counts)
+
+        def build(log: PreprocessedLog) -> tuple[Array, Array]:
+            rows = _inertial if model.B is None else _along_free
+            return rows(log, model, Bump.of(WINDOW, log.dt))
+
+        pairs = [(log, np.random.default_rng(0)) for log in logs]
+        shaken = [
+            [np.concatenate([build(log.shaken(one, x))[0] for log, one in pairs]) for _ in range(_SHAKES)]
+            for x in _LEVELS
+        ]
+        rows = [build(log) for log in logs]
+        known = [force + Y[..., :4] @ log.load for (Y, force), log in zip(rows, logs, strict=True)]
+        counts, rates = tuple(map(len, known)), [log.rates_of(model).T for log in logs]
+        return cls(
+            logs, model, np.concatenate([Y for Y, _ in rows]), shaken, np.concatenate(known), rates, counts
+        )
 
     @property
     def _constant(self) -> Array:
@@ -149,8 +154,8 @@ class WeakForm:
             found.append(bump.over(columns if model.B is None else columns @ model.B.T))
         return np.concatenate(found)
 
-    def equations(self, delay: float, scale: float = 1.0) -> tuple[Array, Array, Array]:
-        """Return the regressor, shape (n, k, p), the regressors with noise, and the forces, shape (n, k).
+    def equations(self, delay: float, scale: float = 1.0) -> tuple[Array, Array]:
+        """Return the last columns of the regressor, shape (n, k, ...), and the forces, shape (n, k).
 
         The equations are linearised about a scale of the inputs.
         """
@@ -163,7 +168,7 @@ class WeakForm:
             more, less = (self.forces(delay, scale * (1 + way * _NEAR)) for way in (1, -1))
             slope = (more - less) / (2 * _NEAR * scale)
             columns, y = _beside(columns, -slope[..., None]), y - slope * scale
-        return _beside(self.Y, columns), _beside(self.shaken, columns), y
+        return columns, y
 
     def first_delay(self, delays: Array, base: Array, basis: Array) -> tuple[int, float, float]:
         """Return the index of the best of some delays, the minimum near it, and the explained share."""
@@ -172,8 +177,8 @@ class WeakForm:
         basis = basis[:keep, : basis.shape[1] - self.model.scaled]
 
         def fit(delay: float) -> WeakFit:
-            Y, _, y = form.equations(delay)
-            return fitted(Y, y, form.counts, base, basis, 2)[0]
+            columns, y = form.equations(delay)
+            return fitted(_beside(form.Y, columns), y, form.counts, base, basis, 2)[0]
 
         return scanned(fit, delays)
 
@@ -206,17 +211,17 @@ class WeakForm:
 
     def _near(self, scale: float, delay: float, prior: Array, basis: Array, free: bool) -> WeakFit:
         """Return the extrapolated least squares of the equations, linearised about a scale of the inputs."""
-        Y, shaken, y = self.equations(delay, scale)
+        columns, y = self.equations(delay, scale)
         if free:
             less, more = (self.forces(delay + shift, scale)[..., None] for shift in (-0.5, 0.5))
-            Y, shaken = _beside(Y, less - more), _beside(shaken, less - more)
+            columns = _beside(columns, less - more)
             prior, basis = np.append(prior, 0.0), np.pad(basis, ((0, 1), (0, 1)))
             basis[-1, -1] = 1.0
-        plain, influence = fitted(Y, y, self.counts, prior, basis)
+        plain, influence = fitted(_beside(self.Y, columns), y, self.counts, prior, basis)
         phi, influence = _WEIGHTS[0] * plain.phi, _WEIGHTS[0] * influence
-        for weight, level in zip(_WEIGHTS[1:], shaken, strict=True):
+        for weight, level in zip(_WEIGHTS[1:], self.shaken, strict=True):
             for each in level:
-                noisy, more = fitted(each, y, self.counts, prior, basis)
+                noisy, more = fitted(_beside(each, columns), y, self.counts, prior, basis)
                 phi, influence = phi + weight / _SHAKES * noisy.phi, influence + weight / _SHAKES * more
         covariance = _newey_west(influence, self.counts, basis.shape[1])
         if not free:
@@ -231,13 +236,18 @@ class WeakForm:
         An identifiable direction has more than 1 % of the forces in the regressor, without the part of the
         pose noise. Additional draws of noise show the size of this part.
         """
-        model, extra, shaken = self.model, self.model.scaled, _beside(self.shaken[0], self._constant)
-        Y, size = _beside(self.Y, self._constant), np.sqrt((self.forces() ** 2).mean(axis=0))
+        model, extra, size = self.model, self.model.scaled, np.sqrt((self.forces() ** 2).mean(axis=0))
         force = max(np.hypot(*size[:2]) if model.free == 3 else size[0], 4 * size[-1])
         per_row = np.array([*[force] * (model.free - 1), max(size[-1], force * _LEVER)])
-        Y, N = (each * scales[: Y.shape[-1]] / per_row[:, None] for each in (Y, shaken - Y))
-        gram = np.einsum("nki,nkj->ij", Y, Y) - 1.5 * np.einsum("dnki,dnkj->ij", N, N) / len(N)
-        values, vectors = np.linalg.eigh(gram / (Y.shape[0] * Y.shape[1]))
+
+        def gram(Y: Array, constant: Array) -> Array:
+            Y = _beside(Y, constant)
+            rows = (Y * scales[: Y.shape[-1]] / per_row[:, None]).reshape(-1, Y.shape[-1])
+            return np.asarray(rows.T @ rows)
+
+        noise = [gram(each - self.Y, 0 * self._constant) for each in self.shaken[0]]
+        total = gram(self.Y, self._constant) - 1.5 * np.mean(noise, axis=0)
+        values, vectors = np.linalg.eigh(total / (self.Y.shape[0] * self.Y.shape[1]))
         told = values > _SEEN**2
         # The scale is identifiable where all else is, as loads differ.
         seen = np.pad(vectors[:, told], ((0, extra), (0, extra)))
@@ -349,7 +359,7 @@ def fitted(
     weights = np.ones(y.shape) / deviation
     for _ in range(passes):
         A = Y * weights[..., None]
-        right = np.einsum("nki,nk->i", A, (y - Y @ prior) * weights)
+        right = ((y - Y @ prior) * weights).ravel() @ A.reshape(-1, len(prior))
         phi = prior + _inverse(A, basis) @ right
         left = y - Y @ phi
         deviation = np.maximum(NORMAL * np.median(np.abs(left), axis=0), least)
@@ -365,7 +375,8 @@ def fitted(
 
 def _inverse(A: Array, basis: Array) -> Array:
     """Return the inverse of the normal matrix within the span of the basis."""
-    normal = basis.T @ np.einsum("nki,nkj->ij", A, A) @ basis
+    rows = A.reshape(-1, len(basis))
+    normal = basis.T @ (rows.T @ rows) @ basis
     return np.asarray(basis @ np.linalg.pinv(normal, rcond=1e-12, hermitian=True) @ basis.T)
 
 
