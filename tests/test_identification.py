@@ -710,10 +710,6 @@ PAIR = pm.WheelTable.differential(0.5, 0.1, supports=[(0.25, 0), (-0.25, 0)], **
 @pytest.mark.parametrize(
     ("robot", "text"),
     [
-        (
-            lambda: on(pm.WheelTable.car(0.5, 0.4, 0.1, **WHEEL)),
-            f"with wheels that steer or slip, .*{ROLLING}",
-        ),
         (lambda: on(PAIR, ground=pm.Coulomb()), f"with wheels that steer or slip, .*{ROLLING}"),
         (lambda: on(PAIR).mount("ur5"), f"or arms, {ROLLING}"),
         (lambda: pm.MobileRobot.box().mount("ur5"), r"without arms \(robot.lumped\(\) has them locked\), .*"),

@@ -136,8 +136,8 @@ class Identification:
     slippage : object or None
         Deviation of the poses from rolling, for the worst log; None if it is not identifiable.
     free_run : mapping of str to tuple of 2 float
-        R^2 of a free run, by channel: of the log, and of its last third for a fit to the rest. Empty for
-        forces and torques.
+        R^2 of the speeds of a free run, by channel: of the log, and of its last third for a fit to the rest.
+        With forces, torques and voltages, a run ends after 10 s.
     remarks : tuple of str
         Further findings about the log: sections that are left out, a delay that is taken as zero, results
         that depend on the length of segments.

@@ -22,9 +22,11 @@ from pinmobile.identification._estimator import (
     solve,
     unexplained,
 )
+from pinmobile.identification._free_run import free_run, trained, trained_weakly
 from pinmobile.identification._log import Log, continuous, logs_of, lost_rows, unused
 from pinmobile.identification._planar_model import PlanarModel, PlanarProblem
 from pinmobile.identification._preprocessing import PreprocessedLog, Slippage
+from pinmobile.identification._search import TRAINED
 from pinmobile.identification._simulation import Segments
 from pinmobile.identification._torque_car import identify_car
 from pinmobile.identification._weak_form import WINDOW, WeakFit, WeakForm
@@ -236,7 +238,10 @@ def _identified(
     fit = form.extrapolated(late, base, basis, not given and not told)
     _check(model, fit, prior)
     rates = any(one.rates is not None for one in runs)
-    segments = Segments.joined([one.segments(model, fit.delay, seconds, rates) for one in runs])
+    each = [one.segments(model, fit.delay, seconds, rates) for one in runs]
+    ends = (TRAINED * len(one.q) * one.dt for one in runs)
+    early = np.concatenate([part.t[:, 0] < end for part, end in zip(each, ends, strict=True)])
+    segments = Segments.joined(each)
     kept = len(segments.start)
     if kept < _LEAST_SEGMENTS // 2:
         raise InvalidArgument(
@@ -257,9 +262,12 @@ def _identified(
             phi, _ = problem.values(p - free[:, -1] / free[-1, -1] * late)  # the estimate for no delay
         covariance = basis @ free[: basis.shape[1], : basis.shape[1]] @ basis.T
         _check(model, fit._replace(phi=phi), prior)
+        step = trained(estimate.fit.near, early)
     else:
         phi, covariance, late, error = fit.phi, fit.covariance, fit.delay, fit.delay_error
         freedom = max(5, round(sum(len(one.q) * one.dt for one in runs) / WINDOW) - len(phi))
+        p, step = np.zeros(basis.shape[1]), trained_weakly(form, fit.delay, base, basis)
+        problem = PlanarProblem(model, phi, basis, fit.delay)
     remarks = []
     if not given:
         _check_late(late, error, dt)
@@ -296,6 +304,7 @@ def _identified(
         is_noise=estimate.is_noise,
         explained=fit.explained,
         remarks=tuple(remarks),
+        free_run=free_run(problem, runs, p, p + step),
     )
 
 

@@ -167,7 +167,7 @@ class WeakForm:
         if self.model.scaled:
             more, less = (self.forces(delay, scale * (1 + way * _NEAR)) for way in (1, -1))
             slope = (more - less) / (2 * _NEAR * scale)
-            columns, y = _beside(columns, -slope[..., None]), y - slope * scale
+            columns, y = beside(columns, -slope[..., None]), y - slope * scale
         return columns, y
 
     def first_delay(self, delays: Array, base: Array, basis: Array) -> tuple[int, float, float]:
@@ -178,7 +178,7 @@ class WeakForm:
 
         def fit(delay: float) -> WeakFit:
             columns, y = form.equations(delay)
-            return fitted(_beside(form.Y, columns), y, form.counts, base, basis, 2)[0]
+            return fitted(beside(form.Y, columns), y, form.counts, base, basis, 2)[0]
 
         return scanned(fit, delays)
 
@@ -214,14 +214,14 @@ class WeakForm:
         columns, y = self.equations(delay, scale)
         if free:
             less, more = (self.forces(delay + shift, scale)[..., None] for shift in (-0.5, 0.5))
-            columns = _beside(columns, less - more)
+            columns = beside(columns, less - more)
             prior, basis = np.append(prior, 0.0), np.pad(basis, ((0, 1), (0, 1)))
             basis[-1, -1] = 1.0
-        plain, influence = fitted(_beside(self.Y, columns), y, self.counts, prior, basis)
+        plain, influence = fitted(beside(self.Y, columns), y, self.counts, prior, basis)
         phi, influence = _WEIGHTS[0] * plain.phi, _WEIGHTS[0] * influence
         for weight, level in zip(_WEIGHTS[1:], self.shaken, strict=True):
             for each in level:
-                noisy, more = fitted(_beside(each, columns), y, self.counts, prior, basis)
+                noisy, more = fitted(beside(each, columns), y, self.counts, prior, basis)
                 phi, influence = phi + weight / _SHAKES * noisy.phi, influence + weight / _SHAKES * more
         covariance = _newey_west(influence, self.counts, basis.shape[1])
         if not free:
@@ -241,7 +241,7 @@ class WeakForm:
         per_row = np.array([*[force] * (model.free - 1), max(size[-1], force * _LEVER)])
 
         def gram(Y: Array, constant: Array) -> Array:
-            Y = _beside(Y, constant)
+            Y = beside(Y, constant)
             rows = (Y * scales[: Y.shape[-1]] / per_row[:, None]).reshape(-1, Y.shape[-1])
             return np.asarray(rows.T @ rows)
 
@@ -290,7 +290,7 @@ class WeakForm:
         return np.concatenate([body, dry / per_rate, dry, dry[: len(dry) * model.offset], scale])
 
 
-def _beside(Y: Array, columns: Array) -> Array:
+def beside(Y: Array, columns: Array) -> Array:
     """Return a regressor with more columns."""
     return np.concatenate([Y, np.broadcast_to(columns, (*Y.shape[:-1], columns.shape[-1]))], axis=-1)
 
