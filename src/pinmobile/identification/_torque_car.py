@@ -32,7 +32,7 @@ from pinmobile.identification._simulation import Quantity, Segments
 from pinmobile.identification._velocity_model import Sized, VelocityModel
 from pinmobile.identification._weak_form import WINDOW, Bump
 from pinmobile.urdf import Body
-from pinmobile.wheels import Motor
+from pinmobile.wheels import ByVoltage, Motor
 
 _SLOW = 0.1  # [rad/s], where dry friction has 71 % of its size
 _STEP = 5e-3  # [s], longest integration step
@@ -78,7 +78,7 @@ class CarWheels(NamedTuple):
         InvalidArgument
             If the robot is no car: one fixed and one steered axle of wheels with tyres, without arms.
         """
-        table, wheeled = robot.table, getattr(robot, "wheeled", robot)
+        table, wheeled = robot.table, _wheeled(robot)
         axis = table.axes[0]
         steered = [table.wheels[k] for k in axis.wheels]
         fixed = [each for each in table.wheels if each not in steered]
@@ -280,7 +280,7 @@ class TorqueCar(VelocityModel):
         """Return the identified car."""
         check_identifiable("robot", found.unseen)
         values, prior = found.parameters, found.prior
-        wheeled = getattr(prior, "wheeled", prior)
+        wheeled = _wheeled(prior)
         centre, J = np.array(self.body.com), np.array(self.body.inertia)
         centre[0] = values.get("com_x", centre[0])
         scaled, J[2, 2] = J * (values["yaw_inertia"] / J[2, 2]), values["yaw_inertia"]
@@ -341,6 +341,11 @@ class TorqueCar(VelocityModel):
         return segments, left.near.residual, left.good, found.noise
 
 
+def _wheeled(robot: Any) -> Any:
+    """Return a robot with torques as inputs."""
+    return robot.wheeled if isinstance(robot, ByVoltage) else robot
+
+
 def identify_car(logs: list[Log], robot: Any, delay: float | None, speed: float | None) -> Identification:
     """Return the estimates for a car, see `identify`; `speed` is its rolling speed."""
     slow = positive("rolling_speed", _SLOW if speed is None else speed, "rad/s")
@@ -349,7 +354,7 @@ def identify_car(logs: list[Log], robot: Any, delay: float | None, speed: float 
     if robot.ground.slips and (slips > 0).all():
         steered = np.isin(np.arange(len(slips)), robot.table.axes[0].wheels)
         stiffness = [float((1 / slips[axle]).sum()) for axle in (steered, ~steered)]
-    body, given = getattr(robot, "wheeled", robot).robot.lumped().body, {"delay": 0.0, "ahead": 0.0}
+    body, given = _wheeled(robot).robot.lumped().body, {"delay": 0.0, "ahead": 0.0}
     model = TorqueCar((), given, 1, 1.0, is_pose, wheels, body, slow, stiffness=tuple(stiffness))
     runs = [model.run_of(run) for run in runs_of(logs, is_pose, model.inputs)]
     dt, lead = runs[0].dt, lead_of(runs)
