@@ -94,7 +94,7 @@ def test_a_kinematic_law_drives_a_car_along_a_path() -> None:
     path = pm.Tangent(pm.Circle(radius=2.0, rate=0.5, duration=20))
     run = pm.simulate(CAR, VelocityCommand(pm.UnicycleTracking(), CAR), path, dt=0.02)
     assert np.abs(run.error[:, :3]).max() < 0.05
-    with refused("start has wheels that slide at 0.3 m/s, expected rolling wheels"):
+    with refused("start has wheels that slide sideways at 0.3 m/s, expected rolling wheels"):
         CAR.check_start(np.zeros(4), np.array([1.0, 0.3, 0.0, 0.0]))
     with refused("f is .*expected zero"):
         CAR.forward_dynamics(np.zeros(4), np.zeros(4), np.zeros(2), np.ones(4))

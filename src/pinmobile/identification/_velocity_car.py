@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from functools import cached_property
-from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple, final
 
 import attrs
 import numpy as np
-import pinocchio as pin
 
-from pinmobile.arrays import Array, ArrayLike, finite, frozen, lengths, shaped, text, vector, wrap_angle
+from pinmobile.arrays import Array, ArrayLike, finite, frozen, lengths, shaped, text, vector
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.identification._velocity_robot import arrays, pair, rolling_of, stacked
-from pinmobile.integrators import rk4
-from pinmobile.parts import by_value, evolved, is_symbolic, number, option, part, structure
-from pinmobile.plant import Coordinate, Input
+from pinmobile.identification._velocity_robot import Commanded, arrays, pair, rolling_of, stacked
+from pinmobile.parts import by_value, evolved, is_symbolic, number, option, part
+from pinmobile.plant import Coordinate
 from pinmobile.robot import MobileRobot
 from pinmobile.wheels import WheeledRobot, WheelTable
 
@@ -68,7 +64,7 @@ class CarLaw(NamedTuple):
 @final
 @part
 @by_value
-class VelocityCar:
+class VelocityCar(Commanded):
     """A car with commands of speed and steering angle as inputs: a kinematic bicycle with lags.
 
     The firmware of the car controls speed u and steering angle delta with time constants T. The wheels roll,
@@ -167,52 +163,16 @@ class VelocityCar:
     nq: ClassVar[int] = 4
     nv: ClassVar[int] = 4
     nu: ClassVar[int] = 2
-    broadcasts: ClassVar[bool] = True
-    compiles: ClassVar[bool] = True
-    integrator: ClassVar[Any] = rk4
+    commanded: ClassVar[Any] = ("speed command", "m/s"), ("steering command", "rad")
     coordinates: ClassVar[tuple[Coordinate, ...]] = (
         Coordinate("x", "m", rate="vx"),
         Coordinate("y", "m", rate="vy"),
         Coordinate("psi", "rad", rate="yaw_rate"),
         Coordinate("steering", "rad"),
     )
-    reference_sizes: ClassVar[Mapping[int, int]] = MappingProxyType({3: 3})
     rest: ClassVar[Array] = frozen(np.zeros(4))
 
-    @structure
-    def inputs(self) -> tuple[Input, ...]:
-        """Commands: speed [m/s] and steering angle [rad], with their limits."""
-        named = ("speed command", "m/s"), ("steering command", "rad")
-        return tuple(Input(*x, -float(most), float(most)) for x, most in zip(named, self.limits, strict=True))
-
-    @property
-    def axle(self) -> Any:
-        """Coefficients c of the no-slip constraint c . (u, v, r) = 0 across the rear wheels, shape (3,)."""
-        ahead = np.asarray(self.ahead)
-        return np.stack([0.0 * ahead, 0.0 * ahead + 1.0, -ahead], axis=-1)
-
     # Kinematics
-
-    @arrays(q=4, dq=4)
-    def integrate(self, q: ArrayLike, dq: ArrayLike) -> Any:
-        """Return the configuration `q` + `dq`, shape (..., 4) [m, m, rad, rad]."""
-        return q + dq  # type: ignore[operator]
-
-    @arrays(q0=4, q1=4)
-    def difference(self, q0: Any, q1: Any) -> Any:
-        """Return the displacement from `q0` to `q1`, shape (..., 4) [m, m, rad, rad], psi in (-pi, pi]."""
-        d = q1 - q0
-        return stacked(d[..., 0], d[..., 1], wrap_angle(d[..., 2]), d[..., 3])
-
-    @arrays(q=4)
-    def pose(self, q: Any) -> Any:
-        """Return the pose (x, y, psi), shape (..., 3) [m, m, rad]."""
-        return q[..., :3]
-
-    @arrays(q=4, v=4)
-    def pose_rate(self, q: Any, v: Any) -> Any:
-        """Return the rates of x, y and psi, shape (..., 3) [m/s, m/s, rad/s]."""
-        return v[..., :3]
 
     def curvature(self, speed: Any, steering: Any) -> Any:
         """Return the curvature of the path of the rear axle [1/m] at a speed [m/s] and an angle [rad]."""
@@ -245,11 +205,6 @@ class VelocityCar:
         twist = stacked(speed, speed * self.curvature(speed, q[..., 3]))
         return np.concatenate([rolling_of(self.ahead, q, twist), nu[..., 1:]], axis=-1)
 
-    @arrays(q=4, v=4)
-    def project(self, q: Any, v: Any) -> Any:
-        """Return the velocity of rolling wheels with the speed and the steering rate of v, shape (..., 4)."""
-        return self.rolling(q, self.independent(q, v))
-
     def start(self, reference: Any) -> tuple[Array, Array]:
         """Return q and v at the start of a reference, shape (4,) each, with rolling and steered wheels."""
         pose = shaped("reference.q", finite("reference.q", reference.q), (3,))
@@ -258,21 +213,6 @@ class VelocityCar:
         steering = self.command_for(speed, yaw_rate)[1] * self.steering_gain + self.steering_offset
         q = np.append(pose, steering)
         return q, self.rolling(q, np.array([speed, 0.0]))
-
-    def check_start(self, q: ArrayLike, v: ArrayLike) -> None:
-        """Reject a start at which the wheels slide.
-
-        Raises
-        ------
-        InvalidArgument
-            If the velocity is not that of rolling wheels.
-        """
-        off = float(np.abs(self.project(q, v) - np.asarray(v)).max(initial=0.0))
-        if off > _OFF * (1 + float(np.abs(v).max(initial=0.0))):
-            raise InvalidArgument(
-                f"start has wheels that slide at {off:.3g} m/s, expected rolling wheels: use a reference "
-                "along which wheels roll, such as Tangent(path), or v0 = car.project(q0, v0)"
-            )
 
     # Dynamics
 
@@ -321,11 +261,6 @@ class VelocityCar:
         rows = [evolved(wheel, x=wheel.x - 0.5 * L) for wheel in table.wheels]
         table = WheelTable(tuple(rows), (), (drive, evolved(steering, axle=-0.5 * L)))
         return WheeledRobot(MobileRobot(1.0, 1.0, size=self.size), table)
-
-    @property
-    def visual_model(self) -> pin.GeometryModel:
-        """Visual geometry, a copy: a box with a dark front, and wheels that steer and do not spin."""
-        return self._drawn.visual_model
 
     def drawing(self, q: ArrayLike) -> Array:
         """Return the poses of the objects of `visual_model` in the inertial frame, shape (..., k, 4, 4)."""

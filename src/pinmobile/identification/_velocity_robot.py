@@ -126,6 +126,7 @@ def _pair_of(robot: WheeledRobot) -> tuple[Any, Any]:
     return one, one.motor
 
 
+ALL = 0  # size of an array with a number for each coordinate
 _Method = TypeVar("_Method", bound=Callable[..., Any])
 
 
@@ -140,7 +141,7 @@ def arrays(**sizes: int) -> Callable[[_Method], _Method]:
             if "nominal" in vars(self) or any(map(is_symbolic, (*given, *named.values()))):
                 return method(self, *given, **named)
             bound = signature.bind(self, *given, **named).arguments
-            arrays = {name: vector(name, bound[name], size) for name, size in sizes.items()}
+            arrays = {name: vector(name, bound[name], size or self.nq) for name, size in sizes.items()}
             broadcast(**arrays)
             return np.asarray(method(**(bound | arrays)))
 
@@ -165,10 +166,84 @@ def pair(doc: str, unit: str, labels: tuple[str, str], fixed: bool = False) -> A
     return array(default=np.inf, shapes=((), ("n",)), endless=True, size=lambda robot: 2, **how)
 
 
+class Commanded:
+    """Methods of robots on wheels with commands of their speed as inputs."""
+
+    integrator: ClassVar[Any] = rk4
+    broadcasts: ClassVar[bool] = True
+    compiles: ClassVar[bool] = True
+    reference_sizes: ClassVar[Mapping[int, int]] = MappingProxyType({3: 3})
+    commanded: ClassVar[tuple[tuple[str, str], ...]]
+    nq: ClassVar[int]
+    ahead: float
+    limits: Any
+    independent: Any
+    rolling: Any
+    _drawn: Any
+
+    @structure
+    def inputs(self) -> tuple[Input, ...]:
+        """Commands with their limits."""
+        rows = zip(self.commanded, self.limits, strict=True)
+        return tuple(Input(*named, -float(most), float(most)) for named, most in rows)
+
+    @property
+    def axle(self) -> Any:
+        """Coefficients c of the no-slip constraint c . (u, v, r) = 0 across the wheels, shape (3,)."""
+        ahead = np.asarray(self.ahead)
+        return np.stack([0.0 * ahead, 0.0 * ahead + 1.0, -ahead], axis=-1)
+
+    @arrays(q=ALL, dq=ALL)
+    def integrate(self, q: ArrayLike, dq: ArrayLike) -> Any:
+        """Return the configuration `q` + `dq`, shape (..., nq)."""
+        return q + dq  # type: ignore[operator]
+
+    @arrays(q0=ALL, q1=ALL)
+    def difference(self, q0: Any, q1: Any) -> Any:
+        """Return the displacement from `q0` to `q1`, shape (..., nv), with psi in (-pi, pi]."""
+        d = q1 - q0
+        return stacked(d[..., 0], d[..., 1], wrap_angle(d[..., 2]), *(d[..., k] for k in range(3, self.nq)))
+
+    @arrays(q=ALL)
+    def pose(self, q: Any) -> Any:
+        """Return the pose (x, y, psi), shape (..., 3) [m, m, rad]."""
+        return q[..., :3]
+
+    @arrays(q=ALL, v=ALL)
+    def pose_rate(self, q: Any, v: Any) -> Any:
+        """Return the rates of x, y and psi, shape (..., 3) [m/s, m/s, rad/s]."""
+        return v[..., :3]
+
+    @arrays(q=ALL, v=ALL)
+    def project(self, q: Any, v: Any) -> Any:
+        """Return `v` without sliding of the wheels, shape (..., nv)."""
+        return self.rolling(q, self.independent(q, v))
+
+    def check_start(self, q: ArrayLike, v: ArrayLike) -> None:
+        """Reject a start at which the wheels slide sideways.
+
+        Raises
+        ------
+        InvalidArgument
+            If the velocity is not that of rolling wheels.
+        """
+        off = float(np.abs(self.project(q, v) - np.asarray(v)).max(initial=0.0))
+        if off > _OFF * (1 + float(np.abs(v).max(initial=0.0))):
+            raise InvalidArgument(
+                f"start has wheels that slide sideways at {off:.3g} m/s, expected rolling wheels: use a "
+                "reference along which wheels roll, such as Tangent(path), or v0 = robot.project(q0, v0)"
+            )
+
+    @property
+    def visual_model(self) -> pin.GeometryModel:
+        """Visual geometry, a copy: a box with a dark front, and wheels that do not spin."""
+        return self._drawn.visual_model
+
+
 @final
 @part
 @by_value
-class VelocityRobot:
+class VelocityRobot(Commanded):
     """A base on two driven wheels with commands of speed and yaw rate as inputs.
 
     The firmware of the robot controls both by the voltages of the motors. Six parameters theta describe the
@@ -247,15 +322,12 @@ class VelocityRobot:
     nq: ClassVar[int] = 3
     nv: ClassVar[int] = 3
     nu: ClassVar[int] = 2
-    broadcasts: ClassVar[bool] = True
-    compiles: ClassVar[bool] = True
-    integrator: ClassVar[Any] = rk4
+    commanded: ClassVar[Any] = ("speed command", "m/s"), ("yaw rate command", "rad/s")
     coordinates: ClassVar[tuple[Coordinate, ...]] = (
         Coordinate("x", "m", rate="vx"),
         Coordinate("y", "m", rate="vy"),
         Coordinate("psi", "rad", rate="yaw_rate"),
     )
-    reference_sizes: ClassVar[Mapping[int, int]] = MappingProxyType({3: 3})
     mobility: ClassVar[Mobile] = Mobile()
     rest: ClassVar[Array] = frozen(np.zeros(3))
 
@@ -331,12 +403,6 @@ class VelocityRobot:
                 given.append(f"{name}=({', '.join(f'{x:g}' for x in pair)})".replace("inf", "np.inf"))
         return f"VelocityRobot({', '.join(given)})"
 
-    @structure
-    def inputs(self) -> tuple[Input, ...]:
-        """Commands: speed [m/s] and yaw rate [rad/s], with their limits."""
-        named = ("speed command", "m/s"), ("yaw rate command", "rad/s")
-        return tuple(Input(*x, -float(most), float(most)) for x, most in zip(named, self.limits, strict=True))
-
     @property
     def time_constants(self) -> tuple[float, float]:
         """Time constants of speed and yaw rate without coupling: theta_1 / theta_4, theta_2 / theta_6 [s]."""
@@ -363,34 +429,7 @@ class VelocityRobot:
         """Return the commands that a kinematic law gives: its speed and yaw rate, shape (..., 2)."""
         return stacked(speed, yaw_rate)
 
-    @property
-    def axle(self) -> Any:
-        """Coefficients c of the no-slip constraint c . (u, v, r) = 0 across the wheels, shape (3,)."""
-        ahead = np.asarray(self.ahead)
-        return np.stack([0.0 * ahead, 0.0 * ahead + 1.0, -ahead], axis=-1)
-
     # Kinematics
-
-    @arrays(q=3, dq=3)
-    def integrate(self, q: ArrayLike, dq: ArrayLike) -> Any:
-        """Return the configuration `q` + `dq`, shape (..., 3) [m, m, rad]."""
-        return q + dq  # type: ignore[operator]
-
-    @arrays(q0=3, q1=3)
-    def difference(self, q0: Any, q1: Any) -> Any:
-        """Return the displacement from `q0` to `q1`, shape (..., 3) [m, m, rad], with psi in (-pi, pi]."""
-        d = q1 - q0
-        return stacked(d[..., 0], d[..., 1], wrap_angle(d[..., 2]))
-
-    @arrays(q=3)
-    def pose(self, q: Any) -> Any:
-        """Return the pose (x, y, psi), shape (..., 3) [m, m, rad]."""
-        return q
-
-    @arrays(q=3, v=3)
-    def pose_rate(self, q: Any, v: Any) -> Any:
-        """Return the rates of x, y and psi, shape (..., 3) [m/s, m/s, rad/s]."""
-        return v
 
     @arrays(q=3, v=3)
     def independent(self, q: Any, v: Any) -> Any:
@@ -402,30 +441,10 @@ class VelocityRobot:
         """Return v for independent velocities `nu`, shape (..., 3) [m/s, m/s, rad/s]."""
         return rolling_of(self.ahead, q, nu)
 
-    @arrays(q=3, v=3)
-    def project(self, q: Any, v: Any) -> Any:
-        """Return `v` without its part across the wheels, shape (..., 3) [m/s, m/s, rad/s]."""
-        return self.rolling(q, self.independent(q, v))
-
     def start(self, reference: Any) -> tuple[Array, Array]:
         """Return q and v at the start of a reference, shape (3,) each, without velocity across the wheels."""
         q = shaped("reference.q", finite("reference.q", reference.q), (3,))
         return q, self.project(q, reference.v)
-
-    def check_start(self, q: ArrayLike, v: ArrayLike) -> None:
-        """Reject a start at which the wheels slide sideways.
-
-        Raises
-        ------
-        InvalidArgument
-            If the velocity has a part across the wheels.
-        """
-        off = float(np.abs(self.project(q, v) - np.asarray(v)).max(initial=0.0))
-        if off > _OFF * (1 + float(np.abs(v).max(initial=0.0))):
-            raise InvalidArgument(
-                f"start has wheels that slide sideways at {off:.3g} m/s, expected rolling wheels: use a "
-                "reference along which wheels roll, such as Tangent(path), or v0 = robot.project(q0, v0)"
-            )
 
     # Dynamics
 
@@ -528,11 +547,6 @@ class VelocityRobot:
         radius, caster = min(0.45 * height, 0.3 * length), -np.sign(self.ahead or 1.0) * 0.3 * length
         table = WheelTable.differential(width, radius, x=-self.ahead, supports=[(caster, 0.0)], mass=1e-2)
         return WheeledRobot(MobileRobot(1.0, 1.0, size=self.size), table)
-
-    @property
-    def visual_model(self) -> pin.GeometryModel:
-        """Visual geometry, a copy: a box with a dark front, and wheels that do not spin."""
-        return self._drawn.visual_model
 
     def drawing(self, q: ArrayLike) -> Array:
         """Return the poses of the objects of `visual_model` in the inertial frame, shape (..., k, 4, 4)."""
