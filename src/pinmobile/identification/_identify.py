@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -13,17 +13,16 @@ from pinmobile.errors import InvalidArgument, shown
 from pinmobile.identification._clocks import clock_hint
 from pinmobile.identification._estimates import Identification
 from pinmobile.identification._estimator import (
-    Fit,
-    Linear,
-    ResidualNoise,
-    Whiteness,
-    input_noise_gradient,
-    jackknife,
-    solve,
     unexplained,
 )
-from pinmobile.identification._free_run import free_run, trained, trained_weakly
 from pinmobile.identification._log import Log, continuous, logs_of, lost_rows, unused
+from pinmobile.identification._output_error import (
+    free_run,
+    output_error,
+    trained,
+    trained_weakly,
+    whiteness_of,
+)
 from pinmobile.identification._planar_model import PlanarModel, PlanarProblem
 from pinmobile.identification._preprocessing import PreprocessedLog, Slippage
 from pinmobile.identification._search import TRAINED
@@ -44,15 +43,11 @@ _LATEST, _EARLIEST = 0.3, 0.05  # [s], range of delays
 _EXPLAINED = 0.5  # smallest explained share of the mean square of the forces
 _MOST_GIVEN = 0.1  # largest given delay, as a share of the log
 _BIASED = 3.0  # largest bias of output error by input noise [standard deviations]
-_DRIFT = 1.0  # largest change of the delay along a log [samples]
 _MASSES = (0.02, 2e4)  # [kg], range of ground robots
 _WIDEST = 10.0  # [m], largest radius of gyration, and largest distance of the centre of mass
 _LIGHTEST = 1.0  # [kg/m^2], smallest mass per squared radius of gyration; robots have about 100
 _TIMES_NOMINAL = 30.0  # largest ratio of an estimated mass and the prior
-_SIGNIFICANT = 5.0  # standard deviations
-_COLOURED = 2.5  # multiple of the bound of white residuals: five standard deviations of estimated noise
 _EARLY, _SURE = 0.5, 3.0  # samples, and standard deviations, by which poses may precede their inputs
-_DOMINANT = 0.9  # correlation of residuals that unmodelled forces dominate; noise alone seldom reaches it
 
 
 def identify(
@@ -250,10 +245,10 @@ def _identified(
         )
     start = model.possible(fit.phi, scales)
     problem = PlanarProblem(model, start, basis, fit.delay, not given and not told)
-    estimate = _output_error(problem, segments, method == METHODS[0])
+    estimate = output_error(problem, segments, method == METHODS[0])
     bias = estimate.bias
     if method == METHODS[0] and bias >= _BIASED:
-        method, estimate = METHODS[1], _output_error(problem, segments, False)
+        method, estimate = METHODS[1], output_error(problem, segments, False)
     if method == METHODS[0]:
         freedom, free, p = kept - 1, estimate.covariance, estimate.fit.p
         phi, samples = problem.values(p)
@@ -300,73 +295,12 @@ def _identified(
         noise=next((run for run in runs if np.isfinite(run.noise).all()), runs[0]).reported_noise,
         residual=np.sqrt((residual[..., model.columns] ** 2).sum(axis=(0, 1)) / segments.good.sum()),
         chi2=float((segments.weighed(residual) ** 2).sum()) / count,
-        whiteness=_whiteness(estimate.plain, segments),
+        whiteness=whiteness_of(estimate.plain, segments),
         is_noise=estimate.is_noise,
         explained=fit.explained,
         remarks=tuple(remarks),
         free_run=free_run(problem, runs, p, p + step),
     )
-
-
-class _Estimate(NamedTuple):
-    """Estimate by output error.
-
-    Attributes
-    ----------
-    fit : Fit
-        Fit to the residuals, whitened if force noise contributes to them.
-    plain : Fit
-        Fit of the initial states alone to residuals that are not whitened.
-    covariance : ndarray, shape (P, P)
-        Covariance of the numbers.
-    bias : float
-        Bias by input noise, in standard deviations.
-    is_noise : bool
-        Whether sensor and input noise explains the residuals. Otherwise the model structure is wrong.
-    """
-
-    fit: Fit
-    plain: Fit
-    covariance: Array
-    bias: float
-    is_noise: bool
-
-
-def _output_error(problem: PlanarProblem, segments: Segments, moves: bool) -> _Estimate:
-    """Return the estimate from segments; if `moves` is false, estimate the initial states alone."""
-    fit = plain = solve(problem, segments, problem.start, moves=moves)
-    if problem.free:
-        _check_drift(fit.near)
-    gradient, bias = np.zeros(len(fit.p)), 0.0
-    noise = None if _whiteness(fit, segments).is_white or not moves else _noise(problem, segments, fit)
-    if noise is not None and not noise.remembers:
-        # The controller responds to a correlated force, so whitening would fit the controller's response.
-        gradient = input_noise_gradient(problem, segments, fit, noise)
-        near = Linear.of(problem, segments, fit.p, fit.starts, noise.white)
-        way = np.linalg.lstsq(near.information, gradient, rcond=None)[0]
-        bias = float(np.sqrt(max(float(gradient @ way), 0.0)))
-        if bias < _BIASED:
-            fit = solve(problem, segments, fit.p, white=noise.white, starts=fit.starts, pull=gradient)
-            plain = solve(problem, segments, fit.p, moves=False)
-    left = _whiteness(plain, segments)
-    is_noise = left.is_white
-    if not is_noise and np.abs(left.correlation).max() <= _DOMINANT:
-        white = _noise(problem, segments, plain).white
-        near = Linear.of(problem, segments, plain.p, plain.starts, white)
-        left = Whiteness.of(near.e.reshape(segments.y.shape), segments.good)
-        is_noise = bool(np.abs(left.correlation).max() <= _COLOURED * left.bound)
-    return _Estimate(fit, plain, jackknife(fit.near, gradient)[0], bias, is_noise)
-
-
-def _noise(problem: PlanarProblem, segments: Segments, fit: Fit) -> ResidualNoise:
-    answers = problem.responses(segments.some(segments.few), fit.p, fit.starts[segments.few])
-    return ResidualNoise.of(
-        segments.weighed(fit.near.residual), segments.good, float(segments.dt[0]), answers
-    )
-
-
-def _whiteness(fit: Fit, segments: Segments) -> Whiteness:
-    return Whiteness.of(segments.weighed(fit.near.residual), segments.good)
 
 
 def _moments(loads: Sequence[PayloadBody | None] | None, count: int) -> list[Array]:
@@ -431,20 +365,6 @@ def _first_delay(form: WeakForm, base: Array, basis: Array) -> float:
             "give the times of poses and inputs?"
         )
     return late
-
-
-def _check_drift(near: Linear) -> None:
-    """Reject a log in which the delay drifts, because one of two clocks is faster."""
-    gradient, curvature = near.normal[:, 0, 0, -1], near.normal[:, 0, -1, -1]
-    time = np.linspace(-0.5, 0.5, len(gradient))
-    weight = max(float((curvature * time**2).sum()), 1e-300)
-    slope = float((gradient * time).sum()) / weight
-    deviation = np.sqrt(((gradient - curvature * time * slope) ** 2 * time**2).sum()) / weight
-    if abs(slope) > max(_DRIFT, _SIGNIFICANT * deviation):
-        raise InvalidArgument(
-            f"log has a delay of the poses that changes by {slope:.2g} samples from start to end, expected "
-            "times of one clock: one of two clocks is faster"
-        )
 
 
 def _check(model: PlanarModel, fit: WeakFit, prior: Array | None) -> None:

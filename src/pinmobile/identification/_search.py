@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinmobile.arrays import Array
+from pinmobile.errors import InvalidArgument
 from pinmobile.identification._commands import (
     CHANNELS,
     LEAST,
@@ -79,7 +80,15 @@ def searched(
     """
     dt = model.dt
     model, start = _by_speeds(model, parts, start, limits)
-    tried = list(_tried(model, parts, start))
+    try:
+        tried = list(_tried(model, parts, start))
+    except InvalidArgument:  # such as a limit that only one block shows
+        kept = [k for k, name in enumerate(model.free) if name not in model.limits()]
+        if len(kept) == len(model.free):
+            raise
+        start = start[[*range(len(model.first)), *(len(model.first) + k for k in kept)]]
+        model = replace(model, free=tuple(model.free[k] for k in kept))
+        tried = list(_tried(model, parts, start))
     best = min(tried, key=lambda each: (each.lost.sum(), each.size)) if model.is_pose else tried[-1]
     differ = _compared(model, *(tried[0], best) if best is not tried[0] else (best, tried[-1]))
     if best.is_few:
