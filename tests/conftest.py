@@ -35,10 +35,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--part", metavar="K/N", default="", help=words)
 
 
-LONGEST = (
-    *("notebooks", "cli", "identification", "viewer", "viewer_windows", "viewer_browser"),
-    *("benchmarks", "pages", "real_logs"),
-)
+LONGEST = "notebooks", "cli", "identification", "viewer", "viewer_windows", "viewer_browser", "real_logs"
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
