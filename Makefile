@@ -17,10 +17,10 @@ demo: $(BIN)/.installed ## the whole lecture: derivation, verification, six runs
 test test-all: export OPENBLAS_NUM_THREADS = 1
 
 test: $(BIN)/.installed-test ## the tests on all processors, without the long ones
-	$(BIN)/python -m pytest -n logical --dist loadgroup --no-loadscope-reorder -m "not long" $(ARGS)
+	$(BIN)/python -m pytest -n logical --dist loadfile --no-loadscope-reorder -m "not long" $(ARGS)
 
 test-all: $(BIN)/.installed-test ## all tests on all processors
-	$(BIN)/python -m pytest -n logical --dist loadgroup --no-loadscope-reorder $(ARGS)
+	$(BIN)/python -m pytest -n logical --dist loadfile --no-loadscope-reorder $(ARGS)
 
 lint: $(BIN)/.installed-lint ## ruff and mypy
 	$(BIN)/ruff check .

@@ -4,6 +4,7 @@ It copies docs/site, adds the pages that it makes from the code, the notebooks a
 write the pages, and checks each link.
 """
 
+import gc
 import importlib.metadata
 import json
 import os
@@ -306,6 +307,8 @@ def main(folder: Path) -> int:
     timed("about", about, source)
     timed("formulas", mathjax, source / "_static" / "mathjax")
     timed("recordings", recordings, source / "_static" / "recordings")
+    gc.freeze()
+    gc.set_threshold(100_000)  # Sphinx allocates millions of nodes: the default takes a quarter of its time
     code = build_main(
         [
             "-b",

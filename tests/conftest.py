@@ -35,28 +35,17 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--part", metavar="K/N", default="", help=words)
 
 
-LONGEST = (
-    "notebooks",
-    "identification",
-    "arguments",
-    "ensembles",
-    "cli",
-    "viewer_windows",
-    "derivation",
-    "wheels",
-)
+LONGEST = "notebooks", "cli", "identification", "viewer", "viewer_windows", "viewer_browser", "real_logs"
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Begin with what takes longest, a file for each processor; take the part that is asked for."""
+    """Begin with the files that take longest; take the part that is asked for."""
 
     def rank(item: pytest.Item) -> int:
         name = item.path.stem.removeprefix("test_")
         return LONGEST.index(name) if name in LONGEST else len(LONGEST)
 
     items.sort(key=rank)
-    for item in items:  # notebooks share nothing
-        item.add_marker(pytest.mark.xdist_group(item.name if rank(item) == 0 else item.path.stem))
     this, _, of = config.getoption("--part").partition("/")
     if not this:
         return
@@ -76,8 +65,9 @@ def pytest_configure(config: pytest.Config) -> None:
         settings.load_profile("repeated")
 
 
-def pytest_collection_finish() -> None:
-    """Let the garbage collector pass over what was imported: it lives to the end of the tests."""
+@pytest.fixture(scope="module", autouse=True)
+def frozen_heap() -> None:
+    """Exempt what was imported and what earlier files keep from garbage collection."""
     gc.collect()
     gc.freeze()
 

@@ -85,6 +85,7 @@ def test_lecture_prints_every_number_beside_the_lectures(lecture: tuple[Path, st
 
 
 @pytest.mark.long
+@pytest.mark.once
 def test_lecture_shows_both_headings_beside_each_other_and_says_of_which_the_figures_are(
     lecture: tuple[Path, str],
 ) -> None:
@@ -102,6 +103,7 @@ def test_lecture_shows_both_headings_beside_each_other_and_says_of_which_the_fig
 
 
 @pytest.mark.long
+@pytest.mark.once
 def test_lecture_shows_what_wheels_change(lecture: tuple[Path, str]) -> None:
     folder, text = lecture
     shown = text.split("4  On wheels")[1]
@@ -123,6 +125,7 @@ def test_lecture_shows_what_wheels_change(lecture: tuple[Path, str]) -> None:
 
 
 @pytest.mark.long
+@pytest.mark.once
 def test_lecture_writes_every_figure_with_an_index_that_says_what_it_shows(lecture: tuple[Path, str]) -> None:
     folder, text = lecture
     page = (folder / "index.html").read_text()

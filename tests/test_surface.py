@@ -66,6 +66,7 @@ ALLOWED: dict[str, set[str]] = {
 }
 
 
+@cache
 def below(module: str) -> set[str]:
     """Return the module, what it may import, and all below that."""
     return {module, "errors"}.union(*(below(other) for other in ALLOWED[module]))

@@ -1,4 +1,4 @@
-"""One robot, eight threads: every public method gives each of them the answer that it gives alone."""
+"""One robot, several threads: every public method gives each of them the answer that it gives alone."""
 
 import gc
 import inspect
@@ -25,7 +25,7 @@ from pinmobile.robot import ArticulatedDynamics, PlanarDynamics, Solids, Uncheck
 from pinmobile.robot.articulated import Tree
 from pinmobile.urdf import Body, shipped_urdf
 
-THREADS = 8
+THREADS = 4
 STATES = 4
 ROUNDS = 2  # of what answers in numbers; the rest, which makes robots or reads files, has one
 ROBOTS = {"lecture": pm.MobileRobot.lecture(), "ur5": pm.MobileRobot.box().mount("ur5")}
@@ -120,7 +120,7 @@ def restless() -> Iterator[None]:
 
 
 def together(task: Callable[[int], Any]) -> list[Any]:
-    """Return what eight threads that start at once have found."""
+    """Return what threads that start at once have found."""
     start = threading.Barrier(THREADS)
 
     def begin(number: int) -> Any:
@@ -184,7 +184,7 @@ def rate_of(k: int, seed: int, size: int) -> Array:
 
 
 @pytest.mark.parametrize("kind", ON_WHEELS)
-def test_a_robot_on_wheels_answers_eight_threads_as_it_does_one(kind: str) -> None:
+def test_a_robot_on_wheels_answers_several_threads_as_it_does_one(kind: str) -> None:
     alone = [of_wheels(ON_WHEELS[kind], k) for k in range(2)]
     assert sum(isinstance(answer, tuple) for answer in alone[0]) > 6
     shared = fresh(ON_WHEELS[kind])
