@@ -116,6 +116,13 @@ def test_a_slipping_car_gives_cornering_stiffness() -> None:
     assert slips[0] == pytest.approx(2 / found.parameters["cornering_rear"])
 
 
+def test_wheels_alone_need_no_prior_body() -> None:
+    found = pm.identify(logged(True, "twists"), table())
+    np.testing.assert_allclose(found.parameters["mass"], MASS, rtol=0.01)
+    J = found.parameters["yaw_inertia"]  # about the rear axle: the centre of mass is not known
+    assert pytest.approx(INERTIA + MASS * COM**2, rel=0.15) == J
+
+
 def test_voltages_of_a_motor_give_the_same() -> None:
     motor = pm.Motor(resistance=2.0, torque_constant=0.02, voltage=24.0, gear=8.0)
     log, body = logged(True, "twists"), car().robot
@@ -137,5 +144,7 @@ def test_wrong_cars_and_logs_are_refused() -> None:
     swerve = pm.WheelTable.swerve([(0.3, 0), (-0.3, 0)], 0.1, spin_inertia=0.01, yaw_inertia=0.01)
     with refused("robot has wheels that steer, and is no car"):
         pm.identify(log, pm.WheeledRobot(pm.MobileRobot(30.0, 1.3), swerve))
+    with refused("log has inputs in N m, rad, expected N m, N m: the robot takes other inputs"):
+        log.rollout(car())
     with refused("loads and method=.weak. do not apply to a car"):
         pm.identify(log, car(), method="weak")

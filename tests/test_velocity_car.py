@@ -96,6 +96,8 @@ def test_a_kinematic_law_drives_a_car_along_a_path() -> None:
     assert np.abs(run.error[:, :3]).max() < 0.05
     with refused("start has wheels that slide sideways at 0.3 m/s, expected rolling wheels"):
         CAR.check_start(np.zeros(4), np.array([1.0, 0.3, 0.0, 0.0]))
+    with refused("robot is VelocityCar.*, expected a WheeledRobot"):
+        pm.Backstepping(pm.UnicycleTracking(), CAR)
     with refused("f is .*expected zero"):
         CAR.forward_dynamics(np.zeros(4), np.zeros(4), np.zeros(2), np.ones(4))
 
@@ -120,6 +122,7 @@ def test_a_log_identifies_a_car(is_pose: bool) -> None:
     assert isinstance(car, VelocityCar)
     assert car.wheelbase == found.parameters["wheelbase"]
     assert found.predict(log).rms.max() < 0.025
+    np.testing.assert_allclose(found.noise, 0.003 if is_pose else 0.02, rtol=0.15)
     result = validate(log)
     assert (result.rms["identified"][1:, 1] < 0.8 * result.rms["lag"][1:, 1]).all()
     spread = found.spread(3)

@@ -19,7 +19,7 @@ from pinmobile.identification._velocity_car import CarLaw, VelocityCar
 from pinmobile.identification._velocity_model import Sized, VelocityModel
 from pinmobile.identification._velocity_robot import rolling_of
 
-_LONGEST, _GAINS = (0.03, 10.0), (0.02, 50.0)  # ranges of the wheelbase [m], and of gains
+_LONGEST, _GAINS = (0.03, 10.0), (1e-4, 1e4)  # ranges of the wheelbase [m], and of gains
 _AT_SPEED = "understeer", "cornering_drag"
 _STEERING = 4  # index of the wheelbase, or of the gain of the steering if the wheelbase is known
 
@@ -186,8 +186,8 @@ class CarModel(VelocityModel):
         least, most = _GAINS if "wheelbase" in self.given else _LONGEST
         if not (lost[_STEERING] or least < abs(p[_STEERING]) < most):
             raise InvalidArgument(
-                f"log leads to {named.name} = {p[_STEERING]:.3g} {named.unit}, expected {least:g} to "
-                f"{most:g}: are commands in m/s and rad, positions in metres and psi in radians?"
+                f"log leads to {named.name} = {p[_STEERING]:.3g}, expected {least:g} to {most:g}: "
+                "are commands in m/s and rad, positions in metres and psi in radians?"
             )
 
 

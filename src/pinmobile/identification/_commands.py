@@ -205,6 +205,8 @@ def check_explained(
     raise InvalidArgument(
         f"log has commands that explain{where} {found}, expected most of it: are the commands from another "
         "robot or another driver, with another sign, or with times of another clock?"
+        + " Steering angles of a car need their unit, rad, or wheelbase."
+        * ("curvature" not in shares)
     )
 
 

@@ -133,7 +133,7 @@ def identify(
     if robot is not None and offers(robot, Tabled) and robot.table.axes:
         if loads is not None or method != METHODS[0]:
             raise InvalidArgument('loads and method="weak" do not apply to a car, expected neither of them')
-        return identify_car(logs, robot, delay, rolling_speed)
+        return identify_car(logs, robot, delay, rolling_speed, alone)
     carried = _moments(loads, len(logs))
     model = PlanarModel.of(robot, rolling_speed, loads is not None)
     if model.wheels:

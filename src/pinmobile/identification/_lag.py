@@ -15,6 +15,7 @@ _SLOWEST = 10.0  # [s], largest time constant
 _TAUS, _REFINED = 14, 7  # numbers of time constants in the first search and in its refinements
 _ROWS = 2000  # largest number of rows that the search compares
 _LIMITED = 0.03  # smallest share of the residual that a limit of commands removes
+LARGEST = 0.95  # largest limit of commands per largest command
 _STEEP = 0.1  # smallest share of the residual that a limit of acceleration removes
 _RAMPS = np.geomspace(0.03, 0.9, 12)  # tried accelerations, as shares of the largest without a limit
 _RAMPED = np.array([0.1, 0.3, 1.0])  # tried time constants, as shares of that without a limit
@@ -22,6 +23,7 @@ _DELAYS = 4  # tried delays
 _LONGEST = 20_000  # rows of the search for a limit of acceleration
 _SECTION = 3.0  # [s], shortest section under other control
 _UNEXPLAINED = 0.7  # square of the residual per square of motion or command in such a section
+_EDGE, _WIDE = 1.0, 4.0  # window [s], and residual per usual one, in which such a section goes on
 _OFFSETS = 2  # rounds that estimate an offset
 _MOVES = 0.2  # smallest residual in such a section, as a share of the usual motion
 
@@ -102,6 +104,7 @@ class Channel(NamedTuple):
             near = np.linspace(-0.05, 0.05, 9) * most
             best = self._best([(tau, late, limited.limit) for tau in taus for late in delays])
             best = self._best([(best.tau, best.late, best.limit + more) for more in near])
+            best = best if best.limit < LARGEST * most else best._replace(limit=np.inf)
         for width in (1.6, 1.15):
             around = best.tau * np.geomspace(1 / width, width, _REFINED)
             best = self._best([(tau, best.late, best.limit) for tau in around])
@@ -173,7 +176,12 @@ class Channel(NamedTuple):
             mask = _summed((wrong & (count > 0)).astype(float), size) > 0.5 * size
             for a, b in np.flatnonzero(np.diff(mask, prepend=False, append=False)).reshape(-1, 2):
                 mask[a:b] = b - a > size // 2
-            found.append(mask)
+            near = max(3, round(_EDGE / self.dt))  # other drivers begin and end slowly
+            each = _summed(np.sqrt(left), near) / np.maximum(_summed(seen.astype(float), near), 1.0)
+            wide = mask | (each > _WIDE * np.median(each))
+            for a, b in np.flatnonzero(np.diff(wide, prepend=False, append=False)).reshape(-1, 2):
+                wide[a:b] = mask[a:b].any()
+            found.append(wide)
         return found
 
 

@@ -442,6 +442,7 @@ class Log:
         t_twist: ArrayLike | None = None,
         t_wheel_rates: ArrayLike | None = None,
         one_clock: bool = True,
+        units: Sequence[str] = (),
     ) -> Self:
         """Return the log of measurements and inputs with separate times.
 
@@ -466,6 +467,8 @@ class Log:
         one_clock : bool
             Whether all times are of one clock. If not, the offset and the rate of the clock of the inputs are
             estimated, and their times corrected.
+        units : sequence of str
+            Units of the inputs, see the class.
 
         Raises
         ------
@@ -519,7 +522,12 @@ class Log:
         lost = max(int(lost_rows({name: x}).sum()) for name, (_, x) in streams.items())
         between = int(lost_rows(rows).sum()) - lost  # rows between measurements are not lost
         return cls(
-            t, u=_mean_inputs(held, inputs, t), **{"q": None} | rows, dropped=-between, clock=(offset, rate)
+            t,
+            u=_mean_inputs(held, inputs, t),
+            **{"q": None} | rows,
+            dropped=-between,
+            units=tuple(units),
+            clock=(offset, rate),
         )
 
     @classmethod

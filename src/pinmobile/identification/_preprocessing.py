@@ -80,7 +80,7 @@ class PreprocessedLog:
         if log.u.shape[1] != model.nu:
             expected = (
                 "(Fx, Fy, Mz) of a body driven by forces; for wheels give robot=..., for commands of speed "
-                "and yaw rate use identify_velocity; joints of arms and steering cannot be identified"
+                "and yaw rate use identify_velocity; joints of arms cannot be identified"
                 if model.B is None
                 else f"one for each driven wheel, {', '.join(model.wheels)}; is the log from another robot?"
             )

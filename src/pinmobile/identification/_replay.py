@@ -9,7 +9,7 @@ import numpy as np
 
 from pinmobile.arrays import Array, bounded, scalar
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.identification._filters import FINEST, LEAST_ROWS, without_outliers
+from pinmobile.identification._filters import FINEST, LEAST_ROWS, filtered, without_outliers
 from pinmobile.integrators import rk4
 from pinmobile.loop import Rollout
 from pinmobile.plant import coordinates_of, inputs_of
@@ -27,16 +27,19 @@ class MeasuredMotion:
         Times from 0 [s].
     q : ndarray, shape (N, 3)
         Poses.
+    is_noisy : bool
+        Whether velocities need a filter.
     """
 
-    def __init__(self, t: Array, q: Array) -> None:
+    def __init__(self, t: Array, q: Array, is_noisy: bool) -> None:
         from scipy.interpolate import CubicSpline  # slow to load
 
-        self.duration, self._spline = float(t[-1]), CubicSpline(t, q)
+        smooth = filtered(q, float(t[1] - t[0])) if is_noisy else q
+        self.duration, self._q, self._smooth = float(t[-1]), CubicSpline(t, q), CubicSpline(t, smooth)
 
     def __call__(self, t: Any) -> Reference:
-        """Return the poses, velocities and accelerations at times t."""
-        return Reference(*(self._spline(t, order) for order in range(3)))
+        """Return the poses at times t, and their velocities and accelerations, filtered if noisy."""
+        return Reference(self._q(t), self._smooth(t, 1), self._smooth(t, 2))
 
 
 def rollout_of(log: Any, robot: Any, delay: float = 0.0, **options: Any) -> Rollout:
@@ -50,6 +53,12 @@ def rollout_of(log: Any, robot: Any, delay: float = 0.0, **options: Any) -> Roll
             f"robot is {shown(robot)}, with {len(inputs)} inputs, expected a robot in the plane with "
             f"{log.u.shape[1]}, as the log has"
         )
+    for unit, one in zip(log.units, inputs, strict=False):
+        if unit not in ("", one.unit):
+            raise InvalidArgument(
+                f"log has inputs in {', '.join(log.units)}, expected {', '.join(x.unit for x in inputs)}: "
+                "the robot takes other inputs, such as a torque in place of a steering angle"
+            )
     if log.q is None and log.twist is None:
         raise InvalidArgument("log has no poses and no twist, expected one of them: nothing else is drawn")
     if len(log.split()) > 1 or len(log) < LEAST_ROWS:
@@ -57,11 +66,11 @@ def rollout_of(log: Any, robot: Any, delay: float = 0.0, **options: Any) -> Roll
     run = log.samples("q" if log.q is not None else "twist")
     late = bounded("delay", scalar("delay", delay), least=0, most=_LATEST, unit="s")
     if run.q is None:
-        measured = odometry(np.asarray(run.twist), run.dt)
+        measured, noise = odometry(np.asarray(run.twist), run.dt), np.zeros(3)
     else:
-        measured, _, _ = without_outliers(run.q, run.seen, run.dt, FINEST)
+        measured, _, noise = without_outliers(run.q, run.seen, run.dt, FINEST)
     u = run.u[np.clip(np.arange(len(run.t)) - round(late / run.dt), 0, None)]
-    motion = MeasuredMotion(run.t, measured)
+    motion = MeasuredMotion(run.t, measured, bool((noise > 2 * FINEST).any()))
     command = law(lambda t, q, v, reference: u[min(round(t / run.dt), len(u) - 1)])
     made = simulate(robot, command, motion, **{"dt": run.dt, "integrator": rk4, **options})
     q, v, a = (np.array(each) for each in (made.q, made.v, made.a))

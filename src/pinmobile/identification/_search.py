@@ -24,6 +24,7 @@ from pinmobile.identification._commands import (
 )
 from pinmobile.identification._estimates import Identification
 from pinmobile.identification._estimator import (
+    NORMAL,
     Fit,
     Whiteness,
     jackknife,
@@ -32,12 +33,13 @@ from pinmobile.identification._estimator import (
     unexplained,
     white_of,
 )
-from pinmobile.identification._lag import Lag
+from pinmobile.identification._lag import LARGEST, Lag
 from pinmobile.identification._simulation import MANY, Segments, pieces, simulate
 from pinmobile.identification._velocity_model import VelocityModel
 
 _LONGER = 3  # ratio of successive lengths of segments
 TRAINED = 2 / 3  # share of a log before the hold-out
+_LEAST_ROUGH = 100  # smallest number of third differences that show the noise
 _TOGETHER = 0.2  # largest correlation of successive residuals that counts as noise
 _DIFFERENT = 4.0  # standard deviations by which results for two lengths of segments differ
 _NOTABLE = 0.01  # share of the size of a number, by which they differ at least
@@ -95,7 +97,10 @@ def searched(
         best = _Tried.of(model, parts, best.seconds, best.fit.p)
     remarks = [left_out, differ]
     limited, late = model.limits(), len(model.first)
-    useless = [n for n, lost in zip(model.free, best.lost[late:], strict=True) if lost and n in limited]
+    tops = np.max([np.abs(part.run.u[part.start : part.stop, :2]).max(axis=0) for part in parts], axis=0)
+    rows = zip(model.free, best.lost[late:], best.fit.p[late:], strict=True)
+    far = dict(zip(limited[2:], LARGEST * tops, strict=False))
+    useless = [n for n, lost, x in rows if n in limited and (lost or x > far.get(n, np.inf))]
     if useless:
         model, best = _without(useless, model, parts, best)
     if "delay" in model.free and best.fit.p[late] < 0:
@@ -141,7 +146,7 @@ def searched(
         dropped=0,
         samples=int(good.sum()),
         segments=len(good),
-        noise=np.sqrt(square),
+        noise=_noise_of(found.near.residual, good),
         residual=np.sqrt(square),
         whiteness=white,
         is_noise=bool(np.abs(white.correlation).max() <= _TOGETHER) and not differ,
@@ -223,7 +228,7 @@ class _Tried(NamedTuple):
         """Return the estimates from segments of a length [s], a multiple of a block, or a few of them."""
         segments, calm = segments_of(parts, model.lead, seconds)
         kept = segments.few if few else slice(None, None, 1)
-        segments = segments.some(kept)._replace(blocks=segments.y.shape[1] // block_of(parts))
+        segments = segments.some(kept)._replace(blocks=max(1, segments.y.shape[1] // block_of(parts)))
         fit, lost = solve_robustly(model, segments, p, calm=calm[kept], natural=model.natural)
         covariance, blocks = jackknife(fit.near, kept=~lost)
         return cls(segments.y.shape[1] * model.dt, segments, fit, lost, covariance, blocks, kept.step > 1)
@@ -238,7 +243,8 @@ def _tried(model: VelocityModel, parts: list[Part], p: Array) -> Iterator[_Tried
     longest, block = max(b - a for _, a, b in parts) * model.dt, model.dt * block_of(parts)
     total = sum(b - a for _, a, b in parts) * model.dt
     longest = min(longest, MANY * model.dt, max(_WASTE * total / len(parts), _LONGER * block))
-    seconds = _LONGER * block
+    longest = min(longest, model.longest)
+    seconds = min(_LONGER * block, longest)
     before = np.inf
     while True:
         one = _Tried.of(model, parts, seconds, p, model.is_pose or seconds <= longest)
@@ -247,6 +253,16 @@ def _tried(model: VelocityModel, parts: list[Part], p: Array) -> Iterator[_Tried
             return
         before, p = (one.size if model.is_pose else np.inf), one.fit.p
         seconds = min(seconds * _LONGER, longest + block) if model.is_pose else longest + block
+
+
+def _noise_of(residual: Array, good: NDArray[np.bool_]) -> Array:
+    """Return the standard deviation of white noise in residuals, shape (m,), by their third differences."""
+    known = good[:, :-3] & good[:, 1:-2] & good[:, 2:-1] & good[:, 3:]
+    rough = np.abs(np.diff(residual, 3, axis=1))[known]
+    square = (residual[good] ** 2).mean(axis=0)
+    if len(rough) < _LEAST_ROUGH:
+        return np.asarray(np.sqrt(square))
+    return np.asarray(np.minimum(NORMAL * np.median(rough, axis=0) / np.sqrt(20), np.sqrt(square)))
 
 
 def few_of(parts: Sequence[Part]) -> list[Part]:

@@ -142,6 +142,7 @@ class TorqueCar(VelocityModel):
     stiffness: tuple[float, ...] = ()
 
     told_first: ClassVar[int] = 2
+    longest: ClassVar[float] = 3.0  # noise of the measured steering angle adds up
     neutral: ClassVar[Mapping[str, float]] = {}
 
     @property
@@ -270,10 +271,14 @@ class TorqueCar(VelocityModel):
     def problems(self, found: Identification, neutral: Sequence[str]) -> list[str]:
         """Return what the log cannot tell."""
         rolls = "rolling wheels: give the table a WheelFriction(slip=...) to estimate cornering stiffness"
+        place = (
+            f"the yaw inertia belongs to com_x = {float(self.body.com[0]):.3g} m of the given robot: the log "
+            "identifies the inertia about the rear axle"
+        )
         return [
             "the inertia of the wheels about their axles is the given value",
             "all estimates are proportional to the given torque per input",
-            *[rolls] * (not self.stiffness),
+            *[place, rolls] * (not self.stiffness),
         ]
 
     def robot(self, found: Identification) -> Any:
@@ -346,8 +351,10 @@ def _wheeled(robot: Any) -> Any:
     return robot.wheeled if isinstance(robot, ByVoltage) else robot
 
 
-def identify_car(logs: list[Log], robot: Any, delay: float | None, speed: float | None) -> Identification:
-    """Return the estimates for a car, see `identify`; `speed` is its rolling speed."""
+def identify_car(
+    logs: list[Log], robot: Any, delay: float | None, speed: float | None, is_alone: bool
+) -> Identification:
+    """Return the estimates for a car, or for wheels alone, see `identify`; `speed` is its rolling speed."""
     slow = positive("rolling_speed", _SLOW if speed is None else speed, "rad/s")
     wheels, is_pose, stiffness = CarWheels.of(robot), logs[0].q is not None, list[float]()
     slips = np.array([wheel.friction.slip for wheel in robot.table.wheels])
@@ -366,13 +373,17 @@ def identify_car(logs: list[Log], robot: Any, delay: float | None, speed: float 
     size, rate = (max(float(np.sqrt(np.mean(x**2))), 1e-9) for x in (torque, turns))
     free = ("delay",) if delay is None else ()
     model = replace(model, free=free, lead=lead, dt=dt, typical=(size, rate))
-    start = _start(model, runs, range(lead) if delay is None else [given["delay"] / dt])
+    delays = range(lead) if delay is None else [given["delay"] / dt]
+    start = _start(model, runs, delays, is_alone)
     dropped = sum(one.dropped + unused(one, "q" if is_pose else "twist") for one in logs)
     return replace(searched(model, parts_of(runs), start, {}), prior=robot, dropped=dropped)
 
 
-def _start(model: TorqueCar, runs: Sequence[Run], delays: Sequence[float]) -> Array:
-    """Return first estimates by the weak form of straight motion, for the best of some delays [samples]."""
+def _start(model: TorqueCar, runs: Sequence[Run], delays: Sequence[float], is_alone: bool) -> Array:
+    """Return first estimates by the weak form of straight motion, for the best of some delays [samples].
+
+    If the wheels are given alone, the prior yaw inertia is arbitrary.
+    """
     drives, count, found = model.wheels.fixed[:, 0] + model.wheels.steered, len(model.wheels.names), []
     for late in delays:
         rows, forces = [], []
@@ -394,5 +405,7 @@ def _start(model: TorqueCar, runs: Sequence[Run], delays: Sequence[float]) -> Ar
         told |= {f"joint_viscous_{n}": viscous, f"joint_coulomb_{n}": dry}
     if told["mass"] <= 0:
         raise unexplained(0.0)
+    if is_alone:
+        told["yaw_inertia"] = mass * ((model.wheels.front - model.wheels.rear) / 2) ** 2
     priors = [*((one.quantity.name, one.prior) for one in model.first), *((n, 0.0) for n in model.free)]
     return np.array([told.get(name, prior) for name, prior in priors])

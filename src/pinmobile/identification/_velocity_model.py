@@ -87,6 +87,7 @@ class VelocityModel:
     is_pose: bool
 
     told_first: ClassVar[int] = 6
+    longest: ClassVar[float] = np.inf  # [s], largest length of a segment
     columns: ClassVar[slice] = slice(None)
     inputs: ClassVar[Mapping[str, str]] = CHANNELS
     neutral: ClassVar[Mapping[str, float]] = _NEUTRAL

@@ -352,6 +352,9 @@ class Rolling(_Sized, Protocol):
     def independent(self, q: Any, v: Any, /) -> Any:
         """Return the independent velocities."""
 
+    def reduced(self, q: Any, v: Any, /) -> Any:
+        """Return the dynamics in the independent velocities."""
+
 
 class Followed(Protocol):
     """A robot on wheels that roll, followed(reference)."""
