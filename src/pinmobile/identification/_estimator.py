@@ -24,14 +24,18 @@ _FIRST_PASSES = 2  # the same for first numbers, whose errors initial states sho
 _FAR = 2.0  # ratio of the squares and their least value with the best initial states, with the same meaning
 _SETTLED = 0.01  # largest decrease of the squares of a segment by a further pass [variances]
 _SHARES = np.array([1.0, 0.5, 0.2, 0.05, 0.0])  # tried shares of the step of an initial state
-_CONVERGED = 0.1  # last step of the numbers [standard errors of white residuals]
+_CONVERGED = 0.03  # root mean square of the last step of the numbers [standard errors]
 _FEWER = 6  # ratio of the numbers of segments in successive searches
 _EVALUATIONS = 40  # largest number of evaluations of the cost
-_DAMPINGS = 60  # tried dampings of a step
 _ROUNDS = 4  # updates of weights and outliers
 _OUTLIER = 6.0  # standard deviations
 _CLUSTER = 2  # samples: an outlier has at most one other outlier within this distance
 _UNSEEN = 1e-10  # smaller eigenvalues of the scaled normal matrix count as zero
+
+
+def _as_given(residuals: Array, good: NDArray[np.bool_]) -> Array:
+    """Return residuals that are not whitened."""
+    return residuals
 
 
 class Linear(NamedTuple):
@@ -58,23 +62,39 @@ class Linear(NamedTuple):
     residual: Array
 
     @classmethod
-    def of(cls, model: Model, segments: Segments, p: Array, starts: Array, white: White) -> Linear:
+    def of(
+        cls,
+        model: Model,
+        segments: Segments,
+        p: Array,
+        starts: Array,
+        white: White = _as_given,
+        moves: Any = True,
+    ) -> Linear:
         """Return the linear problem at numbers and initial states.
+
+        The slopes by the other numbers than those of the mask `moves` are zero.
 
         Raises
         ------
         InvalidArgument
             If the simulation diverges.
         """
+        P, n = len(p), starts.shape[1]
+        numbers = np.flatnonzero(np.broadcast_to(moves, P))
+        kept = np.append(0, 1 + numbers)
 
         def some(part: Segments, at: slice) -> tuple[Array, ...]:
-            residual, columns, Q, R = _columns(model, part, p, starts[at], white)
+            residual, columns, Q, R = _columns(model, part, p, starts[at], white, numbers)
+            normal = np.zeros((len(residual), part.blocks, 1 + P, 1 + P))
+            change = np.zeros((len(residual), n, 1 + P))
             known, squares = np.swapaxes(Q, 1, 2) @ columns, (columns[..., 0] ** 2).sum(axis=1)
-            back, columns = np.linalg.pinv(R, rcond=_UNSEEN) @ known, columns - Q @ known
+            change[..., kept], columns = np.linalg.pinv(R, rcond=_UNSEEN) @ known, columns - Q @ known
             rows = columns.reshape(len(columns), part.blocks, -1, columns.shape[2])
-            return np.swapaxes(rows, 2, 3) @ rows, back, columns[..., 0], squares, residual
+            normal[..., kept[:, None], kept] = np.swapaxes(rows, 2, 3) @ rows
+            return normal, change, columns[..., 0], squares, residual
 
-        return cls(*by_groups(some, segments, len(p) + starts.shape[1] + 1))
+        return cls(*by_groups(some, segments, len(kept) + n))
 
     @property
     def information(self) -> Array:
@@ -87,16 +107,16 @@ class Linear(NamedTuple):
 
 
 def _columns(
-    model: Model, segments: Segments, p: Array, starts: Array, white: White
+    model: Model, segments: Segments, p: Array, starts: Array, white: White, numbers: NDArray[np.int_]
 ) -> tuple[Array, Array, Array, Array]:
-    """Return residuals, white ones and their slopes (S, L m, 1 + P), and QR factors of initial states."""
-    out, slopes = linearize(model, segments, p, starts)
+    """Return residuals, white ones and slopes by F numbers (S, L m, 1 + F), and QR of initial states."""
+    out, slopes = linearize(model, segments, p, starts, numbers)
     residual = segments.y - out
     if not np.isfinite(residual).all():
         raise unexplained(0.0)
     rows = white(segments.weighed(np.concatenate([residual[None], slopes])), segments.good)
     columns = np.moveaxis(rows.reshape(*rows.shape[:2], -1), 0, -1)
-    columns, by_start = np.split(columns, [1 + len(p)], axis=-1)
+    columns, by_start = np.split(columns, [1 + len(numbers)], axis=-1)
     Q, R = np.linalg.qr(by_start)
     size = np.abs(np.diagonal(R, axis1=1, axis2=2))
     # The measurements do not depend on states without a diagonal entry: their columns of Q are arbitrary.
@@ -138,20 +158,22 @@ def unexplained(share: float) -> InvalidArgument:
 
 
 def _settled(
-    model: Model, segments: Segments, p: Array, starts: Array, white: White, passes: int = _PASSES
+    model: Model, segments: Segments, p: Array, starts: Array, white: White, moves: Any, passes: int = _PASSES
 ) -> tuple[Linear, Array]:
     """Return the linear problem at numbers and the best initial states near some, and these states."""
-    near, starts = Linear.of(model, segments, p, starts, white), starts.copy()
+    rows, starts = np.arange(len(starts)), starts.copy()
+    power = 0.0
     for _ in range(passes):
+        part = segments.some(rows)
+        near = Linear.of(model, part, p, starts[rows], white, moves=False)
         least = near.normal[..., 0, 0].sum(axis=1)
-        rows = np.flatnonzero(near.squares - least > _SETTLED * least.sum() / segments.good.sum())
+        power = power or least.sum() / segments.good.sum()
+        far = near.squares - least > _SETTLED * power
+        rows = rows[far]
         if not rows.size:
             break
-        part = segments.some(rows)
-        _, starts[rows] = _nearest(model, part, p, starts[rows], near.back[rows, :, 0], white)
-        for all_of, some in zip(near, Linear.of(model, part, p, starts[rows], white), strict=True):
-            all_of[rows] = some
-    return near, starts
+        _, starts[rows] = _nearest(model, part.some(far), p, starts[rows], near.back[far, :, 0], white)
+    return Linear.of(model, segments, p, starts, white, moves), starts
 
 
 def solve(
@@ -160,14 +182,14 @@ def solve(
     p: Array,
     *,
     moves: Any = True,
-    white: White = lambda residuals, _: residuals,
+    white: White = _as_given,
     starts: Array | None = None,
     pull: Array | float = 0.0,
 ) -> Fit:
     """Return the least squares of white residuals over numbers and initial states.
 
     A trust region limits the steps of Gauss and Newton. The search begins with a few of many segments. It
-    ends with a step far below the standard errors of white residuals.
+    ends with a step far below the standard errors, which the scatter of the blocks' gradients shows.
 
     Parameters
     ----------
@@ -190,47 +212,98 @@ def solve(
     InvalidArgument
         If the simulation diverges.
     """
+    from scipy.optimize import minimize  # slow to load
+
     free, few = np.broadcast_to(np.asarray(moves), p.shape), slice(None, None, min(segments.few.step, _FEWER))
     z = segments.start if starts is None else starts
-    if free.any() and few.step > 1:
+    if not free.any():
+        return Fit(p, *_settled(model, segments, p, z, white, free)[::-1], segments.good)
+    if few.step > 1:
         given, share = None if starts is None else starts[few], len(z[few]) / len(z)
         part = segments.some(few)
         p = solve(model, part, p, moves=free, white=white, starts=given, pull=share * pull).p
-    passes, size = _FIRST_PASSES if free.any() else _PASSES, np.where(free, model.sizes(p), 0.0)
-    near, z = _settled(model, segments, p, z, white, passes)
-    radius = float(np.linalg.norm(p[free] / size[free])) or 1.0
-    for _ in range(_EVALUATIONS if free.any() else 0):
-        H, g = near.information, near.normal[..., 0, 1:].sum(axis=(0, 1)) - pull
-        step = size * _within(radius, H * np.outer(size, size), g * size)
-        gain, length = float(2 * g @ step - step @ H @ step), float(np.linalg.norm(step[free] / size[free]))
-        spent, left = float(near.squares.sum()), float(near.normal[..., 0, 0].sum())
-        possible = model.is_possible(p + step)
-        if gain <= _CONVERGED**2 * left / segments.good.sum():
-            return Fit(p + possible * step, z + near.starts(possible * step), near, segments.good)
-        gained, gain = -np.inf, gain + spent - left
-        if possible:
-            cost, tried = _nearest(model, segments, p + step, z, near.starts(step), white)
-            gained = spent - cost - float(np.sum(2 * pull * step))
-        if gained > 0:
-            p = p + step
-            near, z = _settled(model, segments, p, tried, white, _PASSES if spent < _FAR * left else 0)
-        if gained < 0.25 * gain:
-            radius = 0.25 * length
-        elif gained > 0.75 * gain:
-            radius = max(radius, 2 * length)
-    return Fit(p, z, near, segments.good)
+    size = np.where(free, model.sizes(p), 0.0)
+
+    def point(y: Array, z: Array, passes: int) -> _Point:
+        near, z = _settled(model, segments, p + size * y, z, white, free, passes)
+        return _Point.of(y, z, near, size, pull * size)
+
+    here = there = point(np.zeros(len(p)), z, _FIRST_PASSES)
+
+    def reached(y: Array) -> _Point:
+        nonlocal there
+        if (y != there.y).any():
+            there, q = here._replace(y=y, cost=np.inf), p + size * y
+            if model.is_possible(q):
+                change = here.near.starts(size * (y - here.y))
+                cost, tried = _nearest(model, segments, q, here.starts, change, white)
+                there = point(y, tried, _PASSES * here.is_settled) if np.isfinite(cost) else there
+        return there
+
+    def gradient(y: Array) -> Array:
+        nonlocal here  # the search needs the gradient of accepted points only
+        here = reached(y)
+        return here.gradient
+
+    minimize(
+        lambda y: reached(y).cost,
+        here.y,
+        method="trust-exact",
+        jac=gradient,
+        hess=lambda y: reached(y).hessian,
+        options={
+            "initial_trust_radius": float(np.linalg.norm(p[free] / size[free])) or 1.0,
+            "max_trust_radius": np.inf,
+            "eta": 0.0,
+            "gtol": np.finfo(float).tiny,
+            "maxiter": _EVALUATIONS,
+        },
+    )
+    step = size * here.step
+    step = step * (model.is_possible(p + size * here.y + step) and not here.gradient.any())
+    return Fit(p + size * here.y + step, here.starts + here.near.starts(step), here.near, segments.good)
 
 
-def _within(radius: float, H: Array, g: Array) -> Array:
-    """Return the minimum of z' H z / 2 - g' z, shape (P,), within a radius."""
-    values, vectors = np.linalg.eigh(H)
-    along, most = vectors.T @ g, values[-1]
-    for damping in most * np.append(0.0, np.geomspace(_UNSEEN, 1 / _UNSEEN, _DAMPINGS)):
-        seen = values + damping > _UNSEEN * most
-        z = np.where(seen, along / np.where(seen, values + damping, 1.0), 0.0)
-        if np.linalg.norm(z) <= radius:
-            break
-    return np.asarray(vectors @ z)
+class _Point(NamedTuple):
+    """Point of a search.
+
+    Attributes
+    ----------
+    y, starts : ndarray
+        Scaled numbers, shape (P,), and initial states, shape (S, n).
+    near : Linear
+        Linear problem there.
+    cost, gradient, hessian : float, ndarray, shape (P,), (P, P)
+        Half the squares, and derivatives with the slopes of Gauss and Newton. The gradient is zero if the
+        step is small compared to standard errors.
+    step : ndarray, shape (P,)
+        Step of Gauss and Newton.
+    """
+
+    y: Array
+    starts: Array
+    near: Linear
+    cost: float
+    gradient: Array
+    hessian: Array
+    step: Array
+
+    @classmethod
+    def of(cls, y: Array, starts: Array, near: Linear, size: Array, pull: Array) -> _Point:
+        """Return the point y of numbers with sizes, for a scaled contribution to the gradient."""
+        H, g = near.information * np.outer(size, size), near.normal[..., 0, 1:].reshape(-1, len(y)) * size
+        g = g - pull / len(g)
+        inverse, down = np.linalg.pinv(H, rcond=_UNSEEN, hermitian=True), g.sum(axis=0)
+        step = inverse @ down
+        noise = max(float(near.normal[..., 0, 0].sum() / near.e.size), float(((g @ inverse) * g).sum()))
+        down = down * (down @ step > _CONVERGED**2 * noise)
+        cost = float(near.squares.sum() / 2 + pull @ y)
+        return cls(y, starts, near, cost, -down, H + _UNSEEN * np.diag(H).max() * np.eye(len(y)), step)
+
+    @property
+    def is_settled(self) -> bool:
+        """Whether the initial states are near the best ones."""
+        return bool(self.near.squares.sum() < _FAR * self.near.normal[..., 0, 0].sum())
 
 
 def solve_robustly(
@@ -530,10 +603,11 @@ def input_noise_gradient(model: Model, segments: Segments, found: Fit, noise: Re
         return by_groups(some, given)[0]
 
     def gradients(part: Segments, at: slice) -> tuple[Array, ...]:
-        _, columns, Q, _ = _columns(model, part, found.p, starts[at], noise.white)
+        every = np.arange(len(found.p))
+        _, columns, Q, _ = _columns(model, part, found.p, starts[at], noise.white, every)
         total = np.zeros((len(columns), len(found.p)))
         for draw in draws:
-            more = _columns(model, draw.some(at), found.p, starts[at], noise.white)[1] - columns
+            more = _columns(model, draw.some(at), found.p, starts[at], noise.white, every)[1] - columns
             way = more[..., :1] - Q @ (np.swapaxes(Q, 1, 2) @ more[..., :1])
             total = total + (np.swapaxes(more[..., 1:], 1, 2) @ way)[..., 0] / _DRAWS
         return (total,)

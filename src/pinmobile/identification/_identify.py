@@ -255,7 +255,8 @@ def _identified(
     if method == METHODS[0] and bias >= _BIASED:
         method, estimate = METHODS[1], _output_error(problem, segments, False)
     if method == METHODS[0]:
-        freedom, free, p = kept - 1, estimate.covariance, estimate.fit.p
+        freedom, p = kept - 1, estimate.fit.p
+        free, _ = jackknife(estimate.fit.near, estimate.gradient)
         phi, samples = problem.values(p)
         late, error = float(samples), float(np.sqrt(free[-1, -1])) if problem.free else np.nan
         if problem.free and late < 0:
@@ -317,8 +318,8 @@ class _Estimate(NamedTuple):
         Fit to the residuals, whitened if force noise contributes to them.
     plain : Fit
         Fit of the initial states alone to residuals that are not whitened.
-    covariance : ndarray, shape (P, P)
-        Covariance of the numbers.
+    gradient : ndarray, shape (P,)
+        Contribution of input noise to the gradient.
     bias : float
         Bias by input noise, in standard deviations.
     is_noise : bool
@@ -327,7 +328,7 @@ class _Estimate(NamedTuple):
 
     fit: Fit
     plain: Fit
-    covariance: Array
+    gradient: Array
     bias: float
     is_noise: bool
 
@@ -336,7 +337,8 @@ def _output_error(problem: PlanarProblem, segments: Segments, moves: bool) -> _E
     """Return the estimate from segments; if `moves` is false, estimate the initial states alone."""
     fit = plain = solve(problem, segments, problem.start, moves=moves)
     if problem.free:
-        _check_drift(fit.near)
+        late = np.arange(len(fit.p)) == len(fit.p) - 1
+        _check_drift(fit.near if moves else Linear.of(problem, segments, fit.p, fit.starts, moves=late))
     gradient, bias = np.zeros(len(fit.p)), 0.0
     noise = None if _whiteness(fit, segments).is_white or not moves else _noise(problem, segments, fit)
     if noise is not None and not noise.remembers:
@@ -352,10 +354,10 @@ def _output_error(problem: PlanarProblem, segments: Segments, moves: bool) -> _E
     is_noise = left.is_white
     if not is_noise and np.abs(left.correlation).max() <= _DOMINANT:
         white = _noise(problem, segments, plain).white
-        near = Linear.of(problem, segments, plain.p, plain.starts, white)
+        near = Linear.of(problem, segments, plain.p, plain.starts, white, moves=False)
         left = Whiteness.of(near.e.reshape(segments.y.shape), segments.good)
         is_noise = bool(np.abs(left.correlation).max() <= _COLOURED * left.bound)
-    return _Estimate(fit, plain, jackknife(fit.near, gradient)[0], bias, is_noise)
+    return _Estimate(fit, plain, gradient, bias, is_noise)
 
 
 def _noise(problem: PlanarProblem, segments: Segments, fit: Fit) -> ResidualNoise:
