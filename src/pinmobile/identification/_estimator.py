@@ -30,6 +30,7 @@ _EVALUATIONS = 40  # largest number of evaluations of the cost
 _ROUNDS = 4  # updates of weights and outliers
 _OUTLIER = 6.0  # standard deviations
 _CLUSTER = 2  # samples: an outlier has at most one other outlier within this distance
+_TINY = np.finfo(float).tiny
 _UNSEEN = 1e-10  # smaller eigenvalues of the scaled normal matrix count as zero
 
 
@@ -92,7 +93,7 @@ class Linear(NamedTuple):
             change[..., kept], columns = np.linalg.pinv(R, rcond=_UNSEEN) @ known, columns - Q @ known
             rows = columns.reshape(len(columns), part.blocks, -1, columns.shape[2])
             normal[..., kept[:, None], kept] = np.swapaxes(rows, 2, 3) @ rows
-            return normal, change, columns[..., 0], squares, residual
+            return normal, change, columns[..., 0].copy(), squares, residual
 
         return cls(*by_groups(some, segments, len(kept) + n))
 
@@ -161,19 +162,33 @@ def _settled(
     model: Model, segments: Segments, p: Array, starts: Array, white: White, moves: Any, passes: int = _PASSES
 ) -> tuple[Linear, Array]:
     """Return the linear problem at numbers and the best initial states near some, and these states."""
-    rows, starts = np.arange(len(starts)), starts.copy()
-    power = 0.0
+    near, starts = Linear.of(model, segments, p, starts, white, moves), starts.copy()
     for _ in range(passes):
-        part = segments.some(rows)
-        near = Linear.of(model, part, p, starts[rows], white, moves=False)
         least = near.normal[..., 0, 0].sum(axis=1)
-        power = power or least.sum() / segments.good.sum()
-        far = near.squares - least > _SETTLED * power
-        rows = rows[far]
+        rows = np.flatnonzero(near.squares - least > _SETTLED * least.sum() / segments.good.sum())
         if not rows.size:
             break
-        _, starts[rows] = _nearest(model, part.some(far), p, starts[rows], near.back[far, :, 0], white)
-    return Linear.of(model, segments, p, starts, white, moves), starts
+        part = segments.some(rows)
+        _, starts[rows] = _nearest(model, part, p, starts[rows], near.back[rows, :, 0], white)
+        for all_of, some in zip(near, Linear.of(model, part, p, starts[rows], white, moves), strict=True):
+            all_of[rows] = some
+    return near, starts
+
+
+class _Point(NamedTuple):
+    """Scaled numbers, initial states, the linear problem there, half the squares, derivatives, Newton's step.
+
+    The gradient is zero if the step is small compared to standard errors. The second derivatives are those of
+    Gauss and Newton.
+    """
+
+    y: Array
+    starts: Array
+    near: Linear
+    cost: float
+    gradient: Array
+    hessian: Array
+    step: Array
 
 
 def solve(
@@ -216,19 +231,30 @@ def solve(
 
     free, few = np.broadcast_to(np.asarray(moves), p.shape), slice(None, None, min(segments.few.step, _FEWER))
     z = segments.start if starts is None else starts
-    if not free.any():
-        return Fit(p, *_settled(model, segments, p, z, white, free)[::-1], segments.good)
-    if few.step > 1:
+    passes = _FIRST_PASSES if few.step == 1 and free.any() else _PASSES
+    if free.any() and few.step > 1:
         given, share = None if starts is None else starts[few], len(z[few]) / len(z)
         part = segments.some(few)
         p = solve(model, part, p, moves=free, white=white, starts=given, pull=share * pull).p
+    near, z = _settled(model, segments, p, z, white, False, passes)
+    if not free.any():
+        return Fit(p, z, near, segments.good)
     size = np.where(free, model.sizes(p), 0.0)
 
     def point(y: Array, z: Array, passes: int) -> _Point:
         near, z = _settled(model, segments, p + size * y, z, white, free, passes)
-        return _Point.of(y, z, near, size, pull * size)
+        H, g = near.information * np.outer(size, size), near.normal[..., 0, 1:].reshape(-1, len(p)) * size
+        g = g - pull * size / len(g)
+        inverse, down, least = (
+            np.linalg.pinv(H, _UNSEEN, hermitian=True),
+            g.sum(axis=0),
+            near.normal[..., 0, 0].sum(),
+        )
+        step, noise = inverse @ down, max(least / near.e.size, ((g @ inverse) * g).sum())
+        cost, down = near.squares.sum() / 2 + pull * size @ y, down * (down @ step > _CONVERGED**2 * noise)
+        return _Point(y, z, near, cost, -down, H + _UNSEEN * np.diag(H).max() * np.eye(len(p)), step)
 
-    here = there = point(np.zeros(len(p)), z, _FIRST_PASSES)
+    here = there = point(np.zeros(len(p)), z, 0)
 
     def reached(y: Array) -> _Point:
         nonlocal there
@@ -237,7 +263,8 @@ def solve(
             if model.is_possible(q):
                 change = here.near.starts(size * (y - here.y))
                 cost, tried = _nearest(model, segments, q, here.starts, change, white)
-                there = point(y, tried, _PASSES * here.is_settled) if np.isfinite(cost) else there
+                is_settled = here.near.squares.sum() < _FAR * here.near.normal[..., 0, 0].sum()
+                there = point(y, tried, _PASSES * is_settled) if np.isfinite(cost) else there
         return there
 
     def gradient(y: Array) -> Array:
@@ -245,65 +272,13 @@ def solve(
         here = reached(y)
         return here.gradient
 
-    minimize(
-        lambda y: reached(y).cost,
-        here.y,
-        method="trust-exact",
-        jac=gradient,
-        hess=lambda y: reached(y).hessian,
-        options={
-            "initial_trust_radius": float(np.linalg.norm(p[free] / size[free])) or 1.0,
-            "max_trust_radius": np.inf,
-            "eta": 0.0,
-            "gtol": np.finfo(float).tiny,
-            "maxiter": _EVALUATIONS,
-        },
-    )
+    radius = float(np.linalg.norm(p[free] / size[free])) or 1.0
+    options = {"initial_trust_radius": radius, "max_trust_radius": np.inf, "eta": 0.0, "gtol": _TINY}
+    how = {"method": "trust-exact", "options": options | {"maxiter": _EVALUATIONS}}
+    minimize(lambda y: reached(y).cost, here.y, jac=gradient, hess=lambda y: reached(y).hessian, **how)
     step = size * here.step
     step = step * (model.is_possible(p + size * here.y + step) and not here.gradient.any())
     return Fit(p + size * here.y + step, here.starts + here.near.starts(step), here.near, segments.good)
-
-
-class _Point(NamedTuple):
-    """Point of a search.
-
-    Attributes
-    ----------
-    y, starts : ndarray
-        Scaled numbers, shape (P,), and initial states, shape (S, n).
-    near : Linear
-        Linear problem there.
-    cost, gradient, hessian : float, ndarray, shape (P,), (P, P)
-        Half the squares, and derivatives with the slopes of Gauss and Newton. The gradient is zero if the
-        step is small compared to standard errors.
-    step : ndarray, shape (P,)
-        Step of Gauss and Newton.
-    """
-
-    y: Array
-    starts: Array
-    near: Linear
-    cost: float
-    gradient: Array
-    hessian: Array
-    step: Array
-
-    @classmethod
-    def of(cls, y: Array, starts: Array, near: Linear, size: Array, pull: Array) -> _Point:
-        """Return the point y of numbers with sizes, for a scaled contribution to the gradient."""
-        H, g = near.information * np.outer(size, size), near.normal[..., 0, 1:].reshape(-1, len(y)) * size
-        g = g - pull / len(g)
-        inverse, down = np.linalg.pinv(H, rcond=_UNSEEN, hermitian=True), g.sum(axis=0)
-        step = inverse @ down
-        noise = max(float(near.normal[..., 0, 0].sum() / near.e.size), float(((g @ inverse) * g).sum()))
-        down = down * (down @ step > _CONVERGED**2 * noise)
-        cost = float(near.squares.sum() / 2 + pull @ y)
-        return cls(y, starts, near, cost, -down, H + _UNSEEN * np.diag(H).max() * np.eye(len(y)), step)
-
-    @property
-    def is_settled(self) -> bool:
-        """Whether the initial states are near the best ones."""
-        return bool(self.near.squares.sum() < _FAR * self.near.normal[..., 0, 0].sum())
 
 
 def solve_robustly(

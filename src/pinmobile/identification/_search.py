@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinmobile.arrays import Array
+from pinmobile.errors import InvalidArgument
 from pinmobile.identification._commands import (
     CHANNELS,
     LEAST,
@@ -79,7 +80,12 @@ def searched(
     """
     dt = model.dt
     model, start = _by_speeds(model, parts, start, limits)
-    tried = list(_tried(model, parts, start))
+    try:
+        tried = list(_tried(model, parts, start))
+    except InvalidArgument:  # the better message for commands of another robot
+        shares = zip(CHANNELS, _explained(model, start, parts).tolist(), channels_of(parts), strict=True)
+        check_explained({name: share for name, share, channel in shares if channel.moves}, lags, dt)
+        raise
     best = min(tried, key=lambda each: (each.lost.sum(), each.size)) if model.is_pose else tried[-1]
     differ = _compared(model, *(tried[0], best) if best is not tried[0] else (best, tried[-1]))
     if best.is_few:
