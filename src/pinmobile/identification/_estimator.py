@@ -102,6 +102,11 @@ class Linear(NamedTuple):
         """Normal matrix of the numbers, shape (P, P)."""
         return np.asarray(self.normal[..., 1:, 1:].sum(axis=(0, 1)))
 
+    def step(self, some: NDArray[np.bool_]) -> Array:
+        """Return the step of the numbers, shape (P,), to the optimum of some segments, or blocks of them."""
+        normal = self.normal[some].reshape(-1, *self.normal.shape[2:]).sum(axis=0)
+        return np.asarray(np.linalg.pinv(normal[1:, 1:], hermitian=True) @ normal[0, 1:])
+
     def starts(self, step: Array) -> Array:
         """Return the change of the initial states, shape (S, n), for a step of the numbers."""
         return np.asarray(self.back[..., 0] - self.back[..., 1:] @ step)
@@ -236,7 +241,8 @@ def solve(
         given, share = None if starts is None else starts[few], len(z[few]) / len(z)
         part = segments.some(few)
         p = solve(model, part, p, moves=free, white=white, starts=given, pull=share * pull).p
-    near, z = _settled(model, segments, p, z, white, False, passes)
+    if starts is None or not free.any():
+        near, z = _settled(model, segments, p, z, white, False, passes)
     if not free.any():
         return Fit(p, z, near, segments.good)
     size = np.where(free, model.sizes(p), 0.0)
@@ -245,40 +251,33 @@ def solve(
         near, z = _settled(model, segments, p + size * y, z, white, free, passes)
         H, g = near.information * np.outer(size, size), near.normal[..., 0, 1:].reshape(-1, len(p)) * size
         g = g - pull * size / len(g)
-        inverse, down, least = (
-            np.linalg.pinv(H, _UNSEEN, hermitian=True),
-            g.sum(axis=0),
-            near.normal[..., 0, 0].sum(),
-        )
-        step, noise = inverse @ down, max(least / near.e.size, ((g @ inverse) * g).sum())
-        cost, down = near.squares.sum() / 2 + pull * size @ y, down * (down @ step > _CONVERGED**2 * noise)
+        inverse, down = np.linalg.pinv(H, rcond=_UNSEEN, hermitian=True), g.sum(axis=0)
+        noise = max(near.normal[..., 0, 0].sum() / near.e.size, ((g @ inverse) * g).sum())
+        step, cost = inverse @ down, near.squares.sum() / 2 + pull * size @ y
+        down = down * (down @ step > _CONVERGED**2 * noise)
         return _Point(y, z, near, cost, -down, H + _UNSEEN * np.diag(H).max() * np.eye(len(p)), step)
 
-    here = there = point(np.zeros(len(p)), z, 0)
+    last = point(np.zeros(len(p)), z, passes)
 
     def reached(y: Array) -> _Point:
-        nonlocal there
-        if (y != there.y).any():
-            there, q = here._replace(y=y, cost=np.inf), p + size * y
-            if model.is_possible(q):
-                change = here.near.starts(size * (y - here.y))
-                cost, tried = _nearest(model, segments, q, here.starts, change, white)
-                is_settled = here.near.squares.sum() < _FAR * here.near.normal[..., 0, 0].sum()
-                there = point(y, tried, _PASSES * is_settled) if np.isfinite(cost) else there
-        return there
+        nonlocal last
+        if (y == last.y).all():
+            return last
+        q, way, cost = p + size * y, last.near.starts(size * (y - last.y)), np.inf
+        if model.is_possible(q):
+            cost, tried = _nearest(model, segments, q, last.starts, way, white)
+        if not np.isfinite(cost):
+            return last._replace(cost=np.inf)
+        is_settled = last.near.squares.sum() < _FAR * last.near.normal[..., 0, 0].sum()
+        last = point(y, tried, _PASSES * is_settled)
+        return last
 
-    def gradient(y: Array) -> Array:
-        nonlocal here  # the search needs the gradient of accepted points only
-        here = reached(y)
-        return here.gradient
-
-    radius = float(np.linalg.norm(p[free] / size[free])) or 1.0
-    options = {"initial_trust_radius": radius, "max_trust_radius": np.inf, "eta": 0.0, "gtol": _TINY}
-    how = {"method": "trust-exact", "options": options | {"maxiter": _EVALUATIONS}}
-    minimize(lambda y: reached(y).cost, here.y, jac=gradient, hess=lambda y: reached(y).hessian, **how)
-    step = size * here.step
-    step = step * (model.is_possible(p + size * here.y + step) and not here.gradient.any())
-    return Fit(p + size * here.y + step, here.starts + here.near.starts(step), here.near, segments.good)
+    how = {"method": "trust-exact", "jac": True, "options": {"gtol": _TINY, "maxiter": _EVALUATIONS}}
+    found = minimize(lambda y: reached(y)[3:5], last.y, hess=lambda y: reached(y).hessian, **how)
+    last = reached(found.x)
+    p, step = p + size * found.x, size * last.step * (not last.gradient.any())
+    step = step * model.is_possible(p + step)
+    return Fit(p + step, last.starts + last.near.starts(step), last.near, segments.good)
 
 
 def solve_robustly(
@@ -334,11 +333,6 @@ def _alone(far: NDArray[np.bool_], seen: NDArray[np.bool_]) -> NDArray[np.bool_]
 
     near = uniform_filter1d((far & seen).astype(float), 2 * _CLUSTER + 1, axis=1, mode="constant")
     return np.asarray(far & (near * (2 * _CLUSTER + 1) < _CLUSTER + 0.5))
-
-
-def white_of(residuals: Array) -> White:
-    """Return a function that whitens residuals, shape (..., m), by the covariance of some, shape (n, m)."""
-    return _by(_covariance(residuals))
 
 
 def _covariance(residuals: Array) -> Array:

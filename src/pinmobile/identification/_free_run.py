@@ -6,10 +6,8 @@ from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pinmobile.arrays import Array
-from pinmobile.identification._estimator import Linear
 from pinmobile.identification._planar_model import PlanarProblem
 from pinmobile.identification._preprocessing import PreprocessedLog
 from pinmobile.identification._search import TRAINED
@@ -29,19 +27,14 @@ class _Velocities(PlanarProblem):
         return np.asarray(states[..., 3:] @ self.model.S.T)
 
 
-def trained(near: Linear, early: NDArray[np.bool_]) -> Array:
-    """Return the step of the numbers, shape (P,), from the estimate to that of early segments alone."""
-    normal = near.normal[early].sum(axis=(0, 1))
-    return np.asarray(np.linalg.pinv(normal[1:, 1:], hermitian=True) @ normal[0, 1:])
-
-
 def trained_weakly(form: WeakForm, delay: float, base: Array, basis: Array) -> Array:
-    """Return the same along the directions of a basis, by the weak form of early windows."""
+    """Return the step along the directions of a basis to the fit of the weak form of early windows."""
     columns, y = form.equations(delay)
     Y = beside(form.Y, columns)
     early = np.concatenate([np.arange(n) < TRAINED * n for n in form.counts])
-    phi = [fitted(Y[rows], y[rows], [int(rows.sum())], base, basis)[0].phi for rows in (early, early | True)]
-    return np.asarray(np.linalg.pinv(basis) @ (phi[0] - phi[1]))
+    first, _ = fitted(Y[early], y[early], [int(early.sum())], base, basis)
+    whole, _ = fitted(Y, y, form.counts, base, basis)
+    return np.asarray(np.linalg.pinv(basis) @ (first.phi - whole.phi))
 
 
 def free_run(

@@ -22,7 +22,7 @@ from pinmobile.identification._estimator import (
     solve,
     unexplained,
 )
-from pinmobile.identification._free_run import free_run, trained, trained_weakly
+from pinmobile.identification._free_run import free_run, trained_weakly
 from pinmobile.identification._log import Log, continuous, logs_of, lost_rows, unused
 from pinmobile.identification._planar_model import PlanarModel, PlanarProblem
 from pinmobile.identification._preprocessing import PreprocessedLog, Slippage
@@ -263,7 +263,7 @@ def _identified(
             phi, _ = problem.values(p - free[:, -1] / free[-1, -1] * late)  # the estimate for no delay
         covariance = basis @ free[: basis.shape[1], : basis.shape[1]] @ basis.T
         _check(model, fit._replace(phi=phi), prior)
-        step = trained(estimate.fit.near, early)
+        step = estimate.fit.near.step(early)
     else:
         phi, covariance, late, error = fit.phi, fit.covariance, fit.delay, fit.delay_error
         freedom = max(5, round(sum(len(one.q) * one.dt for one in runs) / WINDOW) - len(phi))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,13 +63,8 @@ class Lag(NamedTuple):
 
 @cache
 def _ramp() -> Recurrence:
-    """Return the recurrence of a lag with a limit of acceleration."""
-
-    def after(y: Any, given: Any, numbers: Any) -> Any:
-        share, most = numbers[:1], numbers[1:]
-        return y + np.minimum(np.maximum(share * (given - y), -most), most)
-
-    return Recurrence(after, (1, 1, 2))
+    """Return the recurrence of a lag with a limit of acceleration; its numbers are share and limit."""
+    return Recurrence(lambda y, u, x: y + np.minimum(np.maximum(x[:1] * (u - y), -x[1:]), x[1:]), (1, 1, 2))
 
 
 def _ramped(given: Array, dt: float, tau: Array, steepest: Array) -> Array:

@@ -354,14 +354,13 @@ def fitted(
     deviation = np.maximum((y - Y @ prior).std(axis=0), least)
     weights = np.ones(y.shape) / deviation
     for _ in range(passes):
-        A = Y * weights[..., None]
-        right = ((y - Y @ prior) * weights).ravel() @ A.reshape(-1, len(prior))
-        phi = prior + _inverse(A, basis) @ right
+        right = ((y - Y @ prior) * weights**2).ravel() @ Y.reshape(-1, len(prior))
+        phi = prior + _inverse(Y * weights[..., None], basis) @ right
         left = y - Y @ phi
         deviation = np.maximum(NORMAL * np.median(np.abs(left), axis=0), least)
         size = np.abs(left) / deviation
         weights = np.sqrt(np.minimum(1, _HUBER / np.maximum(size, _HUBER))) / deviation
-    scores = np.einsum("nki,nk->ni", Y * weights[..., None], left * weights)
+    scores = np.einsum("nki,nk->ni", Y, left * weights**2)
     # Rows beyond Huber's bound have a constant score, so the slope does not contain them.
     influence = scores @ _inverse(Y * ((size < _HUBER) / deviation)[..., None], basis)
     cost = float((np.minimum(size, _CAP) ** 2).mean() * np.prod(deviation) ** (2 / y.shape[1]))
