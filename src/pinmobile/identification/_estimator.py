@@ -34,11 +34,6 @@ _TINY = np.finfo(float).tiny
 _UNSEEN = 1e-10  # smaller eigenvalues of the scaled normal matrix count as zero
 
 
-def _as_given(residuals: Array, good: NDArray[np.bool_]) -> Array:
-    """Return residuals that are not whitened."""
-    return residuals
-
-
 class Linear(NamedTuple):
     """Least squares of linearised white residuals, e - J times a step of the numbers, without initial states.
 
@@ -64,13 +59,7 @@ class Linear(NamedTuple):
 
     @classmethod
     def of(
-        cls,
-        model: Model,
-        segments: Segments,
-        p: Array,
-        starts: Array,
-        white: White = _as_given,
-        moves: Any = True,
+        cls, model: Model, segments: Segments, p: Array, starts: Array, white: White, moves: Any = True
     ) -> Linear:
         """Return the linear problem at numbers and initial states.
 
@@ -202,7 +191,7 @@ def solve(
     p: Array,
     *,
     moves: Any = True,
-    white: White = _as_given,
+    white: White = lambda residuals, _: residuals,
     starts: Array | None = None,
     pull: Array | float = 0.0,
 ) -> Fit:
@@ -257,7 +246,7 @@ def solve(
         down = down * (down @ step > _CONVERGED**2 * noise)
         return _Point(y, z, near, cost, -down, H + _UNSEEN * np.diag(H).max() * np.eye(len(p)), step)
 
-    last = point(np.zeros(len(p)), z, passes)
+    last = point(np.zeros(len(p)), z, passes * (starts is not None))
 
     def reached(y: Array) -> _Point:
         nonlocal last
@@ -399,6 +388,14 @@ def jackknife(near: Linear, pull: Array | float = 0.0, kept: Any = True) -> tupl
         ) from error
     found[np.ix_(rows, rows)] = (S - 1) / S * d.T @ d
     return found, S
+
+
+def r_squared(measured: Array, left: Array) -> Array:
+    """Return R^2 of each column of measurements and residuals, shape (n, m); NaN without rows."""
+    if not len(measured):
+        return np.full(measured.shape[1], np.nan)
+    spent = ((measured - measured.mean(axis=0)) ** 2).sum(axis=0)
+    return np.asarray(1 - (left**2).sum(axis=0) / np.maximum(spent, 1e-300))
 
 
 class Whiteness(NamedTuple):

@@ -8,6 +8,7 @@ from types import MappingProxyType
 import numpy as np
 
 from pinmobile.arrays import Array
+from pinmobile.identification._estimator import r_squared
 from pinmobile.identification._planar_model import PlanarProblem
 from pinmobile.identification._preprocessing import PreprocessedLog
 from pinmobile.identification._search import TRAINED
@@ -71,14 +72,6 @@ def free_run(
     rows = [np.concatenate(each, axis=1) for each in (found, late)]
     speeds = np.sqrt((rows[0][0] ** 2).mean(axis=0))
     moves = [*(speeds[:2] > _STILL * speeds[:2].max()), True]
-    shares = [_explained(*each) for each in rows]
+    shares = [r_squared(*each) for each in rows]
     pairs = zip(_CHANNELS, moves, *(share.tolist() for share in shares), strict=True)
     return MappingProxyType({name: (one, other) for name, is_moved, one, other in pairs if is_moved})
-
-
-def _explained(measured: Array, left: Array) -> Array:
-    """Return R^2 of each column; NaN without rows."""
-    if not len(measured):
-        return np.full(measured.shape[1], np.nan)
-    spent = ((measured - measured.mean(axis=0)) ** 2).sum(axis=0)
-    return np.asarray(1 - (left**2).sum(axis=0) / np.maximum(spent, 1e-300))

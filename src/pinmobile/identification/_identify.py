@@ -338,7 +338,8 @@ def _output_error(problem: PlanarProblem, segments: Segments, moves: bool) -> _E
     fit = plain = solve(problem, segments, problem.start, moves=moves)
     if problem.free:
         late = np.arange(len(fit.p)) == len(fit.p) - 1
-        _check_drift(fit.near if moves else Linear.of(problem, segments, fit.p, fit.starts, moves=late))
+        given = fit.near if moves else Linear.of(problem, segments, fit.p, fit.starts, lambda r, _: r, late)
+        _check_drift(given)
     gradient, bias = np.zeros(len(fit.p)), 0.0
     noise = None if _whiteness(fit, segments).is_white or not moves else _noise(problem, segments, fit)
     if noise is not None and not noise.remembers:

@@ -26,6 +26,7 @@ from pinmobile.identification._estimator import (
     Fit,
     Whiteness,
     jackknife,
+    r_squared,
     solve_robustly,
     unexplained,
 )
@@ -296,16 +297,11 @@ def _free_run(model: VelocityModel, parts: Sequence[Part], best: _Tried) -> dict
 
 def _explained(model: VelocityModel, p: Array, parts: Sequence[Part]) -> Array:
     """Return R^2 of the speed and of the yaw rate in free runs over parts."""
-    free, left, y = replace(model, is_pose=False), [], []
+    free, left, y = replace(model, is_pose=False), [np.zeros((0, 2))], [np.zeros((0, 2))]
     for part in speeds_of(parts):
         segments, _ = segments_of([part], free.lead, min(part.stop - part.start, MANY) * free.dt)
         if len(segments.y):
             out = simulate(free, segments, p[None], segments.start[None])[0]
             left.append((segments.y - out)[segments.good])
             y.append(segments.y[segments.good])
-    if not y:
-        return np.full(2, np.nan)
-    rest, motion = np.concatenate(left), np.concatenate(y)
-    return np.asarray(
-        1 - (rest**2).sum(axis=0) / np.maximum(((motion - motion.mean(axis=0)) ** 2).sum(axis=0), 1e-300)
-    )
+    return r_squared(np.concatenate(y), np.concatenate(left))
