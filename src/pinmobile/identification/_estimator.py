@@ -24,13 +24,13 @@ _FIRST_PASSES = 2  # the same for first numbers, whose errors initial states sho
 _FAR = 2.0  # ratio of the squares and their least value with the best initial states, with the same meaning
 _SETTLED = 0.01  # largest decrease of the squares of a segment by a further pass [variances]
 _SHARES = np.array([1.0, 0.5, 0.2, 0.05, 0.0])  # tried shares of the step of an initial state
-_CONVERGED = 0.1  # last step of the numbers [standard errors of white residuals]
+_CONVERGED = 0.03  # root mean square of the last step of the numbers [standard errors]
 _FEWER = 6  # ratio of the numbers of segments in successive searches
 _EVALUATIONS = 40  # largest number of evaluations of the cost
-_DAMPINGS = 60  # tried dampings of a step
 _ROUNDS = 4  # updates of weights and outliers
 _OUTLIER = 6.0  # standard deviations
 _CLUSTER = 2  # samples: an outlier has at most one other outlier within this distance
+_TINY = np.finfo(float).tiny
 _UNSEEN = 1e-10  # smaller eigenvalues of the scaled normal matrix count as zero
 
 
@@ -58,28 +58,43 @@ class Linear(NamedTuple):
     residual: Array
 
     @classmethod
-    def of(cls, model: Model, segments: Segments, p: Array, starts: Array, white: White) -> Linear:
+    def of(
+        cls, model: Model, segments: Segments, p: Array, starts: Array, white: White, moves: Any = True
+    ) -> Linear:
         """Return the linear problem at numbers and initial states.
+
+        The slopes by the other numbers than those of the mask `moves` are zero.
 
         Raises
         ------
         InvalidArgument
             If the simulation diverges.
         """
+        P, n = len(p), starts.shape[1]
+        numbers = np.flatnonzero(np.broadcast_to(moves, P))
+        kept = np.append(0, 1 + numbers)
 
         def some(part: Segments, at: slice) -> tuple[Array, ...]:
-            residual, columns, Q, R = _columns(model, part, p, starts[at], white)
+            residual, columns, Q, R = _columns(model, part, p, starts[at], white, numbers)
+            normal = np.zeros((len(residual), part.blocks, 1 + P, 1 + P))
+            change = np.zeros((len(residual), n, 1 + P))
             known, squares = np.swapaxes(Q, 1, 2) @ columns, (columns[..., 0] ** 2).sum(axis=1)
-            back, columns = np.linalg.pinv(R, rcond=_UNSEEN) @ known, columns - Q @ known
+            change[..., kept], columns = np.linalg.pinv(R, rcond=_UNSEEN) @ known, columns - Q @ known
             rows = columns.reshape(len(columns), part.blocks, -1, columns.shape[2])
-            return np.swapaxes(rows, 2, 3) @ rows, back, columns[..., 0], squares, residual
+            normal[..., kept[:, None], kept] = np.swapaxes(rows, 2, 3) @ rows
+            return normal, change, columns[..., 0].copy(), squares, residual
 
-        return cls(*by_groups(some, segments, len(p) + starts.shape[1] + 1))
+        return cls(*by_groups(some, segments, len(kept) + n))
 
     @property
     def information(self) -> Array:
         """Normal matrix of the numbers, shape (P, P)."""
         return np.asarray(self.normal[..., 1:, 1:].sum(axis=(0, 1)))
+
+    def step(self, some: NDArray[np.bool_]) -> Array:
+        """Return the step of the numbers, shape (P,), to the optimum of some segments, or blocks of them."""
+        normal = self.normal[some].reshape(-1, *self.normal.shape[2:]).sum(axis=0)
+        return np.asarray(np.linalg.pinv(normal[1:, 1:], hermitian=True) @ normal[0, 1:])
 
     def starts(self, step: Array) -> Array:
         """Return the change of the initial states, shape (S, n), for a step of the numbers."""
@@ -87,16 +102,16 @@ class Linear(NamedTuple):
 
 
 def _columns(
-    model: Model, segments: Segments, p: Array, starts: Array, white: White
+    model: Model, segments: Segments, p: Array, starts: Array, white: White, numbers: NDArray[np.int_]
 ) -> tuple[Array, Array, Array, Array]:
-    """Return residuals, white ones and their slopes (S, L m, 1 + P), and QR factors of initial states."""
-    out, slopes = linearize(model, segments, p, starts)
+    """Return residuals, white ones and slopes by F numbers (S, L m, 1 + F), and QR of initial states."""
+    out, slopes = linearize(model, segments, p, starts, numbers)
     residual = segments.y - out
     if not np.isfinite(residual).all():
         raise unexplained(0.0)
     rows = white(segments.weighed(np.concatenate([residual[None], slopes])), segments.good)
     columns = np.moveaxis(rows.reshape(*rows.shape[:2], -1), 0, -1)
-    columns, by_start = np.split(columns, [1 + len(p)], axis=-1)
+    columns, by_start = np.split(columns, [1 + len(numbers)], axis=-1)
     Q, R = np.linalg.qr(by_start)
     size = np.abs(np.diagonal(R, axis1=1, axis2=2))
     # The measurements do not depend on states without a diagonal entry: their columns of Q are arbitrary.
@@ -138,10 +153,10 @@ def unexplained(share: float) -> InvalidArgument:
 
 
 def _settled(
-    model: Model, segments: Segments, p: Array, starts: Array, white: White, passes: int = _PASSES
+    model: Model, segments: Segments, p: Array, starts: Array, white: White, moves: Any, passes: int = _PASSES
 ) -> tuple[Linear, Array]:
     """Return the linear problem at numbers and the best initial states near some, and these states."""
-    near, starts = Linear.of(model, segments, p, starts, white), starts.copy()
+    near, starts = Linear.of(model, segments, p, starts, white, moves), starts.copy()
     for _ in range(passes):
         least = near.normal[..., 0, 0].sum(axis=1)
         rows = np.flatnonzero(near.squares - least > _SETTLED * least.sum() / segments.good.sum())
@@ -149,9 +164,25 @@ def _settled(
             break
         part = segments.some(rows)
         _, starts[rows] = _nearest(model, part, p, starts[rows], near.back[rows, :, 0], white)
-        for all_of, some in zip(near, Linear.of(model, part, p, starts[rows], white), strict=True):
+        for all_of, some in zip(near, Linear.of(model, part, p, starts[rows], white, moves), strict=True):
             all_of[rows] = some
     return near, starts
+
+
+class _Point(NamedTuple):
+    """Scaled numbers, initial states, the linear problem there, half the squares, derivatives, Newton's step.
+
+    The gradient is zero if the step is small compared to standard errors. The second derivatives are those of
+    Gauss and Newton.
+    """
+
+    y: Array
+    starts: Array
+    near: Linear
+    cost: float
+    gradient: Array
+    hessian: Array
+    step: Array
 
 
 def solve(
@@ -167,7 +198,7 @@ def solve(
     """Return the least squares of white residuals over numbers and initial states.
 
     A trust region limits the steps of Gauss and Newton. The search begins with a few of many segments. It
-    ends with a step far below the standard errors of white residuals.
+    ends with a step far below the standard errors, which the scatter of the blocks' gradients shows.
 
     Parameters
     ----------
@@ -190,47 +221,52 @@ def solve(
     InvalidArgument
         If the simulation diverges.
     """
+    from scipy.optimize import minimize  # slow to load
+
     free, few = np.broadcast_to(np.asarray(moves), p.shape), slice(None, None, min(segments.few.step, _FEWER))
     z = segments.start if starts is None else starts
+    passes = _FIRST_PASSES if few.step == 1 and free.any() else _PASSES
     if free.any() and few.step > 1:
         given, share = None if starts is None else starts[few], len(z[few]) / len(z)
         part = segments.some(few)
         p = solve(model, part, p, moves=free, white=white, starts=given, pull=share * pull).p
-    passes, size = _FIRST_PASSES if free.any() else _PASSES, np.where(free, model.sizes(p), 0.0)
-    near, z = _settled(model, segments, p, z, white, passes)
-    radius = float(np.linalg.norm(p[free] / size[free])) or 1.0
-    for _ in range(_EVALUATIONS if free.any() else 0):
-        H, g = near.information, near.normal[..., 0, 1:].sum(axis=(0, 1)) - pull
-        step = size * _within(radius, H * np.outer(size, size), g * size)
-        gain, length = float(2 * g @ step - step @ H @ step), float(np.linalg.norm(step[free] / size[free]))
-        spent, left = float(near.squares.sum()), float(near.normal[..., 0, 0].sum())
-        possible = model.is_possible(p + step)
-        if gain <= _CONVERGED**2 * left / segments.good.sum():
-            return Fit(p + possible * step, z + near.starts(possible * step), near, segments.good)
-        gained, gain = -np.inf, gain + spent - left
-        if possible:
-            cost, tried = _nearest(model, segments, p + step, z, near.starts(step), white)
-            gained = spent - cost - float(np.sum(2 * pull * step))
-        if gained > 0:
-            p = p + step
-            near, z = _settled(model, segments, p, tried, white, _PASSES if spent < _FAR * left else 0)
-        if gained < 0.25 * gain:
-            radius = 0.25 * length
-        elif gained > 0.75 * gain:
-            radius = max(radius, 2 * length)
-    return Fit(p, z, near, segments.good)
+    if starts is None or not free.any():
+        near, z = _settled(model, segments, p, z, white, False, passes)
+    if not free.any():
+        return Fit(p, z, near, segments.good)
+    size = np.where(free, model.sizes(p), 0.0)
 
+    def point(y: Array, z: Array, passes: int) -> _Point:
+        near, z = _settled(model, segments, p + size * y, z, white, free, passes)
+        H, g = near.information * np.outer(size, size), near.normal[..., 0, 1:].reshape(-1, len(p)) * size
+        g = g - pull * size / len(g)
+        inverse, down = np.linalg.pinv(H, rcond=_UNSEEN, hermitian=True), g.sum(axis=0)
+        noise = max(near.normal[..., 0, 0].sum() / near.e.size, ((g @ inverse) * g).sum())
+        step, cost = inverse @ down, near.squares.sum() / 2 + pull * size @ y
+        down = down * (down @ step > _CONVERGED**2 * noise)
+        return _Point(y, z, near, cost, -down, H + _UNSEEN * np.diag(H).max() * np.eye(len(p)), step)
 
-def _within(radius: float, H: Array, g: Array) -> Array:
-    """Return the minimum of z' H z / 2 - g' z, shape (P,), within a radius."""
-    values, vectors = np.linalg.eigh(H)
-    along, most = vectors.T @ g, values[-1]
-    for damping in most * np.append(0.0, np.geomspace(_UNSEEN, 1 / _UNSEEN, _DAMPINGS)):
-        seen = values + damping > _UNSEEN * most
-        z = np.where(seen, along / np.where(seen, values + damping, 1.0), 0.0)
-        if np.linalg.norm(z) <= radius:
-            break
-    return np.asarray(vectors @ z)
+    last = point(np.zeros(len(p)), z, passes * (starts is not None))
+
+    def reached(y: Array) -> _Point:
+        nonlocal last
+        if (y == last.y).all():
+            return last
+        q, way, cost = p + size * y, last.near.starts(size * (y - last.y)), np.inf
+        if model.is_possible(q):
+            cost, tried = _nearest(model, segments, q, last.starts, way, white)
+        if not np.isfinite(cost):
+            return last._replace(cost=np.inf)
+        is_settled = last.near.squares.sum() < _FAR * last.near.normal[..., 0, 0].sum()
+        last = point(y, tried, _PASSES * is_settled)
+        return last
+
+    how = {"method": "trust-exact", "jac": True, "options": {"gtol": _TINY, "maxiter": _EVALUATIONS}}
+    found = minimize(lambda y: reached(y)[3:5], last.y, hess=lambda y: reached(y).hessian, **how)
+    last = reached(found.x)
+    p, step = p + size * found.x, size * last.step * (not last.gradient.any())
+    step = step * model.is_possible(p + step)
+    return Fit(p + step, last.starts + last.near.starts(step), last.near, segments.good)
 
 
 def solve_robustly(
@@ -286,11 +322,6 @@ def _alone(far: NDArray[np.bool_], seen: NDArray[np.bool_]) -> NDArray[np.bool_]
 
     near = uniform_filter1d((far & seen).astype(float), 2 * _CLUSTER + 1, axis=1, mode="constant")
     return np.asarray(far & (near * (2 * _CLUSTER + 1) < _CLUSTER + 0.5))
-
-
-def white_of(residuals: Array) -> White:
-    """Return a function that whitens residuals, shape (..., m), by the covariance of some, shape (n, m)."""
-    return _by(_covariance(residuals))
 
 
 def _covariance(residuals: Array) -> Array:
@@ -357,6 +388,14 @@ def jackknife(near: Linear, pull: Array | float = 0.0, kept: Any = True) -> tupl
         ) from error
     found[np.ix_(rows, rows)] = (S - 1) / S * d.T @ d
     return found, S
+
+
+def r_squared(measured: Array, left: Array) -> Array:
+    """Return R^2 of each column of measurements and residuals, shape (n, m); NaN without rows."""
+    if not len(measured):
+        return np.full(measured.shape[1], np.nan)
+    spent = ((measured - measured.mean(axis=0)) ** 2).sum(axis=0)
+    return np.asarray(1 - (left**2).sum(axis=0) / np.maximum(spent, 1e-300))
 
 
 class Whiteness(NamedTuple):
@@ -530,10 +569,11 @@ def input_noise_gradient(model: Model, segments: Segments, found: Fit, noise: Re
         return by_groups(some, given)[0]
 
     def gradients(part: Segments, at: slice) -> tuple[Array, ...]:
-        _, columns, Q, _ = _columns(model, part, found.p, starts[at], noise.white)
+        every = np.arange(len(found.p))
+        _, columns, Q, _ = _columns(model, part, found.p, starts[at], noise.white, every)
         total = np.zeros((len(columns), len(found.p)))
         for draw in draws:
-            more = _columns(model, draw.some(at), found.p, starts[at], noise.white)[1] - columns
+            more = _columns(model, draw.some(at), found.p, starts[at], noise.white, every)[1] - columns
             way = more[..., :1] - Q @ (np.swapaxes(Q, 1, 2) @ more[..., :1])
             total = total + (np.swapaxes(more[..., 1:], 1, 2) @ way)[..., 0] / _DRAWS
         return (total,)

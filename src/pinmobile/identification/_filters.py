@@ -20,6 +20,7 @@ _PASSES = 40  # largest number of passes
 _PADDED = 15  # samples that a filter mirrors at the ends
 _CUTOFF = 8.0  # [Hz], cutoff frequency of velocities
 _COARSE = 0.1  # largest share of different values of a quantised sensor
+_NEAR = 30  # samples on each side of a gap that shape its spline; those beyond matter by 1e-17
 _LONG = 3  # longest gap that a spline fills [samples]; a longer gap would amplify noise
 
 
@@ -82,8 +83,10 @@ def without_outliers(
         worst = size_of >= maximum_filter1d(np.where(good, size_of, 0.0), 2 * size + 1)
         before, good = good, seen & ~((size_of > 1) & (worst | ~good))
         inside = np.clip(at[~good], at[good][0], at[good][-1])  # constant before the first, after the last
+        near = good & (maximum_filter1d((~good).view(np.int8), 2 * _NEAR + 1) > 0)
         q = columns.copy()
-        q[~good] = CubicSpline(at[good], columns[good])(inside)
+        if near.any():
+            q[~good] = CubicSpline(at[near], columns[near])(inside)
         _bridge(q, good, size)
         if np.array_equal(before, good):
             break

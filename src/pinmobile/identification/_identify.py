@@ -13,13 +13,13 @@ from pinmobile.errors import InvalidArgument, shown
 from pinmobile.identification._clocks import clock_hint
 from pinmobile.identification._estimates import Identification
 from pinmobile.identification._estimator import (
+    jackknife,
     unexplained,
 )
 from pinmobile.identification._log import Log, continuous, logs_of, lost_rows, unused
 from pinmobile.identification._output_error import (
     free_run,
     output_error,
-    trained,
     trained_weakly,
     whiteness_of,
 )
@@ -250,14 +250,15 @@ def _identified(
     if method == METHODS[0] and bias >= _BIASED:
         method, estimate = METHODS[1], output_error(problem, segments, False)
     if method == METHODS[0]:
-        freedom, free, p = kept - 1, estimate.covariance, estimate.fit.p
+        freedom, p = kept - 1, estimate.fit.p
+        free, _ = jackknife(estimate.fit.near, estimate.gradient)
         phi, samples = problem.values(p)
         late, error = float(samples), float(np.sqrt(free[-1, -1])) if problem.free else np.nan
         if problem.free and late < 0:
             phi, _ = problem.values(p - free[:, -1] / free[-1, -1] * late)  # the estimate for no delay
         covariance = basis @ free[: basis.shape[1], : basis.shape[1]] @ basis.T
         _check(model, fit._replace(phi=phi), prior)
-        step = trained(estimate.fit.near, early)
+        step = estimate.fit.near.step(early)
     else:
         phi, covariance, late, error = fit.phi, fit.covariance, fit.delay, fit.delay_error
         freedom = max(5, round(sum(len(one.q) * one.dt for one in runs) / WINDOW) - len(phi))

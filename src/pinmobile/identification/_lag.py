@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pinmobile.arrays import Array
+from pinmobile.compiled import Recurrence
 
 _STILL = 1e-9  # [m/s, rad/s]: commands that change less count as constant
 _SLOWEST = 10.0  # [s], largest time constant
@@ -61,13 +63,16 @@ class Lag(NamedTuple):
         return max(float(np.abs(np.diff(self.given(u))).max(initial=0.0)) for u in commands) / self.tau
 
 
+@cache
+def _ramp() -> Recurrence:
+    """Return the recurrence of a lag with a limit of acceleration; its numbers are share and limit."""
+    return Recurrence(lambda y, u, x: y + np.minimum(np.maximum(x[:1] * (u - y), -x[1:]), x[1:]), (1, 1, 2))
+
+
 def _ramped(given: Array, dt: float, tau: Array, steepest: Array) -> Array:
     """Return the motions, shape (N, C), of C lags with limits of acceleration, for motions without lags."""
-    y = np.empty((len(given), len(tau)))
-    y[0], share, most = given[0], 1 - np.exp(-dt / tau), steepest * dt
-    for k in range(len(given) - 1):
-        y[k + 1] = y[k] + np.clip(share * (given[k] - y[k]), -most, most)
-    return y
+    u, numbers = given.reshape(len(given), -1, 1), np.stack([1 - np.exp(-dt / tau), steepest * dt], axis=-1)
+    return _ramp()(u[0], u[:-1], numbers)[..., 0].T
 
 
 class Channel(NamedTuple):

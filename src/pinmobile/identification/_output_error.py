@@ -7,7 +7,6 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pinmobile.arrays import Array
 from pinmobile.errors import InvalidArgument
@@ -17,7 +16,7 @@ from pinmobile.identification._estimator import (
     ResidualNoise,
     Whiteness,
     input_noise_gradient,
-    jackknife,
+    r_squared,
     solve,
 )
 from pinmobile.identification._planar_model import PlanarProblem
@@ -45,8 +44,8 @@ class Estimate(NamedTuple):
         Fit to the residuals, whitened if force noise contributes to them.
     plain : Fit
         Fit of the initial states alone to residuals that are not whitened.
-    covariance : ndarray, shape (P, P)
-        Covariance of the numbers.
+    gradient : ndarray, shape (P,)
+        Contribution of input noise to the gradient.
     bias : float
         Bias by input noise, in standard deviations.
     is_noise : bool
@@ -55,7 +54,7 @@ class Estimate(NamedTuple):
 
     fit: Fit
     plain: Fit
-    covariance: Array
+    gradient: Array
     bias: float
     is_noise: bool
 
@@ -64,7 +63,9 @@ def output_error(problem: PlanarProblem, segments: Segments, moves: bool) -> Est
     """Return the estimate from segments; if `moves` is false, estimate the initial states alone."""
     fit = plain = solve(problem, segments, problem.start, moves=moves)
     if problem.free:
-        _check_drift(fit.near)
+        late = np.arange(len(fit.p)) == len(fit.p) - 1
+        given = fit.near if moves else Linear.of(problem, segments, fit.p, fit.starts, lambda r, _: r, late)
+        _check_drift(given)
     gradient, bias = np.zeros(len(fit.p)), 0.0
     noise = None if whiteness_of(fit, segments).is_white or not moves else _noise(problem, segments, fit)
     if noise is not None and not noise.remembers:
@@ -80,10 +81,10 @@ def output_error(problem: PlanarProblem, segments: Segments, moves: bool) -> Est
     is_noise = left.is_white
     if not is_noise and np.abs(left.correlation).max() <= _DOMINANT:
         white = _noise(problem, segments, plain).white
-        near = Linear.of(problem, segments, plain.p, plain.starts, white)
+        near = Linear.of(problem, segments, plain.p, plain.starts, white, moves=False)
         left = Whiteness.of(near.e.reshape(segments.y.shape), segments.good)
         is_noise = bool(np.abs(left.correlation).max() <= _COLOURED * left.bound)
-    return Estimate(fit, plain, jackknife(fit.near, gradient)[0], bias, is_noise)
+    return Estimate(fit, plain, gradient, bias, is_noise)
 
 
 def _noise(problem: PlanarProblem, segments: Segments, fit: Fit) -> ResidualNoise:
@@ -119,19 +120,14 @@ class _Velocities(PlanarProblem):
         return np.asarray(states[..., 3:] @ self.model.S.T)
 
 
-def trained(near: Linear, early: NDArray[np.bool_]) -> Array:
-    """Return the step of the numbers, shape (P,), from the estimate to that of early segments alone."""
-    normal = near.normal[early].sum(axis=(0, 1))
-    return np.asarray(np.linalg.pinv(normal[1:, 1:], hermitian=True) @ normal[0, 1:])
-
-
 def trained_weakly(form: WeakForm, delay: float, base: Array, basis: Array) -> Array:
-    """Return the same along the directions of a basis, by the weak form of early windows."""
+    """Return the step along the directions of a basis to the fit of the weak form of early windows."""
     columns, y = form.equations(delay)
     Y = beside(form.Y, columns)
     early = np.concatenate([np.arange(n) < TRAINED * n for n in form.counts])
-    phi = [fitted(Y[rows], y[rows], [int(rows.sum())], base, basis)[0].phi for rows in (early, early | True)]
-    return np.asarray(np.linalg.pinv(basis) @ (phi[0] - phi[1]))
+    first, _ = fitted(Y[early], y[early], [int(early.sum())], base, basis)
+    whole, _ = fitted(Y, y, form.counts, base, basis)
+    return np.asarray(np.linalg.pinv(basis) @ (first.phi - whole.phi))
 
 
 def free_run(
@@ -168,14 +164,6 @@ def free_run(
     rows = [np.concatenate(each, axis=1) for each in (found, late)]
     speeds = np.sqrt((rows[0][0] ** 2).mean(axis=0))
     moves = [*(speeds[:2] > _STILL * speeds[:2].max()), True]
-    shares = [_explained(*each) for each in rows]
+    shares = [r_squared(*each) for each in rows]
     pairs = zip(_CHANNELS, moves, *(share.tolist() for share in shares), strict=True)
     return MappingProxyType({name: (one, other) for name, is_moved, one, other in pairs if is_moved})
-
-
-def _explained(measured: Array, left: Array) -> Array:
-    """Return R^2 of each column; NaN without rows."""
-    if not len(measured):
-        return np.full(measured.shape[1], np.nan)
-    spent = ((measured - measured.mean(axis=0)) ** 2).sum(axis=0)
-    return np.asarray(1 - (left**2).sum(axis=0) / np.maximum(spent, 1e-300))

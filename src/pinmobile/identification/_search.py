@@ -28,10 +28,9 @@ from pinmobile.identification._estimator import (
     Fit,
     Whiteness,
     jackknife,
-    solve,
+    r_squared,
     solve_robustly,
     unexplained,
-    white_of,
 )
 from pinmobile.identification._lag import LARGEST, Lag
 from pinmobile.identification._simulation import MANY, Segments, pieces, simulate
@@ -82,6 +81,10 @@ def searched(
     """
     dt = model.dt
     model, start = _by_speeds(model, parts, start, limits)
+    if lags:  # else commands of another robot lead the search to numbers without effect
+        few = few_of(parts)
+        shares = zip(CHANNELS, _explained(model, start, few).tolist(), channels_of(few), strict=True)
+        check_explained({name: share if channel.moves else None for name, share, channel in shares}, lags, dt)
     try:
         tried = list(_tried(model, parts, start))
     except InvalidArgument:  # such as a limit that only one block shows
@@ -271,11 +274,11 @@ def few_of(parts: Sequence[Part]) -> list[Part]:
     return [Part(run, one.start, one.stop) for run, a, b in parts for one in pieces(a, b, total)]
 
 
-def _first(parts: Sequence[Part], count: int) -> list[Part]:
-    """Return the first parts with at most so many samples."""
+def _without_first(parts: Sequence[Part], count: int) -> list[Part]:
+    """Return parts without so many samples at the start."""
     found = list[Part]()
     for part in parts:
-        found += [part._replace(stop=min(part.stop, part.start + count))] * (count > 0)
+        found += [part._replace(start=part.start + max(count, 0))] * (part.start + count < part.stop)
         count -= part.stop - part.start
     return found
 
@@ -307,40 +310,23 @@ def _compared(model: VelocityModel, short: _Tried, long: _Tried) -> str:
 
 def _free_run(model: VelocityModel, parts: Sequence[Part], best: _Tried) -> dict[str, tuple[float, float]]:
     """Return R^2 of free runs by channel: of the log, and of its last third for a fit to the rest."""
-    train = _first(parts, round(TRAINED * sum(b - a for _, a, b in parts)))
-    rest = [part._replace(start=train[-1].stop) for part in parts[len(train) - 1 : len(train)]]
-    test = [part for part in (*rest, *parts[len(train) :]) if part.stop > part.start]
-    before = _explained(model, best.fit.p, parts)
-    try:
-        segments, calm = segments_of(train, model.lead, best.seconds)
-        left = best.fit.near.residual[best.fit.good]
-        segments = segments._replace(good=segments.good & calm)
-        fit = solve(
-            model,
-            segments.some(segments.few),
-            best.fit.p,
-            moves=~best.lost,
-            white=white_of(left),
-        )
-        after = _explained(model, fit.p, test)
-    except ValueError:  # too short, or the fit has no solution
-        after = np.full(2, np.nan)
+    test = _without_first(parts, round(TRAINED * sum(b - a for _, a, b in parts)))
+    blocks = best.fit.near.normal.shape[:2]
+    early = np.arange(np.prod(blocks)).reshape(blocks) < TRAINED * np.prod(blocks)
+    p, step = best.fit.p, best.fit.near.step(early)
+    step = np.insert(step, [len(model.first)] * (len(p) - len(step)), 0.0)  # of a delay that is taken as zero
+    before, after = _explained(model, p, parts), _explained(model, p + step, test)
     rows = zip(CHANNELS, before.tolist(), after.tolist(), channels_of(parts), strict=True)
     return {name: (one, other) for name, one, other, channel in rows if channel.moves}
 
 
 def _explained(model: VelocityModel, p: Array, parts: Sequence[Part]) -> Array:
     """Return R^2 of the speed and of the yaw rate in free runs over parts."""
-    free, left, y = replace(model, is_pose=False), [], []
+    free, left, y = replace(model, is_pose=False), [np.zeros((0, 2))], [np.zeros((0, 2))]
     for part in speeds_of(parts):
         segments, _ = segments_of([part], free.lead, min(part.stop - part.start, MANY) * free.dt)
         if len(segments.y):
             out = simulate(free, segments, p[None], segments.start[None])[0]
             left.append((segments.y - out)[segments.good])
             y.append(segments.y[segments.good])
-    if not y:
-        return np.full(2, np.nan)
-    rest, motion = np.concatenate(left), np.concatenate(y)
-    return np.asarray(
-        1 - (rest**2).sum(axis=0) / np.maximum(((motion - motion.mean(axis=0)) ** 2).sum(axis=0), 1e-300)
-    )
+    return r_squared(np.concatenate(y), np.concatenate(left))

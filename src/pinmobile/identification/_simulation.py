@@ -255,17 +255,22 @@ def by_groups(
     return [np.concatenate(each) for each in zip(*found, strict=True)]
 
 
-def linearize(model: Model, segments: Segments, p: Array, starts: Array) -> tuple[Array, Array]:
-    """Return simulated measurements (S, L, m), and slopes by numbers and initial states (P + n, S, L, m).
+def linearize(
+    model: Model, segments: Segments, p: Array, starts: Array, numbers: NDArray[np.int_]
+) -> tuple[Array, Array]:
+    """Return simulated measurements (S, L, m), and slopes by F numbers and initial states (F + n, S, L, m).
 
     The slopes are differences to the values themselves, or central differences for steps of whole samples.
     """
     P, n = len(p), starts.shape[1]
-    size = np.append(model.increments(p), _SLOPE * np.maximum(np.abs(starts).mean(axis=0), 0.1))
-    wide = size >= 1.0
-    ways = np.vstack([np.zeros(P + n), np.diag(size), -np.diag(size)[wide]])
+    start = _SLOPE * np.maximum(np.abs(starts).mean(axis=0), 0.1)
+    size = np.append(model.increments(p)[numbers], start)
+    wide, steps = size >= 1.0, np.zeros((len(size), P + n))
+    steps[np.arange(len(size)), np.append(numbers, P + np.arange(n))] = size
+    ways = np.vstack([np.zeros(P + n), steps, -steps[wide]])
     out = simulate(model, segments, p + ways[:, :P], starts + ways[:, None, P:])
     with np.errstate(all="ignore"):
-        slopes = out[1 : 1 + P + n] - out[0]
-        slopes[wide] = (out[1 : 1 + P + n][wide] - out[1 + P + n :]) / 2
+        after, before = out[1 : 1 + len(size)], out[1 + len(size) :]
+        slopes = after - out[0]
+        slopes[wide] = (after[wide] - before) / 2
         return out[0], np.nan_to_num(slopes) / size[:, None, None, None]

@@ -10,7 +10,7 @@ its sign. `WeakForm.extrapolated` adds noise of one and two times the variance, 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -99,8 +99,6 @@ class WeakForm:
         Model of the robot.
     Y : ndarray, shape (n, k, p)
         Regressor, without columns of offsets and of an unknown input scale.
-    shaken : sequence of sequence of ndarray, shape (n, k, p)
-        Regressors for poses with additional noise, by level and draw.
     known : ndarray, shape (n, k)
         Forces of known inertia and loads.
     rates : list of ndarray, shape (a, N)
@@ -112,7 +110,6 @@ class WeakForm:
     logs: Sequence[PreprocessedLog]
     model: PlanarModel
     Y: Array
-    shaken: Sequence[Sequence[Array]]
     known: Array
     rates: Sequence[Array]
     counts: tuple[int, ...]
@@ -120,22 +117,16 @@ class WeakForm:
     @classmethod
     def of(cls, logs: Sequence[PreprocessedLog], model: PlanarModel) -> WeakForm:
         """Return the weak form of logs."""
-
-        def build(log: PreprocessedLog) -> tuple[Array, Array]:
-            rows = _inertial if model.B is None else _along_free
-            return rows(log, model, Bump.of(WINDOW, log.dt))
-
-        pairs = [(log, np.random.default_rng(0)) for log in logs]
-        shaken = [
-            [np.concatenate([build(log.shaken(one, x))[0] for log, one in pairs]) for _ in range(_SHAKES)]
-            for x in _LEVELS
-        ]
-        rows = [build(log) for log in logs]
+        rows = [_rows(log, model) for log in logs]
         known = [force + Y[..., :4] @ log.load for (Y, force), log in zip(rows, logs, strict=True)]
         counts, rates = tuple(map(len, known)), [log.rates_of(model).T for log in logs]
-        return cls(
-            logs, model, np.concatenate([Y for Y, _ in rows]), shaken, np.concatenate(known), rates, counts
-        )
+        return cls(logs, model, np.concatenate([Y for Y, _ in rows]), np.concatenate(known), rates, counts)
+
+    def shaken(self, levels: Sequence[float] = _LEVELS) -> Iterator[Array]:
+        """Yield regressors, shape (n, k, p), for poses with additional noise: some draws at each level."""
+        pairs = [(log, np.random.default_rng(0)) for log in self.logs]
+        for level in np.repeat(levels, _SHAKES):
+            yield np.concatenate([_rows(log.shaken(one, level), self.model)[0] for log, one in pairs])
 
     @property
     def _constant(self) -> Array:
@@ -219,10 +210,9 @@ class WeakForm:
             basis[-1, -1] = 1.0
         plain, influence = fitted(beside(self.Y, columns), y, self.counts, prior, basis)
         phi, influence = _WEIGHTS[0] * plain.phi, _WEIGHTS[0] * influence
-        for weight, level in zip(_WEIGHTS[1:], self.shaken, strict=True):
-            for each in level:
-                noisy, more = fitted(beside(each, columns), y, self.counts, prior, basis)
-                phi, influence = phi + weight / _SHAKES * noisy.phi, influence + weight / _SHAKES * more
+        for weight, each in zip(np.repeat(_WEIGHTS[1:], _SHAKES) / _SHAKES, self.shaken(), strict=True):
+            noisy, more = fitted(beside(each, columns), y, self.counts, prior, basis)
+            phi, influence = phi + weight * noisy.phi, influence + weight * more
         covariance = _newey_west(influence, self.counts, basis.shape[1])
         if not free:
             return plain._replace(phi=phi, covariance=covariance, delay=delay)
@@ -245,7 +235,7 @@ class WeakForm:
             rows = (Y * scales[: Y.shape[-1]] / per_row[:, None]).reshape(-1, Y.shape[-1])
             return np.asarray(rows.T @ rows)
 
-        noise = [gram(each - self.Y, 0 * self._constant) for each in self.shaken[0]]
+        noise = [gram(each - self.Y, 0 * self._constant) for each in self.shaken(_LEVELS[:1])]
         total = gram(self.Y, self._constant) - 1.5 * np.mean(noise, axis=0)
         values, vectors = np.linalg.eigh(total / (self.Y.shape[0] * self.Y.shape[1]))
         told = values > _SEEN**2
@@ -293,6 +283,12 @@ class WeakForm:
 def beside(Y: Array, columns: Array) -> Array:
     """Return a regressor with more columns."""
     return np.concatenate([Y, np.broadcast_to(columns, (*Y.shape[:-1], columns.shape[-1]))], axis=-1)
+
+
+def _rows(log: PreprocessedLog, model: PlanarModel) -> tuple[Array, Array]:
+    """Return the regressor, shape (n, k, p), and the forces of known inertia, shape (n, k), of a log."""
+    rows = _inertial if model.B is None else _along_free
+    return rows(log, model, Bump.of(WINDOW, log.dt))
 
 
 def _inertial(log: PreprocessedLog, model: PlanarModel, bump: Bump) -> tuple[Array, Array]:
@@ -358,14 +354,13 @@ def fitted(
     deviation = np.maximum((y - Y @ prior).std(axis=0), least)
     weights = np.ones(y.shape) / deviation
     for _ in range(passes):
-        A = Y * weights[..., None]
-        right = ((y - Y @ prior) * weights).ravel() @ A.reshape(-1, len(prior))
-        phi = prior + _inverse(A, basis) @ right
+        right = ((y - Y @ prior) * weights**2).ravel() @ Y.reshape(-1, len(prior))
+        phi = prior + _inverse(Y * weights[..., None], basis) @ right
         left = y - Y @ phi
         deviation = np.maximum(NORMAL * np.median(np.abs(left), axis=0), least)
         size = np.abs(left) / deviation
         weights = np.sqrt(np.minimum(1, _HUBER / np.maximum(size, _HUBER))) / deviation
-    scores = np.einsum("nki,nk->ni", Y * weights[..., None], left * weights)
+    scores = np.einsum("nki,nk->ni", Y, left * weights**2)
     # Rows beyond Huber's bound have a constant score, so the slope does not contain them.
     influence = scores @ _inverse(Y * ((size < _HUBER) / deviation)[..., None], basis)
     cost = float((np.minimum(size, _CAP) ** 2).mean() * np.prod(deviation) ** (2 / y.shape[1]))
