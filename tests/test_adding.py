@@ -49,11 +49,8 @@ USERS = {
     "exercises/_04_control.py": {"PD", "ComputedTorque", "Circle", "FixedHeading", "Hold"},
     "exercises/_06_uncertainty.py": {"PD", "ComputedTorque", "Circle", "FixedHeading", "Tangent"},
     "exercises/_08_wheels.py": {"Backstepping", "UnicycleTracking", "Circle", "Tangent"},
-    "identification/_planar_model.py": {
-        "JointFriction",
-        "RollingResistance",
-        "ViscousFriction",
-    },  # what was found
+    "identification/_planar_model.py": {"JointFriction", "RollingResistance", "ViscousFriction"},
+    "identification/_torque_car.py": {"JointFriction"},  # what was found
     "reaching/poses.py": {"Spline"},  # of positions, through poses
     "trajectories/reference.py": {"Hold"},
 }
