@@ -104,6 +104,7 @@ def test_a_rolling_car_gives_mass_and_friction(kind: str) -> None:
     assert min(min(pair) for pair in found.free_run.values()) > 0.95
     robot = found.robot()
     assert robot.robot.mass == found.parameters["mass"]
+    assert set(found.spread(3)) == {"mass", "yaw_inertia"}
     drag = found.forces()[0]
     np.testing.assert_allclose(drag.viscous[4:6], found.parameters["joint_viscous_drive"] / 2)
 
@@ -137,6 +138,8 @@ def test_voltages_of_a_motor_give_the_same() -> None:
 
 def test_wrong_cars_and_logs_are_refused() -> None:
     log = logged(True, "twists", 30.0)
+    with refused("log is 15 s long, too short, expected at least 20 s"):
+        pm.identify(log.between(0, 15), car())
     with refused("log has 3 inputs, expected drive, steering: of a car, give the steering angle"):
         pm.identify(pm.Log(log.t, None, np.column_stack([log.u, log.u[:, 0]]), twist=log.twist), car())
     with refused("log has input steering in N m, expected rad"):

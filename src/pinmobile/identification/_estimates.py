@@ -36,8 +36,7 @@ class Prediction(NamedTuple):
     rms : ndarray, shape (k,)
         Root mean square of their difference, without outliers.
     noise : ndarray, shape (k,)
-        Standard deviation of the sensor noise: no prediction has a smaller rms. For a robot with velocity
-        inputs, rms of the residual of the identification.
+        Standard deviation of the sensor noise: no prediction has a smaller rms.
 
     See Also
     --------
@@ -121,8 +120,7 @@ class Identification:
     outliers, dropped, samples, segments : int
         Numbers of outliers, rows with NaN, samples, and simulated segments.
     noise, residual : ndarray, shape (k,)
-        Standard deviation of the sensor noise, and rms of the residual, for each measurement. For a robot
-        with velocity inputs both are the rms.
+        Standard deviation of the sensor noise, and rms of the residual, for each measurement.
     chi2 : float
         Mean square of the residuals divided by the noise: 1 if only sensor noise remains.
     whiteness : object
@@ -425,7 +423,8 @@ class Identification:
     def spread(self, n: int, seed: Any = 0) -> dict[str, Array]:
         """Return joint draws of the parameters for `ensemble`, by names such as ``"com.x"``.
 
-        The spread includes the friction coefficients of `forces`: the loop needs these forces.
+        The spread includes the friction coefficients of `forces`: the loop needs these forces. It leaves out
+        the friction of a motor that drives several wheels.
 
         Parameters
         ----------

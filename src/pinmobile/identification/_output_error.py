@@ -95,6 +95,7 @@ def _noise(problem: PlanarProblem, segments: Segments, fit: Fit) -> ResidualNois
 
 
 def whiteness_of(fit: Fit, segments: Segments) -> Whiteness:
+    """Return the autocorrelation of the residuals of a fit."""
     return Whiteness.of(segments.weighed(fit.near.residual), segments.good)
 
 

@@ -22,7 +22,7 @@ from pinmobile import parts
 from pinmobile.arrays import Array, bounded, positive, scalar
 from pinmobile.errors import InvalidArgument
 from pinmobile.forces import JointFriction
-from pinmobile.identification._commands import Run, lead_of, parts_of, runs_of, segments_of
+from pinmobile.identification._commands import LEAST_BLOCKS, Run, lead_of, parts_of, runs_of, segments_of
 from pinmobile.identification._estimates import Identification, check_identifiable
 from pinmobile.identification._estimator import solve_robustly, unexplained
 from pinmobile.identification._log import Log, unused
@@ -36,6 +36,8 @@ from pinmobile.wheels import ByVoltage, Motor
 
 _SLOW = 0.1  # [rad/s], where dry friction has 71 % of its size
 _STEP = 5e-3  # [s], longest integration step
+_LONGEST = 3.0  # [s], longest segment: noise of the measured steering angle adds up
+_SHORTEST = 20.0  # [s], shortest log
 _STIFF = 0.5  # longest step per decay time of lateral velocities
 
 
@@ -142,7 +144,6 @@ class TorqueCar(VelocityModel):
     stiffness: tuple[float, ...] = ()
 
     told_first: ClassVar[int] = 2
-    longest: ClassVar[float] = 3.0  # noise of the measured steering angle adds up
     neutral: ClassVar[Mapping[str, float]] = {}
 
     @property
@@ -156,7 +157,7 @@ class TorqueCar(VelocityModel):
         kinds = ("viscous", "N m s/rad", torque / rate), ("coulomb", "N m", torque)
         for kind, unit, size in kinds:
             for n in self.wheels.names:
-                quantity = Quantity(f"joint_{kind}_{n}", unit, True, f"{kind}.{n}")
+                quantity = Quantity(f"joint_{kind}_{n}", unit, True)
                 found.append(Sized(quantity, 0.0, size, 0.01 * size))
         found.append(Sized(Quantity("steering_offset", "rad", False), 0.0, 0.3, 0.03))
         for axle, each in zip(("front", "rear"), self.stiffness, strict=False):
@@ -362,9 +363,25 @@ def identify_car(
         steered = np.isin(np.arange(len(slips)), robot.table.axes[0].wheels)
         stiffness = [float((1 / slips[axle]).sum()) for axle in (steered, ~steered)]
     body, given = _wheeled(robot).robot.lumped().body, {"delay": 0.0, "ahead": 0.0}
-    model = TorqueCar((), given, 1, 1.0, is_pose, wheels, body, slow, stiffness=tuple(stiffness))
+    model = TorqueCar(
+        (),
+        given,
+        lead=1,
+        dt=1.0,
+        is_pose=is_pose,
+        wheels=wheels,
+        body=body,
+        slow=slow,
+        stiffness=tuple(stiffness),
+    )
     runs = [model.run_of(run) for run in runs_of(logs, is_pose, model.inputs)]
-    dt, lead = runs[0].dt, lead_of(runs)
+    seconds = sum(len(run.u) * run.dt for run in runs)
+    if seconds < _SHORTEST:
+        raise InvalidArgument(
+            f"log is {seconds:.3g} s long, too short, expected at least {_SHORTEST:g} s, better 60 s: "
+            "intervals need many segments"
+        )
+    dt, lead, longest = runs[0].dt, lead_of(runs), min(_LONGEST, seconds / LEAST_BLOCKS)
     if delay is not None:
         given["delay"] = bounded("delay", scalar("delay", delay), least=0, most=lead * dt, unit="s")
     u = np.concatenate([run.u[:, : len(wheels.names)] for run in runs])
@@ -372,7 +389,7 @@ def identify_car(
     turns = np.concatenate([run.nu[:, 0] for run in runs]) * np.abs(wheels.fixed[:, 0] + wheels.steered).max()
     size, rate = (max(float(np.sqrt(np.mean(x**2))), 1e-9) for x in (torque, turns))
     free = ("delay",) if delay is None else ()
-    model = replace(model, free=free, lead=lead, dt=dt, typical=(size, rate))
+    model = replace(model, free=free, lead=lead, dt=dt, typical=(size, rate), longest=longest)
     delays = range(lead) if delay is None else [given["delay"] / dt]
     start = _start(model, runs, delays, is_alone)
     dropped = sum(one.dropped + unused(one, "q" if is_pose else "twist") for one in logs)

@@ -18,7 +18,6 @@ from pinmobile.wheels import WheeledRobot, WheelTable
 
 _QUICKER = 4.0  # time constant of the steering angle per time constant of its rate: critical damping
 _SIDEWAYS = 1.4  # [rad], steering angle from which the curvature stays the same
-_OFF = 1e-9  # largest difference of a start velocity from rolling, relative to the velocity
 
 
 def _box(wheelbase: Any) -> Any:

@@ -78,6 +78,8 @@ class VelocityModel:
         Time step [s].
     is_pose : bool
         Whether poses are measured; otherwise speed and yaw rate are.
+    longest : float
+        Largest length of a segment [s].
     """
 
     free: tuple[str, ...]
@@ -85,9 +87,9 @@ class VelocityModel:
     lead: int
     dt: float
     is_pose: bool
+    longest: float = np.inf
 
     told_first: ClassVar[int] = 6
-    longest: ClassVar[float] = np.inf  # [s], largest length of a segment
     columns: ClassVar[slice] = slice(None)
     inputs: ClassVar[Mapping[str, str]] = CHANNELS
     neutral: ClassVar[Mapping[str, float]] = _NEUTRAL
