@@ -7,7 +7,7 @@ import pytest
 
 import pinmobile as pm
 from pinmobile.arrays import Array
-from pinmobile.wheels import WheelFriction
+from pinmobile.wheels import DifferentialGear, WheelFriction
 from tests.refusals import refused
 
 MASS, INERTIA, COM, REAR, FRONT = 3.0, 0.05, 0.13, 0.0, 0.3
@@ -16,11 +16,13 @@ RADIUS, SPIN = 0.05, 1.2e-4
 DT = 0.02
 
 
-def table(slip: float = 0.0, **how: Any) -> pm.WheelTable:
-    """Return the wheels of a car."""
+def table(slip: float = 0.0, driven: tuple[str, ...] = ("rear",), **how: Any) -> pm.WheelTable:
+    """Return the wheels of a car with driven axles, each on a differential gear."""
     friction = WheelFriction(slip=slip, rolling=0.0)
     own: dict[str, Any] = {"mass": 0.1, "spin_inertia": SPIN, "yaw_inertia": 6e-5, "friction": friction}
-    return pm.WheelTable.car(FRONT, 0.2, RADIUS, **own, **how)
+    made = pm.WheelTable.car(FRONT, 0.2, RADIUS, **own, **how)
+    gears = [DifferentialGear((f"{axle}_left", f"{axle}_right"), name=axle) for axle in driven]
+    return made if driven == ("rear",) else pm.WheelTable(made.wheels, (), (*gears, made.couplings[1]))
 
 
 def car(slip: float = 0.0, mass: float = 2.0, inertia: float = 0.08, com: float = COM) -> pm.WheeledRobot:
@@ -115,6 +117,32 @@ def test_a_slipping_car_gives_cornering_stiffness() -> None:
     check(found, {"mass": MASS, "com_x": COM, "yaw_inertia": INERTIA, **FRICTION, **stiff}, 0.3)
     slips = [wheel.friction.slip for wheel in found.robot().table.wheels]
     assert slips[0] == pytest.approx(2 / found.parameters["cornering_rear"])
+
+
+@pytest.mark.parametrize("driven", [("front",), ("rear", "front")])
+def test_front_and_all_wheels_may_be_driven(driven: tuple[str, ...]) -> None:
+    """The library simulates cars with other driven wheels, whose steering is a torque there."""
+    body = pm.MobileRobot(MASS, INERTIA, com=(COM, 0, 0.05), size=(0.4, 0.2, 0.1))
+    real = pm.WheeledRobot(body, table(driven=driven))
+    share = 1.0 / len(driven)
+
+    def drive(t: Any, q: Any, v: Any, reference: Any) -> Any:
+        push = share * (0.05 * len(driven) + 0.03 * np.sin(0.37 * t) + 0.05 * np.sin(1.7 * t))
+        return [*[push] * len(driven), 0.02 * (steering(t)[0] - q[3]) - 3e-3 * v[3]]
+
+    still = pm.FixedHeading(pm.Hold((0, 0), duration=60), psi=0)
+    names = [one.name for one in real.coordinates]
+    rubs = np.array([name.startswith(driven) and "_" in name for name in names])
+    drag = pm.JointFriction(4e-3 * rubs, 0.01 * rubs, 0.1, names)  # share of a drive: half of each wheel's
+    run = pm.simulate(real, pm.law(drive), still, dt=DT, forces=[drag])
+    u = np.column_stack([run.u[:, :-1], run.q[:, 3]])
+    noise = 1e-3 * np.random.default_rng(0).standard_normal((len(run.t), 3))
+    prior = pm.WheeledRobot(car().robot, table(driven=driven))
+    found = pm.identify(pm.Log(run.t, run.q[:, :3] + noise, u), prior)
+    np.testing.assert_allclose(found.parameters["mass"], MASS, rtol=0.02)
+    # Equal torques do not separate the friction of two axles.
+    viscous = sum(found.parameters[f"joint_viscous_{axle}"] for axle in driven)
+    np.testing.assert_allclose(viscous, VISCOUS * len(driven), rtol=0.05)
 
 
 def test_wheels_alone_need_no_prior_body() -> None:

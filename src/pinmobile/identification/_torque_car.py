@@ -401,28 +401,30 @@ def _start(model: TorqueCar, runs: Sequence[Run], delays: Sequence[float], is_al
 
     If the wheels are given alone, the prior yaw inertia is arbitrary.
     """
-    drives, count, found = model.wheels.fixed[:, 0] + model.wheels.steered, len(model.wheels.names), []
+    from scipy.optimize import nnls  # slow to load
+
+    wheels, count, found = model.wheels, len(model.wheels.names), []
     for late in delays:
         rows, forces = [], []
         for run in runs:
-            over, speed = Bump.of(WINDOW, run.dt).over, run.nu[:, 0]
-            turns = [drive * speed for drive in drives]
-            u = run.u[np.clip(np.arange(len(speed)) - round(late), 0, None), :count]
-            forces.append(over(drives @ model.torques(u.T, turns)))
-            dry = sum(
-                abs(d) * rate / np.hypot(rate, model.slow) for d, rate in zip(drives, turns, strict=True)
-            )
-            rows.append(np.stack([-over(speed, 1), (drives @ drives) * over(speed), over(dry)], axis=-1))
-        Y, y = np.concatenate(rows), np.concatenate(forces)
-        fit = np.linalg.lstsq(Y, y, rcond=None)[0]
-        found.append((float(((y - Y @ fit) ** 2).sum()), late, fit))
+            over, speed = Bump.of(WINDOW, run.dt).over, run.nu[:, :1]
+            u = run.u[np.clip(np.arange(len(speed)) - round(late), 0, None)]
+            drives = wheels.fixed[:, 0] + wheels.steered / np.cos(u[:, count : count + 1])  # (N, a)
+            turns = drives * speed
+            torques = np.stack(model.torques(u[:, :count].T, [*turns.T]), axis=-1)
+            dry = turns / np.hypot(turns, model.slow)
+            forces.append(over((drives * torques).sum(axis=1)))
+            friction = (over((drives * rates).sum(axis=1)) for rates in (turns, dry))
+            rows.append(np.stack([-over(speed[:, 0], 1), *friction], axis=-1))
+        fit, left = nnls(np.concatenate(rows), np.concatenate(forces))
+        found.append((left, late, fit))
     _, late, (mass, viscous, dry) = min(found, key=lambda each: each[0])
-    told = {"mass": mass - model.wheels.inertia[0, 0] - model.wheels.spin, "delay": late * model.dt}
-    for n in model.wheels.names:
+    told = {"mass": mass - wheels.inertia[0, 0] - wheels.spin, "delay": late * model.dt}
+    for n in wheels.names:
         told |= {f"joint_viscous_{n}": viscous, f"joint_coulomb_{n}": dry}
     if told["mass"] <= 0:
         raise unexplained(0.0)
     if is_alone:
-        told["yaw_inertia"] = mass * ((model.wheels.front - model.wheels.rear) / 2) ** 2
+        told["yaw_inertia"] = mass * ((wheels.front - wheels.rear) / 2) ** 2
     priors = [*((one.quantity.name, one.prior) for one in model.first), *((n, 0.0) for n in model.free)]
     return np.array([told.get(name, prior) for name, prior in priors])
