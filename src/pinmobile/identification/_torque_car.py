@@ -164,6 +164,16 @@ class TorqueCar(VelocityModel):
             found.append(Sized(Quantity(f"cornering_{axle}", "N s/m", True), each))
         return tuple(found)
 
+    @property
+    def _inertia(self) -> int:
+        """Index of the yaw inertia; viscous and dry friction of each motor follow."""
+        return 2 if self.stiffness else 1
+
+    @property
+    def _offset(self) -> int:
+        """Index of the offset of the steering; the cornering stiffness follows."""
+        return self._inertia + 1 + 2 * len(self.wheels.names)
+
     @classmethod
     def limits(cls) -> list[str]:
         """Return no names."""
@@ -192,10 +202,10 @@ class TorqueCar(VelocityModel):
     def rates(self, z: Any, u: Any, numbers: Any) -> Any:
         """Return the rates of the velocities, and of the pose if it is measured, of one state and input."""
         wheels, count, n = self.wheels, len(self.wheels.names), numbers
-        m, place, k = n[0], n[1] if self.stiffness else float(self.body.com[0]), 2 if self.stiffness else 1
-        inertia, y = n[k], float(self.body.com[1])
-        viscous, dry = n[k + 1 : k + 1 + count], n[k + 1 + count : k + 1 + 2 * count]
-        steering, turning = u[count] + n[k + 1 + 2 * count], u[count + 1]
+        m, place = n[0], n[1] if self.stiffness else float(self.body.com[0])
+        first, offset, y = self._inertia + 1, self._offset, float(self.body.com[1])
+        inertia, viscous, dry = n[first - 1], n[first : first + count], n[first + count : offset]
+        steering, turning = u[count] + n[offset], u[count + 1]
         c, s, L = np.cos(steering), np.sin(steering), wheels.front - wheels.rear
         along, across = np.stack([c, s, wheels.front * s]), np.stack([-s, c, wheels.front * c])
         tangent = s / c / L
@@ -229,7 +239,7 @@ class TorqueCar(VelocityModel):
             force = force + (torque - a * rate - b * rate / np.sqrt(rate * rate + self.slow**2)) * drive
         if self.stiffness:
             back = np.array([0.0, 1.0, wheels.rear])
-            front, rear = n[k + 2 + 2 * count], n[k + 3 + 2 * count]
+            front, rear = n[offset + 1], n[offset + 2]
             force = force - front * (across @ nu) * across - rear * (back @ nu) * back
             faster = np.linalg.solve(M, force)
         else:
@@ -257,7 +267,7 @@ class TorqueCar(VelocityModel):
         share = (numbers[:, 0, -1] - lag)[:, None, None]
         length = states.shape[2]
         now, before, earlier = (segments.applied(lag + k, length)[..., count] for k in (0, 1, 2))
-        offset = numbers[:, :, None, (2 if self.stiffness else 1) + 1 + 2 * count]
+        offset = numbers[:, :, None, self._offset]
         angle = (1 - share) * (now + before) / 2 + share * (before + earlier) / 2 + offset
         turn = states[..., 0] * np.tan(angle) / (self.wheels.front - self.wheels.rear)
         return np.stack([states[..., 0], turn], axis=-1)
