@@ -139,7 +139,7 @@ plots.drivers(runs["nominal model"], title="Parameters of the worst 5 %")
 (i,) = runs["nominal model"].worst(1)
 draws = {name: value[i] for name, value in runs["nominal model"].draws.items()}
 print(f"robot {i}:", ", ".join(f"{name} {value:.3g}" for name, value in draws.items()))
-traces = {name: runs[name].trace(i) for name in ("PD", "nominal model")}
+traces = {name: runs[name].member(i) for name in ("PD", "nominal model")}
 plots.errors(traces, title=f"The worst robot, number {i:,}")
 
 # %% [markdown]

@@ -111,7 +111,7 @@ print(result.table(most=5))
 # %%
 def run_of(found, **labels):
     """Return the compiled run of the first robot at a point of a sweep."""
-    robot, controller, trajectory, options = found.ensemble(**labels).member(0)
+    robot, controller, trajectory, options = found.ensemble(**labels).arguments(0)
     return simulate(robot, controller, trajectory, engine=Engine.COMPILED, **options)
 
 

@@ -74,7 +74,7 @@ def swept(path: Path) -> pm.Sweep:
 
 def traced(found: Any) -> pm.Rollout:
     """Return the first robot of an ensemble."""
-    robot, controller, trajectory, options = found.member(0)
+    robot, controller, trajectory, options = found.arguments(0)
     return pm.simulate(robot, controller, trajectory, engine=pm.Engine.COMPILED, **options)
 
 

@@ -201,7 +201,7 @@ def test_members_of_an_ensemble_are_drawn_as_they_are() -> None:
     runs = pm.ensemble(Wide(), Follower(), PATH, **options)
     aside: list[Any] = []
     for i in range(2):
-        run = runs.trace(i)
+        run = runs.member(i)
         channels = links("", figure(run.plant), configurations(figure(run.plant), run.t, run.q, run.t[:1]))
         aside.append(channels[2].values[0][1])
     np.testing.assert_allclose(aside, [0.2, 0.3], rtol=1e-12)

@@ -73,7 +73,7 @@ def run(*parts: Any, **options: Any) -> Any:
 def assert_members(runs: Any, *which: int) -> None:
     """Compare robots of an ensemble with what `simulate` makes of them, by Pinocchio."""
     for i in which:
-        member = runs.member(i)
+        member = runs.arguments(i)
         alone = pm.simulate(*member[:3], **member.options)
         assert alone.engine == "PYTHON"
         np.testing.assert_allclose(runs.max_error[i], alone.max_error(), rtol=CLOSE, atol=CLOSE)
@@ -210,7 +210,7 @@ def test_six_seconds_of_a_closed_loop_are_those_of_pinocchio() -> None:
     )
     assert runs.engine == pm.Engine.COMPILED.name
     assert_members(runs, 1)
-    member = runs.member(1)
+    member = runs.arguments(1)
     compiled, usual = (
         pm.simulate(*member[:3], **member.options, engine=engine)
         for engine in (pm.Engine.COMPILED, pm.Engine.PYTHON)
@@ -243,7 +243,7 @@ def test_the_bits_of_arms_are_those_of_every_processor() -> None:
 
 
 def test_a_member_whose_links_differ_is_kept_in_a_file(tmp_path: Path) -> None:
-    member = run(n=1).member(0)
+    member = run(n=1).arguments(0)
     alone = pm.simulate(*member[:3], **member.options)
     alone.save(tmp_path / "run.npz")
     again = pm.Rollout.load(tmp_path / "run.npz").plant

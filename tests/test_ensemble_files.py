@@ -78,7 +78,7 @@ def test_what_is_loaded_is_what_was_saved_bit_for_bit(tmp_path: Path, name: str)
     assert list(loaded.traces) == list(one.traces)
     for i, trace in one.traces.items():
         assert loaded.traces[i].plant == trace.plant
-        assert loaded.trace(i) is loaded.traces[i]
+        assert loaded.member(i) is loaded.traces[i]
     for array in (loaded.max_error, loaded.scenario.t, *loaded.scenario.reference):
         assert not array.flags.writeable
     assert not any(values.flags.writeable for values in loaded.draws.values())
@@ -158,7 +158,7 @@ print(repr(one))
 print(one.traces[2])
 print(one.scenario)
 try:
-    one.member(1)
+    one.arguments(1)
 except ValueError as error:
     print(error)
 """
@@ -179,14 +179,14 @@ def test_with_its_scenario_a_loaded_ensemble_makes_robots_again(tmp_path: Path) 
     path = saved(DIVERGING, tmp_path)
     loaded = pm.Ensemble.load(path, scenario(spread=SPREAD | {"controller.mass": 30.0}))
     assert str(loaded) == str(DIVERGING)
-    assert loaded.member(5).robot == DIVERGING.member(5).robot
+    assert loaded.arguments(5).robot == DIVERGING.arguments(5).robot
     for name in SERIES:
-        np.testing.assert_array_equal(getattr(loaded.trace(5), name), getattr(DIVERGING.trace(5), name))
+        np.testing.assert_array_equal(getattr(loaded.member(5), name), getattr(DIVERGING.member(5), name))
     alone = pm.Ensemble.load(path)
     with refused(r"^i is 60, expected at most 59$"):
-        alone.trace(60)
+        alone.member(60)
     with refused(r"^i is 5, a robot that cannot be made again: .*ComputedTorque"):
-        alone.trace(5)
+        alone.member(5)
 
 
 @pytest.mark.parametrize(

@@ -90,7 +90,7 @@ def test_arrays_give_each_robot_its_number() -> None:
     masses = np.linspace(20, 40, 5)
     run = run_scenario(made(n=5, spread={"mass": masses}))
     assert run.draws["mass"].tolist() == masses.tolist()
-    assert [run.member(i).robot.mass for i in range(5)] == masses.tolist()
+    assert [run.arguments(i).robot.mass for i in range(5)] == masses.tolist()
 
 
 def test_same_makes_the_controller_know_what_it_is_told() -> None:
@@ -127,7 +127,7 @@ def test_a_member_is_the_robot_that_was_drawn() -> None:
     }
     forces = pm.ConstantForce((0, 0, 0)), pm.ViscousFriction((0, 0, 0))
     run = run_scenario(made(spread=spread, n=8, forces=forces))
-    member = run.member(7)
+    member = run.arguments(7)
     controller: Any = member.controller
     assert member.robot.mass == run.draws["mass"][7]
     assert controller.robot.mass == pytest.approx(1.1 * member.robot.mass, rel=1e-15)
@@ -164,7 +164,7 @@ NAMED: dict[str, tuple[int, str, Any]] = {
 
 def test_a_name_of_a_force_stands_for_one_number_of_it() -> None:
     values = {name: 0.25 + 0.01 * k for k, name in enumerate(NAMED)}
-    own = run_scenario(made(n=2, spread=values, forces=FORCED)).member(1).options["forces"]
+    own = run_scenario(made(n=2, spread=values, forces=FORCED)).arguments(1).options["forces"]
     for k, field in {(k, field) for k, field, _ in NAMED.values()}:
         expected = np.array(getattr(FORCED[k], field), float)
         for name, (of, which, entry) in NAMED.items():
@@ -176,7 +176,7 @@ def test_a_name_of_a_force_stands_for_one_number_of_it() -> None:
 def test_a_start_is_beside_the_trajectorys() -> None:
     names = "start.x", "start.y", "start.psi", "start_rate.vx", "start_rate.vy"
     options = (
-        run_scenario(made(n=2, spread={name: 2.0**-k for k, name in enumerate(names)})).member(1).options
+        run_scenario(made(n=2, spread={name: 2.0**-k for k, name in enumerate(names)})).arguments(1).options
     )
     at = TRAJECTORY(0.0)
     offset = np.concatenate([options["q0"] - at.q, options["v0"] - at.v])
@@ -186,7 +186,7 @@ def test_a_start_is_beside_the_trajectorys() -> None:
 def test_gains_of_coordinates_leave_those_that_couple_them() -> None:
     coupled, spread = np.array([[4.0, 1, 0], [0, 5, 0], [0, 2, 6]]), {"kp.x": 7.0, "kp.y": 8.0, "kp.psi": 9.0}
     controller: Any = (
-        run_scenario(made(n=2, spread=spread, controller=pm.PD(coupled, 4))).member(1).controller
+        run_scenario(made(n=2, spread=spread, controller=pm.PD(coupled, 4))).arguments(1).controller
     )
     np.testing.assert_array_equal(controller.kp, [[7, 1, 0], [0, 8, 0], [0, 2, 9]])
 
@@ -194,7 +194,7 @@ def test_gains_of_coordinates_leave_those_that_couple_them() -> None:
 def test_a_member_has_all_else_of_its_scenario() -> None:
     robot = pm.MobileRobot(30, 1.3, com=(0.1, 0.02, 0.4), size=(1, 2, 3))
     scenario = made(n=2, robot=robot, spread={"com.y": 0.05}, limit=7.0, substeps=3, duration=0.5)
-    member = run_scenario(scenario).member(1)
+    member = run_scenario(scenario).arguments(1)
     assert (member.robot.mass, member.robot.com, member.robot.size) == (30, (0.1, 0.05, 0.4), (1, 2, 3))
     assert member.options["limit"] == 7
     assert (member.options["substeps"], member.options["duration"]) == (3, 0.5)
@@ -204,7 +204,7 @@ def test_a_member_has_all_else_of_its_scenario() -> None:
 def test_two_noises_of_one_robot_are_not_the_same() -> None:
     noisy = pm.MeasurementNoise(pm.MeasurementNoise(pm.PD(40, 40), 1e-2, 0.0, seed=0), 1e-2, 0.0, seed=0)
     noise = NoiseForce((1, 1, 1), 1.0, seed=0)
-    member = run_scenario(made(n=2, controller=noisy, forces=(noise, noise))).member(1)
+    member = run_scenario(made(n=2, controller=noisy, forces=(noise, noise))).arguments(1)
     one, other = (force.phases for force in member.options["forces"])
     assert not np.isin(one, other).any()
     state: Any = member.controller.initial_state(Context.of(ROBOT, dt=0.1))
@@ -220,7 +220,7 @@ def test_noise_differs_from_robot_to_robot_and_not_from_run_to_run() -> None:
         one, again = run_scenario(scenario), run_scenario(scenario)
         np.testing.assert_array_equal(one.max_error, again.max_error)
         assert len(np.unique(one.max_error[:, 0])) == 3
-    phases = [run.options["forces"][0].phases for run in (one.member(0), one.member(1))]
+    phases = [run.options["forces"][0].phases for run in (one.arguments(0), one.arguments(1))]
     assert not np.array_equal(*phases)
 
 
@@ -494,10 +494,10 @@ def test_what_came_of_an_ensemble_cannot_be_overwritten() -> None:
 @pytest.mark.parametrize("i", [3, -1, 0.5])
 def test_a_robot_that_is_not_there_is_no_member(i: Any) -> None:
     run = run_scenario(made(n=3))
-    for ask in (run.member, run.trace):
+    for ask in (run.member, run.arguments):
         with refused(rf"^i is {i}, expected "):
             ask(i)
-    assert run.member(2).robot.mass == 30
+    assert run.arguments(2).robot.mass == 30
 
 
 def test_a_wind_without_friction_is_what_the_closed_form_says() -> None:

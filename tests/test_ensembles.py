@@ -110,7 +110,7 @@ def assert_same(one: Any, other: Any, rows: slice = slice(None)) -> None:
 
 def assert_is_simulated(run: pm.Ensemble, i: int) -> None:
     """Compare robot i with what `simulate` makes of it."""
-    rollout = run.trace(i)
+    rollout = run.member(i)
     size = 1 + np.abs(np.hstack(run.scenario.reference)).max()
     force = 1 + run.max_input[i].max()
     np.testing.assert_allclose(rollout.max_error(), run.max_error[i], rtol=0, atol=1e-12 * size)
@@ -196,7 +196,7 @@ def test_two_of_a_kind_and_what_is_ones_own_are_as_simulated(what: str) -> None:
 
 
 def test_a_noisy_robot_is_run_alone_by_any_engine() -> None:
-    member = run_scenario(made(controller=CONTROLLERS["noisy"], n=3, duration=3.0)).member(2)
+    member = run_scenario(made(controller=CONTROLLERS["noisy"], n=3, duration=3.0)).arguments(2)
     alone = [
         pm.simulate(*member[:3], **member.options, engine=engine)
         for engine in (Engine.PYTHON, Engine.COMPILED)
@@ -251,12 +251,12 @@ def test_diverging_robots_are_flagged_as_by_simulate_and_the_others_untouched() 
     run = run_scenario(made(n=130, spread=spread, duration=15.0), engine=Engine.COMPILED)
     assert np.flatnonzero(run.diverged).tolist() == [3, 64, 100]
     for i in (3, 64, 100):
-        member = run.member(i)
+        member = run.arguments(i)
         with pytest.raises(pm.Diverged) as caught:
             pm.simulate(*member[:3], **member.options)
         assert caught.value.time == run.diverged_at[i]
         # What came before: rounding grows as the error does.
-        np.testing.assert_allclose(run.trace(i).max_error(), run.max_error[i], rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(run.member(i).max_error(), run.max_error[i], rtol=1e-9, atol=1e-9)
     tame = run_scenario(made(n=130, spread=spread | {"kp": 4.0}, duration=15.0), engine=Engine.COMPILED)
     for name in RECORDS[:-1]:
         np.testing.assert_array_equal(
@@ -285,7 +285,7 @@ def test_half_a_turn_off_all_robots_turn_left_in_every_engine(engine: Any) -> No
     held = pm.FixedHeading(pm.Circle(1, 0.1, 2), 0.0)
     wide = pm.ensemble(ROBOT, pm.ComputedTorque(ROBOT), held, n=10, dt=0.1, spread=spread, engine=engine)
     for i in range(10):
-        alone = wide.trace(i)
+        alone = wide.member(i)
         assert (alone.error[:, 2] > 0).all()
         assert alone.q[-1, 2] > alone.q[0, 2]
         np.testing.assert_allclose(wide.max_error[i], alone.max_error(), rtol=0, atol=1e-8)
@@ -323,7 +323,7 @@ def test_errors_are_kept_from_a_time_on_and_all_else_from_the_start(forces: str,
     run = run_scenario(scenario, engine=engine)
     assert scenario.t[scenario.begin] == 10.0
     for i in (0, n - 1):
-        error = run.trace(i).error[100:]
+        error = run.member(i).error[100:]
         expected = (
             np.abs(error).max(axis=0),
             np.sqrt((error**2).mean(axis=0)),
@@ -354,7 +354,7 @@ def test_an_acceleration_that_is_none_is_a_divergence_though_its_force_is_finite
     run = run_scenario(scenario, engine=engine)
     assert run.diverged_at.tolist() == [0, 0]
     with pytest.raises(pm.Diverged, match="a not finite") as caught:
-        run.trace(0)
+        run.member(0)
     assert caught.value.time == 0
 
 
@@ -364,7 +364,7 @@ def test_a_robot_that_is_beyond_the_limit_from_the_start_has_no_records() -> Non
     assert np.isnan(run.max_error[1]).all()
     assert run.error_quantile(0.5).distance < 1
     with pytest.raises(pm.Diverged, match="the error in x is -2000"):
-        run.trace(1)
+        run.member(1)
 
 
 @pytest.mark.parametrize("engine", [Engine.COMPILED, Engine.PYTHON])

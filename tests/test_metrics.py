@@ -101,7 +101,7 @@ def test_all_engines_judge_alike(engine: pm.Engine) -> None:
 
 
 def test_a_member_is_judged_as_its_rollout_is(runs: pm.Ensemble) -> None:
-    member = runs.member(7)
+    member = runs.arguments(7)
     alone: Any = pm.simulate(*member[:3], **member.options)
     robot, begin = alone.plant, runs.scenario.begin
     apart = error_sizes(pose_error(robot.frame_pose(alone.reference.q), robot.frame_pose(alone.q)))
@@ -165,8 +165,8 @@ def test_a_choice_judges_that_alone(runs: pm.Ensemble) -> None:
     ("metrics", "error", "words"),
     [
         (["efort"], UnknownName, "unknown metric 'efort'.*'effort'"),
-        ("effort", pm.InvalidArgument, r"^metrics is 'effort', expected a sequence of names$"),
-        (7, pm.InvalidArgument, r"^metrics is 7, expected a sequence of names$"),
+        ("effort", pm.InvalidArgument, r"^metrics is 'effort', expected a sequence of names.*function"),
+        (7, pm.InvalidArgument, r"^metrics is 7, expected a sequence of names.*function"),
         ([7], UnknownName, "metric 7"),
     ],
 )
@@ -299,7 +299,7 @@ def test_a_plant_of_ones_own_states_measures_in_plain_numpy(after: float) -> Non
         np.testing.assert_allclose(other.rms_metric, made[0].rms_metric, rtol=CLOSE, atol=CLOSE)
     clearance = made[0].largest("clearance")
     assert clearance.min() < 0 < clearance.max()  # some overshoot into the wall
-    trace = made[0].trace(2)
+    trace = made[0].member(2)
     begin = made[0].scenario.begin
     assert clearance[2] == pytest.approx((0.33 - np.abs(trace.q[begin:, 0])).min(), abs=CLOSE)
     assert made[0].error_quantile(1.0)["clearance"] == clearance.min()
@@ -333,14 +333,19 @@ def stating(metrics: Any, found: Any = None) -> Any:
 
 
 ONE = Metric("clearance", "m", "from the walls", "smallest")
-OF = "^metrics of the plant, a Stating"
 
 
 @pytest.mark.parametrize(
     ("plant", "words"),
     [
-        (stating([ONE, ONE], lambda q: q[..., :2]), f"{OF}, has 'clearance', .* expected different names$"),
-        (stating([ONE._replace(name="heading")], lambda q: q[..., :1]), f"{OF}, has 'heading', the name of"),
+        (
+            stating([ONE, ONE], lambda q: q[..., :2]),
+            "^metrics has 'clearance' twice, .* a Stating, expected .*s$",
+        ),
+        (
+            stating([ONE._replace(name="heading")], lambda q: q[..., :1]),
+            "^metrics has 'heading' twice, or as",
+        ),
         (
             stating([ONE._replace(worst="least")], lambda q: q[..., :1]),
             "worst of the metric 'clearance': 'least'",
@@ -376,3 +381,116 @@ def test_names_of_limits_and_links_that_there_are_not_come_with_the_nearest() ->
     words = r"^the records of 100,000,000 robots take 34.4 GB, expected at most 16 GB: give a smaller n$"
     with pytest.raises(pm.InvalidArgument, match=words):
         scenario(n=10**8)
+
+
+CART = pm.MobileRobot(mass=30.0, yaw_inertia=1.3)
+ROUND = pm.Tangent(pm.Circle(1.0, 0.5, 4.0))
+WALL = Metric("gap", "m", "distance from the wall", "smallest", lambda sample: 1.02 - sample.q[0])
+
+
+def carts(engine: pm.Engine | None = None, **options: Any) -> pm.Ensemble:
+    given: dict[str, Any] = {"n": 9, "spread": {"plant.mass": pm.Uniform(20, 40)}, "dt": 0.02}
+    given |= options
+    law = pm.DisturbanceObserver(pm.PD(120, 120), CART)
+    push = pm.ConstantForce((3.0, 0.0, 0.0))
+    return pm.ensemble(CART, law, ROUND, forces=[push], engine=engine, **given)
+
+
+@pytest.mark.parametrize("engine", [pm.Engine.COMPILED, pm.Engine.PYTHON])
+def test_a_function_of_a_sample_is_a_metric(engine: pm.Engine) -> None:
+    def speed(sample: Any) -> Any:
+        return np.sqrt(sample.v[0] ** 2 + sample.v[1] ** 2)
+
+    found = carts(engine, metrics=[WALL, Metric("speed", "m/s", "speed", function=speed)], traces=range(9))
+    traces = [found.traces[i] for i in range(9)]
+    gaps = np.array([1.02 - run.q[:, 0] for run in traces])
+    speeds = np.array([np.hypot(*run.v[:, :2].T) for run in traces])
+    np.testing.assert_allclose(found.largest("gap"), gaps.min(axis=1), rtol=1e-9)
+    np.testing.assert_allclose(found.largest("speed"), speeds.max(axis=1), rtol=1e-9)
+    np.testing.assert_allclose(found.rms("speed"), np.sqrt((speeds**2).mean(axis=1)), rtol=1e-9)
+    assert found.rms("heading") is not None
+    assert found.error_quantile(1.0)["gap"] == found.largest("gap").min()
+    assert found.worst(1, "gap")[0] == gaps.min(axis=1).argmin()
+    np.testing.assert_allclose(found.bands([1.0])["speed"][0], speeds[:, ::3].max(axis=0), rtol=1 / 32)
+    assert "smallest gap [m]" in str(found)
+    plots.bands(found, by=["gap", "speed"])
+    plots.drivers(found, by="gap", share=0.3)
+
+
+def test_a_mapping_adds_functions_to_the_metrics_of_the_robot() -> None:
+    def lift(sample: Any) -> Any:
+        return np.abs(sample.error[3]) > 0.01  # whether, as a number
+
+    found = scenario(n=2, metrics={"lift": lift})
+    named = [one.name for one in found.recorded_metrics]
+    assert named == [*(one.name for one in UR5.metrics), "lift"]
+    assert set(run_scenario(found).largest("lift")) <= {0.0, 1.0}
+
+
+@pytest.mark.parametrize("engine", [pm.Engine.COMPILED, pm.Engine.PYTHON])
+def test_signals_are_kept_for_all_robots(engine: pm.Engine, tmp_path: Path) -> None:
+    found = carts(engine, keep=["disturbance"], traces=[4], metrics={"guess": guessed})
+    unit, values = found.kept["disturbance"]
+    assert unit == "N, N m"
+    assert values.shape == (9, len(found.scenario.grid), 3)
+    alone = found.traces[4].signals["disturbance"].values
+    np.testing.assert_allclose(values[4], alone[:: found.scenario.stride], rtol=1e-9, atol=1e-9)
+    assert found.largest("guess")[4] == pytest.approx(np.abs(alone[:, 0]).max(), rel=1e-9)
+    found.save(tmp_path / "runs.npz")
+    again = pm.Ensemble.load(tmp_path / "runs.npz")
+    np.testing.assert_array_equal(again.kept["disturbance"].values, values)
+    assert found.to_xarray().kept_disturbance.attrs["units"] == unit
+    with pytest.raises(ValueError, match="read-only"):
+        values[0, 0, 0] = 1
+
+
+def guessed(sample: Any) -> Any:
+    return sample.signals["disturbance"].value[0]
+
+
+def test_kept_signals_end_where_a_robot_diverges() -> None:
+    found = carts(spread={"plant.mass": [30.0] * 8 + [0.01]}, keep=["disturbance"], every=1)
+    values = found.kept["disturbance"].values
+    assert found.diverged.tolist() == [False] * 8 + [True]
+    lived = round(found.diverged_at[8] / 0.02)
+    assert np.isfinite(values[:8]).all()
+    assert np.isfinite(values[8, :lived]).all()
+    assert np.isnan(values[8, lived:]).all()
+    assert lived > 1
+
+
+@pytest.mark.parametrize(
+    ("metrics", "words"),
+    [
+        ({"distance": abs}, "metrics has 'distance' twice, or as the name of an error"),
+        ([WALL, WALL], "metrics has 'gap' twice"),
+        ({"gap": 3}, r"^metrics\['gap'\] is 3, expected a function of a sample$"),
+        (
+            {"gap": lambda sample: sample.q},
+            r"^metrics has 'gap', whose function returned .* expected a number$",
+        ),
+        (
+            {"gap": lambda sample: "far"},
+            "^metrics has 'gap', whose function returned 'far', expected a number$",
+        ),
+        ({"gap": lambda sample: np.nan * sample.q[0]}, "^robot 0: .*NaN as 'gap'"),
+        (
+            {"gap": lambda sample: float(sample.q[0])},
+            "metrics has 'gap': float.*or give engine=Engine.PYTHON$",
+        ),
+        ({"gap": lambda sample: 1.0 if sample.q[0] > 1 else 0.0}, "metrics has 'gap': `if`"),
+        (
+            {"gap": lambda sample: {0.0: 1.0, 1.0: 2.0}[float(repr(sample.t)[:3])]},
+            "metrics has 'gap': it raises",
+        ),
+        ([Metric("gap", "m", "gap", "least", abs)], "worst of the metric 'gap'.*largest, smallest, ever"),
+    ],
+)
+def test_a_function_that_is_no_metric_is_refused(metrics: Any, words: str) -> None:
+    with pytest.raises((pm.InvalidArgument, UnknownName), match=words):
+        carts(metrics=metrics)
+
+
+def test_an_unknown_signal_is_refused() -> None:
+    with pytest.raises(UnknownName, match=r"unknown signal 'disturbanc'.*'disturbance'"):
+        carts(keep=["disturbanc"])

@@ -356,7 +356,7 @@ def test_an_ensemble_spreads_motor_constants() -> None:
         np.testing.assert_allclose(found.max_error[k], alone.max_error(), rtol=1e-12)
         assert parts.replace(robot, {f"{robot.motor_paths[0]}.resistance": x}) == other
     assert found.engine == "COMPILED"
-    again = found.member(1)
+    again = found.arguments(1)
     assert [wheel.motor.resistance for wheel in again.robot.table.wheels] == [2.4, 1.2]
     with pytest.raises(errors.UnknownName, match="resistances"):
         parts.replace(robot, {f"{robot.motor_paths[0]}.resistances": 1.0})

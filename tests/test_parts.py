@@ -89,7 +89,7 @@ def test_a_users_part_has_the_same_numbers_by_all_engines(what: str) -> None:
 @pytest.mark.parametrize("what", PARTS)
 def test_a_users_part_is_simulated_and_traced(what: str) -> None:
     scenario = made(what)
-    member = run_scenario(scenario, traces=[2]).member(2)
+    member = run_scenario(scenario, traces=[2]).arguments(2)
     rollout = pm.simulate(*member[:3], **member.options)
     traced = run_scenario(scenario, traces=[2]).traces[2]
     np.testing.assert_array_equal(traced.q, rollout.q)
@@ -193,7 +193,7 @@ def test_a_users_plant_has_the_same_numbers_by_all_engines(what: str) -> None:
     assert runs[0].max_input.shape == (N, 2)
     assert_close(*runs)
     assert run_scenario(scenario).engine == "COMPILED"
-    member = runs[0].member(1)
+    member = runs[0].arguments(1)
     of_pinocchio, compiled = (
         pm.simulate(*member[:3], **member.options, engine=engine)
         for engine in (Engine.PYTHON, Engine.COMPILED)
@@ -390,7 +390,7 @@ def test_each_robot_follows_a_reference_of_its_own_by_all_engines(what: str) -> 
 
 
 def scenario_member_reference(run: pm.Ensemble, i: int) -> Any:
-    member = run.member(i)
+    member = run.arguments(i)
     return pm.simulate(*member[:3], **member.options).reference
 
 
@@ -449,7 +449,7 @@ def test_the_models_that_a_trajectory_knows_are_no_numbers_of_it() -> None:
     assert scenario.find("radius").path == "trajectory.base.path.radius"
     runs = [run_scenario(scenario, engine=engine) for engine in (Engine.COMPILED, Engine.PYTHON)]
     assert_close(*runs)
-    assert runs[0].member(1).trajectory == pm.WholeBody(ROBOT, pm.Tangent(pm.Circle(2.0, 0.5, 1.0)))
+    assert runs[0].arguments(1).trajectory == pm.WholeBody(ROBOT, pm.Tangent(pm.Circle(2.0, 0.5, 1.0)))
 
 
 def test_a_sweep_knows_another_trajectory_of_the_same_nominal_reference(tmp_path: Path) -> None:

@@ -287,7 +287,7 @@ def test_each_robot_has_a_path_of_its_own() -> None:
     runs = ensemble(MobileRobot(30, 1.3), PD(120, 120), Tangent(path), n=5, spread=spread, dt=0.02)
     assert runs.engine == "COMPILED"
     for k in range(5):
-        member: Any = runs.member(k)
+        member: Any = runs.arguments(k)
         robot, controller, reference = member[:3]
         run = simulate(robot, controller, reference, **member.options)
         assert reference.path.angle == runs.draws["angle"][k]

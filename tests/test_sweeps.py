@@ -19,6 +19,7 @@ import pinmobile as pm
 from pinmobile.errors import UnknownName
 from pinmobile.loop import run_scenario
 from pinmobile.loop._variables import edges
+from pinmobile.metrics import Metric
 from pinmobile.parts import evolved
 from pinmobile.sweeps import Axis, Points
 from pinmobile.sweeps._points import _NAMES, changed
@@ -217,6 +218,23 @@ def test_cases_and_parts_are_compared_by_label(tmp_path: Path) -> None:
     alone_ = pm.sweep(scenario(n=3), tmp_path / "alone")
     assert re.fullmatch(r"the robots stay within .* in 99 % of runs", alone_.answer())
     assert len(alone_.ensemble().max_distance) == 3
+
+
+def test_a_sweep_has_metrics_of_the_user_and_knows_their_code(tmp_path: Path) -> None:
+    def gap(sample: Any) -> Any:
+        return 3.0 - sample.q[0]
+
+    metric = Metric("gap", "m", "distance", "smallest", gap)
+    base = replace(scenario(n=3), metrics=[metric])
+    found = pm.sweep(base, tmp_path / "store", grid={"kp": [60.0, 120.0]})
+    alone = found.ensemble(kp=60.0)
+    assert found.error_quantile(1.0, by="gap").values[0] == alone.largest("gap").min()
+    np.testing.assert_array_equal(found.dataset.rms_metric.sel(metric="gap", kp=60.0), alone.rms("gap"))
+    other = replace(base, metrics=[metric._replace(function=lambda sample: 4.0 - sample.q[0])])
+    with refused("metrics"):
+        pm.sweep(other, found.path, grid={"kp": [60.0, 120.0]})
+    with refused(r"keep is \['disturbance'\], expected none"):
+        pm.sweep(replace(base, keep=["disturbance"]), tmp_path / "other")
 
 
 def _heavy() -> pm.MobileRobot:

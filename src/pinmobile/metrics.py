@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, one_of, sequence, shaped
-from pinmobile.errors import InvalidArgument
+from pinmobile.arrays import Array, ArrayLike, one_of, sequence, shaped, text
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.parts import Measuring, able
 
 _WORST = ("largest", "smallest", "ever")
@@ -46,7 +46,7 @@ def in_words(size: float, form: str = ".4g") -> str:
 
 
 class Metric(NamedTuple):
-    """Description of one number that the ``evaluate_metrics`` of a plant returns for each sample.
+    """Description of one number of each sample, which the plant's ``evaluate_metrics`` or a function returns.
 
     Attributes
     ----------
@@ -62,9 +62,13 @@ class Metric(NamedTuple):
         the worst; it may be negative. The bins resolve margins from -512 to 512, to 5e-6 near zero and to 2
         or 3 % elsewhere. Choose a unit in which the values fit. ``"ever"``: an event, 1 where it happens and
         0 elsewhere. An ensemble counts the robots in which it happens, and reports their number.
+    function : callable or None
+        Function of a `loop.Sample` that returns the number, for a metric of your own, see `ensemble`. It is
+        compiled like a law. None: a metric of the plant.
 
     See Also
     --------
+    ensemble : run many robots with metrics of your own.
     Ensemble.largest : worst value of each robot.
     parts.Measuring : plants with metrics.
 
@@ -80,6 +84,7 @@ class Metric(NamedTuple):
     unit: str
     meaning: str
     worst: str = "largest"
+    function: Callable[[Any], Any] | None = None
 
     @property
     def is_margin(self) -> bool:
@@ -188,15 +193,15 @@ def metrics_of(plant: object) -> tuple[Metric, ...]:
     return found
 
 
-def chosen(plant: object, names: object, taken: Sequence[str]) -> tuple[Metric, ...]:
-    """Return the selected metrics of a plant, in the order of the plant.
+def chosen(plant: object, wanted: object, taken: Sequence[str]) -> tuple[Metric, ...]:
+    """Return the selected metrics: those of a plant, in its order, then those with functions.
 
     Parameters
     ----------
     plant : plant
         Plant with metrics.
-    names : sequence of str, or None
-        Names of the selected metrics; None: all.
+    wanted : sequence of str and Metric, mapping of str to callable, or None
+        Selected metrics; those of a mapping are in addition to all of the plant; None: all of the plant.
     taken : sequence of str
         Names of the errors, which no metric may have.
 
@@ -208,7 +213,7 @@ def chosen(plant: object, names: object, taken: Sequence[str]) -> tuple[Metric, 
     Raises
     ------
     InvalidArgument
-        If `names` is not a sequence of names, or a metric has the name of an error or of another metric.
+        If `wanted` is anything else, or a metric has the name of an error or of another metric.
     UnknownName
         If the plant has no metric of a name.
 
@@ -220,18 +225,33 @@ def chosen(plant: object, names: object, taken: Sequence[str]) -> tuple[Metric, 
     ()
     """
     stated = metrics_of(plant)
-    every = [*taken, *(one.name for one in stated)]
-    twice = next((name for name in every if every.count(name) > 1), None)
+    if wanted is None:
+        given: list[Any] = [one.name for one in stated]
+    elif isinstance(wanted, Mapping):
+        own = [Metric(name, "", name, function=function) for name, function in wanted.items()]
+        given = [*(one.name for one in stated), *own]
+    else:
+        given = list(sequence("metrics", wanted, 'a sequence of names or Metrics, or {"name": function}'))
+    own = [one for one in given if isinstance(one, Metric) and one.function is not None]
+    names = [one.name if isinstance(one, Metric) else one for one in given]
+    for one in own:
+        one_of(f"worst of the metric {text('name of a metric', one.name)!r}:", one.worst, _WORST)
+        if not callable(one.function):
+            raise InvalidArgument(
+                f"metrics[{one.name!r}] is {shown(one.function)}, expected a function of a sample"
+            )
+    every = [*taken, *(one.name for one in (*stated, *own))]
+    twice = next((x for x in (*every, *names) if every.count(x) > 1 or names.count(x) > 1), None)
     if twice is not None:
         raise InvalidArgument(
-            f"metrics of the plant, a {type(plant).__name__}, has {twice!r}, the name of an error or of "
-            "another metric too, expected different names"
+            f"metrics has {twice!r} twice, or as the name of an error ({', '.join(taken)}) or of a metric of "
+            f"the plant, a {type(plant).__name__}, expected different names"
         )
-    if names is None:
-        return stated
-    known = {one.name: one for one in stated}
-    wanted = [one_of("metric", name, known) for name in sequence("metrics", names, "a sequence of names")]
-    return tuple(one for one in stated if one.name in wanted)
+    known, ours = {one.name: one for one in stated}, {one.name for one in own}
+    for name in names:
+        if name not in ours:
+            one_of("metric", name, known)
+    return (*(one for one in stated if one.name in names), *own)
 
 
 def channels_of(coordinates: Sequence[Any], metrics: Sequence[Metric]) -> tuple[Metric, ...]:

@@ -2,6 +2,7 @@
 
 from pinmobile.compiled._tracing import (
     calling_place as calling_place,
+    place_of as place_of,
     tracing as tracing,
     uncollected as uncollected,
 )

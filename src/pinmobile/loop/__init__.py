@@ -18,7 +18,7 @@ from pinmobile.loop._variables import (
     NOTE as NOTE,
     PER_ROBOT as PER_ROBOT,
     SUMMED as SUMMED,
-    Member,
+    Arguments,
     Part,
     checked_share as checked_share,
     coordinates as coordinates,
@@ -35,6 +35,7 @@ from pinmobile.signals import Signal
 
 __all__ = [
     "TRUE_MODEL",
+    "Arguments",
     "Bands",
     "Distribution",
     "EndEffector",
@@ -42,7 +43,6 @@ __all__ = [
     "Ensemble",
     "ErrorQuantile",
     "Loop",
-    "Member",
     "Normal",
     "Outline",
     "Part",

@@ -221,7 +221,7 @@ class Outline(Recorded):
             spread={name: _source(source) for name, source in spread},
             coordinates=tuple(Coordinate(*one[:2]) for one in given.coordinates),
             inputs=tuple(Input(*one[:2]) for one in given.inputs),
-            recorded_metrics=given.recorded_metrics,
+            recorded_metrics=tuple(one._replace(function=None) for one in given.recorded_metrics),
         )
 
     def difference(self, other: Outline) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from os import PathLike
 from typing import Any, Generic, TypeVar
 
@@ -19,17 +19,18 @@ from pinmobile.loop._scenario import Scenario
 from pinmobile.loop._simulate import simulate
 from pinmobile.loop._variables import (
     PER_ROBOT,
-    Member,
+    Arguments,
     Part,
+    arguments_of,
     checked_levels,
     checked_share,
     columns_of,
     content_of,
     dataset_of,
-    member_of,
     quantiles_of,
     share_within,
 )
+from pinmobile.signals import Signal
 
 _FORMAT = "pinmobile ensemble 5"
 _V = TypeVar("_V")
@@ -152,6 +153,9 @@ class Ensemble:
         Engine that ran the robots: ``"COMPILED"``, or ``"PYTHON"``, one robot after another.
     fallback_reason : str
         Reason why a faster engine could not run the loop; "" if there is none.
+    kept : mapping of str to Signal
+        Signals of `Scenario.keep` by name, at the times of `Scenario.grid`: values of shape (n, G) or (n, G,
+        k), NaN after divergence.
 
     See Also
     --------
@@ -188,8 +192,11 @@ class Ensemble:
     traces: Mapping[int, Rollout]
     engine: str = ""
     fallback_reason: str = ""
+    kept: Mapping[str, Signal] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        for signal in self.kept.values():
+            signal.values.setflags(write=False)
         for array in (*self.draws.values(), *(getattr(self, name) for name in (*PER_ROBOT, "counts"))):
             array.setflags(write=False)
 
@@ -231,7 +238,7 @@ class Ensemble:
         own["diverged_at"] = np.append(scenario.t, np.nan)[np.minimum(lived, len(scenario.t))]
         own |= {"traces": {}, "engine": engine, "fallback_reason": fallback_reason}
         made = cls(scenario=scenario, draws=dict(draws), **own)
-        object.__setattr__(made, "traces", {i: made.trace(i) for i in traces})
+        object.__setattr__(made, "traces", {i: made.member(i) for i in traces})
         return made
 
     def __len__(self) -> int:
@@ -349,14 +356,35 @@ class Ensemble:
         UnknownName
             If there is no such error.
         """
-        errors = {"distance": self.max_distance, "heading": self.max_error[:, 2]}
-        coordinates = zip(self.scenario.coordinates, self.max_error.T, strict=True)
-        errors |= {one.name: column for one, column in coordinates}
-        metrics = zip(self.scenario.recorded_metrics, self.worst_metric.T, strict=True)
-        errors |= {one.name: column for one, column in metrics}
-        return errors[one_of("error", by, errors)]
+        found = self._by_name(self.max_error, self.worst_metric) | {"distance": self.max_distance}
+        return found[one_of("error", by, found)]
 
-    def member(self, i: int) -> Member:
+    def rms(self, by: str = "heading") -> Array:
+        """Return each robot's root mean square of an error or metric, shape (n,).
+
+        Parameters
+        ----------
+        by : str
+            Name as in `largest`, except "distance".
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            Root mean squares after `Scenario.after`.
+
+        Raises
+        ------
+        UnknownName
+            If there is no such error.
+        """
+        found = self._by_name(self.rms_error, self.rms_metric)
+        return found[one_of("error", by, found)]
+
+    def _by_name(self, errors: Array, metrics: Array) -> dict[str, Array]:
+        names = [one.name for one in (*self.scenario.coordinates, *self.scenario.recorded_metrics)]
+        return {"heading": errors[:, 2]} | dict(zip(names, [*errors.T, *metrics.T], strict=True))
+
+    def arguments(self, i: int) -> Arguments:
         """Return robot i as the arguments of `simulate`.
 
         Parameters
@@ -366,7 +394,7 @@ class Ensemble:
 
         Returns
         -------
-        Member
+        Arguments
             Plant, controller, trajectory and options of this robot.
 
         Raises
@@ -381,12 +409,12 @@ class Ensemble:
                 f"controller is {self.scenario.controller}); expected the ensemble of "
                 "Ensemble.load(path, scenario), with the Scenario of the runs"
             )
-        return member_of(self.scenario, index)
+        return arguments_of(self.scenario, index)
 
     def _index(self, i: int) -> int:
         return whole("i", i, least=0, most=len(self) - 1)
 
-    def trace(self, i: int) -> Rollout:
+    def member(self, i: int) -> Rollout:
         """Return all samples of robot i, as kept or as `simulate` computes them.
 
         Both agree up to rounding. A loop that holds the robot to its reference keeps the difference small. A
@@ -405,15 +433,15 @@ class Ensemble:
         Raises
         ------
         InvalidArgument
-            If there is no such robot, or its samples are not kept and cannot be computed, see `member`.
+            If there is no such robot, or its samples are not kept and cannot be computed, see `arguments`.
         Diverged
             If the first sample exceeds the limit.
         """
         if self._index(i) in self.traces:
             return self.traces[self._index(i)]
-        member = self.member(i)
+        arguments = self.arguments(i)
         try:
-            return simulate(*member[:3], **member.options)
+            return simulate(*arguments[:3], **arguments.options)
         except Diverged as diverged:
             if diverged.rollout is None:
                 raise
@@ -449,8 +477,8 @@ class Ensemble:
         path : str or path
             Path of the file.
         scenario : Scenario, optional
-            Scenario of the runs. `member`, and `trace` of robots whose samples are not kept, need it, because
-            a file contains numbers and text, not objects.
+            Scenario of the runs. `arguments`, and `member` of robots whose samples are not kept, need it,
+            because a file contains numbers and text, not objects.
 
         Returns
         -------

@@ -203,7 +203,8 @@ class Loop:
     @cached_property
     def is_measured(self) -> bool:
         """Whether the recorder reads the plant's metrics."""
-        return bool(getattr(self.recorder, "metrics", ())) and able(self.plant, Measuring) is not None
+        asked = getattr(self.recorder, "metrics", ())
+        return any(isinstance(one, int) for one, _ in asked) and able(self.plant, Measuring) is not None
 
     @cached_property
     def signals(self) -> bool:
@@ -257,6 +258,8 @@ class Sample(NamedTuple):
         Signals by name, if the recorder has ``signals = True``.
     measured : ndarray, shape (m,)
         Metrics of the plant, if the recorder has ``metrics``.
+    reference : Reference
+        Reference of this sample.
 
     See Also
     --------
@@ -286,6 +289,7 @@ class Sample(NamedTuple):
     error_rate: Any
     signals: Mapping[str, Claim] = {}
     measured: Any = ()
+    reference: Any = None
 
 
 class Record(NamedTuple):
@@ -401,7 +405,7 @@ def step(
     measured: Any = ()
     if loop.is_measured:
         measured = evaluate_metrics_of(plant, t, q, v, a, u, reference)
-    sample = Sample(k, t, q, v, u, a, error, error_rate, signals, measured)
+    sample = Sample(k, t, q, v, u, a, error, error_rate, signals, measured, reference)
     record = NOTHING if loop.recorder is None else loop.recorder(sample, record_state)
     return State(q1, v1, after, kept, record.state), sample, record
 

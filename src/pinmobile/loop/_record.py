@@ -11,9 +11,11 @@ from typing import Any, ClassVar, final
 
 import numpy as np
 
-from pinmobile.arrays import Array
+from pinmobile.arrays import Array, are_real, one_of
+from pinmobile.compiled import has_symbols, place_of
+from pinmobile.errors import InvalidArgument, NotTraceable, shown
 from pinmobile.loop._loop import Record, Sample
-from pinmobile.metrics import size_of
+from pinmobile.metrics import Metric, size_of
 from pinmobile.parts import number, option, part
 
 
@@ -46,6 +48,24 @@ def is_alive(errors: Any, limit: Any, u: Any, a: Any) -> Any:
     return is_near(errors, limit) & (np.abs(np.sum(u, axis=-1) + np.sum(a, axis=-1)) < np.inf)
 
 
+class UntraceableMetric(NotTraceable):
+    """Error of a metric whose function does not accept symbols.
+
+    Parameters
+    ----------
+    name : str
+        Name of the metric.
+    error : Exception
+        Error of its function.
+    """
+
+    def __init__(self, name: str, error: Exception) -> None:
+        what, instead = f"it raises {type(error).__name__} ({error})", "write it in NumPy for one sample"
+        if isinstance(error, NotTraceable):
+            what, instead = error.what, error.instead
+        super().__init__(f"metrics has {name!r}: {what}", instead, place_of(error.__traceback__))
+
+
 @final
 @part
 class Worst:
@@ -60,9 +80,11 @@ class Worst:
     distances : tuple of tuple of int
         Groups of coordinates whose errors form a distance. The recorder keeps the largest distance and counts
         the sizes.
-    metrics : tuple of (int, bool)
-        Index of each recorded metric of the plant, and whether it is a margin, whose smallest value is the
-        worst; see `pinmobile.metrics.Metric`.
+    metrics : tuple of (int or Metric, bool)
+        Each recorded metric (of the plant: its index), and whether it is a margin, whose smallest value is
+        the worst; see `pinmobile.metrics.Metric`.
+    keep : tuple of str
+        Names of the signals that are kept of every sample.
 
     See Also
     --------
@@ -80,7 +102,13 @@ class Worst:
     limit: float = number(default=np.inf, above=0, endless=True, doc="largest error")
     begin: Any = number(default=None, optional=True, doc="first sample whose error is recorded")
     distances: tuple[tuple[int, ...], ...] = option(default=((0, 1), (2,)))
-    metrics: tuple[tuple[int, bool], ...] = option(default=())
+    metrics: tuple[tuple[int | Metric, bool], ...] = option(default=())
+    keep: tuple[str, ...] = option(default=())
+
+    @property
+    def signals(self) -> bool:
+        """Whether the recorder reads signals."""
+        return bool(self.keep) or any(isinstance(one, Metric) for one, _ in self.metrics)
 
     def initial_state(self, n: int, nu: int) -> dict[str, Array]:
         """Return the record before the first sample.
@@ -151,16 +179,21 @@ class Worst:
             else np.where(alive, error[..., group[0]], np.inf)
             for square, group in zip(groups, self.distances, strict=True)
         ]
-        if not self.metrics:
-            return Record(new, sizes)
-        kept, found = self._measured(sample, state, alive)
-        return Record(new | kept, sizes + found)
+        if self.metrics:
+            kept, found = self._measured(sample, state, alive)
+            new, sizes = new | kept, sizes + found
+        claims = {name: sample.signals[one_of("signal", name, sample.signals)] for name in self.keep}
+        series = {f"signal {name}": claim.value for name, claim in claims.items()}
+        return Record(new, sizes, series, {name: claim.unit for name, claim in claims.items()})
 
     def _measured(
         self, sample: Sample, state: Mapping[str, Any], alive: Any
     ) -> tuple[dict[str, Any], list[Any]]:
         """Return the record of the plant's metrics, and their sizes."""
-        columns = [(sample.measured[..., i], is_margin) for i, is_margin in self.metrics]
+        columns = [
+            (_value(one, sample) if isinstance(one, Metric) else sample.measured[..., one], is_margin)
+            for one, is_margin in self.metrics
+        ]
         bad = [-x if is_margin else np.abs(x) for x, is_margin in columns]
         before = {name: state[name] for name in ("worst", "metric_squares")}
         if self.begin is not None:  # reset infinite values of earlier samples, too
@@ -178,6 +211,21 @@ class Worst:
             for (x, is_margin), y in zip(columns, bad, strict=True)
         ]
         return kept, sizes
+
+
+def _value(metric: Metric, sample: Sample) -> Any:
+    """Return the number that the function of a metric returns for a sample."""
+    try:
+        found = metric.function(sample)  # type: ignore[misc]
+    except Exception as error:
+        if not has_symbols(sample.q):
+            raise
+        raise UntraceableMetric(metric.name, error) from error
+    if np.shape(found) != () or not are_real(np.asarray(found)):
+        raise InvalidArgument(
+            f"metrics has {metric.name!r}, whose function returned {shown(found)}, expected a number"
+        )
+    return 1.0 * np.asarray(found) if isinstance(found, bool | np.bool_) else found
 
 
 def _larger(a: Any, b: Any) -> Any:

@@ -18,18 +18,19 @@ from pinmobile.forces import Force
 from pinmobile.integrators import Integrator
 from pinmobile.loop._checks import sampled
 from pinmobile.loop._ensemble import Ensemble
-from pinmobile.loop._loop import Loop
+from pinmobile.loop._loop import Loop, Sample
 from pinmobile.loop._program import Compiled
 from pinmobile.loop._python import in_python, with_compiled_plant
-from pinmobile.loop._record import Worst
+from pinmobile.loop._record import UntraceableMetric, Worst
 from pinmobile.loop._scenario import Scenario, checked_scenario
 from pinmobile.loop._simulate import Engine, checked_engine
 from pinmobile.loop._spread import Source
 from pinmobile.loop._trace import arrays_of, initial_memory
-from pinmobile.loop._variables import Part, bins_of, member_of
-from pinmobile.metrics import metrics_of
+from pinmobile.loop._variables import Part, arguments_of, bins_of
+from pinmobile.metrics import Metric, metrics_of
 from pinmobile.parts import OnCoordinates, evolved, replace as replaced
 from pinmobile.plant import Context, Plant
+from pinmobile.signals import Signal
 from pinmobile.trajectories import Reference, Trajectory
 
 _ONE_BY_ONE = 16  # robots between two reports of progress
@@ -95,7 +96,7 @@ class Way:
         """Yield the records of some robots at a time, which allows progress reports and limits memory."""
         scenario, each = self.scenario, _ONE_BY_ONE
         if self.program is not None:
-            work = _SAMPLED if scenario.has_own_references else _WORK
+            work = _SAMPLED if scenario.has_own_references or scenario.keep else _WORK
             each = 256 * max(1, min(256, round(work / len(scenario.t) / 256)))
         for first in range(start, stop, each):
             last = min(first + each, stop)
@@ -107,10 +108,10 @@ class Way:
             for one, column in zip(scenario.recorded_metrics, part.rms_metric.T, strict=True):
                 wrong = np.flatnonzero(np.isnan(column))
                 if wrong.size:
+                    whose = f"plant is a {type(scenario.robot).__name__}, whose evaluate_metrics"
+                    whose = f"{whose}(t, q, v, a, u, reference)" if one.function is None else "its function"
                     raise InvalidArgument(
-                        f"robot {first + wrong[0]}: plant is a {type(scenario.robot).__name__}, whose "
-                        "evaluate_metrics(t, q, v, a, u, reference) returned NaN as "
-                        f"{one.name!r}, expected a number"
+                        f"robot {first + wrong[0]}: {whose} returned NaN as {one.name!r}, expected a number"
                     )
             yield part
             if progress is not None:
@@ -150,6 +151,8 @@ def way_of(scenario: Scenario, engine: Engine | None = None) -> Way:
         return Way(scenario, Engine.PYTHON)
     try:
         return Way(scenario, Engine.COMPILED, "", _as_compiled(scenario))
+    except UntraceableMetric as error:
+        raise InvalidArgument(f"{error.reason}, or give engine=Engine.PYTHON") from error
     except NotTraceable as error:
         if asked is not None:
             raise InvalidArgument(
@@ -166,7 +169,11 @@ def _with_recorder(scenario: Scenario, loop: Loop | None = None) -> Loop:
         limit=scenario.limit,
         begin=begin,
         distances=((0, 1), (2,), *((k,) for k in range(3, scenario.size))),
-        metrics=tuple((stated.index(one.name), one.is_margin) for one in scenario.recorded_metrics),
+        metrics=tuple(
+            (stated.index(one.name) if one.function is None else one, one.is_margin)
+            for one in scenario.recorded_metrics
+        ),
+        keep=tuple(scenario.keep),
     )
     return evolved(loop, {"recorder": recorder})
 
@@ -236,12 +243,16 @@ def _compiled(
         every=scenario.stride,
         threads=threads,
     )
-    return Part.of(scenario, program.recorded(outcome), outcome.counts)
+    kept = {
+        name: Signal(unit, outcome.kept[f"signal {name}"][:, :: scenario.stride])
+        for name, unit in program.tape.units.items()
+    }
+    return Part.of(scenario, program.recorded(outcome), outcome.counts, kept)
 
 
 def _alone(scenario: Scenario, draws: Mapping[str, Array], i: int, *, compiles: bool) -> Part:
     """Return the record of robot i; its controller, or its whole loop, runs in Python."""
-    member = member_of(scenario, i, draws)
+    member = arguments_of(scenario, i, draws)
     reference = sampled(member.trajectory, scenario.t, member.robot)
     context = Context.of(
         member.robot, dt=scenario.dt, t=scenario.t, reference=reference, trajectory=member.trajectory
@@ -259,6 +270,7 @@ def _alone(scenario: Scenario, draws: Mapping[str, Array], i: int, *, compiles: 
     for channel, one in enumerate(scenario.channels):
         if one.is_margin:
             counts[:, channel, 0], counts[:, channel, -1] = 1, 0
+    kept: dict[str, Signal] = {}
     with np.errstate(all="ignore"), contextlib.suppress(NotFinite):
         for k, (_, found) in enumerate(in_python(loop, context, q, v)):
             record = found.state
@@ -268,7 +280,11 @@ def _alone(scenario: Scenario, draws: Mapping[str, Array], i: int, *, compiles: 
                 sizes = bins_of(np.array(found.counted, np.float64))
                 counts[k // scenario.stride] = 0
                 counts[k // scenario.stride, range(len(sizes)), sizes] = 1
-    return Part.of(scenario, {name: np.asarray(x)[None] for name, x in record.items()}, counts)
+                for name, unit in found.units.items():
+                    value = found.kept[f"signal {name}"]
+                    row = np.zeros((1, len(scenario.grid), *np.shape(value)))
+                    kept.setdefault(name, Signal(unit, row)).values[0, k // scenario.stride] = value
+    return Part.of(scenario, {name: np.asarray(x)[None] for name, x in record.items()}, counts, kept)
 
 
 def ensemble(
@@ -287,7 +303,8 @@ def ensemble(
     limit: float = 1e3,
     after: float = 0.0,
     every: int | None = None,
-    metrics: Sequence[str] | None = None,
+    metrics: Sequence[str | Metric] | Mapping[str, Callable[[Sample], Any]] | None = None,
+    keep: Sequence[str] = (),
     traces: Iterable[int] = (),
     engine: Engine | None = None,
     threads: int | None = None,
@@ -327,10 +344,14 @@ def ensemble(
         Time from which the ensemble records errors [s].
     every : int, optional
         Samples between two entries of the bands over time; default: some 60 entries.
-    metrics : sequence of str, optional
-        Names of the robot's metrics to record beside errors; default: all, see `Scenario`.
+    metrics : sequence of str and Metric, or mapping of str to callable, optional
+        Metrics to record beside errors, see `Scenario`: names of the robot's metrics, or your own. A mapping
+        such as ``{"gap": lambda sample: 2.0 - sample.q[0]}`` adds functions of a `loop.Sample` to all metrics
+        of the robot; a `metrics.Metric` has a unit and a rule too. Default: all metrics of the robot.
+    keep : sequence of str
+        Names of signals of controller, forces or plant that are kept for all robots, see `Ensemble.kept`.
     traces : iterable of int
-        Indices of robots whose samples are kept as a `Rollout`, which `simulate` computes.
+        Indices of robots whose samples, signals included, are kept as a `Rollout`, which `simulate` computes.
     engine : Engine, optional
         `Engine.COMPILED`, the default if all parts can be compiled, or `Engine.PYTHON`, which runs one robot
         after another.
@@ -389,6 +410,7 @@ def ensemble(
         after=after,
         every=every,
         metrics=metrics,
+        keep=keep,
     )
     return run_scenario(scenario, traces=traces, engine=engine, threads=threads, progress=progress)
 

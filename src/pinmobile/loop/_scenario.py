@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, partial
@@ -11,7 +11,18 @@ from zlib import crc32
 
 import numpy as np
 
-from pinmobile.arrays import Array, affordable, bounded, finite, instance, positive, scalar, whole
+from pinmobile.arrays import (
+    Array,
+    affordable,
+    bounded,
+    finite,
+    instance,
+    positive,
+    scalar,
+    sequence,
+    text,
+    whole,
+)
 from pinmobile.compiled import BINS, Noise, is_traced
 from pinmobile.errors import InvalidArgument, UnknownName
 from pinmobile.integrators import Integrator
@@ -25,7 +36,7 @@ from pinmobile.loop._checks import (
     sample_times,
     sampled,
 )
-from pinmobile.loop._loop import Loop
+from pinmobile.loop._loop import Loop, Sample
 from pinmobile.loop._spread import (
     Relative,
     Source,
@@ -136,10 +147,14 @@ class Scenario(Recorded):
         Inputs, divergence and bands include the start.
     every : int, optional
         Samples between two entries of the bands over time; default: some 60 entries.
-    metrics : sequence of str, optional
-        Names of the robot's metrics to record beside errors; default: all. Compiled robots with arms take 1.4
-        times as long with all metrics as with none, ``()``. The metric "tip over" counts robots that tip
+    metrics : sequence of str and Metric, or mapping of str to callable, optional
+        Metrics to record beside errors: names of the robot's metrics, and `metrics.Metric` with a function of
+        a `loop.Sample`. A mapping of names to functions adds metrics without unit, whose largest size is the
+        worst, to all metrics of the robot. Default: all metrics of the robot. Compiled robots with arms take
+        1.4 times as long with all metrics as with none, ``()``. The metric "tip over" counts robots that tip
         over.
+    keep : sequence of str
+        Names of signals that are kept for all robots at the times of the bands, see `Ensemble.kept`.
 
     Attributes
     ----------
@@ -186,7 +201,8 @@ class Scenario(Recorded):
     limit: float = 1e3
     after: float = 0.0
     every: int | None = None
-    metrics: Sequence[str] | None = None
+    metrics: Sequence[str | Metric] | Mapping[str, Callable[[Sample], Any]] | None = None
+    keep: Sequence[str] = ()
     t: Array = field(init=False, repr=False)
     reference: Reference = field(init=False, repr=False)
 
@@ -223,6 +239,10 @@ class Scenario(Recorded):
         )
         own = 3 + 2 * self.size + len(self.inputs) + 2 * len(self.recorded_metrics) + len(self.spread)
         affordable(f"the records of {n:,} robots", own * n, "give a smaller n")
+        keep = [text("keep", name) for name in sequence("keep", self.keep, "names of signals")]
+        self._set(keep=tuple(dict.fromkeys(keep)))
+        size = 3 * len(keep) * n * len(self.grid)  # most signals have up to three entries
+        affordable(f"the signals of {n:,} robots at {len(self.grid)} times", size, "give a larger `every`")
         try:
             self._set(spread=checked_spread(self.spread, n, self.find))
         except UnknownName as error:
@@ -274,7 +294,7 @@ class Scenario(Recorded):
     def _check_answers(self) -> None:
         """Reject parts that return arrays of wrong shapes, or different values for the same arguments."""
         h = self.dt / self.substeps
-        if self.recorded_metrics:
+        if any(one.function is None for one in self.recorded_metrics):
             check_measured(self.robot, *self._beginning(self.robot), self.reference)
         check_answers(self.robot, self.forces, self.integrator, *self._beginning(self.robot), h)
         check_controllers_memory(self.controller, self.context, *self.start)
@@ -322,7 +342,7 @@ class Scenario(Recorded):
 
     @cached_property
     def recorded_metrics(self) -> tuple[Metric, ...]:
-        """Metrics of the robot that the ensemble records beside errors."""
+        """Metrics that the ensemble records beside errors."""
         errors = "distance", "heading", *(one.name for one in self._coordinates)
         return chosen(self.robot, self.metrics, errors)
 

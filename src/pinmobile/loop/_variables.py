@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,6 +19,7 @@ from pinmobile.loop._description import Outline
 from pinmobile.loop._scenario import Scenario
 from pinmobile.metrics import Metric, value_of
 from pinmobile.plant import Parameter
+from pinmobile.signals import Signal
 from pinmobile.trajectories import Trajectory
 
 _ROUNDING = 4 * float(np.finfo(np.float64).eps)  # rounding of a share such as 0.07 times a count
@@ -43,6 +45,8 @@ class Part(NamedTuple):
         Worst value and root mean square of each metric in the same samples as errors.
     counts : ndarray of int, shape (G, channels, BINS)
         Number of robots by time of the grid, channel of `Scenario.channels` and bin of sizes.
+    kept : mapping of str to Signal
+        Signals of `Scenario.keep` at the times of the grid, with values of shape (m, G) or (m, G, k).
 
     See Also
     --------
@@ -70,9 +74,16 @@ class Part(NamedTuple):
     worst_metric: Array
     rms_metric: Array
     counts: NDArray[np.int32]
+    kept: Mapping[str, Signal] = {}
 
     @classmethod
-    def of(cls, scenario: Scenario, record: Mapping[str, Array], counts: NDArray[np.int32]) -> Part:
+    def of(
+        cls,
+        scenario: Scenario,
+        record: Mapping[str, Array],
+        counts: NDArray[np.int32],
+        kept: Mapping[str, Signal] = MappingProxyType({}),
+    ) -> Part:
         """Return the records of m robots from the memory of `Worst`.
 
         Parameters
@@ -83,6 +94,8 @@ class Part(NamedTuple):
             Memory of the recorder after the last sample.
         counts : ndarray of int, shape (G, channels, BINS)
             Counts of sizes.
+        kept : mapping of str to Signal
+            Kept signals at the times of the grid.
 
         Returns
         -------
@@ -90,18 +103,22 @@ class Part(NamedTuple):
             Records of the robots.
         """
         lived = record["lived"].astype(np.int64)
-        kept = np.maximum(lived - scenario.begin, 1)[:, None]
+        over = np.arange(len(scenario.grid)) * scenario.stride >= lived[:, None]
+        for signal in kept.values():
+            signal.values[over] = np.nan
+        count = np.maximum(lived - scenario.begin, 1)[:, None]
         none = np.zeros((len(lived), 0))
         signs = np.array([-1.0 if one.is_margin else 1.0 for one in scenario.recorded_metrics])
         return cls(
             lived,
             record["largest"].copy(),  # a copy, so that the whole record can be freed
             np.sqrt(record["farthest"][:, 0]),
-            np.sqrt(record["squares"] / kept),
+            np.sqrt(record["squares"] / count),
             record["inputs"].copy(),
             record.get("worst", none) * signs,
-            np.sqrt(record.get("metric_squares", none) / kept),
+            np.sqrt(record.get("metric_squares", none) / count),
             counts,
+            kept,
         )
 
     @classmethod
@@ -118,18 +135,24 @@ class Part(NamedTuple):
         Part
             Records of all these robots.
         """
-        columns: list[list[Any]] = [[] for _ in cls._fields[:-1]]
+        columns: list[list[Any]] = [[] for _ in cls._fields[:-2]]
         counts: Any = 0
-        for *own, counted in parts:
+        series: dict[str, list[Signal]] = {}
+        for *own, counted, kept in parts:
             counts = counts + counted
             for column, rows in zip(columns, own, strict=True):
                 column.append(rows)
+            for name, signal in kept.items():
+                series.setdefault(name, []).append(signal)
+        every = {
+            name: Signal(x[0].unit, np.concatenate([one.values for one in x])) for name, x in series.items()
+        }
         # One array after the other, which needs little additional memory.
-        return cls._make([*(np.concatenate(columns.pop(0)) for _ in cls._fields[:-1]), counts])
+        return cls._make([*(np.concatenate(columns.pop(0)) for _ in cls._fields[:-2]), counts, every])
 
 
-class Member(NamedTuple):
-    """One robot of an ensemble: ``simulate(*member[:3], **member.options)`` simulates it.
+class Arguments(NamedTuple):
+    """One robot of an ensemble: ``simulate(*arguments[:3], **arguments.options)`` simulates it.
 
     Attributes
     ----------
@@ -140,8 +163,8 @@ class Member(NamedTuple):
 
     See Also
     --------
-    Ensemble.member : robot of an ensemble.
-    Ensemble.trace : samples of a robot.
+    Ensemble.arguments : robot of an ensemble.
+    Ensemble.member : samples of a robot.
 
     Examples
     --------
@@ -151,8 +174,8 @@ class Member(NamedTuple):
     >>> parts = robot, PD(120, 120), Tangent(Circle(1.0, 0.5, 4.0))
     >>> spread = {"mass": Uniform(20.0, 40.0)}
     >>> runs = ensemble(*parts, n=9, spread=spread, dt=0.02)
-    >>> member = runs.member(3)
-    >>> run = simulate(*member[:3], **member.options)
+    >>> arguments = runs.arguments(3)
+    >>> run = simulate(*arguments[:3], **arguments.options)
     >>> bool(abs(run.max_error() - runs.max_error[3]).max() < 1e-9)
     True
     """
@@ -163,7 +186,7 @@ class Member(NamedTuple):
     options: dict[str, Any]
 
 
-def member_of(scenario: Scenario, i: int, drawn: Mapping[str, Array] | None = None) -> Member:
+def arguments_of(scenario: Scenario, i: int, drawn: Mapping[str, Array] | None = None) -> Arguments:
     """Return robot i as the arguments of `simulate`.
 
     Parameters
@@ -193,7 +216,7 @@ def member_of(scenario: Scenario, i: int, drawn: Mapping[str, Array] | None = No
     }
     if scenario.is_noisy:
         options |= {"seed": scenario.seed, "member": i}
-    return Member(loop.plant, loop.controller, loop.trajectory, options)
+    return Arguments(loop.plant, loop.controller, loop.trajectory, options)
 
 
 def edges() -> Array:
@@ -476,6 +499,10 @@ def dataset_of(ensemble: Any, attributes: Mapping[str, Any]) -> Any:
     variables = {**_per_robot(ensemble), **over_all(scenario.channels)}
     arrays = summed(ensemble.counts, scenario.channels)
     arrays |= {name: array for name, _, array in _arrays(ensemble)}
+    for name, (unit, values) in ensemble.kept.items():
+        dimensions = ("robot", "time", f"entry of {name}")[: values.ndim]
+        variables[f"kept_{name}"] = Variable(dimensions, unit or "1", f"signal {name}")
+        arrays[f"kept_{name}"] = values
     axes = {
         name: (name, values, {"units": unit, "long_name": meaning})
         for name, values, unit, meaning in coordinates(scenario)

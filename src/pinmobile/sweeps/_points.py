@@ -131,6 +131,11 @@ class Points:
     def of(cls, scenario: Scenario, grid: Mapping[str, Any] | None, cases: Any = None) -> Points:
         """Return the points of grid x cases around a scenario; see `sweep` for the arguments."""
         instance("scenario", scenario, Scenario, "a Scenario")
+        if scenario.keep:
+            raise InvalidArgument(
+                f"keep is {list(scenario.keep)}, expected none: a store contains no signals, "
+                "run an `ensemble` with them at the point that you look at"
+            )
         grid, cases = _mapping("grid", grid), _mapping("cases", cases)
         cases = {name: _mapping(f"cases[{name!r}]", changes) for name, changes in cases.items()}
         for path in sorted(grid.keys() & {path for changes in cases.values() for path in changes}):
@@ -322,7 +327,7 @@ def _with_entry(base: Any, one: Found, value: Any, size: int) -> Any:
 FORMAT = 4
 """Version of the store format."""
 
-_PLAIN = ("n", "seed", "dt", "substeps", "limit", "after", "stride", "metrics")
+_PLAIN = ("n", "seed", "dt", "substeps", "limit", "after", "stride")
 _SHOWN = 16  # largest array whose numbers a description contains
 _LONG = 100  # longest text that a description contains
 _DIGEST = re.compile(r"\b[0-9a-f]{32} of ")
@@ -382,6 +387,7 @@ def _described(scenario: Scenario, version: str | None) -> dict[str, Any]:
 
 def _contents(scenario: Scenario) -> Iterator[tuple[str, Any]]:
     """Yield classes and fields of the loop and of the spread, by path."""
+    yield "metrics", scenario.metrics
     for path, part in parts_of(scenario.given):
         yield path or "loop", type(part)
     for leaf in walk(scenario.given):

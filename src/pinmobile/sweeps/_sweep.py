@@ -622,7 +622,7 @@ def _answer(future: Future[Any], client: Any) -> tuple[dict[str, Array], Part]:
         draws, part = future.result()
     except (CancelledError, distributed.CancelledError, distributed.KilledWorker) as error:
         raise _lost(client, f"dropped a chunk ({type(error).__name__}: {error})") from error
-    return draws, Part(*map(np.array, part))  # received arrays may be read-only
+    return draws, Part._make((*map(np.array, part[:-1]), {}))  # received arrays may be read-only
 
 
 def _lost(client: Any, why: str) -> SchedulerError:
