@@ -11,9 +11,8 @@ from scipy import stats
 
 import pinmobile as pm
 from pinmobile import plots
-from pinmobile.loop import Engine, run_scenario
+from pinmobile.loop import Engine, causes, run_scenario, worst_share
 from pinmobile.loop._variables import PER_ROBOT
-from pinmobile.plots.sensitivity import causes, worst_share
 from tests.damage import answer, damaged
 from tests.refusals import refused
 

@@ -15,8 +15,7 @@ from matplotlib.patches import Rectangle
 import pinmobile as pm
 from pinmobile import plots
 from pinmobile.errors import UnknownName
-from pinmobile.loop import Engine
-from pinmobile.plots.sensitivity import causes, worst_share
+from pinmobile.loop import Engine, causes, worst_share
 from pinmobile.plots.style import percent
 
 pytestmark = pytest.mark.once

@@ -881,13 +881,111 @@ def reference_sizes_of(plant: object) -> Mapping[int, int]:
 
 
 _SLACK = 1e-6  # relative to a limit: tolerance of integration errors
+_BEYOND = {
+    kind: begin + " {value} {unit} at t = {at} s, beyond its limit of {limit} {unit} since t = {t} s"
+    for kind, begin in {
+        "position limit": "{name} reaches",
+        "speed limit": "{name} moves at",
+        "effort limit": "input of {name} reaches",
+    }.items()
+} | {"saturation": "input {name} is at its limit of {limit} {unit} (from t = {t} s, {count})"}
 
 
-def limits_exceeded(plant: object, t: Array, q: Array, v: Array, u: Array | None = None) -> tuple[str, ...]:
-    """Return a sentence for each limit of a plant that samples exceed, with the largest excess.
+class Event(NamedTuple):
+    """State of a run that a real robot may not reach or survive, see `Rollout.events`.
+
+    Attributes
+    ----------
+    kind : str
+        ``"position limit"``, ``"speed limit"`` or ``"effort limit"``, which a value exceeds;
+        ``"saturation"`` of an input, or ``"current limit"``, which a value reaches; ``"tip over"``;
+        ``"slip"``; ``"ground"``, whose loads did not converge; or the name of a metric of the plant: a margin
+        below 0, or what happens.
+    name : str
+        Coordinate, input, motor, wheel or metric.
+    t : float
+        Time of the first sample [s].
+    at, value : float
+        Time [s] and value of the worst sample.
+    limit : float
+        Limit of the value.
+    unit : str
+        Unit of value and limit, "" for none.
+    samples : int
+        Number of samples.
+    words : str
+        Sentence, which is also the text of the event.
+
+    See Also
+    --------
+    Rollout.events : events of a run.
+    simulate : run that ends at an event, by `stop_at`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile.plant import Event
+    >>> t, gap = np.array([0.0, 0.1, 0.2]), np.array([0.2, -0.1, -0.3])
+    >>> event = Event.of("gap", "gap", t, gap, -gap, words="gap: {value} m")
+    >>> str(event), event.t, event.at
+    ('gap: -0.3 m', 0.1, 0.2)
+    """
+
+    kind: str
+    name: str
+    t: float
+    at: float
+    value: float
+    limit: float
+    unit: str
+    samples: int
+    words: str
+
+    def __str__(self) -> str:
+        return self.words
+
+    @classmethod
+    def of(
+        cls,
+        kind: str,
+        name: str,
+        t: Array,
+        values: Array,
+        beyond: Array,
+        *,
+        words: str,
+        limit: float = 0.0,
+        unit: str = "",
+        slack: float = 0.0,
+    ) -> Event | None:
+        """Return the event of samples whose values are beyond a limit by more than the slack, or None.
+
+        Parameters
+        ----------
+        kind, name, limit, unit
+            As in the event.
+        t, values, beyond : ndarray, shape (N,)
+            Times [s], values, and their excess, whose largest is the worst.
+        words : str
+            Sentence with places: ``{value}``, ``{limit}``, ``{unit}``, ``{at}``, ``{t}`` and ``{count}``.
+        slack : float
+            Excess that is no event.
+        """
+        happens = beyond > slack
+        if not happens.any():
+            return None
+        k, first, count = int(beyond.argmax()), float(t[happens.argmax()]), int(happens.sum())
+        at, value = float(t[k]), float(values[k])
+        told = {"value": f"{value:.4g}", "limit": f"{limit:.4g}", "unit": unit, "name": name}
+        told |= {"at": f"{at:g}", "t": f"{first:g}", "count": f"{count} of {len(t)} samples"}
+        return cls(kind, name, first, at, value, float(limit), unit, count, words.format(**told))
+
+
+def limits_exceeded(plant: object, t: Array, q: Array, v: Array, u: Array | None = None) -> tuple[Event, ...]:
+    """Return an event for each limit of a plant that samples exceed, and each input at its limit.
 
     ``coordinates`` contain the limits of position; ``velocity_limit`` and ``effort_limit`` of the robot
-    contain the others.
+    contain the others; ``inputs`` contain the limits within which the loop keeps inputs.
 
     Parameters
     ----------
@@ -898,8 +996,8 @@ def limits_exceeded(plant: object, t: Array, q: Array, v: Array, u: Array | None
 
     Returns
     -------
-    sentences : tuple of str
-        One sentence per exceeded limit.
+    events : tuple of Event
+        One event per exceeded limit.
 
     See Also
     --------
@@ -915,36 +1013,35 @@ def limits_exceeded(plant: object, t: Array, q: Array, v: Array, u: Array | None
     >>> limits_exceeded(robot, np.zeros(1), q, v)
     ()
     """
-    named, found, names = coordinates_of(plant), [], list(configuration_names_of(plant))
+    named, names = coordinates_of(plant), list(configuration_names_of(plant))
+    found: list[Event | None] = []
 
-    def check(values: Array, lower: float, upper: float, what: str, unit: str) -> None:
+    def check(kind: str, name: str, values: Array, lower: float, upper: float, unit: str) -> None:
         beyond = np.maximum(lower - values, values - upper)
         k = int(beyond.argmax())
-        limit = lower if values[k] < lower else upper
-        if beyond[k] > _SLACK * abs(limit):
-            first = t[np.argmax(beyond > _SLACK * abs(limit))]
-            found.append(
-                f"{what} {values[k]:.4g} {unit} at t = {t[k]:g} s, beyond its limit of {limit:.4g} {unit} "
-                f"since t = {first:g} s"
-            )
+        limit = lower if lower - values[k] >= values[k] - upper else upper
+        slack = _SLACK * (-1.0 if kind == "saturation" else 1.0) * abs(limit)
+        told: Any = {"words": _BEYOND[kind], "limit": limit, "unit": unit, "slack": slack}
+        found.append(Event.of(kind, name, t, values, beyond, **told))
 
     for one in named:
         if np.isfinite([one.lower, one.upper]).any() and one.name in names:
-            check(q[:, names.index(one.name)], one.lower, one.upper, f"{one.name} reaches", one.unit)
+            check("position limit", one.name, q[:, names.index(one.name)], one.lower, one.upper, one.unit)
+    driven = {} if u is None else dict(zip((one.name for one in inputs_of(plant)), u.T, strict=False))
+    for each in inputs_of(plant) if driven else ():
+        check("saturation", each.name, driven[each.name], each.lower, each.upper, each.unit)
     robots = plant, stated(plant, "robot")
     robot: Any = next((each for each in robots if stated(each, "effort_limit") is not None), None)
-    if robot is None:
-        return tuple(found)
-    rates = [one.name for one in named]
-    columns = [one.name for one in inputs_of(plant)] if u is not None else []
-    for one, own, speed, effort in zip(
-        coordinates_of(robot), inputs_of(robot), robot.velocity_limit, robot.effort_limit, strict=True
-    ):
-        if one.name in rates:
-            check(v[:, rates.index(one.name)], -speed, speed, f"{one.name} moves at", f"{one.unit}/s")
-        if u is not None and own.name in columns:
-            check(u[:, columns.index(own.name)], -effort, effort, f"input of {own.name} reaches", own.unit)
-    return tuple(found)
+    if robot is not None:
+        rates = [one.name for one in named]
+        for one, own, speed, effort in zip(
+            coordinates_of(robot), inputs_of(robot), robot.velocity_limit, robot.effort_limit, strict=True
+        ):
+            if one.name in rates:
+                check("speed limit", one.name, v[:, rates.index(one.name)], -speed, speed, f"{one.unit}/s")
+            if own.name in driven:
+                check("effort limit", own.name, driven[own.name], -effort, effort, own.unit)
+    return tuple(one for one in found if one is not None)
 
 
 def check_plant(plant: object) -> None:

@@ -1,5 +1,6 @@
 """Closed loops: `simulate` runs one robot, `ensemble` many; `Rollout` and `Ensemble` are their results."""
 
+from pinmobile.loop._causes import Cause as Cause, causes as causes, worst_share as worst_share
 from pinmobile.loop._checks import (
     chosen_integrator as chosen_integrator,
     sampled as sampled,

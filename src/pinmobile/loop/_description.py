@@ -220,7 +220,7 @@ class Outline(Recorded):
             forces=forces,
             spread={name: _source(source) for name, source in spread},
             coordinates=tuple(Coordinate(*one[:2]) for one in given.coordinates),
-            inputs=tuple(Input(*one[:2]) for one in given.inputs),
+            inputs=tuple(Input(*one[:4]) for one in given.inputs),
             recorded_metrics=tuple(one._replace(function=None) for one in given.recorded_metrics),
         )
 
@@ -247,6 +247,19 @@ class Outline(Recorded):
             (f"{name} differs" for name, pair in zip(names, pairs, strict=True) if not alike(*pair)), ""
         )
 
+    @property
+    def spread_in_words(self) -> str:
+        """Names of the spread with distributions and units, "" if nothing is spread."""
+        given = (self._source_in_words(source) for source in self.spread.values())
+        units = (one.unit for one in self.parameters.values())
+        told = zip(self.spread, given, units, strict=True)
+        rows = ((name, x, "" if x.startswith("Relative(") else unit) for name, x, unit in told)
+        return ", ".join(f"{name} {words} {unit}".rstrip() for name, words, unit in rows)
+
+    @staticmethod
+    def _source_in_words(source: str | SameAs) -> str:
+        return f"{source.name} times {source.factor}" if isinstance(source, SameAs) else source
+
     def __str__(self) -> str:
         told = self._told()
         numbers = ", ".join(f"{name} {told.pop(name)}" for name in _NUMBERS)
@@ -257,8 +270,7 @@ class Outline(Recorded):
         found = {name: getattr(self, name) for name in _PARTS}
         found |= {f"forces[{k}]": force for k, force in enumerate(self.forces)}
         for name, source in self.spread.items():
-            words = f"{source.name} times {source.factor}" if isinstance(source, SameAs) else source
-            found[f"spread[{name!r}]"] = words
+            found[f"spread[{name!r}]"] = self._source_in_words(source)
         if self.recorded_metrics:
             found["metrics"] = ", ".join(one.name for one in self.recorded_metrics)
         return found | {name: f"{getattr(self, name)!r}" for name in _NUMBERS}

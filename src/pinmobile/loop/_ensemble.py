@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pinmobile.arrays import Array, ArrayLike, location, one_of, whole
 from pinmobile.errors import Diverged, InvalidArgument
 from pinmobile.files import read_archive, write_archive, write_table
+from pinmobile.loop._causes import causes, worst_share
 from pinmobile.loop._description import Outline, alike, judgement, ranges
 from pinmobile.loop._rollout import Rollout
 from pinmobile.loop._scenario import Scenario
@@ -30,9 +31,11 @@ from pinmobile.loop._variables import (
     quantiles_of,
     share_within,
 )
+from pinmobile.metrics import Metric
 from pinmobile.signals import Signal
 
 _FORMAT = "pinmobile ensemble 5"
+_WORST, _FEW, _CAUSES = 0.05, 40, 3  # share of the worst, robots that it needs, and numbers in one line
 _V = TypeVar("_V")
 
 
@@ -251,10 +254,36 @@ class Ensemble:
 
     @property
     def events(self) -> tuple[str, ...]:
-        """Sentences about events after `Scenario.after`, such as the number of robots that tip over."""
-        happened = zip(self.scenario.recorded_metrics, (self.worst_metric > 0).sum(axis=0), strict=True)
-        told = [(one, int(count)) for one, count in happened if one.worst == "ever" and count]
-        return tuple(f"{count:,} of {len(self):,} robots {one.name}: {one.meaning}" for one, count in told)
+        """Sentences about events after `Scenario.after`, such as the number of robots that tip over.
+
+        They count robots with an event or a negative margin among the metrics, and inputs at their limits.
+        """
+        return tuple(words for _, words in self.told())
+
+    def told(self) -> list[tuple[bool, str]]:
+        """Return the sentences of `events`, each with whether a metric with the rule "ever" states it."""
+        lines = []
+        for each in self.scenario.recorded_metrics:
+            words = f"have a negative {each.name}" if each.is_margin else each.name
+            lines.append((each.worst == "ever", f"{words}: {each.meaning}", self._fails(each)))
+        for one, most in zip(self.scenario.inputs, self.max_input.T, strict=True):
+            words = f"have input {one.name} at its limit of {one.upper:.4g} {one.unit}".rstrip()
+            lines.append((False, words, most >= max(abs(one.lower), abs(one.upper))))
+        count = f"of {len(self):,} robots"
+        return [(ever, f"{fails.sum():,} {count} {words}") for ever, words, fails in lines if fails.any()]
+
+    def _fails(self, metric: Metric) -> NDArray[np.bool_]:
+        """Return the robots with an event, or with a negative margin, shape (n,)."""
+        values = self.largest(metric.name)
+        return (values < 0) if metric.is_margin else (values > 0) & (metric.worst == "ever")
+
+    @property
+    def faults(self) -> dict[str, NDArray[np.bool_]]:
+        """Robots that diverged, that have an event, or a negative margin, masks of shape (n,) by reason."""
+        found = {"diverged": self.diverged}
+        for one in self.scenario.recorded_metrics:
+            found[f"{one.name} below 0" if one.is_margin else one.name] = self._fails(one)
+        return {reason: robots for reason, robots in found.items() if robots.any()}
 
     def error_quantile(self, share: float = 0.99) -> ErrorQuantile:
         """Return the errors that a share of the robots does not exceed after `Scenario.after`.
@@ -356,7 +385,7 @@ class Ensemble:
         UnknownName
             If there is no such error.
         """
-        found = self._by_name(self.max_error, self.worst_metric) | {"distance": self.max_distance}
+        found = {"distance": self.max_distance, **self._by_name(self.max_error, self.worst_metric)}
         return found[one_of("error", by, found)]
 
     def rms(self, by: str = "heading") -> Array:
@@ -552,7 +581,7 @@ class Ensemble:
         write_table(path, *columns_of(self))
 
     def __repr__(self) -> str:
-        return f"<Ensemble: {self._judgement()}>"
+        return f"<Ensemble: {'; '.join([self._judgement(), *self._failures()])}>"
 
     def __str__(self) -> str:
         samples = f"seed {self.scenario.seed}, {len(self.scenario.t)} samples each"
@@ -560,9 +589,26 @@ class Ensemble:
         judged = self.worst_metric, self.scenario.recorded_metrics
         rows = ranges(self.max_distance, self.max_error, self.max_input, *named, *judged)
         words = [str(self.scenario)] if isinstance(self.scenario, Outline) else []
-        return "\n".join([self._judgement(), samples, *rows, *words])
+        drawn = Outline.of(self.scenario).spread_in_words
+        told = [*([f"spread: {drawn}"] if drawn else []), *self._failures(), *self.events, *self._drivers()]
+        return "\n".join([self._judgement(), samples, *told, *rows, *words])
+
+    def _failures(self) -> list[str]:
+        """Return a line with the number of robots that failed and the reasons; no line if none did."""
+        if not (faults := self.faults):
+            return []
+        failed = int(np.any(list(faults.values()), axis=0).sum())
+        reasons = ", ".join(f"{robots.sum():,} {reason}" for reason, robots in faults.items())
+        return [f"failed: {failed:,} of {len(self):,} robots ({reasons})"]
+
+    def _drivers(self) -> list[str]:
+        """Return a line with the numbers of the spread that the worst robots share."""
+        if len(self) < _FEW or not any(np.ptp(values) > 0 for values in self.draws.values()):
+            return []
+        found = [one for one in causes(self, worst_share(self, _WORST)) if one.visible]
+        words = ", ".join(f"{one.name} {one.place}" for one in found[:_CAUSES])
+        return [f"the worst {_WORST * 100:g} % by distance have {words or 'nothing of the spread in common'}"]
 
     def _judgement(self) -> str:
         within, counted = self.error_quantile(0.99), (int(self.diverged.sum()), self.scenario.after)
-        words = judgement(len(self), self.scenario.t[-1], (within.distance, within.heading), *counted)
-        return "; ".join([words, *self.events])
+        return judgement(len(self), self.scenario.t[-1], (within.distance, within.heading), *counted)

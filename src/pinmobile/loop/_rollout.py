@@ -15,16 +15,17 @@ import pinocchio as pin
 from pinmobile.arrays import Array, finite, frozen, increasing, location, real, shaped
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.files import packed, read_archive, unpacked, write_archive, write_table
+from pinmobile.loop._events import events_of
 from pinmobile.metrics import evaluate_metrics_of, in_words, metrics_of
 from pinmobile.plant import (
     Coordinate,
+    Event,
     Input,
     PlantOutline,
     all_samples,
     configuration_names_of,
     coordinates_of,
     inputs_of,
-    limits_exceeded,
     reference_sizes_of,
     stated,
     whole_configurations,
@@ -222,10 +223,6 @@ def _coordinates_of(plant: Any, frame: str) -> int:
 _POSE = 3  # x, y, psi
 _RECORDED = ("t", "q", "v", "a", "u", "error")
 _FORMAT = "pinmobile rollout 4"
-_GROUND = {
-    "tips": "no loads of wheels and supports balance the robot: it tips over, which is not simulated",
-    "missed": "loads and forces of the ground did not converge to their tolerance",
-}
 
 
 def error_text(value: float) -> str:
@@ -352,27 +349,18 @@ class Rollout:
                 "largest input: " + ", ".join(inputs[: self._led] if self._by_coordinate else inputs),
                 *self._of_joints(),
                 *self._of_end_effector(),
-                *self.events,
+                *map(str, self.events),
             ]
         )
 
     @cached_property
-    def events(self) -> tuple[str, ...]:
-        """Sentences about limits that the run exceeds.
+    def events(self) -> tuple[Event, ...]:
+        """Limits that the run exceeds, inputs and currents at their limits, slip, tipping over.
 
-        They cover limits of position, speed and torque, and times at which the ground cannot carry the robot.
+        Each `plant.Event` states what happens, when, and how much; its text is a sentence. Margins of the
+        plant's metrics below 0 are events too.
         """
-        found = list(limits_exceeded(self.plant, self.t, self.q, self.v, self.u))
-        for name, words in _GROUND.items() if stated(self.plant, "contact_loads") else ():
-            told = np.empty(0, int)
-            if name in self.signals:
-                told = np.flatnonzero(self.signals[name].values)
-            elif name == "tips" and any(one.worst == "ever" for one in metrics_of(self.plant)):
-                # Rolling wheels do not record this signal.
-                told = np.flatnonzero(self.plant.contact_loads(self.q, self.v, self.a).tips)
-            if len(told):
-                found.append(f"{words} (from t = {self.t[told[0]]:g} s, {len(told)} of {len(self)} samples)")
-        return tuple(found)
+        return events_of(self)
 
     @property
     def coordinates(self) -> tuple[Coordinate, ...]:

@@ -483,8 +483,8 @@ def run_scenario(
     found = Ensemble.of(
         scenario, draws, part, followed, engine=repr(way.engine), fallback_reason=way.fallback_reason
     )
-    if found.events:
-        warn("; ".join(found.events), LimitWarning, stacklevel=3)
+    if told := [words for happens, words in found.told() if happens]:
+        warn("; ".join(told), LimitWarning, stacklevel=3)
     return found
 
 

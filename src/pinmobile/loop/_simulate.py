@@ -10,7 +10,17 @@ from warnings import warn
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, finite, instance, positive, shaped, whole
+from pinmobile.arrays import (
+    Array,
+    ArrayLike,
+    finite,
+    instance,
+    one_of,
+    positive,
+    sequence,
+    shaped,
+    whole,
+)
 from pinmobile.controllers import Controller
 from pinmobile.errors import Diverged, InvalidArgument, LimitWarning, NotTraceable, SlowerEngine
 from pinmobile.forces import Force
@@ -26,13 +36,14 @@ from pinmobile.loop._checks import (
     sample_times,
     sampled,
 )
+from pinmobile.loop._events import events_of, is_fault, kinds_of
 from pinmobile.loop._loop import Loop, named_forces
 from pinmobile.loop._python import CompiledRun, PythonRun, Run, with_compiled_plant
 from pinmobile.loop._record import is_near
 from pinmobile.loop._rollout import Rollout
 from pinmobile.parts import OnCoordinates, Starting, able
 from pinmobile.plant import Context, Plant, all_samples, coordinates_of, stated, whole_configurations
-from pinmobile.signals import told_at
+from pinmobile.signals import Signal, told_at
 from pinmobile.trajectories import Reference, Trajectory, check_limits
 
 
@@ -98,6 +109,7 @@ def simulate(
     substeps: int = 1,
     forces: Sequence[Force | OnCoordinates] | Mapping[str, Force | OnCoordinates] = (),
     limit: float = 1e3,
+    stop_at: Sequence[str] = (),
     engine: Engine | None = None,
     seed: int = 0,
     member: int = 0,
@@ -141,6 +153,8 @@ def simulate(
     limit : float
         Largest error of a coordinate or velocity [m, rad, m/s, rad/s]. The loop has diverged if an error
         exceeds this limit.
+    stop_at : sequence of str
+        Kinds of events at which the rollout ends, such as ``["tip over", "slip"]``, see `plant.Event`.
     engine : Engine, optional
         `Engine.PYTHON` or `Engine.COMPILED`; default: the plant's choice. A `MobileRobot` runs in Python with
         Pinocchio's dynamics. A robot on wheels runs compiled, unless its controller cannot be compiled.
@@ -168,7 +182,7 @@ def simulate(
     SlowerEngine
         If a part prevents compilation of a loop that should be compiled.
     LimitWarning
-        Once, if the run exceeds limits of the robot or the robot tips over, see `Rollout.events`.
+        Once, if the run exceeds limits of the robot or a robot on wheels tips over, see `Rollout.events`.
 
     See Also
     --------
@@ -192,7 +206,8 @@ def simulate(
     checked_loop(plant, controller, trajectory, integrator)
     t = sample_times(dt, duration, trajectory.duration)
     count, checked = checked_substeps(substeps, len(t)), checked_forces(forces, plant)
-    asked = checked_engine(engine)
+    asked, known = checked_engine(engine), kinds_of(plant)
+    stops = [one_of("event", kind, known) for kind in sequence("stop_at", stop_at, "kinds of events")]
     compiles = asked is Engine.COMPILED or (asked is None and stated(plant, "compiles"))
     whole_loop = Loop(plant, controller, trajectory, checked, integrator, count)
     reference = sampled(trajectory, t, plant)
@@ -215,15 +230,35 @@ def simulate(
         bad, why = _first_bad(plant, loop, reference, begin, end, limit)
         if bad is not None:
             kept = _rollout(plant, t, loop, reference, bad, made, told) if bad else None
+            if (stopped := _stopped(kept, stops)) is not None:
+                return stopped
             q, v, _, _ = loop.samples(bad, bad + 1)
             message = f"the loop diverged at t = {t[bad]:g} s (sample {bad} of {len(t) - 1}): {why}"
             message += _too_stiff(plant, checked, start[0], dt / count)
-            message += "".join(f"; {event}" for event in (kept.events if kept else ()))
+            message += "".join(f"; {event}" for event in _faults(kept))
             raise Diverged(message, time=float(t[bad]), q=q[0], v=v[0], rollout=kept) from loop.stopped
     found = _rollout(plant, t, loop, reference, len(t), made, told)
-    if found.events:
-        warn("; ".join(found.events), LimitWarning, stacklevel=2)
+    found = _stopped(found, stops) or found
+    if faults := _faults(found):
+        warn("; ".join(faults), LimitWarning, stacklevel=2)
     return found
+
+
+def _faults(run: Rollout | None) -> list[str]:
+    """Return the events that a run does not simulate, as text."""
+    return [str(event) for event in events_of(run, with_metrics=False) if is_fault(event)] if run else []
+
+
+def _stopped(run: Rollout | None, kinds: Sequence[str]) -> Rollout | None:
+    """Return the samples up to the first event of some kinds; None if there is none."""
+    times = [event.t for event in (run.events if run and kinds else ()) if event.kind in kinds]
+    if run is None or not times:
+        return None
+    end = int(np.searchsorted(run.t, min(times))) + 1
+    cut = {name: getattr(run, name)[:end] for name in ("t", "q", "v", "a", "u", "error")}
+    cut["reference"] = Reference(*(part[:end] for part in run.reference))
+    cut["signals"] = {name: Signal(unit, x[:end]) for name, (unit, x) in run.signals.items()}
+    return replace(run, **cut)
 
 
 def _engaged(

@@ -158,6 +158,7 @@ def errors(rollouts: Rollouts, **layout: Unpack[Layout]) -> Figure:
     for index, (label, run) in enumerate(runs.items()):
         column = grid[:, index]
         draw(column, run.t, run.error, **line_style(0, 1) | {"color": colour(index)})
+        mark_events(column, run, colour(index))
         room = sheet.room() / (1 + many)
         for axes, (_, unit), values in zip(column, names, run.error.T, strict=False):
             largest = f"largest {_power(float(np.abs(values).max()))} {unit}"
@@ -276,6 +277,7 @@ def signals(rollouts: Rollouts, **layout: Unpack[Layout]) -> Figure:
     return sheet.finish("Signals", keys)
 
 
+_NEAR = 0.03  # share of the duration within which events have one mark
 _MOST = 6  # largest number of rows with labels beside the axes; more rows have labels above the axes
 
 
@@ -290,7 +292,29 @@ def _over_each_other(
     sheet, panels = _rows(names, layout)
     for index, run in enumerate(runs.values()):
         draw(panels, run.t, values(run), **style, **line_style(index, len(runs)))
+        mark_events(panels, run, line_style(index, len(runs))["color"])
     return sheet, panels
+
+
+def mark_events(panels: Iterable[Axes], run: Rollout, paint: Any) -> None:
+    """Draw a line at the first sample of each kind of event, with its name in the first panel."""
+    begun = {event.kind: event.t for event in reversed(run.events)}
+    times: dict[float, list[str]] = {}
+    for kind, t in sorted(begun.items(), key=lambda pair: pair[1]):
+        near = next((each for each in times if t - each < _NEAR * run.t[-1]), t)
+        times.setdefault(near, []).append(kind)
+    for row, axes in enumerate(panels):
+        for t, kinds in times.items():
+            axes.axvline(t, color=paint, linewidth=1.0, linestyle=":", zorder=2)
+            if row == 0:
+                late = t > run.t[-1] / 2
+                place: Any = {
+                    "xytext": (-3 if late else 3, -2),
+                    "ha": "right" if late else "left",
+                    "va": "top",
+                }
+                look: Any = {"fontsize": letters(0.85), "color": paint, "textcoords": "offset points"}
+                axes.annotate(", ".join(kinds), (t, 1), xycoords=("data", "axes fraction"), **place, **look)
 
 
 def _rows(names: Sequence[tuple[str, str]], layout: Layout) -> tuple[Sheet, list[Axes]]:

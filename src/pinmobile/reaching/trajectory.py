@@ -627,7 +627,7 @@ def solve_inverse_kinematics(
     way = resolved(resolved.t)
     exceeded = limits_exceeded(robot, resolved.t, way.q, way.v, robot.inverse_dynamics(*way))
     if exceeded:
-        warn("; ".join(exceeded), LimitWarning, stacklevel=2)
+        warn("; ".join(map(str, exceeded)), LimitWarning, stacklevel=2)
     return resolved
 
 

@@ -50,8 +50,8 @@ def _captions(
 ) -> list[str]:
     """Return a caption with time and errors for each frame; it changes at most ten times per second.
 
-    The caption contains the position error, the largest error of a revolute joint if there is one, and in a
-    separate line the errors of an end effector with a target.
+    The caption contains the position error, the largest error of a revolute joint if there is one, and in
+    separate lines the errors of an end effector with a target and the kinds of events so far.
 
     Parameters
     ----------
@@ -76,10 +76,14 @@ def _captions(
     }
     joints = any(values.shape[1] > 1 for values in rows.values())
     what = "position error, largest of a joint" if joints else "position error"
+    events = {label: {e.kind: e.t for e in reversed(run.events)} for label, run in runs.items()}
     written: dict[int, str] = {}
     for k in np.unique(first):
         lines = [f"t = {times[k]:.1f} s", what, *_told(rows, int(k))]
         lines += ["end effector's error", *_told(reaching, int(k))] if reaching else []
+        for label, kinds in events.items():
+            happened = ", ".join(kind for kind, t in kinds.items() if t <= times[k])
+            lines += [f"{label and label + '  '}{happened}"] if happened else []
         written[int(k)] = "\n".join(lines)
     return [written[int(k)] for k in first]
 

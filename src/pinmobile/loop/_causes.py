@@ -1,0 +1,147 @@
+"""Numbers of a spread that the worst robots of an ensemble share, by Kuiper's statistic."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pinmobile.arrays import Array, scalar
+from pinmobile.errors import InvalidArgument
+from pinmobile.loop._spread import SameAs
+
+_CRITICAL = 2.001  # of Kuiper's test at 1 %: Stephens, J. R. Stat. Soc. B 32 (1970)
+_ONE_SIDED = 0.1  # share of the statistic below which one side counts as chance
+
+
+class Cause(NamedTuple):
+    """A parameter and the interval in which the worst robots have it.
+
+    Attributes
+    ----------
+    name, unit : str
+        Name and unit of the parameter.
+    values : ndarray, shape (n,)
+        Value of each robot.
+    difference : float
+        Kuiper's statistic of the worst against the others, 0 to 1.
+    visible : bool
+        Whether the difference is more than chance at 1 %.
+    low, high : float
+        Interval (low, high] of the worst robots; bounds may be infinite.
+    outside : bool
+        Whether the worst robots are outside the interval instead.
+    """
+
+    name: str
+    unit: str
+    values: Array
+    difference: float
+    visible: bool
+    low: float
+    high: float
+    outside: bool
+
+    @property
+    def label(self) -> str:
+        """Name and unit as an axis label."""
+        return f"{self.name} [{self.unit}]" if self.unit else self.name
+
+    @property
+    def place(self) -> str:
+        """Interval of the worst robots, in words."""
+        unit = f" {self.unit}" if self.unit else ""
+        if self.outside:
+            return f"below {self.low:.3g} or above {self.high:.3g}{unit}"
+        if np.isinf(self.low):
+            return f"below {self.high:.3g}{unit}"
+        if np.isinf(self.high):
+            return f"above {self.low:.3g}{unit}"
+        return f"from {self.low:.3g} to {self.high:.3g}{unit}"
+
+    def holds(self, values: Array) -> NDArray[np.bool_]:
+        """Return which values are in the interval of the worst robots."""
+        between = (values > self.low) & (values <= self.high)
+        return ~between if self.outside else between
+
+
+def worst_share(ensemble: Any, share: float, by: str = "distance") -> NDArray[np.bool_]:
+    """Return a mask of the worst robots, shape (n,): the first of `Ensemble.worst`.
+
+    Raises
+    ------
+    InvalidArgument, UnknownName
+        If `share` is outside (0, 1) or leaves no robot on one side, or there is no error of this name.
+    """
+    part, n = scalar("share", share), len(ensemble)
+    count = round(part * n)
+    if not (0 < part < 1 and 0 < count < n):
+        raise InvalidArgument(
+            f"share is {part}, {count:,} of {n:,} robots, expected above 0 and below 1, with at least 1 "
+            "robot on each side"
+        )
+    worst = np.zeros(n, bool)
+    worst[ensemble.worst(count, by)] = True
+    return worst
+
+
+def causes(ensemble: Any, worst: NDArray[np.bool_]) -> list[Cause]:
+    """Return the parameters that differ between robots, in descending order of Kuiper's statistic.
+
+    Parameters
+    ----------
+    ensemble : Ensemble
+        Ensemble of robots.
+    worst : ndarray of bool, shape (n,)
+        Mask of the worst robots.
+
+    Raises
+    ------
+    InvalidArgument
+        If all robots have the same parameters.
+    """
+    found = [
+        _cause(name, unit, values, worst)
+        for name, unit, values in _parameters(ensemble)
+        if np.ptp(values) > 1e-12 * np.abs(values).max()
+    ]
+    if not found:
+        raise InvalidArgument(
+            "ensemble has robots with the same parameters, expected a spread of at least one parameter"
+        )
+    return sorted(found, key=lambda one: -one.difference)
+
+
+def _parameters(ensemble: Any) -> list[tuple[str, str, Array]]:
+    """Return name, unit and values of each independent parameter; for `SameAs`, the factor."""
+    found = []
+    for name, values in ensemble.draws.items():
+        source = ensemble.scenario.spread[name]
+        base = ensemble.draws.get(source.name) if isinstance(source, SameAs) else None
+        if isinstance(source, SameAs) and base is not None:
+            ratio = np.divide(values, base, out=np.ones_like(values), where=base != 0)
+            found.append((f"{name} / {source.name}", "", ratio))
+        else:
+            found.append((name, ensemble.scenario.parameters[name].unit, values))
+    return found
+
+
+def _cause(name: str, unit: str, values: Array, worst: NDArray[np.bool_]) -> Cause:
+    # scipy.stats is slow to load, and other figures do not need it.
+    from scipy.stats import ks_2samp
+
+    bad, good = values[worst], values[~worst]
+    # Up to `high`, the excess of the worst robots is largest; up to `low`, the excess of the others.
+    above, below = (ks_2samp(bad, good, alternative=side, method="asymp") for side in ("greater", "less"))
+    high, low = float(above.statistic_location), float(below.statistic_location)
+    difference = float(above.statistic + below.statistic)
+    size = np.sqrt(len(bad) * len(good) / len(values))
+    visible = bool(difference * (size + 0.155 + 0.24 / size) > _CRITICAL)
+    if above.statistic <= _ONE_SIDED * difference:
+        high = np.inf
+    elif below.statistic <= _ONE_SIDED * difference:
+        low = -np.inf
+    outside = high < low
+    low, high = sorted((low, high))
+    return Cause(name, unit.replace("^2", "²"), values, difference, visible, low, high, outside)

@@ -1,0 +1,174 @@
+"""Events of a run and of an ensemble: limits, saturation, slip, tipping over; and runs that end at them."""
+
+import math
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import pinmobile as pm
+from pinmobile import (
+    Circle,
+    Coulomb,
+    MobileRobot,
+    Rollout,
+    Tangent,
+    WheeledRobot,
+    WheelTable,
+    plots,
+    simulate,
+)
+from pinmobile.controllers import TorqueToVoltage, WheelSpeed
+from pinmobile.errors import LimitWarning, UnknownName
+from pinmobile.plant import Event
+from pinmobile.viewer.scene import _captions
+from tests.looping import Swing
+
+WHEEL: Any = {"mass": 1.0, "spin_inertia": 0.01, "supports": [(0.3, 0)]}
+
+
+def on_wheels(ground: Any = None, height: float = 0.1, **motors: Any) -> WheeledRobot:
+    table = WheelTable.differential(0.5, 0.1, **WHEEL, **motors)
+    return WheeledRobot(MobileRobot(30, 3, com=(0.1, 0, height)), table, ground or pm.Rolling())
+
+
+def turning(robot: WheeledRobot, rate: float = 1.5, **options: Any) -> Rollout:
+    law, path = WheelSpeed(pm.UnicycleTracking(), robot, kp=5), Tangent(Circle(1.0, rate, 2.0))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", LimitWarning)
+        return simulate(robot, law, path, dt=0.01, **options)
+
+
+def of_kind(run: Rollout, kind: str) -> Event:
+    """Return the first event of a kind; only inputs and motors have several."""
+    found = [event for event in run.events if event.kind == kind]
+    assert len({event.name for event in found}) == len(found) > 0
+    return found[0]
+
+
+def test_an_input_at_its_limit_is_an_event_without_a_warning() -> None:
+    robot = on_wheels(motor=pm.Motor(torque_limit=0.5))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        run = simulate(
+            robot, WheelSpeed(pm.UnicycleTracking(), robot, kp=5), Tangent(Circle(1.0, 1.5, 2.0)), dt=0.01
+        )
+    event, at = of_kind(run, "saturation"), np.abs(run.u[:, 0]) == 0.5
+    assert (event.name, event.t, event.samples) == ("left", run.t[at.argmax()], at.sum())
+    assert abs(event.value) == abs(event.limit) == 0.5
+    assert f"input left is at its limit of {event.limit:g} N m (from t = {event.t:g} s" in str(run)
+
+
+def test_a_motor_at_its_current_is_an_event() -> None:
+    robot = on_wheels(motor=pm.Motor(resistance=2, torque_constant=0.5, voltage=24, current=1.0))
+    by_voltage = robot.by_voltage()
+    law = TorqueToVoltage(WheelSpeed(pm.UnicycleTracking(), robot, kp=5), by_voltage)
+    run = simulate(by_voltage, law, Tangent(Circle(1.0, 1.5, 2.0)), dt=0.01)
+    event = of_kind(run, "current limit")
+    at = np.abs(run.signals["currents"].values[:, 0]) >= 1.0 - 1e-6
+    assert (event.name, event.limit, event.samples) == ("left", 1.0, at.sum())
+
+
+def test_a_wheel_that_slides_is_an_event_with_its_fastest_slip() -> None:
+    run = turning(on_wheels(Coulomb(0.05)))
+    event, slides = of_kind(run, "slip"), run.signals["slides"].values > 0
+    speeds = np.hypot(run.signals["slip_along"].values, run.signals["slip_across"].values) * slides
+    assert event.value == speeds.max()
+    assert event.unit == "m/s"
+    assert event.t == run.t[speeds.max(axis=1) > 0][0]
+    assert "slip" not in {one.kind for one in turning(on_wheels(Coulomb(5.0)), rate=0.1).events}
+
+
+def test_rolling_that_the_ground_cannot_hold_is_slip() -> None:
+    run = turning(on_wheels(), rate=4.0)
+    event, margin = of_kind(run, "slip"), run.metrics()["slip margin"].values
+    assert event.value == margin.min() < 0
+    assert event.unit == "N"
+    assert event.samples == (margin < 0).sum()
+
+
+def test_an_arm_whose_base_tips_over_is_an_event() -> None:
+    robot = MobileRobot(3.0, 1.0, com=(0, 0, 0.1)).mount("ur5", (0.3, 0, 0.2, 0))
+    run = simulate(robot, pm.ComputedTorque(robot, 100, 20), Swing(robot), dt=0.01, duration=0.2)
+    assert of_kind(run, "tip over").value == run.metrics()["tip-over margin"].values.min() < 0
+
+
+@pytest.mark.parametrize("engine", [pm.Engine.COMPILED, pm.Engine.PYTHON])
+def test_a_run_ends_at_the_first_event_of_a_kind(engine: pm.Engine) -> None:
+    robot = on_wheels(Coulomb(0.3), height=0.5)
+    whole = turning(robot, engine=engine)
+    first = of_kind(whole, "tip over")
+    assert 0 < first.t < whole.t[-1]
+    ended = turning(robot, engine=engine, stop_at=["tip over"])
+    assert ended.t[-1] == first.t
+    assert of_kind(ended, "tip over").samples == 1
+    for name in ("q", "v", "u", "error"):
+        np.testing.assert_array_equal(getattr(ended, name), getattr(whole, name)[: len(ended)])
+    np.testing.assert_array_equal(ended.signals["loads"].values, whole.signals["loads"].values[: len(ended)])
+    np.testing.assert_array_equal(ended.reference.q, whole.reference.q[: len(ended)])
+    assert len(turning(robot, engine=engine, stop_at=["current limit"])) == len(whole)
+
+
+def test_a_run_that_diverges_after_its_end_does_not_diverge() -> None:
+    robot = on_wheels(Coulomb(0.3), height=0.5)
+    with pytest.raises(pm.Diverged):
+        turning(robot, limit=0.5)
+    assert turning(robot, limit=0.5, stop_at=["slip"]).t[-1] < 1.0
+
+
+def test_an_unknown_kind_of_event_is_refused() -> None:
+    with pytest.raises(
+        UnknownName, match=r"unknown event 'slips', did you mean 'slip'\?.*position limit, .*tip over"
+    ):
+        turning(on_wheels(), stop_at=["slips"])
+    with pytest.raises(pm.InvalidArgument, match="stop_at is 'slip', expected kinds of events"):
+        turning(on_wheels(), stop_at="slip")
+
+
+def test_figures_and_captions_name_events() -> None:
+    run = turning(on_wheels(Coulomb(0.3), height=0.5))
+    for figure in (plots.errors(run), plots.states(run), plots.forces(run)):
+        words = {text.get_text() for text in figure.axes[0].texts}
+        assert {"slip", "tip over"} <= {kind for text in words for kind in text.split(", ")}
+        assert not any("slip" in text.get_text() for text in figure.axes[1].texts)
+    times, first = np.array([0.0, 2.0]), of_kind(run, "tip over").t
+    before, after = _captions({"": run}, times, {})
+    assert first > 0
+    assert "tip over" not in before
+    assert "tip over" in after
+
+
+def test_an_ensemble_states_what_was_spread_who_failed_and_what_drives_the_worst(tmp_path: Path) -> None:
+    robot = on_wheels(motor=pm.Motor(torque_limit=1.0))
+    law = WheelSpeed(pm.UnicycleTracking(), robot, kp=5)
+    spread: Any = {"com.z": pm.Uniform(0.1, 0.9), "start.y": pm.Uniform(0.0, 0.3)}
+    with pytest.warns(LimitWarning, match=r"^6 of 100 robots tip over: no loads"):
+        runs = pm.ensemble(robot, law, Tangent(Circle(1.0, 1.5, 2.0)), n=100, spread=spread, dt=0.02)
+    text = str(runs)
+    assert "spread: com.z Uniform(low=0.1, high=0.9) m, start.y Uniform(low=0.0, high=0.3) m\n" in text
+    tips, lifts = (runs.largest("tip over") > 0, runs.largest("load") < 0)
+    slips = runs.largest("slip margin") < 0
+    failed = (tips | lifts | slips).sum()
+    reasons = f"{lifts.sum()} load below 0, {tips.sum()} tip over, {slips.sum()} slip margin below 0"
+    assert f"failed: {failed} of 100 robots ({reasons})\n" in text
+    assert (
+        f"{(runs.max_input[:, 0] >= 1.0).sum()} of 100 robots have input left at its limit of 1 N m" in text
+    )
+    assert "the worst 5 % by distance have start.y above 0.2" in text
+    assert 0 < tips.sum() < failed < 100
+    runs.save(tmp_path / "runs.npz")
+    again = pm.Ensemble.load(tmp_path / "runs.npz")
+    assert again.events == runs.events
+    assert str(again).startswith(text.partition("\n")[0])
+    index = int(tips.argmax())
+    assert of_kind(runs.member(index), "tip over").kind == "tip over"
+    assert "failed" not in str(
+        pm.ensemble(robot, law, Tangent(Circle(1.0, 0.1, 2.0)), n=2, spread={}, dt=0.02)
+    )
+
+
+def test_a_limit_without_a_number_is_no_event() -> None:
+    t, values = np.array([0.0, 1.0]), np.array([1.0, 2.0])
+    assert Event.of("effort limit", "arm", t, values, values - math.inf, words="", limit=math.inf) is None
