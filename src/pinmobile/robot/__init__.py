@@ -7,6 +7,7 @@ from pinmobile.robot.articulated import (
     PlanarDynamics as PlanarDynamics,
     slopes as slopes,
 )
+from pinmobile.robot.description import described as described
 from pinmobile.robot.linkage import (
     BODY_JOINT,
     ONE as ONE,

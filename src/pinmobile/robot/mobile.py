@@ -51,6 +51,7 @@ from pinmobile.parts import (
 from pinmobile.robot.arm_loading import KeptArm, existing_folders, read_arm
 from pinmobile.robot.arms import check_whole, com_field
 from pinmobile.robot.articulated import ArticulatedDynamics, PlanarDynamics, Tree
+from pinmobile.robot.description import described
 from pinmobile.robot.linkage import BODY_JOINT
 from pinmobile.robot.model_import import (
     LOCKED,
@@ -238,6 +239,27 @@ class MobileRobot(System):
             f"MobileRobot(mass={self.mass!r}, yaw_inertia={self.yaw_inertia!r}, com={self.com!r}, "
             f"size={self.size!r}{table}){mounted}{attached}"
         ) + (f" with {LOCKED}" if self.locked_joints else "")
+
+    def describe(self) -> str:
+        """Return the numbers of the robot as text: body, loads, arms with limits, sources, and if it stands.
+
+        ``print(robot)`` prints the same.
+
+        Returns
+        -------
+        str
+            Lines of text.
+
+        Examples
+        --------
+        >>> from pinmobile import MobileRobot
+        >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3, com=(0.4, 0, 0))
+        >>> print(robot.describe().splitlines()[-1])
+        cannot stand: its centre of mass lies 0.1 m outside its supports
+        """
+        return described(self)
+
+    __str__ = describe
 
     def _key(self) -> tuple[object, ...]:
         own = self.mass, self.com, self.body.inertia.tobytes(), self.size, self.dh

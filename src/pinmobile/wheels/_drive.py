@@ -18,7 +18,15 @@ from pinmobile.integrators import rk4
 from pinmobile.metrics import Metric
 from pinmobile.parts import Desired, also_symbols, by_value, child, evolved, part, required, structure, takes
 from pinmobile.plant import ContactLoads, Contacts, Coordinate, Input, SlipMargins
-from pinmobile.robot import BODY_JOINT, LOCKED, Linearization, MobileRobot, PayloadBody, number
+from pinmobile.robot import (
+    BODY_JOINT,
+    LOCKED,
+    Linearization,
+    MobileRobot,
+    PayloadBody,
+    described,
+    number,
+)
 from pinmobile.wheels._coulomb import Coulomb
 from pinmobile.wheels._dynamics import PlantOnWheels, of_ground
 from pinmobile.wheels._loads import (
@@ -124,6 +132,27 @@ class WheeledRobot(PlantOnWheels):
     def __repr__(self) -> str:
         body = repr(self.robot).removesuffix(f" with {LOCKED}")
         return f"WheeledRobot({body}, {self.table!r}, {self.ground!r})"
+
+    def describe(self) -> str:
+        """Return the numbers of the robot as text, see `MobileRobot.describe`, with wheels and motors.
+
+        ``print(robot)`` prints the same.
+
+        Returns
+        -------
+        str
+            Lines of text.
+
+        Examples
+        --------
+        >>> from pinmobile import MobileRobot, Motor, WheeledRobot, WheelTable
+        >>> motor = Motor(resistance=2, torque_constant=0.5, voltage=24)
+        >>> table = WheelTable.differential(0.5, 0.1, motor=motor)
+        >>> robot = WheeledRobot(MobileRobot(30.0, 1.3), table)
+        >>> print(robot.describe().splitlines()[-4])
+          left   6 N m         48 rad/s, 4.8 m/s  24 V     none     given
+        """
+        return described(self.robot, self)
 
     @classmethod
     def from_urdf(

@@ -556,6 +556,10 @@ class PlantOnWheels:
     broadcasts: ClassVar[bool] = True
     compiles: ClassVar[bool] = True
     array_dynamics: Any
+    describe: Any
+
+    def __str__(self) -> str:
+        return str(self.describe())
 
     @cached_property
     def _is_symbolic(self) -> bool:

@@ -1,0 +1,118 @@
+"""Robots as text: body, loads, arms and supports, each with its numbers and their source."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from pinmobile.arrays import Array
+from pinmobile.robot.support_geometry import margin_inside
+
+
+def numbers(values: Any, unit: str = "") -> str:
+    """Return numbers as text, such as ``(0.1, 0, 0.2) m``."""
+    told = [f"{value:.4g}" if abs(value) > 1e-12 else "0" for value in np.atleast_1d(values)]
+    joined = ", ".join(told)
+    return f"{joined if len(told) == 1 else f'({joined})'} {unit}".rstrip()
+
+
+def columns(rows: Sequence[Sequence[str]], indent: str = "  ") -> list[str]:
+    """Return rows as lines with aligned columns."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return [indent + "  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
+
+
+def interval(lower: float, upper: float, unit: str) -> str:
+    """Return a range as text; "none" without limits."""
+    if np.isinf([lower, upper]).all():
+        return "none"
+    return f"{lower:.4g} to {upper:.4g} {unit}" if lower != -upper else f"+-{upper:.4g} {unit}"
+
+
+def stands(place: Array, corners: Array | None) -> str:
+    """Return whether a robot stands on its supports, as a sentence.
+
+    Parameters
+    ----------
+    place : ndarray, shape (2,)
+        Point below the centre of mass, in the body frame [m].
+    corners : ndarray, shape (k, 2), or None
+        Corners of the support polygon in the body frame [m]; None if it is unknown.
+    """
+    if corners is None:
+        return "supports are unknown, or lie on one line"
+    margin = float(margin_inside(corners, place))
+    if margin < 0:
+        return f"cannot stand: its centre of mass lies {-margin:.2g} m outside its supports"
+    return f"stands: its centre of mass is {margin:.2g} m inside the edge of its supports"
+
+
+def of_robot(robot: Any, corners: Array | None) -> list[str]:
+    """Return the lines about a `MobileRobot`, with the corners of its supports."""
+    rows = [
+        ["mass", numbers(robot.mass, "kg")],
+        ["centre of mass", numbers(robot.com, "m")],
+        ["yaw inertia", f"{numbers(robot.yaw_inertia, 'kg m^2')} about the centre of mass"],
+        ["inertia", f"diagonal {numbers(np.diag(robot.body.inertia), 'kg m^2')}"],
+        ["size", f"{' x '.join(numbers(x) for x in robot.size)} m"],
+    ]
+    if corners is not None:
+        spans = zip("xy", corners.min(axis=0), corners.max(axis=0), strict=True)
+        words = ", ".join(f"{one} {low:.4g} to {high:.4g} m" for one, low, high in spans)
+        rows.append(["supports", f"{len(corners)} corners, {words}"])
+    first, *rest = robot._source.split("; ")
+    lines = ["body", *columns([*rows, ["source", first], *(["", each] for each in rest)])]
+    for load in robot.loads:
+        place = f" on {load.frame}" if load.frame else ""
+        lines.append(f"load{place}: {numbers(load.mass, 'kg')}, centre of mass {numbers(load.com, 'm')}")
+    for mount in robot.mounts:
+        mass = sum(link.mass for link in mount.links)
+        place = f"{numbers(mount.at[:3], 'm')}, yaw {numbers(mount.at[3], 'rad')}"
+        lines.append(f"arm {mount.name}: {numbers(mass, 'kg')} at {place}")
+        heads = [["joint", "position", "speed", "effort"]]
+        for k in range(mount.v.start, mount.v.stop):
+            one, speed, effort = robot.coordinates[k], robot.velocity_limit[k], robot.effort_limit[k]
+            limits = [interval(one.lower, one.upper, one.unit), interval(-speed, speed, f"{one.unit}/s")]
+            heads.append([one.name, *limits, interval(-effort, effort, robot.inputs[k].unit)])
+        lines += columns(heads)
+    if robot.mounts:
+        notes = robot.source.removeprefix(robot._source).removeprefix("; ")
+        lines += ["numbers of arms: from their files", *(f"  {each}" for each in notes.split("; ") if each)]
+    if robot.mounts or robot.loads:
+        whole = robot.lumped()
+        place = f"centre of mass {numbers(whole.com, 'm')} in the reference posture"
+        lines.append(f"whole robot: {numbers(whole.mass, 'kg')}, {place}")
+    return lines
+
+
+def of_wheels(wheeled: Any) -> list[str]:
+    """Return the lines about the wheels and motors of a `WheeledRobot`."""
+    table, rows = wheeled.table, [["motor", "stall torque", "top speed", "voltage", "current", "source"]]
+    radii = {each.name: each.radius for each in table.wheels}
+    for each in table.actuators:
+        motor, speed = each.motor, "none"
+        if motor.is_electric:
+            rate = motor.no_load_rate()
+            along = f", {numbers(rate * radii[each.name], 'm/s')}" if each.name in radii else ""
+            speed = numbers(rate, "rad/s") + along
+        limits = (motor.largest_torque, "N m"), (motor.voltage or np.inf, "V"), (motor.current, "A")
+        torque, volts, current = (numbers(x, unit) if np.isfinite(x) else "none" for x, unit in limits)
+        rows.append([each.name, torque, speed, volts, current, motor.source or "given"])
+    axes = [["steering", "angle"], *([x.name, interval(-x.limit, x.limit, "rad")] for x in table.axes)]
+    return [
+        "wheels",
+        *(f"  {each}" for each in table.source.split("; ")),
+        *(f"  {line}" for line in str(table).splitlines()),
+        *columns(axes if table.axes else []),
+        *columns(rows),
+        f"ground: {wheeled.ground!r}",
+    ]
+
+
+def described(robot: Any, wheeled: Any = None) -> str:
+    """Return a `MobileRobot` as text, or a `WheeledRobot` on it."""
+    corners = robot.footprint if wheeled is None else wheeled.footprint
+    lines = of_robot(robot, corners) + (of_wheels(wheeled) if wheeled is not None else [])
+    return "\n".join([*lines, stands(np.array(robot.lumped().com[:2]), corners)])
