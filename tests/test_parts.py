@@ -203,7 +203,7 @@ def test_a_users_plant_has_the_same_numbers_by_all_engines(what: str) -> None:
 
 def test_an_ensemble_of_a_users_plant_is_told_by_its_names_and_units(tmp_path: Path) -> None:
     run = run_scenario(carted())
-    rows = [line.partition("least")[0].rstrip() for line in str(run).splitlines()[2:]]
+    rows = [line.partition("least")[0].rstrip() for line in str(run).splitlines()[3:]]
     assert rows == [
         "largest distance [m]",
         "largest error of x [m]",

@@ -43,6 +43,7 @@ from pinmobile.controllers.kinematic_laws import (
 )
 from pinmobile.controllers.lqr import LQR
 from pinmobile.controllers.mpc import MPC
+from pinmobile.controllers.sampled import Sampled
 from pinmobile.controllers.wrappers import (
     ADRC,
     ControlAllocation,
@@ -76,6 +77,7 @@ __all__ = [
     "PDGravity",
     "Parking",
     "RandomSteps",
+    "Sampled",
     "SlidingMode",
     "State",
     "SuperTwisting",
