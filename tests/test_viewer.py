@@ -30,6 +30,7 @@ from pinmobile.errors import ViewerError
 from pinmobile.palette import colour
 from pinmobile.viewer import Arrows, FixedCamera, Follow, Overlays, Recording, Viewer, shapes
 from pinmobile.viewer.recording import Browser, gif as encoded_gif
+from pinmobile.viewer.scene_tree import Stage
 from pinmobile.viewer.shapes import coarse
 from tests.chromium import Chromium, Page
 
@@ -769,3 +770,27 @@ def test_bands_along_many_lines_are_the_ribbon_of_each() -> None:
     np.testing.assert_array_equal(found[0], vertices)
     np.testing.assert_array_equal(found[1], faces)
     assert found[1].dtype == faces.dtype
+
+
+def test_a_ramp_inclines_the_scene_and_gravity_points_down(monkeypatch: pytest.MonkeyPatch) -> None:
+    told: dict[Any, Any] = {}
+    monkeypatch.setattr(Stage, "set", lambda self, path, name, value: told.update({(path, name): value}))
+    table = pm.WheelTable.differential(0.5, 0.1, mass=1.0, spin_inertia=0.01, supports=[(0.3, 0)])
+    flat = pm.WheeledRobot(pm.MobileRobot(30.0, 1.3, com=(0.1, 0, 0.1)), table)
+    with Viewer(flat) as viewer:
+        viewer.display(flat.rest)
+    assert ("meshcat", "quaternion") not in told
+    robot = flat.on_ramp(0.3, direction=0.8)
+    with Viewer(robot) as viewer:
+        viewer.display(robot.rest)
+    first = {name: first_column(told[name, "quaternion"]) for name in ("meshcat", "meshcat/gravity")}
+    axis = [math.sin(0.8), -math.cos(0.8), 0.0]  # about which the plane is turned
+    x = math.cos(0.3) * np.array([1.0, 0, 0]) + (1 - math.cos(0.3)) * axis[0] * np.array(axis)
+    np.testing.assert_allclose(first["meshcat"], x + math.sin(0.3) * np.cross(axis, [1.0, 0, 0]), atol=1e-12)
+    np.testing.assert_allclose(first["meshcat/gravity"], robot.ground.ramp.fall(1.0), atol=1e-9)
+
+
+def first_column(quaternion: list[float]) -> list[float]:
+    """Return the first column of the rotation matrix of a quaternion."""
+    x, y, z, w = quaternion
+    return [1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w)]

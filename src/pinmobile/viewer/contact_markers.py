@@ -1,11 +1,13 @@
-"""Markers in the scene: contact forces, friction discs, instantaneous centre, end effectors."""
+"""Markers in the scene: ramps, contact forces, friction discs, instantaneous centre, end effectors."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 import numpy as np
+import pinocchio as pin
 
 import pinmobile.viewer.shapes as shapes
 from pinmobile.arrays import Array
@@ -13,10 +15,10 @@ from pinmobile.errors import InvalidArgument, PinmobileError, shown
 from pinmobile.loop import EndEffector, Rollout
 from pinmobile.palette import GRIPS, INK, QUIET, SLIDES, colour
 from pinmobile.parts import Touching, able
-from pinmobile.plant import Contacts
+from pinmobile.plant import Contacts, stated
 from pinmobile.signals import Signal
 from pinmobile.viewer.motion import Channel, along, samples_before
-from pinmobile.viewer.scene_tree import Extent, Stage
+from pinmobile.viewer.scene_tree import Extent, Stage, View
 
 _ORDER = 20  # over what lies on the ground, under what shows through everything
 _SIDES = 6
@@ -264,3 +266,63 @@ def draw_centre(
         channels.append(Channel(f"{path}/{name}", "position", np.column_stack([place, ground]) + aside))
         channels.append(Channel(f"{path}/{name}", "scale", shown_at))
     return channels, [["line to the instantaneous centre of rotation", INK, "", 0.6]]
+
+
+_TOP, _SIDE, _BELOW = "#f1f3f4", "#d3d8dc", -2  # colours, and the order of the sides: below the grid
+_LONG = 0.8  # of the arrow, in lengths of the robot
+
+
+def ramp_of(robot: Any) -> Any:
+    """Return the `wheels.Ramp` on which a robot stands; None on level ground, or for other robots."""
+    plant = stated(robot, "plant") or robot
+    return stated(stated(plant, "ground"), "ramp")
+
+
+def inclined(ramp: Any) -> Array:
+    """Return the rotation matrix from the axes of the plane to those of level ground, shape (3, 3)."""
+    axis = np.array([np.sin(ramp.direction), -np.cos(ramp.direction), 0.0])
+    return np.asarray(pin.AngleAxis(float(ramp.angle), axis).toRotationMatrix())
+
+
+def draw_ramp(stage: Stage, ramp: Any, extent: Extent, view: View) -> View:
+    """Incline the scene, draw the body of the ramp and gravity, and return the view of it.
+
+    All objects of a scene are below the node ``meshcat``, in the axes of the plane.
+
+    Parameters
+    ----------
+    stage : Stage
+        Stage of the scene.
+    ramp : Ramp
+        Inclination of the plane.
+    extent : Extent
+        Visible part of the plane.
+    view : View
+        View of level ground.
+    """
+    R = inclined(ramp)
+    stage.set("meshcat", "quaternion", pin.Quaternion(R).coeffs().tolist())
+    (x0, *_, x1), (y0, *_, y1) = extent.lines(0), extent.lines(1)
+    top = np.array([[x0, y0, 0.0], [x1, y0, 0.0], [x1, y1, 0.0], [x0, y1, 0.0]])
+    floor = top @ R.T
+    lowest, highest = floor[:, 2].min(), floor[:, 2].max()
+    floor[:, 2] = lowest
+    corners = np.concatenate([top, floor @ R])  # rotated back into the plane
+    sides = [[k, (k + 1) % 4, 4 + k, (k + 1) % 4, 4 + (k + 1) % 4, 4 + k] for k in range(4)]
+    faces = np.array(sides, np.uint32).reshape(-1, 3)
+    stage.put("meshcat/ramp/sides", shapes.flat((corners, faces), _SIDE, order=_BELOW))
+    upper = np.array([[0, 1, 2], [0, 2, 3]], np.uint32)
+    stage.put("meshcat/ramp/top", shapes.flat((top, upper), _TOP, order=_BELOW + 1))  # over the rear sides
+    place = np.array([x1, (y0 + y1) / 2, 0.0]) + R.T @ np.array([0.0, 0.0, 1.3 * _LONG * extent.unit])
+    down = pin.Quaternion.FromTwoVectors(np.array([1.0, 0.0, 0.0]), R.T @ np.array([0.0, 0.0, -1.0]))
+    vertices, triangles = shapes.arrow(0.06)
+    arrow = _LONG * extent.unit * vertices, triangles
+    stage.put("meshcat/gravity", shapes.over(arrow, INK, order=45))
+    stage.set("meshcat/gravity", "position", place.tolist())
+    stage.set("meshcat/gravity", "quaternion", down.coeffs().tolist())
+    stage.put("meshcat/gravityname", shapes.word("g", INK, 0.42 * extent.unit, lying=False, order=46))
+    stage.set("meshcat/gravityname", "position", (place + R.T @ [0, 0, 0.3 * extent.unit]).tolist())
+    target = R @ view.target
+    middle = np.array([target[0], target[1], (lowest + highest) / 2])
+    farther = 1.0 + (highest - lowest) / max(2.0 * extent.radius, 1e-9)
+    return View(middle + farther * (view.eye - view.target), middle)

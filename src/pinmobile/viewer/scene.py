@@ -23,9 +23,11 @@ from pinmobile.viewer.contact_markers import (
     draw_centre,
     draw_contacts,
     draw_hand,
+    draw_ramp,
     draw_trail,
     hand_errors,
     hand_of,
+    ramp_of,
 )
 from pinmobile.viewer.motion import (
     Channel,
@@ -50,8 +52,8 @@ def _captions(
 ) -> list[str]:
     """Return a caption with time and errors for each frame; it changes at most ten times per second.
 
-    The caption contains the position error, the largest error of a revolute joint if there is one, and in
-    separate lines the errors of an end effector with a target and the kinds of events so far.
+    The caption contains the position error with the largest error of a revolute joint if there is one, and in
+    separate lines the errors of an end effector with a target, and the kinds of events so far.
 
     Parameters
     ----------
@@ -74,13 +76,11 @@ def _captions(
         for label, run in runs.items()
         if (errors := hand_errors(hands.get(label)))
     }
-    joints = any(values.shape[1] > 1 for values in rows.values())
-    what = "position error, largest of a joint" if joints else "position error"
     events = {label: {e.kind: e.t for e in reversed(run.events)} for label, run in runs.items()}
     written: dict[int, str] = {}
     for k in np.unique(first):
-        lines = [f"t = {times[k]:.1f} s", what, *_told(rows, int(k))]
-        lines += ["end effector's error", *_told(reaching, int(k))] if reaching else []
+        lines = [f"t = {times[k]:.1f} s", "position error", *_told(rows, int(k), ", joint ")]
+        lines += [f"end effector {words}" for words in _told(reaching, int(k), ", ")]
         for label, kinds in events.items():
             happened = ", ".join(kind for kind, t in kinds.items() if t <= times[k])
             lines += [f"{label and label + '  '}{happened}"] if happened else []
@@ -88,10 +88,10 @@ def _captions(
     return [written[int(k)] for k in first]
 
 
-def _told(rows: Mapping[str, Array], k: int) -> list[str]:
+def _told(rows: Mapping[str, Array], k: int, between: str) -> list[str]:
     """Return the errors of each run at a frame, as text."""
     return [
-        label + ", ".join(_short(*pair) for pair in zip(values[k].tolist(), ("m", "rad"), strict=False))
+        label + between.join(_short(*pair) for pair in zip(values[k].tolist(), ("m", "rad"), strict=False))
         for label, values in rows.items()
     ]
 
@@ -169,13 +169,17 @@ def _draw_triad(stage: Stage, path: str, label: str, extent: Extent, place: tupl
         From the origin of the frame to its name [m].
     """
     number, k = place
-    vertices, faces = shapes.arrow(0.07 - 0.02 * min(number, 2))
-    length = (0.9 + 0.3 * number) * extent.unit
+    _draw_axes(stage, path, (0.9 + 0.3 * number) * extent.unit, 0.07 - 0.02 * min(number, 2))
+    stage.put(f"{path}name", shapes.word(label, INK, 0.42 * extent.unit, lying=False, order=ABOVE + 5))
+    return np.asarray(extent.unit * (_AWAY[min(k, 3)] + np.array([0, -0.5 * number, 0])))
+
+
+def _draw_axes(stage: Stage, path: str, length: float, thickness: float) -> None:
+    """Draw arrows of a length [m] along the axes of a node."""
+    vertices, faces = shapes.arrow(thickness)
     for axis, turned in enumerate(_TO_AXIS):
         arrow = length * vertices @ turned.T, faces
         stage.put(f"{path}/{'xyz'[axis]}", shapes.over(arrow, AXES[axis], order=ABOVE + axis))
-    stage.put(f"{path}name", shapes.word(label, INK, 0.42 * extent.unit, lying=False, order=ABOVE + 5))
-    return np.asarray(extent.unit * (_AWAY[min(k, 3)] + np.array([0, -0.5 * number, 0])))
 
 
 _Rider = Callable[[Array], list[Channel]]
@@ -282,6 +286,9 @@ class Scene:
                 self.channels += draw_hand(
                     self.stage, index, hand, times, extent, path=shown.path and not index, trail=shown.trail
                 )
+                if index == 0:
+                    _draw_axes(self.stage, "meshcat/tool", 0.3 * extent.unit, 0.08)
+                    self.channels += poses_of("meshcat/tool", hand.pose[samples_before(hand.t, times)])
             self.legend.append([label or "travelled", colour(index), "", 0.0 if index == 0 else 0.55])
         if self.overlays.desired:
             ghost = robots[0]
@@ -309,8 +316,10 @@ class Scene:
         self.stage.tell("legend", self.legend)
 
     def _furnish(self, extent: Extent, poses: Array) -> None:
-        camera = self.overlays.camera
+        camera, ramp = self.overlays.camera, ramp_of(self.robot)
         view = overview(extent, extent.size[2], low=bool(self.robot.mounts))
+        if ramp is not None:
+            view = draw_ramp(self.stage, ramp, extent, view)
         if isinstance(camera, Follow):
             toward = (view.eye - view.target) / np.linalg.norm(view.eye - view.target)
             view = View(camera.distance * toward, np.zeros(3))

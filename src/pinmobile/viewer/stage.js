@@ -64,6 +64,8 @@
     viewer.set_dirty();
   };
 
+  // Place of a node in the axes of level ground, also on a ramp, which inclines the node meshcat.
+  const level = (name) => viewer.scene.worldToLocal(node(name).getWorldPosition(new THREE.Vector3()));
   const upright = (p) => new THREE.Vector3(p[0], p[2], -p[1]); // from z up to three.js's y up
   const followed = new THREE.Vector3();
 
@@ -79,7 +81,7 @@
       viewer.controls.target.copy(upright(stage.target));
       followed.copy(upright([0, 0, 0]));
     }
-    const now = upright(node("focus").position.toArray());
+    const now = upright(level("focus").toArray());
     const step = now.clone().sub(followed);
     if (step.lengthSq() > 0) {
       viewer.camera.position.add(step);
@@ -94,10 +96,10 @@
   // The light goes along with the robot: its shadow is sharp however large the scene.
   function place_light() {
     const radius = stage.lit || 1;
-    const at = node("robot0").position; // z up, as all of the scene
+    const on = node("robot0").position, at = level("robot0"); // z up, as all of the scene
     sun.target.position.copy(at);
-    node("ground").position.set(at.x, at.y, 0); // no larger than the shadow: each of its pixels costs time
-    sun.position.set(at.x - 1.2 * radius, at.y + 0.7 * radius, 2.0 * radius);
+    node("ground").position.set(on.x, on.y, 0); // no larger than the shadow: each of its pixels costs time
+    sun.position.set(at.x - 1.2 * radius, at.y + 0.7 * radius, at.z + 2.0 * radius);
     if (!changed("lit")) return;
     farther.value = 0.03 * radius; // more than a ghost is larger
     Object.assign(sun.shadow.camera, { left: -radius, right: radius, top: radius, bottom: -radius });
