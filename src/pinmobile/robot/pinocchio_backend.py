@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from math import isfinite, prod
 from threading import local
@@ -189,6 +189,28 @@ def frame_jacobian(number: int, model: pin.Model, data: pin.Data, q: Array) -> A
     """Return the Jacobian of a frame of the chain's model, with columns in public order."""
     J = pin.computeFrameJacobian(model, data, q, number, pin.LOCAL_WORLD_ALIGNED)
     return np.asarray(J[:, [1, 0, *range(2, model.nv)]])
+
+
+def frames_of(robot: Any, names: Sequence[str]) -> Callable[[Array], list[tuple[pin.SE3, Array]]]:
+    """Return an unchecked function of q for one thread: pose and Jacobian of each frame, shape (6, nv).
+
+    Parameters
+    ----------
+    robot : System
+        Robot.
+    names : sequence of str
+        Names of frames, see `MobileRobot.frame_jacobian`.
+    """
+    engine, numbers = robot._numeric, [robot._frame(name)[1] for name in names]
+    model, data, swap = engine.model, engine.data, np.eye(engine.nv)[engine.order]
+
+    def evaluate(q: Array) -> list[tuple[pin.SE3, Array]]:
+        pin.computeJointJacobians(model, data, q @ swap)
+        poses = [pin.updateFramePlacement(model, data, k) for k in numbers]
+        slopes = [pin.getFrameJacobian(model, data, k, pin.LOCAL_WORLD_ALIGNED) @ swap for k in numbers]
+        return list(zip(poses, slopes, strict=True))
+
+    return evaluate
 
 
 def frame_drift(number: int, model: pin.Model, data: pin.Data, q: Array, v: Array) -> Array:
