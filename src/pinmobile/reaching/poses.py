@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
+from math import sqrt
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -645,7 +646,7 @@ def _log(R: Array) -> Array:
     the size of the threshold.
     """
     turn = pin.log3(R)
-    angle = float(np.linalg.norm(turn))
+    angle = sqrt(turn @ turn)
     if half_turn_apart(angle):
         leading = turn[np.argmax(np.abs(turn) > _SMALL * angle)]
         if leading < 0:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from math import sqrt
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from pinmobile.reaching.drive import KNOT, Drive, at_points
 from pinmobile.reaching.poses import FrameTask
 from pinmobile.robot import MobileRobot, frames_of
 
+_SIDES = np.array([[-1.0], [1.0]])
 _ROUNDING = 1e-9  # share of the largest acceleration; forward after inverse dynamics loses less
 
 
@@ -43,7 +45,7 @@ class Limits:
 
     def signed_room(self, q: Array) -> Array:
         """Return the distance of coordinates to lower and upper limits, shape (2, nv), negative outside."""
-        return np.stack([q - self.lower, self.upper - q])
+        return np.array([q - self.lower, self.upper - q])
 
     def ramps(self, q: Array, v: Array, dt: float) -> tuple[Array, Array]:
         """Return the lower and upper bound of a constant acceleration over `dt`, each of shape (nv,).
@@ -84,8 +86,8 @@ class Limits:
         excess = np.maximum((np.stack([-v, v]) - most) / dt, -2 * room / dt**2)
         return np.where(excess > _ROUNDING * self.acceleration, excess, 0)
 
-    def velocities(self, q: Array, dt: float, before: Array | None = None) -> tuple[Array, Array]:
-        """Return the lower and upper bound of a velocity that is constant over `dt`, each of shape (nv,).
+    def velocities(self, q: Array, dt: float, before: Array | None = None) -> Array:
+        """Return the lower and upper bound of a velocity that is constant over `dt`, shape (2, nv).
 
         After the step, a joint can still stop at its limit: v dt + v^2 / (2 a) <= d, with the distance d to
         the limit and the acceleration a (after Flacco, De Luca and Khatib, "Motion control of redundant
@@ -102,11 +104,10 @@ class Limits:
             Velocity before the step; by default, arbitrary.
         """
         a = self.acceleration
-        brake = a * (np.sqrt(dt**2 + 2 * self.room(q) / a) - dt)
-        least, most = -np.minimum(brake[0], self.velocity), np.minimum(brake[1], self.velocity)
+        most = np.minimum(a * (np.sqrt(dt**2 + 2 * self.room(q) / a) - dt), self.velocity)
         if before is None:
-            return least, most
-        return np.clip(before - a * dt, least, most), np.clip(before + a * dt, least, most)
+            return np.array([-most[0], most[1]])
+        return np.asarray(np.minimum(np.maximum(before + a * dt * _SIDES, -most[0]), most[1]))
 
 
 def bounded_least_squares(A: Array, b: Array, least: Array, most: Array) -> Array:
@@ -162,8 +163,9 @@ def per_coordinate(name: str, value: ArrayLike, size: int, *, zero: bool = False
 
 _BASE = 3
 _CATCH_UP = 10.0  # [1/s]: largest rate of reducing an error that limits caused
-_EXACT = 1e-10  # [m, rad]
-_STEPS = 4  # Gauss-Newton iterations per step: without limits, an error of 1e-4 falls below rounding
+_EXACT, _SETTLED = 1e-10, 1e-9  # [m, rad]: at the start, and in each step
+_STEPS = 5  # Newton iterations per step: without limits, an error of 1e-4 falls below rounding
+_STALE = 0.02  # reduction of the error by an iteration above which the next one renews the Jacobian
 _SEARCH = 200  # Gauss-Newton iterations for the start
 _STRIDE = 0.2  # their largest displacement [m, rad]
 _TRIES = 8  # initial guesses for the start
@@ -199,6 +201,13 @@ class Solver:
         return frames_of(self.robot, [str(task.frame) for task in self.tasks])
 
     @cached_property
+    def _lapack(self) -> Any:
+        # Imported here: scipy loads slowly, and `EndEffectorTracking` does not need it.
+        from scipy.linalg import lapack
+
+        return lapack
+
+    @cached_property
     def _importance(self) -> Array:
         """Weights of the rows of all tasks, shape (rows,)."""
         return np.concatenate([task.weights for task in self.tasks])
@@ -208,39 +217,61 @@ class Solver:
         """Displacement per weighted one, shape (nv,); zero for locked coordinates."""
         return np.where(self.limits.velocity == 0, 0.0, 1 / self.weights)
 
-    def errors(self, goals: Sequence[Any], seen: Sequence[Any]) -> list[Array]:
-        """Return the errors of all tasks, each of shape (rows,) [m, rad]."""
-        each = zip(self.tasks, goals, seen, strict=True)
-        return [task.error_of(*goal, found[0]) for task, goal, found in each]
+    @cached_property
+    def _rows(self) -> list[slice]:
+        """Rows of each task."""
+        ends = np.cumsum([len(task.weights) for task in self.tasks]).tolist()
+        return [slice(end - len(task.weights), end) for task, end in zip(self.tasks, ends, strict=True)]
 
-    def correction(
-        self, J: Array, error: Array, wish: Array, bounds: tuple[Array, Array], reach: Array
-    ) -> Array:
-        """Return the displacement within bounds that reduces the error, close to a preferred displacement.
+    @cached_property
+    def _least(self) -> float:
+        return float(self.limits.acceleration.min())
+
+    def errors(self, goals: Sequence[Any], seen: Sequence[Any]) -> Array:
+        """Return the errors of all tasks, one after the other, shape (rows,) [m, rad]."""
+        if len(seen) == 1:
+            return self.tasks[0].error_of(*goals[0], seen[0][0])
+        each = zip(self.tasks, goals, seen, strict=True)
+        return np.concatenate([task.error_of(*goal, found[0]) for task, goal, found in each])
+
+    def system(self, J: Array, reach: Array) -> tuple[Array, ...]:
+        """Return the weighted Jacobian, that by weighted displacements, its square's factor, and `reach`.
 
         Parameters
         ----------
         J : ndarray, shape (rows, nv)
             Jacobian of the errors.
-        error : ndarray, shape (rows,)
-            Error [m, rad].
-        wish : ndarray, shape (nv,)
-            Preferred displacement.
-        bounds : two ndarrays, shape (nv,)
-            Lower bound and upper bound.
         reach : ndarray, shape (nv,)
-            Reciprocal weights of displacements.
+            Reciprocal weights of displacements, zero for locked coordinates.
         """
-        from scipy.linalg.lapack import dposv
-
-        A, b = self._importance[:, None] * J, self._importance * error
-        # min |A x - b|^2 + |(x - wish) / reach|^2, as many equations as rows.
+        A = self._importance[:, None] * J
         B = A * reach
         square = B @ B.T
         square.flat[:: len(square) + 1] += 1.0
-        x: Array = wish + reach * (B.T @ dposv(square, b - A @ wish)[1])
-        least, most = bounds
-        if ((x >= least) & (x <= most)).all():
+        return A, B, self._lapack.dpotrf(square)[0], reach
+
+    def correction(
+        self, system: tuple[Array, ...], error: Array, wish: Array, least: Array, most: Array
+    ) -> Array:
+        """Return the displacement within bounds that reduces the error, close to a preferred displacement.
+
+        It minimises |A x - b|^2 + |(x - wish) / reach|^2 with as many equations as there are rows.
+
+        Parameters
+        ----------
+        system : tuple
+            Result of `system`.
+        error : ndarray, shape (rows,)
+            Error [m, rad].
+        wish, least, most : ndarray, shape (nv,)
+            Preferred displacement, lower bound and upper bound.
+        """
+        A, B, factor, reach = system
+        b = self._importance * error
+        y = self._lapack.dpotrs(factor, b - A @ wish)[0]
+        # y is also what damping leaves of the error: solved for again, 1e-4 of it is left.
+        x: Array = wish + reach * ((y + self._lapack.dpotrs(factor, y)[0]) @ B)
+        if (np.minimum(np.maximum(x, least), most) == x).all():
             return x
         free = reach > 0
         inverse = 1 / reach[free]
@@ -268,7 +299,7 @@ class Solver:
         for attempt in range(_TRIES if q0 is None else 1):
             aside = generator.uniform(-1, 1, robot.nv) * (attempt > 0) * (np.arange(robot.nv) >= _BASE)
             q = self.sought(goals, np.clip(robot.integrate(first, aside), robot.lower, robot.upper))
-            size = float(np.linalg.norm(self.errors(goals, self._frames(q))[0]))
+            size = float(np.linalg.norm(self.errors(goals, self._frames(q))[: len(self.tasks[0].weights)]))
             if size < best[0] * (1 - _AS_GOOD):  # take the first of equal minima, on every machine
                 best = size, q
             if best[0] <= _EXACT:
@@ -287,11 +318,11 @@ class Solver:
         stride[reach == 0] = 0
         for _ in range(_SEARCH):
             seen = self._frames(q)
-            error = np.concatenate(self.errors(goals, seen))
+            error = self.errors(goals, seen)
             if error @ error <= _EXACT**2:
                 break
             bounds = np.maximum(robot.lower - q, -stride), np.minimum(robot.upper - q, stride)
-            step = self.correction(self.jacobian(seen), error, still, bounds, reach)
+            step = self.correction(self.system(self.jacobian(seen), reach), error, still, *bounds)
             q = np.clip(q + step, robot.lower, robot.upper)
             if step @ step <= _EXACT**2:
                 break
@@ -327,7 +358,7 @@ class Solver:
         goals = list(zip(*self.goals(np.linspace(0, self.tasks[0].target.duration, count + 1)), strict=True))
         q, v, arms = start, None, slice(_BASE, None) if drive is None else drive.arms
         origin = y = start if drive is None else drive.origin(start)
-        controls, wish = np.zeros((count + 1, len(y))), np.zeros(len(y))
+        controls, wish, still = np.zeros((count + 1, len(y))), np.zeros(len(y)), np.zeros(len(y))
         wanted = dt * gain * (self._reach[arms] > 0)
         pose, seen = start[:_BASE], self._frames(start)
         left = self.errors(goals[0], seen)
@@ -343,29 +374,30 @@ class Solver:
                 q = drive.moved(np.append(pose, at_knot[arms]), at_knot, y - at_knot)[0]
                 seen = self._frames(q)
             wish[arms] = wanted * self.robot.difference(q, posture)[_BASE:]
-            least, most = (dt * bound for bound in self.limits.velocities(y, dt, v))
-            kept = np.concatenate([self.kept(each, dt) for each in left])
+            least, most = dt * self.limits.velocities(y, dt, v)
+            kept = self.kept(left, dt)
             step, reach, bent = np.zeros(len(y)), self._reach, None
-            error = np.concatenate(self.errors(goals[k + 1], seen)) - kept
+            error = self.errors(goals[k + 1], seen) - kept
             if drive is not None and drive.steers:
                 turn, reach = self._steered(q, y, seen, error, wish, dt), reach.copy()
                 step[-1] = least[-1] = most[-1] = np.clip(turn, least[-1], most[-1])
                 reach[-1], bent = 0.0, drive.curvature(y[-1] + step[-1] / 2)[0]
             slope = None if drive is None else drive.moved(q, y, step)[1]
+            size = np.inf
             for attempt in range(_STEPS):
-                if attempt:
-                    error = np.concatenate(self.errors(goals[k + 1], seen)) - kept
-                    if error @ error <= _EXACT**2:
-                        break
-                J = self.jacobian(seen)
-                J = J if drive is None else drive.jacobian(J, slope, bent)
-                bounds = least - step, most - step
-                more = self.correction(J, error, wish if attempt == 0 else 0 * wish, bounds, reach)
-                step = np.minimum(np.maximum(step + more, least), most)
+                before, size = size, sqrt(error @ error)
+                if attempt and size <= _SETTLED:
+                    break
+                if attempt == 0 or size > _STALE * before:
+                    J = self.jacobian(seen)
+                    system = self.system(J if drive is None else drive.jacobian(J, slope, bent), reach)
+                more = self.correction(system, error, still if attempt else wish, least - step, most - step)
+                step = step + more
                 at, slope = (q + step, None) if drive is None else drive.moved(q, y, step)
                 seen = self._frames(at)
+                error = self.errors(goals[k + 1], seen) - kept
             controls[k + 1], q, y, v = controls[k] + step, at, y + step, step / dt
-            left = self.errors(goals[k + 1], seen)
+            left = error + kept
         ends = (self.beyond(three, origin, dt)[None] for three in (controls[:3], controls[:-4:-1]))
         return np.concatenate([next(ends), controls, next(ends)])
 
@@ -376,19 +408,21 @@ class Solver:
         drive: Any = self.drive
         J = drive.jacobian(self.jacobian(seen), drive.moved(q, y, 0 * y)[1], None)
         free = np.full(len(y), np.inf)
-        wanted = self.correction(J, error, wish, (-free, free), self._reach)
+        wanted = self.correction(self.system(J, self._reach), error, wish, -free, free)
         return float(drive.steering(wanted, dt, y[-1]) - y[-1])
 
     def kept(self, left: Array, dt: float) -> Array:
-        """Return the part of a remaining error that a step may leave, shape (rows,).
+        """Return the part of remaining errors that a step may leave, shape (rows,), task by task.
 
         The approach has a speed of at most sqrt(a e), which requires half of the acceleration a. A faster
         approach could not brake in time.
         """
-        size = float(np.linalg.norm(left))
-        a = float(self.limits.acceleration.min())
-        rate = min(_CATCH_UP, np.sqrt(a / size)) if size else _CATCH_UP
-        return max(1 - rate * dt, 0.0) * left
+        found = []
+        for rows in self._rows:
+            size = sqrt(left[rows] @ left[rows])
+            rate = min(_CATCH_UP, sqrt(self._least / size)) if size else _CATCH_UP
+            found.append(max(1 - rate * dt, 0.0) * left[rows])
+        return found[0] if len(found) == 1 else np.concatenate(found)
 
     def beyond(self, nearest: Array, start: Array, dt: float) -> Array:
         """Return the control point beyond the end, shape (nv,), from the three nearest, shape (3, nv).
