@@ -116,7 +116,7 @@ class Drive:
     def names(self) -> tuple[tuple[str, str], ...]:
         """Names and units of the integrals of nu."""
         base = (("forward", "m"), ("left", "m"), ("psi", "rad"))
-        base = base if self.columns.shape[1] == _BASE else (("speed", "m"), ("psi", "rad"))[: self.arms.start]
+        base = base if self.columns.shape[1] == _BASE else (("base", "m"), ("psi", "rad"))[: self.arms.start]
         inner = self.wheeled.coordinates[_BASE : self.body.nv + self.steers]
         return (*base, *((one.name, one.unit) for one in inner))
 
@@ -124,7 +124,8 @@ class Drive:
     def bounds(self) -> tuple[Array, Array, Array]:
         """Lower and upper bounds of the integrals of nu, and of the absolute nu."""
         body, free = self.body, np.full(self.arms.start, np.inf)
-        most = [self.wheeled.coordinates[body.nv].upper] if self.steers else []
+        # Rounding must not lead beyond the limit of the steering.
+        most = [self.wheeled.coordinates[body.nv].upper * (1 - 1e-9)] if self.steers else []
         rows = (-free, body.lower[_BASE:], np.negative(most)), (free, body.upper[_BASE:], most)
         lower, upper = (np.concatenate(row) for row in rows)
         return lower, upper, np.concatenate([free, body.velocity_limit[_BASE:], np.full(len(most), np.inf)])

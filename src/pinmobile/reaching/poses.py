@@ -533,8 +533,8 @@ class FrameTask:
             axis = shaped("axis", finite("axis", self.axis), (3,))
             length = float(np.linalg.norm(axis))
             if not length or self.target.rows == _POSITION:
-                words = "a target with a rotation" if length else "a direction"
-                raise InvalidArgument(f"axis is {axis.tolist()}, expected {words}: PosePath(path, rotation)")
+                words = "a target with an orientation, PosePath(path, rotation)" if length else "a direction"
+                raise InvalidArgument(f"axis is {axis.tolist()}, expected {words}")
             own["axis"] = frozen(axis / length)
         for name, value in own.items():
             object.__setattr__(self, name, value)

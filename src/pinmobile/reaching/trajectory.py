@@ -436,23 +436,21 @@ def _judge(
 
 
 def _limit_at(resolved: InverseKinematicsTrajectory, limits: Limits, k: int) -> str:
-    """Return which limit holds a coordinate back at, or next before, a sample, in words."""
+    """Return which limit holds a coordinate back at a sample, or at the last one before, in words."""
     drive, dt, start = resolved.drive, resolved._dt, resolved.start
-    origin = start if drive is None else drive.origin(start)
     names = [one[:2] for one in resolved.robot.coordinates] if drive is None else drive.names
-    places, rates = origin + resolved.controls, np.diff(resolved.controls, axis=0) / dt
+    places = (start if drive is None else drive.origin(start)) + resolved.controls
+    rates, near = np.diff(resolved.controls, axis=0) / dt, 1e-6 * limits.acceleration * dt
     for i in range(k, 0, -1):
-        least, most = limits.velocities(places[i], dt, rates[i - 1])
-        at = np.minimum(rates[i] - least, most - rates[i]) <= 1e-6 * limits.acceleration * dt
-        for n in np.flatnonzero(at & (limits.velocity > 0)):
-            (name, unit), v, a = names[n], limits.velocity[n], limits.acceleration[n]
-            edge = (limits.lower if rates[i, n] < 0 else limits.upper)[n]
-            if abs(rates[i, n]) >= v * (1 - 1e-6):
-                which = f"speed limit, {v:.4g} {unit}/s"
-            elif abs(abs(rates[i, n] - rates[i - 1, n]) - a * dt) <= 1e-6 * a * dt:
-                which = f"acceleration limit, {a:.4g} {unit}/s^2"
-            else:
-                which = f"position limit, {edge:.4g} {unit}"
+        rate, stop = rates[i], limits.velocities(places[i], dt)
+        held = np.abs(limits.velocities(places[i], dt, rates[i - 1]) - rate).min(axis=0) <= near
+        for n in np.flatnonzero(held & (limits.velocity > 0)):
+            name, unit = names[n]
+            which = f"acceleration limit, {limits.acceleration[n]:.4g} {unit}/s^2"
+            if limits.velocity[n] - abs(rate[n]) <= near[n]:
+                which = f"speed limit, {limits.velocity[n]:.4g} {unit}/s"
+            elif np.abs(stop[:, n] - rate[n]).min() <= near[n]:
+                which = f"position limit, {(limits.lower, limits.upper)[int(rate[n] >= 0)][n]:.4g} {unit}"
             return f"where {name} reaches its {which}, at t = {resolved.t[i]:g} s"
     return "and no limit is reached before: it is out of reach, or the targets contradict each other"
 
