@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 
 from pinmobile.arrays import Array
 from pinmobile.errors import InvalidArgument
-from pinmobile.robot import MobileRobot
+from pinmobile.plant import Coordinate
 
 _BASE = 3
 _SLOW = 0.02  # [m/s]: below, a car keeps its steering angle
@@ -41,21 +41,11 @@ def at_points(four: Array, dt: float) -> tuple[Array, Array]:
     return np.asarray(_SLOPES @ four) / dt, np.asarray(_VALUES @ four)
 
 
-@runtime_checkable
-class OnWheels(Protocol):
-    """Robot on wheels, such as `WheeledRobot`; a drive with an axle has `axle`, with steering `pivots`."""
-
-    @property
-    def robot(self) -> MobileRobot:
-        """Body and arms, whose coordinates come first."""
-
-    @property
-    def mobility(self) -> Any:
-        """Motions that the wheels allow."""
-
-    @property
-    def coordinates(self) -> Any:
-        """Coordinates; those of a car's steering follow body and arms."""
+def along(psi: Array, x: Array) -> Array:
+    """Return vectors of the plane and turns along the inertial axes, shape (..., 3), from the body's axes."""
+    c, s = np.cos(psi), np.sin(psi)
+    both = c * x[..., 0] - s * x[..., 1], s * x[..., 0] + c * x[..., 1], x[..., 2]
+    return np.stack(both, axis=-1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +58,7 @@ class Drive:
 
     Parameters
     ----------
-    wheeled : OnWheels
+    wheeled : WheeledRobot
         Robot on wheels.
 
     Raises
@@ -89,11 +79,6 @@ class Drive:
             )
 
     @cached_property
-    def body(self) -> MobileRobot:
-        """Body and arms."""
-        return self.wheeled.robot
-
-    @cached_property
     def columns(self) -> Array:
         """Body twist per speed and yaw rate, shape (3, 2), or the identity of an omnidirectional drive."""
         if self.wheeled.mobility.mobility == _BASE:
@@ -110,29 +95,26 @@ class Drive:
     def arms(self) -> slice:
         """Entries of the arms in nu."""
         first = self.columns.shape[1] - self.steers
-        return slice(first, first + self.body.nv - _BASE)
+        return slice(first, first + self.wheeled.of_body - _BASE)
 
     @cached_property
-    def names(self) -> tuple[tuple[str, str], ...]:
-        """Names and units of the integrals of nu."""
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        """Integrals of nu, with names, units and limits."""
         base = (("forward", "m"), ("left", "m"), ("psi", "rad"))
         base = base if self.columns.shape[1] == _BASE else (("base", "m"), ("psi", "rad"))[: self.arms.start]
-        inner = self.wheeled.coordinates[_BASE : self.body.nv + self.steers]
-        return (*base, *((one.name, one.unit) for one in inner))
+        own: tuple[Coordinate, ...] = self.wheeled.coordinates[_BASE : self.wheeled.of_body + self.steers]
+        return (*(Coordinate(*each) for each in base), *own)
 
     @cached_property
-    def bounds(self) -> tuple[Array, Array, Array]:
-        """Lower and upper bounds of the integrals of nu, and of the absolute nu."""
-        body, free = self.body, np.full(self.arms.start, np.inf)
-        # Rounding must not lead beyond the limit of the steering.
-        most = [self.wheeled.coordinates[body.nv].upper * (1 - 1e-9)] if self.steers else []
-        rows = (-free, body.lower[_BASE:], np.negative(most)), (free, body.upper[_BASE:], most)
-        lower, upper = (np.concatenate(row) for row in rows)
-        return lower, upper, np.concatenate([free, body.velocity_limit[_BASE:], np.full(len(most), np.inf)])
+    def velocity_limit(self) -> Array:
+        """Limits of the absolute nu, shape (m,); those of the base and the steering are infinite."""
+        most = np.full(len(self.coordinates), np.inf)
+        most[self.arms] = self.wheeled.robot.velocity_limit[_BASE:]
+        return most
 
     def origin(self, q: Array) -> Array:
         """Return the integrals of nu at a configuration, from which bounds count; a car steers straight."""
-        y = np.zeros(len(self.bounds[0]))
+        y = np.zeros(len(self.coordinates))
         y[self.arms] = q[_BASE:]
         return y
 
@@ -146,8 +128,8 @@ class Drive:
         """Return yaw rate per speed of a car at a steering angle [1/m], and its slope [1/m rad]."""
         a, b, x, y, angle = self._pivot
         c, s = np.cos(steering + angle), np.sin(steering + angle)
-        along = x * c + y * s
-        return (b * s + a * c) / along, (b * x - a * y) / along**2
+        lever = x * c + y * s
+        return (b * s + a * c) / lever, (b * x - a * y) / lever**2
 
     def steering(self, step: Array, dt: float, now: float) -> float:
         """Return the steering angle for displacements along the path and in yaw, near the present one."""
@@ -222,16 +204,7 @@ class Drive:
         """
         twists = self.twists(rates, y)
         angle = psi[..., None] + h[..., None] * (twists[..., 2] @ _PARTS.T)
-        c, s = np.cos(angle), np.sin(angle)
-        way = np.stack(
-            [
-                c * twists[..., 0] - s * twists[..., 1],
-                s * twists[..., 0] + c * twists[..., 1],
-                twists[..., 2],
-            ],
-            axis=-1,
-        )
-        return np.asarray(h[..., None] * (_WHOLE @ way))
+        return np.asarray(h[..., None] * (_WHOLE @ along(angle, twists)))
 
     def poses(self, start: Array, controls: Array, dt: float) -> Array:
         """Return x, y and psi at the knots of a spline, shape (N + 1, 3), see `InverseKinematicsTrajectory`.
@@ -250,9 +223,8 @@ class Drive:
         four = np.stack([controls[k : len(controls) - 3 + k] for k in range(4)], axis=1)
         rates, values = at_points(four, dt)
         y = origin + values
-        h = np.full(len(rates), dt)
-        psi = first[2] + np.append(0.0, np.cumsum(dt * (self.twists(rates, y)[..., 2] @ _WHOLE)))
-        steps = self.travelled(psi[:-1], h, rates, y)
+        turns = np.cumsum(dt * (self.twists(rates, y)[..., 2] @ _WHOLE))
+        steps = self.travelled(first[2] + np.append(0.0, turns[:-1]), np.array(dt), rates, y)
         return np.asarray(np.vstack([first, first + np.cumsum(steps, axis=0)]))
 
     def reference(self, pose: Array, h: Array, curve: Any, t: Array, start: Array) -> tuple[Array, ...]:
@@ -279,10 +251,6 @@ class Drive:
             gained = gained + bend[..., None] * self.columns[:, 1]
         turn = twist[..., 2:]
         gained = gained + turn * np.stack([-twist[..., 1], twist[..., 0], 0 * twist[..., 2]], axis=-1)
-        c, s = np.cos(pose[..., 2]), np.sin(pose[..., 2])
-        v, a = (
-            np.stack([c * x[..., 0] - s * x[..., 1], s * x[..., 0] + c * x[..., 1], x[..., 2]], axis=-1)
-            for x in (twist, gained)
-        )
+        v, a = along(pose[..., 2], twist), along(pose[..., 2], gained)
         pairs = (pose, y), (v, nu), (a, rates)
         return tuple(np.concatenate([base, z[..., self.arms]], axis=-1) for base, z in pairs)

@@ -29,7 +29,7 @@ from pinmobile.parts import Constrained, able
 from pinmobile.paths import within
 from pinmobile.plant import Context, limits_exceeded
 from pinmobile.proximity import Clearance, clearance as clearance_of
-from pinmobile.reaching.drive import Drive, OnWheels
+from pinmobile.reaching.drive import Drive
 from pinmobile.reaching.poses import FrameTask, PosePath, error_sizes, pose_error
 from pinmobile.reaching.solver import (
     Limits,
@@ -228,7 +228,7 @@ _MOST_STEPS = 1_000_000  # more would take hours
 
 
 def solve_inverse_kinematics(
-    robot: MobileRobot | OnWheels,
+    robot: MobileRobot | Wheeled,
     target: PosePath | FrameTask | Sequence[PosePath | FrameTask],
     *,
     frame: str | None = None,
@@ -326,18 +326,19 @@ def solve_inverse_kinematics(
     >>> distance < 1e-5  # [m]
     True
     """
-    own = None if isinstance(robot, MobileRobot) else instance("robot", robot, OnWheels, _ROBOTS)
+    own = None if isinstance(robot, MobileRobot) else instance("robot", robot, Wheeled, _ROBOTS)
     drive, body = (None, robot) if own is None else (Drive(own), own.robot)
     room = None if clearance is None else non_negative("clearance", clearance, "m")
     if room is not None:
         _ = body.solids  # raises before the computation, not after it
     tasks = _checked_tasks(body, target, frame)
-    lower, upper, speed = (body.lower, body.upper, body.velocity_limit) if drive is None else drive.bounds
-    most = speed if velocity_limit is None else velocity_limit
+    given: Any = body if drive is None else drive
+    lower, upper = (np.array([getattr(one, end) for one in given.coordinates]) for end in ("lower", "upper"))
+    speed = given.velocity_limit if velocity_limit is None else velocity_limit
     limits = Limits(
         lower,
         upper,
-        per_coordinate("velocity_limit", most, len(lower), zero=True),
+        per_coordinate("velocity_limit", speed, len(lower), zero=True),
         per_coordinate("acceleration_limit", acceleration_limit, len(lower)),
     )
     weights = positive("damping", damping) * per_coordinate("cost", cost, len(lower))
@@ -438,14 +439,14 @@ def _judge(
 def _limit_at(resolved: InverseKinematicsTrajectory, limits: Limits, k: int) -> str:
     """Return which limit holds a coordinate back at a sample, or at the last one before, in words."""
     drive, dt, start = resolved.drive, resolved._dt, resolved.start
-    names = [one[:2] for one in resolved.robot.coordinates] if drive is None else drive.names
+    names = (resolved.robot if drive is None else drive).coordinates
     places = (start if drive is None else drive.origin(start)) + resolved.controls
     rates, near = np.diff(resolved.controls, axis=0) / dt, 1e-6 * limits.acceleration * dt
     for i in range(k, 0, -1):
         rate, stop = rates[i], limits.velocities(places[i], dt)
         held = np.abs(limits.velocities(places[i], dt, rates[i - 1]) - rate).min(axis=0) <= near
         for n in np.flatnonzero(held & (limits.velocity > 0)):
-            name, unit = names[n]
+            name, unit = names[n][:2]
             which = f"acceleration limit, {limits.acceleration[n]:.4g} {unit}/s^2"
             if limits.velocity[n] - abs(rate[n]) <= near[n]:
                 which = f"speed limit, {limits.velocity[n]:.4g} {unit}/s"
