@@ -243,39 +243,48 @@ def solve_inverse_kinematics(
     tolerance: float = 1e-2,
     clearance: float | None = None,
 ) -> InverseKinematicsTrajectory:
-    """Return a trajectory of base and arm along which a frame follows target poses.
+    """Return a trajectory of base and arm along which frames follow target poses.
 
     The solver is damped least squares within bounds (Nakamura and Hanafusa, 1986). In each step, it minimises
-    the error of the next pose over all displacements within limits. Among nearly optimal displacements, it
-    prefers motion toward the posture. It then iterates until the pose is reached. At a singular configuration
-    or a limit, an error remains. The base may move in any direction. Use `ComputedTorque` to track the
-    trajectory.
+    the weighted errors of the next poses over all displacements within limits. Among nearly optimal
+    displacements, it prefers motion toward the posture. It then iterates until the poses are reached. At a
+    singular configuration or a limit, an error remains.
+
+    The base of a `MobileRobot` may move in any direction; use `ComputedTorque` to track the trajectory. A
+    `WheeledRobot` moves by the independent velocities of its drive, in this order: of an omnidirectional
+    drive, forward, left and yaw rate; of one with a fixed axle, speed and yaw rate; of a car, speed. The rates
+    of the arms follow, and of a car the steering rate. Arrays of shape (m,) have this order. A car steers
+    toward the curvature that the tasks would give a drive that turns on the spot, and starts with its wheels
+    straight. Use `Backstepping` to track a trajectory of a drive with a fixed axle.
 
     Parameters
     ----------
-    robot : MobileRobot
-        Robot with or without arms.
-    target : PosePath
-        Target poses, or target positions.
+    robot : MobileRobot or WheeledRobot
+        Robot with or without arms. Wheels are an omnidirectional drive without steering, one fixed axle, or
+        those of a car.
+    target : PosePath, FrameTask or sequence of them
+        Target poses, or target positions; or several tasks of one duration, with weights. The first task is
+        that of `tolerance` and of the signals of a run.
     frame : str, optional
-        Frame that follows the target, one of ``robot.frame_names``; by default, ``robot.end_effector``.
+        Frame that follows the target, one of ``robot.frame_names``; by default, ``robot.end_effector``. A
+        `FrameTask` has its own.
     q0 : array_like, shape (nq,), optional
         Initial guess for the start [m, m, rad, ...]; by default, ``robot.rest`` and then other
         configurations.
     posture : array_like, shape (nq - 3,), optional
-        Preferred configuration of the arms in the directions that the target leaves free [rad or m]; by
+        Preferred configuration of the arms in the directions that the targets leave free [rad or m]; by
         default, the configuration at the start.
     dt : float
         Largest time between control points [s]. The error is about a dt^2 / 6 for a frame with acceleration
         a.
     posture_gain : float
         Rate of convergence toward the posture [1/s], >= 0.
-    cost : array_like, shape () or (nv,)
+    cost : array_like, shape () or (nv,) or (m,)
         Relative cost of each coordinate's motion, > 0. A coordinate with a high cost moves little.
-    velocity_limit : array_like, shape () or (nv,), optional
+    velocity_limit : array_like, shape () or (nv,) or (m,), optional
         Limit of the absolute velocities [m/s, m/s, rad/s, ...]; by default, the robot's limits. inf means no
         limit; zero locks a coordinate.
-    acceleration_limit : array_like, shape () or (nv,)
+    acceleration_limit : array_like, shape () or (nv,) or (m,)
         Limit of the absolute accelerations [m/s^2, m/s^2, rad/s^2, ...], > 0, including those of braking at a
         position limit. Position and velocity limits have priority.
     damping : float
@@ -296,12 +305,14 @@ def solve_inverse_kinematics(
     Raises
     ------
     InvalidArgument
-        If an argument is not what is expected, or a joint has several velocities.
+        If an argument is not what is expected, a joint has several velocities, or the wheels are those of
+        another drive.
     UnknownName
         If the robot has no such frame.
     Unreachable
-        If an error exceeds the tolerance, or a distance is below `clearance`. The attribute ``resolved`` of
-        the error holds the trajectory.
+        If an error exceeds its tolerance, or a distance is below `clearance`. The message names the time, the
+        target's position, and the limit that holds the robot back. The attribute ``resolved`` of the error
+        holds the trajectory.
 
     Warns
     -----
@@ -311,6 +322,7 @@ def solve_inverse_kinematics(
     See Also
     --------
     EndEffectorTracking : controller that follows a pose without a plan
+    FrameTask : one of several tasks
     PosePath : target poses
     clearance : distances between links
 
@@ -325,6 +337,16 @@ def solve_inverse_kinematics(
     >>> distance, angle = plan.max_error()
     >>> distance < 1e-5  # [m]
     True
+
+    On two wheels, the base turns to the side to which the tool goes:
+
+    >>> from pinmobile import WheeledRobot, WheelTable
+    >>> wheels = WheelTable.differential(0.5, 0.1, mass=1.0, spin_inertia=0.01)
+    >>> rolling = WheeledRobot(robot, wheels)
+    >>> aside = PosePath(Line(tool, tool + [0.0, 1.0, 0.0], 4.0))
+    >>> plan = solve_inverse_kinematics(rolling, aside, dt=0.1)
+    >>> print(f"{plan(4.0).q[2]:.1f} rad")
+    0.9 rad
     """
     own = None if isinstance(robot, MobileRobot) else instance("robot", robot, Wheeled, _ROBOTS)
     drive, body = (None, robot) if own is None else (Drive(own), own.robot)
