@@ -234,7 +234,7 @@ def test_an_opposite_axis_has_an_error_of_half_a_turn() -> None:
     task = pm.FrameTask(hold((0, 0, 0), np.eye(3)), axis=(0, 0, 1), position=0)
     import pinocchio as pin
 
-    error = task.error_of(np.zeros(3), np.eye(3), pin.SE3(np.diag([1.0, -1, -1]), np.zeros(3)))
+    error = task.error_of((np.zeros(3), np.eye(3)), pin.SE3(np.diag([1.0, -1, -1]), np.zeros(3)))
     assert np.linalg.norm(error) == pytest.approx(np.pi)
     assert error[2] == 0
 

@@ -100,10 +100,10 @@ class Drive:
     @cached_property
     def coordinates(self) -> tuple[Coordinate, ...]:
         """Integrals of nu, with names, units and limits."""
-        base = (("forward", "m"), ("left", "m"), ("psi", "rad"))
-        base = base if self.columns.shape[1] == _BASE else (("base", "m"), ("psi", "rad"))[: self.arms.start]
+        axle = self.columns.shape[1] < _BASE
+        base = [("base", "m"), ("psi", "rad")] if axle else [("forward", "m"), ("left", "m"), ("psi", "rad")]
         own: tuple[Coordinate, ...] = self.wheeled.coordinates[_BASE : self.wheeled.of_body + self.steers]
-        return (*(Coordinate(*each) for each in base), *own)
+        return (*(Coordinate(*each) for each in base[: self.arms.start]), *own)
 
     @cached_property
     def velocity_limit(self) -> Array:

@@ -552,33 +552,34 @@ class FrameTask:
         """Weights of these entries, shape (3,) or (6,)."""
         return frozen(np.repeat([self.position, self.orientation], _POSITION)[self.rows])
 
-    def error_of(self, position: Array, R: Array, pose: pin.SE3) -> Array:
+    def error_of(self, goal: tuple[Array, Array], pose: pin.SE3) -> Array:
         """Return the error of a pose, shape (rows,) [m, rad], see `pose_error`.
 
         Parameters
         ----------
-        position, R : ndarray, shape (3,) and (3, 3)
+        goal : two ndarrays, shape (3,) and (3, 3)
             Target position and orientation.
         pose : pin.SE3
             Pose of the frame.
         """
         error = np.empty(2 * _POSITION)
-        error[:_POSITION] = position - pose.translation
+        error[:_POSITION] = goal[0] - pose.translation
         if self.rows.stop > _POSITION:
-            error[_POSITION:] = self._turn(R, pose.rotation)
+            error[_POSITION:] = self._turn(goal[1], pose.rotation)
         return error[self.rows]
 
     def rows_of(self, pose: pin.SE3, J: Array) -> Array:
         """Return the Jacobian of the error's entries, shape (rows, nv), from that of the frame, (6, nv)."""
         if self.axis is not None and self.rows.stop > _POSITION:
-            axis = pose.rotation @ self.axis
+            axis = pose.rotation @ np.asarray(self.axis)
             J[_POSITION:] -= np.outer(axis, axis @ J[_POSITION:])  # turns about the axis change nothing
         return J[self.rows]
 
     def _turn(self, target: Array, R: Array) -> Array:
         if self.axis is None:
             return _log(target @ R.T)
-        actual, wanted = R @ self.axis, target @ self.axis
+        axis = np.asarray(self.axis)
+        actual, wanted = R @ axis, target @ axis
         across, along = np.cross(actual, wanted), float(actual @ wanted)
         size = float(np.linalg.norm(across))
         if not size and along < 0:  # any axis across serves

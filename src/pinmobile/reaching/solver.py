@@ -230,9 +230,9 @@ class Solver:
     def errors(self, goals: Sequence[Any], seen: Sequence[Any]) -> Array:
         """Return the errors of all tasks, one after the other, shape (rows,) [m, rad]."""
         if len(seen) == 1:
-            return self.tasks[0].error_of(*goals[0], seen[0][0])
+            return self.tasks[0].error_of(goals[0], seen[0][0])
         each = zip(self.tasks, goals, seen, strict=True)
-        return np.concatenate([task.error_of(*goal, found[0]) for task, goal, found in each])
+        return np.concatenate([task.error_of(goal, found[0]) for task, goal, found in each])
 
     def system(self, J: Array, reach: Array) -> tuple[Array, ...]:
         """Return the weighted Jacobian, that by weighted displacements, its square's factor, and `reach`.
@@ -390,7 +390,8 @@ class Solver:
                     break
                 if attempt == 0 or size > _STALE * before:
                     J = self.jacobian(seen)
-                    system = self.system(J if drive is None else drive.jacobian(J, slope, bent), reach)
+                    J = J if drive is None or slope is None else drive.jacobian(J, slope, bent)
+                    system = self.system(J, reach)
                 more = self.correction(system, error, still if attempt else wish, least - step, most - step)
                 step = step + more
                 at, slope = (q + step, None) if drive is None else drive.moved(q, y, step)

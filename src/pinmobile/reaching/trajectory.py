@@ -203,7 +203,7 @@ class InverseKinematicsTrajectory:
         """
         own, rows = self.tasks[task], np.full((len(self.t), 6), np.nan)
         goal, actual = own.target(self.t).pose, self.robot.frame_pose(self(self.t).q, own.frame)
-        each = (own.error_of(a[:3, 3], a[:3, :3], pin.SE3(b)) for a, b in zip(goal, actual, strict=True))
+        each = (own.error_of((a[:3, 3], a[:3, :3]), pin.SE3(b)) for a, b in zip(goal, actual, strict=True))
         rows[:, own.rows] = list(each)
         return rows
 
@@ -251,11 +251,11 @@ def solve_inverse_kinematics(
     singular configuration or a limit, an error remains.
 
     The base of a `MobileRobot` may move in any direction; use `ComputedTorque` to track the trajectory. A
-    `WheeledRobot` moves by the independent velocities of its drive, in this order: of an omnidirectional
-    drive, forward, left and yaw rate; of one with a fixed axle, speed and yaw rate; of a car, speed. The rates
-    of the arms follow, and of a car the steering rate. Arrays of shape (m,) have this order. A car steers
-    toward the curvature that the tasks would give a drive that turns on the spot, and starts with its wheels
-    straight. Use `Backstepping` to track a trajectory of a drive with a fixed axle.
+    `WheeledRobot` moves by the independent velocities of its drive: of an omnidirectional drive, forward,
+    left and yaw rate; of one with a fixed axle, speed and yaw rate; of a car, speed. The rates of the arms
+    follow, and of a car the steering rate. Arrays of shape (m,) have this order. A car steers toward the
+    curvature that the tasks would give a drive that turns on the spot, and starts with its wheels straight.
+    Use `Backstepping` to track a trajectory of a drive with a fixed axle.
 
     Parameters
     ----------
@@ -348,8 +348,11 @@ def solve_inverse_kinematics(
     >>> print(f"{plan(4.0).q[2]:.1f} rad")
     0.9 rad
     """
-    own = None if isinstance(robot, MobileRobot) else instance("robot", robot, Wheeled, _ROBOTS)
-    drive, body = (None, robot) if own is None else (Drive(own), own.robot)
+    drive = None
+    if isinstance(robot, MobileRobot):
+        body = robot
+    else:
+        drive, body = Drive(instance("robot", robot, Wheeled, _ROBOTS)), robot.robot
     room = None if clearance is None else non_negative("clearance", clearance, "m")
     if room is not None:
         _ = body.solids  # raises before the computation, not after it
