@@ -507,13 +507,13 @@ class FrameTask:
 
     Examples
     --------
-    >>> from pinmobile import FrameTask, Hold, Line, PosePath
+    >>> from pinmobile import FrameTask, Hold, PosePath
     >>> identity = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]
-    >>> tool = FrameTask(PosePath(Line([0, 0, 1], [1, 0, 1], 2.0)), position=100)
     >>> ahead = PosePath(Hold([0, 0, 0], 2.0), identity)
-    >>> heading = FrameTask(ahead, "base_link", axis=(1, 0, 0), position=0)
+    >>> tool = FrameTask(ahead, position=100, orientation=10)
+    >>> heading = FrameTask(ahead, "base_link", (1, 0, 0), position=0)
     >>> tool.weights.tolist(), heading.weights.tolist()
-    ([100.0, 100.0, 100.0], [1.0, 1.0, 1.0])
+    ([100.0, 100.0, 100.0, 10.0, 10.0, 10.0], [1.0, 1.0, 1.0])
     """
 
     target: PosePath
