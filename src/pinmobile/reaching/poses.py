@@ -565,7 +565,7 @@ class FrameTask:
         error = np.empty(2 * _POSITION)
         error[:_POSITION] = goal[0] - pose.translation
         if self.rows.stop > _POSITION:
-            error[_POSITION:] = self._turn(goal[1], pose.rotation)
+            error[_POSITION:] = self.turn(goal[1], pose.rotation)
         return error[self.rows]
 
     def rows_of(self, pose: pin.SE3, J: Array) -> Array:
@@ -575,7 +575,8 @@ class FrameTask:
             J[_POSITION:] -= np.outer(axis, axis @ J[_POSITION:])  # turns about the axis change nothing
         return J[self.rows]
 
-    def _turn(self, target: Array, R: Array) -> Array:
+    def turn(self, target: Array, R: Array) -> Array:
+        """Return the rotation vector from an orientation, or its axis, to that of the target, shape (3,)."""
         if self.axis is None:
             return _log(target @ R.T)
         axis = np.asarray(self.axis)

@@ -164,10 +164,11 @@ def per_coordinate(name: str, value: ArrayLike, size: int, *, zero: bool = False
 _BASE = 3
 _CATCH_UP = 10.0  # [1/s]: largest rate of reducing an error that limits caused
 _EXACT, _SETTLED = 1e-10, 1e-9  # [m, rad]: at the start, and in each step
-_STEPS = 5  # Newton iterations per step: without limits, an error of 1e-4 falls below rounding
+_STEPS = 4  # Newton iterations per step: without limits, an error of 1e-4 falls below rounding
 _STALE = 0.02  # reduction of the error by an iteration above which the next one renews the Jacobian
 _SEARCH = 200  # Gauss-Newton iterations for the start
 _STRIDE = 0.2  # their largest displacement [m, rad]
+_REGULAR = 0.01  # largest share of the error that damping leaves in a regular configuration
 _TRIES = 8  # initial guesses for the start
 _AS_GOOD = 1e-6  # relative: remaining errors of the same local minimum differ by less
 
@@ -268,9 +269,12 @@ class Solver:
         """
         A, B, factor, reach = system
         b = self._importance * error
-        y = self._lapack.dpotrs(factor, b - A @ wish)[0]
-        # y is also what damping leaves of the error: solved for again, 1e-4 of it is left.
-        x: Array = wish + reach * ((y + self._lapack.dpotrs(factor, y)[0]) @ B)
+        rest = b - A @ wish
+        y = self._lapack.dpotrs(factor, rest)[0]
+        # y is also what damping leaves of the error. In a regular configuration, it is solved for again.
+        if y @ y <= _REGULAR**2 * (rest @ rest):
+            y += self._lapack.dpotrs(factor, y)[0]
+        x: Array = wish + reach * (y @ B)
         if (np.minimum(np.maximum(x, least), most) == x).all():
             return x
         free = reach > 0

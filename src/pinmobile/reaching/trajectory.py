@@ -9,7 +9,6 @@ from typing import Any, Protocol, final, runtime_checkable
 from warnings import warn
 
 import numpy as np
-import pinocchio as pin
 
 from pinmobile.arrays import (
     Array,
@@ -41,7 +40,7 @@ from pinmobile.reaching.solver import (
 from pinmobile.robot import MobileRobot
 from pinmobile.trajectories import Reference
 
-_DEGREE = 3
+_DEGREE, _POSITION = 3, 3
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -203,8 +202,11 @@ class InverseKinematicsTrajectory:
         """
         own, rows = self.tasks[task], np.full((len(self.t), 6), np.nan)
         goal, actual = own.target(self.t).pose, self.robot.frame_pose(self(self.t).q, own.frame)
-        each = (own.error_of((a[:3, 3], a[:3, :3]), pin.SE3(b)) for a, b in zip(goal, actual, strict=True))
-        rows[:, own.rows] = list(each)
+        rows[:, :_POSITION] = goal[:, :3, 3] - actual[:, :3, 3]
+        if own.rows.stop > _POSITION:
+            pairs = zip(goal[:, :3, :3], actual[:, :3, :3], strict=True)
+            rows[:, _POSITION:] = [own.turn(a, b) for a, b in pairs]
+        rows[:, : own.rows.start] = np.nan
         return rows
 
     @cached_property

@@ -203,12 +203,12 @@ def frames_of(robot: Any, names: Sequence[str]) -> Callable[[Array], list[tuple[
     """
     engine, numbers = robot._numeric, [robot._frame(name)[1] for name in names]
     model, data, swap = engine.model, engine.data, np.eye(engine.nv)[engine.order]
+    place, slope = pin.updateFramePlacement, pin.getFrameJacobian
 
     def evaluate(q: Array) -> list[tuple[pin.SE3, Array]]:
         pin.computeJointJacobians(model, data, q @ swap)
-        poses = [pin.updateFramePlacement(model, data, k) for k in numbers]
-        slopes = [pin.getFrameJacobian(model, data, k, pin.LOCAL_WORLD_ALIGNED) @ swap for k in numbers]
-        return list(zip(poses, slopes, strict=True))
+        along = pin.LOCAL_WORLD_ALIGNED
+        return [(place(model, data, k), slope(model, data, k, along) @ swap) for k in numbers]
 
     return evaluate
 
