@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from math import cos, sin
 from typing import Any
 
 import numpy as np
@@ -155,17 +156,15 @@ class Drive:
         slope : ndarray, shape (3, k)
             Its derivative by the displacements of `columns`.
         """
-        k, D = self.columns.shape[1], self.columns
-        rates = step[:k]
+        D, rates = self.columns, step[: self.columns.shape[1]]
         if self.steers:
-            bent = self.curvature(y[-1] + step[-1] / 2)[0]
-            rates = step[:1] * np.array([1.0, bent])
-        (ahead, aside, turn), psi = (D @ rates).tolist(), float(q[2])
-        c, s = np.cos(psi + turn / 2), np.sin(psi + turn / 2)
-        way = c * ahead - s * aside, s * ahead + c * aside
-        after = np.concatenate([q[:_BASE] + np.array([*way, turn]), q[_BASE:] + step[self.arms]])
-        slope = np.array([[c, -s, -way[1] / 2], [s, c, way[0] / 2], [0.0, 0.0, 1.0]]) @ D
-        return after, slope
+            rates = step[:1] * np.array([1.0, self.curvature(y[-1] + step[-1] / 2)[0]])
+        ahead, aside, turn = (D @ rates).tolist()
+        middle = float(q[2]) + turn / 2
+        c, s = cos(middle), sin(middle)
+        dx, dy = c * ahead - s * aside, s * ahead + c * aside
+        after = q + np.concatenate([(dx, dy, turn), step[self.arms]])
+        return after, np.array([[c, -s, -dy / 2], [s, c, dx / 2], [0.0, 0.0, 1.0]]) @ D
 
     def jacobian(self, J: Array, slope: Array, bent: float | None) -> Array:
         """Return a frame's Jacobian by nu, shape (rows, m); without `bent`, the last column of a car is psi.
