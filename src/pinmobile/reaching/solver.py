@@ -103,11 +103,11 @@ class Limits:
         before : ndarray, shape (nv,), optional
             Velocity before the step; by default, arbitrary.
         """
-        a = self.acceleration
-        most = np.minimum(a * (np.sqrt(dt**2 + 2 * self.room(q) / a) - dt), self.velocity)
+        a, change = self.acceleration, self.acceleration * dt
+        most = np.minimum(np.sqrt(change**2 + 2 * a * self.room(q)) - change, self.velocity)
         if before is None:
             return np.array([-most[0], most[1]])
-        return np.asarray(np.minimum(np.maximum(before + a * dt * _SIDES, -most[0]), most[1]))
+        return np.asarray(np.minimum(np.maximum(before + change * _SIDES, -most[0]), most[1]))
 
 
 def bounded_least_squares(A: Array, b: Array, least: Array, most: Array) -> Array:
@@ -231,9 +231,9 @@ class Solver:
     def errors(self, goals: Sequence[Any], seen: Sequence[Any]) -> Array:
         """Return the errors of all tasks, one after the other, shape (rows,) [m, rad]."""
         if len(seen) == 1:
-            return self.tasks[0].error_of(goals[0], seen[0][0])
+            return self.tasks[0].error_of(goals[0], seen[0])
         each = zip(self.tasks, goals, seen, strict=True)
-        return np.concatenate([task.error_of(goal, found[0]) for task, goal, found in each])
+        return np.concatenate([task.error_of(goal, found) for task, goal, found in each])
 
     def system(self, J: Array, reach: Array) -> tuple[Array, ...]:
         """Return the weighted Jacobian, that by weighted displacements, its square's factor, and `reach`.
@@ -303,7 +303,7 @@ class Solver:
         for attempt in range(_TRIES if q0 is None else 1):
             aside = generator.uniform(-1, 1, robot.nv) * (attempt > 0) * (np.arange(robot.nv) >= _BASE)
             q = self.sought(goals, np.clip(robot.integrate(first, aside), robot.lower, robot.upper))
-            size = float(np.linalg.norm(self.errors(goals, self._frames(q))[: len(self.tasks[0].weights)]))
+            size = float(np.linalg.norm(self.errors(goals, self._frames[0](q))[: len(self.tasks[0].weights)]))
             if size < best[0] * (1 - _AS_GOOD):  # take the first of equal minima, on every machine
                 best = size, q
             if best[0] <= _EXACT:
@@ -321,7 +321,7 @@ class Solver:
             reach = np.concatenate([base, reach[self.drive.arms]])
         stride[reach == 0] = 0
         for _ in range(_SEARCH):
-            seen = self._frames(q)
+            seen = self._frames[0](q)
             error = self.errors(goals, seen)
             if error @ error <= _EXACT**2:
                 break
@@ -338,8 +338,9 @@ class Solver:
         return [list(zip(T[:, :3, 3], T[:, :3, :3], strict=True)) for T in poses]
 
     def jacobian(self, seen: Sequence[Any]) -> Array:
-        """Return the Jacobian of all tasks by the velocities of body and arms, shape (rows, nv)."""
-        each = [task.rows_of(*found) for task, found in zip(self.tasks, seen, strict=True)]
+        """Return the Jacobian of all tasks, shape (rows, nv), for the last poses of the frames."""
+        own = zip(self.tasks, seen, self._frames[1](), strict=True)
+        each = [task.rows_of(pose, J) for task, pose, J in own]
         return each[0] if len(each) == 1 else np.concatenate(each)
 
     def steps(self, start: Array, posture: Array, gain: float, count: int) -> Array:
@@ -364,7 +365,7 @@ class Solver:
         origin = y = start if drive is None else drive.origin(start)
         controls, wish, still = np.zeros((count + 1, len(y))), np.zeros(len(y)), np.zeros(len(y))
         wanted = dt * gain * (self._reach[arms] > 0)
-        pose, seen = start[:_BASE], self._frames(start)
+        pose, seen = start[:_BASE], self._frames[0](start)
         left = self.errors(goals[0], seen)
         for k in range(count):
             if drive is not None and k >= 2:
@@ -376,7 +377,7 @@ class Solver:
                 pose = pose + drive.travelled(pose[2], np.array(dt), rates, origin + values)
                 at_knot = origin + KNOT @ four[1:]
                 q = drive.moved(np.append(pose, at_knot[arms]), at_knot, y - at_knot)[0]
-                seen = self._frames(q)
+                seen = self._frames[0](q)
             wish[arms] = wanted * self.robot.difference(q, posture)[_BASE:]
             least, most = dt * self.limits.velocities(y, dt, v)
             kept = self.kept(left, dt)
@@ -399,7 +400,7 @@ class Solver:
                 more = self.correction(system, error, still if attempt else wish, least - step, most - step)
                 step = step + more
                 at, slope = (q + step, None) if drive is None else drive.moved(q, y, step)
-                seen = self._frames(at)
+                seen = self._frames[0](at)
                 error = self.errors(goals[k + 1], seen) - kept
             controls[k + 1], q, y, v = controls[k] + step, at, y + step, step / dt
             left = error + kept

@@ -191,8 +191,10 @@ def frame_jacobian(number: int, model: pin.Model, data: pin.Data, q: Array) -> A
     return np.asarray(J[:, [1, 0, *range(2, model.nv)]])
 
 
-def frames_of(robot: Any, names: Sequence[str]) -> Callable[[Array], list[tuple[pin.SE3, Array]]]:
-    """Return an unchecked function of q for one thread: pose and Jacobian of each frame, shape (6, nv).
+def frames_of(
+    robot: Any, names: Sequence[str]
+) -> tuple[Callable[[Array], list[pin.SE3]], Callable[[], list[Array]]]:
+    """Return two unchecked functions for one thread: poses of frames at q, and then their Jacobians there.
 
     Parameters
     ----------
@@ -203,14 +205,16 @@ def frames_of(robot: Any, names: Sequence[str]) -> Callable[[Array], list[tuple[
     """
     engine, numbers = robot._numeric, [robot._frame(name)[1] for name in names]
     model, data, swap = engine.model, engine.data, np.eye(engine.nv)[engine.order]
-    place, slope = pin.updateFramePlacement, pin.getFrameJacobian
 
-    def evaluate(q: Array) -> list[tuple[pin.SE3, Array]]:
-        pin.computeJointJacobians(model, data, q @ swap)
-        along = pin.LOCAL_WORLD_ALIGNED
-        return [(place(model, data, k), slope(model, data, k, along) @ swap) for k in numbers]
+    def poses(q: Array) -> list[pin.SE3]:
+        pin.forwardKinematics(model, data, q @ swap)
+        return [pin.updateFramePlacement(model, data, k) for k in numbers]
 
-    return evaluate
+    def jacobians() -> list[Array]:
+        pin.computeJointJacobians(model, data)
+        return [pin.getFrameJacobian(model, data, k, pin.LOCAL_WORLD_ALIGNED) @ swap for k in numbers]
+
+    return poses, jacobians
 
 
 def frame_drift(number: int, model: pin.Model, data: pin.Data, q: Array, v: Array) -> Array:
