@@ -14,6 +14,7 @@ import pinocchio as pin
 from pinmobile.arrays import (
     Array,
     ArrayLike,
+    bounded,
     finite,
     frozen,
     increasing,
@@ -489,7 +490,7 @@ class FrameTask:
         Axis along the frame's axes, of any length. With it, the orientation of the target gives only the
         direction of this axis; the frame may turn about it. By default, all of the orientation.
     position, orientation : float
-        Weights of the errors of position [1/m] and orientation [1/rad], >= 0; zero leaves it free.
+        Weights of the errors of position [1/m] and orientation [1/rad], 0 to 1e6; zero leaves it free.
     tolerance : float
         Largest accepted distance [m] and angle [rad], see `solve_inverse_kinematics`; by default, any. For
         the first of several tasks, the smaller of both tolerances applies.
@@ -526,7 +527,8 @@ class FrameTask:
     def __post_init__(self) -> None:
         instance("target", self.target, PosePath, "a PosePath")
         own: dict[str, Any] = {
-            name: non_negative(name, getattr(self, name)) for name in ("position", "orientation")
+            name: bounded(name, non_negative(name, getattr(self, name)), most=1e6)
+            for name in ("position", "orientation")
         }
         own["tolerance"] = positive_or_endless("tolerance", self.tolerance)
         if self.axis is not None:

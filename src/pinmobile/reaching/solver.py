@@ -169,6 +169,7 @@ _STALE = 0.02  # reduction of the error by an iteration above which the next one
 _SEARCH = 200  # Gauss-Newton iterations for the start
 _STRIDE = 0.2  # their largest displacement [m, rad]
 _REGULAR = 0.01  # largest share of the error that damping leaves in a regular configuration
+_UNDAMPED = 1e-10  # smaller weights of displacements have no effect beside rounding
 _TRIES = 8  # initial guesses for the start
 _AS_GOOD = 1e-6  # relative: remaining errors of the same local minimum differ by less
 
@@ -216,7 +217,7 @@ class Solver:
     @cached_property
     def _reach(self) -> Array:
         """Displacement per weighted one, shape (nv,); zero for locked coordinates."""
-        return np.where(self.limits.velocity == 0, 0.0, 1 / self.weights)
+        return np.where(self.limits.velocity == 0, 0.0, 1 / np.maximum(self.weights, _UNDAMPED))
 
     @cached_property
     def _rows(self) -> list[slice]:
@@ -369,10 +370,9 @@ class Solver:
         left = self.errors(goals[0], seen)
         for k in range(count):
             if drive is not None and k >= 2:
-                before = self.beyond(controls[:3], origin, dt) if k == 2 else controls[k - 3]
-                four = np.vstack([before, controls[k - 2 : k + 1]])
-                if k == 2:
-                    pose = drive.moved(start, origin, KNOT @ four[:3] - controls[0])[0][:_BASE]
+                first = self.beyond(controls[:3], origin, dt) if k == 2 else controls[k - 3]
+                four = np.vstack([first, controls[k - 2 : k + 1]])
+                pose = drive.moved(start, origin, KNOT @ four[:3])[0][:_BASE] if k == 2 else pose
                 rates, values = at_points(four, dt)
                 pose = pose + drive.travelled(pose[2], np.array(dt), rates, origin + values)
                 at_knot = origin + KNOT @ four[1:]
