@@ -24,12 +24,12 @@ _WHOLE = 1 / _ORDERS @ _INVERSE
 _PARTS = _POINTS[:, None] ** _ORDERS / _ORDERS @ _INVERSE
 # Uniform cubic B-spline between two knots: the four basis functions by powers of the share of the interval.
 _SPLINE = np.array([[1, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]]) / 6
-KNOT = _SPLINE[0, :3]
+_KNOT = _SPLINE[0, :3]
 _VALUES = np.vander(_POINTS, increasing=True) @ _SPLINE
 _SLOPES = np.vander(_POINTS, 3, increasing=True) * (1, 2, 3) @ _SPLINE[1:]
 
 
-def at_points(four: Array, dt: float) -> tuple[Array, Array]:
+def _at_points(four: Array, dt: float) -> tuple[Array, Array]:
     """Return slopes and values of a uniform cubic B-spline at the Gauss points of an interval.
 
     Parameters
@@ -205,6 +205,29 @@ class Drive:
         angle = psi[..., None] + h[..., None] * (twists[..., 2] @ _PARTS.T)
         return np.asarray(h[..., None] * (_WHOLE @ along(angle, twists)))
 
+    def first_pose(self, start: Array, three: Array) -> Array:
+        """Return x, y and psi at the first knot, shape (3,), from a start and the first displacements."""
+        return self.moved(start, self.origin(start), _KNOT @ three)[0][:_BASE]
+
+    def onward(self, pose: Array, four: Array, origin: Array, y: Array, dt: float) -> tuple[Array, Array]:
+        """Return the pose at the next knot, shape (3,), and the configuration where nu has the integrals `y`.
+
+        Parameters
+        ----------
+        pose : ndarray, shape (3,)
+            x, y and psi at a knot.
+        four : ndarray, shape (4, m)
+            Control points, relative to `origin`.
+        origin, y : ndarray, shape (m,)
+            Integrals of nu at the start, and near the next knot.
+        dt : float
+            Time between knots [s].
+        """
+        rates, values = _at_points(four, dt)
+        pose = pose + self.travelled(pose[2], np.array(dt), rates, origin + values)
+        knot = origin + _KNOT @ four[1:]
+        return pose, self.moved(np.append(pose, knot[self.arms]), knot, y - knot)[0]
+
     def poses(self, start: Array, controls: Array, dt: float) -> Array:
         """Return x, y and psi at the knots of a spline, shape (N + 1, 3), see `InverseKinematicsTrajectory`.
 
@@ -218,9 +241,9 @@ class Drive:
             Time between knots [s].
         """
         origin = self.origin(start)
-        first = self.moved(start, origin, KNOT @ controls[:3] - controls[1])[0][:_BASE]
+        first = self.first_pose(start, controls[:3] - controls[1])
         four = np.stack([controls[k : len(controls) - 3 + k] for k in range(4)], axis=1)
-        rates, values = at_points(four, dt)
+        rates, values = _at_points(four, dt)
         y = origin + values
         turns = np.cumsum(dt * (self.twists(rates, y)[..., 2] @ _WHOLE))
         steps = self.travelled(first[2] + np.append(0.0, turns[:-1]), np.array(dt), rates, y)

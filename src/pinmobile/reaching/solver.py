@@ -12,7 +12,7 @@ import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, bounded, endless_or_finite, finite, frozen, shaped
 from pinmobile.errors import InvalidArgument
-from pinmobile.reaching.drive import KNOT, Drive, at_points
+from pinmobile.reaching.drive import Drive
 from pinmobile.reaching.poses import FrameTask
 from pinmobile.robot import MobileRobot, frames_of
 
@@ -372,11 +372,8 @@ class Solver:
             if drive is not None and k >= 2:
                 first = self.beyond(controls[:3], origin, dt) if k == 2 else controls[k - 3]
                 four = np.vstack([first, controls[k - 2 : k + 1]])
-                pose = drive.moved(start, origin, KNOT @ four[:3])[0][:_BASE] if k == 2 else pose
-                rates, values = at_points(four, dt)
-                pose = pose + drive.travelled(pose[2], np.array(dt), rates, origin + values)
-                at_knot = origin + KNOT @ four[1:]
-                q = drive.moved(np.append(pose, at_knot[arms]), at_knot, y - at_knot)[0]
+                pose = drive.first_pose(start, four[:3]) if k == 2 else pose
+                pose, q = drive.onward(pose, four, origin, y, dt)
                 seen = self._frames[0](q)
             wish[arms] = wanted * self.robot.difference(q, posture)[_BASE:]
             least, most = dt * self.limits.velocities(y, dt, v)
@@ -390,10 +387,10 @@ class Solver:
             slope = None if drive is None else drive.moved(q, y, step)[1]
             size = np.inf
             for attempt in range(_STEPS):
-                before, size = size, sqrt(error @ error)
+                former, size = size, sqrt(error @ error)
                 if attempt and size <= _SETTLED:
                     break
-                if attempt == 0 or size > _STALE * before:
+                if attempt == 0 or size > _STALE * former:
                     J = self.jacobian(seen)
                     J = J if drive is None or slope is None else drive.jacobian(J, slope, bent)
                     system = self.system(J, reach)
