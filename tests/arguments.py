@@ -362,6 +362,14 @@ ROWS: dict[str, Row] = {
     "PosePath": row(
         path=pm.Hold([0, 0, 1], 1), rotation=np.eye(3), final_rotation=np.eye(3), turn=None, times=None
     ),
+    "FrameTask": row(
+        target=pm.PosePath(pm.Hold([0, 0, 1], 1), np.eye(3)),
+        frame="base_link",
+        axis=(0, 0, 1),
+        position=2.0,
+        orientation=1.0,
+        tolerance=0.1,
+    ),
     "PosePath.through": row(poses=[np.eye(4), np.eye(4)], times=[0.0, 1.0]),
     "Circle.__call__": row(t=[0.1, 0.2]),
     "Circle.derivative": row(t=[0.1, 0.2], order=1),

@@ -75,7 +75,7 @@ _NAMES = {
         "plant": "",
         "plots": "",
         "proximity": "clearance",
-        "reaching": "EndEffectorTracking PosePath solve_inverse_kinematics",
+        "reaching": "EndEffectorTracking FrameTask PosePath solve_inverse_kinematics",
         "robot": "PayloadBody MobileRobot",
         "signals": "",
         "sweeps": "Sweep sweep",

@@ -549,6 +549,7 @@ _JUMP = 0.1  # [rad]: largest difference of the heading's step and the integral 
 _LEAST_SPEED = 1e-3  # [m/s]: smallest forward speed of a steered wheel in its direction
 _NO_AXLE = 1e-9  # added to a square, which is 0 where both axles lie on one line
 _KINDS = ((2, 0), (1, 1))
+_ROUNDING = 1e-9  # relative: a reference may stay at the limit of the steering
 
 
 @final
@@ -668,8 +669,9 @@ class Backstepping:
         if self._steers is not None:
             limit, pivot = self._steers
             angle = np.abs(_steering_angle(self._axle, pivot, speed, w))
-            if (angle > limit).any():
-                k = int(np.argmax(angle > limit))
+            beyond = angle > limit * (1 + _ROUNDING)
+            if beyond.any():
+                k = int(np.argmax(beyond))
                 raise InvalidArgument(
                     f"reference needs a steering angle of {angle[k]:.3g} rad at t = "
                     f"{t[k]:g} s, expected at most {limit:.3g} rad"

@@ -1,6 +1,7 @@
 """An end effector's pose followed by base and arm together."""
 
 from pinmobile.reaching.poses import (
+    FrameTask,
     PosePath,
     PoseTarget,
     error_sizes as error_sizes,
@@ -15,6 +16,7 @@ from pinmobile.reaching.trajectory import (
 
 __all__ = [
     "EndEffectorTracking",
+    "FrameTask",
     "InverseKinematicsTrajectory",
     "PosePath",
     "PoseTarget",

@@ -3,13 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import pairwise
-from typing import NamedTuple, Protocol
+from math import sqrt
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import pinocchio as pin
 
-from pinmobile.arrays import Array, ArrayLike, finite, frozen, increasing, shaped
+from pinmobile.arrays import (
+    Array,
+    ArrayLike,
+    bounded,
+    finite,
+    frozen,
+    increasing,
+    instance,
+    non_negative,
+    positive_or_endless,
+    shaped,
+)
 from pinmobile.errors import InvalidArgument
 from pinmobile.paths import Path, Spline, checked_path, within
 
@@ -460,6 +473,134 @@ class PosePath:
         return told
 
 
+@dataclass(frozen=True, eq=False)
+class FrameTask:
+    """Task of a frame in `solve_inverse_kinematics`: pose, position, orientation or direction of an axis.
+
+    The solver minimises the weighted errors of all tasks, ``(weight error)^2``. A weight of a hundred times
+    that of another task is a priority: the task then gives way by 1e-4 of the other one's error.
+
+    Parameters
+    ----------
+    target : PosePath
+        Target poses, or target positions, of the frame.
+    frame : str, optional
+        Frame that follows the target, one of ``robot.frame_names``; by default, ``robot.end_effector``.
+    axis : array_like, shape (3,), optional
+        Axis along the frame's axes, of any length. With it, the orientation of the target gives only the
+        direction of this axis; the frame may turn about it. By default, all of the orientation.
+    position, orientation : float
+        Weights of the errors of position [1/m] and orientation [1/rad], 0 to 1e6; zero leaves it free.
+    tolerance : float
+        Largest accepted distance [m] and angle [rad], see `solve_inverse_kinematics`; by default, any. For
+        the first of several tasks, the smaller of both tolerances applies.
+
+    Raises
+    ------
+    InvalidArgument
+        If an argument is not what is expected, an axis comes with a target without orientation, or nothing
+        has a weight.
+
+    See Also
+    --------
+    solve_inverse_kinematics : trajectory of base and arm for these tasks
+    PosePath : target poses
+
+    Examples
+    --------
+    >>> from pinmobile import FrameTask, Hold, PosePath
+    >>> identity = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]
+    >>> ahead = PosePath(Hold([0, 0, 0], 2.0), identity)
+    >>> tool = FrameTask(ahead, position=100, orientation=10)
+    >>> heading = FrameTask(ahead, "base_link", (1, 0, 0), position=0)
+    >>> tool.weights.tolist(), heading.weights.tolist()
+    ([100.0, 100.0, 100.0, 10.0, 10.0, 10.0], [1.0, 1.0, 1.0])
+    """
+
+    target: PosePath
+    frame: str | None = None
+    axis: ArrayLike | None = None
+    position: float = 1.0
+    orientation: float = 1.0
+    tolerance: float = np.inf
+
+    def __post_init__(self) -> None:
+        instance("target", self.target, PosePath, "a PosePath")
+        own: dict[str, Any] = {
+            name: bounded(name, non_negative(name, getattr(self, name)), most=1e6)
+            for name in ("position", "orientation")
+        }
+        own["tolerance"] = positive_or_endless("tolerance", self.tolerance)
+        if self.axis is not None:
+            axis = shaped("axis", finite("axis", self.axis), (3,))
+            length = float(np.linalg.norm(axis))
+            if not length or self.target.rows == _POSITION:
+                words = "a target with an orientation, PosePath(path, rotation)" if length else "a direction"
+                raise InvalidArgument(f"axis is {axis.tolist()}, expected {words}")
+            own["axis"] = frozen(axis / length)
+        for name, value in own.items():
+            object.__setattr__(self, name, value)
+        if not len(self.weights):
+            raise InvalidArgument("position and orientation have weight 0, expected one > 0")
+
+    @cached_property
+    def rows(self) -> slice:
+        """Entries of the pose error that the task reduces."""
+        turns = self.target.rows > _POSITION and self.orientation > 0
+        return slice(0 if self.position else _POSITION, 2 * _POSITION if turns else _POSITION)
+
+    @cached_property
+    def weights(self) -> Array:
+        """Weights of these entries, shape (3,) or (6,)."""
+        return frozen(np.repeat([self.position, self.orientation], _POSITION)[self.rows])
+
+    def error_of(self, goal: tuple[Array, Array], pose: pin.SE3) -> Array:
+        """Return the error of a pose, shape (rows,) [m, rad], see `pose_error`.
+
+        Parameters
+        ----------
+        goal : two ndarrays, shape (3,) and (3, 3)
+            Target position and orientation.
+        pose : pin.SE3
+            Pose of the frame.
+        """
+        error = np.empty(2 * _POSITION)
+        error[:_POSITION] = goal[0] - pose.translation
+        if self.rows.stop > _POSITION:
+            error[_POSITION:] = self.turn(goal[1], pose.rotation)
+        return error[self.rows]
+
+    def rows_of(self, pose: pin.SE3, J: Array) -> Array:
+        """Return the Jacobian of the error's entries, shape (rows, nv), from that of the frame, (6, nv)."""
+        if self.axis is not None and self.rows.stop > _POSITION:
+            axis = pose.rotation @ np.asarray(self.axis)
+            J[_POSITION:] -= np.outer(axis, axis @ J[_POSITION:])  # turns about the axis change nothing
+        return J[self.rows]
+
+    def turn(self, target: Array, R: Array) -> Array:
+        """Return the rotation vector from an orientation, or its axis, to that of the target, shape (3,)."""
+        if self.axis is None:
+            return _log(target @ R.T)
+        axis = np.asarray(self.axis)
+        actual, wanted = R @ axis, target @ axis
+        across, along = np.cross(actual, wanted), float(actual @ wanted)
+        size = float(np.linalg.norm(across))
+        if not size and along < 0:  # any axis across serves
+            across = np.cross(actual, np.eye(3)[np.argmin(np.abs(actual))])
+        return np.asarray(across * (np.arctan2(size, along) / (np.linalg.norm(across) or 1.0)))
+
+    def signals(self, t: Array) -> dict[str, tuple[str, Array]]:
+        """Return the signals of the target, see `PosePath.told`; of an axis, those of the position.
+
+        Parameters
+        ----------
+        t : ndarray, shape (N + 1,)
+            Times [s].
+        """
+        whole = self.axis is None and self.rows.stop > _POSITION
+        return (self.target if whole else PosePath(self.target.path)).told(str(self.frame), t)
+
+
 def target_names(frame: str) -> tuple[str, str]:
     """Return the names of the signals of a frame's target: position and orientation."""
     return f"target position of {frame}", f"target orientation of {frame}"
@@ -509,7 +650,7 @@ def _log(R: Array) -> Array:
     the size of the threshold.
     """
     turn = pin.log3(R)
-    angle = float(np.linalg.norm(turn))
+    angle = sqrt(turn @ turn)
     if half_turn_apart(angle):
         leading = turn[np.argmax(np.abs(turn) > _SMALL * angle)]
         if leading < 0:

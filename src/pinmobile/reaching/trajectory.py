@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Protocol, final, runtime_checkable
+from typing import Any, Protocol, final, runtime_checkable
 from warnings import warn
 
 import numpy as np
@@ -14,7 +14,6 @@ from pinmobile.arrays import (
     Array,
     ArrayLike,
     bounded,
-    endless_or_finite,
     finite,
     frozen,
     instance,
@@ -29,330 +28,19 @@ from pinmobile.parts import Constrained, able
 from pinmobile.paths import within
 from pinmobile.plant import Context, limits_exceeded
 from pinmobile.proximity import Clearance, clearance as clearance_of
-from pinmobile.reaching.poses import PosePath, error_sizes, pose_error
+from pinmobile.reaching.drive import Drive
+from pinmobile.reaching.poses import FrameTask, PosePath, error_sizes, pose_error
+from pinmobile.reaching.solver import (
+    Limits,
+    Solver,
+    bounded_least_squares,
+    checked_configuration,
+    per_coordinate,
+)
 from pinmobile.robot import MobileRobot
 from pinmobile.trajectories import Reference
 
-_ROUNDING = 1e-9  # share of the largest acceleration; forward after inverse dynamics loses less
-
-
-@dataclass(frozen=True, eq=False)
-class Limits:
-    """Limits of a robot's velocities and accelerations; the position limits come from the robot.
-
-    Parameters
-    ----------
-    robot : MobileRobot
-        Robot with the position limits.
-    velocity : ndarray, shape (nv,)
-        Limit of the absolute velocity [m/s, m/s, rad/s, ...], >= 0; inf for no limit.
-    acceleration : ndarray, shape (nv,)
-        Limit of the absolute acceleration [m/s^2, m/s^2, rad/s^2, ...], > 0 and finite.
-    """
-
-    robot: MobileRobot
-    velocity: Array
-    acceleration: Array
-
-    def room(self, q: Array) -> Array:
-        """Return the distance of coordinates to lower and upper limits, shape (2, nv), clipped at zero."""
-        return np.maximum(self.signed_room(q), 0)
-
-    def signed_room(self, q: Array) -> Array:
-        """Return the distance of coordinates to lower and upper limits, shape (2, nv), negative outside."""
-        return np.stack([q - self.robot.lower, self.robot.upper - q])
-
-    def ramps(self, q: Array, v: Array, dt: float) -> tuple[Array, Array]:
-        """Return the lower and upper bound of a constant acceleration over `dt`, each of shape (nv,).
-
-        The bounds correspond to `velocities`, for a velocity that changes linearly to v' at the end of the
-        step: (v + v') dt / 2 + v'^2 / (2 a) <= d. Outside a position limit, the coordinate brakes with its
-        maximum acceleration.
-
-        Parameters
-        ----------
-        q, v : ndarray, shape (nq,) and (nv,)
-            State.
-        dt : float
-            Time step [s].
-        """
-        a = self.acceleration
-        root = (a * dt) ** 2 + 8 * a * self.room(q) - 4 * a * dt * np.stack([-v, v])
-        stop = np.where(root >= 0, (np.sqrt(np.maximum(root, 0)) - a * dt) / 2, -np.inf)
-        most = np.clip((np.minimum(stop[1], self.velocity) - v) / dt, -a, a)
-        least = np.clip((-np.minimum(stop[0], self.velocity) - v) / dt, -a, a)
-        return np.minimum(least, most), most
-
-    def excess(self, q: Array, v: Array, dt: float) -> Array:
-        """Return by how much an acceleration over `dt` was too low and too high, shape (2, nv), >= 0.
-
-        With a correction of this size, each coordinate would stay within its limits and could still stop
-        there. Values below rounding are zero.
-
-        Parameters
-        ----------
-        q, v : ndarray, shape (nq,) and (nv,)
-            State after the step.
-        dt : float
-            Time step [s].
-        """
-        room = self.signed_room(q)
-        most = np.minimum(np.sqrt(2 * self.acceleration * np.maximum(room, 0)), self.velocity)
-        excess = np.maximum((np.stack([-v, v]) - most) / dt, -2 * room / dt**2)
-        return np.where(excess > _ROUNDING * self.acceleration, excess, 0)
-
-    def velocities(self, q: Array, dt: float, before: Array | None = None) -> tuple[Array, Array]:
-        """Return the lower and upper bound of a velocity that is constant over `dt`, each of shape (nv,).
-
-        After the step, a joint can still stop at its limit: v dt + v^2 / (2 a) <= d, with the distance d to
-        the limit and the acceleration a (after Flacco, De Luca and Khatib, "Motion control of redundant
-        robots under joint constraints", 2012). If position and acceleration limits contradict each other, as
-        for a state outside its limits, the position limits have priority.
-
-        Parameters
-        ----------
-        q : ndarray, shape (nq,)
-            Configuration.
-        dt : float
-            Time step [s].
-        before : ndarray, shape (nv,), optional
-            Velocity before the step; by default, arbitrary.
-        """
-        a = self.acceleration
-        brake = a * (np.sqrt(dt**2 + 2 * self.room(q) / a) - dt)
-        least, most = -np.minimum(brake[0], self.velocity), np.minimum(brake[1], self.velocity)
-        if before is None:
-            return least, most
-        return np.clip(before - a * dt, least, most), np.clip(before + a * dt, least, most)
-
-
-def bounded_least_squares(A: Array, b: Array, least: Array, most: Array) -> Array:
-    """Return the x that minimises the norm of A x - b with least <= x <= most, shape (n,).
-
-    Parameters
-    ----------
-    A : ndarray, shape (m, n)
-        Matrix of rank n.
-    b : ndarray, shape (m,)
-        Right-hand side.
-    least, most : ndarray, shape (n,)
-        Bounds, least <= most; infinite for no bound.
-    """
-    x: Array = np.asarray(np.linalg.lstsq(A, b)[0], dtype=np.float64)
-    if ((x >= least) & (x <= most)).all():
-        return x
-    # Imported here: scipy loads slowly, and most steps do not need it.
-    from scipy.optimize import lsq_linear
-
-    free = least < most
-    x = np.where(free, 0.0, least)
-    if free.any():
-        bounds = least[free], most[free]
-        x[free] = lsq_linear(A[:, free], b - A[:, ~free] @ x[~free], bounds, method="bvls").x
-    return np.asarray(np.clip(x, least, most), dtype=np.float64)
-
-
-def per_coordinate(name: str, value: ArrayLike, size: int, *, zero: bool = False) -> Array:
-    """Return one positive number per coordinate, shape (size,); a scalar applies to all coordinates.
-
-    Parameters
-    ----------
-    name : str
-        Name of the argument in messages.
-    value : array_like, shape () or (size,)
-        Value of the argument.
-    size : int
-        Number of coordinates.
-    zero : bool
-        Whether zero and infinity are valid.
-
-    Raises
-    ------
-    InvalidArgument
-        If the value has another shape or a number is out of range.
-    """
-    given = endless_or_finite(name, value) if zero else finite(name, value)
-    shaped(name, given, (), (size,))
-    bounded(name, given, least=0 if zero else None, above=None if zero else 0)
-    return frozen(np.broadcast_to(given, (size,)))
-
-
-_CATCH_UP = 10.0  # [1/s]: largest rate of reducing an error that limits caused
-_EXACT = 1e-10  # [m, rad]
-_STEPS = 4  # Gauss-Newton iterations per step: without limits, an error of 1e-4 falls below rounding
-_SEARCH = 200  # Gauss-Newton iterations for the start
-_STRIDE = 0.2  # their largest displacement [m, rad]
-_TRIES = 8  # initial guesses for the start
-_AS_GOOD = 1e-6  # relative: remaining errors of the same local minimum differ by less
-
-
-@dataclass(frozen=True, eq=False)
-class Solver:
-    """Bounded, damped least-squares inverse kinematics for one target.
-
-    Parameters
-    ----------
-    robot : MobileRobot
-        Robot whose coordinates are the unknowns.
-    target : PosePath
-        Target poses.
-    frame : str
-        Frame that follows the target.
-    limits : Limits
-        Bounds.
-    weights : ndarray, shape (nv, nv)
-        Weights of displacements relative to the pose error.
-    """
-
-    robot: MobileRobot
-    target: PosePath
-    frame: str
-    limits: Limits
-    weights: Array  # (nv, nv)
-
-    def error(self, pose: Array, q: Array) -> Array:
-        """Return the error of the frame's pose, shape (rows,)."""
-        return pose_error(pose, self.robot.frame_pose(q, self.frame))[: self.target.rows]
-
-    def correction(self, q: Array, error: Array, wish: Array, least: Array, most: Array) -> Array:
-        """Return the displacement within bounds that reduces the error, close to a preferred displacement.
-
-        Parameters
-        ----------
-        q : ndarray, shape (nq,)
-            Configuration.
-        error : ndarray, shape (rows,)
-            Error of the frame's pose [m, rad].
-        wish, least, most : ndarray, shape (nv,)
-            Preferred displacement, lower bound and upper bound.
-        """
-        J = self.robot.frame_jacobian(q, self.frame)[: self.target.rows]
-        A, b = np.vstack([J, self.weights]), np.concatenate([error, self.weights @ wish])
-        return bounded_least_squares(A, b, least, most)
-
-    def start(self, q0: ArrayLike | None) -> Array:
-        """Return a configuration within limits for the start of the target, or with the smallest error found.
-
-        Parameters
-        ----------
-        q0 : array_like, shape (nq,), or None
-            Initial guess; None tries `rest` first, then other configurations.
-
-        Raises
-        ------
-        InvalidArgument
-            If `q0` has another shape, is not finite, or is outside the limits.
-        """
-        robot = self.robot
-        first = robot.rest if q0 is None else checked_configuration(robot, "q0", q0)
-        generator, best = np.random.default_rng(0), (np.inf, first)
-        for attempt in range(_TRIES if q0 is None else 1):
-            aside = generator.uniform(-1, 1, robot.nv) * (attempt > 0) * (np.arange(robot.nv) >= 3)
-            q = self.sought(np.clip(robot.integrate(first, aside), robot.lower, robot.upper))
-            size = float(error_sizes(self.error(self.target(0.0).pose, q)).max())
-            if size < best[0] * (1 - _AS_GOOD):  # take the first of equal minima, on every machine
-                best = size, q
-            if best[0] <= _EXACT:
-                break
-        return best[1]
-
-    def sought(self, q: Array) -> Array:
-        """Return the Gauss-Newton solution for the start of the target from an initial guess, shape (nq,)."""
-        pose, still = self.target(0.0).pose, np.zeros(self.robot.nv)
-        # The pose is linear in x and y, so their steps need no bound; locked coordinates do not move.
-        stride = np.where(np.arange(self.robot.nv) < 2, np.inf, _STRIDE)
-        stride[self.limits.velocity == 0] = 0
-        for _ in range(_SEARCH):
-            error = self.error(pose, q)
-            if error_sizes(error).max() <= _EXACT:
-                break
-            below, above = self.limits.room(q)
-            least, most = np.maximum(-below, -stride), np.minimum(above, stride)
-            q = self.robot.integrate(q, self.correction(q, error, still, least, most))
-        return q
-
-    def steps(self, start: Array, posture: Array, gain: float, count: int) -> Array:
-        """Return the displacements of the control points from the start, shape (count + 3, nv).
-
-        The first and the last control point are beyond the ends of the target.
-
-        Parameters
-        ----------
-        start, posture : ndarray, shape (nq,)
-            Initial configuration, and preferred configuration of the arms.
-        gain : float
-            Rate of convergence toward the preferred configuration [1/s].
-        count : int
-            Number of steps.
-        """
-        robot, dt = self.robot, self.target.duration / count
-        poses = self.target(np.linspace(0, self.target.duration, count + 1)).pose
-        controls, q, v = np.zeros((count + 1, robot.nv)), start, None
-        left = self.error(poses[0], q)
-        for k in range(count):
-            wish = dt * gain * robot.difference(q, posture)
-            wish[:3] = 0
-            least, most = (dt * bound for bound in self.limits.velocities(q, dt, v))
-            kept = self.kept(left, dt)
-            step, at = np.zeros(robot.nv), q
-            for attempt in range(_STEPS):
-                error = self.error(poses[k + 1], at) - kept
-                if attempt and error_sizes(error).max() <= _EXACT:
-                    break
-                wanted = wish if attempt == 0 else np.zeros(robot.nv)
-                step = np.clip(
-                    step + self.correction(at, error, wanted, least - step, most - step), least, most
-                )
-                at = robot.integrate(q, step)
-            controls[k + 1], q, v = controls[k] + step, at, step / dt
-            left = self.error(poses[k + 1], q)
-        ends = (self.beyond(three, start, dt)[None] for three in (controls[:3], controls[:-4:-1]))
-        return np.concatenate([next(ends), controls, next(ends)])
-
-    def kept(self, left: Array, dt: float) -> Array:
-        """Return the part of a remaining error that a step may leave, shape (rows,).
-
-        The approach has a speed of at most sqrt(a e), which requires half of the acceleration a. A faster
-        approach could not brake in time.
-        """
-        size = float(np.linalg.norm(left))
-        a = float(self.limits.acceleration.min())
-        rate = min(_CATCH_UP, np.sqrt(a / size)) if size else _CATCH_UP
-        return max(1 - rate * dt, 0.0) * left
-
-    def beyond(self, nearest: Array, start: Array, dt: float) -> Array:
-        """Return the control point beyond the end, shape (nv,), from the three nearest, shape (3, nv).
-
-        The extrapolation continues their acceleration if it stays within the limits. Otherwise the
-        extrapolation is linear; then the curve ends at the outermost of the three points and stays between
-        them.
-        """
-        line = 2 * nearest[0] - nearest[1]
-        bent = line + nearest[0] - 2 * nearest[1] + nearest[2]
-        below, above = self.limits.room(start)
-        fits = (bent >= -below) & (bent <= above) & (np.abs(nearest[0] - bent) <= dt * self.limits.velocity)
-        return np.asarray(np.where(fits, bent, line))
-
-
-def checked_configuration(robot: MobileRobot, name: str, value: ArrayLike) -> Array:
-    """Return a checked configuration within limits, shape (nq,).
-
-    Raises
-    ------
-    InvalidArgument
-        If the value has another shape, is not finite, or is outside the limits.
-    """
-    q = shaped(name, finite(name, value), (robot.nq,))
-    outside = (q < robot.lower) | (q > robot.upper)
-    if outside.any():
-        k = int(np.argmax(outside))
-        raise InvalidArgument(
-            f"{name} has q[{k}] = {q[k]:.4g}, expected {robot.lower[k]:.4g} <= q[{k}] <= {robot.upper[k]:.4g}"
-        )
-    return q
-
-
-_DEGREE = 3
+_DEGREE, _POSITION = 3, 3
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -361,21 +49,24 @@ class InverseKinematicsTrajectory:
 
     q is twice continuously differentiable, with derivatives v and a. q, v and a are averages of the control
     points, of their first and of their second differences (de Boor, "A practical guide to splines", 1978).
-    Bounds on the control points and differences therefore hold at all times, not only at samples.
+    Bounds on the control points and differences therefore hold at all times, not only at samples. For a robot
+    on wheels, the spline is that of the integrals of the drive's independent velocities; x, y and psi follow
+    by quadrature, so that the wheels roll at all times.
 
     Attributes
     ----------
     robot : MobileRobot
-        Robot whose coordinates the trajectory describes.
-    target : PosePath
-        Target poses.
-    frame : str
-        Name of the frame that follows the target.
+        Robot whose coordinates the trajectory describes: body and arms.
+    tasks : tuple of FrameTask
+        Tasks, the first of which gives `target`, `frame` and `error`.
     start : ndarray, shape (nq,)
         Configuration at the first control point [m, m, rad, ...].
     controls : ndarray, shape (N + 3, nv)
         Displacements of the control points from `start`, evenly spaced in time, with one point beyond each
         end.
+    drive : object or None
+        Independent velocities of the wheels, whose integrals `controls` then holds; None: the base moves in
+        every direction.
 
     See Also
     --------
@@ -397,10 +88,10 @@ class InverseKinematicsTrajectory:
     """
 
     robot: MobileRobot
-    target: PosePath
-    frame: str
+    tasks: tuple[FrameTask, ...]
     start: Array
     controls: Array
+    drive: Drive | None = None
     _curve: Callable[..., Array] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -410,7 +101,7 @@ class InverseKinematicsTrajectory:
         for name in ("start", "controls"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
         steps = np.arange(len(self.controls) + _DEGREE + 1.0) - _DEGREE
-        knots = self.duration / (len(self.controls) - _DEGREE) * steps
+        knots = self._dt * steps
         object.__setattr__(self, "_curve", BSpline(knots, self.controls, _DEGREE))
 
     def __repr__(self) -> str:
@@ -424,9 +115,29 @@ class InverseKinematicsTrajectory:
         return f"<InverseKinematicsTrajectory: {over}, largest error {metres:.3e} m{turn}{near}>"
 
     @property
+    def target(self) -> PosePath:
+        """Target poses of the first task."""
+        return self.tasks[0].target
+
+    @property
+    def frame(self) -> str:
+        """Name of the frame that follows the target."""
+        return str(self.tasks[0].frame)
+
+    @property
     def duration(self) -> float:
         """Duration of the target [s]."""
         return self.target.duration
+
+    @property
+    def _dt(self) -> float:
+        return self.duration / (len(self.controls) - _DEGREE)
+
+    @cached_property
+    def _poses(self) -> Array:
+        """Pose x, y and psi of a robot on wheels at the knots, shape (N + 1, 3)."""
+        drive: Any = self.drive
+        return frozen(drive.poses(self.start, self.controls, self._dt))
 
     @property
     def t(self) -> Array:
@@ -452,10 +163,15 @@ class InverseKinematicsTrajectory:
             If a time is out of range.
         """
         times = within("t", t, self.duration)
-        displacement, v, a = (self._curve(times, order) for order in range(3))
+        if self.drive is not None:
+            k = np.clip(np.floor_divide(times, self._dt), 0, len(self._poses) - 2).astype(int)
+            since = times - self._dt * k
+            q, v, a = self.drive.reference(self._poses[k], since, self._curve, times, self.start)
+        else:
+            displacement, v, a = (self._curve(times, order) for order in range(3))
+            q = self.robot.integrate(self.start, displacement)
         # Rounding may exceed a limit.
-        q = np.clip(self.robot.integrate(self.start, displacement), self.robot.lower, self.robot.upper)
-        return Reference(q, v, a)
+        return Reference(np.clip(q, self.robot.lower, self.robot.upper), v, a)
 
     def signals_at(self, t: Array) -> dict[str, tuple[str, Array]]:
         """Return the target of the frame at the samples of a run, see `PosePath.told`.
@@ -465,17 +181,33 @@ class InverseKinematicsTrajectory:
         t : ndarray, shape (N + 1,)
             Times [s].
         """
-        return self.target.told(self.frame, t)
+        return self.tasks[0].signals(t)
 
     @cached_property
     def error(self) -> Array:
         """Pose errors at the times `t`, shape (N + 1, 6) [m, rad], along the inertial axes, see `pose_error`.
 
-        The last three columns hold the rotation vector. They are NaN for a target without orientation.
+        The last three columns hold the rotation vector, of an axis that from its direction to the target's.
+        Entries that the first task leaves free are NaN.
         """
-        error = pose_error(self.target(self.t).pose, self.robot.frame_pose(self(self.t).q, self.frame))
-        error[:, self.target.rows :] = np.nan
-        return frozen(error)
+        return frozen(self.error_of(0))
+
+    def error_of(self, task: int) -> Array:
+        """Return the errors of a task at the times `t`, as in `error`, shape (N + 1, 6) [m, rad].
+
+        Parameters
+        ----------
+        task : int
+            Number of the task, in the order of `tasks`.
+        """
+        own, rows = self.tasks[task], np.full((len(self.t), 6), np.nan)
+        goal, actual = own.target(self.t).pose, self.robot.frame_pose(self(self.t).q, own.frame)
+        rows[:, :_POSITION] = goal[:, :3, 3] - actual[:, :3, 3]
+        if own.rows.stop > _POSITION:
+            pairs = zip(goal[:, :3, :3], actual[:, :3, :3], strict=True)
+            rows[:, _POSITION:] = [own.turn(a, b) for a, b in pairs]
+        rows[:, : own.rows.start] = np.nan
+        return rows
 
     @cached_property
     def clearance(self) -> Clearance:
@@ -498,8 +230,8 @@ _MOST_STEPS = 1_000_000  # more would take hours
 
 
 def solve_inverse_kinematics(
-    robot: MobileRobot,
-    target: PosePath,
+    robot: MobileRobot | Wheeled,
+    target: PosePath | FrameTask | Sequence[PosePath | FrameTask],
     *,
     frame: str | None = None,
     q0: ArrayLike | None = None,
@@ -513,39 +245,48 @@ def solve_inverse_kinematics(
     tolerance: float = 1e-2,
     clearance: float | None = None,
 ) -> InverseKinematicsTrajectory:
-    """Return a trajectory of base and arm along which a frame follows target poses.
+    """Return a trajectory of base and arm along which frames follow target poses.
 
     The solver is damped least squares within bounds (Nakamura and Hanafusa, 1986). In each step, it minimises
-    the error of the next pose over all displacements within limits. Among nearly optimal displacements, it
-    prefers motion toward the posture. It then iterates until the pose is reached. At a singular configuration
-    or a limit, an error remains. The base may move in any direction. Use `ComputedTorque` to track the
-    trajectory.
+    the weighted errors of the next poses over all displacements within limits. Among nearly optimal
+    displacements, it prefers motion toward the posture. It then iterates until the poses are reached. At a
+    singular configuration or a limit, an error remains.
+
+    The base of a `MobileRobot` may move in any direction; use `ComputedTorque` to track the trajectory. A
+    `WheeledRobot` moves by the independent velocities of its drive: of an omnidirectional drive, forward,
+    left and yaw rate; of one with a fixed axle, speed and yaw rate; of a car, speed. The rates of the arms
+    follow, and of a car the steering rate. Arrays of shape (m,) have this order. A car steers toward the
+    curvature that the tasks would give a drive that turns on the spot, and starts with its wheels straight.
+    Use `Backstepping` to track a trajectory of a drive with a fixed axle.
 
     Parameters
     ----------
-    robot : MobileRobot
-        Robot with or without arms.
-    target : PosePath
-        Target poses, or target positions.
+    robot : MobileRobot or WheeledRobot
+        Robot with or without arms. Wheels are an omnidirectional drive without steering, one fixed axle, or
+        those of a car.
+    target : PosePath, FrameTask or sequence of them
+        Target poses, or target positions; or several tasks of one duration, with weights. The first task is
+        that of `tolerance` and of the signals of a run.
     frame : str, optional
-        Frame that follows the target, one of ``robot.frame_names``; by default, ``robot.end_effector``.
+        Frame that follows the target, one of ``robot.frame_names``; by default, ``robot.end_effector``. A
+        `FrameTask` has its own.
     q0 : array_like, shape (nq,), optional
         Initial guess for the start [m, m, rad, ...]; by default, ``robot.rest`` and then other
         configurations.
     posture : array_like, shape (nq - 3,), optional
-        Preferred configuration of the arms in the directions that the target leaves free [rad or m]; by
+        Preferred configuration of the arms in the directions that the targets leave free [rad or m]; by
         default, the configuration at the start.
     dt : float
         Largest time between control points [s]. The error is about a dt^2 / 6 for a frame with acceleration
         a.
     posture_gain : float
         Rate of convergence toward the posture [1/s], >= 0.
-    cost : array_like, shape () or (nv,)
+    cost : array_like, shape () or (nv,) or (m,)
         Relative cost of each coordinate's motion, > 0. A coordinate with a high cost moves little.
-    velocity_limit : array_like, shape () or (nv,), optional
+    velocity_limit : array_like, shape () or (nv,) or (m,), optional
         Limit of the absolute velocities [m/s, m/s, rad/s, ...]; by default, the robot's limits. inf means no
         limit; zero locks a coordinate.
-    acceleration_limit : array_like, shape () or (nv,)
+    acceleration_limit : array_like, shape () or (nv,) or (m,)
         Limit of the absolute accelerations [m/s^2, m/s^2, rad/s^2, ...], > 0, including those of braking at a
         position limit. Position and velocity limits have priority.
     damping : float
@@ -566,12 +307,14 @@ def solve_inverse_kinematics(
     Raises
     ------
     InvalidArgument
-        If an argument is not what is expected, or a joint has several velocities.
+        If an argument is not what is expected, a joint has several velocities, or the wheels are those of
+        another drive.
     UnknownName
         If the robot has no such frame.
     Unreachable
-        If an error exceeds the tolerance, or a distance is below `clearance`. The attribute ``resolved`` of
-        the error holds the trajectory.
+        If an error exceeds its tolerance, or a distance is below `clearance`. The message names the time, the
+        target's position, and the limit that holds the robot back. The attribute ``resolved`` of the error
+        holds the trajectory.
 
     Warns
     -----
@@ -581,54 +324,97 @@ def solve_inverse_kinematics(
     See Also
     --------
     EndEffectorTracking : controller that follows a pose without a plan
+    FrameTask : one of several tasks
     PosePath : target poses
     clearance : distances between links
 
     Examples
     --------
-    >>> from pinmobile import MobileRobot, PosePath, Line
-    >>> from pinmobile import solve_inverse_kinematics
+    >>> from pinmobile import Line, MobileRobot, PosePath
+    >>> from pinmobile import (WheeledRobot, WheelTable,
+    ...                        solve_inverse_kinematics)
     >>> robot = MobileRobot.box(mass=60.0).mount("ur5")
     >>> tool = robot.frame_pose(robot.rest)[:3, 3]
     >>> target = PosePath(Line(tool, tool + [0.5, 0.0, 0.0], 4.0))
     >>> plan = solve_inverse_kinematics(robot, target, dt=0.1)
-    >>> distance, angle = plan.max_error()
-    >>> distance < 1e-5  # [m]
+    >>> plan.max_error()[0] < 1e-5  # [m]
     True
+
+    On two wheels, the base turns to the side to which the tool goes:
+
+    >>> axle = WheelTable.differential(0.5, 0.1, spin_inertia=0.01)
+    >>> aside = PosePath(Line(tool, tool + [0.0, 1.0, 0.0], 4.0))
+    >>> rolling = WheeledRobot(robot, axle)
+    >>> plan = solve_inverse_kinematics(rolling, aside, dt=0.1)
+    >>> print(f"{plan(4.0).q[2]:.1f} rad")
+    0.9 rad
     """
-    instance("robot", robot, MobileRobot, "a MobileRobot")
-    instance("target", target, PosePath, "a PosePath")
+    drive = None
+    if isinstance(robot, MobileRobot):
+        body = robot
+    else:
+        drive, body = Drive(instance("robot", robot, Wheeled, _ROBOTS)), robot.robot
     room = None if clearance is None else non_negative("clearance", clearance, "m")
     if room is not None:
-        _ = robot.solids  # raises before the computation, not after it
-    name = robot.frame_name(frame)
-    speed = robot.velocity_limit if velocity_limit is None else velocity_limit
+        _ = body.solids  # raises before the computation, not after it
+    tasks = _checked_tasks(body, target, frame)
+    given: Any = body if drive is None else drive
+    lower, upper = (np.array([getattr(one, end) for one in given.coordinates]) for end in ("lower", "upper"))
+    speed = given.velocity_limit if velocity_limit is None else velocity_limit
     limits = Limits(
-        robot,
-        per_coordinate("velocity_limit", speed, robot.nv, zero=True),
-        per_coordinate("acceleration_limit", acceleration_limit, robot.nv),
+        lower,
+        upper,
+        per_coordinate("velocity_limit", speed, len(lower), zero=True),
+        per_coordinate("acceleration_limit", acceleration_limit, len(lower)),
     )
-    weights = positive("damping", damping) * np.diag(per_coordinate("cost", cost, robot.nv))
+    weights = positive("damping", damping) * per_coordinate("cost", cost, len(lower))
     tolerance = positive_or_endless("tolerance", tolerance)  # infinite accepts any error
-    solver = Solver(robot, target, name, limits, weights)
+    solver = Solver(body, tasks, limits, weights, drive)
     start = solver.start(q0)
-    tending = start if posture is None else _checked_posture(robot, posture)
+    tending = start if posture is None else _checked_posture(body, posture)
     gain = bounded("posture_gain", non_negative("posture_gain", posture_gain, "1/s"), most=1e6, unit="1/s")
-    wanted = target.duration / positive("dt", dt, "s")
+    wanted = tasks[0].target.duration / positive("dt", dt, "s")
     if not wanted <= _MOST_STEPS:
         raise InvalidArgument(
             f"dt is {dt} s, which gives {wanted:.3g} steps, expected at most {_MOST_STEPS:,}: use a larger dt"
         )
     count = max(int(np.ceil(wanted - 1e-9)), 2)
-    resolved = InverseKinematicsTrajectory(
-        robot, target, name, start, solver.steps(start, tending, gain, count)
-    )
-    _judge(resolved, tolerance, room)
+    controls = solver.steps(start, tending, gain, count)
+    resolved = InverseKinematicsTrajectory(body, tasks, start, controls, drive)
+    _judge(resolved, limits, tolerance, room)
     way = resolved(resolved.t)
-    exceeded = limits_exceeded(robot, resolved.t, way.q, way.v, robot.inverse_dynamics(*way))
+    exceeded = limits_exceeded(body, resolved.t, way.q, way.v, body.inverse_dynamics(*way))
     if exceeded:
         warn("; ".join(map(str, exceeded)), LimitWarning, stacklevel=2)
     return resolved
+
+
+_ROBOTS = "a MobileRobot or a WheeledRobot"
+
+
+def _checked_tasks(robot: MobileRobot, target: object, frame: str | None) -> tuple[FrameTask, ...]:
+    """Return the tasks of targets, with the names of their frames.
+
+    Raises
+    ------
+    InvalidArgument
+        If the targets are others, or have different durations.
+    UnknownName
+        If the robot has no such frame.
+    """
+    words = "a PosePath, a FrameTask or a sequence of them"
+    given = target if isinstance(target, list | tuple) and target else [target]
+    found = []
+    for k, each in enumerate(given):
+        task = FrameTask(each, frame if k == 0 else None) if isinstance(each, PosePath) else each
+        instance("target" if task is target else f"target[{k}]", task, FrameTask, words)
+        if frame is not None and task is each:
+            raise InvalidArgument(f"frame is {frame!r} beside a FrameTask, expected FrameTask(target, frame)")
+        found.append(replace(task, frame=robot.frame_name(task.frame)))
+    longest, shortest = (pick(one.target.duration for one in found) for pick in (max, min))
+    if longest > shortest * (1 + 1e-9):
+        raise InvalidArgument(f"targets last {shortest:g} to {longest:g} s, expected the same duration")
+    return tuple(found)
 
 
 def _checked_posture(robot: MobileRobot, posture: ArrayLike) -> Array:
@@ -643,28 +429,57 @@ def _checked_posture(robot: MobileRobot, posture: ArrayLike) -> Array:
     return checked_configuration(robot, "posture", np.concatenate([np.zeros(3), arms]))
 
 
-def _judge(resolved: InverseKinematicsTrajectory, tolerance: float, room: float | None) -> None:
-    """Raise `Unreachable` if a trajectory misses its target or links are too close to each other."""
-    t, sizes = resolved.t, error_sizes(resolved.error[:, : resolved.target.rows])
-    beyond, words = sizes.max(axis=-1) > tolerance, ""
-    if beyond.any():
-        way, turn = sizes[np.argmax(beyond)]
-        most = sizes.max(axis=0)
-        words = (
-            f"target is missed by {way:.3g} m and {turn:.3g} rad at t = {t[np.argmax(beyond)]:g} s, expected "
-            f"at most {tolerance:g}; the largest errors are {most[0]:.3g} m and {most[1]:.3g} rad"
-        )
-    elif room is not None and resolved.clearance.smallest < room:
+def _judge(
+    resolved: InverseKinematicsTrajectory, limits: Limits, tolerance: float, room: float | None
+) -> None:
+    """Raise `Unreachable` if a trajectory misses a target or links are too close to each other."""
+    t = resolved.t
+    for number, task in enumerate(resolved.tasks):
+        allowed = task.tolerance if number else min(task.tolerance, tolerance)
+        sizes = error_sizes(np.nan_to_num(resolved.error_of(number)))
+        beyond = sizes.max(axis=-1) > allowed
+        if beyond.any():
+            k, most = int(np.argmax(beyond)), sizes.max(axis=0)
+            way, turn = sizes[k]
+            x, y, z = task.target(t[k]).pose[:3, 3]
+            whose = f"target of {task.frame}" if len(resolved.tasks) > 1 else "target"
+            raise Unreachable(
+                f"{whose} is missed by {way:.3g} m and {turn:.3g} rad at t = {t[k]:g} s, expected at most "
+                f"{allowed:g}; the largest errors are {most[0]:.3g} m and {most[1]:.3g} rad; the target is "
+                f"at ({x:.4g}, {y:.4g}, {z:.4g}) m, {_limit_at(resolved, limits, k)}",
+                time=float(t[k]),
+                resolved=resolved,
+            )
+    if room is not None and resolved.clearance.smallest < room:
         found = resolved.clearance
-        beyond = found.distance < room
-        k = int(np.argmax(beyond))
+        k = int(np.argmax(found.distance < room))
         a, b = found.pairs[int(found.distances[k].argmin())]
-        words = (
+        raise Unreachable(
             f"clearance is {found.distance[k]:.3g} m between {a} and {b} at t = {t[k]:g} s, "
-            f"expected at least {room:g} m; the smallest is {found.told}"
+            f"expected at least {room:g} m; the smallest is {found.told}",
+            time=float(t[k]),
+            resolved=resolved,
         )
-    if words:
-        raise Unreachable(words, time=float(t[np.argmax(beyond)]), resolved=resolved)
+
+
+def _limit_at(resolved: InverseKinematicsTrajectory, limits: Limits, k: int) -> str:
+    """Return which limit holds a coordinate back at a sample, or at the last one before, in words."""
+    drive, dt, start = resolved.drive, resolved._dt, resolved.start
+    names = (resolved.robot if drive is None else drive).coordinates
+    places = (start if drive is None else drive.origin(start)) + resolved.controls
+    rates, near = np.diff(resolved.controls, axis=0) / dt, 1e-6 * limits.acceleration * dt
+    for i in range(k, 0, -1):
+        rate, stop = rates[i], limits.velocities(places[i], dt)
+        held = np.abs(limits.velocities(places[i], dt, rates[i - 1]) - rate).min(axis=0) <= near
+        for n in np.flatnonzero(held & (limits.velocity > 0)):
+            name, unit = names[n][:2]
+            which = f"acceleration limit, {limits.acceleration[n]:.4g} {unit}/s^2"
+            if limits.velocity[n] - abs(rate[n]) <= near[n]:
+                which = f"speed limit, {limits.velocity[n]:.4g} {unit}/s"
+            elif np.abs(stop[:, n] - rate[n]).min() <= near[n]:
+                which = f"position limit, {(limits.lower, limits.upper)[int(rate[n] >= 0)][n]:.4g} {unit}"
+            return f"where {name} reaches its {which}, at t = {resolved.t[i]:g} s"
+    return "and no limit is reached before: it is out of reach, or the targets contradict each other"
 
 
 _GAINS = ("kp", "kd", "posture_kp", "posture_kd")
@@ -796,7 +611,7 @@ class EndEffectorTracking:
         speed = per_coordinate("velocity_limit", speed, nv, zero=True)
         most = per_coordinate("acceleration_limit", self.acceleration_limit, nv)
         fixed = {"frame": body.frame_name(self.frame), "velocity_limit": speed, "_body": body}
-        limits = Limits(body, speed, most)
+        limits = Limits(body.lower, body.upper, speed, most)
         # The bounds of `ramps` are exact if the integrator keeps the initial acceleration over a step.
         held = [getattr(self.integrator, name, ()) for name in ("weights_q", "weights_v")] == [(0.5,), (1.0,)]
         exact = held and not able(self.robot, Constrained)

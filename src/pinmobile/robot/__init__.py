@@ -31,7 +31,11 @@ from pinmobile.robot.linkage import (
 from pinmobile.robot.mobile import MobileRobot
 from pinmobile.robot.model_import import LOCKED as LOCKED, TOUCH as TOUCH
 from pinmobile.robot.mounts import Mount, PayloadBody, named_frames as named_frames, prefixed as prefixed
-from pinmobile.robot.pinocchio_backend import PinocchioBackend as PinocchioBackend, UncheckedDynamics
+from pinmobile.robot.pinocchio_backend import (
+    PinocchioBackend as PinocchioBackend,
+    UncheckedDynamics,
+    frames_of as frames_of,
+)
 from pinmobile.robot.support_geometry import (
     WEIGHTLESS as WEIGHTLESS,
     Stance,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from math import isfinite, prod
 from threading import local
@@ -189,6 +189,32 @@ def frame_jacobian(number: int, model: pin.Model, data: pin.Data, q: Array) -> A
     """Return the Jacobian of a frame of the chain's model, with columns in public order."""
     J = pin.computeFrameJacobian(model, data, q, number, pin.LOCAL_WORLD_ALIGNED)
     return np.asarray(J[:, [1, 0, *range(2, model.nv)]])
+
+
+def frames_of(
+    robot: Any, names: Sequence[str]
+) -> tuple[Callable[[Array], list[pin.SE3]], Callable[[], list[Array]]]:
+    """Return two unchecked functions for one thread: poses of frames at q, and then their Jacobians there.
+
+    Parameters
+    ----------
+    robot : System
+        Robot.
+    names : sequence of str
+        Names of frames, see `MobileRobot.frame_jacobian`.
+    """
+    engine, numbers = robot._numeric, [robot._frame(name)[1] for name in names]
+    model, data, swap = engine.model, engine.data, np.eye(engine.nv)[engine.order]
+
+    def poses(q: Array) -> list[pin.SE3]:
+        pin.forwardKinematics(model, data, q @ swap)
+        return [pin.updateFramePlacement(model, data, k) for k in numbers]
+
+    def jacobians() -> list[Array]:
+        pin.computeJointJacobians(model, data)
+        return [pin.getFrameJacobian(model, data, k, pin.LOCAL_WORLD_ALIGNED) @ swap for k in numbers]
+
+    return poses, jacobians
 
 
 def frame_drift(number: int, model: pin.Model, data: pin.Data, q: Array, v: Array) -> Array:
