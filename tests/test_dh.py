@@ -2,11 +2,18 @@ from math import pi
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import pytest
+import sympy
 from hypothesis import given, strategies as st
 
+import pinmobile as pm
 from pinmobile import InvalidArgument
+from pinmobile.derivation import Link, derive, lecture
+from pinmobile.derivation.steps import _WIDEST, _width
 from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE, DHRow, DHTable, JointType, transform
+from pinmobile.urdf import Body
+from tests.refusals import refused
 
 # Every entry is a sum of few products of cosines and lengths: some roundings of numbers up to 100.
 ROUNDING = 1e-13
@@ -75,7 +82,7 @@ def test_a_table_refuses_what_is_no_table() -> None:
     with pytest.raises(InvalidArgument, match="alpha is nan"):
         DHRow(float("nan"), 0, 0, 0, JointType.REVOLUTE, "one")
     with pytest.raises(InvalidArgument, match="expected a JointType"):
-        DHRow(0, 0, 0, 0, "revolute", "one")  # type: ignore[arg-type]
+        DHRow(0, 0, 0, 0, 1, "one")  # type: ignore[arg-type]
     with pytest.raises(InvalidArgument, match=r"q has shape \(2,\), expected \(..., 3\)"):
         LECTURE_TABLE.placements([1, 2])
 
@@ -84,3 +91,107 @@ def test_a_table_can_be_pasted_back() -> None:
     row = DHRow(pi / 2, 0.5, 0, 0.1, JointType.PRISMATIC, "slide")
     names = {"DHRow": DHRow, "DHTable": DHTable, "JointType": JointType}
     assert eval(repr(row).replace("<JointType.PRISMATIC: 'prismatic'>", "JointType.PRISMATIC"), names) == row
+
+
+NUMBERS: dict[str, float] = {
+    **{"pi/2": np.pi / 2, "-3*pi/2": -1.5 * np.pi, "2*pi": 2 * np.pi, "-(pi + 1)/2": -(np.pi + 1) / 2},
+    **{" 1.5e-2 ": 0.015, "-0.3": -0.3},
+}
+
+
+@pytest.mark.parametrize("text", NUMBERS)
+def test_a_number_may_be_text_with_pi(text: str) -> None:
+    row = DHRow(text, text, 0, 0, "revolute", "q")  # type: ignore[arg-type]
+    assert (row.alpha, row.a, row.joint) == (NUMBERS[text], NUMBERS[text], JointType.REVOLUTE)
+
+
+@pytest.mark.parametrize(
+    ("text", "typed"),
+    [
+        ("90 deg", "pi/2, or 1.570796327"),
+        ("-180°", "-pi, or -3.14"),
+        ("7.5degrees", "pi/24"),
+        ("0 deg", "0, or 0"),
+    ],
+)
+def test_degrees_are_refused_with_the_number_to_type(text: str, typed: str) -> None:
+    with refused(rf"^theta is '{text}', expected a number in rad: {typed}"):
+        DHRow(0, 0, text, 0, "revolute", "q")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("text", ["", "pi/", "9**9", "1/0", "True", "__import__('os')", "pi pi", "(" * 500])
+def test_other_text_is_refused(text: str) -> None:
+    with refused(r"^d is .*, expected a number, such as 'pi/2'$"):
+        DHRow(0, 0, 0, text, "revolute", "q")  # type: ignore[arg-type]
+
+
+I4 = np.array([[0.06, 0.005, 0], [0.005, 0.05, 0], [0, 0, 0.04]])
+ROWS: list[Any] = [
+    *LECTURE_TABLE,
+    (0, 0.4, 0, 0, "revolute", "shoulder"),
+    ("pi/2", 0, 0, 0.1, "revolute", "elbow"),
+    {"alpha": "-pi/2", "a": 0.3, "theta": "pi/4", "d": 0.05, "joint": "prismatic", "variable": "slide"},
+]
+BODIES: list[Any] = [
+    Body(30.0, np.array([0.1, 0.05, 0.1]), np.diag([1.0, 1.0, 1.3])),
+    Body(4.0, np.array([0.25, 0, 0.02]), I4),
+    {"mass": 2.0, "com": (0.1, 0.03, 0), "inertia": I4},
+    {"mass": 1.0, "com": (0, 0.02, 0.1), "inertia": I4},
+]
+
+
+def test_derivation_frames_urdf_and_simulation_follow_from_one_table() -> None:
+    robot = pm.MobileRobot.from_dh(ROWS, BODIES)
+    table = DHTable(tuple(ROWS))
+    assert robot.chain == table
+    model = pin.buildModelFromXML(robot.to_urdf())
+    data = model.createData()
+    order = [1, 0, 2, 3, 4, 5]  # the table has y before x
+    q, v, a = np.random.default_rng(3).uniform(-1, 1, size=(3, 6))
+    tau = robot.inverse_dynamics(q, v, a)
+    np.testing.assert_allclose(tau, pin.rnea(model, data, q[order], v[order], a[order])[order], atol=1e-12)
+    pin.forwardKinematics(model, data, q[order])
+    frames = table.placements(q[order])
+    np.testing.assert_allclose(frames[-1], data.oMi[6].homogeneous, atol=1e-12)
+    np.testing.assert_allclose(frames[-1], robot.frame_pose(q, "arm/slide_link"), atol=1e-12)
+    links: list[Any] = [None, None, *(Link(one.mass, one.com, one.inertia) for one in map(body_of, BODIES))]
+    names = ("x", "y", "psi", "shoulder", "elbow", "slide")
+    derived = derive(table, links, order=names, gravity=(0, 0, -9.81)).numeric()
+    np.testing.assert_allclose(derived.inverse_dynamics(q, v, a, {}), tau, atol=1e-9)
+    assert pm.verify(robot).passed
+    law = pm.ComputedTorque(robot, 25, 10)
+    way = pm.WholeBody(robot, pm.Tangent(pm.Circle(1.0, 0.5, 1.0)), pm.Hold(robot.rest[3:], 1.0))
+    runs = [pm.simulate(robot, law, way, dt=0.01, engine=engine) for engine in pm.Engine]
+    np.testing.assert_allclose(runs[0].q, runs[1].q, atol=1e-9)
+
+
+def body_of(given: Any) -> Body:
+    return given if isinstance(given, Body) else Body(**given)
+
+
+def test_a_table_and_its_bodies_must_fit() -> None:
+    for rows, bodies in ((ROWS, BODIES[:2]), (ROWS[:2], BODIES[:1])):
+        with refused(rf"^table has {len(rows)} rows and bodies {len(bodies)}, expected"):
+            pm.MobileRobot.from_dh(rows, bodies)
+    with refused("does not put its last frame at"):
+        pm.MobileRobot.from_dh([*ROWS[3:], *ROWS[:3]], BODIES)
+    with refused("joint .* is not that of a modified-DH table"):
+        _ = pm.MobileRobot(30.0, 1.3).mount("ur5", (0, 0, 0, 0)).chain
+    with refused("arm 'ur5' does not continue the chain of the base"):
+        _ = pm.MobileRobot(30.0, 1.3).mount("ur5").chain
+    assert pm.MobileRobot.from_dh(LECTURE_TABLE, BODIES[:1]).chain == LECTURE_TABLE
+
+
+def test_a_derivation_is_a_document_whose_lines_fit_the_page() -> None:
+    for derived in (lecture(), derive(DHTable(tuple(ROWS[:5])), [None, None, *map(link_of, "bcd")])):
+        text = derived.document()
+        assert text.startswith(r"\documentclass")
+        assert text.endswith("\\end{document}\n")
+        lines = text.split(r"\begin{align*}")[1].split("\\\\\n")
+        widths = [_width(line) for line in lines if "matrix" not in line]
+        assert max(widths) < 1.5 * _WIDEST  # of a term that cannot be broken; a line of A4 has room for 100
+        assert any(r"&\quad" in line for line in lines) == (len(derived.q) > 3)
+
+
+def link_of(name: str) -> Link:
+    return Link(sympy.Symbol(f"m{name}"), sympy.symbols(f"x{name} y{name} z{name}"), sympy.eye(3))

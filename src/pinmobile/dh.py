@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+import ast
+import operator
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields
 from enum import Enum
+from fractions import Fraction
 from math import cos, pi, sin
+from typing import Any
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, broadcast, finite, instance, scalar, sequence, vector
+from pinmobile.arrays import Array, ArrayLike, broadcast, finite, instance, one_of, scalar, sequence, vector
 from pinmobile.errors import InvalidArgument, shown
 
 
@@ -42,22 +47,23 @@ class DHRow:
     Parameters
     ----------
     alpha : float
-        Link twist alpha_{k-1} [rad]. All four numbers may be numbers of sympy, such as ``sympy.pi / 2``.
+        Link twist alpha_{k-1} [rad]. All four numbers may be numbers of sympy, such as ``sympy.pi / 2``, or
+        text such as ``"-3*pi/2"``.
     a : float
         Link length a_{k-1} [m].
     theta : float
         Joint angle theta_k without the variable [rad].
     d : float
         Joint offset d_k without the variable [m].
-    joint : JointType
-        Type of the joint.
+    joint : JointType or str
+        Type of the joint, ``"revolute"`` or ``"prismatic"``.
     variable : str
         Name of the joint variable, such as ``"psi"``.
 
     Raises
     ------
     InvalidArgument
-        If a number is not finite, or `joint` is not a `JointType`.
+        If a number is not finite, such as text in degrees, or `joint` is not a `JointType`.
 
     See Also
     --------
@@ -84,12 +90,51 @@ class DHRow:
     def __post_init__(self) -> None:
         for name in ("alpha", "a", "theta", "d"):
             value = getattr(self, name)
-            if getattr(value, "is_number", False) is True:  # a number of sympy, such as pi / 2
+            if isinstance(value, str):
+                value = _read(name, value)
+            elif getattr(value, "is_number", False) is True:  # a number of sympy, such as pi / 2
                 value = float(value)
             object.__setattr__(self, name, scalar(name, value))
+        if isinstance(self.joint, str):
+            kinds = {one.value: one for one in JointType}
+            object.__setattr__(self, "joint", kinds[one_of("joint", self.joint, kinds)])
         instance("joint", self.joint, JointType, "a JointType")
         if not isinstance(self.variable, str) or not self.variable.isidentifier():
             raise InvalidArgument(f"variable is {shown(self.variable)}, expected a name")
+
+
+_DEGREES = re.compile(r"\s*([-+]?[\d.]+)\s*(deg|degree|degrees|°)\s*")
+_OPERATIONS: dict[type, Any] = {
+    **{ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv},
+    **{ast.USub: operator.neg, ast.UAdd: operator.pos},
+}
+
+
+def _read(name: str, text: str) -> float:
+    """Return the number of text such as ``3*pi/2``; text in degrees is refused with the number to type."""
+    if found := _DEGREES.fullmatch(text):
+        turns = Fraction(found[1]) / 180
+        top = {1: "pi", -1: "-pi"}.get(turns.numerator, f"{turns.numerator}*pi")
+        typed = "0" if turns == 0 else top if turns.denominator == 1 else f"{top}/{turns.denominator}"
+        number = f"{float(turns) * pi:.10g}"
+        raise InvalidArgument(f"{name} is {text!r}, expected a number in rad: {typed}, or {number}")
+    try:
+        return float(_computed(ast.parse(text.strip(), mode="eval").body))
+    except (SyntaxError, ValueError, TypeError, LookupError, ArithmeticError, RecursionError):
+        raise InvalidArgument(f"{name} is {shown(text)}, expected a number, such as 'pi/2'") from None
+
+
+def _computed(node: Any) -> Any:
+    """Return the value of numbers, pi and the four operations."""
+    if isinstance(node, ast.Name):
+        return {"pi": pi}[node.id]
+    if isinstance(node, ast.UnaryOp):
+        return _OPERATIONS[type(node.op)](_computed(node.operand))
+    if isinstance(node, ast.BinOp):
+        return _OPERATIONS[type(node.op)](_computed(node.left), _computed(node.right))
+    if not isinstance(node, ast.Constant) or type(node.value) not in (int, float):
+        raise ValueError
+    return node.value
 
 
 @dataclass(frozen=True)
@@ -102,7 +147,7 @@ class DHTable:
     Parameters
     ----------
     rows : sequence of DHRow, length n >= 1
-        Rows with different variable names.
+        Rows with different variable names; a row may also be a mapping or a sequence of its six entries.
 
     Raises
     ------
@@ -126,7 +171,8 @@ class DHTable:
     rows: tuple[DHRow, ...]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "rows", sequence("rows", self.rows, "a sequence of DHRow"))
+        rows = sequence("rows", self.rows, "a sequence of DHRow")
+        object.__setattr__(self, "rows", tuple(_row(k, row) for k, row in enumerate(rows)))
         if not self.rows or not all(isinstance(row, DHRow) for row in self.rows):
             raise InvalidArgument(f"rows is {shown(self.rows)}, expected one DHRow or more")
         if len(set(self.variables)) != len(self.rows):
@@ -192,6 +238,19 @@ class DHTable:
         for k in range(1, len(self)):
             placements[..., k, :, :] = placements[..., k - 1, :, :] @ placements[..., k, :, :]
         return placements
+
+
+def _row(k: int, row: Any) -> Any:
+    """Return a row of a table from a mapping or a sequence of its entries."""
+    try:
+        if isinstance(row, Mapping):
+            return DHRow(**row)
+        return DHRow(*row) if isinstance(row, Sequence) and not isinstance(row, str) else row
+    except TypeError:
+        names = ", ".join(each.name for each in fields(DHRow))
+        raise InvalidArgument(f"rows[{k}] is {shown(row)}, expected {names}") from None
+    except InvalidArgument as error:
+        raise InvalidArgument(f"rows[{k}]: {error}") from None
 
 
 def transform(alpha: float, a: float, theta: ArrayLike, d: ArrayLike) -> Array:

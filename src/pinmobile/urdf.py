@@ -150,23 +150,21 @@ def _quoted(text: str) -> str:
 
 def write(
     table: DHTable,
-    body: Body,
-    *,
+    *bodies: Body,
     size: ArrayLike,
     name: str = "pinmobile",
     stance: Mapping[str, str] | None = None,
 ) -> str:
-    """Return a chain with a body on its last link as URDF text.
+    """Return a chain with bodies on its last links as URDF text.
 
-    Every joint frame of the text is the DH frame of its row. The joint moves along or about its z axis. Only
-    the last link has mass.
+    Every joint frame of the text is the DH frame of its row. The joint moves along or about its z axis.
 
     Parameters
     ----------
     table : DHTable
         Chain of n rows.
-    body : Body
-        Body on the last link.
+    *bodies : Body
+        Body on the third link, ``base_link``, and on each link after it; of a chain of three rows, one.
     size : array_like, shape (3,)
         Length, width and height of the drawn box [m], which stands on the plane z = 0.
     name : str
@@ -201,11 +199,14 @@ def write(
     3
     """
     instance("table", table, DHTable, "a DHTable")
-    instance("body", body, Body, "a pinmobile.urdf.Body")
-    links = ["ground", *(f"virtual_{k}" for k in range(1, len(table))), "base_link"]
+    for body in bodies:
+        instance("body", body, Body, "a pinmobile.urdf.Body")
+    after = [f"{variable}_link" for variable in table.variables[len(table) - len(bodies) + 1 :]]
+    links = ["ground", *(f"virtual_{k}" for k in range(1, len(table) - len(after))), "base_link", *after]
     lines = ['<?xml version="1.0"?>', f"<robot name={_quoted(text('name', name))}>"]
-    lines += [f'  <link name="{link}"/>' for link in links[:-1]]
-    lines += _body_lines(links[-1], body, lengths(size))
+    lines += [f'  <link name="{link}"/>' for link in links[: -len(bodies)]]
+    for link, body in zip(links[-len(bodies) :], bodies, strict=True):
+        lines += _body_lines(link, body, lengths(size) if link == "base_link" else None)
     for row, parent, child in zip(table, links, links[1:], strict=False):
         # RotZ and TransZ commute, so the variable of either may come last.
         T = transform(row.alpha, row.a, row.theta, row.d)
@@ -272,8 +273,19 @@ _URDF_TYPE = {JointType.PRISMATIC: "prismatic", JointType.REVOLUTE: "revolute"}
 _FAR = "1e9"
 
 
-def _body_lines(link: str, body: Body, size: Array) -> list[str]:
+def _body_lines(link: str, body: Body, size: Array | None) -> list[str]:
     i = body.inertia
+    box = (
+        []
+        if size is None
+        else [
+            "    <visual>",
+            f'      <origin xyz="{_text([0, 0, size[2] / 2])}"/>',
+            f'      <geometry><box size="{_text(size)}"/></geometry>',
+            '      <material name="body"><color rgba="0.90 0.62 0.00 1"/></material>',
+            "    </visual>",
+        ]
+    )
     return [
         f'  <link name="{link}">',
         "    <inertial>",
@@ -282,11 +294,7 @@ def _body_lines(link: str, body: Body, size: Array) -> list[str]:
         f'      <inertia ixx="{_number(i[0, 0])}" ixy="{_number(i[0, 1])}" ixz="{_number(i[0, 2])}"'
         f' iyy="{_number(i[1, 1])}" iyz="{_number(i[1, 2])}" izz="{_number(i[2, 2])}"/>',
         "    </inertial>",
-        "    <visual>",
-        f'      <origin xyz="{_text([0, 0, size[2] / 2])}"/>',
-        f'      <geometry><box size="{_text(size)}"/></geometry>',
-        '      <material name="body"><color rgba="0.90 0.62 0.00 1"/></material>',
-        "    </visual>",
+        *box,
         "  </link>",
     ]
 

@@ -126,10 +126,38 @@ def show_derivation(words: Sequence[str], *, latex: bool, allow_code: bool) -> i
                     "drive, wheels with rollers, or a car"
                 )
             found: Any = known[kind]()
+        elif len(robot.chain) > 3:
+            found = _derived(robot)
         else:
             found = derivation.lecture(robot.dh)
-    console.print(found.latex() if latex else str(found), markup=False)
+    # Not by the console, which would break the lines of LaTeX.
+    print(found.document() if latex else found)
     return 0
+
+
+def _derived(robot: Any) -> "Derivation":
+    """Return the derivation of a chain of base and arm, with symbols for the bodies' numbers but zeros."""
+    import sympy
+
+    from pinmobile.derivation import Link, derive
+
+    def named(values: Any, names: Sequence[str]) -> list[Any]:
+        return [sympy.Symbol(name) if value else 0 for name, value in zip(names, values, strict=True)]
+
+    table = robot.chain
+    solids = [(robot.mass, robot.com, robot.body.inertia)]
+    solids += [(x.mass, x.com, x.body.inertia) for mount in robot.mounts for x in mount.links[1:]]
+    links: list[Any] = [None, None]
+    for k, (mass, com, inertia) in enumerate(solids, start=3):
+        upper = [(i, j) for i in range(3) for j in range(i, 3)]
+        moments = named([inertia[at] for at in upper], [f"I_{'xyz'[i]}{'xyz'[j]}{k}" for i, j in upper])
+        full = sympy.zeros(3)
+        for (i, j), moment in zip(upper, moments, strict=True):
+            full[i, j] = full[j, i] = moment
+        place = named(com, [f"{axis}_c{k}" for axis in "xyz"])
+        links.append(Link(sympy.Symbol(f"m{k}") if mass else 0, place, full))
+    gravity = (0, 0, -sympy.Symbol("g"))
+    return derive(table, links, order=("x", "y", "psi", *table.variables[3:]), gravity=gravity)
 
 
 def show_lecture(out: Path, *, gif: bool, mp4: bool) -> int:

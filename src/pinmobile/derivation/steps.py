@@ -229,6 +229,47 @@ def _latex(expression: Expr | ImmutableMatrix) -> str:
     return str(sympy.latex(expression, symbol_names=names))
 
 
+_WIDEST = 62.0  # letters of a formula on a line of A4
+_COMMAND = re.compile(r"\\[a-zA-Z]+|\\.")
+_LETTERS = {"sin": 3.0, "cos": 3.0, "tan": 3.0, "left": 0.5, "right": 0.5, "dot": 0.0, "ddot": 0.0}
+
+
+def _width(latex: str) -> float:
+    """Return the approximate width of a formula in letters; a fraction is as wide as both of its parts."""
+    rest, spaced = _COMMAND.sub("", latex), len(re.findall(r" [-+=] ", latex))
+    named = sum(_LETTERS.get(each[1:], 1.0) for each in _COMMAND.findall(latex))
+    return named + 1.5 * spaced + len(re.sub(r"[{}^_\s&]", "", rest))
+
+
+def _lines(symbol: str, expression: Expr | ImmutableMatrix) -> list[str]:
+    """Return an equation as lines of an environment align*, none wider than a page of A4."""
+    whole = _latex(expression)
+    if isinstance(expression, ImmutableMatrix):
+        rows, columns = expression.shape
+        entries = {(i, j): expression[i, j] for i in range(rows) for j in range(columns)}
+        widths = [max(_width(_latex(entries[i, j])) + 2.0 for i in range(rows)) for j in range(columns)]
+        if sum(widths) + _width(symbol) <= _WIDEST:
+            return [f"{symbol} &= {whole}"]
+        found = []
+        for (i, j), entry in entries.items():
+            place = f"{i + 1},{j + 1}" if columns > 1 else f"{i + 1}"
+            found += _lines(rf"\left[{symbol}\right]_{{{place}}}", entry) if entry != 0 else []
+        return found
+    if _width(symbol) + _width(whole) <= _WIDEST:
+        return [f"{symbol} &= {whole}"]
+    terms = expression.as_ordered_terms()
+    terms = terms if len(terms) > 1 else sympy.expand(expression).as_ordered_terms()
+    pieces = [_latex(each) for each in terms]
+    pieces = [each if each.startswith("-") or k == 0 else f"+ {each}" for k, each in enumerate(pieces)]
+    lines = [f"{symbol} &= {pieces[0]}"]
+    for piece in pieces[1:]:
+        if _width(f"{lines[-1]} {piece}") <= _WIDEST:
+            lines[-1] += f" {piece}"
+        else:
+            lines.append(rf"&\quad {piece}")
+    return lines
+
+
 def _text(expression: Expr | ImmutableMatrix) -> str:
     picture = str(sympy.pretty(expression, wrap_line=False))
     if max(map(len, picture.splitlines())) <= get_terminal_size().columns:
@@ -326,12 +367,17 @@ class Told:
         return expression.xreplace(full)
 
     def latex(self) -> str:
-        """Return all steps as one LaTeX environment."""
-        lines = (
-            rf"&\text{{{step.title}}}\quad & {step.symbol} &= {_latex(step.expression)}"
-            for step in self.steps
-        )
-        return "\\begin{alignat*}{2}\n" + " \\\\\n".join(lines) + "\n\\end{alignat*}"
+        """Return all steps as one LaTeX environment, in which no line is wider than a page of A4."""
+        lines = []
+        for step in self.steps:
+            lines += [rf"&\text{{{step.title}}}", *_lines(step.symbol, step.expression)]
+        return "\\begin{align*}\n" + " \\\\\n".join(lines) + "\n\\end{align*}"
+
+    def document(self) -> str:
+        """Return all steps as a document that pdflatex compiles, on A4."""
+        packages = "\\usepackage[a4paper,margin=2cm]{geometry}\n\\usepackage{amsmath}\n\\allowdisplaybreaks"
+        begin = f"\\documentclass{{article}}\n{packages}\n\\begin{{document}}\n\\small\n"
+        return f"{begin}{self.latex()}\n\\end{{document}}\n"
 
     def _repr_latex_(self) -> str:
         return self.latex()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
@@ -49,7 +50,7 @@ from pinmobile.parts import (
     walk,
 )
 from pinmobile.robot.arm_loading import KeptArm, existing_folders, read_arm
-from pinmobile.robot.arms import check_whole, com_field
+from pinmobile.robot.arms import check_whole, com_field, matrix_of_six
 from pinmobile.robot.articulated import ArticulatedDynamics, PlanarDynamics, Tree
 from pinmobile.robot.description import described
 from pinmobile.robot.linkage import BODY_JOINT
@@ -59,6 +60,7 @@ from pinmobile.robot.model_import import (
     check_chain,
     read_model,
     read_urdf,
+    rows_of,
 )
 from pinmobile.robot.mounts import (
     Mount,
@@ -466,6 +468,83 @@ class MobileRobot(System):
             locked_joints=tuple(text(f"locked_joints[{k}]", name) for k, name in enumerate(locked)),
         )
 
+    @classmethod
+    def from_dh(
+        cls,
+        table: DHTable | Sequence[Any],
+        bodies: Sequence[urdf.Body | Mapping[str, Any]],
+        *,
+        size: tuple[float, float, float] = (0.6, 0.4, 0.2),
+        name: str = "arm",
+    ) -> MobileRobot:
+        """Return the robot of a DH table: a planar base of three joints, then the joints of an arm on it.
+
+        Parameters
+        ----------
+        table : dh.DHTable or sequence of rows
+            Chain of n rows, n >= 3. The first three are a table such as `dh.LECTURE_TABLE`.
+        bodies : sequence of urdf.Body or mapping, length n - 2
+            Body on the third row and on each row after it: ``mass`` [kg], ``com`` [m] and ``inertia`` about
+            it [kg m^2], in the frame of the row.
+        size : sequence of 3 floats
+            Length, width and height of the drawn box of the base [m].
+        name : str
+            Name of the arm. Its coordinates are ``arm/...``, with the variables of the table.
+
+        Returns
+        -------
+        MobileRobot
+            Robot, whose `chain` is the table.
+
+        Raises
+        ------
+        InvalidArgument
+            If the table does not begin with a planar base, or the bodies do not fit it.
+
+        Examples
+        --------
+        >>> from pinmobile import MobileRobot
+        >>> from pinmobile.dh import LECTURE_TABLE
+        >>> elbow = {"alpha": 0, "a": 0.4, "theta": 0, "d": 0,
+        ...          "joint": "revolute", "variable": "elbow"}
+        >>> body = {"mass": 30.0, "com": (0, 0, 0), "inertia": [[1, 0, 0], [0, 1, 0], [0, 0, 1.3]]}
+        >>> link = {"mass": 4.0, "com": (0.25, 0, 0), "inertia": [[0.06, 0, 0], [0, 0.06, 0], [0, 0, 0.06]]}
+        >>> robot = MobileRobot.from_dh([*LECTURE_TABLE, elbow], [body, link])
+        >>> [one.name for one in robot.coordinates], len(robot.chain)
+        (['x', 'y', 'psi', 'arm/elbow'], 4)
+        """
+        whole = table if isinstance(table, DHTable) else DHTable(tuple(sequence("table", table, "rows")))
+        given = sequence("bodies", bodies, "a Body for the third row and each row after it")
+        if len(given) != len(whole) - BODY_JOINT + 1 or len(whole) < BODY_JOINT:
+            raise InvalidArgument(
+                f"table has {len(whole)} rows and bodies {len(given)}, expected three rows or more, and a "
+                "body for the third row and each row after it"
+            )
+        first, *others = (urdf.Body(**one) if isinstance(one, Mapping) else one for one in given)
+        base = cls.from_body(first, size, DHTable(whole.rows[:BODY_JOINT]), "made from a DH table")
+        if not others:
+            return base
+        rows = DHTable(whole.rows[BODY_JOINT:])
+        arm = build_model(rows, *others, ends=[f"{variable}_link" for variable in rows.variables])
+        return base.mount(arm, (0.0, 0.0, 0.0, 0.0), name=text("name", name))
+
+    @property
+    def chain(self) -> DHTable:
+        """DH table of base and arm.
+
+        Raises
+        ------
+        InvalidArgument
+            If the arm's joint frames are not those of a DH table at the body's frame, or there are several
+            arms.
+        """
+        rows = list(self.dh.rows)
+        for mount in self.mounts:
+            if len(self.mounts) > 1 or any(mount.at):
+                raise InvalidArgument(f"arm {mount.name!r} does not continue the chain of the base")
+            rows += rows_of(mount.arm.model)
+        return DHTable(tuple(rows))
+
     def with_body(self, body: urdf.Body, source: str) -> MobileRobot:
         """Return the robot without arms and loads, with another body but the same looks and contacts.
 
@@ -820,14 +899,19 @@ class MobileRobot(System):
     def to_urdf(self) -> str:
         """Return the robot as URDF text with all digits of every number.
 
-        The text contains the loads of a robot without arms. For a robot with arms, it describes only the
-        base.
+        The text contains the loads of a robot without arms, and the arm of `from_dh`. For other robots with
+        arms, it describes only the base.
         """
         loaded = self.loads and not self.mounts
         box = self.stance == Stance.of_box(self.size)
         stance = None if box else self.stance.written()
-        body = self.lumped().body if loaded else self.body
-        return urdf.write(self.dh, body, size=self.size, stance=stance)
+        bodies = [self.lumped().body if loaded else self.body]
+        table = self.dh
+        with suppress(InvalidArgument):
+            table = self.chain
+        links = [link for mount in self.mounts for link in mount.links[1:]] if len(table) > BODY_JOINT else ()
+        bodies += [urdf.Body(link.mass, link.com, matrix_of_six(link.inertia)) for link in links]
+        return urdf.write(table, *bodies, size=self.size, stance=stance)
 
 
 def _of_files(mounts: Sequence[Mount]) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from pinmobile.arrays import Array, ArrayLike, bounded, instance, scalar
-from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE, DHTable, JointType
+from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE, DHRow, DHTable, JointType, transform
 from pinmobile.errors import InvalidArgument
 from pinmobile.robot.linkage import Joint, carries_only_wheels, children, joints_of, turns_freely
 from pinmobile.robot.support_geometry import (
@@ -327,22 +327,49 @@ def check_chain(name: str, table: DHTable) -> DHTable:
     return table
 
 
-def build_model(table: DHTable, body: Body) -> pin.Model:
-    """Return the chain with the body on its last link as a Pinocchio model.
+def build_model(table: DHTable, *bodies: Body, ends: Sequence[str] = (_BODY_LINK,)) -> pin.Model:
+    """Return the chain with bodies on its last links, whose names are `ends`, as a Pinocchio model.
 
     The model equals Pinocchio's model of the text from `urdf.write`, except that rotations by multiples of pi
     / 2 are exact. Gravity therefore has no component in the plane.
     """
     model = pin.Model()
     model.name = "pinmobile"
-    parent = 0
-    for row, placement in zip(table, table.transforms(np.zeros(len(table))), strict=True):
+    parent, first = 0, len(table) - len(bodies)
+    for k, (row, placement) in enumerate(zip(table, table.transforms(np.zeros(len(table))), strict=True)):
         joint = pin.JointModelPZ() if row.joint is JointType.PRISMATIC else pin.JointModelRZ()
         parent = model.addJoint(parent, joint, pin.SE3(placement), row.variable)
         model.addJointFrame(parent)
-    model.appendBodyToJoint(parent, pin.Inertia(body.mass, body.com, body.inertia), pin.SE3.Identity())
-    model.addBodyFrame(_BODY_LINK, parent, pin.SE3.Identity(), -1)
+        if k >= first:
+            body = bodies[k - first]
+            inertia = pin.Inertia(body.mass, body.com, body.inertia)
+            model.appendBodyToJoint(parent, inertia, pin.SE3.Identity())
+            model.addBodyFrame(ends[k - first], parent, pin.SE3.Identity(), -1)
     return model
+
+
+def rows_of(model: pin.Model) -> list[DHRow]:
+    """Return the rows of a serial model whose joint frames are those of a modified-DH table.
+
+    Raises
+    ------
+    InvalidArgument
+        If a joint has another frame, another type, or does not follow the joint before.
+    """
+    found = []
+    for k in range(1, model.njoints):
+        R, p = model.jointPlacements[k].rotation, model.jointPlacements[k].translation
+        alpha, theta = np.arctan2(-R[1, 2], R[2, 2]), np.arctan2(-R[0, 1], R[0, 0])
+        d = -p[1] * np.sin(alpha) + p[2] * np.cos(alpha)
+        kind = {"JointModelRZ": JointType.REVOLUTE, "JointModelPZ": JointType.PRISMATIC}.get(
+            model.joints[k].shortname()
+        )
+        own = transform(alpha, p[0], theta, d)
+        off = np.abs(own - model.jointPlacements[k].homogeneous).max()
+        if kind is None or model.parents[k] != k - 1 or off > 1e-9:
+            raise InvalidArgument(f"joint {model.names[k]!r} is not that of a modified-DH table")
+        found.append(DHRow(float(alpha), float(p[0]), float(theta), float(d), kind, model.names[k]))
+    return found
 
 
 def read_urdf(
