@@ -119,6 +119,11 @@ class Stepper:
         self._blocks, self._uniforms = blocks, compiled.program.uniforms_of(h, known, first)
         self.values, self.reference = dict(values), reference
 
+    @property
+    def units(self) -> Mapping[str, str]:
+        """Units of the signals, by name."""
+        return self._compiled.tape.units
+
     def times(self, count: int) -> Array:
         """Return the times of the next samples, shape (count,) [s]."""
         t, k = self.scenario.t, self.k + np.arange(count)
@@ -180,8 +185,7 @@ class Stepper:
         t, reference = t[:end], Reference(*(x[:end] for x in reference))
         kept = {name: x[:end] for name, x in kept.items()}
         signals = told_at(t, scenario.controller, scenario.trajectory)
-        units = self._compiled.tape.units
-        signals |= {name: Signal(unit, kept[f"signal {name}"]) for name, unit in units.items()}
+        signals |= {name: Signal(unit, kept[f"signal {name}"]) for name, unit in self.units.items()}
         signals |= {name: Signal(x.unit, kept[f"number {name}"]) for name, x in scenario.found.items()}
         error = errors_of(scenario.robot, kept["q"], reference)
         states = (kept[name] for name in "qvau")

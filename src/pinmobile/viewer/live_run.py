@@ -1,0 +1,582 @@
+"""`play`: a run in real time on a live page, which changes its numbers, drives its robot and pushes it."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from time import monotonic
+from typing import Any
+
+import numpy as np
+
+import pinmobile.viewer.shapes as shapes
+from pinmobile.arrays import Array, sequence
+from pinmobile.controllers import Controller
+from pinmobile.errors import PinmobileError
+from pinmobile.forces import ConstantForce, Force
+from pinmobile.integrators import Integrator
+from pinmobile.loop import Rollout, Scenario, Stepper
+from pinmobile.palette import QUIET, colour
+from pinmobile.parts import Driven, Found, OnCoordinates, Pushable, Tabled, Touching, able, entries_of
+from pinmobile.plant import Contacts, Plant, coordinates_of, stated, whole_configurations
+from pinmobile.signals import Signal
+from pinmobile.trajectories import Reference, Trajectory
+from pinmobile.viewer.contact_markers import ABOVE, TRAIL, draw_contacts
+from pinmobile.viewer.motion import Channel, along, figure, row_of
+from pinmobile.viewer.pages import Content
+from pinmobile.viewer.scene import Scene, draw_path, ridden
+from pinmobile.viewer.scene_tree import Extent, Follow, Overlays, Stage
+from pinmobile.viewer.window import LiveWindow
+
+_FPS = 60
+_BLOCK, _BLOCKS = 15, 41  # frames that the page receives as a whole; they last more than 10 s
+_SHOWN = 6  # series of a plot
+_SLOWEST = 0.1  # [s] of the run that one frame computes at most
+_GROUND = 5.0  # [m] of the floor around the robot
+_TRACE, _TRACES = 12, 50  # frames of a piece of the trail, and pieces: 10 s
+_PULSE, _HELD = 0.25, 0.6  # [s] duration of a push, and for which an event is shown
+_STRONG = 9.81 / 4  # [m/s^2] acceleration by a push
+_REACH = 0.4  # [s] until the driven reference has the speed of a key
+_FORCE = "forces.hand.force."
+_AXES = ("x", "y", "moment")
+
+
+class _Drive:
+    """Reference of a robot that keys drive: a twist of the body, integrated from the robot's pose.
+
+    Parameters
+    ----------
+    plant : plant
+        Plant to drive.
+    reference : Reference
+        Reference of the trajectory, whose largest speeds are those of the keys.
+    """
+
+    def __init__(self, plant: Any, reference: Reference) -> None:
+        rates = reference.v
+        speed = float(np.hypot(rates[:, 0], rates[:, 1]).max()) or 0.5
+        turn = float(np.abs(rates[:, 2]).max()) or 1.0
+        own = stated(plant, "mobility")
+        kind = (2, 0) if own is None else (own.mobility, own.steerability)
+        self.curves = kind == (1, 1) or stated(plant, "wheelbase") is not None  # it turns only while it moves
+        self.scale = np.array([speed, speed if sum(kind) > 2 and kind != (2, 1) else 0.0, turn])
+        self.twist, self.q = np.zeros(3), np.zeros(0)
+
+    def begin(self, pose: Array, rate: Array, reference: Reference) -> None:
+        """Begin at the pose of the body, shape (3,), with its rate; arms keep their reference."""
+        self.q = reference.q[0].copy()
+        self.q[:3] = pose
+        self.twist = _turned(-pose[2], rate) * (self.scale > 0)
+
+    def ahead(self, keys: Array, count: int, dt: float) -> Reference:
+        """Return the reference of the next samples for keys (ahead, turn, aside) from -1 to 1."""
+        goal = self.scale * keys[[0, 2, 1]]
+        if self.curves:
+            goal[2] *= keys[0]
+        rows = []
+        for _ in range(count):
+            change = np.clip(goal - self.twist, *(self.scale * dt / _REACH * np.array([[-1.0], [1.0]])))
+            v, a = np.zeros((2, len(self.q)))
+            v[:3] = _turned(self.q[2], self.twist)
+            a[:3] = _turned(self.q[2], change / dt) + self.twist[2] * np.array([-v[1], v[0], 0.0])
+            rows.append((self.q, v, a))
+            self.q, self.twist = self.q + dt * v + dt**2 / 2 * a, self.twist + change
+        return Reference(*map(np.array, zip(*rows, strict=True)))  # type: ignore[arg-type]
+
+
+def _turned(angle: float, twist: Array) -> Array:
+    """Return a twist with its first two entries rotated."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([c * twist[0] - s * twist[1], s * twist[0] + c * twist[1], twist[2]])
+
+
+class LiveRun:
+    """A run in real time on a live page; `play` makes it.
+
+    A thread advances the compiled loop 60 times per second until the run is closed. The page has a slider for
+    each selected number, buttons (pause, reset, push), and plots of error, inputs and wheel loads over the
+    last ten seconds. Keys W, S, A, D, Q, E, arrows or a gamepad drive a robot on wheels: from the first key on,
+    the reference is a twist that the keys command, integrated from the robot's pose, until a reset. Of another
+    plant they push the body, along its own axes. The first page that presses a key or control drives until it
+    is closed; all others watch. After its end, the reference of the trajectory rests.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Loop of the run; its spread and n have no effect.
+    sliders : sequence of str
+        Paths of the numbers, such as ``"controller.kp"``, or their ends.
+    host : str
+        Address to serve at, see `LiveWindow`.
+    port : int, optional
+        Port to serve at; default: a free port.
+
+    Attributes
+    ----------
+    url : str
+        Address of the page.
+
+    Raises
+    ------
+    InvalidArgument, UnknownName
+        If an argument is invalid, or the loop cannot be compiled.
+    ViewerError
+        If the run cannot serve at this address.
+
+    See Also
+    --------
+    viewer.play : run of a loop from its parts
+    Rollout : recorded samples of a run
+
+    Examples
+    --------
+    >>> from pinmobile import PD, Circle, MobileRobot, Scenario, Tangent
+    >>> from pinmobile.viewer import LiveRun
+    >>> parts = MobileRobot(30.0, 1.3), PD(120, 120), Tangent(Circle(1.0, 0.5, 9.0))
+    >>> scenario = Scenario(*parts, n=1, spread={}, dt=0.01)
+    >>> with LiveRun(scenario, ["kp"]) as run:
+    ...     run.url
+    'http://127.0.0.1:.../'
+    """
+
+    def __init__(
+        self, scenario: Scenario, sliders: Sequence[str] = (), *, host: str = "127.0.0.1", port: int | None = None
+    ) -> None:
+        self._plant = plant = scenario.robot
+        hand, forces = able(plant, Pushable), scenario.forces
+        if hand is not None:
+            forces = {**dict(entries_of(forces)), "hand": ConstantForce(np.zeros(3))}
+        bare = replace(scenario, n=1, spread={}, forces=forces)
+        names = sequence("sliders", sliders, 'names of numbers, such as ["controller.kp"]')
+        spread = {name: float(bare.find(name, "sliders").value) for name in names}
+        self._sliders = list(spread)
+        spread |= {f"{_FORCE}{axis}": 0.0 for axis in (_AXES if hand is not None else ())}
+        self._stepper = Stepper(replace(bare, spread=spread))
+        self._can_drive = self._stepper.follows and any(able(plant, x) for x in (Tabled, Driven))
+        self._drive = _Drive(plant, bare.reference)
+        mass = stated(plant, "mass_matrix")
+        self._mass = float(mass(bare.start[0])[0, 0]) if mass is not None else 10.0
+        self._found = [self._stepper.scenario.found[name] for name in self._sliders]
+        self._values = {name: float(one.value) for name, one in zip(self._sliders, self._found, strict=True)}
+        self._push = _STRONG * self._mass
+        self._heard: deque[tuple[object, str]] = deque()
+        self._driver: object = None
+        self._lock, self._end = threading.RLock(), threading.Event()
+        self._window = LiveWindow(host, port)
+        self._stage, self._figure = Stage(self._window), figure(plant)
+        try:
+            self._begin()
+            self._furnish()
+        except BaseException:
+            self._window.close()
+            raise
+        self._window.listen(lambda browser, text: self._heard.append((browser, text)))
+        self._thread = threading.Thread(target=self._run, name="pinmobile-play", daemon=True)
+        self._thread.start()
+
+    def __enter__(self) -> LiveRun:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    @property
+    def url(self) -> str:
+        """Address of the page, with the token if requests need one."""
+        return self._window.url
+
+    def rollout(self) -> Rollout:
+        """Return the run since the last reset; its signals contain the numbers of sliders and pushes.
+
+        Of a very long run, it contains the last samples only, some 100 MB.
+
+        Returns
+        -------
+        Rollout
+            Samples until now.
+        """
+        with self._lock:
+            return self._stepper.rollout()
+
+    def close(self) -> None:
+        """End the run and stop serving. `rollout` remains usable."""
+        self._end.set()
+        self._thread.join()
+        self._window.close()
+
+    # The run
+
+    def _begin(self) -> None:
+        """Begin at the first sample, and forget what is shown of the run before."""
+        self._keys, self._pulse, self._due, self._frames = np.zeros(3), 0.0, 0.0, 0
+        self._drives = self._paused = False
+        self._rows: list[float] = []
+        self._points: list[Array] = []
+        self._events: dict[str, tuple[str, float]] = {}
+        self._stepper.reset(self._values | self._force(np.zeros(3)))
+        self._last = {name: x[-1] for name, x in self._stepper.advance(1).items()}
+        self._before = self._last
+
+    def _run(self) -> None:
+        begin, frame = monotonic(), 0
+        while not self._end.wait(max(begin + frame / _FPS - monotonic(), 0.0)):
+            late = monotonic() - begin - frame / _FPS
+            frame += 1 + max(int(late * _FPS), 0)  # frames that are too late are left out
+            with self._lock, suppress(PinmobileError if self._end.is_set() else ()):
+                self._listen()
+                if not self._paused:
+                    self._due += (1 + max(int(late * _FPS), 0)) / _FPS
+                    self._advance()
+                    self._show()
+
+    def _listen(self) -> None:
+        """Do what the driver's page has asked for."""
+        while self._heard:
+            browser, text = self._heard.popleft()
+            own, word, *numbers = [*text.split(), "", ""][: max(2, len(text.split()))]
+            if not text:
+                if browser is self._driver:
+                    self._driver, self._keys = None, np.zeros(3)
+                    self._stage.tell("driver", "")
+                continue
+            if self._driver is None:
+                self._driver = browser
+                self._stage.tell("driver", own)
+            if browser is self._driver:
+                with suppress(ValueError, IndexError):  # another program's words
+                    self._obey(word, list(map(float, numbers)))
+
+    def _obey(self, word: str, numbers: list[float]) -> None:
+        if word == "keys" and len(numbers) == len(_AXES):
+            self._keys = np.clip(np.nan_to_num(numbers), -1.0, 1.0)
+            if self._can_drive and not self._drives and self._keys.any():
+                q, v = self._last["q"], self._last["v"]
+                pose, rate = np.asarray(self._plant.pose(q)), np.asarray(self._plant.pose_rate(q, v))
+                self._drive.begin(pose, rate, self._stepper.ahead(1))
+                self._drives = True
+        elif word == "push":
+            self._pulse = self._due + _PULSE
+        elif word == "pause":
+            self._pause(not self._paused)
+        elif word == "reset":
+            self._begin()
+            self._clear()
+        elif word == "slider":
+            low, high = self._ranges[int(numbers[0])]
+            name, value = [*self._sliders, ""][int(numbers[0])], min(max(numbers[1], low), high)
+            self._set(name, value)
+
+    def _set(self, name: str, value: float) -> None:
+        """Change the number of a slider, the push for the last one; a value that is impossible is left out."""
+        if not name:
+            self._push = value
+        else:
+            told, before = "", self._values
+            self._values = before | {name: value}
+            try:
+                self._stepper.change(self._stepper.values | self._values)
+            except PinmobileError as error:
+                self._values, told = before, str(error)
+            self._stage.tell("message", told)
+            if name.startswith("trajectory"):
+                self._path()
+        self._stage.tell("values", [*self._values.values(), self._push])
+
+    def _pause(self, paused: bool, why: str = "") -> None:
+        self._paused = paused
+        self._stage.tell("paused", paused)
+        self._stage.tell("message", why)
+
+    def _force(self, force: Array) -> dict[str, float]:
+        names = (f"{_FORCE}{axis}" for axis in _AXES)
+        return dict(zip(names, map(float, force), strict=True)) if self._has_hand else {}
+
+    @property
+    def _has_hand(self) -> bool:
+        return f"{_FORCE}x" in self._stepper.scenario.spread
+
+    def _advance(self) -> None:
+        """Compute the samples until the present, with the present keys."""
+        stepper, dt = self._stepper, self._stepper.scenario.dt
+        count = int(np.ceil(self._due / dt - 1e-6)) + 1 - stepper.k
+        most = int(np.ceil(_SLOWEST / dt))
+        if count > most:  # slower than real time
+            count = most
+            self._due = (stepper.k + count - 1) * dt
+        if count < 1:
+            return
+        push = np.zeros(3) if self._can_drive else self._push * self._keys * (1, 1, self._figure.size[0])
+        if self._due < self._pulse:
+            push[1] += self._push
+        self._pushes = _turned(float(self._plant.pose(self._last["q"])[2]), push)
+        force = self._force(self._pushes)
+        if any(stepper.values[name] != x for name, x in force.items()):
+            stepper.change(stepper.values | force)
+        reference = self._drive.ahead(self._keys, count, dt) if self._drives else stepper.ahead(count)
+        found = stepper.advance(count, reference)
+        whole = np.hstack([found[name] for name in ("q", "v", "a", "u", "error")])
+        if not (np.abs(found["error"]) <= stepper.scenario.limit).all() or not np.isfinite(whole).all():
+            return self._pause(True, "the loop has diverged: reset begins again")
+        rows = [self._last, *({name: x[k] for name, x in found.items()} for k in range(count))]
+        self._before, self._last = rows[-2:]
+        self._desired = reference.q[-1]
+        self._watch(found.get("measured"))
+
+    def _watch(self, measured: Array | None) -> None:
+        """Remember the events of the newest samples: margins below zero, and wheels that slide."""
+        events = {}
+        for k, one in enumerate(self._stepper.scenario.recorded_metrics if measured is not None else ()):
+            column = measured[:, k]  # type: ignore[index]
+            if one.is_margin and column.min() < 0:
+                size = f" {column.min():.2g} {one.unit}" if np.isfinite(column.min()) else ""
+                events[one.name] = f"{one.name}{size}"
+            elif one.worst == "ever" and column.max() > 0:
+                events[one.name] = one.name
+        self._touching = self._contacts()
+        if self._touching is not None:
+            pairs = zip(self._touching.names, self._touching.slides[0], strict=True)
+            events |= {name: f"{name} slides" for name, slides in pairs if slides}
+        self._happens = bool(events)
+        self._events |= {name: (text, self._due + _HELD) for name, text in events.items()}
+
+    def _contacts(self) -> Contacts | None:
+        """Return the contacts at the newest sample; None if the plant has none, or cannot compute them."""
+        plant, units = able(self._plant, Touching), self._stepper.units
+        if plant is None:
+            return None
+        states = (self._last[name][None] for name in "qvau")
+        signals = {name: Signal(unit, self._last[f"signal {name}"][None]) for name, unit in units.items()}
+        with suppress(PinmobileError):  # a gear train, for instance, has no force of each wheel
+            found: Contacts = plant.contacts(*states, signals)
+            return found
+        return None
+
+    # The page
+
+    def _furnish(self) -> None:
+        """Draw what does not move, and state what the page shows."""
+        self._stage.remove("meshcat")
+        q, scenario = self._last["q"], self._stepper.scenario
+        overlays = Overlays(camera=Follow(distance=4.5 * max(self._figure.size[:2])))
+        self._scene = scene = Scene(self._stage, self._figure, overlays)
+        pose = row_of(self._figure, self._plant, q)
+        scene.alone(pose, _GROUND)
+        self._extent = Extent(pose[:2] - _GROUND, pose[:2] + _GROUND, self._figure.size)
+        self._stage.set("meshcat/scale", "visible", False)  # the grid goes along with the robot
+        self._stage.robot("meshcat/desired", self._figure, QUIET, ghost=True)
+        self._stage.put("meshcat/push", shapes.over(shapes.arrow(0.09), colour(3), order=ABOVE))
+        self._path()
+        self._desired, self._pushes = self._stepper.ahead(1).q[0], np.zeros(3)
+        self._watch(None)
+        contacts = self._touching
+        legend = [["travelled", colour(0), "", 0.0], ["desired", QUIET, "", 0.5]]
+        if contacts is not None:
+            legend += self._marked(contacts)[1]
+        self._stage.tell("legend", [*legend, [f"grid {self._extent.step:g} m", "#c9cdd1", "", 0.0]])
+        size = scenario.size
+        series = {
+            "error": [(one.name, one.unit) for one in scenario.coordinates[:_SHOWN]],
+            "input": [(one.name, one.unit) for one in scenario.inputs[:_SHOWN]],
+        }
+        self._counts = min(size, _SHOWN), min(len(scenario.inputs), _SHOWN)
+        self._has_loads = contacts is not None and bool(np.isfinite(contacts.loads).all())
+        if contacts is not None and self._has_loads:
+            series["wheel load"] = [(name, "N") for name in contacts.names[:_SHOWN]]
+        plots = []
+        for title, listed in series.items():
+            units = {unit: None for _, unit in listed if unit}
+            several = len(units) > 1
+            lines = [[f"{name} [{unit}]" if several else name, colour(i)] for i, (name, unit) in enumerate(listed)]
+            plots.append({"title": f"{title} [{', '.join(units)}]", "series": lines})
+        told = [self._told(name, one) for name, one in zip(self._sliders, self._found, strict=True)]
+        if self._has_hand:
+            told.append(["push", "N", "force of a push", 0.0, 9.81 * self._mass])
+        self._ranges = [(low, high) for *_, low, high in told]
+        panel = {"sliders": told, "plots": plots, "keys": self._help(), "push": self._has_hand}
+        width = 2 + sum(len(each["series"]) for each in plots)
+        self._stage.tell("panel", panel | {"blocks": _BLOCKS, "size": width})
+        self._stage.tell("driver", "")
+        self._clear()
+
+    def _told(self, name: str, found: Found) -> list[Any]:
+        """Return name, unit, meaning and range of a number: its bounds, else up to three times its value."""
+        declared: Any = found.leaf.declared
+        value = float(found.value)
+        high = max(3 * value, 1.0 if value == 0 else 0.0) if declared.upper is None else float(declared.upper)
+        low = min(3 * value, -1.0 if value == 0 else 0.0)
+        if declared.lower is not None:
+            low = float(declared.lower)
+        elif declared.above is not None:
+            low = float(declared.above) + 1e-3 * (high - float(declared.above))
+        return [name, found.unit, found.meaning, low, high]
+
+    def _help(self) -> list[list[str]]:
+        """Return the keys and their meanings."""
+        speed, aside, turn = self._drive.scale
+        if self._can_drive:
+            keys = [["W S", f"drive at {speed:.2g} m/s"], ["A D", f"turn at {turn:.2g} rad/s"]]
+            keys += [["Q E", f"move aside at {aside:.2g} m/s"]] if aside else []
+        elif self._has_hand:
+            keys = [["W S", "push ahead, back"], ["A D", "push left, right"], ["Q E", "turn"]]
+        else:
+            keys = []
+        return [*keys, *([["space", "push to the left"]] if self._has_hand else []), ["P", "pause"], ["R", "reset"]]
+
+    def _path(self) -> None:
+        """Draw the path of the trajectory."""
+        q = self._stepper.reference.q
+        whole = whole_configurations(self._plant, np.broadcast_to(self._last["q"], (len(q), self._plant.nq)), q)
+        step = max(len(q) // 1000, 1)
+        points = np.array([np.asarray(self._plant.pose(row))[:2] for row in whole[::step]])
+        draw_path(self._stage, points, self._extent)
+
+    def _clear(self) -> None:
+        """Empty plots and trail, and state the numbers."""
+        self._stage.remove("meshcat/trail")
+        for k in range(_BLOCKS):
+            self._stage.tell(f"rows{k}", [])
+        self._stage.tell("events", [])
+        self._stage.tell("values", [*self._values.values(), self._push])
+        self._pause(False)
+        self._show()
+
+    def _marked(self, contacts: Contacts) -> tuple[list[Channel], list[list[object]]]:
+        """Return channels and legend of the contacts; their shapes are sent once."""
+        sent = self._stage if self._frames == 0 else _Silent(self._stage.window)
+        scale = 0.6 * self._extent.unit / (9.81 * self._mass)
+        return draw_contacts(sent, contacts, self._extent, scale)
+
+    def _show(self) -> None:
+        """Send the present frame: poses, a row of the plots, the trail and the events."""
+        plant, last, dt = self._plant, self._last, self._stepper.scenario.dt
+        share = np.clip(1 + self._due / dt - (self._stepper.k - 1), 0.0, 1.0)
+        before = self._before["q"]
+        q = np.asarray(plant.integrate(before, share * np.asarray(plant.difference(before, last["q"]))))
+        row = row_of(self._figure, plant, q)
+        desired = whole_configurations(plant, q[None], self._desired[None])[0]
+        channels = [one for rider in self._scene.riders for one in rider(row[None])]
+        channels += ridden("meshcat/desired", self._figure, row_of(self._figure, plant, desired)[None])
+        if self._touching is not None:
+            channels += self._marked(self._touching)[0]
+        channels += self._arrow(row)
+        cell = self._extent.step
+        floor = np.append(cell * np.round((row[:2] - self._extent.centre) / cell), 0.0)
+        channels.append(Channel("meshcat/grid", "position", floor[None]))
+        moves = [[one.path, one.name, one.at(0)] for one in channels]
+        self._stage.tell("moves", moves)
+        self._trail(row[:2])
+        self._plot()
+        live = [text for text, until in self._events.values() if until > self._due]
+        if self._frames % 6 == 0:
+            self._stage.tell("events", live)
+            self._stage.tell("caption", f"t = {self._due:.1f} s" + (", driven" if self._drives else ""))
+        self._frames += 1
+
+    def _arrow(self, row: Array) -> list[Channel]:
+        """Return the channels of the arrow of a push, which ends at the body."""
+        size = float(np.hypot(*self._pushes[:2]))
+        angle = float(np.arctan2(self._pushes[1], self._pushes[0]))
+        long = max(1.2 * self._extent.unit * min(size / (_STRONG * self._mass), 2.0), 1e-4)
+        tail = np.array([row[0] - long * np.cos(angle), row[1] - long * np.sin(angle), angle])
+        scale = Channel("meshcat/push", "scale", np.full((1, 3), long))
+        return [*along("meshcat/push", tail[None], self._figure.size[2]), scale]
+
+    def _trail(self, point: Array) -> None:
+        self._points.append(point)
+        if len(self._points) > _TRACE:
+            number = self._frames // _TRACE % _TRACES
+            if np.ptp(self._points, axis=0).max() > 1e-3:
+                band = shapes.ribbon(np.array(self._points[::3]), 0.05 * self._extent.unit)
+                self._stage.put(f"meshcat/trail/{number}", shapes.flat(band, colour(0), order=TRAIL))
+            self._points = [point]
+
+    def _plot(self) -> None:
+        """Send the row of this frame with those of its block."""
+        if self._frames % _BLOCK == 0:
+            self._rows = []
+        errors, inputs = self._counts
+        row = [self._last["error"][:errors], self._last["u"][:inputs]]
+        if self._has_loads and self._touching is not None:
+            row.append(np.nan_to_num(self._touching.loads[0, :_SHOWN]))
+        self._rows += [self._due, *np.concatenate(row).tolist(), float(self._happens)]
+        self._stage.tell(f"rows{self._frames // _BLOCK % _BLOCKS}", list(self._rows))
+
+
+class _Silent(Stage):
+    """Stage that sends no shapes."""
+
+    def put(self, path: str, shape: Any) -> None:
+        """Do nothing."""
+
+
+def play(
+    plant: Plant,
+    controller: Controller,
+    trajectory: Trajectory,
+    *,
+    dt: float,
+    sliders: Sequence[str] = (),
+    duration: float | None = None,
+    integrator: Integrator | None = None,
+    substeps: int = 1,
+    forces: Sequence[Force | OnCoordinates] | Mapping[str, Force | OnCoordinates] = (),
+    limit: float = 1e3,
+    seed: int = 0,
+    host: str = "127.0.0.1",
+    port: int | None = None,
+) -> LiveRun:
+    """Run a closed loop in real time on a live page.
+
+    Parameters
+    ----------
+    plant, controller, trajectory
+        Parts of the loop, see `simulate`. The loop must be one that can be compiled.
+    dt : float
+        Time step of the controller [s].
+    sliders : sequence of str
+        Paths of numbers that the page changes, such as ``"controller.kp"`` or ``"mass"``, as in a spread of
+        `ensemble`. Their bounds, units and meanings are those of their declarations.
+    duration, integrator, substeps, forces, limit, seed
+        See `simulate`. The run goes on after `duration`; the reference then rests.
+    host : str
+        Address to serve at, see `LiveWindow`.
+    port : int, optional
+        Port to serve at; default: a free port.
+
+    Returns
+    -------
+    LiveRun
+        The run, with the address of its page. It lasts until it is closed.
+
+    Raises
+    ------
+    InvalidArgument, UnknownName
+        If an argument is invalid, or the loop cannot be compiled.
+    ViewerError
+        If the run cannot serve at this address.
+
+    See Also
+    --------
+    simulate : the same loop without a page
+    viewer.LiveRun : the run and its page
+    viewer.Viewer : playback of recorded runs
+
+    Examples
+    --------
+    >>> from pinmobile import Circle, ComputedTorque, MobileRobot, Tangent
+    >>> from pinmobile.viewer import play
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
+    >>> parts = robot, ComputedTorque(robot), Tangent(Circle(1.0, 0.5, 9.0))
+    >>> with play(*parts, dt=0.01, sliders=["controller.kp"]) as run:
+    ...     page = run.url  # open it in a browser
+    >>> run.rollout().signals["controller.kp"].unit
+    '1/s^2'
+    """
+    scenario = Scenario(
+        robot=plant, controller=controller, trajectory=trajectory, n=1, spread={}, dt=dt, seed=seed,
+        duration=duration, integrator=integrator, substeps=substeps, forces=forces, limit=limit,
+    )  # fmt: skip
+    return LiveRun(scenario, sliders, host=host, port=port)
