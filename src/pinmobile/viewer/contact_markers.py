@@ -187,11 +187,12 @@ def contacts_at(run: Rollout, times: Array, poses: Array) -> Contacts:
 
 
 def draw_contacts(
-    stage: Stage, found: Contacts, extent: Extent, scale: float | None = None
+    stage: Stage, found: Contacts, extent: Extent, scale: float | None = None, root: str = "meshcat"
 ) -> tuple[list[Channel], list[list[object]]]:
     """Draw forces and friction discs, and return their channels and legend entries.
 
-    A given scale [m/N] is that of other samples too, in which wheels may slide that do not in these.
+    A given scale [m/N] is that of other samples too, in which wheels may slide that do not in these. The
+    nodes are below `root`.
     """
     channels: list[Channel] = []
     legend: list[list[object]] = []
@@ -216,7 +217,7 @@ def draw_contacts(
             if is_whole and not shows.any():
                 continue
             used[paint] = True
-            path = f"meshcat/contacts/{k}/{name}"
+            path = f"{root}/contacts/{k}/{name}"
             for part, shape in _disc(GRIPS if name == "grips" else SLIDES).items():
                 stage.put(f"{path}/{part}", shape)
                 channels += along(f"{path}/{part}", np.column_stack([place, turned]))

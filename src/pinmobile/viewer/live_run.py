@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
@@ -25,13 +26,14 @@ from pinmobile.plant import Contacts, Plant, coordinates_of, stated, whole_confi
 from pinmobile.signals import Signal
 from pinmobile.trajectories import Reference, Trajectory
 from pinmobile.viewer.contact_markers import ABOVE, TRAIL, draw_contacts
-from pinmobile.viewer.motion import Channel, along, figure, row_of
+from pinmobile.viewer.motion import Channel, along, figure, links, row_of
 from pinmobile.viewer.pages import Content
-from pinmobile.viewer.scene import Scene, draw_path, ridden
+from pinmobile.viewer.scene import Scene, draw_path
 from pinmobile.viewer.scene_tree import Extent, Follow, Overlays, Stage
 from pinmobile.viewer.window import LiveWindow
 
 _FPS = 60
+_SELDOM = 4  # frames between two looks at contacts and links of the ghost, which take long
 _BLOCK, _BLOCKS = 15, 41  # frames that the page receives as a whole; they last more than 10 s
 _SHOWN = 6  # series of a plot
 _SLOWEST = 0.1  # [s] of the run that one frame computes at most
@@ -323,9 +325,9 @@ class LiveRun:
         rows = [self._last, *({name: x[k] for name, x in found.items()} for k in range(count))]
         self._before, self._last = rows[-2:]
         self._desired = reference.q[-1]
-        self._watch(found.get("measured"))
+        self._watch(found.get("measured"), found.get("signal slides"))
 
-    def _watch(self, measured: Array | None) -> None:
+    def _watch(self, measured: Array | None, slides: Array | None) -> None:
         """Remember the events of the newest samples: margins below zero, and wheels that slide."""
         events = {}
         for k, one in enumerate(self._stepper.scenario.recorded_metrics if measured is not None else ()):
@@ -335,10 +337,11 @@ class LiveRun:
                 events[one.name] = f"{one.name}{size}"
             elif one.worst == "ever" and column.max() > 0:
                 events[one.name] = one.name
-        self._touching = self._contacts()
-        if self._touching is not None:
-            pairs = zip(self._touching.names, self._touching.slides[0], strict=True)
-            events |= {name: f"{name} slides" for name, slides in pairs if slides}
+        if self._frames % _SELDOM == 0:
+            self._touching = self._contacts()
+        if self._touching is not None and slides is not None:
+            pairs = zip(self._touching.names, slides.any(axis=0), strict=True)
+            events |= {name: f"{name} slides" for name, one in pairs if one}
         self._happens = bool(events)
         self._events |= {name: (text, self._due + _HELD) for name, text in events.items()}
 
@@ -370,7 +373,7 @@ class LiveRun:
         self._stage.put("meshcat/push", shapes.over(shapes.arrow(0.09), colour(3), order=ABOVE))
         self._path()
         self._desired, self._pushes = self._stepper.ahead(1).q[0], np.zeros(3)
-        self._watch(None)
+        self._watch(None, None)
         contacts = self._touching
         legend = [["travelled", colour(0), "", 0.0], ["desired", QUIET, "", 0.5]]
         if contacts is not None:
@@ -437,7 +440,7 @@ class LiveRun:
         """Empty plots and trail, and state the numbers."""
         self._stage.remove("meshcat/trail")
         for k in range(_BLOCKS):
-            self._stage.tell(f"rows{k}", [])
+            self._stage.tell(f"rows{k}", "[]")
         self._stage.tell("events", [])
         self._stage.tell("values", [*self._values.values(), self._push])
         self._pause(False)
@@ -447,7 +450,11 @@ class LiveRun:
         """Return channels and legend of the contacts; their shapes are sent once."""
         sent = self._stage if self._frames == 0 else _Silent(self._stage.window)
         scale = 0.6 * self._extent.unit / (9.81 * self._mass)
-        return draw_contacts(sent, contacts, self._extent, scale)
+        x, y, psi = np.asarray(self._plant.pose(self._last["q"]))
+        away = contacts.places - (x, y)
+        seen = away @ np.array([[np.cos(psi), -np.sin(psi)], [np.sin(psi), np.cos(psi)]])
+        seen_from_body = contacts._replace(places=seen, directions=contacts.directions - psi)
+        return draw_contacts(sent, seen_from_body, self._extent, scale, "meshcat/robot0")
 
     def _show(self) -> None:
         """Send the present frame: poses, a row of the plots, the trail and the events."""
@@ -458,15 +465,18 @@ class LiveRun:
         row = row_of(self._figure, plant, q)
         desired = whole_configurations(plant, q[None], self._desired[None])[0]
         channels = [one for rider in self._scene.riders for one in rider(row[None])]
-        channels += ridden("meshcat/desired", self._figure, row_of(self._figure, plant, desired)[None])
-        if self._touching is not None:
-            channels += self._marked(self._touching)[0]
+        ghost = row_of(self._figure, plant, desired)[None]
+        if self._frames % _SELDOM == 0:
+            self._slow = links("meshcat/desired", self._figure, ghost)
+            if self._touching is not None:
+                self._slow += self._marked(self._touching)[0]
+        channels += along("meshcat/desired", ghost) + self._slow
         channels += self._arrow(row)
         cell = self._extent.step
         floor = np.append(cell * np.round((row[:2] - self._extent.centre) / cell), 0.0)
         channels.append(Channel("meshcat/grid", "position", floor[None]))
         moves = [[one.path, one.name, one.at(0)] for one in channels]
-        self._stage.tell("moves", moves)
+        self._stage.tell("moves", json.dumps(moves))  # packed much faster than its numbers
         self._trail(row[:2])
         self._plot()
         live = [text for text, until in self._events.values() if until > self._due]
@@ -502,7 +512,7 @@ class LiveRun:
         if self._has_loads and self._touching is not None:
             row.append(np.nan_to_num(self._touching.loads[0, :_SHOWN]))
         self._rows += [self._due, *np.concatenate(row).tolist(), float(self._happens)]
-        self._stage.tell(f"rows{self._frames // _BLOCK % _BLOCKS}", list(self._rows))
+        self._stage.tell(f"rows{self._frames // _BLOCK % _BLOCKS}", json.dumps(self._rows))
 
 
 class _Silent(Stage):
