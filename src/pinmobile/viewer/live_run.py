@@ -23,22 +23,24 @@ from pinmobile.loop import Rollout, Scenario, Stepper
 from pinmobile.palette import QUIET, colour
 from pinmobile.parts import Driven, Found, OnCoordinates, Pushable, Tabled, Touching, able, entries_of
 from pinmobile.plant import Contacts, Plant, coordinates_of, stated, whole_configurations
+from pinmobile.robot import MobileRobot
 from pinmobile.signals import Signal
 from pinmobile.trajectories import Reference, Trajectory
 from pinmobile.viewer.contact_markers import ABOVE, TRAIL, draw_contacts
-from pinmobile.viewer.motion import Channel, along, figure, links, row_of
+from pinmobile.viewer.motion import Channel, along, figure, row_of
 from pinmobile.viewer.pages import Content
 from pinmobile.viewer.scene import Scene, draw_path
 from pinmobile.viewer.scene_tree import Extent, Follow, Overlays, Stage
 from pinmobile.viewer.window import LiveWindow
 
 _FPS = 60
-_SELDOM = 4  # frames between two looks at contacts and links of the ghost, which take long
+_SELDOM = 4  # frames between two looks at contacts, which take long
 _BLOCK, _BLOCKS = 15, 41  # frames that the page receives as a whole; they last more than 10 s
 _SHOWN = 6  # series of a plot
 _SLOWEST = 0.1  # [s] of the run that one frame computes at most
+_STILL = 1e-3  # [m] that a trail is at least long
 _GROUND = 5.0  # [m] of the floor around the robot
-_TRACE, _TRACES = 12, 50  # frames of a piece of the trail, and pieces: 10 s
+_TRACE, _TRACES = 3, 200  # frames between two points of the trail, and points: 10 s
 _PULSE, _HELD = 0.25, 0.6  # [s] duration of a push, and for which an event is shown
 _STRONG = 9.81 / 4  # [m/s^2] acceleration by a push
 _REACH = 0.4  # [s] until the driven reference has the speed of a key
@@ -216,7 +218,7 @@ class LiveRun:
         self._keys, self._pulse, self._due, self._frames = np.zeros(3), 0.0, 0.0, 0
         self._drives = self._paused = False
         self._rows: list[float] = []
-        self._points: list[Array] = []
+        self._points: deque[Array] = deque(maxlen=_TRACES)
         self._events: dict[str, tuple[str, float]] = {}
         self._stepper.reset(self._values | self._force(np.zeros(3)))
         self._last = {name: x[-1] for name, x in self._stepper.advance(1).items()}
@@ -369,13 +371,13 @@ class LiveRun:
         scene.alone(pose, _GROUND)
         self._extent = Extent(pose[:2] - _GROUND, pose[:2] + _GROUND, self._figure.size)
         self._stage.set("meshcat/scale", "visible", False)  # the grid goes along with the robot
-        self._stage.robot("meshcat/desired", self._figure, QUIET, ghost=True)
+        self._stage.robot("meshcat/desired", MobileRobot.box(size=self._figure.size), QUIET, ghost=True)
         self._stage.put("meshcat/push", shapes.over(shapes.arrow(0.09), colour(3), order=ABOVE))
         self._path()
         self._desired, self._pushes = self._stepper.ahead(1).q[0], np.zeros(3)
         self._watch(None, None)
         contacts = self._touching
-        legend = [["travelled", colour(0), "", 0.0], ["desired", QUIET, "", 0.5]]
+        legend = [["travelled", colour(0), "", 0.0], ["desired pose", QUIET, "", 0.5]]
         if contacts is not None:
             legend += self._marked(contacts)[1]
         self._stage.tell("legend", [*legend, [f"grid {self._extent.step:g} m", "#c9cdd1", "", 0.0]])
@@ -463,14 +465,10 @@ class LiveRun:
         before = self._before["q"]
         q = np.asarray(plant.integrate(before, share * np.asarray(plant.difference(before, last["q"]))))
         row = row_of(self._figure, plant, q)
-        desired = whole_configurations(plant, q[None], self._desired[None])[0]
         channels = [one for rider in self._scene.riders for one in rider(row[None])]
-        ghost = row_of(self._figure, plant, desired)[None]
-        if self._frames % _SELDOM == 0:
-            self._slow = links("meshcat/desired", self._figure, ghost)
-            if self._touching is not None:
-                self._slow += self._marked(self._touching)[0]
-        channels += along("meshcat/desired", ghost) + self._slow
+        channels += along("meshcat/desired", self._desired[None, :3])
+        if self._frames % _SELDOM == 0 and self._touching is not None:
+            channels += self._marked(self._touching)[0]
         channels += self._arrow(row)
         cell = self._extent.step
         floor = np.append(cell * np.round((row[:2] - self._extent.centre) / cell), 0.0)
@@ -495,13 +493,11 @@ class LiveRun:
         return [*along("meshcat/push", tail[None], self._figure.size[2]), scale]
 
     def _trail(self, point: Array) -> None:
-        self._points.append(point)
-        if len(self._points) > _TRACE:
-            number = self._frames // _TRACE % _TRACES
-            if np.ptp(self._points, axis=0).max() > 1e-3:
-                band = shapes.ribbon(np.array(self._points[::3]), 0.05 * self._extent.unit)
-                self._stage.put(f"meshcat/trail/{number}", shapes.flat(band, colour(0), order=TRAIL))
-            self._points = [point]
+        if self._frames % _TRACE == 0:
+            self._points.append(point)
+        if self._frames % (_SELDOM * _TRACE) == 0 and np.ptp(self._points, axis=0).max() > _STILL:
+            band = shapes.ribbon(np.array(self._points), 0.05 * self._extent.unit)
+            self._stage.put("meshcat/trail", shapes.flat(band, colour(0), order=TRAIL))
 
     def _plot(self) -> None:
         """Send the row of this frame with those of its block."""
