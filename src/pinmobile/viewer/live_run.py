@@ -37,12 +37,14 @@ _FPS = 60
 _SELDOM = 4  # frames between two looks at contacts, which take long
 _BLOCK, _BLOCKS = 15, 41  # frames that the page receives as a whole; they last more than 10 s
 _SHOWN = 6  # series of a plot
+_SLOW = 0.95  # of real time; the page states less
 _SLOWEST = 0.1  # [s] of the run that one frame computes at most
 _STILL = 1e-3  # [m] that a trail is at least long
 _GROUND = 5.0  # [m] of the floor around the robot
 _TRACE, _TRACES = 3, 200  # frames between two points of the trail, and points: 10 s
 _PULSE, _HELD = 0.25, 0.6  # [s] duration of a push, and for which an event is shown
 _STRONG = 9.81 / 4  # [m/s^2] acceleration by a push
+_MASS, _LENGTH = 10.0, 1.0  # [kg, m] of a plant without a mass matrix; of the arm of a moment
 _REACH = 0.4  # [s] until the driven reference has the speed of a key
 _FORCE = "forces.hand.force."
 _AXES = ("x", "y", "moment")
@@ -155,20 +157,20 @@ class LiveRun:
             forces = {**dict(entries_of(forces)), "hand": ConstantForce(np.zeros(3))}
         bare = replace(scenario, n=1, spread={}, forces=forces)
         names = sequence("sliders", sliders, 'names of numbers, such as ["controller.kp"]')
-        spread = {name: float(bare.find(name, "sliders").value) for name in names}
-        self._sliders = list(spread)
+        found = {one.path: (name, one) for name in names for one in [scenario.find(name, "sliders")]}
+        spread = {path: float(one.value) for path, (_, one) in found.items()}
+        self._sliders, self._values = found, dict(spread)
         spread |= {f"{_FORCE}{axis}": 0.0 for axis in (_AXES if hand is not None else ())}
         self._stepper = Stepper(replace(bare, spread=spread))
         self._can_drive = self._stepper.follows and any(able(plant, x) for x in (Tabled, Driven))
         self._drive = _Drive(plant, bare.reference)
-        mass = stated(plant, "mass_matrix")
-        self._mass = float(mass(bare.start[0])[0, 0]) if mass is not None else 10.0
-        self._found = [self._stepper.scenario.found[name] for name in self._sliders]
-        self._values = {name: float(one.value) for name, one in zip(self._sliders, self._found, strict=True)}
+        mass_matrix = stated(plant, "mass_matrix")
+        M = np.eye(3) * _MASS if mass_matrix is None else np.asarray(mass_matrix(bare.start[0]))
+        self._mass, self._arm = float(M[0, 0]), float(M[2, 2] / M[0, 0]) / _LENGTH
         self._push = _STRONG * self._mass
         self._heard: deque[tuple[object, str]] = deque()
         self._driver: object = None
-        self._lock, self._end = threading.RLock(), threading.Event()
+        self._lock, self._end, self._pace = threading.RLock(), threading.Event(), 1.0
         self._window = LiveWindow(host, port)
         self._stage, self._figure = Stage(self._window), figure(plant)
         try:
@@ -227,13 +229,15 @@ class LiveRun:
     def _run(self) -> None:
         begin, frame = monotonic(), 0
         while not self._end.wait(max(begin + frame / _FPS - monotonic(), 0.0)):
-            late = monotonic() - begin - frame / _FPS
-            frame += 1 + max(int(late * _FPS), 0)  # frames that are too late are left out
-            with self._lock, suppress(PinmobileError if self._end.is_set() else ()):
+            frames = 1 + max(int((monotonic() - begin) * _FPS - frame), 0)  # those that are late are left out
+            frame += frames
+            with self._lock:
                 self._listen()
                 if not self._paused:
-                    self._due += (1 + max(int(late * _FPS), 0)) / _FPS
+                    before, wanted = self._due, frames / _FPS
+                    self._due += wanted
                     self._advance()
+                    self._pace += wanted * ((self._due - before) / wanted - self._pace)  # mean of a second
                     self._show()
 
     def _listen(self) -> None:
@@ -312,7 +316,7 @@ class LiveRun:
             self._due = (stepper.k + count - 1) * dt
         if count < 1:
             return
-        push = np.zeros(3) if self._can_drive else self._push * self._keys * (1, 1, self._figure.size[0])
+        push = np.zeros(3) if self._can_drive else self._push * self._keys * (1, 1, self._arm)
         if self._due < self._pulse:
             push[1] += self._push
         self._pushes = _turned(float(self._plant.pose(self._last["q"])[2]), push)
@@ -396,7 +400,7 @@ class LiveRun:
             several = len(units) > 1
             lines = [[f"{name} [{unit}]" if several else name, colour(i)] for i, (name, unit) in enumerate(listed)]
             plots.append({"title": f"{title} [{', '.join(units)}]", "series": lines})
-        told = [self._told(name, one) for name, one in zip(self._sliders, self._found, strict=True)]
+        told = [self._told(name, one) for name, one in self._sliders.values()]
         if self._has_hand:
             told.append(["push", "N", "force of a push", 0.0, 9.81 * self._mass])
         self._ranges = [(low, high) for *_, low, high in told]
@@ -451,7 +455,7 @@ class LiveRun:
     def _marked(self, contacts: Contacts) -> tuple[list[Channel], list[list[object]]]:
         """Return channels and legend of the contacts; their shapes are sent once."""
         sent = self._stage if self._frames == 0 else _Silent(self._stage.window)
-        scale = 0.6 * self._extent.unit / (9.81 * self._mass)
+        scale = 1.5 * self._extent.unit / (9.81 * self._mass)
         x, y, psi = np.asarray(self._plant.pose(self._last["q"]))
         away = contacts.places - (x, y)
         seen = away @ np.array([[np.cos(psi), -np.sin(psi)], [np.sin(psi), np.cos(psi)]])
@@ -480,7 +484,9 @@ class LiveRun:
         live = [text for text, until in self._events.values() if until > self._due]
         if self._frames % 6 == 0:
             self._stage.tell("events", live)
-            self._stage.tell("caption", f"t = {self._due:.1f} s" + (", driven" if self._drives else ""))
+            pace = f", {self._pace:.1f} times real time" if self._pace < _SLOW else ""
+            driven = ", driven" if self._drives else ""
+            self._stage.tell("caption", f"t = {self._due:.1f} s{driven}{pace}")
         self._frames += 1
 
     def _arrow(self, row: Array) -> list[Channel]:
