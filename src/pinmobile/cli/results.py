@@ -297,7 +297,13 @@ def show_live(words: Sequence[str], *, host: str, port: int | None, allow_code: 
 
 
 def show_play(
-    words: Sequence[str], sliders: Sequence[str], out: Path | None, *, host: str, port: int | None, allow_code: bool
+    words: Sequence[str],
+    sliders: Sequence[str],
+    out: Path | None,
+    *,
+    host: str,
+    port: int | None,
+    allow_code: bool,
 ) -> int:
     """Run a loop in real time on a page until Ctrl-C or SIGTERM, and print its result and what is next."""
     if out is not None and out.suffix != ".npz":

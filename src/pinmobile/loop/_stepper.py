@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 
@@ -83,10 +82,11 @@ class Stepper:
         except NotTraceable as error:
             raise InvalidArgument(f"this loop cannot run in real time: {error.reason}") from error
         self._rows = scheduled_rows(loop, scenario.context) if self._compiled.tape.scheduled else []
-        self.reset({name: float(one.value) for name, one in scenario.found.items()})
+        self.reset({name: float(drawn[0]) for name, drawn in scenario.draws().items()})
 
     def reset(self, values: Mapping[str, float]) -> None:
         """Begin again at the first sample, with these numbers of the spread."""
+        self._blocks: Array = np.zeros(0)
         self.k, size = 0, max(1, sum(ring.samples for ring in self._compiled.tape.rings))
         self._rings, self._counts = aligned((size, 1)), np.zeros(1, np.int32)
         self._parts: deque[tuple[Array, Reference, dict[str, Array]]] = deque()
@@ -188,5 +188,5 @@ class Stepper:
         signals |= {name: Signal(unit, kept[f"signal {name}"]) for name, unit in self.units.items()}
         signals |= {name: Signal(x.unit, kept[f"number {name}"]) for name, x in scenario.found.items()}
         error = errors_of(scenario.robot, kept["q"], reference)
-        states = (kept[name] for name in "qvau")
-        return Rollout(scenario.robot, t, *states, error, reference, signals, engine="COMPILED")
+        q, v, a, u = (kept[name] for name in "qvau")
+        return Rollout(scenario.robot, t, q, v, a, u, error, reference, signals, engine="COMPILED")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import threading
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from time import monotonic
@@ -22,13 +22,12 @@ from pinmobile.integrators import Integrator
 from pinmobile.loop import Rollout, Scenario, Stepper
 from pinmobile.palette import QUIET, colour
 from pinmobile.parts import Driven, Found, OnCoordinates, Pushable, Tabled, Touching, able, entries_of
-from pinmobile.plant import Contacts, Plant, coordinates_of, stated, whole_configurations
+from pinmobile.plant import Contacts, Plant, stated, whole_configurations
 from pinmobile.robot import MobileRobot
 from pinmobile.signals import Signal
 from pinmobile.trajectories import Reference, Trajectory
 from pinmobile.viewer.contact_markers import ABOVE, TRAIL, draw_contacts
 from pinmobile.viewer.motion import Channel, along, figure, row_of
-from pinmobile.viewer.pages import Content
 from pinmobile.viewer.scene import Scene, draw_path
 from pinmobile.viewer.scene_tree import Extent, Follow, Overlays, Stage
 from pinmobile.viewer.window import LiveWindow
@@ -90,7 +89,7 @@ class _Drive:
             a[:3] = _turned(self.q[2], change / dt) + self.twist[2] * np.array([-v[1], v[0], 0.0])
             rows.append((self.q, v, a))
             self.q, self.twist = self.q + dt * v + dt**2 / 2 * a, self.twist + change
-        return Reference(*map(np.array, zip(*rows, strict=True)))  # type: ignore[arg-type]
+        return Reference(*map(np.array, zip(*rows, strict=True)))
 
 
 def _turned(angle: float, twist: Array) -> Array:
@@ -104,10 +103,10 @@ class LiveRun:
 
     A thread advances the compiled loop 60 times per second until the run is closed. The page has a slider for
     each selected number, buttons (pause, reset, push), and plots of error, inputs and wheel loads over the
-    last ten seconds. Keys W, S, A, D, Q, E, arrows or a gamepad drive a robot on wheels: from the first key on,
-    the reference is a twist that the keys command, integrated from the robot's pose, until a reset. Of another
-    plant they push the body, along its own axes. The first page that presses a key or control drives until it
-    is closed; all others watch. After its end, the reference of the trajectory rests.
+    last ten seconds. Keys W, S, A, D, Q, E, arrows or a gamepad drive a robot on wheels: from the first key
+    on, the reference is a twist that the keys command, integrated from the robot's pose, until a reset. The
+    keys push the body of another plant along its own axes. The first page that presses a key or control
+    drives until it is closed; all others watch. After its end, the reference of the trajectory rests.
 
     Parameters
     ----------
@@ -139,17 +138,25 @@ class LiveRun:
 
     Examples
     --------
-    >>> from pinmobile import PD, Circle, MobileRobot, Scenario, Tangent
+    >>> from pinmobile import PD, Circle, MobileRobot, Scenario
+    >>> from pinmobile import Tangent
     >>> from pinmobile.viewer import LiveRun
-    >>> parts = MobileRobot(30.0, 1.3), PD(120, 120), Tangent(Circle(1.0, 0.5, 9.0))
-    >>> scenario = Scenario(*parts, n=1, spread={}, dt=0.01)
-    >>> with LiveRun(scenario, ["kp"]) as run:
+    >>> loop = Scenario(robot=MobileRobot(30.0, 1.3),
+    ...                 controller=PD(120, 120),
+    ...                 trajectory=Tangent(Circle(1.0, 0.5, 9.0)),
+    ...                 n=1, spread={}, dt=0.01)
+    >>> with LiveRun(loop, ["controller.kp"]) as run:
     ...     run.url
     'http://127.0.0.1:.../'
     """
 
     def __init__(
-        self, scenario: Scenario, sliders: Sequence[str] = (), *, host: str = "127.0.0.1", port: int | None = None
+        self,
+        scenario: Scenario,
+        sliders: Sequence[str] = (),
+        *,
+        host: str = "127.0.0.1",
+        port: int | None = None,
     ) -> None:
         self._plant = plant = scenario.robot
         hand, forces = able(plant, Pushable), scenario.forces
@@ -278,7 +285,7 @@ class LiveRun:
             self._set(name, value)
 
     def _set(self, name: str, value: float) -> None:
-        """Change the number of a slider, the push for the last one; a value that is impossible is left out."""
+        """Change the number of a slider, or the push for ""; an impossible value has no effect."""
         if not name:
             self._push = value
         else:
@@ -327,7 +334,8 @@ class LiveRun:
         found = stepper.advance(count, reference)
         whole = np.hstack([found[name] for name in ("q", "v", "a", "u", "error")])
         if not (np.abs(found["error"]) <= stepper.scenario.limit).all() or not np.isfinite(whole).all():
-            return self._pause(True, "the loop has diverged: reset begins again")
+            self._pause(True, "the loop has diverged: reset begins again")
+            return
         rows = [self._last, *({name: x[k] for name, x in found.items()} for k in range(count))]
         self._before, self._last = rows[-2:]
         self._desired = reference.q[-1]
@@ -346,7 +354,7 @@ class LiveRun:
         if self._frames % _SELDOM == 0:
             self._touching = self._contacts()
         if self._touching is not None and slides is not None:
-            pairs = zip(self._touching.names, slides.any(axis=0), strict=True)
+            pairs = zip(self._touching.names, slides.max(axis=0).tolist(), strict=True)
             events |= {name: f"{name} slides" for name, one in pairs if one}
         self._happens = bool(events)
         self._events |= {name: (text, self._due + _HELD) for name, text in events.items()}
@@ -398,7 +406,9 @@ class LiveRun:
         for title, listed in series.items():
             units = {unit: None for _, unit in listed if unit}
             several = len(units) > 1
-            lines = [[f"{name} [{unit}]" if several else name, colour(i)] for i, (name, unit) in enumerate(listed)]
+            lines = [
+                [f"{name} [{unit}]" if several else name, colour(i)] for i, (name, unit) in enumerate(listed)
+            ]
             plots.append({"title": f"{title} [{', '.join(units)}]", "series": lines})
         told = [self._told(name, one) for name, one in self._sliders.values()]
         if self._has_hand:
@@ -432,12 +442,19 @@ class LiveRun:
             keys = [["W S", "push ahead, back"], ["A D", "push left, right"], ["Q E", "turn"]]
         else:
             keys = []
-        return [*keys, *([["space", "push to the left"]] if self._has_hand else []), ["P", "pause"], ["R", "reset"]]
+        return [
+            *keys,
+            *([["space", "push to the left"]] if self._has_hand else []),
+            ["P", "pause"],
+            ["R", "reset"],
+        ]
 
     def _path(self) -> None:
         """Draw the path of the trajectory."""
         q = self._stepper.reference.q
-        whole = whole_configurations(self._plant, np.broadcast_to(self._last["q"], (len(q), self._plant.nq)), q)
+        whole = whole_configurations(
+            self._plant, np.broadcast_to(self._last["q"], (len(q), self._plant.nq)), q
+        )
         step = max(len(q) // 1000, 1)
         points = np.array([np.asarray(self._plant.pose(row))[:2] for row in whole[::step]])
         draw_path(self._stage, points, self._extent)
@@ -578,10 +595,12 @@ def play(
 
     Examples
     --------
-    >>> from pinmobile import Circle, ComputedTorque, MobileRobot, Tangent
+    >>> from pinmobile import Circle, ComputedTorque, MobileRobot
+    >>> from pinmobile import Tangent
     >>> from pinmobile.viewer import play
     >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
-    >>> parts = robot, ComputedTorque(robot), Tangent(Circle(1.0, 0.5, 9.0))
+    >>> circle = Tangent(Circle(1.0, 0.5, 9.0))
+    >>> parts = robot, ComputedTorque(robot), circle
     >>> with play(*parts, dt=0.01, sliders=["controller.kp"]) as run:
     ...     page = run.url  # open it in a browser
     >>> run.rollout().signals["controller.kp"].unit

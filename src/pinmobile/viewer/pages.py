@@ -70,7 +70,12 @@ def sealed(page: str) -> str:
 
 def stage_page(title: str, engine: str, scene: str) -> str:
     """Return the page of the stage; `engine` is HTML that loads meshcat, `scene` is HTML that fills it."""
-    parts = {"css": part_of_page("stage.css"), "stage": part_of_page("stage.js"), "engine": engine, "scene": scene}
+    parts = {
+        "css": part_of_page("stage.css"),
+        "stage": part_of_page("stage.js"),
+        "engine": engine,
+        "scene": scene,
+    }
     return Template(part_of_page("stage.html")).substitute(parts, title=escape(title))
 
 

@@ -9,8 +9,6 @@ from threading import RLock
 from time import monotonic, sleep
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-import numpy as np
-
 from pinmobile.arrays import ArrayLike, by_label, finite, instance, positive, shaped, text
 from pinmobile.errors import InvalidArgument, ViewerError
 from pinmobile.files import written
