@@ -17,11 +17,22 @@ import pinmobile.viewer.shapes as shapes
 from pinmobile.arrays import Array, sequence
 from pinmobile.controllers import Controller
 from pinmobile.errors import PinmobileError
-from pinmobile.forces import ConstantForce, Force
+from pinmobile.forces import Force
 from pinmobile.integrators import Integrator
 from pinmobile.loop import Rollout, Scenario, Stepper
 from pinmobile.palette import QUIET, colour
-from pinmobile.parts import Driven, Found, OnCoordinates, Pushable, Tabled, Touching, able, entries_of
+from pinmobile.parts import (
+    Driven,
+    Found,
+    OnCoordinates,
+    Pushable,
+    Tabled,
+    Touching,
+    able,
+    array,
+    entries_of,
+    part,
+)
 from pinmobile.plant import Contacts, Plant, stated, whole_configurations
 from pinmobile.robot import MobileRobot
 from pinmobile.signals import Signal
@@ -47,6 +58,17 @@ _MASS, _LENGTH = 10.0, 1.0  # [kg, m] of a plant without a mass matrix; of the a
 _REACH = 0.4  # [s] until the driven reference has the speed of a key
 _FORCE = "forces.hand.force."
 _AXES = ("x", "y", "moment")
+
+
+@part
+class _Hand:
+    """Force on the body whose numbers the page changes."""
+
+    force: Any = array(default=(0.0,) * 3, unit="N, N, N m", labels=_AXES, doc="force by hand")
+
+    def __call__(self, t: Any, q: Any, v: Any) -> Any:
+        """Return the force, shape (..., 3) [N, N, N m]."""
+        return self.force + 0.0 * q
 
 
 class _Drive:
@@ -161,7 +183,7 @@ class LiveRun:
         self._plant = plant = scenario.robot
         hand, forces = able(plant, Pushable), scenario.forces
         if hand is not None:
-            forces = {**dict(entries_of(forces)), "hand": ConstantForce(np.zeros(3))}
+            forces = {**dict(entries_of(forces)), "hand": _Hand()}
         bare = replace(scenario, n=1, spread={}, forces=forces)
         names = sequence("sliders", sliders, 'names of numbers, such as ["controller.kp"]')
         found = {one.path: (name, one) for name in names for one in [scenario.find(name, "sliders")]}
