@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import threading
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from time import monotonic
@@ -17,23 +17,10 @@ import pinmobile.viewer.shapes as shapes
 from pinmobile.arrays import Array, sequence
 from pinmobile.controllers import Controller
 from pinmobile.errors import PinmobileError
-from pinmobile.forces import Force
-from pinmobile.integrators import Integrator
 from pinmobile.loop import Rollout, Scenario, Stepper
 from pinmobile.palette import QUIET, colour
-from pinmobile.parts import (
-    Driven,
-    Found,
-    OnCoordinates,
-    Pushable,
-    Tabled,
-    Touching,
-    able,
-    array,
-    entries_of,
-    part,
-)
-from pinmobile.plant import Contacts, Plant, stated, whole_configurations
+from pinmobile.parts import Driven, Found, Pushable, Tabled, Touching, able, array, entries_of, part
+from pinmobile.plant import Contacts, Plant, stated
 from pinmobile.robot import MobileRobot
 from pinmobile.signals import Signal
 from pinmobile.trajectories import Reference, Trajectory
@@ -197,6 +184,7 @@ class LiveRun:
         M = np.eye(3) * _MASS if mass_matrix is None else np.asarray(mass_matrix(bare.start[0]))
         self._mass, self._arm = float(M[0, 0]), float(M[2, 2] / M[0, 0]) / _LENGTH
         self._push = _STRONG * self._mass
+        self._marks: list[Channel] = []
         self._heard: deque[tuple[object, str]] = deque()
         self._driver: object = None
         self._lock, self._end, self._pace = threading.RLock(), threading.Event(), 1.0
@@ -252,6 +240,7 @@ class LiveRun:
         self._points: deque[Array] = deque(maxlen=_TRACES)
         self._events: dict[str, tuple[str, float]] = {}
         self._stepper.reset(self._values | self._force(np.zeros(3)))
+        self._desired, self._pushes = self._stepper.reference.q[0], np.zeros(3)
         self._last = {name: x[-1] for name, x in self._stepper.advance(1).items()}
         self._before = self._last
 
@@ -303,8 +292,7 @@ class LiveRun:
             self._clear()
         elif word == "slider":
             low, high = self._ranges[int(numbers[0])]
-            name, value = [*self._sliders, ""][int(numbers[0])], min(max(numbers[1], low), high)
-            self._set(name, value)
+            self._set([*self._sliders, ""][int(numbers[0])], min(max(numbers[1], low), high))
 
     def _set(self, name: str, value: float) -> None:
         """Change the number of a slider, or the push for ""; an impossible value has no effect."""
@@ -318,8 +306,7 @@ class LiveRun:
             except PinmobileError as error:
                 self._values, told = before, str(error)
             self._stage.tell("message", told)
-            if name.startswith("trajectory"):
-                self._path()
+            self._path()
         self._stage.tell("values", [*self._values.values(), self._push])
 
     def _pause(self, paused: bool, why: str = "") -> None:
@@ -408,29 +395,22 @@ class LiveRun:
         self._stage.robot("meshcat/desired", MobileRobot.box(size=self._figure.size), QUIET, ghost=True)
         self._stage.put("meshcat/push", shapes.over(shapes.arrow(0.09), colour(3), order=ABOVE))
         self._path()
-        self._desired, self._pushes = self._stepper.ahead(1).q[0], np.zeros(3)
         self._watch(None, None)
         contacts = self._touching
         legend = [["travelled", colour(0), "", 0.0], ["desired pose", QUIET, "", 0.5]]
         if contacts is not None:
             legend += self._marked(contacts)[1]
         self._stage.tell("legend", [*legend, [f"grid {self._extent.step:g} m", "#c9cdd1", "", 0.0]])
-        size = scenario.size
-        series = {
-            "error": [(one.name, one.unit) for one in scenario.coordinates[:_SHOWN]],
-            "input": [(one.name, one.unit) for one in scenario.inputs[:_SHOWN]],
-        }
-        self._counts = min(size, _SHOWN), min(len(scenario.inputs), _SHOWN)
+        listed = {"error": scenario.coordinates[:_SHOWN], "input": scenario.inputs[:_SHOWN]}
+        series = {title: [(one.name, one.unit) for one in each] for title, each in listed.items()}
         self._has_loads = contacts is not None and bool(np.isfinite(contacts.loads).all())
         if contacts is not None and self._has_loads:
             series["wheel load"] = [(name, "N") for name in contacts.names[:_SHOWN]]
         plots = []
-        for title, listed in series.items():
-            units = {unit: None for _, unit in listed if unit}
-            several = len(units) > 1
-            lines = [
-                [f"{name} [{unit}]" if several else name, colour(i)] for i, (name, unit) in enumerate(listed)
-            ]
+        for title, each in series.items():
+            units = list(dict.fromkeys(unit for _, unit in each if unit))
+            names = [f"{name} [{unit}]" if len(units) > 1 else name for name, unit in each]
+            lines = [[name, colour(i)] for i, name in enumerate(names)]
             plots.append({"title": f"{title} [{', '.join(units)}]", "series": lines})
         told = [self._told(name, one) for name, one in self._sliders.values()]
         if self._has_hand:
@@ -444,42 +424,26 @@ class LiveRun:
 
     def _told(self, name: str, found: Found) -> list[Any]:
         """Return name, unit, meaning and range of a number: its bounds, else up to three times its value."""
-        declared: Any = found.leaf.declared
-        value = float(found.value)
-        high = max(3 * value, 1.0 if value == 0 else 0.0) if declared.upper is None else float(declared.upper)
-        low = min(3 * value, -1.0 if value == 0 else 0.0)
-        if declared.lower is not None:
-            low = float(declared.lower)
-        elif declared.above is not None:
-            low = float(declared.above) + 1e-3 * (high - float(declared.above))
-        return [name, found.unit, found.meaning, low, high]
+        one: Any = found.leaf.declared
+        low, high = sorted((0.0, 3 * float(found.value))) if found.value else (-1.0, 1.0)
+        high = high if one.upper is None else float(one.upper)
+        if one.above is not None:
+            low = one.above + 1e-3 * (high - one.above)
+        return [name, found.unit, found.meaning, low if one.lower is None else float(one.lower), high]
 
     def _help(self) -> list[list[str]]:
         """Return the keys and their meanings."""
         speed, aside, turn = self._drive.scale
-        if self._can_drive:
-            keys = [["W S", f"drive at {speed:.2g} m/s"], ["A D", f"turn at {turn:.2g} rad/s"]]
-            keys += [["Q E", f"move aside at {aside:.2g} m/s"]] if aside else []
-        elif self._has_hand:
-            keys = [["W S", "push ahead, back"], ["A D", "push left, right"], ["Q E", "turn"]]
-        else:
-            keys = []
-        return [
-            *keys,
-            *([["space", "push to the left"]] if self._has_hand else []),
-            ["P", "pause"],
-            ["R", "reset"],
-        ]
+        driven = {"W S": f"drive at {speed:.2g} m/s", "A D": f"turn at {turn:.2g} rad/s"}
+        driven |= {"Q E": f"move aside at {aside:.2g} m/s"} if aside else {}
+        pushed = {"W S": "push ahead, back", "A D": "push left, right", "Q E": "turn"}
+        keys = driven if self._can_drive else pushed if self._has_hand else {}
+        keys = keys | ({"space": "push to the left"} if self._has_hand else {})
+        return [list(each) for each in (keys | {"P": "pause", "R": "reset"}).items()]
 
     def _path(self) -> None:
         """Draw the path of the trajectory."""
-        q = self._stepper.reference.q
-        whole = whole_configurations(
-            self._plant, np.broadcast_to(self._last["q"], (len(q), self._plant.nq)), q
-        )
-        step = max(len(q) // 1000, 1)
-        points = np.array([np.asarray(self._plant.pose(row))[:2] for row in whole[::step]])
-        draw_path(self._stage, points, self._extent)
+        draw_path(self._stage, self._stepper.reference.q[:, :2], self._extent)
 
     def _clear(self) -> None:
         """Empty plots and trail, and state the numbers."""
@@ -511,8 +475,8 @@ class LiveRun:
         channels = [one for rider in self._scene.riders for one in rider(row[None])]
         channels += along("meshcat/desired", self._desired[None, :3])
         if self._frames % _SELDOM == 0 and self._touching is not None:
-            channels += self._marked(self._touching)[0]
-        channels += self._arrow(row)
+            self._marks = self._marked(self._touching)[0]
+        channels += self._marks + self._arrow(row)
         cell = self._extent.step
         floor = np.append(cell * np.round((row[:2] - self._extent.centre) / cell), 0.0)
         channels.append(Channel("meshcat/grid", "position", floor[None]))
@@ -520,8 +484,8 @@ class LiveRun:
         self._stage.tell("moves", json.dumps(moves))  # packed much faster than its numbers
         self._trail(row[:2])
         self._plot()
-        live = [text for text, until in self._events.values() if until > self._due]
-        if self._frames % 6 == 0:
+        if self._frames % _SELDOM == 0:
+            live = [text for text, until in self._events.values() if until > self._due]
             self._stage.tell("events", live)
             pace = f", {self._pace:.1f} times real time" if self._pace < _SLOW else ""
             driven = ", driven" if self._drives else ""
@@ -548,8 +512,7 @@ class LiveRun:
         """Send the row of this frame with those of its block."""
         if self._frames % _BLOCK == 0:
             self._rows = []
-        errors, inputs = self._counts
-        row = [self._last["error"][:errors], self._last["u"][:inputs]]
+        row = [self._last["error"][:_SHOWN], self._last["u"][:_SHOWN]]
         if self._has_loads and self._touching is not None:
             row.append(np.nan_to_num(self._touching.loads[0, :_SHOWN]))
         self._rows += [self._due, *np.concatenate(row).tolist(), float(self._happens)]
@@ -568,16 +531,10 @@ def play(
     controller: Controller,
     trajectory: Trajectory,
     *,
-    dt: float,
     sliders: Sequence[str] = (),
-    duration: float | None = None,
-    integrator: Integrator | None = None,
-    substeps: int = 1,
-    forces: Sequence[Force | OnCoordinates] | Mapping[str, Force | OnCoordinates] = (),
-    limit: float = 1e3,
-    seed: int = 0,
     host: str = "127.0.0.1",
     port: int | None = None,
+    **options: Any,
 ) -> LiveRun:
     """Run a closed loop in real time on a live page.
 
@@ -585,17 +542,16 @@ def play(
     ----------
     plant, controller, trajectory
         Parts of the loop, see `simulate`. The loop must be one that can be compiled.
-    dt : float
-        Time step of the controller [s].
     sliders : sequence of str
         Paths of numbers that the page changes, such as ``"controller.kp"`` or ``"mass"``, as in a spread of
         `ensemble`. Their bounds, units and meanings are those of their declarations.
-    duration, integrator, substeps, forces, limit, seed
-        See `simulate`. The run goes on after `duration`; the reference then rests.
     host : str
         Address to serve at, see `LiveWindow`.
     port : int, optional
         Port to serve at; default: a free port.
+    **options
+        ``dt`` and the other arguments of `simulate`: ``duration``, ``integrator``, ``substeps``, ``forces``,
+        ``limit`` and ``seed``. The run goes on after `duration`; the reference then rests.
 
     Returns
     -------
@@ -628,8 +584,5 @@ def play(
     >>> run.rollout().signals["controller.kp"].unit
     '1/s^2'
     """
-    scenario = Scenario(
-        robot=plant, controller=controller, trajectory=trajectory, n=1, spread={}, dt=dt, seed=seed,
-        duration=duration, integrator=integrator, substeps=substeps, forces=forces, limit=limit,
-    )  # fmt: skip
-    return LiveRun(scenario, sliders, host=host, port=port)
+    parts = {"robot": plant, "controller": controller, "trajectory": trajectory}
+    return LiveRun(Scenario(n=1, spread={}, **parts, **options), sliders, host=host, port=port)
