@@ -401,7 +401,7 @@ class LiveRun:
         if contacts is not None:
             legend += self._marked(contacts)[1]
         self._stage.tell("legend", [*legend, [f"grid {self._extent.step:g} m", "#c9cdd1", "", 0.0]])
-        listed = {"error": scenario.coordinates[:_SHOWN], "input": scenario.inputs[:_SHOWN]}
+        listed: dict[str, Any] = {"error": scenario.coordinates[:_SHOWN], "input": scenario.inputs[:_SHOWN]}
         series = {title: [(one.name, one.unit) for one in each] for title, each in listed.items()}
         self._has_loads = contacts is not None and bool(np.isfinite(contacts.loads).all())
         if contacts is not None and self._has_loads:
@@ -584,5 +584,5 @@ def play(
     >>> run.rollout().signals["controller.kp"].unit
     '1/s^2'
     """
-    parts = {"robot": plant, "controller": controller, "trajectory": trajectory}
+    parts: dict[str, Any] = {"robot": plant, "controller": controller, "trajectory": trajectory}
     return LiveRun(Scenario(n=1, spread={}, **parts, **options), sliders, host=host, port=port)
