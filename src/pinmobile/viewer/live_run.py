@@ -250,13 +250,19 @@ class LiveRun:
             frames = 1 + max(int((monotonic() - begin) * _FPS - frame), 0)  # those that are late are left out
             frame += frames
             with self._lock:
-                self._listen()
-                if not self._paused:
-                    before, wanted = self._due, frames / _FPS
-                    self._due += wanted
-                    self._advance()
-                    self._pace += wanted * ((self._due - before) / wanted - self._pace)  # mean of a second
-                    self._show()
+                try:
+                    self._listen()
+                    if not self._paused:
+                        self._frame(frames / _FPS)
+                except PinmobileError as error:  # of a part, such as a trajectory that becomes impossible
+                    self._pause(True, str(error))
+
+    def _frame(self, period: float) -> None:
+        """Advance the run by a period [s], or less if the loop is slow, and show it."""
+        before, self._due = self._due, self._due + period
+        self._advance()
+        self._pace += (self._due - before) - period * self._pace  # mean of a second
+        self._show()
 
     def _listen(self) -> None:
         """Do what the driver's page has asked for."""
