@@ -192,6 +192,21 @@ def test_one_page_drives_and_others_watch() -> None:
     assert run.rollout().signals["controller.kp"].values[-1] == 12.0
 
 
+@pytest.mark.parametrize("name", ["differential", "car", "omni", "swerve", "velocity"])
+def test_keys_drive_each_drive_ahead(name: str) -> None:
+    with LiveRun(shipped(name)) as run, WebSocket(run.url) as page:
+        client, speed = Client(page, "one"), run._drive.scale[0]
+        client.say("keys 1 0 0")
+        assert eventually(lambda: len(run.rollout()) > 150)
+        found = run.rollout()
+    psi = found.q[-1, 2]
+    ahead = found.v[-1, :2] @ (np.cos(psi), np.sin(psi))
+    assert ahead == pytest.approx(speed, rel=0.02)
+    assert np.hypot(*found.v[-1, :2]) == pytest.approx(ahead, rel=1e-3)
+    assert np.abs(found.error[-1]).max() < 0.02
+    np.testing.assert_allclose(found.reference.q[0], shipped(name).reference.q[0])  # the trajectory, at first
+
+
 def test_a_run_that_diverges_pauses_and_says_so() -> None:
     with (
         play(ROBOT, PD(120, 120), CIRCLE, dt=0.1, sliders=["controller.kd"]) as run,
@@ -261,6 +276,10 @@ def test_the_page_in_a_browser(page: Page, composed: Chromium) -> None:
         )
         assert eventually(lambda: abs(run.rollout().signals["plant.robot.mass"].values[-1] - 60) < 0.1)
         assert eventually(lambda: pushed(run.rollout()) > 50)
+        # A gamepad drives too.
+        page.evaluate("navigator.getGamepads = () => [{axes: [0, 1, 0, 0], buttons: [{pressed: false}]}]")
+        assert eventually(lambda: abs(np.hypot(*run.rollout().reference.v[-1, :2]) - 0.6) < 1e-6)
+        page.evaluate("navigator.getGamepads = () => []")
         # A second page watches, and a reload loses no sample of the plots.
         other = composed.page(400, 800)
         other.open(run.url)

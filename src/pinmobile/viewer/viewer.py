@@ -61,6 +61,7 @@ class Viewer:
     --------
     viewer.Recording : result of ``record``
     viewer.Overlays : paths, arrows, contacts, camera
+    viewer.play : a run in real time
     plots.path : the path from above as a figure
 
     Examples
