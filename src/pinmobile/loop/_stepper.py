@@ -21,7 +21,7 @@ from pinmobile.parts import evolved, option, part
 from pinmobile.signals import Signal, told_at
 from pinmobile.trajectories import Reference
 
-_MOST = 1 << 24  # numbers that are kept, some 130 MB
+_MOST, _EACH = 1 << 24, 64  # numbers that are kept, some 130 MB, and the size of three arrays
 
 
 @part
@@ -89,7 +89,7 @@ class Stepper:
         self._blocks: Array = np.zeros(0)
         self.k, size = 0, max(1, sum(ring.samples for ring in self._compiled.tape.rings))
         self._rings, self._counts = aligned((size, 1)), np.zeros(1, np.int32)
-        self._parts: deque[tuple[Array, Reference, dict[str, Array]]] = deque()
+        self._parts: deque[tuple[Array, Array, Array]] = deque()  # samples, kept values, numbers
         self._size = 0
         self.change(values)
 
@@ -155,14 +155,13 @@ class Stepper:
         arrays = self._blocks, samples, self._uniforms, self._rings, self._counts, kept
         block, sample, uniform, ring, counts, keep = (x.ctypes.data for x in arrays)
         program.function(block, 0, 1, sample, count, uniform, ring, counts, 1, 1, keep, self.k)
-        found = {name: x[0] for name, x in program.kept_samples(kept, 1).items()}
-        numbers = {name: np.full(count, value) for name, value in self.values.items()}
-        self._parts.append((t, given, found | {f"number {name}": x for name, x in numbers.items()}))
-        self._size += kept.size
-        if self._size > _MOST:
-            self._size -= kept.size // count * len(self._parts.popleft()[0])
+        self._parts.append((samples, kept, np.array([*self.values.values()], np.float64)))
+        self._size += samples.size + kept.size + _EACH
+        while self._size > _MOST:
+            first = self._parts.popleft()
+            self._size -= first[0].size + first[1].size + _EACH
         self.k += count
-        return found
+        return {name: x[0] for name, x in program.kept_samples(kept, 1).items()}
 
     def rollout(self) -> Rollout:
         """Return the samples since the last reset, until a number is not finite.
@@ -177,9 +176,14 @@ class Stepper:
         parts, scenario = list(self._parts), self.scenario
         if not parts:
             raise InvalidArgument("the run has no sample yet")
-        t = np.concatenate([one for one, _, _ in parts])
-        kept = {name: np.concatenate([one[name] for _, _, one in parts]) for name in parts[0][2]}
-        reference = Reference(*(np.concatenate(x) for x in zip(*(one for _, one, _ in parts), strict=True)))
+        given, each, values = zip(*parts, strict=True)
+        samples, program = np.concatenate(given), self._compiled.program
+        kept = {name: x[0] for name, x in program.kept_samples(np.concatenate(each, axis=1), 1).items()}
+        numbers = dict(zip(self.values, np.repeat(values, [*map(len, given)], axis=0).T, strict=True))
+        kept |= {f"number {name}": column for name, column in numbers.items()}
+        nq, n = self._compiled.tape.sizes[3:]
+        t, q, v, a, _ = np.split(samples, np.cumsum([1, nq, n, n]), axis=1)
+        t, reference = t[:, 0], Reference(q, v, a)
         finite = np.isfinite(np.hstack([kept[name] for name in "qvau"])).all(axis=1)
         end = len(t) if finite.all() else int(np.argmin(finite))
         t, reference = t[:end], Reference(*(x[:end] for x in reference))

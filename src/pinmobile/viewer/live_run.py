@@ -35,6 +35,7 @@ _SELDOM = 4  # frames between two looks at contacts, which take long
 _BLOCK, _BLOCKS = 15, 41  # frames that the page receives as a whole; they last more than 10 s
 _SHOWN = 6  # series of a plot
 _SLOW = 0.95  # of real time; the page states less
+_LONGEST = 0.5  # [s] of real time that a frame makes up for
 _SLOWEST = 0.1  # [s] of the run that one frame computes at most
 _STILL = 1e-3  # [m] that a trail is at least long
 _GROUND = 5.0  # [m] of the floor around the robot
@@ -253,7 +254,7 @@ class LiveRun:
                 try:
                     self._listen()
                     if not self._paused:
-                        self._frame(frames / _FPS)
+                        self._frame(min(frames / _FPS, _LONGEST))
                 except PinmobileError as error:  # of a part, such as a trajectory that becomes impossible
                     self._pause(True, str(error))
 
