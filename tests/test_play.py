@@ -1,5 +1,6 @@
 """Runs in real time: the stepped loop beside `simulate`, the driven reference, the page in a browser."""
 
+import json
 import signal
 import subprocess
 import sys
@@ -205,6 +206,22 @@ def test_keys_drive_each_drive_ahead(name: str) -> None:
     assert np.hypot(*found.v[-1, :2]) == pytest.approx(ahead, rel=1e-3)
     assert np.abs(found.error[-1]).max() < 0.02
     np.testing.assert_allclose(found.reference.q[0], shipped(name).reference.q[0])  # the trajectory, at first
+
+
+def test_slip_and_tipping_are_stated_when_they_happen() -> None:
+    tall = shipped("differential", "robot.ground=Coulomb(0.9)", "robot.robot.com.z=0.4")
+    with LiveRun(tall) as run, WebSocket(run.url) as page:
+        client = Client(page, "one")
+        assert eventually(lambda: client.last("events") == [])
+        # A weight of 294 N, pushed as strongly, 0.4 m above the ground, with half a track of 0.23 m.
+        client.say("slider 0 290")
+        client.say("push")
+        assert eventually(lambda: {"tip over", "right slides"} <= {*client.last("events")})
+        assert eventually(lambda: client.last("events") == [])
+        size, blocks = (client.last("panel")[name] for name in ("size", "blocks"))
+        rows = [json.loads(client.last(f"rows{k}")) for k in range(blocks)]
+        assert any(1.0 in row[size - 1 :: size] for row in rows)  # the band in the plots
+    assert any("tips over" in event for event in run.rollout().events)
 
 
 def test_a_run_that_diverges_pauses_and_says_so() -> None:

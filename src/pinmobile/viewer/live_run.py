@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import threading
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from time import monotonic
@@ -355,13 +355,15 @@ class LiveRun:
         rows = [self._last, *({name: x[k] for name, x in found.items()} for k in range(count))]
         self._before, self._last = rows[-2:]
         self._desired = reference.q[-1]
-        self._watch(found.get("measured"), found.get("signal slides"))
+        self._watch(found)
 
-    def _watch(self, measured: Array | None, slides: Array | None) -> None:
-        """Remember the events of the newest samples: margins below zero, and wheels that slide."""
-        events = {}
-        for k, one in enumerate(self._stepper.scenario.recorded_metrics if measured is not None else ()):
-            column = measured[:, k]  # type: ignore[index]
+    def _watch(self, found: Mapping[str, Array]) -> None:
+        """Remember the events of the newest samples: margins below zero, sliding wheels, tipping over."""
+        events, slides = {}, found.get("signal slides")
+        if np.any(found.get("signal tips", 0.0)):
+            events["tip over"] = "tip over"
+        columns = found.get("measured", np.zeros((0, 0))).T
+        for one, column in zip(self._stepper.scenario.recorded_metrics, columns, strict=False):
             if one.is_margin and column.min() < 0:
                 size = f" {column.min():.2g} {one.unit}" if np.isfinite(column.min()) else ""
                 events[one.name] = f"{one.name}{size}"
@@ -402,7 +404,7 @@ class LiveRun:
         self._stage.robot("meshcat/desired", MobileRobot.box(size=self._figure.size), QUIET, ghost=True)
         self._stage.put("meshcat/push", shapes.over(shapes.arrow(0.09), colour(3), order=ABOVE))
         self._path()
-        self._watch(None, None)
+        self._watch({})
         contacts = self._touching
         legend = [["travelled", colour(0), "", 0.0], ["desired pose", QUIET, "", 0.5]]
         if contacts is not None:
