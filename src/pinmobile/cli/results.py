@@ -1,8 +1,9 @@
-"""Output of run, ensemble, sweep and view: text, figures and files."""
+"""Output of run, ensemble, sweep, view and play: text, figures and files."""
 
 import math
 import signal
 import socket
+import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -28,6 +29,7 @@ from pinmobile.cli.output import (
 from pinmobile.cli.scenario_file import Opened
 from pinmobile.loop import run_scenario
 from pinmobile.metrics import in_words, metrics_of
+from pinmobile.parts import evolved
 from pinmobile.plant import PlantOutline
 from pinmobile.sweeps import connected, run_points
 
@@ -289,16 +291,52 @@ def show_live(words: Sequence[str], *, host: str, port: int | None, allow_code: 
     from pinmobile.viewer import Viewer
 
     with _until_ended(), Viewer(plant_of(rollouts), live=True, host=host, port=port) as viewer:
-        served = viewer.url.split("://")[1].split("/")[0].rpartition(":")[2]
-        console.print(
-            f"open {viewer.url}\n"
-            f"from another machine: ssh -L {served}:{host}:{served} {socket.gethostname()}\n"
-            "and open the same address on that machine, with the host 127.0.0.1; Ctrl-C ends the server",
-            markup=False,
-        )
-        console.file.flush()
+        _print_address(viewer.url, host)
         viewer.play(rollouts, speed=4.0, repeat=math.inf)
     return 0
+
+
+def show_play(
+    words: Sequence[str],
+    sliders: Sequence[str],
+    out: Path | None,
+    *,
+    host: str,
+    port: int | None,
+    allow_code: bool,
+) -> int:
+    """Run a loop in real time on a page until Ctrl-C or SIGTERM, and print its result and what is next."""
+    if out is not None and out.suffix != ".npz":
+        raise InvalidArgument(f"--out is {str(out)!r}, expected a file .npz")
+    opened = Opened(words, allow_code=allow_code, unused=("spread", "grid", "cases", "n"))
+    from pinmobile.viewer import LiveRun
+
+    if out is not None:
+        output_folder(out.parent, "--out", out)
+    scenario = evolved(opened.content, spread={}, grid={}, cases={}, n=1).scenario()
+    with LiveRun(scenario, sliders, host=host, port=port) as run, _until_ended():
+        _print_address(run.url, host)
+        threading.Event().wait()
+    rollout = run.rollout()
+    console.print(str(rollout), markup=False)
+    if out is None:
+        console.print("to keep the run, repeat the command with --out run.npz", markup=False)
+    else:
+        rollout.save(out)
+        console.print(f"wrote {out}\nsee it move: pinmobile view {out}", markup=False)
+    return 0
+
+
+def _print_address(url: str, host: str) -> None:
+    """Print the address of a page, and how another machine opens it."""
+    served = url.split("://")[1].split("/")[0].rpartition(":")[2]
+    console.print(
+        f"open {url}\n"
+        f"from another machine: ssh -L {served}:{host}:{served} {socket.gethostname()}\n"
+        "and open the same address on that machine, with the host 127.0.0.1; Ctrl-C ends the server",
+        markup=False,
+    )
+    console.file.flush()
 
 
 def _loaded(path: Path) -> Rollout:

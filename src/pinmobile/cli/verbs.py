@@ -26,6 +26,7 @@ TASKS = {
         "ensemble": "howto/ensembles",
         "sweep": "howto/sweeps",
         "view": "howto/view",
+        "play": "howto/play",
     },
 }
 
@@ -181,6 +182,31 @@ def view(
     from pinmobile.cli.results import show_live
 
     return show_live(words or [], host=host, port=port, allow_code=allow_code)
+
+
+@app.command()
+def play(
+    words: Words = None,
+    slider: Annotated[
+        list[str] | None,
+        typer.Option(metavar="PATH", help="Number with a slider, such as controller.kp; repeatable."),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="File for the run at its end, .npz.", show_default=False)
+    ] = None,
+    host: Annotated[str, typer.Option(help="Address to serve at.")] = "127.0.0.1",
+    port: Annotated[int | None, typer.Option(help="Port; default: a free one.")] = None,
+    allow_code: Code = False,
+) -> int:
+    """Run in real time on a page: sliders, keys, live plots.
+
+    Keys drive a robot on wheels, or push a body. It ends with Ctrl-C.
+
+    Example: pinmobile play differential --slider controller.k --slider mass
+    """
+    from pinmobile.cli.results import show_play
+
+    return show_play(words or [], slider or [], out, host=host, port=port, allow_code=allow_code)
 
 
 @app.command()

@@ -355,10 +355,11 @@ def text_of(loop: LoopTape, shape: Shape) -> str:
     """Return the LLVM module that runs a loop.
 
     Its function ``pinmobile_loop(blocks, begin, end, samples, count, uniforms, ring, counts, every, n,
-    kept)`` runs the blocks from `begin` to before `end` of an array (blocks, rows, width): states, rows and
-    keys of the robots. A row of `samples` contains t, the reference and the tables. The sizes of the n robots
-    are counted every `every` samples in `counts`, (times, sizes, BINS). The values of each sample are in
-    `kept`, (blocks, samples, numbers, width), followed by the robots' references if each has its own.
+    kept, start)`` runs the blocks from `begin` to before `end` of an array (blocks, rows, width): states,
+    rows and keys of the robots. A row of `samples` contains t, the reference and the tables; `start` is the
+    index of the first. The sizes of the n robots are counted every `every` samples in `counts`, (times,
+    sizes, BINS). The values of each sample are in `kept`, (blocks, samples, numbers, width), followed by the
+    robots' references if each has its own.
     """
     code = Code(loop, shape)
     for j, (now, _) in enumerate(loop.states):
@@ -437,7 +438,7 @@ def _function(code: Code, following: list[list[str]]) -> list[str]:
         f"define void @{ENTRY}(ptr noalias %blocks, i64 %begin, i64 %end, "
         "ptr noalias readonly %samples, i64 %count, ptr noalias readonly %uniforms, "
         "ptr noalias %ring, ptr noalias %counts, i64 %every, i64 %n, "
-        f'ptr noalias %kept) alignstack(64) nounwind "prefer-vector-width"="512" '
+        f'ptr noalias %kept, i64 %start) alignstack(64) nounwind "prefer-vector-width"="512" '
         f'"min-legal-vector-width"="{64 * shape.lanes}" {{',
         "entry:",
         f"  %places = alloca [{max(1, len(loop.counted)) * width} x i64], align 64",
@@ -454,21 +455,22 @@ def _function(code: Code, following: list[list[str]]) -> list[str]:
         *code.lines["block"],
         "  br label %loop",
         "loop:",
-        "  %k = phi i64 [ 0, %each ], [ %k1, %latch ]",
+        "  %j = phi i64 [ 0, %each ], [ %j1, %latch ]",
         "  %due = phi i64 [ 0, %each ], [ %due2, %latch ]",
         *carried,
-        f"  %row = mul i64 %k, {loop.columns}",
+        "  %k = add i64 %j, %start",
+        f"  %row = mul i64 %j, {loop.columns}",
         "  %at = getelementptr double, ptr %samples, i64 %row",
-        f"  %line = mul i64 %k, {kept * width}",
+        f"  %line = mul i64 %j, {kept * width}",
         "  %keep = getelementptr double, ptr %mine, i64 %line",
         *code.lines["sample"],
         *_counting(code),
         "latch:",
-        "  %k1 = add i64 %k, 1",
+        "  %j1 = add i64 %j, 1",
         "  %due1 = add i64 %due, 1",
         "  %full = icmp eq i64 %due1, %every",
         "  %due2 = select i1 %full, i64 0, i64 %due1",
-        "  %again = icmp slt i64 %k1, %count",
+        "  %again = icmp slt i64 %j1, %count",
         "  br i1 %again, label %loop, label %after",
         "after:",
         *ended,
@@ -495,7 +497,7 @@ def _counting(code: Code) -> list[str]:
         "  %left = sub i64 %n, %first",
         f"  %few = icmp slt i64 %left, {width}",
         f"  %lanes = select i1 %few, i64 %left, i64 {width}",
-        "  %time = udiv i64 %k, %every",
+        "  %time = udiv i64 %j, %every",
         f"  %table = mul i64 %time, {counted * BINS}",
         "  br label %robot",
         "robot:",

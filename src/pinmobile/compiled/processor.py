@@ -219,7 +219,8 @@ class Target:
         engine.add_object_file(file)
         engine.finalize_object()
         pointer, whole = ctypes.c_void_p, ctypes.c_int64
-        types = (pointer, whole, whole, pointer, whole, pointer, pointer, pointer, whole, whole, pointer)
+        counted = whole, pointer, pointer, pointer, whole, whole
+        types = (pointer, whole, whole, pointer, *counted, pointer, whole)
         function = ctypes.CFUNCTYPE(None, *types)(engine.get_function_address(ENTRY))
         function.engine = engine, file  # type: ignore[attr-defined]  # lives as long as the function
         return function

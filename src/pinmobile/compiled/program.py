@@ -153,9 +153,14 @@ class Program:
         return n
 
     def samples_of(
-        self, t: Array, reference: tuple[Array, ...], uniforms: Array, rows: Sequence[Array]
+        self,
+        t: Array,
+        reference: tuple[Array, ...],
+        uniforms: Array,
+        rows: Sequence[Array],
+        first: int = 0,
     ) -> Array:
-        """Return the numbers of each sample that all robots share, shape (N + 1, columns)."""
+        """Return the numbers of the samples from `first` that all robots share, shape (N + 1, columns)."""
         known = [np.reshape(each, (len(t), -1)) for each in rows]
         given = np.empty((len(t), 1 + sum(part.shape[1] for part in (*reference, *known))))
         np.concatenate([t[:, None], *reference, *known], axis=1, out=given)
@@ -167,7 +172,7 @@ class Program:
             len(t) * self.tape.columns,
             "give a larger dt, or fewer waves",
         )
-        inputs: dict[Any, Any] = {COUNT: np.arange(len(t), dtype=np.uint64)}
+        inputs: dict[Any, Any] = {COUNT: np.arange(first, first + len(t), dtype=np.uint64)}
         inputs |= {("uniform", i): x for i, x in enumerate(uniforms)}
         inputs |= {("sample", i): column for i, column in enumerate(given.T)}
         columns = (np.broadcast_to(x, len(t)) for x in evaluated(self.tape.tape, tabled, inputs))
@@ -280,6 +285,7 @@ class Program:
                 every,
                 n,
                 kept.ctypes.data,
+                0,
             )
 
         shared_out(run, len(blocks), step, workers)

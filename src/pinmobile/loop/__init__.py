@@ -14,6 +14,7 @@ from pinmobile.loop._run import ensemble, part_of, run_scenario, way_of as way_o
 from pinmobile.loop._scenario import Scenario
 from pinmobile.loop._simulate import Engine, simulate
 from pinmobile.loop._spread import TRUE_MODEL, Distribution, Normal, Relative, SameAs, Uniform
+from pinmobile.loop._stepper import Stepper as Stepper
 from pinmobile.loop._variables import (
     LEVELS as LEVELS,
     NOTE as NOTE,

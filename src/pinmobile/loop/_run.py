@@ -150,7 +150,10 @@ def way_of(scenario: Scenario, engine: Engine | None = None) -> Way:
     if asked is Engine.PYTHON:
         return Way(scenario, Engine.PYTHON)
     try:
-        return Way(scenario, Engine.COMPILED, "", _as_compiled(scenario))
+        own = scenario.has_own_references
+        loop = _with_recorder(scenario)
+        compiled = compiled_of(scenario, loop, hides_reference=own, own_reference=own)
+        return Way(scenario, Engine.COMPILED, "", compiled)
     except UntraceableMetric as error:
         raise InvalidArgument(f"{error.reason}, or give engine=Engine.PYTHON") from error
     except NotTraceable as error:
@@ -193,11 +196,6 @@ class _Blind:
         return getattr(self._context, name)
 
 
-def _context(scenario: Scenario) -> Any:
-    """Return the context of a controller that runs for many robots at once."""
-    return _Blind(scenario.context) if scenario.has_own_references else scenario.context
-
-
 def _starts_otherwise(scenario: Scenario, path: str) -> bool:
     """Return whether a number changes the memory of the parts before the first sample."""
     value = np.asarray(scenario.find(path).leaf.value, np.float64)
@@ -206,13 +204,36 @@ def _starts_otherwise(scenario: Scenario, path: str) -> bool:
     return any(not np.array_equal(one, other) for one, other in zip(before, after, strict=True))
 
 
-def _as_compiled(scenario: Scenario) -> Compiled:
+def compiled_of(
+    scenario: Scenario, loop: Loop, *, hides_reference: bool, own_reference: bool = False
+) -> Compiled:
+    """Return the machine code of a loop whose numbers of the spread differ.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Scenario of the runs.
+    loop : Loop
+        Its loop, with a recorder.
+    hides_reference : bool
+        Whether the context hides the reference from the controller.
+    own_reference : bool
+        Whether each robot has its own reference.
+
+    Raises
+    ------
+    NotTraceable
+        If a law does not accept symbols, or reads a hidden reference.
+    InvalidArgument
+        If no law uses a number of the spread.
+    """
     at = Reference(*(part[0] for part in scenario.reference))
+    context: Any = _Blind(scenario.context) if hides_reference else scenario.context
     compiled = Compiled(
-        *(_with_recorder(scenario), _context(scenario), scenario.start, at),
+        *(loop, context, scenario.start, at),
         spread=scenario.entries,
         single=scenario.n == 1,  # code for one robot does not fill vectors: two thirds of the time
-        own_reference=scenario.has_own_references,
+        own_reference=own_reference,
     )
     unused = set(compiled.tape.unused)
     for name, one in scenario.found.items():

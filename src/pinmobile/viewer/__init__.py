@@ -8,17 +8,20 @@ from pinmobile.viewer.scene_tree import Arrows, FixedCamera, Follow, Overlays
 from pinmobile.viewer.viewer import Viewer
 
 if TYPE_CHECKING:
+    from pinmobile.viewer.live_run import LiveRun, play
     from pinmobile.viewer.window import LiveWindow
 
 __all__ = [
     "Arrows",
     "FixedCamera",
     "Follow",
+    "LiveRun",
     "LiveWindow",
     "OfflineWindow",
     "Overlays",
     "Recording",
     "Viewer",
+    "play",
 ]
 
 
@@ -27,4 +30,8 @@ def __getattr__(name: str) -> object:
         from pinmobile.viewer.window import LiveWindow
 
         return LiveWindow
+    if name in ("LiveRun", "play"):
+        import pinmobile.viewer.live_run as found
+
+        return getattr(found, name)
     raise AttributeError(f"module 'pinmobile.viewer' has no attribute {name!r}")

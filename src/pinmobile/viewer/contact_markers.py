@@ -188,8 +188,14 @@ def contacts_at(run: Rollout, times: Array, poses: Array) -> Contacts:
     return found._replace(places=poses[:, None, :2] + moved, directions=found.directions + turn[:, None])
 
 
-def draw_contacts(stage: Stage, found: Contacts, extent: Extent) -> tuple[list[Channel], list[list[object]]]:
-    """Draw forces and friction discs, and return their channels and legend entries."""
+def draw_contacts(
+    stage: Stage, found: Contacts, extent: Extent, scale: float | None = None, root: str = "meshcat"
+) -> tuple[list[Channel], list[list[object]]]:
+    """Draw forces and friction discs, and return their channels and legend entries.
+
+    A given scale [m/N] is that of other samples too, in which wheels may slide that do not in these. The
+    nodes are below `root`.
+    """
     channels: list[Channel] = []
     legend: list[list[object]] = []
     sizes = np.linalg.norm(found.forces, axis=-1)
@@ -197,7 +203,8 @@ def draw_contacts(stage: Stage, found: Contacts, extent: Extent) -> tuple[list[C
     largest = max(float(limits.max(initial=0.0)), 0.0) or float(sizes.max(initial=0.0))
     if not largest > _NO_FORCE:
         return channels, legend
-    scale = _LARGEST * extent.unit / largest
+    is_whole = scale is None
+    scale = _LARGEST * extent.unit / largest if scale is None else scale
     shared = np.logical_not(np.asarray(found.determined.all(axis=1)))
     paints = {GRIPS: "force of the ground", SLIDES: "sliding contact", QUIET: "force, share of a sum"}
     used = dict.fromkeys(paints, False)
@@ -209,10 +216,10 @@ def draw_contacts(stage: Stage, found: Contacts, extent: Extent) -> tuple[list[C
         slides = found.slides[:, k]
         still = QUIET if shared[k] else GRIPS
         for name, paint, shows in (("grips", still, ~slides), ("slides", SLIDES, slides)):
-            if not shows.any():
+            if is_whole and not shows.any():
                 continue
             used[paint] = True
-            path = f"meshcat/contacts/{k}/{name}"
+            path = f"{root}/contacts/{k}/{name}"
             for part, shape in _disc(GRIPS if name == "grips" else SLIDES).items():
                 stage.put(f"{path}/{part}", shape)
                 channels += along(f"{path}/{part}", np.column_stack([place, turned]))

@@ -279,6 +279,13 @@ def figure(plant: Any) -> Drawn:
     return MobileRobot.box() if size is None else MobileRobot.box(size=size)
 
 
+def row_of(robot: Drawn, plant: Any, q: Array) -> Array:
+    """Return a configuration of a plant, shape (nq,), as a configuration of its visual representation."""
+    if isinstance(robot, Drawing):
+        return robot.row(q)
+    return q if robot is plant else np.asarray(plant.pose(q))
+
+
 def configurations(robot: Drawn, t: Array, q: Array, times: Array) -> Array:
     """Return a robot's configurations at other times by interpolation, with psi unwrapped.
 

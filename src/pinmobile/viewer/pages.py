@@ -70,12 +70,18 @@ def sealed(page: str) -> str:
 
 def stage_page(title: str, engine: str, scene: str) -> str:
     """Return the page of the stage; `engine` is HTML that loads meshcat, `scene` is HTML that fills it."""
-    parts = {"css": _part("stage.css"), "stage": _part("stage.js"), "engine": engine, "scene": scene}
-    return Template(_part("stage.html")).substitute(parts, title=escape(title))
+    parts = {
+        "css": part_of_page("stage.css"),
+        "stage": part_of_page("stage.js"),
+        "engine": engine,
+        "scene": scene,
+    }
+    return Template(part_of_page("stage.html")).substitute(parts, title=escape(title))
 
 
 @cache
-def _part(name: str) -> str:
+def part_of_page(name: str) -> str:
+    """Return the text of a file beside this module."""
     return files("pinmobile.viewer").joinpath(name).read_text(encoding="utf-8").strip()
 
 

@@ -139,9 +139,9 @@ def _draw_grid(stage: Stage, extent: Extent) -> None:
         stage.set(f"meshcat/scale/{k}", "position", [float(x), float(y), 0.0])
 
 
-def _draw_path(stage: Stage, run: Rollout, extent: Extent) -> None:
-    """Draw the reference path of a rollout, dashed."""
-    points = run.reference_poses[:: max(len(run) // 4000, 1), :2]
+def draw_path(stage: Stage, points: Array, extent: Extent) -> None:
+    """Draw a reference path, shape (n, 2) [m], dashed."""
+    points = points[:: max(len(points) // 4000, 1)]
     bands = shapes.dashes(points, extent.dash, lambda part: shapes.ribbon(part, 0.025 * extent.unit))
     if bands is not None:
         stage.put("meshcat/path", shapes.flat(bands, INK, order=_PATH))
@@ -219,15 +219,15 @@ class Scene:
     riders: list[_Rider] = field(default_factory=list)
     legend: list[list[object]] = field(default_factory=list)
 
-    def alone(self, pose: Array) -> None:
-        """Draw the robot alone at a configuration, shape (nq,)."""
+    def alone(self, pose: Array, around: float = 0.0) -> None:
+        """Draw the robot alone at a configuration, shape (nq,), with some ground around it [m]."""
         poses = pose[None]
         reach, height = envelope(self.robot, poses)
-        room = max(0.8 * max(self.robot.size), 0.75 * reach if self.robot.mounts else 0.0)
+        room = max(0.8 * max(self.robot.size), 0.75 * reach if self.robot.mounts else 0.0, around)
         extent = Extent(pose[:2] - room, pose[:2] + room, (*self.robot.size[:2], height))
         self._furnish(extent, poses)
         self.stage.robot("meshcat/robot0", self.robot, colour(0))
-        self._rides(partial(_ridden, "meshcat/robot0", self.robot), poses)
+        self._rides(partial(ridden, "meshcat/robot0", self.robot), poses)
         self._tables(poses, extent)
 
     def move(self, pose: Array) -> None:
@@ -265,16 +265,16 @@ class Scene:
         extent = Extent(points.min(axis=0) - room, points.max(axis=0) + room, (*self.robot.size[:2], height))
         self._furnish(extent, poses[0])
         if self.overlays.path:
-            _draw_path(self.stage, main, extent)
+            draw_path(self.stage, main.reference_poses[:, :2], extent)
             self.legend.append(["desired", INK, "6 4", 0.0])
         hands = {label: hand_of(run) for label, run in runs.items()} if self.overlays.end_effector else {}
         for index, (label, run) in enumerate(runs.items()):
             path = f"meshcat/robot{index}"
             self.stage.robot(path, robots[index], colour(index), ghost=index > 0)
             if index == 0:
-                self._rides(partial(_ridden, path, robots[0]), poses[0])
+                self._rides(partial(ridden, path, robots[0]), poses[0])
             else:
-                self.channels += _ridden(path, robots[index], poses[index])
+                self.channels += ridden(path, robots[index], poses[index])
             if self.overlays.trail:
                 width = 0.05 * extent.unit * (1 + 0.9 * (len(runs) - 1 - index))
                 self.channels += draw_trail(
@@ -298,7 +298,7 @@ class Scene:
             if isinstance(ghost, Drawing):  # what has no reference is drawn as it is
                 wanted = whole_configurations(ghost.plant, main.q, main.reference.q)
             desired = configurations(ghost, main.t, wanted, times)
-            self.channels += _ridden("meshcat/desired", ghost, desired)
+            self.channels += ridden("meshcat/desired", ghost, desired)
             self.legend.append(["desired pose", QUIET, "", 0.5])
         if self.overlays.arrows is not None:
             self._arrows(main, times, poses[0], extent, self.overlays.arrows)
@@ -415,6 +415,6 @@ def _is_of(robot: Drawn, plant: object) -> bool:
     return robot is plant or isinstance(robot, Drawing)
 
 
-def _ridden(path: str, robot: Drawn, configurations: Array) -> list[Channel]:
+def ridden(path: str, robot: Drawn, configurations: Array) -> list[Channel]:
     """Return the channels of the body and the links of a robot."""
     return [*along(path, configurations), *links(path, robot, configurations)]

@@ -139,7 +139,8 @@ _POLICY = (
     "default-src 'none'; script-src 'self' 'unsafe-inline'; style-src 'unsafe-inline'; "
     "img-src 'self' data: blob:; worker-src blob:; connect-src 'self' data: blob: ws://{0} wss://{0}"
 )
-_PERIOD = 1 / 60  # [s] between two batches
+_PERIOD = 1 / 75  # [s] between two batches: none of a source with 60 Hz is skipped
+_LONGEST_TEXT = 200  # letters of a message that is not a picture
 _GATHER = 0.003  # [s], time to collect the commands of one pose
 _LOOK = 0.5  # [s], period of checks without a notification
 _FAREWELL = 0.2  # [s], time for browsers to acknowledge the end
@@ -242,6 +243,7 @@ class Browser(_Answer, WebSocketHandler):
             if not capture.done():
                 capture.set_exception(ViewerError("the browser was closed"))
         self.server.browsers.remove(self)
+        self.server.heard(self, "")
         self.server.news()
 
     def on_pong(self, data: bytes) -> None:
@@ -251,7 +253,9 @@ class Browser(_Answer, WebSocketHandler):
             self.server.news()
 
     def on_message(self, message: str | bytes) -> None:
-        """Accept a requested picture; ignore other messages."""
+        """Accept a requested picture, and pass on short texts; ignore other messages."""
+        if isinstance(message, str) and len(message) <= _LONGEST_TEXT:
+            self.server.heard(self, message)
         if self._captures and isinstance(message, str) and (picture := _PICTURE.search(message)):
             capture = self._captures.popleft()
             if not capture.done():
@@ -336,12 +340,15 @@ class Server:
         Commands of the scene.
     browsers : list of Browser
         Browsers in the order of their connection. Only the thread of the server changes the list.
+    heard : callable
+        Function of a browser and its text, "" when it leaves; the thread of the server calls it.
     """
 
     def __init__(self, listener: socket.socket, access: Access, page: bytes, script: bytes) -> None:
         self.access, self.page, self.script = access, page, script
         self.backlog = Backlog()
         self.browsers: list[Browser] = []
+        self.heard: Callable[[object, str], object] = lambda browser, text: None
         self._stopped, self._process = False, os.getpid()
         self._changed, self._started = threading.Condition(), threading.Event()
         self._told = False  # that there is something to send, and the loop has not looked yet
@@ -435,7 +442,7 @@ class Server:
             await asyncio.wait_for(http.close_all_connections(), _FAREWELL)
 
     async def _pump(self) -> None:
-        """Send new commands to each browser, at most 60 times per second."""
+        """Send new commands to each browser, at most 75 times per second."""
         feeding: set[asyncio.Task[None]] = set()
         while True:
             # Also check without a notification: an interrupt in `tell` may have prevented it.

@@ -9,13 +9,11 @@ from threading import RLock
 from time import monotonic, sleep
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-import numpy as np
-
 from pinmobile.arrays import ArrayLike, by_label, finite, instance, positive, shaped, text
 from pinmobile.errors import InvalidArgument, ViewerError
 from pinmobile.files import written
 from pinmobile.loop import Rollout
-from pinmobile.viewer.motion import Drawing, figure, frame_times, tracks
+from pinmobile.viewer.motion import figure, frame_times, row_of, tracks
 from pinmobile.viewer.pages import OfflineWindow
 from pinmobile.viewer.recording import Recording, picture_of, recorded_page
 from pinmobile.viewer.scene import Scene
@@ -63,6 +61,7 @@ class Viewer:
     --------
     viewer.Recording : result of ``record``
     viewer.Overlays : paths, arrows, contacts, camera
+    viewer.play : a run in real time
     plots.path : the path from above as a figure
 
     Examples
@@ -147,11 +146,7 @@ class Viewer:
             If the viewer is closed.
         """
         given = shaped("q", finite("q", q), (self.plant.nq,))
-        pose = given
-        if isinstance(self._figure, Drawing):
-            pose = self._figure.row(given)
-        elif self._figure is not self.plant:
-            pose = np.asarray(self.plant.pose(given))
+        pose = row_of(self._figure, self.plant, given)
         if abs(pose[:2]).max() > _FARTHEST:
             raise InvalidArgument(f"q is {pose.tolist()}, expected x and y within {_FARTHEST:g} m")
         with self._lock:

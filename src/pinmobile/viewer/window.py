@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import base64
 import weakref
+from collections.abc import Callable
 from io import BytesIO
 
 from PIL import Image, ImageOps
 
 from pinmobile.arrays import non_negative, whole
 from pinmobile.errors import ViewerError
-from pinmobile.viewer.pages import ENGINE, Command, SceneWindow, stage_page
+from pinmobile.viewer.pages import ENGINE, Command, SceneWindow, part_of_page, stage_page
 from pinmobile.viewer.server import Server, access_for, listening
 
 _CAPTURE = 20.0  # [s], longest time for a browser to draw a picture
@@ -24,7 +25,7 @@ class LiveWindow(SceneWindow):
     """A meshcat scene in browsers: ``meshcat.Visualizer(window=LiveWindow())``.
 
     A thread of this process serves the page until the window is closed or the process ends. Browsers receive
-    the newest state at most 60 times per second. A new browser receives the whole scene. A slow browser
+    the newest state at most 75 times per second. A new browser receives the whole scene. A slow browser
     misses states in between. Several threads may use a window at once. A window is closed in a forked
     child. At most 64 browsers can show it.
 
@@ -62,7 +63,7 @@ class LiveWindow(SceneWindow):
         wanted = None if port is None else whole("port", port, most=65535)
         access = access_for(host, token)
         engine, connect = _ENGINE.format(query=access.query), _CONNECT.format(query=access.query)
-        html = stage_page("pinmobile", engine, connect)
+        html = stage_page("pinmobile", engine, connect + part_of_page("play.html"))
         listener = listening(access.host, wanted)
         self._port = int(listener.getsockname()[1])
         self._server = Server(listener, access, html.encode(), ENGINE.read_bytes())
@@ -182,6 +183,10 @@ class LiveWindow(SceneWindow):
         wide = sizes[0] or round(width * (sizes[1] or height) / height) or 1
         tall = sizes[1] or round(height * wide / width) or 1
         return ImageOps.fit(picture, (wide, tall))
+
+    def listen(self, heard: Callable[[object, str], object]) -> None:
+        """Call ``heard(browser, text)`` for each short text of a browser; the text is "" when it leaves."""
+        self._server.heard = heard
 
     def close(self) -> None:
         """Stop serving, and free the thread and the port. A closed window accepts no commands."""

@@ -1,0 +1,196 @@
+"""`Stepper`, a compiled loop that advances some samples at a time, with numbers that may change between."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+
+import numpy as np
+
+from pinmobile.arrays import Array
+from pinmobile.compiled import aligned, robot_keys
+from pinmobile.errors import InvalidArgument, NotTraceable
+from pinmobile.loop._loop import Record, Sample
+from pinmobile.loop._record import Samples
+from pinmobile.loop._rollout import Rollout
+from pinmobile.loop._run import compiled_of
+from pinmobile.loop._scenario import Scenario
+from pinmobile.loop._simulate import errors_of
+from pinmobile.loop._trace import scheduled_rows, traced_numbers
+from pinmobile.parts import evolved, option, part
+from pinmobile.signals import Signal, told_at
+from pinmobile.trajectories import Reference
+
+_MOST, _EACH = 1 << 24, 64  # numbers that are kept, some 130 MB, and the size of three arrays
+
+
+@part
+class _Watched:
+    """Recorder of all samples, with errors and metrics of the plant."""
+
+    metrics: tuple[str, ...] = option(default=())
+    signals, errors = True, True
+
+    def initial_state(self, n: int, nu: int) -> None:
+        """Return None: the recorder has no memory."""
+
+    def __call__(self, sample: Sample, state: None) -> Record:
+        """Return the sample as a record."""
+        found = Samples()(sample, state)
+        measured = {"measured": sample.measured} if self.metrics else {}
+        return found._replace(kept={**found.kept, "error": sample.error, **measured})
+
+
+class Stepper:
+    """Compiled loop of one robot that advances some samples at a time.
+
+    The samples of a stepper are those of `simulate`, bit for bit, unless numbers or references change.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Loop of one robot. The numbers of its spread can change between two samples.
+
+    Attributes
+    ----------
+    k : int
+        Index of the next sample.
+    values : dict of str to float
+        Numbers of the spread, by name.
+    follows : bool
+        Whether the loop uses the reference of each sample only, so that `advance` may receive another one.
+
+    Raises
+    ------
+    InvalidArgument
+        If the loop cannot be compiled.
+    """
+
+    def __init__(self, scenario: Scenario) -> None:
+        self.scenario = scenario
+        names = tuple(one.name for one in scenario.recorded_metrics)
+        loop = evolved(scenario.loop, {"recorder": _Watched(names)})
+        try:
+            self.follows = True
+            try:
+                self._compiled = compiled_of(scenario, loop, hides_reference=True)
+            except NotTraceable:
+                if scenario.has_own_references:
+                    raise
+                self.follows = False
+                self._compiled = compiled_of(scenario, loop, hides_reference=False)
+        except NotTraceable as error:
+            raise InvalidArgument(f"this loop cannot run in real time: {error.reason}") from error
+        self._rows = scheduled_rows(loop, scenario.context) if self._compiled.tape.scheduled else []
+        self.reset({name: float(drawn[0]) for name, drawn in scenario.draws().items()})
+
+    def reset(self, values: Mapping[str, float]) -> None:
+        """Begin again at the first sample, with these numbers of the spread."""
+        self._blocks: Array = np.zeros(0)
+        self.k, size = 0, max(1, sum(ring.samples for ring in self._compiled.tape.rings))
+        self._rings, self._counts = aligned((size, 1)), np.zeros(1, np.int32)
+        self._parts: deque[tuple[Array, Array, Array]] = deque()  # samples, kept values, numbers
+        self._size = 0
+        self.change(values)
+
+    def change(self, values: Mapping[str, float]) -> None:
+        """Use other numbers of the spread from the next sample on.
+
+        Raises
+        ------
+        InvalidArgument
+            If the trajectory is impossible with these numbers.
+        """
+        scenario, compiled = self.scenario, self._compiled
+        draws = {name: np.array([value]) for name, value in values.items()}
+        own = scenario.references(draws, 1)
+        reference = scenario.reference if own is None else Reference(*(x[:, 0] for x in own))
+        every = scenario.values(draws, 0, 1)
+        varied = {path: x for path, x in every.items() if path in scenario.entries}
+        known, first = {**traced_numbers(compiled.loop), **varied}, compiled.first(varied, 1)
+        member = range(1)
+        keys = {name: robot_keys(scenario.seed, name, member) for name in compiled.tape.keys}
+        start = scenario.starts(draws, 1, own)
+        blocks = compiled.program.blocks_of(start, 1, known, first, keys)
+        if self.k:
+            states = len(compiled.tape.states)
+            blocks[:, :states] = self._blocks[:, :states]
+        h = scenario.dt / scenario.substeps
+        self._blocks, self._uniforms = blocks, compiled.program.uniforms_of(h, known, first)
+        self.values, self.reference = dict(values), reference
+
+    @property
+    def units(self) -> Mapping[str, str]:
+        """Units of the signals, by name."""
+        return self._compiled.tape.units
+
+    def times(self, count: int) -> Array:
+        """Return the times of the next samples, shape (count,) [s]."""
+        t, k = self.scenario.t, self.k + np.arange(count)
+        return np.where(k < len(t), t[np.minimum(k, len(t) - 1)], k * self.scenario.dt)
+
+    def ahead(self, count: int) -> Reference:
+        """Return the reference of the next samples; after its end, it rests."""
+        k, last = self.k + np.arange(count), len(self.scenario.t) - 1
+        q, v, a = (x[np.minimum(k, last)] for x in self.reference)
+        moves = (k <= last)[:, None]
+        return Reference(q, v * moves, a * moves)
+
+    def advance(self, count: int, reference: Reference | None = None) -> dict[str, Array]:
+        """Compute the next samples, and return them by name, shape (count, ...).
+
+        Parameters
+        ----------
+        count : int
+            Number of samples, at least 1.
+        reference : Reference, optional
+            Reference of these samples; default: `ahead`.
+        """
+        program, t = self._compiled.program, self.times(count)
+        given = Reference(*(np.ascontiguousarray(x, np.float64) for x in reference or self.ahead(count)))
+        last = len(self.scenario.t) - 1
+        rows = [each[np.minimum(self.k + np.arange(count), last)] for each in self._rows]
+        samples = program.samples_of(t, given, self._uniforms, rows, self.k)
+        kept = aligned((1, count, self._compiled.tape.outputs_kept, 1))
+        arrays = self._blocks, samples, self._uniforms, self._rings, self._counts, kept
+        block, sample, uniform, ring, counts, keep = (x.ctypes.data for x in arrays)
+        program.function(block, 0, 1, sample, count, uniform, ring, counts, 1, 1, keep, self.k)
+        self._parts.append((samples, kept, np.array([*self.values.values()], np.float64)))
+        self._size += samples.size + kept.size + _EACH
+        while self._size > _MOST:
+            first = self._parts.popleft()
+            self._size -= first[0].size + first[1].size + _EACH
+        self.k += count
+        return {name: x[0] for name, x in program.kept_samples(kept, 1).items()}
+
+    def rollout(self) -> Rollout:
+        """Return the samples since the last reset, until a number is not finite.
+
+        The signals contain the numbers of the spread, by name.
+
+        Raises
+        ------
+        InvalidArgument
+            If there is no sample.
+        """
+        parts, scenario = list(self._parts), self.scenario
+        if not parts:
+            raise InvalidArgument("the run has no sample yet")
+        given, each, values = zip(*parts, strict=True)
+        samples, program = np.concatenate(given), self._compiled.program
+        kept = {name: x[0] for name, x in program.kept_samples(np.concatenate(each, axis=1), 1).items()}
+        numbers = dict(zip(self.values, np.repeat(values, [*map(len, given)], axis=0).T, strict=True))
+        kept |= {f"number {name}": column for name, column in numbers.items()}
+        nq, n = self._compiled.tape.sizes[3:]
+        t, q, v, a, _ = np.split(samples, np.cumsum([1, nq, n, n]), axis=1)
+        t, reference = t[:, 0], Reference(q, v, a)
+        finite = np.isfinite(np.hstack([kept[name] for name in "qvau"])).all(axis=1)
+        end = len(t) if finite.all() else int(np.argmin(finite))
+        t, reference = t[:end], Reference(*(x[:end] for x in reference))
+        kept = {name: x[:end] for name, x in kept.items()}
+        signals = told_at(t, scenario.controller, scenario.trajectory)
+        signals |= {name: Signal(unit, kept[f"signal {name}"]) for name, unit in self.units.items()}
+        signals |= {name: Signal(x.unit, kept[f"number {name}"]) for name, x in scenario.found.items()}
+        error = errors_of(scenario.robot, kept["q"], reference)
+        q, v, a, u = (kept[name] for name in "qvau")
+        return Rollout(scenario.robot, t, q, v, a, u, error, reference, signals, engine="COMPILED")

@@ -1,0 +1,597 @@
+"""`play`: a run in real time on a live page, which changes its numbers, drives its robot and pushes it."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections import deque
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from time import monotonic
+from typing import Any
+
+import numpy as np
+
+import pinmobile.viewer.shapes as shapes
+from pinmobile.arrays import Array, sequence
+from pinmobile.controllers import Controller
+from pinmobile.errors import PinmobileError
+from pinmobile.loop import Rollout, Scenario, Stepper
+from pinmobile.palette import QUIET, colour
+from pinmobile.parts import Driven, Found, Pushable, Tabled, Touching, able, array, entries_of, part
+from pinmobile.plant import Contacts, Plant, stated
+from pinmobile.robot import MobileRobot
+from pinmobile.signals import Signal
+from pinmobile.trajectories import Reference, Trajectory
+from pinmobile.viewer.contact_markers import ABOVE, TRAIL, draw_contacts
+from pinmobile.viewer.motion import Channel, along, figure, row_of
+from pinmobile.viewer.scene import Scene, draw_path
+from pinmobile.viewer.scene_tree import Extent, Follow, Overlays, Stage
+from pinmobile.viewer.window import LiveWindow
+
+_FPS = 60
+_SELDOM = 4  # frames between two looks at contacts, which take long
+_BLOCK, _BLOCKS = 15, 41  # frames that the page receives as a whole; they last more than 10 s
+_SHOWN = 6  # series of a plot
+_SLOW = 0.95  # of real time; the page states less
+_LONGEST = 0.5  # [s] of real time that a frame makes up for
+_SLOWEST = 0.1  # [s] of the run that one frame computes at most
+_STILL = 1e-3  # [m] that a trail is at least long
+_GROUND = 5.0  # [m] of the floor around the robot
+_TRACE, _TRACES = 3, 200  # frames between two points of the trail, and points: 10 s
+_PULSE, _HELD = 0.25, 0.6  # [s] duration of a push, and for which an event is shown
+_STRONG = 9.81 / 4  # [m/s^2] acceleration by a push
+_MASS, _LENGTH = 10.0, 1.0  # [kg, m] of a plant without a mass matrix; of the arm of a moment
+_REACH = 0.4  # [s] until the driven reference has the speed of a key
+_FORCE = "forces.hand.force."
+_AXES = ("x", "y", "moment")
+
+
+@part
+class _Hand:
+    """Force on the body whose numbers the page changes."""
+
+    force: Any = array(default=(0.0,) * 3, unit="N, N, N m", labels=_AXES, doc="force by hand")
+
+    def __call__(self, t: Any, q: Any, v: Any) -> Any:
+        """Return the force, shape (..., 3) [N, N, N m]."""
+        return self.force + 0.0 * q
+
+
+class _Drive:
+    """Reference of a robot that keys drive: a twist of the body, integrated from the robot's pose.
+
+    Parameters
+    ----------
+    plant : plant
+        Plant to drive.
+    reference : Reference
+        Reference of the trajectory, whose largest speeds are those of the keys.
+    """
+
+    def __init__(self, plant: Any, reference: Reference) -> None:
+        rates = reference.v
+        speed = float(np.hypot(rates[:, 0], rates[:, 1]).max()) or 0.5
+        turn = float(np.abs(rates[:, 2]).max()) or 1.0
+        own = stated(plant, "mobility")
+        kind = (2, 0) if own is None else (own.mobility, own.steerability)
+        self.curves = kind == (1, 1) or stated(plant, "wheelbase") is not None  # it turns only while it moves
+        self.scale = np.array([speed, speed if sum(kind) > 2 and kind != (2, 1) else 0.0, turn])
+        self.twist, self.q = np.zeros(3), np.zeros(0)
+
+    def begin(self, pose: Array, rate: Array, reference: Reference) -> None:
+        """Begin at the pose of the body, shape (3,), with its rate; arms keep their reference."""
+        self.q = reference.q[0].copy()
+        self.q[:3] = pose
+        self.twist = _turned(-pose[2], rate) * (self.scale > 0)
+
+    def ahead(self, keys: Array, count: int, dt: float) -> Reference:
+        """Return the reference of the next samples for keys (ahead, turn, aside) from -1 to 1."""
+        goal = self.scale * keys[[0, 2, 1]]
+        if self.curves:
+            goal[2] *= keys[0]
+        rows = []
+        for _ in range(count):
+            change = np.clip(goal - self.twist, *(self.scale * dt / _REACH * np.array([[-1.0], [1.0]])))
+            v, a = np.zeros((2, len(self.q)))
+            v[:3] = _turned(self.q[2], self.twist)
+            a[:3] = _turned(self.q[2], change / dt) + self.twist[2] * np.array([-v[1], v[0], 0.0])
+            rows.append((self.q, v, a))
+            self.q, self.twist = self.q + dt * v + dt**2 / 2 * a, self.twist + change
+        return Reference(*map(np.array, zip(*rows, strict=True)))
+
+
+def _turned(angle: float, twist: Array) -> Array:
+    """Return a twist with its first two entries rotated."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([c * twist[0] - s * twist[1], s * twist[0] + c * twist[1], twist[2]])
+
+
+class LiveRun:
+    """A run in real time on a live page; `play` makes it.
+
+    A thread advances the compiled loop 60 times per second until the run is closed. The page has a slider for
+    each selected number, buttons (pause, reset, push), and plots of error, inputs and wheel loads over the
+    last ten seconds. Keys W, S, A, D, Q, E, arrows or a gamepad drive a robot on wheels: from the first key
+    on, the reference is a twist that the keys command, integrated from the robot's pose, until a reset. The
+    keys push the body of another plant along its own axes. The first page that presses a key or control
+    drives until it is closed; all others watch. After its end, the reference of the trajectory rests.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Loop of the run; its spread and n have no effect.
+    sliders : sequence of str
+        Paths of the numbers, such as ``"controller.kp"``, or their ends.
+    host : str
+        Address to serve at, see `LiveWindow`.
+    port : int, optional
+        Port to serve at; default: a free port.
+
+    Attributes
+    ----------
+    url : str
+        Address of the page.
+
+    Raises
+    ------
+    InvalidArgument, UnknownName
+        If an argument is invalid, or the loop cannot be compiled.
+    ViewerError
+        If the run cannot serve at this address.
+
+    See Also
+    --------
+    viewer.play : run of a loop from its parts
+    Rollout : recorded samples of a run
+
+    Examples
+    --------
+    >>> from pinmobile import PD, Circle, MobileRobot, Scenario
+    >>> from pinmobile import Tangent
+    >>> from pinmobile.viewer import LiveRun
+    >>> loop = Scenario(robot=MobileRobot(30.0, 1.3),
+    ...                 controller=PD(120, 120),
+    ...                 trajectory=Tangent(Circle(1.0, 0.5, 9.0)),
+    ...                 n=1, spread={}, dt=0.01)
+    >>> with LiveRun(loop, ["controller.kp"]) as run:
+    ...     run.url
+    'http://127.0.0.1:.../'
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        sliders: Sequence[str] = (),
+        *,
+        host: str = "127.0.0.1",
+        port: int | None = None,
+    ) -> None:
+        self._plant = plant = scenario.robot
+        hand, forces = able(plant, Pushable), scenario.forces
+        if hand is not None:
+            forces = {**dict(entries_of(forces)), "hand": _Hand()}
+        bare = replace(scenario, n=1, spread={}, forces=forces)
+        names = sequence("sliders", sliders, 'names of numbers, such as ["controller.kp"]')
+        found = {one.path: (name, one) for name in names for one in [scenario.find(name, "sliders")]}
+        spread = {path: float(one.value) for path, (_, one) in found.items()}
+        self._sliders, self._values = found, dict(spread)
+        spread |= {f"{_FORCE}{axis}": 0.0 for axis in (_AXES if hand is not None else ())}
+        self._stepper = Stepper(replace(bare, spread=spread))
+        self._can_drive = self._stepper.follows and any(able(plant, x) for x in (Tabled, Driven))
+        self._drive = _Drive(plant, bare.reference)
+        mass_matrix = stated(plant, "mass_matrix")
+        M = np.eye(3) * _MASS if mass_matrix is None else np.asarray(mass_matrix(bare.start[0]))
+        self._mass, self._arm = float(M[0, 0]), float(M[2, 2] / M[0, 0]) / _LENGTH
+        self._push = _STRONG * self._mass
+        self._marks: list[Channel] = []
+        self._heard: deque[tuple[object, str]] = deque()
+        self._driver: object = None
+        self._lock, self._end, self._pace = threading.RLock(), threading.Event(), 1.0
+        self._window = LiveWindow(host, port)
+        self._stage, self._figure = Stage(self._window), figure(plant)
+        try:
+            self._begin()
+            self._furnish()
+        except BaseException:
+            self._window.close()
+            raise
+        self._window.listen(lambda browser, text: self._heard.append((browser, text)))
+        self._thread = threading.Thread(target=self._run, name="pinmobile-play", daemon=True)
+        self._thread.start()
+
+    def __enter__(self) -> LiveRun:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    @property
+    def url(self) -> str:
+        """Address of the page, with the token if requests need one."""
+        return self._window.url
+
+    def rollout(self) -> Rollout:
+        """Return the run since the last reset; its signals contain the numbers of sliders and pushes.
+
+        Of a very long run, it contains the last samples only, some 100 MB.
+
+        Returns
+        -------
+        Rollout
+            Samples until now.
+        """
+        with self._lock:
+            return self._stepper.rollout()
+
+    def close(self) -> None:
+        """End the run and stop serving. `rollout` remains usable."""
+        self._end.set()
+        self._thread.join()
+        self._window.close()
+
+    # The run
+
+    def _begin(self) -> None:
+        """Begin at the first sample, and forget what is shown of the run before."""
+        self._keys, self._pulse, self._due, self._frames = np.zeros(3), 0.0, 0.0, 0
+        self._drives = self._paused = False
+        self._rows: list[float] = []
+        self._points: deque[Array] = deque(maxlen=_TRACES)
+        self._events: dict[str, tuple[str, float]] = {}
+        self._stepper.reset(self._values | self._force(np.zeros(3)))
+        self._desired, self._pushes = self._stepper.reference.q[0], np.zeros(3)
+        self._last = {name: x[-1] for name, x in self._stepper.advance(1).items()}
+        self._before = self._last
+
+    def _run(self) -> None:
+        begin, frame = monotonic(), 0
+        while not self._end.wait(max(begin + frame / _FPS - monotonic(), 0.0)):
+            frames = 1 + max(int((monotonic() - begin) * _FPS - frame), 0)  # those that are late are left out
+            frame += frames
+            with self._lock:
+                try:
+                    self._listen()
+                    if not self._paused:
+                        self._frame(min(frames / _FPS, _LONGEST))
+                except PinmobileError as error:  # of a part, such as a trajectory that becomes impossible
+                    self._pause(True, str(error))
+
+    def _frame(self, period: float) -> None:
+        """Advance the run by a period [s], or less if the loop is slow, and show it."""
+        before, self._due = self._due, self._due + period
+        self._advance()
+        self._pace += (self._due - before) - period * self._pace  # mean of a second
+        self._show()
+
+    def _listen(self) -> None:
+        """Do what the driver's page has asked for."""
+        while self._heard:
+            browser, text = self._heard.popleft()
+            own, word, *numbers = [*text.split(), "", ""][: max(2, len(text.split()))]
+            if not text:
+                if browser is self._driver:
+                    self._driver, self._keys = None, np.zeros(3)
+                    self._stage.tell("driver", "")
+                continue
+            if self._driver is None:
+                self._driver = browser
+                self._stage.tell("driver", own)
+            if browser is self._driver:
+                with suppress(ValueError, IndexError):  # another program's words
+                    self._obey(word, list(map(float, numbers)))
+
+    def _obey(self, word: str, numbers: list[float]) -> None:
+        if word == "keys" and len(numbers) == len(_AXES):
+            self._keys = np.clip(np.nan_to_num(numbers), -1.0, 1.0)
+            if self._can_drive and not self._drives and self._keys.any():
+                q, v = self._last["q"], self._last["v"]
+                pose, rate = np.asarray(self._plant.pose(q)), np.asarray(self._plant.pose_rate(q, v))
+                self._drive.begin(pose, rate, self._stepper.ahead(1))
+                self._drives = True
+        elif word == "push":
+            self._pulse = self._due + _PULSE
+        elif word == "pause":
+            self._pause(not self._paused)
+        elif word == "reset":
+            self._begin()
+            self._clear()
+        elif word == "slider":
+            low, high = self._ranges[int(numbers[0])]
+            self._set([*self._sliders, ""][int(numbers[0])], min(max(numbers[1], low), high))
+
+    def _set(self, name: str, value: float) -> None:
+        """Change the number of a slider, or the push for ""; an impossible value has no effect."""
+        if not name:
+            self._push = value
+        else:
+            told, before = "", self._values
+            self._values = before | {name: value}
+            try:
+                self._stepper.change(self._stepper.values | self._values)
+            except PinmobileError as error:
+                self._values, told = before, str(error)
+            self._stage.tell("message", told)
+            self._path()
+        self._stage.tell("values", [*self._values.values(), self._push])
+
+    def _pause(self, paused: bool, why: str = "") -> None:
+        self._paused = paused
+        self._stage.tell("paused", paused)
+        self._stage.tell("message", why)
+
+    def _force(self, force: Array) -> dict[str, float]:
+        names = (f"{_FORCE}{axis}" for axis in _AXES)
+        return dict(zip(names, map(float, force), strict=True)) if self._has_hand else {}
+
+    @property
+    def _has_hand(self) -> bool:
+        return f"{_FORCE}x" in self._stepper.scenario.spread
+
+    def _advance(self) -> None:
+        """Compute the samples until the present, with the present keys."""
+        stepper, dt = self._stepper, self._stepper.scenario.dt
+        count = int(np.ceil(self._due / dt - 1e-6)) + 1 - stepper.k
+        most = int(np.ceil(_SLOWEST / dt))
+        if count > most:  # slower than real time
+            count = most
+            self._due = (stepper.k + count - 1) * dt
+        if count < 1:
+            return
+        push = np.zeros(3) if self._can_drive else self._push * self._keys * (1, 1, self._arm)
+        if self._due < self._pulse:
+            push[1] += self._push
+        self._pushes = _turned(float(self._plant.pose(self._last["q"])[2]), push)
+        force = self._force(self._pushes)
+        if any(stepper.values[name] != x for name, x in force.items()):
+            stepper.change(stepper.values | force)
+        reference = self._drive.ahead(self._keys, count, dt) if self._drives else stepper.ahead(count)
+        found = stepper.advance(count, reference)
+        whole = np.hstack([found[name] for name in ("q", "v", "a", "u", "error")])
+        if not (np.abs(found["error"]) <= stepper.scenario.limit).all() or not np.isfinite(whole).all():
+            self._pause(True, "the loop has diverged: reset begins again")
+            return
+        rows = [self._last, *({name: x[k] for name, x in found.items()} for k in range(count))]
+        self._before, self._last = rows[-2:]
+        self._desired = reference.q[-1]
+        self._watch(found)
+
+    def _watch(self, found: Mapping[str, Array]) -> None:
+        """Remember the events of the newest samples: margins below zero, sliding wheels, tipping over."""
+        events, slides = {}, found.get("signal slides")
+        if np.any(found.get("signal tips", 0.0)):
+            events["tip over"] = "tip over"
+        columns = found.get("measured", np.zeros((0, 0))).T
+        for one, column in zip(self._stepper.scenario.recorded_metrics, columns, strict=False):
+            if one.is_margin and column.min() < 0:
+                size = f" {column.min():.2g} {one.unit}" if np.isfinite(column.min()) else ""
+                events[one.name] = f"{one.name}{size}"
+            elif one.worst == "ever" and column.max() > 0:
+                events[one.name] = one.name
+        if self._frames % _SELDOM == 0:
+            self._touching = self._contacts()
+        if self._touching is not None and slides is not None:
+            pairs = zip(self._touching.names, slides.max(axis=0).tolist(), strict=True)
+            events |= {name: f"{name} slides" for name, one in pairs if one}
+        self._happens = bool(events)
+        self._events |= {name: (text, self._due + _HELD) for name, text in events.items()}
+
+    def _contacts(self) -> Contacts | None:
+        """Return the contacts at the newest sample; None if the plant has none, or cannot compute them."""
+        plant, units = able(self._plant, Touching), self._stepper.units
+        if plant is None:
+            return None
+        states = (self._last[name][None] for name in "qvau")
+        signals = {name: Signal(unit, self._last[f"signal {name}"][None]) for name, unit in units.items()}
+        with suppress(PinmobileError):  # a gear train, for instance, has no force of each wheel
+            found: Contacts = plant.contacts(*states, signals)
+            return found
+        return None
+
+    # The page
+
+    def _furnish(self) -> None:
+        """Draw what does not move, and state what the page shows."""
+        self._stage.remove("meshcat")
+        q, scenario = self._last["q"], self._stepper.scenario
+        overlays = Overlays(camera=Follow(distance=4.5 * max(self._figure.size[:2])))
+        self._scene = scene = Scene(self._stage, self._figure, overlays)
+        pose = row_of(self._figure, self._plant, q)
+        scene.alone(pose, _GROUND)
+        self._extent = Extent(pose[:2] - _GROUND, pose[:2] + _GROUND, self._figure.size)
+        self._stage.set("meshcat/scale", "visible", False)  # the grid goes along with the robot
+        self._stage.robot("meshcat/desired", MobileRobot.box(size=self._figure.size), QUIET, ghost=True)
+        self._stage.put("meshcat/push", shapes.over(shapes.arrow(0.09), colour(3), order=ABOVE))
+        self._path()
+        self._watch({})
+        contacts = self._touching
+        legend = [["travelled", colour(0), "", 0.0], ["desired pose", QUIET, "", 0.5]]
+        if contacts is not None:
+            legend += self._marked(contacts)[1]
+        self._stage.tell("legend", [*legend, [f"grid {self._extent.step:g} m", "#c9cdd1", "", 0.0]])
+        listed: dict[str, Any] = {"error": scenario.coordinates[:_SHOWN], "input": scenario.inputs[:_SHOWN]}
+        series = {title: [(one.name, one.unit) for one in each] for title, each in listed.items()}
+        self._has_loads = contacts is not None and bool(np.isfinite(contacts.loads).all())
+        if contacts is not None and self._has_loads:
+            series["wheel load"] = [(name, "N") for name in contacts.names[:_SHOWN]]
+        plots = []
+        for title, each in series.items():
+            units = list(dict.fromkeys(unit for _, unit in each if unit))
+            names = [f"{name} [{unit}]" if len(units) > 1 else name for name, unit in each]
+            lines = [[name, colour(i)] for i, name in enumerate(names)]
+            plots.append({"title": f"{title} [{', '.join(units)}]", "series": lines})
+        told = [self._told(name, one) for name, one in self._sliders.values()]
+        if self._has_hand:
+            told.append(["push", "N", "force of a push", 0.0, 9.81 * self._mass])
+        self._ranges = [(low, high) for *_, low, high in told]
+        panel = {"sliders": told, "plots": plots, "keys": self._help(), "push": self._has_hand}
+        width = 2 + sum(len(each["series"]) for each in plots)
+        self._stage.tell("panel", panel | {"blocks": _BLOCKS, "size": width})
+        self._stage.tell("driver", "")
+        self._clear()
+
+    def _told(self, name: str, found: Found) -> list[Any]:
+        """Return name, unit, meaning and range of a number: its bounds, else up to three times its value."""
+        one: Any = found.leaf.declared
+        low, high = sorted((0.0, 3 * float(found.value))) if found.value else (-1.0, 1.0)
+        high = high if one.upper is None else float(one.upper)
+        if one.above is not None:
+            low = one.above + 1e-3 * (high - one.above)
+        return [name, found.unit, found.meaning, low if one.lower is None else float(one.lower), high]
+
+    def _help(self) -> list[list[str]]:
+        """Return the keys and their meanings."""
+        speed, aside, turn = self._drive.scale
+        driven = {"W S": f"drive at {speed:.2g} m/s", "A D": f"turn at {turn:.2g} rad/s"}
+        driven |= {"Q E": f"move aside at {aside:.2g} m/s"} if aside else {}
+        pushed = {"W S": "push ahead, back", "A D": "push left, right", "Q E": "turn"}
+        keys = driven if self._can_drive else pushed if self._has_hand else {}
+        keys = keys | ({"space": "push to the left"} if self._has_hand else {})
+        return [list(each) for each in (keys | {"P": "pause", "R": "reset"}).items()]
+
+    def _path(self) -> None:
+        """Draw the path of the trajectory."""
+        draw_path(self._stage, self._stepper.reference.q[:, :2], self._extent)
+
+    def _clear(self) -> None:
+        """Empty plots and trail, and state the numbers."""
+        self._stage.remove("meshcat/trail")
+        for k in range(_BLOCKS):
+            self._stage.tell(f"rows{k}", "[]")
+        self._stage.tell("events", [])
+        self._stage.tell("values", [*self._values.values(), self._push])
+        self._pause(False)
+        self._show()
+
+    def _marked(self, contacts: Contacts) -> tuple[list[Channel], list[list[object]]]:
+        """Return channels and legend of the contacts; their shapes are sent once."""
+        sent = self._stage if self._frames == 0 else _Silent(self._stage.window)
+        scale = 1.5 * self._extent.unit / (9.81 * self._mass)
+        x, y, psi = np.asarray(self._plant.pose(self._last["q"]))
+        away = contacts.places - (x, y)
+        seen = away @ np.array([[np.cos(psi), -np.sin(psi)], [np.sin(psi), np.cos(psi)]])
+        seen_from_body = contacts._replace(places=seen, directions=contacts.directions - psi)
+        return draw_contacts(sent, seen_from_body, self._extent, scale, "meshcat/robot0")
+
+    def _show(self) -> None:
+        """Send the present frame: poses, a row of the plots, the trail and the events."""
+        plant, last, dt = self._plant, self._last, self._stepper.scenario.dt
+        share = np.clip(1 + self._due / dt - (self._stepper.k - 1), 0.0, 1.0)
+        before = self._before["q"]
+        q = np.asarray(plant.integrate(before, share * np.asarray(plant.difference(before, last["q"]))))
+        row = row_of(self._figure, plant, q)
+        channels = [one for rider in self._scene.riders for one in rider(row[None])]
+        channels += along("meshcat/desired", self._desired[None, :3])
+        if self._frames % _SELDOM == 0 and self._touching is not None:
+            self._marks = self._marked(self._touching)[0]
+        channels += self._marks + self._arrow(row)
+        cell = self._extent.step
+        floor = np.append(cell * np.round((row[:2] - self._extent.centre) / cell), 0.0)
+        channels.append(Channel("meshcat/grid", "position", floor[None]))
+        moves = [[one.path, one.name, one.at(0)] for one in channels]
+        self._stage.tell("moves", json.dumps(moves))  # packed much faster than its numbers
+        self._trail(row[:2])
+        self._plot()
+        if self._frames % _SELDOM == 0:
+            live = [text for text, until in self._events.values() if until > self._due]
+            self._stage.tell("events", live)
+            pace = f", {self._pace:.1f} times real time" if self._pace < _SLOW else ""
+            driven = ", driven" if self._drives else ""
+            self._stage.tell("caption", f"t = {self._due:.1f} s{driven}{pace}")
+        self._frames += 1
+
+    def _arrow(self, row: Array) -> list[Channel]:
+        """Return the channels of the arrow of a push, which ends at the body."""
+        size = float(np.hypot(*self._pushes[:2]))
+        angle = float(np.arctan2(self._pushes[1], self._pushes[0]))
+        long = max(1.2 * self._extent.unit * min(size / (_STRONG * self._mass), 2.0), 1e-4)
+        tail = np.array([row[0] - long * np.cos(angle), row[1] - long * np.sin(angle), angle])
+        scale = Channel("meshcat/push", "scale", np.full((1, 3), long))
+        return [*along("meshcat/push", tail[None], self._figure.size[2]), scale]
+
+    def _trail(self, point: Array) -> None:
+        if self._frames % _TRACE == 0:
+            self._points.append(point)
+        if self._frames % (_SELDOM * _TRACE) == 0 and np.ptp(self._points, axis=0).max() > _STILL:
+            band = shapes.ribbon(np.array(self._points), 0.05 * self._extent.unit)
+            self._stage.put("meshcat/trail", shapes.flat(band, colour(0), order=TRAIL))
+
+    def _plot(self) -> None:
+        """Send the row of this frame with those of its block."""
+        if self._frames % _BLOCK == 0:
+            self._rows = []
+        row = [self._last["error"][:_SHOWN], self._last["u"][:_SHOWN]]
+        if self._has_loads and self._touching is not None:
+            row.append(np.nan_to_num(self._touching.loads[0, :_SHOWN]))
+        self._rows += [self._due, *np.concatenate(row).tolist(), float(self._happens)]
+        self._stage.tell(f"rows{self._frames // _BLOCK % _BLOCKS}", json.dumps(self._rows))
+
+
+class _Silent(Stage):
+    """Stage that sends no shapes."""
+
+    def put(self, path: str, shape: Any) -> None:
+        """Do nothing."""
+
+
+def play(
+    plant: Plant,
+    controller: Controller,
+    trajectory: Trajectory,
+    *,
+    sliders: Sequence[str] = (),
+    host: str = "127.0.0.1",
+    port: int | None = None,
+    **options: Any,
+) -> LiveRun:
+    """Run a closed loop in real time on a live page.
+
+    Parameters
+    ----------
+    plant, controller, trajectory
+        Parts of the loop, see `simulate`. The loop must be one that can be compiled.
+    sliders : sequence of str
+        Paths of numbers that the page changes, such as ``"controller.kp"`` or ``"mass"``, as in a spread of
+        `ensemble`. Their bounds, units and meanings are those of their declarations.
+    host : str
+        Address to serve at, see `LiveWindow`.
+    port : int, optional
+        Port to serve at; default: a free port.
+    **options
+        ``dt`` and the other arguments of `simulate`: ``duration``, ``integrator``, ``substeps``, ``forces``,
+        ``limit`` and ``seed``. The run goes on after `duration`; the reference then rests.
+
+    Returns
+    -------
+    LiveRun
+        The run, with the address of its page. It lasts until it is closed.
+
+    Raises
+    ------
+    InvalidArgument, UnknownName
+        If an argument is invalid, or the loop cannot be compiled.
+    ViewerError
+        If the run cannot serve at this address.
+
+    See Also
+    --------
+    simulate : the same loop without a page
+    viewer.LiveRun : the run and its page
+    viewer.Viewer : playback of recorded runs
+
+    Examples
+    --------
+    >>> from pinmobile import Circle, ComputedTorque, MobileRobot
+    >>> from pinmobile import Tangent
+    >>> from pinmobile.viewer import play
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
+    >>> circle = Tangent(Circle(1.0, 0.5, 9.0))
+    >>> parts = robot, ComputedTorque(robot), circle
+    >>> with play(*parts, dt=0.01, sliders=["controller.kp"]) as run:
+    ...     page = run.url  # open it in a browser
+    >>> run.rollout().signals["controller.kp"].unit
+    '1/s^2'
+    """
+    parts: dict[str, Any] = {"robot": plant, "controller": controller, "trajectory": trajectory}
+    return LiveRun(Scenario(n=1, spread={}, **parts, **options), sliders, host=host, port=port)
