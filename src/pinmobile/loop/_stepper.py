@@ -28,7 +28,7 @@ _MOST, _EACH = 1 << 24, 64  # numbers that are kept, some 130 MB, and the size o
 class _Watched:
     """Recorder of all samples, with errors and metrics of the plant."""
 
-    metrics: tuple[str, ...] = option(default=())
+    metrics: tuple[tuple[int, bool], ...] = option(default=())
     signals, errors = True, True
 
     def initial_state(self, n: int, nu: int) -> None:
@@ -68,8 +68,8 @@ class Stepper:
 
     def __init__(self, scenario: Scenario) -> None:
         self.scenario = scenario
-        names = tuple(one.name for one in scenario.recorded_metrics)
-        loop = evolved(scenario.loop, {"recorder": _Watched(names)})
+        metrics = tuple((k, one.is_margin) for k, one in enumerate(scenario.recorded_metrics))
+        loop = evolved(scenario.loop, {"recorder": _Watched(metrics)})
         try:
             self.follows = True
             try:
