@@ -100,7 +100,7 @@ def show_identification(words: Sequence[str], out: Path) -> int:
         begin(bar, "drawing")
         prediction, figure = found.predict(log), folder / f"{path.stem}.png"
         save_figure(plots.prediction(prediction, title=f"{path.name}: measured and predicted"), figure)
-    for text in ([] if known.robot is None else [f"robot: {known.robot}"]) + [str(found), str(prediction)]:
+    for text in ([] if known.robot is None else [f"robot: {known.robot!r}"]) + [str(found), str(prediction)]:
         console.print(text, markup=False)
     console.print(f"measured and predicted: open {figure}", markup=False)
     return 0
