@@ -149,7 +149,7 @@ def test_an_order_is_fitted_above_rounding(errors: Any, order: float | None, tex
 
 def test_the_report_reads_as_a_table_that_says_what_it_means(reports: Reports) -> None:
     lines = str(reports["rk4"]).splitlines()
-    assert lines[0] == f"rk4 on {reports['rk4'].robot}"
+    assert lines[0] == f"rk4 on {reports['rk4'].robot!r}"
     heads = re.findall(r"h = \S+ s", lines[1])
     assert heads == ["h = 0.1 s", "h = 0.05 s", "h = 0.025 s", "h = 0.0125 s", "h = 0.00625 s"]
     assert lines[1].startswith("free body over 2 s ")

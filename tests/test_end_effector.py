@@ -330,10 +330,11 @@ def test_the_viewer_shows_trail_target_and_error_of_the_end_effector(run: pm.Rol
     said = found["meshcat/stage", ".caption"]["values"][20]
     k = 100  # at 2 s
     assert f"t = {run.t[k]:.1f} s" in said
-    assert said.splitlines()[-2] == "end effector's error"
-    metres, radians = (float(word.split()[0]) for word in said.splitlines()[-1].split(", "))
+    assert said.splitlines()[-1].startswith("end effector ")
+    words = said.splitlines()[-1].removeprefix("end effector ").split(", ")
+    metres, radians = (float(word.split()[0]) for word in words)
     scale = {"mm": 1e-3, "µm": 1e-6, "mrad": 1e-3, "µrad": 1e-6}
-    units = [word.split()[1] for word in said.splitlines()[-1].split(", ")]
+    units = [word.split()[1] for word in words]
     assert metres * scale[units[0]] == pytest.approx(hand.distance[k], rel=0.01)
     assert radians * scale[units[1]] == pytest.approx(hand.angle[k], rel=0.01)
     assert (node, ".drawn") not in bare

@@ -470,7 +470,10 @@ def test_an_ensemble_tells_least_median_and_largest_of_each_record() -> None:
     run = run_scenario(
         made(n=50, spread={"mass": pm.Uniform(20, 40), "start.x": np.array([2e3, *[0.1] * 49])})
     )
-    rows = {line[:28].strip(): line[28:] for line in str(run).splitlines()[2:]}
+    told = str(run).splitlines()[2:]
+    assert [line.partition(":")[0] for line in told[:2]] == ["spread", "failed"]
+    assert told[1] == "failed: 1 of 50 robots (1 diverged)"
+    rows = {line[:28].strip(): line[28:] for line in told if " least " in line}
     records = {"largest distance [m]": run.max_distance}
     for k, (error, force) in enumerate((("x [m]", "Fx [N]"), ("y [m]", "Fy [N]"), ("psi [rad]", "Mz [N m]"))):
         records[f"largest error of {error}"] = run.max_error[:, k]

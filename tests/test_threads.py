@@ -19,6 +19,7 @@ import pytest
 import pinmobile as pm
 from pinmobile.arrays import Array
 from pinmobile.compiled.symbolic import Symbols
+from pinmobile.dh import LECTURE_TABLE
 from pinmobile.loop import Engine
 from pinmobile.parts import evolved, replace
 from pinmobile.robot import ArticulatedDynamics, PlanarDynamics, Solids, UncheckedDynamics
@@ -55,6 +56,8 @@ VALUES: dict[str, Callable[[pm.MobileRobot, int], Any]] = {
     "body": lambda robot, k: Body(10 + k, np.array([0.1, 0, 0.2]), np.diag([1, 1, 1 + k / STATES])),
     "load": lambda robot, k: pm.PayloadBody(1.0 + k, (0, 0, 0.1)),
     "arm": lambda robot, k: "double_pendulum",
+    "table": lambda robot, k: LECTURE_TABLE,
+    "bodies": lambda robot, k: [VALUES["body"](robot, k)],
     "at": lambda robot, k: (0.1, 0.01 * k, 0.3, 0.1 * k),
 }
 

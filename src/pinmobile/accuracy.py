@@ -568,7 +568,7 @@ class IntegratorReport:
             (f"closed loop, force held for {steps[0]:g} s", (self.substeps,)),
             ("closed loop against continuous control", (self.sampling,)),
         )
-        lines = [f"{self.integrator} on {self.robot}"]
+        lines = [f"{self.integrator} on {self.robot!r}"]
         for title, rows in sections:
             lines.append(f"{title:42}" + "".join(f"{f'h = {h:g} s':>14}" for h in steps))
             lines += [_row(row) for row in rows]

@@ -126,7 +126,7 @@ def show_derivation(words: Sequence[str], *, latex: bool, allow_code: bool) -> i
                     "drive, wheels with rollers, or a car"
                 )
             found: Any = known[kind]()
-        elif len(robot.chain) > 3:
+        elif robot.mounts:
             found = _derived(robot)
         else:
             found = derivation.lecture(robot.dh)
@@ -145,6 +145,11 @@ def _derived(robot: Any) -> "Derivation":
         return [sympy.Symbol(name) if value else 0 for name, value in zip(names, values, strict=True)]
 
     table = robot.chain
+    if table is None:
+        raise InvalidArgument(
+            "robot has arms that do not continue the DH table of the base, expected none, or "
+            "MobileRobot.from_dh(table, bodies)"
+        )
     solids = [(robot.mass, robot.com, robot.body.inertia)]
     solids += [(x.mass, x.com, x.body.inertia) for mount in robot.mounts for x in mount.links[1:]]
     links: list[Any] = [None, None]

@@ -47,11 +47,13 @@ class Sampled:
     Examples
     --------
     >>> import numpy as np
-    >>> from pinmobile import PD, Circle, MobileRobot, Tangent, simulate
+    >>> from pinmobile import PD, Circle, MobileRobot
+    >>> from pinmobile import Tangent, simulate
     >>> from pinmobile.controllers import Sampled
     >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
     >>> path = Tangent(Circle(1.0, 0.5, 4.0))
-    >>> run = simulate(robot, Sampled(PD(120, 120), every=10), path, dt=0.01)
+    >>> slow = Sampled(PD(120, 120), every=10)
+    >>> run = simulate(robot, slow, path, dt=0.01)
     >>> steps = np.flatnonzero(np.diff(run.u[:, 0])) + 1
     >>> steps[:4]
     array([10, 20, 30, 40])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
@@ -529,21 +528,12 @@ class MobileRobot(System):
         return base.mount(arm, (0.0, 0.0, 0.0, 0.0), name=text("name", name))
 
     @property
-    def chain(self) -> DHTable:
-        """DH table of base and arm.
-
-        Raises
-        ------
-        InvalidArgument
-            If the arm's joint frames are not those of a DH table at the body's frame, or there are several
-            arms.
-        """
-        rows = list(self.dh.rows)
-        for mount in self.mounts:
-            if len(self.mounts) > 1 or any(mount.at):
-                raise InvalidArgument(f"arm {mount.name!r} does not continue the chain of the base")
-            rows += rows_of(mount.arm.model)
-        return DHTable(tuple(rows))
+    def chain(self) -> DHTable | None:
+        """DH table of base and arm; None if the arm's joints do not continue that of the base."""
+        if len(self.mounts) > 1 or any(any(mount.at) for mount in self.mounts):
+            return None
+        rows = [rows_of(mount.arm.model) for mount in self.mounts]
+        return None if None in rows else DHTable((*self.dh, *(row for each in rows for row in each or ())))
 
     def with_body(self, body: urdf.Body, source: str) -> MobileRobot:
         """Return the robot without arms and loads, with another body but the same looks and contacts.
@@ -906,9 +896,7 @@ class MobileRobot(System):
         box = self.stance == Stance.of_box(self.size)
         stance = None if box else self.stance.written()
         bodies = [self.lumped().body if loaded else self.body]
-        table = self.dh
-        with suppress(InvalidArgument):
-            table = self.chain
+        table = self.chain or self.dh
         links = [link for mount in self.mounts for link in mount.links[1:]] if len(table) > BODY_JOINT else ()
         bodies += [urdf.Body(link.mass, link.com, matrix_of_six(link.inertia)) for link in links]
         return urdf.write(table, *bodies, size=self.size, stance=stance)

@@ -348,26 +348,17 @@ def build_model(table: DHTable, *bodies: Body, ends: Sequence[str] = (_BODY_LINK
     return model
 
 
-def rows_of(model: pin.Model) -> list[DHRow]:
-    """Return the rows of a serial model whose joint frames are those of a modified-DH table.
-
-    Raises
-    ------
-    InvalidArgument
-        If a joint has another frame, another type, or does not follow the joint before.
-    """
-    found = []
+def rows_of(model: pin.Model) -> list[DHRow] | None:
+    """Return the rows of a serial model; None if its joint frames are not those of a modified-DH table."""
+    kinds, found = {"JointModelRZ": JointType.REVOLUTE, "JointModelPZ": JointType.PRISMATIC}, []
     for k in range(1, model.njoints):
         R, p = model.jointPlacements[k].rotation, model.jointPlacements[k].translation
         alpha, theta = np.arctan2(-R[1, 2], R[2, 2]), np.arctan2(-R[0, 1], R[0, 0])
         d = -p[1] * np.sin(alpha) + p[2] * np.cos(alpha)
-        kind = {"JointModelRZ": JointType.REVOLUTE, "JointModelPZ": JointType.PRISMATIC}.get(
-            model.joints[k].shortname()
-        )
-        own = transform(alpha, p[0], theta, d)
-        off = np.abs(own - model.jointPlacements[k].homogeneous).max()
-        if kind is None or model.parents[k] != k - 1 or off > 1e-9:
-            raise InvalidArgument(f"joint {model.names[k]!r} is not that of a modified-DH table")
+        off = np.abs(transform(alpha, p[0], theta, d) - model.jointPlacements[k].homogeneous).max()
+        kind = kinds.get(model.joints[k].shortname())
+        if kind is None or model.parents[k] != k - 1 or off > _ROUNDING:
+            return None
         found.append(DHRow(float(alpha), float(p[0]), float(theta), float(d), kind, model.names[k]))
     return found
 
