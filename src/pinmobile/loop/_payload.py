@@ -1,0 +1,221 @@
+"""`PayloadTransfer`: a robot that picks up a payload and releases it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cached_property, partial
+from typing import Any, Final, final
+
+import numpy as np
+
+from pinmobile.arrays import Array, ArrayLike, finite
+from pinmobile.compiled import has_symbols, leaves, mapped
+from pinmobile.errors import InvalidArgument
+from pinmobile.forces import since
+from pinmobile.integrators import rk4
+from pinmobile.parts import Constrained, Loadable, Stepping, able, by_value, child, number, part, replace, walk
+from pinmobile.plant import Step, stated
+from pinmobile.robot import PayloadBody
+
+# The load has no effect on these attributes.
+_OF_BOTH: Final = {
+    *("nq", "nv", "nu", "coordinates", "configuration_names", "inputs", "reference_sizes", "is_vector_space"),
+    *("compiles", "broadcasts", "integrate", "difference", "pose", "pose_rate", "generalized_force", "start"),
+    *("check_start", "velocity_limit", "effort_limit", "rest", "size", "mounts", "metrics", "initial_state"),
+    *("frame_names", "frame_name", "frame_pose", "end_effector", "lower", "upper", "footprint", "grounded"),
+}
+_OF_TIME: Final = {"evaluate_metrics", "signals"}
+_OF_SAMPLES: Final = {"ground_wrench", "mount_wrench", "contact_loads", "slip_margins", "contacts"}
+
+
+@final
+@part
+@by_value
+class PayloadTransfer:
+    """Plant that picks up a payload with a frame of a robot, and releases it.
+
+    The payload belongs to the robot from `begin` to before `end`, with its weight and inertia. Otherwise the
+    plant is the robot alone. The velocity is continuous at both times: the payload has the velocity of the
+    frame. Each step uses the robot at its start, so the times take effect at a step. The step is that of the
+    robot, if it has its own (dry ground, voltages), otherwise that of `rk4`; ``substeps`` divides it.
+
+    Sizes, names, frames and metrics are those of the robot. Methods that depend on the load need the time:
+    use ``plant.robot_at(t)``. Controllers accept a robot, not this plant: `robot` for a controller without
+    the payload, `loaded` for a controller with the payload.
+
+    Parameters
+    ----------
+    robot : MobileRobot or WheeledRobot
+        Robot without the payload.
+    load : PayloadBody
+        Mass, centre of mass, inertia and size of the payload, and the name of its frame; default: the end
+        effector of the robot.
+    begin : float
+        Time from which the robot holds the payload [s].
+    end : float, optional
+        Time from which it does not [s]; default: no end.
+
+    Raises
+    ------
+    InvalidArgument
+        If `end` is not above `begin`, or as in `MobileRobot.attach`.
+    UnknownName
+        If the robot has no such frame.
+
+    See Also
+    --------
+    MobileRobot.attach : load for a whole run
+    forces.PayloadForce : load on the body, without weight
+    balance.tip_over_margin : margin of a run, with the payload while the robot holds it
+
+    Examples
+    --------
+    >>> from pinmobile import ComputedTorque, FixedHeading, Hold, MobileRobot
+    >>> from pinmobile import PayloadBody, PayloadTransfer, simulate
+    >>> robot = MobileRobot.box(mass=30.0)
+    >>> crate = PayloadBody(10.0, com=(0.5, 0, 0.3), frame="base_link")
+    >>> plant = PayloadTransfer(robot, crate, begin=2.0, end=4.0)
+    >>> [plant.robot_at(t).lumped().mass for t in (1, 2, 3, 4)]  # [kg]
+    [30.0, 40.0, 40.0, 30.0]
+    >>> law = ComputedTorque(robot, kp=4, kd=4)
+    >>> run = simulate(plant, law, FixedHeading(Hold([0, 0], 6), 0), dt=0.01)
+    >>> run.plant.end
+    4.0
+    """
+
+    robot: Any = child(Loadable, expected="a MobileRobot or a WheeledRobot")
+    load: PayloadBody = child(PayloadBody, expected="a PayloadBody")
+    begin: float = number(unit="s", doc="time from which the robot holds the payload")
+    end: float = number(default=np.inf, unit="s", endless=True, doc="time from which it does not")
+
+    def check(self) -> None:
+        """Raise `InvalidArgument` if the end is not above the start, or the robot cannot hold the load."""
+        if not self.end > self.begin:
+            raise InvalidArgument(f"end is {self.end} s, expected above begin, {self.begin} s")
+        _ = self.loaded
+
+    @cached_property
+    def loaded(self) -> Any:
+        """Robot with the payload, as the last of its loads."""
+        if "nominal" not in vars(self):
+            return self.robot.attach(self.load, self.load.frame or None)
+        made = vars(self)["nominal"].loaded
+        own = {leaf.path: leaf.value for leaf in walk(self.robot)}
+        added = [leaf.path for leaf in walk(made) if leaf.path not in own]
+        own |= dict(zip(added, (leaf.value for leaf in walk(self.load)), strict=True))
+        frame = {path for path in added if path.endswith(".frame")}
+        return replace(made, {path: x for path, x in own.items() if path not in frame}, nominal=True)
+
+    def __getattr__(self, name: str) -> Any:
+        if "robot" not in vars(self) or name not in _OF_BOTH | _OF_TIME:
+            more = ": use its method robot_at(t), robot or loaded" if name[:1] != "_" else ""
+            raise AttributeError(f"a PayloadTransfer has no {name}{more}")
+        own = getattr(self.robot, name)
+        return partial(self._at_time, name) if name in _OF_TIME else own
+
+    def holds(self, t: ArrayLike) -> Any:
+        """Return 1 at times at which the robot holds the payload, else 0, shape (...).
+
+        Parameters
+        ----------
+        t : array_like, shape (...)
+            Times [s].
+        """
+        return since(t, self.begin) * (1.0 - since(t, self.end))
+
+    def robot_at(self, t: ArrayLike) -> Any:
+        """Return the robot at a time, or a plant whose methods accept samples at several times.
+
+        Parameters
+        ----------
+        t : float or ndarray, shape (n,)
+            Time, or times of n samples [s].
+        """
+        times = finite("t", t)
+        return _Samples(self, times) if times.ndim else self.loaded if self.holds(times) else self.robot
+
+    def shown(self, t: ArrayLike) -> dict[str, Array]:
+        """Return whether the robot holds the payload, for the name of its visual object; see `holds`.
+
+        Parameters
+        ----------
+        t : array_like, shape (...)
+            Times [s].
+        """
+        known, whole = (
+            {item.name for item in each.visual_model.geometryObjects} for each in (self.robot, self.loaded)
+        )
+        return {name: self.holds(t) for name in whole - known}
+
+    def step(self, t: Any, q: Any, v: Any, u: Any, h: Any, f: Any, memory: Any) -> Step:
+        """Return the state after a step, see `parts.Stepping`.
+
+        Parameters
+        ----------
+        t : float
+            Time [s].
+        q, v, u : ndarray, shape (nq,), (nv,), (nu,)
+            State and input.
+        h : float
+            Length of the step [s].
+        f : callable
+            External forces ``f(t, q, v)``, shape (nv,).
+        memory : any
+            Memory from `initial_state` or the step before.
+        """
+        return self._chosen(t, lambda robot: _step(robot, t, q, v, u, h, f, memory))  # type: ignore[no-any-return]
+
+    def _at_time(self, name: str, t: Any, *given: Any) -> Any:
+        return self._chosen(t, lambda robot: getattr(robot, name)(t, *given))
+
+    def _chosen(self, t: Any, of: Callable[[Any], Any]) -> Any:
+        """Return a result of the robot with or without the payload, for each time."""
+        held = self.holds(t)
+        if not has_symbols(held) and not np.ndim(held):
+            return of(self.loaded if held else self.robot)
+        others = iter(leaves(of(self.robot)))
+
+        def choose(x: Any) -> Any:
+            _, other = next(others)
+            if not has_symbols([x, other]) and np.array_equal(x, other):
+                return x  # such as the names and sizes that the load does not change
+            return np.where(np.reshape(held, np.shape(held) + (1,) * (np.ndim(x) - np.ndim(held))) > 0, x, other)
+
+        return mapped(of(self.loaded), choose)
+
+
+class _Samples:
+    """Robot of a `PayloadTransfer` at the times of n samples."""
+
+    def __init__(self, plant: PayloadTransfer, t: Array) -> None:
+        self._plant, self._t = plant, t
+        self.robot_at, self.shown = plant.robot_at, plant.shown
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__") or "_plant" not in vars(self):
+            raise AttributeError(name)
+        plant = self._plant
+        own = getattr(plant.loaded, name)
+        if name in _OF_TIME:
+            return getattr(plant, name)
+        return partial(self._evaluated, name) if name in _OF_SAMPLES else own
+
+    def _evaluated(self, name: str, *given: Any) -> Any:
+        return self._plant._chosen(self._t, lambda robot: getattr(robot, name)(*given))
+
+
+def _step(robot: Any, t: Any, q: Any, v: Any, u: Any, h: Any, f: Any, memory: Any) -> Any:
+    """Return the step of a robot: its own, or that of rk4 with projection on the constraints."""
+    if able(robot, Stepping):
+        return robot.step(t, q, v, u, h, f, memory)
+    own = stated(robot, "law")
+    law = robot if own is None else own
+
+    def acceleration(time: Any, moved: Any, rate: Any) -> Any:
+        at = law.integrate(q, moved)
+        return law.forward_dynamics(at, rate, u, f(time, at, rate))
+
+    a = law.forward_dynamics(q, v, u, f(t, q, v))
+    moved, v = rk4.displaced(acceleration, a, t, v, h)
+    q = law.integrate(q, moved)
+    return Step(q, law.project(q, v) if able(law, Constrained) else v, memory, a)
