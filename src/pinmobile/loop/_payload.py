@@ -13,7 +13,19 @@ from pinmobile.compiled import has_symbols, leaves, mapped
 from pinmobile.errors import InvalidArgument
 from pinmobile.forces import since
 from pinmobile.integrators import rk4
-from pinmobile.parts import Constrained, Loadable, Stepping, able, by_value, child, number, part, replace, walk
+from pinmobile.parts import (
+    Constrained,
+    Loadable,
+    Stepping,
+    able,
+    by_value,
+    child,
+    number,
+    option,
+    part,
+    replace,
+    walk,
+)
 from pinmobile.plant import Step, stated
 from pinmobile.robot import PayloadBody
 
@@ -25,7 +37,11 @@ _OF_BOTH: Final = {
     *("frame_names", "frame_name", "frame_pose", "end_effector", "lower", "upper", "footprint", "grounded"),
 }
 _OF_TIME: Final = {"evaluate_metrics", "signals"}
-_OF_SAMPLES: Final = {"ground_wrench", "mount_wrench", "contact_loads", "slip_margins", "contacts"}
+_OF_SAMPLES: Final = {
+    *("ground_wrench", "mount_wrench", "contact_loads", "slip_margins", "contacts", "gravity", "mass_matrix"),
+    *("nonlinear_effects", "inverse_dynamics", "forward_dynamics", "kinetic_energy", "potential_energy"),
+}
+_DRAWN: Final = {"visual_model", "model", "drawing", "frame_placements", "top", "table", "robot", "ground"}
 
 
 @final
@@ -48,12 +64,13 @@ class PayloadTransfer:
     robot : MobileRobot or WheeledRobot
         Robot without the payload.
     load : PayloadBody
-        Mass, centre of mass, inertia and size of the payload, and the name of its frame; default: the end
-        effector of the robot.
+        Mass, centre of mass, inertia and size of the payload.
     begin : float
         Time from which the robot holds the payload [s].
     end : float, optional
         Time from which it does not [s]; default: no end.
+    frame : str, optional
+        Name of the frame that holds the payload; default: the end effector of the robot.
 
     Raises
     ------
@@ -73,7 +90,7 @@ class PayloadTransfer:
     >>> from pinmobile import ComputedTorque, FixedHeading, Hold, MobileRobot
     >>> from pinmobile import PayloadBody, PayloadTransfer, simulate
     >>> robot = MobileRobot.box(mass=30.0)
-    >>> crate = PayloadBody(10.0, com=(0.5, 0, 0.3), frame="base_link")
+    >>> crate = PayloadBody(10.0, com=(0.5, 0, 0.3))
     >>> plant = PayloadTransfer(robot, crate, begin=2.0, end=4.0)
     >>> [plant.robot_at(t).lumped().mass for t in (1, 2, 3, 4)]  # [kg]
     [30.0, 40.0, 40.0, 30.0]
@@ -87,6 +104,7 @@ class PayloadTransfer:
     load: PayloadBody = child(PayloadBody, expected="a PayloadBody")
     begin: float = number(unit="s", doc="time from which the robot holds the payload")
     end: float = number(default=np.inf, unit="s", endless=True, doc="time from which it does not")
+    frame: str | None = option(default=None, doc="frame that holds the payload; None: the end effector")
 
     def check(self) -> None:
         """Raise `InvalidArgument` if the end is not above the start, or the robot cannot hold the load."""
@@ -98,7 +116,7 @@ class PayloadTransfer:
     def loaded(self) -> Any:
         """Robot with the payload, as the last of its loads."""
         if "nominal" not in vars(self):
-            return self.robot.attach(self.load, self.load.frame or None)
+            return self.robot.attach(self.load, self.frame)
         made = vars(self)["nominal"].loaded
         own = {leaf.path: leaf.value for leaf in walk(self.robot)}
         added = [leaf.path for leaf in walk(made) if leaf.path not in own]
@@ -179,7 +197,9 @@ class PayloadTransfer:
             _, other = next(others)
             if not has_symbols([x, other]) and np.array_equal(x, other):
                 return x  # such as the names and sizes that the load does not change
-            return np.where(np.reshape(held, np.shape(held) + (1,) * (np.ndim(x) - np.ndim(held))) > 0, x, other)
+            return np.where(
+                np.reshape(held, np.shape(held) + (1,) * (np.ndim(x) - np.ndim(held))) > 0, x, other
+            )
 
         return mapped(of(self.loaded), choose)
 
@@ -192,12 +212,11 @@ class _Samples:
         self.robot_at, self.shown = plant.robot_at, plant.shown
 
     def __getattr__(self, name: str) -> Any:
-        if name.startswith("__") or "_plant" not in vars(self):
-            raise AttributeError(name)
-        plant = self._plant
-        own = getattr(plant.loaded, name)
+        if name[:1] == "_" or name not in _OF_BOTH | _OF_TIME | _OF_SAMPLES | _DRAWN:
+            raise AttributeError(f"a PayloadTransfer at several times has no {name}")
+        own = getattr(self._plant.loaded, name)
         if name in _OF_TIME:
-            return getattr(plant, name)
+            return getattr(self._plant, name)
         return partial(self._evaluated, name) if name in _OF_SAMPLES else own
 
     def _evaluated(self, name: str, *given: Any) -> Any:

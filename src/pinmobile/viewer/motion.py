@@ -31,19 +31,20 @@ class Channel:
     path : str
         Path of the node, such as ``"meshcat/robot"``.
     name : str
-        Name of the property: position, quaternion or scale, ``drawn`` (a number) or ``caption`` (a text).
-    values : ndarray, shape (n, k), or sequence of n str
+        Name of the property: position, quaternion or scale, ``drawn`` (a number), ``visible`` (a bool) or
+        ``caption`` (a text).
+    values : ndarray, shape (n, k), or sequence of n str or bool
         Value for each frame.
     """
 
     path: str
     name: str
-    values: Array | Sequence[str]
+    values: Array | Sequence[str] | Sequence[bool]
 
-    def at(self, frame: int) -> str | float | list[float]:
+    def at(self, frame: int) -> str | bool | float | list[float]:
         """Return the value at a frame for meshcat."""
         value = self.values[frame]
-        if isinstance(value, str):
+        if isinstance(value, str | bool):
             return value
         return float(value[0]) if self.name == "drawn" else [float(x) for x in value]
 
@@ -132,10 +133,10 @@ def _track(channel: Channel, times: Array) -> dict[str, Any]:
         listed: list[float | str] = [int(x) if x == int(x) else x for x in flat]
         kind = _KINDS.get(channel.name, "number")
     else:
-        listed = list(channel.values)
+        listed = list(channel.values)  # type: ignore[arg-type]
         kept = np.array([True, *(a != b for a, b in pairwise(listed))])
         listed = [text for text, keep in zip(listed, kept, strict=True) if keep]
-        kind = "string"
+        kind = "bool" if channel.name == "visible" else "string"
     return {
         "name": f".{channel.name}",
         "type": kind,
