@@ -68,7 +68,8 @@ _NAMES = {
         "identification": "Log VelocityRobot excitation identify identify_velocity",
         "integrators": "rk4",
         "loop": (
-            "Engine Ensemble Loop Normal PayloadTransfer Relative Rollout SameAs Scenario Uniform ensemble simulate"
+            "Engine Ensemble Loop Normal PayloadTransfer Relative Rollout SameAs Scenario Uniform ensemble "
+            "simulate"
         ),
         "metrics": "",
         "palette": "",

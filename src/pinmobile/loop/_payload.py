@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cached_property, partial
-from typing import Any, Final, final
+from functools import cached_property
+from operator import methodcaller
+from typing import Any, final
 
 import numpy as np
 
@@ -20,6 +21,7 @@ from pinmobile.parts import (
     able,
     by_value,
     child,
+    holds_symbols,
     number,
     option,
     part,
@@ -29,19 +31,18 @@ from pinmobile.parts import (
 from pinmobile.plant import Step, stated
 from pinmobile.robot import PayloadBody
 
-# The load has no effect on these attributes.
-_OF_BOTH: Final = {
-    *("nq", "nv", "nu", "coordinates", "configuration_names", "inputs", "reference_sizes", "is_vector_space"),
-    *("compiles", "broadcasts", "integrate", "difference", "pose", "pose_rate", "generalized_force", "start"),
-    *("check_start", "velocity_limit", "effort_limit", "rest", "size", "mounts", "metrics", "initial_state"),
-    *("frame_names", "frame_name", "frame_pose", "end_effector", "lower", "upper", "footprint", "grounded"),
-}
-_OF_TIME: Final = {"evaluate_metrics", "signals"}
-_OF_SAMPLES: Final = {
-    *("ground_wrench", "mount_wrench", "contact_loads", "slip_margins", "contacts", "gravity", "mass_matrix"),
-    *("nonlinear_effects", "inverse_dynamics", "forward_dynamics", "kinetic_energy", "potential_energy"),
-}
-_DRAWN: Final = {"visual_model", "model", "drawing", "frame_placements", "top", "table", "robot", "ground"}
+_OF_BOTH = frozenset(  # the load has no effect on these attributes
+    "nq nv nu coordinates configuration_names inputs reference_sizes is_vector_space compiles broadcasts "
+    "integrate difference pose pose_rate generalized_force start check_start initial_state rest lower upper "
+    "velocity_limit effort_limit size mounts footprint grounded metrics "
+    "frame_names frame_name frame_pose end_effector".split()
+)
+_OF_TIME = frozenset(("evaluate_metrics", "signals"))
+_OF_SAMPLES = _OF_TIME | frozenset(
+    "ground_wrench mount_wrench contact_loads slip_margins contacts gravity mass_matrix nonlinear_effects "
+    "inverse_dynamics forward_dynamics kinetic_energy potential_energy".split()
+)
+_DRAWN = frozenset("visual_model model drawing frame_placements top table robot ground".split())
 
 
 @final
@@ -121,15 +122,17 @@ class PayloadTransfer:
         own = {leaf.path: leaf.value for leaf in walk(self.robot)}
         added = [leaf.path for leaf in walk(made) if leaf.path not in own]
         own |= dict(zip(added, (leaf.value for leaf in walk(self.load)), strict=True))
-        frame = {path for path in added if path.endswith(".frame")}
-        return replace(made, {path: x for path, x in own.items() if path not in frame}, nominal=True)
+        return replace(made, {path: x for path, x in own.items() if holds_symbols(x)}, nominal=True)
 
     def __getattr__(self, name: str) -> Any:
         if "robot" not in vars(self) or name not in _OF_BOTH | _OF_TIME:
-            more = ": use its method robot_at(t), robot or loaded" if name[:1] != "_" else ""
-            raise AttributeError(f"a PayloadTransfer has no {name}{more}")
+            raise AttributeError(
+                f"a PayloadTransfer has no {name}: use its method robot_at(t), robot or loaded"
+            )
         own = getattr(self.robot, name)
-        return partial(self._at_time, name) if name in _OF_TIME else own
+        if name not in _OF_TIME:
+            return own
+        return lambda t, *given: self._chosen(t, methodcaller(name, t, *given))
 
     def holds(self, t: ArrayLike) -> Any:
         """Return 1 at times at which the robot holds the payload, else 0, shape (...).
@@ -160,10 +163,9 @@ class PayloadTransfer:
         t : array_like, shape (...)
             Times [s].
         """
-        known, whole = (
-            {item.name for item in each.visual_model.geometryObjects} for each in (self.robot, self.loaded)
-        )
-        return {name: self.holds(t) for name in whole - known}
+        known = {item.name for item in self.robot.visual_model.geometryObjects}
+        names = (item.name for item in self.loaded.visual_model.geometryObjects)
+        return {name: self.holds(t) for name in names if name not in known}
 
     def step(self, t: Any, q: Any, v: Any, u: Any, h: Any, f: Any, memory: Any) -> Step:
         """Return the state after a step, see `parts.Stepping`.
@@ -181,10 +183,22 @@ class PayloadTransfer:
         memory : any
             Memory from `initial_state` or the step before.
         """
-        return self._chosen(t, lambda robot: _step(robot, t, q, v, u, h, f, memory))  # type: ignore[no-any-return]
 
-    def _at_time(self, name: str, t: Any, *given: Any) -> Any:
-        return self._chosen(t, lambda robot: getattr(robot, name)(t, *given))
+        def moved(robot: Any) -> Any:
+            law = stated(robot, "law") or robot
+            if able(law, Stepping):
+                return law.step(t, q, v, u, h, f, memory)
+
+            def acceleration(time: Any, way: Any, rate: Any) -> Any:
+                at = law.integrate(q, way)
+                return law.forward_dynamics(at, rate, u, f(time, at, rate))
+
+            a = acceleration(t, 0.0 * v, v)
+            way, after = rk4.displaced(acceleration, a, t, v, h)
+            end = law.integrate(q, way)
+            return Step(end, law.project(end, after) if able(law, Constrained) else after, memory, a)
+
+        return self._chosen(t, moved)  # type: ignore[no-any-return]
 
     def _chosen(self, t: Any, of: Callable[[Any], Any]) -> Any:
         """Return a result of the robot with or without the payload, for each time."""
@@ -197,9 +211,8 @@ class PayloadTransfer:
             _, other = next(others)
             if not has_symbols([x, other]) and np.array_equal(x, other):
                 return x  # such as the names and sizes that the load does not change
-            return np.where(
-                np.reshape(held, np.shape(held) + (1,) * (np.ndim(x) - np.ndim(held))) > 0, x, other
-            )
+            shape = np.shape(held) + (1,) * (np.ndim(x) - np.ndim(held))
+            return np.where(np.reshape(held, shape) > 0, x, other)
 
         return mapped(of(self.loaded), choose)
 
@@ -212,29 +225,9 @@ class _Samples:
         self.robot_at, self.shown = plant.robot_at, plant.shown
 
     def __getattr__(self, name: str) -> Any:
-        if name[:1] == "_" or name not in _OF_BOTH | _OF_TIME | _OF_SAMPLES | _DRAWN:
+        if name[:1] == "_" or name not in _OF_BOTH | _OF_SAMPLES | _DRAWN:
             raise AttributeError(f"a PayloadTransfer at several times has no {name}")
         own = getattr(self._plant.loaded, name)
-        if name in _OF_TIME:
-            return getattr(self._plant, name)
-        return partial(self._evaluated, name) if name in _OF_SAMPLES else own
-
-    def _evaluated(self, name: str, *given: Any) -> Any:
-        return self._plant._chosen(self._t, lambda robot: getattr(robot, name)(*given))
-
-
-def _step(robot: Any, t: Any, q: Any, v: Any, u: Any, h: Any, f: Any, memory: Any) -> Any:
-    """Return the step of a robot: its own, or that of rk4 with projection on the constraints."""
-    if able(robot, Stepping):
-        return robot.step(t, q, v, u, h, f, memory)
-    own = stated(robot, "law")
-    law = robot if own is None else own
-
-    def acceleration(time: Any, moved: Any, rate: Any) -> Any:
-        at = law.integrate(q, moved)
-        return law.forward_dynamics(at, rate, u, f(time, at, rate))
-
-    a = law.forward_dynamics(q, v, u, f(t, q, v))
-    moved, v = rk4.displaced(acceleration, a, t, v, h)
-    q = law.integrate(q, moved)
-    return Step(q, law.project(q, v) if able(law, Constrained) else v, memory, a)
+        if name not in _OF_SAMPLES:
+            return own
+        return lambda *given: self._plant._chosen(self._t, methodcaller(name, *given))

@@ -41,7 +41,7 @@ class Channel:
     name: str
     values: Array | Sequence[str] | Sequence[bool]
 
-    def at(self, frame: int) -> str | bool | float | list[float]:
+    def at(self, frame: int) -> Any:
         """Return the value at a frame for meshcat."""
         value = self.values[frame]
         if isinstance(value, str | bool):
@@ -133,7 +133,7 @@ def _track(channel: Channel, times: Array) -> dict[str, Any]:
         listed: list[float | str] = [int(x) if x == int(x) else x for x in flat]
         kind = _KINDS.get(channel.name, "number")
     else:
-        listed = list(channel.values)  # type: ignore[arg-type]
+        listed = list(channel.values)
         kept = np.array([True, *(a != b for a, b in pairwise(listed))])
         listed = [text for text, keep in zip(listed, kept, strict=True) if keep]
         kind = "bool" if channel.name == "visible" else "string"
