@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from functools import cached_property
 from operator import methodcaller
@@ -14,35 +15,21 @@ from pinmobile.compiled import has_symbols, leaves, mapped
 from pinmobile.errors import InvalidArgument
 from pinmobile.forces import since
 from pinmobile.integrators import rk4
-from pinmobile.parts import (
-    Constrained,
-    Loadable,
-    Stepping,
-    able,
-    by_value,
-    child,
-    holds_symbols,
-    number,
-    option,
-    part,
-    replace,
-    walk,
-)
+from pinmobile.parts import Loadable, by_value, child, holds_symbols, number, option, part, replace, walk
 from pinmobile.plant import Step, stated
 from pinmobile.robot import PayloadBody
 
-_OF_BOTH = frozenset(  # the load has no effect on these attributes
-    "nq nv nu coordinates configuration_names inputs reference_sizes is_vector_space compiles broadcasts "
-    "integrate difference pose pose_rate generalized_force start check_start initial_state rest lower upper "
-    "velocity_limit effort_limit size mounts footprint grounded metrics "
-    "frame_names frame_name frame_pose end_effector".split()
+_OF_BOTH = re.compile(  # attributes on which the load has no effect
+    "n[qvu]|coordinates|configuration_names|inputs|reference_sizes|is_vector_space|compiles|broadcasts|rest|"
+    "integrate|difference|pose|pose_rate|generalized_force|start|check_start|initial_state|lower|upper|"
+    "velocity_limit|effort_limit|size|mounts|footprint|grounded|metrics|frame_names?|frame_pose|end_effector"
 )
-_OF_TIME = frozenset(("evaluate_metrics", "signals"))
-_OF_SAMPLES = _OF_TIME | frozenset(
-    "ground_wrench mount_wrench contact_loads slip_margins contacts gravity mass_matrix nonlinear_effects "
-    "inverse_dynamics forward_dynamics kinetic_energy potential_energy".split()
+_OF_TIME = re.compile("evaluate_metrics|signals")
+_OF_SAMPLES = re.compile(
+    "(ground|mount)_wrench|contact_loads|slip_margins|contacts|evaluate_metrics|signals|mass_matrix|gravity|"
+    "nonlinear_effects|(inverse|forward)_dynamics|(kinetic|potential)_energy"
 )
-_DRAWN = frozenset("visual_model model drawing frame_placements top table robot ground".split())
+_DRAWN = re.compile("visual_model|model|drawing|frame_placements|top|table|robot|ground")
 
 
 @final
@@ -125,14 +112,13 @@ class PayloadTransfer:
         return replace(made, {path: x for path, x in own.items() if holds_symbols(x)}, nominal=True)
 
     def __getattr__(self, name: str) -> Any:
-        if "robot" not in vars(self) or name not in _OF_BOTH | _OF_TIME:
+        is_timed = _OF_TIME.fullmatch(name)
+        if "robot" not in vars(self) or not (is_timed or _OF_BOTH.fullmatch(name)):
             raise AttributeError(
                 f"a PayloadTransfer has no {name}: use its method robot_at(t), robot or loaded"
             )
         own = getattr(self.robot, name)
-        if name not in _OF_TIME:
-            return own
-        return lambda t, *given: self._chosen(t, methodcaller(name, t, *given))
+        return (lambda t, *given: self._chosen(t, methodcaller(name, t, *given))) if is_timed else own
 
     def holds(self, t: ArrayLike) -> Any:
         """Return 1 at times at which the robot holds the payload, else 0, shape (...).
@@ -186,7 +172,7 @@ class PayloadTransfer:
 
         def moved(robot: Any) -> Any:
             law = stated(robot, "law") or robot
-            if able(law, Stepping):
+            if stated(law, "step"):
                 return law.step(t, q, v, u, h, f, memory)
 
             def acceleration(time: Any, way: Any, rate: Any) -> Any:
@@ -196,7 +182,7 @@ class PayloadTransfer:
             a = acceleration(t, 0.0 * v, v)
             way, after = rk4.displaced(acceleration, a, t, v, h)
             end = law.integrate(q, way)
-            return Step(end, law.project(end, after) if able(law, Constrained) else after, memory, a)
+            return Step(end, law.project(end, after) if stated(law, "project") else after, memory, a)
 
         return self._chosen(t, moved)  # type: ignore[no-any-return]
 
@@ -225,9 +211,8 @@ class _Samples:
         self.robot_at, self.shown = plant.robot_at, plant.shown
 
     def __getattr__(self, name: str) -> Any:
-        if name[:1] == "_" or name not in _OF_BOTH | _OF_SAMPLES | _DRAWN:
+        is_timed = _OF_SAMPLES.fullmatch(name)
+        if not (is_timed or _OF_BOTH.fullmatch(name) or _DRAWN.fullmatch(name)):
             raise AttributeError(f"a PayloadTransfer at several times has no {name}")
         own = getattr(self._plant.loaded, name)
-        if name not in _OF_SAMPLES:
-            return own
-        return lambda *given: self._plant._chosen(self._t, methodcaller(name, *given))
+        return (lambda *given: self._plant._chosen(self._t, methodcaller(name, *given))) if is_timed else own
