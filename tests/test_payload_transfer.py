@@ -25,7 +25,7 @@ CURVE = pm.Tangent(pm.Circle(1.0, 0.5, 0.8))
 MOTION = pm.WholeBody(ARM, LINE, pm.Spline(POSTURES, [0, 0.8]))
 LAW = pm.ComputedTorque(ARM, kp=100, kd=20)
 HELD = pm.PayloadTransfer(ARM, LOAD, BEGIN, END)
-SIDES = {"supports": [(0.25, 0), (-0.25, 0)], "mass": 1.0, "spin_inertia": 0.01}
+SIDES: dict[str, Any] = {"supports": [(0.25, 0), (-0.25, 0)], "mass": 1.0, "spin_inertia": 0.01}
 MOTOR = pm.Motor(resistance=0.5, torque_constant=0.05, gear=30, voltage=48)
 TABLE = pm.WheelTable.differential(0.5, 0.1, **SIDES)
 POWERED = pm.WheeledRobot(BOX, pm.WheelTable.differential(0.5, 0.1, motor=MOTOR, **SIDES))
@@ -64,12 +64,12 @@ def test_a_run_is_that_of_the_robot_with_the_load_while_it_holds_the_load(
     alone = pm.simulate(robot, law, motion, **given, **own)
     assert np.abs(loaded.q - alone.q).max() > 1e-5
     for interval, expected in (
-        ((-1.0,), loaded),
+        ((-1.0, np.inf), loaded),
         ((0.0, 9.0), loaded),
-        ((9.0,), alone),
+        ((9.0, np.inf), alone),
         ((-2.0, 0.0), alone),
     ):
-        run = pm.simulate(pm.PayloadTransfer(robot, load, *interval, frame=frame), law, motion, **given)
+        run = pm.simulate(pm.PayloadTransfer(robot, load, *interval, frame), law, motion, **given)
         for name in "qvau":
             np.testing.assert_allclose(getattr(run, name), getattr(expected, name), rtol=1e-9, atol=1e-9)
     mixed = pm.simulate(pm.PayloadTransfer(robot, load, 0.2, frame=frame), law, motion, **given)
@@ -177,14 +177,12 @@ def test_metrics_margins_and_figures_of_each_sample_are_those_of_its_robot() -> 
         np.testing.assert_array_equal(ask(run), expected)
     for draw in (plots.loads, plots.friction, plots.wheel_torques, plots.balance):
         draw(run)
-    expected = np.where(held, G * LOAD.mass, 0.0) + G * robot.robot.lumped().mass
-    drawn = sum(line.get_ydata() for line in plots.loads(run).axes[0].lines[:4])
-    still = np.abs(run.a[:, 3:9]).max(1) < 1e-2
-    np.testing.assert_allclose(drawn[still], expected[still], rtol=1e-2)
+    drawn = np.sum([np.asarray(line.get_ydata()) for line in plots.loads(run).axes[0].lines[:4]], axis=0)
+    np.testing.assert_allclose(drawn, balance.contact_loads(run).values.sum(1), rtol=1e-9)
 
 
 def test_an_ensemble_varies_mass_and_time_and_agrees_with_single_runs_in_python(tmp_path: Any) -> None:
-    spread = {
+    spread: dict[str, Any] = {
         "load.mass": pm.Uniform(0.5, 6),
         "plant.begin": pm.Uniform(0.1, 0.4),
         "plant.robot.mass": pm.Normal(60, 2),
@@ -210,12 +208,9 @@ def test_the_viewer_draws_the_payload_while_it_is_held() -> None:
     tracks = Viewer(HELD).record(run, fps=100).tracks
     (own,) = [each for each in tracks if each["path"].endswith("load1")]
     (track,) = [each for each in own["clip"]["tracks"] if each["name"] == ".visible"]
-    assert track["type"] == "bool"
-    assert list(zip(track["times"], track["values"], strict=True)) == [
-        (0, False),
-        (BEGIN, True),
-        (END, False),
-    ]
+    assert track["type"] == "bool"  # steps, without interpolation
+    values = dict(zip(track["times"], track["values"], strict=True))
+    assert values == {0: 0, 0.19: 0, BEGIN: 1, 0.49: 1, END: 0, 0.8: 0}
 
 
 def test_invalid_transfers_are_refused_and_the_load_needs_a_time() -> None:
@@ -225,7 +220,10 @@ def test_invalid_transfers_are_refused_and_the_load_needs_a_time() -> None:
         (lambda: pm.PayloadTransfer(3.0, LOAD, 2), r"robot is 3.0, expected a MobileRobot or a WheeledRobot"),
         (lambda: pm.PayloadTransfer(ARM, LOAD, 2, frame="hand"), r"unknown frame 'hand', available: "),
         (lambda: pm.ComputedTorque(HELD, 1, 1), r"robot is PayloadTransfer\(.*expected a MobileRobot"),
-        (lambda: balance.MotionStates(HELD, *[np.zeros(9)] * 3), r"plant is PayloadTransfer\("),
+        (
+            lambda: balance.MotionStates(HELD, np.zeros(9), np.zeros(9), np.zeros(9)),
+            r"plant is PayloadTransfer\(",
+        ),
         (lambda: pm.simulate(HELD, LAW, MOTION, dt=DT, integrator=pm.rk4), r"integrator is "),
     ):
         with pytest.raises(pm.PinmobileError, match=words):

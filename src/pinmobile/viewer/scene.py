@@ -426,4 +426,4 @@ def _ridden(path: str, robot: Drawn, configurations: Array) -> list[Channel]:
 def _shown(path: str, plant: object, times: Array) -> list[Channel]:
     """Return the channels of the objects of a robot that exist at some times only."""
     known = timed.shown(times) if (timed := able(plant, TimeVarying)) else {}
-    return [Channel(f"{path}/visuals/{name}", "visible", (x > 0).tolist()) for name, x in known.items()]
+    return [Channel(f"{path}/visuals/{name}", "visible", x[:, None]) for name, x in known.items()]
