@@ -94,7 +94,7 @@ def in_pinocchio(load: pm.PayloadBody | None = None) -> pin.Model:
     model = pin.Model(ARM.model)
     if load is not None:
         frame = model.frames[model.getFrameId(ARM.end_effector)]
-        inertia = pin.Inertia.FromBox(load.mass, *load.size)
+        inertia = pin.Inertia.FromBox(load.mass, *(load.size or ()))
         inertia.lever = np.array(load.com)
         model.appendBodyToJoint(frame.parentJoint, inertia, frame.placement)
     return model
