@@ -423,6 +423,9 @@ ROWS: dict[str, Row] = {
         locked=["j1"],
     ),
     "MobileRobot.attach": row(load=pm.PayloadBody(1), frame=None),
+    "PayloadTransfer": row(
+        robot=pm.MobileRobot(10, 1), load=pm.PayloadBody(1), begin=1.0, end=2.0, frame="base_link"
+    ),
     "MobileRobot.regressor": row(q=Q, v=V, a=A),
     "MobileRobot.frame_pose": row(q=Q, frame=None),
     "MobileRobot.linearize": row(q=Q, v=V, tau=A),

@@ -27,6 +27,7 @@ APART = {
         "LQR",
         "MPC",
         "PayloadBody",
+        "PayloadTransfer",
         "Wheel",
     ),
     *("WheelTable", "WheeledRobot", "WholeBody"),

@@ -67,7 +67,10 @@ _NAMES = {
         "forces": "ConstantForce JointFriction RollingResistance ViscousFriction",
         "identification": "Log VelocityRobot excitation identify identify_velocity",
         "integrators": "rk4",
-        "loop": ("Engine Ensemble Loop Normal Relative Rollout SameAs Scenario Uniform ensemble simulate"),
+        "loop": (
+            "Engine Ensemble Loop Normal PayloadTransfer Relative Rollout SameAs Scenario Uniform ensemble "
+            "simulate"
+        ),
         "metrics": "",
         "palette": "",
         "parts": "",

@@ -24,7 +24,7 @@ from pinmobile.arrays import (
 )
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.parts import Desired, Following, Grounded, required
-from pinmobile.plant import ContactLoads, SlipMargins, refuse_path
+from pinmobile.plant import ContactLoads, SlipMargins, refuse_path, robot_at, stated
 from pinmobile.robot import WEIGHTLESS, checked_footprint, margin_inside, pressed_at
 from pinmobile.trajectories import Reference
 
@@ -129,7 +129,7 @@ class MotionStates:
 
 def _robot_of(motion: Any) -> Any:
     required("motion", motion, Moving)
-    return required("motion.plant", motion.plant, Grounded)
+    return required("motion.plant", robot_at(motion.plant, stated(motion, "t")), Grounded)
 
 
 def reaction_wrench(motion: Moving, mount: str | None = None) -> Array:
@@ -690,7 +690,7 @@ def _ground(motion: Moving) -> tuple[Array, NDArray[np.bool_]]:
 
 
 def _negligible(motion: Moving) -> float:
-    plant, q = motion.plant, np.asarray(motion.q, np.float64)
+    plant, q = robot_at(motion.plant, 0.0), np.asarray(motion.q, np.float64)
     if not q.size:
         return 0.0
     still = np.zeros(plant.nv)

@@ -23,6 +23,7 @@ from pinmobile.arrays import (
     whole,
 )
 from pinmobile.errors import InvalidArgument, shown
+from pinmobile.parts import TimeVarying, able
 
 if TYPE_CHECKING:
     from pinmobile.compiled import Line, Noise, Schedule
@@ -64,6 +65,38 @@ def stated(part: object, name: str) -> Any:
     (3, None)
     """
     return getattr(part, name, _DEFAULTS.get(name))
+
+
+def robot_at(plant: Any, t: Any) -> Any:
+    """Return the robot that a plant is at a time or at the times of samples; any other plant unchanged.
+
+    Parameters
+    ----------
+    plant : plant
+        Plant.
+    t : float or ndarray, shape (n,)
+        Time, or times of n samples [s].
+
+    Returns
+    -------
+    robot : plant
+        Robot at the time. For several times, its methods accept n samples.
+
+    See Also
+    --------
+    PayloadTransfer : plant that is one of two robots
+
+    Examples
+    --------
+    >>> from pinmobile import MobileRobot, PayloadBody, PayloadTransfer
+    >>> from pinmobile.plant import robot_at
+    >>> robot = MobileRobot.box(mass=30.0)
+    >>> plant = PayloadTransfer(robot, PayloadBody(5.0), begin=2.0)
+    >>> [robot_at(plant, t).lumped().mass for t in (1.0, 3.0)]  # [kg]
+    [30.0, 35.0]
+    """
+    timed = able(plant, TimeVarying)
+    return plant if timed is None else timed.robot_at(t)
 
 
 def check_difference(difference: object) -> None:
@@ -278,6 +311,8 @@ class Step(NamedTuple):
         State at the end of the step.
     memory : any
         Memory of the plant, such as the contacts that stick.
+    a : ndarray, shape (nv,), optional
+        Acceleration that the run records; default: the mean over the step.
 
     See Also
     --------
@@ -300,6 +335,7 @@ class Step(NamedTuple):
     q: Array
     v: Array
     memory: object = None
+    a: Array | None = None
 
 
 class Contacts(NamedTuple):
@@ -1055,7 +1091,7 @@ def check_plant(plant: object) -> None:
     Raises
     ------
     InvalidArgument
-        If it lacks ``forward_dynamics`` or a size, or its sizes contradict its names.
+        If it lacks ``forward_dynamics`` and ``step``, or a size, or its sizes contradict its names.
 
     See Also
     --------
@@ -1073,7 +1109,8 @@ def check_plant(plant: object) -> None:
     """
     sizes: dict[str, Any] = {size: getattr(plant, size, None) for size in ("nq", "nv", "nu")}
     known = all(isinstance(value, int | np.integer) for value in sizes.values())
-    if isinstance(plant, type) or stated(plant, "forward_dynamics") is None or not known:
+    moves = stated(plant, "forward_dynamics") or stated(plant, "step")
+    if isinstance(plant, type) or not (moves and known):
         raise InvalidArgument(
             f"plant is {shown(plant)}, expected a plant with 'forward_dynamics' and the sizes nq, nv, nu"
         )

@@ -8,8 +8,9 @@ from pinmobile.loop._checks import (
 from pinmobile.loop._description import Outline, percent as percent
 from pinmobile.loop._ensemble import Bands, Ensemble, ErrorQuantile
 from pinmobile.loop._loop import Loop, Record, Sample, State as State, reaction as reaction, step
+from pinmobile.loop._payload import PayloadTransfer
 from pinmobile.loop._record import Samples, Worst
-from pinmobile.loop._rollout import EndEffector, Rollout, error_text as error_text
+from pinmobile.loop._rollout import EndEffector, Rollout, at_samples as at_samples, error_text as error_text
 from pinmobile.loop._run import ensemble, part_of, run_scenario, way_of as way_of
 from pinmobile.loop._scenario import Scenario
 from pinmobile.loop._simulate import Engine, simulate
@@ -48,6 +49,7 @@ __all__ = [
     "Normal",
     "Outline",
     "Part",
+    "PayloadTransfer",
     "Plant",
     "Record",
     "Relative",

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from pinmobile.metrics import metrics_of
-from pinmobile.plant import Event, limits_exceeded, stated
+from pinmobile.plant import Event, limits_exceeded, robot_at, stated
 
 _SINCE = "(from t = {t} s, {count})"
 _GROUND = {
@@ -49,7 +49,7 @@ def events_of(run: Any, *, with_metrics: bool = True) -> tuple[Event, ...]:
     with_metrics : bool
         Whether events of the plant's metrics are included, which take longer.
     """
-    plant, t, signals = run.plant, run.t, run.signals
+    plant, t, signals = robot_at(run.plant, run.t), run.t, run.signals
     found: list[Event | None] = [*limits_exceeded(plant, t, run.q, run.v, run.u)]
     table, stands = stated(plant, "table"), bool(stated(plant, "contact_loads"))
     if table is not None and "currents" in signals:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from functools import partial
 from math import prod
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -17,20 +17,11 @@ from pinmobile.loop._program import Compiled
 from pinmobile.loop._record import Samples, is_alive
 from pinmobile.loop._trace import initial_memory, traced_numbers
 from pinmobile.parts import array, child, evolved, part
-from pinmobile.plant import Context, stated
+from pinmobile.plant import Context, Step, stated
 from pinmobile.signals import Claim, Signal
 from pinmobile.trajectories import Reference
 
 _U = "controller.u"
-
-
-class _Moved(NamedTuple):
-    """`Step` of a plant with the acceleration at its start."""
-
-    q: Any
-    v: Any
-    memory: Any
-    a: Any
 
 
 @part
@@ -63,11 +54,11 @@ class _Whole:
         begin = stated(self.inner.law, "initial_state")
         return None if begin is None else begin(context)
 
-    def step(self, t: Any, q: Any, v: Any, u: Any, h: Any, f: Any, memory: Any) -> _Moved:
+    def step(self, t: Any, q: Any, v: Any, u: Any, h: Any, f: Any, memory: Any) -> Step:
         """Return the state one sample later."""
         loop = self.inner
         a, q, v, memory = advance(loop, t, h / loop.substeps, q, v, u, memory)
-        return _Moved(q, loop.law.project(q, v) if loop.is_constrained else v, memory, a)
+        return Step(q, loop.law.project(q, v) if loop.is_constrained else v, memory, a)
 
     def signals(self, t: Any, q: Any, v: Any, u: Any, f: Any, memory: Any) -> dict[str, Any]:
         """Return the signals of plant and forces."""
@@ -130,7 +121,7 @@ class CompiledPlant:
         """Return the memory of the plant before the first sample."""
         return self._begun
 
-    def step(self, t: float, q: Array, v: Array, u: Array, h: float, f: Any, memory: Any) -> _Moved:
+    def step(self, t: float, q: Array, v: Array, u: Array, h: float, f: Any, memory: Any) -> Step:
         """Return the state one sample later; the machine code contains the forces."""
         row, nq, n = self._row, self.nq, self.nq + self.nv
         row[:nq], row[nq:n], row[self._u : self._u + self.nu] = q, v, u
@@ -152,7 +143,7 @@ class CompiledPlant:
                 return value
             return row[leaf.first : leaf.first + prod(leaf.shape)].reshape(leaf.shape).copy()
 
-        return _Moved(row[:nq].copy(), row[nq:n].copy(), mapped(memory, after), found["a"])
+        return Step(row[:nq].copy(), row[nq:n].copy(), mapped(memory, after), found["a"])
 
     def signals(self, *asked: Any) -> dict[str, Any]:
         """Return the signals of plant and forces at the last sample."""

@@ -27,6 +27,7 @@ from pinmobile.plant import (
     coordinates_of,
     inputs_of,
     reference_sizes_of,
+    robot_at,
     stated,
     whole_configurations,
 )
@@ -157,6 +158,12 @@ class EndEffector:
         """
         way, turn = error_sizes(self.error).max(axis=0)
         return float(way), float(turn)
+
+
+def at_samples(rollout: Rollout) -> Rollout:
+    """Return the rollout with its plant as the robot at the samples, see `plant.robot_at`."""
+    plant = robot_at(rollout.plant, rollout.t)
+    return rollout if plant is rollout.plant else replace(rollout, plant=plant)
 
 
 def aimed_at(rollout: Any) -> str | None:

@@ -492,6 +492,23 @@ class Grounded(_Sized, Protocol):
         """Return the wrench of the ground on the body, shape (..., 6)."""
 
 
+class TimeVarying(Protocol):
+    """A plant that is one of several robots at each time."""
+
+    def robot_at(self, t: Any, /) -> Any:
+        """Return the robot at a time, or the robots at the times of n samples as one plant."""
+
+    def shown(self, t: Any, /) -> Any:
+        """Return whether visual objects exist at times, by name; without those that always exist."""
+
+
+class Loadable(Protocol):
+    """A MobileRobot or a WheeledRobot."""
+
+    def attach(self, load: Any, frame: Any = None, /) -> Any:
+        """Return the robot with a load on one of its frames."""
+
+
 @cache
 def members(kind: type) -> tuple[str, ...]:
     """Return the names that a protocol requires, those of its base first."""

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 import pinmobile.palette as palette
 from pinmobile.arrays import Array, bounded, by_label, scalar, text
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.loop import Rollout
+from pinmobile.loop import Rollout, at_samples
 from pinmobile.palette import INK
 from pinmobile.parts import able
 
@@ -672,7 +672,7 @@ def of_each(runs: Mapping[str, Rollout], ask: Callable[[Rollout], _Kind]) -> dic
 
 def with_plants(rollouts: object, kind: type, expected: str) -> dict[str, Rollout]:
     """Return `labelled` rollouts after a check of their plants; `expected` describes the capability."""
-    runs = labelled(rollouts)
+    runs = {label: at_samples(run) for label, run in labelled(rollouts).items()}
     for label, run in runs.items():
         if able(run.plant, kind) is None:
             raise InvalidArgument(f"{called(label)}.plant is {shown(run.plant)}, expected {expected}")

@@ -15,7 +15,7 @@ from pinmobile.errors import InvalidArgument, PinmobileError, shown
 from pinmobile.loop import EndEffector, Rollout
 from pinmobile.palette import GRIPS, INK, QUIET, SLIDES, colour
 from pinmobile.parts import Touching, able
-from pinmobile.plant import Contacts, stated
+from pinmobile.plant import Contacts, robot_at, stated
 from pinmobile.signals import Signal
 from pinmobile.viewer.motion import Channel, along, samples_before
 from pinmobile.viewer.scene_tree import Extent, Stage, View
@@ -171,13 +171,13 @@ def contacts_at(run: Rollout, times: Array, poses: Array) -> Contacts:
     InvalidArgument
         If the plant has no contacts.
     """
-    plant = able(run.plant, Touching)
+    held = samples_before(run.t, times)
+    plant = able(robot_at(run.plant, run.t[held]), Touching)
     if plant is None:
         raise InvalidArgument(
             f"overlays has contacts or centre, but the plant {shown(run.plant)} has no contacts, expected "
             "a plant with contacts(q, v, a, u, signals), such as a WheeledRobot"
         )
-    held = samples_before(run.t, times)
     signals = {name: Signal(unit, values[held]) for name, (unit, values) in run.signals.items()}
     found: Contacts = plant.contacts(run.q[held], run.v[held], run.a[held], run.u[held], signals)
     at = run.poses[held]

@@ -17,8 +17,8 @@ from pinmobile.loop import Rollout
 from pinmobile.plant import all_samples, stated
 from pinmobile.robot import BODY_JOINT, MobileRobot
 
-_KINDS = {"position": "vector3", "scale": "vector3", "quaternion": "quaternion"}
-_DIGITS = {"position": 5, "scale": 5, "quaternion": 6, "drawn": 1}
+_KINDS = {"position": "vector3", "scale": "vector3", "quaternion": "quaternion", "visible": "bool"}
+_DIGITS = {"position": 5, "scale": 5, "quaternion": 6, "drawn": 1, "visible": 1}
 _MOST_FRAMES = 200_000
 
 
@@ -31,7 +31,8 @@ class Channel:
     path : str
         Path of the node, such as ``"meshcat/robot"``.
     name : str
-        Name of the property: position, quaternion or scale, ``drawn`` (a number) or ``caption`` (a text).
+        Name of the property: position, quaternion or scale, ``drawn`` (a number), ``visible`` (1 or 0) or
+        ``caption`` (a text).
     values : ndarray, shape (n, k), or sequence of n str
         Value for each frame.
     """
@@ -45,7 +46,7 @@ class Channel:
         value = self.values[frame]
         if isinstance(value, str):
             return value
-        return float(value[0]) if self.name == "drawn" else [float(x) for x in value]
+        return float(value[0]) if self.name in ("drawn", "visible") else [float(x) for x in value]
 
 
 def frame_times(runs: Mapping[str, Rollout], fps: float, speed: float) -> Array:

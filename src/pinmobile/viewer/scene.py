@@ -15,6 +15,7 @@ from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE, DHTable
 from pinmobile.errors import InvalidArgument
 from pinmobile.loop import EndEffector, Rollout
 from pinmobile.palette import AXES, INK, QUIET, colour
+from pinmobile.parts import TimeVarying, able
 from pinmobile.plant import whole_configurations
 from pinmobile.viewer.contact_markers import (
     ABOVE,
@@ -271,6 +272,7 @@ class Scene:
         for index, (label, run) in enumerate(runs.items()):
             path = f"meshcat/robot{index}"
             self.stage.robot(path, robots[index], colour(index), ghost=index > 0)
+            self.channels += _shown(path, run.plant, times)
             if index == 0:
                 self._rides(partial(ridden, path, robots[0]), poses[0])
             else:
@@ -293,6 +295,7 @@ class Scene:
         if self.overlays.desired:
             ghost = robots[0]
             self.stage.robot("meshcat/desired", ghost, QUIET, ghost=True)
+            self.channels += _shown("meshcat/desired", main.plant, times)
             whole = _is_of(ghost, main.plant) and main.reference.q.shape == main.q.shape
             wanted = main.reference.q if whole else main.reference_poses
             if isinstance(ghost, Drawing):  # what has no reference is drawn as it is
@@ -418,3 +421,9 @@ def _is_of(robot: Drawn, plant: object) -> bool:
 def ridden(path: str, robot: Drawn, configurations: Array) -> list[Channel]:
     """Return the channels of the body and the links of a robot."""
     return [*along(path, configurations), *links(path, robot, configurations)]
+
+
+def _shown(path: str, plant: object, times: Array) -> list[Channel]:
+    """Return the channels of the objects of a robot that exist at some times only."""
+    known = timed.shown(times) if (timed := able(plant, TimeVarying)) else {}
+    return [Channel(f"{path}/visuals/{name}", "visible", x[:, None]) for name, x in known.items()]

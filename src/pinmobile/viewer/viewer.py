@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 from pinmobile.arrays import ArrayLike, by_label, finite, instance, positive, shaped, text
 from pinmobile.errors import InvalidArgument, ViewerError
 from pinmobile.files import written
-from pinmobile.loop import Rollout
+from pinmobile.loop import Rollout, at_samples
+from pinmobile.plant import robot_at
 from pinmobile.viewer.motion import figure, frame_times, row_of, tracks
 from pinmobile.viewer.pages import OfflineWindow
 from pinmobile.viewer.recording import Recording, picture_of, recorded_page
@@ -88,8 +89,8 @@ class Viewer:
         overlays: Overlays | None = None,
     ) -> None:
         instance("live", live, bool, "True or False")
-        self.plant, self.overlays = plant, _checked_overlays(overlays, Overlays())
-        self._figure = figure(plant)
+        self.plant, self.overlays = robot_at(plant, 0.0), _checked_overlays(overlays, Overlays())
+        self._figure = figure(self.plant)
         self._lock, self._closed = RLock(), False
         self._scene: Scene | None = None
         self._recording: Recording | None = None
@@ -345,7 +346,7 @@ def _checked_runs(rollouts: object) -> dict[str, Rollout]:
     InvalidArgument
         If the argument is not a rollout or a mapping, or is empty, or a plant has no pose.
     """
-    runs = by_label("rollout", rollouts, Rollout)
+    runs = {label: at_samples(run) for label, run in by_label("rollout", rollouts, Rollout).items()}
     for label, run in runs.items():
         try:
             _ = run.poses, run.reference_poses
