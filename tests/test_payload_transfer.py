@@ -210,6 +210,7 @@ def test_the_viewer_draws_the_payload_while_it_is_held() -> None:
     (track,) = [each for each in own["clip"]["tracks"] if each["name"] == ".visible"]
     assert track["type"] == "bool"  # steps, without interpolation
     values = dict(zip(track["times"], track["values"], strict=True))
+    assert {type(x) for x in values.values()} == {bool}  # a browser draws an object whose visible is 0
     assert values == {0: 0, 0.19: 0, BEGIN: 1, 0.49: 1, END: 0, 0.8: 0}
 
 

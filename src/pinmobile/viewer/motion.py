@@ -46,7 +46,9 @@ class Channel:
         value = self.values[frame]
         if isinstance(value, str):
             return value
-        return float(value[0]) if self.name in ("drawn", "visible") else [float(x) for x in value]
+        if self.name == "visible":
+            return bool(value[0])
+        return float(value[0]) if self.name == "drawn" else [float(x) for x in value]
 
 
 def frame_times(runs: Mapping[str, Rollout], fps: float, speed: float) -> Array:
@@ -132,6 +134,8 @@ def _track(channel: Channel, times: Array) -> dict[str, Any]:
         flat = values[kept].ravel().tolist()
         listed: list[float | str] = [int(x) if x == int(x) else x for x in flat]
         kind = _KINDS.get(channel.name, "number")
+        if kind == "bool":  # three.js hides an object only if the value is false, not 0
+            listed = [bool(x) for x in listed]
     else:
         listed = list(channel.values)
         kept = np.array([True, *(a != b for a, b in pairwise(listed))])
