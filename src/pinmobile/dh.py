@@ -94,7 +94,10 @@ class DHRow:
                 value = _read(name, value)
             elif getattr(value, "is_number", False) is True:  # a number of sympy, such as pi / 2
                 value = float(value)
-            object.__setattr__(self, name, scalar(name, value))
+            value = scalar(name, value)
+            if name in ("alpha", "theta") and abs(value) > _TURN:
+                _refuse_degrees(name, f"{value:g}", value)
+            object.__setattr__(self, name, value)
         if isinstance(self.joint, str):
             kinds = {one.value: one for one in JointType}
             object.__setattr__(self, "joint", kinds[one_of("joint", self.joint, kinds)])
@@ -103,6 +106,7 @@ class DHRow:
             raise InvalidArgument(f"variable is {shown(self.variable)}, expected a name")
 
 
+_TURN = 2 * pi + 1e-9  # [rad], largest angle of a row
 _DEGREES = re.compile(r"\s*([-+]?[\d.]+)\s*(deg|degree|degrees|°)\s*")
 _OPERATIONS: dict[type, Any] = {
     **{ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv},
@@ -113,15 +117,21 @@ _OPERATIONS: dict[type, Any] = {
 def _read(name: str, text: str) -> float:
     """Return the number of text such as ``3*pi/2``; text in degrees is refused with the number to type."""
     if found := _DEGREES.fullmatch(text):
-        turns = Fraction(found[1]) / 180
-        top = {1: "pi", -1: "-pi"}.get(turns.numerator, f"{turns.numerator}*pi")
-        typed = "0" if turns == 0 else top if turns.denominator == 1 else f"{top}/{turns.denominator}"
-        number = f"{float(turns) * pi:.10g}"
-        raise InvalidArgument(f"{name} is {text!r}, expected a number in rad: {typed}, or {number}")
+        _refuse_degrees(name, repr(text), found[1])
     try:
         return float(_computed(ast.parse(text.strip(), mode="eval").body))
     except (SyntaxError, ValueError, TypeError, LookupError, ArithmeticError, RecursionError):
         raise InvalidArgument(f"{name} is {shown(text)}, expected a number, such as 'pi/2'") from None
+
+
+def _refuse_degrees(name: str, given: str, degrees: Any) -> None:
+    """Raise `InvalidArgument` for an angle in degrees, with the number in rad to type."""
+    turns = Fraction(degrees) / 180
+    top = {1: "pi", -1: "-pi"}.get(turns.numerator, f"{turns.numerator}*pi")
+    typed = "0" if turns == 0 else top if turns.denominator == 1 else f"{top}/{turns.denominator}"
+    number = f"{float(turns) * pi:.10g}"
+    exact = f"{typed}, or {number}" if turns.denominator < 10**4 else number
+    raise InvalidArgument(f"{name} is {given}, expected a number in rad, at most 2 pi in size: {exact}")
 
 
 def _computed(node: Any) -> Any:

@@ -228,18 +228,27 @@ def chosen(plant: object, wanted: object, taken: Sequence[str]) -> tuple[Metric,
     if wanted is None:
         given: list[Any] = [one.name for one in stated]
     elif isinstance(wanted, Mapping):
-        own = [Metric(name, "", name, function=function) for name, function in wanted.items()]
+        own = [
+            one._replace(name=name) if isinstance(one, Metric) else Metric(name, "", name, function=one)
+            for name, one in wanted.items()
+        ]
         given = [*(one.name for one in stated), *own]
+    elif isinstance(wanted, Metric):
+        given = [wanted]
     else:
         given = list(sequence("metrics", wanted, 'a sequence of names or Metrics, or {"name": function}'))
     own = [one for one in given if isinstance(one, Metric) and one.function is not None]
-    names = [one.name if isinstance(one, Metric) else one for one in given]
     for one in own:
         one_of(f"worst of the metric {text('name of a metric', one.name)!r}:", one.worst, _WORST)
         if not callable(one.function):
             raise InvalidArgument(
                 f"metrics[{one.name!r}] is {shown(one.function)}, expected a function of a sample"
             )
+    known, ours = {one.name: one for one in stated}, [one.name for one in own]
+    names = [one.name if isinstance(one, Metric) else one for one in given]
+    for name in names:
+        if name not in ours:
+            one_of("metric", name, known)
     every = [*taken, *(one.name for one in (*stated, *own))]
     twice = next((x for x in (*every, *names) if every.count(x) > 1 or names.count(x) > 1), None)
     if twice is not None:
@@ -247,10 +256,6 @@ def chosen(plant: object, wanted: object, taken: Sequence[str]) -> tuple[Metric,
             f"metrics has {twice!r} twice, or as the name of an error ({', '.join(taken)}) or of a metric of "
             f"the plant, a {type(plant).__name__}, expected different names"
         )
-    known, ours = {one.name: one for one in stated}, {one.name for one in own}
-    for name in names:
-        if name not in ours:
-            one_of("metric", name, known)
     return (*(one for one in stated if one.name in names), *own)
 
 

@@ -15,7 +15,11 @@ _GROUND = {
     + _SINCE,
     "ground": f"loads and forces of the ground did not converge to their tolerance {_SINCE}",
 }
-_SLIDES = f"wheel {{name}} slides, at up to {{value}} m/s at t = {{at}} s {_SINCE}"
+_SLIDES = f"sliding: {{name}}, at up to {{value}} m/s at t = {{at}} s {_SINCE}"
+_FASTER = (
+    "motor of {name} turns at {value} rad/s at t = {at} s, faster than {limit} rad/s, its speed without "
+    "load, since t = {t} s"
+)
 _CURRENT = f"current of {{name}} is at its limit of {{limit}} A {_SINCE}"
 _MARGIN = f"{{name}} is {{value}} {{unit}} at t = {{at}} s, below 0 {_SINCE}"
 _KINDS = {"load": "tip over", "tip-over margin": "tip over", "slip margin": "slip"}
@@ -58,6 +62,11 @@ def events_of(run: Any, *, with_metrics: bool = True) -> tuple[Event, ...]:
             limit = float(one.motor.current)
             told: Any = {"words": _CURRENT, "limit": limit, "unit": "A", "slack": -1e-6 * limit}
             found.append(Event.of("current limit", one.name, t, current, current - limit, **told))
+    for one in table.actuators if table is not None else ():
+        rate = np.abs(run.v[:, run.v.shape[1] - len(one.column) :] @ np.array(one.column))
+        limit = one.motor.no_load_rate() if one.motor.is_electric else np.inf
+        told = {"words": _FASTER, "limit": limit, "unit": "rad/s", "slack": 1e-6 * limit}
+        found.append(Event.of("speed limit", one.name, t, rate, rate - limit, **told))
     known = metrics_of(plant)
     happens = {"tip over": "tips", "ground": "missed"} if stands else {}
     for kind, name in happens.items():
@@ -68,7 +77,8 @@ def events_of(run: Any, *, with_metrics: bool = True) -> tuple[Event, ...]:
     if table is not None and "slides" in signals:
         speeds = np.hypot(signals["slip_along"].values, signals["slip_across"].values)
         slides = speeds * signals["slides"].values
-        name, fastest = table.names[int(slides.max(axis=0).argmax())], slides.max(axis=1)
+        names, fastest = np.array(table.names)[slides.max(axis=0) > 0], slides.max(axis=1)
+        name = ", ".join(map(str, names))
         found.append(Event.of("slip", name, t, fastest, fastest, words=_SLIDES, unit="m/s"))
     for one in known if with_metrics else ():
         kind = _KINDS.get(one.name, one.name)

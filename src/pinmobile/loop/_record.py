@@ -219,6 +219,9 @@ def _value(metric: Metric, sample: Sample) -> Any:
         found = metric.function(sample)  # type: ignore[misc]
     except Exception as error:
         if not has_symbols(sample.q):
+            error.add_note(
+                f"in the function of the metric {metric.name!r}, for the sample at t = {sample.t:g} s"
+            )
             raise
         raise UntraceableMetric(metric.name, error) from error
     if np.shape(found) != () or not are_real(np.asarray(found)):

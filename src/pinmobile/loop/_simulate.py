@@ -207,7 +207,8 @@ def simulate(
     t = sample_times(dt, duration, trajectory.duration)
     count, checked = checked_substeps(substeps, len(t)), checked_forces(forces, plant)
     asked, known = checked_engine(engine), kinds_of(plant)
-    stops = [one_of("event", kind, known) for kind in sequence("stop_at", stop_at, "kinds of events")]
+    kinds = sequence("stop_at", stop_at, 'kinds of events, such as ["tip over"]')
+    stops = [one_of("event", kind, known) for kind in kinds]
     compiles = asked is Engine.COMPILED or (asked is None and stated(plant, "compiles"))
     whole_loop = Loop(plant, controller, trajectory, checked, integrator, count)
     reference = sampled(trajectory, t, plant)

@@ -60,7 +60,7 @@ def bands(
     ensembles: Ensemble | Mapping[str, Ensemble],
     *,
     levels: ArrayLike = (0.5, 0.9, 0.99),
-    by: Sequence[str] | None = None,
+    by: str | Sequence[str] | None = None,
     **layout: Unpack[Layout],
 ) -> Figure:
     """Draw error quantiles of ensembles over time: position distance, heading error, and metrics.
@@ -77,7 +77,7 @@ def bands(
         Ensembles by label, one column each.
     levels : array_like, shape (L,)
         Shares of the robots, from 0 to 1.
-    by : sequence of str, optional
+    by : str or sequence of str, optional
         Names of quantities in ``Scenario.channels``, such as ``["end effector", "ur5/elbow_joint"]``.
         Default: distance, heading, and all metrics that the ensembles have in common.
     **layout
@@ -141,7 +141,7 @@ def bands(
     return sheet.finish("How far the robots stray", list(_keys(drawn[0], list(known.values()))))
 
 
-def _rows(ensembles: Sequence[Ensemble], by: Sequence[str] | None) -> list[Metric]:
+def _rows(ensembles: Sequence[Ensemble], by: str | Sequence[str] | None) -> list[Metric]:
     """Return the quantities of the rows.
 
     Raises
@@ -155,7 +155,8 @@ def _rows(ensembles: Sequence[Ensemble], by: Sequence[str] | None) -> list[Metri
         judged = [each.name for each in recorded if each.worst != "ever"]
         names = [*_ALWAYS, *(name for name in judged if all(name in each for each in known))]
     else:
-        names = list(sequence("by", by, "a sequence of names, such as ['distance']"))
+        one = [by] if isinstance(by, str) else by
+        names = list(sequence("by", one, "a sequence of names, such as ['distance']"))
     if not names:
         raise InvalidArgument("by is empty, expected at least one name, such as 'distance'")
     for each in known:
@@ -246,6 +247,9 @@ def _bounds(sheet: Sheet, column: NDArray[Any], rows: Sequence[Metric], one: Ens
     for axes, channel in zip(column, rows, strict=True):
         size = within[channel.name]
         stay = "have at least" if channel.is_margin else "stay within"
+        if channel.is_margin and np.isfinite(size) and size:
+            digit = 10.0 ** (np.floor(np.log10(abs(size))) - 1)
+            size = float(digit * np.floor(size / digit + 1e-9))  # a margin is never rounded up
         bound = f"{_size(size, channel.unit)} {when}" if np.isfinite(size) else "no bound"
         sheet.write_above(axes, f"{percent(level)} {stay} {bound}", loc="left")
         if after:

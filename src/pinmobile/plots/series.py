@@ -277,7 +277,7 @@ def signals(rollouts: Rollouts, **layout: Unpack[Layout]) -> Figure:
     return sheet.finish("Signals", keys)
 
 
-_NEAR = 0.03  # share of the duration within which events have one mark
+_NEAR = 0.1  # share of the duration within which events have one mark
 _MOST = 6  # largest number of rows with labels beside the axes; more rows have labels above the axes
 
 

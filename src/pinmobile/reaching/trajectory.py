@@ -478,7 +478,8 @@ def _limit_at(resolved: InverseKinematicsTrajectory, limits: Limits, k: int) -> 
                 which = f"speed limit, {limits.velocity[n]:.4g} {unit}/s"
             elif np.abs(stop[:, n] - rate[n]).min() <= near[n]:
                 which = f"position limit, {(limits.lower, limits.upper)[int(rate[n] >= 0)][n]:.4g} {unit}"
-            return f"where {name} reaches its {which}, at t = {resolved.t[i]:g} s"
+            reached = f"where {name} reaches its {which}, at t = {resolved.t[i]:g} s"
+            return f"{reached}, or it is out of reach"
     return "and no limit is reached before: it is out of reach, or the targets contradict each other"
 
 

@@ -37,7 +37,7 @@ def stands(place: Array, corners: Array | None) -> str:
     Parameters
     ----------
     place : ndarray, shape (2,)
-        Point below the centre of mass, in the body frame [m].
+        Point of the ground below the centre of mass, along gravity, in the body frame [m].
     corners : ndarray, shape (k, 2), or None
         Corners of the support polygon in the body frame [m]; None if it is unknown.
     """
@@ -51,11 +51,16 @@ def stands(place: Array, corners: Array | None) -> str:
 
 def of_robot(robot: Any, corners: Array | None) -> list[str]:
     """Return the lines about a `MobileRobot`, with the corners of its supports."""
+    guessed = (
+        ""
+        if robot._source != "made from numbers" or robot.reference_inertia is not None
+        else "; x, y assumed"
+    )
     rows = [
         ["mass", numbers(robot.mass, "kg")],
         ["centre of mass", numbers(robot.com, "m")],
         ["yaw inertia", f"{numbers(robot.yaw_inertia, 'kg m^2')} about the centre of mass"],
-        ["inertia", f"diagonal {numbers(np.diag(robot.body.inertia), 'kg m^2')}"],
+        ["inertia", f"diagonal {numbers(np.diag(robot.body.inertia), 'kg m^2')}{guessed}"],
         ["size", f"{' x '.join(numbers(x) for x in robot.size)} m"],
     ]
     if corners is not None:
@@ -79,7 +84,10 @@ def of_robot(robot: Any, corners: Array | None) -> list[str]:
         lines += columns(heads)
     if robot.mounts:
         notes = robot.source.removeprefix(robot._source).removeprefix("; ")
-        lines += ["numbers of arms: from their files", *(f"  {each}" for each in notes.split("; ") if each)]
+        lines += [
+            "numbers of arms: from their files or models",
+            *(f"  {each}" for each in notes.split("; ") if each),
+        ]
     if robot.mounts or robot.loads:
         whole = robot.lumped()
         place = f"centre of mass {numbers(whole.com, 'm')} in the reference posture"
@@ -113,6 +121,10 @@ def of_wheels(wheeled: Any) -> list[str]:
 
 def described(robot: Any, wheeled: Any = None) -> str:
     """Return a `MobileRobot` as text, or a `WheeledRobot` on it."""
-    corners = robot.footprint if wheeled is None else wheeled.footprint
+    corners, down = robot.footprint, np.array([0.0, 0.0, -1.0])
+    if wheeled is not None:
+        corners, down = wheeled.footprint, np.asarray(wheeled.fall)
     lines = of_robot(robot, corners) + (of_wheels(wheeled) if wheeled is not None else [])
-    return "\n".join([*lines, stands(np.array(robot.lumped().com[:2]), corners)])
+    com = np.array(robot.lumped().com)
+    words = stands(com[:2] - com[2] * down[:2] / down[2], corners)
+    return "\n".join([*lines, words + (" on this ramp, at psi = 0" if down[:2].any() else "")])

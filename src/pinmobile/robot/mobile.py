@@ -59,6 +59,7 @@ from pinmobile.robot.model_import import (
     check_chain,
     read_model,
     read_urdf,
+    rods_of,
     rows_of,
 )
 from pinmobile.robot.mounts import (
@@ -519,13 +520,17 @@ class MobileRobot(System):
                 f"table has {len(whole)} rows and bodies {len(given)}, expected three rows or more, and a "
                 "body for the third row and each row after it"
             )
+        for k, one in enumerate(given):
+            if isinstance(one, Mapping) and one.keys() != {"mass", "com", "inertia"}:
+                raise InvalidArgument(f"bodies[{k}] has {list(one)}, expected mass, com and inertia")
         first, *others = (urdf.Body(**one) if isinstance(one, Mapping) else one for one in given)
         base = cls.from_body(first, size, DHTable(whole.rows[:BODY_JOINT]), "made from a DH table")
         if not others:
             return base
         rows = DHTable(whole.rows[BODY_JOINT:])
         arm = build_model(rows, *others, ends=[f"{variable}_link" for variable in rows.variables])
-        return base.mount(arm, (0.0, 0.0, 0.0, 0.0), name=text("name", name))
+        seen = rods_of(arm, [one.com for one in others])
+        return base.mount(arm, (0.0, 0.0, 0.0, 0.0), name=text("name", name), visual=seen)
 
     @property
     def chain(self) -> DHTable | None:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from xml.etree.ElementTree import Element
 
+import coal
 import numpy as np
 import pinocchio as pin
 
@@ -36,6 +37,7 @@ TOUCH = 0.005
 """Largest distance from the ground, or from a plane, that counts as contact [m]."""
 
 _ROUNDING = 1e-9  # [m]
+_ROD = 0.03  # [m], radius of the drawn links of a DH table
 _LEVEL = 0.1  # largest sine of an axle's angle from the horizontal: files have angles such as 1.57
 _FOOTPRINT = "base_footprint"  # REP-120: the link on the ground, with any namespace before its name
 
@@ -346,6 +348,20 @@ def build_model(table: DHTable, *bodies: Body, ends: Sequence[str] = (_BODY_LINK
             model.appendBodyToJoint(parent, inertia, pin.SE3.Identity())
             model.addBodyFrame(ends[k - first], parent, pin.SE3.Identity(), -1)
     return model
+
+
+def rods_of(model: pin.Model, centres: Sequence[Array]) -> pin.GeometryModel:
+    """Return visual rods from each joint of a serial model to the next, the last one through its centre."""
+    ends = [model.jointPlacements[k + 1].translation for k in range(1, model.njoints - 1)]
+    found = pin.GeometryModel()
+    for k, end in enumerate([*ends, 2.0 * np.asarray(centres[-1])], start=1):
+        length, upright = float(np.linalg.norm(end)), np.array([0.0, 0.0, 1.0])
+        way = pin.Quaternion.FromTwoVectors(upright, np.asarray(end) if length else upright)
+        place = pin.SE3(way.toRotationMatrix(), np.asarray(end) / 2)
+        rod = pin.GeometryObject(f"{model.names[k]}_rod", k, place, coal.Capsule(_ROD, length))
+        rod.meshColor = np.array([0.45, 0.5, 0.55, 1.0])
+        found.addGeometryObject(rod)
+    return found
 
 
 def rows_of(model: pin.Model) -> list[DHRow] | None:
