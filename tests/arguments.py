@@ -500,7 +500,9 @@ ROWS: dict[str, Row] = {
     "DHTable.placements": row(q=Q),
     "urdf.Body": row(mass=1, com=[0, 0, 0], inertia=np.eye(3)),
     "urdf.box_inertia": row(mass=1, size=(1, 2, 3)),
-    "urdf.write": row(table=pm.dh.LECTURE_TABLE, bodies=the("body"), size=(1, 2, 3), name="robot", stance={}),
+    "urdf.write": row(
+        table=pm.dh.LECTURE_TABLE, body=the("body"), size=(1, 2, 3), name="robot", stance={}, links=()
+    ),
     "derivation.Chain": row(
         table=pm.dh.LECTURE_TABLE,
         links=[None, None, derivation.Link.general(3)],

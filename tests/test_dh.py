@@ -115,8 +115,15 @@ def test_a_number_may_be_text_with_pi(text: str) -> None:
     ],
 )
 def test_degrees_are_refused_with_the_number_to_type(text: str, typed: str) -> None:
-    with refused(rf"^theta is '{text}', expected a number in rad: {typed}"):
+    with refused(rf"^theta is '{text}', expected a number in rad, at most 2 pi in size: {typed}"):
         DHRow(0, 0, text, 0, "revolute", "q")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("number", "typed"), [(90, "pi/2, or"), (-180.0, "-pi, or"), (7.123456, "0.12432")])
+def test_a_number_above_a_turn_is_taken_for_degrees(number: float, typed: str) -> None:
+    with refused(rf"^alpha is {number:g}, expected a number in rad, at most 2 pi in size: {typed}"):
+        DHRow(number, 0, 0, 0, JointType.REVOLUTE, "q")
+    assert DHRow(-2 * np.pi, 0, 2 * np.pi, 0, JointType.REVOLUTE, "q").theta == 2 * np.pi
 
 
 @pytest.mark.parametrize("text", ["", "pi/", "9**9", "1/0", "True", "__import__('os')", "pi pi", "(" * 500])

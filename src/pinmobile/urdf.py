@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from math import atan2, hypot
@@ -21,6 +21,7 @@ from pinmobile.arrays import (
     one_of,
     positive,
     representable,
+    sequence,
     text,
 )
 from pinmobile.dh import DHTable, JointType, transform
@@ -150,10 +151,12 @@ def _quoted(text: str) -> str:
 
 def write(
     table: DHTable,
-    *bodies: Body,
+    body: Body,
+    *,
     size: ArrayLike,
     name: str = "pinmobile",
     stance: Mapping[str, str] | None = None,
+    links: Sequence[Body] = (),
 ) -> str:
     """Return a chain with bodies on its last links as URDF text.
 
@@ -163,8 +166,8 @@ def write(
     ----------
     table : DHTable
         Chain of n rows.
-    *bodies : Body
-        Body on the third link, ``base_link``, and on each link after it; of a chain of three rows, one.
+    body : Body
+        Body on ``base_link``, the last link without `links`.
     size : array_like, shape (3,)
         Length, width and height of the drawn box [m], which stands on the plane z = 0.
     name : str
@@ -172,6 +175,8 @@ def write(
     stance : mapping of str to str, optional
         Attributes of the element <pinmobile> with the contact geometry, for a body that does not stand on its
         box. Other programs ignore this element.
+    links : sequence of Body
+        Bodies on the links after ``base_link``, those of an arm.
 
     Returns
     -------
@@ -199,15 +204,17 @@ def write(
     3
     """
     instance("table", table, DHTable, "a DHTable")
-    for body in bodies:
-        instance("body", body, Body, "a pinmobile.urdf.Body")
+    instance("body", body, Body, "a pinmobile.urdf.Body")
+    bodies = [body, *(instance("links", one, Body, "bodies") for one in sequence("links", links, "bodies"))]
+    if len(bodies) > len(table):
+        raise InvalidArgument(f"links has {len(links)} bodies, expected fewer than the {len(table)} rows")
     after = [f"{variable}_link" for variable in table.variables[len(table) - len(bodies) + 1 :]]
-    links = ["ground", *(f"virtual_{k}" for k in range(1, len(table) - len(after))), "base_link", *after]
+    named = ["ground", *(f"virtual_{k}" for k in range(1, len(table) - len(after))), "base_link", *after]
     lines = ['<?xml version="1.0"?>', f"<robot name={_quoted(text('name', name))}>"]
-    lines += [f'  <link name="{link}"/>' for link in links[: -len(bodies)]]
-    for link, body in zip(links[-len(bodies) :], bodies, strict=True):
-        lines += _body_lines(link, body, lengths(size) if link == "base_link" else None)
-    for row, parent, child in zip(table, links, links[1:], strict=False):
+    lines += [f'  <link name="{link}"/>' for link in named[: -len(bodies)]]
+    for link, one in zip(named[-len(bodies) :], bodies, strict=True):
+        lines += _body_lines(link, one, lengths(size) if one is body else None)
+    for row, parent, child in zip(table, named, named[1:], strict=False):
         # RotZ and TransZ commute, so the variable of either may come last.
         T = transform(row.alpha, row.a, row.theta, row.d)
         lines += [

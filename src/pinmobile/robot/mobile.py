@@ -900,11 +900,10 @@ class MobileRobot(System):
         loaded = self.loads and not self.mounts
         box = self.stance == Stance.of_box(self.size)
         stance = None if box else self.stance.written()
-        bodies = [self.lumped().body if loaded else self.body]
-        table = self.chain or self.dh
-        links = [link for mount in self.mounts for link in mount.links[1:]] if len(table) > BODY_JOINT else ()
-        bodies += [urdf.Body(link.mass, link.com, matrix_of_six(link.inertia)) for link in links]
-        return urdf.write(table, *bodies, size=self.size, stance=stance)
+        body, table = self.lumped().body if loaded else self.body, self.chain or self.dh
+        arms = [link for mount in self.mounts for link in mount.links[1:]] if len(table) > BODY_JOINT else ()
+        links = [urdf.Body(link.mass, link.com, matrix_of_six(link.inertia)) for link in arms]
+        return urdf.write(table, body, size=self.size, stance=stance, links=links)
 
 
 def _of_files(mounts: Sequence[Mount]) -> str:
