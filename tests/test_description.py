@@ -37,6 +37,17 @@ def test_a_robot_with_its_mass_outside_its_supports_cannot_stand(x: float, words
     )  # the balance of loads agrees
 
 
+@pytest.mark.parametrize(("angle", "words"), [(0.7, "stands: "), (0.8, "cannot stand: ")])
+def test_a_ramp_moves_the_point_below_the_centre_of_mass(angle: float, words: str) -> None:
+    flat = WheeledRobot(MobileRobot(30.0, 1.3, com=(0.2, 0, 0.2)), DRIVE, Coulomb(0.8))
+    robot = flat.on_ramp(angle)  # upwards along x: the point moves back by 0.2 m tan(angle)
+    last = str(robot).splitlines()[-1]
+    assert last.startswith(words)
+    assert last.endswith(" on this ramp, at psi = 0")
+    still = np.zeros(robot.nv)
+    assert bool(robot.contact_loads(robot.rest, still, still).tips) == (words == "cannot stand: ")
+
+
 def test_arms_have_the_limits_of_their_files_and_loads_their_masses() -> None:
     robot = MobileRobot(30.0, 1.3).mount("ur5", (0.1, -0.05, 0.2, 0.4))
     robot = robot.attach(PayloadBody(1.5, (0, 0.01, 0.05), size=(0.1, 0.1, 0.1)))

@@ -71,6 +71,19 @@ def test_a_motor_at_its_current_is_an_event() -> None:
     assert (event.name, event.limit, event.samples) == ("left", 1.0, at.sum())
 
 
+def test_a_motor_faster_than_without_load_is_an_event() -> None:
+    motor = pm.Motor(resistance=2, torque_constant=0.5, voltage=4)
+    run = turning(on_wheels(motor=motor), rate=2.0)
+    event, rates = of_kind(run, "speed limit"), np.abs(run.v[:, 3:])
+    assert event.limit == motor.no_load_rate() == 8.0  # the voltage over the torque constant [rad/s]
+    assert event.name == "left"
+    assert event.value == rates[:, 0].max()
+    assert (
+        of_kind(turning(on_wheels(motor=motor), rate=2.0, stop_at=["speed limit"]), "speed limit").samples
+        == 1
+    )
+
+
 def test_a_wheel_that_slides_is_an_event_with_its_fastest_slip() -> None:
     run = turning(on_wheels(Coulomb(0.05)))
     event, slides = of_kind(run, "slip"), run.signals["slides"].values > 0
@@ -78,6 +91,7 @@ def test_a_wheel_that_slides_is_an_event_with_its_fastest_slip() -> None:
     assert event.value == speeds.max()
     assert event.unit == "m/s"
     assert event.t == run.t[speeds.max(axis=1) > 0][0]
+    assert event.name == "left, right"
     assert "slip" not in {one.kind for one in turning(on_wheels(Coulomb(5.0)), rate=0.1).events}
 
 
