@@ -311,8 +311,6 @@ class Step(NamedTuple):
         State at the end of the step.
     memory : any
         Memory of the plant, such as the contacts that stick.
-    a : ndarray, shape (nv,), optional
-        Acceleration that the run records; default: the mean over the step.
 
     See Also
     --------
@@ -335,7 +333,6 @@ class Step(NamedTuple):
     q: Array
     v: Array
     memory: object = None
-    a: Array | None = None
 
 
 class Contacts(NamedTuple):

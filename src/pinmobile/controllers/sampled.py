@@ -53,7 +53,7 @@ class Sampled:
     >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
     >>> path = Tangent(Circle(1.0, 0.5, 4.0))
     >>> slow = Sampled(PD(120, 120), every=10)
-    >>> run = simulate(robot, slow, path, dt=0.01)
+    >>> run = simulate(robot, slow, path, dt=0.001)
     >>> steps = np.flatnonzero(np.diff(run.u[:, 0])) + 1
     >>> steps[:4]
     array([10, 20, 30, 40])

@@ -292,6 +292,15 @@ class Sample(NamedTuple):
     reference: Any = None
 
 
+class Moved(NamedTuple):
+    """`Step` of a plant with the acceleration at its start, which the run records."""
+
+    q: Any
+    v: Any
+    memory: Any
+    a: Any
+
+
 class Record(NamedTuple):
     """Result of a recorder for one sample.
 

@@ -15,8 +15,9 @@ from pinmobile.compiled import has_symbols, leaves, mapped
 from pinmobile.errors import InvalidArgument
 from pinmobile.forces import since
 from pinmobile.integrators import rk4
+from pinmobile.loop._loop import Moved
 from pinmobile.parts import Loadable, by_value, child, holds_symbols, number, option, part, replace, walk
-from pinmobile.plant import Step, stated
+from pinmobile.plant import stated
 from pinmobile.robot import PayloadBody
 
 _OF_BOTH = re.compile(  # attributes on which the load has no effect
@@ -157,7 +158,7 @@ class PayloadTransfer:
         names = (item.name for item in self.loaded.visual_model.geometryObjects)
         return {name: self.holds(t) for name in names if name not in known}
 
-    def step(self, t: Any, q: Any, v: Any, u: Any, h: Any, f: Any, memory: Any) -> Step:
+    def step(self, t: Any, q: Any, v: Any, u: Any, h: Any, f: Any, memory: Any) -> Any:
         """Return the state after a step, see `parts.Stepping`.
 
         Parameters
@@ -186,9 +187,9 @@ class PayloadTransfer:
             a = acceleration(t, 0.0 * v, v)
             way, after = rk4.displaced(acceleration, a, t, v, h)
             end = law.integrate(q, way)
-            return Step(end, law.project(end, after) if stated(law, "project") else after, memory, a)
+            return Moved(end, law.project(end, after) if stated(law, "project") else after, memory, a)
 
-        return self._chosen(t, moved)  # type: ignore[no-any-return]
+        return self._chosen(t, moved)
 
     def _chosen(self, t: Any, of: Callable[[Any], Any]) -> Any:
         """Return a result of the robot with or without the payload, for each time."""

@@ -12,12 +12,22 @@ import numpy as np
 from pinmobile.arrays import Array
 from pinmobile.compiled import aligned, leaves, mapped, robot_keys
 from pinmobile.errors import InvalidArgument, NotFinite
-from pinmobile.loop._loop import NOTHING, Loop, Record, Sample, advance, collected_signals, initial, step
+from pinmobile.loop._loop import (
+    NOTHING,
+    Loop,
+    Moved,
+    Record,
+    Sample,
+    advance,
+    collected_signals,
+    initial,
+    step,
+)
 from pinmobile.loop._program import Compiled
 from pinmobile.loop._record import Samples, is_alive
 from pinmobile.loop._trace import initial_memory, traced_numbers
 from pinmobile.parts import array, child, evolved, part
-from pinmobile.plant import Context, Step, stated
+from pinmobile.plant import Context, stated
 from pinmobile.signals import Claim, Signal
 from pinmobile.trajectories import Reference
 
@@ -54,11 +64,11 @@ class _Whole:
         begin = stated(self.inner.law, "initial_state")
         return None if begin is None else begin(context)
 
-    def step(self, t: Any, q: Any, v: Any, u: Any, h: Any, f: Any, memory: Any) -> Step:
+    def step(self, t: Any, q: Any, v: Any, u: Any, h: Any, f: Any, memory: Any) -> Moved:
         """Return the state one sample later."""
         loop = self.inner
         a, q, v, memory = advance(loop, t, h / loop.substeps, q, v, u, memory)
-        return Step(q, loop.law.project(q, v) if loop.is_constrained else v, memory, a)
+        return Moved(q, loop.law.project(q, v) if loop.is_constrained else v, memory, a)
 
     def signals(self, t: Any, q: Any, v: Any, u: Any, f: Any, memory: Any) -> dict[str, Any]:
         """Return the signals of plant and forces."""
@@ -121,7 +131,7 @@ class CompiledPlant:
         """Return the memory of the plant before the first sample."""
         return self._begun
 
-    def step(self, t: float, q: Array, v: Array, u: Array, h: float, f: Any, memory: Any) -> Step:
+    def step(self, t: float, q: Array, v: Array, u: Array, h: float, f: Any, memory: Any) -> Moved:
         """Return the state one sample later; the machine code contains the forces."""
         row, nq, n = self._row, self.nq, self.nq + self.nv
         row[:nq], row[nq:n], row[self._u : self._u + self.nu] = q, v, u
@@ -143,7 +153,7 @@ class CompiledPlant:
                 return value
             return row[leaf.first : leaf.first + prod(leaf.shape)].reshape(leaf.shape).copy()
 
-        return Step(row[:nq].copy(), row[nq:n].copy(), mapped(memory, after), found["a"])
+        return Moved(row[:nq].copy(), row[nq:n].copy(), mapped(memory, after), found["a"])
 
     def signals(self, *asked: Any) -> dict[str, Any]:
         """Return the signals of plant and forces at the last sample."""
