@@ -33,6 +33,10 @@ def test_unknown_name_lists_the_names_there_are_the_nearest_first() -> None:
     assert copy.available == ("via-stop", "circle")
 
 
+def test_unknown_name_states_that_there_are_none() -> None:
+    assert str(UnknownName("metric", "gap", [])) == "unknown metric 'gap', available: none"
+
+
 def test_names_that_a_terminal_would_obey_are_quoted_and_the_first_of_many_listed() -> None:
     error = UnknownName("topic", "\x1b[2J", ["/odom", "/odo\x1b[2Jm", *(f"/topic{k}" for k in range(9999))])
     assert str(error).startswith(

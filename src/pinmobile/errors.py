@@ -271,7 +271,8 @@ class UnknownName(PinmobileError, KeyError):
         near = [plain[match] for match in get_close_matches(asked, plain, n=3)]
         self.listed = (*near, *(known for known in self.available if known not in near))
         self.meant = f"did you mean {' or '.join(map(shown, near))}? " if near else ""
-        super().__init__(f"unknown {kind} {shown(name)}, {self.meant}available: {format_names(self.listed)}")
+        listed = format_names(self.listed) or "none"
+        super().__init__(f"unknown {kind} {shown(name)}, {self.meant}available: {listed}")
 
     def __str__(self) -> str:
         # KeyError would show the repr of the message instead of the message.
