@@ -119,6 +119,12 @@ def test_degrees_are_refused_with_the_number_to_type(text: str, typed: str) -> N
         DHRow(0, 0, text, 0, "revolute", "q")  # type: ignore[arg-type]
 
 
+@pytest.mark.parametrize("text", ["1.2.3 deg", ". deg", "deg"])
+def test_degrees_that_are_no_number_are_refused(text: str) -> None:
+    with refused(f"^theta is '{text}', expected a number, such as 'pi/2'"):
+        DHRow(0, 0, text, 0, "revolute", "q")  # type: ignore[arg-type]
+
+
 @pytest.mark.parametrize(("number", "typed"), [(90, "pi/2, or"), (-180.0, "-pi, or"), (7.123456, "0.12432")])
 def test_a_number_above_a_turn_is_taken_for_degrees(number: float, typed: str) -> None:
     with refused(rf"^alpha is {number:g}, expected a number in rad, at most 2 pi in size: {typed}"):

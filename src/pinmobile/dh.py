@@ -107,7 +107,7 @@ class DHRow:
 
 
 _TURN = 2 * pi + 1e-9  # [rad], largest angle of a row
-_DEGREES = re.compile(r"\s*([-+]?[\d.]+)\s*(deg|degree|degrees|°)\s*")
+_DEGREES = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+))\s*(deg|degree|degrees|°)\s*")
 _OPERATIONS: dict[type, Any] = {
     **{ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv},
     **{ast.USub: operator.neg, ast.UAdd: operator.pos},
