@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
-from pinmobile.metrics import metrics_of
+from pinmobile.arrays import Array
+from pinmobile.metrics import Metric, metrics_of
 from pinmobile.plant import Event, limits_exceeded, robot_at, stated
 
 _SINCE = "(from t = {t} s, {count})"
@@ -53,39 +55,56 @@ def events_of(run: Any, *, with_metrics: bool = True) -> tuple[Event, ...]:
     with_metrics : bool
         Whether events of the plant's metrics are included, which take longer.
     """
-    plant, t, signals = robot_at(run.plant, run.t), run.t, run.signals
-    found: list[Event | None] = [*limits_exceeded(plant, t, run.q, run.v, run.u)]
-    table, stands = stated(plant, "table"), bool(stated(plant, "contact_loads"))
-    if table is not None and "currents" in signals:
-        motors = [each for each in table.actuators if each.motor.is_electric]
-        for one, current in zip(motors, np.abs(signals["currents"].values).T, strict=True):
+    plant = robot_at(run.plant, run.t)
+    limits = limits_exceeded(plant, run.t, run.q, run.v, run.u)
+    found = [one for one in (*limits, *_of_motors(run, plant), *_of_ground(run, plant)) if one is not None]
+    metrics = [one for one in metrics_of(plant) if one.worst != "largest"] if with_metrics else []
+    values = run.metrics() if metrics else {}
+    for one in metrics:
+        event = _of_metric(one, run.t, values[one.name].values)
+        if event is not None and all(event.kind != each.kind for each in found):
+            found.append(event)
+    return tuple(found)
+
+
+def _of_motors(run: Any, plant: Any) -> Iterator[Event | None]:
+    """Yield the events of motors: currents at their limits, speeds above those without load."""
+    table, t = stated(plant, "table"), run.t
+    motors = table.actuators if table is not None else ()
+    if "currents" in run.signals:
+        electric = [one for one in motors if one.motor.is_electric]
+        for one, current in zip(electric, np.abs(run.signals["currents"].values).T, strict=True):
             limit = float(one.motor.current)
-            told: Any = {"words": _CURRENT, "limit": limit, "unit": "A", "slack": -1e-6 * limit}
-            found.append(Event.of("current limit", one.name, t, current, current - limit, **told))
-    for one in table.actuators if table is not None else ():
+            size: Any = {"words": _CURRENT, "limit": limit, "unit": "A", "slack": -1e-6 * limit}
+            yield Event.of("current limit", one.name, t, current, current - limit, **size)
+    for one in motors:
         rate = np.abs(run.v[:, run.v.shape[1] - len(one.column) :] @ np.array(one.column))
         limit = one.motor.no_load_rate() if one.motor.is_electric else np.inf
-        told = {"words": _FASTER, "limit": limit, "unit": "rad/s", "slack": 1e-6 * limit}
-        found.append(Event.of("speed limit", one.name, t, rate, rate - limit, **told))
-    known = metrics_of(plant)
-    happens = {"tip over": "tips", "ground": "missed"} if stands else {}
-    for kind, name in happens.items():
-        values = signals[name].values if name in signals else np.zeros(len(t))
-        if name == "tips" and name not in signals and any(one.worst == "ever" for one in known):
-            values = 1.0 * plant.contact_loads(run.q, run.v, run.a).tips  # rolling wheels have no such signal
-        found.append(Event.of(kind, "", t, values, values, words=_GROUND[kind]))
+        size = {"words": _FASTER, "limit": limit, "unit": "rad/s", "slack": 1e-6 * limit}
+        yield Event.of("speed limit", one.name, t, rate, rate - limit, **size)
+
+
+def _of_ground(run: Any, plant: Any) -> Iterator[Event | None]:
+    """Yield the events of a robot on the ground: it tips over, its loads do not converge, wheels slide."""
+    table, t, signals = stated(plant, "table"), run.t, run.signals
+    states = {name: signals[name].values for name in ("tips", "missed") if name in signals}
+    if stated(plant, "contact_loads"):
+        if "tips" not in states and any(one.worst == "ever" for one in metrics_of(plant)):
+            states["tips"] = 1.0 * plant.contact_loads(run.q, run.v, run.a).tips  # rolling wheels: no signal
+        for kind, name in {"tip over": "tips", "ground": "missed"}.items():
+            if name in states:
+                yield Event.of(kind, "", t, states[name], states[name], words=_GROUND[kind])
     if table is not None and "slides" in signals:
         speeds = np.hypot(signals["slip_along"].values, signals["slip_across"].values)
         slides = speeds * signals["slides"].values
         names, fastest = np.array(table.names)[slides.max(axis=0) > 0], slides.max(axis=1)
         name = ", ".join(map(str, names))
-        found.append(Event.of("slip", name, t, fastest, fastest, words=_SLIDES, unit="m/s"))
-    for one in known if with_metrics else ():
-        kind = _KINDS.get(one.name, one.name)
-        if one.worst == "largest" or any(each and each.kind == kind for each in found):
-            continue
-        values = run.metrics()[one.name].values
-        words = f"{_MARGIN}: {one.meaning}" if one.is_margin else f"{one.name} {_SINCE}: {one.meaning}"
-        beyond = -values if one.is_margin else values
-        found.append(Event.of(kind, one.name, t, values, beyond, words=words, unit=one.unit))
-    return tuple(one for one in found if one is not None)
+        yield Event.of("slip", name, t, fastest, fastest, words=_SLIDES, unit="m/s")
+
+
+def _of_metric(one: Metric, t: Array, values: Array) -> Event | None:
+    """Return the event of a metric: a margin below 0, or what happens."""
+    words = f"{_MARGIN}: {one.meaning}" if one.is_margin else f"{one.name} {_SINCE}: {one.meaning}"
+    beyond = -values if one.is_margin else values
+    kind = _KINDS.get(one.name, one.name)
+    return Event.of(kind, one.name, t, values, beyond, words=words, unit=one.unit)
