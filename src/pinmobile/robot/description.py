@@ -13,9 +13,9 @@ from pinmobile.robot.support_geometry import margin_inside
 
 def numbers(values: Any, unit: str = "") -> str:
     """Return numbers as text, such as ``(0.1, 0, 0.2) m``."""
-    told = [f"{value:.4g}" if abs(value) > 1e-12 else "0" for value in np.atleast_1d(values)]
-    joined = ", ".join(told)
-    return f"{joined if len(told) == 1 else f'({joined})'} {unit}".rstrip()
+    each = [f"{value:.4g}" if abs(value) > 1e-12 else "0" for value in np.atleast_1d(values)]
+    joined = ", ".join(each)
+    return f"{joined if len(each) == 1 else f'({joined})'} {unit}".rstrip()
 
 
 def columns(rows: Sequence[Sequence[str]], indent: str = "  ") -> list[str]:
@@ -51,16 +51,13 @@ def stands(place: Array, corners: Array | None) -> str:
 
 def of_robot(robot: Any, corners: Array | None) -> list[str]:
     """Return the lines about a `MobileRobot`, with the corners of its supports."""
-    guessed = (
-        ""
-        if robot._source != "made from numbers" or robot.reference_inertia is not None
-        else "; x, y assumed"
-    )
+    is_assumed = robot._source == "made from numbers" and robot.reference_inertia is None
+    inertia = f"diagonal {numbers(np.diag(robot.body.inertia), 'kg m^2')}"
     rows = [
         ["mass", numbers(robot.mass, "kg")],
         ["centre of mass", numbers(robot.com, "m")],
         ["yaw inertia", f"{numbers(robot.yaw_inertia, 'kg m^2')} about the centre of mass"],
-        ["inertia", f"diagonal {numbers(np.diag(robot.body.inertia), 'kg m^2')}{guessed}"],
+        ["inertia", inertia + ("; x, y assumed" if is_assumed else "")],
         ["size", f"{' x '.join(numbers(x) for x in robot.size)} m"],
     ]
     if corners is not None:
