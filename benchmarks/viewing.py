@@ -24,7 +24,7 @@ from task import GAIN, PD_GAINS, RADIUS, RATE
 from memory import resident
 from pinmobile import PD, Circle, ComputedTorque, MobileRobot, Tangent, simulate
 from pinmobile.errors import ViewerError
-from pinmobile.viewer import Viewer
+from pinmobile.viewer import Viewer, play
 from pinmobile.viewer.recording import Browser, find_chromium
 
 NO_CHROMIUM = "not installed: apt-get install chromium"
@@ -50,6 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         say(out, [f"live: {NO_CHROMIUM}"])
     else:
         sound &= attempt(out, "live", lambda: show_live(out, 2.0 if chosen.quick else 10.0))
+        sound &= attempt(out, "play", lambda: show_play(out, 3 if chosen.quick else 10))
     sizes = (600,) if chosen.quick else (600, 10_000)
     sound &= attempt(out, "recording", lambda: show_recordings(out, sizes, rounds))
     return 0 if sound else 1
@@ -151,6 +152,30 @@ def show_live(out: Console, duration: float) -> None:
     shown.add_row("display, mean", "ms", f"{1e3 * statistics.mean(pace.times):.2f}")
     shown.add_row("display, largest", "ms", f"{1e3 * max(pace.times):.2f}")
     shown.add_row("messages to the browser", "1/s", f"{got / pace.took:.0f}")
+    out.print(shown)
+
+
+def show_play(out: Console, seconds: int) -> None:
+    """Show the frames of a run in real time beside those of an empty page."""
+    robot = MobileRobot.lecture()
+    circle = Tangent(Circle(3.0, 0.1, 60.0))
+    frames = "new Promise((done) => { let n = 0; const end = performance.now() + 1000;"
+    frames += "(function f(now) { now < end ? (n += 1, requestAnimationFrame(f)) : done(n); })(0); })"
+    with out.status("playing"), quiet_browser() as browser:
+        browser.open("about:blank")
+        empty = [browser.evaluate(frames) for _ in range(seconds)]
+        with play(robot, ComputedTorque(robot, 10, 6), circle, dt=0.01) as run:
+            browser.open(run.url)
+            browser.wait_for("window.pinmobile?.play?.fps > 0")
+            drawn = [
+                browser.evaluate(f"{frames}.then(() => [pinmobile.play.fps, pinmobile.play.scene])")
+                for _ in range(seconds)
+            ]
+    page, scene = np.median(drawn, axis=0)
+    shown = table("\nplay, frames in the browser", f"median of {seconds} s", "1/s")
+    shown.add_row("empty page", f"{np.median(empty):.0f}")
+    shown.add_row("page of a run", f"{page:.0f}")
+    shown.add_row("changes of the scene", f"{scene:.0f}")
     out.print(shown)
 
 

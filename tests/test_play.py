@@ -319,12 +319,19 @@ def test_the_page_in_a_browser(page: Page, composed: Chromium) -> None:
         assert hosts == {urlsplit(run.url).netloc}
 
 
-@pytest.mark.long
-def test_the_page_shows_60_frames_per_second(page: Page) -> None:
+def test_a_page_that_draws_slowly_reduces_its_resolution(page: Page) -> None:
     with play(ROBOT, ComputedTorque(ROBOT), Tangent(Circle(3.0, 0.1, 60.0)), dt=0.01) as run:
         page.open(run.url)
-        # Of a browser that draws by software on a shared processor, the best second counts.
-        page.wait_for("pinmobile.play.fps > 59 && pinmobile.play.scene > 55")
+        page.wait_for("window.pinmobile?.play?.rows().length > 0")
+        full = page.evaluate("viewer.renderer.getPixelRatio()")
+        # Each frame takes at least 50 ms, on every machine.
+        page.evaluate(
+            "(function slow() { const end = performance.now() + 50; while (performance.now() < end); "
+            "requestAnimationFrame(slow); })()"
+        )
+        page.wait_for(f"viewer.renderer.getPixelRatio() <= {full / 2}")
+        assert page.evaluate("pinmobile.play.fps") < 20.5
+        assert page.evaluate("pinmobile.play.scene > 0 && pinmobile.play.scene <= pinmobile.play.fps")
 
 
 def test_the_command_saves_the_run_at_ctrl_c(tmp_path: Path) -> None:
