@@ -6,6 +6,7 @@ every processor. The errors are a few units of the last place; `sincos` is accur
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -30,12 +31,27 @@ _TOP = 2**52 - 1  # bits of the fraction of a float
 _ONE = float_bits(1.0)
 
 
+def _marked(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a function that marks its values on the tape with its name."""
+
+    @functools.wraps(function)
+    def run(*given: Number) -> Any:
+        found = function(*given)
+        if type(found) is not Node:
+            return found
+        return found.tape.mark(function.__name__, found, *given)
+
+    return run
+
+
+@_marked
 def rounded(x: Number) -> Any:
     """Return the nearest whole number, the even one of two equally near numbers; beyond 2^51, x itself."""
     near = (x + _ROUNDER) - _ROUNDER
     return select(absolute(x) < 2.0**51, near, x)
 
 
+@_marked
 def floor(x: Number) -> Any:
     """Return the largest whole number <= x."""
     near = rounded(x)
@@ -74,7 +90,10 @@ def sincos(x: Number) -> tuple[Any, Any]:
     flip = bits(shifted) << 63
     z = r * r
     s, c = r + (r * z) * _series(_SINE, z), 1.0 + z * _series(_COSINE, z)
-    return real(bits(s) ^ flip), real(bits(c) ^ flip)
+    s, c = real(bits(s) ^ flip), real(bits(c) ^ flip)
+    if type(s) is Node:
+        return s.tape.mark("sin", s, x), s.tape.mark("cos", c, x)
+    return s, c
 
 
 def sin(x: Number) -> Any:
@@ -115,6 +134,7 @@ _LN2_HIGH, _LN2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10
 _TAYLOR = [1 / math.factorial(k) for k in range(16)]
 
 
+@_marked
 def exp(x: Number) -> Any:
     """Return the exponential; infinity above 709.78, and 0 below -708, where results would be subnormal."""
     found = _exp_inside(minimum(709.78, maximum(-708.0, x)))
@@ -132,6 +152,7 @@ def _exp_inside(inside: Number) -> Any:
     return (polynomial(_TAYLOR[:14], r) * power_of_two) * 2.0
 
 
+@_marked
 def expm1(x: Number) -> Any:
     """Return exp(x) - 1, accurate near zero too."""
     return select(absolute(x) < 0.35, x * polynomial(_TAYLOR[1:], x), exp(x) - 1.0)
@@ -156,6 +177,7 @@ _TANH_P = (-1.61468768441708447952e3, -9.92877231001918586564e1, -9.643991794250
 _TANH_Q = (4.84406305325125486048e3, 2.23548839060100448583e3, 1.12811678491632931402e2, 1.0)
 
 
+@_marked
 def tanh(x: Number) -> Any:
     """Return the hyperbolic tangent."""
     size, z = absolute(x), x * x
@@ -184,6 +206,7 @@ _LOG = (
 )
 
 
+@_marked
 def log(x: Number) -> Any:
     """Return the natural logarithm; minus infinity at 0, and NaN below."""
     tiny = x < 2.0**-1022  # subnormal: the bits do not contain the exponent
@@ -209,6 +232,7 @@ def _log_of_normal(x: Number, shift: Number = 2.0**52 + 1023.0) -> Any:
     return exponent * _LN2_HIGH - ((half - (s * (half + rest) + exponent * _LN2_LOW)) - f)
 
 
+@_marked
 def log1p(x: Number) -> Any:
     """Return log(1 + x), accurate near zero too."""
     sum_ = 1.0 + x
@@ -245,6 +269,7 @@ def _angle(y: Number, x: Number) -> Any:
     return select(steep, math.pi / 2, select(middle, math.pi / 4, 0.0)) + (series + rest)
 
 
+@_marked
 def arctan2(y: Number, x: Number) -> Any:
     """Return the angle of (x, y) in [-pi, pi]; both arguments are finite."""
     found = _angle(absolute(y), absolute(x))
@@ -252,6 +277,7 @@ def arctan2(y: Number, x: Number) -> Any:
     return select(y < 0.0, -found, found)
 
 
+@_marked
 def arctan(x: Number) -> Any:
     """Return the angle whose tangent is x."""
     size = absolute(x)

@@ -158,6 +158,8 @@ class Tape:
         Dependence of each node: UNIFORM, ROBOT, SAMPLE and STATE as bits.
     rounds : dict of int to Rounds
         Known rounds, by node.
+    marks : dict of int to (str, tuple of int)
+        Elementary function and operands of the nodes that are values of such functions.
     """
 
     def __init__(self, largest: int = LARGEST, where: Callable[[], Any] | None = None) -> None:
@@ -165,6 +167,7 @@ class Tape:
         self.types: list[str] = []
         self.depends: list[int] = []
         self.rounds: dict[int, Rounds] = {}
+        self.marks: dict[int, tuple[str, tuple[int, ...]]] = {}
         self.places: list[Any] = []
         self._known: dict[_Operation, int] = {}
         self._applied: dict[tuple[Any, ...], int] = {}  # operations before simplification
@@ -234,6 +237,12 @@ class Tape:
         """Return the index of a number or constant; a truth value becomes 1 or 0."""
         node = self._as(x, "f") if type(x) is Node else self.const(x)
         return node.index
+
+    def mark(self, name: str, found: Any, *given: Number) -> Any:
+        """Mark a node as the value of an elementary function of its operands, and return it."""
+        if type(found) is Node:
+            self.marks.setdefault(found.index, (name, tuple(map(self.number, given))))
+        return found
 
     def at(self, index: int) -> Node:
         """Return the node with this index."""

@@ -181,19 +181,30 @@ def _with_recorder(scenario: Scenario, loop: Loop | None = None) -> Loop:
     return evolved(loop, {"recorder": recorder})
 
 
-class _Blind:
-    """Context of robots with different references: it hides reference and trajectory."""
+class BlindContext:
+    """Context that hides reference and trajectory.
 
-    def __init__(self, context: Context) -> None:
-        self._context = context
+    Parameters
+    ----------
+    context : Context
+        Context with everything else.
+    why, instead : str
+        Reason why they are hidden, and what the user can do instead, for the message.
+    """
+
+    def __init__(self, context: Context, why: str, instead: str) -> None:
+        self._context, self._why, self._instead = context, why, instead
 
     def __getattr__(self, name: str) -> Any:
         if name in ("reference", "trajectory"):
-            raise NotTraceable(
-                f"the controller reads the {name} of its context, which differs from robot to robot",
-                "use the reference of each sample, or spread no parameter of the trajectory",
-            )
+            raise NotTraceable(f"the controller reads the {name} of its context, {self._why}", self._instead)
         return getattr(self._context, name)
+
+
+_DIFFERS = (
+    "which differs from robot to robot",
+    "use the reference of each sample, or spread no parameter of the trajectory",
+)
 
 
 def _starts_otherwise(scenario: Scenario, path: str) -> bool:
@@ -228,7 +239,7 @@ def compiled_of(
         If no law uses a number of the spread.
     """
     at = Reference(*(part[0] for part in scenario.reference))
-    context: Any = _Blind(scenario.context) if hides_reference else scenario.context
+    context: Any = BlindContext(scenario.context, *_DIFFERS) if hides_reference else scenario.context
     compiled = Compiled(
         *(loop, context, scenario.start, at),
         spread=scenario.entries,

@@ -212,7 +212,7 @@ def simulate(
     compiles = asked is Engine.COMPILED or (asked is None and stated(plant, "compiles"))
     whole_loop = Loop(plant, controller, trajectory, checked, integrator, count)
     reference = sampled(trajectory, t, plant)
-    start = _start(plant, reference, q0, v0)
+    start = start_of(plant, reference, q0, v0)
     context = Context.of(plant, dt=dt, t=t, reference=reference, trajectory=trajectory)
     context = replace(context, seed=whole("seed", seed, least=0), member=whole("member", member, least=0))
     check_answers(plant, checked, integrator, *start, dt / count)
@@ -284,7 +284,7 @@ def _engaged(
     return PythonRun(compiled, context, *start), why
 
 
-def _start(
+def start_of(
     plant: Plant, reference: Reference, q0: ArrayLike | None, v0: ArrayLike | None
 ) -> tuple[Array, Array]:
     """Return the initial state: the given state, or the start of the reference as the plant completes it."""

@@ -282,7 +282,8 @@ class _Pass:
         kind = "track" if trace.own_reference else "sample"
         reference = Reference(*(self._new(kind, x.shape) for x in trace.reference))  # type: ignore[arg-type]
         self.next["sample"] = columns = 1 + sum(x.size for x in trace.reference)
-        k = symbols([real(tape.input(*COUNT) | float_bits(2.0**52)) - 2.0**52], ())
+        count = tape.input(*COUNT)
+        k = symbols([tape.mark("count", real(count | float_bits(2.0**52)) - 2.0**52)], ())
         makers = self._line, self._noise, self._schedule
         numbers = trace.grown(initial_memory(trace.loop, trace.context, *makers))
         state = State(q, v, *(self._remembered(owner, getattr(numbers, owner)) for owner in OWNERS))

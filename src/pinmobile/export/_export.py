@@ -1,0 +1,186 @@
+"""`export_c`, which writes a controller or a plant as C."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pinmobile import __version__
+from pinmobile.arrays import Array, location, one_of, positive, sequence
+from pinmobile.compiled import uncollected
+from pinmobile.controllers import Controller
+from pinmobile.errors import InvalidArgument, NotTraceable, shown
+from pinmobile.export._law import Answer, Given, Law
+from pinmobile.export._project import Project
+from pinmobile.files import refusals, write
+from pinmobile.forces import Force
+from pinmobile.integrators import Integrator
+from pinmobile.loop import Loop
+from pinmobile.loop._checks import checked_forces, checked_substeps, chosen_integrator, sample_times, sampled
+from pinmobile.loop._run import BlindContext
+from pinmobile.loop._simulate import start_of
+from pinmobile.parts import OnCoordinates, evolved
+from pinmobile.plant import Context, Plant, check_plant, reference_sizes_of
+from pinmobile.trajectories import Reference, Trajectory
+
+_UNKNOWN = "which is not known", "give its trajectory, whose samples become tables"
+_RESERVED = {"double", "float", "int", "main", "return", "static", "struct", "union", "void"}
+_MOST = 2e6  # numbers of the table of a trajectory
+
+
+def export_c(
+    controller: Controller | None,
+    plant: Plant,
+    folder: str | PathLike[str],
+    *,
+    dt: float,
+    trajectory: Trajectory | None = None,
+    name: str = "robot",
+    precision: str = "double",
+    tunable: Sequence[str] = (),
+    forces: Sequence[Force | OnCoordinates] | Mapping[str, Force | OnCoordinates] = (),
+    integrator: Integrator | None = None,
+    substeps: int = 1,
+) -> Path:
+    """Write a controller, or a plant, as C99 for the robot's own processor.
+
+    The code computes one sample: ``name_step(t, q, v, &reference, &memory, u)``. It needs no heap, no global
+    state, and of the C library only ``sqrt`` and ``fabs``. In double precision it has the bits of `simulate`,
+    on every processor. Wrappers such as `DisturbanceObserver`, `MeasurementDelay` and
+    `wheels.OdometryFeedback` are part of the controller. Limits of the plant's inputs are applied. The folder
+    also contains a test program with recorded samples, a ``CMakeLists.txt``, and a ``README.md`` that states
+    what was exported, its operations, its memory, and the effects of NaN and of stale measurements.
+
+    Parameters
+    ----------
+    controller : controller or None
+        Controller; None exports the plant, for tests with hardware in the loop: ``name_step(t, u, &memory)``
+        advances its state.
+    plant : MobileRobot or other plant
+        Plant of the loop. A controller uses its inputs, limits and coordinates.
+    folder : path
+        Folder of the files, which are replaced.
+    dt : float
+        Time step [s].
+    trajectory : trajectory, optional
+        Trajectory whose samples become a table; ``name_reference_at(t, &reference)`` interpolates them by
+        polynomials of order 5. Without it, the caller supplies the reference.
+    name : str
+        Prefix of all names and files.
+    precision : str
+        ``"double"`` or ``"single"``, for processors without doubles. Errors of single precision are about
+        1e-6 of the largest result.
+    tunable : sequence of str
+        Numbers that stay parameters, by path such as ``"kp"`` or ``"robot.mass"``; all others are constants.
+    forces : sequence of callable, or mapping of str to callable
+        External forces on an exported plant, see `simulate`.
+    integrator : callable, optional
+        Integrator of an exported plant, see `simulate`.
+    substeps : int
+        Integrator steps of an exported plant per dt.
+
+    Returns
+    -------
+    folder : Path
+        Folder with the files.
+
+    Raises
+    ------
+    InvalidArgument
+        If an argument is invalid, the law is not written in NumPy (such as `MPC`), it draws noise, or a
+        tunable number acts before the first sample only.
+    FileError
+        If a file cannot be written.
+
+    See Also
+    --------
+    simulate : run the same loop here.
+    vectorize : machine code of a function for this processor.
+
+    Examples
+    --------
+    >>> from pinmobile import ComputedTorque, MobileRobot
+    >>> from pinmobile.export import export_c
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
+    >>> folder = export_c(ComputedTorque(robot, 4, 4), robot, "out/c", dt=0.01, tunable=["kp"])
+    >>> sorted(file.name for file in folder.iterdir())
+    ['CMakeLists.txt', 'README.md', 'robot.c', 'robot.h', 'robot_test.c']
+    """
+    one_of("precision", precision, ("double", "single"))
+    if not isinstance(name, str) or not re.fullmatch(r"[a-z][a-z0-9_]{0,30}", name) or name in _RESERVED:
+        raise InvalidArgument(
+            f"name is {shown(name)}, expected a name in C of lower-case letters, digits and _, such as 'robot'"
+        )
+    own = [x for x in sequence("tunable", tunable, 'paths of numbers, such as ["kp"]')]
+    step, target = positive("dt", dt, "s"), location("folder", folder)
+    check_plant(plant)
+    loop = Loop(
+        plant,
+        Given() if controller is None else controller,
+        trajectory,
+        checked_forces(forces, plant),
+        chosen_integrator(plant, integrator),
+        checked_substeps(substeps, 1),
+    )
+    context, start, first, table = _begun(plant, loop.controller, step, trajectory)
+    try:
+        with uncollected():
+            law = Law(evolved(loop, {"recorder": Answer()}), context, start, first, own)
+    except NotTraceable as error:
+        argument = "plant" if controller is None else "controller"
+        raise InvalidArgument(f"{argument} cannot be exported: {error.reason}", argument) from error
+    title = type(plant).__name__ if controller is None else f"{type(controller).__name__} of a {type(plant).__name__}"
+    if controller is None:
+        table = None
+    single = precision == "single"
+    project = Project(law, name, single=single, table=table, title=title, version=__version__)
+    with refusals("written", "folder", target):
+        target.mkdir(parents=True, exist_ok=True)
+    for file, text in project.files().items():
+        write(target / file, text.encode(), name="folder")
+    return target
+
+
+def _begun(
+    plant: Plant, controller: Controller, dt: float, trajectory: Trajectory | None
+) -> tuple[Any, tuple[Array, Array], Reference, Array | None]:
+    """Return context, initial state, first reference, and the table of the trajectory."""
+    if trajectory is not None:
+        t = sample_times(dt, None, trajectory.duration)
+        reference = sampled(trajectory, t, plant)
+        context = Context.of(plant, dt=dt, t=t, reference=reference, trajectory=trajectory)
+        table = np.concatenate(reference, axis=1)
+        if table.size > _MOST:
+            raise InvalidArgument(
+                f"trajectory has {len(t):,} samples, a table of {table.size:,} numbers, expected at most "
+                f"{_MOST:,.0f}: give a larger dt, or no trajectory"
+            )
+        if reference.q.shape != reference.v.shape:
+            raise InvalidArgument(
+                "trajectory has configurations that are not as many as velocities, expected a trajectory of "
+                "the first coordinates, or none: the caller then supplies the reference"
+            )
+        return context, start_of(plant, reference, None, None), Reference(*(x[0] for x in reference)), table
+    sizes = reference_sizes_of(plant)
+    least = min(sizes)
+    rest = Reference(np.zeros((1, sizes[least])), *[np.zeros((1, least))] * 2)
+    q, v = start_of(plant, rest, None, None)
+    errors: list[Exception] = []
+    for n in sorted(sizes, reverse=True):
+        first = Reference(q[: sizes[n]], v[:n], np.zeros(n))
+        whole: Any = Context.of(plant, dt=dt, reference=Reference(*(x[None] for x in first)))
+        context: Any = BlindContext(whole, *_UNKNOWN)
+        try:  # the largest reference that the controller accepts
+            controller(0.0, q.copy(), v.copy(), first, controller.initial_state(context))
+        except NotTraceable as error:
+            raise InvalidArgument(f"controller cannot be exported: {error.reason}", "controller") from error
+        except Exception as error:
+            errors.append(error)
+        else:
+            return context, (q, v), first, None
+    raise errors[0]

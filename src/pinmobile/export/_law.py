@@ -1,0 +1,296 @@
+"""Law of one sample, taken from the tape of a closed loop: a controller's, or a plant's."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from typing import Any, final
+
+import numpy as np
+
+from pinmobile.arrays import Array
+from pinmobile.compiled import COUNT, Identity, LoopTape, Ring, evaluated, needed
+from pinmobile.errors import InvalidArgument
+from pinmobile.loop import Loop, Record, Sample
+from pinmobile.loop._trace import Trace, arrays_of, initial_memory, scheduled_rows, traced_numbers
+from pinmobile.parts import Found, find, named, part, replace
+from pinmobile.plant import Context, coordinates_of, inputs_of
+from pinmobile.signals import signals_of
+from pinmobile.trajectories import Reference
+
+
+@final
+@part
+class Answer:
+    """Recorder of the applied input and of the signals."""
+
+    signals, errors = True, False
+
+    def initial_state(self, n: int, nu: int) -> None:
+        """Return None: the recorder has no memory."""
+
+    def __call__(self, sample: Sample, state: None) -> Record:
+        """Return the applied input and the signals as a record."""
+        values = {f"signal {name}": claim.value for name, claim in sample.signals.items()}
+        units = {name: claim.unit for name, claim in sample.signals.items()}
+        return Record(None, (), {"u": sample.u, **values}, units)
+
+
+@final
+@part
+class Given:
+    """Controller whose output is the input that the caller gives, a row of a schedule."""
+
+    def initial_state(self, context: Context) -> Any:
+        """Return the schedule of the input."""
+        return context.schedule(np.zeros((len(context.t), len(context.inputs))))
+
+    def __call__(self, t: Any, q: Any, v: Any, reference: Any, state: Any) -> tuple[Any, Any]:
+        """Return the input of this sample."""
+        return state.next()
+
+
+class Member:
+    """Array of the interface of exported code.
+
+    Attributes
+    ----------
+    name : str
+        Name in C.
+    entries : sequence of (str, str)
+        Name and unit of each entry.
+    values : ndarray
+        Initial or nominal values.
+    """
+
+    def __init__(self, name: str, entries: Sequence[tuple[str, str]], values: Any = None) -> None:
+        self.name, self.entries = name, list(entries)
+        self.values = np.zeros(len(self.entries)) if values is None else np.ravel(np.asarray(values, float))
+
+    def __len__(self) -> int:
+        return len(self.entries)
+
+
+class Law:
+    """Law of one sample on a tape, with the places of its inputs and outputs in C.
+
+    Parameters
+    ----------
+    loop : Loop
+        Closed loop with the recorder `Answer`; for the law of the plant, with the controller `Given`.
+    context : Context
+        Context of the controller.
+    start : (ndarray, ndarray), shape (nq,), (nv,)
+        Initial state of the plant.
+    reference : Reference
+        Reference of the first sample.
+    tunable : sequence of str
+        Numbers that stay parameters.
+
+    Attributes
+    ----------
+    inputs, states, memory, parameters, signals : list of Member
+        Arguments of a step, state of the plant, memory, parameters, and signals.
+    outputs : list of (str, int)
+        C expression and node of each result.
+    rings : list of Ring
+        Delays in use.
+    rows : ndarray, shape (N + 1, m)
+        Rows of the schedules; the last one remains.
+    """
+
+    def __init__(
+        self,
+        loop: Loop,
+        context: Context,
+        start: tuple[Array, Array],
+        reference: Reference,
+        tunable: Sequence[str] = (),
+    ) -> None:
+        self.loop, self.context, self.start = loop, context, start
+        self.is_plant = isinstance(loop.controller, Given)
+        self.found = [self._tunable(name) for name in dict.fromkeys(tunable)]
+        spread = {one.path: np.ones(np.shape(one.leaf.value), bool) for one in self.found}
+        begun = initial_memory(loop, context)
+        identity = Identity.of(loop, begun[2:], spread, ())
+        self.loop_tape = Trace(loop, context, start, reference, identity, spread).result()
+        self.tape = self.loop_tape.tape
+        self.constants: dict[Any, float] = {("uniform", 0): context.dt / loop.substeps}
+        if not self.is_plant:
+            self.constants[COUNT] = 0.0  # a controller gets velocities as measured, without projection
+        self.places: dict[Any, str] = {}
+        self.outputs: list[tuple[str, int]] = []
+        self._parameters()
+        self._interface(reference)
+        self._memory(arrays_of(begun))
+        self._results()
+        self._finish()
+
+    def _tunable(self, name: str) -> Found:
+        root = "plant." if self.is_plant else "controller."
+        known = {path: one for path, one in named(self.loop).items() if path.startswith(root)}
+        found = find(self.loop, name, known, "tunable")
+        if found.label:
+            raise InvalidArgument(
+                f"tunable has {name!r}, an entry of {found.leaf.path}, expected the whole field: "
+                f"{found.leaf.path!r}"
+            )
+        changed = replace(self.loop, {found.path: np.asarray(found.leaf.value, float) * 1.001 + 1e-6})
+        memories = (arrays_of(initial_memory(each, self.context)) for each in (self.loop, changed))
+        if not all(map(np.array_equal, *memories)):
+            raise InvalidArgument(
+                f"tunable has {name!r}, from which the law computes its memory before the first sample, "
+                "expected a number that the law reads at each sample: export again with another value"
+            )
+        return found
+
+    def _parameters(self) -> None:
+        """Place the parameters: numbers that stay variable, and constants."""
+        values, self.parameters = traced_numbers(self.loop), list[Member]()
+        tunable = {one.path: one for one in self.found}
+        unused = [path for path in tunable if path in self.loop_tape.unused]
+        if unused:
+            raise InvalidArgument(f"tunable has {unused[0]!r}, which no operation of the loop uses")
+        for path, leaf in self.loop_tape.parameters.items():
+            flat = np.ravel(values[path])
+            keys = [(leaf.kind, leaf.first + i) for i in range(len(flat))]
+            if path not in tunable:
+                self.constants |= dict(zip(keys, map(float, flat), strict=True))
+                continue
+            one = tunable[path]
+            name = re.sub(r"\W", "_", path.partition(".")[2])
+            units = one.unit.split(", ") if ", " in one.unit else [one.unit] * len(flat)
+            entries = [(one.meaning, units[i % len(units)]) for i in range(len(flat))]
+            self.parameters.append(Member(name, entries, flat))
+            self.places |= {key: f"parameters->{name}[{i}]" for i, key in enumerate(keys)}
+
+    def _interface(self, reference: Reference) -> None:
+        """Place time, state, input and reference."""
+        plant, (nq, nv, _, length, n) = self.loop.plant, self.loop_tape.sizes
+        coordinates, inputs = coordinates_of(plant), inputs_of(plant)
+        names = [(one.name, one.unit) for one in coordinates]
+        rates = [(one.rate or f"{one.name}_rate", f"{one.unit or '1'}/s") for one in coordinates]
+        bends = [(f"acceleration of {name}", f"{unit or '1'}/s^2") for name, unit in names]
+        if nq != nv:
+            names = [(f"configuration {i}", "") for i in range(nq)]
+        q, v = (Member(x, y, z) for x, y, z in zip("qv", (names, rates), self.start, strict=True))
+        self.u = Member("u", [(one.name, one.unit) for one in inputs])
+        self.states, before = [q, v], "memory->" if self.is_plant else ""
+        for first, each in ((0, q), (nq, v)):
+            self.places |= {("state", first + i): f"{before}{each.name}[{i}]" for i in range(len(each))}
+        given = Member("q", names[:length]), Member("v", rates[:n]), Member("a", bends[:n])
+        self.reference, column = list(given), 1
+        self.places["sample", 0] = "t"
+        for each in given:
+            for i in range(len(each)):
+                self.places["sample", column + i] = f"reference->{each.name}[{i}]"
+            column += len(each)
+        rows = [np.reshape(x, (len(x), -1)) for x in scheduled_rows(self.loop, self.context)]
+        self.rows = np.concatenate(rows, axis=1) if rows else np.zeros((0, 0))
+        if self.is_plant:
+            self.places |= {("sample", column + i): f"u[{i}]" for i in range(self.rows.shape[1])}
+            self.rows = np.zeros((0, 0))
+        else:
+            self.places |= {("sample", column + i): f"row[{i}]" for i in range(self.rows.shape[1])}
+
+    def _memory(self, values: Sequence[Any]) -> None:
+        """Place the memory of the law; arrays that never change are constants."""
+        self.memory: list[Member] = []
+        owner, loop = "plant" if self.is_plant else "controller", self.loop_tape
+        for leaf, value in zip(loop.leaves, values, strict=True):
+            flat = np.ravel(np.broadcast_to(np.asarray(value, float), leaf.shape))
+            keys = [(leaf.kind, leaf.first + i) for i in range(len(flat))]
+            if leaf.kind != "state":
+                self.constants |= dict(zip(keys, map(float, flat), strict=True))
+            elif leaf.owner == owner and len(flat):
+                name = f"state_{len(self.memory)}"
+                self.memory.append(Member(name, [(leaf.path, "")] * len(flat), flat))
+                self.places |= {key: f"memory->{name}[{i}]" for i, key in enumerate(keys)}
+                after = [loop.states[leaf.first + i][1] for i in range(len(flat))]
+                self.outputs += [(f"memory->{name}[{i}]", node) for i, node in enumerate(after)]
+
+    def _results(self) -> None:
+        """Place the results of a step: the input, or the next state; and the controller's signals."""
+        loop, (nq, nv, *_) = self.loop_tape, self.loop_tape.sizes
+        self.signals: list[Member] = []
+        if self.is_plant:
+            for i, (_, after) in enumerate(loop.states[: nq + nv]):
+                self.outputs.append((self.places["state", i], after))
+            return
+        self.outputs += [(f"u[{i}]", node) for i, node in enumerate(loop.kept["u"][1])]
+        memory = initial_memory(self.loop, self.context).controller
+        own = signals_of(self.loop.controller, memory)
+        for key, (_, nodes) in loop.kept.items():
+            name = key.removeprefix("signal ")
+            if name in own:
+                member = re.sub(r"\W", "_", name)
+                self.signals.append(Member(member, [(name, loop.units[name])] * len(nodes)))
+                self.outputs += [(f"memory->signals.{member}[{i}]", node) for i, node in enumerate(nodes)]
+
+    def _finish(self) -> None:
+        """Find the delays in use, and refuse noise."""
+        used = needed(self.tape, [node for _, node in self.outputs])
+        self.rings: list[Ring] = [ring for ring in self.loop_tape.rings if ring.node in used]
+        for i in used:
+            operation = self.tape.operations[i]
+            if operation[0] == "key":
+                raise InvalidArgument(
+                    f"controller draws the noise {self.loop_tape.keys[operation[1]]!r}, which a robot has by "
+                    "itself, expected a controller without noise, such as the one inside MeasurementNoise",
+                    "controller",
+                )
+
+    def samples(self, count: int) -> Iterator[tuple[dict[str, Array], dict[str, Array]]]:
+        """Yield arguments and results of consecutive samples near the start, computed by NumPy."""
+        loop: LoopTape = self.loop_tape
+        nodes = [node for _, node in self.outputs]
+        pushed = [ring.pushed for ring in self.rings]
+        memory = {
+            f"memory->{each.name}[{i}]": x
+            for each in (*self.memory, *(self.states if self.is_plant else ()))
+            for i, x in enumerate(each.values)
+        }
+        fixed = {f"parameters->{one.name}[{i}]": x for one in self.parameters for i, x in enumerate(one.values)}
+        past: dict[int, list[Any]] = {ring.node: [] for ring in self.rings}
+        for k in range(count):
+            given = self._arguments(k)
+            values = {"t": float(given["t"][0]), **memory, **fixed}
+            for name, array in given.items():
+                values |= {f"{name}[{i}]": x for i, x in enumerate(array)}
+            if len(self.rows):
+                values |= {f"row[{i}]": x for i, x in enumerate(self.rows[min(k, len(self.rows) - 1)])}
+            inputs: dict[Any, Any] = {COUNT: float(k), **self.constants}
+            inputs |= {op: values[place] for op, place in self.places.items() if place in values}
+            for ring in self.rings:
+                if past[ring.node]:
+                    known = past[ring.node]
+                    inputs[self.tape.operations[ring.node]] = known[max(0, k - ring.samples)]
+            found = evaluated(self.tape, [*nodes, *pushed], inputs, first=k == 0)
+            for ring, x in zip(self.rings, found[len(nodes) :], strict=True):
+                past[ring.node].append(x)
+            results = {place: float(x) for (place, _), x in zip(self.outputs, found, strict=False)}
+            memory |= {place: x for place, x in results.items() if place in memory}
+            yield given, {name: self._result(name, results) for name in (("q", "v") if self.is_plant else "u")}
+        assert loop is self.loop_tape
+
+    def _result(self, name: str, results: dict[str, float]) -> Array:
+        place = f"memory->{name}" if self.is_plant else name
+        size = len(self.u) if name == "u" else len(self.states["qv".index(name)])
+        return np.array([results[f"{place}[{i}]"] for i in range(size)])
+
+    def _arguments(self, k: int) -> dict[str, Array]:
+        """Return smooth arguments of a sample near the start."""
+        t = k * self.context.dt
+
+        def wave(size: int, shift: float, scale: float) -> Array:
+            return scale * np.sin(0.7 + shift + 1.3 * np.arange(size) + 0.31 * k)
+
+        found = {"t": np.array([t])}
+        if self.is_plant:
+            return {**found, "u": wave(len(self.u), 0.2, 1.0)}
+        (q, v), n = self.start, len(self.reference[1])
+        moved = np.asarray(self.loop.integrate(q, wave(len(v), 0.0, 0.05)), float)
+        along = np.asarray(self.loop.integrate(q, wave(len(v), 0.4, 0.03)), float)
+        found |= {"q": moved, "v": v + wave(len(v), 0.9, 0.1)}
+        rates = ("reference->v", v[:n] + wave(n, 0.5, 0.1)), ("reference->a", wave(n, 0.1, 0.2))
+        return {**found, "reference->q": along[: len(self.reference[0])], **dict(rates)}

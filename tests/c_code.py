@@ -1,0 +1,98 @@
+"""Exported C as a function of all samples: a driver in C, compiled with the code and called by ctypes."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror", "-ffp-contract=off")
+SANITIZED = ("-fsanitize=undefined,address", "-fno-sanitize-recover=all")
+
+CONTROLLER = """
+#include "robot.h"
+#include <string.h>
+int drive(long n, const robot_real *t, const robot_real *q, const robot_real *v, const robot_real *r, robot_real *u);
+int drive(long n, const robot_real *t, const robot_real *q, const robot_real *v, const robot_real *r, robot_real *u)
+{
+    robot_memory memory;
+    robot_reference reference;
+    robot_init(&memory);
+    for (long k = 0; k < n; ++k) {
+        memcpy(&reference, r + k * (long)(sizeof reference / sizeof *r), sizeof reference);
+        const int status = robot_step(t[k], q + k * NQ, v + k * NV, &reference, &memory, u + k * NU);
+        if (status != ROBOT_OK) return status;
+    }
+    return 0;
+}
+"""
+PLANT = """
+#include "robot.h"
+#include <string.h>
+int drive(long n, const robot_real *t, const robot_real *u, robot_real *q, robot_real *v);
+int drive(long n, const robot_real *t, const robot_real *u, robot_real *q, robot_real *v)
+{
+    robot_memory memory;
+    robot_init(&memory);
+    for (long k = 0; k < n; ++k) {
+        memcpy(q + k * NQ, memory.q, sizeof memory.q);
+        memcpy(v + k * NV, memory.v, sizeof memory.v);
+        const int status = robot_step(t[k], u + k * NU, &memory);
+        if (status != ROBOT_OK) return status;
+    }
+    return 0;
+}
+"""
+
+
+def compilers() -> list[str]:
+    """Return the C compilers of this machine; in CI both must be there."""
+    found = [name for name in ("gcc", "clang") if shutil.which(name)]
+    if os.environ.get("CI") == "true" and len(found) < 2:
+        pytest.fail(f"compilers are {found}, expected gcc and clang")
+    if not found:
+        pytest.skip("neither gcc nor clang is installed")
+    return found
+
+
+def compile_c(folder: Path, driver: str, sizes: Sequence[int], *flags: str, compiler: str = "gcc") -> Any:
+    """Return the function `drive` of exported code; sizes are nq, nv and nu."""
+    with tempfile.NamedTemporaryFile(dir=folder, suffix=".so", delete=False) as file:
+        library = file.name
+    main = folder / "drive.c"
+    main.write_text(driver)
+    defined = [f"-D{name}={size}" for name, size in zip(("NQ", "NV", "NU"), sizes, strict=True)]
+    command = [compiler, *STRICT, "-shared", "-fPIC", *defined, *flags, "robot.c", main.name, "-o", library, "-lm"]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return ctypes.CDLL(library).drive
+
+
+def call(drive: Any, *arrays: Any) -> int:
+    """Return the status of a call for all samples, whose results are written into the last arrays."""
+    given = [ctypes.c_void_p(x.ctypes.data) for x in arrays]
+    return int(drive(ctypes.c_long(len(arrays[0])), *given))
+
+
+def run_test_program(folder: Path, *flags: str, compiler: str = "gcc") -> str:
+    """Return what the exported test program prints."""
+    program = folder / "robot_test"
+    command = [compiler, *STRICT, *flags, "robot.c", "robot_test.c", "-o", program.name, "-lm"]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    tested = subprocess.run([str(program)], capture_output=True, text=True)
+    assert tested.returncode == 0, tested.stdout + tested.stderr
+    return tested.stdout
+
+
+def rows(*arrays: Any, kind: Any = np.float64) -> list[Any]:
+    """Return contiguous arrays."""
+    return [np.ascontiguousarray(x, kind) for x in arrays]
