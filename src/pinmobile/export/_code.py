@@ -49,7 +49,6 @@ class Code:
         self.prefix, self.single = prefix, single
         self.marks = tape.marks if single else {}
         self.values: dict[int, Any] = {}  # values of nodes that depend on constants only
-        self.selected: dict[int, int] = {}  # operands that constant conditions select
         self.live: set[int] = set()
         self.carried: dict[int, list[int]] = {}  # numbers of rounds that something needs
         self.lines: list[str] = []
@@ -74,8 +73,6 @@ class Code:
         """Return the C expression of a node: a constant, an input or a variable."""
         if node in self.values:
             return self.literal(self.tape.types[node], self.values[node])
-        if node in self.selected:
-            return self.name(self.selected[node])
         operation = self.tape.operations[node]
         if operation[0] == "result":
             return f"y{operation[1]}_{operation[2]}"
@@ -94,17 +91,9 @@ class Code:
                     values[node] = DTYPES[tape.types[node]](self.constants[operation])
                 elif operation[0] in NUMPY and all(i in values for i in operation[1:]):
                     values[node] = NUMPY[operation[0]](*(values[i] for i in operation[1:]))
-                elif operation[0] == "select" and operation[1] in values:
-                    chosen = operation[2 if values[operation[1]] else 3]
-                    if chosen in values:
-                        values[node] = values[chosen]
-                    else:
-                        self.selected[node] = chosen
 
     def _needs(self, node: int) -> tuple[int, ...]:
         """Return the nodes that a node needs, without those that only some numbers of its rounds need."""
-        if node in self.selected:
-            return (self.selected[node],)
         if node in self.marks:
             return self.marks[node][1]
         operation = self.tape.operations[node]

@@ -130,7 +130,7 @@ def export_c(
     context, start, first, table = _begun(plant, loop.controller, step, trajectory)
     try:
         with uncollected():
-            law = Law(evolved(loop, {"recorder": Answer()}), context, start, first, own)
+            law = Law(evolved(loop, {"recorder": Answer(projects=controller is None)}), context, start, first, own)
     except NotTraceable as error:
         argument = "plant" if controller is None else "controller"
         raise InvalidArgument(f"{argument} cannot be exported: {error.reason}", argument) from error

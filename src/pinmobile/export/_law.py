@@ -13,7 +13,7 @@ from pinmobile.compiled import COUNT, Identity, LoopTape, Ring, evaluated, neede
 from pinmobile.errors import InvalidArgument
 from pinmobile.loop import Loop, Record, Sample
 from pinmobile.loop._trace import Trace, arrays_of, initial_memory, scheduled_rows, traced_numbers
-from pinmobile.parts import Found, find, named, part, replace
+from pinmobile.parts import Found, find, named, option, part, replace
 from pinmobile.plant import Context, coordinates_of, inputs_of
 from pinmobile.signals import signals_of
 from pinmobile.trajectories import Reference
@@ -22,8 +22,15 @@ from pinmobile.trajectories import Reference
 @final
 @part
 class Answer:
-    """Recorder of the applied input and of the signals."""
+    """Recorder of the applied input and of the signals.
 
+    Parameters
+    ----------
+    projects : bool
+        Whether velocities are projected onto the constraints of the plant before each sample.
+    """
+
+    projects: bool = option(default=False)
     signals, errors = True, False
 
     def initial_state(self, n: int, nu: int) -> None:
@@ -116,8 +123,6 @@ class Law:
         self.loop_tape = Trace(loop, context, start, reference, identity, spread).result()
         self.tape = self.loop_tape.tape
         self.constants: dict[Any, float] = {("uniform", 0): context.dt / loop.substeps}
-        if not self.is_plant:
-            self.constants[COUNT] = 0.0  # a controller gets velocities as measured, without projection
         self.places: dict[Any, str] = {}
         self.outputs: list[tuple[str, int]] = []
         self._parameters()
@@ -259,7 +264,7 @@ class Law:
                 values |= {f"{name}[{i}]": x for i, x in enumerate(array)}
             if len(self.rows):
                 values |= {f"row[{i}]": x for i, x in enumerate(self.rows[min(k, len(self.rows) - 1)])}
-            inputs: dict[Any, Any] = {COUNT: float(k), **self.constants}
+            inputs: dict[Any, Any] = {COUNT: np.uint64(k), **self.constants}
             inputs |= {op: values[place] for op, place in self.places.items() if place in values}
             for ring in self.rings:
                 if past[ring.node]:

@@ -146,8 +146,12 @@ class Loop:
 
     @cached_property
     def is_constrained(self) -> bool:
-        """Whether the loop projects velocities before each substep; a plant's own step does this itself."""
-        return not self.steps and able(self.law, Constrained) is not None
+        """Whether the loop projects velocities before each substep; a plant's own step does this itself.
+
+        A recorder with ``projects = False`` keeps velocities as they are, like those that sensors measure.
+        """
+        projects = getattr(self.recorder, "projects", True)
+        return projects and not self.steps and able(self.law, Constrained) is not None
 
     @cached_property
     def displaced(self) -> Callable[..., tuple[Any, Any]]:
