@@ -20,8 +20,9 @@ SANITIZED = ("-fsanitize=undefined,address", "-fno-sanitize-recover=all")
 CONTROLLER = """
 #include "robot.h"
 #include <string.h>
-int drive(long n, const robot_real *t, const robot_real *q, const robot_real *v, const robot_real *r, robot_real *u);
-int drive(long n, const robot_real *t, const robot_real *q, const robot_real *v, const robot_real *r, robot_real *u)
+typedef const robot_real *given;
+int drive(long n, given t, given q, given v, given r, robot_real *u);
+int drive(long n, given t, given q, given v, given r, robot_real *u)
 {
     robot_memory memory;
     robot_reference reference;
@@ -37,8 +38,9 @@ int drive(long n, const robot_real *t, const robot_real *q, const robot_real *v,
 PLANT = """
 #include "robot.h"
 #include <string.h>
-int drive(long n, const robot_real *t, const robot_real *u, robot_real *q, robot_real *v);
-int drive(long n, const robot_real *t, const robot_real *u, robot_real *q, robot_real *v)
+typedef const robot_real *given;
+int drive(long n, given t, given u, robot_real *q, robot_real *v);
+int drive(long n, given t, given u, robot_real *q, robot_real *v)
 {
     robot_memory memory;
     robot_init(&memory);
@@ -70,7 +72,8 @@ def compile_c(folder: Path, driver: str, sizes: Sequence[int], *flags: str, comp
     main = folder / "drive.c"
     main.write_text(driver)
     defined = [f"-D{name}={size}" for name, size in zip(("NQ", "NV", "NU"), sizes, strict=True)]
-    command = [compiler, *STRICT, "-shared", "-fPIC", *defined, *flags, "robot.c", main.name, "-o", library, "-lm"]
+    command = [compiler, *STRICT, "-shared", "-fPIC", *defined, *flags, "robot.c", main.name]
+    command += ["-o", library, "-lm"]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     return ctypes.CDLL(library).drive

@@ -58,6 +58,7 @@ ALLOWED: dict[str, set[str]] = {
     "loop": {"files", "controllers", "forces", "reaching"},
     "accuracy": {"loop"},
     "sweeps": {"loop"},
+    "export": {"loop"},
     "identification": {"loop", "wheels"},
     "palette": set(),
     "plots": {"palette", "accuracy", "balance", "identification"},

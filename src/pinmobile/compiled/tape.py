@@ -238,7 +238,7 @@ class Tape:
         node = self._as(x, "f") if type(x) is Node else self.const(x)
         return node.index
 
-    def mark(self, name: str, found: Any, *given: Number) -> Any:
+    def mark(self, name: str, found: Any, *given: Any) -> Any:
         """Mark a node as the value of an elementary function of its operands, and return it."""
         if type(found) is Node:
             self.marks.setdefault(found.index, (name, tuple(map(self.number, given))))

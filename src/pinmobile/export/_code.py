@@ -1,4 +1,4 @@
-"""C code of nodes of a tape: one statement per operation, with the bits of the library in double precision."""
+"""C code of nodes of a tape: a statement per operation, with the bits of the library in double precision."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ class Code:
         return operands(operation)
 
     def _carry(self, repeat: int, number: int) -> tuple[int, int]:
-        """Return the nodes of a number of rounds before the first one and after each, and note that it is live."""
+        """Return the nodes of a number of rounds before and after a round; something needs the number."""
         rounds, known = Rounds.of(self.tape, repeat), self.carried.setdefault(repeat, [])
         if number not in known:
             known.append(number)
@@ -167,11 +167,11 @@ class Code:
         """Return the C expression of an operation."""
         self.operations += 1
         if node in self.marks:
-            name, given = self.marks[node]
-            if name == "count":
+            function, own = self.marks[node]
+            if function == "count":
                 return f"({self.prefix}_real)memory->k"
-            self.functions.add(name)
-            return f"{self.prefix}_{name}({', '.join(map(self.name, given))})"
+            self.functions.add(function)
+            return f"{self.prefix}_{function}({', '.join(map(self.name, own))})"
         name, *given = self.tape.operations[node]
         if name == "ring":
             return f"memory->k == 0 ? {self.name(given[2])} : memory->delay_{node}[memory->at_{given[1]}]"
@@ -201,4 +201,3 @@ class Code:
     def stack(self) -> int:
         """Bound of the bytes of stack: each variable has its own place, as without optimisation."""
         return 8 * (len(self.lines) + _MARGIN)
-

@@ -10,10 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from pinmobile import __version__
 from pinmobile.arrays import Array, location, one_of, positive, sequence
 from pinmobile.compiled import uncollected
-from pinmobile.controllers import Controller
+from pinmobile.controllers import Controller, check_controller
 from pinmobile.errors import InvalidArgument, NotTraceable, shown
 from pinmobile.export._law import Answer, Given, Law
 from pinmobile.export._project import Project
@@ -114,11 +113,13 @@ def export_c(
     one_of("precision", precision, ("double", "single"))
     if not isinstance(name, str) or not re.fullmatch(r"[a-z][a-z0-9_]{0,30}", name) or name in _RESERVED:
         raise InvalidArgument(
-            f"name is {shown(name)}, expected a name in C of lower-case letters, digits and _, such as 'robot'"
+            f"name is {shown(name)}, expected a name of lower-case letters, digits and _, such as 'robot'"
         )
-    own = [x for x in sequence("tunable", tunable, 'paths of numbers, such as ["kp"]')]
+    own = sequence("tunable", tunable, 'paths of numbers, such as ["kp"]')
     step, target = positive("dt", dt, "s"), location("folder", folder)
     check_plant(plant)
+    if controller is not None:
+        check_controller(controller)
     loop = Loop(
         plant,
         Given() if controller is None else controller,
@@ -130,15 +131,25 @@ def export_c(
     context, start, first, table = _begun(plant, loop.controller, step, trajectory)
     try:
         with uncollected():
-            law = Law(evolved(loop, {"recorder": Answer(projects=controller is None)}), context, start, first, own)
+            law = Law(
+                evolved(loop, {"recorder": Answer(as_measured=controller is not None)}),
+                context,
+                start,
+                first,
+                own,
+            )
     except NotTraceable as error:
         argument = "plant" if controller is None else "controller"
         raise InvalidArgument(f"{argument} cannot be exported: {error.reason}", argument) from error
-    title = type(plant).__name__ if controller is None else f"{type(controller).__name__} of a {type(plant).__name__}"
+    title = (
+        type(plant).__name__
+        if controller is None
+        else f"{type(controller).__name__} of a {type(plant).__name__}"
+    )
     if controller is None:
         table = None
     single = precision == "single"
-    project = Project(law, name, single=single, table=table, title=title, version=__version__)
+    project = Project(law, name, single=single, table=table, title=title)
     with refusals("written", "folder", target):
         target.mkdir(parents=True, exist_ok=True)
     for file, text in project.files().items():
@@ -174,13 +185,13 @@ def _begun(
     for n in sorted(sizes, reverse=True):
         first = Reference(q[: sizes[n]], v[:n], np.zeros(n))
         whole: Any = Context.of(plant, dt=dt, reference=Reference(*(x[None] for x in first)))
-        context: Any = BlindContext(whole, *_UNKNOWN)
+        blind: Any = BlindContext(whole, *_UNKNOWN)
         try:  # the largest reference that the controller accepts
-            controller(0.0, q.copy(), v.copy(), first, controller.initial_state(context))
+            controller(0.0, q.copy(), v.copy(), first, controller.initial_state(blind))
         except NotTraceable as error:
             raise InvalidArgument(f"controller cannot be exported: {error.reason}", "controller") from error
         except Exception as error:
             errors.append(error)
         else:
-            return context, (q, v), first, None
+            return blind, (q, v), first, None
     raise errors[0]

@@ -9,7 +9,7 @@ from typing import Any, final
 import numpy as np
 
 from pinmobile.arrays import Array
-from pinmobile.compiled import COUNT, Identity, LoopTape, Ring, evaluated, needed
+from pinmobile.compiled import COUNT, Identity, Ring, evaluated, needed
 from pinmobile.errors import InvalidArgument
 from pinmobile.loop import Loop, Record, Sample
 from pinmobile.loop._trace import Trace, arrays_of, initial_memory, scheduled_rows, traced_numbers
@@ -26,11 +26,11 @@ class Answer:
 
     Parameters
     ----------
-    projects : bool
-        Whether velocities are projected onto the constraints of the plant before each sample.
+    as_measured : bool
+        Whether the controller gets velocities without projection onto the constraints of the plant.
     """
 
-    projects: bool = option(default=False)
+    as_measured: bool = option(default=True)
     signals, errors = True, False
 
     def initial_state(self, n: int, nu: int) -> None:
@@ -54,7 +54,8 @@ class Given:
 
     def __call__(self, t: Any, q: Any, v: Any, reference: Any, state: Any) -> tuple[Any, Any]:
         """Return the input of this sample."""
-        return state.next()
+        u, after = state.next()
+        return u, after
 
 
 class Member:
@@ -76,6 +77,12 @@ class Member:
 
     def __len__(self) -> int:
         return len(self.entries)
+
+    def described(self, before: str, after: str = "") -> list[str]:
+        """Return a line with name and unit of each entry."""
+        units = [f" [{unit}]" if unit else "" for _, unit in self.entries]
+        named = zip(self.entries, units, strict=True)
+        return [f"{before}{self.name}[{i}]: {one}{unit}{after}" for i, ((one, _), unit) in enumerate(named)]
 
 
 class Law:
@@ -115,7 +122,7 @@ class Law:
         tunable: Sequence[str] = (),
     ) -> None:
         self.loop, self.context, self.start = loop, context, start
-        self.is_plant = isinstance(loop.controller, Given)
+        self.is_plant = not loop.recorder.as_measured
         self.found = [self._tunable(name) for name in dict.fromkeys(tunable)]
         spread = {one.path: np.ones(np.shape(one.leaf.value), bool) for one in self.found}
         begun = initial_memory(loop, context)
@@ -157,17 +164,16 @@ class Law:
         if unused:
             raise InvalidArgument(f"tunable has {unused[0]!r}, which no operation of the loop uses")
         for path, leaf in self.loop_tape.parameters.items():
-            flat = np.ravel(values[path])
-            keys = [(leaf.kind, leaf.first + i) for i in range(len(flat))]
             if path not in tunable:
-                self.constants |= dict(zip(keys, map(float, flat), strict=True))
-                continue
-            one = tunable[path]
+                keys = [(leaf.kind, leaf.first + i) for i in range(values[path].size)]
+                self.constants |= dict(zip(keys, map(float, values[path].flat), strict=True))
+        for path, one in tunable.items():
+            leaf, size = self.loop_tape.parameters[path], values[path].size
             name = re.sub(r"\W", "_", path.partition(".")[2])
-            units = one.unit.split(", ") if ", " in one.unit else [one.unit] * len(flat)
-            entries = [(one.meaning, units[i % len(units)]) for i in range(len(flat))]
-            self.parameters.append(Member(name, entries, flat))
-            self.places |= {key: f"parameters->{name}[{i}]" for i, key in enumerate(keys)}
+            units = (one.unit.split(", ") * size)[:size]
+            self.parameters.append(Member(name, [(one.meaning, unit) for unit in units], values[path]))
+            places = {(leaf.kind, leaf.first + i): f"parameters->{name}[{i}]" for i in range(size)}
+            self.places |= places
 
     def _interface(self, reference: Reference) -> None:
         """Place time, state, input and reference."""
@@ -247,7 +253,6 @@ class Law:
 
     def samples(self, count: int) -> Iterator[tuple[dict[str, Array], dict[str, Array]]]:
         """Yield arguments and results of consecutive samples near the start, computed by NumPy."""
-        loop: LoopTape = self.loop_tape
         nodes = [node for _, node in self.outputs]
         pushed = [ring.pushed for ring in self.rings]
         memory = {
@@ -255,7 +260,9 @@ class Law:
             for each in (*self.memory, *(self.states if self.is_plant else ()))
             for i, x in enumerate(each.values)
         }
-        fixed = {f"parameters->{one.name}[{i}]": x for one in self.parameters for i, x in enumerate(one.values)}
+        fixed = {
+            f"parameters->{one.name}[{i}]": x for one in self.parameters for i, x in enumerate(one.values)
+        }
         past: dict[int, list[Any]] = {ring.node: [] for ring in self.rings}
         for k in range(count):
             given = self._arguments(k)
@@ -275,8 +282,10 @@ class Law:
                 past[ring.node].append(x)
             results = {place: float(x) for (place, _), x in zip(self.outputs, found, strict=False)}
             memory |= {place: x for place, x in results.items() if place in memory}
-            yield given, {name: self._result(name, results) for name in (("q", "v") if self.is_plant else "u")}
-        assert loop is self.loop_tape
+            yield (
+                given,
+                {name: self._result(name, results) for name in (("q", "v") if self.is_plant else "u")},
+            )
 
     def _result(self, name: str, results: dict[str, float]) -> Array:
         place = f"memory->{name}" if self.is_plant else name
@@ -288,7 +297,7 @@ class Law:
         t = k * self.context.dt
 
         def wave(size: int, shift: float, scale: float) -> Array:
-            return scale * np.sin(0.7 + shift + 1.3 * np.arange(size) + 0.31 * k)
+            return np.asarray(scale * np.sin(0.7 + shift + 1.3 * np.arange(size) + 0.31 * k))
 
         found = {"t": np.array([t])}
         if self.is_plant:

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from functools import cache
 from importlib.resources import files
+from string import Template
 from typing import Any
 
 import numpy as np
 
+from pinmobile import __version__
 from pinmobile.arrays import Array
 from pinmobile.compiled import COUNT
 from pinmobile.export._code import Code
@@ -18,6 +20,7 @@ from pinmobile.export._law import Law, Member
 
 _SAMPLES = 64  # of the test program
 _TOLERANCE = 1e-4  # of single precision, relative to the largest result
+_NEAR = 1e-5  # of a time to a sample, in steps
 
 
 class Project:
@@ -31,544 +34,261 @@ class Project:
         Prefix of all names.
     single : bool
         Whether numbers have single precision.
-    table : ndarray, shape (N + 1, columns), optional
+    table : ndarray, shape (N + 1, 3 n), optional
         Reference (q, v, a) at the samples of a trajectory.
     title : str
         One line that names the parts.
-    version : str
-        Version of the library.
     """
 
-    def __init__(
-        self, law: Law, name: str, *, single: bool, table: Array | None, title: str, version: str
-    ) -> None:
+    def __init__(self, law: Law, name: str, *, single: bool, table: Array | None, title: str) -> None:
         self.law, self.name, self.single, self.table = law, name, single, table
-        self.title, self.version = title, version
-        self.code = self._code()
-        self.body = self._body()
-        kept = "\n".join([title, version, *self._types(), self.body])
-        self.digest = hashlib.sha256(kept.encode()).hexdigest()[:16]
+        self.code = Code(
+            law.tape, {**law.places, COUNT: "(uint64_t)memory->k"}, law.constants, prefix=name, single=single
+        )
+        self.code.write([*(node for _, node in law.outputs), *(ring.pushed for ring in law.rings)])
+        self.words: dict[str, Any] = {"name": name, "UPPER": name.upper(), "title": title}
+        dt = law.context.dt
+        self.words |= {"version": __version__, "dt": f"{dt:g}", "dt_c": self._number(dt)}
+        self.words["prototype"] = self._prototype()
+        types, body = self._types(), self._body()
+        kept = "\n".join([title, __version__, types, body])
+        self.words |= {"types": types, "body": body, "digest": hashlib.sha256(kept.encode()).hexdigest()[:16]}
 
     def files(self) -> dict[str, str]:
         """Return the texts by file name."""
-        name = self.name
+        law, name = self.law, self.name
+        calls = f"{name}_step(t, u, &memory)", f"{name}_step(t, q, v, &reference, &memory, u)"
+        self.words["call"] = calls[0 if law.is_plant else 1]
         return {
             f"{name}.h": self._header(),
-            f"{name}.c": self._source(),
+            f"{name}.c": self._text("source"),
             f"{name}_test.c": self._test(),
-            "CMakeLists.txt": self._cmake(),
+            "CMakeLists.txt": self._text("cmake"),
             "README.md": self._readme(),
         }
 
-    def _code(self) -> Code:
-        law, tape = self.law, self.law.tape
-        places: dict[Any, str] = dict(law.places)
-        places[COUNT] = "(uint64_t)memory->k"
-        code = Code(tape, places, law.constants, prefix=self.name, single=self.single)
-        code.write([*(node for _, node in law.outputs), *(ring.pushed for ring in law.rings)])
-        return code
+    def _text(self, section: str, **words: Any) -> str:
+        text = Template(_sections("templates.c")[section][1]).substitute(self.words, **words)
+        return text if section in ("delay", "parameter") else f"{text}\n"
 
     def _number(self, x: float) -> str:
         return self.code.literal("f", x)
 
-    # The interface
+    def _numbers(self, values: Iterable[float]) -> str:
+        return ", ".join(map(self._number, values))
 
-    def _struct(self, what: str, members: Sequence[Member], comment: str) -> list[str]:
-        """Return the lines of a struct, with names and units of its entries."""
-        if not members:
-            return []
-        lines = [f"/* {comment} */", "typedef struct {"]
+    # Header
+
+    def _struct(self, what: str, comment: str, members: Sequence[Member], lines: Iterable[str] = ()) -> str:
+        """Return a struct, with names and units of its entries."""
+        own = list(lines)
         for one in members:
-            lines += [f"    {line}" for line in _entries(one)]
-            lines.append(f"    {self.name}_real {one.name}[{len(one)}];")
-        return [*lines, f"}} {self.name}_{what};", ""]
+            own += [*one.described("/* ", " */"), f"{self.name}_real {one.name}[{len(one)}];"]
+        body = "".join(f"    {line}\n" for line in own)
+        return f"/* {comment} */\ntypedef struct {{\n{body}}} {self.name}_{what};" if own else ""
 
-    def _types(self) -> list[str]:
+    def _types(self) -> str:
         law, name = self.law, self.name
-        real = "float" if self.single else "double"
-        lines = [f"typedef {real} {name}_real;", ""]
+        found = [f"typedef {'float' if self.single else 'double'} {name}_real;"]
         if not law.is_plant:
-            lines += self._struct("reference", law.reference, "Reference of a sample.")
-        lines += self._struct("parameters", law.parameters, "Numbers that may change between two samples.")
-        lines += self._struct("signals", law.signals, "Signals of the last sample.")
-        lines += [
-            "/* Memory from sample to sample: one for each robot. */",
-            "typedef struct {",
-            f"    {name}_real t; /* time of the last sample [s] */",
-            "    uint32_t k; /* number of samples, at most UINT32_MAX */",
-        ]
-        for one in law.states if law.is_plant else ():
-            lines += [f"    {line}" for line in _entries(one)]
-            lines.append(f"    {name}_real {one.name}[{len(one)}];")
-        for one in law.memory:
-            lines.append(f"    {name}_real {one.name}[{len(one)}]; /* {one.entries[0][0]} */")
-        for ring in law.rings:
-            lines.append(f"    {name}_real delay_{ring.node}[{ring.samples}];")
-        lines += [f"    uint32_t at_{n};" for n in self._delays()]
-        lines += [f"    {name}_parameters parameters;"] if law.parameters else []
-        lines += [f"    {name}_signals signals;"] if law.signals else []
-        return [*lines, f"}} {name}_memory;"]
+            found.append(self._struct("reference", "Reference of a sample.", law.reference))
+        comment = "Numbers that may change between two samples."
+        found.append(self._struct("parameters", comment, law.parameters))
+        found.append(self._struct("signals", "Signals of the last sample.", law.signals))
+        own = [f"{name}_real t; /* time of the last sample [s] */", "uint32_t k; /* number of samples */"]
+        own += [f"{name}_real delay_{ring.node}[{ring.samples}];" for ring in law.rings]
+        own += [f"uint32_t at_{n}; /* place in delays of {n} samples */" for n in self._delays()]
+        own += [f"{name}_parameters parameters;"] if law.parameters else []
+        own += [f"{name}_signals signals;"] if law.signals else []
+        members = [*law.states, *law.memory] if law.is_plant else law.memory
+        found.append(
+            self._struct("memory", "Memory from sample to sample: one for each robot.", members, own)
+        )
+        return "\n\n".join(filter(None, found))
 
     def _delays(self) -> list[int]:
         return sorted({ring.samples for ring in self.law.rings})
 
-    def _step(self) -> str:
+    def _prototype(self) -> str:
         name, law = self.name, self.law
-        if law.is_plant:
-            given = f"const {name}_real u[{len(law.u)}]"
-        else:
-            arrays = ", ".join(f"const {name}_real {one.name}[{len(one)}]" for one in law.states)
-            given = f"{arrays}, const {name}_reference *reference"
-        last = "" if law.is_plant else f", {name}_real u[{len(law.u)}]"
-        return f"{name}_status {name}_step({name}_real t, {given}, {name}_memory *memory{last})"
+        arrays = [law.u] if law.is_plant else law.states
+        given = [f"{name}_real t", *(f"const {name}_real {one.name}[{len(one)}]" for one in arrays)]
+        given += [] if law.is_plant else [f"const {name}_reference *reference"]
+        given += [f"{name}_memory *memory"] + ([] if law.is_plant else [f"{name}_real u[{len(law.u)}]"])
+        return f"{name}_status {name}_step({', '.join(given)})"
 
     def _header(self) -> str:
-        name, law = self.name, self.law
-        guard, upper = f"{name.upper()}_H", name.upper()
-        dt = law.context.dt
-        lines = [
-            f"/* {self.title}: one sample in C99.",
-            f"   Made by pinmobile {self.version}; hash of the content: {self.digest}. */",
-            f"#ifndef {guard}",
-            f"#define {guard}",
-            "",
-            "#include <stdint.h>",
-            "",
-            "#ifdef __cplusplus",
-            'extern "C" {',
-            "#endif",
-            "",
-            f'#define {upper}_HASH "{self.digest}"',
-            f"#define {upper}_DT {self._number(dt)} /* time step [s]: call the step every {dt:g} s */",
-            "",
-            *self._types(),
-            "",
-            "/* Result of a step. If it is not OK, memory and output are as before the call. */",
-            "typedef enum {",
-            f"    {upper}_OK = 0,",
-            f"    {upper}_NOT_FINITE = 1, /* an argument or a result is NaN or infinite */",
-            f"    {upper}_STALE = 2 /* t is not later than the time of the sample before */",
-            f"}} {name}_status;",
-            "",
-            "/* Begin: the memory before the first sample. */",
-            f"void {name}_init({name}_memory *memory);",
-            "",
-        ]
-        if law.is_plant:
-            lines += [
-                "/* Advance the plant by one time step. Arguments:",
-                "   t: time [s]",
-                *_argument(law.u),
-                "   memory->q, memory->v: state before and after the step */",
-            ]
-        else:
-            lines += [
-                "/* Compute the input of one sample. Arguments:",
-                "   t: time of the measurement [s]",
-                *(line for one in law.states for line in _argument(one)),
-                *_argument(law.u),
-                "   The input is within the limits of the plant. */",
-            ]
-        lines += [f"{self._step()};", ""]
-        if law.parameters:
-            kinds = "default", "lower", "upper"
-            lines += ["/* Default, smallest and largest values of the parameters; infinite without a bound. */"]
-            lines += [f"extern const {name}_parameters {name}_{kind};" for kind in kinds]
-            lines += [
-                "",
-                "/* Return 1 if all parameters are within their bounds, else 0. */",
-                f"int {name}_are_valid(const {name}_parameters *parameters);",
-                "",
-            ]
-        if self.table is not None:
-            lines += [
-                "/* Compute the reference at a time, by interpolation of order 5 between samples of the trajectory:",
-                "   position, velocity and acceleration are continuous. After the end, the reference rests. */",
-                f"void {name}_reference_at({name}_real t, {name}_reference *reference);",
-                "",
-            ]
-        lines += ["#ifdef __cplusplus", "}", "#endif", "", f"#endif /* {guard} */", ""]
-        return "\n".join(lines)
+        law = self.law
+        plant = "Advance the plant by one time step: memory->q and memory->v.", "   t: time [s]", [law.u]
+        control = (
+            "Compute the input u of one sample, within the limits of the plant.",
+            "   t: time of the measurement [s]",
+            [*law.states, law.u],
+        )
+        purpose, first, members = plant if law.is_plant else control
+        arguments = "\n".join([first, *(line for one in members for line in one.described("   "))])
+        parts = ["declare_parameters"] * bool(law.parameters) + ["declare_table"] * (self.table is not None)
+        declarations = "".join(f"\n{self._text(part)}" for part in parts)
+        return self._text("header", purpose=purpose, arguments=arguments, declarations=declarations)
 
-    # The source
-
-    def _source(self) -> str:
-        head = [
-            f"/* {self.title}: one sample in C99, see {self.name}.h.",
-            f"   Made by pinmobile {self.version}; hash of the content: {self.digest}. */",
-            f'#include "{self.name}.h"',
-            "",
-            "#include <float.h>",
-            "#include <math.h>",
-            "",
-            "#if !defined(FLT_EVAL_METHOD) || FLT_EVAL_METHOD != 0",
-            "#error each operation must round to its own type: on x86, compile for SSE2",
-            "#endif",
-            "#ifdef __FAST_MATH__",
-            "#error compile without -ffast-math, which changes the order of operations",
-            "#endif",
-            "/* GCC has no such pragma: compile with -ffp-contract=off. */",
-            "#if !defined(__GNUC__) || defined(__clang__)",
-            "#pragma STDC FP_CONTRACT OFF",
-            "#endif",
-            "",
-        ]
-        return "\n".join(head) + self.body
+    # Source
 
     def _body(self) -> str:
         name, law, code = self.name, self.law, self.code
-        real = f"{name}_real"
-        blocks = [*self._helpers(), *self._elementary()]
+        starts = [
+            f"memory->{one.name}[{i}] = {self._number(x)};"
+            for one in (*law.memory, *(law.states if law.is_plant else ()))
+            for i, x in enumerate(one.values)
+        ]
+        starts += [f"memory->delay_{ring.node}[{i}] = 0;" for ring in law.rings for i in range(ring.samples)]
+        starts += [f"memory->at_{n} = 0;" for n in self._delays()]
+        starts += [f"memory->parameters = {name}_default;"] if law.parameters else []
+        starts += [f"memory->signals.{one.name}[{i}] = 0;" for one in law.signals for i in range(len(one))]
+        arrays = {"u": law.u, "memory->q": law.states[0], "memory->v": law.states[1]}
+        if not law.is_plant:
+            arrays = {one.name: one for one in law.states}
+            arrays |= {f"reference->{one.name}": one for one in law.reference}
+        given = {"&t": 1, **{place: len(one) for place, one in arrays.items()}}
+        beginning, last = [], len(law.rows) - 1
         if law.parameters:
-            blocks += self._bounds()
+            beginning.append(f"const {name}_parameters *const parameters = &memory->parameters;")
         if len(law.rows):
-            blocks.append(self._array("rows", law.rows))
-        if self.table is not None:
-            blocks += [self._array("table", self.table), self._interpolation()]
-        starts = [*law.memory, *(law.states if law.is_plant else ())]
-        lines = [f"void {name}_init({name}_memory *memory)", "{"]
-        lines += ["    memory->t = 0;", "    memory->k = 0;"]
-        for one in starts:
-            lines += [f"    memory->{one.name}[{i}] = {self._number(x)};" for i, x in enumerate(one.values)]
-        for ring in law.rings:
-            lines += [f"    memory->delay_{ring.node}[{i}] = 0;" for i in range(ring.samples)]
-        lines += [f"    memory->at_{n} = 0;" for n in self._delays()]
-        lines += [f"    memory->parameters = {name}_default;"] if law.parameters else []
-        for one in law.signals:
-            lines += [f"    memory->signals.{one.name}[{i}] = 0;" for i in range(len(one))]
-        blocks.append("\n".join([*lines, "}"]))
-        given = [("&t", 1)]
-        if law.is_plant:
-            given += [("u", len(law.u)), ("memory->q", len(law.states[0])), ("memory->v", len(law.states[1]))]
-        else:
-            given += [(one.name, len(one)) for one in law.states]
-            given += [(f"reference->{one.name}", len(one)) for one in law.reference]
-        checks = " || ".join(f"!{name}_is_finite({place}, {n})" for place, n in given)
+            row = f"{name}_rows[memory->k < {last}u ? memory->k : {last}u]"
+            beginning.append(f"const {name}_real *const row = {row};")
         results = [(place, code.name(node)) for place, node in law.outputs]
-        firm = [value for place, value in results if not place.startswith("memory->signals")]
-        lines = [self._step(), "{"]
-        if law.parameters:
-            lines.append(f"    const {name}_parameters *const parameters = &memory->parameters;")
-        if len(law.rows):
-            last = len(law.rows) - 1
-            lines.append(f"    const {real} *const row = {name}_rows[memory->k < {last}u ? memory->k : {last}u];")
-        lines += [
-            f"    if ({checks}) {{",
-            f"        return {name.upper()}_NOT_FINITE;",
-            "    }",
-            "    if (memory->k > 0 && !(t > memory->t)) {",
-            f"        return {name.upper()}_STALE;",
-            "    }",
-            "    {",
-            *code.lines,
-            f"    const {real} results[{len(firm)}] = {{",
-            *(f"        {value}," for value in firm),
-            "    };",
-            f"    if (!{name}_is_finite(results, {len(firm)})) {{",
-            f"        return {name.upper()}_NOT_FINITE;",
-            "    }",
+        told = [each for each in results if each[0].startswith("memory->signals")]
+        firm = [each for each in results if each not in told]
+        assigned = [
+            self._text(
+                "delay",
+                samples=ring.samples,
+                place=f"memory->delay_{ring.node}",
+                value=code.name(ring.pushed),
+            )
+            for ring in law.rings
         ]
-        for ring in law.rings:
-            value, place = code.name(ring.pushed), f"memory->delay_{ring.node}"
-            lines += [
-                f"    for (uint32_t i = 0; memory->k == 0 && i < {ring.samples}u; ++i) {{",
-                f"        {place}[i] = {value};",
-                "    }",
-                f"    {place}[memory->at_{ring.samples}] = {value};",
-            ]
-        lines += [
-            f"    memory->at_{n} = memory->at_{n} + 1u < {n}u ? memory->at_{n} + 1u : 0u;" for n in self._delays()
+        assigned += [
+            f"    memory->at_{n} = memory->at_{n} + 1u < {n}u ? memory->at_{n} + 1u : 0u;"
+            for n in self._delays()
         ]
-        kept = [place for place, _ in results if not place.startswith("memory->signals")]
-        lines += [f"    {place} = results[{i}];" for i, place in enumerate(kept)]
-        lines += [f"    {place} = {x};" for place, x in results if place.startswith("memory->signals")]
-        lines += [
-            "    }",
-            "    memory->t = t;",
-            "    memory->k += memory->k < UINT32_MAX;",
-            f"    return {name.upper()}_OK;",
-            "}",
-            "",
-        ]
-        return "\n\n".join([*blocks, "\n".join(lines)])
+        assigned += [f"    {place} = results[{i}];" for i, (place, _) in enumerate(firm)]
+        assigned += [f"    {place} = {value};" for place, value in told]
+        return self._text(
+            "body",
+            helpers="\n".join(self._helpers()).strip(),
+            starts="\n".join(f"    {line}" for line in starts),
+            beginning="\n".join(f"    {line}" for line in beginning),
+            not_finite=" || ".join(f"!{name}_is_finite({place}, {n})" for place, n in given.items()),
+            statements="\n".join(code.lines),
+            results=",\n        ".join(value for _, value in firm),
+            count=len(firm),
+            assignments="\n".join(assigned),
+        ).strip()
 
     def _helpers(self) -> list[str]:
-        name = self.name
-        found = [
-            f"static int {name}_is_finite(const {name}_real *x, int n)\n{{\n"
-            "    for (int i = 0; i < n; ++i) {\n        if (!(x[i] - x[i] == 0)) {\n            return 0;\n"
-            "        }\n    }\n    return 1;\n}"
-        ]
-        text = "\n".join(self.code.lines)
-        union = "union { double real; uint64_t bits; } word;"
-        if f"{name}_bits(" in text:
-            found.append(
-                f"static uint64_t {name}_bits(double x)\n{{\n    {union}\n    word.real = x;\n"
-                "    return word.bits;\n}"
-            )
-        if f"{name}_from_bits(" in text:
-            found.append(
-                f"static double {name}_from_bits(uint64_t x)\n{{\n    {union}\n    word.bits = x;\n"
-                "    return word.real;\n}"
-            )
-        return found
-
-    def _elementary(self) -> list[str]:
-        known, wanted = _sections(), set(self.code.functions)
+        """Return the functions and tables before the step."""
+        text, law = "\n".join(self.code.lines), self.law
+        found = [self._text("is_finite")]
+        found += [self._text(key) for key in ("bits", "from_bits") if f"{self.name}_{key}(" in text]
+        known, wanted = _sections("single.c"), set(self.code.functions)
         todo = list(wanted)
         while todo:
-            for other in known[todo.pop()][0]:
-                if other not in wanted:
-                    wanted.add(other)
-                    todo.append(other)
-        return [text.replace("NAME", self.name) for key, (_, text) in known.items() if key in wanted]
+            others = [other for other in known[todo.pop()][0] if other not in wanted]
+            wanted.update(others)
+            todo += others
+        found += [f"{text.replace('NAME', self.name)}\n" for key, (_, text) in known.items() if key in wanted]
+        found += [self._parameters()] if law.parameters else []
+        found += [self._array("rows", law.rows)] if len(law.rows) else []
+        if self.table is not None:
+            words = {"n": len(law.reference[1]), "last": len(self.table) - 1}
+            numbers = {"half": self._number(0.5), "near": self._number(_NEAR)}
+            found += [self._array("table", self.table), self._text("interpolation", **words, **numbers)]
+        return found
 
     def _array(self, what: str, numbers: Array) -> str:
-        rows = [f"    {{{', '.join(map(self._number, row))}}}," for row in numbers]
-        first = f"static const {self.name}_real {self.name}_{what}[{len(rows)}][{numbers.shape[1]}] = {{"
-        return "\n".join([first, *rows, "};"])
+        rows = "".join(f"    {{{self._numbers(row)}}},\n" for row in numbers)
+        size = f"[{len(numbers)}][{numbers.shape[1]}]"
+        return f"static const {self.name}_real {self.name}_{what}{size} = {{\n{rows}}};\n"
 
-    def _bounds(self) -> list[str]:
-        name, law = self.name, self.law
-        found: dict[str, list[str]] = {"default": [], "lower": [], "upper": []}
+    def _parameters(self) -> str:
+        """Return the constants and the check of the parameters' bounds."""
+        bounds: dict[str, list[str]] = {"default": [], "lower": [], "upper": []}
         tests = []
-        for one, member in zip(law.found, self._by_path(), strict=True):
+        for one, member in zip(self.law.found, self.law.parameters, strict=True):
             declared: Any = one.leaf.declared
             low = declared.lower if declared.above is None else declared.above
-            high = declared.upper
-            n = len(member)
-            found["default"] += [f"{{{', '.join(map(self._number, member.values))}}}"]
-            found["lower"] += [f"{{{', '.join([self._number(-np.inf if low is None else low)] * n)}}}"]
-            found["upper"] += [f"{{{', '.join([self._number(np.inf if high is None else high)] * n)}}}"]
-            above = "<=" if declared.above is not None else "<"
-            place = f"parameters->{member.name}"
-            tests.append(
-                f"    for (int i = 0; i < {n}; ++i) {{\n"
-                f"        if (!{name}_is_finite(&{place}[i], 1) || {place}[i] {above} {name}_lower.{member.name}[i]\n"
-                f"            || {place}[i] > {name}_upper.{member.name}[i]) {{\n            return 0;\n        }}\n    }}"
-            )
-        bounds = [
-            f"const {name}_parameters {name}_{kind} = {{{', '.join(rows)}}};" for kind, rows in found.items()
-        ]
-        check = f"int {name}_are_valid(const {name}_parameters *parameters)\n{{\n"
-        return ["\n".join(bounds), check + "\n".join(tests) + "\n    return 1;\n}"]
+            ends = (-np.inf if low is None else low), (np.inf if declared.upper is None else declared.upper)
+            every = member.values, *([end] * len(member) for end in ends)
+            for key, values in zip(bounds, every, strict=True):
+                bounds[key].append(f"{{{self._numbers(values)}}}")
+            below = "<" if declared.above is None else "<="
+            tests.append(self._text("parameter", count=len(member), member=member.name, below=below))
+        words = {key: ", ".join(rows) for key, rows in bounds.items()}
+        return self._text("parameters", tests="\n".join(tests), **words)
 
-    def _by_path(self) -> list[Member]:
-        """Return the parameters in the order of `law.found`."""
-        known = {one.name: one for one in self.law.parameters}
-        return [known[re.sub(r"\W", "_", one.path.partition(".")[2])] for one in self.law.found]
-
-    def _interpolation(self) -> str:
-        name, n = self.name, len(self.law.reference[1])
-        assert self.table is not None
-        last = len(self.table) - 1
-        number = self._number
-        return f"""void {name}_reference_at({name}_real t, {name}_reference *reference)
-{{
-    const {name}_real h = {number(self.law.context.dt)}, place = t / h;
-    const int rests = place > {number(last + 1e-6)};
-    const uint32_t nearest = rests ? {last}u : (uint32_t)(place > 0 ? place + {number(0.5)} : 0);
-    const {name}_real off = place - ({name}_real)nearest;
-    if (rests || nearest == {last}u || !(place > 0) || (off < {number(1e-5)} && off > -{number(1e-5)})) {{
-        for (int i = 0; i < {n}; ++i) {{
-            reference->q[i] = {name}_table[nearest][i];
-            reference->v[i] = rests ? 0 : {name}_table[nearest][{n} + i];
-            reference->a[i] = rests ? 0 : {name}_table[nearest][{2 * n} + i];
-        }}
-        return;
-    }}
-    const uint32_t k = off < 0 ? nearest - 1u : nearest;
-    const {name}_real s = place - ({name}_real)k;
-    for (int i = 0; i < {n}; ++i) {{
-        const {name}_real *const from = {name}_table[k], *const to = {name}_table[k + 1u];
-        const {name}_real d = to[i] - from[i], v0 = h * from[{n} + i], v1 = h * to[{n} + i];
-        const {name}_real a0 = h * h * from[{2 * n} + i], a1 = h * h * to[{2 * n} + i];
-        const {name}_real c3 = 10 * d - 6 * v0 - 4 * v1 - ({number(1.5)} * a0 - {number(0.5)} * a1);
-        const {name}_real c4 = -15 * d + 8 * v0 + 7 * v1 + ({number(1.5)} * a0 - a1);
-        const {name}_real c5 = 6 * d - 3 * (v0 + v1) - {number(0.5)} * (a0 - a1);
-        reference->q[i] = from[i] + s * (v0 + s * ({number(0.5)} * a0 + s * (c3 + s * (c4 + s * c5))));
-        reference->v[i] = (v0 + s * (a0 + s * (3 * c3 + s * (4 * c4 + s * 5 * c5)))) / h;
-        reference->a[i] = (a0 + s * (6 * c3 + s * (12 * c4 + s * 20 * c5))) / (h * h);
-    }}
-}}"""
-
-    # The other files
+    # Other files
 
     def _test(self) -> str:
         name, law = self.name, self.law
         samples = list(law.samples(_SAMPLES))
         given = {key: np.array([one[key] for one, _ in samples]) for key in samples[0][0]}
         results = {key: np.array([found[key] for _, found in samples]) for key in samples[0][1]}
-        blocks = []
-        for key, rows in given.items():
-            blocks.append(self._array(f"given_{key.replace('->', '_')}", rows))
-        for key, rows in results.items():
-            blocks.append(self._array(f"result_{key}", rows))
-        largest = max(float(np.abs(rows).max()) for rows in results.values())
-        limit = f"{_TOLERANCE * max(largest, 1e-3):g}" if self.single else "0"
-        fills, arguments = [], ["t"]
-        if law.is_plant:
-            arguments += [f"{name}_given_u[k]", "&memory"]
-        else:
-            arguments += [f"{name}_given_q[k]", f"{name}_given_v[k]", "&reference", "&memory", "u"]
-            for one in law.reference:
-                fills.append(
-                    f"        for (int i = 0; i < {len(one)}; ++i) {{\n"
-                    f"            reference.{one.name}[i] = {name}_given_reference_{one.name}[k][i];\n        }}"
-                )
-        compared = "\n".join(
-            f"        for (int i = 0; i < {rows.shape[1]}; ++i) {{\n"
-            f"            off = larger(off, {'memory.' if law.is_plant else ''}{key}[i] - {name}_result_{key}[k][i]);\n"
-            "        }"
-            for key, rows in results.items()
-        )
-        own = [f"    {name}_memory memory;", "    double off = 0;"]
+        named = [(f"given_{key.replace('->', '_')}", rows) for key, rows in given.items()]
+        named += [(f"result_{key}", rows) for key, rows in results.items()]
+        largest = max(1e-3, *(float(np.abs(rows).max()) for rows in results.values()))
+        loop = "        for (int i = 0; i < {n}; ++i) {{\n            {body}\n        }}"
+        fills = [f"        const {name}_real t = {name}_given_t[k][0];"]
+        own, call, before = "", f"{name}_step(t, {name}_given_u[k], &memory)", "memory."
         if not law.is_plant:
-            own += [f"    {name}_reference reference;", f"    {name}_real u[{len(law.u)}];"]
-        head = [
-            f"/* Test of {name}.c with recorded arguments and results: it prints the largest difference. */",
-            f'#include "{name}.h"',
-            "",
-            "#include <math.h>",
-            "#include <stdio.h>",
-            "",
+            before = ""
+            own = f"    {name}_reference reference;\n    {name}_real u[{len(law.u)}];"
+            call = f"{name}_step(t, {name}_given_q[k], {name}_given_v[k], &reference, &memory, u)"
+            for one in law.reference:
+                body = f"reference.{one.name}[i] = {name}_given_reference_{one.name}[k][i];"
+                fills.append(loop.format(n=len(one), body=body))
+        compared = [
+            loop.format(
+                n=rows.shape[1], body=f"off = larger(off, {before}{key}[i] - {name}_result_{key}[k][i]);"
+            )
+            for key, rows in results.items()
         ]
-        main = [
-            "static double larger(double a, double b)",
-            "{",
-            "    const double size = fabs(b);",
-            "    return size <= a ? a : size; /* NaN counts as a difference */",
-            "}",
-            "",
-            "int main(void)",
-            "{",
-            *own,
-            f"    {name}_init(&memory);",
-            f"    for (int k = 0; k < {_SAMPLES}; ++k) {{",
-            f"        const {name}_real t = {name}_given_t[k][0];",
-            *fills,
-            f"        if ({name}_step({', '.join(arguments)}) != {name.upper()}_OK) {{",
-            '            printf("sample %d failed\\n", k);',
-            "            return 1;",
-            "        }",
-            compared,
-            "    }",
-            f'    printf("largest difference of {_SAMPLES} samples: %g, allowed: {limit}\\n", off);',
-            f"    return off <= {limit} ? 0 : 1;",
-            "}",
-            "",
-        ]
-        return "\n".join(head) + "\n" + "\n\n".join(blocks) + "\n\n" + "\n".join(main)
-
-    def _cmake(self) -> str:
-        name = self.name
-        return f"""cmake_minimum_required(VERSION 3.10)
-project({name} C)
-
-set(CMAKE_C_STANDARD 99)
-set(CMAKE_C_STANDARD_REQUIRED ON)
-
-add_library({name} STATIC {name}.c)
-target_include_directories({name} PUBLIC ${{CMAKE_CURRENT_SOURCE_DIR}})
-target_compile_options({name} PRIVATE -ffp-contract=off)
-target_link_libraries({name} PUBLIC m)
-
-enable_testing()
-add_executable({name}_test {name}_test.c)
-target_link_libraries({name}_test PRIVATE {name})
-add_test(NAME {name} COMMAND {name}_test)
-"""
+        return self._text(
+            "test",
+            arrays="\n".join(self._array(*each) for each in named).strip(),
+            own=own,
+            samples=_SAMPLES,
+            fills="\n".join(fills),
+            call=call,
+            compared="\n".join(compared),
+            limit=f"{_TOLERANCE * largest:g}" if self.single else "0",
+        )
 
     def _readme(self) -> str:
-        name, law, upper = self.name, self.law, self.name.upper()
-        size = 4 if self.single else 8
+        law, size = self.law, 4 if self.single else 8
         numbers = 1 + sum(map(len, (*law.memory, *law.parameters, *law.signals)))
-        numbers += sum(ring.samples for ring in law.rings)
-        numbers += sum(map(len, law.states)) if law.is_plant else 0
+        numbers += sum(ring.samples for ring in law.rings) + law.is_plant * sum(map(len, law.states))
+        whole = size * numbers + 4 * (1 + len(self._delays()))
         constants = law.rows.size + (0 if self.table is None else self.table.size)
-        rows = [
-            ("precision", "single" if self.single else "double, with the bits of the library"),
-            ("time step", f"{law.context.dt:g} s"),
-            ("operations of a step", f"{self.code.operations:,}"),
-            ("memory", f"some {size * numbers + 4 * (1 + len(self._delays())):,} bytes for each robot"),
-            ("constant tables", f"{size * constants:,} bytes"),
-            ("largest stack", f"below {self.stack:,} bytes, without optimisation"),
-            ("hash", f"`{self.digest}`, also `{upper}_HASH`"),
-        ]
-        listed = "\n".join(f"| {key} | {value} |" for key, value in rows)
-        call = f"{name}_step(t, u, &memory)" if law.is_plant else f"{name}_step(t, q, v, &reference, &memory, u)"
-        refer = (
-            ""
-            if law.is_plant
-            else f"    {name}_reference_at(t, &reference);\n"
-            if self.table is not None
-            else "    /* fill `reference` for this time */\n"
+        notes = {"parameters": bool(law.parameters), "table": self.table is not None, "plant": law.is_plant}
+        refer = "reference_at(t, &reference);" if self.table is not None else ""
+        fill = f"    {self.name}_{refer}\n" if refer else "    /* fill `reference` for this time */\n"
+        declared = f"{self.name}_memory memory;" + f"\n{self.name}_reference reference;" * (not law.is_plant)
+        return self._text(
+            "readme",
+            precision="single" if self.single else "double, with the bits of the library",
+            operations=f"{self.code.operations:,}",
+            memory=f"{-(-whole // size) * size:,}",
+            constants=f"{size * constants:,}",
+            stack=f"{self.code.stack + size * len(law.outputs):,}",
+            declared=declared,
+            refer="" if law.is_plant else fill,
+            notes="".join(self._text(f"note_{key}") for key, is_there in notes.items() if is_there),
         )
-        tune = (
-            f"- Parameters are in `memory.parameters`: change them between two steps, and check them by "
-            f"`{name}_are_valid`.\n"
-            if law.parameters
-            else ""
-        )
-        table = (
-            f"- `{name}_reference_at` interpolates the {len(self.table):,} samples of the trajectory by "
-            "polynomials of order 5; at the samples, it returns them exactly. After the end, the reference rests.\n"
-            if self.table is not None
-            else ""
-        )
-        declared = f"{name}_memory memory;\n" + ("" if law.is_plant else f"{name}_reference reference;\n")
-        return f"""# {name}: {self.title}
-
-Made by pinmobile {self.version}. Two files are enough on the robot: `{name}.h` and `{name}.c`, in C99. They use no heap, no
-global state, and of the C library only `sqrt` and `fabs`. Names and units of all entries are in the header.
-
-|  |  |
-|---|---|
-{listed}
-
-```c
-#include "{name}.h"
-
-{declared}{name}_init(&memory);
-for (;;) {{ /* every {law.context.dt:g} s */
-{refer}    if ({call} != {upper}_OK) {{
-        /* stop the robot */
-    }}
-}}
-```
-
-- NaN or infinity in an argument or a result: the step returns `{upper}_NOT_FINITE`. Memory and output do not change.
-- A stale measurement, whose time `t` is not later than the one before: the step returns `{upper}_STALE`. Memory and
-  output do not change. A step after a gap computes as usual: stop the robot by a watchdog.
-- The law assumes steps of {law.context.dt:g} s.
-{tune}{table}- Compile without `-ffast-math` and with `-ffp-contract=off`, so that results do not depend on the compiler.
-
-Test, with recorded arguments and results:
-
-    cc -std=c99 -O2 -ffp-contract=off {name}.c {name}_test.c -lm -o {name}_test && ./{name}_test
-
-or `cmake -B build && cmake --build build && ctest --test-dir build`.
-"""
-
-    @property
-    def stack(self) -> int:
-        """Bound of the bytes of stack of a step."""
-        return self.code.stack + 8 * len(self.law.outputs)
-
-
-def _entries(one: Member) -> Iterator[str]:
-    for i, (name, unit) in enumerate(one.entries):
-        yield f"/* {one.name}[{i}]: {name}{f' [{unit}]' if unit else ''} */"
-
-
-def _argument(one: Member) -> Iterator[str]:
-    for i, (name, unit) in enumerate(one.entries):
-        yield f"   {one.name}[{i}]: {name}{f' [{unit}]' if unit else ''}"
 
 
 @cache
-def _sections() -> dict[str, tuple[list[str], str]]:
-    """Return the functions of single precision by name: the functions that each needs, and its text."""
-    text = files("pinmobile.export").joinpath("single.c").read_text()
-    found = re.findall(r"/\* = ([\w ]+) \*/\n(.*?)(?=\n/\* = |\Z)", text, re.S)
-    return {words.split()[0]: (words.split()[1:], body.strip()) for words, body in found}
+def _sections(file: str) -> dict[str, tuple[list[str], str]]:
+    """Return the sections of a file by name: the sections that each needs, and its text."""
+    text = files("pinmobile.export").joinpath(file).read_text()
+    found = re.findall(r"/\* = ([\w ]+) \*/\n(.*?)(?=\n+/\* = |\s*\Z)", text, re.S)
+    return {words.split()[0]: (words.split()[1:], body) for words, body in found}

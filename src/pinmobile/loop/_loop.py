@@ -148,10 +148,10 @@ class Loop:
     def is_constrained(self) -> bool:
         """Whether the loop projects velocities before each substep; a plant's own step does this itself.
 
-        A recorder with ``projects = False`` keeps velocities as they are, like those that sensors measure.
+        A recorder with ``as_measured = True`` keeps velocities as they are, like those that sensors measure.
         """
-        projects = getattr(self.recorder, "projects", True)
-        return projects and not self.steps and able(self.law, Constrained) is not None
+        projects = not (self.steps or stated(self.recorder, "as_measured"))
+        return projects and able(self.law, Constrained) is not None
 
     @cached_property
     def displaced(self) -> Callable[..., tuple[Any, Any]]:
