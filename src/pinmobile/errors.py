@@ -480,7 +480,7 @@ class SchedulerError(PinmobileError, ConnectionError):
 EXTRAS: Mapping[str, tuple[str, ...]] = {
     "sweeps": ("dask", "distributed", "xarray", "zarr"),
     "mp4": ("imageio-ffmpeg",),
-    "bags": ("rosbags",),
+    "bags": ("rosbags", "mcap"),
     "mpc": ("daqp",),
 }
 """Packages of each extra, by their names on PyPI. The file pyproject.toml states their versions."""

@@ -16,6 +16,7 @@ from pinmobile.arrays import Array, finite, frozen, increasing, location, real, 
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.files import packed, read_archive, unpacked, write_archive, write_table
 from pinmobile.loop._events import events_of
+from pinmobile.loop._mcap import Columns, read_mcap, write_mcap
 from pinmobile.metrics import evaluate_metrics_of, in_words, metrics_of
 from pinmobile.plant import (
     Coordinate,
@@ -628,30 +629,93 @@ class Rollout:
         FileError
             If the system fails, for example because the disk is full; an existing file remains.
         """
+        columns = [part for part in self._columns() if part.key not in ("reference.v", "reference.a")]
+        header = [_head(*title) for part in columns for title in part.titles]
+        write_table(path, header, [part.values for part in columns])
+
+    def to_mcap(self, path: str | PathLike[str], *, start: float = 0.0) -> None:
+        """Write all samples to an MCAP file, which Foxglove, PlotJuggler and ROS 2 open; ROS is not needed.
+
+        The topic ``/pinmobile/sample`` has t, q, v, a, u, error, reference and signals with all digits, for
+        `from_mcap` and `Log.from_bag`. The metadata ``pinmobile`` state t, dt, names and units as text. The
+        other topics are standard messages of ROS 2, at times rounded to nanoseconds:
+
+        - ``/joint_states``: positions, velocities and efforts of all coordinates, x, y and psi included;
+        - ``/odom`` and ``/twist``: the pose in the frame ``odom``, the twist in ``base_link``;
+        - ``/wrench``: (Fx, Fy, Mz) of a body driven by forces, about its origin, along the axes of ``odom``;
+        - ``/input``: u, an array of numbers.
+
+        A plant without the pose of its body has no ``/odom`` and no ``/twist``.
+
+        Parameters
+        ----------
+        path : str or path
+            Path of the file, which ends in ``.mcap``; an existing file is replaced.
+        start : float
+            Time of t = 0 since 1970 [s].
+
+        Raises
+        ------
+        InvalidArgument
+            If the packages of the extra ``bags`` are not installed, the file cannot be written, or a time is
+            before 1970 or after 2038, which the messages cannot express.
+        FileError
+            If the system fails, for example because the disk is full; an existing file remains.
+        """
+        write_mcap(path, self, _FORMAT, self._columns(), start)
+
+    @classmethod
+    def from_mcap(cls, path: str | PathLike[str]) -> Rollout:
+        """Return the rollout of a file that `to_mcap` wrote, bit for bit.
+
+        Parameters
+        ----------
+        path : str or path
+            Path of the file.
+
+        Returns
+        -------
+        Rollout
+            Recorded samples.
+
+        Raises
+        ------
+        InvalidArgument
+            If the packages of the extra ``bags`` are not installed, or the file cannot be read.
+        FileError
+            If the file is damaged, is no MCAP file, or lacks the topic ``/pinmobile/sample``; or if the
+            system fails.
+        """
+        return read_mcap(path, _FORMAT, cls.of)
+
+    def _columns(self) -> list[Columns]:
+        """Return all arrays with the names and units of their columns, in the order of a CSV file."""
         coordinates, known = coordinates_of(self.plant), self.plant is not None
         units = {one.name: one.unit for one in coordinates}
         of_q = [(name, units.get(name, "")) for name in configuration_names_of(self.plant)]
         of_v = [(one.name, one.unit) for one in coordinates]
         of_u = [(one.name, one.unit) for one in self.inputs]
-        groups: list[tuple[str, str, Array, Sequence[tuple[str, str]]]] = [
-            ("", "", self.q, of_q),
-            ("v_", "/s", self.v, of_v),
-            ("a_", "/s^2", self.a, of_v),
-            ("u_", "", self.u, of_u),
-            ("error_", "", self.error, of_v),
-            ("desired_", "", self.reference.q, of_q),
+        groups: list[tuple[str, str, str, Array, Sequence[tuple[str, str]]]] = [
+            ("q", "", "", self.q, of_q),
+            ("v", "v_", "/s", self.v, of_v),
+            ("a", "a_", "/s^2", self.a, of_v),
+            ("u", "u_", "", self.u, of_u),
+            ("error", "error_", "", self.error, of_v),
+            ("reference.q", "desired_", "", self.reference.q, of_q),
+            ("reference.v", "desired_v_", "/s", self.reference.v, of_v),
+            ("reference.a", "desired_a_", "/s^2", self.reference.a, of_v),
         ]
-        header, columns = ["t [s]"], [self.t]
-        for group, per, part, named in groups:
+        found = [Columns("t", self.t, [("t", "s")])]
+        for key, prefix, per, part, named in groups:
             width = part.shape[1]
-            listed = named[:width] if known or group == "u_" else [(f"[{k}]", "") for k in range(width)]
-            header += [_head(f"{group}{name}", f"{unit}{per}" if unit else "") for name, unit in listed]
-            columns.append(part)
+            listed = named[:width] if known or key == "u" else [(f"[{k}]", "") for k in range(width)]
+            titles = [(f"{prefix}{name}", f"{unit}{per}" if unit else "") for name, unit in listed]
+            found.append(Columns(key, part, titles))
         for name, (unit, values) in self.signals.items():
             entries = [""] if values.ndim == 1 else [f"[{k}]" for k in range(values.shape[1])]
-            header += [_head(f"signal_{name}{entry}", unit) for entry in entries]
-            columns.append(values)
-        write_table(path, header, columns)
+            titles = [(f"signal_{name}{entry}", unit) for entry in entries]
+            found.append(Columns(f"signals.{name}", values, titles))
+        return found
 
 
 def _head(name: str, unit: str) -> str:
