@@ -108,7 +108,9 @@ def show_identification(words: Sequence[str], out: Path) -> int:
 
 def _read(path: Path, known: IdentifyPaths) -> Log:
     with _named([path]):
-        return Log.from_bag(path, known.topics) if known.topics else Log.from_csv(path, known.columns)
+        if known.topics or path.suffix == ".mcap":
+            return Log.from_bag(path, known.topics or None)
+        return Log.from_csv(path, known.columns)
 
 
 @contextmanager

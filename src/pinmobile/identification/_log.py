@@ -619,17 +619,17 @@ class Log:
         return cls(times, given.pop("q", None), given.pop("u"), **given, dropped=short, units=units)
 
     @classmethod
-    def from_bag(cls, path: str | PathLike[str], topics: Mapping[str, str]) -> Self:
+    def from_bag(cls, path: str | PathLike[str], topics: Mapping[str, str] | None = None) -> Self:
         """Read a log from a ROS 1 or ROS 2 bag, or from an MCAP file. ROS itself is not needed.
 
         The reader takes the times from the message headers. If messages have none, it takes the times of
-        arrival.
+        arrival. Without topics, it reads a file of `Rollout.to_mcap` with all digits, as `from_rollout` does.
 
         Parameters
         ----------
         path : str or path-like
             File ``.bag`` or ``.mcap``, or folder of a ROS 2 bag.
-        topics : mapping of str to str
+        topics : mapping of str to str, optional
             Topics of ``u`` and of ``q`` or ``twist``, and optionally of ``wheel_rates``. Poses come from
             odometry, pose and transform messages. Inputs come from wrenches, twists (forward, yaw rate),
             joint efforts and arrays of numbers.
@@ -637,13 +637,16 @@ class Log:
         Raises
         ------
         InvalidArgument
-            If rosbags is not installed, the bag does not exist, a topic has messages of another type, or
-            `from_streams` rejects the data.
+            If the packages of the extra ``bags`` are not installed, the bag does not exist, a topic has
+            messages of another type, or `from_streams` rejects the data.
         FileError
-            If the bag is damaged. Damage shows in its structure and in the CRCs of its chunks.
+            If the bag is damaged. Damage shows in its structure and in the CRCs of its chunks. Without
+            topics, if it is no file of `Rollout.to_mcap`.
         UnknownName
             If the bag has no such topic; the message lists its topics.
         """
+        if topics is None:
+            return cls.from_rollout(Rollout.from_mcap(path))
         streams = read_bag(path, topics)
         (t_u, u), (t_q, q) = streams.pop("u"), streams.pop("q", (np.zeros(0), None))
         named: dict[str, Any] = {
