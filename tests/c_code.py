@@ -29,8 +29,8 @@ int drive(long n, given t, given q, given v, given r, robot_real *u)
     robot_init(&memory);
     for (long k = 0; k < n; ++k) {
         memcpy(&reference, r + k * (long)(sizeof reference / sizeof *r), sizeof reference);
-        const int status = robot_step(t[k], q + k * NQ, v + k * NV, &reference, &memory, u + k * NU);
-        if (status != ROBOT_OK) return status;
+        const robot_status status = robot_step(t[k], q + k * NQ, v + k * NV, &reference, &memory, u + k * NU);
+        if (status != ROBOT_OK) return (int)status;
     }
     return 0;
 }
@@ -47,8 +47,8 @@ int drive(long n, given t, given u, robot_real *q, robot_real *v)
     for (long k = 0; k < n; ++k) {
         memcpy(q + k * NQ, memory.q, sizeof memory.q);
         memcpy(v + k * NV, memory.v, sizeof memory.v);
-        const int status = robot_step(t[k], u + k * NU, &memory);
-        if (status != ROBOT_OK) return status;
+        const robot_status status = robot_step(t[k], u + k * NU, &memory);
+        if (status != ROBOT_OK) return (int)status;
     }
     return 0;
 }
@@ -65,14 +65,21 @@ def compilers() -> list[str]:
     return found
 
 
-def compile_c(folder: Path, driver: str, sizes: Sequence[int], *flags: str, compiler: str = "gcc") -> Any:
+def compile_c(
+    folder: Path,
+    driver: str,
+    sizes: Sequence[int],
+    *flags: str,
+    compiler: str = "gcc",
+    sources: Sequence[str] = ("robot.c",),
+) -> Any:
     """Return the function `drive` of exported code; sizes are nq, nv and nu."""
     with tempfile.NamedTemporaryFile(dir=folder, suffix=".so", delete=False) as file:
         library = file.name
     main = folder / "drive.c"
     main.write_text(driver)
     defined = [f"-D{name}={size}" for name, size in zip(("NQ", "NV", "NU"), sizes, strict=True)]
-    command = [compiler, *STRICT, "-shared", "-fPIC", *defined, *flags, "robot.c", main.name]
+    command = [compiler, *STRICT, "-shared", "-fPIC", *defined, *flags, *sources, main.name]
     command += ["-o", library, "-lm"]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
@@ -83,6 +90,15 @@ def call(drive: Any, *arrays: Any) -> int:
     """Return the status of a call for all samples, whose results are written into the last arrays."""
     given = [ctypes.c_void_p(x.ctypes.data) for x in arrays]
     return int(drive(ctypes.c_long(len(arrays[0])), *given))
+
+
+def run_program(folder: Path, main: str, *flags: str) -> str:
+    """Return what a program with the exported code prints."""
+    (folder / "main.c").write_text(main)
+    command = ["gcc", *STRICT, *flags, "robot.c", "main.c", "-o", "main", "-lm"]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return subprocess.run([str(folder / "main")], capture_output=True, text=True, check=True).stdout
 
 
 def run_test_program(folder: Path, *flags: str, compiler: str = "gcc") -> str:

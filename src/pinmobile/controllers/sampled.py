@@ -82,12 +82,11 @@ class Sampled:
             asked.append("schedule")
             return context.schedule(np.repeat(rows, self.every, axis=0)[: len(context.t)])
 
-        reference = context.reference
-        slow: Any = Seen(
+        slow: Any = _SlowContext(
             context,
+            every=self.every,
             dt=self.every * context.dt,
             t=context.t[:: self.every],
-            reference=None if reference is None else type(reference)(*(x[:: self.every] for x in reference)),
             measurement_delay=-(-context.measurement_delay // self.every),
             delay=delay,
             noise=noise,
@@ -127,6 +126,18 @@ class Sampled:
             held, inner = np.where(due, u, held), _chosen(due, new, inner)
         output = held if len(measured) > 1 else (held[..., 0], held[..., 1])
         return output, (inner, held, after, goes_on)
+
+
+class _SlowContext(Seen):
+    """Context of a law at each n-th sample."""
+
+    every: int
+
+    @property
+    def reference(self) -> Any:
+        """Reference at the samples of the law, if it is known."""
+        known = self._context.reference
+        return None if known is None else type(known)(*(x[:: self.every] for x in known))
 
 
 def _chosen(due: Any, new: Any, old: Any) -> Any:

@@ -16,7 +16,7 @@ _SIGNS = {
     **{"gt": ">", "ge": ">=", "lt": "<", "le": "<=", "eq": "==", "ne": "!="},
     **{"and": "&", "or": "|", "xor": "^", "iand": "&", "ior": "|", "ixor": "^"},
 }
-_MARGIN = 16  # numbers of the stack beside those of the statements
+_MARGIN = 64  # numbers on the stack beside the variables: arguments, saved registers, called functions
 
 
 class Code:

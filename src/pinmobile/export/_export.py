@@ -128,9 +128,9 @@ def export_c(
         chosen_integrator(plant, integrator),
         checked_substeps(substeps, 1),
     )
-    context, start, first, table = _begun(plant, loop.controller, step, trajectory)
     try:
-        with uncollected():
+        with uncollected(), np.errstate(all="ignore"):
+            context, start, first, table = _begun(plant, loop.controller, step, trajectory)
             law = Law(
                 evolved(loop, {"recorder": Answer(as_measured=controller is not None)}),
                 context,
@@ -188,8 +188,8 @@ def _begun(
         blind: Any = BlindContext(whole, *_UNKNOWN)
         try:  # the largest reference that the controller accepts
             controller(0.0, q.copy(), v.copy(), first, controller.initial_state(blind))
-        except NotTraceable as error:
-            raise InvalidArgument(f"controller cannot be exported: {error.reason}", "controller") from error
+        except NotTraceable:
+            raise
         except Exception as error:
             errors.append(error)
         else:

@@ -79,10 +79,11 @@ class Member:
         return len(self.entries)
 
     def described(self, before: str, after: str = "") -> list[str]:
-        """Return a line with name and unit of each entry."""
-        units = [f" [{unit}]" if unit else "" for _, unit in self.entries]
-        named = zip(self.entries, units, strict=True)
-        return [f"{before}{self.name}[{i}]: {one}{unit}{after}" for i, ((one, _), unit) in enumerate(named)]
+        """Return a line with name and unit of each entry, or one line if they are alike."""
+        texts = [f"{one} [{unit}]" if unit else one for one, unit in self.entries]
+        if len(set(texts)) == 1:
+            return [f"{before}{self.name}: {texts[0]}{after}"]
+        return [f"{before}{self.name}[{i}]: {text}{after}" for i, text in enumerate(texts)]
 
 
 class Law:
@@ -148,8 +149,10 @@ class Law:
                 f"{found.leaf.path!r}"
             )
         changed = replace(self.loop, {found.path: np.asarray(found.leaf.value, float) * 1.001 + 1e-6})
-        memories = (arrays_of(initial_memory(each, self.context)) for each in (self.loop, changed))
-        if not all(map(np.array_equal, *memories)):
+        loops = self.loop, changed
+        memories = (arrays_of(initial_memory(each, self.context)) for each in loops)
+        schedules = (scheduled_rows(each, self.context) for each in loops)
+        if not (all(map(np.array_equal, *memories)) and all(map(np.array_equal, *schedules))):
             raise InvalidArgument(
                 f"tunable has {name!r}, from which the law computes its memory before the first sample, "
                 "expected a number that the law reads at each sample: export again with another value"

@@ -79,11 +79,19 @@ class Project:
 
     # Header
 
-    def _struct(self, what: str, comment: str, members: Sequence[Member], lines: Iterable[str] = ()) -> str:
+    def _struct(
+        self,
+        what: str,
+        comment: str,
+        members: Sequence[Member],
+        first: Sequence[str] = (),
+        last: Sequence[str] = (),
+    ) -> str:
         """Return a struct, with names and units of its entries."""
-        own = list(lines)
+        own = list(first)
         for one in members:
             own += [*one.described("/* ", " */"), f"{self.name}_real {one.name}[{len(one)}];"]
+        own += last
         body = "".join(f"    {line}\n" for line in own)
         return f"/* {comment} */\ntypedef struct {{\n{body}}} {self.name}_{what};" if own else ""
 
@@ -95,15 +103,15 @@ class Project:
         comment = "Numbers that may change between two samples."
         found.append(self._struct("parameters", comment, law.parameters))
         found.append(self._struct("signals", "Signals of the last sample.", law.signals))
-        own = [f"{name}_real t; /* time of the last sample [s] */", "uint32_t k; /* number of samples */"]
-        own += [f"{name}_real delay_{ring.node}[{ring.samples}];" for ring in law.rings]
-        own += [f"uint32_t at_{n}; /* place in delays of {n} samples */" for n in self._delays()]
-        own += [f"{name}_parameters parameters;"] if law.parameters else []
-        own += [f"{name}_signals signals;"] if law.signals else []
+        first = [f"{name}_real t; /* time of the last sample [s] */"]
+        first += [f"{name}_real delay_{ring.node}[{ring.samples}];" for ring in law.rings]
+        first += [f"{name}_parameters parameters;"] if law.parameters else []
+        first += [f"{name}_signals signals;"] if law.signals else []
+        last = ["uint32_t k; /* number of samples */"]
+        last += [f"uint32_t at_{n}; /* place in delays of {n} samples */" for n in self._delays()]
         members = [*law.states, *law.memory] if law.is_plant else law.memory
-        found.append(
-            self._struct("memory", "Memory from sample to sample: one for each robot.", members, own)
-        )
+        comment = "Memory from sample to sample: one for each robot."
+        found.append(self._struct("memory", comment, members, first, last))
         return "\n\n".join(filter(None, found))
 
     def _delays(self) -> list[int]:

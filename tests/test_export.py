@@ -1,0 +1,414 @@
+"""Exported C beside the library: bits of controllers and plants, single precision, statuses, files."""
+
+import re
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import pinmobile as pm
+from pinmobile.controllers import PID
+from pinmobile.export import export_c
+from pinmobile.parts import replace
+from pinmobile.wheels import OdometryFeedback
+from tests.c_code import (
+    CONTROLLER,
+    PLANT,
+    SANITIZED,
+    STRICT,
+    call,
+    compile_c,
+    compilers,
+    rows,
+    run_program,
+    run_test_program,
+)
+from tests.frozen import BODY, CIRCLE, WRONG, branching, by_lapack, loops, table
+
+DT = 0.003  # [s]; 2,001 samples of the loops with 6 s
+LOOPS = {name: (parts, options) for name, parts, options in (*loops(), *by_lapack())}
+NOISY = ("noisy", "all")
+DRIVE = pm.WheeledRobot(BODY, table("differential"))
+LOOPS |= {
+    "odometry": (
+        (DRIVE, OdometryFeedback(pm.Backstepping(pm.UnicycleTracking(), DRIVE), DRIVE.table), CIRCLE),
+        {},
+    ),
+    "sampled": ((BODY, pm.controllers.Sampled(PID(WRONG), 5), CIRCLE), {}),
+}
+SHOWN = ("computed torque", "volts", "mecanum Rolling", "ur5")
+SIZES = (3, 3, 3)
+LAW = pm.ComputedTorque(BODY, 4.0, 4.0)
+
+
+def exported(folder: Path, name: str, **options: Any) -> pm.Rollout:
+    """Return a run of a loop whose controller is exported."""
+    (plant, controller, trajectory), own = LOOPS[name]
+    run = pm.simulate(plant, controller, trajectory, dt=DT, engine=pm.Engine.COMPILED, **own)
+    known = trajectory if name.startswith("LQR") else None  # designed along its trajectory
+    export_c(controller, plant, folder, dt=DT, trajectory=known, **options)
+    return run
+
+
+def computed(folder: Path, run: pm.Rollout, *flags: str, compiler: str = "gcc", kind: Any = float) -> Any:
+    """Return the inputs that exported C computes from the states of a run."""
+    plant: Any = run.plant
+    drive = compile_c(folder, CONTROLLER, (plant.nq, plant.nv, plant.nu), *flags, compiler=compiler)
+    reference = np.concatenate(run.reference, axis=1)
+    *given, u = rows(run.t, run.q, run.v, reference, np.zeros_like(run.u), kind=kind)
+    assert call(drive, *given, u) == 0
+    return u
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")
+@pytest.mark.parametrize("name", [name for name in LOOPS if name not in NOISY])
+def test_a_controller_has_the_bits_of_the_library(name: str, tmp_path: Path) -> None:
+    compiler = compilers()[0]
+    run = exported(tmp_path, name)
+    assert computed(tmp_path, run, "-O2", compiler=compiler).tobytes() == run.u.tobytes()
+    assert "difference of 64 samples: 0, allowed: 0" in run_test_program(tmp_path, compiler=compiler)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", SHOWN)
+@pytest.mark.filterwarnings("ignore::UserWarning")
+def test_each_compiler_and_optimisation_gives_the_same_bits(name: str, tmp_path: Path) -> None:
+    run = exported(tmp_path, name)
+    for compiler in compilers():
+        for level in ("-O0", "-O1", "-O2", "-O3"):
+            found = computed(tmp_path, run, level, "-march=native", compiler=compiler)
+            assert found.tobytes() == run.u.tobytes(), (compiler, level)
+
+
+@pytest.mark.parametrize("name", ["delayed", "observer", "odometry", "mecanum Coulomb"])
+@pytest.mark.parametrize("precision", ["double", "single"])
+def test_sanitizers_find_nothing(name: str, precision: str, tmp_path: Path) -> None:
+    exported(tmp_path, name, precision=precision)
+    run_test_program(tmp_path, *SANITIZED, compiler="gcc")
+
+
+PLANTS = (
+    "PD",
+    "differential Rolling",
+    "mecanum Rolling",
+    "mecanum Coulomb",
+    "skid-steer",
+    "volts",
+    "commanded",
+)
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")
+@pytest.mark.parametrize("name", [*PLANTS, "ur5", "all forces", "semi-implicit"])
+def test_a_plant_has_the_bits_of_the_library(name: str, tmp_path: Path) -> None:
+    compiler = compilers()[-1]
+    (plant, controller, trajectory), own = LOOPS[name]
+    run = pm.simulate(plant, controller, trajectory, dt=DT, engine=pm.Engine.COMPILED, **own)
+    options = {key: own[key] for key in ("forces", "integrator", "substeps") if key in own}
+    export_c(None, plant, tmp_path, dt=DT, trajectory=trajectory, **options)
+    drive = compile_c(tmp_path, PLANT, (plant.nq, plant.nv, plant.nu), "-O2", compiler=compiler)
+    t, u, q, v = rows(run.t, run.u, np.zeros_like(run.q), np.zeros_like(run.v))
+    assert call(drive, t, u, q, v) == 0
+    assert np.array_equal(q, run.q)
+    # On rolling wheels, the library records v after its projection, which rounds.
+    assert np.abs(v - run.v).max() <= (1e-12 if "olling" in name or name == "commanded" else 0)
+    run_test_program(tmp_path, "-O1", compiler=compiler)
+
+
+LOOP_IN_C = """
+#include "control.h"
+#include "body.h"
+int drive(long n, const double *t, const double *r, double *q);
+int drive(long n, const double *t, const double *r, double *q)
+{
+    control_memory control;
+    body_memory body;
+    control_init(&control);
+    body_init(&body);
+    for (long k = 0; k < n; ++k) {
+        control_reference reference;
+        control_real mq[NQ], mv[NV], u[NU];
+        body_real applied[NU];
+        for (int i = 0; i < 3; ++i) {
+            reference.q[i] = (control_real)r[9 * k + i];
+            reference.v[i] = (control_real)r[9 * k + 3 + i];
+            reference.a[i] = (control_real)r[9 * k + 6 + i];
+        }
+        for (int i = 0; i < NQ; ++i) mq[i] = (control_real)(q[NQ * k + i] = body.q[i]);
+        for (int i = 0; i < NV; ++i) mv[i] = (control_real)body.v[i];
+        if (control_step((control_real)t[k], mq, mv, &reference, &control, u) != CONTROL_OK) return 1;
+        for (int i = 0; i < NU; ++i) applied[i] = u[i];
+        if (body_step(t[k], applied, &body) != BODY_OK) return 2;
+    }
+    return 0;
+}
+"""
+
+
+@pytest.mark.parametrize("precision", ["double", "single"])
+@pytest.mark.parametrize(
+    "name", ["PD", "computed torque", "PID", "adaptive", "backstepping", "mecanum Coulomb"]
+)
+def test_a_loop_in_c_repeats_the_run(name: str, precision: str, tmp_path: Path) -> None:
+    compiler = compilers()[0]
+    (plant, controller, trajectory), own = LOOPS[name]
+    run = pm.simulate(plant, controller, trajectory, dt=DT, engine=pm.Engine.COMPILED, **own)
+    export_c(controller, plant, tmp_path, dt=DT, name="control", precision=precision)
+    export_c(None, plant, tmp_path, dt=DT, trajectory=trajectory, name="body")
+    sizes = plant.nq, plant.nv, plant.nu
+    sources = ("control.c", "body.c")
+    drive = compile_c(tmp_path, LOOP_IN_C, sizes, "-O2", compiler=compiler, sources=sources)
+    t, r, q = rows(run.t, np.concatenate(run.reference, axis=1), np.zeros_like(run.q))
+    assert call(drive, t, r, q) == 0
+    off = np.abs(q - run.q).max() / np.abs(run.q).max()
+    rounding = 1e-12 if name == "backstepping" else 0.0  # the plant's projection
+    assert off <= (rounding if precision == "double" else 1e-6)
+
+
+def test_arguments_that_are_not_finite_or_stale_change_nothing(tmp_path: Path) -> None:
+    export_c(PID(BODY), BODY, tmp_path, dt=DT)
+    main = """
+    #include "robot.h"
+    #include <math.h>
+    #include <stdio.h>
+    #include <string.h>
+    int main(void)
+    {
+        robot_memory memory, before;
+        robot_reference reference = {{0, 0, 0}, {0, 0, 0}, {0, 0, 0}};
+        double q[3] = {0.1, 0.2, 0.3}, v[3] = {0, 0, 0}, u[3], same[3];
+        robot_init(&memory);
+        printf("%d", robot_step(0, q, v, &reference, &memory, u));
+        printf(" %d", robot_step(0.003, q, v, &reference, &memory, u));
+        before = memory;
+        memcpy(same, u, sizeof u);
+        const double bad[3] = {NAN, INFINITY, -INFINITY};
+        for (int i = 0; i < 3; ++i) {
+            q[i] = bad[i];
+            printf(" %d", robot_step(0.006, q, v, &reference, &memory, u));
+            q[i] = 0.1;
+            v[i] = bad[i];
+            printf(" %d", robot_step(0.006, q, v, &reference, &memory, u));
+            v[i] = 0;
+            reference.a[i] = bad[i];
+            printf(" %d", robot_step(0.006, q, v, &reference, &memory, u));
+            reference.a[i] = 0;
+            printf(" %d", robot_step(bad[i], q, v, &reference, &memory, u));
+        }
+        q[0] = 1e308; /* the result overflows */
+        v[0] = 1e308;
+        printf(" %d", robot_step(0.006, q, v, &reference, &memory, u));
+        q[0] = v[0] = 0;
+        printf(" %d", robot_step(0.003, q, v, &reference, &memory, u));
+        printf(" %d", robot_step(0.001, q, v, &reference, &memory, u));
+        printf(" %d", memcmp(&before, &memory, sizeof memory) || memcmp(same, u, sizeof u));
+        printf(" %d\\n", robot_step(0.0031, q, v, &reference, &memory, u));
+        return 0;
+    }
+    """
+    said = run_program(tmp_path, main, "-O2", *SANITIZED)
+    assert said.split() == ["0", "0", *["1"] * 12, "1", "2", "2", "0", "0"]
+
+
+def test_parameters_can_be_tuned_within_their_bounds(tmp_path: Path) -> None:
+    law = pm.ComputedTorque(WRONG, (4.0, 5.0, 6.0), 4.0)
+    run = pm.simulate(BODY, law, CIRCLE, dt=DT, engine=pm.Engine.COMPILED)
+    changed = replace(law, {"kp": np.array([9.0, 8.0, 7.0]), "robot.mass": 28.0, "robot.com": [0.1, 0.0]})
+    other = pm.simulate(BODY, changed, CIRCLE, dt=DT, engine=pm.Engine.COMPILED)
+    export_c(law, BODY, tmp_path, dt=DT, tunable=["kp", "controller.robot.mass", "robot.com"])
+    assert computed(tmp_path, run).tobytes() == run.u.tobytes()
+    tune = """
+    memory.parameters.kp[0] = 9; memory.parameters.kp[1] = 8; memory.parameters.kp[2] = 7;
+    memory.parameters.robot_mass[0] = 28; memory.parameters.robot_com[0] = 0.1;
+    """
+    drive = compile_c(tmp_path, CONTROLLER.replace("init(&memory);", f"init(&memory);{tune}"), SIZES)
+    reference = np.concatenate(other.reference, axis=1)
+    *given, u = rows(other.t, other.q, other.v, reference, np.zeros_like(other.u))
+    assert call(drive, *given, u) == 0
+    assert np.array_equal(u, other.u)
+    main = """
+    #include "robot.h"
+    #include <math.h>
+    #include <stdio.h>
+    int main(void)
+    {
+        robot_parameters own = robot_default;
+        printf("%d", robot_are_valid(&own));
+        own.robot_mass[0] = 0;
+        printf(" %d", robot_are_valid(&own));
+        own.robot_mass[0] = NAN;
+        printf(" %d", robot_are_valid(&own));
+        printf(" %g %g %g", robot_default.kp[2], robot_lower.kp[0], robot_upper.kp[0]);
+        printf(" %g\\n", robot_lower.robot_mass[0]);
+        return 0;
+    }
+    """
+    assert run_program(tmp_path, main).split() == ["1", "0", "0", "6", "-inf", "inf", "0"]
+
+
+def test_a_trajectory_is_a_table_with_interpolation_of_order_5(tmp_path: Path) -> None:
+    path = pm.Tangent(pm.Circle(2.0, 0.5, 6.0))
+    export_c(LAW, BODY, tmp_path, dt=0.1, trajectory=path)
+    main = """
+    #include "robot.h"
+    #include <stdio.h>
+    int main(void)
+    {
+        robot_reference r;
+        for (int k = -10; k < 700; ++k) {
+            robot_reference_at(k * 0.01, &r);
+            for (int i = 0; i < 3; ++i) printf("%a %a %a ", r.q[i], r.v[i], r.a[i]);
+        }
+        return 0;
+    }
+    """
+    words = [float.fromhex(word) for word in run_program(tmp_path, main).split()]
+    q, v, a = np.moveaxis(np.array(words).reshape(710, 3, 3), 2, 0)
+    t = np.arange(-10, 700) * 0.01
+    knots = path(np.minimum(np.arange(61) * 0.1, 6.0))
+    for found, expected in zip((q, v, a), knots, strict=True):
+        assert found[10:611:10].tobytes() == expected.tobytes()
+    inside = path(t[10:611])
+    # The error of Hermite's quintic: f^(6) h^6 / 46,080; two orders less for the acceleration.
+    bound = 2.0 * 0.5**6 * 0.1**6 / 46080
+    assert np.abs(q[10:611] - inside.q).max() < 1.1 * bound + 1e-15
+    assert np.abs(v[10:611] - inside.v).max() < 60 * bound / 0.1
+    assert np.abs(a[10:611] - inside.a).max() < 2000 * bound / 0.1**2
+    assert (q[:10] == q[10]).all()
+    assert (q[611:] == q[610]).all()
+    assert not v[611:].any()
+    assert not a[611:].any()
+
+
+def unary(name: str) -> Any:
+    def law(t: Any, q: Any, v: Any, reference: Any) -> Any:
+        positive = np.where(q > 0, q, 1.0)
+        return getattr(np, name)(positive if name == "log" else q) + 0.0 * v
+
+    return pm.law(law)
+
+
+RANGES = {
+    **dict.fromkeys(("sin", "cos"), np.linspace(-40, 40, 6003)),
+    **dict.fromkeys(("exp", "cosh", "sinh"), np.linspace(-30, 30, 6003)),
+    **dict.fromkeys(("expm1", "tanh"), np.r_[np.linspace(-3, 3, 6000), 1e-8, -1e-8, 12.0]),
+    "log": np.r_[np.geomspace(1e-37, 1e37, 5998), 1.0, 0.999999, 1.000001, 1e-40, 2.0],
+    "log1p": np.r_[np.linspace(-0.9, 5, 6000), 1e-6, -1e-6, 1e10],
+    "arctan": np.r_[np.linspace(-4, 4, 6000), 1e6, -1e-6, 100.0],
+    **dict.fromkeys(("arcsin", "arccos"), np.linspace(-1, 1, 6003)),
+    **dict.fromkeys(("rint", "floor"), np.r_[np.linspace(-9.25, 9.25, 6000), 1e7, -0.5, 2.5]),
+}
+
+
+@pytest.mark.parametrize("name", RANGES)
+def test_elementary_functions_of_single_precision(name: str, tmp_path: Path) -> None:
+    x = RANGES[name].astype(np.float32).astype(float).reshape(-1, 3)
+    export_c(unary(name), BODY, tmp_path, dt=DT, precision="single")
+    drive = compile_c(tmp_path, CONTROLLER, SIZES, "-O2")
+    n = len(x)
+    *given, u = rows(np.arange(n), x, 0 * x, np.zeros((n, 9)), 0 * x, kind=np.float32)
+    assert call(drive, *given, u) == 0
+    expected = getattr(np, name)(x)
+    # A few units of the last place; near zeros of sine and cosine, of the argument's reduction.
+    scale = np.maximum(np.abs(expected), 1.0 if name in ("sin", "cos", "arccos", "arcsin") else 1e-6)
+    assert (np.abs(u - expected) / scale).max() < 4e-7
+
+
+def test_the_readme_states_memory_and_stack(tmp_path: Path) -> None:
+    law = pm.MeasurementDelay(pm.DisturbanceObserver(pm.ComputedTorque(WRONG)), 3)
+    export_c(law, BODY, tmp_path, dt=DT, tunable=["kp"], trajectory=CIRCLE)
+    text = (tmp_path / "README.md").read_text()
+    main = '#include "robot.h"\n#include <stdio.h>\nint main(void) { printf("%zu", sizeof(robot_memory)); }'
+    assert f"| memory | {run_program(tmp_path, main)} bytes for each robot |" in text
+    (stack,) = re.findall(r"below ([\d,]+) bytes", text)
+    command = ["gcc", *STRICT, "-O0", "-fstack-usage", "-c", "robot.c"]
+    subprocess.run(command, cwd=tmp_path, check=True)
+    used = [int(line.split("\t")[1]) for line in (tmp_path / "robot.su").read_text().splitlines()]
+    assert sum(sorted(used)[-2:]) < int(stack.replace(",", "")) < 3 * max(used)
+    symbols = subprocess.run(
+        ["nm", "robot.o"], cwd=tmp_path, capture_output=True, text=True, check=True
+    ).stdout
+    undefined = {line.split()[-1] for line in symbols.splitlines() if " U " in line}
+    assert undefined <= {"sqrt", "fabs"}
+    variables = [line for line in symbols.splitlines() if re.search(r" [bBdDC] ", line)]
+    assert not variables, "global state"
+    header = (tmp_path / "robot.h").read_text()
+    for each in ("q[2]: psi [rad]", "u[2]: Mz [N m]", "kp: proportional gain [1/s^2]", "disturbance"):
+        assert each in header
+
+
+def test_the_hash_follows_the_content(tmp_path: Path) -> None:
+    def text(kp: float, folder: str) -> str:
+        export_c(pm.PD(kp, 9.0), BODY, tmp_path / folder, dt=DT)
+        return (tmp_path / folder / "robot.h").read_text()
+
+    (one,), (other,) = (re.findall('ROBOT_HASH "(.*)"', text(kp, "a")) for kp in (9.0, 9.5))
+    assert one != other
+    assert text(9.0, "b") == text(9.0, "c")
+    assert one in text(9.0, "b")
+
+
+def test_cmake_builds_and_runs_the_test(tmp_path: Path) -> None:
+    if shutil.which("cmake") is None:
+        pytest.skip("cmake is not installed")
+    export_c(LAW, BODY, tmp_path, dt=DT, name="base_1")
+    for command in (
+        ["cmake", "-B", "build"],
+        ["cmake", "--build", "build"],
+        ["ctest", "--test-dir", "build"],
+    ):
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+        assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_cxx_reads_the_header(tmp_path: Path) -> None:
+    export_c(LAW, BODY, tmp_path, dt=DT, trajectory=CIRCLE, tunable=["kp"])
+    (tmp_path / "use.cpp").write_text('#include "robot.h"\nint main() { robot_memory m; robot_init(&m); }\n')
+    for command in (
+        ["gcc", *STRICT, "-c", "robot.c"],
+        ["g++", "-Wall", "-Werror", "use.cpp", "robot.o", "-lm"],
+    ):
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize(
+    ("law", "options", "message"),
+    [
+        (pm.law(branching), {}, r"controller cannot be exported: branching, .*; use np.where"),
+        (
+            pm.MPC(BODY),
+            {"trajectory": CIRCLE, "dt": 0.01},
+            r"controller cannot be exported: .*MPC.*; use LQR in InputSat",
+        ),
+        (pm.LQR(BODY), {}, r"reads the reference of its context, which is not known; give its trajectory"),
+        (
+            LOOPS["noisy"][0][1],
+            {},
+            "controller draws the noise 'measurement.*expected a controller without noise",
+        ),
+        (LAW, {"tunable": ["kq"]}, "unknown parameter in tunable 'kq', did you mean|available: kp"),
+        (LAW, {"tunable": "kp"}, "tunable is 'kp', expected paths of numbers"),
+        (
+            LAW,
+            {"tunable": ["kp.x"]},
+            "tunable has 'kp.x', an entry of controller.kp, expected the whole field",
+        ),
+        (
+            pm.LQR(BODY),
+            {"tunable": ["input_weight"], "trajectory": CIRCLE},
+            "tunable has 'input_weight', from which the law computes its memory before the first sample",
+        ),
+        (LAW, {"name": "Robot"}, "name is 'Robot', expected a name of lower-case letters"),
+        (LAW, {"precision": "half"}, "unknown precision 'half', available: double, single"),
+        (LAW, {"dt": 0.0}, "dt is 0.0 s, expected > 0"),
+        (3, {}, "controller is 3, expected"),
+    ],
+)
+def test_what_cannot_be_exported_is_refused(law: Any, options: Any, message: str, tmp_path: Path) -> None:
+    with pytest.raises((pm.InvalidArgument, pm.PinmobileError), match=message):
+        export_c(law, BODY, tmp_path, **{"dt": DT, **options})
+    assert not list(tmp_path.iterdir())
