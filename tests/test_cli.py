@@ -243,13 +243,16 @@ def test_a_run_that_diverges_keeps_what_came_before(typed: Typed, tmp_path: Path
             "unknown parameter in sliders 'controller.kx', did you mean 'controller.k",
         ),
         ("play --out run.csv", "--out is 'run.csv', expected a file .npz"),
+        ("export --tunable kq", "unknown parameter in tunable 'kq', available: "),
+        ("export --name 1a", "name is '1a', expected a name of lower-case letters"),
+        ("export controller=MPC dt=0.05 trajectory.path.duration=5", "controller cannot be exported: MPC"),
         ("parts pd", "NAME is 'pd', expected a part, did you mean 'PD'?"),
         ("verify --states 0", "states is 0, expected a whole number >= 1"),
         ("lectur", "No such command"),
     ],
 )
 def test_wrong_words_are_answered_in_a_line_each(typed: Typed, tmp_path: Path, words: str, text: str) -> None:
-    out = ["--out", str(tmp_path)] if words.split()[0] in ("run", "ensemble") else []
+    out = ["--out", str(tmp_path)] if words.split()[0] in ("run", "ensemble", "export") else []
     code, _, err = typed(*words.split(), *out)
     assert (code, text in err) == (2, True), err
     assert all(line.startswith("pinmobile: ") for line in err.splitlines())
@@ -278,6 +281,7 @@ def test_help_teaches_and_loads_no_library(typed: Typed) -> None:
             "sweep",
             "view",
             "play",
+            "export",
             "write",
             "parts",
             "identify",

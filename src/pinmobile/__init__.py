@@ -24,6 +24,7 @@ if TYPE_CHECKING:
         accuracy as accuracy,
         balance as balance,
         dh as dh,
+        export as export,
         plant as plant,
         urdf as urdf,
     )
@@ -63,6 +64,7 @@ _NAMES = {
         "dh": "",
         "errors": "Diverged InvalidArgument PinmobileError",
         "exercises": "",
+        "export": "",
         "files": "",
         "forces": "ConstantForce JointFriction RollingResistance ViscousFriction",
         "identification": "Log VelocityRobot excitation identify identify_velocity",

@@ -327,6 +327,45 @@ def show_play(
     return 0
 
 
+def show_export(
+    words: Sequence[str],
+    out: Path,
+    tunable: Sequence[str],
+    *,
+    name: str,
+    precision: str,
+    plant: bool,
+    allow_code: bool,
+) -> int:
+    """Write the controller or the plant of a scenario as C, and print the files and what is next."""
+    opened = Opened(words, allow_code=allow_code, unused=("spread", "grid", "cases", "n"))
+    from pinmobile.export import export_c
+
+    output_folder(out, "--out")
+    one = evolved(opened.content, spread={}, grid={}, cases={}, n=1).scenario()
+    own = {"forces": one.forces, "integrator": one.integrator, "substeps": one.substeps} if plant else {}
+    folder = export_c(
+        None if plant else one.controller,
+        one.robot,
+        out,
+        dt=one.dt,
+        trajectory=one.trajectory,
+        name=name,
+        precision=precision,
+        tunable=tunable,
+        **own,
+    )
+    facts = [line for line in (folder / "README.md").read_text().splitlines() if line.startswith("| ")]
+    files = ", ".join(sorted(each.name for each in folder.glob(f"{name}*.[ch]")))
+    console.print(f"wrote {folder}: {files}, CMakeLists.txt, README.md", markup=False)
+    for line in facts[1:]:
+        what, _, value = line.strip("| ").partition(" | ")
+        console.print(f"  {what:22} {value}", markup=False, highlight=False)
+    build = f"cc -std=c99 -O2 -ffp-contract=off {name}.c {name}_test.c -lm -o {name}_test"
+    console.print(f"test it: cd {folder} && {build} && ./{name}_test", markup=False, soft_wrap=True)
+    return 0
+
+
 def _print_address(url: str, host: str) -> None:
     """Print the address of a page, and how another machine opens it."""
     served = url.split("://")[1].split("/")[0].rpartition(":")[2]

@@ -28,6 +28,7 @@ TASKS = {
         "view": "howto/view",
         "play": "howto/play",
     },
+    "Put it on a robot": {"export": "howto/hardware"},
 }
 
 
@@ -207,6 +208,34 @@ def play(
     from pinmobile.cli.results import show_play
 
     return show_play(words or [], slider or [], out, host=host, port=port, allow_code=allow_code)
+
+
+@app.command()
+def export(
+    words: Words = None,
+    out: Annotated[Path, _folder("out/export")] = Path("out/export"),
+    name: Annotated[str, typer.Option(help="Prefix of all names and files.")] = "robot",
+    precision: Annotated[str, typer.Option(help="double, or single.")] = "double",
+    tunable: Annotated[
+        list[str] | None,
+        typer.Option(metavar="PATH", help="Number that stays a parameter, such as kp; repeatable."),
+    ] = None,
+    plant: Annotated[
+        bool, typer.Option("--plant", help="Export the plant in place of its controller.")
+    ] = False,
+    allow_code: Code = False,
+) -> int:
+    """Write a controller as C for the robot's own processor.
+
+    The trajectory becomes a table. A test program with recorded samples comes with the code.
+
+    Example: pinmobile export differential --tunable controller.k
+    """
+    from pinmobile.cli.results import show_export
+
+    return show_export(
+        words or [], out, tunable or [], name=name, precision=precision, plant=plant, allow_code=allow_code
+    )
 
 
 @app.command()

@@ -9,6 +9,7 @@ from pinmobile.compiled._tracing import (
 from pinmobile.compiled._vectorize import Recurrence as Recurrence, vectorize
 from pinmobile.compiled.elementary import sincos as sincos
 from pinmobile.compiled.emit import BINS as BINS, FIRST as FIRST, SHIFT as SHIFT, Shape as Shape
+from pinmobile.compiled.folding import DTYPES as DTYPES, NUMPY as NUMPY, ROUND as ROUND
 from pinmobile.compiled.identity import (
     Contents as Contents,
     Identity as Identity,

@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pinmobile.compiled import Rounds, Tape, operands
-from pinmobile.compiled.folding import DTYPES, NUMPY, ROUND
+from pinmobile.compiled import DTYPES, NUMPY, ROUND, Rounds, Tape, operands
 from pinmobile.errors import InvalidArgument
 
 _SIGNS = {

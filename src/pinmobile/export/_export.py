@@ -19,10 +19,16 @@ from pinmobile.export._project import Project
 from pinmobile.files import refusals, write
 from pinmobile.forces import Force
 from pinmobile.integrators import Integrator
-from pinmobile.loop import Loop
-from pinmobile.loop._checks import checked_forces, checked_substeps, chosen_integrator, sample_times, sampled
-from pinmobile.loop._run import BlindContext
-from pinmobile.loop._simulate import start_of
+from pinmobile.loop import (
+    BlindContext,
+    Loop,
+    checked_forces,
+    checked_substeps,
+    chosen_integrator,
+    sample_times,
+    sampled,
+    start_of,
+)
 from pinmobile.parts import OnCoordinates, evolved
 from pinmobile.plant import Context, Plant, check_plant, reference_sizes_of
 from pinmobile.trajectories import Reference, Trajectory

@@ -11,8 +11,16 @@ import numpy as np
 from pinmobile.arrays import Array
 from pinmobile.compiled import COUNT, Identity, Ring, evaluated, needed
 from pinmobile.errors import InvalidArgument
-from pinmobile.loop import Loop, Record, Sample
-from pinmobile.loop._trace import Trace, arrays_of, initial_memory, scheduled_rows, traced_numbers
+from pinmobile.loop import (
+    Loop,
+    Record,
+    Sample,
+    Trace,
+    arrays_of,
+    initial_memory,
+    scheduled_rows,
+    traced_numbers,
+)
 from pinmobile.parts import Found, find, named, option, part, replace
 from pinmobile.plant import Context, coordinates_of, inputs_of
 from pinmobile.signals import signals_of

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from pinmobile import __version__
+import pinmobile
 from pinmobile.arrays import Array
 from pinmobile.compiled import COUNT
 from pinmobile.export._code import Code
@@ -48,10 +48,10 @@ class Project:
         self.code.write([*(node for _, node in law.outputs), *(ring.pushed for ring in law.rings)])
         self.words: dict[str, Any] = {"name": name, "UPPER": name.upper(), "title": title}
         dt = law.context.dt
-        self.words |= {"version": __version__, "dt": f"{dt:g}", "dt_c": self._number(dt)}
+        self.words |= {"version": pinmobile.__version__, "dt": f"{dt:g}", "dt_c": self._number(dt)}
         self.words["prototype"] = self._prototype()
         types, body = self._types(), self._body()
-        kept = "\n".join([title, __version__, types, body])
+        kept = "\n".join([title, pinmobile.__version__, types, body])
         self.words |= {"types": types, "body": body, "digest": hashlib.sha256(kept.encode()).hexdigest()[:16]}
 
     def files(self) -> dict[str, str]:

@@ -2,7 +2,10 @@
 
 from pinmobile.loop._causes import Cause as Cause, causes as causes, worst_share as worst_share
 from pinmobile.loop._checks import (
+    checked_forces as checked_forces,
+    checked_substeps as checked_substeps,
     chosen_integrator as chosen_integrator,
+    sample_times as sample_times,
     sampled as sampled,
 )
 from pinmobile.loop._description import Outline, percent as percent
@@ -11,11 +14,24 @@ from pinmobile.loop._loop import Loop, Record, Sample, State as State, reaction 
 from pinmobile.loop._payload import PayloadTransfer
 from pinmobile.loop._record import Samples, Worst
 from pinmobile.loop._rollout import EndEffector, Rollout, at_samples as at_samples, error_text as error_text
-from pinmobile.loop._run import ensemble, part_of, run_scenario, way_of as way_of
+from pinmobile.loop._run import (
+    BlindContext as BlindContext,
+    ensemble,
+    part_of,
+    run_scenario,
+    way_of as way_of,
+)
 from pinmobile.loop._scenario import Scenario
-from pinmobile.loop._simulate import Engine, simulate
+from pinmobile.loop._simulate import Engine, simulate, start_of as start_of
 from pinmobile.loop._spread import TRUE_MODEL, Distribution, Normal, Relative, SameAs, Uniform
 from pinmobile.loop._stepper import Stepper as Stepper
+from pinmobile.loop._trace import (
+    Trace as Trace,
+    arrays_of as arrays_of,
+    initial_memory as initial_memory,
+    scheduled_rows as scheduled_rows,
+    traced_numbers as traced_numbers,
+)
 from pinmobile.loop._variables import (
     LEVELS as LEVELS,
     NOTE as NOTE,
