@@ -13,7 +13,7 @@ from measuring import picked, selecting
 
 NAMES = (
     *("rollout", "ensembles", "arm_ensembles", "loop", "calls", "batches"),
-    *("memory", "wheels", "mpc", "identification", "viewing", "imports"),
+    *("memory", "wheels", "mpc", "identification", "viewing", "imports", "exported"),
 )
 PARTS = [import_module(name) for name in NAMES]
 

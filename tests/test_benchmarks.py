@@ -15,6 +15,8 @@ import pytest
 
 pytestmark = [pytest.mark.once, pytest.mark.long]
 
+from tests.c_code import compilers
+
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 PEERS = ("mujoco", "roboticstoolbox", "jax")
 SHORT = 2.0  # s
@@ -190,9 +192,19 @@ def test_predictive_control_is_timed_and_one_that_does_not_come_there_is_wrong(
     assert "WRONG" in capsys.readouterr().out
 
 
+def test_a_step_in_c_is_measured(bench: SimpleNamespace, capsys: pytest.CaptureFixture[str]) -> None:
+    compilers()
+    exported = import_module("exported")
+    with pytest.MonkeyPatch.context() as patched:
+        known = exported.laws()
+        patched.setattr(exported, "laws", lambda: {"PD": known["PD"]})
+        assert exported.main(["--quick"]) == 0
+    assert re.search(r"PD +33 +[\d.]+ +[\d,]+ times +[\d,]+ +16 +", capsys.readouterr().out)
+
+
 def test_every_benchmark_is_run_and_understands_what_it_is_given(asked: Any) -> None:
     every = ["rollout", "ensembles", "arm_ensembles", "loop", "calls", "batches"]
-    every += ["memory", "wheels", "mpc", "identification", "viewing", "imports"]
+    every += ["memory", "wheels", "mpc", "identification", "viewing", "imports", "exported"]
     assert list(asked()) == list(asked("--quick", "--rounds", "2")) == every
 
 
