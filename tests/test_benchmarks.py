@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-pytestmark = [pytest.mark.once, pytest.mark.long]
-
 from tests.c_code import compilers
+
+pytestmark = [pytest.mark.once, pytest.mark.long]
 
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 PEERS = ("mujoco", "roboticstoolbox", "jax")
