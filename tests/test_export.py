@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import pinmobile as pm
+from pinmobile.cli import main
 from pinmobile.controllers import PID
 from pinmobile.export import export_c
 from pinmobile.parts import replace
@@ -349,6 +350,29 @@ def test_the_hash_follows_the_content(tmp_path: Path) -> None:
     assert one != other
     assert text(9.0, "b") == text(9.0, "c")
     assert one in text(9.0, "b")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "lecture controller=ComputedTorque",
+        "differential --tunable controller.k",
+        "mecanum --name base",
+        "ur5 --precision single",
+        "mecanum robot.ground=Coulomb --plant",
+    ],
+)
+def test_the_command_exports_a_scenario(
+    words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    name = "base" if "base" in words else "robot"
+    assert main(["export", *words.split(), "--out", str(tmp_path)]) == 0
+    out = capsys.readouterr().out
+    assert f"wrote {tmp_path}: {name}.c, {name}.h, {name}_test.c" in out
+    (command,) = re.findall(r"test it: (cd .*)", out)
+    done = subprocess.run(command, shell=True, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert ("allowed: 0\n" in done.stdout) == ("single" not in words)
 
 
 def test_cmake_builds_and_runs_the_test(tmp_path: Path) -> None:
