@@ -80,7 +80,8 @@ class Member:
     """
 
     def __init__(self, name: str, entries: Sequence[tuple[str, str]], values: Any = None) -> None:
-        self.name, self.entries = name, list(entries)
+        self.name = name
+        self.entries = [(text.replace("*/", "* /"), unit) for text, unit in entries]  # texts of comments
         self.values = np.zeros(len(self.entries)) if values is None else np.ravel(np.asarray(values, float))
 
     def __len__(self) -> int:

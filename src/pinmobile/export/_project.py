@@ -19,7 +19,7 @@ from pinmobile.export._code import Code
 from pinmobile.export._law import Law, Member
 
 _SAMPLES = 64  # of the test program
-_TOLERANCE = 1e-4  # of single precision, relative to the largest result
+_TOLERANCE = 1e-5  # of single precision, relative to the largest result
 _NEAR = 1e-5  # of a time to a sample, in steps
 
 
