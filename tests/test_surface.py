@@ -59,6 +59,7 @@ ALLOWED: dict[str, set[str]] = {
     "accuracy": {"loop"},
     "sweeps": {"loop"},
     "export": {"loop"},
+    "derivatives": {"loop"},
     "identification": {"loop", "wheels"},
     "palette": set(),
     "plots": {"palette", "accuracy", "balance", "identification"},

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from pinmobile import (
         accuracy as accuracy,
         balance as balance,
+        derivatives as derivatives,
         dh as dh,
         export as export,
         plant as plant,
@@ -61,6 +62,7 @@ _NAMES = {
             "InputSaturation UnicycleTracking law"
         ),
         "derivation": "",
+        "derivatives": "",
         "dh": "",
         "errors": "Diverged InvalidArgument PinmobileError",
         "exercises": "",

@@ -7,6 +7,12 @@ from pinmobile.compiled._tracing import (
     uncollected as uncollected,
 )
 from pinmobile.compiled._vectorize import Recurrence as Recurrence, vectorize
+from pinmobile.compiled.derivatives import (
+    adjoint as adjoint,
+    bits_of_indices as bits_of_indices,
+    tangent as tangent,
+    without_delays as without_delays,
+)
 from pinmobile.compiled.elementary import sincos as sincos
 from pinmobile.compiled.emit import BINS as BINS, FIRST as FIRST, SHIFT as SHIFT, Shape as Shape
 from pinmobile.compiled.folding import DTYPES as DTYPES, NUMPY as NUMPY, ROUND as ROUND

@@ -200,6 +200,11 @@ class Tape:
         depends, kind = _INPUTS[name]
         return self._node(kind, depends, (name, *number))
 
+    def copied(self, kind: str, depends: int, operation: _Operation) -> int:
+        """Return the index of an operation of another tape, as it stands."""
+        self._repeats = max(self._repeats, operation[1] + 1 if operation[0] == "repeat" else 0)
+        return self._node(kind, depends, operation).index
+
     def ring(self, number: int, samples: int, pushed: Node) -> Node:
         """Return the value of `pushed` from `samples` ago, or its first value before that."""
         return self._node("f", STATE, ("ring", number, samples, pushed.index))

@@ -86,6 +86,8 @@ class Trace:
         numbers are the same for all robots.
     own_reference : bool
         Whether each robot has its own reference.
+    own_schedules : bool
+        Whether schedules may depend on numbers of the spread.
     """
 
     loop: Loop
@@ -95,6 +97,7 @@ class Trace:
     identity: Identity
     spread: Mapping[str, Any]
     own_reference: bool = False
+    own_schedules: bool = False
     values: dict[str, Array] = attrs.field(init=False)
     fixed: frozenset[tuple[str, str]] = frozenset()
     shapes: dict[tuple[str, str], tuple[int, ...]] = attrs.Factory(dict)
@@ -117,7 +120,8 @@ class Trace:
         NotTraceable
             If a law does not accept symbols; the message contains its line and the code to write instead.
         """
-        check_schedules(self.loop, self.context, self.spread)
+        if not self.own_schedules:
+            check_schedules(self.loop, self.context, self.spread)
         number = self._shaped()
         tape = self._tape()
         moves = [now != after for now, after in tape.states]

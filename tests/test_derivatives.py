@@ -1,0 +1,177 @@
+"""Gradients of closed loops: forward beside reverse mode, both beside differences of runs."""
+
+from collections.abc import Sequence
+from itertools import chain
+from typing import Any
+
+import numpy as np
+import pytest
+
+import pinmobile as pm
+from pinmobile.derivatives import Gradient, gradient
+from pinmobile.loop import Loop
+from pinmobile.parts import named, replace
+from tests.frozen import BODY, CIRCLE, WRONG, by_lapack, loops
+
+DT, DURATION = 0.01, 2.0
+DRY = ("differential Coulomb", "mecanum Coulomb", "skid-steer")
+LOOPS = {name: (parts, options) for name, parts, options in (*loops(), *by_lapack()) if name not in DRY}
+# Where a number changes the side of a kink during the run, differences of runs are no derivatives.
+KINKED = ("super-twisting", "adaptive", "constant", "all forces", "line")
+WITH_ROUNDS = ("volts",)
+
+
+def loss(sample: Any) -> Any:
+    return (sample.error**2).sum() + 1e-6 * (sample.u**2).sum()
+
+
+def base_of(name: str) -> tuple[Loop, dict[str, Any]]:
+    (plant, controller, trajectory), options = LOOPS[name]
+    own = {key: value for key, value in options.items() if key != "limit"}
+    forces = own.get("forces", ())
+    return Loop(plant, controller, trajectory, forces, own.get("integrator"), own.get("substeps", 1)), own
+
+
+def chosen(loop: Loop) -> list[str]:
+    """Return some numbers of each part."""
+    known = [path for path, one in named(loop).items() if not one.label and one.leaf.value is not None]
+    each = {"controller": 3, "plant": 3, "forces": 2}
+    some = ([path for path in known if path.startswith(f"{part}.")][:count] for part, count in each.items())
+    return [*chain.from_iterable(some), "start.x"]
+
+
+def flat(found: Gradient) -> Any:
+    return np.concatenate([each.ravel() for each in found.by.values()])
+
+
+def differences(loop: Loop, own: dict[str, Any], paths: Sequence[str]) -> Any:
+    """Return derivatives by extrapolated central differences of runs, and estimates of their errors."""
+    known, rows = named(loop), []
+    duration = min(DURATION, loop.trajectory.duration)
+
+    def value(changed: Loop) -> float:
+        parts = changed.plant, changed.controller, changed.trajectory
+        begin = pm.simulate(*parts, dt=DT, duration=DT, engine=pm.Engine.COMPILED)
+        start = changed.integrate(begin.q[0], changed.start), begin.v[0] + changed.start_rate
+        options: dict[str, Any] = {**own, "forces": changed.forces, "q0": start[0], "v0": start[1], "limit": 1e9}
+        run = pm.simulate(*parts, dt=DT, duration=duration, engine=pm.Engine.COMPILED, **options)
+        return float((run.error**2).sum() + 1e-6 * (run.u**2).sum())
+
+    for path in paths:
+        one = known[path]
+        nominal = np.asarray(one.leaf.value, float)
+        entries = [one.place(nominal.ndim)] if one.entry is not None else [*np.ndindex(nominal.shape)]
+        for entry in entries:
+            step = 1e-5 * max(1.0, abs(nominal[entry]))
+            slopes = []
+            for h in (step, step / 2):
+                ends = []
+                for sign in (1, -1):
+                    moved = nominal.copy()
+                    moved[entry] += sign * h
+                    changes = {one.leaf.path: moved if moved.ndim else float(moved)}
+                    ends.append(value(replace(loop, changes)))
+                slopes.append((ends[0] - ends[1]) / (2 * h))
+            rows.append((slopes[1] + (slopes[1] - slopes[0]) / 3, abs(slopes[1] - slopes[0])))
+    return np.array(rows).T
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("name", LOOPS)
+def test_forward_and_reverse_agree_with_each_other_and_with_runs(name: str) -> None:
+    loop, own = base_of(name)
+    parts = loop.plant, loop.controller, loop.trajectory
+    options: dict[str, Any] = {**own, "dt": DT, "duration": min(DURATION, loop.trajectory.duration), "by": chosen(loop)}
+    forward = gradient(loss, *parts, **options, mode="forward")
+    found, scale = flat(forward), np.abs(flat(forward)).max()
+    if name in WITH_ROUNDS:
+        with pytest.raises(pm.InvalidArgument, match="loops with rounds run forward only"):
+            gradient(loss, *parts, **options, mode="reverse")
+    else:
+        reverse = gradient(loss, *parts, **options, mode="reverse")
+        assert reverse.value == pytest.approx(forward.value, rel=1e-12)
+        assert np.linalg.norm(flat(reverse) - found) <= 1e-12 * np.linalg.norm(found)
+    if name in KINKED:
+        return
+    expected, error = differences(loop, own, [*forward.by])
+    # Rounding of a loss of 200 samples, divided by the step, and the order of the differences.
+    assert (np.abs(found - expected) <= error + 1e-8 * scale).all()
+
+
+def test_a_path_and_the_last_sample_count() -> None:
+    circle = pm.Tangent(pm.Circle(2.0, 0.5, 6.0))
+    by = ["trajectory.path.radius", "trajectory.path.rate", "plant.com", "kp"]
+
+    def far(sample: Any) -> Any:
+        return np.sqrt((sample.q[:2] ** 2).sum())
+
+    parts = BODY, pm.ComputedTorque(WRONG, 4.0, 4.0)
+    found = gradient(far, *parts, circle, by=by, dt=DT, duration=2.0, at_end=True)
+
+    def end(radius: float) -> float:
+        run = pm.simulate(*parts, pm.Tangent(pm.Circle(radius, 0.5, 6.0)), dt=DT, duration=2.0)
+        return float(np.hypot(*run.q[-1, :2]))
+
+    assert found.value == pytest.approx(end(2.0), rel=1e-12)
+    expected = (end(2.0 + 1e-4) - end(2.0 - 1e-4)) / 2e-4
+    assert found.by["trajectory.path.radius"] == pytest.approx(expected, rel=1e-8)
+    assert found.by["plant.com"].shape == (3,)
+    assert found.mode == "forward mode, 6 numbers"
+    assert str(found).splitlines()[1].startswith("  by trajectory.path.radius: ")
+    assert " per m" in str(found)
+
+
+def test_many_numbers_select_reverse_mode_and_elementary_functions_have_their_slopes() -> None:
+    def policy(t: Any, q: Any, v: Any, reference: Any) -> Any:
+        error = np.concatenate([reference.q - q, reference.v - v])
+        bent = np.tanh(error) + np.arctan(0.3 * error) + np.expm1(0.1 * error) + np.log1p(error * error)
+        turned = np.sin(error) * np.cos(0.5 * error) + np.exp(-error * error) - 1.0
+        return 40.0 * (bent + turned)[:3] + 30.0 * np.arctan2(error[3:], 1.0 + error[:3] ** 2)
+
+    by = ["mass", "yaw_inertia", "com", "start.x", "start.y", "start.psi", "start_rate.vx"]
+    both = [
+        gradient(loss, BODY, pm.law(policy), CIRCLE, by=by, dt=DT, duration=1.0, mode=mode)
+        for mode in (None, "forward")
+    ]
+    assert both[0].mode == "reverse mode, 9 numbers"
+    one, other = map(flat, both)
+    assert np.linalg.norm(one - other) <= 1e-12 * np.linalg.norm(one)
+    loop = Loop(BODY, pm.law(policy), CIRCLE)
+    options: dict[str, Any] = {"duration": 1.0}
+    known = named(loop)
+    step = 1e-5
+    values = []
+    for sign in (1, -1):
+        run = pm.simulate(
+            BODY, pm.law(policy), CIRCLE, dt=DT, q0=CIRCLE(np.zeros(1)).q[0] + [sign * step, 0, 0], **options
+        )
+        values.append((run.error**2).sum() + 1e-6 * (run.u**2).sum())
+    assert known["start.x"].leaf.path == "start"
+    assert both[0].by["start.x"] == pytest.approx((values[0] - values[1]) / (2 * step), rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"by": ["controller.kq"]}, "unknown parameter in by 'controller.kq'"),
+        ({"by": []}, "by is empty, expected paths of numbers"),
+        ({"by": "mass"}, "by is 'mass', expected paths of numbers"),
+        ({"mode": "backward"}, "unknown mode 'backward', available: forward, reverse"),
+        ({"loss": lambda sample: sample.error}, r"loss returned .*, expected a number"),
+        ({"loss": lambda sample: 1.0 if sample.u[0] > 0 else 0.0}, "this loop has no derivative: .*np.where"),
+        ({"loss": 3}, "loss"),
+        ({"controller": pm.MPC(BODY), "dt": 0.05}, "this loop has no derivative: .*MPC"),
+    ],
+)
+def test_wrong_arguments_are_answered(change: dict[str, Any], message: str) -> None:
+    given: dict[str, Any] = {"loss": loss, "controller": pm.PD(60, 60), "by": ["mass"], "dt": DT} | change
+    parts = given.pop("loss"), BODY, given.pop("controller"), CIRCLE
+    with pytest.raises((pm.InvalidArgument, pm.PinmobileError), match=message):
+        gradient(*parts, **given)
+
+
+@pytest.mark.parametrize("name", DRY[1:])
+def test_dry_friction_is_refused(name: str) -> None:
+    parts = next(parts for own, parts, _ in loops() if own == name)
+    with pytest.raises(pm.InvalidArgument, match=r"rounds within rounds.*use ground=Rolling\(\)"):
+        gradient(loss, *parts, by=["start.x"], dt=DT, duration=0.5)
