@@ -33,7 +33,7 @@ from pinmobile import (
 )
 from pinmobile.cli.scenario_file import Opened
 from pinmobile.errors import UnknownName
-from pinmobile.loop import Stepper
+from pinmobile.loop import LoopStepper
 from pinmobile.parts import evolved
 from pinmobile.trajectories import Reference
 from pinmobile.viewer import LiveRun, play, recording
@@ -76,7 +76,7 @@ def test_samples_in_pieces_are_those_of_simulate_bit_for_bit(loop: Scenario) -> 
         integrator=None if loop.integrator is None else loop.integrator,
         substeps=loop.substeps, seed=loop.seed, engine=Engine.COMPILED,
     )  # fmt: skip
-    stepper, pieces = Stepper(loop), np.random.default_rng(1)
+    stepper, pieces = LoopStepper(loop), np.random.default_rng(1)
     for again in range(2):
         stepper.reset({})
         while stepper.k < len(whole):
@@ -93,7 +93,7 @@ def test_a_number_changes_between_two_samples_as_in_two_runs() -> None:
     first = simulate(ROBOT, PD(60, 20), place, duration=1.0, q0=np.zeros(3), **options)
     second = simulate(ROBOT, PD(240, 20), place, duration=1.0, q0=first.q[-1], v0=first.v[-1], **options)
     start = {"start.x": -0.3, "start.y": -0.2, "start.psi": -0.5}
-    stepper = Stepper(scenario(PD(60, 20), place, spread=start | {"controller.kp": 60.0}))
+    stepper = LoopStepper(scenario(PD(60, 20), place, spread=start | {"controller.kp": 60.0}))
     stepper.advance(50)
     stepper.change(stepper.values | {"controller.kp": 240.0})
     stepper.advance(51)
@@ -107,7 +107,7 @@ def test_a_number_changes_between_two_samples_as_in_two_runs() -> None:
 
 
 def test_the_reference_rests_after_its_end_and_the_run_goes_on() -> None:
-    stepper = Stepper(scenario())
+    stepper = LoopStepper(scenario())
     stepper.advance(1000)
     run = stepper.rollout()
     assert run.t[-1] == pytest.approx(999 * 0.02)

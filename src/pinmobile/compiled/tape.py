@@ -645,6 +645,8 @@ class LoopTape:
         Units of the signals among the kept values, by name.
     scheduled : int
         Number of entries of a sample from schedules; they follow the reference.
+    tables : bool
+        Whether long computations of time and reference become tables, computed before the run.
     """
 
     tape: Tape
@@ -662,6 +664,7 @@ class LoopTape:
     tracks: int = 0
     units: dict[str, str] = field(default_factory=dict)
     scheduled: int = 0
+    tables: bool = True
 
     @property
     def outputs_kept(self) -> int:
@@ -685,7 +688,7 @@ class LoopTape:
             if tape.types[i] == "f" and operands(tape.operations[i])
         ]
         saved = len(shared & set(needed(tape, found)))
-        return found if saved > _WORTH_A_TABLE + 2 * len(found) else []
+        return found if self.tables and saved > _WORTH_A_TABLE + 2 * len(found) else []
 
     @functools.cached_property
     def own(self) -> int:

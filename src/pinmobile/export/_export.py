@@ -106,13 +106,15 @@ def export_c(
     --------
     simulate : run the same loop here.
     vectorize : machine code of a function for this processor.
+    realtime.Stepper : the controller in Python, one sample per call.
 
     Examples
     --------
     >>> from pinmobile import ComputedTorque, MobileRobot
     >>> from pinmobile.export import export_c
     >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
-    >>> folder = export_c(ComputedTorque(robot, 4, 4), robot, "out/c", dt=0.01, tunable=["kp"])
+    >>> law = ComputedTorque(robot, kp=4, kd=4)
+    >>> folder = export_c(law, robot, "out/c", dt=0.01, tunable=["kp"])
     >>> sorted(file.name for file in folder.iterdir())
     ['CMakeLists.txt', 'README.md', 'robot.c', 'robot.h', 'robot_test.c']
     """
@@ -183,6 +185,26 @@ def _begun(
                 "the first coordinates, or none: the caller then supplies the reference"
             )
         return context, start_of(plant, reference, None, None), Reference(*(x[0] for x in reference)), table
+    return *context_without_trajectory(plant, controller, dt), None
+
+
+def context_without_trajectory(
+    plant: Plant, controller: Controller, dt: float
+) -> tuple[Any, tuple[Array, Array], Reference]:
+    """Return context, initial state and first reference of a controller whose reference the caller gives.
+
+    Parameters
+    ----------
+    plant, controller
+        Plant and its controller.
+    dt : float
+        Time step [s].
+
+    Raises
+    ------
+    NotTraceable
+        If the controller reads the trajectory.
+    """
     sizes = reference_sizes_of(plant)
     least = min(sizes)
     rest = Reference(np.zeros((1, sizes[least])), *[np.zeros((1, least))] * 2)
@@ -199,5 +221,5 @@ def _begun(
         except Exception as error:
             errors.append(error)
         else:
-            return blind, (q, v), first, None
+            return blind, (q, v), first
     raise errors[0]

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
+from dataclasses import replace as replaced
 from typing import Any, final
 
 import numpy as np
 
 from pinmobile.arrays import Array
-from pinmobile.compiled import COUNT, Identity, Ring, evaluated, needed
+from pinmobile.compiled import COUNT, Identity, LoopTape, Ring, evaluated, needed
 from pinmobile.errors import InvalidArgument
 from pinmobile.loop import (
     Loop,
@@ -36,10 +37,13 @@ class Answer:
     ----------
     as_measured : bool
         Whether the controller gets velocities without projection onto the constraints of the plant.
+    errors : bool
+        Whether the record contains the errors of the reference's coordinates and of their rates.
     """
 
     as_measured: bool = option(default=True)
-    signals, errors = True, False
+    errors: bool = option(default=False)
+    signals = True
 
     def initial_state(self, n: int, nu: int) -> None:
         """Return None: the recorder has no memory."""
@@ -48,7 +52,8 @@ class Answer:
         """Return the applied input and the signals as a record."""
         values = {f"signal {name}": claim.value for name, claim in sample.signals.items()}
         units = {name: claim.unit for name, claim in sample.signals.items()}
-        return Record(None, (), {"u": sample.u, **values}, units)
+        errors = {"error": np.concatenate([sample.error, sample.error_rate])} if self.errors else {}
+        return Record(None, (), {"u": sample.u, **errors, **values}, units)
 
 
 @final
@@ -135,7 +140,7 @@ class Law:
         self.is_plant = not loop.recorder.as_measured
         self.found = [self._tunable(name) for name in dict.fromkeys(tunable)]
         spread = {one.path: np.ones(np.shape(one.leaf.value), bool) for one in self.found}
-        begun = initial_memory(loop, context)
+        self.initial = begun = initial_memory(loop, context)
         identity = Identity.of(loop, begun[2:], spread, ())
         self.loop_tape = Trace(loop, context, start, reference, identity, spread).result()
         self.tape = self.loop_tape.tape
@@ -144,7 +149,8 @@ class Law:
         self.outputs: list[tuple[str, int]] = []
         self._parameters()
         self._interface(reference)
-        self._memory(arrays_of(begun))
+        self.values = arrays_of(begun)
+        self._memory(self.values)
         self._results()
         self._finish()
 
@@ -241,14 +247,30 @@ class Law:
                 self.outputs.append((self.places["state", i], after))
             return
         self.outputs += [(f"u[{i}]", node) for i, node in enumerate(loop.kept["u"][1])]
-        memory = initial_memory(self.loop, self.context).controller
-        own = signals_of(self.loop.controller, memory)
+        own = signals_of(self.loop.controller, self.initial.controller)
         for key, (_, nodes) in loop.kept.items():
             name = key.removeprefix("signal ")
             if name in own:
                 member = re.sub(r"\W", "_", name)
                 self.signals.append(Member(member, [(name, loop.units[name])] * len(nodes)))
                 self.outputs += [(f"memory->signals.{member}[{i}]", node) for i, node in enumerate(nodes)]
+
+    def controller_tape(self) -> LoopTape:
+        """Return the tape of the controller alone: the state of the plant does not change.
+
+        It keeps the applied input, the errors if the recorder has them, and the signals of the controller.
+        """
+        loop = self.loop_tape
+        moves = [False] * len(loop.states)
+        for leaf in loop.leaves:
+            if leaf.kind == "state" and leaf.owner == "controller":
+                size = int(np.prod(leaf.shape))
+                moves[leaf.first : leaf.first + size] = [True] * size
+        pairs = zip(loop.states, moves, strict=True)
+        states = [(now, after if is_memory else now) for (now, after), is_memory in pairs]
+        own = {f"signal {name}" for name in signals_of(self.loop.controller, self.initial.controller)}
+        kept = {name: each for name, each in loop.kept.items() if name in {"u", "error"} | own}
+        return replaced(loop, states=states, kept=kept, counted=[], tables=False)
 
     def _finish(self) -> None:
         """Find the delays in use, and refuse noise."""

@@ -11,7 +11,17 @@ from pinmobile.loop._checks import (
 )
 from pinmobile.loop._description import Outline, percent as percent
 from pinmobile.loop._ensemble import Bands, Ensemble, ErrorQuantile
-from pinmobile.loop._loop import Loop, Record, Sample, State as State, reaction as reaction, step
+from pinmobile.loop._loop import (
+    Loop,
+    Record,
+    Sample,
+    State as State,
+    control as control,
+    reaction as reaction,
+    step,
+    tracking_errors as tracking_errors,
+)
+from pinmobile.loop._loop_stepper import LoopStepper as LoopStepper
 from pinmobile.loop._payload import PayloadTransfer
 from pinmobile.loop._record import Samples, Worst
 from pinmobile.loop._rollout import EndEffector, Rollout, at_samples as at_samples, error_text as error_text
@@ -23,9 +33,8 @@ from pinmobile.loop._run import (
     way_of as way_of,
 )
 from pinmobile.loop._scenario import Scenario
-from pinmobile.loop._simulate import Engine, simulate, start_of as start_of
+from pinmobile.loop._simulate import Engine, errors_of as errors_of, simulate, start_of as start_of
 from pinmobile.loop._spread import TRUE_MODEL, Distribution, Normal, Relative, SameAs, Uniform
-from pinmobile.loop._stepper import Stepper as Stepper
 from pinmobile.loop._trace import (
     Trace as Trace,
     arrays_of as arrays_of,

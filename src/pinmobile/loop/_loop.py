@@ -394,26 +394,17 @@ def step(
     >>> float(after.v[0])  # 60 N / 30 kg * 0.1 s [m/s]
     0.2
     """
-    plant, controller = loop.law, loop.controller
+    plant = loop.law
     q, v, memory, kept, record_state = state
     if loop.is_constrained:
         # Here, not after the step: this sample's dynamics need the same mass matrix, which a tape has once.
         v = np.where(k == 0.0, v, plant.project(q, v))  # the initial velocity stays as given
     error, error_rate = tracking_errors(plant, q, v, reference) if loop.records_errors else (None, None)
-    answer = controller(t, q.copy(), v.copy(), reference, kept)
-    if type(answer) is not tuple or len(answer) != 2:
-        raise InvalidArgument(f"controller returned {shown(answer)}{when(t)}, expected (u, state)")
-    u, kept = answer
-    if type(u) is not np.ndarray or u.dtype != np.float64 or u.shape != (plant.nu,):
-        u = _numbers("controller", u, t, (plant.nu,), advice(loop.plant))
-    if loop.limits is not None:
-        u = np.clip(u, *loop.limits)
-    if loop.is_informed:
-        kept = controller.applied(u.copy(), kept)
+    u, kept = control(loop, t, q, v, reference, kept)
     a, q1, v1, after = advance(loop, t, h, q, v, u, memory)
     signals: Mapping[str, Claim] = {}
     if loop.signals:
-        own = signals_of(controller, kept)
+        own = signals_of(loop.controller, kept)
         signals = claimed(collected_signals(loop, t, q, v, u, memory, own), _signal)
     measured: Any = ()
     if loop.is_measured:
@@ -421,6 +412,21 @@ def step(
     sample = Sample(k, t, q, v, u, a, error, error_rate, signals, measured, reference)
     record = NOTHING if loop.recorder is None else loop.recorder(sample, record_state)
     return State(q1, v1, after, kept, record.state), sample, record
+
+
+def control(loop: Loop, t: Any, q: Any, v: Any, reference: Reference, memory: Any) -> tuple[Any, Any]:
+    """Return the applied input of a sample and the memory of the controller after it."""
+    answer = loop.controller(t, q.copy(), v.copy(), reference, memory)
+    if type(answer) is not tuple or len(answer) != 2:
+        raise InvalidArgument(f"controller returned {shown(answer)}{when(t)}, expected (u, state)")
+    u, memory = answer
+    if type(u) is not np.ndarray or u.dtype != np.float64 or u.shape != (loop.law.nu,):
+        u = _numbers("controller", u, t, (loop.law.nu,), advice(loop.plant))
+    if loop.limits is not None:
+        u = np.clip(u, *loop.limits)
+    if loop.is_informed:
+        memory = loop.controller.applied(u.copy(), memory)
+    return u, memory
 
 
 def _numbers(name: str, found: Any, t: Any, shape: tuple[int, ...], instead: str = "") -> Any:

@@ -17,7 +17,7 @@ import pinmobile.viewer.shapes as shapes
 from pinmobile.arrays import Array, sequence
 from pinmobile.controllers import Controller
 from pinmobile.errors import PinmobileError
-from pinmobile.loop import Rollout, Scenario, Stepper
+from pinmobile.loop import LoopStepper, Rollout, Scenario
 from pinmobile.palette import QUIET, colour
 from pinmobile.parts import Driven, Found, Pushable, Tabled, Touching, able, array, entries_of, part
 from pinmobile.plant import Contacts, Plant, stated
@@ -178,7 +178,7 @@ class LiveRun:
         spread = {path: float(one.value) for path, (_, one) in found.items()}
         self._sliders, self._values = found, dict(spread)
         spread |= {f"{_FORCE}{axis}": 0.0 for axis in (_AXES if hand is not None else ())}
-        self._stepper = Stepper(replace(bare, spread=spread))
+        self._stepper = LoopStepper(replace(bare, spread=spread))
         self._can_drive = self._stepper.follows and any(able(plant, x) for x in (Tabled, Driven))
         self._drive = _Drive(plant, bare.reference)
         mass_matrix = stated(plant, "mass_matrix")

@@ -1,4 +1,4 @@
-"""`Stepper`, a compiled loop that advances some samples at a time, with numbers that may change between."""
+"""`LoopStepper`, a compiled loop that advances some samples at a time, with numbers that may change."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class _Watched:
         return found._replace(kept={**found.kept, "error": sample.error, **measured})
 
 
-class Stepper:
+class LoopStepper:
     """Compiled loop of one robot that advances some samples at a time.
 
     The samples of a stepper are those of `simulate`, bit for bit, unless numbers or references change.
