@@ -20,6 +20,7 @@ TOPICS = {
     "identification": ("Identification", ["identification"]),
     "derivation": ("Derivation and verification", ["derivation", "closed_form", "verification"]),
     "exercises": ("Exercises", ["exercises"]),
+    "realtime": ("Real time and export to C", ["realtime", "export"]),
     "plots": ("Figures", ["plots"]),
     "viewer": ("Viewer", ["viewer"]),
     "parts": ("User-defined parts", ["parts", "plant", "compiled"]),

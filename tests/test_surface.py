@@ -60,6 +60,7 @@ ALLOWED: dict[str, set[str]] = {
     "sweeps": {"loop"},
     "export": {"loop"},
     "derivatives": {"loop"},
+    "realtime": {"export"},
     "identification": {"loop", "wheels"},
     "palette": set(),
     "plots": {"palette", "accuracy", "balance", "identification"},

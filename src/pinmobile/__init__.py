@@ -83,6 +83,7 @@ _NAMES = {
         "plots": "",
         "proximity": "clearance",
         "reaching": "EndEffectorTracking FrameTask PosePath solve_inverse_kinematics",
+        "realtime": "",
         "robot": "PayloadBody MobileRobot",
         "signals": "",
         "sweeps": "Sweep sweep",
