@@ -13,7 +13,7 @@ from measuring import picked, selecting
 
 NAMES = (
     *("rollout", "ensembles", "arm_ensembles", "loop", "calls", "batches"),
-    *("memory", "wheels", "mpc", "identification", "viewing", "imports", "exported"),
+    *("memory", "wheels", "mpc", "identification", "viewing", "imports", "exported", "realtime"),
 )
 PARTS = [import_module(name) for name in NAMES]
 

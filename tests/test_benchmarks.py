@@ -204,7 +204,7 @@ def test_a_step_in_c_is_measured(bench: SimpleNamespace, capsys: pytest.CaptureF
 
 def test_every_benchmark_is_run_and_understands_what_it_is_given(asked: Any) -> None:
     every = ["rollout", "ensembles", "arm_ensembles", "loop", "calls", "batches"]
-    every += ["memory", "wheels", "mpc", "identification", "viewing", "imports", "exported"]
+    every += ["memory", "wheels", "mpc", "identification", "viewing", "imports", "exported", "realtime"]
     assert list(asked()) == list(asked("--quick", "--rounds", "2")) == every
 
 
