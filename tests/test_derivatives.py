@@ -53,7 +53,8 @@ def differences(loop: Loop, own: dict[str, Any], paths: Sequence[str]) -> Any:
         parts = changed.plant, changed.controller, changed.trajectory
         begin = pm.simulate(*parts, dt=DT, duration=DT, engine=pm.Engine.COMPILED)
         start = changed.integrate(begin.q[0], changed.start), begin.v[0] + changed.start_rate
-        options: dict[str, Any] = {**own, "forces": changed.forces, "q0": start[0], "v0": start[1], "limit": 1e9}
+        options: dict[str, Any] = {**own, "forces": changed.forces, "limit": 1e9}
+        options |= {"q0": start[0], "v0": start[1]}
         run = pm.simulate(*parts, dt=DT, duration=duration, engine=pm.Engine.COMPILED, **options)
         return float((run.error**2).sum() + 1e-6 * (run.u**2).sum())
 
@@ -81,7 +82,8 @@ def differences(loop: Loop, own: dict[str, Any], paths: Sequence[str]) -> Any:
 def test_forward_and_reverse_agree_with_each_other_and_with_runs(name: str) -> None:
     loop, own = base_of(name)
     parts = loop.plant, loop.controller, loop.trajectory
-    options: dict[str, Any] = {**own, "dt": DT, "duration": min(DURATION, loop.trajectory.duration), "by": chosen(loop)}
+    duration = min(DURATION, loop.trajectory.duration)
+    options: dict[str, Any] = {**own, "dt": DT, "duration": duration, "by": chosen(loop)}
     forward = gradient(loss, *parts, **options, mode="forward")
     found, scale = flat(forward), np.abs(flat(forward)).max()
     if name in WITH_ROUNDS:

@@ -7,7 +7,7 @@ from pinmobile.compiled._tracing import (
     uncollected as uncollected,
 )
 from pinmobile.compiled._vectorize import Recurrence as Recurrence, vectorize
-from pinmobile.compiled.derivatives import (
+from pinmobile.compiled.differentiation import (
     adjoint as adjoint,
     bits_of_indices as bits_of_indices,
     tangent as tangent,

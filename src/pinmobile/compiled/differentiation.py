@@ -227,6 +227,10 @@ class _Tangents:
         def law(carried: list[Any]) -> tuple[list[Any], Any]:
             inner: dict[int, int] = {}
             own = _Tangents(tape, self.of)
+
+            def new(x: int) -> int:
+                return inner.get(x, x)
+
             for j in rounds.body:
                 name, *of = tape.operations[j]
                 if name == "repeat":
@@ -239,17 +243,16 @@ class _Tangents:
                     inner[j] = carried[of[1]].index
                     own.of[inner[j]] = carried[count + of[1]]
                     continue
-                inner[j] = tape.apply(name, *(tape.at(inner[x] if x in inner else x) for x in of)).index
+                inner[j] = tape.apply(name, *(tape.at(new(x)) for x in of)).index
                 if j in tape.marks:
                     function, given = tape.marks[j]
-                    tape.marks.setdefault(inner[j], (function, tuple(inner.get(x, x) for x in given)))
+                    tape.marks.setdefault(inner[j], (function, tuple(map(new, given))))
             for j in rounds.body:
                 if inner[j] not in own.of and tape.types[inner[j]] == "f":
                     own._one(inner[j])
-            after: list[int] = [inner.get(x, x) for x in rounds.following]
+            after = [*map(new, rounds.following)]
             tangents = [own.of.get(x, zero) for x in after]
-            done = inner.get(rounds.done, rounds.done)
-            return [*map(tape.at, after), *tangents], tape.at(done)
+            return [*map(tape.at, after), *tangents], tape.at(new(rounds.done))
 
         first = [*map(tape.at, rounds.first), *(self.of.get(x, zero) for x in rounds.first)]
         return tape.repeated(law, first, rounds.most, tape.at(rounds.settled))[count:]
