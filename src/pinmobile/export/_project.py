@@ -49,6 +49,7 @@ class Project:
         self.words: dict[str, Any] = {"name": name, "UPPER": name.upper(), "title": title}
         dt = law.context.dt
         self.words |= {"version": pinmobile.__version__, "dt": f"{dt:g}", "dt_c": self._number(dt)}
+        self.words |= {f"n{one.name}": len(one) for one in (*law.states, law.u)}
         self.words["prototype"] = self._prototype()
         types, body = self._types(), self._body()
         kept = "\n".join([title, pinmobile.__version__, types, body])

@@ -14,6 +14,9 @@ extern "C" {
 
 #define ${UPPER}_HASH "$digest"
 #define ${UPPER}_DT $dt_c /* time step [s]: call the step every $dt s */
+#define ${UPPER}_NQ $nq /* entries of q */
+#define ${UPPER}_NV $nv /* entries of v */
+#define ${UPPER}_NU $nu /* entries of u */
 
 $types
 
