@@ -296,6 +296,7 @@ def main(folder: Path) -> int:
         shutil.rmtree(folder / old, ignore_errors=True)
     shutil.copytree(ROOT / "docs" / "site", source)
     shutil.copy(ROOT / "LICENSE", source)
+    shutil.copytree(ROOT / "examples" / "ros2", source / "examples" / "ros2")
     for words, step in (
         ("reference", reference),
         ("command", command),

@@ -1,4 +1,4 @@
-"""ROS 2 node around a `Stepper`: it answers measurements with inputs, and stops the robot if none arrive."""
+"""ROS 2 node around a `Stepper`, which stops the robot if no measurement arrives."""
 
 import rclpy
 from rclpy.clock import Clock, ClockType
@@ -14,7 +14,7 @@ from pinmobile.realtime import Stepper
 
 
 class ControllerNode(Node):
-    """Node that answers each message on /joint_states with the inputs of the plant on /commands."""
+    """Node that answers each measurement with the inputs of the plant."""
 
     def __init__(self, stepper):
         super().__init__("controller")
@@ -23,7 +23,9 @@ class ControllerNode(Node):
         self.publisher = self.create_publisher(Float64MultiArray, "commands", 1)
         self.create_subscription(JointState, "joint_states", self.control, 1)
         stale = self.declare_parameter("stale", 0.1).value  # s
-        self.watchdog = self.create_timer(stale, self.stop, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.watchdog = self.create_timer(
+            stale, self.stop, clock=Clock(clock_type=ClockType.STEADY_TIME)
+        )
         self.watchdog.cancel()  # the first measurement starts it
 
     def control(self, measured):
@@ -36,14 +38,17 @@ class ControllerNode(Node):
             stamp = Time.from_msg(measured.header.stamp).nanoseconds
             self.begin = stamp if self.begin is None else self.begin
             order = [measured.name.index(name) for name in self.names]
-            q, v = ([values[k] for k in order] for values in (measured.position, measured.velocity))
+            q, v = (
+                [values[k] for k in order]
+                for values in (measured.position, measured.velocity)
+            )
             u = self.stepper.step(1e-9 * (stamp - self.begin), q, v)
             self.publisher.publish(Float64MultiArray(data=u.tolist()))
         except Exception as error:  # any error stops the robot
             self.stop(str(error))
 
     def stop(self, reason="stale measurement"):
-        """Publish zero inputs, again at each period of the watchdog, until the node is restarted."""
+        """Publish zero inputs, and again at each period of the watchdog."""
         if not self.is_stopped:
             self.get_logger().error(f"the robot is stopped: {reason}")
             self.is_stopped = True
