@@ -20,6 +20,7 @@ TOPICS = {
     "identification": ("Identification", ["identification"]),
     "derivation": ("Derivation and verification", ["derivation", "closed_form", "verification"]),
     "exercises": ("Exercises", ["exercises"]),
+    "derivatives": ("Derivatives", ["derivatives"]),
     "realtime": ("Real time and export to C", ["realtime", "export"]),
     "plots": ("Figures", ["plots"]),
     "viewer": ("Viewer", ["viewer"]),
@@ -39,6 +40,7 @@ OF_FILES = {
         "mass_matrix coriolis_matrix nonlinear_effects inverse_dynamics forward_dynamics ReducedModel "
         "differential_drive roller_drive car"
     ),
+    "derivatives": "Gradient gradient",
     "dh": "JointType DHRow DHTable LECTURE_TABLE SLIDE_TABLE transform",
     "errors": (
         "PinmobileError InvalidArgument UnknownName NotFinite NotTraceable Diverged NotSolved Unreachable "

@@ -34,7 +34,8 @@ def base_of(name: str) -> tuple[Loop, dict[str, Any]]:
 
 def chosen(loop: Loop) -> list[str]:
     """Return some numbers of each part."""
-    known = [path for path, one in named(loop).items() if not one.label and one.leaf.value is not None]
+    known = [path for path, one in named(loop).items() if not one.label and 0 < np.size(one.leaf.value) < 10]
+    known = [path for path in known if named(loop)[path].leaf.value is not None]
     each = {"controller": 3, "plant": 3, "forces": 2}
     some = ([path for path in known if path.startswith(f"{part}.")][:count] for part, count in each.items())
     return [*chain.from_iterable(some), "start.x"]

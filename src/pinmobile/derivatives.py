@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace as replaced
-from typing import Any, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 
@@ -97,10 +97,10 @@ class Gradient:
     --------
     >>> import numpy as np
     >>> from pinmobile.derivatives import Gradient
-    >>> found = Gradient(2.0, {"controller.kp": np.array(-0.3)}, {"controller.kp": "N/m"}, "forward")
-    >>> print(found)
-    loss 2, forward
-      by controller.kp: -0.3 per N/m
+    >>> by, units = {"kp": np.array(-0.3)}, {"kp": "N/m"}
+    >>> print(Gradient(2.0, by, units, "forward mode, 1 number"))
+    loss 2, forward mode, 1 number
+      by kp: -0.3 per N/m
     """
 
     value: float
@@ -117,17 +117,13 @@ class Gradient:
         return "\n".join(lines)
 
 
-class _Inputs:
-    """Arrays that Python computes before the first sample: the inputs of the machine code."""
+class _Inputs(NamedTuple):
+    """Inputs of the machine code, which Python computes before the first sample, or their tangents."""
 
-    def __init__(self, states: Array, rows: Array, uniforms: Array, samples: Array) -> None:
-        self.parts = states, rows, uniforms, samples
-
-    @staticmethod
-    def combined(weights: Sequence[float], inputs: Sequence[_Inputs]) -> _Inputs:
-        """Return the sum of inputs with weights."""
-        columns = zip(*(one.parts for one in inputs), strict=True)
-        return _Inputs(*(sum(w * x for w, x in zip(weights, some, strict=True)) for some in columns))
+    states: Array
+    rows: Array
+    uniforms: Array
+    samples: Array
 
 
 class _Problem:
@@ -198,9 +194,15 @@ class _Problem:
                     changed[entry] += by
                     return self.inputs({one.leaf.path: changed if changed.ndim else float(changed)})
 
-                weights = [-1 / 6, 4 / 3, -4 / 3, 1 / 6]
-                points = [moved(step * x) for x in (1.0, 0.5, -0.5, -1.0)]
-                yield path, entry, _Inputs.combined([w / step for w in weights], points)
+                points = zip(*(moved(step * x) for x in (0.5, -0.5, 1.0, -1.0)), strict=True)
+                slopes = _Inputs(*((8 * (a - b) - (c - d)) / (6 * step) for a, b, c, d in points))
+                leaf = self.tape.parameters.get(one.leaf.path)
+                if leaf is not None:
+                    first = (
+                        leaf.first + int(np.ravel_multi_index(entry, value.shape)) if entry else leaf.first
+                    )
+                    getattr(slopes, f"{leaf.kind}s")[first] = 1.0
+                yield path, entry, slopes
 
     def run(
         self,
@@ -222,7 +224,7 @@ class _Problem:
         extra : sequence of ndarray, shape (N + 1,)
             Further columns of the samples.
         """
-        n, (_, _, uniforms, samples) = states.shape[1], inputs.parts
+        n, (_, _, uniforms, samples) = states.shape[1], inputs
         lanes = 1 if n == 1 else Target.here().lanes
         program = Program(tape, shape=Shape(lanes, 1))
         blocks = aligned((-(-n // lanes), len(tape.states) + tape.rows + len(tape.keys), lanes))
@@ -241,15 +243,15 @@ class _Problem:
     def forward(self, inputs: _Inputs, directions: Sequence[_Inputs]) -> tuple[float, Array]:
         """Return the loss and its derivatives along directions, in one run of the tangents."""
         tape, n = self.tape, len(self.tape.states)
-        moved = [np.stack(some, axis=-1) for some in zip(*(one.parts for one in directions), strict=True)]
+        moved = [np.stack(some, axis=-1) for some in zip(*directions, strict=True)]
         operations = [("row", i) for i in np.flatnonzero(moved[1].any(axis=-1)).tolist()]
         operations += [("uniform", i) for i in np.flatnonzero(moved[2].any(axis=-1)).tolist()]
         columns = np.flatnonzero(moved[3].any(axis=(0, 2))).tolist()
         whole = tangent(tape, [*operations, *(("sample", i) for i in columns)])
         slopes = [moved[1 if kind == "row" else 2][i] for kind, i in operations]
         count = len(directions)
-        states = np.concatenate([np.tile(inputs.parts[0][:, None], count), moved[0]])
-        rows = np.concatenate([np.tile(inputs.parts[1][:, None], count), np.reshape(slopes, (-1, count))])
+        states = np.concatenate([np.tile(inputs.states[:, None], count), moved[0]])
+        rows = np.concatenate([np.tile(inputs.rows[:, None], count), np.reshape(slopes, (-1, count))])
         tracks = moved[3][:, columns] if columns else None
         final, _ = self.run(whole, inputs, states, rows, tracks)
         return float(final[self.loss, 0]), final[n + self.loss]
@@ -257,7 +259,7 @@ class _Problem:
     def reverse(self, inputs: _Inputs, directions: Sequence[_Inputs]) -> tuple[float, Array]:
         """Return the loss and its derivatives along directions, by a record and a run of the adjoints."""
         tape, n = self.tape, len(self.tape.states)
-        states, rows, uniforms, samples = inputs.parts
+        states, rows, uniforms, samples = inputs
         wanted = [("row", i) for i in range(len(rows))] + [("uniform", i) for i in range(len(uniforms))]
         record = replaced(tape, kept={"state": ((n,), [now for now, _ in tape.states])}, counted=[])
         final, kept = self.run(record, inputs, states[:, None], rows[:, None], None)
@@ -275,9 +277,7 @@ class _Problem:
             found[n + len(rows) :, 0],
             by_sample["sample"][0][::-1],
         )
-        sums = [
-            sum(float(np.vdot(a, b)) for a, b in zip(slopes, one.parts, strict=True)) for one in directions
-        ]
+        sums = [sum(float(np.vdot(a, b)) for a, b in zip(slopes, one, strict=True)) for one in directions]
         return float(final[self.loss, 0]), np.array(sums)
 
 
@@ -340,12 +340,12 @@ def gradient(
     --------
     >>> from pinmobile import PD, Circle, MobileRobot, Tangent
     >>> from pinmobile.derivatives import gradient
-    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
-    >>> circle = Tangent(Circle(radius=1.0, rate=0.5, duration=4.0))
-    >>> found = gradient(
-    ...     lambda sample: (sample.error[:2] ** 2).sum(),
-    ...     robot, PD(120, 120), circle, by=["mass", "trajectory.path.radius"], dt=0.01)
-    >>> print(found)
+    >>> circle = Tangent(Circle(1.0, 0.5, 4.0))
+    >>> parts = MobileRobot(30.0, 1.3), PD(120, 120), circle
+    >>> def loss(sample):
+    ...     return (sample.error[:2] ** 2).sum()
+    >>> by = ["mass", "trajectory.path.radius"]
+    >>> print(gradient(loss, *parts, by=by, dt=0.01))
     loss 0.873677, forward mode, 2 numbers
       by plant.mass: 0.0597685 per kg
       by trajectory.path.radius: 1.81866 per m

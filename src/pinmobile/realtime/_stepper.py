@@ -28,7 +28,7 @@ from pinmobile.loop import (
     tracking_errors,
 )
 from pinmobile.parts import evolved
-from pinmobile.plant import Context, Plant, check_plant
+from pinmobile.plant import Context, Plant, check_plant, stated
 from pinmobile.signals import Signal, claimed, signals_of, told_at
 from pinmobile.trajectories import Reference, Trajectory
 
@@ -325,7 +325,7 @@ class Stepper:
         if reference is None and self.trajectory is None:
             raise InvalidArgument("reference is None, expected a Reference: the stepper has no trajectory")
         if reference is not None:
-            given |= {f"reference.{x}": getattr(reference, x, None) for x in Reference._fields}
+            given |= {f"reference.{x}": stated(reference, x) for x in Reference._fields}
         for name, value in given.items():
             shaped(name, finite(name, value), (len(self._parts[name]),))
 
