@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import pinmobile as pm
-from pinmobile.derivatives import Gradient, gradient
+from pinmobile.derivatives import Gradient, gradient, poles
 from pinmobile.loop import Loop
 from pinmobile.parts import named, replace
 from tests.frozen import BODY, CIRCLE, WRONG, by_lapack, loops
@@ -178,3 +178,70 @@ def test_dry_friction_is_refused(name: str) -> None:
     parts = next(parts for own, parts, _ in loops() if own == name)
     with pytest.raises(pm.InvalidArgument, match=r"rounds within rounds.*use ground=Rolling\(\)"):
         gradient(loss, *parts, by=["start.x"], dt=DT, duration=0.5)
+
+
+def still(robot: Any = None) -> Any:
+    base = pm.FixedHeading(pm.Hold((0.0, 0.0), 2.0), 0.0)
+    return base if robot is None else pm.WholeBody(robot, base, pm.Hold(robot.rest[3:], 2.0))
+
+
+def held(kp: float, kd: float, h: float, late: int = 0) -> Any:
+    """Return the matrix of a unit mass with a held force, whose state is measured some samples late."""
+    plant, push = np.array([[1.0, h], [0.0, 1.0]]), np.array([[h * h / 2], [h]])
+    gain = np.array([[kp, kd]])
+    size = 2 * (late + 1)
+    A = np.zeros((size, size))
+    A[:2, :2] = plant
+    A[:2, size - 2 :] -= push @ gain
+    A[2:, :-2] += np.eye(size - 2)
+    return A
+
+
+def near(found: Any, expected: Any, tolerance: float) -> bool:
+    """Return whether the poles other than 0 are expected ones, in any order."""
+    left = [*expected]
+    for z in found[found != 0]:
+        k = int(np.argmin(np.abs(np.array(left) - z)))
+        if abs(left.pop(k) - z) > tolerance:
+            return False
+    return bool(np.abs(left).max(initial=0.0) < 0.05)
+
+
+@pytest.mark.parametrize("late", [0, 1, 4])
+def test_poles_of_a_held_force_with_delay_are_those_of_the_closed_form(late: int) -> None:
+    robot, h = pm.MobileRobot(30.0, 1.3), 0.05
+    law: Any = pm.PD((120.0, 240.0, 6.5), (90.0, 120.0, 3.9))
+    law = pm.MeasurementDelay(law, late) if late else law
+    found = poles(robot, law, still(), dt=h, at=1.0)
+    pairs = ((4.0, 3.0), (8.0, 4.0), (5.0, 3.0))
+    expected = np.concatenate([np.linalg.eigvals(held(kp, kd, h, late)) for kp, kd in pairs])
+    assert near(found.values, expected, 1e-9)
+    assert found.matrix.shape == (6 + 6 * late,) * 2
+    assert found.states[:6] == ("x", "y", "psi", "vx", "vy", "yaw_rate")
+    assert found.states[6:] == ("delay",) * 6 * late
+    assert found.t == 1.0
+    sizes = np.abs(found.values)
+    assert (np.diff(sizes) <= 1e-6).all()
+    text = str(found)
+    assert f"{6 + 6 * late} poles at t = 1 s" in text
+    assert ("deviations decay" in text) == (sizes[0] < 1)
+
+
+def test_poles_of_computed_torque_are_those_of_its_gains() -> None:
+    arm, h = pm.MobileRobot.box().mount("ur5"), 0.01
+    found = poles(arm, pm.ComputedTorque(arm, 9.0, 5.0), still(arm), dt=h, at=1.0)
+    expected = np.tile(np.linalg.eigvals(held(9.0, 5.0, h)), 9)
+    assert near(found.values, expected, 1e-6)  # nine equal pairs: the root of rounding
+    s = np.linalg.eigvals([[0.0, 1.0], [-9.0, -5.0]])
+    np.testing.assert_allclose(np.sort(found.frequency)[[0, -1]], np.sort(np.abs(s)), rtol=0.05)
+    assert np.allclose(found.damping[found.values.imag != 0], 5 / 6, atol=0.03)
+
+
+def test_an_unstable_loop_and_wrong_arguments_are_reported() -> None:
+    found = poles(pm.MobileRobot(30.0, 1.3), pm.PD(120, 120), still(), dt=0.05)
+    assert "small deviations grow near this sample" in str(found)
+    assert found.damping.min() < 0
+    with pytest.raises(pm.InvalidArgument, match=r"^at is 3.0 s, expected a time in the run, 0 to 2 s"):
+        poles(BODY, pm.PD(120, 120), still(), dt=0.05, at=3.0)
+    with pytest.raises(pm.InvalidArgument, match=r"this loop has no derivative: .*MPC"):
+        poles(BODY, pm.MPC(BODY), still(), dt=0.05)

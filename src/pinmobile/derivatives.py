@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, callable_as, one_of, positive, sequence
+from pinmobile.arrays import Array, ArrayLike, callable_as, one_of, positive, scalar, sequence
 from pinmobile.compiled import (
     Identity,
     LoopTape,
@@ -45,9 +45,11 @@ from pinmobile.loop import (
     traced_numbers,
 )
 from pinmobile.parts import Found, OnCoordinates, find, named, option, part, replace
-from pinmobile.plant import Context, Plant
+from pinmobile.plant import Context, Plant, coordinates_of
 from pinmobile.trajectories import Reference, Trajectory
 
+_DOUBLE = 1e-7  # imaginary part that rounding gives to two equal real poles
+_ROUNDING = 1e-12  # relative size of singular values that are 0
 _FEW = 8  # numbers that forward mode computes in one rollout of some lanes
 _STEP = 1e-3  # relative step of differences of what Python computes before the first sample
 
@@ -145,10 +147,10 @@ class _Problem:
         begun = initial_memory(loop, context)
         identity = Identity.of(loop, begun[2:], spread, ())
         first = Reference(*(x[0] for x in reference))
-        self.tape = without_delays(
-            Trace(loop, context, (q, v), first, identity, spread, own_schedules=True).result()
-        )
-        self.loss = next(leaf.first for leaf in self.tape.leaves if leaf.owner == "recorder")
+        traced = Trace(loop, context, (q, v), first, identity, spread, own_schedules=True).result()
+        self.longest = max((ring.samples for ring in traced.rings), default=0)
+        self.tape = without_delays(traced)
+        self.loss = next((leaf.first for leaf in self.tape.leaves if leaf.owner == "recorder"), -1)
 
     def _begun(self, loop: Loop) -> tuple[Reference, Context, tuple[Array, Array]]:
         """Return reference, context and initial state of a loop."""
@@ -212,6 +214,7 @@ class _Problem:
         rows: Array,
         tracks: Array | None,
         extra: Any = (),
+        first: int = 0,
     ) -> tuple[Array, dict[str, Array]]:
         """Return the states after the last sample, shape (states, n), and the kept values.
 
@@ -223,6 +226,8 @@ class _Problem:
             References of each robot.
         extra : sequence of ndarray, shape (N + 1,)
             Further columns of the samples.
+        first : int
+            Index of the first sample.
         """
         n, (_, _, uniforms, samples) = states.shape[1], inputs
         lanes = 1 if n == 1 else Target.here().lanes
@@ -235,8 +240,8 @@ class _Problem:
             program.set_rows(kept[:, k], tape.outputs_kept, tracks[k])  # type: ignore[index]
         nothing = np.empty((len(samples), 0))
         columns = [samples[:, 1:], *(np.reshape(each, (len(samples), 1)) for each in extra)]
-        given = program.samples_of(samples[:, 0], (nothing,) * 3, uniforms, columns)
-        program.called(blocks, given, uniforms, kept, n, 1, 1)
+        given = program.samples_of(samples[:, 0], (nothing,) * 3, uniforms, columns, first)
+        program.called(blocks, given, uniforms, kept, n, 1, 1, first)
         final = blocks.swapaxes(0, 1)[: len(tape.states)].reshape(len(tape.states), -1)[:, :n]
         return final, program.kept_samples(kept, n)
 
@@ -256,18 +261,45 @@ class _Problem:
         final, _ = self.run(whole, inputs, states, rows, tracks)
         return float(final[self.loss, 0]), final[n + self.loss]
 
+    def record(self, inputs: _Inputs) -> tuple[Array, Array]:
+        """Return the states after the last sample, shape (n, 1), and of all samples, shape (N + 1, n)."""
+        nodes = [now for now, _ in self.tape.states]
+        tape = replaced(self.tape, kept={"state": ((len(nodes),), nodes)}, counted=[])
+        final, kept = self.run(tape, inputs, inputs.states[:, None], inputs.rows[:, None], None)
+        return final, kept["state"][0]
+
+    def jacobian(self, inputs: _Inputs, k: int) -> Array:
+        """Return the derivatives of the state at sample k + 1 by the state at sample k, shape (n, n)."""
+        n, samples = len(self.tape.states), inputs.samples
+        _, recorded = self.record(inputs._replace(samples=samples[: k + 1]))
+        states = np.concatenate([np.tile(recorded[k][:, None], n), np.eye(n)])
+        rows = np.tile(inputs.rows[:, None], n)
+        one = inputs._replace(samples=samples[k : k + 1])
+        final, _ = self.run(replaced(tangent(self.tape, []), kept={}), one, states, rows, None, first=k)
+        return final[n:]
+
+    def names(self) -> tuple[str, ...]:
+        """Return the names of the states."""
+        named_by = [one.name for one in coordinates_of(self.loop.plant)]
+        nq, nv = self.tape.sizes[:2]
+        found = named_by if nq == nv else [f"q[{i}]" for i in range(nq)]
+        found += [one.rate or f"{one.name}_rate" for one in coordinates_of(self.loop.plant)]
+        for leaf in self.tape.leaves:
+            if leaf.kind == "state":
+                found += [f"{leaf.owner} {leaf.path}"] * int(np.prod(leaf.shape))
+        return (*found, *["delay"] * (len(self.tape.states) - len(found)))
+
     def reverse(self, inputs: _Inputs, directions: Sequence[_Inputs]) -> tuple[float, Array]:
         """Return the loss and its derivatives along directions, by a record and a run of the adjoints."""
         tape, n = self.tape, len(self.tape.states)
         states, rows, uniforms, samples = inputs
         wanted = [("row", i) for i in range(len(rows))] + [("uniform", i) for i in range(len(uniforms))]
-        record = replaced(tape, kept={"state": ((n,), [now for now, _ in tape.states])}, counted=[])
-        final, kept = self.run(record, inputs, states[:, None], rows[:, None], None)
+        final, recorded = self.record(inputs)
         back = adjoint(tape, wanted, samples.shape[1])
         seed = np.zeros((n + len(wanted), 1))
         seed[self.loss] = 1.0
         turned = _Inputs(states, rows, uniforms, samples[::-1])
-        tracks = kept["state"][0][::-1, :, None]
+        tracks = recorded[::-1, :, None]
         found, by_sample = self.run(
             back, turned, seed, rows[:, None], tracks, [bits_of_indices(len(samples))]
         )
@@ -279,6 +311,78 @@ class _Problem:
         )
         sums = [sum(float(np.vdot(a, b)) for a, b in zip(slopes, one, strict=True)) for one in directions]
         return float(final[self.loss, 0]), np.array(sums)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Poles:
+    """Poles of a sampled closed loop near one sample.
+
+    Attributes
+    ----------
+    values : ndarray of complex, shape (n,)
+        Eigenvalues z of the matrix, the largest first.
+    matrix : ndarray, shape (n, n)
+        Derivatives of the state after a sample by the state before it: plant, memory and delays.
+    states : tuple of str
+        Name of each state.
+    dt, t : float
+        Time step, and time of the sample [s].
+
+    See Also
+    --------
+    derivatives.poles : linearize a loop.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile.derivatives import Poles
+    >>> found = Poles(np.array([0.9 + 0j]), np.array([[0.9]]), ("x",), 0.1, 0.0)
+    >>> found.frequency, found.damping  # [rad/s], [1]
+    (array([1.05...]), array([1.]))
+    """
+
+    values: Any
+    matrix: Array
+    states: tuple[str, ...]
+    dt: float
+    t: float
+
+    @property
+    def continuous(self) -> Any:
+        """Poles s = log(z) / dt, shape (n,) [1/s]; those of delays, z = 0, are minus infinity."""
+        with np.errstate(divide="ignore"):
+            size = np.log(np.abs(self.values))
+        angle = np.where(np.isfinite(size), np.angle(self.values), 0.0)
+        return size / self.dt + 1j * (angle / self.dt)
+
+    @property
+    def frequency(self) -> Array:
+        """Natural frequency of each pole, shape (n,) [rad/s]."""
+        return np.asarray(np.abs(self.continuous))
+
+    @property
+    def damping(self) -> Array:
+        """Damping ratio of each pole, shape (n,): 1 if it is real and stable, below 0 if it is unstable."""
+        s = self.continuous
+        size = np.abs(s)
+        known = np.isfinite(size) & (size > 0)
+        return np.asarray(np.divide(-s.real, size, out=np.ones_like(size), where=known))
+
+    def __str__(self) -> str:
+        size = float(np.abs(self.values).max())
+        word = "grow" if size > 1 + 1e-9 else "do not decay" if size > 1 - 1e-9 else "decay"
+        dead = np.count_nonzero(self.values == 0)
+        lines = [
+            f"{len(self.values)} poles at t = {self.t:g} s, {dead} of them at 0, "
+            f"largest |z| = {size:.4f}: small deviations {word} near this sample, which proves "
+            "nothing about a whole trajectory"
+        ]
+        for z, w, d in zip(self.values, self.frequency, self.damping, strict=True):
+            if z and z.imag >= 0:
+                pair = " +- " if z.imag > 0 else "    "
+                lines.append(f"  z = {z.real:7.4f}{pair}{z.imag:.4f}j, {w:8.3f} rad/s, damping {d:6.3f}")
+        return "\n".join(lines)
 
 
 def gradient(
@@ -350,18 +454,14 @@ def gradient(
       by plant.mass: 0.0597685 per kg
       by trajectory.path.radius: 1.81866 per m
     """
-    step = positive("dt", dt, "s")
     callable_as("loss(sample)", loss, "a function of a sample")
     names = sequence("by", by, 'paths of numbers, such as ["controller.kp"]')
     if not names:
         raise InvalidArgument("by is empty, expected paths of numbers")
     if mode is not None:
         one_of("mode", mode, ("forward", "reverse"))
-    integrator = chosen_integrator(plant, integrator)
-    checked_loop(plant, controller, trajectory, integrator)
-    t = sample_times(step, duration, trajectory.duration)
-    parts = plant, controller, trajectory, checked_forces(forces, plant), integrator
-    loop = Loop(*parts, checked_substeps(substeps, len(t)), recorder=_Loss(loss, at_end))
+    parts = plant, controller, trajectory, forces, integrator, substeps
+    loop, t, step = _loop_of(*parts, dt, duration, _Loss(loss, at_end))
     try:
         with uncollected(), np.errstate(all="ignore"):
             problem = _Problem(loop, t, step, (q0, v0), names)
@@ -382,3 +482,94 @@ def gradient(
     units = {path: one.unit for path, one in problem.found.items()}
     reason = "loop with rounds" if has_rounds else f"{len(numbers)} numbers"
     return Gradient(value, found, units, f"{selected} mode, {reason if mode is None else 'as given'}")
+
+
+def _loop_of(
+    plant: Plant,
+    controller: Controller,
+    trajectory: Trajectory,
+    forces: Any,
+    integrator: Integrator | None,
+    substeps: int,
+    dt: float,
+    duration: float | None,
+    recorder: Any,
+) -> tuple[Loop, Array, float]:
+    """Return a loop of checked parts, the times of its samples and its time step."""
+    step = positive("dt", dt, "s")
+    chosen = chosen_integrator(plant, integrator)
+    checked_loop(plant, controller, trajectory, chosen)
+    t = sample_times(step, duration, trajectory.duration)
+    parts = plant, controller, trajectory, checked_forces(forces, plant), chosen
+    return Loop(*parts, checked_substeps(substeps, len(t)), recorder=recorder), t, step
+
+
+def poles(
+    plant: Plant,
+    controller: Controller,
+    trajectory: Trajectory,
+    *,
+    dt: float,
+    at: float = 0.0,
+    q0: ArrayLike | None = None,
+    v0: ArrayLike | None = None,
+    integrator: Integrator | None = None,
+    substeps: int = 1,
+    forces: Sequence[Force | OnCoordinates] | Mapping[str, Force | OnCoordinates] = (),
+) -> Poles:
+    """Return the poles of a sampled closed loop at a sample of its run.
+
+    The loop with all its memory, delays and holds is linearized, exactly up to rounding. Eigenvalues inside
+    the unit circle mean that small deviations decay if the loop stays at this sample, such as at rest or on
+    a steady motion. Along a trajectory on which the matrix changes, they prove nothing about stability.
+
+    Parameters
+    ----------
+    plant, controller, trajectory, dt, q0, v0, integrator, substeps, forces
+        Closed loop, see `simulate`.
+    at : float
+        Time of the sample [s]; the first sample counts as the second one, after which delays are full.
+
+    Returns
+    -------
+    Poles
+        Eigenvalues, matrix, frequencies and damping ratios.
+
+    Raises
+    ------
+    InvalidArgument
+        If an argument is invalid, the loop cannot be compiled, or its plant has dry friction at its wheels.
+
+    See Also
+    --------
+    derivatives.gradient : derivatives of a whole run.
+
+    Examples
+    --------
+    >>> from pinmobile import PD, FixedHeading, Hold, MobileRobot
+    >>> from pinmobile.derivatives import poles
+    >>> rest = FixedHeading(Hold((0, 0), 1.0), 0.0)
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
+    >>> found = poles(robot, PD(120, 120), rest, dt=0.1)
+    >>> found.values.size, abs(found.values).max() < 1
+    (6, True)
+    """
+    loop, t, step = _loop_of(plant, controller, trajectory, forces, integrator, substeps, dt, None, None)
+    if not 0 <= scalar("at", at) <= t[-1]:
+        raise InvalidArgument(f"at is {at} s, expected a time in the run, 0 to {t[-1]:g} s")
+    k = min(max(1, round(at / step)), len(t) - 1)
+    try:
+        with uncollected(), np.errstate(all="ignore"):
+            problem = _Problem(loop, t, step, (q0, v0), ())
+            matrix = problem.jacobian(problem.inputs({}), k)
+    except NotTraceable as error:
+        raise InvalidArgument(f"this loop has no derivative: {error.reason}") from error
+    # Chains of delays have poles 0, which rounding scatters: leave them out by the range of a power.
+    power = np.linalg.matrix_power(matrix, 1 + problem.longest)
+    left, sizes, _ = np.linalg.svd(power)
+    basis = left[:, sizes > _ROUNDING * sizes[0]]
+    values = np.zeros(len(matrix), complex)
+    values[: basis.shape[1]] = np.linalg.eigvals(basis.T @ matrix @ basis)
+    values.imag[np.abs(values.imag) < _DOUBLE] = 0.0
+    order = np.lexsort([-values.imag, -np.round(np.abs(values), 6)])
+    return Poles(values[order], matrix, problem.names(), step, float(t[k]))

@@ -258,9 +258,20 @@ class Program:
         return found
 
     def called(
-        self, blocks: Array, samples: Array, uniforms: Array, kept: Array, n: int, every: int, threads: int
+        self,
+        blocks: Array,
+        samples: Array,
+        uniforms: Array,
+        kept: Array,
+        n: int,
+        every: int,
+        threads: int,
+        first: int = 0,
     ) -> NDArray[np.int32]:
-        """Run the blocks, and return the counts; the arguments are the arrays of the machine code."""
+        """Run the blocks, and return the counts; the arguments are the arrays of the machine code.
+
+        `first` is the index of the first sample.
+        """
         loop = self.tape
         work = len(samples) * max(1, loop.own) * self.shape.vectors  # operations of a block
         workers = max(1, min(threads, len(blocks), int(work * len(blocks) / _WORTH)))
@@ -285,7 +296,7 @@ class Program:
                 every,
                 n,
                 kept.ctypes.data,
-                0,
+                first,
             )
 
         shared_out(run, len(blocks), step, workers)
