@@ -188,7 +188,7 @@ class _Compiled:
         if rows:
             program.set_rows(blocks, 0, np.concatenate(rows, axis=1).T)
         kept = aligned((len(blocks), 1, program.tape.outputs_kept, width))
-        program.called(blocks, np.zeros((1, 1)), np.concatenate(uniforms), kept, n, 1, processors())
+        program.called(blocks, np.zeros((1, 1)), np.concatenate(uniforms), kept, n, 1, threads=processors())
         return [x[:, 0] for x in program.kept_samples(kept, n).values()]
 
     def compare(self, state: Sequence[Array], expected: Any) -> None:

@@ -131,7 +131,7 @@ class Program:
         uniforms = self.uniforms_of(h, values, first)
         samples = self.samples_of(t, reference, uniforms, rows)
         kept = self._kept(tracks, len(blocks), len(t))
-        counts = self.called(blocks, samples, uniforms, kept, n, every, threads)
+        counts = self.called(blocks, samples, uniforms, kept, n, every, threads=threads)
         return Outcome(self._last(blocks, first, n), counts, self.kept_samples(kept, n))
 
     def _checked(self, start: tuple[Array, Array], t: Array, reference: Any, tracks: Any, every: int) -> int:
@@ -265,6 +265,7 @@ class Program:
         kept: Array,
         n: int,
         every: int,
+        *,
         threads: int,
         first: int = 0,
     ) -> NDArray[np.int32]:

@@ -375,9 +375,9 @@ class MPC(Weighted):
         if not (type(q) is np.ndarray and q.ndim == 1):
             hours = _MANY * len(plan.u) * self._seconds(plan) / 3600
             raise NotTraceable(
-                f"MPC solves a quadratic program by daqp at each of {len(plan.u):,} samples: {_MANY:,} "
+                f"MPC solves a quadratic program at each of {len(plan.u):,} samples, so that {_MANY:,} "
                 f"robots take some {hours:.2g} h of a processor",
-                "use LQR in InputSaturation, whose law is compiled",
+                "use LQR in InputSaturation, which is compiled",
             )
         dx = -tracked_errors(self.robot, q, v, reference, plan.x[k][np.shape(reference.v)[-1] :])
         if self.observer > 0:
