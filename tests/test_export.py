@@ -32,6 +32,11 @@ from tests.frozen import BODY, CIRCLE, WRONG, branching, by_lapack, loops, table
 DT = 0.003  # [s]; 2,001 samples of the loops with 6 s
 LOOPS = {name: (parts, options) for name, parts, options in (*loops(), *by_lapack())}
 NOISY = ("noisy", "all")
+# Loops with the controllers of others.
+AGAIN = (
+    *("via", "lissajous", "line", "spline", "semi-implicit", "constant", "sine", "noise"),
+    *("viscous", "resistance", "joints", "payload", "all forces"),
+)
 DRIVE = pm.WheeledRobot(BODY, table("differential"))
 LOOPS |= {
     "odometry": (
@@ -65,7 +70,7 @@ def computed(folder: Path, run: pm.Rollout, *flags: str, compiler: str = "gcc", 
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")
-@pytest.mark.parametrize("name", [name for name in LOOPS if name not in NOISY])
+@pytest.mark.parametrize("name", [name for name in LOOPS if name not in (*NOISY, *AGAIN)])
 def test_a_controller_has_the_bits_of_the_library(name: str, tmp_path: Path) -> None:
     compiler = compilers()[0]
     run = exported(tmp_path, name)
@@ -219,7 +224,9 @@ def test_parameters_can_be_tuned_within_their_bounds(tmp_path: Path) -> None:
     run = pm.simulate(BODY, law, CIRCLE, dt=DT, engine=pm.Engine.COMPILED)
     changed = replace(law, {"kp": np.array([9.0, 8.0, 7.0]), "robot.mass": 28.0, "robot.com": [0.1, 0.0]})
     other = pm.simulate(BODY, changed, CIRCLE, dt=DT, engine=pm.Engine.COMPILED)
-    export_c(law, BODY, tmp_path, dt=DT, tunable=["kp", "controller.robot.mass", "robot.com"])
+    export_c(
+        law, BODY, tmp_path, dt=DT, tunable=["kp", "controller.kp", "controller.robot.mass", "robot.com"]
+    )
     assert computed(tmp_path, run).tobytes() == run.u.tobytes()
     tune = """
     memory.parameters.kp[0] = 9; memory.parameters.kp[1] = 8; memory.parameters.kp[2] = 7;
@@ -425,6 +432,12 @@ def test_cxx_reads_the_header(tmp_path: Path) -> None:
             pm.LQR(BODY),
             {"tunable": ["input_weight"], "trajectory": CIRCLE},
             "tunable has 'input_weight', from which the law computes its memory before the first sample",
+        ),
+        (LAW, {"name": "double"}, "name is 'double', a word of C, expected another name, such as 'robot'"),
+        (
+            pm.PDGravity(BODY, 60.0, 60.0),
+            {"tunable": ["robot.yaw_inertia"]},
+            "tunable has 'controller.robot.yaw_inertia', which no operation of the law uses, expected",
         ),
         (LAW, {"name": "Robot"}, "name is 'Robot', expected a name of lower-case letters"),
         (LAW, {"precision": "half"}, "unknown precision 'half', available: double, single"),

@@ -461,7 +461,7 @@ def gradient(
         raise InvalidArgument("by is empty, expected paths of numbers")
     if mode is not None:
         one_of("mode", mode, ("forward", "reverse"))
-    options = {"dt": dt, "forces": forces, "integrator": integrator, "substeps": substeps}
+    options: dict[str, Any] = {"dt": dt, "forces": forces, "integrator": integrator, "substeps": substeps}
     parts = plant, controller, trajectory, _Loss(loss, at_end)
     loop, t, step = _loop_of(*parts, duration=duration, **options)
     try:
@@ -551,7 +551,7 @@ def poles(
     >>> f"{abs(found.values).max():.3f}"
     '0.920'
     """
-    options = {"dt": dt, "forces": forces, "integrator": integrator, "substeps": substeps}
+    options: dict[str, Any] = {"dt": dt, "forces": forces, "integrator": integrator, "substeps": substeps}
     loop, t, step = _loop_of(plant, controller, trajectory, **options)
     if not 0 <= scalar("at", at) <= t[-1]:
         raise InvalidArgument(f"at is {at} s, expected a time in the run, 0 to {t[-1]:g} s")

@@ -73,7 +73,8 @@ def export_c(
     dt : float
         Time step [s].
     trajectory : trajectory, optional
-        Trajectory whose samples become a table; ``name_reference_at(t, &reference)`` interpolates them by
+        Trajectory at whose start an exported plant begins; else it begins at 0. For a controller, its samples
+        become a table; ``name_reference_at(t, &reference)`` interpolates them by
         polynomials of order 5. Without it, the caller supplies the reference.
     name : str
         Prefix of all names and files.
@@ -119,10 +120,12 @@ def export_c(
     ['CMakeLists.txt', 'README.md', 'robot.c', 'robot.h', 'robot_test.c']
     """
     one_of("precision", precision, ("double", "single"))
-    if not isinstance(name, str) or not re.fullmatch(r"[a-z][a-z0-9_]{0,30}", name) or name in _RESERVED:
+    if not isinstance(name, str) or not re.fullmatch(r"[a-z][a-z0-9_]{0,30}", name):
         raise InvalidArgument(
             f"name is {shown(name)}, expected a name of lower-case letters, digits and _, such as 'robot'"
         )
+    if name in _RESERVED:
+        raise InvalidArgument(f"name is {name!r}, a word of C, expected another name, such as 'robot'")
     own = sequence("tunable", tunable, 'paths of numbers, such as ["kp"]')
     step, target = positive("dt", dt, "s"), location("folder", folder)
     check_plant(plant)

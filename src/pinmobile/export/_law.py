@@ -138,7 +138,8 @@ class Law:
     ) -> None:
         self.loop, self.context, self.start = loop, context, start
         self.is_plant = not loop.recorder.as_measured
-        self.found = [self._tunable(name) for name in dict.fromkeys(tunable)]
+        named_once = {one.path: one for one in map(self._tunable, tunable)}
+        self.found = [*named_once.values()]
         spread = {one.path: np.ones(np.shape(one.leaf.value), bool) for one in self.found}
         self.initial = begun = initial_memory(loop, context)
         identity = Identity.of(loop, begun[2:], spread, ())
@@ -180,7 +181,10 @@ class Law:
         tunable = {one.path: one for one in self.found}
         unused = [path for path in tunable if path in self.loop_tape.unused]
         if unused:
-            raise InvalidArgument(f"tunable has {unused[0]!r}, which no operation of the loop uses")
+            raise InvalidArgument(
+                f"tunable has {unused[0]!r}, which no operation of the law uses, expected a number that it "
+                "reads at each sample"
+            )
         for path, leaf in self.loop_tape.parameters.items():
             if path not in tunable:
                 keys = [(leaf.kind, leaf.first + i) for i in range(values[path].size)]

@@ -270,7 +270,8 @@ $refer    if ($call != ${UPPER}_OK) {
 - NaN or infinity in an argument or a result: the step returns `${UPPER}_NOT_FINITE`. Memory and output do not change.
 - A stale measurement, whose time `t` is not later than the time before: the step returns `${UPPER}_STALE`. Memory and output
   do not change.
-- The law assumes steps of $dt s. After a longer gap, a step computes as usual: stop the robot by a watchdog.
+- The law assumes steps of $dt s: call it with t = k * $dt, not with a sum of steps. To begin again, call `${name}_init`, which also
+  sets the parameters to their defaults. After a longer gap, a step computes as usual: stop the robot by a watchdog.
 $notes- Compile without `-ffast-math` and with `-ffp-contract=off`, so that results do not depend on the compiler.
 
 Test with recorded arguments and results:
@@ -280,7 +281,8 @@ Test with recorded arguments and results:
 or `cmake -B build && cmake --build build && ctest --test-dir build`.
 
 /* = note_parameters */
-- Parameters are in `memory.parameters`. Change them between two steps, and check them by `${name}_are_valid`.
+- Parameters are in `memory.parameters`. Change them between two steps, and check them by `${name}_are_valid`: the
+  step does not.
 
 /* = note_table */
 - `${name}_reference_at` interpolates the samples of the trajectory by polynomials of order 5. At the samples, it returns
