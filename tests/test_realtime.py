@@ -147,6 +147,7 @@ def test_limits_of_the_inputs_are_applied() -> None:
     ("given", "message"),
     [
         ((0.0, [0, 0, 0], [0, 0, 0]), r"^t is 0.0 s, expected a time >= 0, after the last sample at 0.5 s"),
+        ((0.5, [0, 0, 0], [0, 0, 0]), r"^t is 0.5 s, expected a time >= 0, after the last sample at 0.5 s"),
         ((np.nan, [0, 0, 0], [0, 0, 0]), r"^t "),
         ((np.inf, [0, 0, 0], [0, 0, 0]), r"^t "),
         ((1.0, [0, np.nan, 0], [0, 0, 0]), r"^q.* is nan"),
