@@ -1,6 +1,7 @@
 """A disk that is full and files that are damaged, the same ones each time."""
 
 import resource
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,13 +14,18 @@ from pinmobile import PinmobileError
 
 @contextmanager
 def full_disk(room: int = 0) -> Iterator[None]:
-    """Let the kernel refuse to make a file of this process longer than `room` bytes, as a full disk does."""
+    """Let the kernel refuse to make a file of this process longer than `room` bytes, as a full disk does.
+
+    A module that is imported meanwhile leaves no bytecode: Python would keep a file that is cut off.
+    """
+    writes, sys.dont_write_bytecode = sys.dont_write_bytecode, True
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (room, hard))
     try:
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+        sys.dont_write_bytecode = writes
 
 
 @contextmanager
