@@ -179,14 +179,15 @@ class _Problem:
         given = [np.reshape(each, (len(self.t), -1)) for each in scheduled_rows(loop, context)]
         return _Inputs(states, rows, uniforms, np.concatenate([self.t[:, None], *reference, *given], axis=1))
 
-    def directions(self) -> Iterator[tuple[str, tuple[int, ...], _Inputs]]:
+    def directions(self, inputs: _Inputs) -> Iterator[tuple[str, tuple[int, ...], _Inputs]]:
         """Yield path, entry and tangent of the inputs for each number.
 
-        Inputs that depend on the number in Python, such as the reference, are differentiated by central
-        differences and Richardson's extrapolation; the number itself has the slope 1.
+        A number of the law has the slope 1. Other inputs that depend on a number in Python, such as the
+        reference, are differentiated by central differences and Richardson's extrapolation.
         """
+        zeros = _Inputs(*map(np.zeros_like, inputs))
         for path, one in self.found.items():
-            value = np.asarray(one.leaf.value, float)
+            value, leaf = np.asarray(one.leaf.value, float), self.tape.parameters.get(one.leaf.path)
             entries = [one.place(value.ndim)] if one.entry is not None else [*np.ndindex(value.shape)]
             for entry in entries:
                 step = _STEP * max(1.0, abs(float(value[entry])))
@@ -196,14 +197,17 @@ class _Problem:
                     changed[entry] += by
                     return self.inputs({one.leaf.path: changed if changed.ndim else float(changed)})
 
-                points = zip(*(moved(step * x) for x in (0.5, -0.5, 1.0, -1.0)), strict=True)
-                slopes = _Inputs(*((8 * (a - b) - (c - d)) / (6 * step) for a, b, c, d in points))
-                leaf = self.tape.parameters.get(one.leaf.path)
+                ahead = moved(step)
                 if leaf is not None:
-                    first = (
-                        leaf.first + int(np.ravel_multi_index(entry, value.shape)) if entry else leaf.first
-                    )
-                    getattr(slopes, f"{leaf.kind}s")[first] = 1.0
+                    row = leaf.first + int(np.arange(value.size).reshape(value.shape)[entry])
+                    ahead.rows[row] = inputs.rows[row]  # its own effect is known
+                if all(map(np.array_equal, ahead, inputs)):
+                    slopes = zeros._replace(rows=zeros.rows.copy())
+                else:
+                    points = zip(*(moved(step * x) for x in (0.5, -0.5, 1.0, -1.0)), strict=True)
+                    slopes = _Inputs(*((8 * (a - b) - (c - d)) / (6 * step) for a, b, c, d in points))
+                if leaf is not None:
+                    slopes.rows[row] = 1.0
                 yield path, entry, slopes
 
     def run(
@@ -309,7 +313,10 @@ class _Problem:
             found[n + len(rows) :, 0],
             by_sample["sample"][0][::-1],
         )
-        sums = [sum(float(np.vdot(a, b)) for a, b in zip(slopes, one, strict=True)) for one in directions]
+        sums = [
+            sum(float(np.vdot(a, b)) for a, b in zip(slopes, one, strict=True) if b.any())
+            for one in directions
+        ]
         return float(final[self.loss, 0]), np.array(sums)
 
 
@@ -467,7 +474,8 @@ def gradient(
     try:
         with uncollected(), np.errstate(all="ignore"):
             problem = _Problem(loop, t, step, (q0, v0), names)
-            inputs, numbers = problem.inputs({}), [*problem.directions()]
+            inputs = problem.inputs({})
+            numbers = [*problem.directions(inputs)]
             has_rounds = any(operation[0] == "repeat" for operation in problem.tape.tape.operations)
             selected = mode or ("forward" if has_rounds or len(numbers) <= _FEW else "reverse")
             run = problem.forward if selected == "forward" else problem.reverse
