@@ -83,7 +83,9 @@ def compile_c(
     command += ["-o", library, "-lm"]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    return ctypes.CDLL(library).drive
+    drive: Any = ctypes.CDLL(library).drive
+    drive.library = library
+    return drive
 
 
 def call(drive: Any, *arrays: Any) -> int:

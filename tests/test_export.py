@@ -1,5 +1,6 @@
 """Exported C beside the library: bits of controllers and plants, single precision, statuses, files."""
 
+import ctypes
 import re
 import shutil
 import subprocess
@@ -217,6 +218,37 @@ def test_arguments_that_are_not_finite_or_stale_change_nothing(tmp_path: Path) -
     """
     said = run_program(tmp_path, main, "-O2", *SANITIZED)
     assert said.split() == ["0", "0", *["1"] * 12, "1", "2", "2", "0", "0"]
+
+
+class Shifting:
+    """Controller whose signal is a number of the memory before the sample."""
+
+    def initial_state(self, context: Any) -> Any:
+        return np.zeros(3), np.ones(3)
+
+    def __call__(self, t: Any, q: Any, v: Any, reference: Any, state: Any) -> Any:
+        return 60.0 * (reference.q - q), (q + 1.0, state[0])
+
+    def signals(self, state: Any) -> Any:
+        return {"before": ("m", state[1])}
+
+
+def test_signals_are_those_of_the_sample(tmp_path: Path) -> None:
+    run = pm.simulate(BODY, Shifting(), CIRCLE, dt=DT, engine=pm.Engine.COMPILED)
+    export_c(Shifting(), BODY, tmp_path, dt=DT)
+    driver = CONTROLLER.replace(
+        "#include <string.h>", "#include <string.h>\nextern double seen[3];\ndouble seen[3];"
+    )
+    driver = driver.replace(
+        "    return 0;", "    memcpy(seen, memory.signals.before, sizeof seen);\n    return 0;"
+    )
+    reference = np.concatenate(run.reference, axis=1)
+    *given, u = rows(run.t, run.q, run.v, reference, np.zeros_like(run.u))
+    drive = compile_c(tmp_path, driver, SIZES)
+    assert call(drive, *given, u) == 0
+    assert np.array_equal(u, run.u)
+    seen = (ctypes.c_double * 3).in_dll(ctypes.CDLL(drive.library), "seen")
+    assert np.array_equal(seen, run.signals["before"].values[-1])
 
 
 def test_parameters_can_be_tuned_within_their_bounds(tmp_path: Path) -> None:

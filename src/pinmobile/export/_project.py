@@ -165,9 +165,11 @@ class Project:
             row = f"{name}_rows[memory->k < {last}u ? memory->k : {last}u]"
             beginning.append(f"const {name}_real *const row = {row};")
         results = [(place, code.name(node)) for place, node in law.outputs]
-        told = [each for each in results if each[0].startswith("memory->signals")]
-        firm = [each for each in results if each not in told]
-        assigned = [
+        signals = [each for each in results if each[0].startswith("memory->signals")]
+        required = [each for each in results if each not in signals]
+        # Signals first: their expressions may contain the memory before the sample.
+        assigned = [f"    {place} = {value};" for place, value in signals]
+        assigned += [
             self._text(
                 "delay",
                 samples=ring.samples,
@@ -180,8 +182,7 @@ class Project:
             f"    memory->at_{n} = memory->at_{n} + 1u < {n}u ? memory->at_{n} + 1u : 0u;"
             for n in self._delays()
         ]
-        assigned += [f"    {place} = results[{i}];" for i, (place, _) in enumerate(firm)]
-        assigned += [f"    {place} = {value};" for place, value in told]
+        assigned += [f"    {place} = results[{i}];" for i, (place, _) in enumerate(required)]
         return self._text(
             "body",
             helpers="\n".join(self._helpers()).strip(),
@@ -189,8 +190,8 @@ class Project:
             beginning="\n".join(f"    {line}" for line in beginning),
             not_finite=" || ".join(f"!{name}_is_finite({place}, {n})" for place, n in given.items()),
             statements="\n".join(code.lines),
-            results=",\n        ".join(value for _, value in firm),
-            count=len(firm),
+            results=",\n        ".join(value for _, value in required),
+            count=len(required),
             assignments="\n".join(assigned),
         ).strip()
 
