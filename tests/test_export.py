@@ -451,7 +451,7 @@ def test_cxx_reads_the_header(tmp_path: Path) -> None:
         (
             LOOPS["noisy"][0][1],
             {},
-            "controller draws the noise 'measurement.*expected a controller without noise",
+            "controller draws measurement noise, .*expected a controller without noise",
         ),
         (LAW, {"tunable": ["kq"]}, "unknown parameter in tunable 'kq', did you mean|available: kp"),
         (LAW, {"tunable": "kp"}, "tunable is 'kp', expected paths of numbers"),

@@ -19,7 +19,8 @@ import pinmobile as pm
 from pinmobile import InvalidArgument, Reference
 from pinmobile.errors import NotFinite
 from pinmobile.realtime import RealtimeReport, Stepper, _realtime, run_realtime
-from tests.frozen import BODY, CIRCLE, WRONG, branching, by_lapack, loops
+from pinmobile.wheels import OdometryFeedback
+from tests.frozen import BODY, CIRCLE, WRONG, branching, by_lapack, loops, table
 
 LOOPS = {name: (parts, options) for name, parts, options in chain(loops(), by_lapack())}
 PD = pm.PD((120, 110, 5), (120, 110, 5))
@@ -38,7 +39,7 @@ def answers(stepper: Stepper, run: Any, begin: int = 0, end: int | None = None) 
 def test_the_inputs_have_the_bits_of_simulate(name: str) -> None:
     (plant, controller, trajectory), options = LOOPS[name]
     if name in ("noisy", "all"):
-        with pytest.raises(InvalidArgument, match="controller draws the noise"):
+        with pytest.raises(InvalidArgument, match="controller draws measurement noise, which a robot has"):
             Stepper(controller, plant, dt=0.02, trajectory=trajectory)
         return
     run = pm.simulate(plant, controller, trajectory, dt=0.02, engine=pm.Engine.COMPILED, **options)
@@ -53,6 +54,14 @@ def test_the_inputs_have_the_bits_of_simulate(name: str) -> None:
         assert unit == run.signals[key].unit
         assert np.array_equal(values, run.signals[key].values), key
     assert str(found)  # limits and events work
+
+
+def test_odometry_without_noise_runs() -> None:
+    drive = pm.WheeledRobot(BODY, table("differential"))
+    law = OdometryFeedback(pm.Backstepping(pm.UnicycleTracking(), drive), drive.table)
+    run = pm.simulate(drive, law, CIRCLE, dt=0.02, engine=pm.Engine.COMPILED)
+    stepper = Stepper(law, drive, dt=0.02, trajectory=CIRCLE)
+    assert np.array_equal(answers(stepper, run), run.u)
 
 
 def test_the_gains_of_a_schedule_follow_the_time() -> None:

@@ -29,8 +29,8 @@ from pinmobile.loop import (
     sampled,
     start_of,
 )
-from pinmobile.parts import OnCoordinates, evolved
-from pinmobile.plant import Context, Plant, check_plant, reference_sizes_of
+from pinmobile.parts import Following, OnCoordinates, evolved, required
+from pinmobile.plant import Context, Plant, check_plant, reference_sizes_of, refuse_path
 from pinmobile.trajectories import Reference, Trajectory
 
 _UNKNOWN = "which is not known", "give its trajectory, whose samples become tables"
@@ -73,9 +73,9 @@ def export_c(
     dt : float
         Time step [s].
     trajectory : trajectory, optional
-        Trajectory at whose start an exported plant begins; else it begins at 0. For a controller, its samples
-        become a table; ``name_reference_at(t, &reference)`` interpolates them by
-        polynomials of order 5. Without it, the caller supplies the reference.
+        Trajectory. For a controller, its samples become a table; ``name_reference_at(t, &reference)``
+        interpolates them by polynomials of order 5. Without it, the caller supplies the reference. An
+        exported plant begins at its start, else at 0.
     name : str
         Prefix of all names and files.
     precision : str
@@ -141,7 +141,7 @@ def export_c(
     )
     try:
         with uncollected(), np.errstate(all="ignore"):
-            context, start, first, table = _begun(plant, loop.controller, step, trajectory)
+            context, start, first = begun(plant, loop.controller, step, trajectory)
             law = Law(
                 evolved(loop, {"recorder": Answer(as_measured=controller is not None)}),
                 context,
@@ -157,10 +157,9 @@ def export_c(
         if controller is None
         else f"{type(controller).__name__} of a {type(plant).__name__}"
     )
-    if controller is None:
-        table = None
-    single = precision == "single"
-    project = Project(law, name, single=single, table=table, title=title)
+    has_table = controller is not None and trajectory is not None
+    table = _table(context.reference) if has_table else None
+    project = Project(law, name, single=precision == "single", table=table, title=title)
     with refusals("written", "folder", target):
         target.mkdir(parents=True, exist_ok=True)
     for file, text in project.files().items():
@@ -168,33 +167,26 @@ def export_c(
     return target
 
 
-def _begun(
+def _table(reference: Reference) -> Array:
+    """Return the reference at all samples of a trajectory, shape (N + 1, 3 n)."""
+    if reference.q.shape != reference.v.shape:
+        raise InvalidArgument(
+            "trajectory has configurations that are not as many as velocities, expected a trajectory of "
+            "the first coordinates, or none: the caller then supplies the reference"
+        )
+    table = np.concatenate(reference, axis=1)
+    if table.size > _MOST:
+        raise InvalidArgument(
+            f"trajectory has {len(table):,} samples, a table of {table.size:,} numbers, expected at most "
+            f"{_MOST:,.0f}: give a larger dt, or no trajectory"
+        )
+    return table
+
+
+def begun(
     plant: Plant, controller: Controller, dt: float, trajectory: Trajectory | None
-) -> tuple[Any, tuple[Array, Array], Reference, Array | None]:
-    """Return context, initial state, first reference, and the table of the trajectory."""
-    if trajectory is not None:
-        t = sample_times(dt, None, trajectory.duration)
-        reference = sampled(trajectory, t, plant)
-        context = Context.of(plant, dt=dt, t=t, reference=reference, trajectory=trajectory)
-        table = np.concatenate(reference, axis=1)
-        if table.size > _MOST:
-            raise InvalidArgument(
-                f"trajectory has {len(t):,} samples, a table of {table.size:,} numbers, expected at most "
-                f"{_MOST:,.0f}: give a larger dt, or no trajectory"
-            )
-        if reference.q.shape != reference.v.shape:
-            raise InvalidArgument(
-                "trajectory has configurations that are not as many as velocities, expected a trajectory of "
-                "the first coordinates, or none: the caller then supplies the reference"
-            )
-        return context, start_of(plant, reference, None, None), Reference(*(x[0] for x in reference)), table
-    return *context_without_trajectory(plant, controller, dt), None
-
-
-def context_without_trajectory(
-    plant: Plant, controller: Controller, dt: float
 ) -> tuple[Any, tuple[Array, Array], Reference]:
-    """Return context, initial state and first reference of a controller whose reference the caller gives.
+    """Return context, initial state and first reference of a controller of a real robot.
 
     Parameters
     ----------
@@ -202,12 +194,21 @@ def context_without_trajectory(
         Plant and its controller.
     dt : float
         Time step [s].
+    trajectory : trajectory, optional
+        Trajectory; None: the reference of each sample is an argument.
 
     Raises
     ------
     NotTraceable
-        If the controller reads the trajectory.
+        If the controller reads a trajectory, and there is none.
     """
+    if trajectory is not None:
+        refuse_path("trajectory", trajectory)
+        required("trajectory", trajectory, Following)
+        t = sample_times(dt, None, trajectory.duration)
+        reference = sampled(trajectory, t, plant)
+        context = Context.of(plant, dt=dt, t=t, reference=reference, trajectory=trajectory)
+        return context, start_of(plant, reference, None, None), Reference(*(x[0] for x in reference))
     sizes = reference_sizes_of(plant)
     least = min(sizes)
     rest = Reference(np.zeros((1, sizes[least])), *[np.zeros((1, least))] * 2)

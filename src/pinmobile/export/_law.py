@@ -28,6 +28,15 @@ from pinmobile.signals import signals_of
 from pinmobile.trajectories import Reference
 
 
+def noise_error(name: str) -> InvalidArgument:
+    """Return the error of a controller of a real robot that draws noise of a simulation."""
+    return InvalidArgument(
+        f"controller draws {name.partition(' ')[0]} noise, which a robot has by itself, expected a "
+        "controller without noise, such as the one inside MeasurementNoise",
+        "controller",
+    )
+
+
 @final
 @part
 class Answer:
@@ -118,8 +127,10 @@ class Law:
 
     Attributes
     ----------
-    inputs, states, memory, parameters, signals : list of Member
-        Arguments of a step, state of the plant, memory, parameters, and signals.
+    u : Member
+        Input of the plant.
+    states, reference, memory, parameters, signals : list of Member
+        State of the plant, reference, memory, parameters, and signals.
     outputs : list of (str, int)
         C expression and node of each result.
     rings : list of Ring
@@ -203,7 +214,7 @@ class Law:
         coordinates, inputs = coordinates_of(plant), inputs_of(plant)
         names = [(one.name, one.unit) for one in coordinates]
         rates = [(one.rate or f"{one.name}_rate", f"{one.unit or '1'}/s") for one in coordinates]
-        bends = [(f"acceleration of {name}", f"{unit or '1'}/s^2") for name, unit in names]
+        accelerations = [(f"acceleration of {name}", f"{unit or '1'}/s^2") for name, unit in names]
         if nq != nv:
             names = [(f"configuration {i}", "") for i in range(nq)]
         q, v = (Member(x, y, z) for x, y, z in zip("qv", (names, rates), self.start, strict=True))
@@ -211,7 +222,7 @@ class Law:
         self.states, before = [q, v], "memory->" if self.is_plant else ""
         for first, each in ((0, q), (nq, v)):
             self.places |= {("state", first + i): f"{before}{each.name}[{i}]" for i in range(len(each))}
-        given = Member("q", names[:length]), Member("v", rates[:n]), Member("a", bends[:n])
+        given = Member("q", names[:length]), Member("v", rates[:n]), Member("a", accelerations[:n])
         self.reference, column = list(given), 1
         self.places["sample", 0] = "t"
         for each in given:
@@ -283,11 +294,7 @@ class Law:
         for i in used:
             operation = self.tape.operations[i]
             if operation[0] == "key":
-                raise InvalidArgument(
-                    f"controller draws the noise {self.loop_tape.keys[operation[1]]!r}, which a robot has by "
-                    "itself, expected a controller without noise, such as the one inside MeasurementNoise",
-                    "controller",
-                )
+                raise noise_error(self.loop_tape.keys[operation[1]])
 
     def samples(self, count: int) -> Iterator[tuple[dict[str, Array], dict[str, Array]]]:
         """Yield arguments and results of consecutive samples near the start, computed by NumPy."""

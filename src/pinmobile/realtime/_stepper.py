@@ -8,27 +8,23 @@ from typing import Any
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, affordable, finite, positive, real, shaped, whole
-from pinmobile.compiled import Noise, Program, aligned, mapped, uncollected
+from pinmobile.compiled import Program, aligned, mapped, uncollected
 from pinmobile.controllers import Controller, check_controller
 from pinmobile.errors import InvalidArgument, NotFinite, NotTraceable, shown
-from pinmobile.export import Answer, Law, context_without_trajectory
+from pinmobile.export import Answer, Law, begun, noise_error
 from pinmobile.loop import (
     Loop,
     Rollout,
-    checked_loop,
     chosen_integrator,
     control,
     errors_of,
     initial_memory,
-    sample_times,
-    sampled,
     scheduled_rows,
-    start_of,
     traced_numbers,
     tracking_errors,
 )
 from pinmobile.parts import evolved
-from pinmobile.plant import Context, Plant, check_plant, stated
+from pinmobile.plant import Plant, check_plant, stated
 from pinmobile.signals import Signal, claimed, signals_of, told_at
 from pinmobile.trajectories import Reference, Trajectory
 
@@ -125,12 +121,8 @@ class _PythonCode:
         self._state = mapped(value, lambda x: x.copy() if isinstance(x, np.ndarray) else x)
 
 
-def _refuse_noise(name: str, n: int) -> Noise:
-    raise InvalidArgument(
-        f"controller draws the noise {name!r}, which a robot has by itself, expected a controller without "
-        "noise, such as the one inside MeasurementNoise",
-        "controller",
-    )
+def _refuse_noise(name: str, n: int) -> Any:
+    raise noise_error(name)
 
 
 class Stepper:
@@ -202,7 +194,6 @@ class Stepper:
         self.dt, self.capacity = positive("dt", dt, "s"), whole("capacity", capacity)
         context, start, first = self._start()
         loop = Loop(plant, controller, trajectory, (), chosen_integrator(plant, None), 1)
-        initial_memory(loop, context, noise=_refuse_noise)
         self.fallback_reason = ""
         self._law: _MachineCode | _PythonCode
         try:
@@ -227,16 +218,10 @@ class Stepper:
     def _start(self) -> tuple[Any, tuple[Array, Array], Reference]:
         """Return context, initial state and first reference."""
         plant, trajectory = self.plant, self.trajectory
-        if trajectory is not None:
-            checked_loop(plant, self.controller, trajectory, None)
-            t = sample_times(self.dt, None, trajectory.duration)
-            reference = sampled(trajectory, t, plant)
-            context = Context.of(plant, dt=self.dt, t=t, reference=reference, trajectory=trajectory)
-            return context, start_of(plant, reference, None, None), Reference(*(x[0] for x in reference))
         check_controller(self.controller)
         check_plant(plant)
         try:
-            return context_without_trajectory(plant, self.controller, self.dt)
+            return begun(plant, self.controller, self.dt, trajectory)
         except NotTraceable as error:
             raise InvalidArgument(
                 f"trajectory is None, but {error.what}: expected its trajectory", "trajectory"
