@@ -14,7 +14,7 @@ from pinmobile.arrays import Array, location, one_of, positive, sequence
 from pinmobile.compiled import uncollected
 from pinmobile.controllers import Controller, check_controller
 from pinmobile.errors import InvalidArgument, NotTraceable, shown
-from pinmobile.export._law import Answer, Given, Law
+from pinmobile.export._law import InputRecorder, InputSchedule, Law
 from pinmobile.export._project import Project
 from pinmobile.files import refusals, write
 from pinmobile.forces import Force
@@ -133,7 +133,7 @@ def export_c(
         check_controller(controller)
     loop = Loop(
         plant,
-        Given() if controller is None else controller,
+        InputSchedule() if controller is None else controller,
         trajectory,
         checked_forces(forces, plant),
         chosen_integrator(plant, integrator),
@@ -143,7 +143,7 @@ def export_c(
         with uncollected(), np.errstate(all="ignore"):
             context, start, first = begun(plant, loop.controller, step, trajectory)
             law = Law(
-                evolved(loop, {"recorder": Answer(as_measured=controller is not None)}),
+                evolved(loop, {"recorder": InputRecorder(as_measured=controller is not None)}),
                 context,
                 start,
                 first,

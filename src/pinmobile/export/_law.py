@@ -39,7 +39,7 @@ def noise_error(name: str) -> InvalidArgument:
 
 @final
 @part
-class Answer:
+class InputRecorder:
     """Recorder of the applied input and of the signals.
 
     Parameters
@@ -67,7 +67,7 @@ class Answer:
 
 @final
 @part
-class Given:
+class InputSchedule:
     """Controller whose output is the input that the caller gives, a row of a schedule."""
 
     def initial_state(self, context: Context) -> Any:
@@ -115,7 +115,7 @@ class Law:
     Parameters
     ----------
     loop : Loop
-        Closed loop with the recorder `Answer`; for the law of the plant, with the controller `Given`.
+        Closed loop with an `InputRecorder`; for the law of the plant, with the controller `InputSchedule`.
     context : Context
         Context of the controller.
     start : (ndarray, ndarray), shape (nq,), (nv,)

@@ -11,7 +11,7 @@ from pinmobile.arrays import Array, ArrayLike, affordable, finite, positive, rea
 from pinmobile.compiled import Program, aligned, mapped, uncollected
 from pinmobile.controllers import Controller, check_controller
 from pinmobile.errors import InvalidArgument, NotFinite, NotTraceable, shown
-from pinmobile.export import Answer, Law, begun, noise_error
+from pinmobile.export import InputRecorder, Law, begun, noise_error
 from pinmobile.loop import (
     Loop,
     Rollout,
@@ -36,7 +36,7 @@ class _MachineCode:
 
     def __init__(self, loop: Loop, context: Any, start: tuple[Array, Array], first: Reference) -> None:
         with uncollected():
-            law = Law(evolved(loop, {"recorder": Answer(errors=True)}), context, start, first)
+            law = Law(evolved(loop, {"recorder": InputRecorder(errors=True)}), context, start, first)
             tape = law.controller_tape()
             program = Program(tape, single=True)
         pairs = zip(tape.leaves, law.values, strict=True)
