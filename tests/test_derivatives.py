@@ -15,10 +15,9 @@ from tests.frozen import BODY, CIRCLE, WRONG, by_lapack, loops
 
 DT, DURATION = 0.01, 2.0
 DRY = ("differential Coulomb", "mecanum Coulomb", "skid-steer")
-LOOPS = {name: (parts, options) for name, parts, options in (*loops(), *by_lapack()) if name not in DRY}
+LOOPS = {name: (parts, options) for name, parts, options in (*loops(), *by_lapack())}
 # Where a number changes the side of a kink during the run, differences of runs are no derivatives.
 KINKED = ("super-twisting", "adaptive", "constant", "all forces", "line")
-WITH_ROUNDS = ("volts",)
 
 
 def loss(sample: Any) -> Any:
@@ -88,8 +87,8 @@ def test_forward_and_reverse_agree_with_each_other_and_with_runs(name: str) -> N
     options: dict[str, Any] = {**own, "dt": DT, "duration": duration, "by": chosen(loop)}
     forward = gradient(loss, *parts, **options, mode="forward")
     found, scale = flat(forward), np.abs(flat(forward)).max()
-    if name in WITH_ROUNDS:
-        with pytest.raises(pm.InvalidArgument, match="loops with rounds run forward only"):
+    if name in DRY:
+        with pytest.raises(pm.InvalidArgument, match='run forward only; use mode="forward"'):
             gradient(loss, *parts, **options, mode="reverse")
     else:
         reverse = gradient(loss, *parts, **options, mode="reverse")
@@ -98,8 +97,9 @@ def test_forward_and_reverse_agree_with_each_other_and_with_runs(name: str) -> N
     if name in KINKED:
         return
     expected, error = differences(loop, own, [*forward.by])
-    # Rounding of a loss of 200 samples, divided by the step, and the order of the differences.
-    assert (np.abs(found - expected) <= error + 1e-8 * scale).all()
+    # Rounding of a loss of 200 samples, divided by the step, and the order of the differences; contacts of dry
+    # friction are solved to 1e-9 of their impulses.
+    assert (np.abs(found - expected) <= error + (1e-7 if name in DRY else 1e-8) * scale).all()
 
 
 def test_a_path_and_the_last_sample_count() -> None:
@@ -110,7 +110,7 @@ def test_a_path_and_the_last_sample_count() -> None:
         return np.sqrt((sample.q[:2] ** 2).sum())
 
     parts = BODY, pm.ComputedTorque(WRONG, 4.0, 4.0)
-    found = gradient(far, *parts, circle, by=by, dt=DT, duration=2.0, at_end=True)
+    found = gradient(far, *parts, circle, by=by, dt=DT, duration=2.0, reduction="last")
 
     def end(radius: float) -> float:
         run = pm.simulate(*parts, pm.Tangent(pm.Circle(radius, 0.5, 6.0)), dt=DT, duration=2.0)
@@ -172,13 +172,6 @@ def test_wrong_arguments_are_answered(change: dict[str, Any], message: str) -> N
     parts = given.pop("loss"), BODY, given.pop("controller"), CIRCLE
     with pytest.raises((pm.InvalidArgument, pm.PinmobileError), match=message):
         gradient(*parts, **given)
-
-
-@pytest.mark.parametrize("name", DRY[1:])
-def test_dry_friction_is_refused(name: str) -> None:
-    parts = next(parts for own, parts, _ in loops() if own == name)
-    with pytest.raises(pm.InvalidArgument, match=r"rounds within rounds.*use ground=Rolling\(\)"):
-        gradient(loss, *parts, by=["start.x"], dt=DT, duration=0.5)
 
 
 def still(robot: Any = None) -> Any:

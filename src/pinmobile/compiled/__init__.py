@@ -10,6 +10,7 @@ from pinmobile.compiled._vectorize import Recurrence as Recurrence, vectorize
 from pinmobile.compiled.differentiation import (
     adjoint as adjoint,
     bits_of_indices as bits_of_indices,
+    sides as sides,
     tangent as tangent,
     without_delays as without_delays,
 )

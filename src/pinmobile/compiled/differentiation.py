@@ -13,7 +13,8 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from pinmobile.compiled.folding import ROUND
+from pinmobile.compiled.elementary import sincos
+from pinmobile.compiled.folding import ROUND, STATE
 from pinmobile.compiled.tape import (
     COUNT,
     LoopTape,
@@ -30,6 +31,9 @@ from pinmobile.errors import NotTraceable
 
 LARGEST = 1_000_000
 """Largest number of nodes of a loop with derivatives."""
+
+_LARGEST_ROUNDS = 100_000  # operations of the tangents in rounds
+_INNER = 1000  # operations for which rounds within rounds count
 
 _Multiply: TypeAlias = Callable[[Any], Any]
 _Input: TypeAlias = tuple[Any, ...]
@@ -90,9 +94,8 @@ def _of_function(tape: Tape, y: Node, name: str, of: tuple[int, ...]) -> list[tu
             (of[1], lambda d: _guarded(tape, d, -(d * x) / square)),
         ]
     if name in ("sin", "cos"):
-        twin = next(i for i, mark in tape.marks.items() if mark == ("cos" if name == "sin" else "sin", of))
-        other = tape.at(twin)
-        return [(of[0], lambda d: d * (other if name == "sin" else -other))]
+        sine, cosine = sincos(x)
+        return [(of[0], lambda d: d * (cosine if name == "sin" else -sine))]
     slope: dict[str, Callable[[], Any]] = {
         "exp": lambda: y,
         "expm1": lambda: y + 1.0,
@@ -132,20 +135,12 @@ class Copy:
             if i in self.new and all(x in self.new for x in of):
                 self.tape.marks.setdefault(self.new[i], (name, tuple(self.new[x] for x in of)))
 
-    def _wanted(self, loop: LoopTape) -> list[int]:
-        """Return the outputs of the loop, and the nodes that slopes of functions need."""
-        wanted, twins = set(loop.outputs), {"sin": "cos", "cos": "sin"}
-        while True:
-            known = set(needed(self.old, wanted))
-            more = set[int]()
-            for i, (name, of) in self.old.marks.items():
-                if i in known:
-                    more.update(of)
-                    pair = (twins.get(name), of)
-                    more.update(j for j, mark in self.old.marks.items() if mark == pair)
-            if more <= known:
-                return sorted(wanted)
-            wanted |= more
+    def _wanted(self, loop: LoopTape) -> set[int]:
+        """Return the outputs of the loop, and the operands of functions, which may be constants."""
+        wanted = set(loop.outputs)
+        for i in needed(self.old, wanted):
+            wanted.update(self.old.marks.get(i, ("", ()))[1])
+        return wanted
 
     def _copied(self, i: int) -> int:
         operation, depends = self.old.operations[i], self.old.depends[i]
@@ -187,11 +182,7 @@ class _Tangents:
         tape, results = self.tape, dict[int, list[Node]]()
         for i in range(end):
             operation = tape.operations[i]
-            if (
-                i in self.of
-                or tape.types[i] != "f"
-                or (tape.depends[i] >= ROUND and operation[0] != "repeat")
-            ):
+            if i in self.of or tape.types[i] != "f" or tape.depends[i] >= ROUND:
                 continue
             if operation[0] == "ring":
                 pushed = self.of.get(operation[3])
@@ -200,62 +191,108 @@ class _Tangents:
                     self.rings.append(Ring(node.index, pushed.index, operation[2]))
                     self.of[i] = node
             elif operation[0] == "repeat":
-                results[i] = self._rounds(i)
+                results[i] = _after_rounds(tape, i, lambda x: x, [self.of])[1][0]
             elif operation[0] == "result":
-                if operation[1] in results:
-                    self.of[i] = results[operation[1]][operation[2]]
+                self.of[i] = results[operation[1]][operation[2]]
             else:
-                self._one(i)
+                _find(tape, self.of, i)
 
-    def _one(self, i: int) -> None:
-        total: Any = None
-        given = self.tape.marks[i][1] if i in self.tape.marks else operands(self.tape.operations[i])
-        if not any(x in self.of for x in given):
-            return
-        for x, multiply in slopes(self.tape, i):
-            if x in self.of:
-                part = multiply(self.of[x])
-                total = part if total is None else total + part
-        if type(total) is Node and total.value != 0:
-            self.of[i] = total
 
-    def _rounds(self, i: int) -> list[Node]:
-        """Append rounds with their tangents, and return the tangents of the results."""
-        tape, rounds = self.tape, Rounds.of(self.tape, i)
-        zero, count = tape.const(0.0), len(rounds.first)
+def _find(tape: Tape, tangents: dict[int, Node], i: int) -> None:
+    """Add the tangent of a node to those of its operands."""
+    given = tape.marks[i][1] if i in tape.marks else operands(tape.operations[i])
+    if i in tangents or tape.types[i] != "f" or not any(x in tangents for x in given):
+        return
+    total: Any = None
+    for x, multiply in slopes(tape, i):
+        if x in tangents:
+            part = multiply(tangents[x])
+            total = part if total is None else total + part
+    if type(total) is Node and total.value != 0:
+        tangents[i] = total
 
-        def law(carried: list[Any]) -> tuple[list[Any], Any]:
-            inner: dict[int, int] = {}
-            own = _Tangents(tape, self.of)
 
-            def new(x: int) -> int:
-                return inner.get(x, x)
+def _after_rounds(
+    tape: Tape, i: int, new: Callable[[int], int], known: Sequence[Mapping[int, Node]]
+) -> tuple[list[Node], list[list[Node]]]:
+    """Append rounds with tangents, and return the results and their tangents along each direction.
 
-            for j in rounds.body:
-                name, *of = tape.operations[j]
-                if name == "repeat":
-                    raise NotTraceable(
-                        "contacts of dry friction are solved by rounds within rounds, which have no "
-                        "derivative",
-                        "use ground=Rolling()",
-                    )
-                if name == "carry":
-                    inner[j] = carried[of[1]].index
-                    own.of[inner[j]] = carried[count + of[1]]
-                    continue
-                inner[j] = tape.apply(name, *(tape.at(new(x)) for x in of)).index
-                if j in tape.marks:
-                    function, given = tape.marks[j]
-                    tape.marks.setdefault(inner[j], (function, tuple(map(new, given))))
-            for j in rounds.body:
-                if inner[j] not in own.of and tape.types[inner[j]] == "f":
-                    own._one(inner[j])
-            after = [*map(new, rounds.following)]
-            tangents = [own.of.get(x, zero) for x in after]
-            return [*map(tape.at, after), *tangents], tape.at(new(rounds.done))
+    The tangents pass through the iterations of a solver, with which they converge.
 
-        first = [*map(tape.at, rounds.first), *(self.of.get(x, zero) for x in rounds.first)]
-        return tape.repeated(law, first, rounds.most, tape.at(rounds.settled))[count:]
+    Parameters
+    ----------
+    tape : Tape
+        Tape with the rounds.
+    i : int
+        Node of the rounds.
+    new : callable
+        New node of a node outside the rounds.
+    known : sequence of mapping of int to Node
+        Tangents of the new nodes along each direction.
+    """
+    rounds, zero = Rounds.of(tape, i), tape.const(0.0)
+    count = len(rounds.first)
+
+    def law(carried: list[Any]) -> tuple[list[Any], Any]:
+        inner: dict[int, int] = {}
+        nested: dict[int, tuple[list[Node], list[list[Node]]]] = {}
+        own = [dict(each) for each in known]
+
+        def now(x: int) -> int:
+            return inner[x] if x in inner else new(x)
+
+        for j in rounds.body:
+            name, *of = tape.operations[j]
+            if name == "repeat":
+                nested[j] = _after_rounds(tape, j, now, own)
+                continue
+            if name in ("carry", "result"):
+                values, slopes_of = nested[of[0]] if name == "result" else (carried[:count], [])
+                inner[j] = values[of[1]].index
+                for d, tangents in enumerate(own):
+                    first = (1 + d) * count
+                    tangents[inner[j]] = (slopes_of[d] if slopes_of else carried[first:])[of[1]]
+                continue
+            inner[j] = tape.apply(name, *(tape.at(now(x)) for x in of)).index
+            if j in tape.marks:
+                function, given = tape.marks[j]
+                tape.marks.setdefault(inner[j], (function, tuple(map(now, given))))
+            for tangents in own:
+                _find(tape, tangents, inner[j])
+        after = [*map(now, rounds.following)]
+        moved = [tangents.get(x, zero) for tangents in own for x in after]
+        return [*map(tape.at, after), *moved], tape.at(now(rounds.done))
+
+    before = [*map(new, rounds.first)]
+    first = [*map(tape.at, before), *(tangents.get(x, zero) for tangents in known for x in before)]
+    found = tape.repeated(law, first, rounds.most, tape.at(new(rounds.settled)))
+    parts = [found[k : k + count] for k in range(0, len(found), count)]
+    return parts[0], parts[1:]
+
+
+def sides(loop: LoopTape) -> list[int]:
+    """Return the nodes of the conditions that choose the side of a kink, outside rounds and functions."""
+    tape, found, seen = loop.tape, dict[int, None](), set[int]()
+    todo = [after for _, after in loop.states] + [ring.pushed for ring in loop.rings]
+    while todo:
+        i = todo.pop()
+        if i in seen:
+            continue
+        seen.add(i)
+        name, *of = tape.operations[i]
+        if i in tape.marks:
+            todo += tape.marks[i][1]
+            continue
+        condition = None
+        if name in ("abs", "max", "min"):
+            condition = tape.at(of[0]) < (0.0 if name == "abs" else tape.at(of[1]))
+        elif name == "select":
+            condition = tape.at(of.pop(0))
+        if condition is not None and tape.depends[condition.index] & STATE:
+            found[condition.index] = None
+        if name not in ("real", "repeat", "result"):
+            todo += (x for x in (of if operands(tape.operations[i]) else ()) if tape.types[x] == "f")
+    return [*found]
 
 
 def tangent(loop: LoopTape, directions: Sequence[_Input]) -> LoopTape:
@@ -267,7 +304,7 @@ def tangent(loop: LoopTape, directions: Sequence[_Input]) -> LoopTape:
         Loop with n states.
     directions : sequence of operation
         Inputs, such as ``("uniform", 3)``. The entries of a robot's direction are further rows, in this
-        order; those of inputs ``("sample", i)`` are tracks.
+        order; those of inputs ``("sample", i)`` and ``("track", i)`` are further tracks.
 
     Returns
     -------
@@ -280,9 +317,9 @@ def tangent(loop: LoopTape, directions: Sequence[_Input]) -> LoopTape:
         copy.new[now]: tape.input("state", n + i) for i, (now, _) in enumerate(loop.states) if now in copy.new
     }
     places = {operation: i for i, operation in enumerate(tape.operations[:end])}
-    columns = [one for one in directions if one[0] == "sample"]
-    rows = [one for one in directions if one[0] != "sample"]
-    for kind, first, some in (("row", loop.rows, rows), ("track", 0, columns)):
+    columns = [one for one in directions if one[0] in ("sample", "track")]
+    rows = [one for one in directions if one not in columns]
+    for kind, first, some in (("row", loop.rows, rows), ("track", loop.tracks, columns)):
         for j, one in enumerate(some):
             if one in places:
                 known[places[one]] = tape.input(kind, first + j)
@@ -302,7 +339,7 @@ def tangent(loop: LoopTape, directions: Sequence[_Input]) -> LoopTape:
         kept={**whole.kept, **kept},
         rings=[*whole.rings, *tangents.rings],
         rows=loop.rows + len(rows),
-        tracks=len(columns),
+        tracks=loop.tracks + len(columns),
         leaves=[],
         parameters={},
     )
@@ -343,81 +380,100 @@ def sample_index(tape: Tape) -> Any:
     return tape.mark("count", real(tape.input(*COUNT) | float_bits(2.0**52)) - 2.0**52)
 
 
-def adjoint(loop: LoopTape, wanted: Sequence[_Input], columns: int) -> LoopTape:
+def adjoint(loop: LoopTape, wanted: Sequence[_Input], columns: int, sampled: Sequence[_Input]) -> LoopTape:
     """Return the loop that runs from the last sample to the first one.
 
-    Its references (tracks) are the states of the samples, and its sample has a further column with the bits
-    of the index. Its states are the adjoints of the loop's states, and behind them the derivatives by the
-    wanted inputs. The derivatives by each number of each sample are kept as ``"sample"``.
+    Its references (tracks) are the states of the samples, followed by those of the loop, and its sample has a
+    further column with the bits of the index. Its states are the adjoints of the loop's states, and behind
+    them the derivatives by the wanted inputs. The derivatives by numbers of each sample are kept as
+    ``"sample"``.
 
     Parameters
     ----------
     loop : LoopTape
-        Loop with n states, without delays and rounds.
-    wanted : sequence of operation
-        Inputs, such as ``("row", 3)``.
+        Loop with n states, without delays.
+    wanted, sampled : sequence of operation
+        Inputs, such as ``("row", 3)``, and those of each sample, such as ``("sample", 2)``.
     columns : int
         Number of columns of a sample of the loop.
 
     Raises
     ------
     NotTraceable
-        If the loop has rounds or references of each robot.
+        If rounds have too many operations.
     """
-    if loop.tracks or any(operation[0] == "repeat" for operation in loop.tape.operations):
-        raise NotTraceable("loops with rounds run forward only", "use forward mode")
     n = len(loop.states)
 
-    def tracked_input(i: int) -> Callable[[Tape], Node]:
-        return lambda tape: tape.input("track", i)
+    def moved(kind: str, i: int) -> Callable[[Tape], Node]:
+        return lambda tape: tape.input(kind, i)
 
-    inputs: dict[_Input, Callable[[Tape], Node]] = {("state", i): tracked_input(i) for i in range(n)}
+    inputs: dict[_Input, Callable[[Tape], Node]] = {("state", i): moved("track", i) for i in range(n)}
+    inputs |= {("track", i): moved("track", n + i) for i in range(loop.tracks)}
     inputs[COUNT] = lambda tape: tape.apply("bits", tape.input("sample", columns))
     copy = Copy(replace(loop, kept={}, counted=[]), inputs)
     tape, end = copy.tape, len(copy.tape)
     places = {operation: i for i, operation in enumerate(tape.operations[:end])}
-    tracked = {places["track", i]: i for i in range(n) if ("track", i) in places}
-    asked = {places[one]: j for j, one in enumerate(wanted) if one in places}
-    samples = {places["sample", i]: i for i in range(columns) if ("sample", i) in places}
+
+    def place(one: _Input) -> int:
+        """Return the node of an input of the loop, or -1."""
+        shift = n if one[0] == "track" else 0
+        return places.get((one[0], one[1] + shift), -1)
+
+    tracked = [places.get(("track", i), -1) for i in range(n)]
+    ends = {*tracked, *map(place, (*wanted, *sampled))} - {-1}
     sums: dict[int, Any] = {}
     for i, (_, after) in enumerate(loop.states):
         _add(sums, copy.new[after], tape.input("state", i))
-    ends = {*tracked, *asked, *samples}
     active = _active(tape, end, ends)
     found: dict[int, Any] = {}
+    results: dict[int, dict[int, Any]] = {}
     for i in range(end - 1, -1, -1):
+        operation = tape.operations[i]
         total = sums.pop(i, None) if i in active else None
-        if total is None:
-            continue
-        found[i] = total
-        if i in ends:
-            continue
-        for x, multiply in slopes(tape, i):
-            if x in active:
-                _add(sums, x, multiply(total))
+        if i in results:
+            for x, part in _before_rounds(tape, i, results[i], active):
+                _add(sums, x, part)
+        elif total is not None and operation[0] == "result":
+            results.setdefault(operation[1], {})[operation[2]] = total
+        elif total is not None:
+            found[i] = total
+            for x, multiply in slopes(tape, i) if i not in ends else ():
+                if x in active:
+                    _add(sums, x, multiply(total))
     states = []
-
-    def number(one: _Input) -> int:
-        return tape.number(found.get(places.get(one, -1), 0.0))
-
-    for i in range(n):
-        states.append((tape.input("state", i).index, number(("track", i))))
-    for j, one in enumerate(wanted):
+    for i, at in enumerate(tracked):
+        states.append((tape.input("state", i).index, tape.number(found.get(at, 0.0))))
+    for j, at in enumerate(map(place, wanted)):
         now = tape.input("state", n + j)
-        part = found.get(places.get(one, -1))
-        states.append((now.index, now.index if part is None else tape.number(now + part)))
+        states.append((now.index, now.index if at not in found else tape.number(now + found[at])))
     return replace(
         loop,
         tape=tape,
         states=states,
-        tracks=n,
-        kept={"sample": ((columns,), [number(("sample", i)) for i in range(columns)])},
+        tracks=n + loop.tracks,
+        kept={"sample": ((len(sampled),), [tape.number(found.get(place(one), 0.0)) for one in sampled])},
         counted=[],
         rings=[],
         leaves=[],
         parameters={},
         scheduled=loop.scheduled + 1,
     )
+
+
+def _before_rounds(tape: Tape, i: int, totals: Mapping[int, Any], active: set[int]) -> list[tuple[int, Any]]:
+    """Return the numbers on which rounds depend, and the derivatives by them, by a tangent for each number."""
+    rounds = Rounds.of(tape, i)
+    inputs = [x for x in sorted({*rounds.first, *rounds.outside}) if x in active]
+    size = len(inputs) * (
+        len(rounds.body) + sum(tape.operations[j][0] == "repeat" for j in rounds.body) * _INNER
+    )
+    if size > _LARGEST_ROUNDS:
+        raise NotTraceable("the contacts of dry friction run forward only", 'use mode="forward"')
+    _, tangents = _after_rounds(tape, i, lambda x: x, [{x: tape.const(1.0)} for x in inputs])
+    return [
+        (x, sum(total * each[k] for k, total in totals.items()))
+        for x, each in zip(inputs, tangents, strict=True)
+    ]
 
 
 def _add(sums: dict[int, Any], node: int, value: Any) -> None:
@@ -432,6 +488,8 @@ def _active(tape: Tape, end: int, first: Iterable[int]) -> set[int]:
             continue
         mark = tape.marks.get(i)
         given = () if mark and mark[0] in _FLAT else mark[1] if mark else operands(tape.operations[i])
+        if tape.operations[i][0] == "repeat":
+            given = Rounds.of(tape, i).outside
         if (tape.operations[i][0] != "real" or mark) and any(x in active for x in given):
             active.add(i)
     return active

@@ -34,10 +34,19 @@ from pinmobile.loop._run import (
 )
 from pinmobile.loop._scenario import Scenario
 from pinmobile.loop._simulate import Engine, errors_of as errors_of, simulate, start_of as start_of
-from pinmobile.loop._spread import TRUE_MODEL, Distribution, Normal, Relative, SameAs, Uniform
+from pinmobile.loop._spread import (
+    TRUE_MODEL,
+    Distribution,
+    Normal,
+    Relative,
+    SameAs,
+    Source as Source,
+    Uniform,
+)
 from pinmobile.loop._trace import (
     Trace as Trace,
     arrays_of as arrays_of,
+    initial_memories as initial_memories,
     initial_memory as initial_memory,
     scheduled_rows as scheduled_rows,
     traced_numbers as traced_numbers,

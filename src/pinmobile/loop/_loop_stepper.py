@@ -103,14 +103,14 @@ class LoopStepper:
         """
         scenario, compiled = self.scenario, self._compiled
         draws = {name: np.array([value]) for name, value in values.items()}
-        own = scenario.references(draws, 1)
-        reference = scenario.reference if own is None else Reference(*(x[:, 0] for x in own))
         every = scenario.values(draws, 0, 1)
+        own = scenario.references(every, 1)
+        reference = scenario.reference if own is None else Reference(*(x[:, 0] for x in own))
         varied = {path: x for path, x in every.items() if path in scenario.entries}
         known, first = {**traced_numbers(compiled.loop), **varied}, compiled.first(varied, 1)
         member = range(1)
         keys = {name: robot_keys(scenario.seed, name, member) for name in compiled.tape.keys}
-        start = scenario.starts(draws, 1, own)
+        start = scenario.starts(every, 1, own)
         blocks = compiled.program.blocks_of(start, 1, known, first, keys)
         if self.k:
             states = len(compiled.tape.states)

@@ -263,10 +263,10 @@ def _compiled(
 ) -> Part:
     """Return the records of the robots from `start` to before `stop`, computed by machine code."""
     keys = {name: robot_keys(scenario.seed, name, range(start, stop)) for name in program.tape.keys}
-    own = scenario.references(draws, stop - start, start)
     values = scenario.values(draws, start, stop)
+    own = scenario.references(values, stop - start, start)
     outcome = program.run(
-        scenario.starts(draws, stop - start, own),
+        scenario.starts(values, stop - start, own),
         scenario.t,
         Reference(*scenario.reference),
         tracks=own,

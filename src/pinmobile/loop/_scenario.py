@@ -399,13 +399,13 @@ class Scenario(Recorded):
         """Whether the spread names a number of the trajectory: each robot then has its own reference."""
         return any(one.path.startswith("trajectory.") for one in self.found.values())
 
-    def references(self, draws: Mapping[str, Array], count: int, first: int = 0) -> Reference | None:
+    def references(self, values: Mapping[str, Array], count: int, first: int = 0) -> Reference | None:
         """Return each robot's own reference, q, v and a of shape (N + 1, count, ...), or None.
 
         Parameters
         ----------
-        draws : mapping of str to ndarray, shape (count,)
-            Draws of the robots.
+        values : mapping of str to ndarray, shape (count, ...)
+            Numbers of the robots by path, see `values`.
         count, first : int
             Number of robots, and index of the first, for messages.
 
@@ -416,16 +416,15 @@ class Scenario(Recorded):
         """
         if not self.has_own_references:
             return None
-        every = self._spread_values(draws, count).items()
-        own = {path.removeprefix("trajectory."): x for path, x in every if path.startswith("trajectory.")}
+        own = {x.removeprefix("trajectory."): y for x, y in values.items() if x.startswith("trajectory.")}
         known: dict[bytes, Reference] = {}
         found = Reference(*(np.empty((len(self.t), count, part.shape[1])) for part in self.reference))
         for i in range(count):
-            values = {path: value[i] for path, value in own.items()}
-            key = b"".join(np.asarray(value).tobytes() for value in values.values())
+            numbers = {path: value[i] for path, value in own.items()}
+            key = b"".join(np.asarray(value).tobytes() for value in numbers.values())
             try:
                 if key not in known:
-                    known[key] = self._sampled(replaced(self.trajectory, values))
+                    known[key] = self._sampled(replaced(self.trajectory, numbers))
             except InvalidArgument as error:
                 raise InvalidArgument(f"robot {first + i}: {error}") from error
             for rows, part in zip(found, known[key], strict=True):
@@ -486,20 +485,20 @@ class Scenario(Recorded):
         return kept | {path: np.ones(np.shape(value), bool) for path, value in drawn.items()}
 
     def starts(
-        self, draws: Mapping[str, Array], count: int, references: Reference | None = None
+        self, values: Mapping[str, Array], count: int, references: Reference | None = None
     ) -> tuple[Array, Array]:
         """Return the initial states of robots, shape (count, nq) and (count, nv).
 
         Parameters
         ----------
-        draws : mapping of str to ndarray, shape (count,)
-            Draws of the robots.
+        values : mapping of str to ndarray, shape (count, ...)
+            Numbers of the robots by path, see `values`.
         count : int
             Number of robots.
         references : Reference, optional
             References of the robots, see `references`.
         """
-        plant, values = self.robot, self._spread_values(draws, count)
+        plant = self.robot
         none = np.zeros((count, plant.nv))
         off, rates = values.get("start", none), values.get("start_rate", none)
         if references is None:

@@ -199,11 +199,11 @@ def arguments_of(scenario: Scenario, i: int, drawn: Mapping[str, Array] | None =
         Draws of this robot.
     """
     draws = scenario.draws(i, i + 1) if drawn is None else drawn
-    values = scenario.values(draws, i, i + 1).items()
-    own_values = {path: value[0] for path, value in values if not path.startswith("start")}
+    values = scenario.values(draws, i, i + 1)
+    own_values = {path: value[0] for path, value in values.items() if not path.startswith("start")}
     loop = parts.replace(scenario.loop, own_values)
-    own = scenario.references(draws, 1, i)
-    q, v = scenario.starts(draws, 1, own)
+    own = scenario.references(values, 1, i)
+    q, v = scenario.starts(values, 1, own)
     options = {
         "dt": scenario.dt,
         "duration": scenario.duration if own is None else float(scenario.t[-1]),

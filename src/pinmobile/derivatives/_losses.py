@@ -1,0 +1,139 @@
+"""Losses of a run: functions of its samples and metrics, reduced to a number each, and their recorder."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple, final
+
+import numpy as np
+
+from pinmobile.arrays import Array, one_of
+from pinmobile.errors import InvalidArgument, shown
+from pinmobile.loop import Record, Sample
+from pinmobile.metrics import Metric, metrics_of
+from pinmobile.parts import option, part
+from pinmobile.plant import coordinates_of
+
+REDUCTIONS = ("sum", "mean", "rms", "last", "largest", "smallest")
+"""Reductions of the values of all samples to one number."""
+_BEFORE = {"largest": -np.inf, "smallest": np.inf}
+
+
+class Loss(NamedTuple):
+    """Number of a run: a function of a sample or a metric, and how it is reduced.
+
+    Attributes
+    ----------
+    of : callable or int
+        Function of a sample, or index of a metric of the plant.
+    reduction : str
+        One of `REDUCTIONS`.
+    name : str
+        Name in messages.
+    """
+
+    of: Callable[[Sample], Any] | int
+    reduction: str
+    name: str
+
+    @classmethod
+    def read(
+        cls, given: Any, reduction: str | None, plant: Any, trajectory: Any, where: str = "loss"
+    ) -> Loss:
+        """Return the loss that a user means.
+
+        Parameters
+        ----------
+        given : callable, str or Metric
+            Function of a sample; or "distance", "heading", a coordinate or a metric of the plant by name.
+        reduction : str, optional
+            Default: the sum of a function; the worst value of a metric.
+        plant : plant
+            Simulated plant.
+        trajectory : trajectory
+            Trajectory, which gives the number of coordinates of the reference.
+        where : str
+            Name of the argument.
+
+        Raises
+        ------
+        InvalidArgument, UnknownName
+            If it is none of these.
+        """
+        if reduction is not None:
+            one_of("reduction", reduction, REDUCTIONS)
+        if isinstance(given, Metric) and given.function is not None:
+            worst = "smallest" if given.is_margin else "largest"
+            return cls(given.function, reduction or worst, given.name)
+        if not isinstance(given, str):
+            if not callable(given):
+                raise InvalidArgument(
+                    f"{where} is {shown(given)}, expected a function of a sample or the name of a metric"
+                )
+            return cls(given, reduction or "sum", where)
+        size = np.size(trajectory(0.0).v)
+        own: dict[str, Any] = {"distance": _distance, "heading": _Error(2)}
+        own |= {one.name: _Error(i) for i, one in enumerate(coordinates_of(plant)[:size])}
+        stated = {one.name: (i, one.is_margin) for i, one in enumerate(metrics_of(plant))}
+        name = one_of(where, given, {**own, **stated})
+        if name in own:
+            return cls(own[name], reduction or "largest", name)
+        index, is_margin = stated[name]
+        return cls(index, reduction or ("smallest" if is_margin else "largest"), name)
+
+    def finished(self, value: Array, count: int) -> tuple[Array, Array]:
+        """Return the loss of a recorded value, and its slope by the recorded value."""
+        if self.reduction == "rms":
+            root = np.sqrt(value / count)
+            return root, np.divide(0.5 / count, root, out=np.zeros_like(root), where=root > 0)
+        share = 1.0 / count if self.reduction == "mean" else 1.0
+        return value * share, np.full_like(value, share)
+
+
+def _distance(sample: Sample) -> Any:
+    return np.sqrt((sample.error[:2] ** 2).sum())
+
+
+class _Error:
+    """Size of an error."""
+
+    def __init__(self, i: int) -> None:
+        self.i = i
+
+    def __call__(self, sample: Sample) -> Any:
+        return np.abs(sample.error[self.i])
+
+
+@final
+@part
+class Losses:
+    """Recorder of the losses; it keeps whether wheels slide."""
+
+    losses: tuple[Loss, ...] = option(default=())
+    signals, errors = True, True
+
+    @property
+    def metrics(self) -> tuple[tuple[int, bool], ...]:
+        """Metrics of the plant that the recorder reads."""
+        return tuple((one.of, False) for one in self.losses if isinstance(one.of, int))
+
+    def initial_state(self, n: int, nu: int) -> Any:
+        """Return the losses of no sample."""
+        return np.array([_BEFORE.get(one.reduction, 0.0) for one in self.losses])
+
+    def __call__(self, sample: Sample, state: Any) -> Record:
+        """Return the losses with one more sample."""
+        after = []
+        for i, one in enumerate(self.losses):
+            value = one.of(sample) if callable(one.of) else sample.measured[one.of]
+            if np.shape(value) != ():
+                raise InvalidArgument(f"{one.name} returned {shown(value)}, expected a number")
+            before = state[i]
+            if one.reduction in ("sum", "mean", "rms"):
+                value = before + (value * value if one.reduction == "rms" else value)
+            elif one.reduction != "last":
+                is_new = value > before if one.reduction == "largest" else value < before
+                value = np.where(is_new, value, before)
+            after.append(value + 0.0 * sample.t)
+        kept = {name: sample.signals[name].value for name in ("slides",) if name in sample.signals}
+        return Record(np.stack(after), kept=kept)

@@ -1,0 +1,381 @@
+"""Poles of a sampled closed loop, and the margins of each of its inputs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace as replaced
+from functools import cached_property
+from typing import Any, NamedTuple, final
+
+import numpy as np
+
+from pinmobile.arrays import Array, ArrayLike, scalar
+from pinmobile.compiled import tangent
+from pinmobile.controllers import Controller, answer_of, told
+from pinmobile.controllers.controller import Wrapper
+from pinmobile.derivatives._problem import Problem, differentiated, problem_of
+from pinmobile.errors import InvalidArgument
+from pinmobile.forces import Force
+from pinmobile.integrators import Integrator
+from pinmobile.loop import Record, Sample
+from pinmobile.parts import OnCoordinates, array, child, part
+from pinmobile.plant import Plant, coordinates_of, inputs_of
+from pinmobile.trajectories import Trajectory
+
+_DOUBLE = 1e-7  # imaginary part that rounding gives to two equal real poles
+_ROUNDING = 1e-12  # relative size of singular values that are 0
+_NEUTRAL = 1e-9  # distance of a pole from the unit circle that is rounding
+_FREQUENCIES = 2000  # of the search for crossings, over five decades below half the sample rate
+_PROBE = "controller.probe"
+
+
+@final
+@part
+class _Probed(Wrapper):
+    """Wrapper that adds an input of which the controller does not know."""
+
+    controller: Any = child(Controller, doc="controller")
+    probe: Any = array(shapes=(("nu",),), doc="added input")
+
+    def initial_state(self, context: Any) -> Any:
+        """Return the state of the controller."""
+        return (self.controller.initial_state(context),)
+
+    def applied(self, u: Array, state: Any) -> Any:
+        """Return the next state; the controller receives its own share."""
+        return (told(self.controller, u - self.probe, state[0]),)
+
+    def __call__(self, t: Any, q: Any, v: Any, reference: Any, state: Any) -> Any:
+        """Return the input and the next state."""
+        u, inner = answer_of(self.controller, t, q, v, reference, state[0])
+        return u + self.probe, (inner,)
+
+
+@final
+@part
+class _Inputs:
+    """Recorder of the inputs."""
+
+    signals, errors = False, False
+
+    def initial_state(self, n: int, nu: int) -> None:
+        """Return None: the recorder has no memory."""
+
+    def __call__(self, sample: Sample, state: None) -> Record:
+        """Return the input as a record."""
+        return Record(None, kept={"u": sample.u})
+
+
+class Margins(NamedTuple):
+    """Margins of one input of a stable loop, whose other inputs stay closed.
+
+    Attributes
+    ----------
+    gain : (float, float)
+        Smallest and largest factor of the input with which the loop stays stable.
+    phase : float
+        Phase lag with which the loop stays stable [rad].
+    delay : float
+        Delay with which the loop stays stable [s].
+    disk : float
+        Disk margin, from 0 to 2: the loop stays stable for gains from (2 - disk) / (2 + disk) to its inverse
+        and for phases up to 2 arctan(disk / 2), also together (Seiler, Packard and Gahinet, "An introduction to
+        disk margins", IEEE Control Systems Magazine 40, 2020).
+
+    See Also
+    --------
+    derivatives.Poles.margins : margins of all inputs.
+
+    Examples
+    --------
+    >>> from pinmobile.derivatives import Margins
+    >>> print(Margins((0.0, 4.0), 0.7, 0.05, 0.6))
+    gain 0 to 4, phase 40.1 deg, delay 0.05 s, disk 0.6
+    """
+
+    gain: tuple[float, float]
+    phase: float
+    delay: float
+    disk: float
+
+    def __str__(self) -> str:
+        low, high = self.gain
+        return (
+            f"gain {low:.3g} to {high:.3g}, phase {np.degrees(self.phase):.1f} deg, delay {self.delay:.3g} s, "
+            f"disk {self.disk:.3g}"
+        )
+
+    @classmethod
+    def of(cls, sensitivity: Callable[[Array], Any], dt: float) -> Margins:
+        """Return the margins of a loop from its sensitivity S = 1 / (1 + L) at frequencies [rad/s]."""
+        from scipy.optimize import brentq, minimize_scalar
+
+        def loop(w: Any) -> Any:
+            return 1.0 / sensitivity(np.atleast_1d(w)) - 1.0
+
+        top = np.pi / dt
+        w = np.append(top * np.logspace(-5, 0, _FREQUENCIES)[:-1], top * (1 - 1e-12))
+        values = loop(w)
+
+        def crossings(function: Callable[[Any], Any], at: Any) -> list[float]:
+            signs = np.sign(function(at))
+            places = np.flatnonzero(signs[1:] * signs[:-1] < 0)
+            return [brentq(lambda x: function(loop(x))[0], w[k], w[k + 1], xtol=1e-12 * top) for k in places]
+
+        real = [float(loop(x)[0].real) for x in crossings(lambda x: x.imag, values)] + [
+            float(values[-1].real)
+        ]
+        factors = [-1.0 / x for x in real if x < 0]
+        unit = crossings(lambda x: np.abs(x) - 1.0, values)
+        lags = [float(np.angle(-loop(x)[0])) % (2 * np.pi) for x in unit]
+        peaks = np.abs(2.0 * sensitivity(w) - 1.0)
+        k = int(peaks.argmax())
+        near = w[max(k - 1, 0)], w[min(k + 1, len(w) - 1)]
+        best = minimize_scalar(lambda x: -abs(2.0 * sensitivity(np.atleast_1d(x))[0] - 1.0), bounds=near)
+        return cls(
+            (
+                max((x for x in factors if x < 1), default=0.0),
+                min((x for x in factors if x > 1), default=np.inf),
+            ),
+            min((min(x, 2 * np.pi - x) for x in lags), default=np.inf),
+            min((x / at for x, at in zip(lags, unit, strict=True)), default=np.inf),
+            2.0 / max(-float(best.fun), float(peaks[k])),
+        )
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Poles:
+    """Poles of a sampled closed loop near one sample.
+
+    Attributes
+    ----------
+    values : ndarray of complex, shape (n,)
+        Eigenvalues z of the matrix, the largest first.
+    matrix : ndarray, shape (n, n)
+        Derivatives of the state after a sample by the state before it: plant, memory and delays.
+    states : tuple of str
+        Name of each state.
+    dt, t : float
+        Time step, and time of the sample [s].
+    pushed : ndarray, shape (n, nu), optional
+        Derivatives of the state after the sample by an addition to each input.
+    heard : ndarray, shape (nu, n), optional
+        Derivatives of the input by the state.
+    direct : ndarray, shape (nu, nu), optional
+        Derivatives of the input by the addition.
+    inputs : tuple of str
+        Name of each input.
+
+    See Also
+    --------
+    derivatives.poles : linearize a loop.
+    plots.poles : figure of the poles.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile.derivatives import Poles
+    >>> values, matrix = np.array([0.9 + 0j]), np.array([[0.9]])
+    >>> found = Poles(values, matrix, ("x",), dt=0.1, t=0.0)
+    >>> found.frequency, found.damping  # [rad/s], [1]
+    (array([1.05...]), array([1.]))
+    """
+
+    values: Any
+    matrix: Array
+    states: tuple[str, ...]
+    dt: float
+    t: float
+    pushed: Any = None
+    heard: Any = None
+    direct: Any = None
+    inputs: tuple[str, ...] = ()
+
+    @property
+    def continuous(self) -> Any:
+        """Poles s = log(z) / dt, shape (n,) [1/s]; those of delays, z = 0, are minus infinity."""
+        with np.errstate(divide="ignore"):
+            size = np.log(np.abs(self.values))
+        angle = np.where(np.isfinite(size), np.angle(self.values), 0.0)
+        return size / self.dt + 1j * (angle / self.dt)
+
+    @property
+    def frequency(self) -> Array:
+        """Natural frequency of each pole, shape (n,) [rad/s]."""
+        return np.asarray(np.abs(self.continuous))
+
+    @property
+    def damping(self) -> Array:
+        """Damping ratio of each pole, shape (n,): 1 if it is real and stable, below 0 if it is unstable."""
+        s = self.continuous
+        size = np.abs(s)
+        known = np.isfinite(size) & (size > 0)
+        return np.asarray(np.divide(-s.real, size, out=np.ones_like(size), where=known))
+
+    @property
+    def is_stable(self) -> bool:
+        """Whether small deviations near this sample do not grow."""
+        return bool(np.abs(self.values).max() <= 1.0 + _NEUTRAL)
+
+    def sensitivity(self, frequency: ArrayLike) -> Any:
+        """Return the response of the inputs to additions to them, S = 1 / (1 + L).
+
+        Parameters
+        ----------
+        frequency : array_like, shape (m,)
+            Frequencies, 0 to pi / dt [rad/s].
+
+        Returns
+        -------
+        ndarray of complex, shape (m, nu, nu)
+            Responses.
+        """
+        z = np.exp(1j * np.asarray(frequency, float) * self.dt)[..., None, None]
+        return self.direct + self.heard @ np.linalg.solve(
+            z * np.eye(len(self.matrix)) - self.matrix, self.pushed
+        )
+
+    @cached_property
+    def margins(self) -> Mapping[str, Margins]:
+        """Margins of each input, by its name, while the others stay closed; none if the loop is unstable."""
+        if not self.is_stable:
+            return {}
+
+        def response(i: int) -> Callable[[Array], Any]:
+            return lambda w: self.sensitivity(w)[:, i, i]
+
+        with np.errstate(all="ignore"):
+            return {name: Margins.of(response(i), self.dt) for i, name in enumerate(self.inputs)}
+
+    def plot(self) -> Any:
+        """Return the figure of the poles, see `plots.poles`."""
+        from pinmobile import plots
+
+        return plots.poles(self)
+
+    def __str__(self) -> str:
+        size = float(np.abs(self.values).max())
+        word = "grow" if not self.is_stable else "do not decay" if size > 1 - _NEUTRAL else "decay"
+        dead = np.count_nonzero(self.values == 0)
+        lines = [
+            f"{len(self.values)} poles at t = {self.t:g} s, {dead} of them at 0, "
+            f"largest |z| = {size:.4f}: small deviations {word} near this sample, which proves "
+            "nothing about a whole trajectory"
+        ]
+        for z, w, d in zip(self.values, self.frequency, self.damping, strict=True):
+            if z and z.imag >= 0:
+                pair = " +- " if z.imag > 0 else "    "
+                lines.append(f"  z = {z.real:7.4f}{pair}{z.imag:.4f}j, {w:8.3f} rad/s, damping {d:6.3f}")
+        return "\n".join(lines)
+
+
+def poles(
+    plant: Plant,
+    controller: Controller,
+    trajectory: Trajectory,
+    *,
+    dt: float,
+    at: float = 0.0,
+    q0: ArrayLike | None = None,
+    v0: ArrayLike | None = None,
+    integrator: Integrator | None = None,
+    substeps: int = 1,
+    forces: Sequence[Force | OnCoordinates] | Mapping[str, Force | OnCoordinates] = (),
+) -> Poles:
+    """Return the poles of a sampled closed loop at a sample of its run.
+
+    The loop with all its memory, delays and holds is linearized, exactly up to rounding. Eigenvalues inside
+    the unit circle mean that small deviations decay if the loop stays at this sample, such as at rest or on
+    a steady motion. Along a trajectory on which the matrix changes, they prove nothing about stability.
+
+    Parameters
+    ----------
+    plant, controller, trajectory, dt, q0, v0, integrator, substeps, forces
+        Closed loop, see `simulate`.
+    at : float
+        Time of the sample [s]; the first sample counts as the second one, after which delays are full.
+
+    Returns
+    -------
+    Poles
+        Eigenvalues, matrix, frequencies, damping ratios and margins of each input.
+
+    Raises
+    ------
+    InvalidArgument
+        If an argument is invalid, the loop cannot be compiled, or its plant has dry friction at its wheels.
+
+    See Also
+    --------
+    derivatives.gradient : derivatives of a whole run.
+
+    Examples
+    --------
+    >>> from pinmobile import PD, FixedHeading, Hold, MobileRobot
+    >>> from pinmobile.derivatives import poles
+    >>> rest = FixedHeading(Hold((0, 0), 1.0), 0.0)
+    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
+    >>> found = poles(robot, PD(120, (120, 120, 10)), rest, dt=0.05)
+    >>> found.values.size
+    6
+    >>> f"{abs(found.values).max():.3f}"
+    '0.920'
+    """
+    if not scalar("at", at) >= 0:
+        raise InvalidArgument(f"at is {at} s, expected a time in the run")
+    probed = _Probed(controller, np.zeros(plant.nu))
+    options: dict[str, Any] = {"dt": dt, "forces": forces, "integrator": integrator, "substeps": substeps}
+    parts = plant, probed, trajectory
+    problem = problem_of(*parts, recorder=_Inputs(), by=[_PROBE], start=(q0, v0), n=1, **options)
+    t = problem.scenario.t
+    if at > t[-1]:
+        raise InvalidArgument(f"at is {at} s, expected a time in the run, 0 to {t[-1]:g} s")
+    k = min(max(1, round(at / problem.scenario.dt)), len(t) - 1)
+    with differentiated():
+        matrix, heard = _linearized(problem, k)
+    n = len(problem.machine.tape.states)
+    matrix, pushed = matrix[:, :n], matrix[:, n:]
+    # Chains of delays have poles 0, which rounding scatters: leave them out by the range of a power.
+    power = np.linalg.matrix_power(matrix, 1 + problem.machine.longest)
+    left, sizes, _ = np.linalg.svd(power)
+    basis = left[:, sizes > _ROUNDING * sizes[0]]
+    values = np.zeros(n, complex)
+    values[: basis.shape[1]] = np.linalg.eigvals(basis.T @ matrix @ basis)
+    values.imag[np.abs(values.imag) < _DOUBLE] = 0.0
+    order = np.lexsort([-values.imag, -np.round(np.abs(values), 6)])
+    inputs = tuple(one.name for one in inputs_of(plant))
+    outputs = pushed, heard[:, :n], heard[:, n:], inputs
+    return Poles(values[order], matrix, _names(problem), problem.scenario.dt, float(t[k]), *outputs)
+
+
+def _linearized(problem: Problem, k: int) -> tuple[Array, Array]:
+    """Return the derivatives of state and input by state and probe at sample k, (n, n + nu), (nu, n + nu)."""
+    machine, inputs = problem.machine, problem.inputs({})
+    n, leaf = len(machine.tape.states), machine.tape.parameters[_PROBE]
+    places = [("row", leaf.first + i) for i in range(int(np.prod(leaf.shape)))]
+    m = n + len(places)
+    before = inputs._replace(samples=inputs.samples[: k + 1])
+    _, recorded = problem.run(machine.of("recording", machine.recording, False), before, slice(None))
+    made = machine.of("one sample", lambda: tangent(replaced(machine.tape, counted=[]), places), True)
+    both = np.eye(m)
+    given = inputs._replace(
+        states=np.concatenate([np.tile(recorded["state"][0, k][:, None], m), both[:n]]),
+        rows=np.concatenate([np.tile(inputs.rows, m), both[n:]]),
+        samples=inputs.samples[k : k + 1],
+    )
+    final, kept = problem.run(made, given, slice(None), first=k, copies=m)
+    return final[n:], kept["tangent u"][:, 0].T
+
+
+def _names(problem: Problem) -> tuple[str, ...]:
+    """Return the names of the states."""
+    plant, tape = problem.scenario.robot, problem.machine.tape
+    found = [one.name for one in coordinates_of(plant)]
+    nq, nv = tape.sizes[:2]
+    found = found if nq == nv else [f"q[{i}]" for i in range(nq)]
+    found += [one.rate or f"{one.name}_rate" for one in coordinates_of(plant)]
+    for leaf in tape.leaves:
+        if leaf.kind == "state":
+            found += [f"{leaf.owner} {leaf.path}"] * int(np.prod(leaf.shape))
+    return (*found, *["delay"] * (len(tape.states) - len(found)))

@@ -1,0 +1,569 @@
+"""A closed loop with losses, as machine code that runs it forwards, with tangents, and backwards."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from copy import copy
+from dataclasses import dataclass, field, replace as replaced
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pinmobile.arrays import Array
+from pinmobile.compiled import (
+    Identity,
+    LoopTape,
+    Program,
+    Shape,
+    Target,
+    adjoint,
+    aligned,
+    bits_of_indices,
+    processors,
+    robot_keys,
+    sides,
+    tangent,
+    uncollected,
+    without_delays,
+)
+from pinmobile.derivatives._losses import Losses
+from pinmobile.errors import InvalidArgument, NotTraceable
+from pinmobile.loop import (
+    Loop,
+    Scenario,
+    Trace,
+    arrays_of,
+    initial_memories,
+    initial_memory,
+    sampled,
+    scheduled_rows,
+    start_of,
+    traced_numbers,
+)
+from pinmobile.parts import Found, evolved, find, named, replace
+from pinmobile.trajectories import Reference
+
+FEW = 8
+"""Numbers for which forward mode is selected."""
+_STEP = 1e-3  # relative step of differences of what Python computes before the first sample
+_MOST = 32  # machines that are kept
+_RECORD = 2e8  # bytes of the states of all samples that are kept at once
+
+
+_Input: TypeAlias = tuple[str, int]
+
+
+class Inputs(NamedTuple):
+    """Inputs of the machine code of n robots, which Python computes before the first sample; or tangents.
+
+    Attributes
+    ----------
+    states, rows : ndarray, shape (S, n), (R, n)
+        Initial states, and numbers of each robot.
+    uniforms : ndarray, shape (U,)
+        Numbers of all robots.
+    samples : ndarray, shape (N + 1, C)
+        Time, reference and schedules of each sample.
+    tracks : ndarray, shape (N + 1, T, n)
+        Reference of each robot, or nothing.
+    """
+
+    states: Array
+    rows: Array
+    uniforms: Array
+    samples: Array
+    tracks: Array
+
+    def some(self, robots: slice) -> Inputs:
+        """Return the inputs of some robots."""
+        own = {"states": self.states, "rows": self.rows, "tracks": self.tracks}
+        return self._replace(**{name: x[..., robots] for name, x in own.items()})
+
+
+class Direction(NamedTuple):
+    """Effect of a number on the inputs: slope 1 of a row, and slopes of others (None: none)."""
+
+    path: str
+    entry: tuple[int, ...]
+    row: int
+    other: Inputs | None
+
+
+def _moved(directions: Sequence[Direction]) -> tuple[list[_Input], list[_Input]]:
+    """Return the inputs of a run, and those of each sample, that depend on some numbers."""
+    run: list[_Input] = [("row", one.row) for one in directions if one.row >= 0]
+    samples: list[_Input] = []
+    for other in (one.other for one in directions if one.other is not None):
+        named_by = (run, "row", other.rows), (run, "uniform", other.uniforms)
+        named_by += (samples, "sample", other.samples.T), (samples, "track", other.tracks.swapaxes(0, 1))
+        for found, kind, x in named_by:
+            found += [(kind, i) for i, each in enumerate(x) if np.any(each)]
+    return [*dict.fromkeys(run)], [*dict.fromkeys(samples)]
+
+
+@dataclass
+class Machine:
+    """Machine code of a loop.
+
+    Attributes
+    ----------
+    tape : LoopTape
+        Loop without delays.
+    longest : int
+        Longest delay [samples].
+    programs : dict
+        Tapes and programs by purpose.
+    """
+
+    tape: LoopTape
+    longest: int
+    kept: list[Any]
+    programs: dict[Any, tuple[LoopTape, Program]] = field(default_factory=dict)
+
+    def of(self, key: Any, make: Callable[[], LoopTape], many: bool) -> tuple[LoopTape, Program]:
+        """Return tape and program of a purpose, which are made once."""
+        key = (key, many)
+        if key not in self.programs:
+            tape = make()
+            self.programs[key] = tape, Program(tape, shape=Shape(Target.here().lanes if many else 1, 1))
+        return self.programs[key]
+
+    @property
+    def plain(self) -> LoopTape:
+        """Loop that keeps nothing but its states."""
+        return replaced(self.tape, kept={}, counted=[])
+
+    def recording(self) -> LoopTape:
+        """Return the loop that keeps the states of all samples."""
+        nodes = [now for now, _ in self.tape.states]
+        return replaced(self.plain, kept={"state": ((len(nodes),), nodes)})
+
+    def watching(self) -> LoopTape:
+        """Return the loop that keeps the sides of its kinks, and whether wheels slide."""
+        tape = self.tape
+        nodes = [tape.tape.number(tape.tape.at(i)) for i in sides(self.plain)]
+        slides = {name: x for name, x in tape.kept.items() if name == "slides"}
+        return replaced(self.plain, kept={"sides": ((len(nodes),), nodes), **slides})
+
+
+_machines: OrderedDict[Any, Machine] = OrderedDict()
+
+
+class Problem:
+    """Closed loop with a recorder, and the numbers by which it is differentiated.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Loop, and its robots.
+    recorder : recorder
+        Recorder of the loop.
+    by : sequence of str
+        Numbers by name.
+    start : (q0, v0)
+        Initial state of one robot, None: the start of the reference.
+    """
+
+    def __init__(
+        self, scenario: Scenario, recorder: Any, by: Sequence[str], start: Any = (None, None)
+    ) -> None:
+        self.scenario, self.n, self.start = scenario, scenario.n, start
+        is_ensemble = self.n > 1 or bool(scenario.spread)  # else forces of noise keep their own draws
+        self.values = scenario.values(scenario.draws(), 0, self.n) if is_ensemble else {}
+        self.loop = evolved(scenario.loop, {"recorder": recorder})
+        known, self.found = named(scenario.given), dict[str, Found]()
+        for name in by:
+            one = find(scenario.given, name, known, "by")
+            self.found[one.path] = one
+        numbers = traced_numbers(self.loop)
+        spread = dict(scenario.entries) if is_ensemble else {}
+        for path in {one.leaf.path for one in self.found.values()} & numbers.keys():
+            spread[path] = np.ones(np.shape(numbers[path]), bool)
+        self.given = {path: np.asarray(x.leaf.value, float) for path, x in known.items() if not x.label}
+        self.pure: dict[str, bool] = {}
+        self._base: Any = None
+        self.spread, self.own = spread, scenario.has_own_references
+        self.machine = self._machine()
+
+    def _machine(self) -> Machine:
+        scenario, loop = self.scenario, self.loop
+        begun = initial_memory(loop, scenario.context)
+        others = loop.substeps, loop.steps, tuple(map(np.shape, scenario.reference)), self.own, "derivatives"
+        self.identity = Identity.of(loop, begun[2:], self.spread, others)
+        known = _machines.get(self.identity.key)
+        if known is None:
+            first = Reference(*(x[0] for x in scenario.reference))
+            q, v = self._single(scenario, loop)
+            parts = loop, scenario.context, (q, v), first, self.identity, self.spread, self.own
+            traced = Trace(*parts, own_schedules=True).result()
+            longest = max((ring.samples for ring in traced.rings), default=0)
+            known = _machines[self.identity.key] = Machine(
+                without_delays(traced), longest, self.identity.kept
+            )
+            while len(_machines) > _MOST:
+                _machines.popitem(last=False)
+        return known
+
+    def _single(self, scenario: Scenario, loop: Loop) -> tuple[Array, Array]:
+        return start_of(loop.plant, scenario.reference, *self.start)
+
+    def _changed(self, changes: Mapping[str, Any]) -> tuple[Scenario, Loop]:
+        """Return scenario and loop with other numbers, by path."""
+        loop, base = replace(self.loop, changes), self.scenario
+        if loop.plant is self.loop.plant and loop.trajectory is self.loop.trajectory:
+            return base, loop
+        scenario = copy(base)  # without what it has derived
+        own = {"robot": loop.plant, "controller": loop.controller, "trajectory": loop.trajectory}
+        own |= {"forces": loop.forces, "reference": sampled(loop.trajectory, base.t, loop.plant)}
+        scenario.__dict__.update(own)
+        return scenario, loop
+
+    def inputs(self, changes: Mapping[str, Any]) -> Inputs:
+        """Return the inputs of the machine code for other numbers than the given ones, by path."""
+        n, tape = self.n, self.machine.tape
+        scenario, loop = self._changed(changes) if changes else (self.scenario, self.loop)
+        values = dict(self.values)
+        for path, value in changes.items():
+            if path in values or path.startswith("start"):
+                values[path] = values.get(path, np.zeros((n, 1))) + (np.asarray(value) - self.given[path])
+        q, v, tracks = self._begun(scenario, loop, values)
+        states, rows, uniforms = (
+            np.zeros((len(tape.states), n)),
+            np.zeros((tape.rows, n)),
+            np.zeros(tape.uniforms),
+        )
+        uniforms[0] = scenario.dt / loop.substeps
+        states[: len(q) + len(v)] = np.concatenate([q, v])
+        into: dict[str, Any] = {"state": states, "row": rows, "uniform": uniforms}
+        numbers = traced_numbers(loop)
+
+        def put(leaf: Any, value: Array) -> None:
+            if leaf.kind == "uniform" or value.ndim == len(leaf.shape):
+                flat = np.broadcast_to(value, leaf.shape).ravel()
+                into[leaf.kind][leaf.first : leaf.first + flat.size].T[...] = flat
+            else:
+                flat = value.reshape(n, -1).T
+                into[leaf.kind][leaf.first : leaf.first + len(flat)] = flat
+
+        for path, leaf in tape.parameters.items():
+            put(leaf, np.asarray(values[path] if path in values else numbers[path], float))
+        begun = arrays_of(initial_memory(loop, scenario.context))
+        own = {path: x for path, x in self.values.items() if path in self.spread}
+        owners = {path.partition(".")[0] for path in own}
+        if any(leaf.owner in owners for leaf in tape.leaves):
+            begun = initial_memories(
+                loop, scenario.context, {path: values[path] for path in own}, n, self.identity
+            )
+        for leaf, value in zip(tape.leaves, begun, strict=True):
+            put(leaf, np.asarray(value, float))
+        given = [np.reshape(each, (len(scenario.t), -1)) for each in self._schedules(scenario, loop)]
+        samples = np.concatenate([scenario.t[:, None], *scenario.reference, *given], axis=1)
+        return Inputs(states, rows, uniforms, samples, tracks)
+
+    def _schedules(self, scenario: Scenario, loop: Loop) -> list[Array]:
+        return scheduled_rows(loop, scenario.context) if self.machine.tape.scheduled else []
+
+    def _begun(
+        self, scenario: Scenario, loop: Loop, values: Mapping[str, Array]
+    ) -> tuple[Array, Array, Array]:
+        """Return initial states, shape (nq, n) and (nv, n), and references of each robot."""
+        moved = [
+            x
+            for path, x in values.items()
+            if path.partition(".")[0] in ("plant", "start", "start_rate", "trajectory")
+        ]
+        key = [loop.plant, loop.trajectory, *moved]
+        if self._base is not None and len(key) == len(self._base[0]):
+            if all(x is y or np.array_equal(x, y) for x, y in zip(key, self._base[0], strict=True)):
+                return self._base[1]  # type: ignore[no-any-return]
+        own, n = scenario.references(values, self.n), self.n
+        if scenario.spread and all(x is None for x in self.start):
+            q, v = scenario.starts(values, n, own)
+        else:
+            q, v = self._single(scenario, loop)
+            if "start" in values:
+                q = np.array([loop.integrate(q, x) for x in values["start"]], float)
+            v = v + values.get("start_rate", 0.0)
+        q, v = (np.broadcast_to(x, (n, x.shape[-1])) for x in (q, v))
+        nothing = np.zeros((len(scenario.t), 0, n))
+        tracks = nothing if own is None else np.concatenate([x.swapaxes(1, 2) for x in own], axis=1)
+        found = q.T, v.T, tracks
+        if self._base is None:
+            self._base = key, found
+        return found
+
+    def directions(self, inputs: Inputs, changes: Mapping[str, Any]) -> list[Direction]:
+        """Return the effect of each entry of each number on the inputs.
+
+        A number of the law has the slope 1. Other inputs that depend on a number in Python, such as the
+        reference, are differentiated by central differences and Richardson's extrapolation.
+        """
+        return [*self._directions(inputs, dict(changes))]
+
+    def _directions(self, inputs: Inputs, changes: dict[str, Any]) -> Iterator[Direction]:
+        for path, one in self.found.items():
+            at = one.leaf.path
+            value = np.asarray(changes.get(at, self.given[at]), float)
+            leaf = self.machine.tape.parameters.get(at)
+            entries = [one.place(value.ndim)] if one.entry is not None else [*np.ndindex(value.shape)]
+            rows = slice(0, 0) if leaf is None else slice(leaf.first, leaf.first + value.size)
+            places = np.arange(value.size).reshape(value.shape)
+
+            def moved(step: Any, at: str = at, value: Array = value, rows: slice = rows) -> Inputs:
+                changed = value + step
+                found = self.inputs({**changes, at: changed if changed.ndim else float(changed)})
+                found.rows[rows] = inputs.rows[rows]  # its own effect is known
+                return found
+
+            if path not in self.pure:
+                step = _STEP * np.maximum(1.0, np.abs(value))
+                self.pure[path] = all(map(np.array_equal, moved(step), inputs))
+            for entry in entries:
+                row = -1 if leaf is None else leaf.first + int(places[entry])
+                other = None
+                if not self.pure[path]:
+                    h = np.zeros(value.shape)
+                    h[entry] = _STEP * max(1.0, abs(float(value[entry])))
+                    points = zip(*(moved(h * x) for x in (0.5, -0.5, 1.0, -1.0)), strict=True)
+                    other = Inputs(*((8 * (a - b) - (c - d)) / (6 * h[entry]) for a, b, c, d in points))
+                yield Direction(path, entry, row, other)
+
+    def run(
+        self,
+        made: tuple[LoopTape, Program],
+        inputs: Inputs,
+        robots: slice,
+        extra: Sequence[Array] = (),
+        first: int = 0,
+        copies: int = 1,
+    ) -> tuple[Array, dict[str, Array]]:
+        """Return the states after the last sample, shape (S, m), and kept values, shape (m, N + 1, ...).
+
+        Parameters
+        ----------
+        made : (LoopTape, Program)
+            Tape and machine code.
+        inputs : Inputs
+            Inputs of m columns.
+        robots : slice
+            Robots of the columns, for their noise.
+        extra : sequence of ndarray, shape (N + 1,)
+            Further columns of the samples.
+        first : int
+            Index of the first sample.
+        copies : int
+            Number of columns of a robot.
+        """
+        tape, program = made
+        states, rows, uniforms, samples, tracks = inputs
+        m, lanes = states.shape[1], program.shape.width
+        blocks = aligned((-(-m // lanes), len(tape.states) + tape.rows + len(tape.keys), lanes))
+        whose, seed = range(self.n)[robots], self.scenario.seed
+        keys = [np.repeat(robot_keys(seed, name, whose).view(np.float64), copies)[None] for name in tape.keys]
+        program.set_rows(blocks, 0, np.concatenate([states, rows, *keys]))
+        kept = aligned((len(blocks), len(samples), tape.outputs_kept + tape.tracks, lanes))
+        for k in range(len(samples) if tape.tracks else 0):
+            program.set_rows(kept[:, k], tape.outputs_kept, tracks[k])
+        nothing = np.empty((len(samples), 0))
+        columns = [samples[:, 1:], *(np.reshape(each, (len(samples), 1)) for each in extra)]
+        given = program.samples_of(samples[:, 0], (nothing,) * 3, uniforms, columns, first)
+        program.called(blocks, given, uniforms, kept, m, 1, threads=processors(), first=first)
+        final = blocks.swapaxes(0, 1)[: len(tape.states)].reshape(len(tape.states), -1)[:, :m]
+        return final, program.kept_samples(kept, m)
+
+    def plain(self, inputs: Inputs, robots: slice = slice(None), copies: int = 1) -> Array:
+        """Return the states after the last sample, shape (S, m)."""
+        many = inputs.states.shape[1] > 1
+        return self.run(
+            self.machine.of("plain", lambda: self.machine.plain, many), inputs, robots, copies=copies
+        )[0]
+
+    def kinks(self, inputs: Inputs) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
+        """Return how often each robot changes the side of a kink, and between sticking and sliding, (n,)."""
+        made = self.machine.of("watching", self.machine.watching, self.n > 1)
+        found = np.zeros((2, self.n), int)
+        for some in self._groups(made[0].outputs_kept, len(inputs.samples)):
+            _, kept = self.run(made, inputs.some(some), some)
+            for row, name in enumerate(("sides", "slides")):
+                if name in kept:
+                    found[row, some] = np.count_nonzero(np.diff(kept[name], axis=1), axis=(1, 2))
+        return found[0], found[1]
+
+    def _groups(self, size: int, samples: int) -> list[slice]:
+        """Return groups of robots whose kept values, `size` for each sample, are affordable."""
+        step = max(8, int(_RECORD / (8 * max(1, size) * samples)))
+        return [slice(k, min(k + step, self.n)) for k in range(0, self.n, step)]
+
+    def tangents(
+        self, inputs: Inputs, directions: Sequence[Direction]
+    ) -> tuple[Array, Array, dict[str, Array]]:
+        """Return final states (S, n), their tangents (S, n, P), and kept values and tangents, (n P, N + 1, ...)."""
+        machine, n, P = self.machine, self.n, len(directions)
+        rows, tracked = _moved(directions)
+        operations = [*rows, *tracked]
+        key = "tangent", tuple(operations)
+        made = machine.of(key, lambda: tangent(replaced(machine.tape, counted=[]), operations), n * P > 1)
+        S = len(machine.tape.states)
+        slopes = np.zeros((S, n, P))
+        own = np.zeros((len(rows), n, P))
+        tracks = np.zeros((len(inputs.samples), len(tracked), n, P))
+        for p, one in enumerate(directions):
+            if one.row >= 0:
+                own[rows.index(("row", one.row)), :, p] = 1.0
+            if one.other is not None:
+                slopes[:, :, p] = one.other.states
+                for j, (kind, i) in enumerate(rows):
+                    own[j, :, p] += one.other[1][i] if kind == "row" else one.other[2][i]
+                for j, (kind, i) in enumerate(tracked):
+                    column = one.other[3][:, i, None] if kind == "sample" else one.other[4][:, i]
+                    tracks[:, j, :, p] = column
+        final, kept = np.empty((2 * S, n, P)), dict[str, list[Array]]()
+        size = P * (made[0].outputs_kept + made[0].tracks + 1)
+        for some in self._groups(size, len(inputs.samples)):
+            part = inputs.some(some)
+
+            def wide(x: Array, with_: Array) -> Array:
+                both = np.concatenate([np.repeat(x[..., None], P, axis=-1), with_], axis=-3)
+                return both.reshape(*both.shape[:-2], both.shape[-2] * P)
+
+            given = Inputs(
+                wide(part.states, slopes[:, some]),
+                wide(part.rows, own[:, some]),
+                *part[2:4],
+                wide(part.tracks, tracks[:, :, some]),
+            )
+            states, values = self.run(made, given, some, copies=P)
+            final[:, some] = states.reshape(2 * S, -1, P)
+            for name, x in values.items():
+                kept.setdefault(name, []).append(x)
+        return final[:S, :, 0], final[S:], {name: np.concatenate(x) for name, x in kept.items()}
+
+    def adjoints(
+        self, inputs: Inputs, directions: Sequence[Direction], at: Sequence[int]
+    ) -> tuple[Array, Array]:
+        """Return final states (S, n), and the slopes of L of them by each direction, shape (L, n, P)."""
+        machine, n, L = self.machine, self.n, len(at)
+        wanted, tracked = _moved(directions)
+        columns, S = inputs.samples.shape[1], len(machine.tape.states)
+        record = machine.of("recording", machine.recording, n > 1)
+        key = "adjoint", tuple(wanted), tuple(tracked)
+        back = machine.of(key, lambda: adjoint(machine.tape, wanted, columns, tracked), n * L > 1)
+        final, slopes = np.empty((S, n)), np.zeros((L, n, len(directions)))
+        count = len(inputs.samples)
+        for some in self._groups(S + len(tracked) * L, count):
+            part = inputs.some(some)
+            final[:, some], kept = self.run(record, part, some)
+            m = part.states.shape[1]
+            seed = np.zeros((S + len(wanted), m, L))
+            seed[at, :, range(L)] = 1.0
+            recorded = np.concatenate([np.moveaxis(kept["state"], 0, 2), part.tracks], axis=1)[::-1]
+            given = Inputs(
+                seed.reshape(len(seed), -1),
+                np.repeat(part.rows, L, axis=1),
+                part.uniforms,
+                part.samples[::-1],
+                np.repeat(recorded, L, axis=2),
+            )
+            found, by_sample = self.run(back, given, some, [bits_of_indices(count)], copies=L)
+            adjoints = found.reshape(len(found), m, L)
+            each = by_sample["sample"].reshape(m, L, count, -1)[:, :, ::-1]
+            rows = {one: adjoints[S + j] for j, one in enumerate(wanted)}
+            for p, one in enumerate(directions):
+                total = np.zeros((m, L))
+                if one.row >= 0:
+                    total += rows["row", one.row]
+                if one.other is not None:
+                    other = one.other.some(some)
+                    total += np.einsum("sm,sml->ml", other.states, adjoints[:S])
+                    for (kind, i), x in rows.items():
+                        total += x * (other.rows[i][:, None] if kind == "row" else other.uniforms[i])
+                    for j, (kind, i) in enumerate(tracked):
+                        series = other.samples[:, i, None] if kind == "sample" else other.tracks[:, i]
+                        total += np.einsum("mlk,km->ml", each[..., j], np.broadcast_to(series, (count, m)))
+                slopes[:, some, p] = total.T
+        return final, slopes
+
+
+def problem_of(
+    *parts: Any, recorder: Any, by: Sequence[str], start: Any = (None, None), **options: Any
+) -> Problem:
+    """Return the problem of a loop whose parts are arguments of `Scenario`.
+
+    Raises
+    ------
+    InvalidArgument
+        If an argument is invalid, or the loop cannot be compiled.
+    """
+    plant, controller, trajectory = parts
+    own = {"robot": plant, "controller": controller, "trajectory": trajectory, "metrics": ()}
+    options["spread"] = options.get("spread") or {}
+    with differentiated():
+        return Problem(Scenario(**own, **options), recorder, by, start)
+
+
+@contextmanager
+def differentiated() -> Iterator[None]:
+    """Enter a context in which a loop without derivative raises `InvalidArgument`."""
+    try:
+        with np.errstate(all="ignore"), uncollected():
+            yield
+    except NotTraceable as error:
+        raise InvalidArgument(f"this loop has no derivative: {error.reason}") from error
+
+
+class Evaluation(NamedTuple):
+    """Losses of n robots and their derivatives.
+
+    Attributes
+    ----------
+    values : ndarray, shape (L, n)
+        Losses.
+    slopes : ndarray, shape (L, n, P)
+        Derivatives by each entry of each number.
+    directions : list of Direction
+        The entries.
+    inputs : Inputs
+        Inputs of the machine code.
+    """
+
+    values: Array
+    slopes: Array
+    directions: list[Direction]
+    inputs: Inputs
+
+
+def evaluated(problem: Problem, losses: Losses, changes: Mapping[str, Any], mode: str | None) -> Evaluation:
+    """Return the losses of the robots with other numbers, and their derivatives in a mode.
+
+    Parameters
+    ----------
+    problem : Problem
+        Loop whose recorder is `losses`.
+    losses : Losses
+        Losses.
+    changes : mapping of str to ndarray
+        Numbers by path.
+    mode : str, optional
+        ``"forward"`` or ``"reverse"``; None: only the values.
+    """
+    first = next(leaf.first for leaf in problem.machine.tape.leaves if leaf.owner == "recorder")
+    at = [first + i for i in range(len(losses.losses))]
+    with differentiated():
+        inputs = problem.inputs(changes)
+        directions = problem.directions(inputs, changes) if mode else []
+        if mode == "forward":
+            final, tangents, _ = problem.tangents(inputs, directions)
+            slopes = tangents[at]
+        elif mode == "reverse":
+            final, slopes = problem.adjoints(inputs, directions, at)
+        else:
+            final, slopes = problem.plain(inputs), np.zeros((len(at), problem.n, 0))
+        pairs = [
+            one.finished(final[i], len(inputs.samples)) for one, i in zip(losses.losses, at, strict=True)
+        ]
+        values = np.array([value for value, _ in pairs])
+        slopes = slopes * np.array([slope for _, slope in pairs])[:, :, None]
+    return Evaluation(values, slopes, directions, inputs)

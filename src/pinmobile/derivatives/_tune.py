@@ -1,0 +1,492 @@
+"""`tune`: numbers of the parts that make a loss of a run, or of an ensemble, as small as possible."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace as replaced
+from typing import Any, NamedTuple, final
+
+import numpy as np
+
+from pinmobile.arrays import Array, ArrayLike, instance, one_of, whole
+from pinmobile.controllers import Controller
+from pinmobile.derivatives._losses import Loss, Losses
+from pinmobile.derivatives._problem import FEW, Evaluation, Problem, evaluated, problem_of
+from pinmobile.errors import InvalidArgument, shown
+from pinmobile.forces import Force
+from pinmobile.integrators import Integrator
+from pinmobile.loop import Sample, Source
+from pinmobile.metrics import Metric
+from pinmobile.parts import OnCoordinates, replace
+from pinmobile.plant import Plant
+from pinmobile.trajectories import Trajectory
+
+OBJECTIVES = ("mean", "soft maximum", "worst")
+_SOFT = 0.02  # softness of the maximum, as a share of the first loss
+_BEYOND = 1e-6  # violation of a constraint that counts as rounding
+_LARGEST = 12.0  # largest logarithm of the ratio of a tuned number and the first one
+
+
+class Constraint(NamedTuple):
+    """Bounds of a number of each run, which every robot keeps.
+
+    Attributes
+    ----------
+    of : callable, str or Metric
+        Function of a sample, or a metric, as the loss of `gradient`.
+    lower, upper : float
+        Bounds of the reduced values.
+    reduction : str, optional
+        Reduction of the samples; default: the largest value of a function, the worst value of a metric.
+
+    See Also
+    --------
+    derivatives.tune : tune with constraints.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile.derivatives import Constraint
+    >>> def force(sample):
+    ...     return np.abs(sample.u[:2]).max()
+    >>> Constraint(force, upper=150.0).upper  # [N]
+    150.0
+    """
+
+    of: Callable[[Sample], Any] | str | Metric
+    lower: float = -np.inf
+    upper: float = np.inf
+    reduction: str | None = None
+
+    def read(self, plant: Any, trajectory: Any) -> Loss:
+        """Return the loss of the constraint."""
+        if np.isnan([self.lower, self.upper]).any() or not self.lower < self.upper or np.isinf([self.lower, self.upper]).all():
+            raise InvalidArgument(f"Constraint has bounds {self.lower} and {self.upper}, expected lower < upper")
+        reduction = self.reduction
+        if reduction is None and not isinstance(self.of, str | Metric):
+            reduction = "largest" if np.isfinite(self.upper) else "smallest"
+        return Loss.read(self.of, reduction, plant, trajectory, "Constraint")
+
+    def excess(self, value: Any) -> Any:
+        """Return by how much values exceed the bounds."""
+        return np.maximum(np.maximum(self.lower - value, value - self.upper), 0.0)
+
+    def __str__(self) -> str:
+        name = self.of if isinstance(self.of, str) else getattr(self.of, "name", getattr(self.of, "__name__", "number"))
+        low = f"{self.lower:g} <= " if np.isfinite(self.lower) else ""
+        return f"{low}{name}{f' <= {self.upper:g}' if np.isfinite(self.upper) else ''}"
+
+
+class Trial(NamedTuple):
+    """Numbers that were tried.
+
+    Attributes
+    ----------
+    numbers : ndarray, shape (P,)
+        Values of the entries, in the order of `Tuning.names`.
+    loss : float
+        Objective: the loss of one robot, or the mean or largest loss of all.
+    excess : float
+        Largest violation of a constraint.
+
+    See Also
+    --------
+    derivatives.Tuning : result with all trials.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile.derivatives import Trial
+    >>> Trial(np.array([120.0]), loss=0.3, excess=0.0).loss
+    0.3
+    """
+
+    numbers: Array
+    loss: float
+    excess: float
+
+
+@final
+@dataclass(frozen=True, eq=False, repr=False)
+class Tuning:
+    """Result of `tune`.
+
+    Attributes
+    ----------
+    plant, controller, trajectory, forces
+        Parts with the best numbers.
+    names : tuple of str
+        Path of each tuned number; entries of an array have their index.
+    units : tuple of str
+        Units of these numbers.
+    trials : tuple of Trial
+        All trials, the given numbers first.
+    best : Trial
+        Trial with the smallest loss that keeps the constraints.
+    constraints : tuple of Constraint
+        The constraints.
+    objective : str
+        "loss" of one robot; "mean loss" or "largest loss" of all.
+    others : tuple of ndarray
+        Losses before and after of robots that were not used for tuning, shape (n,) each; () for one robot.
+    method : str
+        Method, mode of the gradients and reason of its end.
+    seconds : float
+        Time [s], of which `built` for machine code.
+    built : float
+        Time until the first trial [s].
+
+    See Also
+    --------
+    derivatives.tune : tune a loop.
+
+    Examples
+    --------
+    >>> from pinmobile import PD, Circle, MobileRobot, Tangent
+    >>> from pinmobile.derivatives import tune
+    >>> circle = Tangent(Circle(1.0, 0.5, 4.0))
+    >>> parts = MobileRobot(30.0, 1.3), PD(120, 120), circle
+    >>> def loss(sample):
+    ...     return (sample.error**2).sum() + 1e-5 * (sample.u**2).sum()
+    >>> found = tune(loss, *parts, by=["kp", "kd"], dt=0.02)
+    >>> len(found.names), found.best.loss < found.trials[0].loss
+    (2, True)
+    """
+
+    plant: Any
+    controller: Any
+    trajectory: Any
+    forces: Any
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    trials: tuple[Trial, ...]
+    best: Trial
+    constraints: tuple[Constraint, ...]
+    objective: str
+    others: tuple[Array, ...]
+    method: str
+    seconds: float
+    built: float
+
+    def __repr__(self) -> str:
+        return f"<Tuning: {self.objective} {self.trials[0].loss:.6g} to {self.best.loss:.6g}>"
+
+    def __str__(self) -> str:
+        first, best, names = self.trials[0], self.best, self.names
+        lines = [
+            f"{self.objective} {first.loss:.6g} to {best.loss:.6g} by {len(names)} numbers, "
+            f"{len(self.trials)} trials ({self.method})"
+        ]
+        width = max(map(len, names))
+        moved = np.abs(best.numbers - first.numbers) / np.where(first.numbers == 0, 1.0, np.abs(first.numbers))
+        most = np.sort(np.argsort(-moved)[:_SHOWN])
+        for k in most:
+            unit = f" {self.units[k]}" if self.units[k] else ""
+            lines.append(f"  {names[k]:{width}}  {first.numbers[k]:10.4g} to {best.numbers[k]:10.4g}{unit}")
+        if len(names) > len(most):
+            lines.append(f"  ... and {len(names) - len(most)} numbers that changed less")
+        for one in self.constraints:
+            lines.append(f"  {one}: {'kept' if best.excess <= _BEYOND else f'exceeded by {best.excess:.3g}'}")
+        if self.others:
+            before, after = ((np.mean(x), np.quantile(x, 0.99), np.max(x)) for x in self.others)
+            words = ("mean", "99 %", "largest")
+            each = ", ".join(f"{w} {x:.4g} to {y:.4g}" for w, x, y in zip(words, before, after, strict=True))
+            lines.append(f"  loss of {len(self.others[0])} other robots: {each}")
+        return "\n".join(lines)
+
+
+_SHOWN = 12
+
+
+class _Variables:
+    """Tuned numbers as variables of a minimiser: logarithms of positive ones, shares of others."""
+
+    def __init__(self, problem: Problem, given: Mapping[str, Any]) -> None:
+        self.problem, self.entries, self.names, self.units = problem, list[Any](), list[str](), list[str]()
+        first, limits = list[float](), list[Any]()
+        for path, one in problem.found.items():
+            value = problem.given[one.leaf.path]
+            declared = one.leaf.declared
+            above, low, high = (getattr(declared, name, None) for name in ("above", "lower", "upper"))
+            low = above if above is not None else -np.inf if low is None else low
+            own = given.get(path) or (low, np.inf if high is None else high)
+            places = [one.place(value.ndim)] if one.entry is not None else [*np.ndindex(value.shape)]
+            for entry in places:
+                self.entries.append((one.leaf.path, entry))
+                named = "".join(f"[{i}]" for i in entry) if one.entry is None else ""
+                self.names.append(f"{path}{named}")
+                self.units.append(one.unit.split(", ")[entry[-1] if entry and "," in one.unit else 0])
+                first.append(float(value[entry]))
+                limits.append(own)
+        self.first = np.array(first)
+        self.low, self.high = np.array(limits, float).T
+        wrong = np.flatnonzero((self.first < self.low) | (self.first > self.high))
+        if wrong.size:
+            k = wrong[0]
+            raise InvalidArgument(
+                f"by has bounds {self.low[k]:g} and {self.high[k]:g} for {self.names[k]}, which is {self.first[k]:g}, "
+                "expected bounds around it"
+            )
+        self.is_log = (self.low >= 0) & (self.first > 0)
+        self.scale = np.where(self.first == 0, 1.0, np.abs(self.first))
+
+    @property
+    def bounds(self) -> list[tuple[float | None, float | None]]:
+        """Bounds of the variables."""
+        with np.errstate(divide="ignore"):
+            logs = [np.clip(np.log(x / self.scale), -_LARGEST, _LARGEST) for x in (self.low, self.high)]
+        shares = [(x - self.first) / self.scale for x in (self.low, self.high)]
+        low, high = (np.where(self.is_log, x, y) for x, y in zip(logs, shares, strict=True))
+        return [tuple(None if np.isinf(x) else float(x) for x in pair) for pair in zip(low, high, strict=True)]  # type: ignore[misc]
+
+    def numbers(self, z: Array) -> Array:
+        """Return the numbers of variables, shape (P,)."""
+        shares = np.where(self.is_log, np.exp(np.where(self.is_log, z, 0.0)), 0.0)
+        return np.where(self.is_log, self.first * shares, self.first + self.scale * z)
+
+    def changes(self, numbers: Array) -> dict[str, Any]:
+        """Return the values of the fields by path."""
+        found: dict[str, Any] = {}
+        for (path, entry), x in zip(self.entries, numbers, strict=True):
+            found.setdefault(path, np.array(self.problem.given[path]))[entry] = x
+        return {path: value if value.ndim else float(value) for path, value in found.items()}
+
+    def slopes(self, numbers: Array) -> Array:
+        """Return the slopes of the numbers by the variables, shape (P,)."""
+        return np.where(self.is_log, numbers, self.scale)
+
+
+@dataclass(eq=False)
+class _Search:
+    """Evaluations of the losses, each of which is kept."""
+
+    variables: _Variables
+    losses: Losses
+    constraints: tuple[Constraint, ...]
+    objective: str
+    mode: str
+    progress: Callable[[Trial], Any] | None
+    trials: list[Trial] = field(default_factory=list)
+    last: tuple[bytes, Evaluation | None] = (b"", None)
+
+    def at(self, z: Array) -> Evaluation | None:
+        """Return the evaluation at variables; None if the parts refuse the numbers."""
+        key = z.tobytes()
+        if key != self.last[0]:
+            numbers = self.variables.numbers(z)
+            try:
+                found = evaluated(self.variables.problem, self.losses, self.variables.changes(numbers), self.mode)
+            except InvalidArgument:
+                if not self.trials:
+                    raise
+                found = None
+            self.last = key, found
+            loss = excess = np.inf
+            if found is not None and np.isfinite(found.values).all():
+                loss = self.of(found.values[0])[0]
+                pairs = zip(self.constraints, found.values[1:], strict=True)
+                excess = max((float(one.excess(x).max()) for one, x in pairs), default=0.0)
+            self.trials.append(Trial(numbers, float(loss), excess))
+            if self.progress is not None:
+                self.progress(self.trials[-1])
+        return self.last[1]
+
+    def of(self, losses: Array, soft: float = 0.0) -> tuple[float, Array]:
+        """Return the objective of the robots' losses, and its slopes by them."""
+        if self.objective == "mean":
+            return float(losses.mean()), np.full(losses.shape, 1.0 / losses.size)
+        top = losses.max()
+        if not soft:
+            return float(top), (losses == top) / np.count_nonzero(losses == top)
+        weights = np.exp((losses - top) / soft)
+        return float(top + soft * np.log(weights.mean())), weights / weights.sum()
+
+    def value(self, z: Array, soft: float = 0.0) -> tuple[float, Array]:
+        """Return the objective and its gradient by the variables."""
+        found = self.at(z)
+        if found is None or not np.isfinite(found.values).all() or not np.isfinite(found.slopes).all():
+            return np.inf, np.zeros(len(z))
+        value, weights = self.of(found.values[0], soft)
+        return value, (weights @ found.slopes[0]) * self.variables.slopes(self.trials_numbers(z))
+
+    def trials_numbers(self, z: Array) -> Array:
+        """Return the numbers of variables."""
+        return self.variables.numbers(z)
+
+    def rooms(self, z: Array, bound: bool) -> tuple[Array, Array]:
+        """Return distances from the bounds, >= 0 where they are kept, and their slopes by the variables.
+
+        If `bound`, the last variable is a bound of all losses.
+        """
+        own = z[: len(self.variables.first)]
+        found = self.at(own)
+        values, slopes = [np.zeros(0)], [np.zeros((0, len(z)))]
+        if found is not None:
+            by = found.slopes * self.variables.slopes(self.variables.numbers(own))
+            by = np.concatenate([by, np.zeros((*by.shape[:2], len(z) - len(own)))], axis=2)
+            if bound:
+                values.append(z[-1] - found.values[0] / self.unit)
+                slopes.append(np.eye(len(z))[-1] - by[0] / self.unit)
+            for one, value, slope in zip(self.constraints, found.values[1:], by[1:], strict=True):
+                for limit, sign in ((one.lower, 1.0), (one.upper, -1.0)):
+                    if np.isfinite(limit):
+                        size = max(abs(limit), 1e-3)
+                        values.append(sign * (value - limit) / size)
+                        slopes.append(sign * slope / size)
+        return np.nan_to_num(np.concatenate(values)), np.nan_to_num(np.concatenate(slopes))
+
+    unit: float = 1.0
+
+
+def tune(
+    loss: Callable[[Sample], Any] | str | Metric,
+    plant: Plant,
+    controller: Controller,
+    trajectory: Trajectory,
+    *,
+    by: Sequence[str] | Mapping[str, tuple[float, float] | None],
+    dt: float,
+    reduction: str | None = None,
+    constraints: Sequence[Constraint] = (),
+    duration: float | None = None,
+    q0: ArrayLike | None = None,
+    v0: ArrayLike | None = None,
+    integrator: Integrator | None = None,
+    substeps: int = 1,
+    forces: Sequence[Force | OnCoordinates] | Mapping[str, Force | OnCoordinates] = (),
+    n: int = 1,
+    spread: Mapping[str, Source] | None = None,
+    seed: int = 0,
+    objective: str = "mean",
+    trials: int = 200,
+    progress: Callable[[Trial], Any] | None = None,
+) -> Tuning:
+    """Return the parts with the numbers that minimise a loss, within bounds and constraints.
+
+    SciPy's minimisers take exact gradients: L-BFGS-B; with constraints or the objective "worst", SLSQP. They
+    find a minimum near the given numbers, not the smallest one of all. Positive numbers are varied by their
+    logarithms.
+
+    Parameters
+    ----------
+    loss, plant, controller, trajectory, dt, reduction, duration, q0, v0, integrator, substeps, forces
+        Loss and closed loop, see `gradient`.
+    by : sequence of str, or mapping of str to (float, float)
+        Numbers by path, with bounds if they are narrower than those that the parts declare; None for those.
+    constraints : sequence of Constraint
+        Bounds of other numbers of the runs, such as forces and margins.
+    n, spread, seed
+        Robots of an ensemble, see `ensemble`. The result is checked on other robots, with the next seed.
+    objective : str
+        "mean" loss of the robots; "soft maximum"; or "worst", the largest loss, as a bound of all losses that
+        is a variable.
+    trials : int
+        Largest number of iterations.
+    progress : callable, optional
+        Function that is called with each `Trial`; default: a line on a terminal. Ctrl-C ends the search with
+        the best trial so far.
+
+    Returns
+    -------
+    Tuning
+        The parts with the best numbers, all trials, and the losses of other robots.
+
+    Raises
+    ------
+    InvalidArgument
+        If an argument is invalid, the loop cannot be compiled, or the given numbers diverge.
+
+    See Also
+    --------
+    derivatives.gradient : gradient of a loss.
+    sweep : all combinations of some numbers.
+
+    Examples
+    --------
+    >>> from pinmobile import PD, Circle, MobileRobot, Tangent
+    >>> from pinmobile.derivatives import tune
+    >>> circle = Tangent(Circle(1.0, 0.5, 4.0))
+    >>> parts = MobileRobot(30.0, 1.3), PD(120, 120), circle
+    >>> by = {"kp": (1, 400), "kd": (1, 400)}
+    >>> found = tune("distance", *parts, by=by, dt=0.02)
+    >>> round(found.trials[0].loss, 4), round(found.best.loss, 4)  # [m]
+    (0.059, 0.0179)
+    """
+    from scipy.optimize import minimize
+
+    began = time.perf_counter()
+    one_of("objective", objective, OBJECTIVES)
+    most = whole("trials", trials)
+    given = dict(by) if isinstance(by, Mapping) else dict.fromkeys(by if not isinstance(by, str) else ())
+    if not given:
+        raise InvalidArgument(f"by is {shown(by)}, expected paths of numbers, such as ['controller.kp']")
+    bounds = tuple(instance("constraints", one, Constraint, "derivatives.Constraint") for one in constraints)
+    own = [one.read(plant, trajectory) for one in bounds]
+    losses = Losses((Loss.read(loss, reduction, plant, trajectory), *own))
+    options: dict[str, Any] = {"dt": dt, "duration": duration, "integrator": integrator, "substeps": substeps}
+    options |= {"forces": forces, "n": n, "spread": spread, "seed": seed}
+    parts = plant, controller, trajectory
+    problem = problem_of(*parts, recorder=losses, by=[*given], start=(q0, v0), **options)
+    twice = {one.leaf.path for one in problem.found.values()} & problem.values.keys()
+    if twice:
+        raise InvalidArgument(f"by has {min(twice)!r}, which is in the spread, expected other numbers")
+    pairs = zip(problem.found, given.values(), strict=True)
+    variables = _Variables(problem, {path: pair for path, pair in pairs if pair is not None})
+    dry = "slides" in problem.machine.tape.kept
+    few = len(variables.names) <= FEW * len(losses.losses)
+    mode = "forward" if dry or few else "reverse"
+    search = _Search(variables, losses, bounds, objective, mode, progress or _told)
+    start = np.zeros(len(variables.names))
+    first = search.at(start)
+    built = time.perf_counter() - began
+    if first is None or not np.isfinite(first.values).all():
+        raise InvalidArgument("the loop diverges with the given numbers, expected numbers with finite losses")
+    size = max(abs(search.trials[0].loss), np.finfo(float).tiny)
+    search.unit = size
+    soft = _SOFT * size if objective == "soft maximum" else 0.0
+    worst = objective == "worst" and problem.n > 1
+    ends = {"jac": True, "bounds": variables.bounds, "options": {"maxiter": most}}
+
+    def scaled(z: Array) -> tuple[float, Array]:
+        if worst:
+            return float(z[-1]), np.eye(len(z))[-1]
+        value, slope = search.value(z, soft)
+        return value / size, slope / size
+
+    method = "SLSQP" if bounds or worst else "L-BFGS-B"
+    if method == "SLSQP":
+        rooms = {"fun": lambda z: search.rooms(z, worst)[0], "jac": lambda z: search.rooms(z, worst)[1]}
+        ends |= {"constraints": [{"type": "ineq", **rooms}]}
+        if worst:
+            start = np.append(start, first.values[0].max() / size)
+            ends["bounds"] = [*variables.bounds, (None, None)]
+    try:
+        with np.errstate(all="ignore"):
+            reason = str(minimize(scaled, start, method=method, **ends).message).rstrip(".").capitalize()
+    except KeyboardInterrupt:
+        reason = "stopped"
+    if progress is None and sys.stderr.isatty():
+        print(file=sys.stderr)
+    best = min(search.trials, key=lambda one: (max(one.excess, _BEYOND), one.loss))
+    changes = variables.changes(best.numbers)
+    loop = replace(problem.scenario.given, changes)
+    others: tuple[Array, ...] = ()
+    if problem.n > 1:
+        fresh = Problem(replaced(problem.scenario, seed=seed + 1), losses, [*given], (q0, v0))
+        others = tuple(evaluated(fresh, losses, x, None).values[0] for x in ({}, changes))
+    words = "loss" if problem.n == 1 else "mean loss" if objective == "mean" else "largest loss"
+    return Tuning(
+        *(loop.plant, loop.controller, loop.trajectory, loop.forces),
+        *(tuple(variables.names), tuple(variables.units), tuple(search.trials), best, bounds, words, others),
+        f"{method}, {mode} mode: {reason}",
+        time.perf_counter() - began,
+        built,
+    )
+
+
+def _told(trial: Trial) -> None:
+    """Show a trial on a terminal."""
+    if sys.stderr.isatty():
+        print(f"\rloss {trial.loss:.6g}    ", end="", file=sys.stderr, flush=True)
