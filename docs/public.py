@@ -40,7 +40,6 @@ OF_FILES = {
         "mass_matrix coriolis_matrix nonlinear_effects inverse_dynamics forward_dynamics ReducedModel "
         "differential_drive roller_drive car"
     ),
-    "derivatives": "Gradient gradient Poles poles",
     "dh": "JointType DHRow DHTable LECTURE_TABLE SLIDE_TABLE transform",
     "errors": (
         "PinmobileError InvalidArgument UnknownName NotFinite NotTraceable Diverged NotSolved Unreachable "

@@ -97,8 +97,8 @@ def test_forward_and_reverse_agree_with_each_other_and_with_runs(name: str) -> N
     if name in KINKED:
         return
     expected, error = differences(loop, own, [*forward.by])
-    # Rounding of a loss of 200 samples, divided by the step, and the order of the differences; contacts of dry
-    # friction are solved to 1e-9 of their impulses.
+    # Rounding of a loss of 200 samples, divided by the step, and the order of the differences; contacts of
+    # dry friction are solved to 1e-9 of their impulses.
     assert (np.abs(found - expected) <= error + (1e-7 if name in DRY else 1e-8) * scale).all()
 
 

@@ -63,7 +63,7 @@ ALLOWED: dict[str, set[str]] = {
     "realtime": {"export"},
     "identification": {"loop", "wheels"},
     "palette": set(),
-    "plots": {"palette", "accuracy", "balance", "identification"},
+    "plots": {"palette", "accuracy", "balance", "derivatives", "identification"},
     "viewer": {"palette", "loop"},
     "exercises": {"loop", "wheels"},
 }

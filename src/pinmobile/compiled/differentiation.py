@@ -461,7 +461,7 @@ def adjoint(loop: LoopTape, wanted: Sequence[_Input], columns: int, sampled: Seq
 
 
 def _before_rounds(tape: Tape, i: int, totals: Mapping[int, Any], active: set[int]) -> list[tuple[int, Any]]:
-    """Return the numbers on which rounds depend, and the derivatives by them, by a tangent for each number."""
+    """Return the numbers on which rounds depend, and the derivatives by them, from a tangent for each."""
     rounds = Rounds.of(tape, i)
     inputs = [x for x in sorted({*rounds.first, *rounds.outside}) if x in active]
     size = len(inputs) * (
@@ -487,9 +487,11 @@ def _active(tape: Tape, end: int, first: Iterable[int]) -> set[int]:
         if i in active or tape.types[i] != "f":
             continue
         mark = tape.marks.get(i)
-        given = () if mark and mark[0] in _FLAT else mark[1] if mark else operands(tape.operations[i])
+        given: Iterable[int] = mark[1] if mark else operands(tape.operations[i])
         if tape.operations[i][0] == "repeat":
             given = Rounds.of(tape, i).outside
+        elif mark and mark[0] in _FLAT:
+            continue
         if (tape.operations[i][0] != "real" or mark) and any(x in active for x in given):
             active.add(i)
     return active

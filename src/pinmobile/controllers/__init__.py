@@ -12,6 +12,7 @@ from pinmobile.controllers.adaptive import Adaptive, AdaptiveVelocity
 from pinmobile.controllers.controller import (
     Controller,
     State,
+    Wrapper as Wrapper,
     answer_of as answer_of,
     check_controller,
     check_memory as check_memory,

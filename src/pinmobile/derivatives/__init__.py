@@ -2,6 +2,19 @@
 
 from pinmobile.derivatives._gradient import Gradient, gradient
 from pinmobile.derivatives._poles import Margins, Poles, poles
+from pinmobile.derivatives._sensitivities import Sensitivities, sensitivities
 from pinmobile.derivatives._tune import Constraint, Trial, Tuning, tune
 
-__all__ = ["Constraint", "Gradient", "Margins", "Poles", "Trial", "Tuning", "gradient", "poles", "tune"]
+__all__ = [
+    "Constraint",
+    "Gradient",
+    "Margins",
+    "Poles",
+    "Sensitivities",
+    "Trial",
+    "Tuning",
+    "gradient",
+    "poles",
+    "sensitivities",
+    "tune",
+]

@@ -1,4 +1,4 @@
-"""`gradient`: a loss of a run, or of each robot of an ensemble, and its derivatives by numbers of the parts."""
+"""`gradient`: a loss of a run, or of each robot of an ensemble, and its derivatives by numbers of parts."""
 
 from __future__ import annotations
 
@@ -85,8 +85,8 @@ class Gradient:
         kinks, slides = int(np.sum(self.kinks)), int(np.sum(self.slides))
         if slides:
             lines.append(
-                f"  wheels change between rolling and sliding {slides:,} times: the derivative is local, and may say nothing about "
-                "finite changes; smooth=0.01 fits the loss over 1 %"
+                f"  wheels change between rolling and sliding {slides:,} times: the derivative is local, and "
+                "may say nothing about finite changes; smooth=0.01 fits the loss over 1 %"
             )
         elif kinks:
             lines.append(
@@ -220,7 +220,8 @@ def shaped(problem: Problem, directions: Sequence[Direction], slopes: Array) -> 
         number = problem.found[one.path]
         shape = () if number.entry is not None else problem.given[number.leaf.path].shape
         into = found.setdefault(one.path, np.zeros((*slopes.shape[:-1], *shape)))
-        into[(..., *(one.entry if shape else ()))] = slopes[..., p]
+        at: Any = (..., *(one.entry if shape else ()))
+        into[at] = slopes[..., p]
     return found
 
 

@@ -11,8 +11,7 @@ import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, scalar
 from pinmobile.compiled import tangent
-from pinmobile.controllers import Controller, answer_of, told
-from pinmobile.controllers.controller import Wrapper
+from pinmobile.controllers import Controller, Wrapper, answer_of, told
 from pinmobile.derivatives._problem import Problem, differentiated, problem_of
 from pinmobile.errors import InvalidArgument
 from pinmobile.forces import Force
@@ -79,8 +78,8 @@ class Margins(NamedTuple):
         Delay with which the loop stays stable [s].
     disk : float
         Disk margin, from 0 to 2: the loop stays stable for gains from (2 - disk) / (2 + disk) to its inverse
-        and for phases up to 2 arctan(disk / 2), also together (Seiler, Packard and Gahinet, "An introduction to
-        disk margins", IEEE Control Systems Magazine 40, 2020).
+        and for phases up to 2 arctan(disk / 2), also together (Seiler, Packard and Gahinet, "An introduction
+        to disk margins", IEEE Control Systems Magazine 40, 2020).
 
     See Also
     --------
@@ -101,8 +100,8 @@ class Margins(NamedTuple):
     def __str__(self) -> str:
         low, high = self.gain
         return (
-            f"gain {low:.3g} to {high:.3g}, phase {np.degrees(self.phase):.1f} deg, delay {self.delay:.3g} s, "
-            f"disk {self.disk:.3g}"
+            f"gain {low:.3g} to {high:.3g}, phase {np.degrees(self.phase):.1f} deg, "
+            f"delay {self.delay:.3g} s, disk {self.disk:.3g}"
         )
 
     @classmethod
@@ -247,12 +246,6 @@ class Poles:
 
         with np.errstate(all="ignore"):
             return {name: Margins.of(response(i), self.dt) for i, name in enumerate(self.inputs)}
-
-    def plot(self) -> Any:
-        """Return the figure of the poles, see `plots.poles`."""
-        from pinmobile import plots
-
-        return plots.poles(self)
 
     def __str__(self) -> str:
         size = float(np.abs(self.values).max())

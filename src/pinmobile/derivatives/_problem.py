@@ -50,6 +50,7 @@ FEW = 8
 """Numbers for which forward mode is selected."""
 _STEP = 1e-3  # relative step of differences of what Python computes before the first sample
 _MOST = 32  # machines that are kept
+_BEGIN = "plant", "start", "start_rate", "trajectory"  # first words of numbers that change the start
 _RECORD = 2e8  # bytes of the states of all samples that are kept at once
 
 
@@ -97,9 +98,13 @@ def _moved(directions: Sequence[Direction]) -> tuple[list[_Input], list[_Input]]
     run: list[_Input] = [("row", one.row) for one in directions if one.row >= 0]
     samples: list[_Input] = []
     for other in (one.other for one in directions if one.other is not None):
-        named_by = (run, "row", other.rows), (run, "uniform", other.uniforms)
-        named_by += (samples, "sample", other.samples.T), (samples, "track", other.tracks.swapaxes(0, 1))
-        for found, kind, x in named_by:
+        series = other.samples.T, other.tracks.swapaxes(0, 1)
+        every: list[tuple[list[_Input], str, Any]] = [
+            (run, "row", other.rows),
+            (run, "uniform", other.uniforms),
+        ]
+        every += [(samples, kind, x) for kind, x in zip(("sample", "track"), series, strict=True)]
+        for found, kind, x in every:
             found += [(kind, i) for i, each in enumerate(x) if np.any(each)]
     return [*dict.fromkeys(run)], [*dict.fromkeys(samples)]
 
@@ -230,11 +235,9 @@ class Problem:
             if path in values or path.startswith("start"):
                 values[path] = values.get(path, np.zeros((n, 1))) + (np.asarray(value) - self.given[path])
         q, v, tracks = self._begun(scenario, loop, values)
-        states, rows, uniforms = (
-            np.zeros((len(tape.states), n)),
-            np.zeros((tape.rows, n)),
-            np.zeros(tape.uniforms),
-        )
+        states: Array = np.zeros((len(tape.states), n))
+        rows: Array = np.zeros((tape.rows, n))
+        uniforms: Array = np.zeros(tape.uniforms)
         uniforms[0] = scenario.dt / loop.substeps
         states[: len(q) + len(v)] = np.concatenate([q, v])
         into: dict[str, Any] = {"state": states, "row": rows, "uniform": uniforms}
@@ -242,7 +245,7 @@ class Problem:
 
         def put(leaf: Any, value: Array) -> None:
             if leaf.kind == "uniform" or value.ndim == len(leaf.shape):
-                flat = np.broadcast_to(value, leaf.shape).ravel()
+                flat: Array = np.broadcast_to(value, leaf.shape).ravel()
                 into[leaf.kind][leaf.first : leaf.first + flat.size].T[...] = flat
             else:
                 flat = value.reshape(n, -1).T
@@ -270,15 +273,10 @@ class Problem:
         self, scenario: Scenario, loop: Loop, values: Mapping[str, Array]
     ) -> tuple[Array, Array, Array]:
         """Return initial states, shape (nq, n) and (nv, n), and references of each robot."""
-        moved = [
-            x
-            for path, x in values.items()
-            if path.partition(".")[0] in ("plant", "start", "start_rate", "trajectory")
-        ]
+        moved = [x for path, x in values.items() if path.partition(".")[0] in _BEGIN]
         key = [loop.plant, loop.trajectory, *moved]
-        if self._base is not None and len(key) == len(self._base[0]):
-            if all(x is y or np.array_equal(x, y) for x, y in zip(key, self._base[0], strict=True)):
-                return self._base[1]  # type: ignore[no-any-return]
+        if self._base is not None and _same(key, self._base[0]):
+            return self._base[1]  # type: ignore[no-any-return]
         own, n = scenario.references(values, self.n), self.n
         if scenario.spread and all(x is None for x in self.start):
             q, v = scenario.starts(values, n, own)
@@ -400,7 +398,7 @@ class Problem:
     def tangents(
         self, inputs: Inputs, directions: Sequence[Direction]
     ) -> tuple[Array, Array, dict[str, Array]]:
-        """Return final states (S, n), their tangents (S, n, P), and kept values and tangents, (n P, N + 1, ...)."""
+        """Return final states (S, n), their tangents (S, n, P), and kept values, shape (n P, N + 1, ...)."""
         machine, n, P = self.machine, self.n, len(directions)
         rows, tracked = _moved(directions)
         operations = [*rows, *tracked]
@@ -512,6 +510,12 @@ def differentiated() -> Iterator[None]:
             yield
     except NotTraceable as error:
         raise InvalidArgument(f"this loop has no derivative: {error.reason}") from error
+
+
+def _same(key: list[Any], known: list[Any]) -> bool:
+    """Return whether keys contain the same objects or equal arrays."""
+    pairs = zip(key, known, strict=False)
+    return len(key) == len(known) and all(x is y or np.array_equal(x, y) for x, y in pairs)
 
 
 class Evaluation(NamedTuple):

@@ -62,8 +62,10 @@ class Constraint(NamedTuple):
 
     def read(self, plant: Any, trajectory: Any) -> Loss:
         """Return the loss of the constraint."""
-        if np.isnan([self.lower, self.upper]).any() or not self.lower < self.upper or np.isinf([self.lower, self.upper]).all():
-            raise InvalidArgument(f"Constraint has bounds {self.lower} and {self.upper}, expected lower < upper")
+        if not self.lower < self.upper or np.isinf([self.lower, self.upper]).all():
+            raise InvalidArgument(
+                f"Constraint has bounds {self.lower} and {self.upper}, expected lower < upper"
+            )
         reduction = self.reduction
         if reduction is None and not isinstance(self.of, str | Metric):
             reduction = "largest" if np.isfinite(self.upper) else "smallest"
@@ -74,7 +76,8 @@ class Constraint(NamedTuple):
         return np.maximum(np.maximum(self.lower - value, value - self.upper), 0.0)
 
     def __str__(self) -> str:
-        name = self.of if isinstance(self.of, str) else getattr(self.of, "name", getattr(self.of, "__name__", "number"))
+        stated = (getattr(self.of, word, "") for word in ("name", "__name__"))
+        name = self.of if isinstance(self.of, str) else next(filter(None, stated), "number")
         low = f"{self.lower:g} <= " if np.isfinite(self.lower) else ""
         return f"{low}{name}{f' <= {self.upper:g}' if np.isfinite(self.upper) else ''}"
 
@@ -180,7 +183,8 @@ class Tuning:
             f"{len(self.trials)} trials ({self.method})"
         ]
         width = max(map(len, names))
-        moved = np.abs(best.numbers - first.numbers) / np.where(first.numbers == 0, 1.0, np.abs(first.numbers))
+        sizes = np.where(first.numbers == 0, 1.0, np.abs(first.numbers))
+        moved = np.abs(best.numbers - first.numbers) / sizes
         most = np.sort(np.argsort(-moved)[:_SHOWN])
         for k in most:
             unit = f" {self.units[k]}" if self.units[k] else ""
@@ -226,8 +230,8 @@ class _Variables:
         if wrong.size:
             k = wrong[0]
             raise InvalidArgument(
-                f"by has bounds {self.low[k]:g} and {self.high[k]:g} for {self.names[k]}, which is {self.first[k]:g}, "
-                "expected bounds around it"
+                f"by has bounds {self.low[k]:g} and {self.high[k]:g} for {self.names[k]}, expected bounds "
+                f"around its value, {self.first[k]:g}"
             )
         self.is_log = (self.low >= 0) & (self.first > 0)
         self.scale = np.where(self.first == 0, 1.0, np.abs(self.first))
@@ -235,11 +239,12 @@ class _Variables:
     @property
     def bounds(self) -> list[tuple[float | None, float | None]]:
         """Bounds of the variables."""
-        with np.errstate(divide="ignore"):
+        with np.errstate(divide="ignore", invalid="ignore"):
             logs = [np.clip(np.log(x / self.scale), -_LARGEST, _LARGEST) for x in (self.low, self.high)]
         shares = [(x - self.first) / self.scale for x in (self.low, self.high)]
         low, high = (np.where(self.is_log, x, y) for x, y in zip(logs, shares, strict=True))
-        return [tuple(None if np.isinf(x) else float(x) for x in pair) for pair in zip(low, high, strict=True)]  # type: ignore[misc]
+        ends = ([None if np.isinf(x) else float(x) for x in each] for each in (low, high))
+        return [*zip(*ends, strict=True)]
 
     def numbers(self, z: Array) -> Array:
         """Return the numbers of variables, shape (P,)."""
@@ -270,6 +275,7 @@ class _Search:
     progress: Callable[[Trial], Any] | None
     trials: list[Trial] = field(default_factory=list)
     last: tuple[bytes, Evaluation | None] = (b"", None)
+    unit: float = 1.0
 
     def at(self, z: Array) -> Evaluation | None:
         """Return the evaluation at variables; None if the parts refuse the numbers."""
@@ -277,7 +283,9 @@ class _Search:
         if key != self.last[0]:
             numbers = self.variables.numbers(z)
             try:
-                found = evaluated(self.variables.problem, self.losses, self.variables.changes(numbers), self.mode)
+                found = evaluated(
+                    self.variables.problem, self.losses, self.variables.changes(numbers), self.mode
+                )
             except InvalidArgument:
                 if not self.trials:
                     raise
@@ -309,11 +317,7 @@ class _Search:
         if found is None or not np.isfinite(found.values).all() or not np.isfinite(found.slopes).all():
             return np.inf, np.zeros(len(z))
         value, weights = self.of(found.values[0], soft)
-        return value, (weights @ found.slopes[0]) * self.variables.slopes(self.trials_numbers(z))
-
-    def trials_numbers(self, z: Array) -> Array:
-        """Return the numbers of variables."""
-        return self.variables.numbers(z)
+        return value, (weights @ found.slopes[0]) * self.variables.slopes(self.variables.numbers(z))
 
     def rooms(self, z: Array, bound: bool) -> tuple[Array, Array]:
         """Return distances from the bounds, >= 0 where they are kept, and their slopes by the variables.
@@ -336,8 +340,6 @@ class _Search:
                         values.append(sign * (value - limit) / size)
                         slopes.append(sign * slope / size)
         return np.nan_to_num(np.concatenate(values)), np.nan_to_num(np.concatenate(slopes))
-
-    unit: float = 1.0
 
 
 def tune(
@@ -412,7 +414,7 @@ def tune(
     >>> by = {"kp": (1, 400), "kd": (1, 400)}
     >>> found = tune("distance", *parts, by=by, dt=0.02)
     >>> round(found.trials[0].loss, 4), round(found.best.loss, 4)  # [m]
-    (0.059, 0.0179)
+    (0.0589, 0.0171)
     """
     from scipy.optimize import minimize
 
@@ -477,13 +479,11 @@ def tune(
         fresh = Problem(replaced(problem.scenario, seed=seed + 1), losses, [*given], (q0, v0))
         others = tuple(evaluated(fresh, losses, x, None).values[0] for x in ({}, changes))
     words = "loss" if problem.n == 1 else "mean loss" if objective == "mean" else "largest loss"
-    return Tuning(
-        *(loop.plant, loop.controller, loop.trajectory, loop.forces),
-        *(tuple(variables.names), tuple(variables.units), tuple(search.trials), best, bounds, words, others),
-        f"{method}, {mode} mode: {reason}",
-        time.perf_counter() - began,
-        built,
-    )
+    own_parts = loop.plant, loop.controller, loop.trajectory, loop.forces
+    seconds = time.perf_counter() - began
+    every, keys = tuple(search.trials), (tuple(variables.names), tuple(variables.units))
+    ended = f"{method}, {mode} mode: {reason}"
+    return Tuning(*own_parts, *keys, every, best, bounds, words, others, ended, seconds, built)
 
 
 def _told(trial: Trial) -> None:

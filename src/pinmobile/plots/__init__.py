@@ -2,6 +2,7 @@
 
 from pinmobile.plots.parameter_curves import curves, heatmap, integrator
 from pinmobile.plots.plane import animate, end_effector, path
+from pinmobile.plots.poles import poles, sensitivities
 from pinmobile.plots.sensitivity import bands, drivers
 from pinmobile.plots.series import (
     balance,
@@ -33,8 +34,10 @@ __all__ = [
     "loads",
     "odometry",
     "path",
+    "poles",
     "prediction",
     "reaction",
+    "sensitivities",
     "signals",
     "slip",
     "states",
