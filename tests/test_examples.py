@@ -35,8 +35,8 @@ def test_an_example_runs_or_says_what_it_needs(path: Path) -> None:
         assert words in done.stdout
 
 
-def test_the_gallery_has_sixteen_scripts() -> None:
-    assert len(GALLERY) == 16
+def test_the_gallery_has_twenty_scripts() -> None:
+    assert len(GALLERY) == 20
 
 
 @pytest.mark.long
