@@ -141,7 +141,7 @@ class PlanarProblem:
 
 POSE = ("x", "m"), ("y", "m"), ("psi", "rad")
 _SPEED, _WHEEL_SPEED = 0.01, 0.1  # where dry friction has 71 %: [m/s, rad/s] of a body, [rad/s] of wheels
-_CONSTANTS = "resistance", "torque_constant", "viscous", "coulomb", "efficiency"
+_CONSTANTS = "resistance", "torque_constant", "viscous", "coulomb", "efficiency", "gear"
 _STILL = 2e-3  # [rad/s], where losses of a motor have 71 % of their size; those of real ones are sharp
 _GYRATION = 0.01  # [m], least radius of a body
 _LIGHTEST = 0.02  # [kg]
@@ -506,8 +506,8 @@ class PlanarModel:
         if not self.motors:
             return [scale * x for x in u]
         numbers = np.array([[getattr(one, name) or 0.0 for one in self.motors] for name in _CONSTANTS])
-        resistance, constant, viscous, coulomb, efficiency = numbers
-        law = MotorLaw(self.motors, resistance, scale * constant, viscous, coulomb, efficiency)
+        resistance, constant, *others = numbers
+        law = MotorLaw(self.motors, resistance, scale * constant, *others)
         return [
             law.smooth_torque(k, law.volts(k, x), rate, rate / np.sqrt(rate * rate + _STILL**2))
             if motor.is_electric

@@ -14,7 +14,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, finite, frozen, positive
+from pinmobile.arrays import Array, ArrayLike, finite, positive
 from pinmobile.parts import also_symbols, holds_symbols, takes
 from pinmobile.plant import Step
 from pinmobile.robot import (
@@ -120,9 +120,9 @@ class WheeledDynamics:
         return found
 
     @cached_property
-    def rotors(self) -> Array:
+    def rotors(self) -> Any:
         """Inertia of the motors' rotors at the wheels, shape (actuators,) [kg m^2]."""
-        return frozen([actuator.motor.reflected_inertia for actuator in self.table.actuators])
+        return column([actuator.motor.reflected_inertia for actuator in self.table.actuators])
 
     @cached_property
     def mu(self) -> Any:

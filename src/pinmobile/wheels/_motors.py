@@ -31,7 +31,7 @@ from pinmobile.robot import ONE, ZERO, Vector, number, scalars
 from pinmobile.wheels._contact import within
 
 _ELECTRIC = "resistance", "torque_constant", "voltage"
-CONSTANTS = "resistance", "torque_constant", "viscous", "coulomb", "efficiency"
+CONSTANTS = "resistance", "torque_constant", "viscous", "coulomb", "efficiency", "gear"
 """Parameters of a motor that may differ between robots."""
 
 
@@ -104,7 +104,7 @@ class Motor:
     voltage: float | None = declared(
         default=None, unit="V", above=0, optional=True, fixed=True, doc="largest voltage"
     )
-    gear: float = declared(default=1.0, above=0, fixed=True, doc="turns of the motor per turn of the wheel")
+    gear: float = declared(default=1.0, above=0, doc="turns of the motor per turn of the wheel")
     efficiency: float = declared(default=1.0, above=0, upper=1, neutral=1, doc="efficiency of the gear")
     rotor_inertia: float = declared(
         default=0.0, unit="kg m^2", lower=0, fixed=True, doc="inertia of the rotor"
@@ -222,7 +222,7 @@ class Motor:
     @property
     def reflected_inertia(self) -> float:
         """Inertia of the rotor at the wheel's axle [kg m^2]."""
-        return self.gear**2 * self.rotor_inertia
+        return self.gear**2 * self.rotor_inertia if self.rotor_inertia else 0.0
 
     @cached_property
     def _law(self) -> MotorLaw:
@@ -402,7 +402,7 @@ class MotorLaw:
     ----------
     motors : sequence of Motor
         The motors.
-    resistance, torque_constant, viscous, coulomb, efficiency : ndarray, shape (..., motors)
+    resistance, torque_constant, viscous, coulomb, efficiency, gear : ndarray, shape (..., motors)
         Their parameters, which may differ between robots.
     """
 
@@ -412,11 +412,12 @@ class MotorLaw:
     viscous: Any
     coulomb: Any
     efficiency: Any
+    gear: Any
 
     @cached_property
     def _numbers(self) -> list[list[Any]]:
         """Parameters of each motor, in the order of the fields."""
-        parts = self.resistance, self.torque_constant, self.viscous, self.coulomb, self.efficiency
+        parts = (getattr(self, name) for name in CONSTANTS)
         return [list(row) for row in zip(*map(scalars, parts), strict=True)]
 
     def volts(self, k: int, volts: Any) -> Any:
@@ -425,8 +426,8 @@ class MotorLaw:
 
     def current(self, k: int, volts: Any, rate: Any, *, clips: Any = True) -> Any:
         """Return the current of a motor at a voltage within its limit."""
-        motor, (R, kt, *_) = self.motors[k], self._numbers[k]
-        asked = (volts - (number(kt) * motor.gear) * rate) / number(R)
+        motor, (R, kt, *_, G) = self.motors[k], self._numbers[k]
+        asked = (volts - (number(kt) * number(G)) * rate) / number(R)
         if clips is False or not np.isfinite(motor.current):
             return asked
         return choose(clips, within(asked, motor.current), asked)
@@ -445,8 +446,8 @@ class MotorLaw:
         clips : bool or symbol
             Whether the current limit applies.
         """
-        motor, (R, kt, b, dry, share) = self.motors[k], self._numbers[k]
-        R, kt, G = number(R), number(kt), motor.gear
+        motor, (R, kt, b, dry, share, G) = self.motors[k], self._numbers[k]
+        R, kt, G = number(R), number(kt), number(G)
         i = self.current(k, volts, rate, clips=clips)
         felt = kt * kt * G / R
         if clips is not False and np.isfinite(motor.current):
@@ -498,10 +499,10 @@ class MotorLaw:
         sign : scalar
             Sign of the rate, from -1 to 1.
         """
-        motor, (_, kt, b, dry, share) = self.motors[k], [number(x) for x in self._numbers[k]]
-        shaft = kt * self.current(k, volts, rate) - (b * motor.gear) * rate - dry * sign
+        motor, (_, kt, b, dry, share, G) = self.motors[k], [number(x) for x in self._numbers[k]]
+        shaft = kt * self.current(k, volts, rate) - (b * G) * rate - dry * sign
         driving, driven = share + 1.0 / share, share - 1.0 / share
-        torque = (0.5 * motor.gear) * (driving * shaft + driven * abs(shaft) * sign)
+        torque = (0.5 * G) * (driving * shaft + driven * abs(shaft) * sign)
         return within(torque, motor.torque_limit) if np.isfinite(motor.torque_limit) else torque
 
     def slopes(self, k: int, volts: Any, rate: Any) -> tuple[Any, Any]:
@@ -509,17 +510,16 @@ class MotorLaw:
 
         Limits of voltage and current are ignored; if the torque is limited, both are 0.
         """
-        motor, (R, kt, b, *_) = self.motors[k], [number(x) for x in self._numbers[k]]
+        R, kt, b, *_, G = (number(x) for x in self._numbers[k])
         slope = self.push(k, volts, rate, clips=False).slope
-        return slope, slope * kt / (motor.gear * (kt * kt + b * R))
+        return slope, slope * kt / (G * (kt * kt + b * R))
 
     def needed(self, k: int, torque: Any, rate: Any, *, clips: bool = True) -> Any:
         """Return the voltage at which a motor produces a torque at a rate, within its limits.
 
         Dry friction acts against the rate, or, at rest, against the torque.
         """
-        motor, (R, kt, b, dry, share) = self.motors[k], [number(x) for x in self._numbers[k]]
-        G = motor.gear
+        motor, (R, kt, b, dry, share, G) = self.motors[k], [number(x) for x in self._numbers[k]]
         way = choose(rate > 0.0, 1.0, choose(rate < 0.0, -1.0, choose(torque < 0.0, -1.0, 1.0)))
         part = choose(torque * way >= 0.0, 1.0 / share, share)
         i = (torque * part / G + (b * G) * rate + dry * way) / kt

@@ -1,0 +1,359 @@
+"""Ensembles, metrics, bands, margins and tuning by derivatives, each beside an independent way."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+import pinmobile as pm
+from pinmobile import plots
+from pinmobile.derivatives import Constraint, Margins, Tuning, gradient, poles, sensitivities, tune
+from pinmobile.errors import UnknownName
+from pinmobile.loop import TRUE_MODEL, Relative
+from pinmobile.metrics import Metric
+from pinmobile.parts import array, part, replace
+from tests.frozen import BODY, CIRCLE, WRONG, loops
+from tests.test_derivatives import loss
+
+PATH = pm.Tangent(pm.Circle(2.0, 0.5, 6.0))
+LAW = pm.ComputedTorque(WRONG, 4.0, 4.0)
+REST = pm.FixedHeading(pm.Hold((0.0, 0.0), 2.0), 0.0)
+Options = dict[str, Any]
+
+
+def slope(value: Callable[[float], Any], at: float, step: float = 1e-4) -> Any:
+    """Return a derivative by central differences of order four."""
+    near, far = (np.asarray(value(at + k * step)) - value(at - k * step) for k in (1, 2))
+    return (8 * near - far) / (12 * step)
+
+
+@pytest.mark.parametrize("mode", ["forward", "reverse"])
+def test_each_robot_of_an_ensemble_has_the_gradient_of_its_own_run(mode: str) -> None:
+    spread: Options = {"mass": Relative(pm.Uniform(0.8, 1.2)), "start.x": pm.Uniform(-0.1, 0.1)}
+    spread |= {"radius": pm.Uniform(1.9, 2.1), "com.x": pm.Uniform(0.0, 0.1), **TRUE_MODEL}
+    options: Options = {"dt": 0.02, "duration": 1.0, "by": ["mass", "kp", "radius", "plant.com", "start.x"]}
+    found = gradient(loss, BODY, LAW, PATH, n=11, spread=spread, seed=3, mode=mode, **options)
+    runs = pm.ensemble(BODY, LAW, PATH, n=11, spread=spread, seed=3, dt=0.02, duration=1.0)
+    assert found.value.shape == (11,)
+    assert {path: x.shape for path, x in found.by.items()} == {
+        "plant.mass": (11,),
+        "controller.kp": (11,),
+        "trajectory.path.radius": (11,),
+        "plant.com": (11, 3),
+        "start.x": (11,),
+    }
+    for i in (0, 7, 10):
+        robot, law, path, own = runs.arguments(i)
+        q0, v0 = own["q0"], own["v0"]
+        one = gradient(loss, robot, law, path, q0=q0, v0=v0, **{**options, "by": ["mass", "kp", "plant.com"]})
+        assert found.value[i] == pytest.approx(one.value, rel=1e-12)
+        for by, x in one.by.items():
+            np.testing.assert_allclose(found.by[by][i], x, rtol=1e-9, atol=1e-12)
+
+        off = q0[0] - path(0.0).q[0]
+
+        def of_radius(radius: float, parts: Any = (robot, law), off: float = off) -> Any:
+            circle = pm.Tangent(pm.Circle(radius, 0.5, 6.0))
+            start = circle(0.0).q + np.array([off, 0.0, 0.0])
+            own: Options = {"dt": 0.02, "duration": 1.0, "engine": pm.Engine.COMPILED}
+            run = pm.simulate(parts[0], parts[1], circle, q0=start, **own)
+            return (run.error**2).sum() + 1e-6 * (run.u**2).sum()
+
+        assert found.by["trajectory.path.radius"][i] == pytest.approx(
+            slope(of_radius, runs.draws["radius"][i]), rel=1e-6
+        )
+
+
+def test_metrics_and_reductions_are_those_of_runs_and_ensembles() -> None:
+    options: Options = {"dt": 0.01, "duration": 1.0}
+    run = pm.simulate(BODY, LAW, PATH, **options)
+    distance = np.hypot(*run.error[:, :2].T)
+    expected = {"largest": distance.max(), "smallest": distance.min(), "last": distance[-1]}
+    expected |= {"sum": distance.sum(), "mean": distance.mean(), "rms": np.sqrt((distance**2).mean())}
+    for name, value in expected.items():
+        found = gradient("distance", BODY, LAW, PATH, by=["plant.mass"], reduction=name, **options)
+        assert found.value == pytest.approx(value, rel=1e-9)
+
+        def of_mass(mass: float, name: str = name) -> Any:
+            body = pm.MobileRobot(mass, 1.3, com=(0.1, 0.05))
+            run = pm.simulate(body, LAW, PATH, engine=pm.Engine.COMPILED, **options)
+            far = np.hypot(*run.error[:, :2].T)
+            ways = {"largest": far.max, "smallest": far.min, "sum": far.sum, "mean": far.mean}
+            ways |= {"last": lambda: far[-1], "rms": lambda: np.sqrt((far**2).mean())}
+            return ways[name]()
+
+        assert found.by["plant.mass"] == pytest.approx(slope(of_mass, 30.0, 1e-3), rel=1e-6, abs=1e-12)
+
+
+def test_margins_of_a_plant_and_user_defined_metrics_are_losses() -> None:
+    carried = pm.MobileRobot.box(mass=60.0).mount("ur5")
+    still = pm.WholeBody(carried, REST, pm.Hold(carried.rest[3:], 2.0))
+    parts = carried, pm.ComputedTorque(carried, 100.0, 20.0), still
+    options: Options = {"by": ["plant.mounts.ur5.links.forearm_link.com"], "dt": 0.01, "duration": 0.05}
+    found = gradient("tip-over margin", *parts, **options)
+    runs = pm.ensemble(*parts, n=1, spread={}, dt=0.01, duration=0.05)
+    assert found.value == pytest.approx(runs.largest("tip-over margin")[0], rel=1e-9)
+    assert found.by["plant.mounts.ur5.links.forearm_link.com"].shape == (3,)
+    own = Metric("own", "m", "a metric", "largest", lambda sample: sample.q[0])
+    assert gradient(own, BODY, LAW, PATH, by=["kp"], dt=0.02).value == pytest.approx(
+        pm.simulate(BODY, LAW, PATH, dt=0.02).q[:, 0].max(), rel=1e-9
+    )
+    with pytest.raises(UnknownName, match=r"unknown loss 'speed'.* available: .*distance"):
+        gradient("speed", BODY, LAW, PATH, by=["kp"], dt=0.02)
+
+
+def test_bands_are_those_of_small_changes() -> None:
+    by = ["plant.mass", "plant.com", "controller.kp", "trajectory.path.radius"]
+    found = sensitivities(BODY, LAW, PATH, by=by, dt=0.02)
+
+    def of_mass(mass: float) -> Any:
+        robot = pm.MobileRobot(mass, 1.3, com=(0.1, 0.05))
+        return pm.simulate(robot, LAW, PATH, dt=0.02, engine=pm.Engine.COMPILED)
+
+    for name in ("q", "v", "u", "a"):
+        expected = slope(lambda mass: getattr(of_mass(mass), name), 30.0, 1e-3)  # noqa: B023 (called here)
+        got = getattr(found, name)["plant.mass"]
+        assert np.abs(got - expected).max() <= 1e-7 * np.abs(expected).max()
+    assert found.q["plant.com"].shape == (301, 3, 3)
+    both = found.deviation({"mass": 2.0, "com": [0.01, 0.0, 0.0]})
+    expected = np.hypot(2.0 * found.q["plant.mass"], 0.01 * found.q["plant.com"][..., 0])
+    np.testing.assert_allclose(both, expected, rtol=1e-12)
+    assert found.units["plant.mass"] == "kg"
+    figure = plots.sensitivities(found, {"mass": 2.0})
+    assert [axes.get_ylabel()[:8] for axes in figure.axes] == ["error in"] * 3
+    assert all(len(axes.collections) == 1 for axes in figure.axes)
+    for wrong, message in (
+        ({"weight": 1.0}, "unknown deviations 'weight', available: "),
+        ({"com": [1.0, 2.0]}, r"deviations\['com'\] has shape \(2,\), expected that of the number"),
+        (3.0, "deviations is 3.0, expected a mapping"),
+    ):
+        with pytest.raises(pm.PinmobileError, match=message):
+            found.deviation(wrong)  # type: ignore[arg-type]
+    with pytest.raises(UnknownName, match="unknown of 'w', available: q, v, u, a"):
+        found.deviation({"mass": 1.0}, of="w")
+    with pytest.raises(pm.InvalidArgument, match="by is empty"):
+        sensitivities(BODY, LAW, PATH, by=[], dt=0.02)
+
+
+def test_a_fit_over_a_range_agrees_where_the_loss_is_smooth() -> None:
+    by = ["kp", "plant.com", "trajectory.path.radius", "start.x"]
+    options: Options = {"by": by, "dt": 0.02}
+    exact = gradient(loss, BODY, LAW, PATH, **options)
+    fit = gradient(loss, BODY, LAW, PATH, smooth=1e-3, **options)
+    assert fit.errors is not None
+    for path, x in exact.by.items():
+        # The quadratic part of the loss is what a line leaves: some of its standard errors.
+        assert (np.abs(fit.by[path] - x) <= 4 * fit.errors[path] + 1e-3 * np.abs(x)).all()
+    assert "fit to 112 runs within 0.1 % of each number" in str(fit)
+    assert " +- " in str(fit)
+    with pytest.raises(pm.InvalidArgument, match="smooth is for one robot, expected n=1"):
+        gradient(loss, BODY, LAW, PATH, smooth=1e-3, n=3, spread={"mass": pm.Uniform(20, 40)}, **options)
+
+
+def test_kinks_and_wheels_that_begin_to_slide_are_counted() -> None:
+    def pushed(t: Any, q: Any, v: Any, reference: Any) -> Any:
+        return np.abs(np.sin(4 * np.pi * (reference.q[0] - q[0] + 0.03))) * np.array([1.0, 1.0, 0.0])
+
+    smooth = gradient(loss, BODY, pm.PD(60, 60), PATH, by=["kp"], dt=0.02)
+    assert (smooth.kinks, smooth.slides) == (0, 0)
+    found = gradient(loss, BODY, pm.law(pushed), PATH, by=["mass"], dt=0.02)
+    run = pm.simulate(BODY, pm.law(pushed), PATH, dt=0.02)
+    sides = np.sin(4 * np.pi * (run.error[:, 0] + 0.03)) < 0
+    assert found.kinks == np.count_nonzero(np.diff(sides)) > 0
+    assert f"the side of a kink changes {found.kinks} times" in str(found)
+
+
+# A double integrator with a held force, whose loop is broken at the force: L(z) = K (z I - A)^-1 B.
+def transfer(kp: float, kd: float, h: float, late: int) -> Callable[[Any], Any]:
+    def loop(w: Any) -> Any:
+        z = np.exp(1j * np.asarray(w) * h)
+        return (kp * h * h / 2 * (z + 1) / (z - 1) ** 2 + kd * h / (z - 1)) / z**late
+
+    return loop
+
+
+@pytest.mark.parametrize("late", [0, 2])
+def test_margins_are_those_of_the_closed_form(late: int) -> None:
+    h, kp, kd = 0.01, 100.0, 20.0
+    law: Any = pm.ComputedTorque(BODY, kp, kd)
+    found = poles(BODY, pm.MeasurementDelay(law, late) if late else law, REST, dt=h, at=1.0)
+    loop = transfer(kp, kd, h, late)
+    w = np.linspace(1.0, np.pi / h, 2_000_001)[:-1]
+    values = loop(w)
+    unit = w[:-1][np.diff(np.sign(np.abs(values) - 1)) != 0]
+    lag = np.angle(-loop(unit[0])) % (2 * np.pi)
+    real = [float(x.real) for x in values[:-1][np.diff(np.sign(values.imag)) != 0]] + [float(values[-1].real)]
+    high = min(-1 / x for x in real if -1 < x < 0)
+    disk = 1 / np.abs(1 / (1 + values) - 0.5).max()
+    for name in ("Fx", "Fy", "Mz"):
+        one = found.margins[name]
+        assert one.gain[0] == 0.0
+        # The grid of two million frequencies is the error of the closed form's margins.
+        assert one.gain[1] == pytest.approx(high, rel=1e-4)
+        assert one.phase == pytest.approx(lag, rel=1e-4)
+        assert one.delay == pytest.approx(lag / unit[0], rel=1e-4)
+        assert one.disk == pytest.approx(disk, rel=1e-6)
+    # A gain at the margin puts a pole on the unit circle.
+    limit = found.margins["Fx"].gain[1]
+    stronger: Any = pm.ComputedTorque(BODY, kp * limit, kd * limit)
+    beyond = poles(BODY, pm.MeasurementDelay(stronger, late) if late else stronger, REST, dt=h, at=1.0)
+    assert np.abs(beyond.values).max() == pytest.approx(1.0, abs=1e-6)
+
+
+def test_an_unstable_loop_has_no_margins_and_all_poles_are_drawn() -> None:
+    unstable = poles(BODY, pm.PD(120, 120), REST, dt=0.05)
+    assert (unstable.is_stable, unstable.margins) == (False, {})
+    stable = poles(BODY, pm.PD(60, 60), REST, dt=0.01)
+    figure = plots.poles({"20 ms": stable, "50 ms": unstable})
+    assert isinstance(figure, Figure)
+    drawn = [line for line in figure.axes[0].lines if line.get_linestyle() == "None"]
+    assert [len(line.get_xdata()) for line in drawn] == [6, 6]  # type: ignore[arg-type]
+    assert (
+        str(Margins((0.5, np.inf), 0.5, 0.1, 1.0)) == "gain 0.5 to inf, phase 28.6 deg, delay 0.1 s, disk 1"
+    )
+
+
+@part
+class Policy:
+    """Policy of one hidden layer, beside PD."""
+
+    first: Any = array(shapes=(("h", "m"),), doc="weights")
+    second: Any = array(shapes=((3, "h"),), doc="weights")
+
+    def initial_state(self, context: Any) -> Any:
+        return None
+
+    def __call__(self, t: Any, q: Any, v: Any, reference: Any, state: Any) -> Any:
+        error, rate = reference.q - q, reference.v - v
+        hidden = np.tanh(self.first @ np.concatenate([error, rate, np.ones(1)]))
+        return 60.0 * error + 40.0 * rate + 20.0 * (self.second @ hidden), state
+
+
+def test_tuning_finds_the_minimum_of_a_grid() -> None:
+    options: Options = {"dt": 0.02, "q0": [0.1, 0.1, 0.2]}
+    found = tune(loss, BODY, LAW, PATH, by={"kp": (1, 60), "kd": (1, 20)}, **options)
+    values = {}
+    for kp in np.linspace(1, 60, 13):
+        for kd in np.linspace(1, 20, 13):
+            run = pm.simulate(
+                BODY, pm.ComputedTorque(WRONG, kp, kd), PATH, engine=pm.Engine.COMPILED, **options
+            )
+            values[kp, kd] = float((run.error**2).sum() + 1e-6 * (run.u**2).sum())
+    assert found.best.loss <= min(values.values())
+    assert found.controller.kp == pytest.approx(found.best.numbers[0])
+    run = pm.simulate(BODY, found.controller, PATH, **options)
+    assert (run.error**2).sum() + 1e-6 * (run.u**2).sum() == pytest.approx(found.best.loss, rel=1e-9)
+    assert found.trials[0].numbers.tolist() == [4.0, 4.0]
+    text = str(found)
+    assert text.startswith(f"loss {found.trials[0].loss:.6g} to {found.best.loss:.6g} by 2 numbers, ")
+    assert "controller.kp" in text
+
+
+def test_many_weights_of_a_policy_are_tuned_in_reverse_mode() -> None:
+    draws = np.random.default_rng(0)
+    policy = Policy(0.3 * draws.standard_normal((8, 7)), 0.3 * draws.standard_normal((3, 8)))
+    by = ["controller.first", "controller.second"]
+    options: Options = {"dt": 0.02, "q0": [0.1, -0.1, 0.2]}
+    found = tune(loss, BODY, policy, CIRCLE, by=by, trials=30, **options)
+    assert "reverse mode" in found.method
+    assert found.best.loss < 0.3 * found.trials[0].loss
+    assert isinstance(found.controller, Policy)
+    assert len(found.names) == 80
+    assert found.names[9] == "controller.first[1][2]"
+    assert "and 68 numbers that changed less" in str(found)
+
+
+def force(sample: Any) -> Any:
+    return np.sqrt((sample.u[:2] ** 2).sum())
+
+
+SPREAD: Options = {"mass": Relative(pm.Uniform(0.8, 1.2)), "com.x": pm.Uniform(0.0, 0.2)}
+
+
+def tuned(objective: str, **changes: Any) -> Tuning:
+    given: Options = {"by": {"kp": (1, 40), "kd": (1, 15)}, "dt": 0.02, "n": 24, "spread": SPREAD} | changes
+    return tune("distance", BODY, LAW, PATH, objective=objective, **given)
+
+
+def test_constraints_are_kept_by_all_robots() -> None:
+    found = tuned("mean", constraints=[Constraint(force, upper=30.0)], q0=None)
+    runs = pm.ensemble(BODY, found.controller, PATH, n=24, spread=SPREAD, dt=0.02, metrics={"force": force})
+    assert runs.largest("force").max() <= 30.0 * (1 + 1e-6)
+    assert found.best.loss == pytest.approx(runs.largest("distance").mean(), rel=1e-9)
+    free = tuned("mean")
+    assert free.best.loss <= found.best.loss
+    assert "force <= 30: kept" in str(found)
+    others = pm.ensemble(BODY, found.controller, PATH, n=24, spread=SPREAD, dt=0.02, seed=1)
+    np.testing.assert_allclose(found.others[1], others.largest("distance"), rtol=1e-9)
+    assert "loss of 24 other robots: mean " in str(found)
+
+
+def test_the_worst_robot_is_better_with_its_own_objective() -> None:
+    results = {
+        name: tuned(name, by={"kp": (1, 10), "kd": (1, 5)}) for name in ("mean", "soft maximum", "worst")
+    }
+    largest = {}
+    for name, found in results.items():
+        runs = pm.ensemble(BODY, found.controller, PATH, n=24, spread=SPREAD, dt=0.02)
+        largest[name] = runs.largest("distance").max()
+        if name != "mean":
+            assert found.best.loss == pytest.approx(largest[name], rel=1e-9)
+    assert largest["worst"] <= largest["mean"] * (1 + 1e-6)
+    assert largest["worst"] <= largest["soft maximum"] * (1 + 1e-3)
+
+
+def test_a_gear_a_radius_and_a_path_are_tuned() -> None:
+    plant, law, _ = next(parts for name, parts, _ in loops() if name == "volts")
+    parts = plant, law, PATH
+
+    def effort(sample: Any) -> Any:
+        return (sample.u**2).sum() + 1e3 * (sample.error**2).sum()
+
+    wheel = "plant.wheeled.table.wheels.left"
+    by = [f"{wheel}.motor.gear", f"{wheel}.radius", f"{wheel}.y", "trajectory.path.radius"]
+    found = tune(effort, *parts, by=by, dt=0.02, duration=1.0, trials=5)
+    assert found.best.loss < found.trials[0].loss
+    numbers = dict(zip(found.names, found.best.numbers, strict=True))
+    best = replace(pm.Loop(*parts), numbers)
+    run = pm.simulate(best.plant, best.controller, best.trajectory, dt=0.02, duration=1.0)
+    expected = (run.u**2).sum() + 1e3 * (run.error**2).sum()
+    assert found.best.loss == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"by": {}}, "by is {}, expected paths of numbers"),
+        ({"by": "kp"}, "by is 'kp', expected paths of numbers"),
+        (
+            {"by": {"kp": (10, 40)}},
+            r"by has bounds 10 and 40 for controller.kp, expected bounds around its .* 4",
+        ),
+        ({"by": ["mass"]}, "by has 'plant.mass', which is in the spread, expected other numbers"),
+        ({"objective": "median"}, "unknown objective 'median', .*available: mean, soft maximum, worst"),
+        ({"constraints": [3]}, r"constraints is 3, expected derivatives.Constraint"),
+        ({"constraints": [Constraint(force)]}, "Constraint has bounds -inf and inf, expected lower < upper"),
+        ({"trials": 0}, "trials is 0"),
+        ({"controller": pm.PD(1e9, 1e9)}, "the loop diverges with the given numbers"),
+    ],
+)
+def test_wrong_arguments_of_a_tuning_are_answered(change: Options, message: str) -> None:
+    given: Options = {"by": ["kp"], "dt": 0.02, "n": 2, "spread": SPREAD, "controller": LAW} | change
+    with pytest.raises(pm.PinmobileError, match=message):
+        tune("distance", BODY, given.pop("controller"), PATH, **given)
+
+
+def test_a_search_that_is_stopped_returns_the_best_trial_so_far() -> None:
+    seen: list[Any] = []
+
+    def stop(trial: Any) -> None:
+        seen.append(trial)
+        if len(seen) == 3:
+            raise KeyboardInterrupt
+
+    found = tune(loss, BODY, LAW, PATH, by=["kp", "kd"], dt=0.02, progress=stop)
+    assert len(found.trials) == 3
+    assert found.best.loss == min(one.loss for one in seen)
+    assert "stopped" in found.method
