@@ -88,7 +88,7 @@ def test_on_a_ramp_the_gear_takes_its_share_of_the_power_either_way(slope: float
 
 def test_the_smooth_law_of_a_motor_is_its_law_where_its_wheel_turns() -> None:
     motor = evolved(MOTOR, torque_limit=6.0)
-    constants = [np.array([x]) for x in (1.2, 0.03, 1e-5, 0.004, 0.8)]
+    constants = [np.array([x]) for x in (1.2, 0.03, 1e-5, 0.004, 0.8, MOTOR.gear)]
     law = MotorLaw([motor], *constants)
     limited = 0
     for volts, rate in np.random.default_rng(2).uniform(-1, 1, (200, 2)) * np.array([30.0, 60.0]):
