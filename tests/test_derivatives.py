@@ -1,5 +1,6 @@
 """Gradients of closed loops: forward beside reverse mode, both beside differences of runs."""
 
+import inspect
 from collections.abc import Sequence
 from itertools import chain
 from typing import Any
@@ -8,14 +9,84 @@ import numpy as np
 import pytest
 
 import pinmobile as pm
+from pinmobile import controllers, forces, integrators, robot, wheels
 from pinmobile.derivatives import Gradient, gradient, poles
 from pinmobile.loop import Loop, sampled, start_of
-from pinmobile.parts import named, replace
-from tests.frozen import BODY, CIRCLE, WRONG, by_lapack, loops
+from pinmobile.parts import named, parts_of, replace
+from tests.frozen import BODY, CIRCLE, MOTOR, WHEEL, WRONG, by_lapack, loops, table, turning
 
-DT, DURATION = 0.01, 2.0
+DT, DURATION = 0.01, 1.0
 DRY = ("differential Coulomb", "mecanum Coulomb", "skid-steer")
 LOOPS = {name: (parts, options) for name, parts, options in (*loops(), *by_lapack())}
+
+
+def others() -> dict[str, Any]:
+    """Return loops with the parts that the loops above do not have."""
+    commanded = pm.VelocityRobot([0.26, 0.25, 0.03, 1.1, 0.2, 1.2], accelerations=(2.0, 4.0))
+    drive = pm.WheeledRobot(BODY, table("differential"))
+    car = pm.WheeledRobot(BODY, pm.WheelTable.car(0.5, 0.4, 0.1, **WHEEL))
+    swerve = pm.WheeledRobot(BODY, pm.WheelTable.swerve([(0.3, 0.1), (-0.3, -0.1)], 0.06, **WHEEL))
+    front = [wheels.Wheel("a", 0.3, 0.2, 0.1, **WHEEL), wheels.Wheel("b", 0.3, -0.2, 0.1, **WHEEL)]
+    coupled = pm.WheelTable(tuple(front), couplings=(wheels.DifferentialGear(("a", "b"), MOTOR),))
+    tall = pm.MobileRobot(30.0, 1.3, com=(0.1, 0.05, 0.2))
+    sloping = pm.Rolling(wheels.Ramp(0.1, 0.5))
+    carried = pm.PayloadTransfer(BODY, pm.PayloadBody(3.0, com=(0.1, 0.1, 0.2)), 0.5, 1.0, "base_link")
+    crab = pm.FixedHeading(pm.Circle(1.0, 0.5, 6.0), 0.0)
+    rest = pm.FixedHeading(pm.Hold((1.0, 0.5), 6.0), 0.3)
+    unicycle, push = pm.UnicycleTracking(), pm.law(turning)
+    return {
+        "adaptive velocity": (commanded, controllers.AdaptiveVelocity(commanded, leakage=0.1), CIRCLE),
+        "dynamic feedback": (
+            commanded,
+            controllers.VelocityCommand(controllers.DynamicFeedback(), commanded),
+            CIRCLE,
+        ),
+        "parking": (drive, pm.Backstepping(controllers.Parking(), drive), rest),
+        "sampled": (BODY, controllers.Sampled(controllers.PID(WRONG), 5), CIRCLE),
+        "odometry": (
+            drive,
+            wheels.OdometryFeedback(pm.Backstepping(unicycle, drive), drive.table),
+            CIRCLE,
+        ),
+        "random steps": (commanded, controllers.RandomSteps(), CIRCLE),
+        "transfer": (carried, pm.ComputedTorque(BODY, 4.0, 4.0), CIRCLE),
+        "ramp": (
+            pm.WheeledRobot(tall, table("differential", supports=[(-0.3, 0.0)]), sloping),
+            push,
+            CIRCLE,
+        ),
+        "car": (car, pm.Backstepping(unicycle, car), CIRCLE),
+        "swerve": (swerve, controllers.SwerveTracking(swerve), crab),
+        "coupled": (pm.WheeledRobot(BODY, coupled), pm.law(lambda t, q, v, r: 5.0 + 0.0 * v[:1]), CIRCLE),
+    }
+
+
+LOOPS |= {name: (parts, {}) for name, parts in others().items()}
+LOOPS["parking"][1]["q0"] = [0.1, 0.1, 0.2, 0.0, 0.0]
+LOOPS["coupled"][1]["v0"] = [0.0] * 5
+# What the derivatives of no loop need: solvers of their own, and what is no part of a loop.
+NO_PARTS: tuple[str, ...] = (
+    "Changing",
+    "Controller",
+    "KinematicLaw",
+    "State",
+    "Tracked",
+    "Force",
+    "Integrator",
+)
+NO_PARTS += (
+    "Allocation",
+    "Forces",
+    "Mobility",
+    "Reduced",
+    "Arm",
+    "Linearization",
+    "Mountable",
+    "Mountables",
+    "Stance",
+)
+NO_PARTS += ("System", "UncheckedDynamics", "ContactState", "MotorState")
+REFUSED = ("MPC",)
 # Where a number changes the side of a kink during the run, differences of runs are no derivatives.
 KINKED = ("super-twisting", "adaptive", "constant", "all forces", "line")
 
@@ -32,10 +103,11 @@ def base_of(name: str) -> tuple[Loop, dict[str, Any]]:
 
 
 def chosen(loop: Loop) -> list[str]:
-    """Return some numbers of each part."""
+    """Return some numbers of each part, of LQR its plant alone: Python solves its Riccati equations."""
     known = [path for path, one in named(loop).items() if not one.label and 0 < np.size(one.leaf.value) < 10]
-    known = [path for path in known if named(loop)[path].leaf.value is not None]
-    each = {"controller": 2, "plant": 2, "forces": 2}
+    # A controller that believes in another axle refuses the reference.
+    known = [path for path in known if named(loop)[path].leaf.value is not None and "ahead" not in path]
+    each = {"controller": 0 if isinstance(loop.controller, pm.LQR) else 2, "plant": 2, "forces": 2}
     some = ([path for path in known if path.startswith(f"{part}.")][:count] for part, count in each.items())
     return [*chain.from_iterable(some), "start.x"]
 
@@ -52,7 +124,7 @@ def differences(loop: Loop, own: dict[str, Any], paths: Sequence[str]) -> Any:
     def value(changed: Loop) -> float:
         parts = changed.plant, changed.controller, changed.trajectory
         first = sampled(changed.trajectory, np.zeros(1), changed.plant)
-        q, v = start_of(changed.plant, first, None, None)
+        q, v = start_of(changed.plant, first, own.get("q0"), own.get("v0"))
         start = changed.integrate(q, changed.start), v + changed.start_rate
         options: dict[str, Any] = {**own, "forces": changed.forces, "limit": 1e9}
         options |= {"q0": start[0], "v0": start[1]}
@@ -76,6 +148,24 @@ def differences(loop: Loop, own: dict[str, Any], paths: Sequence[str]) -> Any:
                 slopes.append((ends[0] - ends[1]) / (2 * h))
             rows.append((slopes[1] + (slopes[1] - slopes[0]) / 3, abs(slopes[1] - slopes[0])))
     return np.array(rows).T
+
+
+def test_every_public_part_is_in_a_loop() -> None:
+    seen = {"constant_acceleration", "rk4", "semi_implicit_euler", "law", *REFUSED, *NO_PARTS}
+    for name in LOOPS:
+        loop, _ = base_of(name)
+        seen |= {type(one).__name__ for _, one in parts_of(loop)}
+    modules = controllers, integrators, forces, robot, wheels
+    public = {
+        name
+        for module in modules
+        for name in getattr(module, "__all__", [])
+        if inspect.isclass(getattr(module, name)) and not issubclass(getattr(module, name), Exception)
+    }
+    assert len(public) > 40
+    assert public <= seen
+    drawn = {type(parts[1]).__name__ for parts, _ in LOOPS.values()}
+    assert {"LQR", "Backstepping", "Sampled"} <= drawn
 
 
 @pytest.mark.filterwarnings("ignore")
