@@ -6,7 +6,7 @@ from pinmobile.compiled._tracing import (
     tracing as tracing,
     uncollected as uncollected,
 )
-from pinmobile.compiled._vectorize import Recurrence as Recurrence, vectorize
+from pinmobile.compiled._vectorize import Recurrence as Recurrence, jacobian as jacobian, vectorize
 from pinmobile.compiled.differentiation import (
     adjoint as adjoint,
     bits_of_indices as bits_of_indices,
