@@ -8,6 +8,7 @@ import pytest
 import pinmobile as pm
 from pinmobile.arrays import Array
 from pinmobile.identification._car_model import CarModel
+from pinmobile.identification._excitation import _Search
 from pinmobile.identification._planar_model import PlanarModel, PlanarProblem
 from pinmobile.identification._simulation import Segments, linearize, simulate
 from pinmobile.identification._velocity_model import VelocityModel
@@ -71,3 +72,34 @@ def test_slopes_of_a_simulated_log_are_those_of_differences(case: str) -> None:
         coarse, fine = change(j, 2e-4), change(j, 1e-4)
         best, error = (4 * fine - coarse) / 3, np.abs(fine - coarse).max()  # Richardson
         assert np.abs(slope - best).max() < 1e-8 + 0.1 * error, j
+
+
+MECANUM = pm.WheelTable.mecanum(0.4, 0.48, 0.09, mass=1.0, spin_inertia=0.005)
+BODY = pm.MobileRobot(30.0, 1.3, com=(0.1, 0.05))
+
+
+@pytest.mark.parametrize("robot", [BODY, pm.WheeledRobot(BODY, DRIVE), pm.WheeledRobot(BODY, MECANUM)])
+@pytest.mark.parametrize("reach", [0.1, 3.0])
+def test_the_gradient_of_the_information_is_that_of_differences(robot: Any, reach: float) -> None:
+    model, rng = PlanarModel.of(robot), np.random.default_rng(0)
+    limits = [np.array(x) for x in ((reach, reach, 3.0), (1.0, 1.0, 1.5), (1.5, 1.5, 3.0))]
+    search = _Search(model, model.prior(robot), (20.0, 60.0, 5), limits)
+    raw, way = rng.standard_normal((2, 5, 2, model.free))
+    _, gradient = search.smooth_cost(raw, 16.0)
+
+    def change(h: float) -> float:
+        ahead, behind = (search.smooth_cost(raw + x * way, 16.0)[0] for x in (h, -h))
+        return (ahead - behind) / (2 * h)
+
+    best, error = (4 * change(5e-5) - change(1e-4)) / 3, abs(change(5e-5) - change(1e-4))
+    assert abs((gradient * way).sum() - best) < 1e-7 + error
+
+
+def test_a_designed_motion_informs_more_than_any_of_many_random_ones() -> None:
+    limits = [np.array(x) for x in ((1.5, 1.5, np.pi), (1.0, 1.0, 1.5), (1.5, 1.5, 3.0))]
+    model, rng = PlanarModel.of(BODY), np.random.default_rng(1)
+    search = _Search(model, model.prior(BODY), (20.0, 60.0, 5), limits)
+    random = [search.coefficients(rng.standard_normal((5, 2, 3))) for _ in range(300)]
+    designed = np.asarray(pm.excitation(BODY).coefficients)
+    assert search.cost(designed)[0] < min(search.cost(x)[0] for x in random) - 5.0
+    assert np.allclose(search.coefficients(designed), designed)  # it reaches the limits
