@@ -300,7 +300,7 @@ def solve_robustly(
         p, starts, left, counted = found.p, found.starts, found.near.residual, good
         deviation = NORMAL * np.median(np.abs(left[good]), axis=0) + 1e-300
         far = np.asarray((np.abs(left) > _OUTLIER * deviation).any(axis=-1))
-        good = segments.good & ~_alone(far, segments.good)
+        good = segments.good & ~alone(far, segments.good)
         if good.sum() <= left.shape[-1]:
             raise unexplained(0.0)
         before, covariance = covariance, _covariance(left[good & counted])
@@ -316,7 +316,7 @@ def solve_robustly(
     return found, lost | ~moves
 
 
-def _alone(far: NDArray[np.bool_], seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def alone(far: NDArray[np.bool_], seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return the samples that are far off without others nearby: a cluster is an error of the model."""
     from scipy.ndimage import uniform_filter1d  # slow to load
 

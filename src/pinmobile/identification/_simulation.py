@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
-from typing import Any, NamedTuple, Protocol, Self, TypeAlias
+from typing import Any, NamedTuple, Protocol, Self, TypeAlias, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -181,14 +181,27 @@ class Model(Protocol):
         """Whether the measurements are linear functions of the states."""
 
 
-class _Law:
-    """Law that equals another one with the same code and data."""
+@runtime_checkable
+class Simulator(Protocol):
+    """Protocol of models with simulations of their own, in place of the law of a state and input."""
 
-    def __init__(self, law: Callable[..., Any]) -> None:
-        self.law, self._key = law, Identity().visit(law).key
+    def simulated(self, segments: Segments, p: Array, starts: Array) -> Array:
+        """Return simulated measurements, see `simulate`."""
+
+    def linearized(
+        self, segments: Segments, p: Array, starts: Array, numbers: NDArray[np.int_]
+    ) -> tuple[Array, Array]:
+        """Return simulated measurements and slopes, see `linearize`."""
+
+
+class Same:
+    """Value that equals another one with the same key."""
+
+    def __init__(self, value: Any, key: Any) -> None:
+        self.value, self._key = value, key
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Law) and self._key == other._key
+        return isinstance(other, Same) and self._key == other._key
 
     def __hash__(self) -> int:
         return hash(self._key)
@@ -197,18 +210,18 @@ class _Law:
 @lru_cache(64)
 def _recurrence(law: Callable[..., Any], sizes: tuple[int, int, int], *sensitive: Any) -> Recurrence:
     """Return the recurrence of samples, see `_made`; the law is compared as an object first."""
-    return _made(_Law(law), sizes, *sensitive)
+    return _made(Same(law, Identity().visit(law).key), sizes, *sensitive)
 
 
 @lru_cache(64)
-def _made(given: _Law, sizes: tuple[int, int, int], active: _Active = None, late: bool = False) -> Recurrence:
+def _made(given: Same, sizes: tuple[int, int, int], active: _Active = None, late: bool = False) -> Recurrence:
     """Return the recurrence of samples: steps with the previous input, then steps with the present input.
 
     Step lengths and counts (h, count, h, count) precede the numbers of the law. With the indices of `active`
     numbers, the state has its slopes behind it, also by a delay if `late`, see `_sensitive`.
     """
     n, m, k = sizes
-    law = given.law if active is None else _sensitive(given.law, n, active, late)
+    law = given.value if active is None else _sensitive(given.value, n, active, late)
 
     def sample(z: Any, u: Any, numbers: Any) -> Any:
         h, first, later, last = (entries(numbers[j]).item() for j in range(4))
@@ -260,6 +273,8 @@ def simulate(model: Model, segments: Segments, p: Array, starts: Array) -> Array
 
     In each sample, the previous input acts for the fractional part of the delay, then the present input.
     """
+    if isinstance(model, Simulator):
+        return model.simulated(segments, p, starts)
     numbers, late, longest = model.resolved(segments, p)
     return model.observed(segments, _states(model, segments, (numbers, late, longest), starts), numbers)
 
@@ -330,6 +345,8 @@ def linearize(
     step (Squire and Trapp 1998) differentiates the model's arithmetic. The slope by a delay is that of one
     side at a whole sample. If the model has a `shifted` delay, its slope is the difference over two samples.
     """
+    if isinstance(model, Simulator):
+        return model.linearized(segments, p, starts, numbers)
     (S, n), F = starts.shape, len(numbers)
     ways, shifted = np.zeros((F, len(p))), numbers == (-1 if model.shifted is None else model.shifted)
     ways[np.arange(F), numbers] = ~shifted
