@@ -8,6 +8,7 @@ from pinmobile.compiled._tracing import (
 )
 from pinmobile.compiled._vectorize import Recurrence as Recurrence, jacobian as jacobian, vectorize
 from pinmobile.compiled.differentiation import (
+    Copy as Copy,
     adjoint as adjoint,
     bits_of_indices as bits_of_indices,
     tangent as tangent,

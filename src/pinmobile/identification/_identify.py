@@ -132,6 +132,13 @@ def identify(
     >>> found = identify(Log.from_rollout(run, noise=1e-3), robot)
     >>> round(found.parameters["mass"], 1)  # [kg]
     30.0
+
+    Any numbers of a robot, here its mass alone:
+
+    >>> log = Log.from_rollout(run, noise=1e-3)
+    >>> found = identify(log, MobileRobot(25.0, 1.3), by="mass")
+    >>> found.robot().mass.round(1)  # [kg]
+    30.0
     """
     logs = logs_of(log)
     one_of("method", method, METHODS)

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, bounded, scalar, sequence
 from pinmobile.compiled import COUNT, Identity, Leaf, LoopTape, Program, Shape, Target, processors, tangent
-from pinmobile.compiled.differentiation import Copy
 from pinmobile.errors import InvalidArgument, UnknownName, shown
 from pinmobile.identification._estimates import Identification, in_words
 from pinmobile.identification._estimator import (
@@ -38,11 +37,12 @@ from pinmobile.trajectories import Reference
 
 _LONGEST, _SEGMENTS, _SHORTEST = 1.0, 20, 10  # [s] of a segment; segments of a log; samples of a segment
 _LONGEST_STEP = 5e-3  # [s] of the integrator
-_EXPLAINED = 0.5  # smallest explained share of the displacements in a segment
+_EXPLAINED = 0.5  # smallest explained share of the accelerated motion in segments
 _NEAR = 7  # samples of the cubic that gives first velocities
 _ROUNDS, _OUTLIER = 3, 6.0  # rounds without outliers, and what they are [standard deviations]
 _SIZE = 0.02  # smallest typical size of a number: of a centre of mass [m]
-_PRECISE = 0.5  # largest standard deviation of an identified direction, as a share of its size
+_PRECISE = 10.0  # largest standard deviation of an identified direction, as a share of its size
+_COLOURED = 2.5  # multiple of the bound of white residuals that noise of the inputs may reach
 _LEAST_NOISE = 1e-6  # of a sensor, as a share of its standard deviation
 _midpoint = RungeKuttaNystrom("midpoint", (0.0, 0.5), ((), (0.125,)), ((), (0.5,)), (0.0, 0.5), (0.0, 1.0))
 
@@ -62,14 +62,16 @@ class _Held:
 
 
 @lru_cache(16)
-def _programs(same: Same, dt: float, rows: tuple[tuple[str, int], ...]) -> tuple[LoopTape, Program, Program]:
+def _programs(
+    same: Same, dt: float, rows: tuple[tuple[str, int], ...], columns: tuple[int, ...]
+) -> tuple[LoopTape, Program, Program]:
     """Return a plant's loop on a tape, its program, and the program of its tangents by numbers by path."""
     loop, spread, context, start, first = same.value
     identity = Identity.of(loop, initial_memory(loop, context)[2:], spread, ())
     traced = Trace(loop, context, start, first, identity, spread, own_reference=True).result()
     # No sample is the first one: also the velocities at the start of a segment obey constraints.
     whole = Copy(traced, {COUNT: lambda tape: tape.const(1, "u")}).loop(traced)
-    nodes = [now for now, _ in whole.states]
+    nodes = [whole.states[k][0] for k in columns]
     own = replaced(whole, kept={"x": ((len(nodes),), nodes)}, counted=[])
     found = []
     for tape in (own, tangent(own, [("row", whole.parameters[path].first + i) for path, i in rows])):
@@ -122,7 +124,7 @@ class PlantProblem:
         """The unknown numbers, with the shortest different ends of their paths."""
         paths, told = [one.path.split(".") for one in self.found], []
         for one, words in zip(self.found, paths, strict=True):
-            least = 1 + bool(one.label)
+            least = 2 + bool(one.label)
             ends = (k for k in range(least, len(words)) if sum(x[-k:] == words[-k:] for x in paths) == 1)
             name = ".".join(words[-next(ends, len(words)) :])
             declared: Any = one.leaf.declared
@@ -160,12 +162,9 @@ class PlantProblem:
         return bool(self.are_possible(self.values(p)))
 
     def are_possible(self, values: Array) -> Any:
-        """Return which numbers, shape (..., k), are within their bounds."""
-        declared: list[Any] = [one.leaf.declared for one in self.found]
-        above = np.array([-np.inf if one.above is None else one.above for one in declared])
-        low = np.array([-np.inf if one.lower is None else one.lower for one in declared])
-        high = np.array([np.inf if one.upper is None else one.upper for one in declared])
-        return ((values > above) & (values >= low) & (values <= high)).all(axis=-1)
+        """Return which numbers, shape (..., k), a plant can have; losses may be below zero, as estimates."""
+        above = [getattr(one.leaf.declared, "above", None) for one in self.found]
+        return (values > [-np.inf if bound is None else bound for bound in above]).all(axis=-1)
 
     @cached_property
     def _code(self) -> tuple[dict[str, Array], list[int], tuple[Program, Program]]:
@@ -181,7 +180,9 @@ class PlantProblem:
             tuple((f"plant.{x.leaf.path}", _index(x)) for x in self.found),
         )
         key = Identity.of(loop, memory[2:], spread, steps).key
-        tape, *programs = _programs(Same((loop, spread, context, start, first), key), self.dt, rows)
+        tape, *programs = _programs(
+            Same((loop, spread, context, start, first), key), self.dt, rows, self.columns_of_state
+        )
         into = {
             "row": np.zeros(tape.rows),
             "uniform": np.zeros(tape.uniforms),
@@ -215,7 +216,7 @@ class PlantProblem:
         none, many = np.zeros((L, 0)), np.zeros((L, len(u), 0))
         outcome = program.run(
             (states, np.zeros((len(states), 0))),
-            self.dt * np.arange(L),
+            np.asarray(self.dt * np.arange(L)),
             (np.zeros((L, nu)), none, none),
             h=into["uniform"][0],
             values={"rows": row, "uniforms": into["uniform"][1:]},
@@ -224,11 +225,11 @@ class PlantProblem:
             threads=processors(),
         )
         (answer,) = outcome.kept.values()
-        return np.asarray(answer[..., :n])
+        return np.asarray(answer)
 
     def simulated(self, segments: Segments, p: Array, starts: Array) -> Array:
         """Return simulated measurements, see `simulate`."""
-        out = self._run(segments, p, starts)[..., list(self.columns_of_state)]
+        out = self._run(segments, p, starts)
         return out.reshape(*starts.shape[:2], *out.shape[1:])
 
     def linearized(
@@ -239,7 +240,7 @@ class PlantProblem:
         directions = np.zeros((len(numbers) + n, k + n))
         directions[: len(numbers), :k] = self.basis.T[numbers]
         directions[len(numbers) :, k:] = np.eye(n)
-        slopes = self._run(segments, p[None], starts[None], directions)[..., list(self.columns_of_state)]
+        slopes = self._run(segments, p[None], starts[None], directions)
         return out, np.nan_to_num(slopes.reshape(len(directions), len(starts), *slopes.shape[1:]))
 
     def to_physical(self, p: Array) -> Array:
@@ -251,12 +252,16 @@ class PlantProblem:
         return np.eye(len(p))
 
     def plausible(self, p: Array, covariance: Array) -> Array:
-        """Return the numbers unchanged: the search keeps them within their bounds."""
-        return p
+        """Return the nearest numbers within the declared bounds."""
+        lower, upper = (
+            [getattr(one.leaf.declared, name, None) for one in self.found] for name in ("lower", "upper")
+        )
+        low, high = ([x if b is None else b for x, b in zip(p, each, strict=True)] for each in (lower, upper))
+        return np.clip(p, low, high)
 
     def robot(self, found: Identification) -> Any:
         """Return the plant with the identified numbers."""
-        return self.changed(found.phi)
+        return self.changed(found.plausible)
 
     def forces(self, found: Identification) -> list[Any]:
         """Return no forces: numbers of the plant include the losses."""
@@ -270,7 +275,7 @@ class PlantProblem:
         self, found: Identification, log: Log, seconds: float | None
     ) -> tuple[Segments, Array, NDArray[np.bool_], Array]:
         """Return segments of a log, residuals, mask of good samples, and the noise of the sensors."""
-        known = replaced(self, base=found.phi, basis=np.zeros((len(self.base), 0)))
+        known: Any = replaced(self, base=found.phi, basis=np.zeros((len(self.base), 0)))
         segments = _segments([log], known, found.seconds if seconds is None else seconds)
         return segments, solve(known, segments, np.zeros(0)).near.residual, segments.good, segments.noise[0]
 
@@ -333,7 +338,7 @@ def _sensors(log: Log, plant: Any) -> list[str]:
     names += ["wheel_rates"] * (log.wheel_rates is not None and log.joints is None)
     if log.joints is not None and log.joints.shape[1] != plant.nq - 3:
         raise InvalidArgument(
-            f"log has {log.joints.shape[1]} joints, expected the {plant.nq - 3} coordinates of the robot behind its pose"
+            f"log has {log.joints.shape[1]} joints, expected {plant.nq - 3}: all coordinates behind the pose"
         )
     return names
 
@@ -351,7 +356,7 @@ def identify_plant(logs: Sequence[Log], plant: Any, by: Any, delay: float | None
     if "wheel_rates" in names:
         own = [one.name for one in coordinates_of(plant)]
         columns += [nq + own.index(one.name) for one in plant.inputs]
-    first = PlantProblem(plant, found, base, np.diag(sizes), dt, late, tuple(columns))
+    first: Any = PlantProblem(plant, found, base, np.diag(sizes), dt, late, tuple(columns))
     span = sum(float(log.t[-1] - log.t[0]) for log in logs)
     seconds = max(min(_LONGEST, span / (_SEGMENTS + 0.5)), _SHORTEST * dt)
     segments = _segments(logs, first, seconds)
@@ -363,14 +368,12 @@ def identify_plant(logs: Sequence[Log], plant: Any, by: Any, delay: float | None
             "log identifies none of the numbers of by, expected a motion in which they matter"
         )
     problem = replaced(first, basis=sizes[:, None] * seen)
-    fit = _without_outliers(problem, segments)
+    fit = _without_outliers(problem, segments, segments.start + near.starts(0 * base))
     left = np.where(fit.good[..., None], fit.near.residual, 0.0)
     moved = segments.y - segments.y[:, :1]
-    explained = float(
-        1
-        - ((left / segments.noise[:, None]) ** 2).sum()
-        / ((moved * fit.good[..., None] / segments.noise[:, None]) ** 2).sum()
-    )
+    line = np.linalg.qr(np.vander(np.arange(left.shape[1]), 2))[0]  # what initial states explain
+    bent = segments.y - line @ (line.T @ segments.y)
+    explained = 1 - float((segments.weighed(left) ** 2).sum() / (segments.weighed(bent) ** 2).sum())
     if explained < _EXPLAINED:
         raise unexplained(explained)
     covariance, blocks = jackknife(fit.near)
@@ -406,7 +409,7 @@ def identify_plant(logs: Sequence[Log], plant: Any, by: Any, delay: float | None
         noise=segments.noise[0],
         residual=np.sqrt((left**2).sum(axis=(0, 1)) / fit.good.sum()),
         whiteness=whiteness,
-        is_noise=whiteness.is_white,
+        is_noise=bool(np.abs(whiteness.correlation).max() <= _COLOURED * whiteness.bound),
         explained=explained,
         chi2=float((segments.weighed(left) ** 2).sum()) / count,
         prior=plant,
@@ -415,20 +418,20 @@ def identify_plant(logs: Sequence[Log], plant: Any, by: Any, delay: float | None
 
 
 def _directions(near: Linear) -> tuple[Array, Array]:
-    """Return the directions of scaled numbers that a log identifies better than their sizes, and the others."""
+    """Return the directions of scaled numbers that a log identifies, and the others."""
     values, vectors = np.linalg.eigh(near.information)
     noise = max(1.0, float(near.normal[..., 0, 0].sum()) / near.e.size)
     known = values > noise * _PRECISE**-2
     return vectors[:, known], vectors[:, ~known]
 
 
-def _without_outliers(problem: PlantProblem, segments: Segments) -> Fit:
+def _without_outliers(problem: Any, segments: Segments, starts: Array) -> Fit:
     """Return the least squares without samples that are far off alone."""
-    good, starts, p = segments.good, None, np.zeros(problem.basis.shape[1])
+    good, p = segments.good, np.zeros(problem.basis.shape[1])
     for _ in range(_ROUNDS):
-        fit = solve(problem, segments._replace(good=good), p, starts=starts)
+        fit = solve(problem, segments._replace(good=good), p, starts=starts, passes=0)
         deviation = NORMAL * np.median(np.abs(fit.near.residual[good]), axis=0) + 1e-300
-        far = (np.abs(fit.near.residual) > _OUTLIER * deviation).any(axis=-1)
+        far = np.asarray((np.abs(fit.near.residual) > _OUTLIER * deviation).any(axis=-1))
         before, good, p, starts = good, segments.good & ~alone(far, segments.good), fit.p, fit.starts
         if (good == before).all():
             break
