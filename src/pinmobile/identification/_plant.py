@@ -12,7 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, bounded, scalar, sequence
-from pinmobile.compiled import COUNT, Identity, Leaf, LoopTape, Program, Shape, Target, processors, tangent
+from pinmobile.compiled import (
+    COUNT,
+    Copy,
+    Identity,
+    Leaf,
+    LoopTape,
+    Program,
+    Shape,
+    Target,
+    processors,
+    tangent,
+)
 from pinmobile.errors import InvalidArgument, UnknownName, shown
 from pinmobile.identification._estimates import Identification, in_words
 from pinmobile.identification._estimator import (
@@ -75,15 +86,11 @@ def _programs(
     own = replaced(whole, kept={"x": ((len(nodes),), nodes)}, counted=[])
     found = []
     for tape in (own, tangent(own, [("row", whole.parameters[path].first + i) for path, i in rows])):
-        leaf = (
-            Leaf("", "rows", (tape.rows,), 0, "row"),
-            Leaf("", "uniforms", (tape.uniforms - 1,), 1, "uniform"),
-        )
-        kept = {name: value for name, value in tape.kept.items() if len(tape.kept) == 1 or name != "x"}
-        sizes = len(tape.states), 0, *whole.sizes[2:]
-        changes: dict[str, Any] = {"parameters": {"rows": leaf[0], "uniforms": leaf[1]}, "leaves": []}
-        tape = replaced(tape, **changes, kept=kept, sizes=sizes, tracks=whole.tracks)
-        found.append(Program(tape, shape=Shape(Target.here().lanes, 1)))
+        kinds = ("row", tape.rows, 0), ("uniform", tape.uniforms - 1, 1)
+        leaves = {kind: Leaf("", kind, (size,), begin, kind) for kind, size, begin in kinds}
+        changes: dict[str, Any] = {"kept": dict([[*tape.kept.items()][-1]]), "tracks": whole.tracks}
+        changes |= {"sizes": (len(tape.states), 0, *whole.sizes[2:]), "leaves": [], "parameters": leaves}
+        found.append(Program(replaced(tape, **changes), shape=Shape(Target.here().lanes, 1)))
     return traced, found[0], found[1]
 
 
@@ -175,19 +182,16 @@ class PlantProblem:
         context = Context.of(plant, dt=self.dt, t=np.array([0.0, self.dt]), reference=reference)
         start, first = (np.zeros(plant.nq), np.zeros(plant.nv)), Reference(*(x[0] for x in reference))
         spread = {f"plant.{one.leaf.path}": np.ones(np.shape(one.leaf.value), bool) for one in self.found}
-        memory, rows = (
-            initial_memory(loop, context),
-            tuple((f"plant.{x.leaf.path}", _index(x)) for x in self.found),
-        )
+        memory, shapes = initial_memory(loop, context), [np.shape(one.leaf.value) for one in self.found]
+        places = [one.place(len(shape)) for one, shape in zip(self.found, shapes, strict=True)]
+        at = [int(np.ravel_multi_index(x, n)) if n else 0 for x, n in zip(places, shapes, strict=True)]
+        rows = tuple((f"plant.{one.leaf.path}", k) for one, k in zip(self.found, at, strict=True))
         key = Identity.of(loop, memory[2:], spread, steps).key
         tape, *programs = _programs(
             Same((loop, spread, context, start, first), key), self.dt, rows, self.columns_of_state
         )
-        into = {
-            "row": np.zeros(tape.rows),
-            "uniform": np.zeros(tape.uniforms),
-            "state": np.zeros(len(tape.states)),
-        }
+        counts = {"row": tape.rows, "uniform": tape.uniforms, "state": len(tape.states)}
+        into = {kind: np.zeros(count) for kind, count in counts.items()}
         into["uniform"][0], told = self.dt / steps, traced_numbers(loop)
         given = [(leaf, told[path]) for path, leaf in tape.parameters.items()]
         for leaf, value in (*given, *zip(tape.leaves, arrays_of(memory), strict=True)):
@@ -219,7 +223,7 @@ class PlantProblem:
             np.asarray(self.dt * np.arange(L)),
             (np.zeros((L, nu)), none, none),
             h=into["uniform"][0],
-            values={"rows": row, "uniforms": into["uniform"][1:]},
+            values={"row": row, "uniform": into["uniform"][1:]},
             first=(),
             tracks=(np.moveaxis(u, 1, 0), many, many),
             threads=processors(),
@@ -257,7 +261,7 @@ class PlantProblem:
             [getattr(one.leaf.declared, name, None) for one in self.found] for name in ("lower", "upper")
         )
         low, high = ([x if b is None else b for x, b in zip(p, each, strict=True)] for each in (lower, upper))
-        return np.clip(p, low, high)
+        return np.asarray(np.clip(p, low, high))
 
     def robot(self, found: Identification) -> Any:
         """Return the plant with the identified numbers."""
@@ -278,11 +282,6 @@ class PlantProblem:
         known: Any = replaced(self, base=found.phi, basis=np.zeros((len(self.base), 0)))
         segments = _segments([log], known, found.seconds if seconds is None else seconds)
         return segments, solve(known, segments, np.zeros(0)).near.residual, segments.good, segments.noise[0]
-
-
-def _index(one: Found) -> int:
-    shape = np.shape(one.leaf.value)
-    return int(np.arange(np.size(one.leaf.value)).reshape(shape)[one.place(len(shape))]) if shape else 0
 
 
 def _numbers_of(plant: Any, by: Any) -> tuple[Found, ...]:
@@ -378,7 +377,8 @@ def identify_plant(logs: Sequence[Log], plant: Any, by: Any, delay: float | None
         raise unexplained(explained)
     covariance, blocks = jackknife(fit.near)
     whiteness = Whiteness.of(segments.weighed(left), fit.good)
-    count = max(1, fit.good.sum() * left.shape[-1] - seen.shape[1] - np.linalg.matrix_rank(fit.near.back[0]))
+    states = int(fit.near.back.any(axis=(0, 2)).sum()) * len(left)
+    count = max(1, int(fit.good.sum()) * left.shape[-1] - seen.shape[1] - states)
     early = np.arange(len(left)) < TRAINED * len(left)
     held = segments.some(~early)
     p = fit.p + fit.near.step(early[:, None] & np.ones(fit.near.normal.shape[1], bool))
