@@ -6,8 +6,9 @@ from pinmobile.compiled._tracing import (
     tracing as tracing,
     uncollected as uncollected,
 )
-from pinmobile.compiled._vectorize import Recurrence as Recurrence, vectorize
+from pinmobile.compiled._vectorize import Recurrence as Recurrence, jacobian as jacobian, vectorize
 from pinmobile.compiled.differentiation import (
+    Copy as Copy,
     adjoint as adjoint,
     bits_of_indices as bits_of_indices,
     sides as sides,

@@ -67,6 +67,11 @@ class CarModel(VelocityModel):
             _sized("cornering_drag", "", False, 0.0, 1.0, 0.1),
         )
 
+    @property
+    def is_linear(self) -> bool:  # type: ignore[override]
+        """Whether the measurements are linear functions of the states: a yaw rate is not."""
+        return self.is_pose
+
     def time_constants(self, p: Array) -> Array:
         """Return the time constants of the speed, and of both poles of the steering, shape (..., 2) [s]."""
         return np.asarray(p[..., [0, 2]] * [1.0, 0.5])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
@@ -503,3 +503,16 @@ def check_identifiable(what: str, unseen: str) -> None:
             f"{what}() needs a log that identifies all parameters: {unseen}; expected a motion in which all "
             "velocities change often and independently"
         )
+
+
+def in_words(quantities: Sequence[str], unseen: Array) -> str:
+    """Return in words the directions of the parameters that are not identifiable; "" if all are."""
+    from scipy.sparse.csgraph import connected_components  # slow to load
+
+    names, hidden = np.array(quantities), unseen @ unseen.T
+    share = np.diag(hidden)
+    alone, mixed = names[share > 0.98], np.flatnonzero((share > 0.02) & (share <= 0.98))
+    count, group = connected_components(np.abs(hidden[np.ix_(mixed, mixed)]) > 0.05)
+    told = [f"the motion does not identify {', '.join(alone)}"] if alone.size else []
+    groups = (", ".join(names[mixed[group == k]]) for k in range(count))
+    return "; ".join([*told, *(f"the motion identifies only combinations of {each}" for each in groups)])

@@ -194,6 +194,7 @@ def solve(
     white: White = lambda residuals, _: residuals,
     starts: Array | None = None,
     pull: Array | float = 0.0,
+    passes: int = _PASSES,
 ) -> Fit:
     """Return the least squares of white residuals over numbers and initial states.
 
@@ -215,6 +216,9 @@ def solve(
         Initial states, if known.
     pull : ndarray, shape (P,)
         J'e at the solution, see `Linear`.
+    passes : int
+        Largest number of passes that find initial states at each trial. If 0, the cost of a trial is that of
+        the best linear change of its initial states: for measurements that start them well.
 
     Raises
     ------
@@ -225,13 +229,13 @@ def solve(
 
     free, few = np.broadcast_to(np.asarray(moves), p.shape), slice(None, None, min(segments.few.step, _FEWER))
     z = segments.start if starts is None else starts
-    passes = _FIRST_PASSES if few.step == 1 and free.any() else _PASSES
+    is_linear, first = passes == 0, _FIRST_PASSES if few.step == 1 and free.any() else passes
     if free.any() and few.step > 1:
         given, share = None if starts is None else starts[few], len(z[few]) / len(z)
         part = segments.some(few)
         p = solve(model, part, p, moves=free, white=white, starts=given, pull=share * pull).p
     if starts is None or not free.any():
-        near, z = _settled(model, segments, p, z, white, False, passes)
+        near, z = _settled(model, segments, p, z, white, False, first)
     if not free.any():
         return Fit(p, z, near, segments.good)
     size = np.where(free, model.sizes(p), 0.0)
@@ -242,11 +246,12 @@ def solve(
         g = g - pull * size / len(g)
         inverse, down = np.linalg.pinv(H, rcond=_UNSEEN, hermitian=True), g.sum(axis=0)
         noise = max(near.normal[..., 0, 0].sum() / near.e.size, ((g @ inverse) * g).sum())
-        step, cost = inverse @ down, near.squares.sum() / 2 + pull * size @ y
+        step, left = inverse @ down, near.normal[..., 0, 0] if is_linear else near.squares
+        cost = left.sum() / 2 + pull * size @ y
         down = down * (down @ step > _CONVERGED**2 * noise)
         return _Point(y, z, near, cost, -down, H + _UNSEEN * np.diag(H).max() * np.eye(len(p)), step)
 
-    last = point(np.zeros(len(p)), z, passes * (starts is not None))
+    last = point(np.zeros(len(p)), z, min(first, passes) * (starts is not None))
 
     def reached(y: Array) -> _Point:
         nonlocal last
@@ -258,7 +263,7 @@ def solve(
         if not np.isfinite(cost):
             return last._replace(cost=np.inf)
         is_settled = last.near.squares.sum() < _FAR * last.near.normal[..., 0, 0].sum()
-        last = point(y, tried, _PASSES * is_settled)
+        last = point(y, tried, passes * is_settled)
         return last
 
     how = {"method": "trust-exact", "jac": True, "options": {"gtol": _TINY, "maxiter": _EVALUATIONS}}
@@ -300,7 +305,7 @@ def solve_robustly(
         p, starts, left, counted = found.p, found.starts, found.near.residual, good
         deviation = NORMAL * np.median(np.abs(left[good]), axis=0) + 1e-300
         far = np.asarray((np.abs(left) > _OUTLIER * deviation).any(axis=-1))
-        good = segments.good & ~_alone(far, segments.good)
+        good = segments.good & ~alone(far, segments.good)
         if good.sum() <= left.shape[-1]:
             raise unexplained(0.0)
         before, covariance = covariance, _covariance(left[good & counted])
@@ -316,7 +321,7 @@ def solve_robustly(
     return found, lost | ~moves
 
 
-def _alone(far: NDArray[np.bool_], seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def alone(far: NDArray[np.bool_], seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return the samples that are far off without others nearby: a cluster is an error of the model."""
     from scipy.ndimage import uniform_filter1d  # slow to load
 

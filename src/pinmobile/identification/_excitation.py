@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
 from typing import Any, final
 
@@ -13,8 +14,9 @@ from pinmobile.parts import array, number, part
 from pinmobile.robot import MobileRobot
 from pinmobile.trajectories import Reference
 
-_CANDIDATES, _STEPS = 60, 2500  # number of random motions, and of steps that improve the best one
-_FIRST_SIZE, _LARGER = 0.3, 1.5  # first step size as a share of the coefficients, and its growth factor
+_CANDIDATES, _STARTS = 60, 3  # number of random motions, and of the best of them that a search improves
+_ORDERS = 16.0, 128.0  # of norms that replace the largest ratio to the limits
+_ITERATIONS, _DIGITS = 60, 6  # of a search, and decimals of its numbers
 _PER_PERIOD = 120  # samples of the criterion in a period
 _KNOTS = 400  # knots of a period at which positions of wheeled robots are stored
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(6)
@@ -162,8 +164,9 @@ def excitation(
     """Design an informative motion for `identify` within limits (D-optimal).
 
     The design maximises the determinant of the information matrix of the parameters that `identify`
-    estimates. It scales each candidate so that the motion reaches the limits, and improves the best of 60
-    random candidates. A robot on wheels gets a motion along which its wheels roll.
+    estimates. It scales each candidate so that the motion reaches the limits. A search along the exact
+    gradient improves the best of 60 random candidates. A robot on wheels gets a motion along which its wheels
+    roll.
 
     Parameters
     ----------
@@ -221,8 +224,9 @@ def excitation(
     shape = count, 2, model.free if model.free < 3 else 3
     order = np.arange(1, count + 1)[:, None, None]
     draws = [generator.standard_normal(shape) / order for _ in range(_CANDIDATES)]
-    best = problem.improved(min(draws, key=problem.cost), generator)
-    return Excitation(problem.coefficients(best), T, length, problem.S)
+    draws.sort(key=lambda raw: problem.cost(problem.coefficients(raw))[0])
+    found = [problem.coefficients(problem.improved(raw)) for raw in draws[:_STARTS]]
+    return Excitation(min(found, key=lambda x: problem.cost(x)[0]), T, length, problem.S)
 
 
 class _Search:
@@ -250,7 +254,7 @@ class _Search:
         phase = w * (self.period / _PER_PERIOD) * np.arange(_PER_PERIOD)[:, None]
         c, s = np.cos(phase), np.sin(phase)
         rows = (s / w, (1 - c) / w), (c, s), (-w * s, w * c)
-        self.series = [np.concatenate(row, axis=1) for row in rows]  # columns of a_l, then of b_l
+        self.series = np.array([np.concatenate(row, axis=1) for row in rows])  # columns of a_l, then of b_l
         self.between = 1 + (np.pi * harmonics / _PER_PERIOD) ** 2 / 2  # largest ratio of peak and samples
         mass, force = prior[0], prior[0] * _TYPICAL * limits[2][0]
         lever = max(np.sqrt(prior[3] / mass), 1e-3)
@@ -263,65 +267,144 @@ class _Search:
 
     def coefficients(self, raw: Array) -> Array:
         """Return coefficients of a motion that begins and ends at rest, scaled into the limits."""
-        order = np.arange(1, len(raw) + 1.0)[:, None]
-        a = raw[:, 0] - raw[:, 0].mean(axis=0)
-        b = raw[:, 1] - order * (order * raw[:, 1]).sum(axis=0) / (order**2).sum()
-        new = np.stack([a, b], axis=1)
-        q, v, rate = self.of(new)
-        if self.S is None:
-            sizes = [np.abs(each).max(axis=0) * self.between for each in (q, v, rate)]
-            return np.asarray(new / np.max(np.array(sizes) / self.limits, axis=0))
-        bodies = [np.abs(each) @ np.abs(self.S).T for each in (v, rate)]
-        shares = np.max([x.max(axis=0) / y for x, y in zip(bodies, self.limits[1:], strict=True)], axis=0)
-        new = new / np.maximum(self.between * shares[[0, 2]], 1e-9)
-        far = np.max(self.reach(*self.of(new)[:2]) / self.limits[0][:2])
-        return np.asarray(new / np.array([max(far, 1.0), 1.0]))
+        return self.scaled(_at_rest(raw), np.inf)[0]
 
-    def of(self, coefficients: Array) -> list[Array]:
-        """Return the coordinates of a period and their two derivatives, shape (n, k) each."""
-        stacked = np.concatenate([coefficients[:, 0], coefficients[:, 1]])
-        return [each @ stacked for each in self.series]
+    def scaled(self, x: Array, order: float) -> tuple[Array, Callable[[Array], Array]]:
+        """Return coefficients scaled into the limits, and the function that returns a gradient by `x`.
 
-    def reach(self, way: Array, eta: Array) -> Array:
-        """Return the largest distances in x and y over all periods, shape (2,) [m], for wheels."""
-        assert self.S is not None
-        psi = way @ self.S[2]
-        forward, left, _ = (eta @ self.S.T).T
-        c, s = np.cos(psi), np.sin(psi)
-        step = self.period / _PER_PERIOD
-        path = np.cumsum(np.column_stack([c * forward - s * left, s * forward + c * left]) * step, axis=0)
-        last = path + (np.ceil(self.duration / self.period) - 1) * path[-1]
-        return np.asarray(np.maximum(np.abs(path).max(axis=0), np.abs(last).max(axis=0)))
-
-    def cost(self, raw: Array) -> float:
-        """Return minus the logarithm of the determinant of the information matrix."""
-        q, eta, rate = self.of(self.coefficients(raw))
-        if self.S is None:
-            eta, rate = _in_body(q[:, 2], eta, rate)
-        Y = self.model.regressor(eta, rate) * self.scales * self.weights[:, None]
-        flat = Y.reshape(-1, Y.shape[-1])
-        sign, size = np.linalg.slogdet(flat.T @ flat / len(eta) + 1e-12 * np.eye(flat.shape[1]))
-        return float(-size) if sign > 0 else np.inf
-
-    def improved(self, raw: Array, generator: np.random.Generator) -> Array:
-        """Return raw coefficients with a lower cost, by a (1+1) evolution strategy with the 1/5 rule.
-
-        Rechenberg (1973). The search only compares costs, so rounding has little influence.
+        The scale is the norm, of this order, of the ratios to the limits: an infinite order gives the largest
+        ratio, and a finite one nearly the same with a gradient.
         """
-        best, cost, size = raw, self.cost(raw), _FIRST_SIZE
-        for _ in range(_STEPS):
-            tried = best + size * np.abs(best).mean() * generator.standard_normal(best.shape)
-            new = self.cost(tried)
-            size *= _LARGER if new < cost else _LARGER**-0.25
-            if new < cost:
-                best, cost = tried, new
-        return best
+        if self.S is None:
+            limits = np.array(self.limits)[:, None] / self.between
+            size, slope = _norm(np.abs(self.of(x)) / limits, order)
+            by_size = self.back(slope * np.sign(self.of(x)) / limits)
+            return _divided(x, np.full(3, size), np.stack([by_size] * 3))
+        S, rows, limits = np.abs(self.S[[0, 2]]), self.of(x)[1:], np.array(self.limits[1:])[:, [0, 2]]
+        norms = [_norm(self.between * np.abs(rows) @ S[j] / limits[:, j, None], order) for j in range(2)]
+        slopes = [
+            np.sign(rows) * (slope * self.between / limits[:, j, None])[..., None] * S[j]
+            for j, (_, slope) in enumerate(norms)
+        ]
+        sizes = np.maximum([size for size, _ in norms], 1e-9)
+        one, pull = _divided(x, sizes, np.stack([self.back([0 * rows[0], *each]) for each in slopes]))
+        far, by_far = self.reach(one, order)
+        two, pull_far = _divided(one, np.array([far, 1.0]), np.stack([by_far, 0 * by_far]))
+        return two, lambda g: pull(pull_far(g))
+
+    def of(self, coefficients: Array) -> Array:
+        """Return the coordinates of a period and their two derivatives, shape (3, n, k)."""
+        return np.asarray(self.series @ np.concatenate([coefficients[:, 0], coefficients[:, 1]]))
+
+    def back(self, slopes: Any) -> Array:
+        """Return the gradient by the coefficients from that by the coordinates, shape (3, n, k)."""
+        total = (np.swapaxes(self.series, 1, 2) @ np.asarray(slopes)).sum(axis=0)
+        return np.stack(np.split(total, 2), axis=1)
+
+    def reach(self, coefficients: Array, order: float) -> tuple[float, Array]:
+        """Return the norm of 1 and of distances in x and y per limit over all periods, and its gradient."""
+        assert self.S is not None
+        q, eta, _ = self.of(coefficients)
+        turned = np.exp(1j * (q @ self.S[2])) * self.period / _PER_PERIOD
+        nu, limits = eta @ (self.S[0] + 1j * self.S[1]), self.limits[0][:2, None]
+        path, more = np.cumsum(turned * nu), np.ceil(self.duration / self.period) - 1
+        places = np.stack([each for z in (path, path + more * path[-1]) for each in (z.real, z.imag)])
+        limits = np.tile(limits, (2, 1))
+        size, slope = _norm(np.append(np.abs(places) / limits, 1.0), order)
+        rows = slope[:-1].reshape(places.shape) * np.sign(places) / limits
+        first, last = rows[0] + 1j * rows[1], rows[2] + 1j * rows[3]
+        by_path = first + last
+        by_path[-1] += more * last.sum()
+        by_nu = turned.conj() * np.cumsum(by_path[::-1])[::-1]
+        by_psi = (by_nu.conj() * 1j * nu).real
+        moved = by_nu.real[:, None] * self.S[0] + by_nu.imag[:, None] * self.S[1]
+        return size, self.back([by_psi[:, None] * self.S[2], moved, 0 * moved])
+
+    def cost(self, coefficients: Array) -> tuple[float, Array]:
+        """Return minus the logarithm of the determinant of the information matrix, and its gradient."""
+        (q, eta, rate), model, a = self.of(coefficients), self.model, len(self.model.A)
+        if self.S is None:
+            turned = np.exp(-1j * q[:, 2])
+            nu, faster = (turned * (each[:, 0] + 1j * each[:, 1]) for each in (eta, rate))
+            r, turn, eta = eta[:, 2], rate[:, 2], np.column_stack([nu.real, nu.imag, eta[:, 2]])
+        else:
+            (forward, left, r), (du, dw, turn) = (eta @ self.S.T).T, (rate @ self.S.T).T
+            nu = forward + 1j * left
+            faster = du + 1j * dw + 1j * r * nu
+        rates, size = eta @ model.A.T, self.scales * self.weights[:, None]
+        slow = np.hypot(rates, model.speed)
+        Y = model.rows(faster.real, faster.imag, turn, r * r, rates, rates / slow) * size
+        flat = Y.reshape(-1, Y.shape[-1])
+        information = flat.T @ flat / len(q) + 1e-12 * np.eye(flat.shape[1])
+        by_row = (-2 / len(q) * np.linalg.solve(information, flat.T).T).reshape(Y.shape) * size
+        body = np.einsum("ai,nij->naj", model.S, by_row[..., :4])
+        by_faster = body[:, 0, 0] - body[:, 2, 2] + 1j * (body[:, 1, 0] + body[:, 2, 1])
+        by_turn = body[:, 1, 1] - body[:, 0, 2] + body[:, 2, 3]
+        by_r = -2 * r * (body[:, 0, 1] + body[:, 1, 2])
+        viscous, dry = (
+            np.einsum("nia,ai->na", by_row[..., 4 + a * j : 4 + a * (j + 1)], model.A) for j in (0, 1)
+        )
+        by_eta = (viscous + dry * model.speed**2 / slow**3) @ model.A
+        if self.S is None:
+            by_nu = by_eta[:, 0] + 1j * by_eta[:, 1]
+            by_psi = (-1j * (by_nu.conj() * nu + by_faster.conj() * faster)).real
+            by_v, by_a = turned.conj() * by_nu, turned.conj() * by_faster
+            rows = (0 * r, 0 * r, by_psi), (by_v.real, by_v.imag, by_eta[:, 2] + by_r)
+            slopes = [np.column_stack(row) for row in (*rows, (by_a.real, by_a.imag, by_turn))]
+        else:
+            by_nu, by_r = -1j * r * by_faster, by_r + (by_faster.conj() * 1j * nu).real
+            by_eta = by_eta + np.column_stack([by_nu.real, by_nu.imag, by_r]) @ self.S
+            slopes = [0 * q, by_eta, np.column_stack([by_faster.real, by_faster.imag, by_turn]) @ self.S]
+        return -float(np.linalg.slogdet(information)[1]), self.back(slopes)
+
+    def smooth_cost(self, raw: Array, order: float) -> tuple[float, Array]:
+        """Return the cost of raw coefficients with a norm in place of the largest ratio, and its gradient."""
+        scaled, pull = self.scaled(_at_rest(raw), order)
+        cost, by_coefficients = self.cost(scaled)
+        return cost, _at_rest(pull(by_coefficients))
+
+    def improved(self, raw: Array) -> Array:
+        """Return raw coefficients with a lower cost, by a quasi-Newton search with norms of two orders.
+
+        The search sees rounded numbers, so that its path does not depend on the rounding of a processor.
+        """
+        from scipy.optimize import minimize  # slow to load
+
+        def rounded(x: Array, order: float) -> tuple[float, Array]:
+            cost, gradient = self.smooth_cost(np.round(x.reshape(raw.shape), _DIGITS), order)
+            return round(cost, _DIGITS), np.round(gradient.ravel(), _DIGITS)
+
+        x = np.ravel(raw)
+        for order in _ORDERS:
+            begin, how = x / np.abs(x).mean(), {"maxiter": _ITERATIONS}
+            x = minimize(rounded, begin, (order,), "L-BFGS-B", jac=True, options=how).x
+        return np.round(x.reshape(raw.shape), _DIGITS)
 
 
-def _in_body(psi: Array, v: Array, a: Array) -> tuple[Array, Array]:
-    """Return body twists and their rates from the derivatives of poses."""
-    c, s = np.cos(psi), np.sin(psi)
-    u, w, r = c * v[:, 0] + s * v[:, 1], c * v[:, 1] - s * v[:, 0], v[:, 2]
-    du = c * a[:, 0] + s * a[:, 1] + r * w
-    dw = c * a[:, 1] - s * a[:, 0] - r * u
-    return np.column_stack([u, w, r]), np.column_stack([du, dw, a[:, 2]])
+def _at_rest(raw: Array) -> Array:
+    """Return the nearest coefficients of a motion that begins and ends at rest."""
+    order = np.arange(1, len(raw) + 1.0)[:, None]
+    a = raw[:, 0] - raw[:, 0].mean(axis=0)
+    return np.stack([a, raw[:, 1] - order * (order * raw[:, 1]).sum(axis=0) / (order**2).sum()], axis=1)
+
+
+def _norm(ratios: Array, order: float) -> tuple[float, Array]:
+    """Return the norm of positive ratios, and its gradient, which is zero for an infinite order."""
+    most = float(ratios.max())
+    if np.isinf(order):
+        return most, 0 * ratios
+    size = most * float(((ratios / most) ** order).sum() ** (1 / order))
+    return size, (ratios / size) ** (order - 1)
+
+
+def _divided(x: Array, sizes: Array, slopes: Array) -> tuple[Array, Callable[[Array], Array]]:
+    """Return columns divided by sizes that depend on them, and the function that returns a gradient by them.
+
+    Parameters
+    ----------
+    x : ndarray, shape (L, 2, k)
+        Coefficients.
+    sizes, slopes : ndarray, shape (k,), (k, L, 2, k)
+        Sizes and their derivatives by the coefficients.
+    """
+    return x / sizes, lambda g: g / sizes - np.tensordot((g * x).sum(axis=(0, 1)) / sizes**2, slopes, 1)

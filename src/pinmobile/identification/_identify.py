@@ -11,7 +11,7 @@ import numpy as np
 from pinmobile.arrays import Array, bounded, instance, one_of, scalar, sequence
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.identification._clocks import clock_hint
-from pinmobile.identification._estimates import Identification
+from pinmobile.identification._estimates import Identification, in_words
 from pinmobile.identification._estimator import (
     jackknife,
     unexplained,
@@ -24,6 +24,7 @@ from pinmobile.identification._output_error import (
     whiteness_of,
 )
 from pinmobile.identification._planar_model import PlanarModel, PlanarProblem
+from pinmobile.identification._plant import identify_plant
 from pinmobile.identification._preprocessing import PreprocessedLog, Slippage
 from pinmobile.identification._search import TRAINED
 from pinmobile.identification._simulation import Segments
@@ -55,6 +56,7 @@ def identify(
     robot: Any = None,
     *,
     loads: Sequence[PayloadBody | None] | None = None,
+    by: str | Sequence[str] = (),
     method: str = "output error",
     delay: float | None = None,
     rolling_speed: float | None = None,
@@ -84,12 +86,17 @@ def identify(
     loads : sequence of PayloadBody or None, optional
         Load on the robot in each log, in the body frame. Loads that differ make the scale of the inputs
         identifiable, such as an unknown torque constant or the torque per ampere. All inputs have one scale.
+    by : str or sequence of str
+        Numbers of the robot to estimate in place of these, by path as in a spread: ``"left.radius"``, or by
+        pattern, such as ``"*_link.mass"`` for all links of an arm. They are fitted to free runs of the robot
+        over segments of the log, with their initial states. Directions that the log does not identify keep
+        the prior values. The log has joint positions if the robot has arms.
     method : str
         ``"output error"`` or ``"weak"``. The weak form alone is linear and fast. Its intervals are several
         times as wide if the forces are well known, and similar otherwise. It also replaces output error if
         input noise would bias output error by more than three standard deviations.
     delay : float, optional
-        Delay of poses relative to inputs [s]; default: estimated.
+        Delay of poses relative to inputs [s]; default: estimated. With `by`: default 0, rounded to samples.
     rolling_speed : float, optional
         Speed at which the smoothed dry friction reaches 71 % of its size. Default: 0.01 m/s and rad/s for a
         body, 0.1 rad/s for wheels.
@@ -125,9 +132,22 @@ def identify(
     >>> found = identify(Log.from_rollout(run, noise=1e-3), robot)
     >>> round(found.parameters["mass"], 1)  # [kg]
     30.0
+
+    Any numbers of a robot, here its mass alone:
+
+    >>> log = Log.from_rollout(run, noise=1e-3)
+    >>> found = identify(log, MobileRobot(25.0, 1.3), by="mass")
+    >>> found.robot().mass.round(1)  # [kg]
+    30.0
     """
     logs = logs_of(log)
     one_of("method", method, METHODS)
+    if by:
+        if loads is not None or method != METHODS[0] or rolling_speed is not None:
+            raise InvalidArgument(
+                "loads, method and rolling_speed do not apply with by, expected none of them"
+            )
+        return identify_plant(logs, robot, by, delay)
     alone = isinstance(robot, WheelTable)
     robot = _on_wheels(robot) if alone else robot
     if robot is not None and offers(robot, Tabled) and robot.table.axes:
@@ -220,7 +240,7 @@ def _identified(
         seen, unseen = form.directions(scales)
         if not unseen.size:
             break
-    model, told = form.model, _in_words(form.model, unseen)
+    model, told = form.model, in_words([one.name for one in form.model.quantities], unseen)
     if prior is not None and model.offset:
         prior = np.insert(prior, model.dry.stop, np.zeros(model.nu))
     if told and prior is None:
@@ -386,16 +406,3 @@ def _check(model: PlanarModel, fit: WeakFit, prior: Array | None) -> None:
             f"log leads to {wrong}, expected values of a robot: are forces in N, moments in N m, positions "
             "in metres and psi in radians, or do inputs have another sign or frame?"
         )
-
-
-def _in_words(model: PlanarModel, unseen: Array) -> str:
-    """Return in words the directions of the parameters that are not identifiable; "" if all are."""
-    from scipy.sparse.csgraph import connected_components  # slow to load
-
-    names, hidden = np.array([one.name for one in model.quantities]), unseen @ unseen.T
-    share = np.diag(hidden)
-    alone, mixed = names[share > 0.98], np.flatnonzero((share > 0.02) & (share <= 0.98))
-    count, group = connected_components(np.abs(hidden[np.ix_(mixed, mixed)]) > 0.05)
-    told = [f"the motion does not identify {', '.join(alone)}"] if alone.size else []
-    groups = (", ".join(names[mixed[group == k]]) for k in range(count))
-    return "; ".join([*told, *(f"the motion identifies only combinations of {each}" for each in groups)])

@@ -137,7 +137,7 @@ class Samples(NamedTuple):
         Times since the first sample [s].
     seen : ndarray of bool, shape (N,)
         Whether the row was measured; other rows are interpolated.
-    q, u, twist, wheel_rates : ndarray, shape (N, ...), or None
+    q, u, twist, wheel_rates, joints : ndarray, shape (N, ...), or None
         Arrays of `Log`.
     """
 
@@ -148,6 +148,7 @@ class Samples(NamedTuple):
     u: Array
     twist: Array | None
     wheel_rates: Array | None
+    joints: Array | None = None
 
 
 @final
@@ -183,6 +184,8 @@ class Log:
         are unknown. `identify` rejects units that do not fit its robot.
     clock : tuple of 2 float
         Offset [s] and rate by which `from_streams` corrected the times of the inputs: offset + rate * time.
+    joints : array_like, shape (N, k), optional
+        Measured coordinates of the robot behind its pose: joints of arms and angles of wheels [rad].
 
     Attributes
     ----------
@@ -221,6 +224,7 @@ class Log:
     dropped: int = 0
     units: tuple[str, ...] = ()
     clock: tuple[float, float] = (0.0, 1.0)
+    joints: Array | None = None
 
     def __post_init__(self) -> None:
         given = self._given()
@@ -234,7 +238,9 @@ class Log:
                 shaped(name, array, (len(t), width), words=", a row for each time")
         measured = [name for name in given if name not in ("t", "u")]
         if not measured:
-            raise InvalidArgument("q, twist and wheel_rates are None, expected at least one: measured motion")
+            raise InvalidArgument(
+                "q, twist, wheel_rates and joints are None, expected at least one: measured motion"
+            )
         again = np.flatnonzero(np.diff(t) == 0) + 1
         if len(again) > _AGAIN * len(t):
             raise InvalidArgument(
@@ -270,7 +276,7 @@ class Log:
             object.__setattr__(self, name, frozen(array))
 
     def _given(self) -> dict[str, Array]:
-        named = {name: getattr(self, name) for name in ("t", "q", "u", "twist", "wheel_rates")}
+        named = {name: getattr(self, name) for name in ("t", "q", "u", "twist", "wheel_rates", "joints")}
         return {name: real(name, x) for name, x in named.items() if x is not None or name in ("t", "u")}
 
     def _with(self, given: dict[str, Any]) -> Self:
@@ -282,7 +288,7 @@ class Log:
 
     def __repr__(self) -> str:
         lost = f", {self.dropped} rows dropped" if self.dropped else ""
-        kept = [n for n in ("q", "u", "twist", "wheel_rates") if getattr(self, n) is not None]
+        kept = [n for n in ("q", "u", "twist", "wheel_rates", "joints") if getattr(self, n) is not None]
         measured = ", ".join(f"{n} of {getattr(self, n).shape[1]}" for n in kept)
         offset, rate = self.clock
         moved = f", times of inputs {offset:.4g} s + {rate:.6g} t" if self.clock != (0.0, 1.0) else ""
@@ -402,7 +408,8 @@ class Log:
         is_even = len(t) == len(grid) and np.abs(t - grid).max() < 1e-3 * dt
         if not is_even:
             given = {name: _interpolated(t, x, grid) for name, x in given.items()}
-        return Samples(dt, since, seen, given.get("q"), u, given.get("twist"), given.get("wheel_rates"))
+        rows = (given.get(name) for name in ("twist", "wheel_rates", "joints"))
+        return Samples(dt, since, seen, given.get("q"), u, *rows)
 
     def rollout(self, robot: Any, *, delay: float = 0.0, **options: Any) -> Rollout:
         """Return the log as a rollout, beside a robot that replays its inputs.
@@ -537,6 +544,7 @@ class Log:
         noise: ArrayLike = 0.0,
         input_noise: ArrayLike = 0.0,
         *,
+        joint_noise: ArrayLike | None = None,
         delay: int = 0,
         seed: Any = 0,
     ) -> Self:
@@ -553,6 +561,8 @@ class Log:
             Standard deviation of the pose noise [m, m, rad].
         input_noise : array_like, shape () or (nu,)
             Standard deviation of the input noise, in the units of the inputs.
+        joint_noise : array_like, shape () or (k,), optional
+            Standard deviation of the noise of the coordinates behind the pose [rad]; None: not measured.
         delay : int
             Delay of the poses relative to the inputs [samples].
         seed : int, SeedSequence, BitGenerator or Generator
@@ -577,7 +587,9 @@ class Log:
         names, inputs = [one.name for one in coordinates_of(plant)], inputs_of(plant)
         wheels = [names.index(one.name) for one in inputs if one.name in names]
         rates = rollout.v[:end, wheels] if wheels else None
-        return cls(rollout.t[late:], q, u, None, rates, units=tuple(one.unit for one in inputs))
+        joints = None if joint_noise is None else noisy("joint_noise", joint_noise, rollout.q[:end, _POSE:])
+        units = tuple(one.unit for one in inputs)
+        return cls(rollout.t[late:], q, u, None, rates, units=units, joints=joints)
 
     @classmethod
     def from_csv(
@@ -713,7 +725,9 @@ def continuous(log: Log, name: str, *names: str) -> list[Log]:
     """
     if all(getattr(log, other) is None for other in names):
         raise InvalidArgument(f"{name} has no {' and no '.join(names)}, expected a measurement of the motion")
-    others: dict[str, Any] = {other: None for other in ("q", "twist", "wheel_rates") if other not in names}
+    others: dict[str, Any] = {
+        other: None for other in ("q", "twist", "wheel_rates", "joints") if other not in names
+    }
     parts = replace(log, **others, dropped=0).split()
     long = [one for one in parts if one.t[-1] - one.t[0] >= _SHORTEST and _count(one, names) >= LEAST_ROWS]
     long = parts if len(parts) == 1 else long

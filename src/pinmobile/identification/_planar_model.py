@@ -46,7 +46,6 @@ from pinmobile.identification._preprocessing import LATER
 from pinmobile.identification._simulation import simulate
 
 _STEP, _RUBBING_STEP = 5e-3, 1e-3  # [s], longest integration steps, without and with dry friction of motors
-_SHIFT = 1e-6  # step of differences, as a share of a parameter's scale
 _LEAST_RESPONSE = 1e-3  # smallest response to an input, as a share of the largest
 _RESPONSES = 3  # largest number of responses of a sensor
 
@@ -75,6 +74,8 @@ class PlanarProblem:
     delay: float
     free: bool = False
 
+    is_linear: ClassVar[bool] = True
+
     @property
     def start(self) -> Array:
         """The first numbers, shape (P,)."""
@@ -99,9 +100,10 @@ class PlanarProblem:
         """Law of one state."""
         return self.model.rates  # type: ignore[no-any-return]
 
-    def increments(self, p: Array) -> Array:
-        """Return the steps of differences: a whole sample of the delay."""
-        return np.append(np.full(self.basis.shape[1], _SHIFT), [1.0] * self.free)
+    @property
+    def shifted(self) -> int | None:
+        """Index of an unknown delay: noise of a held input is smoother over whole samples."""
+        return self.basis.shape[1] if self.free else None
 
     def resolved(self, segments: Segments, p: Array) -> tuple[Array, Array, float]:
         """Return the parameters with known loads, delays and the longest time step."""

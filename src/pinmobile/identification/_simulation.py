@@ -5,19 +5,22 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
-from typing import Any, NamedTuple, Protocol, Self
+from typing import Any, NamedTuple, Protocol, Self, TypeAlias, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pinmobile.arrays import Array
-from pinmobile.compiled import Recurrence, entries, processors, repeated, symbols
+from pinmobile.compiled import Identity, Recurrence, choose, entries, jacobian, processors, repeated, symbols
 
-_SLOPE = 1e-6  # step of differences, as a share of the size of an initial state
+_STEP = 1e-30  # imaginary step, whose square vanishes
+_LEAST_SHARE = 1e-9  # of a sample, before which the previous input acts, so that the delay has a slope
 _LEAST_SIZE = 1e-3  # smallest size of an input, as a share of the largest
 MANY = 30_000  # samples that give first estimates
 _AT_ONCE = 30_000  # samples that a thread simulates at once: they bound the memory, and fit in a cache
+_LANES = 8  # segments at once, as many as the numbers of the longest vectors
 _PIECES = 10  # of these samples
+_Active: TypeAlias = tuple[int, ...] | None
 _SHARED = "inputs", "lead", "blocks"  # that all segments have in common
 _MOST_STEPS = 10**9  # bound of the integration steps in a sample; the actual count is one of the numbers
 
@@ -169,41 +172,99 @@ class Model(Protocol):
     def sizes(self, p: Array) -> Array:
         """Return typical sizes of p, shape (P,), which limit the first step of the search."""
 
-    def increments(self, p: Array) -> Array:
-        """Return the steps of central differences, shape (P,)."""
+    @property
+    def shifted(self) -> int | None:
+        """Index of a delay whose slope is a difference over whole samples, if there is one."""
+
+    @property
+    def is_linear(self) -> bool:
+        """Whether the measurements are linear functions of the states."""
+
+
+@runtime_checkable
+class Simulator(Protocol):
+    """Protocol of models with simulations of their own, in place of the law of a state and input."""
+
+    def simulated(self, segments: Segments, p: Array, starts: Array) -> Array:
+        """Return simulated measurements, see `simulate`."""
+
+    def linearized(
+        self, segments: Segments, p: Array, starts: Array, numbers: NDArray[np.int_]
+    ) -> tuple[Array, Array]:
+        """Return simulated measurements and slopes, see `linearize`."""
+
+
+class Same:
+    """Value that equals another one with the same key."""
+
+    def __init__(self, value: Any, key: Any) -> None:
+        self.value, self._key = value, key
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Same) and self._key == other._key
+
+    def __hash__(self) -> int:
+        return hash(self._key)
 
 
 @lru_cache(64)
-def _recurrence(law: Callable[..., Any], sizes: tuple[int, int, int]) -> Recurrence:
+def _recurrence(law: Callable[..., Any], sizes: tuple[int, int, int], *sensitive: Any) -> Recurrence:
+    """Return the recurrence of samples, see `_made`; the law is compared as an object first."""
+    return _made(Same(law, Identity().visit(law).key), sizes, *sensitive)
+
+
+@lru_cache(64)
+def _made(given: Same, sizes: tuple[int, int, int], active: _Active = None, late: bool = False) -> Recurrence:
     """Return the recurrence of samples: steps with the previous input, then steps with the present input.
 
-    Step lengths and counts (h, count, h, count) precede the numbers of the law.
+    Step lengths and counts (h, count, h, count) precede the numbers of the law. With the indices of `active`
+    numbers, the state has its slopes behind it, also by a delay if `late`, see `_sensitive`.
     """
+    n, m, k = sizes
+    law = given.value if active is None else _sensitive(given.value, n, active, late)
 
     def sample(z: Any, u: Any, numbers: Any) -> Any:
-        m = len(u) // 2
-        for own, h, count in ((u[:m], numbers[0], numbers[1]), (u[m:], numbers[2], numbers[3])):
-            z = _advanced(law, z, own, numbers[4:], h, count)
-        return z
+        h, first, later, last = (entries(numbers[j]).item() for j in range(4))
 
-    n, m, k = sizes
-    return Recurrence(sample, (n, 2 * m, k + 4))
+        def step(carried: list[Any]) -> tuple[list[Any], Any]:
+            *state, left = carried
+            early, z = left > last, symbols(state, (len(state),))
+            own, span = np.where(early, u[:m], u[m:]), choose(early, h, later)
+            a = law(z, own, numbers[4:])
+            b = law(z + span / 2 * a, own, numbers[4:])
+            c = law(z + span / 2 * b, own, numbers[4:])
+            after = z + span / 6 * (a + 2 * (b + c) + law(z + span * c, own, numbers[4:]))
+            return [*entries(after), left - 1.0], left <= 1.0
+
+        found = repeated(step, [*entries(z), first + last], _MOST_STEPS, first + last <= 0.0)
+        return symbols(found[:-1], z.shape)
+
+    states = n if active is None else n * (1 + len(active) + n + late)
+    return Recurrence(sample, (states, 2 * m, k + 4))
 
 
-def _advanced(law: Callable[..., Any], z: Any, u: Any, numbers: Any, h: Any, count: Any) -> Any:
-    """Return a symbolic state after `count` Runge-Kutta steps of fourth order with length h."""
+def _sensitive(law: Callable[..., Any], n: int, active: tuple[int, ...], late: bool) -> Callable[..., Any]:
+    """Return the law of a state and its slopes Z, shape (n, A + n + late), as one vector.
 
-    def step(given: list[Any]) -> tuple[list[Any], Any]:
-        *state, left = given
-        z = symbols(state, (len(state),))
-        a = law(z, u, numbers)
-        b = law(z + h / 2 * a, u, numbers)
-        c = law(z + h / 2 * b, u, numbers)
-        after = z + h / 6 * (a + 2 * (b + c) + law(z + h * c, u, numbers))
-        return [*entries(after), left - 1.0], left <= 1.0
+    The slopes are those by A active numbers, by the initial state and, if `late`, by the delay [samples].
+    They follow dZ/dt = df/dz Z + df/dp. The same steps integrate both, so that Z is the exact slope of the
+    integrated state. For the delay, the last input is the slope of the step length per step length.
+    """
 
-    left = entries(count).item()
-    return symbols(repeated(step, [*entries(z), left], _MOST_STEPS, left <= 0.0)[:-1], z.shape)
+    def rates(whole: Any, u: Any, numbers: Any) -> Any:
+        z, Z = whole[:n], entries(whole[n:]).reshape(n, -1)
+        f = law(z, u[:-1] if late else u, numbers)
+        rows = jacobian(f, [*entries(z), *entries(numbers)[list(active)]])
+        slopes = []
+        for row, rate in zip(rows, entries(f), strict=True):
+            for d in range(Z.shape[1]):
+                terms = [x * Z[j, d] for j, x in row.items() if j < n]
+                terms += [row[n + d]] if n + d in row else []
+                terms += [entries(u)[-1] * rate] * (late and d == Z.shape[1] - 1)
+                slopes.append(sum(terms[1:], terms[0]) if terms else 0.0)
+        return np.concatenate([f, symbols(slopes, (len(slopes),))])
+
+    return rates
 
 
 @np.errstate(all="ignore")  # trial values may diverge
@@ -212,25 +273,44 @@ def simulate(model: Model, segments: Segments, p: Array, starts: Array) -> Array
 
     In each sample, the previous input acts for the fractional part of the delay, then the present input.
     """
-    (V, S, n), K = starts.shape, segments.y.shape[1] - 1
+    if isinstance(model, Simulator):
+        return model.simulated(segments, p, starts)
     numbers, late, longest = model.resolved(segments, p)
+    return model.observed(segments, _states(model, segments, (numbers, late, longest), starts), numbers)
+
+
+def _states(
+    model: Model,
+    segments: Segments,
+    resolved: tuple[Array, Array, float],
+    starts: Array,
+    *sensitive: Any,
+) -> Array:
+    """Return the states of the samples, shape (V, S, L, n), with slopes for active numbers, see `_made`."""
+    (V, S, n), K, (numbers, late, longest) = starts.shape, segments.y.shape[1] - 1, resolved
+    active, delayed = sensitive or (None, False)
     lag = np.floor(late + 1e-9).astype(int)
-    share = np.maximum(late - lag, 0.0)
+    share = np.maximum(late - lag, _LEAST_SHARE * delayed)
     lag = lag[:1] if (lag == lag[0]).all() else lag
     inputs, rows = [], []
-    for before, part in ((1, share), (0, 1 - share)):
+    for before, part, slope in ((1, share, 1.0), (0, 1 - share, -1.0)):
         span = part[:, None, None] * segments.dt[:, None]
-        count = np.ceil(span.max() / longest - 1e-9)
-        inputs.append(segments.applied(lag + before, K))
+        count = max(np.ceil(span.max() / longest - 1e-9), float(delayed))
+        u = segments.applied(lag + before, K)
+        if delayed:
+            u = np.concatenate([u, np.full((*u.shape[:3], 1), slope / part[0])], axis=-1)
+        inputs.append(u)
         rows += [span / max(count, 1.0), np.full((1, 1, 1), count)]
     u, m = np.moveaxis(np.concatenate(inputs, axis=-1), 2, 0), inputs[0].shape[-1]
     each = np.concatenate([np.broadcast_to(x, (V, S, x.shape[2])) for x in (*rows, numbers)], axis=2)
-    states = _recurrence(model.rates, (n, m, numbers.shape[2]))(
-        starts.reshape(V * S, n),
-        np.broadcast_to(u, (K, V, S, 2 * m)),
-        each.reshape(V * S, -1),
+    begun = starts.reshape(V * S, n)
+    if active is not None:
+        first = np.hstack([np.zeros((n, len(active))), np.eye(n), np.zeros((n, int(delayed)))])
+        begun = np.hstack([begun, np.tile(first.ravel(), (S, 1))])
+    states = _recurrence(model.rates, (n, m, numbers.shape[2]), *sensitive)(
+        begun, np.broadcast_to(u, (K, V, S, 2 * m)), each.reshape(V * S, -1)
     )
-    return model.observed(segments, states.reshape(V, S, K + 1, n), numbers)
+    return states.reshape(V, S, K + 1, -1)
 
 
 def by_groups(
@@ -247,7 +327,7 @@ def by_groups(
     variants : int
         Number of simulations of a segment.
     """
-    size = max(1, _AT_ONCE // (variants * segments.y.shape[1]))
+    size = _LANES * max(1, round(_AT_ONCE / (_LANES * variants * segments.y.shape[1])))
     cuts = [slice(k, k + size) for k in range(0, len(segments.y), size)]
     found = [function(segments.some(cuts[0]), cuts[0])]  # compiles the model
     with ThreadPoolExecutor(processors()) as pool:
@@ -255,22 +335,45 @@ def by_groups(
     return [np.concatenate(each) for each in zip(*found, strict=True)]
 
 
+@np.errstate(all="ignore")
 def linearize(
     model: Model, segments: Segments, p: Array, starts: Array, numbers: NDArray[np.int_]
 ) -> tuple[Array, Array]:
     """Return simulated measurements (S, L, m), and slopes by F numbers and initial states (F + n, S, L, m).
 
-    The slopes are differences to the values themselves, or central differences for steps of whole samples.
+    The slopes are exact: those of the states follow the tangents of the integrator's steps, and an imaginary
+    step (Squire and Trapp 1998) differentiates the model's arithmetic. The slope by a delay is that of one
+    side at a whole sample. If the model has a `shifted` delay, its slope is the difference over two samples.
     """
-    P, n = len(p), starts.shape[1]
-    start = _SLOPE * np.maximum(np.abs(starts).mean(axis=0), 0.1)
-    size = np.append(model.increments(p)[numbers], start)
-    wide, steps = size >= 1.0, np.zeros((len(size), P + n))
-    steps[np.arange(len(size)), np.append(numbers, P + np.arange(n))] = size
-    ways = np.vstack([np.zeros(P + n), steps, -steps[wide]])
-    out = simulate(model, segments, p + ways[:, :P], starts + ways[:, None, P:])
-    with np.errstate(all="ignore"):
-        after, before = out[1 : 1 + len(size)], out[1 + len(size) :]
-        slopes = after - out[0]
-        slopes[wide] = (after[wide] - before) / 2
-        return out[0], np.nan_to_num(slopes) / size[:, None, None, None]
+    if isinstance(model, Simulator):
+        return model.linearized(segments, p, starts, numbers)
+    (S, n), F = starts.shape, len(numbers)
+    ways, shifted = np.zeros((F, len(p))), numbers == (-1 if model.shifted is None else model.shifted)
+    ways[np.arange(F), numbers] = ~shifted
+    stepped: Any = p + 1j * _STEP * np.vstack([0 * p, ways])
+    found, late, longest = model.resolved(segments, stepped)
+    resolved = found[:1].real, late[:1].real, longest
+    way = np.zeros((F + n, *found.shape[1:]))
+    way[:F], by_delay = found[1:].imag / _STEP, late[1:].imag / _STEP
+    by_number = np.broadcast_to(way[:F], (F, S, found.shape[2]))
+    active = tuple(np.flatnonzero(by_number.any(axis=(0, 1))).tolist())
+    whole = _states(model, segments, resolved, starts[None], active, bool(by_delay.any()))[0]
+    states, Z = whole[..., :n], whole[..., n:].reshape(*whole.shape[:2], n, -1)
+    begun = slice(len(active), len(active) + n)  # slopes by the initial state
+    rest = np.delete(Z, begun, axis=-1).reshape(S, states[0].size, Z.shape[-1] - n)
+    inner = np.concatenate([by_number[..., active], np.tile(by_delay[:, None, None], (1, S, 1))], axis=2)
+    outer = rest @ np.moveaxis(inner[..., : rest.shape[-1]], 0, 2)
+    near = np.empty((F + n, *states.shape))
+    near[:F] = np.moveaxis(outer.reshape(*states.shape, F), -1, 0)
+    near[F:] = np.moveaxis(Z[..., begun], -1, 0)
+    out = model.observed(segments, states[None], resolved[0])[0]
+    if model.is_linear:
+        slope = np.array(model.observed(segments, near, resolved[0]))
+    else:
+        moved: tuple[Any, Any] = states + 1j * _STEP * near, resolved[0] + 1j * _STEP * way
+        slope = np.array(model.observed(segments, *moved).imag / _STEP)
+    if shifted.any():
+        step = np.eye(len(p))[numbers[shifted]] * [[1.0], [-1.0]]
+        after, before = simulate(model, segments, p + step, np.repeat(starts[None], 2, axis=0))
+        slope[:F][shifted] = (after - before) / 2
+    return out, np.nan_to_num(slope, copy=False)

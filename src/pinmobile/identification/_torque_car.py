@@ -186,6 +186,11 @@ class TorqueCar(VelocityModel):
         ]
         return (p[..., [k for k in named if self.quantities[k].name != "delay"]] > 0).all(axis=-1)
 
+    @property
+    def is_linear(self) -> bool:  # type: ignore[override]
+        """Whether the measurements are linear functions of the states: a yaw rate by steering is not."""
+        return self.is_pose or bool(self.stiffness)
+
     def time_constants(self, p: Array) -> Array:
         """Return infinity: torques act at once."""
         return np.full((*p.shape[:-1], 2), np.inf)
@@ -194,8 +199,9 @@ class TorqueCar(VelocityModel):
         """Return the numbers of the rates, delays [samples] and the longest time step [s]."""
         late, longest = self.others(p)["delay"] / self.dt, _STEP
         if self.stiffness:
-            stiff = p[:, len(self.first) - 2 : len(self.first)].max() / p[:, 0].min()
-            lever = max(abs(self.wheels.front), abs(self.wheels.rear)) ** 2 * p[:, 0].max() / p[:, 2].min()
+            real, lever = p.real, max(abs(self.wheels.front), abs(self.wheels.rear)) ** 2
+            stiff = real[:, len(self.first) - 2 : len(self.first)].max() / real[:, 0].min()
+            lever = lever * real[:, 0].max() / real[:, 2].min()
             longest = min(_STEP, _STIFF / (2 * stiff * max(1.0, lever)))
         return np.column_stack([p[:, : len(self.first)], late])[:, None], late, longest
 
@@ -263,7 +269,8 @@ class TorqueCar(VelocityModel):
             return states[..., -3:]
         if self.stiffness:
             return states[..., [0, 2]]
-        count, lag = len(self.wheels.names), np.maximum(np.floor(numbers[:, 0, -1] + 1e-9), 0).astype(int)
+        count, late = len(self.wheels.names), numbers[:, 0, -1].real
+        lag = np.maximum(np.floor(late + 1e-9), 0).astype(int)
         share = (numbers[:, 0, -1] - lag)[:, None, None]
         length = states.shape[2]
         now, before, earlier = (segments.applied(lag + k, length)[..., count] for k in (0, 1, 2))

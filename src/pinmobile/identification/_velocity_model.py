@@ -36,7 +36,6 @@ _FINE = 0.3  # longest time step of the integrator, as a share of the shortest t
 _BENDS = 4  # factor on the number of steps where a limit of acceleration may end within a step
 _MOST_STEPS = 40  # largest number of steps per sample
 _FAR = 100.0  # value of a limit that the log does not show, per first estimate
-_SLOPE = 1e-6  # step of differences, as a share of the size of a number
 _GAINS = 0.1, 10.0  # range of the command per steady speed or yaw rate
 
 
@@ -91,6 +90,8 @@ class VelocityModel:
 
     told_first: ClassVar[int] = 6
     columns: ClassVar[slice] = slice(None)
+    shifted: ClassVar[int | None] = None
+    is_linear: ClassVar[bool] = True
     inputs: ClassVar[Mapping[str, str]] = CHANNELS
     neutral: ClassVar[Mapping[str, float]] = _NEUTRAL
     first: ClassVar[tuple[Sized, ...]] = tuple(_theta())
@@ -158,17 +159,13 @@ class VelocityModel:
         above += [k for k, one in enumerate(self.quantities) if one.name in limits]
         return (p[..., above] > 0).all(axis=-1)
 
-    def increments(self, p: Array) -> Array:
-        """Return the steps of central differences, shape (P,)."""
-        return _SLOPE * self.sizes(p)
-
     def resolved(self, segments: Segments, p: Array) -> tuple[Array, Array, float]:
         """Return the numbers of the rates, delays [samples] and the longest time step [s]."""
         others = self.others(p)
         columns = [p[:, : len(self.first)], others["ahead"], *(others[name] for name in self.limits())]
         numbers = np.column_stack(columns)[:, None]
         bends = _BENDS if np.isfinite(numbers[..., -4:-2]).any() else 1
-        fastest = bends / self.time_constants(p).min()
+        fastest = bends / self.time_constants(p.real).min()
         longest = self.dt / float(np.clip(self.dt * fastest / _FINE, 1, _MOST_STEPS))
         return numbers, others["delay"] / self.dt, longest
 

@@ -1,0 +1,247 @@
+"""Slopes of simulated logs, and numbers of any plant from a log."""
+
+import re
+from dataclasses import replace as replaced
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+import pinmobile as pm
+from pinmobile.arrays import Array
+from pinmobile.identification._car_model import CarModel
+from pinmobile.identification._excitation import _Search
+from pinmobile.identification._planar_model import PlanarModel, PlanarProblem
+from pinmobile.identification._plant import _segments as of_plant
+from pinmobile.identification._simulation import Segments, linearize, simulate
+from pinmobile.identification._velocity_model import VelocityModel
+from pinmobile.parts import find, named, replace
+
+NO_LIMIT = dict.fromkeys(VelocityModel.limits(), np.inf)
+
+
+def segments_of(inputs: int, states: int, dt: float = 0.03, lead: int = 3) -> Segments:
+    """Return three random segments of twelve samples."""
+    rng, at = np.random.default_rng(0), np.arange(3)[:, None] * 15 + np.arange(12 + lead)
+    starts, zeros = 0.3 + 0.1 * rng.standard_normal((3, states)), np.zeros((3, 12, 1))
+    u = 1.0 + 0.3 * rng.standard_normal((60, inputs))
+    times, load = np.full(3, dt), np.zeros((3, 4))
+    return Segments(times, zeros[..., 0], zeros, zeros[..., 0] == 0, times, starts, u, at, lead, load)
+
+
+def planar(robot: Any, free: bool) -> tuple[Any, Array]:
+    """Return the problem of a robot in the plane, and numbers away from its start."""
+    model = PlanarModel.of(robot)
+    base = model.prior(robot) + 0.3 * np.ones(model.size)
+    problem = PlanarProblem(model, base, np.eye(len(base))[:, : len(base) - 1], 1.4, free)
+    return problem, problem.start + 0.05
+
+
+def by_commands(kind: Any, first: list[float], is_pose: bool, **given: float) -> tuple[Any, Array]:
+    """Return a model of commands with a delay, and its numbers."""
+    none = dict.fromkeys(kind.limits(), np.inf) | {"ahead": 0.0} | given
+    return kind(("delay",), none, 3, 0.03, is_pose), np.array([*first, 0.04])
+
+
+MOTOR = pm.Motor(resistance=1.2, torque_constant=0.04, voltage=24.0, gear=30.0, viscous=1e-3)
+DRIVE = pm.WheelTable.differential(0.5, 0.1, motor=MOTOR, mass=1.0, spin_inertia=0.005)
+CAR = [0.3, 0.9, 0.15, 0.02, 0.4, 0.01, 0.1]
+CASES = {
+    "a body": (*planar(pm.MobileRobot(30.0, 1.3), True), 3, 6),
+    "motors": (*planar(pm.WheeledRobot(pm.MobileRobot(30.0, 1.3), DRIVE).by_voltage(), False), 2, 5),
+    "speeds": (*by_commands(VelocityModel, [0.3, 0.25, 0.01, 1.1, 0.02, 1.05], False), 2, 2),
+    "poses": (*by_commands(VelocityModel, [0.3, 0.25, 0.01, 1.1, 0.02, 1.05], True), 2, 5),
+    "a car": (*by_commands(CarModel, CAR, False), 2, 3),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_slopes_of_a_simulated_log_are_those_of_differences(case: str) -> None:
+    model, p, inputs, states = CASES[case]
+    segments = segments_of(inputs, states)
+    starts, every = segments.start, np.arange(len(p))
+    value, slopes = linearize(model, segments, p, starts, every)
+    assert np.abs(value - simulate(model, segments, p[None], starts[None])[0]).max() < 1e-12
+
+    def change(j: int, h: float) -> Array:
+        way = h * np.eye(len(p) + states)[j]
+        ways = np.stack([way, -way])
+        pair = simulate(model, segments, p + ways[:, : len(p)], starts + ways[:, None, len(p) :])
+        return np.asarray((pair[0] - pair[1]) / (2 * h))
+
+    for j, slope in enumerate(slopes):
+        if j == model.shifted:  # the difference over whole samples itself
+            assert np.abs(slope - change(j, 1.0)).max() == 0
+            continue
+        coarse, fine = change(j, 2e-4), change(j, 1e-4)
+        best, error = (4 * fine - coarse) / 3, np.abs(fine - coarse).max()  # Richardson
+        assert np.abs(slope - best).max() < 1e-8 + 0.1 * error, j
+
+
+MECANUM = pm.WheelTable.mecanum(0.4, 0.48, 0.09, mass=1.0, spin_inertia=0.005)
+BODY = pm.MobileRobot(30.0, 1.3, com=(0.1, 0.05))
+
+
+@pytest.mark.parametrize("robot", [BODY, pm.WheeledRobot(BODY, DRIVE), pm.WheeledRobot(BODY, MECANUM)])
+@pytest.mark.parametrize("reach", [0.1, 3.0])
+def test_the_gradient_of_the_information_is_that_of_differences(robot: Any, reach: float) -> None:
+    model, rng = PlanarModel.of(robot), np.random.default_rng(0)
+    limits = [np.array(x) for x in ((reach, reach, 3.0), (1.0, 1.0, 1.5), (1.5, 1.5, 3.0))]
+    search = _Search(model, model.prior(robot), (20.0, 60.0, 5), limits)
+    raw, way = rng.standard_normal((2, 5, 2, model.free))
+    _, gradient = search.smooth_cost(raw, 16.0)
+
+    def change(h: float) -> float:
+        ahead, behind = (search.smooth_cost(raw + x * way, 16.0)[0] for x in (h, -h))
+        return (ahead - behind) / (2 * h)
+
+    best, error = (4 * change(5e-5) - change(1e-4)) / 3, abs(change(5e-5) - change(1e-4))
+    assert abs((gradient * way).sum() - best) < 1e-7 + error
+
+
+def test_a_designed_motion_informs_more_than_any_of_many_random_ones() -> None:
+    limits = [np.array(x) for x in ((1.5, 1.5, np.pi), (1.0, 1.0, 1.5), (1.5, 1.5, 3.0))]
+    model, rng = PlanarModel.of(BODY), np.random.default_rng(1)
+    search = _Search(model, model.prior(BODY), (20.0, 60.0, 5), limits)
+    random = [search.coefficients(rng.standard_normal((5, 2, 3))) for _ in range(300)]
+    designed = np.asarray(pm.excitation(BODY).coefficients)
+    assert search.cost(designed)[0] < min(search.cost(x)[0] for x in random) - 5.0
+    assert np.allclose(search.coefficients(designed), designed)  # it reaches the limits
+
+
+ARM = pm.MobileRobot.box(mass=60.0, size=(0.8, 0.6, 0.3)).mount("ur5", at=(0.2, 0.0, 0.3, 0.0))
+LINKS = ["*_link.mass", "*_link.com"]
+
+
+@cache
+def arm_log(seed: int = 0, noise: float = 1e-4) -> tuple[pm.Log, Any]:
+    """Return four seconds of an arm on a box at 2 ms, and the arm, whose links differ from those of `ARM`."""
+    rng, changes = np.random.default_rng(seed), dict[str, Any]()
+    for path, one in named(ARM).items():
+        if path.endswith("_link.mass"):
+            changes[path] = float(one.value * (1 + 0.1 * rng.standard_normal()))
+        if path.endswith("_link.com"):
+            changes[path] = one.leaf.value + 0.01 * rng.standard_normal(3)
+    true = replace(ARM, changes)
+    bends = pm.Spline(0.6 * rng.uniform(-1, 1, (9, 6)), np.linspace(0, 4, 9))
+    motion = pm.WholeBody(ARM, pm.Tangent(pm.Lissajous(1, 1, 0.4, 0.3, duration=4.0)), bends)
+    law = pm.ComputedTorque(ARM, 100.0, 20.0)
+    run = pm.simulate(true, law, motion, dt=0.002, integrator=pm.rk4, engine=pm.Engine.COMPILED)
+    return pm.Log.from_rollout(run, noise, joint_noise=noise, seed=seed), true
+
+
+def truth_of(found: Any, true: Any) -> Array:
+    """Return the true values of the numbers that were found."""
+    return np.array([float(find(true, one.path).value) for one in found.model.quantities])
+
+
+def test_links_of_an_arm_are_found_within_their_intervals() -> None:
+    shares, many = [], 0
+    for seed in range(3):
+        log, true = arm_log(seed)
+        found = pm.identify(log, ARM, by=LINKS)
+        low, high = np.array([*found.interval().values()]).T
+        known, truth = np.isfinite(high), truth_of(found, true)
+        assert found.is_noise, found.whiteness
+        assert 0.9 < found.chi2 < 1.1
+        shares.append(((low <= truth) & (truth <= high))[known])
+        many += known.sum()
+        assert found.rank < len(found.names) == 28
+        assert not found.is_identifiable["base_link.mass"]  # it stands on the box
+        assert "base_link.mass" in found.unseen
+        right = found.parameters["upper_arm_link.mass"] / find(true, "upper_arm_link.mass").value
+        assert abs(right - 1) < 0.05
+    assert many > 30
+    assert np.concatenate(shares).mean() > 0.85
+
+
+def test_the_found_arm_is_an_ordinary_robot_and_predicts_another_log() -> None:
+    found = pm.identify(arm_log(0)[0], ARM, by=LINKS)
+    robot, other = found.robot(), arm_log(1)[0].between(0.0, 2.0)
+    assert float(find(robot, "wrist_3_link.mass").value) == found.parameters["wrist_3_link.mass"]
+    assert robot.nq == ARM.nq
+    assert "shoulder_lift_joint" in str(found.predict(other))
+
+
+def test_the_tangents_of_a_plant_are_those_of_differences() -> None:
+    log, _ = arm_log(0)
+    found = pm.identify(log.between(0.0, 2.0), ARM, by=["upper_arm_link.mass", "forearm_link.com"])
+    problem: Any = replaced(found.model, base=found.phi, basis=np.diag([1.0, 0.1, 0.1, 0.1]))
+    segments = of_plant([log], problem, 0.1).some(slice(2))
+    p, starts = np.zeros(4), segments.start
+    _, slopes = linearize(problem, segments, p, starts, np.arange(4))
+
+    def change(j: int, h: float) -> Array:
+        way = np.stack([h * np.eye(4 + 18)[j], -h * np.eye(4 + 18)[j]])
+        pair = simulate(problem, segments, p + way[:, :4], starts + way[:, None, 4:])
+        return np.asarray((pair[0] - pair[1]) / (2 * h))
+
+    for j in (0, 1, 3, 6, 8, 15, 20):
+        best, error = (4 * change(j, 5e-4) - change(j, 1e-3)) / 3, change(j, 5e-4) - change(j, 1e-3)
+        assert np.abs(slopes[j] - best).max() < 1e-9 + 0.1 * np.abs(error).max(), j
+
+
+def drive(scale: float = 1.0) -> Any:
+    """Return a differential drive by voltage, with numbers that differ by a factor."""
+    motor = pm.Motor(resistance=1.2, torque_constant=0.04 * scale, voltage=24.0, gear=30.0, viscous=2e-4)
+    table = pm.WheelTable.differential(0.5, 0.1 * scale, motor=motor, mass=1.0, spin_inertia=0.005)
+    return pm.WheeledRobot(pm.MobileRobot(30.0, 1.3, com=(0.06, 0.02)), table).by_voltage()
+
+
+@cache
+def drive_log() -> pm.Log:
+    """Return a log of voltages, poses and encoders."""
+    plant = drive()
+    tracking = pm.Backstepping(pm.UnicycleTracking(), plant.wheeled)
+    law = pm.controllers.TorqueToVoltage(tracking, plant)
+    path = pm.excitation(plant, duration=20.0, period=10.0)
+    run = pm.simulate(plant, law, path, dt=0.02, engine=pm.Engine.COMPILED)
+    rng = np.random.default_rng(0)
+    log = pm.Log.from_rollout(run, 1e-3)
+    return replaced(log, wheel_rates=np.asarray(log.wheel_rates) + 0.02 * rng.standard_normal((len(log), 2)))
+
+
+def test_wheels_and_motors_are_found_from_voltages() -> None:
+    names = ["*.radius", "*.torque_constant"]
+    found = pm.identify(drive_log(), drive(1.1), by=names)
+    low, high = np.array([*found.interval(0.999).values()]).T
+    truth = truth_of(found, drive())
+    assert ((low <= truth) & (truth <= high)).all(), str(found)
+    assert (high - low < 0.1 * truth).all()
+    assert min(one for one, _ in found.free_run.values()) > 0.99
+
+
+def test_outliers_do_not_matter() -> None:
+    log = drive_log()
+    q = np.array(log.q)
+    q[100::150] += 0.3
+    found = pm.identify(replaced(log, q=q), drive(1.1), by="left.radius")
+    assert found.outliers >= 6
+    assert abs(found.parameters["left.radius"] - 0.1) < 0.01
+
+
+def test_numbers_that_have_one_effect_are_told_as_a_combination() -> None:
+    names = ["torque_constant", "resistance", "viscous"]  # only k / R and k^2 / R + viscous have an effect
+    found = pm.identify(drive_log(), drive(), by=[f"left.motor.{name}" for name in names])
+    assert found.rank == 2, str(found)
+    assert found.unseen.startswith("the motion identifies only combinations of motor.torque_constant")
+    assert np.isinf(found.standard_errors["motor.resistance"])
+
+
+@pytest.mark.parametrize(
+    ("change", "options", "why"),
+    [
+        ({}, {"by": "nothing"}, "unknown parameter in by 'nothing'"),
+        ({}, {"by": "*.nothing"}, "unknown parameter in by"),
+        ({}, {"by": "left.radius", "loads": [None]}, "loads, method and rolling_speed do not apply"),
+        ({}, {"by": "left.friction.mu"}, "log identifies none of the numbers"),
+        ({"u": lambda u: -u}, {"by": "left.radius"}, "inputs that explain 0% of the motion"),
+        ({"joints": lambda _: np.zeros((1001, 3))}, {"by": "left.radius"}, "log has 3 joints, expected 2"),
+    ],
+)
+def test_what_cannot_be_found_is_refused(change: Any, options: Any, why: str) -> None:
+    log = drive_log()
+    log = replaced(log, **{name: f(getattr(log, name)) for name, f in change.items()})
+    with pytest.raises(pm.PinmobileError, match=re.escape(why)):
+        pm.identify(log, drive(), **options)
