@@ -18,7 +18,7 @@ from tests.c_code import compilers
 pytestmark = [pytest.mark.once, pytest.mark.long]
 
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
-PEERS = ("mujoco", "roboticstoolbox", "jax")
+PEERS = ("mujoco", "roboticstoolbox", "jax", "casadi")
 SHORT = 2.0  # s
 
 
