@@ -102,12 +102,12 @@ def measured(case: Case, rounds: int, least: float) -> tuple[list[str], list[str
                 words[name] = f"WRONG: {off[name]:.0e}"
     works = {name: gradient for name, gradient in gradients.items() if name not in words}
     works |= {"rollout": lambda: problem.plain(inputs)}
-    works |= {"evaluated": lambda: _problem.evaluated(problem, losses, {}, mode)}
+    works |= {"whole": lambda: _problem.evaluated(problem, losses, {}, mode)}
     rows = timed(works, rounds, least)
     costs = {name: f"{row.ratio(rows['rollout']):,.3g}" for name, row in rows.items()} | words
     seconds = {name: f"{took:.2f}" for name, (took, _) in peers.items()}
     cells = [case.name, f"{problem.machine.tape.own:,}", f"{1e3 * rows['rollout'].median:.2f}"]
-    cells += [costs[name] for name in ("forward", "reverse", "evaluated", "central", *PEERS)]
+    cells += [costs[name] for name in ("forward", "reverse", "whole", "central", *PEERS)]
     builds = [case.name, mode, *(f"{np.median(times):.2f}" for times in built)]
     builds += [*(seconds.get(name, words.get(name, "")) for name in PEERS)]
     sound = not any(word.startswith("WRONG") for word in words.values())
@@ -146,9 +146,8 @@ def of_tuning(case: Case, rounds: int, **own: Any) -> list[str]:
     found: list[Any] = []
 
     def work() -> None:
-        found[:] = [
-            tune(loss, *case.parts, by=case.by, q0=case.q0, dt=case.dt, progress=str, **case.own, **own)
-        ]
+        given = {"by": case.by, "q0": case.q0, "dt": case.dt, "progress": lambda trial: None}
+        found[:] = [tune(loss, *case.parts, **given, **case.own, **own)]
 
     seconds = (f"{np.median(times):.2f}" for times in build_times(work, rounds))
     trials, best = found[0].trials, found[0].best
@@ -175,7 +174,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     rounds, least = chosen.rounds or (1 if chosen.quick else 7), 0.0 if chosen.quick else 0.02
     out, known, sound = console(), cases(), True
     out.print(about(), f"medians over {rounds} interleaved rounds", sep="; ")
-    columns = "loop", "own", "ms", "forward", "reverse", "evaluated", "central", *PEERS
+    columns = "loop", "own", "ms", "forward", "reverse", "whole", "central", *PEERS
     costs = table("\nA gradient, in rollouts", *columns)
     columns = "loop", "mode", "first", "known", *PEERS, "apart", "central off"
     builds = table("\nBuilt before the first gradient, s", *columns)
@@ -191,17 +190,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
             builds.add_row(*built)
             sound &= agree
         for name in ("PD", "com", "arm"):
-            many.add_row(*of_ensemble(known[name], rounds, least))
+            if name in known:
+                many.add_row(*of_ensemble(known[name], rounds, least))
         most = 3 if chosen.quick else 100
         for name in ("arm", "policy"):
-            tuned.add_row(*of_tuning(known[name], min(rounds, 3), trials=most))
+            if name in known:
+                tuned.add_row(*of_tuning(known[name], min(rounds, 3), trials=most))
         roots.add_row(*of_poles(rounds, least))
         forgotten()  # its folder is gone after this
     for shown in (costs, builds, many, tuned, roots):
         out.print(shown)
     notes = [
         "own: operations of a sample; ms: of a rollout",
-        "evaluated: reverse (dry friction: forward) with what Python computes before it",
+        "whole: reverse (dry friction: forward) with what Python computes before it",
         "central: differences, one run after the other; off: from the exact ones, relative to the largest",
         "first, known: trace and machine code, with an empty folder and with the code in it; peers: once",
         "apart: largest difference between the exact gradients, relative to the largest entry",

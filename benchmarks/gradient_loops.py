@@ -90,8 +90,8 @@ def cases() -> dict[str, Case]:
     shift = [*gains, "plant.com.x", "plant.com.y"]
     net = BODY, Policy(*layers), CIRCLE
     return {
-        "PD": Case("PD, rk4: 2 gains", (BODY, pm.PD(120, 80), CIRCLE), gains, "gains", OFF, own=rk4),
-        "com": Case("PD, rk4: 18 gains and com", (BODY, full, CIRCLE), shift, "matrices", OFF, own=rk4),
+        "PD": Case("PD: 2 gains", (BODY, pm.PD(120, 80), CIRCLE), gains, "gains", OFF, own=rk4),
+        "com": Case("PD: 18 gains, com", (BODY, full, CIRCLE), shift, "matrices", OFF, own=rk4),
         "policy": Case("467 weights", net, [f"controller.w{i}" for i in (1, 2, 3)], "policy", OFF),
         "arm": Case("UR5 on a base: 18 gains", arm, gains, "arm", q0),
         "rolling": Case("rolling wheels: 5 gains", (rolling, law, path), by, "", begun, 0.005),
