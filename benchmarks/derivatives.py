@@ -1,10 +1,10 @@
 """Gradients of closed loops: their cost in rollouts, and what is built first, beside JAX and CasADi.
 
-python benchmarks/derivatives.py [--quick] [--rounds N]
+OPENBLAS_NUM_THREADS=1 python benchmarks/derivatives.py [--quick] [--rounds N]
 
 A rollout is a run of the loop's machine code without derivatives, 2 s at 1 ms (wheels: 401 samples). JAX and
 CasADi have the same loops, written in `gradient_loops.py`; who is off by more than 1e-9 of the largest entry
-is not timed. All times are of the processor.
+is not timed. All times are of the processor, to which waiting threads of linear algebra would add.
 """
 
 import os
