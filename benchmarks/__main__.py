@@ -13,7 +13,8 @@ from measuring import picked, selecting
 
 NAMES = (
     *("rollout", "ensembles", "arm_ensembles", "loop", "calls", "batches"),
-    *("memory", "wheels", "mpc", "identification", "viewing", "imports", "exported", "realtime"),
+    *("memory", "wheels", "mpc", "identification", "derivatives", "viewing", "imports", "exported"),
+    "realtime",
 )
 PARTS = [import_module(name) for name in NAMES]
 

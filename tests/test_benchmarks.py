@@ -13,12 +13,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pinmobile.derivatives._problem import evaluated
 from tests.c_code import compilers
 
 pytestmark = [pytest.mark.once, pytest.mark.long]
 
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
-PEERS = ("mujoco", "roboticstoolbox", "jax")
+PEERS = ("mujoco", "roboticstoolbox", "jax", "casadi")
 SHORT = 2.0  # s
 
 
@@ -202,9 +203,30 @@ def test_a_step_in_c_is_measured(bench: SimpleNamespace, capsys: pytest.CaptureF
     assert re.search(r"PD +33 +[\d.]+ +[\d,]+ times +[\d,]+ +16 +", capsys.readouterr().out)
 
 
+def test_a_gradient_of_a_peer_is_checked_before_it_is_timed(
+    bench: SimpleNamespace, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    derivatives = import_module("derivatives")
+    known, there = derivatives.cases(), stand_in("a peer", None).peer
+    away = stand_in("absent", None, installed=False).peer
+    monkeypatch.setattr(derivatives, "cases", lambda: {"PD": known["PD"]})
+    monkeypatch.setattr(derivatives, "PEERS", {"right": there, "wrong": there, "away": away})
+    problem, losses = known["PD"].problem()
+    exact = evaluated(problem, losses, {}, "forward").slopes[0, 0]
+    makers = {
+        "right": lambda *given: lambda: lambda: exact,
+        "wrong": lambda *given: lambda: lambda: 1.1 * exact,
+    }
+    monkeypatch.setattr(derivatives, "MAKERS", makers)
+    assert derivatives.main(["--quick"]) == 1
+    printed = capsys.readouterr().out
+    assert re.search(r"PD: 2 gains +\d+ +([\d.]+ +){6}WRONG: 1e-01 +not installed", printed)
+
+
 def test_every_benchmark_is_run_and_understands_what_it_is_given(asked: Any) -> None:
     every = ["rollout", "ensembles", "arm_ensembles", "loop", "calls", "batches"]
-    every += ["memory", "wheels", "mpc", "identification", "viewing", "imports", "exported", "realtime"]
+    every += ["memory", "wheels", "mpc", "identification", "derivatives"]
+    every += ["viewing", "imports", "exported", "realtime"]
     assert list(asked()) == list(asked("--quick", "--rounds", "2")) == every
 
 
