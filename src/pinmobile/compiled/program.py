@@ -183,15 +183,7 @@ class Program:
         loop, first = self.tape, self.tape.outputs_kept
         kept = aligned((blocks, samples, first + loop.tracks, self.shape.width))
         if tracks is not None:
-            numbers, width = np.concatenate(tracks, axis=-1).swapaxes(1, 2), self.shape.width
-            if samples < blocks:
-                for k, columns in enumerate(numbers):
-                    self.set_rows(kept[:, k], first, columns)
-            else:  # of few robots, and long
-                for k, block in enumerate(kept):
-                    columns = numbers[..., k * width : (k + 1) * width]  # (samples, tracks, robots)
-                    block[:, first:, : columns.shape[2]] = columns
-                    block[:, first:, columns.shape[2] :] = columns[..., -1:]
+            self.set_tracks(kept, np.concatenate(tracks, axis=-1).swapaxes(1, 2))
         return kept
 
     def set_rows(self, blocks: Array, first: int, columns: Array) -> None:
@@ -203,6 +195,17 @@ class Program:
         if full < len(blocks):
             target[full, :, : n - full * width] = columns[:, full * width :]
             target[full, :, n - full * width :] = columns[:, -1:]
+
+    def set_tracks(self, kept: Array, tracks: Array, first: int = 0) -> None:
+        """Set the tracks of each robot, from index `first` on, from (samples, tracks, n)."""
+        width, n = self.shape.width, tracks.shape[2]
+        full = n // width
+        target = kept[:, :, self.tape.outputs_kept + first :]
+        blocks = tracks[..., : full * width].reshape(*tracks.shape[:2], full, width)
+        target[:full] = blocks.transpose(2, 0, 1, 3)
+        if full < len(kept):  # the last robot is repeated to fill the last block
+            target[full, ..., : n - full * width] = tracks[..., full * width :]
+            target[full, ..., n - full * width :] = tracks[..., -1:]
 
     def blocks_of(
         self,

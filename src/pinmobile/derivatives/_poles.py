@@ -349,16 +349,17 @@ def _linearized(problem: Problem, k: int) -> tuple[Array, Array]:
     places = [("row", leaf.first + i) for i in range(int(np.prod(leaf.shape)))]
     m = n + len(places)
     before = inputs._replace(samples=inputs.samples[: k + 1])
-    _, recorded = problem.run(machine.of("recording", machine.recording, False), before, slice(None))
+    record = machine.of("recording", machine.recording, False)
+    kept = record[1].kept_samples(problem.run(record, before, slice(None))[1], 1)
     made = machine.of("one sample", lambda: tangent(replaced(machine.tape, counted=[]), places), True)
     both = np.eye(m)
     given = inputs._replace(
-        states=np.concatenate([np.tile(recorded["state"][0, k][:, None], m), both[:n]]),
+        states=np.concatenate([np.tile(kept["state"][0, k][:, None], m), both[:n]]),
         rows=np.concatenate([np.tile(inputs.rows, m), both[n:]]),
         samples=inputs.samples[k : k + 1],
     )
-    final, kept = problem.run(made, given, slice(None), first=k, copies=m)
-    return final[n:], kept["tangent u"][:, 0].T
+    final, found = problem.run(made, given, slice(None), first=k, copies=m)
+    return final[n:], made[1].kept_samples(found, m)["tangent u"][:, 0].T
 
 
 def _names(problem: Problem) -> tuple[str, ...]:

@@ -337,8 +337,9 @@ class Problem:
         extra: Sequence[Array] = (),
         first: int = 0,
         copies: int = 1,
-    ) -> tuple[Array, dict[str, Array]]:
-        """Return the states after the last sample, shape (S, m), and kept values, shape (m, N + 1, ...).
+        recorded: Array | None = None,
+    ) -> tuple[Array, Array]:
+        """Return the states after the last sample, shape (S, m), and the kept values in blocks.
 
         Parameters
         ----------
@@ -354,6 +355,8 @@ class Problem:
             Index of the first sample.
         copies : int
             Number of columns of a robot.
+        recorded : ndarray, shape (blocks, N + 1, S, lanes), optional
+            First tracks of the columns, in blocks; `Inputs.tracks` are the others.
         """
         tape, program = made
         states, rows, uniforms, samples, tracks = inputs
@@ -362,15 +365,19 @@ class Problem:
         whose, seed = range(self.n)[robots], self.scenario.seed
         keys = [np.repeat(robot_keys(seed, name, whose).view(np.float64), copies)[None] for name in tape.keys]
         program.set_rows(blocks, 0, np.concatenate([states, rows, *keys]))
-        kept = aligned((len(blocks), len(samples), tape.outputs_kept + tape.tracks, lanes))
-        for k in range(len(samples) if tape.tracks else 0):
-            program.set_rows(kept[:, k], tape.outputs_kept, tracks[k])
+        size = len(blocks), len(samples), tape.outputs_kept + tape.tracks, lanes
+        kept, known = aligned(size, empty=True), 0
+        if recorded is not None:
+            known = recorded.shape[2]
+            kept[:, :, tape.outputs_kept : tape.outputs_kept + known] = recorded
+        if tape.tracks > known:
+            program.set_tracks(kept, tracks, known)
         nothing = np.empty((len(samples), 0))
         columns = [samples[:, 1:], *(np.reshape(each, (len(samples), 1)) for each in extra)]
         given = program.samples_of(samples[:, 0], (nothing,) * 3, uniforms, columns, first)
         program.called(blocks, given, uniforms, kept, m, 1, threads=processors(), first=first)
         final = blocks.swapaxes(0, 1)[: len(tape.states)].reshape(len(tape.states), -1)[:, :m]
-        return final, program.kept_samples(kept, m)
+        return final, kept
 
     def plain(self, inputs: Inputs, robots: slice = slice(None), copies: int = 1) -> Array:
         """Return the states after the last sample, shape (S, m)."""
@@ -384,7 +391,8 @@ class Problem:
         made = self.machine.of("watching", self.machine.watching, self.n > 1)
         found = np.zeros((2, self.n), int)
         for some in self._groups(made[0].outputs_kept, len(inputs.samples)):
-            _, kept = self.run(made, inputs.some(some), some)
+            part = inputs.some(some)
+            kept = made[1].kept_samples(self.run(made, part, some)[1], part.states.shape[1])
             for row, name in enumerate(("sides", "slides")):
                 if name in kept:
                     found[row, some] = np.count_nonzero(np.diff(kept[name], axis=1), axis=(1, 2))
@@ -435,7 +443,7 @@ class Problem:
             )
             states, values = self.run(made, given, some, copies=P)
             final[:, some] = states.reshape(2 * S, -1, P)
-            for name, x in values.items():
+            for name, x in made[1].kept_samples(values, given.states.shape[1]).items():
                 kept.setdefault(name, []).append(x)
         return final[:S, :, 0], final[S:], {name: np.concatenate(x) for name, x in kept.items()}
 
@@ -454,20 +462,25 @@ class Problem:
         for some in self._groups(S + len(tracked) * L, count):
             part = inputs.some(some)
             final[:, some], kept = self.run(record, part, some)
-            m = part.states.shape[1]
+            m, tracks, recorded = part.states.shape[1], part.tracks[::-1], None
+            if L == 1:  # the record has the layout of the tracks
+                recorded = kept[:, ::-1, :S]
+            else:
+                states = record[1].kept_samples(kept, m)["state"]
+                tracks = np.concatenate([np.moveaxis(states, 0, 2)[::-1], tracks], axis=1)
             seed = np.zeros((S + len(wanted), m, L))
             seed[at, :, range(L)] = 1.0
-            recorded = np.concatenate([np.moveaxis(kept["state"], 0, 2), part.tracks], axis=1)[::-1]
             given = Inputs(
                 seed.reshape(len(seed), -1),
                 np.repeat(part.rows, L, axis=1),
                 part.uniforms,
                 part.samples[::-1],
-                np.repeat(recorded, L, axis=2),
+                np.repeat(tracks, L, axis=2),
             )
-            found, by_sample = self.run(back, given, some, [bits_of_indices(count)], copies=L)
+            indices = [bits_of_indices(count)]
+            found, by_sample = self.run(back, given, some, indices, copies=L, recorded=recorded)
             adjoints = found.reshape(len(found), m, L)
-            each = by_sample["sample"].reshape(m, L, count, -1)[:, :, ::-1]
+            each = back[1].kept_samples(by_sample, m * L)["sample"].reshape(m, L, count, -1)[:, :, ::-1]
             rows = {one: adjoints[S + j] for j, one in enumerate(wanted)}
             for p, one in enumerate(directions):
                 total = np.zeros((m, L))

@@ -20,7 +20,7 @@ from pinmobile.integrators import Integrator
 from pinmobile.loop import Sample, Source
 from pinmobile.metrics import Metric
 from pinmobile.parts import OnCoordinates, replace
-from pinmobile.plant import Plant
+from pinmobile.plant import Plant, stated
 from pinmobile.trajectories import Trajectory
 
 OBJECTIVES = ("mean", "soft maximum", "worst")
@@ -76,8 +76,8 @@ class Constraint(NamedTuple):
         return np.maximum(np.maximum(self.lower - value, value - self.upper), 0.0)
 
     def __str__(self) -> str:
-        stated = (getattr(self.of, word, "") for word in ("name", "__name__"))
-        name = self.of if isinstance(self.of, str) else next(filter(None, stated), "number")
+        told = (stated(self.of, word) for word in ("name", "__name__"))
+        name = self.of if isinstance(self.of, str) else next(filter(None, told), "number")
         low = f"{self.lower:g} <= " if np.isfinite(self.lower) else ""
         return f"{low}{name}{f' <= {self.upper:g}' if np.isfinite(self.upper) else ''}"
 
@@ -213,7 +213,7 @@ class _Variables:
         for path, one in problem.found.items():
             value = problem.given[one.leaf.path]
             declared = one.leaf.declared
-            above, low, high = (getattr(declared, name, None) for name in ("above", "lower", "upper"))
+            above, low, high = (stated(declared, name) for name in ("above", "lower", "upper"))
             low = above if above is not None else -np.inf if low is None else low
             own = given.get(path) or (low, np.inf if high is None else high)
             places = [one.place(value.ndim)] if one.entry is not None else [*np.ndindex(value.shape)]

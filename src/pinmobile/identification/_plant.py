@@ -43,7 +43,7 @@ from pinmobile.identification._simulation import Quantity, Same, Segments, simul
 from pinmobile.integrators import RungeKuttaNystrom
 from pinmobile.loop import Loop, Trace, arrays_of, initial_memory, traced_numbers
 from pinmobile.parts import Found, Stepping, find, named, numbers, offers, part, replace
-from pinmobile.plant import Context, Plant, coordinates_of
+from pinmobile.plant import Context, Plant, coordinates_of, stated
 from pinmobile.trajectories import Reference
 
 _LONGEST, _SEGMENTS, _SHORTEST = 1.0, 20, 10  # [s] of a segment; segments of a log; samples of a segment
@@ -170,7 +170,7 @@ class PlantProblem:
 
     def are_possible(self, values: Array) -> Any:
         """Return which numbers, shape (..., k), a plant can have; losses may be below zero, as estimates."""
-        above = [getattr(one.leaf.declared, "above", None) for one in self.found]
+        above = [stated(one.leaf.declared, "above") for one in self.found]
         return (values > [-np.inf if bound is None else bound for bound in above]).all(axis=-1)
 
     @cached_property
@@ -258,7 +258,7 @@ class PlantProblem:
     def plausible(self, p: Array, covariance: Array) -> Array:
         """Return the nearest numbers within the declared bounds."""
         lower, upper = (
-            [getattr(one.leaf.declared, name, None) for one in self.found] for name in ("lower", "upper")
+            [stated(one.leaf.declared, name) for one in self.found] for name in ("lower", "upper")
         )
         low, high = ([x if b is None else b for x, b in zip(p, each, strict=True)] for each in (lower, upper))
         return np.asarray(np.clip(p, low, high))
@@ -335,6 +335,8 @@ def _sensors(log: Log, plant: Any) -> list[str]:
     """Return the names of the measurements of a log that the fit uses."""
     names = ["q"] * (log.q is not None) + ["joints"] * (log.joints is not None)
     names += ["wheel_rates"] * (log.wheel_rates is not None and log.joints is None)
+    if log.joints is None and any("/" in one.name for one in coordinates_of(plant)):
+        raise InvalidArgument("log has no joints, expected the positions of all coordinates behind the pose")
     if log.joints is not None and log.joints.shape[1] != plant.nq - 3:
         raise InvalidArgument(
             f"log has {log.joints.shape[1]} joints, expected {plant.nq - 3}: all coordinates behind the pose"
@@ -354,7 +356,7 @@ def identify_plant(logs: Sequence[Log], plant: Any, by: Any, delay: float | None
     columns = [*range(3)] * ("q" in names) + [*range(3, nq)] * ("joints" in names)
     if "wheel_rates" in names:
         own = [one.name for one in coordinates_of(plant)]
-        columns += [nq + own.index(one.name) for one in plant.inputs]
+        columns += [nq + own.index(one.name) for one in plant.inputs if one.name in own]
     first: Any = PlantProblem(plant, found, base, np.diag(sizes), dt, late, tuple(columns))
     span = sum(float(log.t[-1] - log.t[0]) for log in logs)
     seconds = max(min(_LONGEST, span / (_SEGMENTS + 0.5)), _SHORTEST * dt)
