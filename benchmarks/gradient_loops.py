@@ -65,12 +65,13 @@ class Case:
     own: dict[str, Any] = field(default_factory=dict)
     modes: tuple[str, ...] = ("forward", "reverse")
 
-    def problem(self, **own: Any) -> tuple[Any, Losses]:
-        """Return the problem and its loss."""
-        losses = Losses((Loss.read(loss, None, self.parts[0], self.parts[2]),))
+    def problem(self, **own: Any) -> Any:
+        """Return the problem."""
         given = {"dt": self.dt, "n": 1, **self.own, **own}
         start = self.q0, None
-        return _problem.problem_of(*self.parts, recorder=losses, by=self.by, start=start, **given), losses
+        return _problem.problem_of(
+            *self.parts, lambda scenario: Losses((Loss.read(loss, None, scenario),)), self.by, start, **given
+        )
 
 
 def cases() -> dict[str, Case]:

@@ -211,8 +211,8 @@ def test_a_gradient_of_a_peer_is_checked_before_it_is_timed(
     away = stand_in("absent", None, installed=False).peer
     monkeypatch.setattr(derivatives, "cases", lambda: {"PD": known["PD"]})
     monkeypatch.setattr(derivatives, "PEERS", {"right": there, "wrong": there, "away": away})
-    problem, losses = known["PD"].problem()
-    exact = evaluated(problem, losses, {}, "forward").slopes[0, 0]
+    problem = known["PD"].problem()
+    exact = evaluated(problem, {}, "forward").slopes[0, 0]
     makers = {
         "right": lambda *given: lambda: lambda: exact,
         "wrong": lambda *given: lambda: lambda: 1.1 * exact,

@@ -237,7 +237,10 @@ def test_many_numbers_select_reverse_mode_and_elementary_functions_have_their_sl
         ({"mode": "backward"}, "unknown mode 'backward', available: forward, reverse"),
         ({"loss": lambda sample: sample.error}, r"loss returned .*, expected a number"),
         ({"loss": lambda sample: 1.0 if sample.u[0] > 0 else 0.0}, "this loop has no derivative: .*np.where"),
-        ({"loss": 3}, "loss"),
+        ({"loss": 3}, "loss is 3, expected a function of a sample or the name of a metric"),
+        ({"controller": pm.PD(1e9, 1e9)}, "loss is nan, expected a finite number: the run diverges"),
+        ({"loss": "distance", "controller": 3}, "controller is 3"),
+        ({"reduction": "median"}, "unknown reduction 'median'"),
         ({"controller": pm.MPC(BODY), "dt": 0.05}, "this loop has no derivative: .*MPC"),
     ],
 )

@@ -180,19 +180,23 @@ def gradient(
         one_of("mode", mode, ("forward", "reverse"))
     if not sequence("by", by, 'paths of numbers, such as ["controller.kp"]'):
         raise InvalidArgument("by is empty, expected paths of numbers")
-    losses = Losses((Loss.read(loss, reduction, plant, trajectory),))
     options: dict[str, Any] = {"dt": dt, "duration": duration, "integrator": integrator, "substeps": substeps}
     options |= {"forces": forces, "n": n, "spread": spread, "seed": seed}
-    parts = plant, controller, trajectory
-    problem = problem_of(*parts, recorder=losses, by=by, start=(q0, v0), **options)
+    problem = problem_of(
+        *(plant, controller, trajectory, lambda scenario: Losses((Loss.read(loss, reduction, scenario),))),
+        *(by, (q0, v0)),
+        **options,
+    )
     units = {path: one.unit for path, one in problem.found.items()}
     if smooth is not None:
         with differentiated():
-            return _fitted(problem, losses, positive("smooth", smooth), (q0, v0))
+            return _fitted(problem, positive("smooth", smooth))
     selected, reason = mode, "as given"
     if mode is None:
         selected, reason = _mode(problem)
-    found = evaluated(problem, losses, {}, selected)
+    found = evaluated(problem, {}, selected)
+    if n == 1 and not np.isfinite(found.values).all():
+        raise InvalidArgument(f"loss is {found.values[0, 0]}, expected a finite number: the run diverges")
     with differentiated():
         kinks, slides = problem.kinks(found.inputs)
     by_path = shaped(problem, found.directions, found.slopes[0])
@@ -225,7 +229,7 @@ def shaped(problem: Problem, directions: Sequence[Direction], slopes: Array) -> 
     return found
 
 
-def _fitted(problem: Problem, losses: Losses, share: float, start: Any) -> Gradient:
+def _fitted(problem: Problem, share: float) -> Gradient:
     """Return the slopes of a linear fit to runs with numbers from a range around the given ones."""
     scenario = problem.scenario
     if scenario.n > 1:
@@ -243,7 +247,7 @@ def _fitted(problem: Problem, losses: Losses, share: float, start: Any) -> Gradi
     steps = np.concatenate([points, -points]) * share * np.where(values == 0, 1.0, np.abs(values))
     spread = {path: value + column for (path, value), column in zip(entries.items(), steps.T, strict=True)}
     robots = replaced(scenario, n=len(steps), spread=spread)
-    found = evaluated(Problem(robots, losses, (), start), losses, {}, None).values[0]
+    found = evaluated(Problem(robots, problem.loop.recorder, (), problem.start), {}, None).values[0]
     columns = np.column_stack([np.ones(len(steps)), steps])
     fit, *_ = np.linalg.lstsq(columns, found, rcond=None)
     left = float(((found - columns @ fit) ** 2).sum()) / (len(steps) - len(fit))

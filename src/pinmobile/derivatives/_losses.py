@@ -9,10 +9,9 @@ import numpy as np
 
 from pinmobile.arrays import Array, one_of
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.loop import Record, Sample
+from pinmobile.loop import Record, Sample, Scenario
 from pinmobile.metrics import Metric, metrics_of
 from pinmobile.parts import option, part
-from pinmobile.plant import coordinates_of
 
 REDUCTIONS = ("sum", "mean", "rms", "last", "largest", "smallest")
 """Reductions of the values of all samples to one number."""
@@ -37,9 +36,7 @@ class Loss(NamedTuple):
     name: str
 
     @classmethod
-    def read(
-        cls, given: Any, reduction: str | None, plant: Any, trajectory: Any, where: str = "loss"
-    ) -> Loss:
+    def read(cls, given: Any, reduction: str | None, scenario: Scenario, where: str = "loss") -> Loss:
         """Return the loss that a user means.
 
         Parameters
@@ -48,10 +45,8 @@ class Loss(NamedTuple):
             Function of a sample; or "distance", "heading", a coordinate or a metric of the plant by name.
         reduction : str, optional
             Default: the sum of a function; the worst value of a metric.
-        plant : plant
-            Simulated plant.
-        trajectory : trajectory
-            Trajectory, which gives the number of coordinates of the reference.
+        scenario : Scenario
+            Loop of the loss.
         where : str
             Name of the argument.
 
@@ -71,9 +66,9 @@ class Loss(NamedTuple):
                     f"{where} is {shown(given)}, expected a function of a sample or the name of a metric"
                 )
             return cls(given, reduction or "sum", where)
-        size = np.size(trajectory(0.0).v)
+        plant = scenario.robot
         own: dict[str, Any] = {"distance": _distance, "heading": _Error(2)}
-        own |= {one.name: _Error(i) for i, one in enumerate(coordinates_of(plant)[:size])}
+        own |= {one.name: _Error(i) for i, one in enumerate(scenario.coordinates)}
         stated = {one.name: (i, one.is_margin) for i, one in enumerate(metrics_of(plant))}
         name = one_of(where, given, {**own, **stated})
         if name in own:

@@ -320,7 +320,7 @@ def poles(
     probed = _Probed(controller, np.zeros(plant.nu))
     options: dict[str, Any] = {"dt": dt, "forces": forces, "integrator": integrator, "substeps": substeps}
     parts = plant, probed, trajectory
-    problem = problem_of(*parts, recorder=_Inputs(), by=[_PROBE], start=(q0, v0), n=1, **options)
+    problem = problem_of(*parts, lambda _: _Inputs(), [_PROBE], (q0, v0), n=1, **options)
     t = problem.scenario.t
     if at > t[-1]:
         raise InvalidArgument(f"at is {at} s, expected a time in the run, 0 to {t[-1]:g} s")

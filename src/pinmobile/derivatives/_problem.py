@@ -29,7 +29,6 @@ from pinmobile.compiled import (
     uncollected,
     without_delays,
 )
-from pinmobile.derivatives._losses import Losses
 from pinmobile.errors import InvalidArgument, NotTraceable
 from pinmobile.loop import (
     Loop,
@@ -499,20 +498,37 @@ class Problem:
 
 
 def problem_of(
-    *parts: Any, recorder: Any, by: Sequence[str], start: Any = (None, None), **options: Any
+    plant: Any,
+    controller: Any,
+    trajectory: Any,
+    recorder: Callable[[Scenario], Any],
+    by: Sequence[str],
+    start: Any = (None, None),
+    **options: Any,
 ) -> Problem:
-    """Return the problem of a loop whose parts are arguments of `Scenario`.
+    """Return the problem of a loop.
+
+    Parameters
+    ----------
+    plant, controller, trajectory
+        Parts of the loop.
+    recorder : callable
+        Function ``recorder(scenario)`` that returns the recorder.
+    by, start
+        See `Problem`.
+    **options
+        Other arguments of `Scenario`.
 
     Raises
     ------
     InvalidArgument
         If an argument is invalid, or the loop cannot be compiled.
     """
-    plant, controller, trajectory = parts
     own = {"robot": plant, "controller": controller, "trajectory": trajectory, "metrics": ()}
     options["spread"] = options.get("spread") or {}
     with differentiated():
-        return Problem(Scenario(**own, **options), recorder, by, start)
+        scenario = Scenario(**own, **options)
+        return Problem(scenario, recorder(scenario), by, start)
 
 
 @contextmanager
@@ -552,22 +568,21 @@ class Evaluation(NamedTuple):
     inputs: Inputs
 
 
-def evaluated(problem: Problem, losses: Losses, changes: Mapping[str, Any], mode: str | None) -> Evaluation:
+def evaluated(problem: Problem, changes: Mapping[str, Any], mode: str | None) -> Evaluation:
     """Return the losses of the robots with other numbers, and their derivatives in a mode.
 
     Parameters
     ----------
     problem : Problem
-        Loop whose recorder is `losses`.
-    losses : Losses
-        Losses.
+        Loop whose recorder is `Losses`.
     changes : mapping of str to ndarray
         Numbers by path.
     mode : str, optional
         ``"forward"`` or ``"reverse"``; None: only the values.
     """
+    losses = problem.loop.recorder.losses
     first = next(leaf.first for leaf in problem.machine.tape.leaves if leaf.owner == "recorder")
-    at = [first + i for i in range(len(losses.losses))]
+    at = [first + i for i in range(len(losses))]
     with differentiated():
         inputs = problem.inputs(changes)
         directions = problem.directions(inputs, changes) if mode else []
@@ -578,9 +593,7 @@ def evaluated(problem: Problem, losses: Losses, changes: Mapping[str, Any], mode
             final, slopes = problem.adjoints(inputs, directions, at)
         else:
             final, slopes = problem.plain(inputs), np.zeros((len(at), problem.n, 0))
-        pairs = [
-            one.finished(final[i], len(inputs.samples)) for one, i in zip(losses.losses, at, strict=True)
-        ]
+        pairs = [one.finished(final[i], len(inputs.samples)) for one, i in zip(losses, at, strict=True)]
         values = np.array([value for value, _ in pairs])
         slopes = slopes * np.array([slope for _, slope in pairs])[:, :, None]
     return Evaluation(values, slopes, directions, inputs)

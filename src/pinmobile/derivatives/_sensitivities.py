@@ -155,7 +155,7 @@ def sensitivities(
     options: dict[str, Any] = {"dt": dt, "duration": duration, "integrator": integrator, "substeps": substeps}
     options["forces"] = forces
     parts = plant, controller, trajectory
-    problem = problem_of(*parts, recorder=Samples(), by=by, start=(q0, v0), n=1, **options)
+    problem = problem_of(*parts, lambda _: Samples(), by, (q0, v0), n=1, **options)
     run = simulate(*parts, q0=q0, v0=v0, engine=Engine.COMPILED, **options)
     with differentiated():
         inputs = problem.inputs({})

@@ -17,7 +17,7 @@ from pinmobile.derivatives._problem import FEW, Evaluation, Problem, evaluated, 
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.forces import Force
 from pinmobile.integrators import Integrator
-from pinmobile.loop import Sample, Source
+from pinmobile.loop import Sample, Scenario, Source
 from pinmobile.metrics import Metric
 from pinmobile.parts import OnCoordinates, replace
 from pinmobile.plant import Plant, stated
@@ -60,7 +60,7 @@ class Constraint(NamedTuple):
     upper: float = np.inf
     reduction: str | None = None
 
-    def read(self, plant: Any, trajectory: Any) -> Loss:
+    def read(self, scenario: Scenario) -> Loss:
         """Return the loss of the constraint."""
         if not self.lower < self.upper or np.isinf([self.lower, self.upper]).all():
             raise InvalidArgument(
@@ -69,7 +69,7 @@ class Constraint(NamedTuple):
         reduction = self.reduction
         if reduction is None and not isinstance(self.of, str | Metric):
             reduction = "largest" if np.isfinite(self.upper) else "smallest"
-        return Loss.read(self.of, reduction, plant, trajectory, "Constraint")
+        return Loss.read(self.of, reduction, scenario, "Constraint")
 
     def excess(self, value: Any) -> Any:
         """Return by how much values exceed the bounds."""
@@ -268,7 +268,6 @@ class _Search:
     """Evaluations of the losses, each of which is kept."""
 
     variables: _Variables
-    losses: Losses
     constraints: tuple[Constraint, ...]
     objective: str
     mode: str
@@ -281,11 +280,9 @@ class _Search:
         """Return the evaluation at variables; None if the parts refuse the numbers."""
         key = z.tobytes()
         if key != self.last[0]:
-            numbers = self.variables.numbers(z)
+            numbers, problem = self.variables.numbers(z), self.variables.problem
             try:
-                found = evaluated(
-                    self.variables.problem, self.losses, self.variables.changes(numbers), self.mode
-                )
+                found = evaluated(problem, self.variables.changes(numbers), self.mode)
             except InvalidArgument:
                 if not self.trials:
                     raise
@@ -425,21 +422,23 @@ def tune(
     if not given:
         raise InvalidArgument(f"by is {shown(by)}, expected paths of numbers, such as ['controller.kp']")
     bounds = tuple(instance("constraints", one, Constraint, "derivatives.Constraint") for one in constraints)
-    own = [one.read(plant, trajectory) for one in bounds]
-    losses = Losses((Loss.read(loss, reduction, plant, trajectory), *own))
+
+    def losses(scenario: Scenario) -> Losses:
+        own = [one.read(scenario) for one in bounds]
+        return Losses((Loss.read(loss, reduction, scenario), *own))
+
     options: dict[str, Any] = {"dt": dt, "duration": duration, "integrator": integrator, "substeps": substeps}
     options |= {"forces": forces, "n": n, "spread": spread, "seed": seed}
-    parts = plant, controller, trajectory
-    problem = problem_of(*parts, recorder=losses, by=[*given], start=(q0, v0), **options)
+    problem = problem_of(plant, controller, trajectory, losses, [*given], (q0, v0), **options)
     twice = {one.leaf.path for one in problem.found.values()} & problem.values.keys()
     if twice:
         raise InvalidArgument(f"by has {min(twice)!r}, which is in the spread, expected other numbers")
     pairs = zip(problem.found, given.values(), strict=True)
     variables = _Variables(problem, {path: pair for path, pair in pairs if pair is not None})
     dry = "slides" in problem.machine.tape.kept
-    few = len(variables.names) <= FEW * len(losses.losses)
+    few = len(variables.names) <= FEW * (1 + len(bounds))
     mode = "forward" if dry or few else "reverse"
-    search = _Search(variables, losses, bounds, objective, mode, progress or _told)
+    search = _Search(variables, bounds, objective, mode, progress or _told)
     start = np.zeros(len(variables.names))
     first = search.at(start)
     built = time.perf_counter() - began
@@ -476,8 +475,9 @@ def tune(
     loop = replace(problem.scenario.given, changes)
     others: tuple[Array, ...] = ()
     if problem.n > 1:
-        fresh = Problem(replaced(problem.scenario, seed=seed + 1), losses, [*given], (q0, v0))
-        others = tuple(evaluated(fresh, losses, x, None).values[0] for x in ({}, changes))
+        others_of = replaced(problem.scenario, seed=seed + 1)
+        fresh = Problem(others_of, problem.loop.recorder, [*given], (q0, v0))
+        others = tuple(evaluated(fresh, x, None).values[0] for x in ({}, changes))
     words = "loss" if problem.n == 1 else "mean loss" if objective == "mean" else "largest loss"
     own_parts = loop.plant, loop.controller, loop.trajectory, loop.forces
     seconds = time.perf_counter() - began
