@@ -28,7 +28,10 @@ from pinmobile import (
     Coulomb,
     Engine,
     Ensemble,
+    FixedHeading,
+    Hold,
     Log,
+    MeasurementDelay,
     MobileRobot,
     Normal,
     Rollout,
@@ -48,6 +51,7 @@ from pinmobile import (
 )
 from pinmobile.accuracy import integrator_report
 from pinmobile.controllers import Decoupled
+from pinmobile.derivatives import Poles, Sensitivities, poles, sensitivities
 from pinmobile.identification import Prediction
 from pinmobile.integrators import semi_implicit_euler
 from pinmobile.wheels import OdometryFeedback
@@ -117,6 +121,21 @@ def foretold() -> Prediction:
     return identify(log, method="weak").predict(log)
 
 
+@cache
+def near() -> dict[str, Poles]:
+    """Return the poles of loops whose measurements are late."""
+    robot, rest = MobileRobot(mass=30, yaw_inertia=1.3), FixedHeading(Hold((0, 0), 1), 0)
+    law = ComputedTorque(robot, 100, 20)
+    return {f"{10 * k} ms late": poles(robot, MeasurementDelay(law, k), rest, dt=0.01) for k in (2, 6)}
+
+
+@cache
+def uncertain() -> Sensitivities:
+    """Return the derivatives of a run by numbers that are not known exactly."""
+    robot, law = MobileRobot(30, 1.3, com=(0.1, 0.05)), ComputedTorque(MobileRobot(25, 1.0), 4, 4)
+    return sensitivities(robot, law, Tangent(Circle(2, 0.5, 6)), by=["plant.mass", "plant.com.x"], dt=0.02)
+
+
 _GAINS = "gain", "1/s²", [1, 2, 4, 8]
 _ERRORS = {
     "PD": [8.0, 5.0, 4.0, 3.8],
@@ -149,6 +168,8 @@ FIGURES: dict[str, Callable[..., Figure]] = {
     ),
     "curves": lambda **how: plots.curves(_ERRORS, **{"x": _GAINS, "label": "99 % stay within [mm]"} | how),
     "integrator": lambda **how: plots.integrator(reports(), **how),
+    "poles": lambda **how: plots.poles(near(), **how),
+    "sensitivities": lambda **how: plots.sensitivities(uncertain(), {"mass": 1.5, "com.x": 0.02}, **how),
 }
 """Each figure by name: a function of `ax` and `width`."""
 

@@ -31,7 +31,7 @@ OF_COMMANDS: dict[str, Any] = {
 }
 LOOPS |= {name: ((COMMANDED, each, CIRCLE), {}) for name, each in OF_COMMANDS.items()}
 # Ends of the paths of numbers that no law uses in these loops, or not where they begin.
-OF_MOTORS = ("motor.efficiency", "motor.viscous", "motor.coulomb", "friction.mu")
+OF_MOTORS = ("motor.gear", "motor.efficiency", "motor.viscous", "motor.coulomb", "friction.mu")
 UNUSED = (*OF_MOTORS, "forces.0.end", "dead_zone", "controller.steer", "controller.arms", "accelerations")
 OF_MODELS = (
     *("mass", "yaw_inertia", "com", "spin_inertia", "resistance", "torque_constant"),

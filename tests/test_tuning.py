@@ -91,8 +91,12 @@ def test_margins_of_a_plant_and_user_defined_metrics_are_losses() -> None:
     carried = pm.MobileRobot.box(mass=60.0).mount("ur5")
     still = pm.WholeBody(carried, REST, pm.Hold(carried.rest[3:], 2.0))
     parts = carried, pm.ComputedTorque(carried, 100.0, 20.0), still
-    options: Options = {"by": ["plant.mounts.ur5.links.forearm_link.com"], "dt": 0.01, "duration": 0.05}
+    by = ["plant.mounts.ur5.links.forearm_link.com", "trajectory.base.psi"]
+    options: Options = {"by": by, "dt": 0.01, "duration": 0.05}
     found = gradient("tip-over margin", *parts, **options)
+    back = gradient("tip-over margin", *parts, mode="reverse", **options)
+    for path, x in found.by.items():
+        np.testing.assert_allclose(back.by[path], x, rtol=1e-9, atol=1e-12)
     runs = pm.ensemble(*parts, n=1, spread={}, dt=0.01, duration=0.05)
     assert found.value == pytest.approx(runs.largest("tip-over margin")[0], rel=1e-9)
     assert found.by["plant.mounts.ur5.links.forearm_link.com"].shape == (3,)
@@ -334,6 +338,7 @@ def test_a_gear_a_radius_and_a_path_are_tuned() -> None:
         ({"by": ["mass"]}, "by has 'plant.mass', which is in the spread, expected other numbers"),
         ({"objective": "median"}, "unknown objective 'median', .*available: mean, soft maximum, worst"),
         ({"constraints": [3]}, r"constraints is 3, expected derivatives.Constraint"),
+        ({"constraints": [Constraint("speed", lower=0)]}, "unknown of of a Constraint 'speed'"),
         ({"constraints": [Constraint(force)]}, "Constraint has bounds -inf and inf, expected lower < upper"),
         ({"trials": 0}, "trials is 0"),
         ({"controller": pm.PD(1e9, 1e9)}, "the loop diverges with the given numbers"),

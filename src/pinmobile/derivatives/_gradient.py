@@ -84,9 +84,10 @@ class Gradient:
             )
         kinks, slides = int(np.sum(self.kinks)), int(np.sum(self.slides))
         if slides:
+            often = f"{slides:,} time{'s' * (slides != 1)}"
             lines.append(
-                f"  wheels change between rolling and sliding {slides:,} times: the derivative is local, and "
-                "may say nothing about finite changes; smooth=0.01 fits the loss over 1 %"
+                f"  wheels change between rolling and sliding {often}: the derivative is local, and may say "
+                "nothing about finite changes; smooth=0.01 fits the loss over 1 %"
             )
         elif kinks:
             lines.append(

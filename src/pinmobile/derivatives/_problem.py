@@ -325,7 +325,9 @@ class Problem:
                     h = np.zeros(value.shape)
                     h[entry] = _STEP * max(1.0, abs(float(value[entry])))
                     points = zip(*(moved(h * x) for x in (0.5, -0.5, 1.0, -1.0)), strict=True)
-                    other = Inputs(*((8 * (a - b) - (c - d)) / (6 * h[entry]) for a, b, c, d in points))
+                    other = Inputs(
+                        *((8 * _less(a, b) - _less(c, d)) / (6 * h[entry]) for a, b, c, d in points)
+                    )
                 yield Direction(path, entry, row, other)
 
     def run(
@@ -539,6 +541,11 @@ def differentiated() -> Iterator[None]:
             yield
     except NotTraceable as error:
         raise InvalidArgument(f"this loop has no derivative: {error.reason}") from error
+
+
+def _less(a: Array, b: Array) -> Array:
+    """Return a - b; 0 for equal infinite numbers, such as the smallest value of no sample."""
+    return np.where(a == b, 0.0, a - b)
 
 
 def _same(key: list[Any], known: list[Any]) -> bool:

@@ -69,7 +69,7 @@ class Constraint(NamedTuple):
         reduction = self.reduction
         if reduction is None and not isinstance(self.of, str | Metric):
             reduction = "largest" if np.isfinite(self.upper) else "smallest"
-        return Loss.read(self.of, reduction, scenario, "Constraint")
+        return Loss.read(self.of, reduction, scenario, "of of a Constraint")
 
     def excess(self, value: Any) -> Any:
         """Return by how much values exceed the bounds."""

@@ -137,7 +137,7 @@ def identify(
 
     >>> log = Log.from_rollout(run, noise=1e-3)
     >>> found = identify(log, MobileRobot(25.0, 1.3), by="mass")
-    >>> found.robot().mass.round(1)  # [kg]
+    >>> round(found.robot().mass, 1)  # [kg]
     30.0
     """
     logs = logs_of(log)
