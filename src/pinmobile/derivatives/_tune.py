@@ -114,7 +114,7 @@ class Trial(NamedTuple):
 @final
 @dataclass(frozen=True, eq=False, repr=False)
 class Tuning:
-    """Result of `tune`.
+    """Result of `derivatives.tune`.
 
     Attributes
     ----------

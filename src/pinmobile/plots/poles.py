@@ -86,7 +86,7 @@ def poles(found: Poles | Mapping[str, Poles], **layout: Unpack[Layout]) -> Figur
         Line2D([], [], color=QUIET, linewidth=0.6, linestyle=":", label="damping ratio"),
     ]
     one = next(iter(known.values()))
-    return sheet.finish(f"Poles of the sampled loop near t = {one.t:g} s, dt = {1e3 * one.dt:g} ms", keys)
+    return sheet.finish(f"Poles near t = {one.t:g} s, dt = {1e3 * one.dt:g} ms", keys)
 
 
 def sensitivities(
