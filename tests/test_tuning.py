@@ -335,6 +335,8 @@ def test_a_gear_a_radius_and_a_path_are_tuned() -> None:
             {"by": {"kp": (10, 40)}},
             r"by has bounds 10 and 40 for controller.kp, expected bounds around its .* 4",
         ),
+        ({"by": ["kp", "controller.kp"]}, "by has kp, controller.kp, of which two mean the same number"),
+        ({"by": ["controller.robot.com", "controller.robot.com.x"]}, "of which two mean the same number"),
         ({"by": ["mass"]}, "by has 'plant.mass', which is in the spread, expected other numbers"),
         ({"objective": "median"}, "unknown objective 'median', .*available: mean, soft maximum, worst"),
         ({"constraints": [3]}, r"constraints is 3, expected derivatives.Constraint"),

@@ -433,6 +433,12 @@ def tune(
     twice = {one.leaf.path for one in problem.found.values()} & problem.values.keys()
     if twice:
         raise InvalidArgument(f"by has {min(twice)!r}, which is in the spread, expected other numbers")
+    wholes, parts = (
+        {one.leaf.path for one in problem.found.values() if (one.entry is None) == is_whole}
+        for is_whole in (True, False)
+    )
+    if len(problem.found) < len(given) or wholes & parts:
+        raise InvalidArgument(f"by has {', '.join(given)}, of which two mean the same number")
     pairs = zip(problem.found, given.values(), strict=True)
     variables = _Variables(problem, {path: pair for path, pair in pairs if pair is not None})
     dry = "slides" in problem.machine.tape.kept
