@@ -8,7 +8,7 @@ from typing import Any, final
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, one_of, positive, sequence
+from pinmobile.arrays import Array, ArrayLike, bounded, one_of, positive, sequence
 from pinmobile.controllers import Controller
 from pinmobile.derivatives._losses import Loss, Losses
 from pinmobile.derivatives._problem import FEW, Direction, Problem, differentiated, evaluated, problem_of
@@ -143,8 +143,8 @@ def gradient(
     mode : str, optional
         ``"forward"`` or ``"reverse"``; default: reverse for more than 8 numbers, forward on dry friction.
     smooth : float, optional
-        Half width, relative to each number: the result is then the slope of a linear fit to runs with
-        numbers from this range, for losses whose exact derivative is of no use.
+        Half width, relative to each number, at most 0.5: the result is then the slope of a linear fit to runs
+        with numbers from this range, for losses whose exact derivative is of no use.
 
     Returns
     -------
@@ -191,16 +191,20 @@ def gradient(
     units = {path: one.unit for path, one in problem.found.items()}
     if smooth is not None:
         with differentiated():
-            return _fitted(problem, positive("smooth", smooth))
+            return _fitted(problem, bounded("smooth", positive("smooth", smooth), most=0.5))
     selected, reason = mode, "as given"
     if mode is None:
         selected, reason = _mode(problem)
     found = evaluated(problem, {}, selected)
     if n == 1 and not np.isfinite(found.values).all():
         raise InvalidArgument(f"loss is {found.values[0, 0]}, expected a finite number: the run diverges")
+    if n == 1 and not np.isfinite(found.slopes).all():
+        raise InvalidArgument(
+            "the derivatives are not finite: the run diverges, or a law has an infinite slope"
+        )
     with differentiated():
         kinks, slides = problem.kinks(found.inputs)
-    by_path = shaped(problem, found.directions, found.slopes[0])
+    by_path = by_number(problem, found.directions, found.slopes[0])
     words = f"{selected} mode, {reason}"
     if n == 1:
         by_path = {path: x[0] for path, x in by_path.items()}
@@ -218,7 +222,7 @@ def _mode(problem: Problem) -> tuple[str, str]:
     return ("forward" if count <= FEW else "reverse"), f"{count} number{'s' * (count > 1)}"
 
 
-def shaped(problem: Problem, directions: Sequence[Direction], slopes: Array) -> dict[str, Array]:
+def by_number(problem: Problem, directions: Sequence[Direction], slopes: Array) -> dict[str, Array]:
     """Return slopes by each entry, shape (..., P), by path in the shape of each number."""
     found: dict[str, Array] = {}
     for p, one in enumerate(directions):
@@ -238,9 +242,10 @@ def _fitted(problem: Problem, share: float) -> Gradient:
     known = named(scenario.given)
     entries, places = dict[str, float](), list[tuple[str, Any]]()
     for path, one in problem.found.items():
-        own = [x for x in known.values() if x.leaf.path == path and x.label] if one.is_array else [one]
+        many = one.entry is None and np.ndim(one.leaf.value) > 0
+        own = [x for x in known.values() if x.leaf.path == path and x.label] if many else [one]
         entries |= {each.path: float(each.value) for each in own}
-        places += [(path, each.entry if one.is_array else ()) for each in own]
+        places += [(path, each.entry if many else ()) for each in own]
     values = np.array([*entries.values()])
     points = np.random.default_rng(scenario.seed).uniform(
         -1.0, 1.0, (_RUNS // 2 + 4 * len(values), len(values))

@@ -24,6 +24,7 @@ from pinmobile.trajectories import Trajectory
 _DOUBLE = 1e-7  # imaginary part that rounding gives to two equal real poles
 _ROUNDING = 1e-12  # relative size of singular values that are 0
 _NEUTRAL = 1e-9  # distance of a pole from the unit circle that is rounding
+_DEAD = 1e-6  # size of a pole that is 0 but for rounding
 _FREQUENCIES = 2000  # of the search for crossings, over five decades below half the sample rate
 _PROBE = "controller.probe"
 
@@ -209,7 +210,7 @@ class Poles:
         """Damping ratio of each pole, shape (n,): 1 if it is real and stable, below 0 if it is unstable."""
         s = self.continuous
         size = np.abs(s)
-        known = np.isfinite(size) & (size > 0)
+        known = np.isfinite(size) & (size * self.dt > _NEUTRAL)
         return np.asarray(np.divide(-s.real, size, out=np.ones_like(size), where=known))
 
     @property
@@ -237,9 +238,17 @@ class Poles:
 
     @cached_property
     def margins(self) -> Mapping[str, Margins]:
-        """Margins of each input, by its name, while the others stay closed; none if the loop is unstable."""
+        """Margins of each input, by its name, while the others stay closed.
+
+        Raises
+        ------
+        InvalidArgument
+            If the loop is unstable near this sample.
+        """
         if not self.is_stable:
-            return {}
+            raise InvalidArgument(
+                "the loop is unstable near this sample, expected a stable one: it has no margins"
+            )
 
         def response(i: int) -> Callable[[Array], Any]:
             return lambda w: self.sensitivity(w)[:, i, i]
@@ -250,14 +259,14 @@ class Poles:
     def __str__(self) -> str:
         size = float(np.abs(self.values).max())
         word = "grow" if not self.is_stable else "do not decay" if size > 1 - _NEUTRAL else "decay"
-        dead = np.count_nonzero(self.values == 0)
+        dead = np.count_nonzero(np.abs(self.values) <= _DEAD)
         lines = [
             f"{len(self.values)} poles at t = {self.t:g} s, {dead} of them at 0, "
             f"largest |z| = {size:.4f}: small deviations {word} near this sample, which proves "
             "nothing about a whole trajectory"
         ]
         for z, w, d in zip(self.values, self.frequency, self.damping, strict=True):
-            if z and z.imag >= 0:
+            if abs(z) > _DEAD and z.imag >= 0:
                 pair = " +- " if z.imag > 0 else "    "
                 lines.append(f"  z = {z.real:7.4f}{pair}{z.imag:.4f}j, {w:8.3f} rad/s, damping {d:6.3f}")
         return "\n".join(lines)

@@ -32,6 +32,7 @@ from pinmobile.compiled import (
 from pinmobile.errors import InvalidArgument, NotTraceable
 from pinmobile.loop import (
     Loop,
+    SameAs,
     Scenario,
     Trace,
     arrays_of,
@@ -176,7 +177,8 @@ class Problem:
     ) -> None:
         self.scenario, self.n, self.start = scenario, scenario.n, start
         is_ensemble = self.n > 1 or bool(scenario.spread)  # else forces of noise keep their own draws
-        self.values = scenario.values(scenario.draws(), 0, self.n) if is_ensemble else {}
+        self.draws = scenario.draws() if is_ensemble else {}
+        self.values = scenario.values(self.draws, 0, self.n) if is_ensemble else {}
         self.loop = evolved(scenario.loop, {"recorder": recorder})
         known, self.found = named(scenario.given), dict[str, Found]()
         for name in by:
@@ -233,6 +235,7 @@ class Problem:
         for path, value in changes.items():
             if path in values or path.startswith("start"):
                 values[path] = values.get(path, np.zeros((n, 1))) + (np.asarray(value) - self.given[path])
+        self._follow(changes, values)
         q, v, tracks = self._begun(scenario, loop, values)
         states: Array = np.zeros((len(tape.states), n))
         rows: Array = np.zeros((tape.rows, n))
@@ -264,6 +267,28 @@ class Problem:
         given = [np.reshape(each, (len(scenario.t), -1)) for each in self._schedules(scenario, loop)]
         samples = np.concatenate([scenario.t[:, None], *scenario.reference, *given], axis=1)
         return Inputs(states, rows, uniforms, samples, tracks)
+
+    def _follow(self, changes: Mapping[str, Any], values: dict[str, Array]) -> None:
+        """Change the numbers of the spread that are the same as changed numbers, in proportion."""
+        scenario = self.scenario
+        for name, one in scenario.found.items() if changes else ():
+            source: Any = scenario.spread[name]
+            other, names = one, list[str]()
+            while isinstance(source, SameAs):
+                other = scenario.find(source.name)
+                names = [each for each, found in scenario.found.items() if found.path == other.path]
+                source = scenario.spread[names[0]] if names else None
+            at = other.leaf.path
+            if other is one or at not in changes:
+                continue
+            before, after = (np.asarray(x, float) for x in (self.given[at], changes[at]))
+            place = other.place(before.ndim) if other.entry is not None else ...
+            moved = float(np.ravel((after - before)[place])[0])
+            share = self.draws[name] / (self.draws[names[0]] if names else float(other.value))
+            own: Any = values[one.leaf.path].copy()
+            into: Any = (slice(None), *one.place(own.ndim - 1)) if one.entry is not None else ...
+            own[into] += (share * moved).reshape(-1, *(1,) * (own[into].ndim - 1))
+            values[one.leaf.path] = own
 
     def _schedules(self, scenario: Scenario, loop: Loop) -> list[Array]:
         return scheduled_rows(loop, scenario.context) if self.machine.tape.scheduled else []
@@ -529,8 +554,27 @@ def problem_of(
     own = {"robot": plant, "controller": controller, "trajectory": trajectory, "metrics": ()}
     options["spread"] = options.get("spread") or {}
     with differentiated():
-        scenario = Scenario(**own, **options)
+        scenario = _grown(Scenario(**own, **options), by)
         return Problem(scenario, recorder(scenario), by, start)
+
+
+def _grown(scenario: Scenario, by: Sequence[str]) -> Scenario:
+    """Return the scenario with a number for each coordinate where `by` names one of a gain."""
+    known, grown = named(scenario.given), dict[str, Any]()
+    for one in (find(scenario.given, name, known, "by") for name in by):
+        if one.entry is not None and np.ndim(one.leaf.value) < len(one.entry):
+            size = 1 + max(entry[-1] for entry in one.leaf.entries.values())
+            grown[one.leaf.path] = np.full(size, float(one.leaf.value))
+    if not grown:
+        return scenario
+    loop = replace(scenario.given, grown)
+    return replaced(
+        scenario,
+        robot=loop.plant,
+        controller=loop.controller,
+        trajectory=loop.trajectory,
+        forces=loop.forces,
+    )
 
 
 @contextmanager

@@ -8,9 +8,9 @@ from typing import Any, final
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, finite, instance, one_of, sequence
+from pinmobile.arrays import Array, ArrayLike, bounded, finite, instance, one_of, sequence, shaped
 from pinmobile.controllers import Controller
-from pinmobile.derivatives._gradient import shaped
+from pinmobile.derivatives._gradient import by_number
 from pinmobile.derivatives._problem import differentiated, problem_of
 from pinmobile.errors import InvalidArgument
 from pinmobile.forces import Force
@@ -88,13 +88,9 @@ class Sensitivities:
         for name, value in deviations.items():
             ends = [path for path in slopes if f".{path}".endswith(f".{name}")]
             path = ends[0] if len(ends) == 1 else one_of("deviations", name, slopes)
-            size = finite(f"deviations[{name!r}]", value)
-            try:
-                square = (slopes[path] * size) ** 2
-            except ValueError as error:
-                raise InvalidArgument(
-                    f"deviations[{name!r}] has shape {size.shape}, expected that of the number"
-                ) from error
+            size = bounded(f"deviations[{name!r}]", finite(f"deviations[{name!r}]", value), least=0)
+            shaped(f"deviations[{name!r}]", size, (), slopes[path].shape[2:])
+            square = (slopes[path] * size) ** 2
             total = total + square.reshape(*square.shape[:2], -1).sum(axis=2)
         return np.asarray(np.sqrt(total))
 
@@ -162,7 +158,7 @@ def sensitivities(
         directions = problem.directions(inputs, {})
         _, _, kept = problem.tangents(inputs, directions)
     q, v, u, a = (
-        shaped(problem, directions, np.moveaxis(kept[f"tangent {name}"][:, : len(run.t)], 0, -1))
+        by_number(problem, directions, np.moveaxis(kept[f"tangent {name}"][:, : len(run.t)], 0, -1))
         for name in ("q", "v", "u", "a")
     )
     return Sensitivities(run, q, v, u, a, {path: one.unit for path, one in problem.found.items()})

@@ -69,7 +69,7 @@ class Constraint(NamedTuple):
         reduction = self.reduction
         if reduction is None and not isinstance(self.of, str | Metric):
             reduction = "largest" if np.isfinite(self.upper) else "smallest"
-        return Loss.read(self.of, reduction, scenario, "of of a Constraint")
+        return Loss.read(self.of, reduction, scenario, "metric of a Constraint")
 
     def excess(self, value: Any) -> Any:
         """Return by how much values exceed the bounds."""
@@ -134,6 +134,8 @@ class Tuning:
         "loss" of one robot; "mean loss" or "largest loss" of all.
     others : tuple of ndarray
         Losses before and after of robots that were not used for tuning, shape (n,) each; () for one robot.
+    others_excess : ndarray, shape (n,)
+        Largest violation of a constraint by each of these robots.
     method : str
         Method, mode of the gradients and reason of its end.
     seconds : float
@@ -169,6 +171,7 @@ class Tuning:
     constraints: tuple[Constraint, ...]
     objective: str
     others: tuple[Array, ...]
+    others_excess: Array
     method: str
     seconds: float
     built: float
@@ -192,12 +195,19 @@ class Tuning:
         if len(names) > len(most):
             lines.append(f"  ... and {len(names) - len(most)} numbers that changed less")
         for one in self.constraints:
-            lines.append(f"  {one}: {'kept' if best.excess <= _BEYOND else f'exceeded by {best.excess:.3g}'}")
+            lines.append(
+                f"  {one}: {'kept' if best.excess <= _BEYOND else f'exceeded by up to {best.excess:.3g}'}"
+            )
+        if best.excess > _BEYOND:
+            lines.append("  no trial keeps all constraints: these numbers exceed them least")
         if self.others:
             before, after = ((np.mean(x), np.quantile(x, 0.99), np.max(x)) for x in self.others)
             words = ("mean", "99 %", "largest")
             each = ", ".join(f"{w} {x:.4g} to {y:.4g}" for w, x, y in zip(words, before, after, strict=True))
             lines.append(f"  loss of {len(self.others[0])} other robots: {each}")
+            beyond = self.others_excess[self.others_excess > _BEYOND]
+            if beyond.size:
+                lines.append(f"  {beyond.size} of them exceed a constraint, by up to {beyond.max():.3g}")
         return "\n".join(lines)
 
 
@@ -216,11 +226,17 @@ class _Variables:
             above, low, high = (stated(declared, name) for name in ("above", "lower", "upper"))
             low = above if above is not None else -np.inf if low is None else low
             own = given.get(path) or (low, np.inf if high is None else high)
+            if np.shape(own) != (2,) or not own[0] < own[1]:
+                raise InvalidArgument(
+                    f"by[{path!r}] is {shown(own)}, expected (lower, upper) with lower < upper"
+                )
+            labels = {entry: label for label, entry in one.leaf.entries.items() if len(entry) == value.ndim}
             places = [one.place(value.ndim)] if one.entry is not None else [*np.ndindex(value.shape)]
             for entry in places:
                 self.entries.append((one.leaf.path, entry))
-                named = "".join(f"[{i}]" for i in entry) if one.entry is None else ""
-                self.names.append(f"{path}{named}")
+                label = labels.get(entry, "".join(f"[{i}]" for i in entry))
+                own_name = f"{path}.{label}" if label and label[0] != "[" else f"{path}{label}"
+                self.names.append(path if one.entry is not None else own_name)
                 self.units.append(one.unit.split(", ")[entry[-1] if entry and "," in one.unit else 0])
                 first.append(float(value[entry]))
                 limits.append(own)
@@ -291,12 +307,16 @@ class _Search:
             loss = excess = np.inf
             if found is not None and np.isfinite(found.values).all():
                 loss = self.of(found.values[0])[0]
-                pairs = zip(self.constraints, found.values[1:], strict=True)
-                excess = max((float(one.excess(x).max()) for one, x in pairs), default=0.0)
+                excess = float(self.excess(found.values[1:]).max())
             self.trials.append(Trial(numbers, float(loss), excess))
             if self.progress is not None:
                 self.progress(self.trials[-1])
         return self.last[1]
+
+    def excess(self, values: Array) -> Array:
+        """Return the largest violation of a constraint by each robot, shape (n,), of values (L, n)."""
+        each = [one.excess(x) for one, x in zip(self.constraints, values, strict=True)]
+        return np.asarray(np.max([np.zeros(self.variables.problem.n), *each], axis=0))
 
     def of(self, losses: Array, soft: float = 0.0) -> tuple[float, Array]:
         """Return the objective of the robots' losses, and its slopes by them."""
@@ -348,7 +368,7 @@ def tune(
     by: Sequence[str] | Mapping[str, tuple[float, float] | None],
     dt: float,
     reduction: str | None = None,
-    constraints: Sequence[Constraint] = (),
+    constraints: Constraint | Sequence[Constraint] = (),
     duration: float | None = None,
     q0: ArrayLike | None = None,
     v0: ArrayLike | None = None,
@@ -359,7 +379,7 @@ def tune(
     spread: Mapping[str, Source] | None = None,
     seed: int = 0,
     objective: str = "mean",
-    trials: int = 200,
+    iterations: int = 200,
     progress: Callable[[Trial], Any] | None = None,
 ) -> Tuning:
     """Return the parts with the numbers that minimise a loss, within bounds and constraints.
@@ -381,8 +401,8 @@ def tune(
     objective : str
         "mean" loss of the robots; "soft maximum"; or "worst", the largest loss, as a bound of all losses that
         is a variable.
-    trials : int
-        Largest number of iterations.
+    iterations : int
+        Largest number of iterations of the minimiser, each of one or more trials.
     progress : callable, optional
         Function that is called with each `Trial`; default: a line on a terminal. Ctrl-C ends the search with
         the best trial so far.
@@ -417,11 +437,12 @@ def tune(
 
     began = time.perf_counter()
     one_of("objective", objective, OBJECTIVES)
-    most = whole("trials", trials)
+    most = whole("iterations", iterations)
     given = dict(by) if isinstance(by, Mapping) else dict.fromkeys(by if not isinstance(by, str) else ())
     if not given:
         raise InvalidArgument(f"by is {shown(by)}, expected paths of numbers, such as ['controller.kp']")
-    bounds = tuple(instance("constraints", one, Constraint, "derivatives.Constraint") for one in constraints)
+    every = [constraints] if isinstance(constraints, Constraint) else constraints
+    bounds = tuple(instance("constraints", one, Constraint, "derivatives.Constraint") for one in every)
 
     def losses(scenario: Scenario) -> Losses:
         own = [one.read(scenario) for one in bounds]
@@ -471,25 +492,33 @@ def tune(
             ends["bounds"] = [*variables.bounds, (None, None)]
     try:
         with np.errstate(all="ignore"):
-            reason = str(minimize(scaled, start, method=method, **ends).message).rstrip(".").capitalize()
+            result = minimize(scaled, start, method=method, **ends)
+            limit = result.nit >= most
+            reason = (
+                "converged" if result.success else "limit of iterations" if limit else "no further decrease"
+            )
     except KeyboardInterrupt:
         reason = "stopped"
+    if not first.slopes[0].any():
+        reason = "no number changes the loss"
     if progress is None and sys.stderr.isatty():
         print(file=sys.stderr)
     best = min(search.trials, key=lambda one: (max(one.excess, _BEYOND), one.loss))
     changes = variables.changes(best.numbers)
     loop = replace(problem.scenario.given, changes)
     others: tuple[Array, ...] = ()
+    beyond = np.zeros(0)
     if problem.n > 1:
         others_of = replaced(problem.scenario, seed=seed + 1)
         fresh = Problem(others_of, problem.loop.recorder, [*given], (q0, v0))
-        others = tuple(evaluated(fresh, x, None).values[0] for x in ({}, changes))
+        before, after = (evaluated(fresh, x, None).values for x in ({}, changes))
+        others, beyond = (before[0], after[0]), search.excess(after[1:])
     words = "loss" if problem.n == 1 else "mean loss" if objective == "mean" else "largest loss"
     own_parts = loop.plant, loop.controller, loop.trajectory, loop.forces
     seconds = time.perf_counter() - began
-    every, keys = tuple(search.trials), (tuple(variables.names), tuple(variables.units))
+    tried, keys = tuple(search.trials), (tuple(variables.names), tuple(variables.units))
     ended = f"{method}, {mode} mode: {reason}"
-    return Tuning(*own_parts, *keys, every, best, bounds, words, others, ended, seconds, built)
+    return Tuning(*own_parts, *keys, tried, best, bounds, words, others, beyond, ended, seconds, built)
 
 
 def _told(trial: Trial) -> None:
