@@ -236,7 +236,7 @@ def test_numbers_that_have_one_effect_are_told_as_a_combination() -> None:
         ({}, {"by": "*.nothing"}, "unknown parameter in by"),
         ({}, {"by": "left.radius", "loads": [None]}, "loads, method and rolling_speed do not apply"),
         ({}, {"by": "left.friction.mu"}, "log identifies none of the numbers"),
-        ({"u": lambda u: -u}, {"by": "left.radius"}, "inputs that explain 0% of the motion"),
+        ({"u": lambda u: -u}, {"by": "left.radius"}, "the given robot explains 0% of the motion"),
         ({"joints": lambda _: np.zeros((1001, 3))}, {"by": "left.radius"}, "log has 3 joints, expected 2"),
     ],
 )

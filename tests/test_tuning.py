@@ -100,6 +100,7 @@ def test_margins_of_a_plant_and_user_defined_metrics_are_losses() -> None:
     runs = pm.ensemble(*parts, n=1, spread={}, dt=0.01, duration=0.05)
     assert found.value == pytest.approx(runs.largest("tip-over margin")[0], rel=1e-9)
     assert found.by["plant.mounts.ur5.links.forearm_link.com"].shape == (3,)
+    assert str(found).startswith("smallest tip-over margin ")
     own = Metric("own", "m", "a metric", "largest", lambda sample: sample.q[0])
     assert gradient(own, BODY, LAW, PATH, by=["kp"], dt=0.02).value == pytest.approx(
         pm.simulate(BODY, LAW, PATH, dt=0.02).q[:, 0].max(), rel=1e-9

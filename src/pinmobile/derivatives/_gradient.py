@@ -16,7 +16,7 @@ from pinmobile.errors import InvalidArgument
 from pinmobile.forces import Force
 from pinmobile.integrators import Integrator
 from pinmobile.loop import Sample, Source
-from pinmobile.metrics import Metric
+from pinmobile.metrics import Metric, in_words
 from pinmobile.parts import OnCoordinates, named
 from pinmobile.plant import Plant
 from pinmobile.trajectories import Trajectory
@@ -46,6 +46,8 @@ class Gradient:
         Number of times that a wheel begins or ends to slide.
     errors : dict of str to ndarray
         Standard errors of the derivatives of a fit, see ``smooth`` of `gradient`.
+    name : str
+        Name of the loss, with its reduction.
 
     See Also
     --------
@@ -68,14 +70,15 @@ class Gradient:
     kinks: Any = 0
     slides: Any = 0
     errors: Mapping[str, Array] | None = None
+    name: str = "loss"
 
     def __str__(self) -> str:
         many = np.ndim(self.value) > 0
-        whose = f"mean loss of {np.size(self.value)} robots" if many else "loss"
+        whose = f"mean over {np.size(self.value)} robots of {self.name}" if many else self.name
         lines = [f"{whose} {np.mean(self.value):.6g}, {self.mode}"]
         for path, found in self.by.items():
             each = np.mean(found, axis=0) if many else found
-            numbers = [f"{x:.6g}" for x in np.ravel(each)]
+            numbers = [in_words(x, ".6g") for x in np.ravel(each)]
             if self.errors:
                 numbers = [f"{x} +- {e:.1g}" for x, e in zip(numbers, self.errors[path].ravel(), strict=True)]
             per = f" per {self.units[path]}" if self.units[path] else ""
@@ -205,11 +208,13 @@ def gradient(
     with differentiated():
         kinks, slides = problem.kinks(found.inputs)
     by_path = by_number(problem, found.directions, found.slopes[0])
-    words = f"{selected} mode, {reason}"
+    words, own = f"{selected} mode, {reason}", problem.loop.recorder.losses[0]
+    name = own.name if own.name == "loss" else f"{own.reduction} {own.name}"
     if n == 1:
         by_path = {path: x[0] for path, x in by_path.items()}
-        return Gradient(float(found.values[0, 0]), by_path, units, words, int(kinks[0]), int(slides[0]))
-    return Gradient(found.values[0], by_path, units, words, kinks, slides)
+        times = int(kinks[0]), int(slides[0])
+        return Gradient(float(found.values[0, 0]), by_path, units, words, *times, name=name)
+    return Gradient(found.values[0], by_path, units, words, kinks, slides, name=name)
 
 
 def _mode(problem: Problem) -> tuple[str, str]:

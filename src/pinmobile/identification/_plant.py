@@ -35,7 +35,6 @@ from pinmobile.identification._estimator import (
     jackknife,
     r_squared,
     solve,
-    unexplained,
 )
 from pinmobile.identification._log import Log, continuous
 from pinmobile.identification._search import TRAINED
@@ -327,7 +326,10 @@ def _segments(logs: Sequence[Log], problem: PlantProblem, seconds: float) -> Seg
             parts.append(Segments.cut(made.dt, (y, made.seen, states, made.u, noise), span, 0.0, 0.5))
     whole = Segments.joined(parts)
     if len(whole.y) < _SEGMENTS // 2:
-        raise InvalidArgument(f"log has {len(whole.y)} segments of {seconds:g} s, expected {_SEGMENTS}")
+        raise InvalidArgument(
+            f"log has {len(whole.y)} segments of {seconds:g} s, expected at least {_SEGMENTS // 2}: "
+            f"{_SEGMENTS // 2 * seconds:g} s, or {_SEGMENTS * seconds:g} s for reliable intervals"
+        )
     return whole._replace(noise=np.tile(np.median(whole.noise, axis=0), (len(whole.y), 1)))
 
 
@@ -376,7 +378,10 @@ def identify_plant(logs: Sequence[Log], plant: Any, by: Any, delay: float | None
     bent = segments.y - line @ (line.T @ segments.y)
     explained = 1 - float((segments.weighed(left) ** 2).sum() / (segments.weighed(bent) ** 2).sum())
     if explained < _EXPLAINED:
-        raise unexplained(explained)
+        raise InvalidArgument(
+            f"the given robot explains {max(explained, 0.0):.0%} of the motion over {seconds:.3g} s, expected most "
+            "of it: name more of its wrong numbers in by, or correct the sign, unit or order of the inputs"
+        )
     covariance, blocks = jackknife(fit.near)
     whiteness = Whiteness.of(segments.weighed(left), fit.good)
     states = int(fit.near.back.any(axis=(0, 2)).sum()) * len(left)
