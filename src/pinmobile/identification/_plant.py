@@ -379,8 +379,8 @@ def identify_plant(logs: Sequence[Log], plant: Any, by: Any, delay: float | None
     explained = 1 - float((segments.weighed(left) ** 2).sum() / (segments.weighed(bent) ** 2).sum())
     if explained < _EXPLAINED:
         raise InvalidArgument(
-            f"the given robot explains {max(explained, 0.0):.0%} of the motion over {seconds:.3g} s, expected most "
-            "of it: name more of its wrong numbers in by, or correct the sign, unit or order of the inputs"
+            f"the given robot explains {max(explained, 0.0):.0%} of the motion over {seconds:.3g} s, "
+            "expected most of it: name more wrong numbers in by, or correct sign, unit or order of inputs"
         )
     covariance, blocks = jackknife(fit.near)
     whiteness = Whiteness.of(segments.weighed(left), fit.good)
