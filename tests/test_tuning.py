@@ -319,6 +319,12 @@ def test_a_gear_a_radius_and_a_path_are_tuned() -> None:
         return (sample.u**2).sum() + 1e3 * (sample.error**2).sum()
 
     wheel = "plant.wheeled.table.wheels.left"
+    pattern = tune(effort, *parts, by={"plant.*.gear": (8, 12)}, dt=0.02, duration=0.2, iterations=2)
+    assert pattern.names == tuple(
+        f"plant.wheeled.table.wheels.{each}.motor.gear" for each in ("left", "right")
+    )
+    with pytest.raises(UnknownName, match=r"unknown parameter in by '\*.gears'"):
+        gradient(effort, *parts, by=["*.gears"], dt=0.02)
     by = [f"{wheel}.motor.gear", f"{wheel}.radius", f"{wheel}.y", "trajectory.path.radius"]
     found = tune(effort, *parts, by=by, dt=0.02, duration=1.0, iterations=5)
     assert found.best.loss < found.trials[0].loss

@@ -136,7 +136,7 @@ def gradient(
         Closed loop, see `simulate`.
     by : sequence of str
         Numbers by path, such as ``"controller.kp"``, ``"mass"``, ``"trajectory.path.radius"`` or
-        ``"start.x"``.
+        ``"start.x"``; or by a pattern, such as ``"*.gear"``.
     reduction : str, optional
         "sum", "mean", "rms", "last", "largest" or "smallest" of the samples; default: the sum of a function,
         and the largest size or smallest margin of a metric.

@@ -43,7 +43,7 @@ from pinmobile.loop import (
     start_of,
     traced_numbers,
 )
-from pinmobile.parts import Found, evolved, find, named, replace
+from pinmobile.parts import Found, evolved, matching, named, replace
 from pinmobile.trajectories import Reference
 
 FEW = 8
@@ -182,8 +182,8 @@ class Problem:
         self.loop = evolved(scenario.loop, {"recorder": recorder})
         known, self.found = named(scenario.given), dict[str, Found]()
         for name in by:
-            one = find(scenario.given, name, known, "by")
-            self.found[one.path] = one
+            for one in matching(scenario.given, name, known, "by"):
+                self.found[one.path] = one
         numbers = traced_numbers(self.loop)
         spread = dict(scenario.entries) if is_ensemble else {}
         for path in {one.leaf.path for one in self.found.values()} & numbers.keys():
@@ -561,7 +561,7 @@ def problem_of(
 def _grown(scenario: Scenario, by: Sequence[str]) -> Scenario:
     """Return the scenario with a number for each coordinate where `by` names one of a gain."""
     known, grown = named(scenario.given), dict[str, Any]()
-    for one in (find(scenario.given, name, known, "by") for name in by):
+    for one in (each for name in by for each in matching(scenario.given, name, known, "by")):
         if one.entry is not None and np.ndim(one.leaf.value) < len(one.entry):
             size = 1 + max(entry[-1] for entry in one.leaf.entries.values())
             grown[one.leaf.path] = np.full(size, float(one.leaf.value))

@@ -19,7 +19,7 @@ from pinmobile.forces import Force
 from pinmobile.integrators import Integrator
 from pinmobile.loop import Sample, Scenario, Source
 from pinmobile.metrics import Metric
-from pinmobile.parts import OnCoordinates, replace
+from pinmobile.parts import OnCoordinates, matching, named, replace
 from pinmobile.plant import Plant, stated
 from pinmobile.trajectories import Trajectory
 
@@ -458,9 +458,14 @@ def tune(
         {one.leaf.path for one in problem.found.values() if (one.entry is None) == is_whole}
         for is_whole in (True, False)
     )
-    if len(problem.found) < len(given) or wholes & parts:
+    own = named(problem.scenario.given)
+    pairs = [
+        (one.path, x)
+        for name, x in given.items()
+        for one in matching(problem.scenario.given, name, own, "by")
+    ]
+    if len(problem.found) < len(pairs) or wholes & parts:
         raise InvalidArgument(f"by has {', '.join(given)}, of which two mean the same number")
-    pairs = zip(problem.found, given.values(), strict=True)
     variables = _Variables(problem, {path: pair for path, pair in pairs if pair is not None})
     dry = "slides" in problem.machine.tape.kept
     few = len(variables.names) <= FEW * (1 + len(bounds))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace as replaced
-from fnmatch import fnmatch
 from functools import cached_property, lru_cache
 from typing import Any, ClassVar, final
 
@@ -24,7 +23,7 @@ from pinmobile.compiled import (
     processors,
     tangent,
 )
-from pinmobile.errors import InvalidArgument, UnknownName, shown
+from pinmobile.errors import InvalidArgument, shown
 from pinmobile.identification._estimates import Identification, in_words
 from pinmobile.identification._estimator import (
     NORMAL,
@@ -41,7 +40,7 @@ from pinmobile.identification._search import TRAINED
 from pinmobile.identification._simulation import Quantity, Same, Segments, simulate
 from pinmobile.integrators import RungeKuttaNystrom
 from pinmobile.loop import Loop, Trace, arrays_of, initial_memory, traced_numbers
-from pinmobile.parts import Found, Stepping, find, named, numbers, offers, part, replace
+from pinmobile.parts import Found, Stepping, matching, named, numbers, offers, part, replace
 from pinmobile.plant import Context, Plant, coordinates_of, stated
 from pinmobile.trajectories import Reference
 
@@ -289,11 +288,7 @@ def _numbers_of(plant: Any, by: Any) -> tuple[Found, ...]:
     for name in sequence(
         "by", [by] if isinstance(by, str) else by, "names of numbers, such as '*_link.mass'"
     ):
-        wild = isinstance(name, str) and "*" in name
-        fits = [x for path, x in known.items() if wild and not x.label and fnmatch(f".{path}", f"*.{name}")]
-        if wild and not fits:
-            raise UnknownName("parameter in by", name, list(known))
-        for one in fits or [find(plant, name, known, "by")]:
+        for one in matching(plant, name, known, "by"):
             entries = [Found(one.leaf, *each) for each in one.leaf.entries.items()]
             for each in entries if one.entry is None and np.ndim(one.leaf.value) else [one]:
                 found[each.path] = each

@@ -98,6 +98,7 @@ from pinmobile.parts._walk import (
     Leaf as Leaf,
     entries_of as entries_of,
     find as find,
+    matching as matching,
     named as named,
     numbers as numbers,
     parts_of as parts_of,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from fnmatch import fnmatchcase
 from typing import Any, NamedTuple, TypeVar
 
 import attrs
@@ -316,6 +317,24 @@ def find(part: Any, name: str, known: Mapping[str, Found] | None = None, where: 
             f"{' or '.join(map(repr, best))}"
         )
     return known[best[0]]
+
+
+def matching(part: Any, name: str, known: Mapping[str, Found], where: str = "") -> list[Found]:
+    """Return the numbers that a name, or a pattern such as ``"*.gear"``, means, see `find`.
+
+    Raises
+    ------
+    UnknownName
+        If there is none.
+    InvalidArgument
+        If several paths are equally near.
+    """
+    if not isinstance(name, str) or "*" not in name:
+        return [find(part, name, known, where)]
+    found = [x for path, x in known.items() if not x.label and fnmatchcase(f".{path}", f"*.{name}")]
+    if not found:
+        raise UnknownName(f"parameter{where and ' in ' + where}", name, short_names(known))
+    return found
 
 
 def spread_values(found: Sequence[tuple[Found, Any, bool]], n: int, size: int = 3) -> dict[str, Any]:
