@@ -137,8 +137,8 @@ def identify(
 
     >>> log = Log.from_rollout(run, noise=1e-3)
     >>> found = identify(log, MobileRobot(25.0, 1.3), by="mass")
-    >>> round(found.robot().mass, 1)  # [kg]
-    30.0
+    >>> round(found.robot().mass)  # [kg]
+    30
     """
     logs = logs_of(log)
     one_of("method", method, METHODS)
