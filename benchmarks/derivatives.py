@@ -195,7 +195,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         most = 3 if chosen.quick else 100
         for name in ("arm", "policy"):
             if name in known:
-                tuned.add_row(*of_tuning(known[name], min(rounds, 3), trials=most))
+                tuned.add_row(*of_tuning(known[name], min(rounds, 3), iterations=most))
         roots.add_row(*of_poles(rounds, least))
         forgotten()  # its folder is gone after this
     for shown in (costs, builds, many, tuned, roots):
