@@ -15,7 +15,7 @@ from pinmobile.loop import Loop, sampled, start_of
 from pinmobile.parts import named, parts_of, replace
 from tests.frozen import BODY, CIRCLE, MOTOR, WHEEL, WRONG, by_lapack, loops, table, turning
 
-DT, DURATION = 0.01, 1.0
+DT, DURATION = 0.01, 2.0
 DRY = ("differential Coulomb", "mecanum Coulomb", "skid-steer")
 LOOPS = {name: (parts, options) for name, parts, options in (*loops(), *by_lapack())}
 
@@ -87,11 +87,11 @@ def base_of(name: str) -> tuple[Loop, dict[str, Any]]:
 
 
 def chosen(loop: Loop) -> list[str]:
-    """Return some numbers of each part, of LQR its plant alone: Python solves its Riccati equations."""
+    """Return some numbers of each part."""
     known = [path for path, one in named(loop).items() if not one.label and 0 < np.size(one.leaf.value) < 10]
     # A controller that believes in another axle refuses the reference.
     known = [path for path in known if named(loop)[path].leaf.value is not None and "ahead" not in path]
-    each = {"controller": 0 if isinstance(loop.controller, pm.LQR) else 2, "plant": 2, "forces": 2}
+    each = {"controller": 2, "plant": 2, "forces": 2}
     some = ([path for path in known if path.startswith(f"{part}.")][:count] for part, count in each.items())
     return [*chain.from_iterable(some), "start.x"]
 

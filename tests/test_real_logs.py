@@ -167,8 +167,7 @@ def test_quantised_encoders_are_no_outliers_and_their_intervals_hold() -> None:
     coarse = pm.Log(log.t, None, log.u, wheel_rates=grain * np.rint(log.wheel_rates / grain))
     found = pm.identify(coarse, plant)
     assert found.outliers == 0
-    # Errors of rounding are no white noise, by which differences of samples would give its size exactly.
-    np.testing.assert_allclose(found.noise, grain / np.sqrt(12), rtol=0.4)
+    np.testing.assert_allclose(found.noise, grain / np.sqrt(12), rtol=0.25)
     for name, value in (("mass", 30.0), ("com_x", 0.06), ("com_y", 0.02), ("yaw_inertia", 1.3)):
         low, high = found.interval(0.999)[name]
         assert low < value < high

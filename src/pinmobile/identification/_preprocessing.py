@@ -99,12 +99,10 @@ class PreprocessedLog:
         if rates is not None:
             shaped(f"{name} has wheel_rates, which", rates, (len(rates), len(model.A)))
             grain = quantisation(rates[even.seen])
-            rates, good, rates_noise = without_outliers(
-                rates, even.seen, even.dt, np.maximum(_FINEST_RATE, grain)
-            )
+            rates, good, rates_noise = without_outliers(rates, even.seen, even.dt, _FINEST_RATE, grain)
         if even.q is not None:
             grain = quantisation(even.q[even.seen])
-            q, usual, noise = without_outliers(even.q, even.seen, even.dt, np.maximum(FINEST, grain))
+            q, usual, noise = without_outliers(even.q, even.seen, even.dt, FINEST, grain)
             good = good & usual
         else:  # the start of the odometry, and its drift, are arbitrary
             q, noise = odometry(rates @ np.linalg.pinv(model.A).T @ model.S.T, even.dt), np.full(3, np.inf)
