@@ -11,7 +11,7 @@ import numpy as np
 from pinmobile.arrays import Array, ArrayLike, bounded, one_of, positive, sequence
 from pinmobile.controllers import Controller
 from pinmobile.derivatives._losses import Loss, Losses
-from pinmobile.derivatives._problem import FEW, Direction, Problem, differentiated, evaluated, problem_of
+from pinmobile.derivatives._problem import Direction, Problem, differentiated, evaluated, problem_of
 from pinmobile.errors import InvalidArgument
 from pinmobile.forces import Force
 from pinmobile.integrators import Integrator
@@ -197,7 +197,7 @@ def gradient(
             return _fitted(problem, bounded("smooth", positive("smooth", smooth), most=0.5))
     selected, reason = mode, "as given"
     if mode is None:
-        selected, reason = _mode(problem)
+        selected, reason = problem.mode()
     found = evaluated(problem, {}, selected)
     if n == 1 and not np.isfinite(found.values).all():
         raise InvalidArgument(f"loss is {found.values[0, 0]}, expected a finite number: the run diverges")
@@ -215,16 +215,6 @@ def gradient(
         times = int(kinks[0]), int(slides[0])
         return Gradient(float(found.values[0, 0]), by_path, units, words, *times, name=name)
     return Gradient(found.values[0], by_path, units, words, kinks, slides, name=name)
-
-
-def _mode(problem: Problem) -> tuple[str, str]:
-    """Return the mode with the lower cost, and the reason."""
-    count = sum(
-        1 if one.entry is not None else int(np.size(one.leaf.value)) for one in problem.found.values()
-    )
-    if "slides" in problem.machine.tape.kept:
-        return "forward", "dry friction at the wheels"
-    return ("forward" if count <= FEW else "reverse"), f"{count} number{'s' * (count > 1)}"
 
 
 def by_number(problem: Problem, directions: Sequence[Direction], slopes: Array) -> dict[str, Array]:

@@ -23,7 +23,7 @@ from pinmobile.trajectories import Trajectory
 
 _DOUBLE = 1e-7  # imaginary part that rounding gives to two equal real poles
 _ROUNDING = 1e-12  # relative size of singular values that are 0
-_NEUTRAL = 1e-9  # distance of a pole from the unit circle that is rounding
+_NEUTRAL = 1e-6  # distance of a pole from the unit circle that is rounding: multiple poles scatter
 _DEAD = 1e-6  # size of a pole that is 0 but for rounding
 _FREQUENCIES = 2000  # of the search for crossings, over five decades below half the sample rate
 _PROBE = "controller.probe"
@@ -306,7 +306,7 @@ def poles(
     Raises
     ------
     InvalidArgument
-        If an argument is invalid, the loop cannot be compiled, or its plant has dry friction at its wheels.
+        If an argument is invalid, or the loop cannot be compiled.
 
     See Also
     --------

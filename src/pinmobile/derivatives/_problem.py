@@ -43,11 +43,10 @@ from pinmobile.loop import (
     start_of,
     traced_numbers,
 )
-from pinmobile.parts import Found, evolved, matching, named, replace
+from pinmobile.parts import evolved, matching, named, replace
 from pinmobile.trajectories import Reference
 
-FEW = 8
-"""Numbers for which forward mode is selected."""
+_FEW = 8  # numbers for which forward mode is selected
 _STEP = 1e-3  # relative step of differences of what Python computes before the first sample
 _MOST = 32  # machines that are kept
 _BEGIN = "plant", "start", "start_rate", "trajectory"  # first words of numbers that change the start
@@ -180,10 +179,9 @@ class Problem:
         self.draws = scenario.draws() if is_ensemble else {}
         self.values = scenario.values(self.draws, 0, self.n) if is_ensemble else {}
         self.loop = evolved(scenario.loop, {"recorder": recorder})
-        known, self.found = named(scenario.given), dict[str, Found]()
-        for name in by:
-            for one in matching(scenario.given, name, known, "by"):
-                self.found[one.path] = one
+        known = named(scenario.given)
+        self.named_by = {name: matching(scenario.given, name, known, "by") for name in by}
+        self.found = {one.path: one for some in self.named_by.values() for one in some}
         numbers = traced_numbers(self.loop)
         spread = dict(scenario.entries) if is_ensemble else {}
         for path in {one.leaf.path for one in self.found.values()} & numbers.keys():
@@ -323,9 +321,7 @@ class Problem:
         A number of the law has the slope 1. Other inputs that depend on a number in Python, such as the
         reference, are differentiated by central differences and Richardson's extrapolation.
         """
-        return [*self._directions(inputs, dict(changes))]
-
-    def _directions(self, inputs: Inputs, changes: dict[str, Any]) -> Iterator[Direction]:
+        every = list[Direction]()
         for path, one in self.found.items():
             at = one.leaf.path
             value = np.asarray(changes.get(at, self.given[at]), float)
@@ -353,7 +349,8 @@ class Problem:
                     other = Inputs(
                         *((8 * _less(a, b) - _less(c, d)) / (6 * h[entry]) for a, b, c, d in points)
                     )
-                yield Direction(path, entry, row, other)
+                every.append(Direction(path, entry, row, other))
+        return every
 
     def run(
         self,
@@ -405,12 +402,18 @@ class Problem:
         final = blocks.swapaxes(0, 1)[: len(tape.states)].reshape(len(tape.states), -1)[:, :m]
         return final, kept
 
-    def plain(self, inputs: Inputs, robots: slice = slice(None), copies: int = 1) -> Array:
-        """Return the states after the last sample, shape (S, m)."""
-        many = inputs.states.shape[1] > 1
-        return self.run(
-            self.machine.of("plain", lambda: self.machine.plain, many), inputs, robots, copies=copies
-        )[0]
+    def plain(self, inputs: Inputs) -> Array:
+        """Return the states after the last sample, shape (S, n)."""
+        machine = self.machine
+        return self.run(machine.of("plain", lambda: machine.plain, self.n > 1), inputs, slice(None))[0]
+
+    def mode(self, losses: int = 1) -> tuple[str, str]:
+        """Return the mode with the lower cost for a number of losses, and the reason."""
+        count = sum(1 if x.entry is not None else int(np.size(x.leaf.value)) for x in self.found.values())
+        if "slides" in self.machine.tape.kept:
+            return "forward", "dry friction at the wheels"
+        words = f"{count} number{'s' * (count > 1)}"
+        return "forward" if count <= _FEW * losses else "reverse", words
 
     def kinks(self, inputs: Inputs) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
         """Return how often each robot changes the side of a kink, and between sticking and sliding, (n,)."""

@@ -13,19 +13,21 @@ import numpy as np
 from pinmobile.arrays import Array, ArrayLike, instance, one_of, whole
 from pinmobile.controllers import Controller
 from pinmobile.derivatives._losses import Loss, Losses
-from pinmobile.derivatives._problem import FEW, Evaluation, Problem, evaluated, problem_of
+from pinmobile.derivatives._problem import Evaluation, Problem, evaluated, problem_of
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.forces import Force
 from pinmobile.integrators import Integrator
 from pinmobile.loop import Sample, Scenario, Source
 from pinmobile.metrics import Metric
-from pinmobile.parts import OnCoordinates, matching, named, replace
+from pinmobile.parts import Found, OnCoordinates, replace
 from pinmobile.plant import Plant, stated
 from pinmobile.trajectories import Trajectory
 
 OBJECTIVES = ("mean", "soft maximum", "worst")
+_SHOWN = 12  # numbers in a summary
 _SOFT = 0.02  # softness of the maximum, as a share of the first loss
 _BEYOND = 1e-6  # violation of a constraint that counts as rounding
+_FLAT = 1e-12  # slope by a variable that is rounding, as a share of the first loss
 _LARGEST = 12.0  # largest logarithm of the ratio of a tuned number and the first one
 
 
@@ -211,9 +213,6 @@ class Tuning:
         return "\n".join(lines)
 
 
-_SHOWN = 12
-
-
 class _Variables:
     """Tuned numbers as variables of a minimiser: logarithms of positive ones, shares of others."""
 
@@ -234,10 +233,10 @@ class _Variables:
             places = [one.place(value.ndim)] if one.entry is not None else [*np.ndindex(value.shape)]
             for entry in places:
                 self.entries.append((one.leaf.path, entry))
-                label = labels.get(entry, "".join(f"[{i}]" for i in entry))
-                own_name = f"{path}.{label}" if label and label[0] != "[" else f"{path}{label}"
-                self.names.append(path if one.entry is not None else own_name)
-                self.units.append(one.unit.split(", ")[entry[-1] if entry and "," in one.unit else 0])
+                indices = "".join(f"[{i}]" for i in entry)
+                suffix = f".{labels[entry]}" if entry in labels else indices
+                self.names.append(path if one.entry is not None else path + suffix)
+                self.units.append(Found(one.leaf, one.label, entry or None).unit)
                 first.append(float(value[entry]))
                 limits.append(own)
         self.first = np.array(first)
@@ -458,18 +457,11 @@ def tune(
         {one.leaf.path for one in problem.found.values() if (one.entry is None) == is_whole}
         for is_whole in (True, False)
     )
-    own = named(problem.scenario.given)
-    pairs = [
-        (one.path, x)
-        for name, x in given.items()
-        for one in matching(problem.scenario.given, name, own, "by")
-    ]
-    if len(problem.found) < len(pairs) or wholes & parts:
+    if len(problem.found) < sum(map(len, problem.named_by.values())) or wholes & parts:
         raise InvalidArgument(f"by has {', '.join(given)}, of which two mean the same number")
+    pairs = ((one.path, given[name]) for name, some in problem.named_by.items() for one in some)
     variables = _Variables(problem, {path: pair for path, pair in pairs if pair is not None})
-    dry = "slides" in problem.machine.tape.kept
-    few = len(variables.names) <= FEW * (1 + len(bounds))
-    mode = "forward" if dry or few else "reverse"
+    mode, _ = problem.mode(1 + len(bounds))
     search = _Search(variables, bounds, objective, mode, progress or _told)
     start = np.zeros(len(variables.names))
     first = search.at(start)
@@ -504,7 +496,7 @@ def tune(
             )
     except KeyboardInterrupt:
         reason = "stopped"
-    if not first.slopes[0].any():
+    if np.abs(first.slopes[0] * variables.slopes(variables.first)).max() <= _FLAT * size:
         reason = "no number changes the loss"
     if progress is None and sys.stderr.isatty():
         print(file=sys.stderr)

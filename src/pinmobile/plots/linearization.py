@@ -1,4 +1,4 @@
-"""Figures of derivatives: poles in the plane of z, and runs with bands of uncertain numbers."""
+"""Figures of linearized loops: poles in the plane of z, and errors with bands of uncertain numbers."""
 
 from __future__ import annotations
 
