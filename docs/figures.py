@@ -123,7 +123,7 @@ def foretold() -> Prediction:
 
 @cache
 def near() -> dict[str, Poles]:
-    """Return the poles of loops whose measurements are late."""
+    """Return the poles of loops with delayed measurements."""
     robot, rest = MobileRobot(mass=30, yaw_inertia=1.3), FixedHeading(Hold((0, 0), 1), 0)
     law = ComputedTorque(robot, 100, 20)
     return {f"{10 * k} ms late": poles(robot, MeasurementDelay(law, k), rest, dt=0.01) for k in (2, 6)}

@@ -74,8 +74,8 @@ class Gradient:
 
     def __str__(self) -> str:
         many = np.ndim(self.value) > 0
-        whose = f"mean over {np.size(self.value)} robots of {self.name}" if many else self.name
-        lines = [f"{whose} {np.mean(self.value):.6g}, {self.mode}"]
+        title = f"mean over {np.size(self.value)} robots of {self.name}" if many else self.name
+        lines = [f"{title} {np.mean(self.value):.6g}, {self.mode}"]
         for path, found in self.by.items():
             each = np.mean(found, axis=0) if many else found
             numbers = [in_words(x, ".6g") for x in np.ravel(each)]

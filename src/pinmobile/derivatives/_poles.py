@@ -23,8 +23,8 @@ from pinmobile.trajectories import Trajectory
 
 _DOUBLE = 1e-7  # imaginary part that rounding gives to two equal real poles
 _ROUNDING = 1e-12  # relative size of singular values that are 0
-_NEUTRAL = 1e-6  # distance of a pole from the unit circle that is rounding: multiple poles scatter
-_DEAD = 1e-6  # size of a pole that is 0 but for rounding
+_UNIT_TOLERANCE = 1e-6  # distance from the unit circle that is rounding: multiple poles scatter
+_ZERO_TOLERANCE = 1e-6  # size of a pole that is 0 but for rounding
 _FREQUENCIES = 2000  # of the search for crossings, over five decades below half the sample rate
 _PROBE = "controller.probe"
 
@@ -158,11 +158,11 @@ class Poles:
         Name of each state.
     dt, t : float
         Time step, and time of the sample [s].
-    pushed : ndarray, shape (n, nu), optional
+    input_matrix : ndarray, shape (n, nu), optional
         Derivatives of the state after the sample by an addition to each input.
-    heard : ndarray, shape (nu, n), optional
+    output_matrix : ndarray, shape (nu, n), optional
         Derivatives of the input by the state.
-    direct : ndarray, shape (nu, nu), optional
+    feedthrough : ndarray, shape (nu, nu), optional
         Derivatives of the input by the addition.
     inputs : tuple of str
         Name of each input.
@@ -187,9 +187,9 @@ class Poles:
     states: tuple[str, ...]
     dt: float
     t: float
-    pushed: Any = None
-    heard: Any = None
-    direct: Any = None
+    input_matrix: Any = None
+    output_matrix: Any = None
+    feedthrough: Any = None
     inputs: tuple[str, ...] = ()
 
     @property
@@ -210,13 +210,13 @@ class Poles:
         """Damping ratio of each pole, shape (n,): 1 if it is real and stable, below 0 if it is unstable."""
         s = self.continuous
         size = np.abs(s)
-        known = np.isfinite(size) & (size * self.dt > _NEUTRAL)
+        known = np.isfinite(size) & (size * self.dt > _UNIT_TOLERANCE)
         return np.asarray(np.divide(-s.real, size, out=np.ones_like(size), where=known))
 
     @property
     def is_stable(self) -> bool:
         """Whether small deviations near this sample do not grow."""
-        return bool(np.abs(self.values).max() <= 1.0 + _NEUTRAL)
+        return bool(np.abs(self.values).max() <= 1.0 + _UNIT_TOLERANCE)
 
     def sensitivity(self, frequency: ArrayLike) -> Any:
         """Return the response of the inputs to additions to them, S = 1 / (1 + L).
@@ -232,8 +232,8 @@ class Poles:
             Responses.
         """
         z = np.exp(1j * np.asarray(frequency, float) * self.dt)[..., None, None]
-        return self.direct + self.heard @ np.linalg.solve(
-            z * np.eye(len(self.matrix)) - self.matrix, self.pushed
+        return self.feedthrough + self.output_matrix @ np.linalg.solve(
+            z * np.eye(len(self.matrix)) - self.matrix, self.input_matrix
         )
 
     @cached_property
@@ -258,15 +258,15 @@ class Poles:
 
     def __str__(self) -> str:
         size = float(np.abs(self.values).max())
-        word = "grow" if not self.is_stable else "do not decay" if size > 1 - _NEUTRAL else "decay"
-        dead = np.count_nonzero(np.abs(self.values) <= _DEAD)
+        word = "grow" if not self.is_stable else "do not decay" if size > 1 - _UNIT_TOLERANCE else "decay"
+        dead = np.count_nonzero(np.abs(self.values) <= _ZERO_TOLERANCE)
         lines = [
             f"{len(self.values)} poles at t = {self.t:g} s, {dead} of them at 0, "
             f"largest |z| = {size:.4f}: small deviations {word} near this sample, which proves "
             "nothing about a whole trajectory"
         ]
         for z, w, d in zip(self.values, self.frequency, self.damping, strict=True):
-            if abs(z) > _DEAD and z.imag >= 0:
+            if abs(z) > _ZERO_TOLERANCE and z.imag >= 0:
                 pair = " +- " if z.imag > 0 else "    "
                 lines.append(f"  z = {z.real:7.4f}{pair}{z.imag:.4f}j, {w:8.3f} rad/s, damping {d:6.3f}")
         return "\n".join(lines)
@@ -335,9 +335,9 @@ def poles(
         raise InvalidArgument(f"at is {at} s, expected a time in the run, 0 to {t[-1]:g} s")
     k = min(max(1, round(at / problem.scenario.dt)), len(t) - 1)
     with differentiated():
-        matrix, heard = _linearized(problem, k)
+        matrix, output = _linearized(problem, k)
     n = len(problem.machine.tape.states)
-    matrix, pushed = matrix[:, :n], matrix[:, n:]
+    matrix, input_matrix = matrix[:, :n], matrix[:, n:]
     # Chains of delays have poles 0, which rounding scatters: leave them out by the range of a power.
     power = np.linalg.matrix_power(matrix, 1 + problem.machine.longest)
     left, sizes, _ = np.linalg.svd(power)
@@ -347,7 +347,7 @@ def poles(
     values.imag[np.abs(values.imag) < _DOUBLE] = 0.0
     order = np.lexsort([-values.imag, -np.round(np.abs(values), 6)])
     inputs = tuple(one.name for one in inputs_of(plant))
-    outputs = pushed, heard[:, :n], heard[:, n:], inputs
+    outputs = input_matrix, output[:, :n], output[:, n:], inputs
     return Poles(values[order], matrix, _names(problem), problem.scenario.dt, float(t[k]), *outputs)
 
 

@@ -92,7 +92,7 @@ class Direction(NamedTuple):
     other: Inputs | None
 
 
-def _moved(directions: Sequence[Direction]) -> tuple[list[_Input], list[_Input]]:
+def _affected(directions: Sequence[Direction]) -> tuple[list[_Input], list[_Input]]:
     """Return the inputs of a run, and those of each sample, that depend on some numbers."""
     run: list[_Input] = [("row", one.row) for one in directions if one.row >= 0]
     samples: list[_Input] = []
@@ -437,7 +437,7 @@ class Problem:
     ) -> tuple[Array, Array, dict[str, Array]]:
         """Return final states (S, n), their tangents (S, n, P), and kept values, shape (n P, N + 1, ...)."""
         machine, n, P = self.machine, self.n, len(directions)
-        rows, tracked = _moved(directions)
+        rows, tracked = _affected(directions)
         operations = [*rows, *tracked]
         key = "tangent", tuple(operations)
         made = machine.of(key, lambda: tangent(replaced(machine.tape, counted=[]), operations), n * P > 1)
@@ -481,7 +481,7 @@ class Problem:
     ) -> tuple[Array, Array]:
         """Return final states (S, n), and the slopes of L of them by each direction, shape (L, n, P)."""
         machine, n, L = self.machine, self.n, len(at)
-        wanted, tracked = _moved(directions)
+        wanted, tracked = _affected(directions)
         columns, S = inputs.samples.shape[1], len(machine.tape.states)
         record = machine.of("recording", machine.recording, n > 1)
         key = "adjoint", tuple(wanted), tuple(tracked)

@@ -26,8 +26,8 @@ from pinmobile.trajectories import Trajectory
 OBJECTIVES = ("mean", "soft maximum", "worst")
 _SHOWN = 12  # numbers in a summary
 _SOFT = 0.02  # softness of the maximum, as a share of the first loss
-_BEYOND = 1e-6  # violation of a constraint that counts as rounding
-_FLAT = 1e-12  # slope by a variable that is rounding, as a share of the first loss
+_EXCESS_TOLERANCE = 1e-6  # violation of a constraint that counts as rounding
+_SLOPE_TOLERANCE = 1e-12  # slope by a variable that is rounding, as a share of the first loss
 _LARGEST = 12.0  # largest logarithm of the ratio of a tuned number and the first one
 
 
@@ -197,17 +197,16 @@ class Tuning:
         if len(names) > len(most):
             lines.append(f"  ... and {len(names) - len(most)} numbers that changed less")
         for one in self.constraints:
-            lines.append(
-                f"  {one}: {'kept' if best.excess <= _BEYOND else f'exceeded by up to {best.excess:.3g}'}"
-            )
-        if best.excess > _BEYOND:
+            is_kept = best.excess <= _EXCESS_TOLERANCE
+            lines.append(f"  {one}: {'kept' if is_kept else f'exceeded by up to {best.excess:.3g}'}")
+        if best.excess > _EXCESS_TOLERANCE:
             lines.append("  no trial keeps all constraints: these numbers exceed them least")
         if self.others:
             before, after = ((np.mean(x), np.quantile(x, 0.99), np.max(x)) for x in self.others)
             words = ("mean", "99 %", "largest")
             each = ", ".join(f"{w} {x:.4g} to {y:.4g}" for w, x, y in zip(words, before, after, strict=True))
             lines.append(f"  loss of {len(self.others[0])} other robots: {each}")
-            beyond = self.others_excess[self.others_excess > _BEYOND]
+            beyond = self.others_excess[self.others_excess > _EXCESS_TOLERANCE]
             if beyond.size:
                 lines.append(f"  {beyond.size} of them exceed a constraint, by up to {beyond.max():.3g}")
         return "\n".join(lines)
@@ -462,7 +461,7 @@ def tune(
     pairs = ((one.path, given[name]) for name, some in problem.named_by.items() for one in some)
     variables = _Variables(problem, {path: pair for path, pair in pairs if pair is not None})
     mode, _ = problem.mode(1 + len(bounds))
-    search = _Search(variables, bounds, objective, mode, progress or _told)
+    search = _Search(variables, bounds, objective, mode, progress or _show_trial)
     start = np.zeros(len(variables.names))
     first = search.at(start)
     built = time.perf_counter() - began
@@ -496,11 +495,11 @@ def tune(
             )
     except KeyboardInterrupt:
         reason = "stopped"
-    if np.abs(first.slopes[0] * variables.slopes(variables.first)).max() <= _FLAT * size:
+    if np.abs(first.slopes[0] * variables.slopes(variables.first)).max() <= _SLOPE_TOLERANCE * size:
         reason = "no number changes the loss"
     if progress is None and sys.stderr.isatty():
         print(file=sys.stderr)
-    best = min(search.trials, key=lambda one: (max(one.excess, _BEYOND), one.loss))
+    best = min(search.trials, key=lambda one: (max(one.excess, _EXCESS_TOLERANCE), one.loss))
     changes = variables.changes(best.numbers)
     loop = replace(problem.scenario.given, changes)
     others: tuple[Array, ...] = ()
@@ -518,7 +517,7 @@ def tune(
     return Tuning(*own_parts, *keys, tried, best, bounds, words, others, beyond, ended, seconds, built)
 
 
-def _told(trial: Trial) -> None:
+def _show_trial(trial: Trial) -> None:
     """Show a trial on a terminal."""
     if sys.stderr.isatty():
         print(f"\rloss {trial.loss:.6g}    ", end="", file=sys.stderr, flush=True)

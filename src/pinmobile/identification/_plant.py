@@ -58,7 +58,7 @@ _midpoint = RungeKuttaNystrom("midpoint", (0.0, 0.5), ((), (0.125,)), ((), (0.5,
 
 @final
 @part
-class _Held:
+class _LoggedInputs:
     """Controller that applies the inputs of a log, which are the positions of its reference."""
 
     def initial_state(self, context: Context) -> Any:
@@ -175,7 +175,9 @@ class PlantProblem:
     def _code(self) -> tuple[dict[str, Array], list[int], tuple[Program, Program]]:
         """Return the inputs of the machine code by kind, the rows of the numbers, and both programs."""
         plant, steps = self.plant, int(np.ceil(self.dt / _LONGEST_STEP - 1e-9))
-        loop = Loop(plant, _Held(), integrator=None if offers(plant, Stepping) else _midpoint, substeps=steps)
+        loop = Loop(
+            plant, _LoggedInputs(), integrator=None if offers(plant, Stepping) else _midpoint, substeps=steps
+        )
         reference = Reference(np.zeros((2, plant.nu)), np.zeros((2, 0)), np.zeros((2, 0)))
         context = Context.of(plant, dt=self.dt, t=np.array([0.0, self.dt]), reference=reference)
         start, first = (np.zeros(plant.nq), np.zeros(plant.nv)), Reference(*(x[0] for x in reference))
