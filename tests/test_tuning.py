@@ -350,6 +350,7 @@ def test_a_gear_a_radius_and_a_path_are_tuned() -> None:
         ({"by": ["controller.robot.com", "controller.robot.com.x"]}, "of which two mean the same number"),
         ({"by": ["mass"]}, "by has 'plant.mass', which is in the spread, expected other numbers"),
         ({"objective": "median"}, "unknown objective 'median', .*available: mean, soft maximum, worst"),
+        ({"constraints": 3}, "constraints is 3, expected a list of derivatives.Constraint"),
         ({"constraints": [3]}, r"constraints is 3, expected derivatives.Constraint"),
         ({"constraints": [Constraint("speed", lower=0)]}, "unknown metric of a Constraint 'speed'"),
         ({"constraints": [Constraint(force)]}, "Constraint has bounds -inf and inf, expected lower < upper"),

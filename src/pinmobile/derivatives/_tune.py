@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, instance, one_of, whole
+from pinmobile.arrays import Array, ArrayLike, instance, one_of, sequence, whole
 from pinmobile.controllers import Controller
 from pinmobile.derivatives._losses import Loss, Losses
 from pinmobile.derivatives._problem import Evaluation, Problem, evaluated, problem_of
@@ -440,6 +440,7 @@ def tune(
     if not given:
         raise InvalidArgument(f"by is {shown(by)}, expected paths of numbers, such as ['controller.kp']")
     every = [constraints] if isinstance(constraints, Constraint) else constraints
+    every = sequence("constraints", every, "a list of derivatives.Constraint")
     bounds = tuple(instance("constraints", one, Constraint, "derivatives.Constraint") for one in every)
 
     def losses(scenario: Scenario) -> Losses:
