@@ -127,6 +127,7 @@ def test_numbers_have_paths() -> None:
     robot = ROBOTS["volts"]
     found: Any = parts.numbers(robot)
     assert found["wheeled.table.wheels.left.motor.resistance"].declared.bound == "> 0"
+    assert found["wheeled.table.wheels.left.motor.gear"].value == MOTOR.gear
     assert parts.find(robot, "left.radius").path == "wheeled.table.wheels.left.radius"
     assert parts.find(ROBOTS["slipping"], "ground.mu").leaf.value == 0.6
     assert not any(path.endswith((".mass", ".angle", ".across")) for path in found if "table" in path)
