@@ -10,7 +10,8 @@ import pytest
 import pinmobile as pm
 from pinmobile import closed_form
 from pinmobile.arrays import Array
-from pinmobile.errors import NotFinite
+from pinmobile.controllers import WheelSpeed
+from pinmobile.errors import LimitWarning, NotFinite
 from pinmobile.urdf import Body
 
 HUGE = (1e100, 1e160, 1e200, 1e308)
@@ -153,3 +154,18 @@ def test_a_loop_that_overflows_has_diverged_whoever_notices() -> None:
     with pytest.raises(pm.Diverged, match="not finite") as caught:
         pm.simulate(robot, pm.law(away), motion, **start, limit=1e300)  # type: ignore[arg-type]
     assert isinstance(caught.value.__cause__, NotFinite)
+
+
+@pytest.mark.parametrize("engine", [pm.Engine.COMPILED, pm.Engine.PYTHON])
+def test_wheels_that_explode_have_diverged_although_the_body_stays_near(engine: pm.Engine) -> None:
+    """The reference has no wheel speeds: only inputs and accelerations tell of them."""
+    table = pm.WheelTable.skid_steer(0.4, 0.5, 0.1, mass=1.0, spin_inertia=0.005)
+    robot = pm.WheeledRobot(pm.MobileRobot(30, 1.3, (0.05, 0, 0.2)), table, pm.Coulomb(mu=0.6))
+    law = WheelSpeed(pm.UnicycleTracking(), robot, kp=5.0)
+    motion = pm.Tangent(pm.Circle(radius=1, rate=0.5, duration=4))
+    with pytest.raises(pm.Diverged, match=r"a or u beyond 1e\+100") as caught:
+        pm.simulate(robot, law, motion, dt=0.01, engine=engine)
+    with pytest.warns(LimitWarning, match="tip over"):
+        found = pm.ensemble(robot, law, motion, dt=0.01, n=2, spread={}, engine=engine)
+    assert found.diverged.all()
+    np.testing.assert_array_equal(found.diverged_at, caught.value.time)

@@ -19,6 +19,10 @@ from pinmobile.metrics import Metric, size_of
 from pinmobile.parts import number, option, part
 
 
+LARGEST = 1e100
+"""Largest sum of inputs or accelerations of a loop that has not diverged; squares of it are finite."""
+
+
 def is_near(errors: Any, limit: Any) -> Any:
     """Return whether no error exceeds the limit, shape (...); NaN exceeds it.
 
@@ -35,8 +39,8 @@ def is_near(errors: Any, limit: Any) -> Any:
 def is_alive(errors: Any, limit: Any, u: Any, a: Any) -> Any:
     """Return whether samples have not diverged, shape (...): the rule of all engines.
 
-    A loop has diverged if an error or its rate exceeds the limit, or if its input or acceleration is not
-    finite.
+    A loop has diverged if an error or its rate exceeds the limit, or if its input or acceleration exceeds
+    `LARGEST` or is not a number.
 
     Parameters
     ----------
@@ -45,7 +49,7 @@ def is_alive(errors: Any, limit: Any, u: Any, a: Any) -> Any:
     u, a : ndarray, shape (..., nu), (..., nv)
         Input and acceleration.
     """
-    return is_near(errors, limit) & (np.abs(np.sum(u, axis=-1) + np.sum(a, axis=-1)) < np.inf)
+    return is_near(errors, limit) & (np.abs(np.sum(u, axis=-1) + np.sum(a, axis=-1)) < LARGEST)
 
 
 class UntraceableMetric(NotTraceable):

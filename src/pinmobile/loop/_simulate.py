@@ -39,7 +39,7 @@ from pinmobile.loop._checks import (
 from pinmobile.loop._events import events_of, is_fault, kinds_of
 from pinmobile.loop._loop import Loop, named_forces
 from pinmobile.loop._python import CompiledRun, PythonRun, Run, with_compiled_plant
-from pinmobile.loop._record import is_near
+from pinmobile.loop._record import LARGEST, is_near
 from pinmobile.loop._rollout import Rollout
 from pinmobile.parts import OnCoordinates, Starting, able
 from pinmobile.plant import Context, Plant, all_samples, coordinates_of, stated, whole_configurations
@@ -345,7 +345,9 @@ def _first_bad(
 ) -> tuple[int | None, str]:
     """Return the first sample that is not acceptable and the reason, or None and ""."""
     samples = loop.samples(begin, end)
-    finite = np.all([np.isfinite(part).all(axis=1) for part in samples], axis=0)
+    with np.errstate(all="ignore"):
+        small = np.abs(sum(part.sum(axis=1) for part in samples[2:])) < LARGEST
+    finite = np.all([small, *(np.isfinite(part).all(axis=1) for part in samples)], axis=0)
     good = int(np.argmin(finite)) if not finite.all() else end - begin
     if good:
         q, v = (part[:good] for part in samples[:2])
@@ -361,7 +363,7 @@ def _first_bad(
     if good < end - begin:
         parts = ("q", "v", "a", "u")
         which = [n for n, part in zip(parts, samples, strict=True) if not np.isfinite(part[good]).all()]
-        return begin + good, f"{', '.join(which)} not finite"
+        return begin + good, f"{', '.join(which)} not finite" if which else f"a or u beyond {LARGEST:g}"
     return None, ""
 
 
