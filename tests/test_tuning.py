@@ -255,7 +255,10 @@ def test_tuning_finds_the_minimum_of_a_grid() -> None:
     assert found.trials[0].numbers.tolist() == [4.0, 4.0]
     text = str(found)
     assert text.startswith(f"loss {found.trials[0].loss:.6g} to {found.best.loss:.6g} by 2 numbers, ")
-    assert "controller.kp" in text
+    reached = [line.split()[0] for line in text.splitlines() if line.endswith(" (its bound)")]
+    near = np.abs(found.best.numbers[:, None] / found.bounds - 1).min(axis=1) < 1e-6
+    assert reached == [name for name, is_near in zip(found.names, near, strict=True) if is_near]
+    assert reached == ["controller.kp"]
 
 
 def test_many_weights_of_a_policy_are_tuned_in_reverse_mode() -> None:

@@ -28,6 +28,7 @@ _SHOWN = 12  # numbers in a summary
 _SOFT = 0.02  # softness of the maximum, as a share of the first loss
 _EXCESS_TOLERANCE = 1e-6  # violation of a constraint that counts as rounding
 _SLOPE_TOLERANCE = 1e-12  # slope by a variable that is rounding, as a share of the first loss
+_AT_BOUND = 1e-6  # distance from a bound that counts as rounding, as a share of the bound
 _LARGEST = 12.0  # largest logarithm of the ratio of a tuned number and the first one
 
 
@@ -126,6 +127,8 @@ class Tuning:
         Path of each tuned number; entries of an array have their index.
     units : tuple of str
         Units of these numbers.
+    bounds : ndarray, shape (P, 2)
+        Bounds of these numbers, infinite without one.
     trials : tuple of Trial
         All trials, the given numbers first.
     best : Trial
@@ -168,6 +171,7 @@ class Tuning:
     forces: Any
     names: tuple[str, ...]
     units: tuple[str, ...]
+    bounds: Array
     trials: tuple[Trial, ...]
     best: Trial
     constraints: tuple[Constraint, ...]
@@ -191,9 +195,13 @@ class Tuning:
         sizes = np.where(first.numbers == 0, 1.0, np.abs(first.numbers))
         moved = np.abs(best.numbers - first.numbers) / sizes
         most = np.sort(np.argsort(-moved)[:_SHOWN])
+        reached = np.isclose(best.numbers[:, None], self.bounds, rtol=_AT_BOUND, atol=0.0).any(axis=1)
         for k in most:
             unit = f" {self.units[k]}" if self.units[k] else ""
-            lines.append(f"  {names[k]:{width}}  {first.numbers[k]:10.4g} to {best.numbers[k]:10.4g}{unit}")
+            bound = " (its bound)" if reached[k] else ""
+            lines.append(
+                f"  {names[k]:{width}}  {first.numbers[k]:10.4g} to {best.numbers[k]:10.4g}{unit}{bound}"
+            )
         if len(names) > len(most):
             lines.append(f"  ... and {len(names) - len(most)} numbers that changed less")
         for one in self.constraints:
@@ -513,7 +521,8 @@ def tune(
     words = "loss" if problem.n == 1 else "mean loss" if objective == "mean" else "largest loss"
     own_parts = loop.plant, loop.controller, loop.trajectory, loop.forces
     seconds = time.perf_counter() - began
-    tried, keys = tuple(search.trials), (tuple(variables.names), tuple(variables.units))
+    tried, limits = tuple(search.trials), np.stack([variables.low, variables.high], axis=1)
+    keys = tuple(variables.names), tuple(variables.units), limits
     ended = f"{method}, {mode} mode: {reason}"
     return Tuning(*own_parts, *keys, tried, best, bounds, words, others, beyond, ended, seconds, built)
 
