@@ -18,9 +18,8 @@ from pinmobile.loop._loop import Record, Sample
 from pinmobile.metrics import Metric, size_of
 from pinmobile.parts import number, option, part
 
-
-LARGEST = 1e100
-"""Largest sum of inputs or accelerations of a loop that has not diverged; squares of it are finite."""
+LARGEST = 1e97
+"""Largest sum of inputs and accelerations of a loop that has not diverged, as a multiple of its limit."""
 
 
 def is_near(errors: Any, limit: Any) -> Any:
@@ -40,7 +39,7 @@ def is_alive(errors: Any, limit: Any, u: Any, a: Any) -> Any:
     """Return whether samples have not diverged, shape (...): the rule of all engines.
 
     A loop has diverged if an error or its rate exceeds the limit, or if its input or acceleration exceeds
-    `LARGEST` or is not a number.
+    `LARGEST` limits or is not a number.
 
     Parameters
     ----------
@@ -49,7 +48,7 @@ def is_alive(errors: Any, limit: Any, u: Any, a: Any) -> Any:
     u, a : ndarray, shape (..., nu), (..., nv)
         Input and acceleration.
     """
-    return is_near(errors, limit) & (np.abs(np.sum(u, axis=-1) + np.sum(a, axis=-1)) < LARGEST)
+    return is_near(errors, limit) & (np.abs(np.sum(u, axis=-1) + np.sum(a, axis=-1)) < LARGEST * limit)
 
 
 class UntraceableMetric(NotTraceable):

@@ -346,7 +346,7 @@ def _first_bad(
     """Return the first sample that is not acceptable and the reason, or None and ""."""
     samples = loop.samples(begin, end)
     with np.errstate(all="ignore"):
-        small = np.abs(sum(part.sum(axis=1) for part in samples[2:])) < LARGEST
+        small = np.abs(sum(part.sum(axis=1) for part in samples[2:])) < LARGEST * limit
     finite = np.all([small, *(np.isfinite(part).all(axis=1) for part in samples)], axis=0)
     good = int(np.argmin(finite)) if not finite.all() else end - begin
     if good:
@@ -363,7 +363,8 @@ def _first_bad(
     if good < end - begin:
         parts = ("q", "v", "a", "u")
         which = [n for n, part in zip(parts, samples, strict=True) if not np.isfinite(part[good]).all()]
-        return begin + good, f"{', '.join(which)} not finite" if which else f"a or u beyond {LARGEST:g}"
+        reason = f"{', '.join(which)} not finite" if which else f"a or u beyond {LARGEST * limit:g}"
+        return begin + good, reason
     return None, ""
 
 
