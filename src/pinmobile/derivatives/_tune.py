@@ -195,7 +195,8 @@ class Tuning:
         sizes = np.where(first.numbers == 0, 1.0, np.abs(first.numbers))
         moved = np.abs(best.numbers - first.numbers) / sizes
         most = np.sort(np.argsort(-moved)[:_SHOWN])
-        reached = np.isclose(best.numbers[:, None], self.bounds, rtol=_AT_BOUND, atol=0.0).any(axis=1)
+        near = np.isclose(best.numbers[:, None], self.bounds, rtol=_AT_BOUND, atol=0.0)
+        reached = np.any(near, axis=1)
         for k in most:
             unit = f" {self.units[k]}" if self.units[k] else ""
             bound = " (its bound)" if reached[k] else ""
