@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from shutil import get_terminal_size
@@ -15,7 +15,7 @@ import numpy as np
 import sympy
 from sympy import Expr, ImmutableMatrix, Symbol
 
-from pinmobile.arrays import Array, ArrayLike, finite, instance, representable, vector
+from pinmobile.arrays import Array, ArrayLike, finite, instance, one_of, representable, vector
 from pinmobile.derivation.chain import Chain, grouped, reduced
 from pinmobile.dh import DHRow, JointType
 from pinmobile.errors import InvalidArgument, UnknownName, shown
@@ -82,7 +82,7 @@ class Numeric:
         UnknownName
             If `params` has a name that is not a parameter.
         """
-        flat = self._evaluate(self._mass_matrix, {"q": q}, params)
+        flat = self._evaluate("mass_matrix", {"q": q}, params)
         size = len(self.derivation.chain)
         return flat.reshape(*flat.shape[:-1], size, size)
 
@@ -108,7 +108,7 @@ class Numeric:
         UnknownName
             If `params` has a name that is not a parameter.
         """
-        return self._evaluate(self._nonlinear_effects, {"q": q, "v": v}, params)
+        return self._evaluate("nonlinear_effects", {"q": q, "v": v}, params)
 
     def inverse_dynamics(self, q: ArrayLike, v: ArrayLike, a: ArrayLike, params: Parameters = _NONE) -> Array:
         """Return the inputs M(q) a + n(q, v).
@@ -132,45 +132,32 @@ class Numeric:
         UnknownName
             If `params` has a name that is not a parameter.
         """
-        return self._evaluate(self._inputs, {"q": q, "v": v, "a": a}, params)
+        return self._evaluate("inputs", {"q": q, "v": v, "a": a}, params)
 
     @cached_property
-    def _names(self) -> tuple[str, ...]:
-        return tuple(symbol.name for symbol in self.derivation.parameters)
+    def _functions(self) -> dict[str, Callable[..., list[Any]]]:
+        """Compiled functions by name of the result."""
+        return {}
 
-    @cached_property
-    def _mass_matrix(self) -> Callable[..., list[Any]]:
-        derivation = self.derivation
-        return self._compiled(derivation.q, derivation.mass_matrix)
+    def _function(self, name: str, state: Iterable[str]) -> Callable[..., list[Any]]:
+        """Return the function of the entries of the state and the parameters that computes a result."""
+        if name not in self._functions:
+            derivation = self.derivation
+            matrix = getattr(derivation, name)
+            arguments = [symbol for letter in state for symbol in getattr(derivation, letter)]
+            program = _program(derivation.assignments, matrix)
+            # dummify: a joint may have the name sin, or x0 like the first common subexpression
+            self._functions[name] = sympy.lambdify(
+                [*arguments, *derivation.parameters],
+                [_rounded(entry) for entry in matrix],
+                modules="numpy",
+                dummify=True,
+                docstring_limit=0,
+                cse=(lambda entries: (program, entries)) if program else True,
+            )
+        return self._functions[name]
 
-    @cached_property
-    def _nonlinear_effects(self) -> Callable[..., list[Any]]:
-        derivation = self.derivation
-        return self._compiled(derivation.q + derivation.v, derivation.nonlinear_effects)
-
-    @cached_property
-    def _inputs(self) -> Callable[..., list[Any]]:
-        derivation = self.derivation
-        return self._compiled(derivation.q + derivation.v + derivation.a, derivation.inputs)
-
-    def _compiled(self, state: tuple[Symbol, ...], matrix: ImmutableMatrix) -> Callable[..., list[Any]]:
-        """Return a function of the entries of the state and of the parameters."""
-        arguments = [*state, *self.derivation.parameters]
-        program = _program(self.derivation.assignments, matrix)
-        # dummify: a joint may have the name sin, or x0 like the first common subexpression
-        function: Callable[..., list[Any]] = sympy.lambdify(
-            arguments,
-            [_rounded(entry) for entry in matrix],
-            modules="numpy",
-            dummify=True,
-            docstring_limit=0,
-            cse=(lambda entries: (program, entries)) if program else True,
-        )
-        return function
-
-    def _evaluate(
-        self, function: Callable[..., list[Any]], state: Mapping[str, ArrayLike], params: Parameters
-    ) -> Array:
+    def _evaluate(self, name: str, state: Mapping[str, ArrayLike], params: Parameters) -> Array:
         size = len(self.derivation.chain)
         arrays = [vector(name, value, size) for name, value in state.items()]
         arguments = [array[..., i] for array in arrays for i in range(size)] + self._values(params)
@@ -180,22 +167,20 @@ class Numeric:
             shapes = ", ".join(f"{name} {np.shape(value)}" for name, value in {**state, **params}.items())
             raise InvalidArgument(f"shapes are {shapes}, expected leading axes that broadcast") from None
         with np.errstate(all="ignore"):
-            entries = function(*arguments)
+            entries = self._function(name, state)(*arguments)
         result = np.empty((*leading, len(entries)))
         for i, entry in enumerate(entries):
             result[..., i] = entry
         return representable("an entry of the result", result)
 
     def _values(self, params: Parameters) -> list[Array]:
-        names = self._names
+        names = [symbol.name for symbol in self.derivation.parameters]
         if not isinstance(params, Mapping):
             raise InvalidArgument(f"params is {shown(params)}, expected a mapping with {', '.join(names)}")
-        if params.keys() != set(names):
-            for name in params:
-                if name not in names:
-                    raise UnknownName("parameter", name, names)
-            missing = ", ".join(name for name in names if name not in params)
-            raise InvalidArgument(f"params lacks {missing}, expected {', '.join(names)}")
+        for name in params:
+            one_of("parameter", name, names)
+        if missing := [name for name in names if name not in params]:
+            raise InvalidArgument(f"params lacks {', '.join(missing)}, expected {', '.join(names)}")
         return [finite(f"params[{name!r}]", params[name]) for name in names]
 
 
@@ -501,10 +486,7 @@ LOCAL = Wording(
     r"{}^{$j}T_{$k}",
 )
 PLACEMENT = Wording(
-    "T_0_$k",
-    "Pose of frame $k in the base",
-    "The product of the first $k transforms.",
-    r"{}^{0}T_{$k}",
+    "T_0_$k", "Pose of frame $k in the base", "The product of the first $k transforms.", r"{}^{0}T_{$k}"
 )
 POSITION = Wording("p", "Position", "The origin of frame $n in the base: the last column of T_0_$n.", "p")
 NORMAL = Wording("n", "Normal vector", "The x axis of frame $n in the base.", r"\hat{n}")
@@ -615,10 +597,7 @@ MASS_MATRIX = Wording(
     "M(q)",
 )
 NONLINEAR_EFFECTS = Wording(
-    "n_v",
-    "Nonlinear effects",
-    "The inputs ($inputs) for zero acceleration.",
-    r"n(q, \dot{q})",
+    "n_v", "Nonlinear effects", "The inputs ($inputs) for zero acceleration.", r"n(q, \dot{q})"
 )
 POSITION_COM = Wording(
     "p_c$k",

@@ -54,6 +54,7 @@ _RECORD = 2e8  # bytes of the states of all samples that are kept at once
 
 
 _Input: TypeAlias = tuple[str, int]
+_RUN, _SERIES = ("row", "uniform"), ("sample", "track")  # kinds of inputs of a run, and of each sample
 
 
 class Inputs(NamedTuple):
@@ -97,14 +98,10 @@ def _affected(directions: Sequence[Direction]) -> tuple[list[_Input], list[_Inpu
     run: list[_Input] = [("row", one.row) for one in directions if one.row >= 0]
     samples: list[_Input] = []
     for other in (one.other for one in directions if one.other is not None):
-        series = other.samples.T, other.tracks.swapaxes(0, 1)
-        every: list[tuple[list[_Input], str, Any]] = [
-            (run, "row", other.rows),
-            (run, "uniform", other.uniforms),
-        ]
-        every += [(samples, kind, x) for kind, x in zip(("sample", "track"), series, strict=True)]
-        for found, kind, x in every:
-            found += [(kind, i) for i, each in enumerate(x) if np.any(each)]
+        rows, series = (other.rows, other.uniforms), (other.samples.T, other.tracks.swapaxes(0, 1))
+        for found, kinds, arrays in ((run, _RUN, rows), (samples, _SERIES, series)):
+            for kind, x in zip(kinds, arrays, strict=True):
+                found += [(kind, i) for i, each in enumerate(x) if np.any(each)]
     return [*dict.fromkeys(run)], [*dict.fromkeys(samples)]
 
 
@@ -197,22 +194,18 @@ class Problem:
         begun = initial_memory(loop, scenario.context)
         others = loop.substeps, loop.steps, tuple(map(np.shape, scenario.reference)), self.own, "derivatives"
         self.identity = Identity.of(loop, begun[2:], self.spread, others)
-        known = _machines.get(self.identity.key)
+        key = self.identity.key
+        known = _machines.get(key)
         if known is None:
             first = Reference(*(x[0] for x in scenario.reference))
-            q, v = self._single(scenario, loop)
-            parts = loop, scenario.context, (q, v), first, self.identity, self.spread, self.own
+            begin = start_of(loop.plant, scenario.reference, *self.start)
+            parts = loop, scenario.context, begin, first, self.identity, self.spread, self.own
             traced = Trace(*parts, own_schedules=True).result()
             longest = max((ring.samples for ring in traced.rings), default=0)
-            known = _machines[self.identity.key] = Machine(
-                without_delays(traced), longest, self.identity.kept
-            )
+            known = _machines[key] = Machine(without_delays(traced), longest, self.identity.kept)
             while len(_machines) > _MOST:
                 _machines.popitem(last=False)
         return known
-
-    def _single(self, scenario: Scenario, loop: Loop) -> tuple[Array, Array]:
-        return start_of(loop.plant, scenario.reference, *self.start)
 
     def _changed(self, changes: Mapping[str, Any]) -> tuple[Scenario, Loop]:
         """Return scenario and loop with other numbers, by path."""
@@ -220,9 +213,8 @@ class Problem:
         if loop.plant is self.loop.plant and loop.trajectory is self.loop.trajectory:
             return base, loop
         scenario = copy(base)  # without what it has derived
-        own = {"robot": loop.plant, "controller": loop.controller, "trajectory": loop.trajectory}
-        own |= {"forces": loop.forces, "reference": sampled(loop.trajectory, base.t, loop.plant)}
-        scenario.__dict__.update(own)
+        reference = sampled(loop.trajectory, base.t, loop.plant)
+        scenario.__dict__.update(_own_parts(loop), reference=reference)
         return scenario, loop
 
     def inputs(self, changes: Mapping[str, Any]) -> Inputs:
@@ -262,7 +254,8 @@ class Problem:
             )
         for leaf, value in zip(tape.leaves, begun, strict=True):
             put(leaf, np.asarray(value, float))
-        given = [np.reshape(each, (len(scenario.t), -1)) for each in self._schedules(scenario, loop)]
+        given = scheduled_rows(loop, scenario.context) if tape.scheduled else []
+        given = [np.reshape(each, (len(scenario.t), -1)) for each in given]
         samples = np.concatenate([scenario.t[:, None], *scenario.reference, *given], axis=1)
         return Inputs(states, rows, uniforms, samples, tracks)
 
@@ -288,9 +281,6 @@ class Problem:
             own[into] += (share * moved).reshape(-1, *(1,) * (own[into].ndim - 1))
             values[one.leaf.path] = own
 
-    def _schedules(self, scenario: Scenario, loop: Loop) -> list[Array]:
-        return scheduled_rows(loop, scenario.context) if self.machine.tape.scheduled else []
-
     def _begun(
         self, scenario: Scenario, loop: Loop, values: Mapping[str, Array]
     ) -> tuple[Array, Array, Array]:
@@ -303,7 +293,7 @@ class Problem:
         if scenario.spread and all(x is None for x in self.start):
             q, v = scenario.starts(values, n, own)
         else:
-            q, v = self._single(scenario, loop)
+            q, v = start_of(loop.plant, scenario.reference, *self.start)
             if "start" in values:
                 q = np.array([loop.integrate(q, x) for x in values["start"]], float)
             v = v + values.get("start_rate", 0.0)
@@ -412,8 +402,7 @@ class Problem:
         count = sum(1 if x.entry is not None else int(np.size(x.leaf.value)) for x in self.found.values())
         if "slides" in self.machine.tape.kept:
             return "forward", "dry friction at the wheels"
-        words = f"{count} number{'s' * (count > 1)}"
-        return "forward" if count <= _FEW * losses else "reverse", words
+        return "forward" if count <= _FEW * losses else "reverse", f"{count} number{'s' * (count > 1)}"
 
     def kinks(self, inputs: Inputs) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
         """Return how often each robot changes the side of a kink, and between sticking and sliding, (n,)."""
@@ -464,11 +453,10 @@ class Problem:
                 both = np.concatenate([np.repeat(x[..., None], P, axis=-1), with_], axis=-3)
                 return both.reshape(*both.shape[:-2], both.shape[-2] * P)
 
-            given = Inputs(
-                wide(part.states, slopes[:, some]),
-                wide(part.rows, own[:, some]),
-                *part[2:4],
-                wide(part.tracks, tracks[:, :, some]),
+            given = part._replace(
+                states=wide(part.states, slopes[:, some]),
+                rows=wide(part.rows, own[:, some]),
+                tracks=wide(part.tracks, tracks[:, :, some]),
             )
             states, values = self.run(made, given, some, copies=P)
             final[:, some] = states.reshape(2 * S, -1, P)
@@ -499,12 +487,11 @@ class Problem:
                 tracks = np.concatenate([np.moveaxis(states, 0, 2)[::-1], tracks], axis=1)
             seed = np.zeros((S + len(wanted), m, L))
             seed[at, :, range(L)] = 1.0
-            given = Inputs(
-                seed.reshape(len(seed), -1),
-                np.repeat(part.rows, L, axis=1),
-                part.uniforms,
-                part.samples[::-1],
-                np.repeat(tracks, L, axis=2),
+            given = part._replace(
+                states=seed.reshape(len(seed), -1),
+                rows=np.repeat(part.rows, L, axis=1),
+                samples=part.samples[::-1],
+                tracks=np.repeat(tracks, L, axis=2),
             )
             indices = [bits_of_indices(count)]
             found, by_sample = self.run(back, given, some, indices, copies=L, recorded=recorded)
@@ -570,14 +557,13 @@ def _grown(scenario: Scenario, by: Sequence[str]) -> Scenario:
             grown[one.leaf.path] = np.full(size, float(one.leaf.value))
     if not grown:
         return scenario
-    loop = replace(scenario.given, grown)
-    return replaced(
-        scenario,
-        robot=loop.plant,
-        controller=loop.controller,
-        trajectory=loop.trajectory,
-        forces=loop.forces,
-    )
+    return replaced(scenario, **_own_parts(replace(scenario.given, grown)))
+
+
+def _own_parts(loop: Loop) -> dict[str, Any]:
+    """Return the parts of a loop as arguments of a scenario."""
+    names = "controller", "trajectory", "forces"
+    return {"robot": loop.plant, **{name: getattr(loop, name) for name in names}}
 
 
 @contextmanager
