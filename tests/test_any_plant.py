@@ -88,6 +88,37 @@ def test_figures_have_its_names_and_units() -> None:
     np.testing.assert_array_equal(np.array(travelled.get_data()).T, RUN.q[:, :2])
 
 
+class Polar:
+    """A point mass of 30 kg, q = (bearing, range, heading relative to the bearing)."""
+
+    nq = nv = nu = 3
+
+    def forward_dynamics(self, q: Array, v: Array, u: Array, f: Any = 0.0) -> Array:
+        effects = np.array([2 * q[1] * v[0] * v[1], -q[1] * v[0] ** 2, 0.0])
+        return np.asarray((u + f - 30.0 * effects) / np.array([30.0 * q[1] ** 2, 30.0, 1.0]))
+
+    def integrate(self, q: Array, dq: Array) -> Array:
+        return q + dq
+
+    def difference(self, q0: Array, q1: Array) -> Array:
+        return q1 - q0
+
+    def pose(self, q: Array) -> Array:
+        theta, r, phi = q[..., 0], q[..., 1], q[..., 2]
+        return np.stack([r * np.cos(theta), r * np.sin(theta), theta + phi], axis=-1)
+
+
+def test_the_distance_is_that_of_poses_whatever_the_coordinates() -> None:
+    circle = pm.FixedHeading(pm.Circle(radius=0.5, rate=0.5, duration=4, centre=(0.0, 3.0)), 0.0)
+    run = pm.simulate(Polar(), pm.PD((900, 100, 1), (300, 100, 1)), circle, dt=0.01)
+    desired, actual = Polar().pose(run.reference.q), Polar().pose(run.q)
+    expected = np.hypot(*(desired - actual)[:, :2].T)
+    np.testing.assert_allclose(run.distance, expected, rtol=1e-12, atol=0)
+    mixed = np.hypot(*run.error[:, :2].T).max()
+    assert abs(mixed / expected.max() - 1) > 0.1
+    assert f"at most {1e3 * expected.max():.3g} mm" in plots.path(run).axes[0].get_title()
+
+
 def test_a_file_keeps_every_number_name_and_limit(tmp_path: Path) -> None:
     RUN.save(tmp_path / "run.npz")
     kept = pm.Rollout.load(tmp_path / "run.npz")

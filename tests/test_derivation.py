@@ -555,7 +555,12 @@ PAIR = DHTable((DHRow(0, 0, 0, 0, R, "q1"), DHRow(0, 1, 0, 0, R, "q2")))
 @pytest.mark.parametrize(
     ("arguments", "error", "message"),
     [
-        ({"table": [1]}, InvalidArgument, "table is [1], expected a DHTable"),
+        ({"table": 1}, InvalidArgument, "table is 1, expected a DHTable, or its rows"),
+        (
+            {"table": [1]},
+            InvalidArgument,
+            "rows[0]: it is 1, expected a DHRow, or alpha, a, theta, d, joint, variable",
+        ),
         ({"links": [None, None]}, InvalidArgument, "links is (None, None), expected 1 of Link or None"),
         ({"links": [3]}, InvalidArgument, "links is (3,), expected 1 of Link or None"),
         ({"links": 3}, InvalidArgument, "links is 3, expected a sequence of Link or None"),

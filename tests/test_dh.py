@@ -1,3 +1,4 @@
+from dataclasses import replace
 from math import pi
 from typing import Any
 
@@ -186,8 +187,14 @@ def test_a_table_and_its_bodies_must_fit() -> None:
     for rows, bodies in ((ROWS, BODIES[:2]), (ROWS[:2], BODIES[:1])):
         with refused(rf"^table has {len(rows)} rows and bodies {len(bodies)}, expected"):
             pm.MobileRobot.from_dh(rows, bodies)
-    with refused("does not put its last frame at"):
+    with refused("^table has joints revolute shoulder, revolute elbow, prismatic slide, "):
         pm.MobileRobot.from_dh([*ROWS[3:], *ROWS[:3]], BODIES)
+    last = LECTURE_TABLE.rows[2]
+    for wrong, off in ((replace(last, a=0.2), "0.2 m and 0 deg"), (replace(last, theta=0), "0 m and 90 deg")):
+        with refused(f"^table has a last frame {off} away from the pose x = 0, y = 0, psi = 0 that"):
+            pm.MobileRobot.from_dh([*LECTURE_TABLE.rows[:2], wrong], BODIES[:1])
+    with refused(r"^rows\[0\]: alpha is '90 deg', .*: pi/2, .*; rows\[2\]: unknown joint 'R', available:"):
+        derive([("90 deg", 0, 0, 0, "revolute", "a"), ROWS[1], (0, 0, 0, 0, "R", "b")])
     for at in ((0, 0, 0, 0), None):
         assert pm.MobileRobot(30.0, 1.3).mount("ur5", at).chain is None
     assert pm.MobileRobot.from_dh(LECTURE_TABLE, BODIES[:1]).chain == LECTURE_TABLE

@@ -18,7 +18,7 @@ import nbformat
 import numpy as np
 import pytest
 
-from pinmobile import InvalidArgument
+from pinmobile import InvalidArgument, dh
 from pinmobile.cli import main
 from pinmobile.exercises import check_exercises, list_exercises, load_exercise, start_exercises
 from pinmobile.exercises._exercise import exercise_names, read_exercise
@@ -265,6 +265,18 @@ def test_junk_earns_no_points_and_raises_no_error(
 
 
 EMPTY: list[Any] = [None, ..., (..., ...), [None, 1], lambda *_: None, lambda *_: ...]
+
+
+def test_wrong_entries_are_named_where_no_mistake_is_known() -> None:
+    def one_cosine_wrong(alpha: float, a: float, theta: float, d: float) -> Any:
+        T = dh.transform(alpha, a, theta, d)
+        return np.where(np.arange(16).reshape(4, 4) == 7, 0.0, T)
+
+    question = load_exercise("01_equations").transform
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("pinmobile.exercises._question._call", lambda answer, state: answer(*state))
+        verdict = question.check(one_cosine_wrong)
+    assert verdict.words == "differs from the reference. Wrong are the entries [1, 3], counted from 0."
 
 
 @pytest.mark.parametrize("answer", EMPTY)

@@ -187,7 +187,7 @@ WRONG_CHAIN = DHTable(tuple(DHRow(0, 0, 0, 0, JointType.REVOLUTE, name) for name
         ({"size": (1, 1, 0)}, "size[2] is 0.0 m, expected > 0"),
         ({"size": (1, 1)}, "size has shape (2,), expected (3,)"),
         ({"dh": "lecture"}, "dh is 'lecture', expected a DHTable"),
-        ({"dh": WRONG_CHAIN}, "dh with variables ('a', 'b', 'c') does not put its last frame at (x, y, psi)"),
+        ({"dh": WRONG_CHAIN}, "dh has joints revolute a, revolute b, revolute c, expected prismatic y,"),
     ],
 )
 def test_impossible_parameters_are_refused(arguments: dict[str, Any], text: str) -> None:

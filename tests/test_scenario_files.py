@@ -111,6 +111,9 @@ def test_all_wrong_entries_are_told_at_once_with_their_lines(tmp_path: Path) -> 
         (["controler.kp=9"], "controler.kp=9: controler is unknown, a scenario has robot, controller, "),
         (["controller=pid2"], "controller is 'pid2', expected a controller, did you mean 'PID'?"),
         (["controller=Circle"], "controller is 'Circle', expected a controller, available: ADRC, "),
+        (["controller=PD(4, 4"], "controller is 'PD(4, 4', which cannot be read: '(' was never closed"),
+        (["controller=PD(not 1, 4)"], "which cannot be read: not 1 is no number, text or part"),
+        (["robot=MobileRobot.from_dh([[0, 0, -pi/2, 0, revolute, a]], [])"], "table has 1 rows and bodies 0"),
         (["controller=simulate"], "controller is 'simulate', expected a controller, available: "),
         (
             ["controller.kp=[1,2"],

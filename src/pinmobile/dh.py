@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, broadcast, finite, instance, one_of, scalar, sequence, vector
-from pinmobile.errors import InvalidArgument, shown
+from pinmobile.errors import InvalidArgument, PinmobileError, shown
 
 
 class JointType(Enum):
@@ -162,7 +162,8 @@ class DHTable:
     Raises
     ------
     InvalidArgument
-        If there is no row, a row is not a `DHRow`, or two rows have the same variable.
+        If there is no row, rows are wrong, or two rows have the same variable. The message lists all wrong
+        rows.
 
     See Also
     --------
@@ -181,10 +182,17 @@ class DHTable:
     rows: tuple[DHRow, ...]
 
     def __post_init__(self) -> None:
-        rows = sequence("rows", self.rows, "a sequence of DHRow")
-        object.__setattr__(self, "rows", tuple(_row(k, row) for k, row in enumerate(rows)))
-        if not self.rows or not all(isinstance(row, DHRow) for row in self.rows):
-            raise InvalidArgument(f"rows is {shown(self.rows)}, expected one DHRow or more")
+        made, wrong = [], []
+        for k, row in enumerate(sequence("rows", self.rows, "a sequence of DHRow")):
+            try:
+                made.append(_row(row))
+            except PinmobileError as error:
+                wrong.append(f"rows[{k}]: {error}")
+        if wrong:
+            raise InvalidArgument("; ".join(wrong), "rows")
+        object.__setattr__(self, "rows", tuple(made))
+        if not self.rows:
+            raise InvalidArgument("rows is empty, expected one DHRow or more")
         if len(set(self.variables)) != len(self.rows):
             raise InvalidArgument(f"rows have variables {self.variables}, expected distinct names")
 
@@ -250,17 +258,37 @@ class DHTable:
         return placements
 
 
-def _row(k: int, row: Any) -> Any:
+def _row(row: Any) -> DHRow:
     """Return a row of a table from a mapping or a sequence of its entries."""
+    names = ", ".join(each.name for each in fields(DHRow))
     try:
         if isinstance(row, Mapping):
             return DHRow(**row)
-        return DHRow(*row) if isinstance(row, Sequence) and not isinstance(row, str) else row
+        row = DHRow(*row) if isinstance(row, Sequence) and not isinstance(row, str) else row
     except TypeError:
-        names = ", ".join(each.name for each in fields(DHRow))
-        raise InvalidArgument(f"rows[{k}] is {shown(row)}, expected {names}") from None
+        raise InvalidArgument(f"it is {shown(row)}, expected {names}") from None
+    return instance("it", row, DHRow, f"a DHRow, or {names}")  # type: ignore[no-any-return]
+
+
+def table_of(table: object) -> DHTable:
+    """Return a table, also from a sequence of its rows.
+
+    Parameters
+    ----------
+    table : DHTable or sequence of rows
+        Rows as in `DHTable`.
+
+    Raises
+    ------
+    InvalidArgument
+        If rows are wrong; the message lists all of them.
+    """
+    if isinstance(table, DHTable):
+        return table
+    try:
+        return DHTable(sequence("table", table, "a DHTable, or its rows"))
     except InvalidArgument as error:
-        raise InvalidArgument(f"rows[{k}]: {error}") from None
+        raise InvalidArgument(str(error), "table") from None
 
 
 def transform(alpha: float, a: float, theta: ArrayLike, d: ArrayLike) -> Array:

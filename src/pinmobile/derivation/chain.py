@@ -16,8 +16,8 @@ from sympy import Expr, ImmutableMatrix, Symbol
 from sympy.polys.rings import PolyElement, PolyRing
 from sympy.simplify.fu import TR10i
 
-from pinmobile.arrays import Array, instance, sequence, whole
-from pinmobile.dh import DHTable
+from pinmobile.arrays import Array, sequence, whole
+from pinmobile.dh import DHTable, table_of
 from pinmobile.errors import InvalidArgument, shown
 
 
@@ -316,7 +316,7 @@ class Chain:
 
     Parameters
     ----------
-    table : DHTable
+    table : DHTable or sequence of rows
         DH table of the joints.
     links : sequence of Link or None, one per row, optional
         Link after each joint; None is a virtual link without mass. By default, `Link.general` for all.
@@ -353,12 +353,12 @@ class Chain:
 
     def __init__(
         self,
-        table: DHTable,
+        table: DHTable | Sequence[Any],
         links: Sequence[Link | None] | None = None,
         order: Sequence[str] | None = None,
         gravity: Sequence[Expr | float] | Array = (0, 0, 0),
     ) -> None:
-        instance("table", table, DHTable, "a DHTable")
+        table = table_of(table)
         if links is None:
             links = [Link.general(k) for k in range(1, len(table) + 1)]
         order = table.variables if order is None else order

@@ -200,7 +200,7 @@ def _lever(alpha: ImmutableMatrix, omega: ImmutableMatrix, arm: ImmutableMatrix)
 
 
 def derive(
-    table: DHTable,
+    table: DHTable | Sequence[Any],
     links: Sequence[Link | None] | None = None,
     *,
     order: Sequence[str] | None = None,
@@ -210,7 +210,7 @@ def derive(
 
     Parameters
     ----------
-    table : DHTable
+    table : DHTable or sequence of rows
         Prismatic or revolute joints in modified-DH form.
     links : sequence of Link or None, one per row, optional
         Link after each joint; None is a virtual link without mass. By default, `Link.general` for all.

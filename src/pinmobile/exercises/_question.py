@@ -208,7 +208,15 @@ class Question:
 
         if not agrees(self.reference):
             factors = (text for factor, text in _FACTORS.items() if scaled(factor) or scaled(1 / factor))
-            raise Fault("wrong", words + (self.mistake(agrees) or f" {next(factors, '')}".rstrip()))
+            why = self.mistake(agrees) or next(factors, "") or self._wrong_entries(got, states, tolerance)
+            raise Fault("wrong", f"{words} {why.strip()}".rstrip())
+
+    def _wrong_entries(self, got: list[Array], states: list[Any], tolerance: float) -> str:
+        """Return the indices of the entries that differ at any state, or nothing if all of them do."""
+        right = np.array([self.reference(self.numbers, *copy.deepcopy(state)) for state in states], float)
+        off = np.abs(np.array(got) - right).max(axis=0) > tolerance * np.abs(right).max()
+        places = ", ".join(str(place.tolist()) for place in np.argwhere(off))
+        return f"Wrong are the entries {places}, counted from 0." if off.any() and not off.all() else ""
 
     def mistake(self, agrees: Callable[[Callable[..., Any]], Any]) -> str:
         """Return the diagnosis of the first known mistake that agrees with the answer, or nothing."""

@@ -196,7 +196,8 @@ def read_cells(path: Path) -> tuple[list[str], str, str]:
         else:
             cells = re.split(r"^# %%.*$", text, flags=re.M)
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InvalidArgument(f"FILE is {shown(str(path))}, {expected} ({describe(error)})") from None
+        why = error.strerror if isinstance(error, OSError) else describe(error)
+        raise InvalidArgument(f"FILE is {shown(str(path))}, {expected} ({why})") from None
     loaded = _LOADED.search("\n".join(cells))
     if loaded is None or loaded[1] not in exercise_names():
         raise InvalidArgument(f"FILE is {shown(str(path))}, {expected}: no cell calls load_exercise")

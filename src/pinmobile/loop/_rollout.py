@@ -410,6 +410,18 @@ class Rollout:
         return self._poses(whole_configurations(self, self.q, self.reference.q))
 
     @property
+    def distance(self) -> Array:
+        """Distance of the body from its desired position, shape (N + 1,) [m].
+
+        Raises
+        ------
+        InvalidArgument
+            If the plant does not provide the pose of its body.
+        """
+        dx, dy, _ = (self.reference_poses - self.poses).T
+        return np.asarray(np.hypot(dx, dy))
+
+    @property
     def nq(self) -> int:
         """Number of entries of q."""
         return int(self.q.shape[1])

@@ -304,15 +304,31 @@ def called(text: str) -> dict[str, Any]:
 
     The text is parsed, never evaluated.
     """
-    code = _CALL.fullmatch(text.strip())
     try:
-        node = ast.parse(f"_{code[2]}" if code else text.strip(), mode="eval").body
-        if isinstance(node, ast.Call):
-            found = _call(node)
-            return found | {"type": code[1]} if code else found
+        return _parsed(text)
     except _NO_TEXT:
-        pass
-    return {"type": text}
+        return {"type": text}
+
+
+def _parsed(text: str) -> dict[str, Any]:
+    code = _CALL.fullmatch(text.strip())
+    node = ast.parse(f"_{code[2]}" if code else text.strip(), mode="eval").body
+    if not isinstance(node, ast.Call):
+        return {"type": text}
+    found = _call(node)
+    return found | {"type": code[1]} if code else found
+
+
+def unreadable(text: str) -> str:
+    """Return why a text with a bracket is no part in Python's notation, or nothing."""
+    try:
+        if "(" in text:
+            _parsed(text)
+    except SyntaxError as error:
+        return f"which cannot be read: {error.msg}"
+    except _NO_TEXT as error:
+        return f"which cannot be read: {error}"
+    return ""
 
 
 def listed(text: str) -> Any:
@@ -353,7 +369,12 @@ def _value(node: ast.AST) -> Any:
             return ast.unparse(node)
         case ast.UnaryOp(op=ast.USub(), operand=ast.Name(id="inf")):
             return -math.inf
-    return ast.literal_eval(node)
+        case ast.BinOp() | ast.UnaryOp(operand=ast.Name() | ast.BinOp()):
+            return ast.unparse(node)  # text, for fields that read formulas
+    try:
+        return ast.literal_eval(node)
+    except ValueError:
+        raise InvalidArgument(f"{ast.unparse(node)} is no number, text or part") from None
 
 
 def put(tree: dict[str, Any], path: str, value: Any) -> None:

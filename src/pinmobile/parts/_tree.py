@@ -29,6 +29,7 @@ from pinmobile.parts._registry import (
     nested,
     parameters,
     resolve,
+    unreadable,
 )
 from pinmobile.parts._walk import Leaf, entries_of
 
@@ -166,9 +167,8 @@ class Reader:
             return self._fail(_join(path, "type"), f"{path} {error}")
         known = names_of(kind)
         if make is None or not (is_code(name) or is_part_class(make) or is_part(make) or callable(make)):
-            return self._fail(
-                _join(path, "type"), f"{path} is {shown(name)}, expected {wanted}, {nearest(name, known)}"
-            )
+            why = unreadable(name) or f"expected {wanted}, {nearest(name, known)}"
+            return self._fail(_join(path, "type"), f"{path} is {shown(name)}, {why}")
         # Members that a class takes from another part exist only in its objects.
         is_free = is_code(name) or "__getattr__" in dir(make) or (makes_part(make) and not is_part(make))
         if not is_free and not fits(kind, make):

@@ -212,7 +212,7 @@ def panels(
     window = _window(runs, sheet.width / columns)
     shape = _shape(window)
     room = (sheet.width - 5.5 * letters() / 72) / columns
-    off = [si(float(np.hypot(*run.error[:, :2].T).max()), "m") for run in runs.values()]
+    off = [si(float(run.distance.max()), "m") for run in runs.values()]
     notes = [wrapped(f"position error at most {each}", letters(0.95), room) for each in off]
     labels = [wrapped(label, letters(1.2), room, weight="bold") for label in runs]
     height, spots = 0.0, [divmod(k, columns) for k in range(len(runs))]

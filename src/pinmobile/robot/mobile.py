@@ -28,7 +28,7 @@ from pinmobile.arrays import (
     shaped,
     text,
 )
-from pinmobile.dh import LECTURE_TABLE, DHTable
+from pinmobile.dh import LECTURE_TABLE, DHTable, table_of
 from pinmobile.errors import InvalidArgument, NotTraceable
 from pinmobile.files import keep
 from pinmobile.metrics import Metric
@@ -513,7 +513,7 @@ class MobileRobot(System):
         >>> [one.name for one in robot.coordinates], len(robot.chain)
         (['x', 'y', 'psi', 'arm/elbow'], 4)
         """
-        whole = table if isinstance(table, DHTable) else DHTable(tuple(sequence("table", table, "rows")))
+        whole = table_of(table)
         given = sequence("bodies", bodies, "a Body for the third row and each row after it")
         if len(given) != len(whole) - BODY_JOINT + 1 or len(whole) < BODY_JOINT:
             raise InvalidArgument(
@@ -523,6 +523,7 @@ class MobileRobot(System):
         for k, one in enumerate(given):
             if isinstance(one, Mapping) and one.keys() != {"mass", "com", "inertia"}:
                 raise InvalidArgument(f"bodies[{k}] has {list(one)}, expected mass, com and inertia")
+        check_chain("table", DHTable(whole.rows[:BODY_JOINT]))
         first, *others = (urdf.Body(**one) if isinstance(one, Mapping) else one for one in given)
         base = cls.from_body(first, size, DHTable(whole.rows[:BODY_JOINT]), "made from a DH table")
         if not others:

@@ -315,18 +315,26 @@ def check_chain(name: str, table: DHTable) -> DHTable:
         If the argument is another table, or not a table.
     """
     instance(name, table, DHTable, "a DHTable")
-    kinds = [row.joint for row in table]
-    planar = kinds == [row.joint for row in LECTURE_TABLE]
     probes = np.array([[0, 0, 0], [0.7, -0.3, 1.1], [-1.0, 2.0, -2.5]])
-    if planar:
+    wrong = f"has joints {', '.join(f'{row.joint.value} {row.variable}' for row in table)}"
+    if [row.joint for row in table] == [row.joint for row in LECTURE_TABLE]:
         pose, expected = (dh.placements(probes)[:, -1] for dh in (table, LECTURE_TABLE))
-        planar = bool(np.abs(pose - expected).max() < 1e-12)
-    if not planar:
-        raise InvalidArgument(
-            f"{name} with variables {table.variables} does not put its last frame at (x, y, psi), expected "
-            "a chain of prismatic y, prismatic x, revolute psi with the body frame as its last frame"
+        differs = np.abs(pose - expected).max(axis=(1, 2)) >= 1e-12
+        if not differs.any():
+            return table
+        k = int(differs.argmax())
+        off = np.linalg.inv(expected[k]) @ pose[k]
+        away = round(float(np.linalg.norm(off[:3, 3])), 9)
+        turned = round(float(np.degrees(np.linalg.norm(pin.log3(off[:3, :3])))), 6)
+        y, x, psi = probes[k]
+        wrong = (
+            f"has a last frame {away:.3g} m and {turned:.3g} deg away from the pose "
+            f"x = {x:g}, y = {y:g}, psi = {psi:g} that the joints have"
         )
-    return table
+    raise InvalidArgument(
+        f"{name} {wrong}, expected prismatic y, prismatic x and revolute psi, with the body frame as last "
+        "frame; other chains can be derived, and simulated as a plant of your own"
+    )
 
 
 def build_model(table: DHTable, *bodies: Body, ends: Sequence[str] = (_BODY_LINK,)) -> pin.Model:

@@ -100,8 +100,7 @@ def _told(rows: Mapping[str, Array], k: int, between: str) -> list[str]:
 def _sizes(run: Rollout) -> list[Array]:
     """Return the position error [m] and, if there is a revolute joint, the largest joint error [rad]."""
     turning = [k for k, one in enumerate(run.coordinates) if one.name not in _POSE and one.unit == "rad"]
-    place = np.hypot(run.error[:, 0], run.error[:, 1])
-    return [place, np.abs(run.error[:, turning]).max(axis=1)] if turning else [place]
+    return [run.distance, *([np.abs(run.error[:, turning]).max(axis=1)] if turning else [])]
 
 
 def _short(value: float, unit: str) -> str:
