@@ -153,52 +153,43 @@ class Copy:
             operation = (*operation[:3], self.new[operation[3]])
         elif operands(operation):
             operation = (name, *(self.new[x] for x in operation[1:]))
-            depends = 0
-            for x in operation[1:]:
-                depends |= self.tape.depends[x]
+            depends = self.tape.dependence(operation[1:])
         return self.tape.copied(self.old.types[i], depends, operation)
 
-    def loop(self, loop: LoopTape, **changes: Any) -> LoopTape:
+    def loop(self, loop: LoopTape) -> LoopTape:
         """Return the loop on the new tape."""
         new = self.new
-        whole: dict[str, Any] = {
-            "tape": self.tape,
-            "states": [(new[now], new[after]) for now, after in loop.states],
-            "kept": {name: (shape, [new[x] for x in nodes]) for name, (shape, nodes) in loop.kept.items()},
-            "rings": [Ring(new[one.node], new[one.pushed], one.samples) for one in loop.rings],
-            "counted": [],
-        }
-        return replace(loop, **(whole | changes))
+        return replace(
+            loop,
+            tape=self.tape,
+            states=[(new[now], new[after]) for now, after in loop.states],
+            kept={name: (shape, [new[x] for x in nodes]) for name, (shape, nodes) in loop.kept.items()},
+            rings=[Ring(new[one.node], new[one.pushed], one.samples) for one in loop.rings],
+            counted=[],
+        )
 
 
-class _Tangents:
-    """Tangents of the nodes of a tape, in order."""
-
-    def __init__(self, tape: Tape, known: Mapping[int, Node]) -> None:
-        self.tape, self.of, self.rings = tape, dict(known), list[Ring]()
-
-    def run(self, end: int, rings: int) -> None:
-        """Append the tangents of the first nodes of the tape."""
-        tape, results = self.tape, dict[int, list[Node]]()
-        for i in range(end):
-            operation = tape.operations[i]
-            if i in self.of or tape.types[i] != "f" or tape.depends[i] >= ROUND:
-                continue
-            if operation[0] == "ring":
-                pushed = self.of.get(operation[3])
-                if pushed is not None:
-                    node = tape.ring(rings + len(self.rings), operation[2], pushed)
-                    self.rings.append(Ring(node.index, pushed.index, operation[2]))
-                    self.of[i] = node
-            elif operation[0] == "repeat":
-                results[i] = _after_rounds(tape, i, lambda x: x, [self.of])[1][0]
-            elif operation[0] == "result":
-                self.of[i] = results[operation[1]][operation[2]]
-            else:
-                _find(tape, self.of, i)
+def _add_tangents(tape: Tape, tangents: dict[int, Node], end: int, first: int) -> list[Ring]:
+    """Append the tangents of the first nodes of the tape, and return their delays, numbered from `first`."""
+    results, rings = dict[int, list[Node]](), list[Ring]()
+    for i in range(end):
+        name, *of = tape.operations[i]
+        if i in tangents or tape.types[i] != "f" or tape.depends[i] >= ROUND:
+            continue
+        if name == "ring":
+            if (pushed := tangents.get(of[2])) is not None:
+                tangents[i] = tape.ring(first + len(rings), of[1], pushed)
+                rings.append(Ring(tangents[i].index, pushed.index, of[1]))
+        elif name == "repeat":
+            results[i] = _after_rounds(tape, i, lambda x: x, [tangents])[1][0]
+        elif name == "result":
+            tangents[i] = results[of[0]][of[1]]
+        else:
+            find_tangent(tape, tangents, i)
+    return rings
 
 
-def _find(tape: Tape, tangents: dict[int, Node], i: int) -> None:
+def find_tangent(tape: Tape, tangents: dict[int, Node], i: int) -> None:
     """Add the tangent of a node to those of its operands."""
     given = tape.marks[i][1] if i in tape.marks else operands(tape.operations[i])
     if i in tangents or tape.types[i] != "f" or not any(x in tangents for x in given):
@@ -258,7 +249,7 @@ def _after_rounds(
                 function, given = tape.marks[j]
                 tape.marks.setdefault(inner[j], (function, tuple(map(now, given))))
             for tangents in own:
-                _find(tape, tangents, inner[j])
+                find_tangent(tape, tangents, inner[j])
         after = [*map(now, rounds.following)]
         moved = [tangents.get(x, zero) for tangents in own for x in after]
         return [*map(tape.at, after), *moved], tape.at(now(rounds.done))
@@ -323,12 +314,10 @@ def tangent(loop: LoopTape, directions: Sequence[_Input]) -> LoopTape:
         for j, one in enumerate(some):
             if one in places:
                 known[places[one]] = tape.input(kind, first + j)
-    tangents = _Tangents(tape, known)
-    tangents.run(end, len(loop.rings))
-    zero = tape.const(0.0)
+    rings, zero = _add_tangents(tape, known, end, len(loop.rings)), tape.const(0.0)
 
     def of(node: int) -> int:
-        return tangents.of.get(copy.new[node], zero).index
+        return known.get(copy.new[node], zero).index
 
     whole = copy.loop(loop)
     moved = [(tape.input("state", n + i).index, of(after)) for i, (_, after) in enumerate(loop.states)]
@@ -337,7 +326,7 @@ def tangent(loop: LoopTape, directions: Sequence[_Input]) -> LoopTape:
         whole,
         states=[*whole.states, *moved],
         kept={**whole.kept, **kept},
-        rings=[*whole.rings, *tangents.rings],
+        rings=[*whole.rings, *rings],
         rows=loop.rows + len(rows),
         tracks=loop.tracks + len(columns),
         leaves=[],
@@ -407,7 +396,7 @@ def adjoint(loop: LoopTape, wanted: Sequence[_Input], columns: int, sampled: Seq
     def moved(kind: str, i: int) -> Callable[[Tape], Node]:
         return lambda tape: tape.input(kind, i)
 
-    inputs: dict[_Input, Callable[[Tape], Node]] = {("state", i): moved("track", i) for i in range(n)}
+    inputs: Any = {("state", i): moved("track", i) for i in range(n)}
     inputs |= {("track", i): moved("track", n + i) for i in range(loop.tracks)}
     inputs[COUNT] = lambda tape: tape.apply("bits", tape.input("sample", columns))
     copy = Copy(replace(loop, kept={}, counted=[]), inputs)

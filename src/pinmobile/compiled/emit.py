@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
 
 from pinmobile.compiled.folding import ROBOT, ROUND, SAMPLE, STATE
 from pinmobile.compiled.tape import LoopTape, Rounds, needed, operands
@@ -104,10 +105,6 @@ class Code:
         self.lines[region].append(f"  %t{self.named} = {text}")
         return f"%t{self.named}"
 
-    def is_shared(self, node: int) -> bool:
-        """Return whether all robots have the same value."""
-        return self.shared[node]
-
     def region(self, node: int, default: str) -> str:
         """Return the region in which a node is computed, where it runs least often."""
         depends = self.tape.depends[node]
@@ -139,11 +136,7 @@ class Code:
         """Return a constant of the tape."""
         if (node, scalar) not in self.constants:
             _, kind, value = self.tape.operations[node]
-            literal = str(value)
-            if kind == "f":
-                literal = f"0x{value:016X}"
-            elif kind == "b":
-                literal = "true" if value else "false"
+            literal = f"0x{value:016X}" if kind == "f" else str(value).lower()  # true, false
             self.constants[node, scalar] = self.constant(kind, literal, scalar)
         return self.constants[node, scalar]
 
@@ -153,21 +146,18 @@ class Code:
         while todo:
             node = todo[-1]
             operation = self.tape.operations[node]
-            if node in self.values or operation[0] == "const":
+            given = Rounds.of(self.tape, node).outside if operation[0] == "repeat" else operands(operation)
+            if self._is_known(node):
                 todo.pop()
-                continue
-            missing = [
-                i
-                for i in (
-                    Rounds.of(self.tape, node).outside if operation[0] == "repeat" else operands(operation)
-                )
-                if i not in self.values and self.tape.operations[i][0] != "const"
-            ]
-            if missing:
+            elif missing := [i for i in given if not self._is_known(i)]:
                 todo += reversed(missing)
-                continue
-            todo.pop()
-            self.values[node] = self._written(node, self.region(node, default))
+            else:
+                todo.pop()
+                self.values[node] = self._written(node, self.region(node, default))
+
+    def _is_known(self, node: int) -> bool:
+        """Return whether the value of a node can be an argument."""
+        return node in self.values or self.tape.operations[node][0] == "const"
 
     def _written(self, node: int, region: str) -> list[str]:
         operation, kind = self.tape.operations[node], self.tape.types[node]
@@ -190,7 +180,7 @@ class Code:
             return self._rounds(node)
         if name == "result":
             return self.results[operation[1]][operation[2]]
-        shared = self.is_shared(node)
+        shared = self.shared[node]
         return [self._operation(node, u, region, shared) for u in (range(1) if shared else self.vectors())]
 
     def _phi(self, name: str, kind: str, *ways: tuple[str, str]) -> str:
@@ -215,15 +205,14 @@ class Code:
         nested = [i for i in rounds.body if self.tape.operations[i][0] == "repeat"]
         last = f"behind{nested[-1]}" if nested else inside  # the block in which a round ends
         lines += [f"  br label %{before}", f"{before}:"]
+        none = [self.argument(rounds.settled, u, "sample") for u in vectors]
         may_skip = self.tape.known(rounds.settled) is None
-        none = ["false" if self.shape.lanes == 1 else "zeroinitializer"] * len(vectors)
-        if may_skip:
-            none = [self.argument(rounds.settled, u, "sample") for u in vectors]
-            some = self._some_left(none)
-            lines.append(f"  br i1 {some}, label %{inside}, label %{behind}")
-        else:
-            lines.append(f"  br label %{inside}")
-        lines.append(f"{inside}:")
+        way = (
+            f"i1 {self._some_left(none)}, label %{inside}, label %{behind}"
+            if may_skip
+            else f"label %{inside}"
+        )
+        lines += [f"  br {way}", f"{inside}:"]
         names = [(f"{node}_{j}_{u}", values[u]) for j, values in enumerate(first) for u in vectors]
         for name, value in names:
             self._phi(f"%y{name}", whole, (value, before), (f"%z{name}", last))
@@ -269,10 +258,7 @@ class Code:
             if lanes > 1:
                 word = self.put("sample", f"bitcast {self.type('b')} {word} to i{lanes}")
             left.append(self.put("sample", f"icmp ne i{lanes} {word}, -1"))
-        more = left[0]
-        for each in left[1:]:
-            more = self.put("sample", f"or i1 {more}, {each}")
-        return more
+        return reduce(lambda more, each: self.put("sample", f"or i1 {more}, {each}"), left)
 
     def vectors(self) -> range:
         """Return the indices of the vectors."""
@@ -305,7 +291,7 @@ class Code:
             return self.put(region, f"select {self.type('b', shared)} {truth}, {own} {x[0]}, {own} {x[1]}")
         if name == "select":
             truth = self.type("b", shared)
-            if self.is_shared(operation[1]) and not shared:
+            if self.shared[operation[1]] and not shared:
                 # One condition for all lanes needs no vector.
                 truth, x[0] = "i1", self.argument(operation[1], vector, region, True)
             return self.put(region, f"select {truth} {x[0]}, {own} {x[1]}, {own} {x[2]}")
@@ -334,21 +320,17 @@ class Code:
             self.rings[samples] = now, then, self.put("sample", "icmp eq i64 %k, 0")
         now, then, first = self.rings[samples]
         offset = sum(ring.samples for ring in self.loop.rings[:number]) * self.shape.width
-        base = [
-            self.put("sample", f"getelementptr double, ptr %ring, i64 {self._at(slot, offset)}")
-            for slot in (now, then)
-        ]
-        found = []
+        base, found = [], []
+        for slot in (now, then):
+            row = self.put("sample", f"mul i64 {slot}, {self.shape.width}")
+            at = self.put("sample", f"add i64 {row}, {offset}")
+            base.append(self.put("sample", f"getelementptr double, ptr %ring, i64 {at}"))
         for u in self.vectors():
             value, whole = self.argument(pushed, u, "sample"), self.type("f")
             old = self.load(base[1], 0, u, "sample")
             found.append(self.put("sample", f"select i1 {first}, {whole} {value}, {whole} {old}"))
             self.late.append(self.store(value, self.place(base[0], 0, u, "sample")))
         return found
-
-    def _at(self, slot: str, offset: int) -> str:
-        place = self.put("sample", f"mul i64 {slot}, {self.shape.width}")
-        return self.put("sample", f"add i64 {place}, {offset}")
 
 
 def text_of(loop: LoopTape, shape: Shape) -> str:
@@ -380,7 +362,11 @@ def text_of(loop: LoopTape, shape: Shape) -> str:
     _keep(code)
     code.lines["sample"] += code.late
     _count_places(code)
-    return "\n".join([*_declarations(code), *_function(code, following)])
+    declared = ["declare double @llvm.sqrt.f64(double)"]
+    if shape.lanes > 1:
+        whole = code.type("f")
+        declared.append(f"declare {whole} @llvm.sqrt.v{shape.lanes}f64({whole})")
+    return "\n".join([*declared, *_function(code, following)])
 
 
 def _keep(code: Code) -> None:
@@ -410,14 +396,6 @@ def _count_places(code: Code) -> None:
                 word = code.put("count", f"select {truth} {beyond}, {whole} {number(bound)}, {whole} {word}")
             place = code.place("%places", j * code.shape.width, u, "count")
             code.lines["count"].append(code.store(word, place, "u"))
-
-
-def _declarations(code: Code) -> list[str]:
-    lines = ["declare double @llvm.sqrt.f64(double)"]
-    if code.shape.lanes > 1:
-        whole = code.type("f")
-        lines.append(f"declare {whole} @llvm.sqrt.v{code.shape.lanes}f64({whole})")
-    return lines
 
 
 def _function(code: Code, following: list[list[str]]) -> list[str]:

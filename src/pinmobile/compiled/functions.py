@@ -13,10 +13,10 @@ from pinmobile.compiled.elementary import ELEMENTARY, of_floats
 from pinmobile.compiled.symbolic import (
     FUNCTIONS,
     REFUSED,
-    UFUNCS,
     Operand,
     Symbols,
     Values,
+    as_array,
     between,
     boxed,
     choose,
@@ -61,13 +61,9 @@ def _reduced(function: Callable[..., Any]) -> Callable[..., Any]:
         if axis is None:
             found = reduce(function, array.reshape(-1))
             return wrapped(boxed(found).reshape((1,) * array.ndim if keepdims else ()))
-        return wrapped(_boxed_array(step.reduce(array, axis=axis, keepdims=keepdims)))
+        return wrapped(as_array(step.reduce(array, axis=axis, keepdims=keepdims)))
 
     return run
-
-
-def _boxed_array(x: object) -> Any:
-    return x if isinstance(x, np.ndarray) else boxed(x)
 
 
 def _norm(x: Symbols, ord: object = None, axis: int | None = None, keepdims: bool = False) -> Any:
@@ -96,13 +92,11 @@ def _eliminated(matrix: object, right: object) -> Any:
         inverse = 1.0 / rows[j, j]
         for i in range(j + 1, n):
             factor = rows[i, j] * inverse
-            rows[i, j + 1 :] = UFUNCS[np.subtract](
-                rows[i, j + 1 :], UFUNCS[np.multiply](factor, rows[j, j + 1 :])
-            )
+            rows[i, j + 1 :] = rows[i, j + 1 :] - factor * rows[j, j + 1 :]
     for j in reversed(range(n)):
         for i in range(j + 1, n):
-            rows[j, n:] = UFUNCS[np.subtract](rows[j, n:], UFUNCS[np.multiply](rows[j, i], rows[i, n:]))
-        rows[j, n:] = UFUNCS[np.multiply](rows[j, n:], 1.0 / rows[j, j])
+            rows[j, n:] = rows[j, n:] - rows[j, i] * rows[i, n:]
+        rows[j, n:] = rows[j, n:] * (1.0 / rows[j, j])
     return wrapped(rows[:, n] if vector else rows[:, n:])
 
 
@@ -145,7 +139,10 @@ def _interpolated(
         found = select(at < places[0], values[0] if left is None else left, found)
         return select(at == at, found, at)
 
-    return wrapped(_boxed_array(elementwise(one, 1)(plain(x))))
+    return wrapped(as_array(elementwise(one, 1)(plain(x))))
+
+
+_ORDERED = elementwise(minimum, 2), elementwise(maximum, 2)
 
 
 def _sorted(a: object, axis: int | None = -1, **_: object) -> Any:
@@ -156,13 +153,8 @@ def _sorted(a: object, axis: int | None = -1, **_: object) -> Any:
     rows = np.moveaxis(array, axis, 0)
     for end in range(len(rows) - 1, 0, -1):
         for i in range(end):
-            low, high = rows[i].copy() if rows.ndim > 1 else rows[i], rows[i + 1]
-            rows[i], rows[i + 1] = _between_two(low, high)
+            rows[i], rows[i + 1] = [order(rows[i], rows[i + 1]) for order in _ORDERED]
     return wrapped(np.moveaxis(rows, 0, axis))
-
-
-def _between_two(a: object, b: object) -> Any:
-    return elementwise(minimum, 2)(a, b), elementwise(maximum, 2)(a, b)
 
 
 def _selected(conditions: Iterable[Operand], choices: Iterable[Operand], default: Operand = 0) -> Any:
@@ -278,23 +270,15 @@ def _pseudo_inverse(a: Symbols) -> Any:
 _LOOPS = "it branches on its values: write it by np.where, or run the law with engine=Engine.PYTHON"
 
 
+_EIGEN = (np.linalg.eig, np.linalg.eigh, np.linalg.eigvals, np.linalg.eigvalsh)
+_PLACES = (np.nonzero, np.argwhere, np.flatnonzero, np.extract)
 _NOT_TRACED: dict[Any, str] = {
     np.argmax: "use np.max, or np.where over the candidates",
     np.argmin: "use np.min, or np.where over the candidates",
     np.argsort: "use np.sort, or np.where over the candidates",
-    np.nonzero: "use np.where with three arguments",
-    np.argwhere: "use np.where with three arguments",
-    np.flatnonzero: "use np.where with three arguments",
-    np.extract: "use np.where with three arguments",
-    np.searchsorted: "use np.interp, or a sum of comparisons",
-    np.digitize: "use np.interp, or a sum of comparisons",
-    np.unique: _LOOPS,
-    np.linalg.eig: _LOOPS,
-    np.linalg.eigh: _LOOPS,
-    np.linalg.eigvals: _LOOPS,
-    np.linalg.eigvalsh: _LOOPS,
-    np.linalg.svd: _LOOPS,
-    np.linalg.qr: _LOOPS,
+    **dict.fromkeys(_PLACES, "use np.where with three arguments"),
+    **dict.fromkeys((np.searchsorted, np.digitize), "use np.interp, or a sum of comparisons"),
+    **dict.fromkeys((*_EIGEN, np.unique, np.linalg.svd, np.linalg.qr), _LOOPS),
     np.linalg.lstsq: "use np.linalg.solve of the normal equations, or np.linalg.pinv",
 }
 

@@ -70,14 +70,12 @@ class Program:
         cache: Cache | None = None,
         key: str | None = None,
     ) -> None:
-        target = Target.here() if target is None else target
-        self.tape = tape
+        self.tape, target = tape, target or Target.here()
         small = tape.own <= _SMALL and len(tape.states) <= _FEW
         many = Shape(target.lanes, 2 if small else 1)
         self.shape = shape or (Shape(1, 1) if single else many)
-        self.key = target.key(self.text) if key is None else key
-        cache = Cache() if cache is None else cache
-        self.function = function_of(self.key, lambda: self.text, target, cache)
+        self.key = key or target.key(self.text)
+        self.function = function_of(self.key, lambda: self.text, target, cache or Cache())
 
     @cached_property
     def text(self) -> str:
@@ -141,37 +139,26 @@ class Program:
         for name, number in (("number of robots", n), ("number of samples", count), ("every", every)):
             whole(name, number)
         sizes = length, size, size
-        expected: list[tuple[str, Any, tuple[int, ...]]] = [
-            ("q", start[0], (n, nq)),
-            ("v", start[1], (n, nv)),
-        ]
-        expected += [("reference", x, (count, m)) for x, m in zip(reference, sizes, strict=True)]
+        shaped("q", start[0], (n, nq))
+        shaped("v", start[1], (n, nv))
+        for part, m in zip(reference, sizes, strict=True):
+            shaped("reference", part, (count, m))
         tracked = sizes if self.tape.tracks else ()  # sizes of the robots' own references
-        expected += [("tracks", x, (count, n, m)) for x, m in zip(tracks or (), tracked, strict=True)]
-        for name, array, shape in expected:
-            shaped(name, array, shape)
+        for part, m in zip(tracks or (), tracked, strict=True):
+            shaped("tracks", part, (count, n, m))
         return n
 
     def samples_of(
-        self,
-        t: Array,
-        reference: tuple[Array, ...],
-        uniforms: Array,
-        rows: Sequence[Array],
-        first: int = 0,
+        self, t: Array, reference: tuple[Array, ...], uniforms: Array, rows: Sequence[Array], first: int = 0
     ) -> Array:
         """Return the numbers of the samples from `first` that all robots share, shape (N + 1, columns)."""
         known = [np.reshape(each, (len(t), -1)) for each in rows]
         given = np.empty((len(t), 1 + sum(part.shape[1] for part in (*reference, *known))))
         np.concatenate([t[:, None], *reference, *known], axis=1, out=given)
-        tabled = self.tape.tabled
+        tabled, size = self.tape.tabled, len(t) * self.tape.columns
         if not tabled:
             return given
-        affordable(
-            f"the tables of {len(t):,} samples",
-            len(t) * self.tape.columns,
-            "give a larger dt, or fewer waves",
-        )
+        affordable(f"the tables of {len(t):,} samples", size, "give a larger dt, or fewer waves")
         inputs: dict[Any, Any] = {COUNT: np.arange(first, first + len(t), dtype=np.uint64)}
         inputs |= {("uniform", i): x for i, x in enumerate(uniforms)}
         inputs |= {("sample", i): column for i, column in enumerate(given.T)}
@@ -188,24 +175,11 @@ class Program:
 
     def set_rows(self, blocks: Array, first: int, columns: Array) -> None:
         """Set rows of the blocks from (rows, n); the last robot is repeated to fill the last block."""
-        width, n = self.shape.width, columns.shape[1]
-        full = n // width
-        target = blocks[:, first : first + len(columns)]
-        target[:full] = columns[:, : full * width].reshape(len(columns), full, width).swapaxes(0, 1)
-        if full < len(blocks):
-            target[full, :, : n - full * width] = columns[:, full * width :]
-            target[full, :, n - full * width :] = columns[:, -1:]
+        _fill(blocks[:, first : first + len(columns)], columns)
 
     def set_tracks(self, kept: Array, tracks: Array, first: int = 0) -> None:
         """Set the tracks of each robot, from index `first` on, from (samples, tracks, n)."""
-        width, n = self.shape.width, tracks.shape[2]
-        full = n // width
-        target = kept[:, :, self.tape.outputs_kept + first :]
-        blocks = tracks[..., : full * width].reshape(*tracks.shape[:2], full, width)
-        target[:full] = blocks.transpose(2, 0, 1, 3)
-        if full < len(kept):  # the last robot is repeated to fill the last block
-            target[full, ..., : n - full * width] = tracks[..., full * width :]
-            target[full, ..., n - full * width :] = tracks[..., -1:]
+        _fill(kept[:, :, self.tape.outputs_kept + first :], tracks)
 
     def blocks_of(
         self,
@@ -231,9 +205,7 @@ class Program:
                 blocks[:, row : row + value.size] = np.ravel(value)[:, None]
         for parameter, leaf in loop.parameters.items():
             if leaf.kind == "row":
-                value = values[parameter]
-                columns = np.broadcast_to(value, (n, *leaf.shape)) if value.shape == leaf.shape else value
-                columns = columns.reshape(n, -1).T
+                columns = np.broadcast_to(values[parameter], (n, *leaf.shape)).reshape(n, -1).T
                 self.set_rows(blocks, states + leaf.first, columns)
         for i, name in enumerate(loop.keys):
             if name not in keys:
@@ -324,10 +296,21 @@ class Program:
         found, first, count = {}, 0, len(kept) * kept.shape[3]
         for name, (shape, nodes) in self.tape.kept.items():
             block = kept[:, :, first : first + len(nodes)]  # (blocks, samples, numbers, width)
-            robots = np.moveaxis(block, 3, 1).reshape(count, kept.shape[1], len(nodes))[:n]
-            found[name] = np.ascontiguousarray(robots).reshape(n, kept.shape[1], *shape)
+            robots = np.moveaxis(block, 3, 1).reshape(count, kept.shape[1], *shape)[:n]
+            found[name] = np.ascontiguousarray(robots)
             first += len(nodes)
         return found
+
+
+def _fill(blocks: Array, columns: Array) -> None:
+    """Set (blocks, ..., width) from (..., n); the last robot is repeated to fill the last block."""
+    width, n = blocks.shape[-1], columns.shape[-1]
+    full = n // width
+    whole = columns[..., : full * width].reshape(*columns.shape[:-1], full, width)
+    blocks[:full] = np.moveaxis(whole, -2, 0)
+    if full < len(blocks):
+        blocks[full, ..., : n - full * width] = columns[..., full * width :]
+        blocks[full, ..., n - full * width :] = columns[..., -1:]
 
 
 def shared_out(run: Callable[[int, int, int], None], count: int, step: int, workers: int) -> None:

@@ -28,6 +28,11 @@ def boxed(x: object) -> Any:
     return box
 
 
+def as_array(x: object) -> Any:
+    """Return an entry as an array, and an array itself."""
+    return x if isinstance(x, np.ndarray) else boxed(x)
+
+
 def is_truth(x: object) -> bool:
     """Return whether an entry is a truth value."""
     return x.kind == "b" if type(x) is Node else isinstance(x, bool | np.bool_)
@@ -49,9 +54,9 @@ def elementwise(function: Callable[..., Any], arity: int) -> Any:
 
 def as_float(x: Number) -> Any:
     """Return an entry as a number."""
-    return (
-        select(x, 1.0, 0.0) if type(x) is Node and x.kind == "b" else x if type(x) is Node else np.float64(x)
-    )
+    if type(x) is not Node:
+        return np.float64(x)
+    return select(x, 1.0, 0.0) if x.kind == "b" else x
 
 
 choose = elementwise(select, 3)
@@ -198,8 +203,7 @@ def computed(ufunc: np.ufunc, method: str, given: list[Any], options: dict[str, 
         )
     if method == "reduce" and ufunc in (np.add, np.multiply) and np.asarray(given[0]).size == 0:
         return getattr(ufunc, method)(np.asarray(given[0], float), **options)
-    found = getattr(UFUNCS[ufunc], method)(*given, **options)
-    return found if isinstance(found, np.ndarray) else boxed(found)
+    return as_array(getattr(UFUNCS[ufunc], method)(*given, **options))
 
 
 # Methods that NumPy calls on entries of an array of objects that was made without `constructors`.
@@ -475,5 +479,4 @@ def entries(x: object) -> Any:
     """Return lists of symbols and numbers as one array of objects."""
     if isinstance(x, list | tuple):
         return np.stack([_asarray(entries(y), object) for y in x]) if x else _asarray([], object)
-    found = plain(x)
-    return found.astype(object) if isinstance(found, np.ndarray) else boxed(found)
+    return as_array(plain(x)).astype(object)

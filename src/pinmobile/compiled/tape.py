@@ -114,13 +114,8 @@ class Rounds(NamedTuple):
     @classmethod
     def of(cls, tape: Tape, index: int) -> Rounds:
         """Return the rounds of a node, which are computed once."""
-        found = tape.rounds.get(index)
-        if found is None:
-            found = tape.rounds[index] = cls._found(tape, index)
-        return found
-
-    @classmethod
-    def _found(cls, tape: Tape, index: int) -> Rounds:
+        if index in tape.rounds:
+            return tape.rounds[index]
         _, number, level, most, done, settled, *nodes = tape.operations[index]
         half = len(nodes) // 2
         body, outside, todo = set(), {settled, *nodes[:half]}, [done, *nodes[half:]]
@@ -134,7 +129,9 @@ class Rounds(NamedTuple):
                 todo += cls.of(tape, node).outside if operation[0] == "repeat" else operands(operation)
                 if tape.depends[node] >= 2 * level or (operation[0] == "carry" and operation[1] != number):
                     raise NotTraceable("a symbol of other rounds was kept", "return it from each round")
-        return cls(most, done, settled, (*nodes[:half],), (*nodes[half:],), sorted(body), sorted(outside))
+        ends = (*nodes[:half],), (*nodes[half:],)
+        found = tape.rounds[index] = cls(most, done, settled, *ends, sorted(body), sorted(outside))
+        return found
 
 
 class Tape:
@@ -225,10 +222,8 @@ class Tape:
         after = [self._as(x, "f").index for x in following]
         ends = [self._as(x, "b").index for x in (done, settled)]
         self._level = level
-        depends = 0
-        for index in (*ends, *before, *after):
-            depends |= self.depends[index]
-        depends = STATE | depends & (level - ROUND)  # dependence on the outer rounds
+        outer = self.dependence((*ends, *before, *after)) & (level - ROUND)  # on the outer rounds
+        depends = STATE | outer
         node = self._node("f", depends, ("repeat", number, level, most, *ends, *before, *after))
         return [self._node("f", depends, ("result", node.index, i)) for i in range(len(after))]
 
@@ -288,10 +283,14 @@ class Tape:
             return simpler
         if name in COMMUTE:
             indices.sort()
-        depends = 0
-        for index in indices:
-            depends |= self.depends[index]
-        return self._node(kind_after(name, wanted), depends, (name, *indices))
+        return self._node(kind_after(name, wanted), self.dependence(indices), (name, *indices))
+
+    def dependence(self, nodes: Iterable[int]) -> int:
+        """Return what some nodes depend on."""
+        found = 0
+        for index in nodes:
+            found |= self.depends[index]
+        return found
 
     def _as(self, x: Node | Known, kind: str) -> Node:
         if type(x) is not Node:
@@ -364,32 +363,27 @@ class Node:
         """Value of a constant, else None."""
         return self.tape.known(self.index)
 
+    def _needed(self, what: str, instead: str) -> Any:
+        """Return the value of a constant; raise `NotTraceable` for a symbol."""
+        if (value := self.value) is None:
+            raise NotTraceable(what, instead)
+        return value
+
     def __bool__(self) -> bool:
-        value = self.value
-        if value is None:
-            raise NotTraceable(
-                "`if`, `while`, `and`, `or`, `not`, `assert`, max() or min() needs the truth of a symbol",
-                "use np.where, np.logical_and, np.logical_or, np.logical_not, np.maximum and np.minimum",
-            )
-        return bool(value)
+        what = "`if`, `while`, `and`, `or`, `not`, `assert`, max() or min() needs the truth of a symbol"
+        instead = "use np.where, np.logical_and, np.logical_or, np.logical_not, np.maximum and np.minimum"
+        return bool(self._needed(what, instead))
 
     def __float__(self) -> float:
-        value = self.value
-        if value is None:
-            raise NotTraceable(
-                "float(), a function of `math`, or an array from outside the law needs the value of a symbol",
-                "use NumPy's function, and make the array in the law, by np.array, np.zeros or np.zeros_like",
-            )
-        return float(value)
+        what = "float(), a function of `math`, or an array from outside the law needs the value of a symbol"
+        instead = (
+            "use NumPy's function, and make the array in the law, by np.array, np.zeros or np.zeros_like"
+        )
+        return float(self._needed(what, instead))
 
     def __index__(self) -> int:
-        value = self.value
-        if value is None:
-            raise NotTraceable(
-                "an index, int(), range() or an array of whole numbers needs the value of a symbol",
-                "use np.where or np.select, and arrays of floats",
-            )
-        return int(value)
+        what = "an index, int(), range() or an array of whole numbers needs the value of a symbol"
+        return int(self._needed(what, "use np.where or np.select, and arrays of floats"))
 
     __int__ = __index__
 
@@ -427,16 +421,8 @@ def _primitive(name: str) -> Callable[..., Any]:
     return apply
 
 
-select = _primitive("select")
-
-
-bits, real = _primitive("bits"), _primitive("real")
-
-
-root, absolute = _primitive("sqrt"), _primitive("abs")
-
-
-maximum, minimum = _primitive("max"), _primitive("min")
+select, root, absolute = map(_primitive, ("select", "sqrt", "abs"))
+bits, real, maximum, minimum = map(_primitive, ("bits", "real", "max", "min"))
 
 
 def evaluated(
