@@ -50,10 +50,8 @@ class _NumPy(ModuleType):
 
     def __getattr__(self, name: str) -> Any:
         if name == "random" and is_tracing():
-            raise NotTraceable(
-                "np.random in a law",
-                "take the numbers from the context: context.noise(name, n), kept in state",
-            )
+            instead = "take the numbers from the context: context.noise(name, n), kept in state"
+            raise NotTraceable("np.random in a law", instead)
         return getattr(np, name)
 
 
@@ -116,14 +114,11 @@ def tracing(namespaces: Iterable[dict[str, Any]] = (), cells: Iterable[CellType]
                 raise
             raise NotTraceable(error.what, error.instead, place_of(error.__traceback__)) from None
         except Exception as error:
-            index = isinstance(error, IndexError)
-            raise NotTraceable(
-                f"with symbols it raises {type(error).__name__} ({error})",
-                "if an index comes from a symbol, use np.where or np.select"
-                if index
-                else "write it in NumPy for one state, or run it with engine=Engine.PYTHON",
-                place_of(error.__traceback__),
-            ) from error
+            what = f"with symbols it raises {type(error).__name__} ({error})"
+            instead = "write it in NumPy for one state, or run it with engine=Engine.PYTHON"
+            if isinstance(error, IndexError):
+                instead = "if an index comes from a symbol, use np.where or np.select"
+            raise NotTraceable(what, instead, place_of(error.__traceback__)) from error
         finally:
             _local.depth -= 1
             for space, name, value, _ in changed:

@@ -88,8 +88,9 @@ def vectorize(
         arrays = list(map(finite, names, arrays)) if checked else arrays
         own = (axes,) * len(arrays) if isinstance(axes, int) else axes
         if len(own) != len(arrays) or any(x.ndim < n for x, n in zip(arrays, own, strict=True)):
+            given_shapes = [x.shape for x in arrays]
             raise InvalidArgument(
-                f"arguments have shapes {[x.shape for x in arrays]}, expected axes = {axes} for one state"
+                f"arguments have shapes {given_shapes}, expected axes = {axes} for one state"
             )
         leads = [x.shape[: x.ndim - n] for x, n in zip(arrays, own, strict=True)]
         shapes = [x.shape[x.ndim - n :] for x, n in zip(arrays, own, strict=True)]
@@ -198,10 +199,9 @@ class _Compiled:
         for one, other in zip(expected if self.is_tuple else (expected,), self(state, lead), strict=True):
             own, scale = other.reshape(other.shape[len(lead) :]), np.abs(one).max(initial=1e-3)
             if np.shape(one) != own.shape or not np.allclose(one, own, rtol=0, atol=_CLOSE * scale):
-                raise NotTraceable(
-                    "with symbols, the function computes something else than with numbers",
-                    "write a function that treats every kind of array alike, without isinstance or try",
-                )
+                what = "with symbols, the function computes something else than with numbers"
+                instead = "write a function that treats every kind of array alike, without isinstance or try"
+                raise NotTraceable(what, instead)
 
 
 def jacobian(values: Any, inputs: Sequence[Any]) -> list[dict[int, Any]]:

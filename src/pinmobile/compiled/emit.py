@@ -21,22 +21,9 @@ _OCTAVES = 44
 FIRST = (1023 - 34) << (52 - SHIFT)  # bin of 2^-34
 BINS = 32 * _OCTAVES + 2  # including one bin below and one above
 
-_BINARY = {
-    "add": "fadd",
-    "sub": "fsub",
-    "mul": "fmul",
-    "div": "fdiv",
-    "iadd": "add",
-    "imul": "mul",
-    "ixor": "xor",
-    "iand": "and",
-    "ior": "or",
-    "shl": "shl",
-    "shr": "lshr",
-    "and": "and",
-    "or": "or",
-    "xor": "xor",
-}
+_BINARY = {name: f"f{name}" for name in ("add", "sub", "mul", "div")}  # of floats
+_BINARY |= {f"i{name}": name for name in ("add", "mul", "xor", "and", "or")}  # of words
+_BINARY |= {name: name for name in ("and", "or", "xor", "shl")} | {"shr": "lshr"}
 _COMPARED = {"gt": "ogt", "ge": "oge", "lt": "olt", "le": "ole", "eq": "oeq", "ne": "une"}
 _SCALAR = {"f": "double", "u": "i64", "b": "i1"}
 
@@ -207,11 +194,9 @@ class Code:
         lines += [f"  br label %{before}", f"{before}:"]
         none = [self.argument(rounds.settled, u, "sample") for u in vectors]
         may_skip = self.tape.known(rounds.settled) is None
-        way = (
-            f"i1 {self._some_left(none)}, label %{inside}, label %{behind}"
-            if may_skip
-            else f"label %{inside}"
-        )
+        way = f"label %{inside}"
+        if may_skip:
+            way = f"i1 {self._some_left(none)}, {way}, label %{behind}"
         lines += [f"  br {way}", f"{inside}:"]
         names = [(f"{node}_{j}_{u}", values[u]) for j, values in enumerate(first) for u in vectors]
         for name, value in names:

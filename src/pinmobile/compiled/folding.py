@@ -93,12 +93,6 @@ _N: TypeAlias = Any  # a node of a tape
 _Tape: TypeAlias = Any  # a tape; the rules use its `operations`, `depends`, `at`, `const` and `apply`
 
 
-def simplified(tape: _Tape, name: str, x: Sequence[_N], known: Sequence[_Known]) -> _N | None:
-    """Return a simpler equivalent of an operation, or None."""
-    rule = _RULES.get(name)
-    return rule(tape, *x, *known) if rule else None
-
-
 def _negated(tape: _Tape, x: _N) -> _N | None:
     operation = tape.operations[x.index]
     return tape.at(operation[1]) if operation[0] == "neg" else None
@@ -150,18 +144,16 @@ def _quotient(tape: _Tape, a: _N, b: _N, va: _Known, vb: _Known) -> _N | None:
     return tape.apply("mul", a, tape.apply("div", 1.0, b)) if once else None
 
 
-def _both(tape: _Tape, a: _N, b: _N, va: _Known, vb: _Known) -> _N | None:
-    if va is not None or vb is not None:
-        value, other = (va, b) if va is not None else (vb, a)
-        return other if value else tape.const(False, "b")
-    return a if a.index == b.index else None
+def _with_truths(decides: bool) -> Callable[..., Any]:
+    """Return the rule of `and`, of which False decides the result, or of `or`, of which True does."""
 
+    def rule(tape: _Tape, a: _N, b: _N, va: _Known, vb: _Known) -> _N | None:
+        if va is not None or vb is not None:
+            value, other = (va, b) if va is not None else (vb, a)
+            return tape.const(decides, "b") if value == decides else other
+        return a if a.index == b.index else None
 
-def _either(tape: _Tape, a: _N, b: _N, va: _Known, vb: _Known) -> _N | None:
-    if va is not None or vb is not None:
-        value, other = (va, b) if va is not None else (vb, a)
-        return tape.const(True, "b") if value else other
-    return a if a.index == b.index else None
+    return rule
 
 
 def _chosen(tape: _Tape, c: _N, a: _N, b: _N, vc: _Known, _: _Known, __: _Known) -> _N | None:
@@ -182,13 +174,14 @@ def _one(tape: _Tape, a: _N, b: _N, _: _Known, __: _Known) -> _N | None:
     return a if a.index == b.index else None
 
 
-_RULES: dict[str, Callable[..., Any]] = {
+# Functions of a tape, operands and their values; each returns a simpler equivalent of the operation, or None.
+RULES: dict[str, Callable[..., Any]] = {
     "add": _sum,
     "sub": _less,
     "mul": _product,
     "div": _quotient,
-    "and": _both,
-    "or": _either,
+    "and": _with_truths(False),
+    "or": _with_truths(True),
     "select": _chosen,
     "neg": _undone("neg"),
     "not": _undone("not"),

@@ -148,13 +148,11 @@ _ORDERED = elementwise(minimum, 2), elementwise(maximum, 2)
 def _sorted(a: object, axis: int | None = -1, **_: object) -> Any:
     """Return the entries in order, by exchanges of neighbours."""
     array = entries(a).copy()
-    if axis is None:
-        array, axis = array.reshape(-1), 0
-    rows = np.moveaxis(array, axis, 0)
+    rows = array.reshape(-1) if axis is None else np.moveaxis(array, axis, 0)
     for end in range(len(rows) - 1, 0, -1):
         for i in range(end):
             rows[i], rows[i + 1] = [order(rows[i], rows[i + 1]) for order in _ORDERED]
-    return wrapped(np.moveaxis(rows, 0, axis))
+    return wrapped(np.moveaxis(rows, 0, axis or 0))
 
 
 def _selected(conditions: Iterable[Operand], choices: Iterable[Operand], default: Operand = 0) -> Any:
@@ -208,10 +206,8 @@ def _near(a: Values, b: Values, rtol: float = 1e-5, atol: float = 1e-8, **_: obj
 _OWN: dict[Any, Callable[..., Any]] = {
     np.where: _where,
     np.clip: _clip,
-    np.max: _reduced(larger),
-    np.min: _reduced(smaller),
-    np.amax: _reduced(larger),
-    np.amin: _reduced(smaller),
+    **dict.fromkeys((np.max, np.amax), _reduced(larger)),
+    **dict.fromkeys((np.min, np.amin), _reduced(smaller)),
     np.ptp: lambda a, axis=None, **_: np.max(a, axis=axis) - np.min(a, axis=axis),
     np.sum: _masked(np.sum, 0.0),
     np.prod: _masked(np.prod, 1.0),
@@ -219,8 +215,7 @@ _OWN: dict[Any, Callable[..., Any]] = {
     np.all: _reduced(of_truths(operator.and_)),
     np.count_nonzero: lambda a, axis=None, **_: np.sum((a != 0).astype(float), axis=axis),
     np.select: _selected,
-    np.round: _round,
-    np.around: _round,
+    **dict.fromkeys((np.round, np.around), _round),
     np.nan_to_num: _numbered,
     np.var: _spread,
     np.std: lambda a, axis=None, ddof=0, **_: np.sqrt(_spread(a, axis, ddof)),
@@ -232,9 +227,8 @@ _OWN: dict[Any, Callable[..., Any]] = {
     np.sort: _sorted,
     np.median: lambda a, **_: _middle(_sorted(a, axis=None)),
     np.unwrap: lambda p, **_: _unwrapped(p),
-    np.zeros_like: _filled(0.0),
+    **dict.fromkeys((np.zeros_like, np.empty_like), _filled(0.0)),
     np.ones_like: _filled(1.0),
-    np.empty_like: _filled(0.0),
     np.full_like: _full_like,
     np.copyto: lambda d, s, casting="same_kind", where=True: d.__setitem__(..., _where(where, s, d)),
     np.linalg.solve: _eliminated,
@@ -257,8 +251,7 @@ def _middle(ordered: Symbols) -> Any:
 
 
 def _unwrapped(p: Symbols) -> Any:
-    steps = np.diff(p)
-    turns = np.cumsum(-2 * np.pi * np.rint(steps / (2 * np.pi)))
+    turns = np.cumsum(-2 * np.pi * np.rint(np.diff(p) / (2 * np.pi)))
     return np.concatenate([p[:1], p[1:] + turns])
 
 
@@ -328,11 +321,8 @@ _MADE = ("zeros", "empty", "ones", "full", "eye", "identity", "zeros_like", "emp
 
 def constructors() -> dict[str, Callable[..., Any]]:
     """Return the functions that replace NumPy functions of the same names while a law is traced."""
-    making = {
-        name: _making(getattr(np, name), name == "array")
-        for name in ("array", "asarray", "asanyarray", "ascontiguousarray", "asfarray")
-        if hasattr(np, name)
-    }
+    names = "array", "asarray", "asanyarray", "ascontiguousarray"
+    making = {name: _making(getattr(np, name), name == "array") for name in names}
     filling = {name: _filling(getattr(np, name)) for name in _MADE}
     return making | filling | {function.__name__: _own(function) for function in ELEMENTARY}
 

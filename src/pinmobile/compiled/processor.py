@@ -107,11 +107,8 @@ def _is_open_to_others(folder: Path) -> bool:
 
 @functools.cache
 def _warn_of(folder: Path) -> None:
-    warnings.warn(
-        f"the folder of machine code {str(folder)!r} is not used, because other users may write to it: "
-        "`chmod go-w` it or set PINMOBILE_CACHE to your own folder",
-        stacklevel=3,
-    )
+    what = f"the folder of machine code {str(folder)!r} is not used, because other users may write to it"
+    warnings.warn(f"{what}: `chmod go-w` it or set PINMOBILE_CACHE to your own folder", stacklevel=3)
 
 
 def _default() -> Path | None:
@@ -156,11 +153,12 @@ def _check_executable() -> None:
     first, libc = ctypes.c_char.from_buffer(page), ctypes.CDLL(None, use_errno=True)
     wanted = ctypes.c_size_t(mmap.PAGESIZE), mmap.PROT_READ | mmap.PROT_EXEC
     if libc.mprotect(ctypes.c_void_p(ctypes.addressof(first)), *wanted):
-        raise NotTraceable(
-            "this process may not execute memory that it wrote (mprotect: "
-            f"{os.strerror(ctypes.get_errno())})",
-            "allow it for the fastest engine, for example by MemoryDenyWriteExecute=no in its systemd unit",
+        why = os.strerror(ctypes.get_errno())
+        what = f"this process may not execute memory that it wrote (mprotect: {why})"
+        instead = (
+            "allow it for the fastest engine, for example by MemoryDenyWriteExecute=no in its systemd unit"
         )
+        raise NotTraceable(what, instead)
 
 
 @dataclass(frozen=True)
@@ -226,13 +224,9 @@ class Target:
         return function
 
     def _machine(self) -> Any:
-        return (
-            _llvm()
-            .Target.from_default_triple()
-            .create_target_machine(
-                cpu=self.processor, features=self.features, opt=3, jit=True, codemodel="jitdefault"
-            )
-        )
+        options = {"cpu": self.processor, "features": self.features, "opt": 3, "jit": True}
+        family = _llvm().Target.from_default_triple()
+        return family.create_target_machine(**options, codemodel="jitdefault")
 
 
 def function_of(key: str, text: Callable[[], str], target: Target, cache: Cache) -> Callable[..., None]:

@@ -222,10 +222,9 @@ class Program:
             if leaf.kind == "uniform":
                 value = values[parameter]
                 if value.shape != leaf.shape:
-                    raise InvalidArgument(
-                        f"{'.'.join(parameter)} has shape {value.shape}, expected {leaf.shape}; "
-                        "name numbers that differ from robot to robot before the loop is traced"
-                    )
+                    what = f"{parameter} has shape {value.shape}, expected {leaf.shape}"
+                    instead = "name numbers that differ from robot to robot before the loop is traced"
+                    raise InvalidArgument(f"{what}; {instead}")
                 found[leaf.first : leaf.first + value.size] = value.ravel()
         for leaf, value in zip(self.tape.leaves, first, strict=True):
             if leaf.kind == "uniform":
@@ -260,24 +259,34 @@ class Program:
         ]
 
         def run(worker: int, begin: int, end: int) -> None:
-            self.function(
-                blocks.ctypes.data,
-                begin,
-                end,
-                samples.ctypes.data,
-                len(samples),
-                uniforms.ctypes.data,
-                rings[worker].ctypes.data,
-                counts[worker].ctypes.data,
-                every,
-                n,
-                kept.ctypes.data,
-                first,
-            )
+            own = rings[worker], counts[worker], kept
+            self.call(blocks, samples, uniforms, *own, part=(begin, end), every=every, n=n, first=first)
 
         shared_out(run, len(blocks), step, workers)
         found = counts[:, :times]
         return np.asarray(found[0] if workers == 1 else found.sum(axis=0, dtype=np.int32))
+
+    def call(
+        self,
+        *arrays: Array | NDArray[np.int32],
+        part: tuple[int, int] = (0, 1),
+        every: int = 1,
+        n: int = 1,
+        first: int = 0,
+    ) -> None:
+        """Call the machine code for a part of the blocks, see `emit.text_of`.
+
+        Parameters
+        ----------
+        *arrays : ndarray
+            Blocks, samples, uniforms, ring, counts and kept values.
+        part : (int, int)
+            Range of blocks.
+        every, n, first : int
+            Samples between two counts, number of robots, index of the first sample.
+        """
+        block, sample, uniform, ring, count, keep = (x.ctypes.data for x in arrays)
+        self.function(block, *part, sample, len(arrays[1]), uniform, ring, count, every, n, keep, first)
 
     def _last(self, blocks: Array, first: Sequence[Array], n: int) -> list[Array]:
         """Return the arrays of the memory after the last sample, shape (n, ...)."""

@@ -66,18 +66,18 @@ def _known(x: object) -> bool:
     return type(x) is not Node or x.value is not None
 
 
-def larger(a: Number, b: Number) -> Any:
-    """Return the larger number, or NaN if one is NaN, as NumPy does."""
-    if _known(a):
-        return maximum(a, b)
-    return maximum(b, a) if _known(b) else select(a == a, maximum(a, b), a)
+def _of_two(choice: Callable[..., Any]) -> Callable[..., Any]:
+    """Return `maximum` or `minimum` with the result NaN if one number is NaN, as in NumPy."""
+
+    def run(a: Number, b: Number) -> Any:
+        if _known(a):
+            return choice(a, b)
+        return choice(b, a) if _known(b) else select(a == a, choice(a, b), a)
+
+    return run
 
 
-def smaller(a: Number, b: Number) -> Any:
-    """Return the smaller number, or NaN if one is NaN, as NumPy does."""
-    if _known(a):
-        return minimum(a, b)
-    return minimum(b, a) if _known(b) else select(a == a, minimum(a, b), a)
+larger, smaller = _of_two(maximum), _of_two(minimum)
 
 
 def _sign(x: Number) -> Any:
@@ -117,16 +117,13 @@ _UFUNCS: dict[Any, Callable[..., Any]] = {
     np.multiply: lambda a, b: as_float(a) * as_float(b),
     np.divide: lambda a, b: as_float(a) / as_float(b),
     np.negative: operator.neg,
-    np.positive: lambda x: x,
-    np.conjugate: lambda x: x,
-    np.absolute: absolute,
-    np.fabs: absolute,
+    **dict.fromkeys((np.positive, np.conjugate), lambda x: x),
+    **dict.fromkeys((np.absolute, np.fabs), absolute),
     np.sqrt: root,
     np.cbrt: lambda x: _copied_sign(exp(log(absolute(x)) * (1 / 3)), x),
     np.square: lambda x: x * x,
     np.reciprocal: lambda x: 1.0 / x,
-    np.power: power,
-    np.float_power: power,
+    **dict.fromkeys((np.power, np.float_power), power),
     np.exp2: lambda x: exp(x * float(np.log(2.0))),
     np.log2: lambda x: log(x) * float(1 / np.log(2.0)),
     np.log10: lambda x: log(x) * float(1 / np.log(10.0)),
@@ -144,10 +141,8 @@ _UFUNCS: dict[Any, Callable[..., Any]] = {
     np.remainder: _remainder,
     np.fmod: lambda a, b: a - b * _truncated(a / b),
     np.copysign: _copied_sign,
-    np.deg2rad: lambda x: x * (np.pi / 180),
-    np.radians: lambda x: x * (np.pi / 180),
-    np.rad2deg: lambda x: x * (180 / np.pi),
-    np.degrees: lambda x: x * (180 / np.pi),
+    **dict.fromkeys((np.deg2rad, np.radians), lambda x: x * (np.pi / 180)),
+    **dict.fromkeys((np.rad2deg, np.degrees), lambda x: x * (180 / np.pi)),
     np.heaviside: lambda x, h: select(x > 0.0, 1.0, select(x < 0.0, 0.0, h)),
     np.greater: operator.gt,
     np.greater_equal: operator.ge,
@@ -158,11 +153,10 @@ _UFUNCS: dict[Any, Callable[..., Any]] = {
     np.logical_and: of_truths(operator.and_),
     np.logical_or: of_truths(operator.or_),
     np.logical_xor: of_truths(operator.xor),
-    np.logical_not: of_truths(_not),
+    **dict.fromkeys((np.logical_not, np.invert), of_truths(_not)),
     np.bitwise_and: operator.and_,
     np.bitwise_or: operator.or_,
     np.bitwise_xor: operator.xor,
-    np.invert: of_truths(_not),
     np.isfinite: lambda x: absolute(x) < np.inf,
     np.isinf: lambda x: absolute(x) == np.inf,
     np.isnan: lambda x: x != x,
@@ -198,9 +192,8 @@ def computed(ufunc: np.ufunc, method: str, given: list[Any], options: dict[str, 
             return given[0] - whole, whole
     if ufunc not in UFUNCS or method == "at":
         names = ", ".join(sorted(each.__name__ for each in _UFUNCS))
-        raise NotTraceable(
-            f"np.{name}{'' if method == '__call__' else '.' + method} of symbols", f"use one of {names}"
-        )
+        what = f"np.{name}{'' if method == '__call__' else '.' + method} of symbols"
+        raise NotTraceable(what, f"use one of {names}")
     if method == "reduce" and ufunc in (np.add, np.multiply) and np.asarray(given[0]).size == 0:
         return getattr(ufunc, method)(np.asarray(given[0], float), **options)
     return as_array(getattr(UFUNCS[ufunc], method)(*given, **options))
@@ -281,10 +274,8 @@ class Symbols(NDArrayOperatorsMixin):
             try:
                 found = wrapped(function(*map(plain, given), **{k: plain(v) for k, v in options.items()}))
             except (TypeError, AttributeError, ValueError) as error:
-                raise NotTraceable(
-                    f"np.{function.__name__} of symbols ({error})",
-                    "write it by sums, products and np.where, or run the law with engine=Engine.PYTHON",
-                ) from None
+                instead = "write it by sums, products and np.where, or run the law with engine=Engine.PYTHON"
+                raise NotTraceable(f"np.{function.__name__} of symbols ({error})", instead) from None
         return found if out is None else put(found, out)
 
     def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> Any:
@@ -348,10 +339,7 @@ class Symbols(NDArrayOperatorsMixin):
         """Return a copy."""
         return Symbols(self.entries.copy())
 
-    __copy__ = copy
-
-    def __deepcopy__(self, _: object) -> Symbols:
-        return self.copy()
+    __copy__ = __deepcopy__ = copy
 
     def astype(self, dtype: DTypeLike, **_: object) -> Any:
         """Return truth values as numbers, or numbers as truth values."""
@@ -443,9 +431,9 @@ def _index(index: object) -> Any:
 def put(found: object, out: object) -> Any:
     """Write a result into the array `out` of a NumPy call."""
     if not isinstance(out, Symbols):
+        instead = "write x = x + ..., or make the array in the law by np.zeros or np.zeros_like"
         raise NotTraceable(
-            "an operation writes symbols into an array of numbers from outside the law",
-            "write x = x + ..., or make the array in the law by np.zeros or np.zeros_like",
+            "an operation writes symbols into an array of numbers from outside the law", instead
         )
     out.entries[...] = plain(found)
     return out

@@ -25,13 +25,13 @@ from pinmobile.compiled.folding import (
     ON_WHOLES,
     ROBOT,
     ROUND,
+    RULES,
     SAMPLE,
     STATE,
     UNIFORM,
     kind_after,
     kind_of,
     kinds_before,
-    simplified,
 )
 from pinmobile.errors import NotTraceable
 
@@ -278,7 +278,7 @@ class Tape:
         values = [*map(self._values.get, indices)]
         if None not in values:
             return self._folded(name, wanted, values)
-        simpler: Node | None = simplified(self, name, nodes, values)
+        simpler: Node | None = RULES[name](self, *nodes, *values) if name in RULES else None
         if simpler is not None:
             return simpler
         if name in COMMUTE:
@@ -296,9 +296,8 @@ class Tape:
         if type(x) is not Node:
             return self.const(x, kind)
         if x.tape is not self:
-            raise NotTraceable(
-                "a symbol of an earlier trace was kept", "keep memory in state: return it with the input"
-            )
+            instead = "keep memory in state: return it with the input"
+            raise NotTraceable("a symbol of an earlier trace was kept", instead)
         own = self.types[x.index]
         if own == kind or kind == "u":
             return x
@@ -316,10 +315,8 @@ class Tape:
             # Nodes that all robots share are computed before the loop and cost little.
             self._own += bool(depends & (ROBOT | STATE))
             if self._own >= self._largest or index >= _SHARED * self._largest:
-                raise NotTraceable(
-                    f"the law has more than {self._largest} operations with unrolled loops",
-                    "use fewer iterations, or run it with engine=Engine.PYTHON",
-                )
+                what = f"the law has more than {self._largest} operations with unrolled loops"
+                raise NotTraceable(what, "use fewer iterations, or run it with engine=Engine.PYTHON")
             self._known[operation] = index
             if operation[0] == "const":
                 self._keep(index, operation)
@@ -586,6 +583,11 @@ class Leaf:
     shape: tuple[int, ...]
     first: int
     kind: str
+
+    @property
+    def end(self) -> int:
+        """Index behind its last entry."""
+        return self.first + math.prod(self.shape)
 
 
 @dataclass(frozen=True)

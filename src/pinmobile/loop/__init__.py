@@ -3,7 +3,6 @@
 from pinmobile.loop._causes import Cause as Cause, causes as causes, worst_share as worst_share
 from pinmobile.loop._checks import (
     checked_forces as checked_forces,
-    checked_loop as checked_loop,
     checked_substeps as checked_substeps,
     chosen_integrator as chosen_integrator,
     sample_times as sample_times,

@@ -77,10 +77,8 @@ def worst_share(ensemble: Any, share: float, by: str = "distance") -> NDArray[np
     part, n = scalar("share", share), len(ensemble)
     count = round(part * n)
     if not (0 < part < 1 and 0 < count < n):
-        raise InvalidArgument(
-            f"share is {part}, {count:,} of {n:,} robots, expected above 0 and below 1, with at least 1 "
-            "robot on each side"
-        )
+        expected = "above 0 and below 1, with at least 1 robot on each side"
+        raise InvalidArgument(f"share is {part}, {count:,} of {n:,} robots, expected {expected}")
     worst = np.zeros(n, bool)
     worst[ensemble.worst(count, by)] = True
     return worst
@@ -101,16 +99,12 @@ def causes(ensemble: Any, worst: NDArray[np.bool_]) -> list[Cause]:
     InvalidArgument
         If all robots have the same parameters.
     """
-    found = [
-        _cause(name, unit, values, worst)
-        for name, unit, values in _parameters(ensemble)
-        if np.ptp(values) > 1e-12 * np.abs(values).max()
-    ]
-    if not found:
+    differ = [one for one in _parameters(ensemble) if np.ptp(one[2]) > 1e-12 * np.abs(one[2]).max()]
+    if not differ:
         raise InvalidArgument(
             "ensemble has robots with the same parameters, expected a spread of at least one parameter"
         )
-    return sorted(found, key=lambda one: -one.difference)
+    return sorted((_cause(*one, worst) for one in differ), key=lambda one: -one.difference)
 
 
 def _parameters(ensemble: Any) -> list[tuple[str, str, Array]]:
@@ -118,8 +112,7 @@ def _parameters(ensemble: Any) -> list[tuple[str, str, Array]]:
     found = []
     for name, values in ensemble.draws.items():
         source = ensemble.scenario.spread[name]
-        base = ensemble.draws.get(source.name) if isinstance(source, SameAs) else None
-        if isinstance(source, SameAs) and base is not None:
+        if isinstance(source, SameAs) and (base := ensemble.draws.get(source.name)) is not None:
             ratio = np.divide(values, base, out=np.ones_like(values), where=base != 0)
             found.append((f"{name} / {source.name}", "", ratio))
         else:

@@ -23,11 +23,10 @@ from pinmobile.arrays import (
     whole,
 )
 from pinmobile.compiled import is_constant
-from pinmobile.controllers import Controller, check_controller, check_memory
+from pinmobile.controllers import check_controller, check_memory
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.forces import Force
 from pinmobile.integrators import Integrator, check_integrator, constant_acceleration
-from pinmobile.loop._loop import displaced, named_forces
+from pinmobile.loop._loop import Loop, displaced, named_forces
 from pinmobile.loop._python import error_of_sizes
 from pinmobile.parts import Carried, Following, OnCoordinates, Pushable, Stepping, able, required
 from pinmobile.plant import (
@@ -41,7 +40,6 @@ from pinmobile.plant import (
 )
 from pinmobile.trajectories import Reference, Trajectory, check_limits
 
-_Forces: TypeAlias = Sequence[Force | OnCoordinates]
 _Ask: TypeAlias = Callable[[Array, Array], object]
 
 _WHOLE = 1e-9  # relative rounding allowed in duration / dt
@@ -53,20 +51,33 @@ _SAME = 1e-9  # tolerance of two results for the same arguments
 _RECORDED = 16  # numbers per coordinate of a sample in the loop, the reference and the rollout
 
 
-def checked_loop(plant: object, controller: object, trajectory: object, integrator: object) -> None:
-    """Check a plant, a controller, a trajectory and an integrator; None means the plant's own integrator.
+def checked_run(
+    plant: Any,
+    controller: Any,
+    trajectory: Any,
+    *,
+    forces: Any,
+    integrator: Integrator | None,
+    substeps: int,
+    dt: float,
+    duration: float | None,
+) -> tuple[Loop, Array]:
+    """Return a loop, and the times of its samples, shape (N + 1,) [s]; see `simulate` for the arguments.
 
     Raises
     ------
     InvalidArgument
-        If a part is invalid.
+        If an argument is invalid.
     """
+    integrator = chosen_integrator(plant, integrator)
     check_controller(controller)
     refuse_path("trajectory", trajectory)
     required("trajectory", trajectory, Following)
     check_plant(plant)
     if integrator is not None:
         check_integrator(integrator)
+    t, kept = sample_times(dt, duration, trajectory.duration), checked_forces(forces, plant)
+    return Loop(plant, controller, trajectory, kept, integrator, checked_substeps(substeps, len(t))), t
 
 
 def chosen_integrator(plant: Plant, integrator: Integrator | None) -> Integrator | None:
@@ -82,10 +93,8 @@ def chosen_integrator(plant: Plant, integrator: Integrator | None) -> Integrator
         chosen = stated(plant, "integrator") if integrator is None else integrator
         return constant_acceleration if chosen is None else chosen
     if integrator is not None:
-        raise InvalidArgument(
-            f"integrator is {shown(integrator)}, but the plant, a {type(plant).__name__}, has its own step: "
-            "leave integrator out"
-        )
+        whose = f"but the plant, a {type(plant).__name__}, has its own step"
+        raise InvalidArgument(f"integrator is {shown(integrator)}, {whose}: leave integrator out")
     return None
 
 
@@ -123,25 +132,18 @@ def sample_times(dt: float, duration: float | None, longest: float) -> Array:
     if total > longest * (1 + _WHOLE):
         raise InvalidArgument(f"duration is {total} s, expected at most the trajectory's {longest} s")
     if not total / _MOST <= dt <= total * (1 + _WHOLE):
-        raise InvalidArgument(
-            f"dt is {dt} s, expected at most the duration, {total} s, and at least {total / _MOST:g} s: "
-            f"{_MOST:g} samples"
-        )
+        least = f"at least {total / _MOST:g} s: {_MOST:g} samples"
+        raise InvalidArgument(f"dt is {dt} s, expected at most the duration, {total} s, and {least}")
     steps = round(total / dt)
     affordable(f"the records of {steps + 1:,} samples", _RECORDED * _COORDINATES * (steps + 1), _SHORTER)
     if abs(steps * dt - total) > _WHOLE * total:
         below = int(total / dt)
         if duration is None:
-            warn(
-                f"the last sample is at t = {below * dt:.12g} s: the trajectory's {total:.12g} s are not a "
-                f"whole number of steps dt = {dt:g} s",
-                stacklevel=3,
-            )
+            why = f"the trajectory's {total:.12g} s are not a whole number of steps dt = {dt:g} s"
+            warn(f"the last sample is at t = {below * dt:.12g} s: {why}", stacklevel=4)
             return np.asarray(np.arange(below + 1) * dt)
-        raise InvalidArgument(
-            f"duration is {total} s, expected a whole number of steps dt = {dt} s, "
-            f"such as {below * dt:.12g} s"
-        )
+        expected = f"a whole number of steps dt = {dt} s, such as {below * dt:.12g} s"
+        raise InvalidArgument(f"duration is {total} s, expected {expected}")
     t = np.arange(steps + 1) * dt
     t[-1] = total
     return np.asarray(np.minimum(t, longest))
@@ -164,11 +166,8 @@ def sampled(trajectory: Trajectory, t: Array, plant: Plant) -> Reference:
     InvalidArgument
         If the reference does not fit the plant, or violates joint limits of the plant.
     """
-    affordable(
-        f"the records of {len(t):,} samples of {plant.nv} coordinates",
-        _RECORDED * len(t) * plant.nv,
-        _SHORTER,
-    )
+    what = f"the records of {len(t):,} samples of {plant.nv} coordinates"
+    affordable(what, _RECORDED * len(t) * plant.nv, _SHORTER)
     asked = id(plant), t.tobytes()
     before: tuple[Reference, Callable[[], Plant | None]] | None = _sampled.get(trajectory, asked)
     if before is not None and before[1]() is plant:  # and no other with its id
@@ -188,10 +187,8 @@ def sampled(trajectory: Trajectory, t: Array, plant: Plant) -> Reference:
         if value.shape != (len(t), size):
             shorter = [k for k in reference_sizes if k != n]
             how = f", or the first of its coordinates: {', '.join(map(str, shorter))}" if shorter else ""
-            raise InvalidArgument(
-                f"trajectory gives {name} of shape {value.shape} for {len(t)} times, "
-                f"expected ({len(t)}, {size}){how}"
-            )
+            what = f"trajectory gives {name} of shape {value.shape} for {len(t)} times"
+            raise InvalidArgument(f"{what}, expected ({len(t)}, {size}){how}")
     checked = Reference(*(vector(f"trajectory's {x}", getattr(reference, x), k) for x, k in sizes.items()))
     if stated(plant, "velocity_limit") is not None:
         check_limits(plant, checked.q, checked.v, t)
@@ -211,11 +208,8 @@ def checked_forces(forces: Any, plant: Plant) -> Any:
     InvalidArgument
         If a force is not a function, or the plant lacks a capability that the forces need.
     """
-    kept = (
-        dict(forces)
-        if isinstance(forces, Mapping)
-        else sequence("forces", forces, "a sequence of forces, such as [force]")
-    )
+    is_named, kept = isinstance(forces, Mapping), forces
+    kept = dict(kept) if is_named else sequence("forces", kept, "a sequence of forces, such as [force]")
     listed, wrenches = named_forces(kept), False
     for name, force in listed.items():
         if able(force, OnCoordinates):
@@ -230,10 +224,8 @@ def checked_forces(forces: Any, plant: Plant) -> Any:
         try:
             callable_as("plant.forward_dynamics(q, v, u, f)", plant.forward_dynamics)
         except InvalidArgument:
-            raise InvalidArgument(
-                f"plant is a {type(plant).__name__}, whose forward_dynamics takes no external forces f, "
-                "expected forward_dynamics(q, v, u, f)"
-            ) from None
+            what = f"plant is a {type(plant).__name__}, whose forward_dynamics takes no external forces f"
+            raise InvalidArgument(f"{what}, expected forward_dynamics(q, v, u, f)") from None
     return kept
 
 
@@ -245,68 +237,69 @@ def _check_carried(forces: Mapping[str, Any], plant: Plant) -> None:
     first = tuple(one.name for one in coordinates_of(plant)[:3])
     if able(plant, Stepping) or first != ("x", "y", "psi"):
         why = "has its own step" if able(plant, Stepping) else f"begins with the coordinates {first}"
-        raise InvalidArgument(
-            f"{name} is {shown(forces[name])}, which adds inertia to the plant, a {type(plant).__name__}, "
-            f"which {why}; expected a plant with an integrator and the first coordinates x, y and psi"
-        )
+        what = f"{name} is {shown(forces[name])}, which adds inertia to the plant, a {type(plant).__name__}"
+        expected = "a plant with an integrator and the first coordinates x, y and psi"
+        raise InvalidArgument(f"{what}, which {why}; expected {expected}")
 
 
-def check_answers(
-    plant: Plant, forces: _Forces, integrator: Integrator | None, q: Array, v: Array, h: float
-) -> None:
+def check_answers(loop: Loop, context: Context, q: Array, v: Array) -> None:
     """Check the sizes of a plant's results, and that parts return the same result for the same arguments.
 
     A part fails the second check if it keeps memory in itself or in a closure, or draws its own random
-    numbers: its runs cannot be repeated. `check_memory` checks controllers, which have memory.
+    numbers: its runs cannot be repeated. Controllers have memory, see `check_memory`.
 
     Parameters
     ----------
-    plant, forces, integrator
-        Parts of a loop.
+    loop : Loop
+        Closed loop.
+    context : Context
+        Argument of the controller's `initial_state`.
     q, v : ndarray, shape (nq,), (nv,)
         Configuration and velocity.
-    h : float
-        Step [s].
 
     Raises
     ------
     InvalidArgument
         If a size differs, or a result is not repeated.
     """
-    constant = not named_forces(forces) and is_constant(integrator or plant)
-    if constant and _answered.get(plant, (integrator, h)):
-        return
-    with np.errstate(all="ignore"):
-        _check_sizes(plant, q, v)
-        states = [(x.copy(), w.copy()) for x, w in ((q, v), (plant.integrate(q, 0.01 + 0 * v), v + 0.01))]
-        pose, rate = stated(plant, "pose"), stated(plant, "pose_rate")
-        for name, force in named_forces(forces).items():
-            ask: _Ask
-            if able(force, OnCoordinates):
-                ask, size = partial(force.on_coordinates, 0.0), plant.nv
-            elif callable(pose) and callable(rate):
-                ask, size = (lambda x, w: force(0.0, pose(x), rate(x, w))), 3  # noqa: B023
-            else:
-                continue
-            expected = f"an array of shape ({size},) of real numbers"
-            _check_repeated(name, force, ask, states, expected)
-        if not able(plant, Stepping) and integrator is not None:
-            _check_moves(plant, integrator, states, h)
-    if constant:
-        _answered.keep(plant, (integrator, h), True)
+    plant, asked = loop.plant, (loop.integrator, context.dt / loop.substeps)
+    constant = not loop.all_forces and is_constant(loop.integrator or plant)
+    if not (constant and _answered.get(plant, asked)):
+        with np.errstate(all="ignore"):
+            _check_parts(loop, q, v, asked[1])
+        if constant:
+            _answered.keep(plant, asked, True)
+    sizes = q.shape, v.shape, *map(np.shape, context.reference)
+    if not _answered.get(loop.controller, sizes):
+        try:
+            check_memory(loop.controller, context, q, v)
+        except InvalidArgument as error:
+            raise error_of_sizes(context, error) from error.__cause__
+        _answered.keep(loop.controller, sizes, True)
 
 
-def _check_moves(
-    plant: Plant, integrator: Integrator, states: Sequence[tuple[Array, Array]], h: float
-) -> None:
-    """Check that a plant repeats its accelerations and an integrator its steps."""
-    u, still = np.zeros(plant.nu), np.zeros(plant.nv)
-    _check_repeated("plant", plant, lambda x, w: plant.forward_dynamics(x, w, u.copy()), states)
+def _check_parts(loop: Loop, q: Array, v: Array, h: float) -> None:
+    """Check a plant, forces and an integrator; `h` is the step [s]."""
+    plant, integrator, u = loop.plant, loop.integrator, np.zeros(loop.plant.nu)
+    _check_sizes(plant, q, v)
+    states = [(x.copy(), w.copy()) for x, w in ((q, v), (plant.integrate(q, 0.01 + 0 * v), v + 0.01))]
+    pose, rate = stated(plant, "pose"), stated(plant, "pose_rate")
+    for name, force in loop.named_forces.items():
+        ask: _Ask
+        if able(force, OnCoordinates):
+            ask, size = partial(force.on_coordinates, 0.0), plant.nv
+        elif callable(pose) and callable(rate):
+            ask, size = (lambda x, w: force(0.0, pose(x), rate(x, w))), 3  # noqa: B023
+        else:
+            continue
+        _check_repeated(name, force, ask, states, f"an array of shape ({size},) of real numbers")
+    if integrator is not None:
+        _check_repeated("plant", plant, lambda x, w: plant.forward_dynamics(x, w, u.copy()), states)
 
-    def moved(x: Array, w: Array) -> object:
-        return displaced(integrator, lambda t, x, w: -x - w, -w, 0.0, w, h)
+        def moved(x: Array, w: Array) -> object:
+            return displaced(integrator, lambda t, x, w: -x - w, -w, 0.0, w, h)
 
-    _check_repeated("integrator", integrator, moved, [(still, w) for _, w in states])
+        _check_repeated("integrator", integrator, moved, [(np.zeros(plant.nv), w) for _, w in states])
 
 
 class Last:
@@ -338,10 +331,8 @@ def _check_sizes(plant: Plant, q: Array, v: Array) -> None:
     nq, nv, u, wrench = plant.nq, plant.nv, np.zeros(plant.nu), np.zeros(3)
     sizes = f"plant is a {type(plant).__name__} with nq = {nq}, nv = {nv} and nu = {plant.nu}"
     for name, value, size in (("q", q, nq), ("v", v, nv)):
-        if np.shape(value) != (size,):
-            raise InvalidArgument(
-                f"{sizes}, which starts with {name} of shape {np.shape(value)}, expected ({size},)"
-            )
+        if (shape := np.shape(value)) != (size,):
+            raise InvalidArgument(f"{sizes}, which starts with {name} of shape {shape}, expected ({size},)")
     asked: dict[str, tuple[str, int, tuple[Array, ...]]] = {
         "integrate": ("q, dq", nq, (q, np.zeros(nv))),
         "difference": ("q0, q1", nv, (q, q)),
@@ -356,14 +347,12 @@ def _check_sizes(plant: Plant, q: Array, v: Array) -> None:
         method = stated(plant, name)
         if not callable(method):
             continue
-        answer = method(*(value.copy() for value in values))
-        if answer is not None and np.shape(answer) != (size,):
-            raise InvalidArgument(
-                f"{sizes}, whose {name}({arguments}) returned {shown(answer)}, "
-                f"expected an array of shape ({size},)"
-            )
-        if answer is not None:
-            answered(f"{sizes}, whose {name}({arguments})", answer)
+        answer, whose = method(*(value.copy() for value in values)), f"{sizes}, whose {name}({arguments})"
+        if answer is None:
+            continue
+        if np.shape(answer) != (size,):
+            raise InvalidArgument(f"{whose} returned {shown(answer)}, expected an array of shape ({size},)")
+        answered(whose, answer)
 
 
 def _check_repeated(
@@ -379,21 +368,3 @@ def _check_repeated(
             f"{shown(again)}, expected the same: only controllers have memory, in their state, and "
             "random numbers come from their context.noise(name, n), or from a NoiseForce"
         )
-
-
-def check_controllers_memory(controller: Controller, context: Context, q: Array, v: Array) -> None:
-    """Check that a controller returns the same result again for the same arguments.
-
-    Raises
-    ------
-    InvalidArgument
-        If the result differs.
-    """
-    sizes = q.shape, v.shape, *map(np.shape, context.reference)
-    if _answered.get(controller, sizes):
-        return
-    try:
-        check_memory(controller, context, q, v)
-    except InvalidArgument as error:
-        raise error_of_sizes(context, error) from error.__cause__
-    _answered.keep(controller, sizes, True)

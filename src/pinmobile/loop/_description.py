@@ -83,13 +83,10 @@ def ranges(
         Names and units of the metrics.
     """
     columns = {"largest distance [m]": max_distance}
-    errors = [
-        (_titled(f"error of {one.name}", one.unit), column)
-        for one, column in zip(coordinates, max_error.T, strict=True)
-    ]
-    sizes = [(_titled(one.name, one.unit), column) for one, column in zip(inputs, max_input.T, strict=True)]
+    errors = zip([_titled(f"error of {one.name}", one.unit) for one in coordinates], max_error.T, strict=True)
+    sizes = zip([_titled(one.name, one.unit) for one in inputs], max_input.T, strict=True)
     for pair in zip_longest(errors, sizes):
-        columns |= {title: column for title, column in filter(None, pair)}
+        columns |= dict(filter(None, pair))
     each = zip(metrics, worst_metric.T, strict=True)
     columns |= {f"{one.worst} {one.title}": column for one, column in each if one.worst != "ever"}
     rows, width = [], max(_NARROWEST, *map(len, columns))
@@ -208,17 +205,13 @@ class Outline(Recorded):
         if isinstance(scenario, Outline):
             return scenario
         given = checked_scenario(scenario)
-        same: dict[str, Any] = {
-            name: getattr(given, name) for name in (*_NUMBERS, "parameters", "t", "reference")
-        }
-        same["every"] = given.stride
-        parts: dict[str, Any] = {name: _words(getattr(given, name)) for name in _PARTS}
-        forces, spread = tuple(map(_words, named_forces(given.forces).values())), given.spread.items()
+        same: Any = {name: getattr(given, name) for name in (*_NUMBERS, "parameters", "t", "reference")}
+        parts: Any = {name: _words(getattr(given, name)) for name in _PARTS}
         return cls(
-            **same,
+            **(same | {"every": given.stride}),
             **parts,
-            forces=forces,
-            spread={name: _source(source) for name, source in spread},
+            forces=tuple(map(_words, named_forces(given.forces).values())),
+            spread={name: _source(source) for name, source in given.spread.items()},
             coordinates=tuple(Coordinate(*one[:2]) for one in given.coordinates),
             inputs=tuple(Input(*one[:4]) for one in given.inputs),
             recorded_metrics=tuple(one._replace(function=None) for one in given.recorded_metrics),
@@ -242,10 +235,8 @@ class Outline(Recorded):
             if there.get(name) != here.get(name):
                 return f"{name} is {there.get(name, 'absent')} there and {here.get(name, 'absent')} here"
         names = ("t", *(f"reference.{name}" for name in Reference._fields))
-        pairs = zip((self.t, *self.reference), (other.t, *other.reference), strict=True)
-        return next(
-            (f"{name} differs" for name, pair in zip(names, pairs, strict=True) if not alike(*pair)), ""
-        )
+        rows = zip(names, (self.t, *self.reference), (other.t, *other.reference), strict=True)
+        return next((f"{name} differs" for name, one, two in rows if not alike(one, two)), "")
 
     @property
     def spread_in_words(self) -> str:

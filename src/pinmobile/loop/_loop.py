@@ -433,10 +433,8 @@ def _numbers(name: str, found: Any, t: Any, shape: tuple[int, ...], instead: str
     """Return the result of a part as an array of real numbers of this shape."""
     array = np.asarray(found)
     if np.shape(array) != shape or not are_real(array):
-        of = "" if are_real(array) else " of real numbers"
-        raise InvalidArgument(
-            f"{name} returned {shown(found)}{when(t)}, expected an array of shape {shape}{of}{instead}"
-        )
+        expected = f"an array of shape {shape}{'' if are_real(array) else ' of real numbers'}"
+        raise InvalidArgument(f"{name} returned {shown(found)}{when(t)}, expected {expected}{instead}")
     return array
 
 
@@ -488,9 +486,8 @@ def _pushed(loop: Loop, t: Any, q: Any, v: Any) -> Any:
             return np.full(plant.nv, np.nan)  # the run reports NaN, with all samples before
         total = plant.generalized_force(q, wrench)
         if total is None:
-            raise InvalidArgument(
-                f"plant is a {type(loop.plant).__name__}, whose body accepts no wrench, but forces act on it"
-            )
+            kind = type(loop.plant).__name__
+            raise InvalidArgument(f"plant is a {kind}, whose body accepts no wrench, but forces act on it")
     for name, force in loop.efforts:
         found = force.on_coordinates(t, q.copy(), v.copy())
         total = total + _numbers(f"{name}.on_coordinates", found, t, np.shape(v))
@@ -584,9 +581,8 @@ def _own_steps(loop: Loop, t: Any, h: Any, q: Any, v: Any, u: Any, memory: objec
         time = t + j * h if j else t
         found = loop.law.step(time, q, v, u, h, partial(_pushed, loop), memory)
         if not all(hasattr(found, name) for name in ("q", "v", "memory")):
-            raise InvalidArgument(
-                f"plant.step returned {shown(found)}{when(t)}, expected a Step(q, v, memory)"
-            )
+            what = f"plant.step returned {shown(found)}{when(t)}"
+            raise InvalidArgument(f"{what}, expected a Step(q, v, memory)")
         q1, v1 = (
             _numbers(f"{name} of plant.step", getattr(found, name), t, np.shape(x))
             for name, x in (("q", q), ("v", v))
@@ -611,20 +607,15 @@ def displaced(integrator: Any, acceleration: Any, first: Any, t: Any, v: Any, h:
     answer = integrator(asked, t, still, own, h)
     wrong = type(answer) is not tuple or len(answer) != 2
     if wrong or any(np.shape(x) != np.shape(v) or not are_real(x) for x in answer):
-        raise InvalidArgument(
-            f"integrator returned {shown(answer)}{when(t)}, expected (q, v) of shapes {np.shape(v)} and "
-            f"{np.shape(v)}, of real numbers"
-        )
+        expected = f"(q, v) of shapes {np.shape(v)} and {np.shape(v)}, of real numbers"
+        raise InvalidArgument(f"integrator returned {shown(answer)}{when(t)}, expected {expected}")
     return answer
 
 
 def initial(loop: Loop, context: Context, q: Any = None, v: Any = None) -> State:
     """Return the state before the first sample, with the memory of the parts."""
-    begin = stated(loop.law, "initial_state")
-    return State(
-        q,
-        v,
-        None if begin is None else begin(context),
-        loop.controller.initial_state(context),
-        None if loop.recorder is None else loop.recorder.initial_state(context.size, loop.plant.nu),
-    )
+    begin, recorder = stated(loop.law, "initial_state"), loop.recorder
+    plant = None if begin is None else begin(context)
+    controller = loop.controller.initial_state(context)
+    record = None if recorder is None else recorder.initial_state(context.size, loop.plant.nu)
+    return State(q, v, plant, controller, record)

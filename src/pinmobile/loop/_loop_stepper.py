@@ -10,35 +10,16 @@ import numpy as np
 from pinmobile.arrays import Array
 from pinmobile.compiled import aligned, robot_keys
 from pinmobile.errors import InvalidArgument, NotTraceable
-from pinmobile.loop._loop import Record, Sample
 from pinmobile.loop._record import Samples
 from pinmobile.loop._rollout import Rollout
 from pinmobile.loop._run import compiled_of
 from pinmobile.loop._scenario import Scenario
-from pinmobile.loop._simulate import errors_of
+from pinmobile.loop._simulate import rollout_of
 from pinmobile.loop._trace import scheduled_rows, traced_numbers
-from pinmobile.parts import evolved, option, part
-from pinmobile.signals import Signal, told_at
+from pinmobile.parts import evolved
 from pinmobile.trajectories import Reference
 
 _MOST, _EACH = 1 << 24, 64  # numbers that are kept, some 130 MB, and the size of three arrays
-
-
-@part
-class _Watched:
-    """Recorder of all samples, with errors and metrics of the plant."""
-
-    metrics: tuple[tuple[int, bool], ...] = option(default=())
-    signals, errors = True, True
-
-    def initial_state(self, n: int, nu: int) -> None:
-        """Return None: the recorder has no memory."""
-
-    def __call__(self, sample: Sample, state: None) -> Record:
-        """Return the sample as a record."""
-        found = Samples()(sample, state)
-        measured = {"measured": sample.measured} if self.metrics else {}
-        return found._replace(kept={**found.kept, "error": sample.error, **measured})
 
 
 class LoopStepper:
@@ -69,7 +50,7 @@ class LoopStepper:
     def __init__(self, scenario: Scenario) -> None:
         self.scenario = scenario
         metrics = tuple((k, one.is_margin) for k, one in enumerate(scenario.recorded_metrics))
-        loop = evolved(scenario.loop, {"recorder": _Watched(metrics)})
+        loop = evolved(scenario.loop, {"recorder": Samples(errors=True, metrics=metrics)})
         try:
             self.follows = True
             try:
@@ -108,8 +89,7 @@ class LoopStepper:
         reference = scenario.reference if own is None else Reference(*(x[:, 0] for x in own))
         varied = {path: x for path, x in every.items() if path in scenario.entries}
         known, first = {**traced_numbers(compiled.loop), **varied}, compiled.first(varied, 1)
-        member = range(1)
-        keys = {name: robot_keys(scenario.seed, name, member) for name in compiled.tape.keys}
+        keys = {name: robot_keys(scenario.seed, name, range(1)) for name in compiled.tape.keys}
         start = scenario.starts(every, 1, own)
         blocks = compiled.program.blocks_of(start, 1, known, first, keys)
         if self.k:
@@ -152,9 +132,7 @@ class LoopStepper:
         rows = [each[np.minimum(self.k + np.arange(count), last)] for each in self._rows]
         samples = program.samples_of(t, given, self._uniforms, rows, self.k)
         kept = aligned((1, count, self._compiled.tape.outputs_kept, 1))
-        arrays = self._blocks, samples, self._uniforms, self._rings, self._counts, kept
-        block, sample, uniform, ring, counts, keep = (x.ctypes.data for x in arrays)
-        program.function(block, 0, 1, sample, count, uniform, ring, counts, 1, 1, keep, self.k)
+        program.call(self._blocks, samples, self._uniforms, self._rings, self._counts, kept, first=self.k)
         self._parts.append((samples, kept, np.array([*self.values.values()], np.float64)))
         self._size += samples.size + kept.size + _EACH
         while self._size > _MOST:
@@ -179,18 +157,12 @@ class LoopStepper:
         given, each, values = zip(*parts, strict=True)
         samples, program = np.concatenate(given), self._compiled.program
         kept = {name: x[0] for name, x in program.kept_samples(np.concatenate(each, axis=1), 1).items()}
-        numbers = dict(zip(self.values, np.repeat(values, [*map(len, given)], axis=0).T, strict=True))
-        kept |= {f"number {name}": column for name, column in numbers.items()}
+        numbers = np.repeat(values, [*map(len, given)], axis=0).T
+        kept |= {f"signal {name}": column for name, column in zip(self.values, numbers, strict=True)}
+        units = {**self.units, **{name: x.unit for name, x in scenario.found.items()}}
         nq, n = self._compiled.tape.sizes[3:]
-        t, q, v, a, _ = np.split(samples, np.cumsum([1, nq, n, n]), axis=1)
-        t, reference = t[:, 0], Reference(q, v, a)
+        t, *reference, _ = np.split(samples, np.cumsum([1, nq, n, n]), axis=1)
         finite = np.isfinite(np.hstack([kept[name] for name in "qvau"])).all(axis=1)
         end = len(t) if finite.all() else int(np.argmin(finite))
-        t, reference = t[:end], Reference(*(x[:end] for x in reference))
-        kept = {name: x[:end] for name, x in kept.items()}
-        signals = told_at(t, scenario.controller, scenario.trajectory)
-        signals |= {name: Signal(unit, kept[f"signal {name}"]) for name, unit in self.units.items()}
-        signals |= {name: Signal(x.unit, kept[f"number {name}"]) for name, x in scenario.found.items()}
-        error = errors_of(scenario.robot, kept["q"], reference)
-        q, v, a, u = (kept[name] for name in "qvau")
-        return Rollout(scenario.robot, t, q, v, a, u, error, reference, signals, engine="COMPILED")
+        run = scenario.given, t[:, 0], kept, Reference(*reference)
+        return rollout_of(*run, end, units, engine="COMPILED")

@@ -97,8 +97,8 @@ def write_mcap(
         for k, standard in enumerate(_standard(rollout, names, stamps)):
             add(_TOPIC, _SCHEMA, k, _CDR + table[k].tobytes())
             for topic, parts in standard.items():
-                kind = _TYPES[topic]
-                add(topic, kind, k, bytes(store.serialize_cdr(_message(store, kind, parts), kind)))
+                data = store.serialize_cdr(_message(store, _TYPES[topic], parts), _TYPES[topic])
+                add(topic, _TYPES[topic], k, bytes(data))
         writer.finish()
         return file.getvalue()
 
@@ -110,11 +110,9 @@ def _stamps(t: Array, start: float) -> list[int]:
     first = Fraction(scalar("start", start))
     stamps = [round((first + Fraction(at)) * 10**9) for at in t.tolist()]
     if stamps[0] < 0 or stamps[-1] >= _LAST_SECOND * 10**9:
-        first_one, last_one = (f"{at / 10**9:.10g}" for at in (stamps[0], stamps[-1]))
-        raise InvalidArgument(
-            f"start is {start:g}, which gives samples from {first_one} to {last_one} s since 1970, expected "
-            f"at least 0 and less than {_LAST_SECOND} s"
-        )
+        given = " to ".join(f"{at / 10**9:.10g}" for at in (stamps[0], stamps[-1]))
+        what = f"start is {start:g}, which gives samples from {given} s since 1970"
+        raise InvalidArgument(f"{what}, expected at least 0 and less than {_LAST_SECOND} s")
     return stamps
 
 

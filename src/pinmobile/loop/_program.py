@@ -5,11 +5,13 @@ from __future__ import annotations
 import pickle
 import threading
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from functools import partial
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pinmobile.arrays import Array
 from pinmobile.compiled import LOOP, Cache, Identity, LoopTape, Outcome, Program, Target, uncollected
@@ -73,23 +75,14 @@ class Compiled:
         self.identity = identity = Identity.of(loop, begun[2:], self.spread, others)
         with _lock:
             known = _programs.get(identity.key)
-            if known is not None:
-                _programs.move_to_end(identity.key)
-        if known is not None:
-            self.program = known[0]
-            return
-        with uncollected():
-            cache, target = Cache(), Target.here()
-            name = identity.digest if cache.folder is not None else None
-            program = None if name is None else _read(cache, name, target)
-            if program is None:
-                trace = Trace(loop, context, start, reference, identity, self.spread, own_reference)
-                program = Program(trace.result(), target, single=single, cache=cache)
-                if name is not None:
-                    cache.write(name, pickle.dumps((program.tape, program.shape, program.key)), LOOP)
-        self.program = program
+        if known is None:
+            trace = partial(Trace, loop, context, start, reference, identity, self.spread, own_reference)
+            with uncollected():
+                known = _program_of(identity, trace, single), identity.kept
+        self.program = known[0]
         with _lock:
-            _programs[identity.key] = program, identity.kept
+            _programs[identity.key] = known
+            _programs.move_to_end(identity.key)
             while len(_programs) > _MOST:
                 _programs.popitem(last=False)
 
@@ -120,33 +113,21 @@ class Compiled:
         t: Array,
         reference: Reference,
         *,
-        values: Mapping[str, Array] | None = None,
-        tracks: Reference | None = None,
-        keys: Mapping[str, NDArray[np.uint64]] | None = None,
-        every: int = 1,
-        threads: int = 1,
+        values: Mapping[str, Array] = MappingProxyType({}),
+        **options: Any,
     ) -> Outcome:
-        """Return the result of a run, see `Program.run`.
+        """Return the result of a run, see `Program.run` for further options.
 
         Parameters
         ----------
         values : mapping of str to ndarray, shape (n, ...)
             Numbers of each robot, by the paths of the spread.
         """
-        given = dict(values or {})
-        numbers = {**traced_numbers(self.loop), **given}
-        rows = scheduled_rows(self.loop, self.context) if self.tape.scheduled else []
-        return self.program.run(
-            *(start, t, reference),
-            h=self.context.dt / self.loop.substeps,
-            values=numbers,
-            first=self.first(given, len(start[0])),
-            rows=rows,
-            tracks=tracks,
-            keys=keys,
-            every=every,
-            threads=threads,
-        )
+        options["rows"] = scheduled_rows(self.loop, self.context) if self.tape.scheduled else []
+        options["values"] = {**traced_numbers(self.loop), **values}
+        options["first"] = self.first(values, len(start[0]))
+        h = self.context.dt / self.loop.substeps
+        return self.program.run(start, t, reference, h=h, **options)
 
     def recorded(self, outcome: Outcome) -> dict[str, Array]:
         """Return the recorder's memory after the last sample, by name, shape (n, ...)."""
@@ -154,10 +135,16 @@ class Compiled:
         return {leaf.path[7:-2]: value for leaf, value in pairs if leaf.owner == "recorder"}
 
 
-def _read(cache: Cache, name: str, target: Target) -> Program | None:
-    """Return the program that another process has traced, or None."""
-    try:  # the file is as trustworthy as the machine code in the same folder of the user
-        tape, shape, key = pickle.loads(cache.read(name, LOOP) or b"")
-    except Exception:  # the file is missing or damaged
-        return None
-    return Program(tape, target, shape, cache=cache, key=key)
+def _program_of(identity: Identity, trace: Callable[[], Trace], single: bool) -> Program:
+    """Return the program of a loop, which this or another process traces."""
+    cache, target = Cache(), Target.here()
+    name = identity.digest if cache.folder is not None else None
+    if name is not None:
+        with suppress(Exception):  # the file is missing or damaged
+            # The file is as trustworthy as the machine code in the same folder of the user.
+            tape, shape, key = pickle.loads(cache.read(name, LOOP) or b"")
+            return Program(tape, target, shape, cache=cache, key=key)
+    program = Program(trace().result(), target, single=single, cache=cache)
+    if name is not None:
+        cache.write(name, pickle.dumps((program.tape, program.shape, program.key)), LOOP)
+    return program

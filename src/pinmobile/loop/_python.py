@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from functools import partial
-from math import prod
 from typing import Any
 
 import numpy as np
@@ -25,10 +24,10 @@ from pinmobile.loop._loop import (
 )
 from pinmobile.loop._program import Compiled
 from pinmobile.loop._record import Samples, is_alive
-from pinmobile.loop._trace import initial_memory, traced_numbers
+from pinmobile.loop._trace import arrays_of, traced_numbers
 from pinmobile.parts import array, child, evolved, part
 from pinmobile.plant import Context, stated
-from pinmobile.signals import Claim, Signal
+from pinmobile.signals import Claim
 from pinmobile.trajectories import Reference
 
 _U = "controller.u"
@@ -109,8 +108,8 @@ class CompiledPlant:
         spread = {_U: np.ones(self.nu, bool)}
         compiled = Compiled(whole, context, (q, v), first, spread=spread, single=True)
         program, self._tape = compiled.program, compiled.tape
-        values, begun = traced_numbers(whole), initial_memory(whole, context)
-        memory = [np.asarray(value, np.float64) for tree in begun[2:] for _, value in leaves(tree)]
+        values, begun = traced_numbers(whole), compiled.begun
+        memory = [np.asarray(value, np.float64) for value in arrays_of(begun)]
         uniforms = program.uniforms_of(context.dt, values, memory)
         self._block = program.blocks_of((q[None], v[None]), 1, values, memory, {})
         self._row = self._block[0, :, 0]
@@ -137,7 +136,7 @@ class CompiledPlant:
         row[:nq], row[nq:n], row[self._u : self._u + self.nu] = q, v, u
         for leaf, (_, value) in zip(self._leaves, leaves(memory), strict=True):
             if leaf.kind == "state":
-                row[leaf.first : leaf.first + prod(leaf.shape)] = np.ravel(value)
+                row[leaf.first : leaf.end] = np.ravel(value)
         self._call(self._first + round(t / self._dt) * self._stride, 1, *self._behind)
         kept, first, found = self._kept[0, 0, :, 0], 0, {}
         for name, (shape, nodes) in self._tape.kept.items():
@@ -149,9 +148,8 @@ class CompiledPlant:
 
         def after(value: Any) -> Any:
             leaf = next(places)
-            if leaf.kind != "state":
-                return value
-            return row[leaf.first : leaf.first + prod(leaf.shape)].reshape(leaf.shape).copy()
+            kept = leaf.kind != "state"
+            return value if kept else row[leaf.first : leaf.end].reshape(leaf.shape).copy()
 
         return Moved(row[:nq].copy(), row[nq:n].copy(), mapped(memory, after), found["a"])
 
@@ -238,10 +236,6 @@ class Run:
         q, v, a, u = (self.kept[name][begin:end] for name in ("q", "v", "a", "u"))
         return q, v, a, u
 
-    def signals(self, end: int) -> dict[str, Signal]:
-        """Return the signals of the samples before `end`, by name."""
-        return {name: Signal(unit, self.kept[f"signal {name}"][:end]) for name, unit in self.units.items()}
-
     @np.errstate(over="ignore", invalid="ignore")  # an overflow gives False
     def is_fine(self, begin: int, end: int, limit: float) -> bool:
         """Return whether the samples are finite and near the reference; False if in doubt."""
@@ -295,19 +289,16 @@ class PythonRun(Run):
             for name, each in found.items():
                 self.kept[f"signal {name}"] = np.full((rows, *each.value.shape), np.nan)
         for name in {**self._first, **found}:
-            now, before = (
-                f"of unit {claims[name].unit!r} and shape {claims[name].value.shape}"
-                if name in claims
-                else "missing"
-                for claims in (found, self._first)
-            )
+            now, before = (_form_of(claims.get(name)) for claims in (found, self._first))
             if now != before:
                 part = (found.get(name) or self._first[name]).part
-                raise InvalidArgument(
-                    f"{part}.signals[{name!r}] is {now} at t = {self._times[k]:g} s, expected {before} as in "
-                    "the first sample"
-                )
+                what = f"{part}.signals[{name!r}] is {now} at t = {self._times[k]:g} s"
+                raise InvalidArgument(f"{what}, expected {before} as in the first sample")
             self.kept[f"signal {name}"][k] = found[name].value
+
+
+def _form_of(claim: Claim | None) -> str:
+    return "missing" if claim is None else f"of unit {claim.unit!r} and shape {claim.value.shape}"
 
 
 class CompiledRun(Run):

@@ -166,22 +166,19 @@ class Worst:
         squares = error * error
         groups = [sum(squares[..., i] for i in group) for group in self.distances]
         far = [square for square, group in zip(groups, self.distances, strict=True) if len(group) > 1]
+        farthest = state["farthest"]
         new = {
             "alive": one,
             "lived": state["lived"] + one,
             "largest": _larger(error, state["largest"] * keep),
-            "farthest": _larger(np.stack(far, axis=-1), state["farthest"] * keep)
-            if far
-            else state["farthest"],
+            "farthest": _larger(np.stack(far, axis=-1), farthest * keep) if far else farthest,
             "squares": state["squares"] * keep + squares,
             "inputs": _larger(np.where(alive[..., None], np.abs(sample.u), 0.0), state["inputs"]),
         }
-        sizes = [
-            np.sqrt(np.where(alive, square, np.inf))
-            if len(group) > 1
-            else np.where(alive, error[..., group[0]], np.inf)
-            for square, group in zip(groups, self.distances, strict=True)
-        ]
+        sizes = []
+        for square, group in zip(groups, self.distances, strict=True):
+            size = np.where(alive, square if len(group) > 1 else error[..., group[0]], np.inf)
+            sizes.append(np.sqrt(size) if len(group) > 1 else size)
         if self.metrics:
             kept, found = self._measured(sample, state, alive)
             new, sizes = new | kept, sizes + found
@@ -244,6 +241,13 @@ def _larger(a: Any, b: Any) -> Any:
 class Samples:
     """Recorder of all samples: configuration, velocity, input, acceleration and signals.
 
+    Parameters
+    ----------
+    errors : bool
+        Whether errors are recorded too.
+    metrics : tuple of (int, bool)
+        Metrics of the plant that are recorded too, as in `Worst`.
+
     See Also
     --------
     loop.Worst : recorder of the largest errors.
@@ -256,8 +260,9 @@ class Samples:
     (True, False)
     """
 
+    errors: bool = option(default=False)
+    metrics: tuple[tuple[int, bool], ...] = option(default=())
     signals: ClassVar[bool] = True
-    errors: ClassVar[bool] = False
 
     def initial_state(self, n: int, nu: int) -> None:
         """Return None: the recorder has no memory.
@@ -285,4 +290,6 @@ class Samples:
         """
         kept = {"q": sample.q, "v": sample.v, "u": sample.u, "a": sample.a}
         kept |= {f"signal {name}": claim.value for name, claim in sample.signals.items()}
+        kept |= {"error": sample.error} if self.errors else {}
+        kept |= {"measured": sample.measured} if self.metrics else {}
         return Record(state, (), kept, {name: claim.unit for name, claim in sample.signals.items()})

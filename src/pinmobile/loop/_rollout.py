@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from os import PathLike
@@ -167,47 +167,6 @@ def at_samples(rollout: Rollout) -> Rollout:
     return rollout if plant is rollout.plant else replace(rollout, plant=plant)
 
 
-def aimed_at(rollout: Any) -> str | None:
-    """Return the first frame of a rollout's plant that has a target in the signals; None if there is none."""
-    names = stated(rollout.plant, "frame_names") or ()
-    return next((name for name in names if target_names(name)[0] in rollout.signals), None)
-
-
-def end_effector_of(rollout: Any, frame: str | None) -> EndEffector:
-    """Return a frame of a rollout's plant over the samples.
-
-    Parameters
-    ----------
-    rollout : Rollout
-        Recorded samples.
-    frame : str or None
-        Name of the frame; None: the frame with a target, else the plant's ``end_effector``.
-
-    Raises
-    ------
-    InvalidArgument
-        If the plant does not provide poses of frames.
-    UnknownName
-        If there is no such frame.
-    """
-    plant = rollout.plant
-    if not all(callable(stated(plant, name)) for name in ("frame_pose", "frame_name")):
-        raise InvalidArgument(
-            f"plant is {shown(plant)}, which has no poses of frames, expected a MobileRobot, a "
-            "WheeledRobot, or a plant with frame_name(frame) and frame_pose(q, frame)"
-        )
-    name = plant.frame_name(aimed_at(rollout) if frame is None else frame)
-    pose = plant.frame_pose(rollout.q, name)
-    position, orientation = target_names(name)
-    if position in rollout.signals:
-        target = _told(rollout.signals, position, orientation)
-        return EndEffector(name, rollout.t, pose, target, orientation in rollout.signals)
-    if rollout.error.shape[1] < _coordinates_of(plant, name):
-        return EndEffector(name, rollout.t, pose)
-    desired = whole_configurations(plant, rollout.q, rollout.reference.q)
-    return EndEffector(name, rollout.t, pose, plant.frame_pose(desired, name))
-
-
 def _told(signals: Mapping[str, Signal], position: str, orientation: str) -> Array:
     """Return the target poses in signals, shape (N + 1, 4, 4)."""
     place = signals[position].values
@@ -326,8 +285,8 @@ class Rollout:
         tracked = {"error": self.error, "reference.v": desired.v, "reference.a": desired.a}
         for name, array in {**of_plant, **tracked, "reference.q": desired.q}.items():
             shaped(name, array, (len(t), "k"), words=", as t has")
-        for name, size in (("q", "nq"), ("v", "nv"), ("a", "nv"), ("u", "nu")):
-            width: Any = getattr(self.plant, size, (self.v if size == "nv" else of_plant[name]).shape[1])
+        for name, like in (("q", "q"), ("v", "v"), ("a", "v"), ("u", "u")):
+            width: Any = getattr(self.plant, f"n{like}", of_plant[like].shape[1])
             shaped(name, of_plant[name], (len(t), width))
         for name, array in tracked.items():
             shaped(name, array, self.error.shape, words=", as error has")
@@ -349,17 +308,16 @@ class Rollout:
         step = f" at dt = {self.t[1]:g} s" if len(self) > 1 else ""
         listed = zip(self.inputs, self.max_input(), strict=True)
         inputs = [f"{one.name} {in_words(value)} {one.unit}".rstrip() for one, value in listed]
-        return "\n".join(
-            [
-                f"{len(self)} samples over {self.t[-1]:g} s{step}",
-                self._errors("largest", self.max_error()),
-                self._errors("rms", self.rms_error()),
-                "largest input: " + ", ".join(inputs[: self._led] if self._by_coordinate else inputs),
-                *self._of_joints(),
-                *self._of_end_effector(),
-                *map(str, self.events),
-            ]
-        )
+        lines = [
+            f"{len(self)} samples over {self.t[-1]:g} s{step}",
+            self._errors("largest", self.max_error()),
+            self._errors("rms", self.rms_error()),
+            "largest input: " + ", ".join(inputs[: self._led] if self._by_coordinate else inputs),
+            *self._of_joints(),
+            *([f"end effector {self.end_effector()}"] if self._aimed_at else []),
+            *map(str, self.events),
+        ]
+        return "\n".join(lines)
 
     @cached_property
     def events(self) -> tuple[Event, ...]:
@@ -431,10 +389,8 @@ class Rollout:
             return q[:, :_POSE]
         if not callable(stated(self.plant, "pose")):
             kind = getattr(self.plant, "kind", type(self.plant).__name__)
-            raise InvalidArgument(
-                f"plant is a {kind}, which has no pose of its body, expected a plant with pose(q), which "
-                "returns x, y and psi"
-            )
+            expected = "a plant with pose(q), which returns x, y and psi"
+            raise InvalidArgument(f"plant is a {kind}, which has no pose of its body, expected {expected}")
         return frozen(all_samples(self.plant, "pose", q))
 
     def metrics(self) -> dict[str, Signal]:
@@ -457,12 +413,8 @@ class Rollout:
         if stated(self.plant, "broadcasts"):
             found = evaluate_metrics_of(self.plant, *recorded, self.reference)
         else:
-            samples = zip(*recorded, *self.reference, strict=True)
-            rows = (
-                evaluate_metrics_of(self.plant, t, q, v, a, u, Reference(*at))
-                for t, q, v, a, u, *at in samples
-            )
-            found = np.stack(list(rows))
+            rows = zip(zip(*recorded, strict=True), zip(*self.reference, strict=True), strict=True)
+            found = np.stack([evaluate_metrics_of(self.plant, *row, Reference(*at)) for row, at in rows])
         return {one.name: Signal(one.unit, frozen(found[:, k])) for k, one in enumerate(known)}
 
     @property
@@ -493,18 +445,13 @@ class Rollout:
         heads = f"{'joint':{width}} {'largest error':>17} {'rms error':>17}"
         lines = [f"{heads} {'largest input':>14}" if forced else heads]
         columns = (part[led:] for part in (self.max_error(), self.rms_error()))
-        inputs = (
-            zip(self.max_input()[led:], self.inputs[led:], strict=True) if forced else [None] * len(labels)
-        )
+        most: Any = zip(self.max_input()[led:], self.inputs[led:], strict=True)
+        inputs = most if forced else [None] * len(labels)
         for (name, unit), largest, rms, pair in zip(labels, *columns, inputs, strict=True):
             errors = " ".join(f"{error_text(value):>13} {unit:3}" for value in (largest, rms))
-            most = "" if pair is None else f"{in_words(pair[0]):>10} {pair[1].unit:3}"
-            lines.append(f"{name:{width}} {errors} {most}".rstrip())
+            size = "" if pair is None else f"{in_words(pair[0]):>10} {pair[1].unit:3}"
+            lines.append(f"{name:{width}} {errors} {size}".rstrip())
         return lines
-
-    def _of_end_effector(self) -> list[str]:
-        """Return a line about the frame with a target; no line if there is none."""
-        return [] if aimed_at(self) is None else [f"end effector {self.end_effector()}"]
 
     def _errors(self, what: str, values: Array) -> str:
         named = list(zip(self.labels, values, strict=True))[: self._led]
@@ -535,7 +482,28 @@ class Rollout:
         UnknownName
             If there is no such frame; the message lists the frames.
         """
-        return end_effector_of(self, frame)
+        plant = self.plant
+        if not all(callable(stated(plant, name)) for name in ("frame_pose", "frame_name")):
+            raise InvalidArgument(
+                f"plant is {shown(plant)}, which has no poses of frames, expected a MobileRobot, a "
+                "WheeledRobot, or a plant with frame_name(frame) and frame_pose(q, frame)"
+            )
+        name = plant.frame_name(self._aimed_at if frame is None else frame)
+        pose = plant.frame_pose(self.q, name)
+        position, orientation = target_names(name)
+        if position in self.signals:
+            target = _told(self.signals, position, orientation)
+            return EndEffector(name, self.t, pose, target, orientation in self.signals)
+        if self.error.shape[1] < _coordinates_of(plant, name):
+            return EndEffector(name, self.t, pose)
+        desired = whole_configurations(plant, self.q, self.reference.q)
+        return EndEffector(name, self.t, pose, plant.frame_pose(desired, name))
+
+    @property
+    def _aimed_at(self) -> str | None:
+        """First frame of the plant with a target in the signals; None if there is none."""
+        names = stated(self.plant, "frame_names") or ()
+        return next((name for name in names if target_names(name)[0] in self.signals), None)
 
     def max_error(self) -> Array:
         """Return the largest absolute error of each coordinate, shape (n,) [m, m, rad, ...]."""
@@ -707,7 +675,7 @@ class Rollout:
         of_q = [(name, units.get(name, "")) for name in configuration_names_of(self.plant)]
         of_v = [(one.name, one.unit) for one in coordinates]
         of_u = [(one.name, one.unit) for one in self.inputs]
-        groups: list[tuple[str, str, str, Array, Sequence[tuple[str, str]]]] = [
+        groups: Any = [
             ("q", "", "", self.q, of_q),
             ("v", "v_", "/s", self.v, of_v),
             ("a", "a_", "/s^2", self.a, of_v),

@@ -23,7 +23,7 @@ from pinmobile.loop._program import Compiled
 from pinmobile.loop._python import in_python, with_compiled_plant
 from pinmobile.loop._record import UntraceableMetric, Worst
 from pinmobile.loop._scenario import Scenario, checked_scenario
-from pinmobile.loop._simulate import Engine, checked_engine
+from pinmobile.loop._simulate import Engine, checked_engine, not_compiled
 from pinmobile.loop._spread import Source
 from pinmobile.loop._trace import arrays_of, initial_memory
 from pinmobile.loop._variables import Part, arguments_of, bins_of
@@ -97,7 +97,7 @@ class Way:
         scenario, each = self.scenario, _ONE_BY_ONE
         if self.program is not None:
             work = _SAMPLED if scenario.has_own_references or scenario.keep else _WORK
-            each = 256 * max(1, min(256, round(work / len(scenario.t) / 256)))
+            each = 256 * int(np.clip(round(work / len(scenario.t) / 256), 1, 256))
         for first in range(start, stop, each):
             last = min(first + each, stop)
             own = {name: column[first - start : last - start] for name, column in draws.items()}
@@ -105,14 +105,13 @@ class Way:
                 part = _compiled(scenario, self.program, own, first, last, threads)
             else:
                 part = Part.joined(self._in_python(own, first, last))
-            for one, column in zip(scenario.recorded_metrics, part.rms_metric.T, strict=True):
-                wrong = np.flatnonzero(np.isnan(column))
-                if wrong.size:
-                    whose = f"plant is a {type(scenario.robot).__name__}, whose evaluate_metrics"
-                    whose = f"{whose}(t, q, v, a, u, reference)" if one.function is None else "its function"
-                    raise InvalidArgument(
-                        f"robot {first + wrong[0]}: {whose} returned NaN as {one.name!r}, expected a number"
-                    )
+            for k, column in np.argwhere(np.isnan(part.rms_metric)):
+                one, whose = scenario.recorded_metrics[column], "its function"
+                if one.function is None:
+                    kind = type(scenario.robot).__name__
+                    whose = f"plant is a {kind}, whose evaluate_metrics(t, q, v, a, u, reference)"
+                what = f"robot {first + k}: {whose} returned NaN as {one.name!r}"
+                raise InvalidArgument(f"{what}, expected a number")
             yield part
             if progress is not None:
                 progress(last - start, stop - start)
@@ -158,27 +157,17 @@ def way_of(scenario: Scenario, engine: Engine | None = None) -> Way:
         raise InvalidArgument(f"{error.reason}, or give engine=Engine.PYTHON") from error
     except NotTraceable as error:
         if asked is not None:
-            raise InvalidArgument(
-                f"engine is Engine.COMPILED, which cannot run this: {error.reason}"
-            ) from error
+            raise not_compiled(error) from error
         return Way(scenario, Engine.PYTHON, f"not COMPILED: {error.reason}")
 
 
 def _with_recorder(scenario: Scenario, loop: Loop | None = None) -> Loop:
     begin = float(scenario.begin) if scenario.begin else None
-    loop = scenario.loop if loop is None else loop
-    stated = [one.name for one in metrics_of(scenario.robot)]
-    recorder = Worst(
-        limit=scenario.limit,
-        begin=begin,
-        distances=((0, 1), (2,), *((k,) for k in range(3, scenario.size))),
-        metrics=tuple(
-            (stated.index(one.name) if one.function is None else one, one.is_margin)
-            for one in scenario.recorded_metrics
-        ),
-        keep=tuple(scenario.keep),
-    )
-    return evolved(loop, {"recorder": recorder})
+    distances = ((0, 1), (2,), *((k,) for k in range(3, scenario.size)))
+    known, asked = [one.name for one in metrics_of(scenario.robot)], scenario.recorded_metrics
+    metrics = tuple((known.index(x.name) if x.function is None else x, x.is_margin) for x in asked)
+    recorder = Worst(scenario.limit, begin, distances, metrics, tuple(scenario.keep))
+    return evolved(scenario.loop if loop is None else loop, {"recorder": recorder})
 
 
 class BlindContext:
@@ -251,10 +240,8 @@ def compiled_of(
         # Numbers of the plant may have no effect in a run, such as the mass of a load at rest.
         path = one.leaf.path
         if not path.startswith("plant.") and path in unused and not _starts_otherwise(scenario, path):
-            raise InvalidArgument(
-                f"spread has {name!r}, {one.meaning}, which no law of this loop uses, expected a number that "
-                "a law uses"
-            )
+            what = f"spread has {name!r}, {one.meaning}, which no law of this loop uses"
+            raise InvalidArgument(f"{what}, expected a number that a law uses")
     return compiled
 
 
@@ -265,16 +252,10 @@ def _compiled(
     keys = {name: robot_keys(scenario.seed, name, range(start, stop)) for name in program.tape.keys}
     values = scenario.values(draws, start, stop)
     own = scenario.references(values, stop - start, start)
-    outcome = program.run(
-        scenario.starts(values, stop - start, own),
-        scenario.t,
-        Reference(*scenario.reference),
-        tracks=own,
-        values={path: value for path, value in values.items() if path in scenario.entries},
-        keys=keys,
-        every=scenario.stride,
-        threads=threads,
-    )
+    run = scenario.starts(values, stop - start, own), scenario.t, Reference(*scenario.reference)
+    varied = {path: value for path, value in values.items() if path in scenario.entries}
+    options: Any = {"keys": keys, "every": scenario.stride, "threads": threads}
+    outcome = program.run(*run, tracks=own, values=varied, **options)
     kept = {
         name: Signal(unit, outcome.kept[f"signal {name}"][:, :: scenario.stride])
         for name, unit in program.tape.units.items()
@@ -426,24 +407,10 @@ def ensemble(
     >>> runs.error_quantile(0.99).distance  # [m]
     0.079
     """
-    scenario = Scenario(
-        robot=robot,
-        controller=controller,
-        trajectory=trajectory,
-        n=n,
-        spread=spread,
-        dt=dt,
-        seed=seed,
-        duration=duration,
-        integrator=integrator,
-        substeps=substeps,
-        forces=forces,
-        limit=limit,
-        after=after,
-        every=every,
-        metrics=metrics,
-        keep=keep,
-    )
+    loop: Any = {"robot": robot, "controller": controller, "trajectory": trajectory, "forces": forces}
+    steps: Any = {"dt": dt, "duration": duration, "integrator": integrator, "substeps": substeps}
+    records: Any = {"limit": limit, "after": after, "every": every, "metrics": metrics, "keep": keep}
+    scenario = Scenario(**loop, **steps, **records, n=n, spread=spread, seed=seed)
     return run_scenario(scenario, traces=traces, engine=engine, threads=threads, progress=progress)
 
 
@@ -506,11 +473,8 @@ def run_scenario(
     draws = scenario.draws()
     way = way_of(scenario, engine)
     if way.fallback_reason and engine is None:
-        warn(
-            f"this ensemble runs by {way.engine!r}, {way.engine.value}; {way.fallback_reason}",
-            SlowerEngine,
-            stacklevel=3,
-        )
+        words = f"this ensemble runs by {way.engine!r}, {way.engine.value}; {way.fallback_reason}"
+        warn(words, SlowerEngine, stacklevel=3)
     part = way.run(draws, 0, scenario.n, workers, progress)
     found = Ensemble.of(
         scenario, draws, part, followed, engine=repr(way.engine), fallback_reason=way.fallback_reason

@@ -26,16 +26,7 @@ from pinmobile.arrays import (
 from pinmobile.compiled import BINS, Noise, is_traced
 from pinmobile.errors import InvalidArgument, UnknownName
 from pinmobile.integrators import Integrator
-from pinmobile.loop._checks import (
-    check_answers,
-    check_controllers_memory,
-    checked_forces,
-    checked_loop,
-    checked_substeps,
-    chosen_integrator,
-    sample_times,
-    sampled,
-)
+from pinmobile.loop._checks import check_answers, checked_run, sampled
 from pinmobile.loop._loop import Loop, Sample
 from pinmobile.loop._spread import (
     Relative,
@@ -207,36 +198,26 @@ class Scenario(Recorded):
     reference: Reference = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        checked_loop(self.robot, self.controller, self.trajectory, self.integrator)
-        self._set(integrator=chosen_integrator(self.robot, self.integrator))
+        dt = positive("dt", self.dt, "s")
+        duration = None if self.duration is None else positive("duration", self.duration, "s")
+        options: Any = {name: getattr(self, name) for name in ("forces", "integrator", "substeps")}
+        parts = self.robot, self.controller, self.trajectory
+        loop, t = checked_run(*parts, **options, dt=dt, duration=duration)
         n = whole("n", self.n)
         if n > _MOST:
-            raise InvalidArgument(
-                f"n is {n:,}, expected at most {_MOST:,}, whose records take {_MOST * _RECORD / 1e9:.0f} GB"
-            )
-        dt = positive("dt", self.dt, "s")
+            expected = f"at most {_MOST:,}, whose records take {_MOST * _RECORD / 1e9:.0f} GB"
+            raise InvalidArgument(f"n is {n:,}, expected {expected}")
         instance("spread", self.spread, Mapping, "a mapping of parameters to distributions")
-        self._set(forces=checked_forces(self.forces, self.robot))
-        duration = None if self.duration is None else positive("duration", self.duration, "s")
-        t = sample_times(dt, duration, self.trajectory.duration)
-        every = None if self.every is None else whole("every", self.every)
+        self._set(**{name: getattr(loop, name) for name in options}, n=n, dt=dt, duration=duration, t=t)
         self._set(
-            n=n,
-            dt=dt,
-            duration=duration,
             seed=whole("seed", self.seed, least=0),
-            substeps=checked_substeps(self.substeps, len(t)),
             limit=positive("limit", self.limit),
             after=bounded("after", scalar("after", self.after), least=0, most=float(t[-1]), unit="s"),
-            every=every,
-            t=t,
+            every=None if self.every is None else whole("every", self.every),
+            reference=sampled(self.trajectory, t, self.robot),
         )
-        self._set(reference=sampled(self.trajectory, t, self.robot))
-        affordable(
-            f"the bands of {len(self.grid):,} times, every {self.stride} samples,",
-            (1 + len(self.channels)) * BINS * len(self.grid),
-            "give a larger `every`",
-        )
+        bands = f"the bands of {len(self.grid):,} times, every {self.stride} samples,"
+        affordable(bands, (1 + len(self.channels)) * BINS * len(self.grid), "give a larger `every`")
         own = 3 + 2 * self.size + len(self.inputs) + 2 * len(self.recorded_metrics) + len(self.spread)
         affordable(f"the records of {n:,} robots", own * n, "give a smaller n")
         keep = [text("keep", name) for name in sequence("keep", self.keep, "names of signals")]
@@ -248,10 +229,9 @@ class Scenario(Recorded):
         except UnknownName as error:
             self._refuse_shared(str(error.name))
             if str(error.name).partition(".")[0] in ("force", "forces") and not self.forces:
-                raise InvalidArgument(
-                    f"spread has {error.name!r} and forces is empty, expected a force whose number it is: "
-                    "add forces=[ConstantForce((0, 0, 0))]"
-                ) from None
+                expected = "a force whose number it is: add forces=[ConstantForce((0, 0, 0))]"
+                what = f"spread has {error.name!r} and forces is empty, expected {expected}"
+                raise InvalidArgument(what) from None
             raise
         check_supports(self.spread, self.found)
         self._check_answers()
@@ -293,11 +273,10 @@ class Scenario(Recorded):
 
     def _check_answers(self) -> None:
         """Reject parts that return arrays of wrong shapes, or different values for the same arguments."""
-        h = self.dt / self.substeps
+        start = self.start
         if any(one.function is None for one in self.recorded_metrics):
-            check_measured(self.robot, *self._beginning(self.robot), self.reference)
-        check_answers(self.robot, self.forces, self.integrator, *self._beginning(self.robot), h)
-        check_controllers_memory(self.controller, self.context, *self.start)
+            check_measured(self.robot, *start, self.reference)
+        check_answers(self.given, self.context, *start)
 
     def _set(self, **values: object) -> None:
         for name, value in values.items():
@@ -354,19 +333,17 @@ class Scenario(Recorded):
     @cached_property
     def loop(self) -> Loop:
         """Nominal loop; numbers of the spread have the shape that they have for each robot."""
-        ones = {name: np.ones(1) for name in self.spread}
-        grown = {
-            path: value[0]
-            for path, value in self._spread_values(ones, 1).items()
-            if value.shape[1:] != np.shape(self._known[path].leaf.value)
-            or self._known[path].leaf.value is None
-        }
-        nominal = {path: np.broadcast_to(self._nominal(path), np.shape(new)) for path, new in grown.items()}
+        nominal: dict[str, Any] = {}
+        for path, value in self._spread_values(self._ones, 1).items():
+            given, shape = self._known[path].leaf.value, value.shape[1:]
+            if given is None or np.shape(given) != shape:
+                nominal[path] = np.broadcast_to(1.0 if given is None else given, shape)
         return replaced(self.given, nominal) if nominal else self.given
 
-    def _nominal(self, path: str) -> Any:
-        value = self._known[path].leaf.value
-        return 1.0 if value is None else value
+    @property
+    def _ones(self) -> dict[str, Array]:
+        """Draws of one robot that are all 1."""
+        return {name: np.ones(1) for name in self.spread}
 
     def _spread_values(self, draws: Mapping[str, Array], count: int) -> dict[str, Array]:
         """Return the numbers of the spread of each robot, shape (count, ...), by path."""
@@ -435,14 +412,12 @@ class Scenario(Recorded):
         """Return the reference of a robot's own trajectory, which must have the same shape for all robots."""
         longest = float(trajectory.duration)
         if longest < self.t[-1] * (1 - _SAME):
-            raise InvalidArgument(
-                f"its trajectory lasts {longest:.9g} s, expected at least {self.t[-1]:.9g} s as the ensemble"
-            )
+            least = f"{self.t[-1]:.9g} s as the ensemble"
+            raise InvalidArgument(f"its trajectory lasts {longest:.9g} s, expected at least {least}")
         reference = sampled(trajectory, np.minimum(self.t, longest), self.robot)
         if reference.v.shape != self.reference.v.shape:
-            raise InvalidArgument(
-                f"its trajectory has {reference.v.shape[1]} coordinates, expected {self.size} as all others"
-            )
+            what = f"its trajectory has {reference.v.shape[1]} coordinates"
+            raise InvalidArgument(f"{what}, expected {self.size} as all others")
         return reference
 
     @cached_property
@@ -477,8 +452,7 @@ class Scenario(Recorded):
     @cached_property
     def entries(self) -> dict[str, Any]:
         """Masks of the entries that differ from robot to robot in the numbers of the loop, by path."""
-        ones = {name: np.ones(1) for name in self.spread}
-        found = spread_entries(list(self.found.values()), self._spread_values(ones, 1))
+        found = spread_entries(list(self.found.values()), self._spread_values(self._ones, 1))
         kept = {path: x for path, x in found.items() if is_traced(path)}
         known = numbers(self.given)
         drawn = {path: known[path].value for path in self._drawn if path in known}
@@ -498,35 +472,28 @@ class Scenario(Recorded):
         references : Reference, optional
             References of the robots, see `references`.
         """
-        plant = self.robot
-        none = np.zeros((count, plant.nv))
+        plant, none = self.robot, np.zeros((count, self.robot.nv))
         off, rates = values.get("start", none), values.get("start_rate", none)
         if references is None:
-            q, v = self.start
-            return self._rolled(values, _moved(plant, q, off), v + rates)
-        firsts = (Reference(*(part[0, i] for part in references)) for i in range(count))
-        begun = [self._beginning(plant, at) for at in firsts]
-        moved = [plant.integrate(q, dq) for (q, _), dq in zip(begun, off, strict=True)]
-        return self._rolled(values, np.array(moved, np.float64), np.array([v for _, v in begun]) + rates)
-
-    def _rolled(self, values: Mapping[str, Array], q: Array, v: Array) -> tuple[Array, Array]:
-        """Return the starts with velocities projected on each robot's constraints, such as rolling."""
-        project = able(self.robot, Constrained)
+            q, v = _moved(plant, self.start[0], off), self.start[1] + rates
+        else:
+            begun = [self._beginning(Reference(*(part[0, i] for part in references))) for i in range(count)]
+            q = np.array([plant.integrate(q, dq) for (q, _), dq in zip(begun, off, strict=True)], np.float64)
+            v = np.array([v for _, v in begun]) + rates
         own = {path: value for path, value in values.items() if path.startswith("plant.")}
-        if project is None or not (own or values.keys() & {"start", "start_rate"}):
-            return q, v
-        return q, initial_velocities(self.loop, own, q, v)
+        if able(plant, Constrained) and (own or values.keys() & {"start", "start_rate"}):
+            return q, initial_velocities(self.loop, own, q, v)  # such as rolling
+        return q, v
 
     @property
     def start(self) -> tuple[Array, Array]:
         """Initial state of the nominal robot, shape (nq,) and (nv,)."""
-        q, v = self._beginning(self.robot)
+        q, v = self._beginning(Reference(*(part[0] for part in self.reference)))
         return np.array(q, np.float64), np.array(v, np.float64)
 
-    def _beginning(self, plant: Plant, at: Reference | None = None) -> tuple[Array, Array]:
-        """Return the state of a plant at the first sample of a reference, (nq,) and (nv,)."""
-        at = Reference(*(part[0] for part in self.reference)) if at is None else at
-        starting = able(plant, Starting)
+    def _beginning(self, at: Reference) -> tuple[Array, Array]:
+        """Return the state of the plant at a sample of a reference, (nq,) and (nv,)."""
+        starting = able(self.robot, Starting)
         if starting is None:
             return at.q, at.v
         q, v = (finite(f"{name} of plant.start", x) for name, x in zip("qv", starting.start(at), strict=True))
@@ -587,10 +554,9 @@ class Scenario(Recorded):
             own = {at.rpartition(".")[2]: x for at, x in values.items() if at.rpartition(".")[0] == path}
             wrong, expected = owner.impossible(own)
             if wrong.any():
-                raise InvalidArgument(
-                    f"spread gives {path} in {np.count_nonzero(wrong)} of {count} draws ({wrong.mean():.2%}) "
-                    f"an inertia that no body has, {expected}"
-                )
+                share = f"{np.count_nonzero(wrong)} of {count} draws ({wrong.mean():.2%})"
+                what = f"spread gives {path} in {share} an inertia that no body has"
+                raise InvalidArgument(f"{what}, {expected}")
 
 
 def checked_scenario(scenario: object) -> Scenario:

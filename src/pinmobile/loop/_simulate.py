@@ -25,19 +25,9 @@ from pinmobile.controllers import Controller
 from pinmobile.errors import Diverged, InvalidArgument, LimitWarning, NotTraceable, SlowerEngine
 from pinmobile.forces import Force
 from pinmobile.integrators import Integrator
-from pinmobile.loop._checks import (
-    Last,
-    check_answers,
-    check_controllers_memory,
-    checked_forces,
-    checked_loop,
-    checked_substeps,
-    chosen_integrator,
-    sample_times,
-    sampled,
-)
+from pinmobile.loop._checks import Last, check_answers, checked_run, sampled
 from pinmobile.loop._events import events_of, is_fault, kinds_of
-from pinmobile.loop._loop import Loop, named_forces
+from pinmobile.loop._loop import Loop
 from pinmobile.loop._python import CompiledRun, PythonRun, Run, with_compiled_plant
 from pinmobile.loop._record import LARGEST, is_near
 from pinmobile.loop._rollout import Rollout
@@ -90,6 +80,11 @@ def checked_engine(engine: object) -> Engine | None:
     """
     found: Engine | None = instance("engine", engine, Engine | None, "Engine.PYTHON, Engine.COMPILED or None")
     return found
+
+
+def not_compiled(error: NotTraceable) -> InvalidArgument:
+    """Return the error for a user who asked for `Engine.COMPILED`."""
+    return InvalidArgument(f"engine is Engine.COMPILED, which cannot run this: {error.reason}")
 
 
 _CHUNK = 512  # samples between two checks for divergence
@@ -202,26 +197,26 @@ def simulate(
     array([0.00012, 0.00015])
     """
     dt, limit = positive("dt", dt, "s"), positive("limit", limit)
-    integrator = chosen_integrator(plant, integrator)
-    checked_loop(plant, controller, trajectory, integrator)
-    t = sample_times(dt, duration, trajectory.duration)
-    count, checked = checked_substeps(substeps, len(t)), checked_forces(forces, plant)
+    options: Any = {"forces": forces, "integrator": integrator, "substeps": substeps}
+    whole_loop, t = checked_run(plant, controller, trajectory, **options, dt=dt, duration=duration)
     asked, known = checked_engine(engine), kinds_of(plant)
     kinds = sequence("stop_at", stop_at, 'kinds of events, such as ["tip over"]')
     stops = [one_of("event", kind, known) for kind in kinds]
     compiles = asked is Engine.COMPILED or (asked is None and stated(plant, "compiles"))
-    whole_loop = Loop(plant, controller, trajectory, checked, integrator, count)
     reference = sampled(trajectory, t, plant)
     start = start_of(plant, reference, q0, v0)
     context = Context.of(plant, dt=dt, t=t, reference=reference, trajectory=trajectory)
     context = replace(context, seed=whole("seed", seed, least=0), member=whole("member", member, least=0))
-    check_answers(plant, checked, integrator, *start, dt / count)
-    check_controllers_memory(controller, context, *start)
+    check_answers(whole_loop, context, *start)
     loop, why = _engaged(whole_loop, context, start, asked, compiles=compiles)
-    made = {"engine": "COMPILED" if isinstance(loop, CompiledRun) else "PYTHON", "fallback_reason": why}
+    made: Any = {"engine": "COMPILED" if isinstance(loop, CompiledRun) else "PYTHON", "fallback_reason": why}
     if why.startswith("not") and compiles:
         warn(f"this loop runs by PYTHON: {why}", SlowerEngine, stacklevel=2)
-    told, chunk = (controller, trajectory), len(t) if isinstance(loop, CompiledRun) else _CHUNK
+    chunk = len(t) if isinstance(loop, CompiledRun) else _CHUNK
+
+    def recorded(end: int) -> Rollout:
+        return rollout_of(whole_loop, t, loop.kept, reference, end, loop.units, **made)
+
     for begin in range(0, len(t), chunk):
         end = min(begin + chunk, len(t))
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # the check below reports it
@@ -230,16 +225,16 @@ def simulate(
             continue
         bad, why = _first_bad(plant, loop, reference, begin, end, limit)
         if bad is not None:
-            kept = _rollout(plant, t, loop, reference, bad, made, told) if bad else None
-            if (stopped := _stopped(kept, stops)) is not None:
-                return stopped
+            kept = recorded(bad) if bad else None
+            if end := _end_of(kept, stops):
+                return recorded(end)
             q, v, _, _ = loop.samples(bad, bad + 1)
             message = f"the loop diverged at t = {t[bad]:g} s (sample {bad} of {len(t) - 1}): {why}"
-            message += _too_stiff(plant, checked, start[0], dt / count)
+            message += _too_stiff(whole_loop, start[0], dt)
             message += "".join(f"; {event}" for event in _faults(kept))
             raise Diverged(message, time=float(t[bad]), q=q[0], v=v[0], rollout=kept) from loop.stopped
-    found = _rollout(plant, t, loop, reference, len(t), made, told)
-    found = _stopped(found, stops) or found
+    found = recorded(len(t))
+    found = recorded(end) if (end := _end_of(found, stops)) else found
     if faults := _faults(found):
         warn("; ".join(faults), LimitWarning, stacklevel=2)
     return found
@@ -250,16 +245,10 @@ def _faults(run: Rollout | None) -> list[str]:
     return [str(event) for event in events_of(run, with_metrics=False) if is_fault(event)] if run else []
 
 
-def _stopped(run: Rollout | None, kinds: Sequence[str]) -> Rollout | None:
-    """Return the samples up to the first event of some kinds; None if there is none."""
+def _end_of(run: Rollout | None, kinds: Sequence[str]) -> int:
+    """Return the number of samples up to the first event of some kinds; 0 if there is none."""
     times = [event.t for event in (run.events if run and kinds else ()) if event.kind in kinds]
-    if run is None or not times:
-        return None
-    end = int(np.searchsorted(run.t, min(times))) + 1
-    cut = {name: getattr(run, name)[:end] for name in ("t", "q", "v", "a", "u", "error")}
-    cut["reference"] = Reference(*(part[:end] for part in run.reference))
-    cut["signals"] = {name: Signal(unit, x[:end]) for name, (unit, x) in run.signals.items()}
-    return replace(run, **cut)
+    return int(np.searchsorted(run.t, min(times))) + 1 if run and times else 0
 
 
 def _engaged(
@@ -272,9 +261,7 @@ def _engaged(
         return CompiledRun(loop, context, *start), ""
     except NotTraceable as error:
         if asked is Engine.COMPILED:
-            raise InvalidArgument(
-                f"engine is Engine.COMPILED, which cannot run this: {error.reason}"
-            ) from error
+            raise not_compiled(error) from error
         why = error.reason
     try:
         compiled = with_compiled_plant(loop, context, *start)
@@ -305,16 +292,13 @@ def start_of(
         )
     else:
         on_reference = np.zeros(plant.nq), np.zeros(plant.nv)
-    found = []
-    for name, given, default, size in zip(
-        ("q0", "v0"), (q0, v0), on_reference, (plant.nq, plant.nv), strict=True
-    ):
-        own = finite(
-            name if given is not None else f"{name} of plant.start", default if given is None else given
-        )
-        shaped(name, own, (size,))
-        found.append(own)
-    q, v = found
+
+    def checked(name: str, given: Any, default: Array, size: int) -> Array:
+        own = finite(f"{name} of plant.start", default) if given is None else finite(name, given)
+        return shaped(name, own, (size,))
+
+    q = checked("q0", q0, on_reference[0], plant.nq)
+    v = checked("v0", v0, on_reference[1], plant.nv)
     if stated(plant, "velocity_limit") is not None:
         check_limits(plant, q, v)
     check = stated(plant, "check_start")
@@ -368,15 +352,16 @@ def _first_bad(
     return None, ""
 
 
-def _too_stiff(plant: Any, forces: Any, q: Array, h: float) -> str:
+def _too_stiff(loop: Loop, q: Array, dt: float) -> str:
     """Return advice if friction requires a smaller step of the integrator, else "".
 
     With the damping matrix C of all coordinates, explicit steps are stable up to about 2 / max eig(M^-1 C).
     """
+    plant, h = loop.plant, dt / loop.substeps
     if stated(plant, "mass_matrix") is None:
         return ""
     C = np.zeros((plant.nv, plant.nv))
-    for force in named_forces(forces).values():
+    for force in loop.all_forces:
         if stated(force, "damping") is None:
             continue
         if able(force, OnCoordinates):
@@ -391,25 +376,25 @@ def _too_stiff(plant: Any, forces: Any, q: Array, h: float) -> str:
         return ""
     rates = np.linalg.eigvals(np.linalg.solve(plant.mass_matrix(q), C))
     longest = 2 / max(float(np.abs(rates).max()), 1e-300)
-    if h <= longest:
-        return ""
-    return (
+    needs = (
         f"; the friction in `forces` needs steps of the integrator of at most {longest:.2g} s, and they are "
-        f"{h:.2g} s: give a smaller dt, or more substeps"
     )
+    return "" if h <= longest else f"{needs}{h:.2g} s: give a smaller dt, or more substeps"
 
 
-def _rollout(
-    plant: Plant,
+def rollout_of(
+    loop: Loop,
     t: Array,
-    loop: Run,
+    kept: Mapping[str, Array],
     reference: Reference,
     end: int,
-    made: dict[str, str],
-    parts: tuple[Controller, Trajectory],
+    units: Mapping[str, str],
+    **made: str,
 ) -> Rollout:
-    q, v, a, u = loop.samples(0, end)
-    kept = Reference(*(part[:end] for part in reference))
-    error = errors_of(plant, q, kept)
-    signals = told_at(t[:end], *parts) | loop.signals(end)
-    return Rollout(plant, t[:end], q, v, a, u, error, kept, signals, **made)
+    """Return the samples before `end` from arrays by name; `units` contains those of the signals."""
+    desired = Reference(*(part[:end] for part in reference))
+    q, v, a, u = (kept[name][:end] for name in "qvau")
+    signals = told_at(t[:end], loop.controller, loop.trajectory)
+    signals |= {name: Signal(unit, kept[f"signal {name}"][:end]) for name, unit in units.items()}
+    error = errors_of(loop.plant, q, desired)
+    return Rollout(loop.plant, t[:end], q, v, a, u, error, desired, signals, **made)

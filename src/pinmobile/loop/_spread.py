@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from math import isfinite
 from typing import Any, Protocol, TypeAlias, final, runtime_checkable
@@ -91,12 +91,11 @@ class Uniform:
 
     def check(self) -> None:
         """Raise `InvalidArgument` if `low` exceeds `high`, or if the width is not finite."""
-        if self.low > self.high:
-            raise InvalidArgument(f"low is {self.low}, expected at most high, {self.high}")
-        if not isfinite(self.high - self.low):
-            raise InvalidArgument(
-                f"high is {self.high} and low {self.low}, expected a width of at most 1.79e308"
-            )
+        low, high = self.low, self.high
+        if low > high:
+            raise InvalidArgument(f"low is {low}, expected at most high, {high}")
+        if not isfinite(high - low):
+            raise InvalidArgument(f"high is {high} and low {low}, expected a width of at most 1.79e308")
 
     def sample(self, generator: np.random.Generator, size: int) -> Array:
         """Return independent draws.
@@ -364,11 +363,8 @@ def drawn(name: str, source: Any, generator: np.random.Generator, size: int) -> 
     InvalidArgument
         If the distribution returns anything but `size` finite numbers.
     """
-    if stated(source, "sample") is not None:
-        values = source.sample(generator, size)
-    else:
-        values = source.rvs(size=size, random_state=generator)
-    what = f"spread[{name!r}].sample"
+    is_own, what = stated(source, "sample") is not None, f"spread[{name!r}].sample"
+    values = source.sample(generator, size) if is_own else source.rvs(size=size, random_state=generator)
     return shaped(what, finite(what, values), (size,))
 
 
@@ -402,14 +398,11 @@ def checked_spread(spread: Mapping[str, Source], n: int, find: Find) -> dict[str
         path, entries = one.path, one.leaf.entries
         if one.is_array and entries and not (one.leaf.is_gain or isinstance(source, Relative | SameAs)):
             each = ", ".join(repr(f"{name}.{entry}") for entry in entries)
-            raise InvalidArgument(
-                f"spread has {name!r}, an array of {len(entries)} different numbers, expected {each}, or a "
-                "Relative distribution"
-            )
+            what = f"spread has {name!r}, an array of {len(entries)} different numbers"
+            raise InvalidArgument(f"{what}, expected {each}, or a Relative distribution")
         if named.setdefault(path, name) != name:
-            raise InvalidArgument(
-                f"spread has {named[path]!r} and {name!r}, which both mean {path}, expected one of them"
-            )
+            what = f"spread has {named[path]!r} and {name!r}, which both mean {path}"
+            raise InvalidArgument(f"{what}, expected one of them")
         found[name] = _checked(f"spread[{name!r}]", source, n)
         if isinstance(source, SameAs):
             _follow(name, source, spread, find)
@@ -431,15 +424,14 @@ def check_supports(spread: Mapping[str, Any], found: Mapping[str, Found]) -> Non
         )
         above, lower = (stated(declared, name) for name in ("above", "lower"))
         least = lower if above is None else above
-        if least is None or not known:
-            continue
-        low = float(source.support()[0])
-        if np.isfinite(low) and low < least:
-            raise InvalidArgument(
-                f"spread[{name!r}] reaches {low:.6g} {one.unit} as the {one.meaning}, and "
-                f"{float(source.cdf(least)):.2%} of its draws are impossible; "
-                f"expected {declared.bound}"  # type: ignore[attr-defined]
-            )
+        if least is not None and known and -np.inf < (low := float(source.support()[0])) < least:
+            count = f"{float(source.cdf(least)):.2%} of its draws"
+            raise _impossible(f"spread[{name!r}] reaches {low:.6g}", one, count)
+
+
+def _impossible(what: str, one: Found, count: str) -> InvalidArgument:
+    words = f"{what} {one.unit} as the {one.meaning}, and {count} are impossible"
+    return InvalidArgument(f"{words}; expected {one.leaf.declared.bound}")  # type: ignore[attr-defined]
 
 
 def check_possible(draws: Mapping[str, Array], found: Mapping[str, Found]) -> None:
@@ -451,32 +443,23 @@ def check_possible(draws: Mapping[str, Array], found: Mapping[str, Found]) -> No
         If some exceed a bound; the message gives their share.
     """
     for name, column in draws.items():
-        one = found[name]
-        declared = one.leaf.declared
+        one, declared = found[name], found[name].leaf.declared
         wrong = declared.beyond(column) if isinstance(declared, Number) else np.zeros(len(column), bool)
         if wrong.any():
-            raise InvalidArgument(
-                f"spread[{name!r}] gives {column[wrong].min():.6g} {one.unit} as the "
-                f"{one.meaning}, and {np.count_nonzero(wrong)} of {len(column)} draws "
-                f"({wrong.mean():.2%}) are impossible; expected {declared.bound}"  # type: ignore[attr-defined]
-            )
+            count = f"{np.count_nonzero(wrong)} of {len(column)} draws ({wrong.mean():.2%})"
+            raise _impossible(f"spread[{name!r}] gives {column[wrong].min():.6g}", one, count)
 
 
 def _checked(what: str, source: Any, n: int) -> Any:
-    if isinstance(source, SameAs):
-        return SameAs(source.name, _checked(f"{what}.factor", source.factor, n))
-    if isinstance(source, Relative):
-        return Relative(_checked(f"{what}.factor", source.factor, n))
+    if isinstance(source, SameAs | Relative):
+        return replace(source, factor=_checked(f"{what}.factor", source.factor, n))
     if isinstance(source, type):
-        raise InvalidArgument(
-            f"{what} is the class {source.__name__}, expected an object of a class, such as Uniform(1, 2)"
-        )
+        kind = f"the class {source.__name__}"
+        raise InvalidArgument(f"{what} is {kind}, expected an object of a class, such as Uniform(1, 2)")
     numbers = stated(source, "__array__") is not None  # a column of pandas has `sample` too
     if not numbers and any(stated(source, name) is not None for name in ("sample", "rvs")):
         return source
-    values = finite(what, source)
-    shaped(what, values, (), (n,))
-    return values.copy()
+    return shaped(what, finite(what, source), (), (n,)).copy()
 
 
 def _follow(name: str, source: SameAs, spread: Mapping[str, Any], find: Find) -> None:
@@ -535,19 +518,18 @@ def draw(spread: Mapping[str, Any], seed: int, start: int, stop: int, find: Find
         if path not in values:
             name = names.get(path)
             source = None if name is None else spread[name]
-            if isinstance(source, SameAs):
-                other = find(source.name)
-                factor = _values(f"{name} factor", source.factor, seed, start, stop)
-                values[path] = of(other.path, other) * factor
-            elif isinstance(source, Relative):
-                factor = _values(f"{name} factor", source.factor, seed, start, stop)
-                values[path] = factor * (1.0 if found.is_array else found.value)
+            if isinstance(source, SameAs | Relative):
+                if isinstance(source, SameAs):
+                    other = find(source.name)
+                    base: Any = of(other.path, other)
+                else:
+                    base = 1.0 if found.is_array else found.value
+                values[path] = base * _values(f"{name} factor", source.factor, seed, start, stop)
             elif name is not None:
                 values[path] = _values(name, source, seed, start, stop)
             elif found.is_array:
-                raise InvalidArgument(
-                    f"spread refers to {path!r}, an array of different numbers, expected a single number"
-                )
+                what = f"spread refers to {path!r}, an array of different numbers"
+                raise InvalidArgument(f"{what}, expected a single number")
             else:
                 return np.full(stop - start, found.value)
         return values[path]
@@ -575,10 +557,8 @@ def held(spread: Mapping[str, Any], start: int, stop: int) -> dict[str, Any]:
     """
 
     def part(source: object) -> Any:
-        if isinstance(source, SameAs):
-            return SameAs(source.name, part(source.factor))
-        if isinstance(source, Relative):
-            return Relative(part(source.factor))
+        if isinstance(source, SameAs | Relative):
+            return replace(source, factor=part(source.factor))
         if isinstance(source, np.ndarray) and source.ndim:
             return _Held(start, source[start:stop])
         return source

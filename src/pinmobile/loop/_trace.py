@@ -24,7 +24,6 @@ from pinmobile.compiled import (
     calling_place,
     entries,
     evaluated,
-    float_bits,
     has_symbols,
     is_traced,
     leaves,
@@ -32,7 +31,7 @@ from pinmobile.compiled import (
     matched,
     needed,
     normals,
-    real,
+    sample_index,
     symbols,
     tracing,
 )
@@ -41,6 +40,8 @@ from pinmobile.loop._loop import OWNERS, Loop, Record, State, initial, step
 from pinmobile.parts import numbers, replace
 from pinmobile.plant import Context
 from pinmobile.trajectories import Reference
+
+_FINAL = "return arrays of their final shapes from initial_state"
 
 
 class _Asked(NamedTuple):
@@ -125,13 +126,9 @@ class Trace:
         number = self._shaped()
         tape = self._tape()
         moves = [now != after for now, after in tape.states]
-        fixed = frozenset(
-            (leaf.owner, leaf.path)
-            for leaf in tape.leaves
-            if leaf.kind == "state" and not any(moves[leaf.first : leaf.first + int(np.prod(leaf.shape))])
-        )
-        if fixed:
-            self.fixed = fixed
+        stays = [x for x in tape.leaves if x.kind == "state" and not any(moves[x.first : x.end])]
+        if stays:
+            self.fixed = frozenset((leaf.owner, leaf.path) for leaf in stays)
             tape = self._tape()
         if not self.identity.is_ours:
             self._compare_tapes(tape, self._tape())
@@ -163,13 +160,8 @@ class Trace:
 
     def _memory(self, k: int) -> State:
         """Return the memory before the first sample, with the noise of sample k."""
-        begun = initial_memory(
-            self.loop,
-            self.context,
-            noise=lambda name, n: Noise(0, n, k),
-            schedule=lambda rows: Schedule(rows, k),
-        )
-        return self.grown(begun)
+        makers = Line, lambda name, n: Noise(0, n, k), lambda rows: Schedule(rows, k)
+        return self.grown(initial_memory(self.loop, self.context, *makers))
 
     def _elsewhere(self) -> _Asked:
         """Return a sample at the next time and at a general state, so that no law sees a special case."""
@@ -203,13 +195,10 @@ class Trace:
         for other in (one, two):  # a law with alternating results differs from one of the tapes
             known = zip(other.tape.operations, told.tape.operations, strict=False)
             ends += [i for i, (a, b) in enumerate(known) if a != b][:1]
-        differ = min(ends)
-        raise NotTraceable(
-            "the law computes something else when it runs again: it counts, draws random numbers or "
-            "keeps memory outside its state",
-            "keep memory in state, and take noise from context.noise(name, n)",
-            told.tape.places[min(differ, len(told.tape.places) - 1)],
-        )
+        why = "it counts, draws random numbers or keeps memory outside its state"
+        what = f"the law computes something else when it runs again: {why}"
+        instead = "keep memory in state, and take noise from context.noise(name, n)"
+        raise NotTraceable(what, instead, told.tape.places[min(ends)])
 
     def _compare_numbers(self, loop: LoopTape, numbers: Sequence[_Asked]) -> None:
         for asked in numbers:
@@ -222,21 +211,14 @@ class Trace:
             wanted = [after for _, after in loop.states]
             wanted += [node for _, nodes in loop.kept.values() for node in nodes]
             with np.errstate(all="ignore"):
-                got = evaluated(loop.tape, wanted, inputs)
-                near = np.isclose(
-                    np.array(got, float),
-                    np.array(expected),
-                    rtol=1e-7,
-                    atol=1e-9 + 1e-7 * np.nan_to_num(sizes),
-                    equal_nan=True,
-                )
+                got = np.array(evaluated(loop.tape, wanted, inputs), float)
+                most = 1e-9 + 1e-7 * np.nan_to_num(sizes)
+                near = np.isclose(got, expected, rtol=1e-7, atol=most, equal_nan=True)
             if not near.all():
                 i = int(np.argmin(near))
-                raise NotTraceable(
-                    f"with symbols, {_name(loop, i)} is {got[i]:g} after a sample, and with numbers "
-                    f"{expected[i]:g}",
-                    "write a law that treats every kind of array alike, without isinstance or try",
-                )
+                values = f"{got[i]:g} after a sample, and with numbers {expected[i]:g}"
+                instead = "write a law that treats every kind of array alike, without isinstance or try"
+                raise NotTraceable(f"with symbols, {_name(loop, i)} is {values}", instead)
 
     def _inputs(self, loop: LoopTape, asked: _Asked) -> dict[Any, Any]:
         """Return the inputs of the tape at a sample."""
@@ -286,8 +268,7 @@ class _Pass:
         kind = "track" if trace.own_reference else "sample"
         reference = Reference(*(self._new(kind, x.shape) for x in trace.reference))  # type: ignore[arg-type]
         self.next["sample"] = columns = 1 + sum(x.size for x in trace.reference)
-        count = tape.input(*COUNT)
-        k = symbols([tape.mark("count", real(count | float_bits(2.0**52)) - 2.0**52)], ())
+        k = symbols([sample_index(tape)], ())
         makers = self._line, self._noise, self._schedule
         numbers = trace.grown(initial_memory(trace.loop, trace.context, *makers))
         state = State(q, v, *(self._remembered(owner, getattr(numbers, owner)) for owner in OWNERS))
@@ -302,26 +283,23 @@ class _Pass:
         counted = [self.tape.number(y) for x in record.counted for y in entries(x).reshape(-1)]
         wanted = *ends, *counted, *(n for _, nodes in kept.values() for n in nodes)
         used = {tape.operations[i] for i in needed(tape, wanted)}
+
+        def is_used(leaf: Leaf) -> bool:
+            return any((leaf.kind, i) in used for i in range(leaf.first, leaf.end))
+
+        own: Any = {name: getattr(self, name) for name in ("tape", "leaves", "parameters", "keys", "rings")}
         return LoopTape(
-            tape=tape,
+            **own,
             states=list(zip(self.now, ends, strict=True)),
-            leaves=self.leaves,
-            parameters=self.parameters,
             uniforms=self.next["uniform"],
             rows=self.next["row"],
-            keys=self.keys,
-            rings=self.rings,
             counted=counted,
             kept=kept,
             units=dict(record.units),
             sizes=(*map(len, trace.start), loop.plant.nu, *map(len, trace.reference[:2])),
             tracks=self.next["track"],
             scheduled=self.next["sample"] - columns,
-            unused=[
-                name
-                for name, leaf in self.parameters.items()
-                if not any((leaf.kind, leaf.first + i) in used for i in range(int(np.prod(leaf.shape))))
-            ],
+            unused=[name for name, leaf in self.parameters.items() if not is_used(leaf)],
         )
 
     def _symbolic(self) -> dict[str, Symbols]:
@@ -364,18 +342,14 @@ class _Pass:
             for path, old, new in matched(getattr(before, owner), getattr(found, owner)):
                 leaf = next(places)
                 if np.shape(new) not in ((), leaf.shape):
-                    raise NotTraceable(
-                        f"{path} has shape {leaf.shape}, and shape {np.shape(new)} a sample later",
-                        "return arrays of their final shapes from initial_state",
-                    )
+                    what = f"{path} has shape {leaf.shape}, and shape {np.shape(new)} a sample later"
+                    raise NotTraceable(what, _FINAL)
                 nodes = [self.tape.number(x) for x in np.broadcast_to(entries(new), leaf.shape).reshape(-1)]
                 if leaf.kind == "state":
                     after += nodes
                 elif nodes != [self.tape.number(x) for x in entries(old).reshape(-1)]:
-                    raise NotTraceable(
-                        f"{path} stays constant in one run of the law and changes in another",
-                        "keep memory in state",
-                    )
+                    what = f"{path} stays constant in one run of the law and changes in another"
+                    raise NotTraceable(what, "keep memory in state")
         return after
 
     def _line(self, samples: int) -> _Once:
@@ -437,11 +411,8 @@ def _wider(owner: str, path: str, old: tuple[int, ...], new: tuple[int, ...]) ->
     try:
         return np.broadcast_shapes(old, new)
     except ValueError:
-        raise NotTraceable(
-            f"{path} of the {owner} has shape {old} and a sample later {new}",
-            "return arrays of their final shapes from initial_state, and take delays from "
-            "context.delay(samples)",
-        ) from None
+        what = f"{path} of the {owner} has shape {old} and a sample later {new}"
+        raise NotTraceable(what, f"{_FINAL}, and take delays from context.delay(samples)") from None
 
 
 def _flat_numbers(values: Iterable[Any]) -> list[float]:
@@ -459,7 +430,7 @@ def _name(loop: LoopTape, i: int) -> str:
     if i < nq + nv:
         return f"q[{i}]" if i < nq else f"v[{i - nq}]"
     for leaf in loop.leaves:
-        if leaf.kind == "state" and leaf.first <= i < leaf.first + int(np.prod(leaf.shape)):
+        if leaf.kind == "state" and leaf.first <= i < leaf.end:
             return f"{leaf.path} of the {leaf.owner}"
     raise IndexError(i)
 
@@ -530,10 +501,8 @@ def check_schedules(loop: Loop, context: Context, spread: Iterable[str]) -> None
         moved = replace(loop, {path: values[path] * 1.001 + 1e-6})
         others = scheduled_rows(moved, context)
         if not all(map(np.array_equal, rows, others)):
-            raise NotTraceable(
-                f"the context of the controller depends on {path}, which differs from robot to robot",
-                "spread parameters of the plant, or run with engine=Engine.PYTHON",
-            )
+            what = f"the context of the controller depends on {path}, which differs from robot to robot"
+            raise NotTraceable(what, "spread parameters of the plant, or run with engine=Engine.PYTHON")
 
 
 def traced_numbers(loop: Loop) -> dict[str, Array]:

@@ -205,15 +205,11 @@ def arguments_of(scenario: Scenario, i: int, drawn: Mapping[str, Array] | None =
     own = scenario.references(values, 1, i)
     q, v = scenario.starts(values, 1, own)
     options = {
-        "dt": scenario.dt,
-        "duration": scenario.duration if own is None else float(scenario.t[-1]),
-        "q0": q[0],
-        "v0": v[0],
-        "integrator": scenario.integrator,
-        "substeps": scenario.substeps,
-        "forces": loop.forces,
-        "limit": scenario.limit,
+        name: getattr(scenario, name) for name in ("dt", "duration", "integrator", "substeps", "limit")
     }
+    options |= {"q0": q[0], "v0": v[0], "forces": loop.forces}
+    if own is not None:
+        options["duration"] = float(scenario.t[-1])
     if scenario.is_noisy:
         options |= {"seed": scenario.seed, "member": i}
     return Arguments(loop.plant, loop.controller, loop.trajectory, options)
@@ -457,24 +453,18 @@ def coordinates(scenario: Scenario | Outline) -> list[tuple[str, Sequence[Any], 
     scenario : Scenario or Outline
         Scenario of the robots.
     """
-    names, inputs, metrics = (
-        [one.name for one in each]
-        for each in (scenario.coordinates, scenario.inputs, scenario.recorded_metrics)
-    )
+    named = scenario.coordinates, scenario.inputs, scenario.recorded_metrics
+    names, inputs, metrics = ([one.name for one in each] for each in named)
     told = ", ".join(f"{one.meaning} [{one.unit or '1'}]" for one in scenario.channels)
     judged = ", ".join(one.meaning for one in scenario.recorded_metrics)
+    edge = "lower edge, also upper edge of the previous bin; for a margin m: of m + sqrt(m^2 + 2^-24)"
     return [
         ("time", scenario.grid.tolist(), "s", "time"),
-        ("coordinate", list(names), "1", "coordinate"),
-        ("input", list(inputs), "1", "input"),
+        ("coordinate", names, "1", "coordinate"),
+        ("input", inputs, "1", "input"),
         ("channel", [one.name for one in scenario.channels], "1", told),
         ("level", list(LEVELS), "1", "share of the robots"),
-        (
-            "bin",
-            edges()[:-1].tolist(),
-            "unit of the channel",
-            "lower edge, also upper edge of the previous bin; for a margin m: of m + sqrt(m^2 + 2^-24)",
-        ),
+        ("bin", edges()[:-1].tolist(), "unit of the channel", edge),
         *([("metric", metrics, "1", judged)] if metrics else []),
     ]
 
