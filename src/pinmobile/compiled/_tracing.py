@@ -94,15 +94,10 @@ def tracing(namespaces: Iterable[dict[str, Any]] = (), cells: Iterable[CellType]
         spaces = [vars(module) for name, module in list(known) if module is not None and _holds_laws(name)]
         seen = {id(space) for space in spaces}
         spaces += [space for space in namespaces if id(space) not in seen]
-        changed = [
-            (space, name, value, _others[id(value)])
-            for space in spaces
-            for name, value in list(space.items())
-            if id(value) in _others
-        ]
+        changed = [(space, name, x) for space in spaces for name, x in [*space.items()] if id(x) in _others]
         shut = [(cell, value) for cell in cells if id(value := _content(cell)) in _others]
-        for space, name, _, other in changed:
-            space[name] = other
+        for space, name, value in changed:
+            space[name] = _others[id(value)]
         for cell, value in shut:
             cell.cell_contents = _others[id(value)]
         _local.depth = getattr(_local, "depth", 0) + 1
@@ -121,7 +116,7 @@ def tracing(namespaces: Iterable[dict[str, Any]] = (), cells: Iterable[CellType]
             raise NotTraceable(what, instead, place_of(error.__traceback__)) from error
         finally:
             _local.depth -= 1
-            for space, name, value, _ in changed:
+            for space, name, value in changed:
                 space[name] = value
             for cell, value in shut:
                 cell.cell_contents = value
@@ -170,9 +165,8 @@ def calling_place() -> str:
 
 def _told(code: CodeType, line: int) -> str:
     text = linecache.getline(code.co_filename, line).strip()
-    return f"{code.co_qualname}, line {line} of {Path(code.co_filename).name}" + (
-        f" (`{text}`)" if text else ""
-    )
+    place = f"{code.co_qualname}, line {line} of {Path(code.co_filename).name}"
+    return f"{place} (`{text}`)" if text else place
 
 
 @functools.lru_cache(4096)

@@ -88,10 +88,8 @@ def vectorize(
         arrays = list(map(finite, names, arrays)) if checked else arrays
         own = (axes,) * len(arrays) if isinstance(axes, int) else axes
         if len(own) != len(arrays) or any(x.ndim < n for x, n in zip(arrays, own, strict=True)):
-            given_shapes = [x.shape for x in arrays]
-            raise InvalidArgument(
-                f"arguments have shapes {given_shapes}, expected axes = {axes} for one state"
-            )
+            what = f"arguments have shapes {[x.shape for x in arrays]}"
+            raise InvalidArgument(f"{what}, expected axes = {axes} for one state")
         leads = [x.shape[: x.ndim - n] for x, n in zip(arrays, own, strict=True)]
         shapes = [x.shape[x.ndim - n :] for x, n in zip(arrays, own, strict=True)]
         try:

@@ -353,9 +353,8 @@ def without_delays(loop: LoopTape) -> LoopTape:
             places = range(moved[i], moved[i] + operation[2])
             now = [tape.input("state", place) for place in places]
             values = [tape.apply("select", begins, pushed, x) for x in now]
-            states.extend(
-                (one.index, after.index) for one, after in zip(now, [*values[1:], pushed], strict=True)
-            )
+            after = [one.index for one in (*values[1:], pushed)]
+            states.extend(zip([one.index for one in now], after, strict=True))
             return values[0].index
 
     copy = WithStates(loop)
@@ -453,10 +452,8 @@ def _before_rounds(tape: Tape, i: int, totals: Mapping[int, Any], active: set[in
     """Return the numbers on which rounds depend, and the derivatives by them, from a tangent for each."""
     rounds = Rounds.of(tape, i)
     inputs = [x for x in sorted({*rounds.first, *rounds.outside}) if x in active]
-    size = len(inputs) * (
-        len(rounds.body) + sum(tape.operations[j][0] == "repeat" for j in rounds.body) * _INNER
-    )
-    if size > _LARGEST_ROUNDS:
+    inner = sum(tape.operations[j][0] == "repeat" for j in rounds.body)
+    if len(inputs) * (len(rounds.body) + inner * _INNER) > _LARGEST_ROUNDS:
         raise NotTraceable("the contacts of dry friction run forward only", 'use mode="forward"')
     _, tangents = _after_rounds(tape, i, lambda x: x, [{x: tape.const(1.0)} for x in inputs])
     return [

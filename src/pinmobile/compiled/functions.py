@@ -36,9 +36,8 @@ from pinmobile.errors import NotTraceable
 
 def _where(condition: Operand, *choice: Operand) -> Any:
     if not choice:
-        raise NotTraceable(
-            "np.where with one argument of symbols", "give three arguments: np.where(condition, a, b)"
-        )
+        instead = "give three arguments: np.where(condition, a, b)"
+        raise NotTraceable("np.where with one argument of symbols", instead)
     return wrapped(choose(*map(plain, (condition, *choice))))
 
 

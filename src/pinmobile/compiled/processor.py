@@ -155,10 +155,8 @@ def _check_executable() -> None:
     if libc.mprotect(ctypes.c_void_p(ctypes.addressof(first)), *wanted):
         why = os.strerror(ctypes.get_errno())
         what = f"this process may not execute memory that it wrote (mprotect: {why})"
-        instead = (
-            "allow it for the fastest engine, for example by MemoryDenyWriteExecute=no in its systemd unit"
-        )
-        raise NotTraceable(what, instead)
+        example = "for example by MemoryDenyWriteExecute=no in its systemd unit"
+        raise NotTraceable(what, f"allow it for the fastest engine, {example}")
 
 
 @dataclass(frozen=True)

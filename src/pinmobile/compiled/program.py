@@ -254,9 +254,8 @@ class Program:
         counted = len(loop.counted), BINS
         times = -(-len(samples) // every) if loop.counted else 0
         counts = np.zeros((workers, max(1, times), *counted), np.int32)
-        rings = [
-            aligned((max(1, sum(ring.samples for ring in loop.rings)), self.shape.width)) for _ in counts
-        ]
+        longest = max(1, sum(ring.samples for ring in loop.rings))
+        rings = [aligned((longest, self.shape.width)) for _ in counts]
 
         def run(worker: int, begin: int, end: int) -> None:
             own = rings[worker], counts[worker], kept

@@ -432,9 +432,8 @@ def put(found: object, out: object) -> Any:
     """Write a result into the array `out` of a NumPy call."""
     if not isinstance(out, Symbols):
         instead = "write x = x + ..., or make the array in the law by np.zeros or np.zeros_like"
-        raise NotTraceable(
-            "an operation writes symbols into an array of numbers from outside the law", instead
-        )
+        what = "an operation writes symbols into an array of numbers from outside the law"
+        raise NotTraceable(what, instead)
     out.entries[...] = plain(found)
     return out
 

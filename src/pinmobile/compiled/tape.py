@@ -373,10 +373,8 @@ class Node:
 
     def __float__(self) -> float:
         what = "float(), a function of `math`, or an array from outside the law needs the value of a symbol"
-        instead = (
-            "use NumPy's function, and make the array in the law, by np.array, np.zeros or np.zeros_like"
-        )
-        return float(self._needed(what, instead))
+        make = "make the array in the law, by np.array, np.zeros or np.zeros_like"
+        return float(self._needed(what, f"use NumPy's function, and {make}"))
 
     def __index__(self) -> int:
         what = "an index, int(), range() or an array of whole numbers needs the value of a symbol"
@@ -670,11 +668,8 @@ class LoopTape:
         wanted = needed(tape, self.outputs)
         shared = {i for i in wanted if tape.depends[i] & SAMPLE and not tape.depends[i] & (ROBOT | STATE)}
         used = {i for j in wanted if j not in shared for i in operands(tape.operations[j])}
-        found = [
-            i
-            for i in sorted(shared & (used | set(self.outputs)))
-            if tape.types[i] == "f" and operands(tape.operations[i])
-        ]
+        ends = sorted(shared & (used | set(self.outputs)))
+        found = [i for i in ends if tape.types[i] == "f" and operands(tape.operations[i])]
         saved = len(shared & set(needed(tape, found)))
         return found if self.tables and saved > _WORTH_A_TABLE + 2 * len(found) else []
 

@@ -101,9 +101,8 @@ def causes(ensemble: Any, worst: NDArray[np.bool_]) -> list[Cause]:
     """
     differ = [one for one in _parameters(ensemble) if np.ptp(one[2]) > 1e-12 * np.abs(one[2]).max()]
     if not differ:
-        raise InvalidArgument(
-            "ensemble has robots with the same parameters, expected a spread of at least one parameter"
-        )
+        what = "ensemble has robots with the same parameters"
+        raise InvalidArgument(f"{what}, expected a spread of at least one parameter")
     return sorted((_cause(*one, worst) for one in differ), key=lambda one: -one.difference)
 
 

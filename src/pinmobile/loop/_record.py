@@ -202,15 +202,12 @@ class Worst:
         lives = alive[..., None]
         worst = np.where(lives, np.stack(bad, axis=-1), self._no_metrics()["worst"])
         squares = np.where(lives, np.stack([x * x for x, _ in columns], axis=-1), 0.0)
-        kept = {
-            "worst": _larger(worst, before["worst"]),
-            "metric_squares": before["metric_squares"] + squares,
-        }
+        worst, squares = _larger(worst, before["worst"]), before["metric_squares"] + squares
         sizes = [
             np.where(alive, size_of(x) if is_margin else y, 0.0 if is_margin else np.inf)
             for (x, is_margin), y in zip(columns, bad, strict=True)
         ]
-        return kept, sizes
+        return {"worst": worst, "metric_squares": squares}, sizes
 
 
 def _value(metric: Metric, sample: Sample) -> Any:
@@ -219,15 +216,13 @@ def _value(metric: Metric, sample: Sample) -> Any:
         found = metric.function(sample)  # type: ignore[misc]
     except Exception as error:
         if not has_symbols(sample.q):
-            error.add_note(
-                f"in the function of the metric {metric.name!r}, for the sample at t = {sample.t:g} s"
-            )
+            where = f"for the sample at t = {sample.t:g} s"
+            error.add_note(f"in the function of the metric {metric.name!r}, {where}")
             raise
         raise UntraceableMetric(metric.name, error) from error
     if np.shape(found) != () or not are_real(np.asarray(found)):
-        raise InvalidArgument(
-            f"metrics has {metric.name!r}, whose function returned {shown(found)}, expected a number"
-        )
+        what = f"metrics has {metric.name!r}, whose function returned {shown(found)}"
+        raise InvalidArgument(f"{what}, expected a number")
     return 1.0 * np.asarray(found) if isinstance(found, bool | np.bool_) else found
 
 

@@ -476,9 +476,8 @@ def run_scenario(
         words = f"this ensemble runs by {way.engine!r}, {way.engine.value}; {way.fallback_reason}"
         warn(words, SlowerEngine, stacklevel=3)
     part = way.run(draws, 0, scenario.n, workers, progress)
-    found = Ensemble.of(
-        scenario, draws, part, followed, engine=repr(way.engine), fallback_reason=way.fallback_reason
-    )
+    made = repr(way.engine), way.fallback_reason
+    found = Ensemble.of(scenario, draws, part, followed, *made)
     if told := [words for happens, words in found.told() if happens]:
         warn("; ".join(told), LimitWarning, stacklevel=3)
     return found

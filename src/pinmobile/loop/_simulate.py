@@ -361,9 +361,7 @@ def _too_stiff(loop: Loop, q: Array, dt: float) -> str:
     if stated(plant, "mass_matrix") is None:
         return ""
     C = np.zeros((plant.nv, plant.nv))
-    for force in loop.all_forces:
-        if stated(force, "damping") is None:
-            continue
+    for force in [each for each in loop.all_forces if stated(each, "damping") is not None]:
         if able(force, OnCoordinates):
             C += np.diag(np.broadcast_to(force.damping, plant.nv))
             continue
@@ -372,14 +370,10 @@ def _too_stiff(loop: Loop, q: Array, dt: float) -> str:
         axes = np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]])  # axes of the body
         J = np.stack([plant.generalized_force(q, axis) for axis in axes])
         C += J.T @ np.diag(force.damping) @ J
-    if not C.any():
-        return ""
-    rates = np.linalg.eigvals(np.linalg.solve(plant.mass_matrix(q), C))
+    rates = np.linalg.eigvals(np.linalg.solve(plant.mass_matrix(q), C)) if C.any() else np.zeros(1)
     longest = 2 / max(float(np.abs(rates).max()), 1e-300)
-    needs = (
-        f"; the friction in `forces` needs steps of the integrator of at most {longest:.2g} s, and they are "
-    )
-    return "" if h <= longest else f"{needs}{h:.2g} s: give a smaller dt, or more substeps"
+    needs = f"; the friction in `forces` needs steps of the integrator of at most {longest:.2g} s"
+    return "" if h <= longest else f"{needs}, and they are {h:.2g} s: give a smaller dt, or more substeps"
 
 
 def rollout_of(

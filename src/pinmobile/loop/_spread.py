@@ -419,9 +419,8 @@ def check_supports(spread: Mapping[str, Any], found: Mapping[str, Found]) -> Non
     """
     for name, source in spread.items():
         declared, one = found[name].leaf.declared, found[name]
-        known = isinstance(source, Uniform) or (
-            stated(source, "sample") is None and stated(source, "rvs") is not None
-        )
+        frozen = stated(source, "sample") is None and stated(source, "rvs") is not None  # of scipy.stats
+        known = frozen or isinstance(source, Uniform)
         above, lower = (stated(declared, name) for name in ("above", "lower"))
         least = lower if above is None else above
         if least is not None and known and -np.inf < (low := float(source.support()[0])) < least:

@@ -276,11 +276,8 @@ class _Pass:
             loop = replace(trace.loop, values, nominal=True)
             after, _, record = step(loop, k, t, h, state, reference)
             ends = self._after(state, after)
-        kept = {
-            name: (np.shape(x), [self.tape.number(y) for y in entries(x).reshape(-1)])
-            for name, x in record.kept.items()
-        }
-        counted = [self.tape.number(y) for x in record.counted for y in entries(x).reshape(-1)]
+        kept = {name: (np.shape(x), self._nodes([x])) for name, x in record.kept.items()}
+        counted = self._nodes(record.counted)
         wanted = *ends, *counted, *(n for _, nodes in kept.values() for n in nodes)
         used = {tape.operations[i] for i in needed(tape, wanted)}
 
@@ -334,9 +331,13 @@ class _Pass:
 
         return mapped(tree, remember)
 
+    def _nodes(self, values: Iterable[Any]) -> list[int]:
+        """Return the nodes of all entries of some values."""
+        return [self.tape.number(x) for value in values for x in entries(value).reshape(-1)]
+
     def _after(self, before: State, found: State) -> list[int]:
         """Return the nodes of the state at the next sample."""
-        after = [self.tape.number(x) for part in (found.q, found.v) for x in entries(part).reshape(-1)]
+        after = self._nodes([found.q, found.v])
         places = iter(self.leaves)
         for owner in OWNERS:
             for path, old, new in matched(getattr(before, owner), getattr(found, owner)):
@@ -344,10 +345,10 @@ class _Pass:
                 if np.shape(new) not in ((), leaf.shape):
                     what = f"{path} has shape {leaf.shape}, and shape {np.shape(new)} a sample later"
                     raise NotTraceable(what, _FINAL)
-                nodes = [self.tape.number(x) for x in np.broadcast_to(entries(new), leaf.shape).reshape(-1)]
+                nodes = self._nodes([np.broadcast_to(entries(new), leaf.shape)])
                 if leaf.kind == "state":
                     after += nodes
-                elif nodes != [self.tape.number(x) for x in entries(old).reshape(-1)]:
+                elif nodes != self._nodes([old]):
                     what = f"{path} stays constant in one run of the law and changes in another"
                     raise NotTraceable(what, "keep memory in state")
         return after
@@ -507,9 +508,8 @@ def check_schedules(loop: Loop, context: Context, spread: Iterable[str]) -> None
 
 def traced_numbers(loop: Loop) -> dict[str, Array]:
     """Return the numbers of a loop that are symbols of its law, by path."""
-    return {
-        path: np.asarray(leaf.value, np.float64) for path, leaf in numbers(loop).items() if is_traced(path)
-    }
+    traced = {path: leaf.value for path, leaf in numbers(loop).items() if is_traced(path)}
+    return {path: np.asarray(value, np.float64) for path, value in traced.items()}
 
 
 def initial_memories(

@@ -137,16 +137,14 @@ class Part(NamedTuple):
         """
         columns: list[list[Any]] = [[] for _ in cls._fields[:-2]]
         counts: Any = 0
-        series: dict[str, list[Signal]] = {}
+        series: dict[tuple[str, str], list[Array]] = {}
         for *own, counted, kept in parts:
             counts = counts + counted
             for column, rows in zip(columns, own, strict=True):
                 column.append(rows)
             for name, signal in kept.items():
-                series.setdefault(name, []).append(signal)
-        every = {
-            name: Signal(x[0].unit, np.concatenate([one.values for one in x])) for name, x in series.items()
-        }
+                series.setdefault((name, signal.unit), []).append(signal.values)
+        every = {name: Signal(unit, np.concatenate(rows)) for (name, unit), rows in series.items()}
         # One array after the other, which needs little additional memory.
         return cls._make([*(np.concatenate(columns.pop(0)) for _ in cls._fields[:-2]), counts, every])
 
@@ -204,9 +202,8 @@ def arguments_of(scenario: Scenario, i: int, drawn: Mapping[str, Array] | None =
     loop = parts.replace(scenario.loop, own_values)
     own = scenario.references(values, 1, i)
     q, v = scenario.starts(values, 1, own)
-    options = {
-        name: getattr(scenario, name) for name in ("dt", "duration", "integrator", "substeps", "limit")
-    }
+    names = "dt", "duration", "integrator", "substeps", "limit"
+    options = {name: getattr(scenario, name) for name in names}
     options |= {"q0": q[0], "v0": v[0], "forces": loop.forces}
     if own is not None:
         options["duration"] = float(scenario.t[-1])
