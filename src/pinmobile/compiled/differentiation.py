@@ -26,6 +26,7 @@ from pinmobile.compiled.tape import (
     needed,
     operands,
     real,
+    with_operands,
 )
 from pinmobile.errors import NotTraceable
 
@@ -144,17 +145,10 @@ class Copy:
 
     def _copied(self, i: int) -> int:
         operation, depends = self.old.operations[i], self.old.depends[i]
-        name = operation[0]
-        if name == "repeat":
-            operation = (*operation[:4], *(self.new[x] for x in operation[4:]))
-        elif name == "result":
-            operation = (name, self.new[operation[1]], operation[2])
-        elif name == "ring":
-            operation = (*operation[:3], self.new[operation[3]])
-        elif operands(operation):
-            operation = (name, *(self.new[x] for x in operation[1:]))
-            depends = self.tape.dependence(operation[1:])
-        return self.tape.copied(self.old.types[i], depends, operation)
+        moved = with_operands(operation, self.new)
+        if operands(operation) and operation[0] not in ("repeat", "result", "ring"):
+            depends = self.tape.dependence(moved[1:])
+        return self.tape.copied(self.old.types[i], depends, moved)
 
     def loop(self, loop: LoopTape) -> LoopTape:
         """Return the loop on the new tape."""

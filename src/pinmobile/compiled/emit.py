@@ -155,12 +155,12 @@ class Code:
             base = "%uniforms" if name == "uniform" else "%at"
             place = self.put(region, f"getelementptr double, ptr {base}, i64 {operation[1]}")
             return [self.put(region, f"load double, ptr {place}, align 8")]
-        if name == "track":
-            first = self.loop.outputs_kept + operation[1]
-            return [self.load("%keep", first * self.shape.width, u, region, kind) for u in self.vectors()]
-        if name in ("row", "key"):
-            first = self.vector_rows + operation[1] + (self.loop.rows if name == "key" else 0)
-            return [self.load("%block", first * self.shape.width, u, region, kind) for u in self.vectors()]
+        if name in ("track", "row", "key"):
+            base, first = "%block", self.vector_rows + (self.loop.rows if name == "key" else 0)
+            if name == "track":
+                base, first = "%keep", self.loop.outputs_kept
+            at = (first + operation[1]) * self.shape.width
+            return [self.load(base, at, u, region, kind) for u in self.vectors()]
         if name == "ring":
             return self._ring(node)
         if name == "repeat":

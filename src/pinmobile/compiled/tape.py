@@ -74,14 +74,22 @@ def _bits_float(x: int) -> float:
     return float(struct.unpack("<d", x.to_bytes(8, "little"))[0])
 
 
+# Where operations have their operands, unless behind their name.
+_PLACES = dict.fromkeys(("const", "carry", *_INPUTS), slice(0))
+_PLACES |= {"repeat": slice(4, None), "result": slice(1, 2), "ring": slice(3, 4)}
+_BEHIND_NAME = slice(1, None)
+
+
 def operands(operation: _Operation) -> tuple[int, ...]:
     """Return the nodes that are operands of an operation."""
-    name = operation[0]
-    if name in ("const", "carry") or name in _INPUTS:
-        return ()
-    if name == "repeat":
-        return operation[4:]
-    return operation[1:2] if name == "result" else (operation[3],) if name == "ring" else operation[1:]
+    return operation[_PLACES.get(operation[0], _BEHIND_NAME)]
+
+
+def with_operands(operation: _Operation, new: Mapping[int, int]) -> _Operation:
+    """Return an operation with the new nodes of its operands."""
+    own, found = _PLACES.get(operation[0], _BEHIND_NAME), [*operation]
+    found[own] = [new[x] for x in found[own]]
+    return tuple(found)
 
 
 class Rounds(NamedTuple):

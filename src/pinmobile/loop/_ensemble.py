@@ -522,13 +522,11 @@ class Ensemble:
             If the system fails.
         """
         file = location("path", path)
-        known = None if scenario is None else Outline.of(scenario)
         made = read_archive(file, _FORMAT, cls._of_content)
-        if scenario is None or known is None:
+        if scenario is None:
             return made
-        found = made.scenario.difference(known)
-        drawn = {} if found else scenario.draws()
-        for name, values in drawn.items():
+        found = made.scenario.difference(Outline.of(scenario))
+        for name, values in ({} if found else scenario.draws()).items():
             if not alike(made.draws[name], values):
                 found = f"its draws of {name} differ"
         if found:

@@ -583,10 +583,8 @@ def _own_steps(loop: Loop, t: Any, h: Any, q: Any, v: Any, u: Any, memory: objec
         if not all(hasattr(found, name) for name in ("q", "v", "memory")):
             what = f"plant.step returned {shown(found)}{when(t)}"
             raise InvalidArgument(f"{what}, expected a Step(q, v, memory)")
-        q1, v1 = (
-            _numbers(f"{name} of plant.step", getattr(found, name), t, np.shape(x))
-            for name, x in (("q", q), ("v", v))
-        )
+        q1 = _numbers("q of plant.step", found.q, t, np.shape(q))
+        v1 = _numbers("v of plant.step", found.v, t, np.shape(v))
         if acceleration is None:
             own = stated(found, "a")
             acceleration = (v1 - v) / h if own is None else own
