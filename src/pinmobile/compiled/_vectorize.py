@@ -10,12 +10,12 @@ import numpy as np
 
 from pinmobile.arrays import Array, affordable, finite, finite_answer
 from pinmobile.compiled._tracing import tracing
-from pinmobile.compiled.differentiation import find_tangent
+from pinmobile.compiled.differentiation import slopes
 from pinmobile.compiled.identity import Identity
 from pinmobile.compiled.processor import Cache, processors
 from pinmobile.compiled.program import Program, aligned
 from pinmobile.compiled.symbolic import entries, symbols
-from pinmobile.compiled.tape import Leaf, LoopTape, Tape, needed
+from pinmobile.compiled.tape import Leaf, LoopTape, Tape, needed, operands
 from pinmobile.errors import InvalidArgument, NotTraceable, shown
 
 _CLOSE = 1e-7  # relative tolerance of results; the condition of M costs digits in forward dynamics
@@ -219,11 +219,17 @@ def jacobian(values: Any, inputs: Sequence[Any]) -> list[dict[int, Any]]:
     """
     tape = inputs[0].tape
     ends = [tape.number(x) for x in entries(values)]
-    along = [{x.index: tape.const(1.0)} for x in inputs]
+    of = {x.index: {j: tape.const(1.0)} for j, x in enumerate(inputs)}
     for i in needed(tape, ends):
-        for tangents in along:
-            find_tangent(tape, tangents, i)
-    return [{j: tangents[i] for j, tangents in enumerate(along) if i in tangents} for i in ends]
+        given = tape.marks[i][1] if i in tape.marks else operands(tape.operations[i])
+        if i in of or tape.types[i] != "f" or not any(x in of for x in given):
+            continue
+        total: dict[int, Any] = {}
+        for x, multiply in slopes(tape, i):
+            for j, d in of.get(x, {}).items():
+                total[j] = total[j] + multiply(d) if j in total else multiply(d)
+        of[i] = {j: d for j, d in total.items() if d.value != 0}
+    return [of.get(i, {}) for i in ends]
 
 
 class Recurrence:

@@ -179,11 +179,11 @@ def _add_tangents(tape: Tape, tangents: dict[int, Node], end: int, first: int) -
         elif name == "result":
             tangents[i] = results[of[0]][of[1]]
         else:
-            find_tangent(tape, tangents, i)
+            _find(tape, tangents, i)
     return rings
 
 
-def find_tangent(tape: Tape, tangents: dict[int, Node], i: int) -> None:
+def _find(tape: Tape, tangents: dict[int, Node], i: int) -> None:
     """Add the tangent of a node to those of its operands."""
     given = tape.marks[i][1] if i in tape.marks else operands(tape.operations[i])
     if i in tangents or tape.types[i] != "f" or not any(x in tangents for x in given):
@@ -243,7 +243,7 @@ def _after_rounds(
                 function, given = tape.marks[j]
                 tape.marks.setdefault(inner[j], (function, tuple(map(now, given))))
             for tangents in own:
-                find_tangent(tape, tangents, inner[j])
+                _find(tape, tangents, inner[j])
         after = [*map(now, rounds.following)]
         moved = [tangents.get(x, zero) for tangents in own for x in after]
         return [*map(tape.at, after), *moved], tape.at(now(rounds.done))

@@ -205,8 +205,9 @@ class Program:
                 blocks[:, row : row + value.size] = np.ravel(value)[:, None]
         for parameter, leaf in loop.parameters.items():
             if leaf.kind == "row":
-                columns = np.broadcast_to(values[parameter], (n, *leaf.shape)).reshape(n, -1).T
-                self.set_rows(blocks, states + leaf.first, columns)
+                value = values[parameter]
+                columns = np.broadcast_to(value, (n, *leaf.shape)) if value.shape == leaf.shape else value
+                self.set_rows(blocks, states + leaf.first, columns.reshape(n, -1).T)
         for i, name in enumerate(loop.keys):
             if name not in keys:
                 raise InvalidArgument(f"keys has {sorted(keys)}, expected one for the noise {name!r}")
@@ -284,7 +285,7 @@ class Program:
         every, n, first : int
             Samples between two counts, number of robots, index of the first sample.
         """
-        block, sample, uniform, ring, count, keep = (x.ctypes.data for x in arrays)
+        block, sample, uniform, ring, count, keep = [x.ctypes.data for x in arrays]
         self.function(block, *part, sample, len(arrays[1]), uniform, ring, count, every, n, keep, first)
 
     def _last(self, blocks: Array, first: Sequence[Array], n: int) -> list[Array]:
@@ -314,8 +315,9 @@ def _fill(blocks: Array, columns: Array) -> None:
     """Set (blocks, ..., width) from (..., n); the last robot is repeated to fill the last block."""
     width, n = blocks.shape[-1], columns.shape[-1]
     full = n // width
-    whole = columns[..., : full * width].reshape(*columns.shape[:-1], full, width)
-    blocks[:full] = np.moveaxis(whole, -2, 0)
+    if full:
+        whole = columns[..., : full * width].reshape(*columns.shape[:-1], full, width)
+        blocks[:full] = np.moveaxis(whole, -2, 0)
     if full < len(blocks):
         blocks[full, ..., : n - full * width] = columns[..., full * width :]
         blocks[full, ..., n - full * width :] = columns[..., -1:]

@@ -97,7 +97,7 @@ class Way:
         scenario, each = self.scenario, _ONE_BY_ONE
         if self.program is not None:
             work = _SAMPLED if scenario.has_own_references or scenario.keep else _WORK
-            each = 256 * int(np.clip(round(work / len(scenario.t) / 256), 1, 256))
+            each = 256 * max(1, min(256, round(work / len(scenario.t) / 256)))
         for first in range(start, stop, each):
             last = min(first + each, stop)
             own = {name: column[first - start : last - start] for name, column in draws.items()}
@@ -105,7 +105,7 @@ class Way:
                 part = _compiled(scenario, self.program, own, first, last, threads)
             else:
                 part = Part.joined(self._in_python(own, first, last))
-            for k, column in np.argwhere(np.isnan(part.rms_metric)):
+            for k, column in zip(*np.isnan(part.rms_metric).nonzero(), strict=True):
                 one, whose = scenario.recorded_metrics[column], "its function"
                 if one.function is None:
                     kind = type(scenario.robot).__name__

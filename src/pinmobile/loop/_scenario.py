@@ -208,7 +208,8 @@ class Scenario(Recorded):
             expected = f"at most {_MOST:,}, whose records take {_MOST * _RECORD / 1e9:.0f} GB"
             raise InvalidArgument(f"n is {n:,}, expected {expected}")
         instance("spread", self.spread, Mapping, "a mapping of parameters to distributions")
-        self._set(**{name: getattr(loop, name) for name in options}, n=n, dt=dt, duration=duration, t=t)
+        self._set(n=n, dt=dt, duration=duration, t=t, given=loop)
+        self._set(**{name: getattr(loop, name) for name in options})
         self._set(
             seed=whole("seed", self.seed, least=0),
             limit=positive("limit", self.limit),
@@ -475,7 +476,8 @@ class Scenario(Recorded):
         plant, none = self.robot, np.zeros((count, self.robot.nv))
         off, rates = values.get("start", none), values.get("start_rate", none)
         if references is None:
-            q, v = _moved(plant, self.start[0], off), self.start[1] + rates
+            start = self.start
+            q, v = _moved(plant, start[0], off), start[1] + rates
         else:
             begun = [self._beginning(Reference(*(part[0, i] for part in references))) for i in range(count)]
             q = np.array([plant.integrate(q, dq) for (q, _), dq in zip(begun, off, strict=True)], np.float64)
