@@ -8,6 +8,7 @@ import numpy as np
 
 import pinmobile as pm
 from pinmobile.compiled import Cache, Outcome, Program, robot_keys
+from pinmobile.controllers import InputDelay
 from pinmobile.forces import SinusoidalForce
 from pinmobile.integrators import constant_acceleration, semi_implicit_euler
 from pinmobile.loop import Loop, Samples
@@ -121,6 +122,7 @@ COMPOSITIONS: dict[str, Callable[[], Loop]] = {
     "delayed by one, twice": lambda: Loop(
         ROBOT, pm.MeasurementDelay(pm.MeasurementDelay(PD(), 1), 2), None, (), pm.rk4
     ),
+    "input delayed": lambda: Loop(ROBOT, InputDelay(PD(), 3), None, ROUGH, pm.rk4),
     "pid": lambda: Loop(
         Body(), pm.InputSaturation(PID(90.0, 20.0, 90.0), LIMITS), None, ROUGH, constant_acceleration
     ),

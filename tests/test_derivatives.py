@@ -42,6 +42,7 @@ def others() -> dict[str, Any]:
             CIRCLE,
         ),
         "parking": (drive, pm.Backstepping(controllers.Parking(), drive), rest),
+        "input delay": (BODY, controllers.InputDelay(pm.ComputedTorque(WRONG, 4.0, 4.0), 3), CIRCLE),
         "sampled": (BODY, controllers.Sampled(controllers.PID(WRONG), 5), CIRCLE),
         "odometry": (
             drive,

@@ -11,6 +11,7 @@ from hypothesis import given, strategies as st
 
 import pinmobile as pm
 from pinmobile.arrays import Array
+from pinmobile.controllers import InputDelay
 from pinmobile.plant import Context
 from tests.users import PID
 
@@ -70,6 +71,19 @@ def test_a_delayed_controller_is_told_of_the_state_that_many_samples_ago() -> No
         np.testing.assert_array_equal(asked(pm.MeasurementDelay(TOLD, samples), QS), expected)
     both = asked(pm.MeasurementDelay(pm.law(lambda t, q, v, reference: v), 2), QS, VS)
     np.testing.assert_array_equal(both, VS[np.maximum(np.arange(600) - 2, 0)])
+
+
+def test_a_delayed_input_is_that_of_the_sample_that_many_before() -> None:
+    for samples in (0, 1, 3):
+        expected = QS[np.maximum(np.arange(600) - samples, 0)]
+        np.testing.assert_array_equal(asked(InputDelay(TOLD, samples), QS), expected)
+    inner = pm.ComputedTorque(ROBOT, 4, 4)
+    late = pm.simulate(ROBOT, InputDelay(inner, 3), CIRCLE, dt=0.1, **START)
+    for k in (0, 2, 3, 50):
+        j = max(k - 3, 0)
+        reference = pm.Reference(*(part[j] for part in late.reference))
+        expected, _ = inner(0.0, late.q[j], late.v[j], reference, None)
+        np.testing.assert_allclose(late.u[k], expected, rtol=0, atol=1e-13)
 
 
 def test_the_reference_is_not_delayed() -> None:

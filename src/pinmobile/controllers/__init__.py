@@ -3,8 +3,8 @@
 The loop calls a controller as ``controller(t, q, v, reference, state) -> (u, state)``. The controller
 receives its own state and returns the next one; ``initial_state(context)`` returns the first one, None for a
 controller without memory. q and v have shape (..., n), u has shape (..., nu), and a reference has the
-attributes q, v and a. These controllers broadcast over leading axes. `InputSaturation`, `MeasurementDelay`
-and `MeasurementNoise` wrap any controller, and each other.
+attributes q, v and a. These controllers broadcast over leading axes. `InputDelay`, `InputSaturation`,
+`MeasurementDelay` and `MeasurementNoise` wrap any controller, and each other.
 """
 
 from pinmobile.controllers.actuation import RandomSteps, TorqueToVoltage, VelocityCommand, WheelSpeed
@@ -49,6 +49,7 @@ from pinmobile.controllers.wrappers import (
     ADRC,
     ControlAllocation,
     DisturbanceObserver,
+    InputDelay,
     InputSaturation,
     MeasurementDelay,
     MeasurementNoise,
@@ -70,6 +71,7 @@ __all__ = [
     "Decoupled",
     "DisturbanceObserver",
     "DynamicFeedback",
+    "InputDelay",
     "InputSaturation",
     "Kanayama",
     "KinematicLaw",
