@@ -12,7 +12,7 @@ from pinmobile.compiled import BINS
 from pinmobile.controllers import planar_difference
 from pinmobile.errors import UnknownName
 from pinmobile.forces import NoiseForce, PayloadForce, SinusoidalForce
-from pinmobile.loop import TRUE_MODEL, ErrorQuantile, run_scenario
+from pinmobile.loop import TRUE_MODEL, ErrorQuantile, causes, run_scenario
 from pinmobile.loop._variables import bins_of, edges, quantiles
 from pinmobile.plant import Context
 from tests.refusals import refusals, refused
@@ -20,6 +20,7 @@ from tests.refusals import refusals, refused
 ROBOT = pm.MobileRobot(30.0, 1.3, com=(0.1, 0.02))
 TRAJECTORY = pm.Tangent(pm.Circle(3.0, 0.1, 60.0))
 WITH_ARM = ROBOT.mount("ur5")
+MOTOR = pm.Motor(resistance=2.0, torque_constant=0.1, voltage=24.0, gear=10.0, rotor_inertia=1e-4)
 
 
 class Own:
@@ -75,6 +76,24 @@ def test_factors_of_two_parameters_are_drawn_by_themselves() -> None:
     mass, inertia = made(spread=spread).draws().values()
     # Of independent ones, the correlation of a sample of n is within 4 / sqrt(n) of zero.
     assert abs(np.corrcoef(mass, inertia)[0, 1]) < 4 / np.sqrt(1000)
+
+
+def test_a_pattern_means_each_of_its_numbers_and_each_has_its_own_draw() -> None:
+    table = pm.WheelTable.differential(0.4, 0.1, spin_inertia=0.01, motor=MOTOR)
+    robot = pm.WheeledRobot(ROBOT, table)
+    law = pm.Backstepping(pm.UnicycleTracking(), robot)
+    scenario = made(robot=robot, controller=law, spread={"plant.*.gear": pm.Uniform(9, 11), "mass": 31.0})
+    paths = [f"plant.table.wheels.{side}.motor.gear" for side in ("left", "right")]
+    assert list(scenario.spread) == [*paths, "mass"]
+    left, right = (scenario.draws()[path] for path in paths)
+    assert abs(np.corrcoef(left, right)[0, 1]) < 0.2
+    found = pm.ensemble(robot, law, TRAJECTORY, n=50, spread=scenario.spread, dt=0.1, duration=1.0)
+    names = {one.name for one in causes(found, np.arange(50) < 5)}
+    assert names == {"left.motor.gear", "right.motor.gear"}
+    with pytest.raises(UnknownName, match=r"unknown parameter in spread 'plant\.\*\.geer'"):
+        made(robot=robot, controller=law, spread={"plant.*.geer": 1.0})
+    with refused(r"spread has 'gear', .* or 'plant\.\*\.gear', which means all$"):
+        made(robot=robot, controller=law, spread={"gear": 1.0})
 
 
 def test_an_array_that_changes_later_changes_nothing() -> None:

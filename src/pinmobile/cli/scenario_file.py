@@ -32,6 +32,8 @@ from pinmobile.parts import (
     is_part_class,
     located,
     makes_part,
+    matching,
+    named,
     nearest,
     number,
     option,
@@ -197,7 +199,7 @@ class Opened:
         bare, problems = evolved(plain, spread={}).scenario(), {}
         for path in self.content.spread:
             try:
-                bare.find(path)
+                matching(bare.given, path, named(bare.given), "spread")
             except (UnknownName, InvalidArgument) as error:
                 problems[f"spread.{path}"] = str(error)
         self._refuse(problems)

@@ -40,7 +40,7 @@ from pinmobile.identification._search import TRAINED
 from pinmobile.identification._simulation import Quantity, Same, Segments, simulate
 from pinmobile.integrators import RungeKuttaNystrom
 from pinmobile.loop import Loop, Trace, arrays_of, initial_memory, traced_numbers
-from pinmobile.parts import Found, Stepping, matching, named, numbers, offers, part, replace
+from pinmobile.parts import Found, Stepping, matching, named, numbers, offers, part, replace, shortest
 from pinmobile.plant import Context, Plant, coordinates_of, stated
 from pinmobile.trajectories import Reference
 
@@ -127,11 +127,8 @@ class PlantProblem:
     @property
     def quantities(self) -> tuple[Quantity, ...]:
         """The unknown numbers, with the shortest different ends of their paths."""
-        paths, told = [one.path.split(".") for one in self.found], []
-        for one, words in zip(self.found, paths, strict=True):
-            least = 2 + bool(one.label)
-            ends = (k for k in range(least, len(words)) if sum(x[-k:] == words[-k:] for x in paths) == 1)
-            name = ".".join(words[-next(ends, len(words)) :])
+        told = []
+        for one, name in zip(self.found, shortest(one.path for one in self.found), strict=True):
             declared: Any = one.leaf.declared
             bounded = declared.above == 0.0 or declared.lower == 0.0
             told.append(Quantity(name, one.unit, bounded, one.path))

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from pinmobile.arrays import Array, scalar
 from pinmobile.errors import InvalidArgument
 from pinmobile.loop._spread import SameAs
+from pinmobile.parts import shortest
 
 _CRITICAL = 2.001  # of Kuiper's test at 1 %: Stephens, J. R. Stat. Soc. B 32 (1970)
 _ONE_SIDED = 0.1  # share of the statistic below which one side counts as chance
@@ -108,14 +109,14 @@ def causes(ensemble: Any, worst: NDArray[np.bool_]) -> list[Cause]:
 
 def _parameters(ensemble: Any) -> list[tuple[str, str, Array]]:
     """Return name, unit and values of each independent parameter; for `SameAs`, the factor."""
-    found = []
+    found, short = [], dict(zip(ensemble.draws, shortest(ensemble.draws), strict=True))
     for name, values in ensemble.draws.items():
         source = ensemble.scenario.spread[name]
         if isinstance(source, SameAs) and (base := ensemble.draws.get(source.name)) is not None:
             ratio = np.divide(values, base, out=np.ones_like(values), where=base != 0)
-            found.append((f"{name} / {source.name}", "", ratio))
+            found.append((f"{short[name]} / {short[source.name]}", "", ratio))
         else:
-            found.append((name, ensemble.scenario.parameters[name].unit, values))
+            found.append((short[name], ensemble.scenario.parameters[name].unit, values))
     return found
 
 

@@ -37,6 +37,7 @@ from pinmobile.loop._spread import (
     draw,
     held,
     in_blocks,
+    without_patterns,
 )
 from pinmobile.loop._trace import initial_memory, initial_velocities
 from pinmobile.metrics import Metric, channels_of, check_measured, chosen
@@ -114,7 +115,8 @@ class Scenario(Recorded):
     spread : mapping of str to Distribution, number or array of shape (n,)
         Distributions of numbers, by path: ``"plant.mass"``, ``"forces.0.force.x"``, ``"controller.kp"``,
         ``"trajectory.path.radius"``, ``"start.x"``. The end of a path is enough: ``"mass"`` is the plant's
-        number if it has one, otherwise the one nearest to the loop. All other numbers are nominal. The
+        number if it has one, otherwise the one nearest to the loop. A pattern, such as ``"plant.*.mu"``,
+        means all that fit, each with its own draw. All other numbers are nominal. The
         controller model keeps its own numbers unless the spread names them, such as ``"controller.mass"``;
         `pinmobile.loop.TRUE_MODEL` gives it those of each robot.
     dt : float
@@ -226,7 +228,8 @@ class Scenario(Recorded):
         size = 3 * len(keep) * n * len(self.grid)  # most signals have up to three entries
         affordable(f"the signals of {n:,} robots at {len(self.grid)} times", size, "give a larger `every`")
         try:
-            self._set(spread=checked_spread(self.spread, n, self.find))
+            spread = without_patterns(self.spread, self.given, self._known)
+            self._set(spread=checked_spread(spread, n, self.find))
         except UnknownName as error:
             self._refuse_shared(str(error.name))
             if str(error.name).partition(".")[0] in ("force", "forces") and not self.forces:

@@ -13,7 +13,7 @@ import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, affordable, finite, instance, scalar, shaped, whole
 from pinmobile.errors import InvalidArgument, shown
-from pinmobile.parts import Found, Number, by_value, number, part
+from pinmobile.parts import Found, Number, by_value, matching, number, part
 from pinmobile.plant import stated
 
 
@@ -370,6 +370,18 @@ def drawn(name: str, source: Any, generator: np.random.Generator, size: int) -> 
 
 Find: TypeAlias = Callable[..., Found]
 """``find(name, where)`` returns the number with this name, or raises."""
+
+
+def without_patterns(
+    spread: Mapping[str, Source], given: Any, known: Mapping[str, Found]
+) -> dict[str, Source]:
+    """Return a spread in which each pattern, such as ``"*.mu"``, is replaced by the paths that it means."""
+    found = dict[str, Source]()
+    for name, source in spread.items():
+        is_pattern = "*" in str(name)
+        own = [one.path for one in matching(given, name, known, "spread")] if is_pattern else [name]
+        found |= dict.fromkeys(own, source)
+    return found
 
 
 def checked_spread(spread: Mapping[str, Source], n: int, find: Find) -> dict[str, Any]:

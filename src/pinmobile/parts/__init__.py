@@ -103,6 +103,7 @@ from pinmobile.parts._walk import (
     numbers as numbers,
     parts_of as parts_of,
     replace,
+    shortest as shortest,
     spread_entries as spread_entries,
     spread_values as spread_values,
     table,

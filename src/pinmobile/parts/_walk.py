@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from fnmatch import fnmatchcase
 from typing import Any, NamedTuple, TypeVar
 
@@ -274,6 +274,20 @@ def short_names(known: Mapping[str, Found]) -> list[str]:
     return found
 
 
+def shortest(paths: Iterable[str]) -> list[str]:
+    """Return the shortest end of two words or more of each path that no other of them has.
+
+    The index or letter of an entry does not count as a word.
+    """
+    every, found = [path.split(".") for path in paths], []
+    for words in every:
+        least = min(len(words), 2 + (len(words[-1]) == 1))
+        ends = (words[-k:] for k in range(least, len(words)))
+        unique = (end for end in ends if sum(each[-len(end) :] == end for each in every) == 1)
+        found.append(".".join(next(unique, words)))
+    return found
+
+
 def _nearness(path: str) -> tuple[bool, int]:
     return not path.startswith("plant."), path.count(".")
 
@@ -312,9 +326,10 @@ def find(part: Any, name: str, known: Mapping[str, Found] | None = None, where: 
         raise UnknownName(f"parameter{where and ' in ' + where}", name, [*near, *short_names(known)])
     best = [path for *rank, path in ends if rank == list(ends[0][:2])]
     if len(best) > 1:
+        every = [*best, f"{best[0].partition('.')[0]}.*.{name}"] if where in ("spread", "by") else best
         raise InvalidArgument(
             f"{where or 'name'} has {name!r}, which {' and '.join(best)} have, expected one of them: "
-            f"{' or '.join(map(repr, best))}"
+            f"{' or '.join(map(repr, every))}{', which means all' * (every is not best)}"
         )
     return known[best[0]]
 

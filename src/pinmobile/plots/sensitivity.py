@@ -409,8 +409,13 @@ def _distribution(sheet: Sheet, axes: Axes, one: Cause, worst: NDArray[np.bool_]
     axes.margins(x=0)
     axes.set_ylim(0, None)
     axes.xaxis.set_major_locator(MaxNLocator(5))
-    axes.set_xlabel(one.label)
+    axes.set_xlabel(_in_lines(sheet, one.label))
     axes.set_ylabel("per bar [%]")
+
+
+def _in_lines(sheet: Sheet, label: str) -> str:
+    """Return a label in lines that fit below a panel; a path may end a line after a dot."""
+    return wrapped(label.replace(".", ". "), letters(), sheet.room()).replace(". ", ".")
 
 
 def _scatter(
@@ -441,7 +446,7 @@ def _scatter(
     title = titles.get(by, f"The {judged.worst} {by} of each robot")
     sheet.write_above(axes, title, loc="left")
     axes.xaxis.set_major_locator(MaxNLocator(5))
-    axes.set_xlabel(one.label)
+    axes.set_xlabel(_in_lines(sheet, one.label))
     words = _ERRORS.get(by, by)
     axes.set_ylabel(f"{judged.worst} {words} [{unit}]" if unit else f"{judged.worst} {words}")
 
