@@ -125,7 +125,7 @@ class WheelSpeed:
 
         u = kp (W_c - W) + ki z,   dz/dt = W_c - W
 
-    W_c are the motor rates at which the wheels roll as the law commands. Where the input is limited and the
+    W_c are the rates at which the wheels roll as the law commands. Where the input is limited and the
     integral would grow further, its last increment is removed (anti-windup).
 
     The reference is the pose of the body, as for `Backstepping`. A robot without one rolling axle, such as a
@@ -138,7 +138,8 @@ class WheelSpeed:
     robot : WheeledRobot
         Controller model of the wheels; for a robot driven by voltages, the gains are per volt.
     kp, ki : float
-        Gains, > 0 and >= 0 [N m s/rad, N m/rad, or V s/rad, V/rad].
+        Gains, > 0 and >= 0 [N m s/rad, N m/rad, or V s/rad, V/rad]. For voltages, kp = V / (10 W_0) and
+        ki = kp / dt are a start, with the largest voltage V and the no-load rate W_0 of the wheel.
 
     Raises
     ------
