@@ -9,9 +9,16 @@ import attrs
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, finite, frozen, lengths, shaped, text, vector
-from pinmobile.errors import InvalidArgument, shown
-from pinmobile.identification._velocity_robot import Commanded, arrays, pair, rolling_of, stacked
-from pinmobile.parts import by_value, evolved, is_symbolic, number, option, part
+from pinmobile.identification._velocity_robot import (
+    Commanded,
+    VelocityRobot,
+    accelerated,
+    arrays,
+    pair,
+    rolling_of,
+    stacked,
+)
+from pinmobile.parts import by_value, evolved, number, option, part
 from pinmobile.plant import Coordinate
 from pinmobile.robot import MobileRobot
 from pinmobile.wheels import WheeledRobot, WheelTable
@@ -163,10 +170,9 @@ class VelocityCar(Commanded):
     nv: ClassVar[int] = 4
     nu: ClassVar[int] = 2
     commanded: ClassVar[Any] = ("speed command", "m/s"), ("steering command", "rad")
+    unforced: ClassVar[str] = "the model does not describe how a car"
     coordinates: ClassVar[tuple[Coordinate, ...]] = (
-        Coordinate("x", "m", rate="vx"),
-        Coordinate("y", "m", rate="vy"),
-        Coordinate("psi", "rad", rate="yaw_rate"),
+        *VelocityRobot.coordinates,
         Coordinate("steering", "rad"),
     )
     rest: ClassVar[Array] = frozen(np.zeros(4))
@@ -192,11 +198,6 @@ class VelocityCar(Commanded):
         steering = np.arctan((self.wheelbase + self.understeer * (speed * speed)) * curvature)
         return stacked(speed / self.speed_gain, (steering - self.steering_offset) / self.steering_gain)
 
-    @arrays(q=4, v=4)
-    def independent(self, q: Any, v: Any) -> Any:
-        """Return the independent velocities: speed of the rear axle and steering rate, shape (..., 2)."""
-        return stacked(np.cos(q[..., 2]) * v[..., 0] + np.sin(q[..., 2]) * v[..., 1], v[..., 3])
-
     @arrays(q=4, nu=2)
     def rolling(self, q: Any, nu: Any) -> Any:
         """Return v for independent velocities `nu`, shape (..., 4) [m/s, m/s, rad/s, rad/s]."""
@@ -215,39 +216,16 @@ class VelocityCar(Commanded):
 
     # Dynamics
 
-    @arrays(q=4, v=4, u=2)
-    def forward_dynamics(self, q: Any, v: Any, u: Any, f: Any = 0.0) -> Any:
-        """Return the acceleration, shape (..., 4) [m/s^2, m/s^2, rad/s^2, rad/s^2].
-
-        Parameters
-        ----------
-        q, v : array_like, shape (..., 4)
-            State with rolling wheels. The model only uses the speed and the steering rate of v.
-        u : array_like, shape (..., 2)
-            Commands [m/s, rad].
-        f : array_like
-            External forces: zero.
-
-        Raises
-        ------
-        InvalidArgument
-            If an array has another shape or is not finite, or `f` is not zero.
-        """
-        if not is_symbolic(f) and finite("f", f).any():
-            raise InvalidArgument(
-                f"f is {shown(f)}, expected zero: the model does not describe how a car responds to a force"
-            )
+    def _acceleration(self, q: Any, v: Any, u: Any) -> Any:
         speed, turning = (self.independent(q, v)[..., k] for k in (0, 1))
-        c, s, steering = np.cos(q[..., 2]), np.sin(q[..., 2]), q[..., 3]
-        faster, _, steered = self._law.rates((speed, steering, turning), (u[..., 0], u[..., 1]))
+        faster, _, steered = self._law.rates((speed, q[..., 3], turning), (u[..., 0], u[..., 1]))
         stretched = self.wheelbase + self.understeer * (speed * speed)
-        k = self.curvature(speed, steering)
+        k = self.curvature(speed, q[..., 3])
         bends = turning * (1 / stretched + k * k * stretched)  # k' by the steering angle
-        bends = np.where(np.abs(steering) < _SIDEWAYS, bends, 0.0)
+        bends = np.where(np.abs(q[..., 3]) < _SIDEWAYS, bends, 0.0)
         bends = bends - 2 * self.understeer * speed * faster * k / stretched
-        w, spin = k * speed, bends * speed + k * faster
-        along, aside = faster - self.ahead * (w * w), speed * w + self.ahead * spin
-        return stacked(along * c - aside * s, along * s + aside * c, spin, steered)
+        nu, rates = stacked(speed, k * speed), stacked(faster, bends * speed + k * faster)
+        return accelerated(self.ahead, q, nu, rates, steered)
 
     # What is drawn
 

@@ -74,39 +74,19 @@ def rolling_of(ahead: Any, q: Any, nu: Any) -> Any:
     return stacked(u * c - ahead * w * s, u * s + ahead * w * c, w)
 
 
+def accelerated(ahead: Any, q: Any, nu: Any, rates: Any, *others: Any) -> Any:
+    """Return the accelerations of x, y and psi of a point ahead of the axle, and others, shape (..., nv)."""
+    c, s, u, w = np.cos(q[..., 2]), np.sin(q[..., 2]), nu[..., 0], nu[..., 1]
+    along, aside = rates[..., 0] - ahead * (w * w), u * w + ahead * rates[..., 1]
+    return stacked(along * c - aside * s, along * s + aside * c, rates[..., 1], *others)
+
+
 def stacked(*columns: Any) -> Any:
     """Return broadcast columns along a new last axis."""
     return np.stack(np.broadcast_arrays(*columns), axis=-1)
 
 
 _SAME = 1e-9  # largest relative difference of two equal wheels
-
-
-def theta_of_motors(
-    wheeled: WheeledRobot | ByVoltage, kp: float, kd: float
-) -> tuple[list[float], dict[str, Any]]:
-    """Return theta and further fields of a robot; see `VelocityRobot.from_motors`."""
-    robot: Any = wheeled.wheeled if isinstance(wheeled, ByVoltage) else wheeled
-    instance("wheeled", robot, WheeledRobot, "a WheeledRobot")
-    kp, kd = positive("kp", kp, "V s/rad"), non_negative("kd", kd, "V s^2/rad")
-    wheel, motor = _pair_of(robot)
-    base, r, d = robot.robot, wheel.radius, 2 * abs(wheel.y)
-    m, b = base.mass, float(base.com[0]) - wheel.x
-    J, E = wheel.spin_inertia + motor.reflected_inertia, motor.gear * motor.torque_constant
-    by = motor.resistance / (motor.efficiency * E)
-    losses = E + by * motor.efficiency * motor.gear**2 * motor.viscous  # (R/K) (K E / R + B)
-    T, R, dT, dR = kp / r, kp * d / (2 * r), kd / r, kd * d / (2 * r)
-    turning = J * d * d + 2 * r * r * (base.yaw_inertia + m * b * b)
-    theta = [
-        (by * (m * r * r + 2 * J) + 2 * r * dT) / (2 * r * T),
-        (by * turning + 2 * r * d * dR) / (2 * r * d * R),
-        by * m * b * r / (2 * T),
-        losses / (r * T) + 1,
-        by * m * b * r / (d * R),
-        losses * d / (2 * r * R) + 1,
-    ]
-    source = f"motors of a WheeledRobot, gains kp = {kp:g}, kd = {kd:g}"
-    return theta, {"ahead": -wheel.x, "size": base.size, "source": source}
 
 
 def _pair_of(robot: WheeledRobot) -> tuple[Any, Any]:
@@ -174,11 +154,12 @@ class Commanded:
     compiles: ClassVar[bool] = True
     reference_sizes: ClassVar[Mapping[int, int]] = MappingProxyType({3: 3})
     commanded: ClassVar[tuple[tuple[str, str], ...]]
+    unforced: ClassVar[str]
     nq: ClassVar[int]
     ahead: float
     limits: Any
-    independent: Any
     rolling: Any
+    _acceleration: Any
     _drawn: Any
 
     @structure
@@ -215,6 +196,11 @@ class Commanded:
         return v[..., :3]
 
     @arrays(q=ALL, v=ALL)
+    def independent(self, q: Any, v: Any) -> Any:
+        """Return the independent velocities, shape (..., 2): speed along the wheels, and last entry of v."""
+        return stacked(np.cos(q[..., 2]) * v[..., 0] + np.sin(q[..., 2]) * v[..., 1], v[..., -1])
+
+    @arrays(q=ALL, v=ALL)
     def project(self, q: Any, v: Any) -> Any:
         """Return `v` without sliding of the wheels, shape (..., nv)."""
         return self.rolling(q, self.independent(q, v))
@@ -233,6 +219,28 @@ class Commanded:
                 f"start has wheels that slide sideways at {off:.3g} m/s, expected rolling wheels: use a "
                 "reference along which wheels roll, such as Tangent(path), or v0 = robot.project(q0, v0)"
             )
+
+    @arrays(q=ALL, v=ALL, u=2)
+    def forward_dynamics(self, q: Any, v: Any, u: Any, f: Any = 0.0) -> Any:
+        """Return the acceleration, shape (..., nv) [m/s^2, m/s^2, rad/s^2, ...].
+
+        Parameters
+        ----------
+        q, v : array_like, shape (..., nq)
+            State with rolling wheels. The model only uses the `independent` velocities of v.
+        u : array_like, shape (..., 2)
+            Commands.
+        f : array_like
+            External forces: zero.
+
+        Raises
+        ------
+        InvalidArgument
+            If an array has another shape or is not finite, or `f` is not zero.
+        """
+        if not is_symbolic(f) and finite("f", f).any():
+            raise InvalidArgument(f"f is {shown(f)}, expected zero: {self.unforced} responds to a force")
+        return self._acceleration(q, v, u)
 
     @property
     def visual_model(self) -> pin.GeometryModel:
@@ -323,6 +331,7 @@ class VelocityRobot(Commanded):
     nv: ClassVar[int] = 3
     nu: ClassVar[int] = 2
     commanded: ClassVar[Any] = ("speed command", "m/s"), ("yaw rate command", "rad/s")
+    unforced: ClassVar[str] = "theta does not describe how firmware"
     coordinates: ClassVar[tuple[Coordinate, ...]] = (
         Coordinate("x", "m", rate="vx"),
         Coordinate("y", "m", rate="vy"),
@@ -392,8 +401,27 @@ class VelocityRobot(Commanded):
         No theta represents firmware with integral action exactly. Simulate such firmware by `WheelSpeed`, and
         estimate the nearest theta by `identify_velocity`.
         """
-        theta, known = theta_of_motors(wheeled, kp, kd)
-        return cls(np.array(theta), **{**known, **others})
+        robot: Any = wheeled.wheeled if isinstance(wheeled, ByVoltage) else wheeled
+        instance("wheeled", robot, WheeledRobot, "a WheeledRobot")
+        kp, kd = positive("kp", kp, "V s/rad"), non_negative("kd", kd, "V s^2/rad")
+        wheel, motor = _pair_of(robot)
+        base, r, d = robot.robot, wheel.radius, 2 * abs(wheel.y)
+        m, b = base.mass, float(base.com[0]) - wheel.x
+        J, E = wheel.spin_inertia + motor.reflected_inertia, motor.gear * motor.torque_constant
+        by = motor.resistance / (motor.efficiency * E)
+        losses = E + by * motor.efficiency * motor.gear**2 * motor.viscous  # (R/K) (K E / R + B)
+        T, R, dT, dR = kp / r, kp * d / (2 * r), kd / r, kd * d / (2 * r)
+        turning = J * d * d + 2 * r * r * (base.yaw_inertia + m * b * b)
+        theta = [
+            (by * (m * r * r + 2 * J) + 2 * r * dT) / (2 * r * T),
+            (by * turning + 2 * r * d * dR) / (2 * r * d * R),
+            by * m * b * r / (2 * T),
+            losses / (r * T) + 1,
+            by * m * b * r / (d * R),
+            losses * d / (2 * r * R) + 1,
+        ]
+        source = f"motors of a WheeledRobot, gains kp = {kp:g}, kd = {kd:g}"
+        return cls(theta, **{"ahead": -wheel.x, "size": base.size, "source": source} | others)
 
     def __repr__(self) -> str:
         given = [f"[{', '.join(f'{x:.10g}' for x in self.theta)}]"]
@@ -431,11 +459,6 @@ class VelocityRobot(Commanded):
 
     # Kinematics
 
-    @arrays(q=3, v=3)
-    def independent(self, q: Any, v: Any) -> Any:
-        """Return the independent velocities nu: speed along the wheels and yaw rate, shape (..., 2)."""
-        return stacked(np.cos(q[..., 2]) * v[..., 0] + np.sin(q[..., 2]) * v[..., 1], v[..., 2])
-
     @arrays(q=3, nu=2)
     def rolling(self, q: Any, nu: Any) -> Any:
         """Return v for independent velocities `nu`, shape (..., 3) [m/s, m/s, rad/s]."""
@@ -461,33 +484,9 @@ class VelocityRobot(Commanded):
         """
         return rates_of(self.theta, self.accelerations, nu, u)
 
-    @arrays(q=3, v=3, u=2)
-    def forward_dynamics(self, q: Any, v: Any, u: Any, f: Any = 0.0) -> Any:
-        """Return the acceleration, shape (..., 3) [m/s^2, m/s^2, rad/s^2].
-
-        Parameters
-        ----------
-        q, v : array_like, shape (..., 3)
-            State with rolling wheels. The model only uses the speed along the wheels and the yaw rate of v.
-        u : array_like, shape (..., 2)
-            Commands [m/s, rad/s].
-        f : array_like
-            External forces: zero.
-
-        Raises
-        ------
-        InvalidArgument
-            If an array has another shape or is not finite, or `f` is not zero.
-        """
-        if not is_symbolic(f) and finite("f", f).any():
-            raise InvalidArgument(
-                f"f is {shown(f)}, expected zero: theta does not describe how firmware responds to a force"
-            )
+    def _acceleration(self, q: Any, v: Any, u: Any) -> Any:
         nu = self.independent(q, v)
-        rates, c, s, w = self.rates(nu, u), np.cos(q[..., 2]), np.sin(q[..., 2]), nu[..., 1]
-        along = rates[..., 0] - self.ahead * (w * w)
-        aside = nu[..., 0] * w + self.ahead * rates[..., 1]
-        return stacked(along * c - aside * s, along * s + aside * c, rates[..., 1])
+        return accelerated(self.ahead, q, nu, self.rates(nu, u))
 
     @arrays(q=3, v=3, rates=2)
     def commands(self, q: Any, v: Any, rates: Any) -> Any:
