@@ -98,9 +98,8 @@ def read_csv(
         units = [unit for unit, _ in in_si] if role == "u" else units
     if not _si_unit(head[names.index(wanted["t"][0])], "s")[0]:
         parts["t"] = _since_start(parts["t"])
-    if "q" in parts and parts["q"].shape[1] == _SIX:
-        x, y, *quaternion = parts["q"].T
-        parts["q"] = np.column_stack([x, y, _yaw_of(*quaternion)])
+    if "q" in parts:
+        parts["q"] = _in_plane(parts["q"])
     return parts, tuple(units), len(rows) - len(kept)
 
 
@@ -253,10 +252,8 @@ def _streams(reader: Any, topics: Mapping[str, str], file: Path) -> dict[str, tu
             raise UnknownName(f"topic of {str(file)!r}", topic, listed)
         known, kind = _RULES[role], there[topic].rpartition("/")[2]
         if kind not in known:
-            raise InvalidArgument(
-                f"topics[{role!r}] is {topic!r}, whose messages are {there[topic]}, expected "
-                f"{', '.join(known)}"
-            )
+            what = f"topics[{role!r}] is {topic!r}, whose messages are {there[topic]}"
+            raise InvalidArgument(f"{what}, expected {', '.join(known)}")
         rules[topic].append((role, known[kind]))
     times: dict[str, list[tuple[int, int]]] = {role: [] for role in topics}
     rows: dict[str, list[Any]] = {role: [] for role in topics}
@@ -281,26 +278,24 @@ def _streams(reader: Any, topics: Mapping[str, str], file: Path) -> dict[str, tu
     stamps = {role: [pair[not stamped] for pair in each] for role, each in times.items()}
     first = min(min(each) for each in stamps.values())  # integer nanoseconds: floats have too few digits
     seconds = {role: 1e-9 * np.array([at - first for at in each], float) for role, each in stamps.items()}
-    return {role: (seconds[role], np.array(rows[role], float)) for role in topics}
+    found = {role: np.array(rows[role], float) for role in topics}
+    return {role: (seconds[role], _in_plane(x) if role == "q" else x) for role, x in found.items()}
 
 
 Row = Callable[[Any], Any]
 
 
-def _yaw_of(x: Any, y: Any, z: Any, w: Any) -> Any:
-    """Return the yaw of quaternions, also of quaternions that are not normalised."""
-    return np.arctan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)
+def _in_plane(q: Array) -> Array:
+    """Return poses (x, y, psi) also of x, y and quaternions, which may be not normalised."""
+    if q.shape[1] != _SIX:
+        return q
+    x, y, z, w = q[:, 2:].T
+    return np.column_stack([q[:, :2], np.arctan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)])
 
 
 def _pose_in(place: str, turn: str) -> Row:
-    """Return a function that reads a pose from a message, by the names of position and orientation."""
-    parts = attrgetter(place, turn)
-
-    def read(message: Any) -> Any:
-        at, by = parts(message)
-        return at.x, at.y, float(_yaw_of(by.x, by.y, by.z, by.w))
-
-    return read
+    """Return a function that reads x, y and a quaternion, by the names of position and orientation."""
+    return attrgetter(f"{place}.x", f"{place}.y", *(f"{turn}.{axis}" for axis in "xyzw"))
 
 
 def _of(inside: str, *names: str) -> Row:
