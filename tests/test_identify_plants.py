@@ -10,12 +10,11 @@ import pytest
 
 import pinmobile as pm
 from pinmobile.arrays import Array
-from pinmobile.identification._car_model import CarModel
 from pinmobile.identification._excitation import _Search
 from pinmobile.identification._planar_model import PlanarModel, PlanarProblem
 from pinmobile.identification._plant import _segments as of_plant
 from pinmobile.identification._simulation import Segments, linearize, simulate
-from pinmobile.identification._velocity_model import VelocityModel
+from pinmobile.identification._velocity_model import CarModel, VelocityModel
 from pinmobile.parts import find, named, replace
 
 NO_LIMIT = dict.fromkeys(VelocityModel.limits(), np.inf)

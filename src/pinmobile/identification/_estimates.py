@@ -176,7 +176,6 @@ class Identification:
     dt: float
     seconds: float
     outliers: int
-    dropped: int
     samples: int
     segments: int
     noise: Array
@@ -184,6 +183,7 @@ class Identification:
     whiteness: Whiteness
     is_noise: bool
     explained: float
+    dropped: int = 0
     chi2: float = 1.0
     method: str = "output error"
     input_noise_bias: float = 0.0
@@ -392,8 +392,7 @@ class Identification:
             one = self.model.quantities[k]
             raise InvalidArgument(
                 f"log leads to a {one.name} of {found[k]:.4g} {one.unit}, but with nonnegative friction to "
-                f"{there[k]:.4g}: {'; '.join(self._negative)}; expected a robot with all forces: is the "
-                "given friction of its motors too high?"
+                f"{there[k]:.4g}: {'; '.join(self._negative)}; is the given friction of its motors too high?"
             )
         return frozen(body)
 
@@ -457,8 +456,7 @@ class Identification:
                 break
         else:
             raise InvalidArgument(
-                "spread: the parameters are so uncertain that almost no draw is a possible robot, "
-                "expected a log of a more informative motion"
+                "spread: almost no draw is a possible robot, expected a log of a more informative motion"
             )
         return {
             one.path: np.maximum(x, 0.0) if one.bounded else x

@@ -388,8 +388,7 @@ def jackknife(near: Linear, pull: Array | float = 0.0, kept: Any = True) -> tupl
         d = np.linalg.solve((H.sum(axis=0) - H) * np.outer(size, size), g[..., None])[..., 0] * size
     except np.linalg.LinAlgError as error:
         raise InvalidArgument(
-            f"log has {S} blocks, and only one of them identifies some parameter, expected a longer log or "
-            "a more informative motion, see excitation"
+            f"log has one block of {S} that identifies some parameter, expected a longer or richer log"
         ) from error
     found[np.ix_(rows, rows)] = (S - 1) / S * d.T @ d
     return found, S
@@ -560,6 +559,8 @@ def input_noise_gradient(model: Model, segments: Segments, found: Fit, noise: Re
     noise : ResidualNoise
         Noise of the residuals.
     """
+    from scipy.optimize import nnls  # slow to load
+
     generator, unit, few = np.random.default_rng(0), _SHAKE * segments.sizes, segments.few
 
     def shaken(size: Array) -> Segments:
@@ -586,23 +587,9 @@ def input_noise_gradient(model: Model, segments: Segments, found: Fit, noise: Re
     part, starts = segments.some(few), found.starts[few]
     before = left(part)
     power = [((left(shaken(row)) - before) ** 2).mean(axis=0).sum(axis=0) for row in np.diag(unit)]
-    sizes = unit * np.sqrt(_variances(np.array(power).T, noise.share))
+    by_input = np.array(power).T  # (m, nu): power of residuals per variance of each input
+    scale = np.maximum(by_input.max(axis=1), np.finfo(float).tiny)
+    sizes = unit * np.sqrt(nnls(by_input / scale[:, None], np.maximum(noise.share, 0.0) / scale)[0])
     draws = [shaken(sizes) for _ in range(_DRAWS)]
     total = by_groups(gradients, part, len(found.p) + starts.shape[1] + 1)[0].sum(axis=0)
     return np.asarray(total * len(segments.y) / len(part.y))
-
-
-def _variances(power: Array, share: Array) -> Array:
-    """Return the nonnegative variances of inputs that explain shares of the residuals best.
-
-    Parameters
-    ----------
-    power : ndarray, shape (m, nu)
-        Power of residuals per variance of each input.
-    share : ndarray, shape (m,)
-        Part of force noise in the residuals.
-    """
-    from scipy.optimize import nnls  # slow to load
-
-    scale = np.maximum(power.max(axis=1), np.finfo(float).tiny)
-    return np.asarray(nnls(power / scale[:, None], np.maximum(share, 0.0) / scale)[0])

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -13,23 +14,24 @@ from pinmobile.errors import InvalidArgument, shown
 from pinmobile.identification._clocks import clock_hint
 from pinmobile.identification._estimates import Identification, in_words
 from pinmobile.identification._estimator import (
+    Fit,
+    Linear,
+    ResidualNoise,
+    Whiteness,
+    input_noise_gradient,
     jackknife,
+    r_squared,
+    solve,
     unexplained,
 )
 from pinmobile.identification._log import Log, continuous, logs_of, lost_rows, unused
-from pinmobile.identification._output_error import (
-    free_run,
-    output_error,
-    trained_weakly,
-    whiteness_of,
-)
 from pinmobile.identification._planar_model import PlanarModel, PlanarProblem
 from pinmobile.identification._plant import identify_plant
 from pinmobile.identification._preprocessing import PreprocessedLog, Slippage
 from pinmobile.identification._search import TRAINED
-from pinmobile.identification._simulation import Segments
+from pinmobile.identification._simulation import Segments, simulate
 from pinmobile.identification._torque_car import identify_car
-from pinmobile.identification._weak_form import WINDOW, WeakFit, WeakForm
+from pinmobile.identification._weak_form import WINDOW, WeakFit, WeakForm, beside, fitted
 from pinmobile.parts import Tabled, offers
 from pinmobile.robot import MobileRobot, PayloadBody
 from pinmobile.wheels import WheeledRobot, WheelTable
@@ -40,6 +42,7 @@ _CLIPPED = 0.02  # share of rows at an extreme from which an input counts as cli
 _BOTH_WAYS = 0.05  # share of the rows in which a wheel turns fast, each way
 _LEAST_SEGMENTS = 20  # fewer segments do not show the scatter
 _LENGTHS = 2.0, 1.5, 1.0  # [s] of a segment: the first length that gives enough segments
+_SHORTEST = (_LEAST_SEGMENTS + 0.5) * _LENGTHS[-1]  # [s], shortest log
 _LATEST, _EARLIEST = 0.3, 0.05  # [s], range of delays
 _EXPLAINED = 0.5  # smallest explained share of the mean square of the forces
 _MOST_GIVEN = 0.1  # largest given delay, as a share of the log
@@ -49,6 +52,13 @@ _WIDEST = 10.0  # [m], largest radius of gyration, and largest distance of the c
 _LIGHTEST = 1.0  # [kg/m^2], smallest mass per squared radius of gyration; robots have about 100
 _TIMES_NOMINAL = 30.0  # largest ratio of an estimated mass and the prior
 _EARLY, _SURE = 0.5, 3.0  # samples, and standard deviations, by which poses may precede their inputs
+_DOMINANT = 0.9  # correlation of residuals that unmodelled forces dominate; noise alone seldom reaches it
+_COLOURED = 2.5  # multiple of the bound of white residuals: five standard deviations of estimated noise
+_DRIFT = 1.0  # largest change of the delay along a log [samples]
+_SIGNIFICANT = 5.0  # standard deviations
+_FREE = 10.0  # [s], length of a free run
+_CHANNELS = "forward speed", "left speed", "yaw rate"
+_STILL = 0.05  # speed per largest speed of a direction in which the robot does not move
 
 
 def identify(
@@ -144,9 +154,7 @@ def identify(
     one_of("method", method, METHODS)
     if by:
         if loads is not None or method != METHODS[0] or rolling_speed is not None:
-            raise InvalidArgument(
-                "loads, method and rolling_speed do not apply with by, expected none of them"
-            )
+            raise InvalidArgument("loads, method and rolling_speed do not apply with by, expected none")
         return identify_plant(logs, robot, by, delay)
     alone = isinstance(robot, WheelTable)
     robot = _on_wheels(robot) if alone else robot
@@ -166,11 +174,10 @@ def identify(
     runs = [PreprocessedLog.of(part, model, load, name, dt) for part, load, name in parts]
     if model.wheels and model.nu == len(model.A):
         _check_signs(runs, model, [name for _, _, name in parts])
-    slips = [
-        each for run, part in zip(runs, parts, strict=True) if (each := Slippage.of(run, model, part[2]))
-    ]
-    worst = max(slips, key=lambda each: each.share, default=None)
-    clipped = "; ".join(filter(None, (_clipped(one, model, n) for one, n in zip(logs, names, strict=True))))
+    slips = [Slippage.of(run, model, name) for run, (_, _, name) in zip(runs, parts, strict=True)]
+    worst = max(filter(None, slips), key=lambda each: each.share, default=None)
+    pairs = zip(logs, names, strict=True)
+    clipped = "; ".join(text for one, name in pairs for text in _clipped(one, model, name))
     if delay is not None:
         most = _MOST_GIVEN * min(len(one.q) * one.dt for one in runs)
         delay = bounded("delay", scalar("delay", delay), least=-most, most=most, unit="s")
@@ -178,8 +185,10 @@ def identify(
     try:
         result = _identified(runs, model, prior, method, delay)
     except InvalidArgument as error:
-        hints = [f"Its {worst}"] * bool(worst is not None and worst.matters) + [clipped] * bool(clipped)
-        hints += [clock_hint(*_motion(parts[0][0]))]
+        slip = f"Its {worst}" if worst is not None and worst.matters else ""
+        first = parts[0][0]
+        motion: Any = first.wheel_rates if first.q is None else first.q
+        hints = slip, clipped, clock_hint(first.t, first.u, motion, first.q is not None)
         raise InvalidArgument(" ".join(filter(None, [str(error), *hints]))) from error
     dropped = sum(one.dropped + unused(one, *model.sensors) for one in logs)
     return replace(result, dropped=dropped, prior=robot, slippage=worst, clipped=clipped)
@@ -199,33 +208,25 @@ def _check_signs(runs: Sequence[PreprocessedLog], model: PlanarModel, names: Seq
                 )
 
 
-def _motion(log: Log) -> tuple[Any, Any, Any, bool]:
-    """Return times, inputs and motion of a log, and whether the motion is given as poses."""
-    return log.t, log.u, log.wheel_rates if log.q is None else log.q, log.q is not None
-
-
 def _with_rates(log: Log, model: PlanarModel) -> Log:
     """Return a log with twists alone as a log with the rates of the wheels that roll so."""
     if log.twist is None or log.q is not None or log.wheel_rates is not None:
         return log
     rates = log.twist @ np.linalg.pinv(model.S).T @ model.A.T
-    return replace(
-        log, twist=None, wheel_rates=rates, dropped=log.dropped - int(lost_rows({"": rates}).sum())
-    )
+    dropped = log.dropped - int(lost_rows({"": rates}).sum())
+    return replace(log, twist=None, wheel_rates=rates, dropped=dropped)
 
 
-def _clipped(log: Log, model: PlanarModel, name: str) -> str:
-    """Return in words the inputs of a log that stay at their extremes, as clipped inputs do; "" if none."""
+def _clipped(log: Log, model: PlanarModel, name: str) -> list[str]:
+    """Return in words the inputs of a log that stay at their extremes, as clipped inputs do."""
     found = []
     for one, u in zip(model.inputs, log.u.T, strict=True):
         extreme = ((u == u.max()) | (u == u.min())) & (u != 0) & (np.ptp(u) > 0)
         stays = extreme[2:] & (u[2:] == u[1:-1]) & (u[1:-1] == u[:-2])
         if stays.mean() > _CLIPPED:
-            extremes = (
-                f"stays at {u.min():.4g} or {u.max():.4g}, its extremes, in {stays.mean():.0%} of the rows"
-            )
-            found.append(f"input {one} of {name} {extremes}: if this input was clipped, estimates are wrong")
-    return "; ".join(found)
+            at = f"at {u.min():.4g} or {u.max():.4g}, its extremes, in {stays.mean():.0%} of the rows"
+            found.append(f"input {one} of {name} stays {at}: if this input was clipped, estimates are wrong")
+    return found
 
 
 def _identified(
@@ -265,10 +266,10 @@ def _identified(
         )
     start = model.possible(fit.phi, scales)
     problem = PlanarProblem(model, start, basis, fit.delay, not given and not told)
-    estimate = output_error(problem, segments, method == METHODS[0])
+    estimate = _output_error(problem, segments, method == METHODS[0])
     bias = estimate.bias
     if method == METHODS[0] and bias >= _BIASED:
-        method, estimate = METHODS[1], output_error(problem, segments, False)
+        method, estimate = METHODS[1], _output_error(problem, segments, False)
     if method == METHODS[0]:
         freedom, p = kept - 1, estimate.fit.p
         free, _ = jackknife(estimate.fit.near, estimate.gradient)
@@ -282,7 +283,7 @@ def _identified(
     else:
         phi, covariance, late, error = fit.phi, fit.covariance, fit.delay, fit.delay_error
         freedom = max(5, round(sum(len(one.q) * one.dt for one in runs) / WINDOW) - len(phi))
-        p, step = np.zeros(basis.shape[1]), trained_weakly(form, fit.delay, base, basis)
+        p, step = np.zeros(basis.shape[1]), _trained_weakly(form, fit.delay, base, basis)
         problem = PlanarProblem(model, phi, basis, fit.delay)
     remarks = []
     if not given:
@@ -293,7 +294,7 @@ def _identified(
     measured = segments.good[..., None] & np.isfinite(segments.noise)[:, None]
     residual = np.where(measured, estimate.plain.near.residual, 0.0)
     count = max(1, int(measured.sum()) - basis.shape[1] - segments.start.size)
-    outliers = sum(one.outliers for one in runs)
+    outliers, whole = sum(one.outliers for one in runs), [one for one in runs if np.isfinite(one.noise).all()]
     return Identification(
         model=model,
         phi=phi,
@@ -309,25 +310,24 @@ def _identified(
         delay_error=error * dt,
         dt=dt,
         outliers=outliers,
-        dropped=0,
         samples=outliers + sum(int(one.good.sum()) for one in runs),
         segments=kept,
         seconds=seconds,
-        noise=next((run for run in runs if np.isfinite(run.noise).all()), runs[0]).reported_noise,
+        noise=[*whole, *runs][0].reported_noise,
         residual=np.sqrt((residual[..., model.columns] ** 2).sum(axis=(0, 1)) / segments.good.sum()),
         chi2=float((segments.weighed(residual) ** 2).sum()) / count,
-        whiteness=whiteness_of(estimate.plain, segments),
+        whiteness=_whiteness_of(estimate.plain, segments),
         is_noise=estimate.is_noise,
         explained=fit.explained,
         remarks=tuple(remarks),
-        free_run=free_run(problem, runs, p, p + step),
+        free_run=_free_run(problem, runs, p, p + step),
     )
 
 
 def _moments(loads: Sequence[PayloadBody | None] | None, count: int) -> list[Array]:
     """Return mass, first moments and inertia about the body origin of the load of each log, shape (4,)."""
     expected = (
-        f"a PayloadBody or None for each of {count} logs: loads that differ identify the scale of the inputs"
+        f"a PayloadBody or None for each of {count} logs: loads that differ identify the scale of inputs"
     )
     given = [None] * count if loads is None else sequence("loads", loads, expected)
     found = []
@@ -350,8 +350,7 @@ def _check_late(late: float, error: float, dt: float) -> None:
     if late < -_EARLY - _SURE * error:
         raise InvalidArgument(
             f"log has poses {-1e3 * late * dt:.3g} ms ({-late:.1f} samples) ahead of the inputs that move "
-            "the robot, expected a delay of 0 or more: do two clocks give the times, are inputs clipped, or "
-            "does the model lack a force? delay=0 sets the delay to zero."
+            "the robot, expected a delay >= 0: two clocks, clipped inputs, unknown forces? Or set delay=0"
         )
 
 
@@ -362,8 +361,7 @@ def _segment(logs: Sequence[PreprocessedLog]) -> float:
         if np.floor(spans / seconds - 0.3).sum() >= _LEAST_SEGMENTS:
             return seconds
     raise InvalidArgument(
-        f"log is {spans.sum():.3g} s long, too short, expected at least "
-        f"{(_LEAST_SEGMENTS + 0.5) * _LENGTHS[-1]:g} s, better 60 s: intervals need many segments"
+        f"log is {spans.sum():.3g} s long, too short, expected at least {_SHORTEST:g} s, better 60 s"
     )
 
 
@@ -382,8 +380,7 @@ def _first_delay(form: WeakForm, base: Array, basis: Array) -> float:
         _check_late(late, 0.0, dt)
     if k == len(delays) - 1:
         raise InvalidArgument(
-            f"log has poses that lag the inputs by {dt * late:.3g} s or more, expected less: do two clocks "
-            "give the times of poses and inputs?"
+            f"log has poses that lag the inputs by {dt * late:.3g} s or more: do two clocks give the times?"
         )
     return late
 
@@ -406,3 +403,137 @@ def _check(model: PlanarModel, fit: WeakFit, prior: Array | None) -> None:
             f"log leads to {wrong}, expected values of a robot: are forces in N, moments in N m, positions "
             "in metres and psi in radians, or do inputs have another sign or frame?"
         )
+
+
+class _Estimate(NamedTuple):
+    """Estimate by output error.
+
+    Attributes
+    ----------
+    fit : Fit
+        Fit to the residuals, whitened if force noise contributes to them.
+    plain : Fit
+        Fit of the initial states alone to residuals that are not whitened.
+    gradient : ndarray, shape (P,)
+        Contribution of input noise to the gradient.
+    bias : float
+        Bias by input noise, in standard deviations.
+    is_noise : bool
+        Whether sensor and input noise explains the residuals. Otherwise the model structure is wrong.
+    """
+
+    fit: Fit
+    plain: Fit
+    gradient: Array
+    bias: float
+    is_noise: bool
+
+
+def _output_error(problem: PlanarProblem, segments: Segments, moves: bool) -> _Estimate:
+    """Return the estimate from segments; if `moves` is false, estimate the initial states alone."""
+    fit = plain = solve(problem, segments, problem.start, moves=moves)
+    if problem.free:
+        late = np.arange(len(fit.p)) == len(fit.p) - 1
+        given = fit.near if moves else Linear.of(problem, segments, fit.p, fit.starts, lambda r, _: r, late)
+        _check_drift(given)
+    gradient, bias = np.zeros(len(fit.p)), 0.0
+    noise = None if _whiteness_of(fit, segments).is_white or not moves else _noise(problem, segments, fit)
+    if noise is not None and not noise.remembers:
+        # The controller responds to a correlated force, so whitening would fit the controller's response.
+        gradient = input_noise_gradient(problem, segments, fit, noise)
+        near = Linear.of(problem, segments, fit.p, fit.starts, noise.white)
+        way = np.linalg.lstsq(near.information, gradient, rcond=None)[0]
+        bias = float(np.sqrt(max(float(gradient @ way), 0.0)))
+        if bias < _BIASED:
+            fit = solve(problem, segments, fit.p, white=noise.white, starts=fit.starts, pull=gradient)
+            plain = solve(problem, segments, fit.p, moves=False)
+    left = _whiteness_of(plain, segments)
+    is_noise = left.is_white
+    if not is_noise and np.abs(left.correlation).max() <= _DOMINANT:
+        white = _noise(problem, segments, plain).white
+        near = Linear.of(problem, segments, plain.p, plain.starts, white, moves=False)
+        left = Whiteness.of(near.e.reshape(segments.y.shape), segments.good)
+        is_noise = bool(np.abs(left.correlation).max() <= _COLOURED * left.bound)
+    return _Estimate(fit, plain, gradient, bias, is_noise)
+
+
+def _noise(problem: PlanarProblem, segments: Segments, fit: Fit) -> ResidualNoise:
+    answers = problem.responses(segments.some(segments.few), fit.p, fit.starts[segments.few])
+    left = segments.weighed(fit.near.residual)
+    return ResidualNoise.of(left, segments.good, float(segments.dt[0]), answers)
+
+
+def _whiteness_of(fit: Fit, segments: Segments) -> Whiteness:
+    """Return the autocorrelation of the residuals of a fit."""
+    return Whiteness.of(segments.weighed(fit.near.residual), segments.good)
+
+
+def _check_drift(near: Linear) -> None:
+    """Reject a log in which the delay drifts, because one of two clocks is faster."""
+    gradient, curvature = near.normal[:, 0, 0, -1], near.normal[:, 0, -1, -1]
+    time = np.linspace(-0.5, 0.5, len(gradient))
+    weight = max(float((curvature * time**2).sum()), 1e-300)
+    slope = float((gradient * time).sum()) / weight
+    deviation = np.sqrt(((gradient - curvature * time * slope) ** 2 * time**2).sum()) / weight
+    if abs(slope) > max(_DRIFT, _SIGNIFICANT * deviation):
+        raise InvalidArgument(
+            f"log has a delay of the poses that changes by {slope:.2g} samples from start to end, expected "
+            "times of one clock: one of two clocks is faster"
+        )
+
+
+class _Velocities(PlanarProblem):
+    """The problem with velocities in place of measurements."""
+
+    def observed(self, segments: Segments, states: Array, numbers: Array) -> Array:
+        """Return the body twist."""
+        return np.asarray(states[..., 3:] @ self.model.S.T)
+
+
+def _trained_weakly(form: WeakForm, delay: float, base: Array, basis: Array) -> Array:
+    """Return the step along the directions of a basis to the fit of the weak form of early windows."""
+    columns, y = form.equations(delay)
+    Y = beside(form.Y, columns)
+    early = np.concatenate([np.arange(n) < TRAINED * n for n in form.counts])
+    first, _ = fitted(Y[early], y[early], [int(early.sum())], base, basis)
+    whole, _ = fitted(Y, y, form.counts, base, basis)
+    return np.asarray(np.linalg.pinv(basis) @ (first.phi - whole.phi))
+
+
+def _free_run(
+    problem: PlanarProblem, runs: Sequence[PreprocessedLog], p: Array, early: Array
+) -> Mapping[str, tuple[float, float]]:
+    """Return R^2 by channel: of all logs, and of the last third for numbers of the first two thirds.
+
+    Parameters
+    ----------
+    problem : PlanarProblem
+        The model.
+    runs : sequence of PreprocessedLog
+        The logs. Each free run starts from measured poses and velocities.
+    p, early : ndarray, shape (P,)
+        Numbers of the whole logs, and of the first two thirds.
+    """
+    model = problem.model
+    free = _Velocities(model, problem.base, problem.basis, problem.delay, problem.free)
+    found, late = list[Array](), list[Array]()
+    for run in runs:
+        seconds = min(_FREE, 0.3 * len(run.q) * run.dt)
+        segments = run.segments(model, problem.delay, seconds, False)
+        if not len(segments.y):
+            continue
+        twist = run.free_velocities(model) @ model.S.T
+        measured = twist[np.rint(segments.t / run.dt).astype(int)]
+        starts = np.repeat(segments.start[None], 2, axis=0)
+        out = simulate(free, segments, np.stack([p, early]), starts)
+        found.append(np.stack([measured, measured - out[0]])[:, segments.good])
+        held = segments.good & (segments.t > TRAINED * len(run.q) * run.dt)
+        late.append(np.stack([measured, measured - out[1]])[:, held])
+    if not found:
+        return {}
+    rows = [np.concatenate(each, axis=1) for each in (found, late)]
+    speeds = np.sqrt((rows[0][0] ** 2).mean(axis=0))
+    moves = [*(speeds[:2] > _STILL * speeds[:2].max()), True]
+    shares = [r_squared(*each) for each in rows]
+    pairs = zip(_CHANNELS, moves, *(share.tolist() for share in shares), strict=True)
+    return MappingProxyType({name: (one, other) for name, is_moved, one, other in pairs if is_moved})

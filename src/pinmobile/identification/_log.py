@@ -58,14 +58,6 @@ def lost_rows(given: Mapping[str, Array]) -> NDArray[np.bool_]:
     return np.asarray(np.logical_or.reduce(lost))
 
 
-def check_times(t: Array) -> None:
-    """Reject times that do not increase, or have another unit."""
-    increasing("t", t)
-    usual = float(np.median(np.diff(t)))
-    if usual > _LONGEST_STEP:
-        raise InvalidArgument(f"t has steps of {usual:g} s, expected seconds: are these milliseconds?")
-
-
 def repeated(t: Array, x: Array, slack: int) -> NDArray[np.bool_]:
     """Return the rows in which a slow sensor only repeats its last measurement, as a mask.
 
@@ -102,18 +94,14 @@ def check_pose(t: Array, q: Array) -> None:
 
     speed, fast = np.median(np.hypot(rates(q[:, 0]), rates(q[:, 1]))), np.quantile(rates(psi), 0.9)
     if speed > _FASTEST:
-        raise InvalidArgument(
-            f"q moves at {speed:.3g} m/s most of the time, expected metres: are these centimetres or "
-            "millimetres?"
-        )
+        what = f"q moves at {speed:.3g} m/s most of the time"
+        raise InvalidArgument(f"{what}, expected metres: are these centimetres or millimetres?")
     steps = np.abs(np.diff(psi))[np.diff(t) < 2 * dt]
     whole = steps[steps > 1.9 * np.pi]
     turns = max(np.median(rates(np.unwrap(psi))), fast) > _FASTEST_TURN
     if np.median(whole) > 4 * np.pi if whole.size else turns:
-        raise InvalidArgument(
-            f"q has psi from {psi.min():.4g} to {psi.max():.4g}, a yaw rate of {fast:.3g} rad/s and more, "
-            "expected radians: are these degrees?"
-        )
+        what = f"q has psi from {psi.min():.4g} to {psi.max():.4g}, a yaw rate of {fast:.3g} rad/s and more"
+        raise InvalidArgument(f"{what}, expected radians: are these degrees?")
 
 
 def held_integrals(t: Array, u: Array, edges: Array) -> Array:
@@ -124,6 +112,7 @@ def held_integrals(t: Array, u: Array, edges: Array) -> Array:
 
 
 _POSE = 3  # x, y, psi
+_SENSORS = "q", "twist", "wheel_rates", "joints"
 
 
 class Samples(NamedTuple):
@@ -137,17 +126,17 @@ class Samples(NamedTuple):
         Times since the first sample [s].
     seen : ndarray of bool, shape (N,)
         Whether the row was measured; other rows are interpolated.
-    q, u, twist, wheel_rates, joints : ndarray, shape (N, ...), or None
+    u, q, twist, wheel_rates, joints : ndarray, shape (N, ...), or None
         Arrays of `Log`.
     """
 
     dt: float
     t: Array
     seen: NDArray[np.bool_]
-    q: Array | None
     u: Array
-    twist: Array | None
-    wheel_rates: Array | None
+    q: Array | None = None
+    twist: Array | None = None
+    wheel_rates: Array | None = None
     joints: Array | None = None
 
 
@@ -260,15 +249,15 @@ class Log:
         dropped = int(np.logical_or.reduce([*lost.values()]).sum()) + len(again)
         object.__setattr__(self, "dropped", self.dropped + dropped)
         given = {name: array[known] for name, array in given.items()}
-        check_times(given["t"])
+        increasing("t", given["t"])
+        if (usual := float(np.median(np.diff(given["t"])))) > _LONGEST_STEP:
+            raise InvalidArgument(f"t has steps of {usual:g} s, expected seconds: are these milliseconds?")
         for name, array in given.items():
             finite(name, np.where(np.isnan(array), 0.0, array))
         for name in measured:
             at, array = np.flatnonzero(~lost[name][known]), np.array(given[name])
             at = at[~repeated(given["t"][at], array[at], 1 if name == "q" else 0)]
-            gone = np.ones(len(array), bool)
-            gone[at] = False
-            array[gone], given[name] = np.nan, array
+            array[np.delete(np.arange(len(array)), at)], given[name] = np.nan, array
             if name == "q":
                 check_pose(given["t"][at], array[at])
                 array[at, 2] = np.unwrap(array[at, 2])
@@ -276,8 +265,12 @@ class Log:
             object.__setattr__(self, name, frozen(array))
 
     def _given(self) -> dict[str, Array]:
-        named = {name: getattr(self, name) for name in ("t", "q", "u", "twist", "wheel_rates", "joints")}
+        named = {name: getattr(self, name) for name in ("t", "q", "u", *_SENSORS[1:])}
         return {name: real(name, x) for name, x in named.items() if x is not None or name in ("t", "u")}
+
+    def _named(self, *names: str) -> dict[str, Array]:
+        """Return those of the named measurements that there are."""
+        return {name: x for name in names if (x := getattr(self, name)) is not None}
 
     def _with(self, given: dict[str, Any]) -> Self:
         """Return the log with other rows, of which those with NaN are known."""
@@ -288,8 +281,7 @@ class Log:
 
     def __repr__(self) -> str:
         lost = f", {self.dropped} rows dropped" if self.dropped else ""
-        kept = [n for n in ("q", "u", "twist", "wheel_rates", "joints") if getattr(self, n) is not None]
-        measured = ", ".join(f"{n} of {getattr(self, n).shape[1]}" for n in kept)
+        measured = ", ".join(f"{n} of {x.shape[1]}" for n, x in self._given().items() if n != "t")
         offset, rate = self.clock
         moved = f", times of inputs {offset:.4g} s + {rate:.6g} t" if self.clock != (0.0, 1.0) else ""
         return f"<Log: {len(self)} samples over {self.t[-1] - self.t[0]:g} s, {measured}{lost}{moved}>"
@@ -378,12 +370,11 @@ class Log:
         InvalidArgument
             If there are no such rows.
         """
-        given = {name: x for name in names if (x := getattr(self, name)) is not None}
+        given = self._named(*names)
         t = self.t[~lost_rows(given)]
         if len(t) < 2:
             raise InvalidArgument(
-                f"log has {len(t)} rows with {' and '.join(given)}, expected two or more: for sensors with "
-                "times of their own use Log.from_streams"
+                f"log has {len(t)} rows with {' and '.join(given)}, expected two: see Log.from_streams"
             )
         return step(t)
 
@@ -393,7 +384,7 @@ class Log:
         The time step is `dt` [s], with mean inputs; default: that of the measurements.
         """
         dt = self.step_of(*names) if dt is None else dt
-        given = {name: x for name in names if (x := getattr(self, name)) is not None}
+        given = self._named(*names)
         there = ~lost_rows(given)
         t, given = self.t[there], {name: x[there] for name, x in given.items()}
         steps = np.rint((t - t[0]) / dt).astype(int)
@@ -408,8 +399,7 @@ class Log:
         is_even = len(t) == len(grid) and np.abs(t - grid).max() < 1e-3 * dt
         if not is_even:
             given = {name: _interpolated(t, x, grid) for name, x in given.items()}
-        rows = (given.get(name) for name in ("twist", "wheel_rates", "joints"))
-        return Samples(dt, since, seen, given.get("q"), u, *rows)
+        return Samples(dt, since, seen, u, **given)
 
     def rollout(self, robot: Any, *, delay: float = 0.0, **options: Any) -> Rollout:
         """Return the log as a rollout, beside a robot that replays its inputs.
@@ -483,18 +473,14 @@ class Log:
             If the class rejects the data, or the times overlap by less than half, as those of two clocks.
         """
         streams: dict[str, tuple[Array, Array]] = {}
-        given: Sequence[tuple[str, Any, Any]] = (
-            ("q", t_q, q),
-            ("twist", t_q if t_twist is None else t_twist, twist),
-            ("wheel_rates", t_q if t_wheel_rates is None else t_wheel_rates, wheel_rates),
-            ("u", t_u, u),
-        )
-        for name, time, x in given:
+        times: dict[str, Any] = {"q": t_q, "twist": t_twist, "wheel_rates": t_wheel_rates, "u": t_u}
+        given: Any = {"q": q, "twist": twist, "wheel_rates": wheel_rates, "u": u}
+        for name, x in given.items():
             if x is not None or name == "u":
-                own = f"t_{name}" if time is not t_q else "t_q"
-                t = finite(own, time)
-                increasing(own, t)
-                x = np.array(shaped(name, real(name, x), (len(t), "k"), words=f", as {own} has"))
+                own = "q" if times[name] is None else name
+                t = finite(f"t_{own}", times[own])
+                increasing(f"t_{own}", t)
+                x = np.array(shaped(name, real(name, x), (len(t), "k"), words=f", as t_{own} has"))
                 seen = ~np.isnan(x).any(axis=1)
                 if seen.sum() < 2:
                     raise InvalidArgument(f"{name} has {seen.sum()} rows without NaN, expected two or more")
@@ -514,8 +500,7 @@ class Log:
         if last - first < 0.5 * (t[-1] - t[0]):
             raise InvalidArgument(
                 f"t_u is from {held[0]:.9g} to {held[-1]:.9g} s and t_q from {t[0]:.9g} to {t[-1]:.9g} s, "
-                "which overlap by less than half, expected times of one clock: correct the offset of one, or "
-                "estimate it by one_clock=False"
+                "expected a longer overlap by times of one clock: correct one, or give one_clock=False"
             )
         t = t[(t >= first) & (t <= held[-1])]
         half, more = 0.5 * step(t) * (1 + 1e-9), min(round(step(t) / step(held)), _FINER)
@@ -528,14 +513,8 @@ class Log:
         }
         lost = max(int(lost_rows({name: x}).sum()) for name, (_, x) in streams.items())
         between = int(lost_rows(rows).sum()) - lost  # rows between measurements are not lost
-        return cls(
-            t,
-            u=_mean_inputs(held, inputs, t),
-            **{"q": None} | rows,
-            dropped=-between,
-            units=tuple(units),
-            clock=(offset, rate),
-        )
+        rows = {"q": None, "u": _mean_inputs(held, inputs, t)} | rows
+        return cls(t, **rows, dropped=-between, units=tuple(units), clock=(offset, rate))
 
     @classmethod
     def from_rollout(
@@ -661,11 +640,8 @@ class Log:
             return cls.from_rollout(Rollout.from_mcap(path))
         streams = read_bag(path, topics)
         (t_u, u), (t_q, q) = streams.pop("u"), streams.pop("q", (np.zeros(0), None))
-        named: dict[str, Any] = {
-            f"{kind}{name}": x
-            for name, each in streams.items()
-            for kind, x in zip(("t_", ""), each, strict=True)
-        }
+        named: dict[str, Any] = {name: x for name, (_, x) in streams.items()}
+        named |= {f"t_{name}": t for name, (t, _) in streams.items()}
         return cls.from_streams(t_q, q, t_u, u, **named)
 
 
@@ -725,9 +701,7 @@ def continuous(log: Log, name: str, *names: str) -> list[Log]:
     """
     if all(getattr(log, other) is None for other in names):
         raise InvalidArgument(f"{name} has no {' and no '.join(names)}, expected a measurement of the motion")
-    others: dict[str, Any] = {
-        other: None for other in ("q", "twist", "wheel_rates", "joints") if other not in names
-    }
+    others: dict[str, Any] = {other: None for other in _SENSORS if other not in names}
     parts = replace(log, **others, dropped=0).split()
     long = [one for one in parts if one.t[-1] - one.t[0] >= _SHORTEST and _count(one, names) >= LEAST_ROWS]
     long = parts if len(parts) == 1 else long
@@ -746,7 +720,7 @@ def unused(log: Log, *names: str) -> int:
 
 
 def _count(log: Log, names: Sequence[str]) -> int:
-    given = {name: x for name in names if (x := getattr(log, name)) is not None}
+    given = log._named(*names)
     return int((~lost_rows(given)).sum()) if given else 0
 
 

@@ -17,10 +17,10 @@ multiplies the torque constants.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,21 +29,15 @@ from pinmobile import parts
 from pinmobile.arrays import Array, bounded, frozen, positive, scalar
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.forces import JointFriction, RollingResistance, ViscousFriction
+from pinmobile.identification._estimates import Identification
 from pinmobile.identification._estimator import solve
 from pinmobile.identification._log import Log
-from pinmobile.identification._preprocessing import PreprocessedLog
-from pinmobile.identification._simulation import Quantity, Segments
+from pinmobile.identification._preprocessing import LATER, PreprocessedLog
+from pinmobile.identification._simulation import Quantity, Segments, simulate
 from pinmobile.parts import Tabled, offers
 from pinmobile.robot import MobileRobot
 from pinmobile.urdf import Body
 from pinmobile.wheels import Motor, MotorLaw
-
-if TYPE_CHECKING:
-    from pinmobile.identification._estimates import Identification
-from collections.abc import Callable
-
-from pinmobile.identification._preprocessing import LATER
-from pinmobile.identification._simulation import simulate
 
 _STEP, _RUBBING_STEP = 5e-3, 1e-3  # [s], longest integration steps, without and with dry friction of motors
 _LEAST_RESPONSE = 1e-3  # smallest response to an input, as a share of the largest
@@ -158,14 +152,8 @@ _BODY = (
     Quantity("com_y", "m", False, "com.y"),
     Quantity("yaw_inertia", "kg m^2", True, "yaw_inertia"),
 )
-_BODY_FRICTION = (
-    ("viscous", "coefficients", {"": "N s/m", "yaw": "N m s"}),
-    ("rolling", "force", {"": "N", "yaw": "N m"}),
-)
-_JOINT_FRICTION = (
-    ("joint_viscous", "viscous", {"": "N m s/rad"}),
-    ("joint_coulomb", "coulomb", {"": "N m"}),
-)
+_BODY_FRICTION = ("viscous", "coefficients", "N s/m", "N m s"), ("rolling", "force", "N", "N m")
+_JOINT_FRICTION = ("joint_viscous", "viscous", "N m s/rad"), ("joint_coulomb", "coulomb", "N m")
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,8 +210,7 @@ class PlanarModel:
             if robot is not None and (not isinstance(robot, MobileRobot) or robot.mounts):
                 raise InvalidArgument(
                     f"robot is {shown(robot)}, expected a MobileRobot without arms (robot.lumped() has them "
-                    "locked), or a WheeledRobot with wheels that roll and do not steer; for a robot with "
-                    "velocity inputs use identify_velocity"
+                    "locked), or a WheeledRobot that rolls; for velocity inputs use identify_velocity"
                 )
             slow = positive("rolling_speed", _SPEED if speed is None else speed, "m/s")
             eye = frozen(np.eye(3))
@@ -284,24 +271,17 @@ class PlanarModel:
         """Units of the inputs by name."""
         if not self.wheels:
             return {"Fx": "N", "Fy": "N", "Mz": "N m"}
-        electric = [each.is_electric for each in self.motors] or [False] * len(self.wheels)
-        return {n: "V" if volts else "N m" for n, volts in zip(self.wheels, electric, strict=True)}
+        return units_of(self.wheels, self.motors)
 
     @cached_property
     def quantities(self) -> tuple[Quantity, ...]:
         """Physical parameters, with the centre of mass and the inertia about it."""
-        kinds = _JOINT_FRICTION if self.wheels else _BODY_FRICTION
-        found = [
-            *_BODY,
-            *(
-                Quantity(f"{kind}_{axis}", units.get(axis, units[""]), True, f"{path}.{axis}")
-                for kind, path, units in kinds
-                for axis in self.wheels or _AXES
-            ),
-        ]
+        found = [*_BODY]
+        for kind, path, *units in _JOINT_FRICTION if self.wheels else _BODY_FRICTION:
+            rows = [(n, units[0]) for n in self.wheels] or zip(_AXES, [units[0], *units], strict=True)
+            found += [Quantity(f"{kind}_{n}", unit, True, f"{path}.{n}") for n, unit in rows]
         if self.offset:
-            units = ["N m"] * self.nu if self.wheels else self.inputs.values()
-            pairs = zip(self.inputs, units, strict=True)
+            pairs = [(n, "N m") for n in self.wheels] or [*self.inputs.items()]
             found += [Quantity(f"offset_{n}", unit, False) for n, unit in pairs]
         if self.scaled:
             found.append(Quantity("input_scale", "", True))
@@ -403,12 +383,7 @@ class PlanarModel:
         prior = found.prior
         if prior is None:
             return MobileRobot(m, inertia, com=(x, y))
-        bare = (prior.robot if self.wheels else prior).lumped()
-        centre, J = np.array([x, y, bare.body.com[2]]), np.array(bare.body.inertia)
-        scaled, J[2, 2] = J * (inertia / J[2, 2]), inertia
-        # If the moments violate the triangle inequality, scale all moments of the prior instead.
-        body = Body(m, centre, J if J[2, 2] <= J[0, 0] + J[1, 1] else scaled)
-        new = bare.with_body(body, f"{bare.source}; identified from a log")
+        new = with_inertia((prior.robot if self.wheels else prior).lumped(), m, x, y, inertia)
         if not self.wheels:
             return new
         if not self.motors:
@@ -463,12 +438,8 @@ class PlanarModel:
         ahead = bounded("seconds", length, least=10 * run.dt, most=longest, unit="s")
         segments = run.segments(self, late, ahead, run.rates is not None)
         search = PlanarProblem(self, found.phi, np.zeros((len(found.phi), 0)), late)
-        return (
-            segments,
-            solve(search, segments, search.start).near.residual,
-            segments.good,
-            run.reported_noise,
-        )
+        left = solve(search, segments, search.start).near.residual
+        return segments, left, segments.good, run.reported_noise
 
     def rows(self, a_u: Array, a_w: Array, turn: Array, square: Array, rates: Array, dry: Array) -> Array:
         """Return the regressor along the independent velocities, shape (n, k, p), without the input scale.
@@ -495,50 +466,77 @@ class PlanarModel:
         dry = rates / np.hypot(rates, self.speed)
         return self.rows(du - r * left, dw + r * forward, turn, r * r, rates, dry)
 
-    def torques(self, u: Sequence[Any], rates: Sequence[Any], scale: Any = 1.0) -> list[Any]:
-        """Return the torques of the inputs at rates of their wheels, in numbers, arrays or symbols.
-
-        Parameters
-        ----------
-        u, rates : sequence, shape (nu,)
-            Inputs and rates [rad/s].
-        scale : scalar
-            Factor on the torques, or on the torque constants of motors.
-        """
-        if not self.motors:
-            return [scale * x for x in u]
-        numbers = np.array([[getattr(one, name) or 0.0 for one in self.motors] for name in _CONSTANTS])
-        resistance, constant, *others = numbers
-        law = MotorLaw(self.motors, resistance, scale * constant, *others)
-        return [
-            law.smooth_torque(k, law.volts(k, x), rate, rate / np.sqrt(rate * rate + _STILL**2))
-            if motor.is_electric
-            else scale * x
-            for k, (motor, x, rate) in enumerate(zip(self.motors, u, rates, strict=True))
-        ]
-
     def rates(self, z: Any, u: Any, phi: Any) -> Any:
         """Return the rates of pose and independent velocities, shape (3 + k,), of one state and input."""
         psi, eta = z[2], z[3:]
-        (forward, left, r), along = self.S @ eta, self.A @ eta
-        m, mx, my, inertia = phi[0], phi[1], phi[2], phi[3]
+        nu, along = self.S @ eta, self.A @ eta
         a, c, s = len(self.A), np.cos(psi), np.sin(psi)
         scale = phi[self.size - 1] if self.scaled else 1.0
-        force = np.stack(self.torques(u, along, scale))
+        force = np.stack(torques_of(self.motors, u, along, scale))
         if self.offset:
             force = force - phi[self.offsets]
         if self.B is None:
             force = np.stack([c * force[0] + s * force[1], c * force[1] - s * force[0], force[2]])
         else:
             force = self.B @ force
-        h = np.stack([r * (m * left + mx * r), r * (my * r - m * forward), -r * (mx * forward + my * left)])
         friction = phi[4 : 4 + a] * along + phi[self.dry] * along / np.sqrt(along * along + self.speed**2)
-        M = np.stack([np.stack([m, 0.0, -my]), np.stack([0.0, m, mx]), np.stack([-my, mx, inertia])])
-        rate = np.linalg.solve(
-            self.S.T @ M @ self.S + self.inertia, force + self.S.T @ h - self.A.T @ friction
-        )
-        way = np.stack([c * forward - s * left, s * forward + c * left, r])
-        return np.concatenate([way, rate])
+        M, h = inertia_of(phi, nu)
+        M, force = self.S.T @ M @ self.S + self.inertia, force + self.S.T @ h - self.A.T @ friction
+        return np.concatenate([pose_rate(psi, nu), np.linalg.solve(M, force)])
+
+
+def torques_of(motors: Sequence[Motor], u: Any, rates: Any, scale: Any = 1.0) -> list[Any]:
+    """Return the torques of the inputs at rates of their wheels, in numbers, arrays or symbols.
+
+    Parameters
+    ----------
+    motors : sequence of Motor
+        Motors; empty if the inputs are torques.
+    u, rates : sequence, shape (nu,)
+        Inputs and rates [rad/s].
+    scale : scalar
+        Factor on the torques, or on the torque constants of motors.
+    """
+    if not motors:
+        return [scale * x for x in u]
+    numbers = np.array([[getattr(one, name) or 0.0 for one in motors] for name in _CONSTANTS])
+    resistance, constant, *others = numbers
+    law = MotorLaw(tuple(motors), resistance, scale * constant, *others)
+    return [
+        law.smooth_torque(k, law.volts(k, x), rate, rate / np.sqrt(rate * rate + _STILL**2))
+        if motor.is_electric
+        else scale * x
+        for k, (motor, x, rate) in enumerate(zip(motors, u, rates, strict=True))
+    ]
+
+
+def units_of(names: Sequence[str], motors: Sequence[Motor]) -> dict[str, str]:
+    """Return the units of the inputs by name: voltages of electric motors, otherwise torques."""
+    electric = [each.is_electric for each in motors] or [False] * len(names)
+    return {n: "V" if volts else "N m" for n, volts in zip(names, electric, strict=True)}
+
+
+def inertia_of(phi: Any, nu: Any) -> tuple[Any, Any]:
+    """Return mass matrix and inertial force of a body with phi = (m, m x, m y, I, ...) and a body twist."""
+    (m, mx, my, inertia), (forward, left, r) = (phi[k] for k in range(4)), (nu[k] for k in range(3))
+    M = np.stack([np.stack([m, 0.0, -my]), np.stack([0.0, m, mx]), np.stack([-my, mx, inertia])])
+    h = np.stack([r * (m * left + mx * r), r * (my * r - m * forward), -r * (mx * forward + my * left)])
+    return M, h
+
+
+def pose_rate(psi: Any, nu: Any) -> Any:
+    """Return the rates of x, y and psi for a body twist, shape (3,)."""
+    c, s = np.cos(psi), np.sin(psi)
+    return np.stack([c * nu[0] - s * nu[1], s * nu[0] + c * nu[1], nu[2]])
+
+
+def with_inertia(robot: MobileRobot, mass: float, x: float, y: float, yaw_inertia: float) -> MobileRobot:
+    """Return a robot without arms with another mass, centre of mass and yaw inertia about it."""
+    centre, J = np.array([x, y, robot.body.com[2]]), np.array(robot.body.inertia)
+    scaled, J[2, 2] = J * (yaw_inertia / J[2, 2]), yaw_inertia
+    # If the moments violate the triangle inequality, scale all moments of the prior instead.
+    body = Body(mass, centre, J if J[2, 2] <= J[0, 0] + J[1, 1] else scaled)
+    return robot.with_body(body, f"{robot.source}; identified from a log")
 
 
 def _inertia_left(phi: Array) -> float:

@@ -89,8 +89,7 @@ class PreprocessedLog:
         even = log.samples(*model.sensors, dt=dt)
         if even.dt > 1.001 * _COARSEST:
             raise InvalidArgument(
-                f"{name} has samples every {even.dt:.3g} s, expected {_COARSEST:g} s or less: the motion "
-                "between the samples is unknown"
+                f"{name} has samples every {even.dt:.3g} s, expected {_COARSEST:g} s or less"
             )
         if len(even.t) < max(LEAST_ROWS, 4 * WINDOW / even.dt):
             raise InvalidArgument(f"{name} is {even.t[-1]:.3g} s long, too short, expected 20 s or more")
@@ -247,13 +246,8 @@ class Slippage(NamedTuple):
         noise, motion = float(variance.sum()), float((moved**2).sum(axis=1).mean())
         excess = max(float(((moved - rolled) ** 2).sum(axis=1).mean()) - noise, 0.0)
         alone = max(len(run.q) / size * told, 1.0)  # independent numbers
-        found = cls(
-            float(np.sqrt(excess)),
-            float(np.sqrt(noise)),
-            float(np.sqrt(excess / max(motion, 1e-300))),
-            excess > _CERTAIN * noise * np.sqrt(2 / alone),
-            ratios,
-        )
+        speed, usual, share = np.sqrt([excess, noise, excess / max(motion, 1e-300)]).tolist()
+        found = cls(speed, usual, share, excess > _CERTAIN * noise * np.sqrt(2 / alone), ratios)
         if found.matters and found.share > _MOST:
             said = str(found).replace("poses", "poses that", 1)
             raise InvalidArgument(f"{name} has {said}; expected wheels that roll")

@@ -1,24 +1,38 @@
-"""Search for the numbers of a model by output error: first speeds, then poses, in ever longer segments."""
+"""`identify_velocity`: numbers of a robot with velocity inputs from logs of commands and motion.
+
+The search by output error begins with speeds, then takes poses, in ever longer segments.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pinmobile.arrays import Array
+from pinmobile.arrays import Array, ArrayLike, bounded, positive, scalar
 from pinmobile.errors import InvalidArgument
 from pinmobile.identification._commands import (
+    BLOCK,
+    CAR_COMMANDS,
     CHANNELS,
+    LARGEST,
     LEAST,
+    LEAST_BLOCKS,
+    Lag,
     Part,
+    Run,
     block_of,
     channels_of,
     check_explained,
+    explained_parts,
+    format_left_out,
+    lead_of,
+    parts_of,
+    runs_of,
     segments_of,
     speeds_of,
 )
@@ -32,9 +46,10 @@ from pinmobile.identification._estimator import (
     solve_robustly,
     unexplained,
 )
-from pinmobile.identification._lag import LARGEST, Lag
+from pinmobile.identification._log import Log, logs_of, unused
 from pinmobile.identification._simulation import MANY, Segments, pieces, simulate
-from pinmobile.identification._velocity_model import VelocityModel
+from pinmobile.identification._velocity_model import CarModel, VelocityModel
+from pinmobile.identification._velocity_robot import VelocityRobot
 
 _LONGER = 3  # ratio of successive lengths of segments
 TRAINED = 2 / 3  # share of a log before the hold-out
@@ -47,6 +62,140 @@ _EARLY = 0.9  # samples by which it is reported in any case: the search ends at 
 _POOR = 0.5  # R^2 of a hold-out below which a note follows
 _WASTE = 3.0  # largest number of samples in segments of unequal parts, per sample
 _BETTER = 0.05  # smallest reduction of the logarithm of the residual by a limit
+_ROUNDS = 2  # of lags and of parts that they explain
+_HARD = 0.4  # first estimate of a limit of rates, as a share of the largest rate without it
+_FARTHEST = 10.0  # [m]: largest distance ahead of the axle
+
+
+def identify_velocity(
+    log: Log | Sequence[Log],
+    *,
+    delay: float | None = None,
+    ahead: float | None = 0.0,
+    accelerations: ArrayLike | None = None,
+    limits: ArrayLike | None = None,
+    wheelbase: float | None = None,
+) -> Identification:
+    """Estimate a `VelocityRobot` or a `VelocityCar` from a log of its commands and its motion.
+
+    The inputs of the log are commands of speed and yaw rate, and the estimates are theta. Commands of a car
+    are speed and steering angle: the unit of the second input is ``"rad"``, or `wheelbase` is given. The
+    estimates are then the fields of a `VelocityCar`. The measurements are the twist if the log has one, such
+    as from encoders, and otherwise the pose.
+
+    A first-order lag gives first estimates of gains, time constants, delay and limits of the commands.
+    Sections that the commands do not explain, such as driving by hand, are left out and reported. Output
+    error then fits simulations of segments to the measurements, as long as the noise allows. It weights
+    residuals by their covariance and drops single samples beyond six standard deviations.
+
+    The confidence intervals come from the jackknife over blocks of 2 to 5 s with Student's t. They are also
+    valid if the noise is correlated. They do not cover the error of a wrong model: `free_run` of the result
+    states how much of the motion the model explains, and `notes` whether results depend on the length of the
+    segments.
+
+    Both commands must change often and independently, for example by `controllers.RandomSteps`.
+
+    Parameters
+    ----------
+    log : Log or sequence of Log
+        Commands and motion, at least 20 blocks of 2 s: 41 s or more.
+    delay : float, optional
+        Delay of measurements relative to commands [s]; default: estimated. The intervals of the other
+        numbers then include the uncertainty of the delay.
+    ahead : float, optional
+        Distance of the measured point ahead of the axle, of a car the rear one [m]; None: estimated from
+        poses.
+    accelerations : array_like, shape () or (2,), optional
+        Largest absolute accelerations of the firmware, of speed and yaw rate [m/s^2, rad/s^2]; of a car,
+        acceleration and steering rate [m/s^2, rad/s]; infinite: no limit. Default: estimated where the log
+        shows a limit.
+    limits : array_like, shape () or (2,), optional
+        Largest absolute commands that the robot follows [m/s, rad/s or rad]; infinite: no limit. Default:
+        estimated where the log shows a limit.
+    wheelbase : float, optional
+        Distance between the axles of a car, > 0 [m]: the gain of the steering is estimated. Default: the
+        wheelbase is estimated, and the gain of the steering is 1.
+
+    Returns
+    -------
+    found : Identification
+        Estimates of the numbers of the robot; its method `robot` returns it.
+
+    Raises
+    ------
+    InvalidArgument
+        If the log is too short or from another robot, units are wrong, poses move sideways, commands do not
+        change or explain less than a third of the motion, or an argument is out of range.
+
+    See Also
+    --------
+    VelocityRobot : the model
+    identification.VelocityCar : the model of a car
+    controllers.RandomSteps : commands for an informative log
+    identify : the same for a robot with forces, torques or voltages as inputs
+
+    Examples
+    --------
+    >>> from pinmobile import FixedHeading, Hold, Log, VelocityRobot
+    >>> from pinmobile import identify_velocity, simulate
+    >>> from pinmobile.controllers import RandomSteps
+    >>> robot = VelocityRobot([0.4, 0.3, 0.0, 1.0, 0.0, 1.0])
+    >>> still = FixedHeading(Hold((0, 0), duration=44), psi=0)
+    >>> run = simulate(robot, RandomSteps(), still, dt=0.1)
+    >>> found = identify_velocity(Log.from_rollout(run, noise=1e-4))
+    >>> found.theta[:2].round(2)  # robot: 0.4 and 0.3 [s]
+    array([0.4, 0.3])
+    """
+    logs = logs_of(log)
+    is_pose, is_car = logs[0].twist is None, wheelbase is not None or logs[0].units[1:] == ("rad",)
+    sensor = "q" if is_pose else "twist"
+    runs = runs_of(logs, is_pose, CAR_COMMANDS if is_car else CHANNELS)
+    dt, lead = runs[0].dt, lead_of(runs)
+    if ahead is None and not is_pose:
+        raise InvalidArgument("ahead is None, expected a number [m]: a log of twists does not identify it")
+    _check_changes(runs)
+    late, far = (scalar(name, 0.0 if x is None else x) for name, x in (("delay", delay), ("ahead", ahead)))
+    given = {
+        "delay": bounded("delay", late, least=0, most=lead * dt, unit="s"),
+        "ahead": bounded("ahead", far, least=-_FARTHEST, most=_FARTHEST, unit="m"),
+    }
+    if wheelbase is not None:
+        given["wheelbase"] = positive("wheelbase", wheelbase, "m")
+    model = (CarModel if is_car else VelocityModel)((), given, lead, dt, is_pose)
+    told: list[Any] = [np.inf if each is None else each for each in (limits, accelerations)]
+    most = VelocityRobot(np.ones(6), 0.0, *told)
+    given |= dict(zip(model.limits(), [*most.accelerations.tolist(), *most.limits.tolist()], strict=True))
+    parts, fixed = parts_of(runs), None if delay is None else round(late / dt)
+    for _ in range(_ROUNDS):  # what other drivers did hides the limits
+        lags = [each.lag(lead, fixed) for each in channels_of(_few_of(parts))]
+        parts = explained_parts(runs, lags)
+    sought, seen = {"delay": delay is None, "ahead": ahead is None}, model.limits_of(lags)
+    for name, known in zip(model.limits(), (accelerations, accelerations, limits, limits), strict=True):
+        sought[name] = known is None and np.isfinite(seen[name])
+    order = [name for name, is_sought in sought.items() if is_sought]
+    guess = {"delay": dt * float(np.mean([lag.late for lag in lags if lag.gain] or [0])), "ahead": 0.0} | seen
+    start = np.append(model.start(lags), [guess[name] for name in order])
+    model = replace(model, free=tuple(order))
+    left_out, parts = format_left_out(runs, parts), model.started(parts, start)
+    unknown = [] if accelerations is not None else [n for n in model.limits()[:2] if n not in order]
+    columns = ([run.u[:, k] for run in runs] for k in (0, 1))
+    tops = [lag._replace(steepest=_HARD * lag.top(u)) for lag, u in zip(lags, columns, strict=True)]
+    guesses = {n: model.limits_of(tops)[n] for n in unknown}
+    found = searched(model, parts, start, guesses, lags, left_out)
+    return replace(found, dropped=sum(one.dropped + unused(one, sensor) for one in logs))
+
+
+def _check_changes(runs: Sequence[Run]) -> None:
+    """Reject logs that are too short, and logs with constant commands."""
+    spans = np.array([(len(run.u) - 1) * run.dt for run in runs])
+    blocks = int(np.floor(spans / BLOCK).sum())
+    if blocks < LEAST_BLOCKS:
+        raise InvalidArgument(
+            f"log is {spans.sum():.3g} s long, too short: it gives {blocks} blocks of {BLOCK:g} s, expected "
+            f"at least {LEAST_BLOCKS} for intervals: a log of {(LEAST_BLOCKS + 0.5) * BLOCK:g} s or more"
+        )
+    if not any(channel.moves for channel in channels_of(parts_of(runs))):
+        raise InvalidArgument("log has constant commands, expected changing commands, such as RandomSteps")
 
 
 def searched(
@@ -82,18 +231,16 @@ def searched(
     dt = model.dt
     model, start = _by_speeds(model, parts, start, limits)
     if lags:  # else commands of another robot lead the search to numbers without effect
-        few = few_of(parts)
+        few = _few_of(parts)
         shares = zip(CHANNELS, _explained(model, start, few).tolist(), channels_of(few), strict=True)
         check_explained({name: share if channel.moves else None for name, share, channel in shares}, lags, dt)
     try:
         tried = list(_tried(model, parts, start))
     except InvalidArgument:  # such as a limit that only one block shows
-        kept = [k for k, name in enumerate(model.free) if name not in model.limits()]
-        if len(kept) == len(model.free):
+        model, kept = model.without(model.limits())
+        if len(kept) == len(start):
             raise
-        start = start[[*range(len(model.first)), *(len(model.first) + k for k in kept)]]
-        model = replace(model, free=tuple(model.free[k] for k in kept))
-        tried = list(_tried(model, parts, start))
+        tried = list(_tried(model, parts, start[kept]))
     best = min(tried, key=lambda each: (each.lost.sum(), each.size)) if model.is_pose else tried[-1]
     differ = _compared(model, *(tried[0], best) if best is not tried[0] else (best, tried[-1]))
     if best.is_few:
@@ -141,12 +288,11 @@ def searched(
         unseen=f"the motion does not identify {listed}: rank {rank} of {len(p)}" if listed else "",
         hidden=lost.astype(float),
         unknown=np.zeros((len(p), 0)),
-        delay=float(model.others(p[None])["delay"][0]),
+        delay=model.named(p)["delay"],
         delay_error=float(np.sqrt(best.covariance[late, late])) if "delay" in model.free else np.nan,
         dt=dt,
         seconds=min(best.seconds, max(b - a for _, a, b in parts) * dt),
         outliers=int((best.segments.good & ~good).sum()),
-        dropped=0,
         samples=int(good.sum()),
         segments=len(good),
         noise=_noise_of(found.near.residual, good),
@@ -167,20 +313,17 @@ def _by_speeds(
     The model has more limits of rates, with first estimates by name, where correlated residuals show them.
     """
     free = replace(model, is_pose=False)
-    given = speeds_of(few_of(parts))
+    given = speeds_of(_few_of(parts))
     segments, calm = segments_of(given, model.lead, model.dt * _LONGER * block_of(given))
 
     def fit(model: VelocityModel, p: Array) -> tuple[VelocityModel, Array, float, bool]:
         found, lost = solve_robustly(model, segments, p, calm=calm, natural=model.natural)
-        useless = [name for name, is_lost in zip(model.free, lost[count:], strict=True) if is_lost]
-        useless = [name for name in useless if name in model.limits()]
-        p, kept = np.where(lost, p, found.p), [k for k, name in enumerate(model.free) if name not in useless]
+        free = zip(model.free, lost[len(model.first) :], strict=True)
+        less, kept = model.without([name for name, is_lost in free if is_lost and name in model.limits()])
         left, whiteness = found.near.residual, Whiteness.of(found.near.residual, found.good)
-        less = replace(model, free=tuple(model.free[k] for k in kept))
-        rows = [*range(count), *(count + k for k in kept)]
-        return less, p[rows], float(np.log(left[found.good].var(axis=0)).sum()), whiteness.is_white
+        cost = float(np.log(left[found.good].var(axis=0)).sum())
+        return less, np.where(lost, p, found.p)[kept], cost, whiteness.is_white
 
-    count = len(model.first)
     found, p, cost, white = fit(free, p)
     for name, guess in limits.items() if not white else ():
         more, q, less, _ = fit(replace(found, free=(*found.free, name)), np.append(p, guess))
@@ -268,7 +411,7 @@ def _noise_of(residual: Array, good: NDArray[np.bool_]) -> Array:
     return np.asarray(np.minimum(NORMAL * np.median(rough, axis=0) / np.sqrt(20), np.sqrt(square)))
 
 
-def few_of(parts: Sequence[Part]) -> list[Part]:
+def _few_of(parts: Sequence[Part]) -> list[Part]:
     """Return pieces of parts with samples enough for first estimates."""
     total = sum(b - a for _, a, b in parts)
     return [Part(run, one.start, one.stop) for run, a, b in parts for one in pieces(a, b, total)]
@@ -287,9 +430,7 @@ def _without(
     names: Sequence[str], model: VelocityModel, parts: list[Part], best: _Tried
 ) -> tuple[VelocityModel, _Tried]:
     """Return the model without some free numbers, and its estimates."""
-    count = len(model.first)
-    kept = [*range(count), *(count + k for k, name in enumerate(model.free) if name not in names)]
-    less = replace(model, free=tuple(name for name in model.free if name not in names))
+    less, kept = model.without(names)
     return less, _Tried.of(less, parts, best.seconds, best.fit.p[kept])
 
 

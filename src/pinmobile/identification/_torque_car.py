@@ -22,16 +22,15 @@ from pinmobile import parts
 from pinmobile.arrays import Array, bounded, positive, scalar
 from pinmobile.errors import InvalidArgument
 from pinmobile.forces import JointFriction
-from pinmobile.identification._commands import LEAST_BLOCKS, Run, lead_of, parts_of, runs_of, segments_of
+from pinmobile.identification._commands import LEAST_BLOCKS, Part, Run, lead_of, parts_of
 from pinmobile.identification._estimates import Identification, check_identifiable
-from pinmobile.identification._estimator import solve_robustly, unexplained
+from pinmobile.identification._estimator import unexplained
 from pinmobile.identification._log import Log, unused
-from pinmobile.identification._planar_model import PlanarModel
+from pinmobile.identification._planar_model import inertia_of, pose_rate, torques_of, units_of, with_inertia
 from pinmobile.identification._search import searched
-from pinmobile.identification._simulation import Quantity, Segments
-from pinmobile.identification._velocity_model import Sized, VelocityModel
+from pinmobile.identification._simulation import Segments
+from pinmobile.identification._velocity_model import Sized, VelocityModel, sized
 from pinmobile.identification._weak_form import WINDOW, Bump
-from pinmobile.urdf import Body
 from pinmobile.wheels import ByVoltage, Motor
 
 _SLOW = 0.1  # [rad/s], where dry friction has 71 % of its size
@@ -60,6 +59,8 @@ class CarWheels(NamedTuple):
         Names of the motors.
     motors : tuple of Motor
         Motors with voltages as inputs; empty for torques.
+    steers : ndarray of bool, shape (n,)
+        Mask of the wheels of the front axle.
     """
 
     rear: float
@@ -70,6 +71,7 @@ class CarWheels(NamedTuple):
     spin: float
     names: tuple[str, ...]
     motors: tuple[Motor, ...]
+    steers: NDArray[np.bool_]
 
     @classmethod
     def of(cls, robot: Any) -> Self:
@@ -80,42 +82,32 @@ class CarWheels(NamedTuple):
         InvalidArgument
             If the robot is no car: one fixed and one steered axle of wheels with tyres, without arms.
         """
-        table, wheeled = robot.table, _wheeled(robot)
-        axis = table.axes[0]
-        steered = [table.wheels[k] for k in axis.wheels]
-        fixed = [each for each in table.wheels if each not in steered]
-        places = {each.x for each in fixed}, {each.x for each in steered}
-        if (
-            len(table.axes) > 1
-            or wheeled.mounts
-            or any(each.roller or each.angle or any(each.trail) for each in table.wheels)
-            or any(len(each) != 1 for each in places)
-            or places[0] == places[1]
-        ):
+        table, wheels, axis = robot.table, robot.table.wheels, robot.table.axes[0]
+        steers = np.isin(np.arange(len(wheels)), axis.wheels)
+        rear, front = (np.unique(np.array([w.x for w in wheels])[axle]) for axle in (~steers, steers))
+        odd = any(w.roller or w.angle or any(w.trail) for w in wheels) or _wheeled(robot).mounts
+        if odd or len(table.axes) > 1 or len(rear) * len(front) != 1 or rear == front:
             raise InvalidArgument(
                 "robot has wheels that steer, and is no car, expected one fixed and one steered axle of "
                 "wheels with tyres, one steering coordinate and no arms, such as WheelTable.car"
             )
         drives = [each for each in table.actuators if each.name != axis.name]
-        columns, steers = np.array([each.column for each in drives]), list(axis.wheels)
-        others = [k for k in range(len(table.wheels)) if k not in steers]
-        along = np.array([(1 / w.radius, 0.0, -w.y / w.radius) for w in table.wheels])
-        inertias = np.array([w.spin_inertia for w in table.wheels])
+        columns = np.array([each.column[1:] for each in drives])
+        along = np.array([(1 / w.radius, 0.0, -w.y / w.radius) for w in wheels])
+        inertias = np.array([w.spin_inertia for w in wheels])
         if any(each.motor.is_electric for each in drives):
-            inertias = inertias + sum(
-                each.motor.reflected_inertia * np.abs(c[1:]) for each, c in zip(drives, columns, strict=True)
-            )
-        rows = along[others]
-        volts = [one.unit == "V" for one in robot.inputs if one.name != axis.name]
+            inertias += np.array([each.motor.reflected_inertia for each in drives]) @ np.abs(columns)
+        volts = any(one.unit == "V" for one in robot.inputs if one.name != axis.name)
         return cls(
-            float(*places[0]),
-            float(*places[1]),
-            columns[:, 1:][:, others] @ rows,
-            columns[:, 1:][:, steers] @ along[steers, 0],
-            (rows.T * inertias[others]) @ rows,
-            float(inertias[steers] @ along[steers, 0] ** 2),
-            tuple(each.name for each in drives),
-            tuple(each.motor for each in drives) if any(volts) else (),
+            rear=float(rear[0]),
+            front=float(front[0]),
+            fixed=columns[:, ~steers] @ along[~steers],
+            steered=columns[:, steers] @ along[steers, 0],
+            inertia=(along[~steers].T * inertias[~steers]) @ along[~steers],
+            spin=float(inertias[steers] @ along[steers, 0] ** 2),
+            names=tuple(each.name for each in drives),
+            motors=tuple(each.motor for each in drives) if volts else (),
+            steers=steers,
         )
 
 
@@ -145,24 +137,23 @@ class TorqueCar(VelocityModel):
 
     told_first: ClassVar[int] = 2
     neutral: ClassVar[Mapping[str, float]] = {}
+    limited: ClassVar[tuple[Sized, ...]] = ()
+    ranges: ClassVar[dict[int, tuple[float, float, str]]] = {}
 
     @property
     def first(self) -> tuple[Sized, ...]:  # type: ignore[override]
         """Numbers without the delay."""
         torque, rate = self.typical
-        found = [Sized(Quantity("mass", "kg", True, "mass"), self.body.mass)]
+        found = [sized("mass", "kg", True, self.body.mass, path="mass")]
         if self.stiffness:
-            found.append(Sized(Quantity("com_x", "m", False, "com.x"), float(self.body.com[0]), 0.3, 0.03))
-        found.append(Sized(Quantity("yaw_inertia", "kg m^2", True, "yaw_inertia"), self.body.yaw_inertia))
-        kinds = ("viscous", "N m s/rad", torque / rate), ("coulomb", "N m", torque)
-        for kind, unit, size in kinds:
-            for n in self.wheels.names:
-                quantity = Quantity(f"joint_{kind}_{n}", unit, True)
-                found.append(Sized(quantity, 0.0, size, 0.01 * size))
-        found.append(Sized(Quantity("steering_offset", "rad", False), 0.0, 0.3, 0.03))
-        for axle, each in zip(("front", "rear"), self.stiffness, strict=False):
-            found.append(Sized(Quantity(f"cornering_{axle}", "N s/m", True), each))
-        return tuple(found)
+            found.append(sized("com_x", "m", False, float(self.body.com[0]), 0.3, 0.03, path="com.x"))
+        found.append(sized("yaw_inertia", "kg m^2", True, self.body.yaw_inertia, path="yaw_inertia"))
+        for kind, unit, size in (("viscous", "N m s/rad", torque / rate), ("coulomb", "N m", torque)):
+            sizes = 0.0, size, 0.01 * size
+            found += [sized(f"joint_{kind}_{n}", unit, True, *sizes) for n in self.wheels.names]
+        found.append(sized("steering_offset", "rad", False, 0.0, 0.3, 0.03))
+        axles = zip(("front", "rear"), self.stiffness, strict=False)
+        return (*found, *(sized(f"cornering_{axle}", "N s/m", True, each) for axle, each in axles))
 
     @property
     def _inertia(self) -> int:
@@ -173,18 +164,6 @@ class TorqueCar(VelocityModel):
     def _offset(self) -> int:
         """Index of the offset of the steering; the cornering stiffness follows."""
         return self._inertia + 1 + 2 * len(self.wheels.names)
-
-    @classmethod
-    def limits(cls) -> list[str]:
-        """Return no names."""
-        return []
-
-    def are_possible(self, p: Array) -> Any:
-        """Return which numbers, shape (..., P), a car can have."""
-        named = [
-            k for k, one in enumerate(self.quantities) if one.bounded and not one.name.startswith("joint")
-        ]
-        return (p[..., [k for k in named if self.quantities[k].name != "delay"]] > 0).all(axis=-1)
 
     @property
     def is_linear(self) -> bool:  # type: ignore[override]
@@ -208,7 +187,7 @@ class TorqueCar(VelocityModel):
     def rates(self, z: Any, u: Any, numbers: Any) -> Any:
         """Return the rates of the velocities, and of the pose if it is measured, of one state and input."""
         wheels, count, n = self.wheels, len(self.wheels.names), numbers
-        m, place = n[0], n[1] if self.stiffness else float(self.body.com[0])
+        m, x = n[0], n[1] if self.stiffness else float(self.body.com[0])
         first, offset, y = self._inertia + 1, self._offset, float(self.body.com[1])
         inertia, viscous, dry = n[first - 1], n[first : first + count], n[first + count : offset]
         steering, turning = u[count] + n[offset], u[count + 1]
@@ -217,31 +196,12 @@ class TorqueCar(VelocityModel):
         tangent = s / c / L
         S = np.stack([1.0 + 0.0 * tangent, -wheels.rear * tangent, tangent])
         nu = z[:3] if self.stiffness else S * z[0]
-        forward, left, r = nu[0], nu[1], nu[2]
-        zero = 0.0 * m
-        M = np.stack(
-            [
-                np.stack([m, zero, -m * y]),
-                np.stack([zero, m, m * place]),
-                np.stack([-m * y, m * place, inertia + m * (place * place + y * y)]),
-            ]
-        )
+        M, force = inertia_of((m, m * x, m * y, inertia + m * (x * x + y * y)), nu)
         M = M + wheels.inertia + wheels.spin * along[:, None] * along[None, :]
-        drives = [
-            np.asarray(fixed) + front * along
-            for fixed, front in zip(wheels.fixed, wheels.steered, strict=True)
-        ]
+        drives = [fixed + front * along for fixed, front in zip(wheels.fixed, wheels.steered, strict=True)]
         turns = [drive @ nu for drive in drives]
-        force = np.stack(
-            [
-                m * r * (left + place * r),
-                m * r * (y * r - forward),
-                -m * r * (place * forward + y * left),
-            ]
-        )
-        for torque, rate, drive, a, b in zip(
-            self.torques(u[:count], turns), turns, drives, viscous, dry, strict=True
-        ):
+        torques = torques_of(wheels.motors, u[:count], turns)
+        for torque, rate, drive, a, b in zip(torques, turns, drives, viscous, dry, strict=True):
             force = force + (torque - a * rate - b * rate / np.sqrt(rate * rate + self.slow**2)) * drive
         if self.stiffness:
             back = np.array([0.0, 1.0, wheels.rear])
@@ -252,16 +212,7 @@ class TorqueCar(VelocityModel):
             bent = turning * (1 / (c * c) / L) * z[0]
             more = np.stack([0.0 * bent, -wheels.rear * bent, bent])
             faster = np.stack([(S @ force - S @ (M @ more)) / (S @ (M @ S))])
-        if not self.is_pose:
-            return faster
-        psi = z[-1]
-        c, s = np.cos(psi), np.sin(psi)
-        return np.concatenate([faster, np.stack([c * forward - s * left, s * forward + c * left, r])])
-
-    def torques(self, u: Any, turns: Sequence[Any]) -> list[Any]:
-        """Return the torques of the inputs at rates of the motors [rad/s]."""
-        eye = np.eye(3)
-        return PlanarModel(eye, eye, None, eye, self.slow, motors=self.wheels.motors).torques([*u], turns)
+        return np.concatenate([faster, pose_rate(z[-1], nu)]) if self.is_pose else faster
 
     def observed(self, segments: Segments, states: Array, numbers: Array) -> Array:
         """Return the measurements: poses, or speed and yaw rate."""
@@ -278,13 +229,6 @@ class TorqueCar(VelocityModel):
         angle = (1 - share) * (now + before) / 2 + share * (before + earlier) / 2 + offset
         turn = states[..., 0] * np.tan(angle) / (self.wheels.front - self.wheels.rear)
         return np.stack([states[..., 0], turn], axis=-1)
-
-    def lags(self, p: Array) -> list[Any]:
-        """Return no lags."""
-        return []
-
-    def check(self, p: Array, lost: NDArray[np.bool_]) -> None:
-        """Accept all numbers."""
 
     def problems(self, found: Identification, neutral: Sequence[str]) -> list[str]:
         """Return what the log cannot tell."""
@@ -303,22 +247,13 @@ class TorqueCar(VelocityModel):
         """Return the identified car."""
         check_identifiable("robot", found.unseen)
         values, prior = found.parameters, found.prior
-        wheeled = _wheeled(prior)
-        centre, J = np.array(self.body.com), np.array(self.body.inertia)
-        centre[0] = values.get("com_x", centre[0])
-        scaled, J[2, 2] = J * (values["yaw_inertia"] / J[2, 2]), values["yaw_inertia"]
-        body = Body(values["mass"], centre, J if J[2, 2] <= J[0, 0] + J[1, 1] else scaled)
-        bare = wheeled.robot.lumped()
-        new = parts.evolved(wheeled, robot=bare.with_body(body, f"{bare.source}; identified from a log"))
+        (x, y, _), bare = self.body.com, _wheeled(prior).robot.lumped()
+        body = with_inertia(bare, values["mass"], values.get("com_x", x), y, values["yaw_inertia"])
+        new = parts.evolved(_wheeled(prior), robot=body)
         if self.stiffness:
-            steered, rows = new.table.axes[0].wheels, []
-            for k, wheel in enumerate(new.table.wheels):
-                axle, size = (
-                    ("front", len(steered))
-                    if k in steered
-                    else ("rear", len(new.table.wheels) - len(steered))
-                )
-                slip = size / values[f"cornering_{axle}"]
+            steers, rows = self.wheels.steers, []
+            slips = steers.sum() / values["cornering_front"], (~steers).sum() / values["cornering_rear"]
+            for wheel, slip in zip(new.table.wheels, np.where(steers, *slips).tolist(), strict=True):
                 rows.append(parts.evolved(wheel, friction=parts.evolved(wheel.friction, slip=slip)))
             new = parts.evolved(new, table=parts.evolved(new.table, wheels=tuple(rows)))
         return new.by_voltage() if self.wheels.motors else new
@@ -336,32 +271,25 @@ class TorqueCar(VelocityModel):
             columns[1, first:] += max(values[f"joint_coulomb_{n}"], 0.0) * shares
         return [JointFriction(columns[0], columns[1], self.slow, names)]
 
-    def run_of(self, run: Run) -> Run:
-        """Return a run with the mean steering angle and the steering rate of each time step."""
-        after = np.append(run.u[1:, -1:], run.u[-1:, -1:], axis=0)
-        u = np.column_stack([run.u[:, :-1], (run.u[:, -1:] + after) / 2, (after - run.u[:, -1:]) / run.dt])
-        speed, turn = run.nu.T
-        state = np.column_stack([speed, -self.wheels.rear * turn, turn]) if self.stiffness else run.nu[:, :1]
-        return run._replace(u=u, state=state)
+    def runs(self, logs: list[Log]) -> list[Run]:
+        """Return the logs with the mean steering angle and the steering rate of each time step."""
+        found = []
+        for run in super().runs(logs):
+            at, after = run.u[:, -1:], np.append(run.u[1:, -1:], run.u[-1:, -1:], axis=0)
+            u = np.column_stack([run.u[:, :-1], (at + after) / 2, (after - at) / run.dt])
+            speed, turn = run.nu.T
+            slides = np.column_stack([speed, -self.wheels.rear * turn, turn])
+            found.append(run._replace(u=u, state=slides if self.stiffness else run.nu[:, :1]))
+        return found
+
+    def explained(self, runs: Sequence[Run], p: Array) -> list[Part]:
+        """Return each run as one part."""
+        return parts_of(runs)
 
     @property
     def inputs(self) -> Mapping[str, str]:  # type: ignore[override]
         """Units of the inputs by name."""
-        electric = [each.is_electric for each in self.wheels.motors] or [False] * len(self.wheels.names)
-        units = {n: "V" if volts else "N m" for n, volts in zip(self.wheels.names, electric, strict=True)}
-        return units | {"steering": "rad"}
-
-    def predicted(
-        self, found: Identification, log: Log, seconds: float | None
-    ) -> tuple[Segments, Array, NDArray[np.bool_], Array]:
-        """Return segments of a log, residuals, mask of good samples, and the noise."""
-        runs = [self.run_of(each) for each in runs_of([log], self.is_pose, self.inputs)]
-        length = scalar("seconds", 2.0 if seconds is None else seconds)
-        bounded("seconds", length, least=3 * runs[0].dt, unit="s")
-        model = replace(self, dt=runs[0].dt, lead=max(lead_of(runs), self.lead))
-        segments, calm = segments_of(parts_of(runs), model.lead, length, filled=False)
-        left, _ = solve_robustly(model, segments, found.phi, calm=calm)
-        return segments, left.near.residual, left.good, found.noise
+        return units_of(self.wheels.names, self.wheels.motors) | {"steering": "rad"}
 
 
 def _wheeled(robot: Any) -> Any:
@@ -374,35 +302,23 @@ def identify_car(
 ) -> Identification:
     """Return the estimates for a car, or for wheels alone, see `identify`; `speed` is its rolling speed."""
     slow = positive("rolling_speed", _SLOW if speed is None else speed, "rad/s")
-    wheels, is_pose, stiffness = CarWheels.of(robot), logs[0].q is not None, list[float]()
+    wheels, is_pose, stiff = CarWheels.of(robot), logs[0].q is not None, tuple[float, ...]()
     slips = np.array([wheel.friction.slip for wheel in robot.table.wheels])
     if robot.ground.slips and (slips > 0).all():
-        steered = np.isin(np.arange(len(slips)), robot.table.axes[0].wheels)
-        stiffness = [float((1 / slips[axle]).sum()) for axle in (steered, ~steered)]
+        stiff = tuple(float((1 / slips[axle]).sum()) for axle in (wheels.steers, ~wheels.steers))
     body, given = _wheeled(robot).robot.lumped().body, {"delay": 0.0, "ahead": 0.0}
-    model = TorqueCar(
-        (),
-        given,
-        lead=1,
-        dt=1.0,
-        is_pose=is_pose,
-        wheels=wheels,
-        body=body,
-        slow=slow,
-        stiffness=tuple(stiffness),
-    )
-    runs = [model.run_of(run) for run in runs_of(logs, is_pose, model.inputs)]
+    model = TorqueCar((), given, 1, 1.0, is_pose, wheels=wheels, body=body, slow=slow, stiffness=stiff)
+    runs = model.runs(logs)
     seconds = sum(len(run.u) * run.dt for run in runs)
     if seconds < _SHORTEST:
         raise InvalidArgument(
-            f"log is {seconds:.3g} s long, too short, expected at least {_SHORTEST:g} s, better 60 s: "
-            "intervals need many segments"
+            f"log is {seconds:.3g} s long, too short, expected at least {_SHORTEST:g} s, better 60 s"
         )
     dt, lead, longest = runs[0].dt, lead_of(runs), min(_LONGEST, seconds / LEAST_BLOCKS)
     if delay is not None:
         given["delay"] = bounded("delay", scalar("delay", delay), least=0, most=lead * dt, unit="s")
     u = np.concatenate([run.u[:, : len(wheels.names)] for run in runs])
-    torque = np.stack(model.torques(u.T, [0.0 * u[:, 0]] * len(wheels.names)))
+    torque = np.stack(torques_of(wheels.motors, u.T, 0.0 * u.T))
     turns = np.concatenate([run.nu[:, 0] for run in runs]) * np.abs(wheels.fixed[:, 0] + wheels.steered).max()
     size, rate = (max(float(np.sqrt(np.mean(x**2))), 1e-9) for x in (torque, turns))
     free = ("delay",) if delay is None else ()
@@ -428,7 +344,7 @@ def _start(model: TorqueCar, runs: Sequence[Run], delays: Sequence[float], is_al
             u = run.u[np.clip(np.arange(len(speed)) - round(late), 0, None)]
             drives = wheels.fixed[:, 0] + wheels.steered / np.cos(u[:, count : count + 1])  # (N, a)
             turns = drives * speed
-            torques = np.stack(model.torques(u[:, :count].T, [*turns.T]), axis=-1)
+            torques = np.stack(torques_of(wheels.motors, u[:, :count].T, [*turns.T]), axis=-1)
             dry = turns / np.hypot(turns, model.slow)
             forces.append(over((drives * torques).sum(axis=1)))
             friction = (over((drives * rates).sum(axis=1)) for rates in (turns, dry))

@@ -11,19 +11,17 @@ import numpy as np
 from pinmobile.arrays import Array
 from pinmobile.identification._commands import (
     CHANNELS,
+    Lag,
     Part,
     channels_of,
     explained_parts,
-    runs_of,
     segments_of,
     speeds_of,
 )
 from pinmobile.identification._estimates import Identification
-from pinmobile.identification._lag import Lag
 from pinmobile.identification._log import Log, logs_of
-from pinmobile.identification._search import TRAINED
+from pinmobile.identification._search import TRAINED, identify_velocity
 from pinmobile.identification._simulation import simulate
-from pinmobile.identification._velocity import identify_velocity
 from pinmobile.identification._velocity_model import VelocityModel
 
 _HORIZONS = 0.1, 2.0, 5.0  # [s]
@@ -134,7 +132,7 @@ def validate(log: Log | Sequence[Log], **options: Any) -> Validation:
     last = [one.between(TRAINED * span, span + one.dt) for one, span in zip(logs, spans, strict=True)]
     found = identify_velocity(first, **options)
     model = found.model
-    trained, held = (runs_of(part, model.is_pose, model.inputs) for part in (first, last))
+    trained, held = (model.runs(part) for part in (first, last))
     lags = [each.lag(model.lead) for each in channels_of(explained_parts(trained, model.lags(found.phi)))]
     parts = explained_parts(held, model.lags(found.phi), least=-np.inf)  # also of a poor model
     dt = held[0].dt
@@ -146,9 +144,9 @@ def validate(log: Log | Sequence[Log], **options: Any) -> Validation:
     shifts = np.unique(np.linspace(0, horizons[-1], _STARTS, endpoint=False).astype(int)).tolist()
     shifted = [part._replace(start=part.start + more) for part in parts for more in shifts]
     columns = CHANNELS | ({"distance": "m", "heading": "rad"} if model.is_pose else {})
-    rms = {
-        n: _errors(each, p, shifted, horizons, every, n == "kinematics") for n, (each, p) in models.items()
-    }
+    rms = {}
+    for name, (each, p) in models.items():
+        rms[name] = _errors(each, p, shifted, horizons, every, name == "kinematics")
     return Validation(horizons * dt, tuple(columns), tuple(columns.values()), rms, found)
 
 
@@ -172,9 +170,8 @@ def _squares(
     starts = segments.start.copy()
     if at_once:
         starts[:, :2] = segments.applied(0, 1)[0, :, 0]
-    left = np.where(
-        segments.good[..., None], segments.y - simulate(model, segments, p[None], starts[None])[0], 0.0
-    )
+    out = simulate(model, segments, p[None], starts[None])[0]
+    left = np.where(segments.good[..., None], segments.y - out, 0.0)
     rows = horizons[:, None] - np.arange(every)
     seen = segments.good[:, rows].sum(axis=2)[..., None]
     return np.where(seen > 0, (left[:, rows] ** 2).sum(axis=2) / np.maximum(seen, 1), np.nan)

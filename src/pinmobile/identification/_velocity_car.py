@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any, ClassVar, NamedTuple, final
+from typing import Any, ClassVar, final
 
 import attrs
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, finite, frozen, lengths, shaped, text, vector
+from pinmobile.arrays import Array, ArrayLike, finite, frozen, shaped, text, vector
 from pinmobile.identification._velocity_robot import (
     Commanded,
     VelocityRobot,
@@ -16,6 +16,7 @@ from pinmobile.identification._velocity_robot import (
     arrays,
     pair,
     rolling_of,
+    size_of,
     stacked,
 )
 from pinmobile.parts import by_value, evolved, number, option, part
@@ -27,44 +28,32 @@ _QUICKER = 4.0  # time constant of the steering angle per time constant of its r
 _SIDEWAYS = 1.4  # [rad], steering angle from which the curvature stays the same
 
 
-def _box(wheelbase: Any) -> Any:
+def _box(car: Any) -> Any:
     """Return the size of the box of a car [m]."""
-    return 1.4 * wheelbase, 0.7 * wheelbase, 0.3 * wheelbase
+    return 1.4 * car.wheelbase, 0.7 * car.wheelbase, 0.3 * car.wheelbase
 
 
-class CarLaw(NamedTuple):
-    """Rates of a car with numbers, arrays or symbols; see `VelocityCar`.
+def curvature_of(car: Any, speed: Any, steering: Any) -> Any:
+    """Return the curvature of the path of a car at a speed and a steering angle [1/m]."""
+    angle = np.minimum(np.maximum(steering, -_SIDEWAYS), _SIDEWAYS)
+    return np.tan(angle) / (car.wheelbase + car.understeer * (speed * speed))
 
-    `acceleration` and `steering_rate` are the largest ones.
+
+def faster_of(car: Any, state: Any, u: Any) -> tuple[Any, Any, Any]:
+    """Return the rates of speed, steering angle and steering rate of a car.
+
+    The car has the numbers of a `VelocityCar`, which may be arrays or symbols.
     """
-
-    wheelbase: Any
-    speed_time_constant: Any
-    steering_time_constant: Any
-    speed_gain: Any
-    steering_gain: Any
-    steering_offset: Any
-    understeer: Any
-    cornering_drag: Any
-    acceleration: Any
-    steering_rate: Any
-
-    def curvature(self, speed: Any, steering: Any) -> Any:
-        """Return the curvature of the path at a speed and a steering angle [1/m]."""
-        angle = np.minimum(np.maximum(steering, -_SIDEWAYS), _SIDEWAYS)
-        return np.tan(angle) / (self.wheelbase + self.understeer * (speed * speed))
-
-    def rates(self, state: Any, u: Any) -> tuple[Any, Any, Any]:
-        """Return the rates of speed, steering angle and steering rate of a state."""
-        (speed, steering, turning), T = state, self.steering_time_constant
-        k, square = self.curvature(speed, steering), speed * speed
-        bent = k * k * (self.wheelbase + self.understeer * square)
-        faster = (self.speed_gain * u[0] - speed) / self.speed_time_constant
-        faster = faster - self.cornering_drag * speed * np.abs(speed) * bent
-        wanted = (self.steering_gain * u[1] + self.steering_offset - steering) / T
-        faster = np.minimum(np.maximum(faster, -self.acceleration), self.acceleration)
-        wanted = np.minimum(np.maximum(wanted, -self.steering_rate), self.steering_rate)
-        return faster, turning, _QUICKER * (wanted - turning) / T
+    (speed, steering, turning), T = state, car.steering_time_constant
+    k, square = curvature_of(car, speed, steering), speed * speed
+    bent = k * k * (car.wheelbase + car.understeer * square)
+    faster = (car.speed_gain * u[0] - speed) / car.speed_time_constant
+    faster = faster - car.cornering_drag * speed * np.abs(speed) * bent
+    wanted = (car.steering_gain * u[1] + car.steering_offset - steering) / T
+    acceleration, rate = car.rate_limits[..., 0], car.rate_limits[..., 1]
+    faster = np.minimum(np.maximum(faster, -acceleration), acceleration)
+    wanted = np.minimum(np.maximum(wanted, -rate), rate)
+    return faster, turning, _QUICKER * (wanted - turning) / T
 
 
 @final
@@ -160,10 +149,7 @@ class VelocityCar(Commanded):
     rate_limits: Any = pair(
         "largest acceleration and steering rate", "m/s^2, rad/s", ("acceleration", "steering_rate")
     )
-    size: Any = option(
-        default=attrs.Factory(lambda car: _box(car.wheelbase), takes_self=True),
-        check=lambda name, value: tuple(lengths(value).tolist()),
-    )
+    size: Any = option(default=attrs.Factory(_box, takes_self=True), check=size_of)
     source: str = option(default="", check=text)
 
     nq: ClassVar[int] = 4
@@ -171,22 +157,14 @@ class VelocityCar(Commanded):
     nu: ClassVar[int] = 2
     commanded: ClassVar[Any] = ("speed command", "m/s"), ("steering command", "rad")
     unforced: ClassVar[str] = "the model does not describe how a car"
-    coordinates: ClassVar[tuple[Coordinate, ...]] = (
-        *VelocityRobot.coordinates,
-        Coordinate("steering", "rad"),
-    )
+    coordinates: ClassVar[Any] = *VelocityRobot.coordinates, Coordinate("steering", "rad")
     rest: ClassVar[Array] = frozen(np.zeros(4))
 
     # Kinematics
 
     def curvature(self, speed: Any, steering: Any) -> Any:
         """Return the curvature of the path of the rear axle [1/m] at a speed [m/s] and an angle [rad]."""
-        return self._law.curvature(speed, steering)
-
-    @property
-    def _law(self) -> CarLaw:
-        names, limits = CarLaw._fields, np.moveaxis(self.rate_limits, -1, 0)
-        return CarLaw(*(getattr(self, name) for name in names[:-2]), *limits)
+        return curvature_of(self, speed, steering)
 
     def command_for(self, speed: Any, yaw_rate: Any) -> Any:
         """Return the commands for a steady speed and yaw rate, shape (..., 2) [m/s, rad].
@@ -218,7 +196,7 @@ class VelocityCar(Commanded):
 
     def _acceleration(self, q: Any, v: Any, u: Any) -> Any:
         speed, turning = (self.independent(q, v)[..., k] for k in (0, 1))
-        faster, _, steered = self._law.rates((speed, q[..., 3], turning), (u[..., 0], u[..., 1]))
+        faster, _, steered = faster_of(self, (speed, q[..., 3], turning), (u[..., 0], u[..., 1]))
         stretched = self.wheelbase + self.understeer * (speed * speed)
         k = self.curvature(speed, q[..., 3])
         bends = turning * (1 / stretched + k * k * stretched)  # k' by the steering angle

@@ -1,10 +1,11 @@
-"""`VelocityModel`: theta, delay and limits of a robot with velocity inputs, as numbers that logs identify."""
+"""`VelocityModel` and `CarModel`: numbers of robots with velocity inputs that logs identify."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from types import SimpleNamespace
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -14,8 +15,11 @@ from pinmobile.arrays import Array, bounded, scalar
 from pinmobile.errors import InvalidArgument
 from pinmobile.identification._commands import (
     BLOCK,
+    CAR_COMMANDS,
     CHANNELS,
+    Lag,
     Part,
+    Run,
     explained_parts,
     lead_of,
     runs_of,
@@ -23,10 +27,10 @@ from pinmobile.identification._commands import (
 )
 from pinmobile.identification._estimates import Identification, check_identifiable
 from pinmobile.identification._estimator import solve_robustly
-from pinmobile.identification._lag import Lag
 from pinmobile.identification._log import Log
 from pinmobile.identification._planar_model import POSE
-from pinmobile.identification._simulation import Quantity, Segments
+from pinmobile.identification._simulation import Quantity, Segments, simulate
+from pinmobile.identification._velocity_car import VelocityCar, curvature_of, faster_of
 from pinmobile.identification._velocity_robot import ABOVE_ZERO, THETA, VelocityRobot, rates_of, rolling_of
 
 _EXPLAINED = 0.8  # explained share of the motion below which a note follows
@@ -37,6 +41,10 @@ _BENDS = 4  # factor on the number of steps where a limit of acceleration may en
 _MOST_STEPS = 40  # largest number of steps per sample
 _FAR = 100.0  # value of a limit that the log does not show, per first estimate
 _GAINS = 0.1, 10.0  # range of the command per steady speed or yaw rate
+_LONGEST, _STEERING_GAINS = (0.03, 10.0), (1e-4, 1e4)  # ranges of the wheelbase [m], and of gains
+_AT_SPEED = "understeer", "cornering_drag"
+_ZEROS = "steering_offset", *_AT_SPEED  # neutral numbers of a car
+_STEERING = 4  # index of the wheelbase, or of the gain of the steering if the wheelbase is known
 
 
 class Sized(NamedTuple):
@@ -51,14 +59,16 @@ class Sized(NamedTuple):
     least: float = 1e-3
 
 
-def _theta() -> Iterator[Sized]:
-    for k, (name, unit, _) in enumerate(THETA):
-        sizes = (_NEUTRAL.get(name, 0.3), np.nan, 1e-6) if k in ABOVE_ZERO else (0.0, 1.0, 0.1)
-        yield Sized(Quantity(name, unit, k in ABOVE_ZERO, f"theta.{name}"), *sizes)
+def sized(name: str, unit: str, positive: bool, *sizes: float, path: str = "") -> Sized:
+    """Return a number with its sizes; its path in a spread is `path`."""
+    return Sized(Quantity(name, unit, positive, path), *sizes)
 
 
-DELAY = Sized(Quantity("delay", "s", True), 0.0, 0.3, 0.1)
-AHEAD = Sized(Quantity("ahead", "m", False, "ahead"), 0.0, 1.0, 0.1)
+DELAY, AHEAD = (
+    sized("delay", "s", True, 0.0, 0.3, 0.1),
+    sized("ahead", "m", False, 0.0, 1.0, 0.1, path="ahead"),
+)
+_LARGEST_SPEED = sized("largest_speed_command", "m/s", False, np.inf)
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,25 +104,35 @@ class VelocityModel:
     is_linear: ClassVar[bool] = True
     inputs: ClassVar[Mapping[str, str]] = CHANNELS
     neutral: ClassVar[Mapping[str, float]] = _NEUTRAL
-    first: ClassVar[tuple[Sized, ...]] = tuple(_theta())
-    steepest: ClassVar[tuple[Sized, Sized]] = (
-        Sized(Quantity("acceleration", "m/s^2", False, "accelerations.acceleration"), np.inf),
-        Sized(Quantity("yaw_acceleration", "rad/s^2", False, "accelerations.yaw_acceleration"), np.inf),
+    first: ClassVar[tuple[Sized, ...]] = tuple(
+        sized(name, unit, True, _NEUTRAL.get(name, 0.3), np.nan, 1e-6, path=f"theta.{name}")
+        if k in ABOVE_ZERO
+        else sized(name, unit, False, 0.0, 1.0, 0.1, path=f"theta.{name}")
+        for k, (name, unit, _) in enumerate(THETA)
     )
-    most: ClassVar[tuple[Sized, Sized]] = (
-        Sized(Quantity("largest_speed_command", "m/s", False), np.inf),
-        Sized(Quantity("largest_yaw_rate_command", "rad/s", False), np.inf),
+    limited: ClassVar[tuple[Sized, ...]] = (
+        sized("acceleration", "m/s^2", False, np.inf, path="accelerations.acceleration"),
+        sized("yaw_acceleration", "rad/s^2", False, np.inf, path="accelerations.yaw_acceleration"),
+        _LARGEST_SPEED,
+        sized("largest_yaw_rate_command", "rad/s", False, np.inf),
     )
+    rate_limits: ClassVar[str] = "accelerations"  # field of the robot
 
     @classmethod
     def limits(cls) -> list[str]:
         """Return the names of the limits: of both rates, then of both commands."""
-        return [one.quantity.name for one in (*cls.steepest, *cls.most)]
+        return [one.quantity.name for one in cls.limited]
 
     @cached_property
     def _numbers(self) -> list[Sized]:
-        others = {one.quantity.name: one for one in (DELAY, AHEAD, *self.steepest, *self.most)}
+        others = {one.quantity.name: one for one in (DELAY, AHEAD, *self.limited)}
         return [*self.first, *(others[name] for name in self.free)]
+
+    def without(self, names: Sequence[str]) -> tuple[VelocityModel, list[int]]:
+        """Return the model without some free numbers, and the indices of the others."""
+        kept = [k for k, name in enumerate(self.free) if name not in names]
+        rows = [*range(len(self.first)), *(len(self.first) + k for k in kept)]
+        return replace(self, free=tuple(self.free[k] for k in kept)), rows
 
     @property
     def quantities(self) -> tuple[Quantity, ...]:
@@ -142,6 +162,10 @@ class VelocityModel:
         known = {name: np.full(len(p), value) for name, value in self.given.items()}
         return known | {name: p[:, len(self.first) + k] for k, name in enumerate(self.free)}
 
+    def named(self, p: Array) -> dict[str, float]:
+        """Return delay, distance ahead of the axle and limits by name, for numbers p (P,)."""
+        return {name: float(x[0]) for name, x in self.others(p[None]).items()}
+
     def time_constants(self, p: Array) -> Array:
         """Return the time constants of both channels, shape (..., 2) [s]."""
         return np.asarray(p[..., :2] / p[..., [3, 5]])
@@ -153,11 +177,9 @@ class VelocityModel:
         return bool(is_possible and -1 < late <= self.lead)
 
     def are_possible(self, p: Array) -> Any:
-        """Return which numbers, shape (..., P), a robot can have."""
-        limits = self.limits()
-        above = [k for k, one in enumerate(self.quantities) if one.bounded and one.name != "delay"]
-        above += [k for k, one in enumerate(self.quantities) if one.name in limits]
-        return (p[..., above] > 0).all(axis=-1)
+        """Return which numbers, shape (..., P), a robot can have; delay and losses may be below zero."""
+        above = [(one.quantity.bounded and one.prior > 0) or np.isinf(one.prior) for one in self._numbers]
+        return (p[..., np.array(above)] > 0).all(axis=-1)
 
     def resolved(self, segments: Segments, p: Array) -> tuple[Array, Array, float]:
         """Return the numbers of the rates, delays [samples] and the longest time step [s]."""
@@ -198,10 +220,14 @@ class VelocityModel:
     def robot(self, found: Identification) -> VelocityRobot:
         """Return the identified robot; see `Identification.robot`."""
         check_identifiable("robot", found.unseen)
-        others = {name: float(x[0]) for name, x in self.others(found.phi[None]).items()}
+        return VelocityRobot(found.theta, **self.fields(found))
+
+    def fields(self, found: Identification) -> dict[str, Any]:
+        """Return the fields of the identified robot beside the first numbers."""
+        others = self.named(found.phi)
+        rates, limits = np.split(np.array([others[name] for name in self.limits()]), 2)
         source = f"identified from {found.samples} samples in {found.segments} segments"
-        limits = [others[name] for name in self.limits()]
-        return VelocityRobot(found.theta, others["ahead"], limits[2:], limits[:2], source=source)
+        return {"ahead": others["ahead"], "limits": limits, self.rate_limits: rates, "source": source}
 
     def forces(self, found: Identification) -> list[Any]:
         """Return no forces: theta includes the losses."""
@@ -211,11 +237,8 @@ class VelocityModel:
         """Return notes on numbers that may be neutral, and on numbers that no robot can have."""
         bounds = found.interval()
         neutral = [n for n, x in self.neutral.items() if bounds[n][0] <= x <= bounds[n][1]]
-        told = [
-            f"the interval of {n}{' - 1' * bool(self.neutral[n])} contains zero"
-            for n in neutral
-            if np.isfinite(bounds[n][0])
-        ]
+        known = [n for n in neutral if np.isfinite(bounds[n][0])]
+        told = [f"the interval of {n}{' - 1' * bool(self.neutral[n])} contains zero" for n in known]
         if found.explained < _EXPLAINED:
             told.append(
                 f"the model explains {found.explained:.0%} of a motion: do commands and motion come from one "
@@ -232,18 +255,21 @@ class VelocityModel:
         self, found: Identification, log: Log, seconds: float | None
     ) -> tuple[Segments, Array, NDArray[np.bool_], Array]:
         """Return segments of a log, residuals, mask of good samples, and the noise."""
-        runs, length = (
-            runs_of([log], self.is_pose, self.inputs),
-            scalar("seconds", BLOCK if seconds is None else seconds),
-        )
+        runs, length = self.runs([log]), scalar("seconds", BLOCK if seconds is None else seconds)
         bounded("seconds", length, least=3 * runs[0].dt, unit="s")
         lead = max(lead_of(runs), int(np.ceil(max(found.delay, 0.0) / runs[0].dt)) + 1)
         model = replace(self, dt=runs[0].dt, lead=lead)
-        parts = explained_parts(runs, model.lags(found.phi), least=-np.inf)  # also of a poor model
-        parts = model.started(parts, found.phi)
-        segments, calm = segments_of(parts, model.lead, length, filled=False)
+        segments, calm = segments_of(model.explained(runs, found.phi), lead, length, filled=False)
         left, _ = solve_robustly(model, segments, found.phi, calm=calm)
         return segments, left.near.residual, left.good, found.noise
+
+    def runs(self, logs: list[Log]) -> list[Run]:
+        """Return the checked logs at equal time steps."""
+        return runs_of(logs, self.is_pose, self.inputs)
+
+    def explained(self, runs: Sequence[Run], p: Array) -> list[Part]:
+        """Return the parts of runs that the commands explain, also by a poor model with numbers p."""
+        return self.started(explained_parts(runs, self.lags(p), least=-np.inf), p)
 
     def lags(self, p: Array) -> list[Lag]:
         """Return the lags of both channels without coupling."""
@@ -255,7 +281,7 @@ class VelocityModel:
 
         The limit of the second rate is multiplied by `scale`.
         """
-        others = {name: float(x[0]) for name, x in self.others(p[None]).items()}
+        others = self.named(p)
         late = max(0, round(others["delay"] / self.dt))
         top, turning, *most = (others[name] for name in self.limits())
         rows = zip(gains, most, (top, scale * turning), strict=True)
@@ -280,17 +306,174 @@ class VelocityModel:
         values = [*(lag.steepest for lag in lags), *(lag.limit for lag in lags)]
         return dict(zip(self.limits(), values, strict=True))
 
+    @property
+    def ranges(self) -> dict[int, tuple[float, float, str]]:
+        """Range and meaning of gains and lengths, by index."""
+        return {3: (*_GAINS, " (command per steady speed)"), 5: (*_GAINS, " (command per steady yaw rate)")}
+
     def check(self, p: Array, lost: NDArray[np.bool_]) -> None:
         """Reject numbers of wrong units.
 
         Raises
         ------
         InvalidArgument
-            If the steady motion differs too much from the commands.
+            If a number is out of its range: the steady motion differs too much from the commands.
         """
-        for k in (3, 5):
-            if not (lost[k] or _GAINS[0] < p[k] < _GAINS[1]):
+        for k, (least, most, meaning) in self.ranges.items():
+            if not (lost[k] or least < abs(p[k]) < most):
                 raise InvalidArgument(
-                    f"log leads to {THETA[k][0]} = {p[k]:.3g} ({THETA[k][2].partition(':')[0]}), expected "
-                    "about 1: are commands in m/s and rad/s, positions in metres and psi in radians?"
+                    f"log leads to {self.quantities[k].name} = {p[k]:.3g}{meaning}, expected {least:g} to "
+                    f"{most:g}: are commands in {' and '.join(self.inputs.values())}, poses in m and rad?"
                 )
+
+
+@dataclass(frozen=True, eq=False)
+class CarModel(VelocityModel):
+    """Model of a car: time constants, gains, offset of the steering, wheelbase, understeer, further numbers.
+
+    The gain of the steering is 1 unless `given` has the ``"wheelbase"``: curvatures are the ratio of both.
+    """
+
+    inputs: ClassVar[Mapping[str, str]] = CAR_COMMANDS
+    neutral: ClassVar[Mapping[str, float]] = {"speed_gain": 1.0} | dict.fromkeys(_ZEROS, 0.0)
+    limited: ClassVar[tuple[Sized, ...]] = (
+        sized("acceleration", "m/s^2", False, np.inf, path="rate_limits.acceleration"),
+        sized("steering_rate", "rad/s", False, np.inf, path="rate_limits.steering_rate"),
+        _LARGEST_SPEED,
+        sized("largest_steering_command", "rad", False, np.inf),
+    )
+    rate_limits: ClassVar[str] = "rate_limits"
+
+    @property
+    def first(self) -> tuple[Sized, ...]:  # type: ignore[override]
+        """First seven numbers."""
+        steering = (
+            ("steering_gain", "", False, 1.0) if "wheelbase" in self.given else ("wheelbase", "m", True, 0.3)
+        )
+        rows: tuple[tuple[Any, ...], ...] = (
+            ("speed_time_constant", "s", True, 0.3, np.nan, 1e-6),
+            ("speed_gain", "", False, 1.0),
+            ("steering_time_constant", "s", True, 0.1, np.nan, 1e-6),
+            ("steering_offset", "rad", False, 0.0, 0.3, 0.03),
+            steering,
+            ("understeer", "rad s^2/m", False, 0.0, 0.02, 0.005),
+            ("cornering_drag", "", False, 0.0, 1.0, 0.1),
+        )
+        return tuple(sized(*row, path=row[0]) for row in rows)
+
+    @property
+    def is_linear(self) -> bool:  # type: ignore[override]
+        """Whether the measurements are linear functions of the states: a yaw rate is not."""
+        return self.is_pose
+
+    def time_constants(self, p: Array) -> Array:
+        """Return the time constants of the speed, and of both poles of the steering, shape (..., 2) [s]."""
+        return np.asarray(p[..., [0, 2]] * [1.0, 0.5])
+
+    def resolved(self, segments: Segments, p: Array) -> tuple[Array, Array, float]:
+        """Return the numbers of the rates, delays [samples] and the longest time step [s]."""
+        numbers, late, longest = super().resolved(segments, p)
+        more = np.stack(self._by_steering(p), axis=-1)
+        return np.concatenate([numbers, more[:, None]], axis=-1), late, longest
+
+    def rates(self, z: Any, u: Any, numbers: Any) -> Any:
+        """Return the rates of speed, steering angle and steering rate, and of the pose if it is measured."""
+        car, u = self._car(numbers), np.minimum(np.maximum(u, -numbers[10:12]), numbers[10:12])
+        faster = np.stack(faster_of(car, (z[0], z[1], z[2]), u))
+        if not self.is_pose:
+            return faster
+        twist = np.stack([z[0], z[0] * curvature_of(car, z[0], z[1])])
+        return np.concatenate([faster, rolling_of(numbers[7], z[3:], twist)])
+
+    def _car(self, numbers: Any) -> SimpleNamespace:
+        """Return the numbers of a `VelocityCar`, of the numbers that `resolved` returns."""
+        own = {one.quantity.name: numbers[..., k] for k, one in enumerate(self.first)}
+        own |= {"steering_gain": numbers[..., 12], "wheelbase": numbers[..., 13]}
+        return SimpleNamespace(**own, rate_limits=numbers[..., 8:10])
+
+    def observed(self, segments: Segments, states: Array, numbers: Array) -> Array:
+        """Return the measurements: poses, or speed and yaw rate."""
+        if self.is_pose:
+            return states[..., 3:]
+        speed, car = states[..., 0], self._car(numbers[:, :, None])
+        return np.stack([speed, speed * curvature_of(car, speed, states[..., 1])], axis=-1)
+
+    def started(self, parts: Sequence[Part], p: Array) -> list[Part]:
+        """Return parts whose steering has followed the commands since the start of its log."""
+        runs = {id(part.run): part.run for part in parts}
+        turned = {key: self._turned(run, p) for key, run in runs.items()}
+        return [part._replace(run=turned[id(part.run)]) for part in parts]
+
+    def _turned(self, run: Run, p: Array) -> Run:
+        count, free = len(run.u), _Steering(self.free, self.given, self.lead, self.dt, False)
+        plain = run._replace(y=run.nu, calm=run.nu, seen=np.ones(count, bool))
+        length = self.dt * (count - self.lead)
+        segments, _ = segments_of([Part(plain, 0, count)], self.lead, length, filled=False)
+        segments.start[:, 1] = self._by_steering(p)[0] * segments.applied(0, 1)[0, :, 0, 1] + p[3]
+        states = simulate(free, segments, p[None], segments.start[None])[0, 0]
+        states = np.concatenate([np.repeat(states[:1], count - len(states), axis=0), states])
+        return run._replace(state=np.column_stack([run.state[:, 0], states[:, 1:]]))
+
+    def _by_steering(self, p: Array) -> tuple[Any, Any]:
+        """Return the gain of the steering and the wheelbase, of numbers (..., P)."""
+        number, known = p[..., _STEERING], self.given.get("wheelbase")
+        return (1.0 + 0.0 * number, number) if known is None else (number, known + 0.0 * number)
+
+    def robot(self, found: Identification) -> Any:
+        """Return the identified car; effects of its speed that are not identifiable are zero."""
+        unseen = zip(self.first, found.hidden > 0, strict=False)
+        if any(lost and one.quantity.name not in _AT_SPEED for one, lost in unseen):
+            check_identifiable("robot", found.unseen)
+        values = dict(zip(found.names, found.phi[: len(self.first)].tolist(), strict=False))
+        return VelocityCar(**{"wheelbase": self.given.get("wheelbase")} | values, **self.fields(found))
+
+    def problems(self, found: Identification, neutral: Sequence[str]) -> list[str]:
+        """Return no problems."""
+        return []
+
+    def lags(self, p: Array) -> list[Lag]:
+        """Return the lags of speed and curvature."""
+        gain, wheelbase = self._by_steering(p)
+        speed, curvature = self.lags_of(p, (p[1], p[0]), (gain / wheelbase, p[2]), scale=1 / wheelbase)
+        limit = np.tan(min(curvature.limit, np.pi / 2))
+        return [speed, curvature._replace(offset=p[3] / wheelbase, limit=limit)]
+
+    def start(self, lags: Sequence[Lag]) -> Array:
+        """Return first estimates of the first numbers from the lags of speed and curvature.
+
+        Raises
+        ------
+        InvalidArgument
+            If the car turns to the other side than its commands, and the wheelbase is not known.
+        """
+        speed, curvature = lags
+        known, gain = self.given.get("wheelbase"), curvature.gain or 1.0
+        if known is None and gain < 0:
+            raise InvalidArgument(
+                "log has steering commands that turn the car to the other side, expected positive angles "
+                "to the left: change their sign, or give wheelbase"
+            )
+        steering = 1 / gain if known is None else gain * known
+        offset = curvature.offset * (1 / gain if known is None else known)
+        return np.array([speed.tau, speed.gain or 1.0, curvature.tau, offset, steering, 0.0, 0.0])
+
+    def limits_of(self, lags: Sequence[Lag]) -> dict[str, float]:
+        """Return the limits that lags have, by name: those of curvature as angles."""
+        speed, curvature = lags
+        wheelbase = self.given.get("wheelbase", 1 / (curvature.gain or 1.0))
+        limit = np.inf if np.isinf(curvature.limit) else float(np.arctan(curvature.limit))
+        turns = curvature._replace(steepest=curvature.steepest * abs(wheelbase), limit=limit)
+        return super().limits_of([speed, turns])
+
+    @property
+    def ranges(self) -> dict[int, tuple[float, float, str]]:
+        """Range of the gain of the steering, or of the wheelbase."""
+        return {_STEERING: (*(_STEERING_GAINS if "wheelbase" in self.given else _LONGEST), "")}
+
+
+class _Steering(CarModel):
+    """The model that also returns steering angle and rate."""
+
+    def observed(self, segments: Segments, states: Array, numbers: Array) -> Array:
+        """Return the states."""
+        return states

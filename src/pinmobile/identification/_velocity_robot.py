@@ -32,16 +32,7 @@ from pinmobile.arrays import (
 )
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.integrators import rk4
-from pinmobile.parts import (
-    array,
-    by_value,
-    evolved,
-    is_symbolic,
-    number,
-    option,
-    part,
-    structure,
-)
+from pinmobile.parts import array, by_value, evolved, is_symbolic, number, option, part, structure
 from pinmobile.plant import Coordinate, Input
 from pinmobile.robot import MobileRobot
 from pinmobile.wheels import ByVoltage, Reduced, WheeledRobot, WheelTable
@@ -99,9 +90,8 @@ def _pair_of(robot: WheeledRobot) -> tuple[Any, Any]:
         is_pair = plain and np.allclose(a, b, _SAME, _SAME) and one.motor == other.motor
     if not (is_pair and one.motor and one.motor.is_electric):
         raise InvalidArgument(
-            "wheeled has arms, or other wheels or motors, expected two equal fixed wheels on one axle, each "
-            "with the same Motor(resistance=..., torque_constant=..., voltage=...), and casters: use "
-            "WheelTable.differential"
+            "wheeled has arms, or other wheels or motors, expected WheelTable.differential: two equal fixed "
+            "wheels on one axle, each with the same Motor(resistance=..., torque_constant=..., voltage=...)"
         )
     return one, one.motor
 
@@ -144,6 +134,11 @@ def pair(doc: str, unit: str, labels: tuple[str, str], fixed: bool = False) -> A
     """Declare two positive limits; a scalar sets both."""
     how: dict[str, Any] = {"doc": doc, "unit": unit, "labels": labels, "above": 0, "fixed": fixed}
     return array(default=np.inf, shapes=((), ("n",)), endless=True, size=lambda robot: 2, **how)
+
+
+def size_of(name: str, value: Any) -> Any:
+    """Return length, width and height of a drawn box."""
+    return tuple(lengths(value).tolist())
 
 
 class Commanded:
@@ -322,9 +317,7 @@ class VelocityRobot(Commanded):
     ahead: float = number(default=0.0, unit="m", doc="distance of the body origin ahead of the axle")
     limits: Any = pair("largest commands", "m/s, rad/s", ("speed", "yaw_rate"), fixed=True)
     accelerations: Any = pair("largest |u'| and |w'|", "m/s^2, rad/s^2", ("acceleration", "yaw_acceleration"))
-    size: tuple[float, float, float] = option(
-        default=(0.45, 0.38, 0.25), check=lambda name, value: tuple(lengths(value).tolist())
-    )
+    size: tuple[float, float, float] = option(default=(0.45, 0.38, 0.25), check=size_of)
     source: str = option(default="", check=text)
 
     nq: ClassVar[int] = 3

@@ -10,7 +10,7 @@ its sign. `WeakForm.extrapolated` adds noise of one and two times the variance, 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -19,7 +19,7 @@ import numpy as np
 from pinmobile.arrays import Array
 from pinmobile.errors import InvalidArgument
 from pinmobile.identification._estimator import NORMAL
-from pinmobile.identification._planar_model import PlanarModel
+from pinmobile.identification._planar_model import PlanarModel, torques_of
 from pinmobile.identification._preprocessing import PreprocessedLog, mean_inputs
 
 WINDOW = 0.6  # [s]
@@ -140,7 +140,9 @@ class WeakForm:
         for log, rates in zip(self.logs, self.rates, strict=True):
             edges = np.asarray(np.arange(len(log.q) + 1) - 0.5 - delay)  # half of the input before counts
             u, bump = mean_inputs(log.u, edges), Bump.of(WINDOW, log.dt)
-            torques = [scale * x for x in u.T] if model.B is None else model.torques([*u.T], [*rates], scale)
+            torques = (
+                [*(scale * u.T)] if model.B is None else torques_of(model.motors, [*u.T], [*rates], scale)
+            )
             columns = np.stack(torques, axis=-1)
             found.append(bump.over(columns if model.B is None else columns @ model.B.T))
         return np.concatenate(found)
@@ -151,10 +153,8 @@ class WeakForm:
         The equations are linearised about a scale of the inputs.
         """
         forces = self.forces(delay, scale)
-        y, columns = (
-            forces - self.known,
-            np.broadcast_to(self._constant, (*forces.shape, self._constant.shape[1])),
-        )
+        y, constant = forces - self.known, self._constant
+        columns = np.broadcast_to(constant, (*forces.shape, constant.shape[1]))
         if self.model.scaled:
             more, less = (self.forces(delay, scale * (1 + way * _NEAR)) for way in (1, -1))
             slope = (more - less) / (2 * _NEAR * scale)
@@ -167,11 +167,17 @@ class WeakForm:
         form, base = replace(self, model=replace(self.model, scaled=False)), base[:keep]
         basis = basis[:keep, : basis.shape[1] - self.model.scaled]
 
-        def fit(delay: float) -> WeakFit:
+        fits = []
+        for delay in delays.tolist():
             columns, y = form.equations(delay)
-            return fitted(beside(form.Y, columns), y, form.counts, base, basis, 2)[0]
-
-        return scanned(fit, delays)
+            fits.append(fitted(beside(form.Y, columns), y, form.counts, base, basis, 2)[0])
+        costs = np.array([each.cost for each in fits])
+        k = int(costs.argmin())
+        late = float(delays[k])
+        if 0 < k < len(delays) - 1:
+            low, mid, high = costs[k - 1 : k + 2]
+            late += (delays[k + 1] - delays[k]) / 2 * (low - high) / max(low - 2 * mid + high, 1e-300)
+        return k, float(late), fits[k].explained
 
     def extrapolated(self, delay: float, prior: Array, basis: Array, free: bool = False) -> WeakFit:
         """Return the least squares extrapolated to poses without noise (simulation extrapolation).
@@ -263,8 +269,7 @@ class WeakForm:
         if not (moved > 20 * noise).any() or not max(f, moment) > 0:
             raise InvalidArgument(
                 f"log has poses that move by {moved[0]:.3g} m, {moved[1]:.3g} m and {moved[2]:.3g} rad, and "
-                f"forces of {f:.3g} N and {moment:.3g} N m, too little to identify anything: expected an "
-                "informative motion, see excitation"
+                f"forces of {f:.3g} N and {moment:.3g} N m, expected an informative motion, see excitation"
             )
         r = twist[:, 2]
         across = turned[:, 0] - r * twist[:, 1], turned[:, 1] + r * twist[:, 0]
@@ -318,18 +323,6 @@ def _along_free(log: PreprocessedLog, model: PlanarModel, bump: Bump) -> tuple[A
         a_u, a_w, -over(r, 1), over(r * r), over(rates), over(rates / np.hypot(rates, model.speed))
     )
     return Y, -over(eta, 1) @ model.inertia.T
-
-
-def scanned(fit: Callable[[float], WeakFit], delays: Array) -> tuple[int, float, float]:
-    """Return the index of the best delay, the minimum of a parabola near it, and the explained share."""
-    fits = [fit(float(delay)) for delay in delays]
-    costs = np.array([each.cost for each in fits])
-    k = int(costs.argmin())
-    if not 0 < k < len(delays) - 1:
-        return k, float(delays[k]), fits[k].explained
-    low, mid, high = costs[k - 1 : k + 2]
-    late = delays[k] + (delays[k + 1] - delays[k]) / 2 * (low - high) / max(low - 2 * mid + high, 1e-300)
-    return k, float(late), fits[k].explained
 
 
 def fitted(
