@@ -28,9 +28,9 @@ from pinmobile.identification._log import Log, continuous, logs_of, lost_rows, u
 from pinmobile.identification._planar_model import PlanarModel, PlanarProblem
 from pinmobile.identification._plant import identify_plant
 from pinmobile.identification._preprocessing import PreprocessedLog, Slippage
-from pinmobile.identification._search import TRAINED
 from pinmobile.identification._simulation import Segments, simulate
 from pinmobile.identification._torque_car import identify_car
+from pinmobile.identification._velocity import TRAINED
 from pinmobile.identification._weak_form import WINDOW, WeakFit, WeakForm, beside, fitted
 from pinmobile.parts import Tabled, offers
 from pinmobile.robot import MobileRobot, PayloadBody

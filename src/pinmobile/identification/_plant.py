@@ -36,8 +36,8 @@ from pinmobile.identification._estimator import (
     solve,
 )
 from pinmobile.identification._log import Log, continuous
-from pinmobile.identification._search import TRAINED
 from pinmobile.identification._simulation import Quantity, Same, Segments, simulate
+from pinmobile.identification._velocity import TRAINED
 from pinmobile.integrators import RungeKuttaNystrom
 from pinmobile.loop import Loop, Trace, arrays_of, initial_memory, traced_numbers
 from pinmobile.parts import Found, Stepping, matching, named, numbers, offers, part, replace, shortest

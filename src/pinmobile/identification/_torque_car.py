@@ -27,8 +27,8 @@ from pinmobile.identification._estimates import Identification, check_identifiab
 from pinmobile.identification._estimator import unexplained
 from pinmobile.identification._log import Log, unused
 from pinmobile.identification._planar_model import inertia_of, pose_rate, torques_of, units_of, with_inertia
-from pinmobile.identification._search import searched
 from pinmobile.identification._simulation import Segments
+from pinmobile.identification._velocity import searched
 from pinmobile.identification._velocity_model import Sized, VelocityModel, sized
 from pinmobile.identification._weak_form import WINDOW, Bump
 from pinmobile.wheels import ByVoltage, Motor

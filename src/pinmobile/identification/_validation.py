@@ -20,8 +20,8 @@ from pinmobile.identification._commands import (
 )
 from pinmobile.identification._estimates import Identification
 from pinmobile.identification._log import Log, logs_of
-from pinmobile.identification._search import TRAINED, identify_velocity
 from pinmobile.identification._simulation import simulate
+from pinmobile.identification._velocity import TRAINED, identify_velocity
 from pinmobile.identification._velocity_model import VelocityModel
 
 _HORIZONS = 0.1, 2.0, 5.0  # [s]
