@@ -35,7 +35,7 @@ def on_wheels(ground: Any = None, height: float = 0.1, **motors: Any) -> Wheeled
 
 
 def turning(robot: WheeledRobot, rate: float = 1.5, **options: Any) -> Rollout:
-    law, path = WheelSpeed(pm.UnicycleTracking(), robot, kp=5), Tangent(Circle(1.0, rate, 2.0))
+    law, path = WheelSpeed(pm.UnicycleTracking(), robot, kp=0.5), Tangent(Circle(1.0, rate, 2.0))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", LimitWarning)
         return simulate(robot, law, path, dt=0.01, **options)

@@ -872,7 +872,7 @@ def test_columns_of_a_file_without_a_header_have_numbers(tmp_path: Path) -> None
         (lines_of(FEW, "a,b,c,d,Fx,Fy,Mz"), "whose columns are a, b, .* none of them known for t, expected"),
         (
             lines_of(FEW, "t,b,c,d,Fx,Fy,Mz"),
-            "whose columns are .*, none of them known for q or twist or wheel_rates, expected columns=",
+            "whose columns are .*, none of them known for q or twist or wheel_rates or joints, expected co",
         ),
         (
             lines_of(FEW, "t,x,y,psi,a,b,c"),

@@ -3,6 +3,7 @@
 import re
 from dataclasses import replace as replaced
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 
 import pinmobile as pm
 from pinmobile.arrays import Array
+from pinmobile.cli import main
 from pinmobile.identification._excitation import _Search
 from pinmobile.identification._planar_model import PlanarModel, PlanarProblem
 from pinmobile.identification._plant import _segments as of_plant
@@ -189,15 +191,15 @@ def drive(scale: float = 1.0) -> Any:
 
 
 @cache
-def drive_log() -> pm.Log:
-    """Return a log of voltages, poses and encoders."""
+def drive_log(joint_noise: float | None = None) -> pm.Log:
+    """Return a log of voltages, poses and encoders, or angles of the wheels."""
     plant = drive()
     tracking = pm.Backstepping(pm.UnicycleTracking(), plant.wheeled)
     law = pm.controllers.TorqueToVoltage(tracking, plant)
     path = pm.excitation(plant, duration=20.0, period=10.0)
     run = pm.simulate(plant, law, path, dt=0.02, engine=pm.Engine.COMPILED)
     rng = np.random.default_rng(0)
-    log = pm.Log.from_rollout(run, 1e-3)
+    log = pm.Log.from_rollout(run, 1e-3, joint_noise=joint_noise)
     return replaced(log, wheel_rates=np.asarray(log.wheel_rates) + 0.02 * rng.standard_normal((len(log), 2)))
 
 
@@ -244,3 +246,29 @@ def test_what_cannot_be_found_is_refused(change: Any, options: Any, why: str) ->
     log = replaced(log, **{name: f(getattr(log, name)) for name, f in change.items()})
     with pytest.raises(pm.PinmobileError, match=re.escape(why)):
         pm.identify(log, drive(), **options)
+
+
+def test_joint_positions_are_read_from_files_and_streams(tmp_path: Path) -> None:
+    plant, prior = drive(), drive(1.1)
+    log = drive_log(1e-3)
+    joints = np.array(log.joints)
+    rows = np.hstack([log.t[:, None], log.q, joints, log.u])
+    titles = "t,x,y,psi,joint_left,joint_right,u_left [V],u_right [V]"
+    path = tmp_path / "run.csv"
+    np.savetxt(path, rows, delimiter=",", header=titles, comments="", fmt="%.17g")
+    read = pm.Log.from_csv(path)
+    np.testing.assert_array_equal(read.joints, joints)
+    found = pm.identify(read, prior, by=["*.radius", "*.torque_constant"])
+    assert np.abs(found.phi / truth_of(found, plant) - 1).max() < 0.01
+    late = log.t[:-1] + 0.5 * log.dt
+    streams = pm.Log.from_streams(log.t, log.q, log.t, log.u, joints=joints[:-1], t_joints=late)
+    assert streams.joints is not None
+    turned = 0.6 * log.dt * np.abs(np.asarray(log.wheel_rates)).max()  # in half a sample
+    assert np.nanmax(np.abs(streams.joints - joints)) < turned + 0.01
+    words = [str(path), f"--out={tmp_path}", "by=*.radius,*.torque_constant"]
+    text = (
+        "WheeledRobot(MobileRobot(30, 1.3), WheelTable.differential(0.5, 0.11, mass=1.0, "
+        "motor='Motor(resistance=1.2, torque_constant=0.05, voltage=24, gear=30)')).by_voltage()"
+    )
+    assert main(["identify", *words, f"robot={text}"]) == 0
+    assert main(["identify", *words]) == 2

@@ -24,10 +24,11 @@ def _names(name: str, value: Any) -> dict[str, Any]:
         raise InvalidArgument(
             f"{name} is {value!r}, expected {name}.ROLE=NAME,NAME, such as {name}.q=px,py,angle"
         )
-    return {
-        role: names.split(",") if isinstance(names, str) and "," in names else names
-        for role, names in value.items()
-    }
+    return {role: _listed(names) for role, names in value.items()}
+
+
+def _listed(names: Any) -> Any:
+    return names.split(",") if isinstance(names, str) and "," in names else names
 
 
 @part
@@ -40,6 +41,8 @@ class IdentifyPaths:
         Prior robot, or its wheels alone; its inputs are the inputs of the logs.
     loads : sequence of PayloadBody or "none", optional
         Known load of each log: loads that differ identify the scale of the inputs.
+    by : str or sequence of str, optional
+        Numbers of the robot to estimate, by name or pattern.
     method : str
         See `identify`.
     delay : float, optional
@@ -49,11 +52,12 @@ class IdentifyPaths:
     rolling_speed : float, optional
         Speed at which dry friction has 71 % of its size [m/s], for wheels [rad/s].
     columns, topics : mapping of str to str or sequence of str, optional
-        Columns of a CSV file, or topics of a bag, by role: t, q, u, twist, wheel_rates.
+        Columns of a CSV file, or topics of a bag, by role: t, q, u, twist, wheel_rates, joints.
     """
 
     robot: Any = child(object, optional=True, doc="robot, or its wheels alone", expected="a robot or wheels")
     loads: Any = attrs.field(default=None)
+    by: Any = option(default=(), check=lambda _, x: _listed(x), doc="numbers to estimate: NAME,NAME")
     method: str = option(default=METHODS[0], doc=f"method: {' or '.join(METHODS)}")
     delay: Any = number(default=None, optional=True, unit="s", doc="delay of poses relative to inputs")
     wheelbase: Any = number(default=None, optional=True, unit="m", doc="distance between the axles of a car")
@@ -63,7 +67,7 @@ class IdentifyPaths:
         doc="speed at which dry friction has 71 % of its size",
     )
     columns: Any = option(
-        default=None, check=_names, doc="columns of a CSV file by role: t, q, u, twist, wheel_rates"
+        default=None, check=_names, doc="columns of a CSV file by role: t, q, u, twist, wheel_rates, joints"
     )
     topics: Any = option(default=None, check=_names, doc="topics of a bag or MCAP file by role")
 
@@ -90,12 +94,12 @@ def show_identification(words: Sequence[str], out: Path) -> int:
     with progress(2) as bar, _named(paths):
         begin(bar, "identifying")
         if are_commands:
-            for name in ("loads", "rolling_speed"):
-                if getattr(known, name) is not None:
+            for name in ("by", "loads", "rolling_speed"):
+                if getattr(known, name):
                     raise InvalidArgument(f"{name} does not apply to a log of commands of speed and yaw rate")
             found: Any = identify_velocity(logs, delay=known.delay, wheelbase=known.wheelbase)
         else:
-            own = {"method": known.method, "delay": known.delay, "rolling_speed": known.rolling_speed}
+            own = {name: getattr(known, name) for name in ("by", "method", "delay", "rolling_speed")}
             found = identify(logs, known.robot, loads=loads, **own)
         begin(bar, "drawing")
         prediction, figure = found.predict(log), folder / f"{path.stem}.png"

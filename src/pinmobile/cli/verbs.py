@@ -291,8 +291,9 @@ def identify(
 
     Inputs are forces on a body, or with robot=... torques or volts of its wheels. Two inputs without a robot
     are commands of speed and yaw rate, or of a car: speed [m/s] and steering angle [rad]. Paths: robot,
-    loads, method, delay, rolling_speed, wheelbase, columns.ROLE, topics.ROLE. The roles are t, q, u, twist
-    and wheel_rates.
+    by, loads, method, delay, rolling_speed, wheelbase, columns.ROLE, topics.ROLE. The roles are t, q, u,
+    twist, wheel_rates and joints. With by=NAME,NAME, any numbers of the robot are estimated, such as
+    *_link.mass.
 
     Example: pinmobile identify run.csv columns.q=px,py,yaw "robot=WheelTable.differential(0.5, 0.1)"
     """

@@ -70,6 +70,13 @@ class Prediction(NamedTuple):
         return f"rms of {span:.3g} s ahead: {_residuals(*rows)}"
 
 
+def _digits(value: float, error: float) -> int:
+    """Return the number of digits with which an estimate differs from the ends of its interval."""
+    with np.errstate(all="ignore"):
+        size = np.log10(abs(value) / error)
+    return int(np.clip(np.ceil(size) + 2, 4, 8)) if np.isfinite(size) else 4
+
+
 def _residuals(*rows: Any) -> str:
     """Return names, units, residuals and noise of measurements as text."""
     return ", ".join(
@@ -321,10 +328,10 @@ class Identification:
         header = f"{valid if self.is_noise else '95 %, not valid':^23}"
         lines = [f"{'':{width}} {'estimate':>10} {'std. error':>10}  {header}  unit"]
         rows = self.parameters.items(), self._errors, self.interval().values(), self.units.values()
-        lines += [
-            f"{name:{width}} {value:10.4g} {error:10.2g}  {low:10.4g} to {high:<9.4g}  {unit}".rstrip()
-            for (name, value), error, (low, high), unit in zip(*rows, strict=True)
-        ]
+        for (name, value), error, (low, high), unit in zip(*rows, strict=True):
+            n = _digits(value, error)
+            numbers = f"{value:10.{n}g} {error:10.2g}  {low:10.{n}g} to {high:<9.{n}g}"
+            lines.append(f"{name:{width}} {numbers}  {unit}".rstrip())
         return "\n".join([*lines, *self.notes])
 
     @property

@@ -72,12 +72,13 @@ def read_csv(
     head, rows = _table(file, bare)
     names = [_UNIT.sub("", title).strip() for title in head]
     wanted = _known_columns(names) | given
-    for roles in (("t",), ("u",), ("q", "twist", "wheel_rates")):
+    for roles in (("t",), ("u",), ("q", "twist", "wheel_rates", "joints")):
         if not set(roles) & set(wanted):
             raise _refused(
                 file,
                 f"whose columns are {format_names(names)}, none of them known for {' or '.join(roles)}",
-                "columns={'t': 'time', 'q': ('x', 'y', 'psi'), 'u': (...)} with names of its header",
+                "columns={'t': 'time', 'q': ('x', 'y', 'psi'), 'u': (...)} with names of its header (in the "
+                "command columns.t=time columns.q=x,y,psi columns.u=...)",
             )
     kept = [row for row in rows if len(row) == len(head)]
     if len(kept) < 2:
@@ -209,6 +210,7 @@ def _known_columns(names: Sequence[str]) -> dict[str, str | Sequence[str]]:
         "u": inputs,
         "twist": beginning("twist_"),
         "wheel_rates": beginning("rate_") or (turned if set(turned) <= set(names) else []),
+        "joints": beginning("joint_"),
     }
     return {role: listed for role, listed in found.items() if listed}
 
@@ -216,14 +218,11 @@ def _known_columns(names: Sequence[str]) -> dict[str, str | Sequence[str]]:
 def read_bag(path: str | PathLike[str], topics: Mapping[str, str]) -> dict[str, tuple[Array, Array]]:
     """Return times since the first message, and rows of each topic, by role; see `Log.from_bag`."""
     file = location("path", path)
-    if (
-        not isinstance(topics, Mapping)
-        or "u" not in topics
-        or not {"q", "twist", "wheel_rates"} & set(topics)
-    ):
+    sensors = {"q", "twist", "wheel_rates", "joints"}
+    if not isinstance(topics, Mapping) or "u" not in topics or not sensors & set(topics):
         raise InvalidArgument(
-            f"topics is {shown(topics)}, expected topics of u and of q, twist or wheel_rates, such as "
-            "{'q': '/odom', 'u': '/wrench'}"
+            f"topics is {shown(topics)}, expected topics of u and of q, twist, wheel_rates or joints, "
+            "such as {'q': '/odom', 'u': '/wrench'}"
         )
     for role in topics:
         one_of("part of a log", role, _RULES)
@@ -324,4 +323,5 @@ _RULES: dict[str, dict[str, Row]] = {
         **{"TwistStamped": _of("twist.", *_TWIST), "Twist": _of("", *_TWIST)},
     },
     "wheel_rates": {"JointState": attrgetter("velocity"), **_ARRAYS},
+    "joints": {"JointState": attrgetter("position"), **_ARRAYS},
 }

@@ -436,8 +436,10 @@ class Log:
         *,
         twist: ArrayLike | None = None,
         wheel_rates: ArrayLike | None = None,
+        joints: ArrayLike | None = None,
         t_twist: ArrayLike | None = None,
         t_wheel_rates: ArrayLike | None = None,
+        t_joints: ArrayLike | None = None,
         one_clock: bool = True,
         units: Sequence[str] = (),
     ) -> Self:
@@ -457,9 +459,9 @@ class Log:
             Times of the inputs [s].
         u : array_like, shape (M, nu)
             Inputs, see the class.
-        twist, wheel_rates : array_like, shape (N, ...), optional
-            Twist and encoder rates, see the class.
-        t_twist, t_wheel_rates : array_like, shape (N,), optional
+        twist, wheel_rates, joints : array_like, shape (N, ...), optional
+            Twist, encoder rates and joint positions, see the class.
+        t_twist, t_wheel_rates, t_joints : array_like, shape (N,), optional
             Their times [s]; default: `t_q`.
         one_clock : bool
             Whether all times are of one clock. If not, the offset and the rate of the clock of the inputs are
@@ -473,8 +475,9 @@ class Log:
             If the class rejects the data, or the times overlap by less than half, as those of two clocks.
         """
         streams: dict[str, tuple[Array, Array]] = {}
-        times: dict[str, Any] = {"q": t_q, "twist": t_twist, "wheel_rates": t_wheel_rates, "u": t_u}
-        given: Any = {"q": q, "twist": twist, "wheel_rates": wheel_rates, "u": u}
+        times: dict[str, Any] = {"q": t_q, "twist": t_twist, "wheel_rates": t_wheel_rates}
+        times |= {"joints": t_joints, "u": t_u}
+        given: Any = {"q": q, "twist": twist, "wheel_rates": wheel_rates, "joints": joints, "u": u}
         for name, x in given.items():
             if x is not None or name == "u":
                 own = "q" if times[name] is None else name
@@ -489,7 +492,8 @@ class Log:
                 streams[name] = t, x
         held, inputs = streams.pop("u")
         if not streams:
-            raise InvalidArgument("q, twist and wheel_rates are None, expected at least one: measured motion")
+            what = "q, twist, wheel_rates and joints are None"
+            raise InvalidArgument(f"{what}, expected at least one: measured motion")
         t = min((time for time, _ in streams.values()), key=step)
         offset, rate = 0.0, 1.0
         if not one_clock:
@@ -583,7 +587,8 @@ class Log:
           ``qz``, ``qw``;
         - inputs: names that begin with ``u_``, or ``Fx``, ``Fy``, ``Mz``;
         - twist: names that begin with ``twist_``;
-        - wheel rates: names that begin with ``rate_``.
+        - wheel rates: names that begin with ``rate_``;
+        - joint positions: names that begin with ``joint_``.
 
         Units such as ``[deg]``, ``[mm]`` and ``[ms]`` are converted to SI. Cells are separated by commas,
         semicolons, tabs or blanks. If the separator is not a comma, numbers may have decimal commas. Lines
@@ -594,8 +599,8 @@ class Log:
         path : str or path-like
             File to read.
         columns : mapping of str to str or sequence of str, optional
-            Names of the columns for ``t``, ``q``, ``u``, ``twist`` and ``wheel_rates``, where they differ
-            from the above. Six columns of ``q`` are x, y and a quaternion (x, y, z, w).
+            Names of the columns for ``t``, ``q``, ``u``, ``twist``, ``wheel_rates`` and ``joints``, where
+            they differ from the above. Six columns of ``q`` are x, y and a quaternion (x, y, z, w).
 
         Raises
         ------
@@ -621,9 +626,9 @@ class Log:
         path : str or path-like
             File ``.bag`` or ``.mcap``, or folder of a ROS 2 bag.
         topics : mapping of str to str, optional
-            Topics of ``u`` and of ``q`` or ``twist``, and optionally of ``wheel_rates``. Poses come from
+            Topics of ``u`` and of ``q``, ``twist``, ``wheel_rates`` or ``joints``. Poses come from
             odometry, pose and transform messages. Inputs come from wrenches, twists (forward, yaw rate),
-            joint efforts and arrays of numbers.
+            joint efforts and arrays of numbers. Joint positions come from joint states and arrays.
 
         Raises
         ------
