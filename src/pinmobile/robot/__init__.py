@@ -20,11 +20,12 @@ from pinmobile.robot.linkage import (
     exact as exact,
     factored as factored,
     joints_of as joints_of,
+    matrix_of as matrix_of,
     number as number,
     scalar_of as scalar_of,
     scalars as scalars,
     sine_and_cosine as sine_and_cosine,
-    solved as solved,
+    symmetric as symmetric,
     transposed as transposed,
     vector_of as vector_of,
 )
@@ -44,6 +45,7 @@ from pinmobile.robot.support_geometry import (
     checked_footprint as checked_footprint,
     hull as hull,
     margin_inside as margin_inside,
+    margin_of_wrench as margin_of_wrench,
     pressed_at as pressed_at,
 )
 from pinmobile.robot.system import Linearization, System

@@ -26,6 +26,7 @@ from pinmobile.errors import InvalidArgument, NotTraceable
 from pinmobile.metrics import Metric
 from pinmobile.parts import is_symbolic
 from pinmobile.robot.linkage import (
+    ONE,
     ZERO,
     Body,
     Linkage,
@@ -66,10 +67,11 @@ def slopes(function: Callable[..., Any], directions: Array, *given: Array) -> Ar
     directions : ndarray, shape (k, n)
         Directions of the steps.
     *given : ndarray, shape (..., size)
-        Points at which to take the derivatives, with the same leading shape.
+        Points at which to take the derivatives; leading axes broadcast.
     """
-    lead = given[0].shape[:-1]
-    flat = [x.reshape(-1, 1, x.shape[-1]) for x in given]
+    lead = np.broadcast_shapes(*(np.shape(x)[:-1] for x in given))
+    points = (np.broadcast_to(np.asarray(x, np.float64), (*lead, np.shape(x)[-1])) for x in given)
+    flat = [x.reshape(-1, 1, x.shape[-1]) for x in points]
     found = [
         function(1j * _STEP * directions, *(x[i : i + _SAMPLES] for x in flat)).imag / _STEP
         for i in range(0, len(flat[0]), _SAMPLES)
@@ -107,15 +109,13 @@ class _Coordinates(Protocol):
     def linearize_tracked(self, q: Array, v: Array, u: Array) -> tuple[Array, Array]:
         """Return A, shape (..., 2 nv, 2 nv), and B, (..., 2 nv, nv), see `MobileRobot.linearize`."""
         n, body = self.nv, cast(Any, self)
-        q, v, u = (np.asarray(x, np.float64) for x in (q, v, u))
-        lead = np.broadcast_shapes(q.shape[:-1], v.shape[:-1], u.shape[:-1])
-        q, v, u = (np.broadcast_to(x, (*lead, x.shape[-1])) for x in (q, v, u))
 
         def accelerations(step: Array, q: Array, v: Array, u: Array) -> Any:
             return body.forward_dynamics(q + step[..., :n], v + step[..., n : 2 * n], u + step[..., 2 * n :])
 
         # The dynamics do not depend on x and y.
         found = slopes(accelerations, np.eye(3 * n)[2:], q, v, u)
+        lead = found.shape[:-2]
         A, B = np.zeros((*lead, 2 * n, 2 * n)), np.zeros((*lead, 2 * n, n))
         A[..., :n, n:] = np.eye(n)
         A[..., n:, 2:] = found[..., : 2 * n - 2]
@@ -504,14 +504,14 @@ class ArticulatedDynamics(_Coordinates):
     def regressor(self, q: Array, v: Array, a: Array) -> Array:
         """Return Y(q, v, a), shape (..., nv, 10 bodies), for the base's body and each later joint's body."""
         found = self._moving(q, v).regressor(self._axes, _BASE - 1, scalars(a))
-        return matrix_of([vector_of(row, q) for row in found])
+        return matrix_of(found, q)
 
     def mass_matrix(self, q: Array) -> Array:
         """Return M(q), shape (..., nv, nv)."""
         M = self._posture(q).mass_matrix(self._bodies)
         for i, motor in enumerate(self._motors):
             M[i][i] = M[i][i] + motor
-        return matrix_of([vector_of(row, q) for row in M])
+        return matrix_of(M, q)
 
     def ground_wrench(self, q: Array, v: Array, a: Array) -> Array:
         """Return the ground's wrench on the robot, shape (..., 6): force and moment in the body frame B."""
@@ -559,14 +559,14 @@ class ArticulatedDynamics(_Coordinates):
         """Return T_0_f, the pose of a frame, shape (..., 4, 4)."""
         fixed = self._frame(frame)
         R, p = self._posture(q).placed(fixed.joint, self._placed(*fixed[2:]))
-        last = np.array([0.0, 0.0, 0.0, 1.0])
-        return matrix_of([*(vector_of([*row, x], q) for row, x in zip(R, p, strict=True)), last])
+        rows = [[*row, x] for row, x in zip(R, p, strict=True)]
+        return matrix_of([*rows, [ZERO, ZERO, ZERO, ONE]], q)
 
     def frame_jacobian(self, q: Array, frame: str | None = None) -> Array:
         """Return J, shape (..., 6, nv), of the frame's origin and orientation, along the inertial axes."""
         fixed = self._frame(frame)
         J = self._posture(q).jacobian(fixed.joint, self._placed(*fixed[2:]).p)
-        return matrix_of([vector_of(row, q) for row in J])
+        return matrix_of(J, q)
 
     def manipulability(self, q: Array, frame: str | None = None, *, arm: str = "") -> Array:
         """Return sqrt(det J J'), shape (...), for all coordinates, or only for those of an arm."""

@@ -359,7 +359,9 @@ def turned(R: Matrix, J: Matrix) -> Matrix:
 
 
 def factored(M: Matrix, order: Sequence[int] = ()) -> tuple[Callable[[Vector], Vector], Matrix]:
-    """Return the solver of M x = right for a symmetric M, and the partly eliminated matrix; zeros stay.
+    """Return the solver of M x = right for a symmetric M, by L D L', and the partly eliminated matrix.
+
+    Zeros stay.
 
     Parameters
     ----------
@@ -396,11 +398,6 @@ def factored(M: Matrix, order: Sequence[int] = ()) -> tuple[Callable[[Vector], V
         return x
 
     return solve, left
-
-
-def solved(M: Matrix, right: Vector, order: Sequence[int]) -> Vector:
-    """Return the solution of M x = right by L D L', with unknowns eliminated in a given order; zeros stay."""
-    return factored(M, order)[0](right)
 
 
 def volume(rows: Matrix) -> Any:
@@ -443,9 +440,9 @@ def scalar_of(value: Any, q: Array) -> Array:
     return vector_of([value], q)[..., 0]
 
 
-def matrix_of(given: Sequence[Array]) -> Array:
-    """Return arrays as the rows of matrices."""
-    return np.stack(np.broadcast_arrays(*given), axis=-2)
+def matrix_of(rows: Matrix, q: Array) -> Array:
+    """Return rows of scalars at configurations q as matrices."""
+    return np.stack(np.broadcast_arrays(*(vector_of(row, q) for row in rows)), axis=-2)
 
 
 _ROUNDING = 1e-15  # rounding of a product of rotations [m, for rotated positions]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from math import prod
 from pathlib import Path
 from typing import Any, NamedTuple
 from xml.etree.ElementTree import Element
@@ -16,6 +17,7 @@ from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE, DHRow, DHTable, JointType, 
 from pinmobile.errors import InvalidArgument
 from pinmobile.robot.linkage import Joint, carries_only_wheels, children, joints_of, turns_freely
 from pinmobile.robot.support_geometry import (
+    ALONG,
     Stance,
     WheelJoint,
     hull,
@@ -30,8 +32,6 @@ from pinmobile.robot.urdf_checks import inertia_of, judge_links, urdf_model
 from pinmobile.robot.visuals import VisualFile
 from pinmobile.urdf import Body
 
-_ALONG = 0.995
-"""Smallest cosine of equal directions: files have angles such as 1.57."""
 _SIZES = {"box": 3, "cylinder": 2, "capsule": 2, "sphere": 1, "mesh": 3}
 TOUCH = 0.005
 """Largest distance from the ground, or from a plane, that counts as contact [m]."""
@@ -82,13 +82,13 @@ class Shape(NamedTuple):
 
     def radius_about(self, axis: Array) -> float | None:
         """Return the radius about an axis in the shape's frame; None for a shape that is not round [m]."""
-        is_round = self.kind == "sphere" or (self.kind == "cylinder" and abs(axis[2]) > _ALONG)
+        is_round = self.kind == "sphere" or (self.kind == "cylinder" and abs(axis[2]) > ALONG)
         return self.sizes[0] if is_round else None
 
     def corners_below(self, pose: pin.SE3) -> Array | None:
         """Return the corners of the lower face of a box that lies flat at a pose, shape (4, 2) [m]."""
         steep = np.abs(pose.rotation[2])
-        if self.kind != "box" or steep.max() < _ALONG:
+        if self.kind != "box" or steep.max() < ALONG:
             return None
         edges = pose.rotation * np.array(self.sizes) / 2  # (3, 3), a column for each
         a, b = np.delete(edges[:2], int(steep.argmax()), axis=1).T
@@ -98,8 +98,6 @@ class Shape(NamedTuple):
         """Return the height of the highest point at a pose; None for an unreadable mesh [m]."""
         if not self.mesh:
             return float(pose.translation[2]) + self.reach(pose.rotation)
-        import coal
-
         path = file.found(self.mesh)
         try:
             vertices = coal.MeshLoader().load(str(path), np.array(self.sizes)).vertices()
@@ -591,14 +589,8 @@ def _only_body(root: Element, model: pin.Model) -> tuple[int, Body] | None:
 
 def _largest_box(root: Element) -> tuple[float, float, float] | None:
     """Return the size of the largest box in the file's visual geometry, if there is one."""
-    sizes: list[tuple[float, float, float]] = []
-    for box in root.iterfind("./link/visual/geometry/box"):
-        try:
-            x, y, z = (float(word) for word in box.get("size", "").split())
-        except ValueError:
-            continue
-        sizes.append((x, y, z))
-    return max(sizes, key=lambda size: size[0] * size[1] * size[2], default=None)
+    words = (box.get("size", "").split() for box in root.iterfind("./link/visual/geometry/box"))
+    return max((triple(map(float, sides)) for sides in words if sides), key=prod, default=None)
 
 
 def _box_of_inertia(body: Body) -> tuple[float, float, float]:

@@ -22,10 +22,10 @@ from pinmobile.robot.linkage import (
     cross,
     dot,
     exact,
+    factored,
     plus,
     scaled,
     sine_and_cosine,
-    solved,
     symmetric,
     transposed,
     turned,
@@ -234,7 +234,7 @@ class LinkageDynamics(LinkageKinematics):
         for i, rotor in enumerate(rotors):
             M[i][i] = M[i][i] + rotor
         right = [effort - own for effort, own in zip(efforts, still, strict=True)]
-        return solved(M, right, range(n - 1, -1, -1))
+        return factored(M)[0](right)
 
     def regressor(self, axes: Sequence[Matrix], first: int, a: Vector) -> list[Vector]:
         """Return the regressor for the ten parameters of each body, beginning with joint `first`.

@@ -120,6 +120,20 @@ def pressed_at(wrench: Array, carried: NDArray[np.bool_]) -> Array:
     return np.stack([-wrench[..., 4] / vertical, wrench[..., 3] / vertical], axis=-1)
 
 
+def margin_of_wrench(corners: Array, wrench: Array, weight: Any) -> Array:
+    """Return the margin of the zero-moment point, shape (...) [m]; -inf if the ground carries no weight.
+
+    Parameters
+    ----------
+    corners, wrench
+        As in `margin_inside` and `pressed_at`.
+    weight : scalar or ndarray, shape (...)
+        Weight of the robot [N].
+    """
+    carried = wrench[..., 2] > WEIGHTLESS * weight
+    return np.where(carried, margin_inside(corners, pressed_at(wrench, carried)), -np.inf)
+
+
 def _kept_footprint(name: str, footprint: ArrayLike | None) -> Array | None:
     return None if footprint is None else frozen(checked_footprint(footprint))
 
@@ -299,9 +313,7 @@ class ArmMetrics:
             found.append(np.max(shares, axis=-1))
         if self.footprint is not None:
             wrench = robot.ground_wrench(q, v, a)
-            carried = wrench[..., 2] > WEIGHTLESS * robot.weight
-            margin = margin_inside(self.footprint, pressed_at(wrench, carried))
-            found.append(np.where(carried, margin, -np.inf))
+            found.append(margin_of_wrench(self.footprint, wrench, robot.weight))
         return np.stack(np.broadcast_arrays(*found), axis=-1)
 
 
@@ -322,8 +334,7 @@ def _apart(one: Array, other: Array) -> tuple[Array, Array]:
 
 
 _TRAIL = 1e-3  # [m]: smallest trail of a wheel
-_ALONG = 0.995
-"""Smallest cosine of equal directions: files have angles such as 1.57."""
+ALONG = 0.995  # smallest cosine of equal directions: files have angles such as 1.57
 
 Triple = tuple[float, float, float]
 
@@ -529,7 +540,7 @@ def undercarriage_of(
     for wheel in wheels:
         swivels, joint = [], int(model.parents[wheel.joint])
         while joint > root:
-            if model.nvs[joint] == 1 and abs(joint_axis(model, data, base, joint)[2]) > _ALONG:
+            if model.nvs[joint] == 1 and abs(joint_axis(model, data, base, joint)[2]) > ALONG:
                 swivels.append(_swivel(model, data, base, joint))
             joint = int(model.parents[joint])
         hub = (base.inverse() * data.oMi[wheel.joint]).translation

@@ -269,8 +269,6 @@ class Impulses(NamedTuple):
         Along and across each wheel [N s], then the angular ones that hold wheels' coordinates [N m s].
     multipliers : list of scalars, shape (wheels,)
         Multipliers of the friction discs, zero for sticking wheels.
-    rounds : scalar
-        Number of iterations.
     missed : scalar
         1 if the iterations did not converge, else 0.
     """
@@ -278,7 +276,6 @@ class Impulses(NamedTuple):
     velocity: Vector
     impulses: Vector
     multipliers: Vector
-    rounds: Any = 0.0
     missed: Any = 0.0
 
 
@@ -314,7 +311,7 @@ def impulses(
 
     plain = min(ground.sweeps, _SOON)
 
-    def one(v: Vector, p: Vector, held: Vector, shifts: Vector, rounds: Any, _: Any) -> tuple[Any, Any]:
+    def one(v: Vector, p: Vector, held: Vector, shifts: Vector, _: Any) -> tuple[Any, Any]:
         before, p, held, shifts = p, list(p), list(held), list(shifts)
         for k, (touch, bound) in enumerate(zip(touches, bounds, strict=True)):
             at = spins.index(touch.spin) if touch.held else 0
@@ -327,9 +324,9 @@ def impulses(
         for x, y in zip(p, before, strict=True):
             change = higher(abs(x - y), change)
         done = change <= enough
-        return (v, p, held, shifts, rounds + 1.0, choose(done, 0.0, 1.0)), done
+        return (v, p, held, shifts, choose(done, 0.0, 1.0)), done
 
-    first = velocity, begun[:m], begun[m:], list(before.multipliers), 0.0, 1.0
+    first = velocity, begun[:m], begun[m:], list(before.multipliers), 1.0
     velocity, p, held, *rest = iterated(one, first, plain)
     start = Impulses(velocity, [*p, *held], *rest)
     if ground.sweeps > plain:
@@ -487,7 +484,7 @@ def found_by_newton(
     )
 
     def one(v: Vector, way: Vector, p: Vector, search: Vector, *_: Any) -> tuple[Any, Any]:
-        slope, share, low, high, rounded, sure, count = search
+        slope, share, low, high, rounded, sure = search
         at = [x + share * y for x, y in zip(v, way, strict=True)]
         H = [list(row) for row in M]
         change = [x - y for x, y in zip(at, free, strict=True)]
@@ -526,16 +523,15 @@ def found_by_newton(
             choose(goes, 1.0, high),
             choose(moves, smaller, rounded),
             choose(moves, choose(known, 1.0, 0.0), sure),
-            count + 1.0,
         ]
         way = [choose(moves, 0.0, choose(goes, x, y)) for x, y in zip(next_way, way, strict=True)]
         v = [choose(goes, x, y) for x, y in zip(at, v, strict=True)]
         return (v, way, impulses, search, velocity, multipliers, choose(done, 0.0, 1.0)), done
 
-    search, own = [0.0] * 4 + [_ROUNDED, 0.0, start.rounds], [start.multipliers[k] for k in discs]
+    search, own = [0.0] * 4 + [_ROUNDED, 0.0], [start.multipliers[k] for k in discs]
     first = start.velocity, [0.0] * n, start.impulses, search, start.velocity, own, start.missed
-    _, _, pushed, search, velocity, own, missed = iterated(one, first, most, start.missed < 0.5)
+    _, _, pushed, _, velocity, own, missed = iterated(one, first, most, start.missed < 0.5)
     multipliers = list(start.multipliers)
     for k, x in zip(discs, own, strict=True):
         multipliers[k] = x
-    return Impulses(velocity, pushed, multipliers, search[-1], missed)
+    return Impulses(velocity, pushed, multipliers, missed)

@@ -25,10 +25,11 @@ from pinmobile.robot import (
     cross,
     dot,
     exact,
+    factored,
+    matrix_of,
     number,
     scalars,
     sine_and_cosine,
-    solved,
     transposed,
     vector_of as stacked,
 )
@@ -36,7 +37,7 @@ from pinmobile.wheels._kinematics import Kinematics, NullSpaceBasis, Row, RowSel
 from pinmobile.wheels._loads import evaluate_metrics, metrics_on_wheels
 from pinmobile.wheels._motors import ExternalForceFunction, constant_force
 from pinmobile.wheels._table import Axis, column
-from pinmobile.wheels._velocities import Reduced, followed, linearized, matrix
+from pinmobile.wheels._velocities import Reduced, followed, linearized
 
 _BASE = 3
 _SIZES = "nq", "nv", "nu", "of_body", "joints", "reference_sizes", "coordinates", "inputs"
@@ -289,7 +290,7 @@ class WheeledDynamics:
         """Return M(q), shape (..., nv, nv), rotors included."""
         state = self.state(q, stacked([ZERO] * self.nv, q))
         half = transposed([state.outward(row) for row in self.inertia(state, q)])
-        return matrix(transposed([state.outward(row) for row in half]), q)
+        return matrix_of(transposed([state.outward(row) for row in half]), q)
 
     def nonlinear_effects(self, q: Any, v: Any) -> Any:
         """Return n(q, v), shape (..., nv)."""
@@ -312,7 +313,7 @@ class WheeledDynamics:
         state = self.state(q, v)
         rows = self.rows(state)
         A = [state.outward([*row.base, *[ZERO] * self.na, *row.joints]) for row in rows]
-        return matrix(A, q), stacked([row.drift for row in rows], q)
+        return matrix_of(A, q), stacked([row.drift for row in rows], q)
 
     def integrate(self, q: Any, dq: Any) -> Any:
         """Return the configuration after a displacement."""
@@ -402,8 +403,8 @@ class WheeledDynamics:
 
     def _turned(self, row: Row, state: State) -> Vector:
         """Return the rate of a lateral row's coefficients due to the steering of its wheel."""
-        k = next((k for wheel, k in self._steered if wheel == row.wheel), None)
-        if k is None:
+        k = self.kinematics.axis_of[row.wheel]
+        if k < 0:
             return [ZERO] * 3
         turn = self.kinematics.heading(row.wheel, state.steering).first * state.rates[k]
         x, y = self.kinematics.x[row.wheel], self.kinematics.y[row.wheel]
@@ -427,9 +428,9 @@ class WheeledDynamics:
         B = self.input_columns(state, columns)
         public = [self.in_plane(state, column, q) for column in columns]
         return Reduced(
-            matrix([[dot(a, b) for b in pushed] for a in columns], q),
+            matrix_of([[dot(a, b) for b in pushed] for a in columns], q),
             stacked([dot(column, rest) for column in columns], q),
-            matrix(B, q) if self.nu else np.zeros((*np.shape(q)[:-1], len(columns), 0)),
+            matrix_of(B, q) if self.nu else np.zeros((*np.shape(q)[:-1], len(columns), 0)),
             np.stack(np.broadcast_arrays(*public), axis=-1),
             stacked(self.velocities(state), q),
         )
@@ -465,7 +466,7 @@ class WheeledDynamics:
         right = [dot(column, force) for column in columns]
         B = self.input_columns(state, columns)
         square = [[dot(x, y) for y in B] for x in B]
-        found = solved(square, right, list(range(len(right))))
+        found = factored(square, range(len(right)))[0](right)
         return [dot(column, found) for column in zip(*B, strict=True)]
 
     def allocate_scaled(self, q: Any, tau: Any) -> tuple[Any, Any]:
@@ -511,7 +512,7 @@ class WheeledDynamics:
             rows.append(
                 [x[at], y[at] if axis.ackermann is None else ZERO, exact(self.table.wheels[at].angle)]
             )
-        return matrix(rows, self.x)
+        return matrix_of(rows, self.x)
 
     def start(self, reference: Any) -> tuple[Array, Array]:
         """Return the state at the start of a reference, see `WheeledRobot.start`."""

@@ -23,9 +23,9 @@ from pinmobile.robot import (
     cross,
     dot,
     exact,
+    factored,
     number,
     sine_and_cosine,
-    solved as solved_by,
 )
 
 
@@ -112,7 +112,7 @@ class Kinematics:
         return len(self.table.axes) + len(self.table)
 
     @cached_property
-    def _axis_of(self) -> list[int]:
+    def axis_of(self) -> list[int]:
         """Steering coordinate of each wheel; -1: none."""
         found = [-1] * len(self.table)
         for k, axis in enumerate(self.table.axes):
@@ -122,7 +122,7 @@ class Kinematics:
 
     def heading(self, row: int, steering: Sequence[Any]) -> Heading:
         """Return the rolling direction of a wheel."""
-        wheel, k = self.table.wheels[row], self._axis_of[row]
+        wheel, k = self.table.wheels[row], self.axis_of[row]
         if k < 0:
             s, c = sine_and_cosine(exact(wheel.angle))
             return Heading(c, s, ZERO, ZERO)
@@ -163,7 +163,7 @@ class Kinematics:
         self, row: int, steering: Sequence[Any], twist: Sequence[Any], rates: Sequence[Any], across: bool
     ) -> list[Row]:
         """Return the rows of a wheel."""
-        wheel, k, head = self.table.wheels[row], self._axis_of[row], self.heading(row, steering)
+        wheel, k, head = self.table.wheels[row], self.axis_of[row], self.heading(row, steering)
         o, p = self.centre(row, steering)
         turn = head.first * rates[k] if k >= 0 else ZERO  # rate of the wheel about its pivot
         vx, vy, w = twist
@@ -224,7 +224,7 @@ class Kinematics:
         columns = [[row.base[k] for row in rows] for k in range(3)]
         known = [-dot(row.joints, joints) for row in rows]
         square = [[dot(a, b) for b in columns] for a in columns]
-        return solved_by(square, [dot(column, known) for column in columns], [2, 1, 0])
+        return factored(square)[0]([dot(column, known) for column in columns])
 
 
 class RowSelection(NamedTuple):

@@ -19,18 +19,17 @@ from pinmobile.metrics import Metric
 from pinmobile.plant import ContactLoads, Contacts, SlipMargins, TorqueMargins
 from pinmobile.robot import (
     ONE,
-    WEIGHTLESS,
     ZERO,
     Matrix,
     Vector,
     cross,
     dot,
     exact,
-    margin_inside,
+    margin_of_wrench,
     number,
-    pressed_at,
     scalars,
     sine_and_cosine,
+    symmetric,
     vector_of as stacked,
 )
 from pinmobile.wheels._contact import iterated
@@ -140,11 +139,8 @@ def _of_springs(
     )
     if soft is not None:
         b, c = b + soft, c + soft
-    minors = [
-        [b * c - f * f, e * f - d * c, d * f - e * b],
-        [e * f - d * c, a * c - e * e, d * e - a * f],
-        [d * f - e * b, d * e - a * f, a * b - d * d],
-    ]
+    own = b * c - f * f, a * c - e * e, a * b - d * d
+    minors = symmetric([*own, e * f - d * c, d * f - e * b, d * e - a * f])
     area = number(dot([a, d, e], minors[0]))
     share = 1.0 / choose(area > flat, area, 1.0)
     bent = [dot(row, wrench) * share for row in minors]
@@ -177,18 +173,17 @@ def ground_reaction(body: Any, state: Any, felt: Vector, q: Any) -> Vector:
     w = state.twist[2]
     fz, mx, my = _carried(body, state, felt, q)
     first = body.of_body
-    rates = [*state.rates]
+    rates, axis_of = state.rates, body.kinematics.axis_of
     for row, spin in enumerate(scalars(body.spin_inertia)):
-        head, k = body.kinematics.heading(row, state.steering), len(body.table.axes) + row
-        steered = [axis for at, axis in body._steered if at == row]
-        turn = w + head.first * rates[steered[0]] if steered else w
+        head, k, axis = body.kinematics.heading(row, state.steering), len(body.table.axes) + row, axis_of[row]
+        turn = w + head.first * rates[axis] if axis >= 0 else w
         faster, slower = spin * felt[first + k], spin * rates[k] * turn
         mx = mx - head.s * faster - head.c * slower
         my = my + head.c * faster - head.s * slower
         wheel = body.table.wheels[row]
-        if steered and wheel.mass and any(wheel.trail):  # its centre moves about the pivot
+        if axis >= 0 and wheel.mass and any(wheel.trail):  # its centre moves about the pivot
             (o, p), (o0, p0) = body._centres(row, state)
-            weight, axis = -wheel.mass * float(body.fall[2]), steered[0]
+            weight = -wheel.mass * float(body.fall[2])
             mx, my = mx + weight * (p[1] - p0[1]), my - weight * (p[0] - p0[0])
             turning = felt[2] + head.first * felt[first + axis] + head.second * rates[axis] * rates[axis]
             swing = wheel.mass * scalars(body.radius)[row]
@@ -262,15 +257,14 @@ def groups_of(body: Any) -> tuple[AxleGroup, ...]:
 
 def _axle(body: Any, rows: Sequence[Any], row: Any) -> int:
     """Return the number of the body's row on whose axle the wheel of a lateral row is."""
-    held, axes = body.choice.body, body.table.axes
+    held, axis_of = [rows[i].wheel for i in body.choice.body], body.kinematics.axis_of
     if len(held) == 1:
         return 0
-    if row.wheel in (rows[i].wheel for i in held):
-        return [rows[i].wheel for i in held].index(row.wheel)
+    if row.wheel in held:
+        return held.index(row.wheel)
     if body.choice.is_fixed:
-        return int(any(row.wheel in axis.wheels for axis in axes))
-    own = next(axis.wheels for axis in axes if row.wheel in axis.wheels)
-    return int(rows[held[0]].wheel not in own)
+        return int(axis_of[row.wheel] >= 0)
+    return int(axis_of[row.wheel] != axis_of[held[0]])
 
 
 def margin(body: Any, state: Any, felt: Vector, u: Any, carried: Vector, q: Any) -> Matrix:
@@ -332,8 +326,8 @@ def _axles(body: Any, state: Any, rows: Sequence[Any]) -> list[Vector]:
     """Return the direction of each axle's lateral force as coefficients of the body twist."""
     found = []
     for i in body.choice.body:
-        axis = next((k for k, axis in enumerate(body.table.axes) if rows[i].wheel in axis.wheels), None)
-        if axis is None or body.table.axes[axis].ackermann is None:
+        axis = body.kinematics.axis_of[rows[i].wheel]
+        if axis < 0 or body.table.axes[axis].ackermann is None:
             found.append(rows[i].base)
             continue
         s, c = sine_and_cosine(state.steering[axis])
@@ -438,9 +432,7 @@ def _of_ground(body: Any, state: Any, a: Any, u: Any, q: Any) -> Vector:
     corners = footprint_of(body)
     if corners is not None:
         wrench = stacked([ZERO, ZERO, fz, mx, my, ZERO], q)
-        carried = wrench[..., 2] > WEIGHTLESS * body.weight
-        inside = margin_inside(corners, pressed_at(wrench, carried))
-        found += scalars(np.where(carried, inside, -np.inf)[..., None])
+        found += scalars(margin_of_wrench(corners, wrench, body.weight)[..., None])
     places = places_of(body, state.steering)
     shared = shared_loads(places, fz, mx, my)
     found += [reduce(lower, shared.springs), shared.tips]
@@ -451,14 +443,12 @@ def _of_ground(body: Any, state: Any, a: Any, u: Any, q: Any) -> Vector:
 
 def _slip(body: Any, state: Any) -> Any:
     """Return the largest slip velocity of a wheel; a wheel with rollers slips along their axes."""
-    slips: dict[int, Vector] = {}
+    squares: dict[int, Any] = {}
     for row in body.rows(state):
         if row.wheel >= 0:
-            slips.setdefault(row.wheel, []).append(row.slip(state))
-    most: Any = 0.0
-    for slip in slips.values():
-        most = higher(sum((x * x for x in slip[1:]), slip[0] * slip[0]), most)
-    return square_root(most)
+            slip = row.slip(state)
+            squares[row.wheel] = squares.get(row.wheel, ZERO) + slip * slip
+    return square_root(reduce(higher, squares.values()))
 
 
 class Forces(NamedTuple):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from math import cos, pi, sin
@@ -14,7 +14,7 @@ from pinmobile.arrays import Array, bounded, frozen, scalar
 from pinmobile.compiled import choose
 from pinmobile.errors import InvalidArgument
 from pinmobile.parts import by_value, child, number as declared, part
-from pinmobile.robot import ZERO, Matrix, Vector, applied, dot, number, solved, transposed
+from pinmobile.robot import ZERO, Matrix, Vector, applied, dot, factored, number, transposed
 from pinmobile.wheels._dynamics import State, WheeledDynamics, through
 from pinmobile.wheels._loads import AxleGroup, groups_of
 
@@ -199,12 +199,12 @@ class RollingDynamics(WheeledDynamics):
         effects = self.effects(state, q)
         felt = self.proper_acceleration(state, gamma)
         rest = [t - n - dot(row, felt) for t, n, row in zip(force, effects, M, strict=True)]
-        pushed, first = through(M, S), self.of_body
-        rates = _reduced(pushed, S, applied(transposed(S), rest))
+        solve, first = _solver(through(M, S), S), self.of_body
+        rates = solve(applied(transposed(S), rest))
         for k, limit in self.stops:
             outward = stop_of(state.steering[k], limit, state.rates[k])
             more = dot(S[first + k], rates) + gamma[first + k]
-            rates = stopped(rates, outward, more, S[first + k], _reduced(pushed, S, S[first + k]))
+            rates = stopped(rates, outward, more, S[first + k], solve(S[first + k]))
         return self.in_plane(state, [dot(row, rates) + g for row, g in zip(S, gamma, strict=True)], q)
 
     def constraint_forces(self, q: Array, v: Array, u: Array, f: Any = 0.0) -> Array:
@@ -227,13 +227,12 @@ class RollingDynamics(WheeledDynamics):
         # Many robots start at rest, where the mass matrix is not needed.
         if not all(x is ZERO or (isinstance(x, float | np.ndarray) and not np.any(x)) for x in off):
             pushed = through(self.inertia(state, q), S)
-            more = _reduced(pushed, S, applied(pushed, off))
+            more = _solver(pushed, S)(applied(pushed, off))
             rates = [x + y for x, y in zip(rates, more, strict=True)]
         for k, limit in self.stops:
-            row, pushed = S[self.of_body + k], through(self.inertia(state, q), S)
-            rates = stopped(
-                rates, stop_of(state.steering[k], limit), dot(row, rates), row, _reduced(pushed, S, row)
-            )
+            row, outward = S[self.of_body + k], stop_of(state.steering[k], limit)
+            response = _solver(through(self.inertia(state, q), S), S)(row)
+            rates = stopped(rates, outward, dot(row, rates), row, response)
         return self.in_plane(state, [dot(row, rates) for row in S], q)
 
     def _off(self, state: State, S: Matrix, nu: Vector) -> Vector:
@@ -276,7 +275,6 @@ def stopped(values: Vector, outward: Any, more: Any, row: Vector, response: Vect
     return [number(x - y * size) for x, y in zip(values, response, strict=True)]
 
 
-def _reduced(through: Matrix, S: Matrix, right: Vector) -> Vector:
-    """Return the solution of S' M S x = right, given S' M."""
-    reduced = [applied(through, column) for column in transposed(S)]
-    return solved(reduced, right, list(reversed(range(len(right)))))
+def _solver(pushed: Matrix, S: Matrix) -> Callable[[Vector], Vector]:
+    """Return the solver of S' M S x = right, given S' M."""
+    return factored([applied(pushed, column) for column in transposed(S)])[0]

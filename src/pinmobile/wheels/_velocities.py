@@ -13,7 +13,7 @@ from pinmobile.controllers import Controller, State, answer_of, check_controller
 from pinmobile.errors import InvalidArgument
 from pinmobile.parts import child, integer, number as declared, part
 from pinmobile.plant import Context, Input
-from pinmobile.robot import Matrix, applied, number, scalars, slopes, vector_of as stacked
+from pinmobile.robot import applied, number, scalars, slopes, vector_of as stacked
 from pinmobile.signals import signals_of
 from pinmobile.wheels._kinematics import Kinematics
 from pinmobile.wheels._table import WheelTable
@@ -21,11 +21,6 @@ from pinmobile.wheels._table import WheelTable
 _BASE = 3
 _LEAST_NORM = 1e-6  # weight of the torques' norm relative to the residual, if limits are active
 _OFF = 1e-6  # tolerance of sliding relative to the largest rate, and of forces relative to the largest one
-
-
-def matrix(rows: Matrix, q: Any) -> Any:
-    """Return rows of scalars at configurations q as an array."""
-    return np.stack(np.broadcast_arrays(*(stacked(row, q) for row in rows)), axis=-2)
 
 
 class Reduced(NamedTuple):
@@ -204,7 +199,7 @@ def followed(body: Any, reference: Any, t: Array | None = None) -> ReferenceMoti
             spline = CubicSpline(t, q[:, n : n + ns])
             turning, faster = spline(t, 1), spline(t, 2)
     v[..., n : n + ns] = turning
-    nu = stacked(body.velocities(body.state(q, v)), q)
+    nu = body.independent(q, v)
     rolls = _rolling(body, q, nu)
     off = np.abs(rolls - v)[..., :n].max(axis=-1)
     if (off > _OFF * (1 + np.abs(v).max())).any():
@@ -253,12 +248,8 @@ def linearized(body: Any, q: Array, v: Array, u: Array) -> tuple[Array, Array]:
         Rolling state, and input.
     """
     check_steers_not(body)
-    n = body.of_body
-    q, v, u = (np.asarray(x, np.float64) for x in (q, v, u))
-    lead = np.broadcast_shapes(q.shape[:-1], v.shape[:-1], u.shape[:-1])
-    q, v, u = (np.broadcast_to(x, (*lead, x.shape[-1])) for x in (q, v, u))
-    nu = stacked(body.velocities(body.state(q, v)), q)
-    m = nu.shape[-1]
+    nu = body.independent(q, v)
+    n, m = body.of_body, nu.shape[-1]
 
     def rates(step: Array, q: Array, nu: Array, u: Array) -> Any:
         count = np.broadcast_shapes(step.shape[:-1], q.shape[:-1])
@@ -272,8 +263,8 @@ def linearized(body: Any, q: Array, v: Array, u: Array) -> tuple[Array, Array]:
         return np.concatenate([rolls[..., :n], gained], axis=-1)
 
     # Nothing depends on the position of the body.
-    found = slopes(rates, np.eye(n + m + u.shape[-1])[2:], q, nu, u)
-    A = np.zeros((*lead, n + m, n + m))
+    found = slopes(rates, np.eye(n + m + body.nu)[2:], q, nu, u)
+    A = np.zeros((*found.shape[:-2], n + m, n + m))
     A[..., 2:] = found[..., : n + m - 2]
     return A, np.ascontiguousarray(found[..., n + m - 2 :])
 
