@@ -543,8 +543,7 @@ class Linkage:
         for joint in joints:
             if not joint.single:
                 raise NotTraceable(
-                    f"joint {joint}, neither revolute nor prismatic",
-                    "use revolute and prismatic joints",
+                    f"joint {joint}, neither revolute nor prismatic", "use revolute and prismatic joints"
                 )
         axes = [np.eye(3), *(_to_z(axis_of(model, j)) for j in range(1, model.njoints))]
         places, parents = list(model.jointPlacements)[1:], list(model.parents)[1:]

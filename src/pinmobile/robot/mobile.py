@@ -517,8 +517,7 @@ class MobileRobot(System):
         given = sequence("bodies", bodies, "a Body for the third row and each row after it")
         if len(given) != len(whole) - BODY_JOINT + 1 or len(whole) < BODY_JOINT:
             raise InvalidArgument(
-                f"table has {len(whole)} rows and bodies {len(given)}, expected three rows or more, and a "
-                "body for the third row and each row after it"
+                f"table has {len(whole)} rows and bodies {len(given)}, expected n >= 3 rows and n - 2 bodies"
             )
         for k, one in enumerate(given):
             if isinstance(one, Mapping) and one.keys() != {"mass", "com", "inertia"}:

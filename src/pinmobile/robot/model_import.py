@@ -199,8 +199,7 @@ def ground_below(
             listed = ", ".join(f"{wheel} at z = {_rounded(z):.4g}" for wheel, z in lowest.items())
             raise InvalidArgument(
                 f"{name}: its wheels do not stand on one plane, with lowest points {listed} m, expected "
-                f"differences of at most {1e3 * TOUCH:g} mm: correct the file, or give ground=, the z of the "
-                "ground in the root link's frame [m]"
+                f"differences of at most {1e3 * TOUCH:g} mm, or ground=, its z in the root link's frame [m]"
             )
         return _rounded(sum(heights) / len(heights)), "below its wheels by their radii"
     for number, frame in enumerate(model.frames):
@@ -543,9 +542,8 @@ def _locked(model: pin.Model, root: int, name: str) -> list[int]:
     for joint, own in zip(above, joints_of(model, root + 1), strict=True):
         if model.parents[joint] == root and not carries_only_wheels(model, joint):
             raise InvalidArgument(
-                f"{name}: joint {own.name!r} (JointModel{own.kind}) is neither a wheel "
-                "(continuous, or without limits) nor a suspension or swivel that carries only wheels; "
-                "expected a bare base, or the chain prismatic y, prismatic x, revolute z with one body"
+                f"{name}: joint {own.name!r} (JointModel{own.kind}) is neither a wheel nor carries only "
+                "wheels; expected a bare base or the chain prismatic y, prismatic x, revolute z with body"
             )
     return list(above)
 

@@ -213,6 +213,5 @@ def _check_tree(root: Element, name: str) -> None:
             at = above[at]
         if at in seen:
             raise InvalidArgument(
-                f"{name}: link {at!r} is its own ancestor, by way of {above[at]!r}, expected a tree with one "
-                "root link"
+                f"{name}: link {at!r} is its own ancestor, by way of {above[at]!r}, expected a tree"
             )

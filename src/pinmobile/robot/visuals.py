@@ -402,8 +402,7 @@ def body_shapes(looks: VisualFile | None, source: str) -> Iterator[Solid]:
     """
     if looks is None:
         raise InvalidArgument(
-            f"robot has a body without collision shapes ({source}), expected one made from numbers, or from "
-            "a URDF whose links have <collision>"
+            f"robot has a body without collision shapes ({source}), expected numbers, or <collision>"
         )
     model, joints = looks.model()
     shapes = looks.shapes(model)
@@ -447,8 +446,7 @@ def carried_shapes(
         shapes, links = mount.arm.solids()
         if not shapes.ngeoms:
             raise InvalidArgument(
-                f"robot has an arm {mount.name!r} without collision shapes, expected one whose URDF has "
-                "links with <collision>, or mount(model, collision=geometry)"
+                f"robot has an arm {mount.name!r} without collision shapes, expected mount(collision=...)"
             )
         for item, link in zip(shapes.geometryObjects, links, strict=True):
             joint, placement = mount.joint_of(item)

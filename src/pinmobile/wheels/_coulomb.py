@@ -578,8 +578,7 @@ def gear_ratios(table: WheelTable) -> list[tuple[int, float]]:
         (a, of_a), (b, of_b) = found[first], found[row]
         if a == b and abs(of_b - times * of_a) > 1e-12 * abs(of_b):
             raise InvalidArgument(
-                f"couplings has gear trains that turn wheel {table.names[row]!r} at two rates, expected "
-                "consistent trains"
+                f"couplings turns wheel {table.names[row]!r} at two rates, expected consistent gear trains"
             )
         share = of_a * times / of_b  # followers of b now follow a; this is the ratio of b's rate and a's
         found = [(a, share * x) if leader == b != a else (leader, x) for leader, x in found]

@@ -372,8 +372,7 @@ class WheeledRobot(PlantOnWheels):
         """Raise `InvalidArgument` if its height is unknown, or all its contacts lie on one line."""
         if not self.grounded:
             raise InvalidArgument(
-                "robot has an unknown height of its body's origin above the ground, on which the loads of "
-                "its wheels depend; expected a robot read with ground=, or ground=Rolling()"
+                "robot has an unknown height above the ground, expected one read with ground="
             )
         if self.footprint is None:
             raise InvalidArgument(
@@ -719,8 +718,7 @@ class WheeledRobot(PlantOnWheels):
         """
         if self.array_dynamics.slips:
             raise InvalidArgument(
-                "constraint_forces needs wheels that roll, expected ground=Rolling(); on other ground, "
-                "the signals of a run contain the forces"
+                "constraint_forces needs ground=Rolling(), expected the signals of a run on other ground"
             )
         values = self._numeric.constraint_forces(q, v, u, f)
         finite_answer(values, q=q, v=v, u=u, f=f)
@@ -978,8 +976,7 @@ class WheeledRobot(PlantOnWheels):
             return recorded_margins(self.array_dynamics, motion)
         if motion.u is None:
             raise InvalidArgument(
-                "motion.u is None, expected the input, because the forces of wheels depend on it: "
-                "MotionStates(..., u=u)"
+                "motion.u is None, expected the input, on which the forces depend: MotionStates(..., u=u)"
             )
         q, v, u, a = self._state(motion.q, motion.v, motion.u, motion.a)
         return rolling_margins(self._numeric, *self._felt(q, v, a), u, q)[1]

@@ -496,8 +496,7 @@ def rolling_margins(body: Any, state: Any, felt: Any, u: Array, q: Array) -> tup
     """Return loads and slip margins of rolling wheels, for arrays."""
     if not body.groups:
         raise InvalidArgument(
-            "robot has wheels on a gear train, so rolling does not determine the force of each wheel; "
-            "expected ground=Coulomb()"
+            "robot has wheels on a gear train, which share its force; expected ground=Coulomb()"
         )
     loads = contact_loads(body, state, felt, q)
     found = margin(body, state, felt, u, list(np.moveaxis(loads.values, -1, 0)), q)
@@ -511,8 +510,7 @@ def recorded_margins(body: Any, motion: Any) -> SlipMargins:
     signals = getattr(motion, "signals", None) or {}
     if not set(_FORCES) <= set(signals):
         raise InvalidArgument(
-            "motion has no signals of the wheels' forces, which Coulomb ground needs; expected the Rollout "
-            "of a simulation"
+            "motion has no signals of the wheels' forces, expected the Rollout of a simulation"
         )
     along, across, loads = (np.asarray(signals[name][1]) for name in _FORCES)
     rollers = np.array([wheel.roller is not None for wheel in body.table.wheels])

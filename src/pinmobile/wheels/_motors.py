@@ -122,8 +122,7 @@ class Motor:
         missing = ", ".join(name for name, value in given.items() if value is None)
         if missing and any(value is not None for value in given.values()):
             raise InvalidArgument(
-                f"{missing} of a Motor is not given, expected resistance, torque_constant and voltage, "
-                "or none of them for a torque source"
+                f"{missing} of a Motor is not given, expected all or none of {', '.join(_ELECTRIC)}"
             )
         if not np.isfinite(self.gear * self.gear * max(self.rotor_inertia, 1.0)):
             raise InvalidArgument(

@@ -161,8 +161,7 @@ class Rolling:
         mobility = wheeled.mobility
         if not mobility.is_regular:
             raise InvalidArgument(
-                f"table cannot roll without slip: {mobility.rolling_obstacle}; expected another drive, or "
-                "ground=Coulomb()"
+                f"table cannot roll without slip: {mobility.rolling_obstacle}; expected ground=Coulomb()"
             )
         check_inertias(wheeled, mobility.choice.free)
 
@@ -174,8 +173,7 @@ def check_inertias(wheeled: Any, joints: Iterable[int]) -> None:
     for k in joints:
         if not wheeled.joint_inertias[k] > 0:
             raise InvalidArgument(
-                f"{names[k]} of the table has no inertia about its axis, expected an inertia > 0: give "
-                "spin_inertia, and yaw_inertia for wheels that steer"
+                f"{names[k]} of the table has no inertia, expected spin_inertia, and yaw_inertia to steer"
             )
 
 

@@ -211,8 +211,7 @@ class Wheel:
         """Raise `InvalidArgument` if the axes of rollers are at right angles to the rolling direction."""
         if self.roller is not None and not abs(self.roller) <= radians(_LARGEST_ROLLER):
             raise InvalidArgument(
-                f"roller of wheel {self.name!r} is {self.roller:.6g} rad, expected at most 89 degrees "
-                "from the rolling direction: otherwise the wheel cannot drive"
+                f"roller of wheel {self.name!r} is {self.roller:.6g} rad, expected at most 89 degrees"
             )
 
     @property
@@ -322,8 +321,7 @@ class GearTrain:
         """Raise `InvalidArgument` if there is not one ratio per wheel."""
         if len(self.ratios) != len(self.wheels) or not all(self.ratios):
             raise InvalidArgument(
-                f"ratios is {shown(self.ratios)}, expected {len(self.wheels)} numbers other than zero, "
-                "one per wheel"
+                f"ratios is {shown(self.ratios)}, expected {len(self.wheels)} numbers other than zero"
             )
 
 
@@ -525,10 +523,7 @@ class WheelTable:
         names = [*_OF_BODY, *self.names, *(axis.name for axis in self.axes)]
         twice = next((name for name in names if names.count(name) > 1), None)
         if twice is not None:
-            raise InvalidArgument(
-                f"{twice!r} names two coordinates of the robot, expected different names: a row is "
-                "Wheel(name, x, y, radius)"
-            )
+            raise InvalidArgument(f"{twice!r} names two coordinates of the robot, expected different names")
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -583,9 +578,8 @@ class WheelTable:
             fits = wheel.steering != FIXED and wheel.x != axle and not (any(wheel.trail) or wheel.angle)
             if not fits or (wheel.steering, wheel.x) != (first.steering, first.x):
                 raise InvalidArgument(
-                    f"wheel {wheel.name!r} of AckermannSteering(...) is {wheel!r}, expected a "
-                    f"steered wheel with angle "
-                    f"0 and trail (0, 0), away from the axle at x = {axle:g} m, with the x of the others"
+                    f"wheel {wheel.name!r} of AckermannSteering(...) is {wheel!r}, expected a steered wheel "
+                    f"with angle 0, trail (0, 0) and the x of the others, away from the axle at {axle:g} m"
                 )
 
     @cached_property

@@ -96,8 +96,7 @@ class _Reader:
             return positive(f"radius of wheel {joint.name!r}", own, "m")
         if joint.radius is None:
             raise InvalidArgument(
-                f"radius of wheel {joint.name!r} is unknown: its file has no collision cylinder or sphere "
-                f"about the axle; expected radius={{{joint.name!r}: ...}} [m]"
+                f"radius of wheel {joint.name!r} is unknown: expected radius={{{joint.name!r}: ...}} [m]"
             )
         return joint.radius
 
@@ -120,9 +119,9 @@ class _Reader:
             )
         if max(abs(one - other), products) > _ROUND * max(spin, one, other):
             raise InvalidArgument(
-                f"wheel {joint.name!r} is not a solid of revolution about its axle: moments are {spin:.4g} "
-                f"about it, {one:.4g} and {other:.4g} across, and products up to {products:.2g} kg m^2: "
-                f"{way_out}"
+                f"wheel {joint.name!r} is not a solid of revolution about its axle: moments are "
+                f"{spin:.4g} about it, {one:.4g} and {other:.4g} across, and products up to {products:.2g} "
+                f"kg m^2: {way_out}"
             )
         if not spin > 0:
             raise InvalidArgument(
@@ -138,8 +137,7 @@ class _Reader:
             if joint.carried:
                 raise InvalidArgument(
                     f"wheel {name!r} carries joints {', '.join(map(repr, joint.carried[:3]))}, probably "
-                    f"rollers; expected rollers={{{name!r}: angle from the rolling direction}} "
-                    "[rad]"
+                    f"rollers; expected rollers={{{name!r}: angle from the rolling direction}} [rad]"
                 )
             return None
         angle = scalar(f"rollers of wheel {name!r}", own)
@@ -195,9 +193,8 @@ class _Reader:
             return FREE, swivel
         if roller is None:
             raise InvalidArgument(
-                f"wheel {joint.name!r} is right below its swivel {swivel.name!r}, which has no limits in the "
-                "file and does not trail, so its kind is unknown; expected "
-                f"steering={{{joint.name!r}: 'driven'}} or 'fixed', or rollers="
+                f"wheel {joint.name!r} is right below its swivel {swivel.name!r}, which has no limits; "
+                f"expected steering={{{joint.name!r}: 'driven'}} or 'fixed', or rollers="
             )
         return FIXED, None
 
@@ -222,8 +219,8 @@ class _Reader:
         """Return the table."""
         if isinstance(self.radius, float | int) and all(each.radius for each in self.joints):
             raise InvalidArgument(
-                f"radius is {shown(self.radius)} m, but the file defines the radius of every wheel; expected "
-                "a mapping for wheels with another radius"
+                f"radius is {shown(self.radius)} m, but the file defines the radius of every wheel; "
+                "expected a mapping"
             )
         rows = [self._row(joint) for joint in self.joints]
         self._check_plane(rows)
@@ -273,9 +270,8 @@ class _Reader:
         if self.rollers is None and len(axles) > 1 and not trains:
             names = ", ".join(repr(rows[k].name) for k in fixed)
             raise InvalidArgument(
-                f"rollers is not given, and wheels {names} are fixed on "
-                "more than one axle: they are tyres that skid in turns, or have rollers, which files do not "
-                "define; expected rollers={} for tyres, rollers=pi / 4 for mecanum wheels, or a mapping"
+                f"rollers is not given, and wheels {names} are fixed on more than one axle: they skid or "
+                "have rollers; expected rollers={} for tyres, rollers=pi / 4 for mecanum wheels, or a mapping"
             )
         return found
 

@@ -153,8 +153,7 @@ def check_steers_not(body: Any) -> None:
     """Raise `InvalidArgument` if wheels steer, because their angles belong to the state."""
     if body.table.axes:
         raise InvalidArgument(
-            f"robot steers wheels about {len(body.table.axes)} axes, whose angles a reference does not "
-            "contain, expected wheels that do not steer, or Backstepping(law, robot)"
+            f"robot steers about {len(body.table.axes)} axes, expected none, or Backstepping(law, robot)"
         )
 
 
@@ -180,8 +179,7 @@ def followed(body: Any, reference: Any, t: Array | None = None) -> ReferenceMoti
     n, ns, (*lead, known) = body.of_body, len(body.table.axes), reference.q.shape
     if known > n:
         raise InvalidArgument(
-            f"reference has {known} coordinates, expected those of body and arms, {n}: for a motion of "
-            "both use WholeBody(robot, base, *joints)"
+            f"reference has {known} coordinates, expected {n} at most, as of WholeBody(robot, base, *joints)"
         )
     q, v, a = (np.zeros((*lead, body.nv)) for _ in range(3))
     q[..., :known], v[..., :known], a[..., :known] = reference
@@ -225,8 +223,7 @@ def driving_inputs(body: Any, q: Array, v: Array, rates: Array) -> Array:
     missed = np.abs(np.einsum("...ij,...j->...i", own.B, u) - needed).max()
     if missed > _OFF * (1 + np.abs(needed).max()):
         raise InvalidArgument(
-            f"reference needs a force of {missed:.3g} N, or N m, that no motor of the robot exerts, expected "
-            "a drive with a motor for each degree of freedom, or another reference"
+            f"reference needs a force of {missed:.3g} N, or N m, that no motor exerts, expected another one"
         )
     return np.asarray(u)
 

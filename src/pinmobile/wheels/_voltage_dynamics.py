@@ -373,9 +373,8 @@ class ByVoltage(PlantOnWheels):
         for k in self._rubbing if body.slips else ():
             if len(body.turned_by(k)) > 1:
                 raise InvalidArgument(
-                    f"motor of {self.table.actuators[k].name!r} has dry friction, or losses in its gear, "
-                    "and turns wheels that slip independently, expected coulomb=0 and "
-                    "efficiency=1, or ground=Rolling()"
+                    f"motor of {self.table.actuators[k].name!r} has dry friction or losses, and its wheels "
+                    "slip independently, expected coulomb=0 and efficiency=1, or ground=Rolling()"
                 )
 
     def __getattr__(self, name: str) -> Any:
