@@ -1,7 +1,7 @@
 """`MobileRobot`: a Pinocchio model whose root is the DH chain, and what it carries."""
 
 from pinmobile.robot.arm_loading import EXCEPTIONS, Mountable, Mountables, mountable
-from pinmobile.robot.arms import Arm, Link
+from pinmobile.robot.arms import Arm, Entries as Entries, Link
 from pinmobile.robot.articulated import (
     ArticulatedDynamics as ArticulatedDynamics,
     PlanarDynamics as PlanarDynamics,
@@ -25,6 +25,7 @@ from pinmobile.robot.linkage import (
     scalar_of as scalar_of,
     scalars as scalars,
     sine_and_cosine as sine_and_cosine,
+    single as single,
     symmetric as symmetric,
     transposed as transposed,
     vector_of as vector_of,
@@ -55,6 +56,7 @@ from pinmobile.robot.visuals import (
     Solids as Solids,
     body_box as body_box,
     box_visuals as box_visuals,
+    mesh_of as mesh_of,
 )
 
 __all__ = [

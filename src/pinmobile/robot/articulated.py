@@ -21,7 +21,7 @@ from pinmobile.closed_form import (
     unchecked_inverse_dynamics,
     unchecked_mass_matrix,
 )
-from pinmobile.compiled import Node, plain, symbols
+from pinmobile.compiled import Node, symbols
 from pinmobile.errors import InvalidArgument, NotTraceable
 from pinmobile.metrics import Metric
 from pinmobile.parts import is_symbolic
@@ -311,7 +311,7 @@ class Solid(NamedTuple):
     @classmethod
     def of(cls, body: Any) -> Solid:
         """Return the parameters of a link or a load."""
-        return cls(single(plain(body.mass)), entries_of(body.com), entries_of(body.inertia))
+        return cls(single(body.mass), entries_of(body.com), entries_of(body.inertia))
 
 
 def entries_of(x: Any) -> Vector:
@@ -368,8 +368,8 @@ class ArticulatedDynamics(_Coordinates):
         """
         return cls(
             tree=robot.tree,
-            mass=single(plain(robot.mass)),
-            yaw_inertia=single(plain(robot.yaw_inertia)),
+            mass=single(robot.mass),
+            yaw_inertia=single(robot.yaw_inertia),
             com=entries_of(robot.com),
             shares=robot.inertia_shares,
             links=[Solid.of(link) for mount in robot.mounts for link in mount.links],

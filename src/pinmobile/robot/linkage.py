@@ -232,8 +232,7 @@ Matrix: TypeAlias = list[list[Any]]
 
 _LEAST = 1e-300  # smaller squares count as zero
 
-ENTRIES = (0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)
-"""Indices of the independent entries of a symmetric matrix."""
+ENTRIES = (0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)  # independent ones of a symmetric matrix
 
 
 class Exact:
@@ -416,7 +415,8 @@ def volume(rows: Matrix) -> Any:
 
 
 def single(x: Any) -> Any:
-    """Return a number as a scalar, see `exact`."""
+    """Return a number or a symbol as a scalar, see `exact`."""
+    x = plain(x)
     return exact(x.item() if isinstance(x, np.ndarray) and not x.ndim else x)
 
 

@@ -57,6 +57,7 @@ from pinmobile.robot.model_import import (
     LOCKED,
     build_model,
     check_chain,
+    fields_of_body,
     read_model,
     read_urdf,
     rods_of,
@@ -457,12 +458,9 @@ class MobileRobot(System):
         instance("stance", stance, Stance | None, "a pinmobile.robot.Stance")
         locked = sequence("locked_joints", locked_joints, "names of joints")
         return cls(  # type: ignore[call-arg]  # attrs names arguments without the underscore
-            body.mass,
-            body.yaw_inertia,
-            body.com,
-            size,
-            dh,
-            reference_inertia=body.inertia,
+            **fields_of_body(body),
+            size=size,
+            dh=dh,
             stance=stance,
             source=text("source", source),
             locked_joints=tuple(text(f"locked_joints[{k}]", name) for k, name in enumerate(locked)),
@@ -562,9 +560,7 @@ class MobileRobot(System):
         """
         instance("body", body, urdf.Body, "a pinmobile.urdf.Body")
         source = text("source", source)
-        own = {"mass": body.mass, "yaw_inertia": body.yaw_inertia, "com": body.com}
-        bare = {"mounts": (), "loads": (), "_source": source, "reference_inertia": body.inertia}
-        return evolved(self, own | bare)
+        return evolved(self, {**fields_of_body(body), "mounts": (), "loads": (), "_source": source})
 
     @structure
     def _arm_metrics(self) -> ArmMetrics:
@@ -618,9 +614,8 @@ class MobileRobot(System):
         lead = broadcast(**state, **{"reference.q": desired})
         if not self.mounts:
             return np.zeros((*lead, 0))
-        numbers = state["q"], state["v"], state["a"], state["u"]
         with np.errstate(over="ignore"):
-            found: Array = self._arm_metrics.evaluate_metrics(self, *numbers, desired)
+            found: Array = self._arm_metrics.evaluate_metrics(self, **state, desired=desired)
         finite_answer(np.where(found == -np.inf, 0.0, found), **state)  # a margin may equal minus infinity
         return found
 

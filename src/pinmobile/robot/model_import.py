@@ -33,8 +33,7 @@ from pinmobile.robot.visuals import VisualFile
 from pinmobile.urdf import Body
 
 _SIZES = {"box": 3, "cylinder": 2, "capsule": 2, "sphere": 1, "mesh": 3}
-TOUCH = 0.005
-"""Largest distance from the ground, or from a plane, that counts as contact [m]."""
+TOUCH = 0.005  # [m]: largest distance from the ground, or from a plane, that counts as contact
 
 _ROUNDING = 1e-9  # [m]
 _ROD = 0.03  # [m], radius of the drawn links of a DH table
@@ -294,9 +293,7 @@ def _is_above(shape: Shape, pose: pin.SE3) -> bool:
     return bool(shape.mesh) or pose.translation[2] - shape.reach(pose.rotation) > TOUCH
 
 
-LOCKED = "wheels locked: they do not roll, and it can be pushed sideways"
-"""Note in the source of a base with wheels."""
-
+LOCKED = "wheels locked: they do not roll, and it can be pushed sideways"  # of a base
 _BODY_LINK = "base_link"
 _ALIGNED = 1e-5  # an axis written with six digits or more counts as aligned
 _MASSLESS = 1e-9  # of the body's mass
@@ -488,18 +485,21 @@ def read_model(
             parts[-1] += ", as high as the top"
     pose = tuple(base.homogeneous.ravel().tolist())
     return {
-        "mass": body.mass,
-        "yaw_inertia": body.yaw_inertia,
-        "com": body.com,
+        **fields_of_body(body),
         "size": size,
         "dh": table or LECTURE_TABLE,
-        "reference_inertia": body.inertia,
         "stance": stance,
         "source": "; ".join(parts),
         "locked_joints": tuple(str(model.names[joint]) for joint in locked),
         "undercarriage": undercarriage_of(model, data, base, first, wheels, supports, z or 0.0),
         "looks": None if file is None else file._replace(base=pose),
     }
+
+
+def fields_of_body(body: Body) -> dict[str, Any]:
+    """Return the fields of a `MobileRobot` that hold the numbers of its body."""
+    own = {"mass": body.mass, "yaw_inertia": body.yaw_inertia, "com": body.com}
+    return own | {"reference_inertia": body.inertia}
 
 
 def _starts_with_slides(model: pin.Model) -> bool:

@@ -18,8 +18,7 @@ from pinmobile.metrics import Metric
 from pinmobile.parts import by_value, number, option, part
 from pinmobile.robot.linkage import Joint, turns_freely
 
-WEIGHTLESS = 1e-9
-"""Share of the weight below which a vertical force of the ground counts as rounding."""
+WEIGHTLESS = 1e-9  # share of the weight below which a vertical force of the ground counts as rounding
 
 _STRAIGHT = 1e-9  # largest distance of a straight corner inside the hull, as a share of the footprint
 _FLAT = 1e-12  # area of a straight corner by rounding, as a share of a square about the footprint

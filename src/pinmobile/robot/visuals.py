@@ -13,6 +13,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from pinmobile.arrays import Array
 from pinmobile.errors import InvalidArgument
@@ -173,8 +174,7 @@ def _is_broken(mesh: ElementTree.Element) -> bool:
     return False
 
 
-BODY = "body"
-"""Name of the box, the only geometry object with a variable colour."""
+BODY = "body"  # name of the box, the only geometry object with a variable colour
 
 _THERE = 1e-9  # [m]: largest distance of equal placements
 _BODY_RGBA = (0.90, 0.62, 0.0, 1.0)
@@ -282,15 +282,22 @@ def box_visuals(size: Sequence[float], joint: int, clearance: float = 0.0) -> pi
     return visuals
 
 
+_PRISM = (0, 1, 4), (0, 4, 3), (1, 2, 5), (1, 5, 4), (2, 0, 3), (2, 3, 5), (0, 2, 1), (3, 4, 5)
+
+
 def _prism(corners: Array) -> object:
     """Return the prism with corners 0, 1, 2 below and 3, 4, 5 above, with separate corners for each face."""
+    return mesh_of(corners[np.array(_PRISM)].reshape(-1, 3), np.arange(3 * len(_PRISM)).reshape(-1, 3))
+
+
+def mesh_of(vertices: Array, faces: NDArray[np.int64]) -> Any:
+    """Return triangles as a mesh of coal: corners, shape (n, 3) [m], and three of them per face, (m, 3)."""
     import coal
 
-    quads = ((0, 1, 4), (0, 4, 3), (1, 2, 5), (1, 5, 4), (2, 0, 3), (2, 3, 5), (0, 2, 1), (3, 4, 5))
     mesh = coal.BVHModelOBBRSS()
-    mesh.beginModel(len(quads), 3 * len(quads))
-    for a, b, c in quads:
-        mesh.addTriangle(corners[a], corners[b], corners[c])
+    mesh.beginModel(len(faces), len(vertices))
+    mesh.addVertices(np.ascontiguousarray(vertices))
+    mesh.addTriangles(np.ascontiguousarray(faces, np.int32))
     mesh.endModel()
     return mesh
 
@@ -324,8 +331,7 @@ def boxes_of(model: pin.Model, loads: Sequence[PayloadBody]) -> Iterator[tuple[i
             yield number, frame.parentJoint, placement, coal.Box(*load.size)
 
 
-BODY_LINK = "base_link"
-"""Name of the link of a box-shaped body."""
+BODY_LINK = "base_link"  # link of a box-shaped body
 
 
 class Solid(NamedTuple):

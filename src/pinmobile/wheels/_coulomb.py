@@ -28,19 +28,18 @@ from pinmobile.robot import (
     number,
     scalar_of,
     scalars,
+    single,
     transposed,
     vector_of as stacked,
 )
 from pinmobile.wheels._contact import Bounds, Impulses, WheelContact, impulses, iterated
-from pinmobile.wheels._dynamics import State, WheeledDynamics
-from pinmobile.wheels._kinematics import unwrap_scalar
+from pinmobile.wheels._dynamics import State, WheeledDynamics, mean_acceleration
 from pinmobile.wheels._loads import ground_reaction, places_of, shared_loads
 from pinmobile.wheels._motors import ExternalForceFunction, Motors, TorqueSpeedLine, theta
 from pinmobile.wheels._rolling import Ramp, check_inertias, stop_of, stopped
 from pinmobile.wheels._table import WheelTable, column
 
 _BASE = 3
-_INSTANT = 1e-5  # [s]: duration of the step whose mean acceleration is returned for a state
 _STILL = 0.5  # smallest ratio of final and initial slip of a wheel that slides throughout a step
 _SLIDES = 1 - 1e-9  # fraction of the largest friction from which a wheel slides
 _PASSES = 40  # largest number of passes
@@ -397,7 +396,7 @@ class SlippingDynamics(WheeledDynamics):
             ``motors(rates, clips)``: `TorqueSpeedLine` of each actuator at its rate; `clips` is False for a
             first guess. Without it, `u` contains the torques.
         """
-        h = unwrap_scalar(h)
+        h = number(single(h))
         state = self.state(q, v)
         before = state.velocities
         middle = state  # its configuration is that of mid-step, by the present velocity
@@ -418,7 +417,7 @@ class SlippingDynamics(WheeledDynamics):
             return (at.turned(psi + 0.5 * h * mean[2]) if turning else at), mean
 
         gained = h * abs(float(self.fall[2])) if self.fall[2] else 1.0
-        scales = [gained] * _BASE + [number(unwrap_scalar(self.weight)) if self.fall[2] else 1.0] * 3
+        scales = [gained] * _BASE + [number(single(self.weight)) if self.fall[2] else 1.0] * 3
 
         def led_to(after: Vector) -> Vector:
             rate = [(y - x) / h for x, y in zip(before, after, strict=True)]
@@ -533,7 +532,7 @@ class SlippingDynamics(WheeledDynamics):
 
     def forward_dynamics(self, q: Any, v: Any, u: Any, f: Any = 0.0) -> Any:
         """Return the acceleration, shape (..., nv): the mean over a short step from the state."""
-        return (self.step(0.0, q, v, u, _INSTANT, lambda t, q, v: f, self.initial_state()).v - v) / _INSTANT
+        return mean_acceleration(self, q, v, u, f)
 
     def signals(
         self, t: Any, q: Any, v: Any, u: Any, f: Any, memory: ContactState

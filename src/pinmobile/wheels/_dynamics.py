@@ -40,6 +40,7 @@ from pinmobile.wheels._table import Axis, column
 from pinmobile.wheels._velocities import Reduced, followed, linearized
 
 _BASE = 3
+_INSTANT = 1e-5  # [s]: duration of the step whose mean acceleration is returned for a state
 _SIZES = "nq", "nv", "nu", "of_body", "joints", "reference_sizes", "coordinates", "inputs"
 _OF_ROBOT = {*_SIZES, "table", "x", "y", "radius", "spin_inertia", "upright", "fall", "footprint"}
 
@@ -537,6 +538,11 @@ class WheeledDynamics:
         if wheel.motor is not None or axis.ackermann is not None:  # it can also run backwards
             angle = (angle + np.pi / 2) % np.pi - np.pi / 2
         return angle
+
+
+def mean_acceleration(body: Any, q: Any, v: Any, u: Any, f: Any) -> Any:
+    """Return the mean acceleration over a short step from a state, shape (..., nv)."""
+    return (body.step(0.0, q, v, u, _INSTANT, lambda t, q, v: f, body.initial_state()).v - v) / _INSTANT
 
 
 def of_ground(method: Callable[..., Any]) -> Any:

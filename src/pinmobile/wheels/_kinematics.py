@@ -14,7 +14,6 @@ from typing import Any, NamedTuple, final
 import numpy as np
 
 from pinmobile.arrays import Array
-from pinmobile.compiled import plain
 from pinmobile.errors import InvalidArgument
 from pinmobile.robot import (
     ZERO,
@@ -26,13 +25,8 @@ from pinmobile.robot import (
     factored,
     number,
     sine_and_cosine,
+    single,
 )
-
-
-def unwrap_scalar(x: Any) -> Any:
-    """Return the entry of an array without axes; other arrays and numbers unchanged."""
-    x = plain(x)
-    return x.item() if isinstance(x, np.ndarray) and not x.ndim else x
 
 
 class Row(NamedTuple):
@@ -102,9 +96,7 @@ class Kinematics:
     def of(cls, table: Any) -> Kinematics:
         """Return the kinematics with a table's own numbers."""
         names = "x", "y", "radius"
-        return cls(
-            table, *([exact(unwrap_scalar(getattr(each, name))) for each in table.wheels] for name in names)
-        )
+        return cls(table, *([single(getattr(each, name)) for each in table.wheels] for name in names))
 
     @property
     def n(self) -> int:

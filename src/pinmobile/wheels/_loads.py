@@ -29,11 +29,11 @@ from pinmobile.robot import (
     number,
     scalars,
     sine_and_cosine,
+    single,
     symmetric,
     vector_of as stacked,
 )
 from pinmobile.wheels._contact import iterated
-from pinmobile.wheels._kinematics import unwrap_scalar
 from pinmobile.wheels._velocities import ReferenceMotion, driving_inputs
 
 _BASE = 3
@@ -205,7 +205,7 @@ def _carried(body: Any, state: Any, a: Vector, q: Any) -> Vector:
         weights = scalars(body.robot.ground_wrench(at, still, still))[2:5]
         return [x - body._slack * y for x, y in zip(found, weights, strict=True)]
     own = body.robot
-    m, x, y = (exact(unwrap_scalar(each)) for each in (own.mass, own.com_x, own.com_y))
+    m, x, y = (single(each) for each in (own.mass, own.com_x, own.com_y))
     (height, xz, yz), w, spin, g = scalars(body.upright), state.twist[2], a[2], -float(body.fall[2])
     ax, ay = a[0] - spin * y - w * w * x, a[1] + spin * x - w * w * y
     mx = m * (y * g - height * ay) + (xz * spin - yz * (w * w))

@@ -31,8 +31,8 @@ from pinmobile.robot import ONE, ZERO, Vector, number, scalars
 from pinmobile.wheels._contact import within
 
 _ELECTRIC = "resistance", "torque_constant", "voltage"
+# Parameters of a motor that may differ between robots.
 CONSTANTS = "resistance", "torque_constant", "viscous", "coulomb", "efficiency", "gear"
-"""Parameters of a motor that may differ between robots."""
 
 
 @final

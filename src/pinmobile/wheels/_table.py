@@ -29,7 +29,6 @@ from pinmobile.arrays import (
 )
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.parts import (
-    Number,
     by_value,
     child,
     children,
@@ -41,7 +40,7 @@ from pinmobile.parts import (
     part,
     structure,
 )
-from pinmobile.robot import hull
+from pinmobile.robot import Entries, hull
 from pinmobile.urdf import Body
 from pinmobile.wheels._kinematics import Mobility
 from pinmobile.wheels._motors import Motor
@@ -100,15 +99,6 @@ class WheelFriction:
     across: float = number(default=0.02, lower=0, fixed=True, doc="coefficient of friction across rollers")
     rolling: float = number(default=0.01, lower=0, fixed=True, doc="rolling resistance per load")
     slip: float = number(default=0.0, lower=0, unit="m/(N s)", fixed=True, doc="slip velocity per force")
-
-
-@attrs.frozen
-class _Two(Number):
-    """Declaration of two numbers that are stored as a tuple."""
-
-    def checked(self, name: str, value: Any) -> Any:
-        """Return a tuple of floats."""
-        return tuple(super().checked(name, value).tolist())
 
 
 def _checked_name(name: str, value: Any) -> str:
@@ -191,7 +181,8 @@ class Wheel:
     angle: float = number(default=0.0, unit="rad", fixed=True, doc="angle of the rolling direction")
     steering: str = option(default=FIXED, check=lambda name, value: one_of(name, value, _STEERING))
     trail: tuple[float, float] = declare(
-        _Two("centre relative to the pivot, along and across", "m", shapes=((2,),), fixed=True), (0.0, 0.0)
+        Entries("centre relative to the pivot, along and across", "m", shapes=((2,),), fixed=True, length=2),
+        (0.0, 0.0),
     )
     roller: float | None = number(
         default=None, unit="rad", optional=True, fixed=True, doc="angle of the rollers' axes"

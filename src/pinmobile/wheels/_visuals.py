@@ -11,13 +11,22 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pinmobile.arrays import Array
-from pinmobile.robot import BODY, BODY_JOINT, MobileRobot, Solid, Solids, body_box, box_visuals, number
+from pinmobile.robot import (
+    BODY,
+    BODY_JOINT,
+    MobileRobot,
+    Solid,
+    Solids,
+    body_box,
+    box_visuals,
+    mesh_of,
+    number,
+)
 from pinmobile.wheels._kinematics import Kinematics
 from pinmobile.wheels._table import FIXED, Wheel, WheelTable
 from pinmobile.wheels._urdf_reader import wheel_name
 
-ACROSS = 0.45
-"""Width of a tyre in radii."""
+ACROSS = 0.45  # width of a tyre in radii
 _LOWEST = 0.7  # largest height of a box's bottom, relative to its height
 _TOP, _TOP_OF_FORK = 2.1, 2.35  # height above the ground in radii of the wheel
 _SUPPORT = 0.3  # radius of a drawn support in radii of the largest wheel
@@ -45,12 +54,23 @@ class Item(NamedTuple):
 
 
 class _Objects:
-    """Abstract base: objects of a robot on wheels, and their placements in the inertial frame."""
+    """Abstract base: objects of a robot on wheels, and their placements in the inertial frame.
+
+    Objects of the robot's file move with the nearest of their joints that is a wheel's or its swivel's.
+    `moved` has the joints of the file that move each object, the nearest first.
+    """
 
     def __init__(self, robot: MobileRobot, table: WheelTable, moved: Mapping[str, tuple[str, ...]]) -> None:
         self.robot, self.table, self.items = robot, table, list[Item]()
         self._kinematics, self._n = Kinematics.of(table), robot.nq
-        self._rides = riding(robot, table, moved)
+        rows, carriers = {name: row for row, name in enumerate(table.names)}, dict[str, tuple[int, bool]]()
+        for joint in robot.undercarriage.wheels:
+            if (row := rows.get(wheel_name(joint.name))) is not None:
+                steers = table.wheels[row].steering != FIXED
+                carriers |= {swivel.name: (row, False) for swivel in joint.swivels[:1] if steers}
+                carriers[joint.name] = row, True
+        nearest = {name: next(filter(carriers.__contains__, joints), "") for name, joints in moved.items()}
+        self._rides = {name: carriers[joint] for name, joint in nearest.items() if joint}
         there = {row for row, spins in self._rides.values() if spins}
         self.lacking = [(row, wheel) for row, wheel in enumerate(table.wheels) if row not in there]
 
@@ -169,31 +189,6 @@ def wheel_frames(
     return found
 
 
-def riding(
-    robot: MobileRobot, table: WheelTable, moved: Mapping[str, tuple[str, ...]]
-) -> dict[str, tuple[int, bool]]:
-    """Return the objects of a robot's file that turn with a wheel: its row, and whether they spin with it.
-
-    Parameters
-    ----------
-    robot : MobileRobot
-        Robot from the file.
-    table : WheelTable
-        Wheels.
-    moved : mapping of str to tuple of str
-        Joints of the file that move each object, the nearest first.
-    """
-    rows = {name: row for row, name in enumerate(table.names)}
-    carriers: dict[str, tuple[int, bool]] = {}
-    for joint in robot.undercarriage.wheels:
-        if (row := rows.get(wheel_name(joint.name))) is not None:
-            steers = table.wheels[row].steering != FIXED
-            carriers |= {swivel.name: (row, False) for swivel in joint.swivels[:1] if steers}
-            carriers[joint.name] = row, True
-    nearest = {name: next(filter(carriers.__contains__, joints), "") for name, joints in moved.items()}
-    return {name: carriers[joint] for name, joint in nearest.items() if joint}
-
-
 def height_above_wheels(size: Sequence[float], table: WheelTable) -> float:
     """Return the height of a box's bottom above the ground, so that it is above its wheels [m]."""
     length, width, height = size
@@ -251,14 +246,14 @@ class WheelVisuals(_Objects):
             if row in lacking:
                 parts = _tyre(wheel) if wheel.roller is None else _rollers(wheel, wheel.roller)
                 for name, part, colour in zip(("tyre", "spokes"), parts, (_DARK, _LIGHT), strict=True):
-                    self._add(f"{wheel.name}/{name}", _mesh(part), colour, Item(-1, row, True, np.eye(4)))
+                    self._add(f"{wheel.name}/{name}", mesh_of(*part), colour, Item(-1, row, True, np.eye(4)))
                 if wheel.steering != FIXED and row not in shared:
-                    fork = _mesh(_fork(wheel))
+                    fork = mesh_of(*_fork(wheel))
                     self._add(f"{wheel.name}/fork", fork, _GREY, Item(-1, row, False, np.eye(4)))
             else:  # a bar makes the rotation of a smooth wheel visible
                 R = wheel.radius
                 bar = _box((-0.09 * R, -0.14 * R, 0.96 * R), (0.09 * R, 0.14 * R, 1.015 * R))
-                self._add(f"{wheel.name}/bar", _mesh(bar), _DARK, Item(-1, row, True, np.eye(4)))
+                self._add(f"{wheel.name}/bar", mesh_of(*bar), _DARK, Item(-1, row, True, np.eye(4)))
         radius = _SUPPORT * max(wheel.radius for wheel in table.wheels)
         top = max(clearance, 2.2 * radius)
         ball, cup = coal.Sphere(radius), coal.Cylinder(1.15 * radius, top - 1.1 * radius)
@@ -276,19 +271,6 @@ class WheelVisuals(_Objects):
         drawn.meshColor = np.array(colour)
         self.visuals.addGeometryObject(drawn)
         self.items.append(item)
-
-
-def _mesh(triangles: _Triangles) -> Any:
-    """Return triangles as a mesh of coal."""
-    import coal
-
-    vertices, faces = triangles
-    mesh = coal.BVHModelOBBRSS()
-    mesh.beginModel(len(faces), len(vertices))
-    mesh.addVertices(np.ascontiguousarray(vertices))
-    mesh.addTriangles(np.ascontiguousarray(faces, np.int32))
-    mesh.endModel()
-    return mesh
 
 
 def _joined(parts: Sequence[_Triangles]) -> _Triangles:

@@ -24,16 +24,15 @@ from pinmobile.robot import (
     Matrix,
     Vector,
     dot,
-    exact,
     factored,
     number,
     scalars,
+    single,
     transposed,
     vector_of as stacked,
 )
 from pinmobile.wheels._contact import iterated, moved_by, within
-from pinmobile.wheels._dynamics import PlantOnWheels, WheeledDynamics, through
-from pinmobile.wheels._kinematics import unwrap_scalar
+from pinmobile.wheels._dynamics import PlantOnWheels, WheeledDynamics, mean_acceleration, through
 from pinmobile.wheels._motors import (
     CONSTANTS,
     ExternalForceFunction,
@@ -48,7 +47,6 @@ from pinmobile.wheels._table import column as column_of
 from pinmobile.wheels._velocities import ReferenceMotion
 
 _BASE = 3
-_INSTANT = 1e-5  # [s]: duration of the step whose mean acceleration is returned for a state
 _PASSES = 3
 _ROUNDS, _ENOUGH = 200, 1e-13  # dry friction: most iterations, and tolerance relative to the largest impulse
 _OF_TORQUES = re.compile(
@@ -150,7 +148,7 @@ class VoltageDynamics:
 
     def forward_dynamics(self, q: Any, v: Any, u: Any, f: Any = 0.0) -> Any:
         """Return the acceleration, shape (..., nv): the mean over a short step from the state."""
-        return (self.step(0.0, q, v, u, _INSTANT, lambda t, q, v: f, self.initial_state()).v - v) / _INSTANT
+        return mean_acceleration(self, q, v, u, f)
 
     def step(
         self, t: Any, q: Any, v: Any, u: Any, h: Any, f: ExternalForceFunction, memory: MotorState
@@ -204,7 +202,7 @@ class VoltageDynamics:
         The step is implicit in the independent velocities: M (nu+ - nu) = h (B tau - n), with the
         configuration at mid-step, and all else at nu + theta (nu+ - nu).
         """
-        body, h = self.wheeled, unwrap_scalar(h)
+        body, h = self.wheeled, number(single(h))
         q_middle = body.integrate(q, (0.5 * h) * v)
         start, middle = body.state(q, v), body.state(q_middle, v)
         nu = [number(x) for x in body.velocities(start)]
@@ -398,7 +396,7 @@ class ByVoltage(PlantOnWheels):
         """Numbers of actuators with dry friction or gear losses, which can hold a wheel."""
 
         def rubs(motor: Motor) -> bool:
-            known = [number(exact(unwrap_scalar(x))) for x in (motor.coulomb, motor.efficiency)]
+            known = [number(single(x)) for x in (motor.coulomb, motor.efficiency)]
             return not (all(isinstance(x, float) for x in known) and known == [0.0, 1.0])
 
         return tuple(k for k in self._electric if rubs(self.table.actuators[k].motor))
