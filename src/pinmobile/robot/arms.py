@@ -16,6 +16,7 @@ from pinmobile.arrays import Array, ArrayLike, bounded, frozen, one_of
 from pinmobile.errors import InvalidArgument
 from pinmobile.parts import Number, array, by_value, declare, is_symbolic, number, option, part
 from pinmobile.robot.linkage import (
+    FREE_FLYER,
     Joint,
     carries_only_wheels,
     children,
@@ -283,7 +284,7 @@ class Arm:
     def __attrs_post_init__(self) -> None:
         called, model = f"arm {self.origin.value!r}", _copied(self._file_model)
         for joint in joints_of(model):
-            if joint.mimics:
+            if "Mimic" in joint.kind:
                 raise InvalidArgument(
                     f"{called}: joint {joint.name!r} mimics another joint, which Pinocchio's forward "
                     "dynamics does not support, expected a model built with mimic=False"
@@ -291,7 +292,7 @@ class Arm:
         own: dict[str, Any] = {"squared": _squared(model), "_file_model": model}
         own["_whole"] = whole = replace_continuous_joints(model)
         own |= {"rest": _without_root_pose(whole, self.rest), "usual": _without_root_pose(whole, self.usual)}
-        own["stands"] = self.stands or any(Joint.of(whole, j).in_space for j in root_of(whole))
+        own["stands"] = self.stands or any(Joint.of(whole, j).kind == FREE_FLYER for j in root_of(whole))
         vars(self).update(own)
         free = [joint for number, joint in enumerate(joints_of(whole), 1) if number not in self.held]
         for joint in free:

@@ -19,6 +19,7 @@ BODY_JOINT = 3
 """Number of the joint of the chain that carries the body; the joints before it carry no mass."""
 
 _SINGLE = re.compile("R[XYZ]|P[XYZ]|(Revolute|Prismatic)Unaligned")
+FREE_FLYER = "FreeFlyer"  # kind of a joint that moves freely in space
 _CONTINUOUS = re.compile("RUB[XYZ]|RevoluteUnboundedUnaligned")
 _WHEEL_JOINTS = 3  # suspension, steering, wheel
 _TURNS = 1e3 * 2 * np.pi  # [rad]: larger limits in both directions count as no limit
@@ -66,11 +67,6 @@ class Joint:
         return int(self.v.stop - self.v.start)
 
     @property
-    def single(self) -> bool:
-        """Whether the joint is an ordinary revolute or prismatic joint."""
-        return _SINGLE.fullmatch(self.kind) is not None
-
-    @property
     def slides(self) -> bool:
         """Whether the joint is prismatic."""
         return self.nv == 1 and self.kind.startswith("P")
@@ -81,19 +77,9 @@ class Joint:
         return _CONTINUOUS.fullmatch(self.kind) is not None
 
     @property
-    def mimics(self) -> bool:
-        """Whether the joint repeats the motion of another joint."""
-        return "Mimic" in self.kind
-
-    @property
     def floats(self) -> bool:
         """Whether the joint moves freely in space, or in a plane."""
-        return self.in_space or self.kind.startswith("Planar")
-
-    @property
-    def in_space(self) -> bool:
-        """Whether the joint moves freely in space."""
-        return "FreeFlyer" in self.kind
+        return self.kind.startswith((FREE_FLYER, "Planar"))
 
 
 def joints_of(model: pin.Model, first: int = 1) -> list[Joint]:
@@ -541,7 +527,7 @@ class Linkage:
         """
         joints = joints_of(model)
         for joint in joints:
-            if not joint.single:
+            if not _SINGLE.fullmatch(joint.kind):
                 raise NotTraceable(
                     f"joint {joint}, neither revolute nor prismatic", "use revolute and prismatic joints"
                 )

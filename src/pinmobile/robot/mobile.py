@@ -63,27 +63,11 @@ from pinmobile.robot.model_import import (
     rods_of,
     rows_of,
 )
-from pinmobile.robot.mounts import (
-    Mount,
-    PayloadBody,
-    assemble,
-    checked_name,
-    free_name,
-    free_place,
-)
+from pinmobile.robot.mounts import Mount, PayloadBody, assemble, checked_name, free_name, free_place
 from pinmobile.robot.pinocchio_backend import PinocchioBackend, UncheckedDynamics, in_public_order
 from pinmobile.robot.support_geometry import ArmMetrics, Stance, Undercarriage
 from pinmobile.robot.system import System, by_values
-from pinmobile.robot.visuals import (
-    Solids,
-    VisualFile,
-    add_carried,
-    body_box,
-    body_shapes,
-    box_visuals,
-    carried_shapes,
-    read_visuals,
-)
+from pinmobile.robot.visuals import Solids, VisualFile, visuals_of
 
 
 @attrs.frozen
@@ -232,7 +216,9 @@ class MobileRobot(System):
     @property
     def source(self) -> str:
         """Origin of the robot's numbers, as text: the file, and assumptions made in reading it."""
-        return self._source + _of_files(self.mounts)
+        told = ((mount.name, ", ".join(mount.arm.squared)) for mount in self.mounts)
+        words = "right angles that its file rounds are exact"
+        return self._source + "".join(f"; {name}: {words} ({joints})" for name, joints in told if joints)
 
     def __repr__(self) -> str:
         table = "" if self.dh == LECTURE_TABLE else f", dh={self.dh!r}"
@@ -843,13 +829,7 @@ class MobileRobot(System):
 
     @cached_property
     def _seen(self) -> tuple[pin.GeometryModel, dict[str, tuple[str, ...]]]:
-        joint = BODY_JOINT
-        if self._looks is None:
-            visuals, joints = box_visuals(self.size, joint), dict[str, tuple[str, ...]]()
-        else:
-            visuals, joints = read_visuals(self._looks, self.size, joint)
-        add_carried(visuals, self._model, self.mounts, self.loads)
-        return visuals, joints
+        return visuals_of(self, self._looks)
 
     @cached_property
     def solids(self) -> Solids:
@@ -863,8 +843,7 @@ class MobileRobot(System):
         InvalidArgument
             If the body or an arm has no collision geometry, or a file or mesh cannot be read.
         """
-        body = [body_box(self.size)] if self.is_box else body_shapes(self._looks, self.source)
-        return Solids.on(self._model, (*body, *carried_shapes(self._model, self.mounts, self.loads)))
+        return Solids.of(self, self._looks)
 
     def solid_placements(self, q: ArrayLike) -> Array:
         """Return the placements of the shapes of `solids` in the body frame.
@@ -899,16 +878,6 @@ class MobileRobot(System):
         arms = [link for mount in self.mounts for link in mount.links[1:]] if len(table) > BODY_JOINT else ()
         links = [urdf.Body(link.mass, link.com, matrix_of_six(link.inertia)) for link in arms]
         return urdf.write(table, body, size=self.size, stance=stance, links=links)
-
-
-def _of_files(mounts: Sequence[Mount]) -> str:
-    """Return which right angles of the arms' files were made exact, as text."""
-    told = ((mount.name, mount.arm.squared) for mount in mounts)
-    return "".join(
-        f"; {name}: right angles that its file rounds are exact ({', '.join(joints)})"
-        for name, joints in told
-        if joints
-    )
 
 
 def _kept(robot: MobileRobot) -> dict[str, Any]:

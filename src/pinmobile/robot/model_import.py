@@ -93,6 +93,10 @@ class Shape(NamedTuple):
         a, b = np.delete(edges[:2], int(steep.argmax()), axis=1).T
         return np.asarray(pose.translation[:2] + np.array([-a - b, a - b, a + b, b - a]))
 
+    def lowest(self, pose: pin.SE3) -> float:
+        """Return the height of the lowest point at a pose, for shapes other than meshes [m]."""
+        return float(pose.translation[2]) - self.reach(pose.rotation)
+
     def highest(self, pose: pin.SE3, file: VisualFile) -> float | None:
         """Return the height of the highest point at a pose; None for an unreadable mesh [m]."""
         if not self.mesh:
@@ -251,7 +255,7 @@ def stance_on(
             points.append(np.array([wheel.centre[:2]]))
             names.append(wheel.name)
     for shape, pose in placed:
-        if not shape.mesh and abs(pose.translation[2] - shape.reach(pose.rotation)) <= TOUCH:
+        if not shape.mesh and abs(shape.lowest(pose)) <= TOUCH:
             face = None if wheels else shape.corners_below(pose)
             # The contact point of a caster or skid of a robot on wheels is its centre.
             points.append(np.array([pose.translation[:2]]) if face is None else face)
@@ -275,9 +279,9 @@ def stance_on(
 
 def _top(body: Sequence[tuple[Shape, pin.SE3]], file: VisualFile | None) -> tuple[float | None, str]:
     """Return the height of the body's highest geometry, and its origin as text."""
-    # Visual geometry replaces collision geometry that has only casters.
-    solid = [pair for pair in body if pair[0].collides]
-    chosen = solid if any(_is_above(*pair) for pair in solid) else body
+    # Visual geometry replaces collision geometry that has only casters, primitives that touch the ground.
+    solid = [(shape, pose) for shape, pose in body if shape.collides]
+    chosen = solid if any(shape.mesh or shape.lowest(pose) > TOUCH for shape, pose in solid) else body
     heights = [(shape, shape.highest(pose, file) if file else None) for shape, pose in chosen]
     lost = [shape.mesh for shape, z in heights if z is None]
     known = [(z, shape.link) for shape, z in heights if z is not None]
@@ -286,11 +290,6 @@ def _top(body: Sequence[tuple[Shape, pin.SE3]], file: VisualFile | None) -> tupl
         return None, f"top not known: {reason}"
     top, link = max(known)
     return top, f"top {top:.4g} m, that of {link}"
-
-
-def _is_above(shape: Shape, pose: pin.SE3) -> bool:
-    """Return whether a shape is more than a caster, which is a primitive that touches the ground."""
-    return bool(shape.mesh) or pose.translation[2] - shape.reach(pose.rotation) > TOUCH
 
 
 LOCKED = "wheels locked: they do not roll, and it can be pushed sideways"  # of a base

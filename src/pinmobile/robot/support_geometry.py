@@ -24,11 +24,6 @@ _STRAIGHT = 1e-9  # largest distance of a straight corner inside the hull, as a 
 _FLAT = 1e-12  # area of a straight corner by rounding, as a share of a square about the footprint
 
 
-def rectangle(length: float, width: float) -> Array:
-    """Return the corners of a rectangle about the origin, shape (4, 2) [m], counter-clockwise."""
-    return 0.5 * np.array([[-length, -width], [length, -width], [length, width], [-length, width]])
-
-
 def checked_footprint(footprint: ArrayLike) -> Array:
     """Return the corners of a convex polygon, counter-clockwise, shape (k, 2) [m].
 
@@ -197,7 +192,8 @@ class Stance:
             If the argument is not three positive lengths.
         """
         length, width, height = lengths(size).tolist()
-        return cls(rectangle(length, width), height)
+        corners = [[-length, -width], [length, -width], [length, width], [-length, width]]
+        return cls(0.5 * np.array(corners), height)
 
     def written(self) -> dict[str, str]:
         """Return the contact geometry as attributes of the element <pinmobile> of a URDF."""

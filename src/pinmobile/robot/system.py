@@ -148,6 +148,7 @@ class System:
     """
 
     _engine: Any  # a `PinocchioBackend`; None if a parameter is a symbol
+    _array_ways: Any  # dynamics in NumPy for symbols; the first object with a method evaluates it
     mounts: tuple[Mount, ...]
     loads: tuple[PayloadBody, ...]
 
@@ -402,11 +403,6 @@ class System:
             f"{name} of a {type(self).__name__}, which accepts only numbers",
             "call it outside the law, with numbers",
         )
-
-    @property
-    def _array_ways(self) -> tuple[Any, ...]:
-        """Dynamics in NumPy for symbols; the first object with a method evaluates it."""
-        return ()
 
     def _q(self, q: ArrayLike, name: str = "q") -> Array:
         return vector(name, q, self.nq)

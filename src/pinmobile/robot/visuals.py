@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from os.path import isfile
@@ -179,6 +179,7 @@ BODY = "body"  # name of the box, the only geometry object with a variable colou
 _THERE = 1e-9  # [m]: largest distance of equal placements
 _BODY_RGBA = (0.90, 0.62, 0.0, 1.0)
 _DARK_RGBA = (0.16, 0.16, 0.18, 1.0)
+_LOAD_RGBA = (0.55, 0.55, 0.58, 1.0)
 
 
 def _restored(path: str, package_dirs: tuple[str, ...], base: tuple[float, ...]) -> VisualFile | None:
@@ -197,10 +198,25 @@ keep(
 )
 
 
-def read_visuals(
-    file: VisualFile, size: Sequence[float], joint: int
-) -> tuple[pin.GeometryModel, dict[str, tuple[str, ...]]]:
-    """Return the file's visual geometry at rest, on `joint`, and the file's joints of each object.
+def visuals_of(robot: Any, file: VisualFile | None) -> tuple[pin.GeometryModel, dict[str, tuple[str, ...]]]:
+    """Return the visual geometry of a robot, with arms and loads, and the joints of its file as in `_read`.
+
+    The body, from the file at rest or a box, is on its joint of the whole model.
+    """
+    visuals, joints = _read(file, robot.size) if file else (box_visuals(robot.size), {})
+    for mount in robot.mounts:
+        for item in mount.arm.visuals().geometryObjects:
+            joint, placement = mount.joint_of(item)
+            visuals.addGeometryObject(drawn(f"{mount.name}/{item.name}", joint, placement, item))
+    for number, joint, placement, box in boxes_of(robot._model, robot.loads):
+        item = pin.GeometryObject(f"load{number}", joint, placement, box)
+        item.meshColor = np.array(_LOAD_RGBA)
+        visuals.addGeometryObject(item)
+    return visuals, joints
+
+
+def _read(file: VisualFile, size: Sequence[float]) -> tuple[pin.GeometryModel, dict[str, tuple[str, ...]]]:
+    """Return the file's visual geometry at rest, on the body's joint, and the file's joints of each object.
 
     The joints of an object are the names of the file's joints that move the object, nearest first.
 
@@ -214,16 +230,16 @@ def read_visuals(
         If the file is no longer readable.
     """
     model, joints = file.model()
-    seen, root, is_lost = file.visuals(model, stacklevel=6)
+    seen, root, is_lost = file.visuals(model, stacklevel=7)
     shapes = [shape.tag for shape in root.iterfind("./link/visual/geometry/*")]
     placed = [(joints[item.parentJoint] * item.placement, item) for item in seen.geometryObjects]
     ours = pin.SE3(np.eye(3), np.array([0.0, 0.0, size[2] / 2]))
     if not shapes or (shapes == ["box"] and placed[0][0].isApprox(ours, _THERE)):
-        return box_visuals(size, joint), {}
+        return box_visuals(size), {}
     lost = is_lost and "mesh" not in shapes
-    visuals = box_visuals(size, joint) if lost else pin.GeometryModel()
+    visuals = box_visuals(size) if lost else pin.GeometryModel()
     for placement, item in placed:
-        visuals.addGeometryObject(drawn(item.name, joint, placement, item))
+        visuals.addGeometryObject(drawn(item.name, BODY_JOINT, placement, item))
     return visuals, {item.name: joints_above(model, item.parentJoint) for _, item in placed}
 
 
@@ -244,15 +260,13 @@ def drawn(name: str, joint: int, placement: pin.SE3, item: pin.GeometryObject) -
     return moved
 
 
-def box_visuals(size: Sequence[float], joint: int, clearance: float = 0.0) -> pin.GeometryModel:
+def box_visuals(size: Sequence[float], clearance: float = 0.0) -> pin.GeometryModel:
     """Return a box that stands on the ground, with a dark front and a wedge on top that points forward.
 
     Parameters
     ----------
     size : sequence of 3 floats
         Length, width, and height of the top [m].
-    joint : int
-        Joint that carries the box.
     clearance : float
         Height of the bottom above the ground, for a box on wheels [m].
     """
@@ -276,7 +290,7 @@ def box_visuals(size: Sequence[float], joint: int, clearance: float = 0.0) -> pi
         ("front", front, ((length + 0.5 * depth) / 2, 0, middle), _DARK_RGBA),
         ("wedge", _prism(np.concatenate([low, high])), (0, 0, height), _DARK_RGBA),
     ):
-        item = pin.GeometryObject(name, joint, pin.SE3(np.eye(3), np.array(at, np.float64)), shape)
+        item = pin.GeometryObject(name, BODY_JOINT, pin.SE3(np.eye(3), np.array(at, np.float64)), shape)
         item.meshColor = np.array(colour)
         visuals.addGeometryObject(item)
     return visuals
@@ -300,23 +314,6 @@ def mesh_of(vertices: Array, faces: NDArray[np.int64]) -> Any:
     mesh.addTriangles(np.ascontiguousarray(faces, np.int32))
     mesh.endModel()
     return mesh
-
-
-_LOAD_RGBA = (0.55, 0.55, 0.58, 1.0)
-
-
-def add_carried(
-    visuals: pin.GeometryModel, model: pin.Model, mounts: Sequence[Mount], loads: Sequence[PayloadBody]
-) -> None:
-    """Add the visual geometry of arms and loads, on the joints of the whole model."""
-    for mount in mounts:
-        for item in mount.arm.visuals().geometryObjects:
-            joint, placement = mount.joint_of(item)
-            visuals.addGeometryObject(drawn(f"{mount.name}/{item.name}", joint, placement, item))
-    for number, joint, placement, box in boxes_of(model, loads):
-        item = pin.GeometryObject(f"load{number}", joint, placement, box)
-        item.meshColor = np.array(_LOAD_RGBA)
-        visuals.addGeometryObject(item)
 
 
 def boxes_of(model: pin.Model, loads: Sequence[PayloadBody]) -> Iterator[tuple[int, int, pin.SE3, Any]]:
@@ -383,12 +380,14 @@ class Solids:
     standing: frozenset[str] = frozenset()
 
     @classmethod
-    def on(cls, model: pin.Model, shapes: Iterable[Solid]) -> Solids:
-        """Return the shapes on the joints of a robot's model."""
+    def of(cls, robot: Any, file: VisualFile | None) -> Solids:
+        """Return the shapes of a `MobileRobot`, with the file of its body."""
+        model, carried = robot._model, carried_shapes(robot._model, robot.mounts, robot.loads)
+        body = [body_box(robot.size)] if robot.is_box else body_shapes(file, robot.source)
         joints = range(BODY_JOINT + 1, model.njoints)
         parents = (-1, *(model.parents[joint] - BODY_JOINT for joint in joints))
         starts = ((model.idx_vs[joint], model.nvs[joint]) for joint in joints)
-        return cls(tuple(shapes), parents, (slice(0, 0), *(slice(k, k + n) for k, n in starts)))
+        return cls((*body, *carried), parents, (slice(0, 0), *(slice(k, k + n) for k, n in starts)))
 
 
 def body_shapes(looks: VisualFile | None, source: str) -> Iterator[Solid]:

@@ -18,15 +18,7 @@ from pinmobile.integrators import rk4
 from pinmobile.metrics import Metric
 from pinmobile.parts import Desired, also_symbols, by_value, child, evolved, part, required, structure, takes
 from pinmobile.plant import ContactLoads, Contacts, Coordinate, Input, SlipMargins
-from pinmobile.robot import (
-    BODY_JOINT,
-    LOCKED,
-    Linearization,
-    MobileRobot,
-    PayloadBody,
-    described,
-    number,
-)
+from pinmobile.robot import BODY_JOINT, LOCKED, Linearization, MobileRobot, PayloadBody, described, number
 from pinmobile.wheels._coulomb import Coulomb
 from pinmobile.wheels._dynamics import PlantOnWheels, of_ground
 from pinmobile.wheels._loads import (

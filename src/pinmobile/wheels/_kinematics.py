@@ -15,18 +15,7 @@ import numpy as np
 
 from pinmobile.arrays import Array
 from pinmobile.errors import InvalidArgument
-from pinmobile.robot import (
-    ZERO,
-    Matrix,
-    Vector,
-    cross,
-    dot,
-    exact,
-    factored,
-    number,
-    sine_and_cosine,
-    single,
-)
+from pinmobile.robot import ZERO, Matrix, Vector, cross, dot, exact, factored, number, sine_and_cosine, single
 
 
 class Row(NamedTuple):

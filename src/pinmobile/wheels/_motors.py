@@ -247,8 +247,7 @@ class Motor:
         InvalidArgument
             If the motor is a torque source, or an argument is not finite.
         """
-        volts, rate = self._state(volts, rate)
-        return np.asarray(self._law.current(0, self._law.volts(0, volts), rate))
+        return self._at(MotorLaw.current, volts, rate)
 
     @in_numbers
     def torque(self, volts: ArrayLike, rate: ArrayLike) -> Array:
@@ -269,14 +268,13 @@ class Motor:
         InvalidArgument
             If the motor is a torque source, or an argument is not finite.
         """
-        volts, rate = self._state(volts, rate)
-        return np.asarray(self._law.torque(0, self._law.volts(0, volts), rate))
+        return self._at(MotorLaw.torque, volts, rate)
 
-    def _state(self, volts: ArrayLike, rate: ArrayLike) -> tuple[Array, Array]:
-        """Return voltage and rate after a check."""
+    def _at(self, law: Callable[..., Any], volts: ArrayLike, rate: ArrayLike) -> Array:
+        """Return a function of `MotorLaw` at voltage and rate, after a check."""
         volts, rate = finite("volts", volts), finite("rate", rate)
         broadcast(volts=volts[..., None], rate=rate[..., None])
-        return volts, rate
+        return np.asarray(law(self._law, 0, self._law.volts(0, volts), rate))
 
     @in_numbers
     def _free(self, volts: float | None) -> Array:

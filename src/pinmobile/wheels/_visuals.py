@@ -80,7 +80,7 @@ class _Objects:
             return Item(joint, -1, False, placement)
         row, spins = self._rides[name]
         steering, wheels = np.zeros(len(self.table.axes)), np.zeros(len(self.table)) if spins else None
-        frames = wheel_frames(self.table, self._kinematics, steering, wheels, ())
+        frames = wheel_frames(self._kinematics, steering, wheels)
         return Item(-1, row, spins, np.linalg.inv(frames[row]) @ placement)
 
     def placements(self, q: Array) -> Array:
@@ -95,8 +95,8 @@ class _Objects:
         joints = self.robot.frame_placements(q[..., :n])
         body = joints[..., BODY_JOINT - 1, None, :, :]
         steering, wheels = q[..., n : n + axes], q[..., n + axes :]
-        spun = body @ wheel_frames(self.table, self._kinematics, steering, wheels, lead)
-        steered = body @ wheel_frames(self.table, self._kinematics, steering, None, lead)
+        spun = body @ wheel_frames(self._kinematics, steering, wheels)
+        steered = body @ wheel_frames(self._kinematics, steering, None)
         found = np.empty((*lead, len(self.items), 4, 4))
         for k, item in enumerate(self.items):
             turning = spun if item.spins else steered
@@ -155,9 +155,7 @@ class Tyres(_Objects):
         return super().placements(still)
 
 
-def wheel_frames(
-    table: WheelTable, kinematics: Kinematics, steering: Array, wheels: Array | None, lead: tuple[int, ...]
-) -> Array:
+def wheel_frames(kinematics: Kinematics, steering: Array, wheels: Array | None) -> Array:
     """Return the frames of wheels, or of their steering, in the body's frame, shape (..., wheels, 4, 4).
 
     x is along e, z up. The frame of a wheel is at its centre, rotated about its axle y; that of the steering
@@ -165,18 +163,16 @@ def wheel_frames(
 
     Parameters
     ----------
-    table, kinematics
-        Wheels, and their kinematics.
+    kinematics : Kinematics
+        The wheels.
     steering : ndarray, shape (..., axes)
         Angles of the axes [rad].
     wheels : ndarray, shape (..., wheels), or None
         Angles of the wheels [rad]; None for the steering.
-    lead : tuple of int
-        Leading axes.
     """
     angles = list(np.moveaxis(steering, -1, 0))
-    found = np.zeros((*lead, len(table), 4, 4))
-    for row, wheel in enumerate(table.wheels):
+    found = np.zeros((*steering.shape[:-1], len(kinematics.table), 4, 4))
+    for row, wheel in enumerate(kinematics.table.wheels):
         head, (_, centre) = kinematics.heading(row, angles), kinematics.centre(row, angles)
         c, s, x, y = (number(each) for each in (head.c, head.s, *centre))
         phi: Any = 0.0 if wheels is None else wheels[..., row]
@@ -234,7 +230,7 @@ class WheelVisuals(_Objects):
         if boxed:
             box = BODY, "front", "wedge"
             rest = [item for item in shown if item.parentJoint != BODY_JOINT or item.name not in box]
-            shown = [*box_visuals(robot.size, BODY_JOINT, clearance).geometryObjects, *rest]
+            shown = [*box_visuals(robot.size, clearance).geometryObjects, *rest]
         for item in shown:
             copy = item.copy()
             copy.parentJoint, copy.placement = 0, pin.SE3.Identity()
