@@ -221,15 +221,13 @@ class System:
 
     @structure
     def _limits(self) -> tuple[Array, Array, Array, Array]:
-        model, arms = self._model, slice(BODY_JOINT, None)
-        lower, upper = np.full(model.nv, -np.inf), np.full(model.nv, np.inf)
-        speed, effort = upper.copy(), upper.copy()
-        least, most = model.lowerPositionLimit[arms], model.upperPositionLimit[arms]
-        known = least < most  # files write equal limits, or zero, for unknown limits
-        lower[arms] = np.where(known & (least > -_FAR), least, -np.inf)
-        upper[arms] = np.where(known & (most < _FAR), most, np.inf)
-        for target, source in ((speed, model.velocityLimit[arms]), (effort, model.effortLimit[arms])):
-            target[arms] = np.where((source > 0) & (source < _FAR), source, np.inf)
+        model, of_arms = self._model, np.arange(self._model.nv) >= BODY_JOINT
+        least, most = model.lowerPositionLimit, model.upperPositionLimit
+        known = of_arms & (least < most)  # files write equal limits, or zero, for unknown limits
+        lower = np.where(known & (least > -_FAR), least, -np.inf)
+        upper = np.where(known & (most < _FAR), most, np.inf)
+        sizes = model.velocityLimit, model.effortLimit
+        speed, effort = (np.where(of_arms & (x > 0) & (x < _FAR), x, np.inf) for x in sizes)
         return frozen(lower), frozen(upper), frozen(speed), frozen(effort)
 
     @property

@@ -407,7 +407,7 @@ def body_shapes(looks: VisualFile | None, source: str) -> Iterator[Solid]:
     """
     if looks is None:
         raise InvalidArgument(
-            f"robot has a body without collision shapes ({source}), expected numbers, or <collision>"
+            f"robot has a body without collision shapes ({source}), expected a box, or <collision> in a URDF"
         )
     model, joints = looks.model()
     shapes = looks.shapes(model)

@@ -364,7 +364,7 @@ class WheeledRobot(PlantOnWheels):
         """Raise `InvalidArgument` if its height is unknown, or all its contacts lie on one line."""
         if not self.grounded:
             raise InvalidArgument(
-                "robot has an unknown height above the ground, expected one read with ground="
+                "robot has an unknown height above the ground, expected ground= in reading it, or Rolling()"
             )
         if self.footprint is None:
             raise InvalidArgument(

@@ -854,12 +854,10 @@ def each_of(name: str, given: object) -> list[tuple[float, float]]:
     InvalidArgument
         If it is not a sequence of pairs of finite numbers.
     """
-    places = given.tolist() if isinstance(given, np.ndarray) else given
-    found = []
-    for k, at in enumerate(sequence(name, places, "(x, y) of each [m]")):
-        place = shaped(f"{name}[{k}]", finite(f"{name}[{k}]", at), (2,), words=": x and y of each [m]")
-        found.append((float(place[0]), float(place[1])))
-    return found
+    rows = given.tolist() if isinstance(given, np.ndarray) else given
+    pairs = ((f"{name}[{k}]", at) for k, at in enumerate(sequence(name, rows, "(x, y) of each [m]")))
+    places = (shaped(one, finite(one, at), (2,), words=": x and y of each [m]") for one, at in pairs)
+    return [(float(x), float(y)) for x, y in places]
 
 
 def _supports(places: object) -> tuple[Support, ...]:
