@@ -20,7 +20,7 @@ from pinmobile.errors import InvalidArgument
 from pinmobile.files import keep
 from pinmobile.robot.arms import link_of
 from pinmobile.robot.linkage import BODY_JOINT
-from pinmobile.robot.mounts import Mount, PayloadBody, named_frames
+from pinmobile.robot.mounts import PayloadBody, named_frames
 from pinmobile.robot.urdf_checks import urdf_tree
 
 
@@ -382,7 +382,7 @@ class Solids:
     @classmethod
     def of(cls, robot: Any, file: VisualFile | None) -> Solids:
         """Return the shapes of a `MobileRobot`, with the file of its body."""
-        model, carried = robot._model, carried_shapes(robot._model, robot.mounts, robot.loads)
+        model, carried = robot._model, carried_shapes(robot)
         body = [body_box(robot.size)] if robot.is_box else body_shapes(file, robot.source)
         joints = range(BODY_JOINT + 1, model.njoints)
         parents = (-1, *(model.parents[joint] - BODY_JOINT for joint in joints))
@@ -437,9 +437,7 @@ def body_box(size: Sequence[float], bottom: float = 0.0) -> Solid:
     return Solid(BODY_LINK, 0, pin.SE3(np.eye(3), middle), coal.Box(length, width, height - bottom))
 
 
-def carried_shapes(
-    model: pin.Model, mounts: Sequence[Mount], loads: Sequence[PayloadBody]
-) -> Iterator[Solid]:
+def carried_shapes(robot: Any) -> Iterator[Solid]:
     """Return the collision shapes of arms, and the boxes of loads, on the parts of the whole model.
 
     Raises
@@ -447,7 +445,7 @@ def carried_shapes(
     InvalidArgument
         If an arm has no shapes, or its file or a mesh is unreadable.
     """
-    for mount in mounts:
+    for mount in robot.mounts:
         shapes, links = mount.arm.solids()
         if not shapes.ngeoms:
             raise InvalidArgument(
@@ -456,7 +454,7 @@ def carried_shapes(
         for item, link in zip(shapes.geometryObjects, links, strict=True):
             joint, placement = mount.joint_of(item)
             yield from _solid(f"{mount.name}/{link}", joint - BODY_JOINT, placement, item)
-    for number, joint, placement, box in boxes_of(model, loads):
+    for number, joint, placement, box in boxes_of(robot._model, robot.loads):
         yield Solid(f"load {number}", joint - BODY_JOINT, placement, box)
 
 
