@@ -318,9 +318,8 @@ def existing_folders(package_dirs: str | PathLike[str] | Sequence[str | PathLike
         If an entry has another type or is not a folder.
     """
     given = (package_dirs,) if isinstance(package_dirs, str | PathLike) else package_dirs
-    paths = tuple(
-        location("package_dirs", one) for one in sequence("package_dirs", given, "a sequence of folders")
-    )
+    folders = sequence("package_dirs", given, "a sequence of folders")
+    paths = [location("package_dirs", one) for one in folders]
     for path in paths:
         if not path.is_dir():
             raise InvalidArgument(f"package_dirs has {shown(str(path))}, expected a folder")

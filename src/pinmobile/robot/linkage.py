@@ -132,10 +132,9 @@ def replace_continuous_joints(model: pin.Model) -> pin.Model:
 
 def convert_configuration(model: pin.Model, q: Array) -> Array:
     """Return a configuration of a model as a configuration of `replace_continuous_joints(model)`."""
-    parts = (
-        [np.arctan2(*q[joint.q][::-1])] if joint.continuous else q[joint.q] for joint in joints_of(model)
-    )
-    return np.concatenate([np.zeros(0), *parts])
+    parts = ((q[joint.q], joint.continuous) for joint in joints_of(model))
+    angles = ([np.arctan2(*own[::-1])] if continuous else own for own, continuous in parts)
+    return np.concatenate([np.zeros(0), *angles])
 
 
 def circular_coordinates(model: pin.Model) -> tuple[int, ...]:

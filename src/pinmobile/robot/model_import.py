@@ -240,11 +240,8 @@ def stance_on(
         File that locates the meshes.
     """
     apart = {joint for wheel in wheels for joint in model.subtrees[wheel.joint]}
-    placed = [
-        (shape, seen_from(base, data.oMi[shape.joint], shape.placement))
-        for shape in shapes
-        if shape.joint not in apart
-    ]
+    own = [shape for shape in shapes if shape.joint not in apart]
+    placed = [(shape, seen_from(base, data.oMi[shape.joint], shape.placement)) for shape in own]
     heights = [wheel.centre[2] - ground for wheel in wheels]
     # If a file contains no radius, wheels with axles at the same height stand on the ground.
     level = bool(heights) and min(heights) > 0 and max(heights) - min(heights) <= TOUCH
@@ -434,9 +431,8 @@ def read_model(
         # For frames of neither table, B is the frame that coincides with the ground's frame at rest.
         first, base = 3, data.oMi[3] if table else pin.SE3.Identity()
         how = f"is the chain ({', '.join(model.names[1:4])})"
-        how += (
-            "" if table else "; B is the frame that coincides with the ground's when all joints are at zero"
-        )
+        if table is None:
+            how += "; B is the frame that coincides with the ground's when all joints are at zero"
     else:
         table, roots = None, list(model.parents)[1:].count(0)
         first = 1 if roots == 1 and Joint.of(model, 1).floats else 0

@@ -247,9 +247,8 @@ class LinkageDynamics(LinkageKinematics):
         driven = self._driven(a, True)
         ways: list[dict[int, tuple[Vector, Vector]]] = []  # motion of the frame of joint i by joint j
         for i, above in enumerate(linkage.parents):
-            moved = {
-                i: ([ZERO] * 3, [ZERO, ZERO, ONE]) if linkage.turns[i] else ([ZERO, ZERO, ONE], [ZERO] * 3)
-            }
+            still, z = [ZERO] * 3, [ZERO, ZERO, ONE]
+            moved = {i: (still, z) if linkage.turns[i] else (z, still)}
             for j, (line, turn) in (ways[above] if above >= 0 else {}).items():
                 moved[j] = self.down(i, plus(line, cross(turn, self.p[i]))), self.down(i, turn)
             ways.append(moved)

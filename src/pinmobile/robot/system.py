@@ -310,16 +310,14 @@ class System:
             If an argument has another type, or the result would not fit into memory.
         """
         instance("generator", generator, np.random.Generator, "a numpy.random.Generator")
-        shape = tuple(
-            whole("shape", n, least=0) for n in sequence("shape", shape, "a tuple of whole numbers")
-        )
+        sizes = sequence("shape", shape, "a tuple of whole numbers")
+        shape = tuple(whole("shape", n, least=0) for n in sizes)
         affordable("random configurations", 4.0 * self.nq * prod(shape), "draw fewer at a time")
         q = generator.uniform(-np.pi, np.pi, (*shape, self.nq))
         q[..., :2] /= np.pi
         limited = np.isfinite(self.lower) & np.isfinite(self.upper)
-        q[..., limited] = generator.uniform(
-            self.lower[limited], self.upper[limited], (*shape, np.count_nonzero(limited))
-        )
+        ends = self.lower[limited], self.upper[limited]
+        q[..., limited] = generator.uniform(*ends, (*shape, np.count_nonzero(limited)))
         return q
 
     @structure

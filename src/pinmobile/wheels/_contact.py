@@ -479,9 +479,8 @@ def found_by_newton(
     ends = [sum(len(place.rows) for place in places[:k]) for k in range(len(places) + 1)]
     discs = [k for k, place in enumerate(places) if place.is_disc]
     moving = number(dot(free, [number(dot(row, free)) for row in M]))
-    enough = (
-        reduce(higher, sizes) * (_PLAIN * tolerance) * (_PLAIN * tolerance) + _ROUNDING * _ROUNDING * moving
-    )
+    near = _PLAIN * tolerance
+    enough = reduce(higher, sizes) * near * near + _ROUNDING * _ROUNDING * moving
 
     def one(v: Vector, way: Vector, p: Vector, search: Vector, *_: Any) -> tuple[Any, Any]:
         slope, share, low, high, rounded, sure = search

@@ -235,11 +235,8 @@ class SlippingDynamics(WheeledDynamics):
     def _held(self) -> list[int]:
         """Kept velocities that rolling resistance or dry friction of motors holds, in order."""
         first = self.of_body + len(self.table.axes)
-        resisted = {
-            self._leaders[first + row][0]
-            for row, wheel in enumerate(self.table.wheels)
-            if wheel.friction.rolling
-        }
+        rolling = [row for row, wheel in enumerate(self.table.wheels) if wheel.friction.rolling]
+        resisted = {self._leaders[first + row][0] for row in rolling}
         resisted |= {self.turned_by(k)[0][0] for k in self.rubbing}
         return [k for k, i in enumerate(self._kept) if i in resisted]
 
@@ -283,9 +280,8 @@ class SlippingDynamics(WheeledDynamics):
             pushed, at = columns[2 * k : 2 * k + 2], spins[k]
             spin = touched.index(at), over(units[at])
             give, disc = exact(wheel.friction.slip) / h, wheel.roller is None
-            touches.append(
-                WheelContact([*map(over, pair)], [*map(over, pushed)], *spin, disc, give, at in held)
-            )
+            own = [*map(over, pair)], [*map(over, pushed)]
+            touches.append(WheelContact(*own, *spin, disc, give, at in held))
         holding = [at for at in dict.fromkeys(spins) if at in held]
         return _Shape(solve, touches, touched, rest, inertia, [*columns, *(units[at] for at in holding)])
 

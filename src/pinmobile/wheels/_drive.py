@@ -1042,8 +1042,7 @@ class WheeledRobot(PlantOnWheels):
         lead = broadcast(**{"q": given[0], "reference.q": given[-1]})
         q, v, u, a, desired = (np.broadcast_to(x, (*lead, x.shape[-1])) for x in given)
         with np.errstate(all="ignore"):
-            found = np.asarray(
-                self.array_dynamics.evaluate_metrics(t, q, v, a, u, reference._replace(q=desired))
-            )
+            sample = t, q, v, a, u, reference._replace(q=desired)
+            found = np.asarray(self.array_dynamics.evaluate_metrics(*sample))
         finite_answer(np.where(found == -np.inf, 0.0, found), q=q, v=v, a=a, u=u)  # a margin may be -inf
         return np.array(np.broadcast_to(found, (*lead, len(self.metrics))))

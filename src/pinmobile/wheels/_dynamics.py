@@ -300,9 +300,8 @@ class WheeledDynamics:
     def left(self, q: Any, v: Any, a: Any) -> Any:
         """Return M a + n, shape (..., nv)."""
         state = self.state(q, v)
-        return self.in_plane(
-            state, self.needed(state, self.proper_acceleration(state, state.along(scalars(a))), q), q
-        )
+        felt = self.proper_acceleration(state, state.along(scalars(a)))
+        return self.in_plane(state, self.needed(state, felt, q), q)
 
     def needed(self, state: State, felt: Vector, q: Any) -> Vector:
         """Return the generalised force of a motion, along the body's axes."""
@@ -415,9 +414,8 @@ class WheeledDynamics:
     def accelerations(self, state: State, rates: Vector) -> Vector:
         """Return the accelerations, along the body's axes, for rates of the independent velocities."""
         S, gamma = self.null_space(state)
-        return [
-            dot(row, rates) + g for row, g in zip(S, self.bias_acceleration(state, S, gamma), strict=True)
-        ]
+        rest = self.bias_acceleration(state, S, gamma)
+        return [dot(row, rates) + g for row, g in zip(S, rest, strict=True)]
 
     def reduced(self, q: Any, v: Any) -> Reduced:
         """Return the dynamics of the independent velocities: M dnu/dt + n = B u, see `Reduced`."""
@@ -476,9 +474,7 @@ class WheeledDynamics:
         S, _ = self.null_space(state)
         along = state.along(scalars(tau))
         u = stacked(self._least(state, S, [*along, *[ZERO] * self.joints]), q)
-        upper, lower = (
-            np.array([getattr(each, side) for each in self.inputs]) for side in ("upper", "lower")
-        )
+        upper, lower = np.array([(each.upper, each.lower) for each in self.inputs]).reshape(-1, 2).T
         if np.isfinite([upper, lower]).any():
             high, low = u > upper, u < lower
             beyond = np.where(high, upper, np.where(low, lower, 1.0)) / np.where(high | low, u, 1.0)

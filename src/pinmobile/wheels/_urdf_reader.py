@@ -226,18 +226,15 @@ class _Reader:
         self._check_plane(rows)
         rows = self._on_lines(rows)
         driven = self._motors_at(rows)
-        rows = [
-            evolved(row, motor=motor_of(joint)) if joint.name in driven else row
-            for row, joint in zip(rows, self.joints, strict=True)
-        ]
+        pairs = zip(rows, self.joints, strict=True)
+        rows = [evolved(row, motor=motor_of(joint)) if joint.name in driven else row for row, joint in pairs]
         table = WheelTable(tuple(rows), self._supports(rows), tuple(self.couplings))
         return evolved(table, source="; ".join(self._sources(table)))
 
     def _check_plane(self, rows: Sequence[Wheel]) -> None:
         """Check that all wheels stand on one plane."""
-        lowest = {
-            joint.name: joint.centre[2] - row.radius for joint, row in zip(self.joints, rows, strict=True)
-        }
+        pairs = zip(self.joints, rows, strict=True)
+        lowest = {joint.name: joint.centre[2] - row.radius for joint, row in pairs}
         heights = [*lowest.values(), *([0.0] if self.robot.grounded else [])]
         if max(heights) - min(heights) > TOUCH:
             listed = ", ".join(f"{name} at z = {z:.4g}" for name, z in lowest.items())
