@@ -153,7 +153,7 @@ def check_steers_not(body: Any) -> None:
     """Raise `InvalidArgument` if wheels steer, because their angles belong to the state."""
     if body.table.axes:
         raise InvalidArgument(
-            f"robot steers wheels about {len(body.table.axes)} axes, expected none, or Backstepping(law, robot)"
+            f"robot steers wheels about {len(body.table.axes)} axes, expected 0, or Backstepping(law, robot)"
         )
 
 
