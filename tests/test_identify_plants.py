@@ -252,7 +252,7 @@ def test_joint_positions_are_read_from_files_and_streams(tmp_path: Path) -> None
     plant, prior = drive(), drive(1.1)
     log = drive_log(1e-3)
     joints = np.array(log.joints)
-    rows = np.hstack([log.t[:, None], log.q, joints, log.u])
+    rows = np.hstack([log.t[:, None], np.array(log.q), joints, log.u])
     titles = "t,x,y,psi,joint_left,joint_right,u_left [V],u_right [V]"
     path = tmp_path / "run.csv"
     np.savetxt(path, rows, delimiter=",", header=titles, comments="", fmt="%.17g")
