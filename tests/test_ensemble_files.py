@@ -11,7 +11,7 @@ from scipy import stats
 
 import pinmobile as pm
 from pinmobile import plots
-from pinmobile.loop import Engine, causes, run_scenario, worst_share
+from pinmobile.loop import Engine, Outline, causes, run_scenario, worst_share
 from pinmobile.loop._variables import PER_ROBOT
 from tests.damage import answer, damaged
 from tests.refusals import refused
@@ -213,6 +213,27 @@ def test_another_scenario_is_refused(tmp_path: Path, changed: dict[str, Any], wh
     path = saved(MADE["none diverges, none traced"], tmp_path)
     with refused(rf"^scenario does not match '.*saved.npz': {why}$"):
         pm.Ensemble.load(path, scenario(**changed))
+
+
+def test_changed_code_is_refused_and_versions_are_kept(tmp_path: Path) -> None:
+    def made(gain: float, scale: float) -> pm.Scenario:
+        def force(t: Any, q: Any, v: Any, reference: Any) -> Any:
+            return gain * (reference.q - q) + 40.0 * (reference.v - v)
+
+        metrics = {"size": lambda sample: scale * sample.u[0]}
+        return scenario(controller=pm.law(force), spread={"mass": pm.Uniform(9, 11)}, metrics=metrics)
+
+    found = run_scenario(made(40.0, 1.0))
+    path = saved(found, tmp_path)
+    read = pm.Ensemble.load(path, made(40.0, 1.0))
+    np.testing.assert_array_equal(read.member(0).u, found.member(0).u)
+    for other, name in ((made(60.0, 1.0), "controller"), (made(40.0, 2.0), "metrics")):
+        with refused(f"saved.npz': numbers or code of {name} differ$"):
+            pm.Ensemble.load(path, other)
+    told = pm.Ensemble.load(path).scenario
+    assert isinstance(told, Outline)
+    assert told.versions["pinmobile"] == pm.__version__
+    assert f"numpy {np.__version__}" in str(told)
 
 
 def test_another_reference_is_refused(tmp_path: Path) -> None:

@@ -8,7 +8,12 @@ from pinmobile.loop._checks import (
     sample_times as sample_times,
     sampled as sampled,
 )
-from pinmobile.loop._description import Outline, percent as percent
+from pinmobile.loop._description import (
+    Outline,
+    contents as contents,
+    percent as percent,
+    versions as versions,
+)
 from pinmobile.loop._ensemble import Bands, Ensemble, ErrorQuantile
 from pinmobile.loop._loop import (
     Loop,

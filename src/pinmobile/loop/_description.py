@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from hashlib import sha256
+from importlib.metadata import version as installed
 from itertools import zip_longest
+from sysconfig import get_python_version
 from typing import Any, final
 
 import numpy as np
 
+import pinmobile
 from pinmobile.arrays import Array
+from pinmobile.compiled import Contents
 from pinmobile.errors import text_of
 from pinmobile.loop._loop import named_forces
 from pinmobile.loop._scenario import Recorded, Scenario, checked_scenario
 from pinmobile.loop._spread import SameAs, Source
 from pinmobile.metrics import Metric, in_words
+from pinmobile.parts import is_part, parts_of, walk
 from pinmobile.plant import Coordinate, Input, Parameter
 from pinmobile.trajectories import Reference
 
@@ -144,6 +150,10 @@ class Outline(Recorded):
         Times of the samples [s].
     reference : Reference
         Desired q, v and a at these times, shape (N + 1, ...).
+    code : dict of str to str
+        Digest of the numbers and the code of each part and of the metrics; "" if they cannot be recognised.
+    versions : dict of str to str
+        Versions of Python, pinmobile and the packages that compute, at the time of the runs.
 
     See Also
     --------
@@ -182,6 +192,8 @@ class Outline(Recorded):
     every: int
     t: Array = field(repr=False)
     reference: Reference = field(repr=False)
+    code: Mapping[str, str] = field(default_factory=dict, repr=False)
+    versions: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
     def of(cls, scenario: Scenario | Outline) -> Outline:
@@ -215,6 +227,8 @@ class Outline(Recorded):
             coordinates=tuple(Coordinate(*one[:2]) for one in given.coordinates),
             inputs=tuple(Input(*one[:4]) for one in given.inputs),
             recorded_metrics=tuple(one._replace(function=None) for one in given.recorded_metrics),
+            code=_digests(given),
+            versions=versions(),
         )
 
     def difference(self, other: Outline) -> str:
@@ -236,7 +250,12 @@ class Outline(Recorded):
                 return f"{name} is {there.get(name, 'absent')} there and {here.get(name, 'absent')} here"
         names = ("t", *(f"reference.{name}" for name in Reference._fields))
         rows = zip(names, (self.t, *self.reference), (other.t, *other.reference), strict=True)
-        return next((f"{name} differs" for name, one, two in rows if not alike(one, two)), "")
+        found = [f"{name} differs" for name, one, two in rows if not alike(one, two)]
+        known = [name for name, mine in self.code.items() if mine and other.code.get(name)]
+        found += [
+            f"numbers or code of {name} differ" for name in known if self.code[name] != other.code[name]
+        ]
+        return found[0] if found else ""
 
     @property
     def spread_in_words(self) -> str:
@@ -254,7 +273,8 @@ class Outline(Recorded):
     def __str__(self) -> str:
         told = self._told()
         numbers = ", ".join(f"{name} {told.pop(name)}" for name in _NUMBERS)
-        return "\n".join([*(f"{name}: {words}" for name, words in told.items()), numbers])
+        made = ", ".join(f"{name} {version}" for name, version in self.versions.items())
+        return "\n".join([*(f"{name}: {words}" for name, words in told.items()), numbers, made])
 
     def _told(self) -> dict[str, str]:
         """Return everything except times and reference as text, by name."""
@@ -265,6 +285,39 @@ class Outline(Recorded):
         if self.recorded_metrics:
             found["metrics"] = ", ".join(one.name for one in self.recorded_metrics)
         return found | {name: f"{getattr(self, name)!r}" for name in _NUMBERS}
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of Python and of the packages on which numbers depend."""
+    found = {"python": get_python_version(), "pinmobile": pinmobile.__version__}
+    return found | {name: installed(name) for name in ("numpy", "scipy", "pin", "llvmlite")}
+
+
+def contents(scenario: Scenario) -> Iterator[tuple[str, Any]]:
+    """Yield classes and fields of the loop and of the spread, by path."""
+    yield "metrics", scenario.metrics
+    for path, part in parts_of(scenario.given):
+        yield path or "loop", type(part)
+    for leaf in walk(scenario.given):
+        yield leaf.path, leaf.value
+    for name, source in sorted(scenario.spread.items()):
+        for leaf in walk(source) if is_part(source) else ():
+            yield f"spread.{name}.{leaf.path}", leaf.value
+        yield f"spread.{name}", type(source) if is_part(source) else source
+
+
+def _digests(scenario: Scenario) -> dict[str, str]:
+    """Return a digest of the numbers and the code of each part of a loop, and of its metrics."""
+    texts: dict[str, list[str]] = {}
+    for path, value in contents(scenario):
+        name = path.partition(".")[0]
+        if name != "spread":  # the draws tell of it
+            text, unknown = Contents.of_value(value)
+            texts.setdefault(name, []).append("" if unknown else f"{path} {text}")
+    return {
+        name: sha256("\n".join(each).encode("utf-8", "surrogatepass")).hexdigest() if all(each) else ""
+        for name, each in texts.items()
+    }
 
 
 def alike(one: Array, other: Array) -> bool:

@@ -5,25 +5,31 @@ from __future__ import annotations
 import json
 import re
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from hashlib import sha256
-from importlib.metadata import version as installed
 from itertools import product
 from math import isfinite, prod
 from numbers import Real
 from platform import machine
-from sysconfig import get_python_version
 from typing import Any, TypeAlias, final
 
 import numpy as np
 
-import pinmobile
 from pinmobile.arrays import instance
 from pinmobile.compiled import Contents
 from pinmobile.errors import InvalidArgument, UnknownName, shown
-from pinmobile.loop import PER_ROBOT, SUMMED, Loop, Relative, Scenario, chosen_integrator
+from pinmobile.loop import (
+    PER_ROBOT,
+    SUMMED,
+    Loop,
+    Relative,
+    Scenario,
+    chosen_integrator,
+    contents,
+    versions,
+)
 from pinmobile.parts import (
     Field,
     Found,
@@ -31,7 +37,6 @@ from pinmobile.parts import (
     Number,
     entries_of,
     find,
-    is_part,
     named,
     parts_of,
     replace as replaced,
@@ -352,8 +357,7 @@ def describe(points: Points, version: str | None = None) -> dict[str, Any]:
     found: dict[str, Any] = {
         "format": FORMAT,
         "machine": machine(),
-        "versions": {"python": get_python_version(), "pinmobile": pinmobile.__version__}
-        | {name: installed(name) for name in ("numpy", "scipy", "pin", "llvmlite")},
+        "versions": versions(),
         "axes": {name: {"values": axis.values, "unit": axis.unit} for name, axis in points.axes.items()},
     }
     for name in sorted(set().union(*each)):
@@ -374,7 +378,7 @@ def _described(scenario: Scenario, version: str | None) -> dict[str, Any]:
     """
     found = {name: _form(getattr(scenario, name))[0] for name in _PLAIN}
     found |= {"duration": float(scenario.t[-1]), "reference": _form(np.hstack(scenario.reference))[0]}
-    for path, value in _contents(scenario):
+    for path, value in contents(scenario):
         found[path], unknown = _form(value)
         if unknown and version is None and (scenario.has_own_references or not path.startswith("trajectory")):
             raise InvalidArgument(
@@ -383,19 +387,6 @@ def _described(scenario: Scenario, version: str | None) -> dict[str, Any]:
                 "whenever the object changes"
             )
     return found
-
-
-def _contents(scenario: Scenario) -> Iterator[tuple[str, Any]]:
-    """Yield classes and fields of the loop and of the spread, by path."""
-    yield "metrics", scenario.metrics
-    for path, part in parts_of(scenario.given):
-        yield path or "loop", type(part)
-    for leaf in walk(scenario.given):
-        yield leaf.path, leaf.value
-    for name, source in sorted(scenario.spread.items()):
-        for leaf in walk(source) if is_part(source) else ():
-            yield f"spread.{name}.{leaf.path}", leaf.value
-        yield f"spread.{name}", type(source) if is_part(source) else source
 
 
 def _form(value: Any) -> tuple[Any, str]:
