@@ -19,6 +19,7 @@ from pinmobile.balance import (
 )
 from pinmobile.controllers import PD, Backstepping, ControlAllocation, UnicycleTracking
 from pinmobile.parts import evolved
+from pinmobile.trajectories import Reference
 from pinmobile.wheels import Ramp, Support, Wheel, WheelFriction
 from tests.wheeled import BODY, CASTER, WHEEL, G
 
@@ -319,7 +320,12 @@ def test_a_robot_by_voltage_tells_loads_and_takes_no_volts_for_torques() -> None
         errors.InvalidArgument, match=r"^motion.plant is ByVoltage\(...\), .* simulate motion"
     ):
         slip_margins(at)
-    assert not hasattr(electric, "metrics")
-    assert not hasattr(electric.array_dynamics, "evaluate_metrics")
+    assert [one.name for one in electric.metrics] == ["effort", "load", "tip over"]
+    assert [one.name for one in robot.metrics] == ["load", "tip over", "slip margin"]
+    q, v = robot.rest, np.zeros(robot.nv)
+    a, reference = 0.3 * np.ones(robot.nv), Reference(q, v, v)
+    effort, *loads = electric.evaluate_metrics(0.0, q, v, a, [12.0, -6.0], reference)
+    np.testing.assert_array_equal(loads, robot.evaluate_metrics(0.0, q, v, a, [1.0, 1.0], reference)[:2])
+    assert effort == 0.5
     assert electric.on_ramp(0.1) == robot.on_ramp(0.1).by_voltage()
     assert max_slope(electric) == max_slope(robot)

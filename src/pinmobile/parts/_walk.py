@@ -282,7 +282,7 @@ def shortest(paths: Iterable[str]) -> list[str]:
     every, found = [path.split(".") for path in paths], []
     for words in every:
         least = min(len(words), 2 + (len(words[-1]) == 1))
-        ends = (words[-k:] for k in range(least, len(words)))
+        ends = (words[-k:] for k in range(least, len(words)) if not words[-k].isdigit())
         unique = (end for end in ends if sum(each[-len(end) :] == end for each in every) == 1)
         found.append(".".join(next(unique, words)))
     return found

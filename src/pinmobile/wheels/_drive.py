@@ -12,11 +12,10 @@ from typing import Any, ClassVar, Self, final
 import numpy as np
 import pinocchio as pin
 
-from pinmobile.arrays import Array, ArrayLike, broadcast, finite, finite_answer, frozen, shaped
+from pinmobile.arrays import Array, ArrayLike, finite, finite_answer, frozen, shaped
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.integrators import rk4
-from pinmobile.metrics import Metric
-from pinmobile.parts import Desired, also_symbols, by_value, child, evolved, part, required, structure, takes
+from pinmobile.parts import by_value, child, evolved, part, structure, takes
 from pinmobile.plant import ContactLoads, Contacts, Coordinate, Input, SlipMargins
 from pinmobile.robot import BODY_JOINT, LOCKED, Linearization, MobileRobot, PayloadBody, described, number
 from pinmobile.wheels._coulomb import Coulomb
@@ -1010,39 +1009,3 @@ class WheeledRobot(PlantOnWheels):
         self.check_stands()
         along = followed(self._rolling, reference, finite("t", t))
         return TimeScaledMotion(self._rolling, along, self.robot.effort_limit[BODY_JOINT:])
-
-    @property
-    def metrics(self) -> tuple[Metric, ...]:
-        """Metrics beside errors, in the order of `evaluate_metrics`.
-
-        They are the smallest load of wheels and supports; the smallest slip margin of rolling wheels (see
-        `slip_margins`), or the largest slip velocity of others; the largest torque relative to its limit; and
-        the metrics of arms, see `MobileRobot.metrics`.
-        """
-        return self.array_dynamics.metrics  # type: ignore[no-any-return]
-
-    @also_symbols
-    def evaluate_metrics(
-        self, t: ArrayLike, q: ArrayLike, v: ArrayLike, a: ArrayLike, u: ArrayLike, reference: Any
-    ) -> Array:
-        """Return the values of `metrics`, shape (..., m).
-
-        Parameters
-        ----------
-        t : array_like, shape (...)
-            Time [s], not used.
-        q, v, a, u : array_like, shape (..., nq), (..., nv), (..., nv), (..., nu)
-            State, acceleration and input.
-        reference : Reference
-            Desired values of the first coordinates.
-        """
-        required("reference", reference, Desired)
-        wanted = [("...", n) for n in self.reference_sizes]
-        given = [*self._state(q, v, u, a), shaped("reference.q", finite("reference.q", reference.q), *wanted)]
-        lead = broadcast(**{"q": given[0], "reference.q": given[-1]})
-        q, v, u, a, desired = (np.broadcast_to(x, (*lead, x.shape[-1])) for x in given)
-        with np.errstate(all="ignore"):
-            sample = t, q, v, a, u, reference._replace(q=desired)
-            found = np.asarray(self.array_dynamics.evaluate_metrics(*sample))
-        finite_answer(np.where(found == -np.inf, 0.0, found), q=q, v=v, a=a, u=u)  # a margin may be -inf
-        return np.array(np.broadcast_to(found, (*lead, len(self.metrics))))

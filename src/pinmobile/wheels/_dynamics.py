@@ -14,8 +14,9 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, finite, positive
-from pinmobile.parts import also_symbols, holds_symbols, takes
+from pinmobile.arrays import Array, ArrayLike, broadcast, finite, finite_answer, positive, shaped
+from pinmobile.metrics import Metric
+from pinmobile.parts import Desired, also_symbols, holds_symbols, required, takes
 from pinmobile.plant import Step
 from pinmobile.robot import (
     ZERO,
@@ -559,6 +560,7 @@ class PlantOnWheels:
     broadcasts: ClassVar[bool] = True
     compiles: ClassVar[bool] = True
     array_dynamics: Any
+    reference_sizes: Any
     describe: Any
 
     def __str__(self) -> str:
@@ -572,6 +574,42 @@ class PlantOnWheels:
     def law(self) -> Any:
         """Dynamics for a loop: the robot itself, or its `array_dynamics` if it contains symbols."""
         return self.array_dynamics if self._is_symbolic else self
+
+    @property
+    def metrics(self) -> tuple[Metric, ...]:
+        """Metrics beside errors, in the order of `evaluate_metrics`.
+
+        They are the smallest load of wheels and supports; the smallest slip margin of wheels that roll by
+        torques (see `WheeledRobot.slip_margins`), or the largest slip velocity of wheels that slip; the
+        largest input relative to its limit; and the metrics of arms, see `MobileRobot.metrics`.
+        """
+        return self.array_dynamics.metrics  # type: ignore[no-any-return]
+
+    @also_symbols
+    def evaluate_metrics(
+        self, t: ArrayLike, q: ArrayLike, v: ArrayLike, a: ArrayLike, u: ArrayLike, reference: Any
+    ) -> Array:
+        """Return the values of `metrics`, shape (..., m).
+
+        Parameters
+        ----------
+        t : array_like, shape (...)
+            Time [s], not used.
+        q, v, a, u : array_like, shape (..., nq), (..., nv), (..., nv), (..., nu)
+            State, acceleration and input.
+        reference : Reference
+            Desired values of the first coordinates.
+        """
+        required("reference", reference, Desired)
+        wanted = [("...", n) for n in self.reference_sizes]
+        given = [*self._state(q, v, u, a), shaped("reference.q", finite("reference.q", reference.q), *wanted)]
+        lead = broadcast(**{"q": given[0], "reference.q": given[-1]})
+        q, v, u, a, desired = (np.broadcast_to(x, (*lead, x.shape[-1])) for x in given)
+        with np.errstate(all="ignore"):
+            sample = t, q, v, a, u, reference._replace(q=desired)
+            found = np.asarray(self.array_dynamics.evaluate_metrics(*sample))
+        finite_answer(np.where(found == -np.inf, 0.0, found), q=q, v=v, a=a, u=u)  # a margin may be -inf
+        return np.array(np.broadcast_to(found, (*lead, len(self.metrics))))
 
     @of_ground
     def initial_state(self, context: Any = None) -> Any:

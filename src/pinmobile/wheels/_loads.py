@@ -380,7 +380,7 @@ def metrics_on_wheels(body: Any) -> tuple[Metric, ...]:
     if arms is not None:
         found += [one for one in arms.metrics if one.name.startswith("end effector")]
     if limits_of(body):
-        found.append(Metric("effort", "", "largest |torque| of a joint or wheel, relative to its limit"))
+        found.append(Metric("effort", "", "largest |input| of a joint or wheel, relative to its limit"))
     if footprint_of(body) is not None:
         words = "distance of the zero-moment point from the edge of the support polygon"
         found.append(Metric("tip-over margin", "m", words, "smallest"))

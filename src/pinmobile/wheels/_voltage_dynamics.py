@@ -33,6 +33,7 @@ from pinmobile.robot import (
 )
 from pinmobile.wheels._contact import iterated, moved_by, within
 from pinmobile.wheels._dynamics import PlantOnWheels, WheeledDynamics, mean_acceleration, through
+from pinmobile.wheels._loads import evaluate_metrics, metrics_on_wheels
 from pinmobile.wheels._motors import (
     CONSTANTS,
     ExternalForceFunction,
@@ -51,7 +52,7 @@ _PASSES = 3
 _ROUNDS, _ENOUGH = 200, 1e-13  # dry friction: most iterations, and tolerance relative to the largest impulse
 _OF_TORQUES = re.compile(
     "_.*|array_dynamics|law|nominal|terms|(check_)?inverse_dynamics|torques|allocate(_scaled)?|constraint_forces|"
-    "input_matrix|calls|slip_margins|metrics|evaluate_metrics"
+    "input_matrix|calls|slip_margins"
 )
 
 
@@ -97,10 +98,17 @@ class VoltageDynamics:
     electric: tuple[int, ...]
     inputs: tuple[Input, ...]
 
+    metrics = cached_property(metrics_on_wheels)
     broadcasts: ClassVar[bool] = True
+    groups: ClassVar[tuple[()]] = ()  # slip margins need torques
 
     def __getattr__(self, name: str) -> Any:
         return of_wheeled(self, name)
+
+    def evaluate_metrics(self, t: Any, q: Any, v: Any, a: Any, u: Any, reference: Any) -> Any:
+        """Return the values of its metrics, shape (..., m)."""
+        del t
+        return evaluate_metrics(self, q, v, a, u, reference.q)
 
     def initial_state(self, context: Any = None) -> MotorState:
         """Return the memory before the first step: no current flows."""
