@@ -321,11 +321,11 @@ def test_a_robot_by_voltage_tells_loads_and_takes_no_volts_for_torques() -> None
     ):
         slip_margins(at)
     assert [one.name for one in electric.metrics] == ["effort", "load", "tip over"]
-    assert [one.name for one in robot.metrics] == ["load", "tip over", "slip margin"]
+    assert [one.name for one in robot.metrics] == ["effort", "load", "tip over", "slip margin"]
     q, v = robot.rest, np.zeros(robot.nv)
     a, reference = 0.3 * np.ones(robot.nv), Reference(q, v, v)
     effort, *loads = electric.evaluate_metrics(0.0, q, v, a, [12.0, -6.0], reference)
-    np.testing.assert_array_equal(loads, robot.evaluate_metrics(0.0, q, v, a, [1.0, 1.0], reference)[:2])
+    np.testing.assert_array_equal(loads, robot.evaluate_metrics(0.0, q, v, a, [1.0, 1.0], reference)[1:3])
     assert effort == 0.5
     assert electric.on_ramp(0.1) == robot.on_ramp(0.1).by_voltage()
     assert max_slope(electric) == max_slope(robot)
