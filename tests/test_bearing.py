@@ -323,7 +323,7 @@ def test_a_robot_by_voltage_tells_loads_and_takes_no_volts_for_torques() -> None
     assert [one.name for one in electric.metrics] == ["effort", "load", "tip over"]
     assert [one.name for one in robot.metrics] == ["effort", "load", "tip over", "slip margin"]
     q, v = robot.rest, np.zeros(robot.nv)
-    a, reference = 0.3 * np.ones(robot.nv), Reference(q, v, v)
+    a, reference = 0.3 * np.ones(robot.nv), Reference(*np.zeros((3, 3)))
     effort, *loads = electric.evaluate_metrics(0.0, q, v, a, [12.0, -6.0], reference)
     np.testing.assert_array_equal(loads, robot.evaluate_metrics(0.0, q, v, a, [1.0, 1.0], reference)[1:3])
     assert effort == 0.5

@@ -233,8 +233,8 @@ def test_figures_show_measures(runs: pm.Ensemble) -> None:
     assert joint.get_ylabel().startswith(f"error of\n{ELBOW} [")
     with pytest.raises(UnknownName, match=r"unknown band 'effort!'"):
         plots.bands(runs, by=["effort!"])
-    drivers = plots.drivers(runs, share=0.1, by="tip-over margin")
-    assert drivers.get_suptitle() == "loads.0.mass drives the worst 10 % by tip-over margin most"
+    drivers = plots.drivers(runs, share=0.2, by="tip-over margin")
+    assert drivers.get_suptitle() == "loads.0.mass drives the worst 20 % by tip-over margin most"
     assert drivers.axes[-1].get_ylabel() == "smallest tip-over margin [mm]"
 
 

@@ -12,7 +12,7 @@ from pinmobile.errors import InvalidArgument
 from pinmobile.loop._spread import SameAs
 from pinmobile.parts import shortest
 
-_CRITICAL = 2.001  # of Kuiper's test at 1 %: Stephens, J. R. Stat. Soc. B 32 (1970)
+_CHANCE = 0.01  # that any of the parameters without effect is named
 _ONE_SIDED = 0.1  # share of the statistic below which one side counts as chance
 
 
@@ -28,7 +28,8 @@ class Cause(NamedTuple):
     difference : float
         Kuiper's statistic of the worst against the others, 0 to 1.
     visible : bool
-        Whether the difference is more than chance at 1 %.
+        Whether the difference is more than chance: by chance, any of the parameters is visible in 1 % of all
+        ensembles.
     low, high : float
         Interval (low, high] of the worst robots; bounds may be infinite.
     outside : bool
@@ -104,7 +105,8 @@ def causes(ensemble: Any, worst: NDArray[np.bool_]) -> list[Cause]:
     if not differ:
         what = "ensemble has robots with the same parameters"
         raise InvalidArgument(f"{what}, expected a spread of at least one parameter")
-    return sorted((_cause(*one, worst) for one in differ), key=lambda one: -one.difference)
+    found = (_cause(*one, worst, _CHANCE / len(differ)) for one in differ)
+    return sorted(found, key=lambda one: -one.difference)
 
 
 def _parameters(ensemble: Any) -> list[tuple[str, str, Array]]:
@@ -120,7 +122,7 @@ def _parameters(ensemble: Any) -> list[tuple[str, str, Array]]:
     return found
 
 
-def _cause(name: str, unit: str, values: Array, worst: NDArray[np.bool_]) -> Cause:
+def _cause(name: str, unit: str, values: Array, worst: NDArray[np.bool_], chance: float) -> Cause:
     # scipy.stats is slow to load, and other figures do not need it.
     from scipy.stats import ks_2samp
 
@@ -130,7 +132,9 @@ def _cause(name: str, unit: str, values: Array, worst: NDArray[np.bool_]) -> Cau
     high, low = float(above.statistic_location), float(below.statistic_location)
     difference = float(above.statistic + below.statistic)
     size = np.sqrt(len(bad) * len(good) / len(values))
-    visible = bool(difference * (size + 0.155 + 0.24 / size) > _CRITICAL)
+    # Kuiper's test: Stephens, J. R. Stat. Soc. B 32 (1970).
+    square = max(1.0, difference * (size + 0.155 + 0.24 / size)) ** 2
+    visible = bool((8 * square - 2) * np.exp(-2 * square) < chance)
     if above.statistic <= _ONE_SIDED * difference:
         high = np.inf
     elif below.statistic <= _ONE_SIDED * difference:

@@ -60,7 +60,8 @@ class Lissajous(_Figure):
 
         x = rx sin(wx t),   y = ry - ry cos(wy t)
 
-    It is a circle for rx = ry and wx = wy (see `Circle`), and an ellipse for wx = wy alone. A negative
+    It is a circle for rx = ry and wx = wy (see `Circle`), an ellipse for wx = wy alone, and a figure of eight
+    for wx = 2 wy. For wy = 2 wx it is a part of a parabola, at whose ends the motion reverses. A negative
     amplitude mirrors the figure.
 
     Parameters
@@ -86,9 +87,9 @@ class Lissajous(_Figure):
     --------
     >>> import numpy as np
     >>> from pinmobile import Lissajous
-    >>> eight = Lissajous(2.0, 1.0, wx=0.5, wy=1.0, duration=12.6)
-    >>> eight(np.pi)  # [m]
-    array([2., 2.])
+    >>> eight = Lissajous(2.0, 1.0, wx=1.0, wy=0.5, duration=12.6)
+    >>> eight(np.pi / 2)  # [m]
+    array([2.  , 0.29])
     """
 
     rx: float = number(unit="m", doc="amplitude of the figure along x")
