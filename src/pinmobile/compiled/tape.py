@@ -324,7 +324,8 @@ class Tape:
             self._own += bool(depends & (ROBOT | STATE))
             if self._own >= self._largest or index >= _SHARED * self._largest:
                 what = f"the law has more than {self._largest} operations with unrolled loops"
-                raise NotTraceable(what, "use fewer iterations, or run it with engine=Engine.PYTHON")
+                instead = "use fewer iterations or substeps, or run it with engine=Engine.PYTHON"
+                raise NotTraceable(what, instead)
             self._known[operation] = index
             if operation[0] == "const":
                 self._keep(index, operation)

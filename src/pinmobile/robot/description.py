@@ -49,8 +49,8 @@ def stands(place: Array, corners: Array | None) -> str:
     return f"stands: its centre of mass is {margin:.2g} m inside the edge of its supports"
 
 
-def of_robot(robot: Any, corners: Array | None) -> list[str]:
-    """Return the lines about a `MobileRobot`, with the corners of its supports."""
+def of_robot(robot: Any, corners: Array | None, wheeled: Any = None) -> list[str]:
+    """Return the lines about a `MobileRobot`, with the corners of its supports, and maybe on its wheels."""
     is_assumed = robot._source == "made from numbers" and robot.reference_inertia is None
     inertia = f"diagonal {numbers(np.diag(robot.body.inertia), 'kg m^2')}"
     rows = [
@@ -64,7 +64,10 @@ def of_robot(robot: Any, corners: Array | None) -> list[str]:
         spans = zip("xy", corners.min(axis=0), corners.max(axis=0), strict=True)
         words = ", ".join(f"{one} {low:.4g} to {high:.4g} m" for one, low, high in spans)
         rows.append(["supports", f"{len(corners)} corners, {words}"])
-    first, *rest = robot._source.split("; ")
+    notes, words = robot.source.removeprefix(robot._source), robot._source
+    if wheeled is not None:  # its source knows which joints turn
+        words = wheeled.source.removesuffix(f"; {wheeled.table.source}").removesuffix(notes)
+    first, *rest = words.split("; ")
     lines = ["body", *columns([*rows, ["source", first], *(["", each] for each in rest)])]
     for load in robot.loads:
         place = f" on {load.frame}" if load.frame else ""
@@ -80,11 +83,8 @@ def of_robot(robot: Any, corners: Array | None) -> list[str]:
             heads.append([one.name, *limits, interval(-effort, effort, robot.inputs[k].unit)])
         lines += columns(heads)
     if robot.mounts:
-        notes = robot.source.removeprefix(robot._source).removeprefix("; ")
-        lines += [
-            "numbers of arms: from their files or models",
-            *(f"  {each}" for each in notes.split("; ") if each),
-        ]
+        lines += ["numbers of arms: from their files or models"]
+        lines += [f"  {each}" for each in notes.split("; ") if each]
     if robot.mounts or robot.loads:
         whole = robot.lumped()
         place = f"centre of mass {numbers(whole.com, 'm')} in the reference posture"
@@ -104,7 +104,9 @@ def of_wheels(wheeled: Any) -> list[str]:
             speed = numbers(rate, "rad/s") + along
         limits = (motor.largest_torque, "N m"), (motor.voltage or np.inf, "V"), (motor.current, "A")
         torque, volts, current = (numbers(x, unit) if np.isfinite(x) else "none" for x, unit in limits)
-        rows.append([each.name, torque, speed, volts, current, motor.source or "given"])
+        is_stated = motor.is_electric or np.isfinite(motor.largest_torque)
+        source = motor.source or ("given" if is_stated else "none: a torque without limit")
+        rows.append([each.name, torque, speed, volts, current, source])
     axes = [["steering", "angle"], *([x.name, interval(-x.limit, x.limit, "rad")] for x in table.axes)]
     return [
         "wheels",
@@ -121,7 +123,7 @@ def described(robot: Any, wheeled: Any = None) -> str:
     corners, down = robot.footprint, np.array([0.0, 0.0, -1.0])
     if wheeled is not None:
         corners, down = wheeled.footprint, np.asarray(wheeled.fall)
-    lines = of_robot(robot, corners) + (of_wheels(wheeled) if wheeled is not None else [])
+    lines = of_robot(robot, corners, wheeled) + (of_wheels(wheeled) if wheeled is not None else [])
     com = np.array(robot.lumped().com)
     words = stands(com[:2] - com[2] * down[:2] / down[2], corners)
     return "\n".join([*lines, words + (" on this ramp, at psi = 0" if down[:2].any() else "")])
