@@ -15,7 +15,8 @@ _SINCE = "(from t = {t} s, {count})"
 _GROUND = {
     "tip over": "no loads of wheels and supports balance the robot: it tips over, which is not simulated "
     + _SINCE,
-    "ground": f"loads and forces of the ground did not converge to their tolerance {_SINCE}",
+    "ground": f"loads and forces of the ground did not converge to their tolerance {_SINCE}; "
+    "compare with half the time step",
 }
 _SLIDES = f"sliding: {{name}}, at up to {{value}} m/s at t = {{at}} s {_SINCE}"
 _FASTER = (
