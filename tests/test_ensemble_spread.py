@@ -85,6 +85,7 @@ def test_a_pattern_means_each_of_its_numbers_and_each_has_its_own_draw() -> None
     scenario = made(robot=robot, controller=law, spread={"plant.*.gear": pm.Uniform(9, 11), "mass": 31.0})
     paths = [f"plant.table.wheels.{side}.motor.gear" for side in ("left", "right")]
     assert list(scenario.spread) == [*paths, "mass"]
+    assert scenario.find("left.gear").path == paths[0]
     left, right = (scenario.draws()[path] for path in paths)
     assert abs(np.corrcoef(left, right)[0, 1]) < 0.2
     found = pm.ensemble(robot, law, TRAJECTORY, n=50, spread=scenario.spread, dt=0.1, duration=1.0)

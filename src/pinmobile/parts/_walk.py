@@ -295,7 +295,7 @@ def _nearness(path: str) -> tuple[bool, int]:
 def find(part: Any, name: str, known: Mapping[str, Found] | None = None, where: str = "") -> Found:
     """Return the number that a name means.
 
-    A name is a full path, the end of a path, or a field of the loop and the end of a path in it. Of several
+    A name is a full path, the end of a path, or a word of a path and its end. Of several
     paths with this end, the plant's own comes first, then the one nearest to the loop: ``"mass"`` is the
     plant's, ``"controller.mass"`` the nearest in the controller. In a loop, the first word robot means the
     plant, as in files and commands.
@@ -317,7 +317,7 @@ def find(part: Any, name: str, known: Mapping[str, Found] | None = None, where: 
         (*_nearness(path), path)
         for path, one in known.items()
         if not one.label or rest  # an entry has no name of one word
-        if path.endswith(f".{name}") or (rest and path.startswith(f"{first}.") and path.endswith(f".{rest}"))
+        if path.endswith(f".{name}") or (rest and f".{first}." in f".{path}" and path.endswith(f".{rest}"))
     )
     if not ends:
         from difflib import get_close_matches  # here, because only this error needs the module
