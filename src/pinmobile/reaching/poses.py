@@ -467,9 +467,7 @@ class PosePath:
         told[position] = "m", pose[:, :3, 3]
         if self.rows > _POSITION:
             quaternions = np.array([pin.Quaternion(R).coeffs() for R in pose[:, :3, :3]])
-            changes = np.einsum("ni,ni->n", quaternions[1:], quaternions[:-1]) < 0
-            signs = np.where(np.cumsum(np.append(False, changes)) % 2, -1.0, 1.0)
-            told[orientation] = "", quaternions * signs[:, None]
+            told[orientation] = "", continuous(quaternions)
         return told
 
 
@@ -526,11 +524,9 @@ class FrameTask:
 
     def __post_init__(self) -> None:
         instance("target", self.target, PosePath, "a PosePath")
-        own: dict[str, Any] = {
-            name: bounded(name, non_negative(name, getattr(self, name)), most=1e6)
-            for name in ("position", "orientation")
-        }
-        own["tolerance"] = positive_or_endless("tolerance", self.tolerance)
+        own: dict[str, Any] = {"tolerance": positive_or_endless("tolerance", self.tolerance)}
+        for name in ("position", "orientation"):
+            own[name] = bounded(name, non_negative(name, getattr(self, name)), most=1e6)
         if self.axis is not None:
             axis = shaped("axis", finite("axis", self.axis), (3,))
             length = float(np.linalg.norm(axis))
@@ -599,6 +595,12 @@ class FrameTask:
         """
         whole = self.axis is None and self.rows.stop > _POSITION
         return (self.target if whole else PosePath(self.target.path)).told(str(self.frame), t)
+
+
+def continuous(quaternions: Array) -> Array:
+    """Return the same rotations without changes of sign between successive quaternions, shape (n, 4)."""
+    changes = np.sum(quaternions[1:] * quaternions[:-1], axis=1) < 0
+    return quaternions * np.where(np.cumsum(np.append(False, changes)) % 2, -1.0, 1.0)[:, None]
 
 
 def target_names(frame: str) -> tuple[str, str]:

@@ -125,13 +125,7 @@ def tube(points: Array, thickness: float) -> shapes.Triangles:
     thickness : float
         Its diameter [m].
     """
-    along = np.gradient(points, axis=0) if len(points) > 1 else np.zeros_like(points)
-    length = np.linalg.norm(along, axis=1)
-    number = np.arange(len(points))
-    moving = length > 1e-9 * length.max(initial=1e-300)
-    latest = np.maximum.accumulate(np.where(moving, number, 0))  # where points coincide, as before
-    along = along[latest] / np.maximum(length[latest], 1e-300)[:, None]
-    first, second = _across(along)
+    first, second = _across(shapes.directions(points))
     angle = 2 * np.pi * np.arange(_SIDES) / _SIDES
     rings = np.cos(angle)[:, None] * first[:, None] + np.sin(angle)[:, None] * second[:, None]
     vertices = (points[:, None] + thickness / 2 * rings).reshape(-1, 3)

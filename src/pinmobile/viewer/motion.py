@@ -15,6 +15,7 @@ from pinmobile.arrays import Array, bounded, finite, shaped
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.loop import Rollout
 from pinmobile.plant import all_samples, stated
+from pinmobile.reaching.poses import continuous
 from pinmobile.robot import BODY_JOINT, MobileRobot
 
 _KINDS = {"position": "vector3", "scale": "vector3", "quaternion": "quaternion", "visible": "bool"}
@@ -71,8 +72,7 @@ def frame_times(runs: Mapping[str, Rollout], fps: float, speed: float) -> Array:
     start, end = min(run.t[0] for run in runs.values()), max(run.t[-1] for run in runs.values())
     count = float(end - start) * fps / speed
     bounded("fps * duration / speed", count, most=_MOST_FRAMES, unit="frames")
-    grid = start + np.arange(int(np.ceil(count - 1e-6))) * speed / fps
-    return np.append(grid, end)
+    return np.append(start + np.arange(int(np.ceil(count - 1e-6))) * speed / fps, end)
 
 
 def along(path: str, poses: Array, height: float = 0.0) -> list[Channel]:
@@ -86,11 +86,8 @@ def along(path: str, poses: Array, height: float = 0.0) -> list[Channel]:
 
 def poses_of(path: str, placements: Array) -> list[Channel]:
     """Return the channels of a node at placements, shape (n, 4, 4)."""
-    R = placements[:, :3, :3]
-    return [
-        Channel(path, "position", placements[:, :3, 3]),
-        Channel(path, "quaternion", _continuous(_quaternions(R))),
-    ]
+    turning = continuous(_quaternions(placements[:, :3, :3]))
+    return [Channel(path, "position", placements[:, :3, 3]), Channel(path, "quaternion", turning)]
 
 
 def sampled(times: Array, t: Array, values: Array) -> Array:
@@ -165,13 +162,6 @@ def _quaternions(R: Array) -> Array:
     candidates[:, 3, 3] = squares[:, 3]
     best = candidates[np.arange(len(R)), squares.argmax(axis=1)]
     return np.asarray(best / np.linalg.norm(best, axis=1, keepdims=True))
-
-
-def _continuous(quaternions: Array) -> Array:
-    """Return the same rotations without changes of sign between successive quaternions."""
-    turns = np.sum(quaternions[1:] * quaternions[:-1], axis=1) < 0
-    signs = np.concatenate([[1.0], np.where(np.cumsum(turns) % 2, -1.0, 1.0)])
-    return np.asarray(quaternions * signs[:, None])
 
 
 _POSTURES = 50  # largest number of configurations that determine the reach of a drawing
@@ -329,22 +319,15 @@ def links(path: str, robot: Drawn, q: Array) -> list[Channel]:
     q : ndarray, shape (n, nq)
         Configurations.
     """
+    items = list(robot.visual_model.geometryObjects)
     if isinstance(robot, Drawing):
-        placed = robot.seen_from_body(q)
-        return [
-            channel
-            for k, item in enumerate(robot.visual_model.geometryObjects)
-            for channel in poses_of(f"{path}/visuals/{item.name}", placed[:, k])
-        ]
-    moving = [item for item in robot.visual_model.geometryObjects if item.parentJoint > BODY_JOINT]
-    if not moving:
-        return []
-    frames = _seen_from_body(robot, q)
-    channels: list[Channel] = []
-    for item in moving:
-        placements = frames[:, item.parentJoint - 1] @ item.placement.homogeneous
-        channels += poses_of(f"{path}/visuals/{item.name}", placements)
-    return channels
+        placed = list(np.moveaxis(robot.seen_from_body(q), 1, 0))
+    else:
+        items = [item for item in items if item.parentJoint > BODY_JOINT]
+        frames = _seen_from_body(robot, q) if items else q
+        placed = [frames[:, item.parentJoint - 1] @ item.placement.homogeneous for item in items]
+    at = zip(items, placed, strict=True)
+    return [channel for item, T in at for channel in poses_of(f"{path}/visuals/{item.name}", T)]
 
 
 def envelope(robot: Drawn, q: Array) -> tuple[float, float]:

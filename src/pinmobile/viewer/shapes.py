@@ -62,20 +62,22 @@ def ribbon(points: ArrayLike, width: float) -> Triangles:
         Width of the band [m].
     """
     points = np.asarray(points, np.float64)
-    along = np.gradient(points, axis=0) if len(points) > 1 else np.zeros_like(points)
-    length = np.hypot(*along.T)
-    # At coincident points, the band keeps the last direction.
-    moving = np.flatnonzero(length > 1e-9 * length.max(initial=1e-300))
-    latest = np.maximum.accumulate(
-        np.where(np.isin(np.arange(len(points)), moving), np.arange(len(points)), 0)
-    )
-    along = along[latest] / np.maximum(length[latest], 1e-300)[:, None]
+    along = directions(points)
     side = width / 2 * np.stack([-along[:, 1], along[:, 0]], axis=-1)
     edges = np.stack([points + side, points - side], axis=1).reshape(-1, 2)
     vertices = np.column_stack([edges, np.zeros(len(edges))])
     first = 2 * np.arange(max(len(points) - 1, 0), dtype=np.uint32)[:, None]
     faces = np.stack([first + np.array([0, 1, 2]), first + np.array([1, 3, 2])], axis=1).reshape(-1, 3)
     return vertices, faces.astype(np.uint32)
+
+
+def directions(points: Array) -> Array:
+    """Return the unit directions of a curve at its points, (n, k); where points coincide, the last one."""
+    along = np.gradient(points, axis=0) if len(points) > 1 else np.zeros_like(points)
+    length = np.hypot.reduce(along, axis=1)
+    moving = length > 1e-9 * length.max(initial=1e-300)
+    latest = np.maximum.accumulate(np.where(moving, np.arange(len(points)), 0))
+    return np.asarray(along[latest] / np.maximum(length[latest], 1e-300)[:, None])
 
 
 def bands(lines: ArrayLike, width: float) -> Triangles:
