@@ -70,13 +70,9 @@ def sealed(page: str) -> str:
 
 def stage_page(title: str, engine: str, scene: str) -> str:
     """Return the page of the stage; `engine` is HTML that loads meshcat, `scene` is HTML that fills it."""
-    parts = {
-        "css": part_of_page("stage.css"),
-        "stage": part_of_page("stage.js"),
-        "engine": engine,
-        "scene": scene,
-    }
-    return Template(part_of_page("stage.html")).substitute(parts, title=escape(title))
+    css, stage = part_of_page("stage.css"), part_of_page("stage.js")
+    page = Template(part_of_page("stage.html"))
+    return page.substitute(title=escape(title), css=css, stage=stage, engine=engine, scene=scene)
 
 
 @cache
@@ -127,14 +123,7 @@ class Key(NamedTuple):
     name: str = ""
 
 
-class _Update(NamedTuple):
-    """Command as sent to browsers."""
-
-    key: Key
-    data: bytes
-
-
-def packed(command: Command) -> _Update:
+def packed(command: Command) -> tuple[Key, bytes]:
     """Return a command as sent to browsers.
 
     Parameters
@@ -160,7 +149,7 @@ def packed(command: Command) -> _Update:
     if kind == "set_transform" and len(payload) != 16:
         raise InvalidArgument(f"the transform of {key.path} has {len(payload)} numbers, expected 16")
     try:
-        return _Update(key, packed_command(content))
+        return key, packed_command(content)
     except Exception as error:  # the packer's own errors have no common base
         raise InvalidArgument(f"{kind} of {key.path or '/'} cannot be sent: {error}") from error
 
@@ -187,26 +176,10 @@ def _check(name: str, value: object) -> None:
 
 # Nodes of the page before any command. The backlog keeps deletions of these nodes. For other nodes, it only
 # drops the node.
-_GIVEN = (
-    "Background",
-    "Grid",
-    "Axes",
-    "Lights",
-    "Lights/SpotLight",
-    "Lights/PointLightNegativeX",
-    "Lights/PointLightPositiveX",
-    "Lights/AmbientLight",
-    "Lights/FillLight",
-    "Cameras",
-    "Cameras/default",
-    "Cameras/default/rotated",
-)
+_LIGHTS = ("SpotLight", "PointLightNegativeX", "PointLightPositiveX", "AmbientLight", "FillLight")
+_CAMERAS = ("Cameras", "Cameras/default", "Cameras/default/rotated")
+_GIVEN = ("Background", "Grid", "Axes", "Lights", *(f"Lights/{name}" for name in _LIGHTS), *_CAMERAS)
 _REMEMBERED = {*_GIVEN, *(f"{path}/<object>" for path in _GIVEN)}
-
-
-class _Entry(NamedTuple):
-    number: int
-    data: bytes
 
 
 class Backlog:
@@ -217,7 +190,7 @@ class Backlog:
     """
 
     def __init__(self) -> None:
-        self._entries: OrderedDict[Key, _Entry] = OrderedDict()
+        self._entries: OrderedDict[Key, tuple[int, bytes]] = OrderedDict()  # number and data
         self._below: dict[str, set[Key]] = {}  # by path: keys of the node and of nodes below
         self._deletions: set[Key] = set()
         self._latest = 0
@@ -232,7 +205,7 @@ class Backlog:
     def size(self) -> int:
         """Size of all commands [byte]."""
         with self.lock:
-            return sum(len(entry.data) for entry in self._entries.values())
+            return sum(len(data) for _, data in self._entries.values())
 
     def put(self, command: Command) -> None:
         """Add a meshcat command.
@@ -242,19 +215,19 @@ class Backlog:
         InvalidArgument
             If `command` is not a meshcat command, or contains a number that is not finite.
         """
-        update = packed(command)
-        kind, path, _ = update.key
+        key, data = packed(command)
+        kind, path, _ = key
         with self.lock:
             if kind != "delete":
                 if kind == "set_object":
                     self._drop(f"{path}/<object>")  # a new object does not have the properties of the old one
-                self._append(update)
+                self._append(key, data)
             elif path:
-                self._delete(update)
+                self._delete(key, data)
             else:
                 # The page of meshcat cannot delete the root, only all nodes below it.
                 for name in [path for path in self._below if path and "/" not in path]:
-                    self._delete(packed(Content({"type": "delete", "path": name})))
+                    self._delete(*packed(Content({"type": "delete", "path": name})))
                 self._entries.pop(Key("set_animation", ""), None)
 
     def since(self, number: int) -> tuple[list[bytes], int]:
@@ -265,10 +238,10 @@ class Backlog:
         newer: list[bytes] = []
         animation: list[bytes] = []
         with self.lock:
-            for key, entry in reversed(self._entries.items()):
-                if entry.number <= number:
+            for key, (own, data) in reversed(self._entries.items()):
+                if own <= number:
                     break
-                (animation if key.kind == "set_animation" else newer).append(entry.data)
+                (animation if key.kind == "set_animation" else newer).append(data)
             return newer[::-1] + animation, self._latest
 
     def forget_deletions(self, number: int) -> None:
@@ -277,26 +250,25 @@ class Backlog:
             return
         with self.lock:
             for key in list(self._deletions):
-                if key not in self._entries or self._entries[key].number <= number:
+                if key not in self._entries or self._entries[key][0] <= number:
                     self._forget(key)
 
     # An interrupt in these three methods may leave keys in the index without an entry, but not the reverse.
 
-    def _append(self, update: _Update) -> None:
-        if update.key not in self._entries:
-            for path in _up(update.key.path):
-                self._below.setdefault(path, set()).add(update.key)
+    def _append(self, key: Key, data: bytes) -> None:
+        if key not in self._entries:
+            for path in _up(key.path):
+                self._below.setdefault(path, set()).add(key)
         # The order matters: a new key that is not yet last is only sent later.
-        self._entries[update.key] = _Entry(self._latest + 1, update.data)
-        self._entries.move_to_end(update.key)
+        self._entries[key] = self._latest + 1, data
+        self._entries.move_to_end(key)
         self._latest += 1
 
-    def _delete(self, update: _Update) -> None:
-        path = update.key.path
-        self._drop(path)
-        self._append(update)
-        if path not in _REMEMBERED:
-            self._deletions.add(update.key)
+    def _delete(self, key: Key, data: bytes) -> None:
+        self._drop(key.path)
+        self._append(key, data)
+        if key.path not in _REMEMBERED:
+            self._deletions.add(key)
 
     def _drop(self, path: str) -> None:
         for key in list(self._below.get(path, ())):
