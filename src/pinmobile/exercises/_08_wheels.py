@@ -176,7 +176,4 @@ def tracking(p: Numbers, zeta: float, k: float) -> list[Requirement]:
     q0, v0 = robot(p).start(circle(0))
     run = pm.simulate(robot(p), law, circle, dt=0.05, q0=q0 + np.array([0, 0.1, 0, 0, 0]), v0=v0)
     distance = np.hypot(*run.error[run.t >= 8, :2].T).max()
-    return [
-        ("distance", float(1e3 * distance), 2, "mm"),
-        ("torque", float(np.abs(run.u).max()), 0.9, "N m"),
-    ]
+    return [("distance", float(1e3 * distance), 2, "mm"), ("torque", float(np.abs(run.u).max()), 0.9, "N m")]

@@ -1,5 +1,6 @@
 """See the robot move: meshcat, live in a browser or recorded as a page, a GIF, a film or a picture."""
 
+from importlib import import_module
 from typing import TYPE_CHECKING
 
 from pinmobile.viewer.pages import OfflineWindow
@@ -25,13 +26,10 @@ __all__ = [
 ]
 
 
+_LATER = {"LiveRun": "live_run", "LiveWindow": "window", "play": "live_run"}  # a recording needs no server
+
+
 def __getattr__(name: str) -> object:
-    if name == "LiveWindow":  # a recording needs no server
-        from pinmobile.viewer.window import LiveWindow
-
-        return LiveWindow
-    if name in ("LiveRun", "play"):
-        import pinmobile.viewer.live_run as found
-
-        return getattr(found, name)
+    if name in _LATER:
+        return getattr(import_module(f"pinmobile.viewer.{_LATER[name]}"), name)
     raise AttributeError(f"module 'pinmobile.viewer' has no attribute {name!r}")

@@ -169,15 +169,15 @@ class LiveRun:
         port: int | None = None,
     ) -> None:
         self._plant = plant = scenario.robot
-        hand, forces = able(plant, Pushable), scenario.forces
-        if hand is not None:
+        self._has_hand, forces = able(plant, Pushable) is not None, scenario.forces
+        if self._has_hand:
             forces = {**dict(entries_of(forces)), "hand": _Hand()}
         bare = replace(scenario, n=1, spread={}, forces=forces)
         names = sequence("sliders", sliders, 'names of numbers, such as ["controller.kp"]')
         found = {one.path: (name, one) for name in names for one in [scenario.find(name, "sliders")]}
         spread = {path: float(one.value) for path, (_, one) in found.items()}
         self._sliders, self._values = found, dict(spread)
-        spread |= {f"{_FORCE}{axis}": 0.0 for axis in (_AXES if hand is not None else ())}
+        spread |= {f"{_FORCE}{axis}": 0.0 for axis in (_AXES if self._has_hand else ())}
         self._stepper = LoopStepper(replace(bare, spread=spread))
         self._can_drive = self._stepper.follows and any(able(plant, x) for x in (Tabled, Driven))
         self._drive = _Drive(plant, bare.reference)
@@ -324,10 +324,6 @@ class LiveRun:
     def _force(self, force: Array) -> dict[str, float]:
         names = (f"{_FORCE}{axis}" for axis in _AXES)
         return dict(zip(names, map(float, force), strict=True)) if self._has_hand else {}
-
-    @property
-    def _has_hand(self) -> bool:
-        return f"{_FORCE}x" in self._stepper.scenario.spread
 
     def _advance(self) -> None:
         """Compute the samples until the present, with the present keys."""

@@ -9,6 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
+import pinmobile.viewer.contact_markers as markers
 import pinmobile.viewer.shapes as shapes
 from pinmobile.arrays import Array
 from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE, DHTable
@@ -17,19 +18,6 @@ from pinmobile.loop import EndEffector, Rollout
 from pinmobile.palette import AXES, INK, QUIET, colour
 from pinmobile.parts import TimeVarying, able
 from pinmobile.plant import whole_configurations
-from pinmobile.viewer.contact_markers import (
-    ABOVE,
-    TRAIL,
-    contacts_at,
-    draw_centre,
-    draw_contacts,
-    draw_hand,
-    draw_ramp,
-    draw_trail,
-    hand_errors,
-    hand_of,
-    ramp_of,
-)
 from pinmobile.viewer.motion import (
     Channel,
     Drawing,
@@ -43,7 +31,7 @@ from pinmobile.viewer.motion import (
     sampled,
     samples_before,
 )
-from pinmobile.viewer.scene_tree import Arrows, Extent, FixedCamera, Follow, Overlays, Stage, View, overview
+from pinmobile.viewer.scene_tree import Arrows, Extent, Follow, Overlays, Stage, View, overview
 
 _POSE = ("x", "y", "psi")
 
@@ -68,23 +56,22 @@ def _captions(
     ticks = np.floor(10 * (times - times[0]) + 1e-6)
     first = np.searchsorted(ticks, ticks)  # the frame in which the tick began
     at = times[first]
-    rows = {
-        f"{label}  " if label else "": sampled(at, run.t, np.column_stack(_sizes(run)))
-        for label, run in runs.items()
-    }
-    reaching = {
-        f"{label}  " if label else "": sampled(at, run.t, np.column_stack(errors))
-        for label, run in runs.items()
-        if (errors := hand_errors(hands.get(label)))
-    }
+    heads = {label: f"{label}  " if label else "" for label in runs}
+
+    def rows(columns: Mapping[str, list[Array]]) -> dict[str, Array]:
+        known = {label: each for label, each in columns.items() if each}
+        return {heads[x]: sampled(at, runs[x].t, np.column_stack(each)) for x, each in known.items()}
+
+    straying = rows({label: _sizes(run) for label, run in runs.items()})
+    reaching = rows({label: markers.hand_errors(hands.get(label)) for label in runs})
     events = {label: {e.kind: e.t for e in reversed(run.events)} for label, run in runs.items()}
     written: dict[int, str] = {}
     for k in np.unique(first):
-        lines = [f"t = {times[k]:.1f} s", "position error", *_told(rows, int(k), ", joint ")]
+        lines = [f"t = {times[k]:.1f} s", "position error", *_told(straying, int(k), ", joint ")]
         lines += [f"end effector {words}" for words in _told(reaching, int(k), ", ")]
         for label, kinds in events.items():
             happened = ", ".join(kind for kind, t in kinds.items() if t <= times[k])
-            lines += [f"{label and label + '  '}{happened}"] if happened else []
+            lines += [f"{heads[label]}{happened}"] if happened else []
         written[int(k)] = "\n".join(lines)
     return [written[int(k)] for k in first]
 
@@ -147,39 +134,12 @@ def draw_path(stage: Stage, points: Array, extent: Extent) -> None:
         stage.put("meshcat/path", shapes.flat(bands, INK, order=_PATH))
 
 
-def _draw_triad(stage: Stage, path: str, label: str, extent: Extent, place: tuple[int, int]) -> Array:
-    """Draw the axes of a frame at a node and its name at another node, and return the offset of the name.
-
-    Parameters
-    ----------
-    stage : Stage
-        Stage of the scene.
-    path : str
-        Node of the axes; the node of the name is ``path + "name"``.
-    label : str
-        Name of the frame.
-    extent : Extent
-        Extent of the scene, which gives the sizes.
-    place : tuple of 2 int
-        Number of the table, and of the frame in the table.
-
-    Returns
-    -------
-    away : ndarray, shape (3,)
-        From the origin of the frame to its name [m].
-    """
-    number, k = place
-    _draw_axes(stage, path, (0.9 + 0.3 * number) * extent.unit, 0.07 - 0.02 * min(number, 2))
-    stage.put(f"{path}name", shapes.word(label, INK, 0.42 * extent.unit, lying=False, order=ABOVE + 5))
-    return np.asarray(extent.unit * (_AWAY[min(k, 3)] + np.array([0, -0.5 * number, 0])))
-
-
 def _draw_axes(stage: Stage, path: str, length: float, thickness: float) -> None:
     """Draw arrows of a length [m] along the axes of a node."""
     vertices, faces = shapes.arrow(thickness)
     for axis, turned in enumerate(_TO_AXIS):
         arrow = length * vertices @ turned.T, faces
-        stage.put(f"{path}/{'xyz'[axis]}", shapes.over(arrow, AXES[axis], order=ABOVE + axis))
+        stage.put(f"{path}/{'xyz'[axis]}", shapes.over(arrow, AXES[axis], order=markers.ABOVE + axis))
 
 
 _Rider = Callable[[Array], list[Channel]]
@@ -267,7 +227,9 @@ class Scene:
         if self.overlays.path:
             draw_path(self.stage, main.reference_poses[:, :2], extent)
             self.legend.append(["desired", INK, "6 4", 0.0])
-        hands = {label: hand_of(run) for label, run in runs.items()} if self.overlays.end_effector else {}
+        hands = (
+            {label: markers.hand_of(run) for label, run in runs.items()} if self.overlays.end_effector else {}
+        )
         for index, (label, run) in enumerate(runs.items()):
             path = f"meshcat/robot{index}"
             self.stage.robot(path, robots[index], colour(index), ghost=index > 0)
@@ -278,13 +240,13 @@ class Scene:
                 self.channels += ridden(path, robots[index], poses[index])
             if self.overlays.trail:
                 width = 0.05 * extent.unit * (1 + 0.9 * (len(runs) - 1 - index))
-                self.channels += draw_trail(
+                self.channels += markers.draw_trail(
                     self.stage, f"meshcat/trail{index}", (run.t, run.poses[:, :2]), times,
-                    partial(shapes.ribbon, width=width), paint=colour(index), order=TRAIL + index,
+                    partial(shapes.ribbon, width=width), paint=colour(index), order=markers.TRAIL + index,
                 )  # fmt: skip
             hand, shown = hands.get(label), self.overlays
             if hand is not None:
-                self.channels += draw_hand(
+                self.channels += markers.draw_hand(
                     self.stage, index, hand, times, extent, path=shown.path and not index, trail=shown.trail
                 )
                 if index == 0:
@@ -305,10 +267,10 @@ class Scene:
         if self.overlays.arrows is not None:
             self._arrows(main, times, poses[0], extent, self.overlays.arrows)
         if self.overlays.contacts or self.overlays.centre:
-            found = contacts_at(main, times, poses[0])
-            drawn = [draw_contacts(self.stage, found, extent)] if self.overlays.contacts else []
+            found = markers.contacts_at(main, times, poses[0])
+            drawn = [markers.draw_contacts(self.stage, found, extent)] if self.overlays.contacts else []
             if self.overlays.centre:
-                drawn.append(draw_centre(self.stage, found.centre, poses[0], extent))
+                drawn.append(markers.draw_centre(self.stage, found.centre, poses[0], extent))
             for channels, told in drawn:
                 self.channels += channels
                 self.legend += told
@@ -318,19 +280,16 @@ class Scene:
         self.stage.tell("legend", self.legend)
 
     def _furnish(self, extent: Extent, poses: Array) -> None:
-        camera, ramp = self.overlays.camera, ramp_of(self.robot)
+        camera, ramp = self.overlays.camera, markers.ramp_of(self.robot)
         view = overview(extent, extent.size[2], low=bool(self.robot.mounts))
         if ramp is not None:
-            view = draw_ramp(self.stage, ramp, extent, view)
+            view = markers.draw_ramp(self.stage, ramp, extent, view)
         if isinstance(camera, Follow):
             toward = (view.eye - view.target) / np.linalg.norm(view.eye - view.target)
             view = View(camera.distance * toward, np.zeros(3))
-        elif isinstance(camera, FixedCamera):
-            eye, target = (
-                default if value is None else np.asarray(value)
-                for value, default in ((camera.eye, view.eye), (camera.target, view.target))
-            )
-            view = View(eye, target)
+        else:
+            chosen = zip((camera.eye, camera.target), view, strict=True)
+            view = View(*(default if own is None else np.asarray(own) for own, default in chosen))
         self.stage.furnish(extent, view)
         if isinstance(camera, Follow):
             self._rides(_focus, poses)
@@ -355,7 +314,12 @@ class Scene:
     def _triad(
         self, path: str, label: str, extent: Extent, place: tuple[int, int], where: Where, poses: Array
     ) -> None:
-        away = _draw_triad(self.stage, path, label, extent, place)
+        """Draw the axes of a frame, and its name beside; `place` is the numbers of table and frame."""
+        number, k = place
+        _draw_axes(self.stage, path, (0.9 + 0.3 * number) * extent.unit, 0.07 - 0.02 * min(number, 2))
+        name = shapes.word(label, INK, 0.42 * extent.unit, lying=False, order=markers.ABOVE + 5)
+        self.stage.put(f"{path}name", name)
+        away = extent.unit * (_AWAY[min(k, 3)] + np.array([0, -0.5 * number, 0]))
         self._rides(lambda poses: poses_of(path, where(poses)), poses)
         self._rides(lambda poses: [Channel(f"{path}name", "position", where(poses)[:, :3, 3] + away)], poses)
 
@@ -373,7 +337,7 @@ class Scene:
                 continue
             scale = per or (1.6 if name == "force" else 0.8) * unit / largest
             path = f"meshcat/{name}"
-            self.stage.put(path, shapes.over(shape, paint, order=ABOVE - 5))
+            self.stage.put(path, shapes.over(shape, paint, order=markers.ABOVE - 5))
             lengths = np.maximum(scale * np.abs(size), 1e-4)[:, None] * np.ones(3)
             lengths[:, 1] *= np.where(size < 0, -1, 1)  # in a mirror the arc turns the other way
             self.channels += along(path, turned, 1.6 * (self.robot.top or self.robot.size[2]))

@@ -226,10 +226,7 @@ class Overlays:
     centre: bool = option(default=False, doc="instantaneous centre of rotation, and the line to it")
     end_effector: bool = option(default=True, doc="path, trail and caption of an end effector")
     camera: FixedCamera | Follow = child(
-        (FixedCamera, Follow),
-        default=FixedCamera(),
-        expected="a FixedCamera or Follow",
-        doc="camera",
+        (FixedCamera, Follow), default=FixedCamera(), expected="a FixedCamera or Follow", doc="camera"
     )
 
 

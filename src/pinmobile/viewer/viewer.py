@@ -146,8 +146,7 @@ class Viewer:
         ViewerError
             If the viewer is closed.
         """
-        given = shaped("q", finite("q", q), (self.plant.nq,))
-        pose = row_of(self._figure, self.plant, given)
+        pose = row_of(self._figure, self.plant, shaped("q", finite("q", q), (self.plant.nq,)))
         if abs(pose[:2]).max() > _FARTHEST:
             raise InvalidArgument(f"q is {pose.tolist()}, expected x and y within {_FARTHEST:g} m")
         with self._lock:
@@ -159,12 +158,7 @@ class Viewer:
             self._scene.move(pose)
 
     def play(
-        self,
-        rollout: Rollouts,
-        *,
-        speed: float = 1.0,
-        repeat: float = 1,
-        overlays: Overlays | None = None,
+        self, rollout: Rollouts, *, speed: float = 1.0, repeat: float = 1, overlays: Overlays | None = None
     ) -> None:
         """Show a rollout on the live page, and return at its end.
 
@@ -313,9 +307,8 @@ class Viewer:
             self._check_open()
             if self._scene is None:
                 raise ViewerError("there is nothing to draw yet: call display or play first")
-            return recorded_page(
-                text("title", title), self._window.commands(), {"tracks": [], "speed": 1, "end": 0}
-            )
+            still = {"tracks": [], "speed": 1, "end": 0}
+            return recorded_page(text("title", title), self._window.commands(), still)
 
     def _new_scene(self, overlays: Overlays) -> Scene:
         stage = Stage(self._window)
