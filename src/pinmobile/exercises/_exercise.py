@@ -56,9 +56,7 @@ def uniform(
     *sizes: int, low: float = -3.0, high: float = 3.0
 ) -> Callable[[Numbers, np.random.Generator], tuple[Any, ...]]:
     """Return a function that draws arrays of the given sizes; size 0 is a number."""
-    return lambda _, rng: tuple(
-        rng.uniform(low, high, n) if n else float(rng.uniform(low, high)) for n in sizes
-    )
+    return lambda _, rng: tuple(rng.uniform(low, high, n or None) for n in sizes)
 
 
 @dataclass(frozen=True)

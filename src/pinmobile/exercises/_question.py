@@ -187,12 +187,11 @@ class Question:
             found: list[Requirement] = self.reference(self.numbers, *map(float, values))
         except (ArithmeticError, ValueError) as error:  # Diverged and InvalidArgument are such
             raise Fault("wrong", f"it cannot be simulated, {describe(error)}.{reason}") from None
-        met = [x < bound for _, x, bound, _ in found]
-        lines = (f"{name} {x:.3g} {unit}, must be below {bound:g}" for name, x, bound, unit in found)
         words = "; ".join(
-            f"{'met' if good else 'NOT met'}: {line}" for good, line in zip(met, lines, strict=True)
+            f"{'met' if x < bound else 'NOT met'}: {name} {x:.3g} {unit}, must be below {bound:g}"
+            for name, x, bound, unit in found
         )
-        if not all(met):
+        if not all(x < bound for _, x, bound, _ in found):
             raise Fault("wrong", f"{words}.{reason}")
         return words
 

@@ -110,13 +110,9 @@ class Through:
     def __post_init__(self) -> None:
         R, steps = self.rotations, np.diff(self.times)
         turns = np.array([pin.log3(a.T @ b) for a, b in pairwise(R)])
-        angles = np.linalg.norm(turns, axis=1)
-        k = int(np.argmax(angles))
-        if half_turn_apart(angles[k]):
-            raise InvalidArgument(
-                f"rotation[{k + 1}] is half a turn from rotation[{k}], expected less, since the sense of "
-                "rotation is ambiguous: add an orientation between them"
-            )
+        k = int(np.argmax(np.linalg.norm(turns, axis=1)))
+        between = "add an orientation between them"
+        _check_sense(f"rotation[{k + 1}] is half a turn from rotation[{k}]", turns[k], between)
         rates = _rates(turns, steps)
         after = np.einsum("nij,nj->ni", _right_jacobians_inverse(turns), rates[1:])
         h = steps[:, None]
@@ -132,8 +128,7 @@ class Through:
         phi = s * (c[1] + s * (c[2] + s * c[3]))
         rate = c[1] + s * (2 * c[2] + s * 3 * c[3])
         change = 2 * c[2] + 6 * s * c[3]
-        start = self.rotations[k]
-        turned = start @ rotations_of(phi)
+        turned = self.rotations[k] @ rotations_of(phi)
         own = (_body_rate(phi, rate), _body_rate(phi, change) + _body_drift(phi, rate))
         seen = (np.einsum("...ij,...j->...i", turned, each) for each in own)
         return Standing(turned, *seen)
@@ -150,6 +145,12 @@ def rotations_of(turns: Array) -> Array:
     K, (a, b, _, _) = _skew(turns), _coefficients(turns)
     sine = (1 - b[..., None, None] * np.einsum("...i,...i->...", turns, turns)[..., None, None]) * K
     return np.asarray(np.eye(3) + sine + a[..., None, None] * (K @ K))
+
+
+def _check_sense(words: str, turn: Array, advice: str) -> None:
+    if half_turn_apart(float(np.linalg.norm(turn))):
+        ambiguous = "expected less, since the sense of rotation is ambiguous"
+        raise InvalidArgument(f"{words}, {ambiguous}: {advice}")
 
 
 def half_turn_apart(angle: float) -> bool:
@@ -349,8 +350,7 @@ class PosePath:
         own = finite("rotation", self.rotation)
         several = own.ndim == 3 and self.final_rotation is None and self.turn is None
         object.__setattr__(self, "rotation", _checked_rotations(own) if several else _checked_rotation(own))
-        found = self._several() if several else self._single()
-        object.__setattr__(self, "_orientation", found)
+        object.__setattr__(self, "_orientation", self._several() if several else self._single())
 
     @classmethod
     def through(cls, poses: ArrayLike, times: ArrayLike | None = None) -> PosePath:
@@ -393,11 +393,7 @@ class PosePath:
             final = _checked_rotation(finite("final_rotation", self.final_rotation), "final_rotation")
             object.__setattr__(self, "final_rotation", final)
             turn = pin.log3(R.T @ final)
-            if half_turn_apart(float(np.linalg.norm(turn))):
-                raise InvalidArgument(
-                    "final_rotation is half a turn from rotation, expected less, since the sense of "
-                    "rotation is ambiguous: give turn= instead"
-                )
+            _check_sense("final_rotation is half a turn from rotation", turn, "give turn= instead")
         return Turn(R, frozen(turn), self.duration)
 
     def _several(self) -> Orientation:

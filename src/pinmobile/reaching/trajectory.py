@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Protocol, final, runtime_checkable
@@ -92,17 +92,18 @@ class InverseKinematicsTrajectory:
     start: Array
     controls: Array
     drive: Drive | None = None
-    _curve: Callable[..., Array] = field(init=False)
 
     def __post_init__(self) -> None:
+        for name in ("start", "controls"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+
+    @cached_property
+    def _curve(self) -> Any:
         # Imported here: scipy loads slowly, and `EndEffectorTracking` does not need it.
         from scipy.interpolate import BSpline
 
-        for name in ("start", "controls"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
         steps = np.arange(len(self.controls) + _DEGREE + 1.0) - _DEGREE
-        knots = self._dt * steps
-        object.__setattr__(self, "_curve", BSpline(knots, self.controls, _DEGREE))
+        return BSpline(self._dt * steps, self.controls, _DEGREE)
 
     def __repr__(self) -> str:
         metres, radians = self.max_error()
@@ -361,12 +362,8 @@ def solve_inverse_kinematics(
     given: Any = body if drive is None else drive
     lower, upper = (np.array([getattr(one, end) for one in given.coordinates]) for end in ("lower", "upper"))
     speed = given.velocity_limit if velocity_limit is None else velocity_limit
-    limits = Limits(
-        lower,
-        upper,
-        per_coordinate("velocity_limit", speed, len(lower), zero=True),
-        per_coordinate("acceleration_limit", acceleration_limit, len(lower)),
-    )
+    speed = per_coordinate("velocity_limit", speed, len(lower), zero=True)
+    limits = Limits(lower, upper, speed, per_coordinate("acceleration_limit", acceleration_limit, len(lower)))
     weights = positive("damping", damping) * per_coordinate("cost", cost, len(lower))
     tolerance = positive_or_endless("tolerance", tolerance)  # infinite accepts any error
     solver = Solver(body, tasks, limits, weights, drive)
@@ -669,9 +666,8 @@ class EndEffectorTracking:
         count = np.shape(reference.v)[-1]
         if count != body.nv:
             raise InvalidArgument(
-                f"reference has {count} coordinates, expected the {body.nv} of base and arms, such "
-                "as a trajectory by solve_inverse_kinematics(robot, target) or WholeBody(robot, "
-                "base, *joints)"
+                f"reference has {count} coordinates, expected the {body.nv} of base and arms, such as a "
+                "trajectory by solve_inverse_kinematics(robot, target) or WholeBody(robot, base, *joints)"
             )
         own_q, own_v = q[: body.nq], v[: body.nv]
         target = self.target(t)

@@ -99,9 +99,8 @@ def index_of(axes: Mapping[str, Axis], labels: Mapping[str, Any]) -> tuple[int, 
     for name, axis in axes.items():
         label = labels.get(name, axis.values[0] if len(axis.values) == 1 else None)
         if not isinstance(label, str | Real) or label not in axis.values:
-            raise InvalidArgument(
-                f"{name} is {shown(label)}, expected one of {', '.join(map(repr, axis.values))}"
-            )
+            known = ", ".join(map(repr, axis.values))
+            raise InvalidArgument(f"{name} is {shown(label)}, expected one of {known}")
         found.append(axis.values.index(label))
     return tuple(found)
 
@@ -173,8 +172,10 @@ class Points:
                 scenarios[-1].draws()  # rejects impossible draws before any work
             except InvalidArgument as error:
                 raise InvalidArgument(f"{error} (at {', '.join(place(axes, index))})") from error
-        units = {name: _unit(scenarios[0], name) for name, values in given.items() if _are_numbers(values)}
-        return cls({name: Axis(axis.values, units.get(name, "")) for name, axis in axes.items()}, scenarios)
+        for name, axis in axes.items():
+            if not isinstance(given[name], Mapping) and not isinstance(axis.values[0], str):
+                axes[name] = Axis(axis.values, _unit(scenarios[0], name))
+        return cls(axes, scenarios)
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -217,10 +218,6 @@ def _axis_name(path: str) -> str:
     if name in _NAMES or name == "case":
         raise InvalidArgument(f"grid has {path!r}, which is also a name in the store, expected the full path")
     return name
-
-
-def _are_numbers(values: Any) -> bool:
-    return not isinstance(values, Mapping) and not isinstance(values[0], str)
 
 
 def _labels(name: str, values: Any) -> Axis:
@@ -427,9 +424,8 @@ def _rank(difference: tuple[str, Any, Any]) -> int:
     name, *values = difference
     if name.startswith(("version of ", "format", "machine")):
         return 3
-    return (
-        0 if name.startswith("axis ") else 1 + any(_DIGEST.search(str(value)) is not None for value in values)
-    )
+    is_digest = any(_DIGEST.search(str(value)) for value in values)
+    return 0 if name.startswith("axis ") else 1 + is_digest
 
 
 def _short(value: Any) -> str:

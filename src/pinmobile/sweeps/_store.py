@@ -12,6 +12,7 @@ import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from hashlib import sha256
+from itertools import chain
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
@@ -127,9 +128,8 @@ class Store:
 
     def waiting(self) -> list[Job]:
         """Return the chunks that are not done."""
-        return [
-            job for k in range(len(self.points.scenarios)) for job in self.jobs(k) if not self._is_done(job)
-        ]
+        each = chain.from_iterable(map(self.jobs, range(len(self.points.scenarios))))
+        return [job for job in each if not self._is_done(job)]
 
     def record(self, job: Job, draws: Mapping[str, Array], part: Part) -> None:
         """Write the numbers of a chunk.
@@ -299,9 +299,8 @@ def _check_plain(name: str, node: Mapping[str, Any]) -> None:
     kind = "text" if node.get("data_type") == "string" else np.dtype(node.get("data_type")).kind
     plain = kind in ("text", *"biuf") and node["zarr_format"] == 3 and not node.get("storage_transformers")
     if not plain or codecs != ["vlen-utf8" if kind == "text" else "bytes", "zstd"]:
-        raise ValueError(
-            f"array {shown(name)} has the codecs {shown(codecs)}, expected plain numbers or text"
-        )
+        found = f"array {shown(name)} has the codecs {shown(codecs)}"
+        raise ValueError(f"{found}, expected plain numbers or text")
 
 
 def _open_group(path: Path) -> Any:

@@ -4,31 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ThreadPoolExecutor, wait
+from dataclasses import dataclass
 from os import PathLike
+from pathlib import Path
 from time import monotonic
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias, final
 from warnings import warn
 
 import numpy as np
+from numpy.typing import NDArray
 
-from pinmobile.arrays import Array, callable_as, location, text, whole
+import pinmobile.loop as loop
+from pinmobile.arrays import Array, callable_as, location, one_of, text, whole
 from pinmobile.compiled import processors
 from pinmobile.errors import InvalidArgument, SchedulerError, SlowerEngine, imported, shown
-from pinmobile.loop import Part, Scenario, part_of, way_of
-from pinmobile.sweeps._points import Changes, Points, describe
+from pinmobile.loop import Ensemble, Part, Scenario
+from pinmobile.metrics import in_words
+from pinmobile.sweeps._points import Axis, Changes, Label, Points, describe, differences, index_of, place
 
 if TYPE_CHECKING:
     from pinmobile.sweeps._store import Job
-from dataclasses import dataclass
-from pathlib import Path
-from typing import final
-
-from numpy.typing import NDArray
-
-from pinmobile.arrays import one_of
-from pinmobile.loop import PER_ROBOT, Ensemble, checked_share, drawn_name, percent, share_within
-from pinmobile.metrics import in_words
-from pinmobile.sweeps._points import Axis, Label, differences, index_of, place
 
 _ROUNDING = 1e-9  # relative tolerance, between rounding errors and differences that matter
 
@@ -138,9 +133,8 @@ class Sweep:
     @property
     def rivals(self) -> str | None:
         """Axis that `answer` compares: that of a controller, else the last axis of names, or None."""
-        named = [
-            x for x, axis in self.axes.items() if len(axis.values) > 1 and isinstance(axis.values[0], str)
-        ]
+        several = {name: axis.values[0] for name, axis in self.axes.items() if len(axis.values) > 1}
+        named = [name for name, first in several.items() if isinstance(first, str)]
         laws = [name for name in named if name.split(".")[-1] == "controller"]
         return [*named, *laws][-1] if named else None
 
@@ -167,15 +161,14 @@ class Sweep:
         UnknownName
             If there is no such error.
         """
-        level, known = checked_share(share), self._judged()
+        level, known = loop.checked_share(share), self._judged()
         name, where, unit, sign = known[one_of("error", by, known)]
         data = self._read(self.dataset[[name, "diverged_at"]].isel(where))
         sizes = (sign * data[name]).where(data.diverged_at.isnull(), np.inf)
-        found = sign * sizes.reduce(share_within, "robot", share=level)
+        found = sign * sizes.reduce(loop.share_within, "robot", share=level)
         what = "distance from the desired position" if by == "distance" else by
-        meaning = (
-            f"{what} that {level * 100:g} % of the robots {'stay within' if sign > 0 else 'have at least'}"
-        )
+        stay = "stay within" if sign > 0 else "have at least"
+        meaning = f"{what} that {level * 100:g} % of the robots {stay}"
         return found.rename("within").drop_vars([*where]).assign_attrs({"units": unit, "long_name": meaning})
 
     def _judged(self) -> dict[str, tuple[str, dict[str, int], str, float]]:
@@ -307,10 +300,12 @@ class Sweep:
                 f"labels are {labels}, where robots are missing: start the same sweep again"
             )
         none = np.zeros((scenario.n, 0))
-        records: dict[str, Any] = {name: np.array(data[name]) if name in data else none for name in PER_ROBOT}
+        records: dict[str, Any] = {
+            name: np.array(data[name]) if name in data else none for name in loop.PER_ROBOT
+        }
         return Ensemble(
             scenario=scenario,
-            draws={name: np.array(data[drawn_name(name)]) for name in scenario.spread},
+            draws={name: np.array(data[loop.drawn_name(name)]) for name in scenario.spread},
             counts=np.array(data["counts"].sum("chunk"), np.int32),
             traces={},
             **records,
@@ -363,7 +358,9 @@ def compared(within: Mapping[str, float], share: float, diverged: Mapping[str, i
         elif np.isnan(distance):
             words.append(f"{label} {'is' if s else 'are'} unknown")
         else:
-            words.append(f"{label} diverge{s}{'' if n == 1 else f' in {percent(diverged[label], n)} runs'}")
+            words.append(
+                f"{label} diverge{s}{'' if n == 1 else f' in {loop.percent(diverged[label], n)} runs'}"
+            )
     return ", ".join(words)
 
 
@@ -524,7 +521,7 @@ def _warn_if_slower(points: Points, jobs: Sequence[Job]) -> None:
     """Warn once about parts that prevent the fastest engine, here and not where chunks are computed."""
     reasons: dict[str, list[int]] = {}
     for k in sorted({job.scenario for job in jobs}):
-        way = way_of(points.scenarios[k])
+        way = loop.way_of(points.scenarios[k])
         if way.fallback_reason:
             reasons.setdefault(f"by {way.engine!r}, {way.engine.value}; {way.fallback_reason}", []).append(k)
     told = []
@@ -592,7 +589,7 @@ def _results(
         for job in left:
             scenario = points.scenarios[job.scenario]
             sent = scenario if client is None else scenario.holding(job.start, job.stop)
-            under_way[executor.submit(part_of, sent, job.start, job.stop)] = job
+            under_way[executor.submit(loop.part_of, sent, job.start, job.stop)] = job
             return
 
     try:
