@@ -17,6 +17,7 @@ from pinmobile.plots.style import Layout, Sheet, Style, colour, letters, tint
 
 _MARKS = "x+1234"
 _RATIOS = 0.2, 0.4, 0.6, 0.8  # damping ratios with a curve
+_WORDS = 70  # point of a curve at which its ratio is written
 _BAND = 2.0  # standard deviations
 
 
@@ -67,24 +68,20 @@ def poles(found: Poles | Mapping[str, Poles], **layout: Unpack[Layout]) -> Figur
         z = np.exp((-ratio / np.sqrt(1 - ratio**2) + 1j) * angle)
         for side in (1, -1):
             axes.plot(z.real, side * z.imag, color=QUIET, linewidth=0.6, linestyle=":")
-        k = 70
-        axes.annotate(f"{ratio:g}", (z[k].real, z[k].imag), color=QUIET, fontsize=letters(0.8), ha="center")
-    for k, one in enumerate(known.values()):
-        mark: Style = {"marker": _MARKS[k % len(_MARKS)], "markersize": letters(0.8), "linestyle": ""}
-        axes.plot(one.values.real, one.values.imag, color=colour(k), markeredgewidth=1.8, **mark)
+        axes.annotate(
+            f"{ratio:g}", (z[_WORDS].real, z[_WORDS].imag), color=QUIET, fontsize=letters(0.8), ha="center"
+        )
+    keys = []
+    for k, (label, one) in enumerate(known.items()):
+        mark: Style = {"marker": _MARKS[k % len(_MARKS)], "color": colour(k), "linestyle": ""}
+        mark |= {"markeredgewidth": 1.8}
+        axes.plot(one.values.real, one.values.imag, markersize=letters(0.8), **mark)
+        keys.append(Line2D([], [], label=label or "poles", **mark))
     size = max(1.15, *(1.05 * float(np.abs(one.values).max()) for one in known.values()))
     axes.set(xlim=(-size, size), ylim=(-size, size), aspect="equal")
     axes.set(xlabel="real part of z", ylabel="imaginary part of z")
-    named = [(label or "poles", k) for k, label in enumerate(known)]
-    style: Style = {"linestyle": "", "markeredgewidth": 1.8}
-    keys = [
-        Line2D([], [], marker=_MARKS[k % len(_MARKS)], color=colour(k), label=label, **style)
-        for label, k in named
-    ]
-    keys += [
-        Line2D([], [], color=QUIET, linewidth=1.2, label="stability limit"),
-        Line2D([], [], color=QUIET, linewidth=0.6, linestyle=":", label="damping ratio"),
-    ]
+    keys.append(Line2D([], [], color=QUIET, linewidth=1.2, label="stability limit"))
+    keys.append(Line2D([], [], color=QUIET, linewidth=0.6, linestyle=":", label="damping ratio"))
     one = next(iter(known.values()))
     return sheet.finish(f"Poles near t = {one.t:g} s, dt = {1e3 * one.dt:g} ms", keys)
 

@@ -60,10 +60,8 @@ def strip_above(axes: Axes, word: str, *, numbers: bool = True) -> float:
     bottom, top = (float(up((1.0, y))[1]) for y in (low, high))
     middle, end = (float(down((1.0, top + share * (top - bottom)))[1]) for share in (_SHARE / 2, _SHARE))
     axis = axes.yaxis
-    large, small = (
-        [y for y in ticks if low <= y <= high]
-        for ticks in (axis.get_majorticklocs(), axis.get_minorticklocs())
-    )
+    places = axis.get_majorticklocs(), axis.get_minorticklocs()
+    large, small = ([y for y in ticks if low <= y <= high] for ticks in places)
     labels, factor = axis.get_major_formatter().format_ticks(large), axis.get_major_formatter().get_offset()
     axes.axhspan(high, end, color=_GREY, linewidth=0, zorder=0)
     axes.set_yticks([*large, middle], [*labels, word])
@@ -364,8 +362,7 @@ def integrator(
     known: dict[str, IntegratorReport] = by_label("reports", reports, IntegratorReport)
     sheet = Sheet(9.0, **layout)
     columns = sheet.columns(3, 2.6)
-    rows = len(_PANELS) // columns
-    found = sheet.axes([divmod(k, columns) for k in range(6)], [1.7] * rows)
+    found = sheet.axes([divmod(k, columns) for k in range(6)], [1.7] * (len(_PANELS) // columns))
     for k, (axes, (attribute, heading)) in enumerate(zip(found, _PANELS, strict=True)):
         kinds = [getattr(report, attribute) for report in known.values()]
         _panel(axes, kinds, list(known), lowest=k + columns >= len(found), ticks=6 if columns == 3 else 4)

@@ -219,9 +219,8 @@ def panels(
     if sheet.new:
         sizes = zip([1 + note.count("\n") for note in notes], labels, strict=True)
         above = max(lines + 1.5 * bool(label) * (label.count("\n") + 1) for lines, label in sizes)
-        height, grid = _placed(
-            sheet, spots, shape, 1.3 * above + 0.8, sheet.below(keys), sheet.heading(default)
-        )
+        outside = sheet.below(keys), sheet.heading(default)
+        height, grid = _placed(sheet, spots, shape, 1.3 * above + 0.8, *outside)
     else:
         grid = sheet.axes(spots, [3.0] * -(-len(runs) // columns), share="")
     for index, (axes, run) in enumerate(zip(grid, runs.values(), strict=True)):
@@ -302,9 +301,8 @@ def _arrowhead(axes: Axes) -> float:
 
 def _window(runs: Mapping[str, Rollout], wide: float) -> Array:
     """Return the corners of the window of panels of a width [in], shape (2, 2) [m], with room for labels."""
-    points = np.concatenate(
-        [part[:, :2] for run in runs.values() for part in (run.poses, run.reference_poses)]
-    )
+    both = [part for run in runs.values() for part in (run.poses, run.reference_poses)]
+    points = np.concatenate(both)[:, :2]
     low, high = points.min(axis=0), points.max(axis=0)
     extent = float((high - low).max())
     robot = max(diagonal(run.plant, _ARROW * extent) for run in runs.values())

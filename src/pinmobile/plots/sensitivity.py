@@ -186,11 +186,9 @@ def _drawn(ensemble: Ensemble, levels: Array, names: Sequence[str]) -> Bands:
     drawn = {}
     for name in names:
         one, bound = found[name], np.array([each[name] for each in most])[:, None]
-        if any(each.is_margin for each in ensemble.scenario.channels if each.name == name):
-            drawn[name] = np.where(begun, np.maximum(one, bound), one)
-        else:
-            held = np.where(begun, np.minimum(one, bound), one)
-            drawn[name] = np.where(one < edges()[1], 0.0, held)
+        is_margin = any(each.is_margin for each in ensemble.scenario.channels if each.name == name)
+        held = np.where(begun, (np.maximum if is_margin else np.minimum)(one, bound), one)
+        drawn[name] = held if is_margin else np.where(one < edges()[1], 0.0, held)
     return Bands(found.t, found.levels, drawn)
 
 
@@ -439,12 +437,10 @@ def _scatter(
     if lost.any():
         height = strip_above(axes, _fate(ensemble, by), numbers=bool(len(kept)))
         for mine, paint, _ in marked:
-            chosen = _dots(mine & lost)
-            heights = np.full(len(chosen), height)
-            axes.plot(one.values[chosen], heights, "x", markersize=4, zorder=3, color=paint)
+            x = one.values[_dots(mine & lost)]
+            axes.plot(x, np.full(len(x), height), "x", markersize=4, zorder=3, color=paint)
     titles = {"distance": "How far each robot strays", "heading": "How far each robot turns away"}
-    title = titles.get(by, f"The {judged.worst} {by} of each robot")
-    sheet.write_above(axes, title, loc="left")
+    sheet.write_above(axes, titles.get(by, f"The {judged.worst} {by} of each robot"), loc="left")
     axes.xaxis.set_major_locator(MaxNLocator(5))
     axes.set_xlabel(_in_lines(sheet, one.label))
     words = _ERRORS.get(by, by)

@@ -253,8 +253,7 @@ def signals(rollouts: Rollouts, **layout: Unpack[Layout]) -> Figure:
     units = {name: unit for run in runs.values() for name, (unit, _) in run.signals.items()}
     if not units:
         raise InvalidArgument("rollouts have no signals, expected at least one: see Rollout.signals")
-    names = [(_symbol(name), unit) for name, unit in units.items()]
-    sheet, panels = _rows(names, layout)
+    sheet, panels = _rows([(_symbol(name), unit) for name, unit in units.items()], layout)
     most = max(values[0].size for run in runs.values() for _, values in run.signals.values())
 
     def style(index: int, k: int, count: int) -> Style:
@@ -269,9 +268,8 @@ def signals(rollouts: Rollouts, **layout: Unpack[Layout]) -> Figure:
                 values = run.signals[name].values.reshape(len(run), -1)
                 for k, column in enumerate(values.T):
                     draw([axes], run.t, column[:, None], **style(index, k, values.shape[1]))
-    keys = [
-        Line2D([], [], label=label, **style(index, 0, 1)) for index, label in enumerate(runs) if len(runs) > 1
-    ]
+    named = enumerate(runs) if len(runs) > 1 else ()
+    keys = [Line2D([], [], label=label, **style(index, 0, 1)) for index, label in named]
     if most > 1:
         keys += [Line2D([], [], label=f"[{k}]", color=colour(k), linewidth=3.0) for k in range(most)]
     return sheet.finish("Signals", keys)
@@ -308,13 +306,9 @@ def mark_events(panels: Iterable[Axes], run: Rollout, paint: Any) -> None:
             axes.axvline(t, color=paint, linewidth=1.0, linestyle=":", zorder=2)
             if row == 0:
                 late = t > run.t[-1] / 2
-                place: Any = {
-                    "xytext": (-3 if late else 3, -2),
-                    "ha": "right" if late else "left",
-                    "va": "top",
-                }
-                look: Any = {"fontsize": letters(0.85), "color": paint, "textcoords": "offset points"}
-                axes.annotate(", ".join(kinds), (t, 1), xycoords=("data", "axes fraction"), **place, **look)
+                place: Any = {"ha": "right" if late else "left", "va": "top", "textcoords": "offset points"}
+                place |= {"xytext": (-3 if late else 3, -2), "xycoords": ("data", "axes fraction")}
+                axes.annotate(", ".join(kinds), (t, 1), fontsize=letters(0.85), color=paint, **place)
 
 
 def _rows(names: Sequence[tuple[str, str]], layout: Layout) -> tuple[Sheet, list[Axes]]:
@@ -369,8 +363,7 @@ def _names(named: Iterable[tuple[object, Sequence[tuple[str, str]]]]) -> list[tu
 
 def _symbol(name: str) -> str:
     """Return the axis label of a name."""
-    short = name.removesuffix("_joint").replace("_", " ").replace("$", r"\$")
-    return _SYMBOLS.get(name, short)
+    return _SYMBOLS.get(name, name.removesuffix("_joint").replace("_", " ").replace("$", r"\$"))
 
 
 def _named(plant: Plant | None, count: int) -> list[tuple[str, str]]:
@@ -704,8 +697,7 @@ def slip(rollouts: Rollouts, **layout: Unpack[Layout]) -> Figure:
     ['slip along [m/s]', 'slip across [m/s]']
     """
     runs = with_plants(rollouts, *_WHEELED)
-    rows = ["slip along [m/s]", "slip across [m/s]"]
-    sheet, grid = _axes(runs, rows, layout)
+    sheet, grid = _axes(runs, ["slip along [m/s]", "slip across [m/s]"], layout)
     for run, column in zip(runs.values(), grid.T, strict=True):
         contacts = _contacts(run)
         for k, axes in enumerate(column):
@@ -813,12 +805,9 @@ def odometry(rollouts: Rollouts, **layout: Unpack[Layout]) -> Figure:
     runs = labelled(rollouts)
     for label, run in runs.items():
         if "believed_pose" not in run.signals:
-            raise InvalidArgument(
-                f"{called(label)} has no signal believed_pose, expected a run with "
-                "OdometryFeedback(controller, table)"
-            )
-    names = ["y [m]", "odometry off by [m]"]
-    sheet, grid = _axes(runs, names, layout, 1.7)
+            expected = "a run with OdometryFeedback(controller, table)"
+            raise InvalidArgument(f"{called(label)} has no signal believed_pose, expected {expected}")
+    sheet, grid = _axes(runs, ["y [m]", "odometry off by [m]"], layout, 1.7)
     for run, (above, below) in zip(runs.values(), grid.T, strict=True):
         true, believed = run.poses, run.signals["believed_pose"].values
         curve(above, *run.reference_poses[:, :2].T, label="desired", **desired())
@@ -940,10 +929,10 @@ def balance(rollouts: Rollouts, *, footprint: ArrayLike | None = None, **layout:
     """
     runs = with_plants(rollouts, *GROUNDED)
     sheet = Sheet(11.0, **layout)
-    spots: list[Spot] = [(0, 0), (1, 0), (slice(0, 2), 1)]
     if sheet.columns(2, 3.2) == 1:
         above, below, beside = sheet.axes([(0, 0), (1, 0), (2, slice(0, 1))], [2.2, 2.2, 4.4])
     else:
+        spots: list[Spot] = [(0, 0), (1, 0), (slice(0, 2), 1)]
         above, below, beside = sheet.axes(spots, [2.1, 2.1], ratios=(1.25, 1))
     for axes, name in ((above, "tip-over margin [m]"), (below, "required friction [-]")):
         dress_time(axes)
@@ -979,9 +968,8 @@ def _from_above(sheet: Sheet, axes: Axes, runs: dict[str, Rollout], footprint: A
         point = body_zero_moment_point(run)
         curve(axes, *point.T, **line_style(index, len(runs)))
         carried = np.flatnonzero(np.isfinite(point[:, 0]))[:1]
-        axes.plot(
-            *point[carried].T, "o", color=colour(index), markersize=8, markeredgecolor="white", zorder=5
-        )
+        dot: Style = {"color": colour(index), "markersize": 8, "markeredgecolor": "white", "zorder": 5}
+        axes.plot(*point[carried].T, "o", **dot)
     axes.autoscale_view()
     axes.margins(0.08)
     axes.set_aspect("equal", adjustable="datalim")

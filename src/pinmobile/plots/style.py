@@ -185,9 +185,8 @@ class Sheet:
             self.parent: Figure | SubFigure = _figure(self.width, known)
             return
         if width is not None:
-            raise InvalidArgument(
-                f"width is {shown(width)}, expected None with ax, because its figure has a width"
-            )
+            reason = "because its figure has a width"
+            raise InvalidArgument(f"width is {shown(width)}, expected None with ax, {reason}")
         self.scale = 1.0
         if isinstance(ax, Figure | SubFigure):
             self.parent, self.width = ax, _inches(ax, ax.bbox.width)
@@ -242,9 +241,8 @@ class Sheet:
         if self._given:
             if len(self._given) != len(spots):
                 one = "one Axes" if len(self._given) == 1 else f"{len(self._given)} Axes"
-                raise InvalidArgument(
-                    f"ax is {one}, expected {len(spots)}, one for each panel, or a figure to fill"
-                )
+                expected = f"{len(spots)}, one for each panel, or a figure to fill"
+                raise InvalidArgument(f"ax is {one}, expected {expected}")
             return self._given
         self._columns = len(ratios) or 1 + max(_first(column) for _, column in spots)
         self._tall = {k: max(self.scale * each, 5.5 * letters() / 72) for k, each in enumerate(tall)}
@@ -521,15 +519,11 @@ def line_style(index: int, count: int) -> Style:
     coincide. A cycle of styles that the user has set in ``rcParams["axes.prop_cycle"]`` has precedence.
     """
     share = (count - 1 - index) / max(count - 1, 1)
-    style = {
-        "color": colour(index),
-        "linestyle": DASHES[index % len(DASHES)],
-        "linewidth": float(rcParams["lines.linewidth"]) * (1.15 + 1.2 * share),
-        "zorder": 3,
-    }
+    width = float(rcParams["lines.linewidth"]) * (1.15 + 1.2 * share)
+    style: Style = {"color": colour(index), "linestyle": DASHES[index % len(DASHES)], "linewidth": width}
     cycle = _cycle()
     own = cycle[index % len(cycle)] if cycle else {}
-    return style | own | ({"markevery": 0.12} if "marker" in own else {})
+    return {**style, "zorder": 3, **own} | ({"markevery": 0.12} if "marker" in own else {})
 
 
 def colour(index: int) -> str:
@@ -561,10 +555,8 @@ def keys_of(runs: Mapping[str, object], alone: str = "") -> list[Line2D]:
     """Return legend entries for lines in `line_style`; a single line has the label `alone`, or no entry."""
     if len(runs) == 1 and not alone:
         return []
-    return [
-        Line2D([], [], label=label or alone, **line_style(index, len(runs)))
-        for index, label in enumerate(runs)
-    ]
+    styles = (line_style(index, len(runs)) for index in range(len(runs)))
+    return [Line2D([], [], label=label or alone, **style) for label, style in zip(runs, styles, strict=True)]
 
 
 def shortened(sheet: Sheet, label: str) -> str:
@@ -574,10 +566,8 @@ def shortened(sheet: Sheet, label: str) -> str:
 
 def tint(base: str, share: float) -> tuple[float, float, float]:
     """Return a mixture of a colour (`share`, from 0 to 1) and the background of axes."""
-    r, g, b = (
-        ground - share * (ground - part)
-        for ground, part in zip(to_rgb(rcParams["axes.facecolor"]), to_rgb(base), strict=True)
-    )
+    pairs = zip(to_rgb(rcParams["axes.facecolor"]), to_rgb(base), strict=True)
+    r, g, b = (ground - share * (ground - part) for ground, part in pairs)
     return r, g, b
 
 
@@ -598,14 +588,8 @@ def dress_time(axes: Axes) -> None:
 
 def heading(index: int) -> Style:
     """Return the style of the label of rollout `index` above its axes, for an offset in points."""
-    return {
-        "xycoords": "axes fraction",
-        "textcoords": "offset points",
-        "va": "bottom",
-        "fontsize": letters(1.2),
-        "fontweight": "bold",
-        "color": colour(index),
-    }
+    place: Style = {"xycoords": "axes fraction", "textcoords": "offset points", "va": "bottom"}
+    return place | {"fontsize": letters(1.2), "fontweight": "bold", "color": colour(index)}
 
 
 def percent(share: float) -> str:
@@ -616,9 +600,8 @@ def percent(share: float) -> str:
 def si(value: float, unit: str) -> str:
     """Return a number with two digits and a suitable prefix of the unit, such as ``7.5 mm``."""
     if value < 1e-10:
-        return (
-            f"{value:.1e} {unit}" if value > _ROUNDING else f"0 {unit}{', within rounding' if value else ''}"
-        )
+        zero = f"0 {unit}{', within rounding' if value else ''}"
+        return f"{value:.1e} {unit}" if value > _ROUNDING else zero
     rounded = float(f"{value:.1e}")
     scale, prefix = next((pair for pair in _PREFIXES if rounded >= pair[0]), _PREFIXES[-1])
     return f"{rounded / scale:.{1 if rounded < 9.95 * scale else 0}f} {prefix}{unit}"
