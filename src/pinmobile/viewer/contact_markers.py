@@ -204,7 +204,7 @@ def draw_contacts(
     used = dict.fromkeys(paints, False)
     for k in range(len(found.names)):
         place, turned = found.places[:, k], found.directions[:, k]
-        ahead = turned + np.arctan2(found.forces[:, k, 1], found.forces[:, k, 0])
+        ahead = np.unwrap(turned + np.arctan2(found.forces[:, k, 1], found.forces[:, k, 0]))
         reach = scale * limits[:, k]
         wide = np.maximum(reach, _THIN * reach.max(axis=1, keepdims=True))
         slides = found.slides[:, k]
@@ -220,9 +220,7 @@ def draw_contacts(
                 size = np.column_stack([wide, np.ones(len(wide))])
                 channels.append(Channel(f"{path}/{part}", "scale", np.where(shows[:, None], size, _NOTHING)))
             stage.put(f"{path}/force", shapes.over(shapes.arrow(0.09), paint, order=ABOVE - 6))
-            channels += along(
-                f"{path}/force", np.column_stack([place, np.unwrap(ahead)]), 0.012 * extent.unit
-            )
+            channels += along(f"{path}/force", np.column_stack([place, ahead]), 0.012 * extent.unit)
             long = np.where(shows, np.maximum(scale * sizes[:, k], _NOTHING), _NOTHING)
             thick = np.where(shows, np.clip(long / (0.05 * extent.unit), _NOTHING, 1.0), _NOTHING)
             thick *= _LARGEST * extent.unit

@@ -116,10 +116,8 @@ def tracks(channels: Iterable[Channel], times: Array, end: float) -> list[dict[s
     by_path: dict[str, list[dict[str, Any]]] = {}
     for channel in channels:
         by_path.setdefault(channel.path, []).append(_track(channel, times))
-    return [
-        {"path": path, "clip": {"fps": 1, "name": "default", "duration": round(end, 4), "tracks": parts}}
-        for path, parts in by_path.items()
-    ]
+    clip = {"fps": 1, "name": "default", "duration": round(end, 4)}
+    return [{"path": path, "clip": {**clip, "tracks": parts}} for path, parts in by_path.items()]
 
 
 def _track(channel: Channel, times: Array) -> dict[str, Any]:
@@ -128,8 +126,7 @@ def _track(channel: Channel, times: Array) -> dict[str, Any]:
         new = np.any(values[1:] != values[:-1], axis=1)
         kept = np.concatenate([[True], new]) | np.concatenate([new, [False]])
         kept[-1] |= bool(new.any())
-        flat = values[kept].ravel().tolist()
-        listed: list[float | str] = [int(x) if x == int(x) else x for x in flat]
+        listed: list[float | str] = [int(x) if x == int(x) else x for x in values[kept].ravel().tolist()]
         kind = _KINDS.get(channel.name, "number")
         if kind == "bool":  # three.js hides an object only if the value is false, not 0
             listed = [bool(x) for x in listed]
@@ -138,12 +135,8 @@ def _track(channel: Channel, times: Array) -> dict[str, Any]:
         kept = np.array([True, *(a != b for a, b in pairwise(listed))])
         listed = [text for text, keep in zip(listed, kept, strict=True) if keep]
         kind = "string"
-    return {
-        "name": f".{channel.name}",
-        "type": kind,
-        "times": np.round(times[kept], 4).tolist(),
-        "values": listed,
-    }
+    at = np.round(times[kept], 4).tolist()
+    return {"name": f".{channel.name}", "type": kind, "times": at, "values": listed}
 
 
 def _quaternions(R: Array) -> Array:

@@ -135,8 +135,7 @@ class Browser:
             self._session = ""
             targets = self.call("Target.getTargets")["targetInfos"]
             page = next(target["targetId"] for target in targets if target["type"] == "page")
-            attached = self.call("Target.attachToTarget", targetId=page, flatten=True)
-            self._session = attached["sessionId"]
+            self._session = self.call("Target.attachToTarget", targetId=page, flatten=True)["sessionId"]
             for domain in ("Page", "Runtime", "Network", "Log"):
                 self.call(f"{domain}.enable")
             width, height = size
@@ -338,9 +337,8 @@ def film_encoder() -> ModuleType:
     try:
         return importlib.import_module("imageio_ffmpeg")
     except ImportError:
-        raise ViewerError(
-            f"a film needs imageio-ffmpeg, which is not installed: {installing('mp4')}"
-        ) from None
+        missing = "a film needs imageio-ffmpeg, which is not installed"
+        raise ViewerError(f"{missing}: {installing('mp4')}") from None
 
 
 def check_films() -> None:
@@ -531,9 +529,8 @@ class Recording:
         self._commands = commands
 
     def __repr__(self) -> str:
-        return (
-            f"<Recording: {self.duration:g} s, {self.fps:g} frames per second, {self.speed:g} times as fast>"
-        )
+        rates = f"{self.fps:g} frames per second, {self.speed:g} times as fast"
+        return f"<Recording: {self.duration:g} s, {rates}>"
 
     def html(self) -> str:
         """Return a self-contained page that plays the recording, as HTML. The page makes no request."""

@@ -227,9 +227,7 @@ class Scene:
         if self.overlays.path:
             draw_path(self.stage, main.reference_poses[:, :2], extent)
             self.legend.append(["desired", INK, "6 4", 0.0])
-        hands = (
-            {label: markers.hand_of(run) for label, run in runs.items()} if self.overlays.end_effector else {}
-        )
+        hands = {label: markers.hand_of(run) for label, run in runs.items() if self.overlays.end_effector}
         for index, (label, run) in enumerate(runs.items()):
             path = f"meshcat/robot{index}"
             self.stage.robot(path, robots[index], colour(index), ghost=index > 0)

@@ -379,9 +379,8 @@ def overview(extent: Extent, height: float, *, low: bool = False) -> View:
         Whether to look from a lower elevation.
     """
     elevation = _LOW if low else _ELEVATION
-    forward = -np.array(
-        [np.cos(elevation) * np.cos(_AZIMUTH), np.cos(elevation) * np.sin(_AZIMUTH), np.sin(elevation)]
-    )
+    level = np.cos(elevation)
+    forward = -np.array([level * np.cos(_AZIMUTH), level * np.sin(_AZIMUTH), np.sin(elevation)])
     right = np.cross(forward, (0, 0, 1))
     right /= np.linalg.norm(right)
     up = np.cross(right, forward)

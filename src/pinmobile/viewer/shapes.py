@@ -131,9 +131,19 @@ def joined(parts: Sequence[Triangles]) -> Triangles:
     return np.concatenate([vertices for vertices, _ in parts]), np.concatenate(faces).astype(np.uint32)
 
 
-def arrow(thickness: float = 0.05) -> Triangles:
-    """Return an arrow of length 1 along x, round, with a head."""
-    return _turned([(0, thickness / 2), (0.72, thickness / 2), (0.72, 1.6 * thickness), (1, 0)])
+def arrow(thickness: float = 0.05, sides: int = 20) -> Triangles:
+    """Return an arrow of length 1 along x, round, with a head: the surface of revolution of its profile."""
+    profile = [(0, 0), (0, thickness / 2), (0.72, thickness / 2), (0.72, 1.6 * thickness), (1, 0)]
+    angle = np.linspace(0, 2 * np.pi, sides, endpoint=False)
+    circle = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    rings = [np.column_stack([np.full(sides, x), r * circle]) for x, r in profile]
+    k = np.arange(sides)
+    across = (k + 1) % sides
+    faces = []
+    for ring in range(len(rings) - 1):
+        a, b = ring * sides, (ring + 1) * sides
+        faces += [np.stack([a + k, a + across, b + k], -1), np.stack([a + across, b + across, b + k], -1)]
+    return np.concatenate(rings), np.concatenate(faces).astype(np.uint32)
 
 
 def arc_arrow(thickness: float = 0.06) -> Triangles:
@@ -200,20 +210,6 @@ def _mesh(triangles: Triangles, material: Shape, data: Shape, order: int) -> Sha
     }
 
 
-def _turned(profile: Sequence[tuple[float, float]], sides: int = 20) -> Triangles:
-    """Return the surface of revolution of a profile (x, radius) about x."""
-    angle = np.linspace(0, 2 * np.pi, sides, endpoint=False)
-    circle = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-    rings = [np.column_stack([np.full(sides, x), r * circle]) for x, r in [(profile[0][0], 0.0), *profile]]
-    k = np.arange(sides)
-    across = (k + 1) % sides
-    faces = []
-    for ring in range(len(rings) - 1):
-        a, b = ring * sides, (ring + 1) * sides
-        faces += [np.stack([a + k, a + across, b + k], -1), np.stack([a + across, b + across, b + k], -1)]
-    return np.concatenate(rings), np.concatenate(faces).astype(np.uint32)
-
-
 @lru_cache(maxsize=256)
 def _picture(text: str, colour: str) -> tuple[str, float]:
     """Return text with a light rim as the URL of a PNG, and the ratio of its width and height."""
@@ -248,14 +244,10 @@ def coarse(shape: Any, share: float) -> Any:
     vertices = np.array(shape.vertices())
     triangles = (shape.tri_indices(k) for k in range(count))
     faces = np.array([[triangle[0], triangle[1], triangle[2]] for triangle in triangles])
-    return _standing(*_clustered(vertices, faces, _cell(vertices[faces], max(share * count, _FEW))))
-
-
-def _cell(corners: Array, wanted: float) -> float:
-    """Return the cell size for which triangles, shape (n, 3, 3), reduce to about a wanted number."""
-    a, b, c = np.moveaxis(corners, 1, 0)
+    a, b, c = np.moveaxis(vertices[faces], 1, 0)
     area = float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()) / 2
-    return max(float(np.sqrt(3 * area / wanted)), 1e-9)  # a surface crosses 1.5 cells per size^2
+    size = np.sqrt(3 * area / max(share * count, _FEW))  # a surface crosses 1.5 cells per size^2
+    return _standing(*_clustered(vertices, faces, max(float(size), 1e-9)))
 
 
 def _clustered(vertices: Array, faces: NDArray[np.int64], cell: float) -> tuple[Array, NDArray[np.int64]]:

@@ -149,12 +149,13 @@ class LiveWindow(SceneWindow):
         """
         self._check_open()
         server, latest = self._server, self._server.backlog.latest
-        self._server.wait(
-            lambda: all(browser.taken >= latest for browser in tuple(server.browsers)),
-            non_negative("timeout", timeout, "s"),
-        )
+
+        def all_have() -> bool:
+            return all(browser.taken >= latest for browser in tuple(server.browsers))
+
+        server.wait(all_have, non_negative("timeout", timeout, "s"))
         self._check_open()
-        return all(browser.taken >= latest for browser in tuple(server.browsers))
+        return all_have()
 
     def get_image(self, w: int | None = None, h: int | None = None) -> Image.Image:
         """Return an RGBA picture of the scene from the browser that connected last.
