@@ -10,6 +10,7 @@ from itertools import pairwise
 import numpy as np
 
 import pinmobile.viewer.contact_markers as markers
+import pinmobile.viewer.motion as motion
 import pinmobile.viewer.shapes as shapes
 from pinmobile.arrays import Array
 from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE, DHTable
@@ -18,19 +19,7 @@ from pinmobile.loop import EndEffector, Rollout
 from pinmobile.palette import AXES, INK, QUIET, colour
 from pinmobile.parts import TimeVarying, able
 from pinmobile.plant import whole_configurations
-from pinmobile.viewer.motion import (
-    Channel,
-    Drawing,
-    Drawn,
-    along,
-    configurations,
-    envelope,
-    figure,
-    links,
-    poses_of,
-    sampled,
-    samples_before,
-)
+from pinmobile.viewer.motion import Channel, Drawing, Drawn, along, links, poses_of, sampled, samples_before
 from pinmobile.viewer.scene_tree import Arrows, Extent, Follow, Overlays, Stage, View, overview
 
 _POSE = ("x", "y", "psi")
@@ -182,7 +171,7 @@ class Scene:
     def alone(self, pose: Array, around: float = 0.0) -> None:
         """Draw the robot alone at a configuration, shape (nq,), with some ground around it [m]."""
         poses = pose[None]
-        reach, height = envelope(self.robot, poses)
+        reach, height = motion.envelope(self.robot, poses)
         room = max(0.8 * max(self.robot.size), 0.75 * reach if self.robot.mounts else 0.0, around)
         extent = Extent(pose[:2] - room, pose[:2] + room, (*self.robot.size[:2], height))
         self._furnish(extent, poses)
@@ -215,12 +204,12 @@ class Scene:
         """
         points = np.concatenate([q[:, :2] for run in runs.values() for q in (run.poses, run.reference_poses)])
         main = next(iter(runs.values()))
-        robots = [self.robot if run.plant is None else figure(run.plant) for run in runs.values()]
+        robots = [self.robot if run.plant is None else motion.figure(run.plant) for run in runs.values()]
         poses = [
-            configurations(robot, run.t, run.q if _is_of(robot, run.plant) else run.poses, times)
+            motion.configurations(robot, run.t, run.q if _is_of(robot, run.plant) else run.poses, times)
             for robot, run in zip(robots, runs.values(), strict=True)
         ]
-        reach, height = envelope(robots[0], poses[0])
+        reach, height = motion.envelope(robots[0], poses[0])
         room = reach - self.robot.size[0]
         extent = Extent(points.min(axis=0) - room, points.max(axis=0) + room, (*self.robot.size[:2], height))
         self._furnish(extent, poses[0])
@@ -259,7 +248,7 @@ class Scene:
             wanted = main.reference.q if whole else main.reference_poses
             if isinstance(ghost, Drawing):  # what has no reference is drawn as it is
                 wanted = whole_configurations(ghost.plant, main.q, main.reference.q)
-            desired = configurations(ghost, main.t, wanted, times)
+            desired = motion.configurations(ghost, main.t, wanted, times)
             self.channels += ridden("meshcat/desired", ghost, desired)
             self.legend.append(["desired pose", QUIET, "", 0.5])
         if self.overlays.arrows is not None:
