@@ -4,6 +4,7 @@ from pinmobile.reaching.poses import (
     FrameTask,
     PosePath,
     PoseTarget,
+    continuous as continuous,
     error_sizes as error_sizes,
     pose_error,
     target_names as target_names,

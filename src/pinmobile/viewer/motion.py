@@ -15,7 +15,7 @@ from pinmobile.arrays import Array, bounded, finite, shaped
 from pinmobile.errors import InvalidArgument, shown
 from pinmobile.loop import Rollout
 from pinmobile.plant import all_samples, stated
-from pinmobile.reaching.poses import continuous
+from pinmobile.reaching import continuous
 from pinmobile.robot import BODY_JOINT, MobileRobot
 
 _KINDS = {"position": "vector3", "scale": "vector3", "quaternion": "quaternion", "visible": "bool"}
