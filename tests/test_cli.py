@@ -23,6 +23,7 @@ from pinmobile.cli import main, verbs
 from pinmobile.cli.identify import IdentifyPaths
 from pinmobile.cli.lecture import EXPECTED
 from pinmobile.cli.verbs import TASKS, app, complete
+from pinmobile.errors import SchedulerError
 from pinmobile.parts import parameters
 from tests import wheeled
 from tests.damage import full_disk
@@ -649,3 +650,21 @@ def test_the_help_of_identify_names_every_path() -> None:
     words = " ".join((verbs.identify.__doc__ or "").split())
     for name in parameters(IdentifyPaths):
         assert re.search(rf"Paths: .*\b{name}\b", words), name
+
+
+def test_a_lost_cluster_is_a_failure_and_no_wrong_word(
+    typed: Typed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def lost(address: str) -> None:
+        raise SchedulerError(f"scheduler is {address!r}, which does not answer")
+
+    monkeypatch.setattr("pinmobile.cli.results.connected", lost)
+    code, _, told = typed("sweep", "rivals", f"--out={tmp_path}", "--scheduler=tcp://127.0.0.1:1")
+    assert (code, told) == (1, "pinmobile: scheduler is 'tcp://127.0.0.1:1', which does not answer\n")
+
+
+def test_one_path_of_an_arm_needs_no_list(typed: Typed, tmp_path: Path) -> None:
+    motion = "WholeBody(MobileRobot.box().mount('ur5'), Tangent(Circle(1, 0.5, 1)), Hold([0] * 6, 1))"
+    code, said, _ = typed("write", "ur5", f"trajectory={motion}")
+    assert code == 0
+    assert "Hold" in said

@@ -471,3 +471,13 @@ def test_linearisation_predicts_the_change_of_the_displacement(robot: pm.MobileR
     np.testing.assert_allclose((rate[0] - rate[1]) / (2 * h), predicted[:n], atol=1e-7)
     change = robot.forward_dynamics(near, v + e, tau + u) - robot.forward_dynamics(q, v, tau)
     assert np.linalg.norm(change - predicted[n:]) < 1e-2 * np.linalg.norm(change)
+
+
+def test_a_trajectory_of_arms_on_wheels_is_that_of_the_body_and_its_arms() -> None:
+    robot = pm.MobileRobot.box().mount("ur5")
+    wheeled = pm.WheeledRobot(robot, pm.WheelTable.differential(0.46, 0.1))
+    base, arm = pm.Tangent(pm.Circle(1.0, 0.5, 1.0)), pm.Hold(robot.rest[3:], 1.0)
+    found, expected = (pm.WholeBody(one, base, arm) for one in (wheeled, robot))
+    assert found.robot is robot
+    for one, other in zip(found(np.linspace(0, 1, 5)), expected(np.linspace(0, 1, 5)), strict=True):
+        np.testing.assert_array_equal(one, other)

@@ -26,7 +26,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     -------
     code : int
         0: done. 1: a check failed, a run diverged, or the system failed, for example because the disk is
-        full. 2: options or files are invalid. 130: interrupted.
+        full or a cluster is lost. 2: options or files are invalid. 130: interrupted.
 
     Examples
     --------
@@ -49,7 +49,7 @@ def _run(arguments: Sequence[str] | None) -> int:
     import typer
 
     from pinmobile.cli.verbs import TASKS, app
-    from pinmobile.errors import Diverged, FileError
+    from pinmobile.errors import Diverged, FileError, SchedulerError
 
     words = list(sys.argv[1:] if arguments is None else arguments) or ["--help"]
     pages = {verb: page for verbs in TASKS.values() for verb, page in verbs.items()}
@@ -66,7 +66,7 @@ def _run(arguments: Sequence[str] | None) -> int:
         sys.stdout.flush()
     except typer.TyperException as error:
         return wrong(f"{error.format_message()} (see 'pinmobile --help' or 'pinmobile COMMAND --help')")
-    except (Diverged, FileError) as error:
+    except (Diverged, FileError, SchedulerError) as error:
         return _refuse(str(error), 1)
     except PinmobileError as error:
         text = str(error)

@@ -217,7 +217,9 @@ class Reader:
         names = [] if isinstance(make, partial) else [*parameters(make)]
         for k, key in enumerate(names):
             if parameters(make)[key].is_variadic and key in values:
-                first = [values.pop(name) for name in names[:k]] + [*values.pop(key)]
+                more = values.pop(key)
+                more = more if isinstance(more, list | tuple) else [more]
+                first = [*(values.pop(name) for name in names[:k]), *more]
         try:
             with np.errstate(all="ignore"):  # the part itself rejects overflow
                 return make(*first, **values)

@@ -566,7 +566,7 @@ def connected(address: str, timeout: float = _ANSWER) -> Any:
     except Exception as error:  # the answer of another server may raise any error
         raise SchedulerError(
             f"scheduler is {shown(address)}, which does not answer within {timeout:g} s, expected an address "
-            f"such as tcp://127.0.0.1:8786: {error}"
+            f"such as tcp://127.0.0.1:8786{f': {error}' * bool(str(error))}"
         ) from error
 
 

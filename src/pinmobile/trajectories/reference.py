@@ -15,7 +15,7 @@ from pinmobile.arrays import LEAST_ANGLE, Array, ArrayLike, finite, frozen, inst
 from pinmobile.errors import InvalidArgument, LimitWarning, shown
 from pinmobile.parts import Following, child, children, number, option, part
 from pinmobile.paths import Hold, Path, Value, checked_path, pieces_of, within
-from pinmobile.plant import refuse_path
+from pinmobile.plant import refuse_path, stated
 from pinmobile.trajectories.direction import (
     STANDSTILL,
     DirectionLimit,
@@ -206,8 +206,9 @@ class WholeBody(Value):
 
     Parameters
     ----------
-    robot : MobileRobot
-        Robot with these arms. References stay within its limits of joint position and velocity.
+    robot : MobileRobot or WheeledRobot
+        Robot with these arms; of a robot on wheels, the body and the arms. References stay within its limits
+        of joint position and velocity.
     base : trajectory
         Trajectory of x, y and psi, such as `Tangent` or `FixedHeading`.
     *paths : Path or None
@@ -244,6 +245,8 @@ class WholeBody(Value):
     joints: Any = children(Path, doc="paths of the arms")
 
     def __init__(self, robot: Any, base: Any, *paths: Path | None, joints: Sequence[Path] = ()) -> None:
+        below = stated(robot, "robot")
+        robot = robot if below is None else below
         _check_robot(robot)
         _check_base(base)
         given = paths or joints
