@@ -664,7 +664,8 @@ def test_a_lost_cluster_is_a_failure_and_no_wrong_word(
 
 
 def test_one_path_of_an_arm_needs_no_list(typed: Typed, tmp_path: Path) -> None:
-    motion = "WholeBody(MobileRobot.box().mount('ur5'), Tangent(Circle(1, 0.5, 1)), Hold([0] * 6, 1))"
+    arm = "Hold([0, 0, 0, 0, 0, 0], 1)"
+    motion = f"WholeBody(MobileRobot.box().mount('ur5'), Tangent(Circle(1, 0.5, 1)), {arm})"
     code, said, _ = typed("write", "ur5", f"trajectory={motion}")
     assert code == 0
     assert "Hold" in said
