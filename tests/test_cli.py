@@ -541,9 +541,10 @@ def test_identify_takes_commands_and_columns_of_other_names(typed: Typed, tmp_pa
     code, told, _ = typed(*words)
     assert code == 0
     assert re.search(r"^theta_6 +1\.0\d+", told, re.MULTILINE)
-    code, _, err = typed(*words, "rolling_speed=0.1")
     said = "rolling_speed does not apply to a log of commands of speed and yaw rate"
-    assert (code, err) == (2, f"pinmobile: {said}\n")
+    for speed in (0.1, 0):
+        code, _, err = typed(*words, f"rolling_speed={speed}")
+        assert (code, err) == (2, f"pinmobile: {said}\n")
 
 
 @pytest.mark.once

@@ -95,7 +95,7 @@ def show_identification(words: Sequence[str], out: Path) -> int:
         begin(bar, "identifying")
         if are_commands:
             for name in ("by", "loads", "rolling_speed"):
-                if getattr(known, name):
+                if getattr(known, name) not in (None, ()):
                     raise InvalidArgument(f"{name} does not apply to a log of commands of speed and yaw rate")
             found: Any = identify_velocity(logs, delay=known.delay, wheelbase=known.wheelbase)
         else:
