@@ -399,7 +399,8 @@ class Identification:
             one = self.model.quantities[k]
             raise InvalidArgument(
                 f"log leads to a {one.name} of {found[k]:.4g} {one.unit}, but with nonnegative friction to "
-                f"{there[k]:.4g}: {'; '.join(self._negative)}; is the given friction of its motors too high?"
+                f"{there[k]:.4g}: {'; '.join(self._negative)}; expected a robot with all forces: is the "
+                "given friction of its motors too high?"
             )
         return frozen(body)
 

@@ -380,7 +380,8 @@ def _first_delay(form: WeakForm, base: Array, basis: Array) -> float:
         _check_late(late, 0.0, dt)
     if k == len(delays) - 1:
         raise InvalidArgument(
-            f"log has poses that lag the inputs by {dt * late:.3g} s or more: do two clocks give the times?"
+            f"log has poses that lag the inputs by {dt * late:.3g} s or more, expected less: do two clocks "
+            "give the times?"
         )
     return late
 
