@@ -24,7 +24,7 @@ from pinmobile.trajectories import Trajectory
 _DOUBLE = 1e-7  # imaginary part that rounding gives to two equal real poles
 _ROUNDING = 1e-12  # relative size of singular values that are 0
 _UNIT_TOLERANCE = 1e-6  # distance from the unit circle that is rounding: multiple poles scatter
-_ZERO_TOLERANCE = 1e-6  # size of a pole that is 0 but for rounding
+_ZERO_TOLERANCE = 1e-6  # largest size of a pole that is 0 up to rounding
 _FREQUENCIES = 2000  # of the search for crossings, over five decades below half the sample rate
 _PROBE = "controller.probe"
 

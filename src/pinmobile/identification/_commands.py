@@ -175,7 +175,7 @@ class Channel(NamedTuple):
         return 1 - float(((y - x)[seen] ** 2).sum()) / spent if self.moves and spent else None
 
     def unexplained(self, lag: Lag) -> list[NDArray[np.bool_]]:
-        """Return the rows in sections whose motion the commands do not explain, as masks."""
+        """Return the rows in sections that the commands do not explain, as masks."""
         motion, size, found = np.concatenate(self.y), max(3, round(_SECTION / self.dt)), []
         usual = np.quantile(np.abs(motion[~np.isnan(motion)]), 0.9)
         if not self.moves:
