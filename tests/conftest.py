@@ -35,19 +35,10 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--part", metavar="K/N", default="", help=words)
 
 
-LONGEST = (
-    *(
-        "notebooks",
-        "cli",
-        "identification",
-        "viewer",
-        "viewer_windows",
-        "viewer_browser",
-        "real_logs",
-        "pages",
-    ),
-    *("export", "derivatives", "arguments", "payload_transfer", "sweeps_cluster", "surface", "wrong_model"),
-)
+LONGEST: tuple[str, ...]
+LONGEST = "notebooks", "cli", "identification", "viewer", "viewer_windows", "viewer_browser", "real_logs"
+LONGEST += "pages", "export", "derivatives", "arguments", "payload_transfer", "sweeps_cluster", "surface"
+LONGEST += ("wrong_model",)
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
