@@ -84,7 +84,7 @@ generator = np.random.default_rng(0)
 samples = robot.random_configuration(generator, (100,))
 largest = 0.0
 for sample in samples:
-    whole = robot.lumped(sample)
+    whole = robot.with_locked_arms(sample)
     by_hand = closed_form.mass_matrix(
         sample[:3], mass=whole.mass, yaw_inertia=whole.yaw_inertia, com=whole.com[:2]
     )
@@ -93,7 +93,7 @@ print(f"largest difference at {len(samples)} random configurations: {largest:.1e
 
 stretch = np.linspace(0, 1, 50)
 stretched = np.array([0, -0.2, 0.1, 0, 0, 0])
-lumps = [robot.lumped(share * stretched + (1 - share) * posture) for share in stretch]
+lumps = [robot.with_locked_arms(share * stretched + (1 - share) * posture) for share in stretch]
 figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3), layout="constrained")
 left.plot(100 * stretch, [whole.yaw_inertia for whole in lumps], color=colour(0))
 left.set(xlabel="extension of the arm [%]", ylabel="composite yaw inertia [kg m²]")
@@ -409,7 +409,7 @@ for axes in (left, right):
 # height $h$ and shifts the zero-moment point by $h v^2 / (r g)$.
 
 # %%
-h = carrier.lumped(np.concatenate([np.zeros(3), stretched])).com[2]
+h = carrier.with_locked_arms(np.concatenate([np.zeros(3), stretched])).com[2]
 about_2_kg = np.abs(payload - 2) < 0.5
 margins = [np.median(fleet.largest("tip-over margin")[about_2_kg]) for fleet in fleets]
 lost = margins[0] - np.array(margins)

@@ -285,7 +285,7 @@ STATES: dict[str, dict[str, Any]] = {
 }
 
 
-MADE_BY_THE_LIBRARY = {"Loop", "Samples", "Stance", "Worst"}
+MADE_BY_THE_LIBRARY = {"Loop", "Samples", "SupportGeometry", "Worst"}
 
 
 def a_part(make: Any) -> Row:

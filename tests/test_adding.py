@@ -141,7 +141,7 @@ def test_a_part_is_known_by_its_own_file_and_its_package_alone(name: str) -> Non
     own = Path(*part.__module__.split(".")[1:]).with_suffix(".py")
     allowed = {own.as_posix(), (own.parent / "__init__.py").as_posix(), "__init__.py"}
     allowed |= {file for file, used in USERS.items() if name in used}
-    allowed |= ALSO_A_DELAY if name == "Line" else set()  # of `Context.delay`
+    allowed |= ALSO_A_DELAY if name == "DelayLine" else set()  # of `Context.delay`
     assert where(name) <= allowed
     of_package = {(own.parent / "__init__.py").as_posix()} - {"__init__.py"}  # a module lists nothing
     assert {own.as_posix(), *of_package} <= where(name)

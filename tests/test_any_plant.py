@@ -15,7 +15,7 @@ from pinmobile import plots
 from pinmobile.arrays import Array
 from pinmobile.integrators import constant_acceleration
 from pinmobile.loop import Loop
-from pinmobile.plant import Context, Coordinate, Input, PlantOutline, Step
+from pinmobile.plant import Context, Coordinate, Input, PlantDescription, Step
 from pinmobile.viewer import Overlays, Viewer
 from pinmobile.viewer.motion import configurations, figure, links
 from tests.looping import looped
@@ -124,7 +124,7 @@ def test_a_file_keeps_every_number_name_and_limit(tmp_path: Path) -> None:
     kept = pm.Rollout.load(tmp_path / "run.npz")
     for name in ("t", "q", "v", "a", "u", "error", "reference"):
         np.testing.assert_array_equal(getattr(kept, name), getattr(RUN, name))
-    assert kept.plant == PlantOutline.of(TwoWheels(), RUN.q)
+    assert kept.plant == PlantDescription.of(TwoWheels(), RUN.q)
     assert (kept.plant.coordinates, kept.plant.inputs) == (TwoWheels.coordinates, TwoWheels.inputs)
     np.testing.assert_array_equal(kept.poses, RUN.poses)
     assert kept.signals["error across"].unit == "m"

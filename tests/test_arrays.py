@@ -30,8 +30,8 @@ test_what_is_not_expected_is_refused_by_name = refusals(
     (lambda: arrays.scalar("dt", [1, 2]), "dt has shape (2,), expected one number"),
     (lambda: arrays.positive("mass", -3, "kg"), "mass is -3.0 kg, expected > 0"),
     (lambda: arrays.positive("dt", 0), "dt is 0.0, expected > 0"),
-    (lambda: arrays.whole("substeps", 1.5), "substeps is 1.5, expected a whole number >= 1"),
-    (lambda: arrays.whole("substeps", 0), "substeps is 0, expected a whole number >= 1"),
+    (lambda: arrays.check_integer("substeps", 1.5), "substeps is 1.5, expected a whole number >= 1"),
+    (lambda: arrays.check_integer("substeps", 0), "substeps is 0, expected a whole number >= 1"),
     by=told,
 )
 
@@ -39,8 +39,8 @@ test_what_is_not_expected_is_refused_by_name = refusals(
 def test_what_is_expected_comes_back_as_float64() -> None:
     assert arrays.vector("q", np.ones((4, 3), np.float32), 3).dtype == np.float64
     assert arrays.positive("dt", 1) == 1.0
-    assert arrays.whole("substeps", np.int64(3)) == 3
-    assert arrays.whole("order", 0, least=0) == 0
+    assert arrays.check_integer("substeps", np.int64(3)) == 3
+    assert arrays.check_integer("order", 0, least=0) == 0
 
 
 def test_frozen_is_a_read_only_copy() -> None:

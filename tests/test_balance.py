@@ -109,7 +109,7 @@ def test_the_grounds_wrench_is_the_rate_of_all_momentum(robot: pm.MobileRobot) -
 
 def test_an_arm_at_rest_weighs_m_g_at_its_centre_of_mass() -> None:
     q = UR5.random_configuration(np.random.default_rng(2))
-    arm = UR5.lumped(q).body
+    arm = UR5.with_locked_arms(q).body
     mass = arm.mass - BOX.mass
     com = (arm.mass * arm.com - BOX.mass * BOX.body.com) / mass - AT[:3]
     weight = np.array([0, 0, -mass * G])
@@ -142,7 +142,7 @@ def test_a_load_on_the_foot_of_an_arm_is_not_that_of_another_whose_name_begins_a
 
 def test_at_rest_the_zero_moment_point_is_below_the_centre_of_mass() -> None:
     q = UR5.random_configuration(np.random.default_rng(3))
-    com = UR5.lumped(q).body.com
+    com = UR5.with_locked_arms(q).body.com
     point = zero_moment_point(at_rest(UR5, q))
     turn = np.array([[np.cos(q[2]), -np.sin(q[2])], [np.sin(q[2]), np.cos(q[2])]])
     np.testing.assert_allclose(point, q[:2] + turn @ com[:2], atol=1e-13)

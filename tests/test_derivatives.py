@@ -67,9 +67,18 @@ LOOPS["parking"][1]["q0"] = [0.1, 0.1, 0.2, 0.0, 0.0]
 LOOPS["coupled"][1]["v0"] = [0.0] * 5
 # What the derivatives of no loop need: solvers of their own, and what is no part of a loop.
 NO_PARTS = {
-    *("Changing", "Controller", "KinematicLaw", "State", "Tracked", "Force", "Integrator", "Allocation"),
-    *("Forces", "Mobility", "Reduced", "Arm", "Linearization", "Mountable", "Mountables", "Stance"),
-    *("System", "UncheckedDynamics", "ContactState", "MotorState"),
+    *(
+        "DualNumber",
+        "Controller",
+        "KinematicLaw",
+        "State",
+        "TrackingState",
+        "Force",
+        "Integrator",
+        "Allocation",
+    ),
+    *("Forces", "Mobility", "Reduced", "Arm", "Linearization", "Mountable", "Mountables", "SupportGeometry"),
+    *("MultibodySystem", "UncheckedDynamics", "ContactState", "MotorState"),
 }
 REFUSED = ("MPC",)
 # Where a number changes the side of a kink during the run, differences of runs are no derivatives.

@@ -58,7 +58,7 @@ def test_arms_have_the_limits_of_their_files_and_loads_their_masses() -> None:
     assert elbow[3] == f"+-{robot.velocity_limit[k]:.4g}"
     assert elbow[5] == f"+-{robot.effort_limit[k]:.4g}"
     assert "load on ur5/tool0: 1.5 kg" in text
-    assert f"whole robot: {robot.lumped().mass:.4g} kg" in text
+    assert f"whole robot: {robot.with_locked_arms().mass:.4g} kg" in text
     assert "numbers of arms: from their files or models\n  ur5: right angles" in text
 
 

@@ -351,7 +351,7 @@ def rolled(loaded: bool) -> pm.Log:
 def run_on_wheels(
     loaded: bool = False, dry: WheelFriction | None = None, motor: pm.Motor = MOTOR
 ) -> pm.Rollout:
-    plant, path = on_wheels(BODY.attach(LOAD).lumped() if loaded else BODY, motor), rolling_motion()
+    plant, path = on_wheels(BODY.attach(LOAD).with_locked_arms() if loaded else BODY, motor), rolling_motion()
     controller = TorqueToVoltage(pm.Backstepping(pm.UnicycleTracking(), plant.wheeled), plant)
     if dry is not None:
         return pm.simulate(on_wheels(BODY, dry=dry), controller, path, dt=0.02, engine=pm.Engine.COMPILED)

@@ -81,7 +81,7 @@ def assert_agrees(robot: MobileRobot, states: int = 2) -> None:
         ("T", body.kinetic_energy(q, v), robot.kinetic_energy(q, v)),
         ("V", body.potential_energy(q), robot.potential_energy(q)),
         ("Y", body.regressor(q, v, a), robot.regressor(q, v, a)),
-        ("drift", body.frame_drift(q, v, frame), robot.frame_drift(q, v, frame)),
+        ("drift", body.frame_bias_acceleration(q, v, frame), robot.frame_bias_acceleration(q, v, frame)),
         ("pose", body.frame_pose(q, frame), robot.frame_pose(q, frame)),
         ("J", body.frame_jacobian(q, frame), robot.frame_jacobian(q, frame)),
         ("q", body.integrate(q, d), robot.integrate(q, d)),

@@ -16,7 +16,7 @@ import pytest
 import pinmobile as pm
 from pinmobile.cli.identify import show_identification
 from pinmobile.errors import FileError
-from pinmobile.plant import PlantOutline
+from pinmobile.plant import PlantDescription
 from pinmobile.signals import Signal
 from tests.damage import answer, damaged
 from tests.users import Follower, TwoWheels
@@ -94,7 +94,7 @@ def test_a_run_comes_back_bit_for_bit(kind: str, tmp_path: Path) -> None:
     path = written(run, tmp_path)
     loaded = pm.Rollout.from_mcap(path)
     assert content(loaded) == content(pm.Rollout.load(tmp_path / "run.npz"))
-    assert isinstance(loaded.plant, PlantOutline) == (kind == "user")
+    assert isinstance(loaded.plant, PlantDescription) == (kind == "user")
     loaded.to_mcap(tmp_path / "again.mcap")
     assert (tmp_path / "again.mcap").read_bytes() == path.read_bytes()
 

@@ -12,7 +12,7 @@ import pytest
 
 import pinmobile as pm
 from pinmobile.errors import UnknownName
-from pinmobile.plant import PlantOutline
+from pinmobile.plant import PlantDescription
 from pinmobile.robot import BODY_JOINT
 
 BOX = pm.MobileRobot.box()
@@ -327,7 +327,7 @@ def test_configurations_of_the_wrong_size_are_refused() -> None:
     with pytest.raises(pm.InvalidArgument, match=r"q has shape \(3,\), expected \(\.\.\., 9\)"):
         robot.mass_matrix([0, 0, 0])
     with pytest.raises(pm.InvalidArgument, match=r"q has shape \(4,\), expected \(9,\) or \(6,\)"):
-        robot.lumped(np.zeros(4))
+        robot.with_locked_arms(np.zeros(4))
 
 
 def driven(robot: pm.MobileRobot) -> pm.Rollout:
@@ -347,7 +347,7 @@ def test_a_rollout_brings_its_robot_back(tmp_path: Path, urdf: Path) -> None:
     assert back.plant == robot
     np.testing.assert_array_equal(back.q, run.q)
     urdf.write_text(urdf.read_text().replace('<mass value="1"/>', '<mass value="1.5"/>'))
-    assert pm.Rollout.load(path).plant == PlantOutline.of(robot, run.q)  # it is no longer what it was
+    assert pm.Rollout.load(path).plant == PlantDescription.of(robot, run.q)  # it is no longer what it was
     urdf.unlink()
     assert pm.Rollout.load(path).plant.coordinates == robot.coordinates  # the arrays are there
     np.testing.assert_array_equal(pm.Rollout.load(path).u, run.u)
@@ -384,7 +384,7 @@ def test_damping_and_friction_of_joints_are_kept(urdf: Path, tmp_path: Path) -> 
         assert carrying.joint_damping.tolist() == [0, 0, 0, 0.7, 0.3, 0.3]
         assert carrying.joint_friction.tolist() == [0, 0, 0, 0.2, 0.1, 0.1]
         assert carrying.model.damping[3:].tolist() == [0.7, 0.3, 0.3]
-    for bare in (base, robot.base, robot.lumped()):  # the wheels are locked
+    for bare in (base, robot.base, robot.with_locked_arms()):  # the wheels are locked
         assert bare.joint_damping.tolist() == bare.joint_friction.tolist() == [0, 0, 0]
     with pytest.raises(ValueError, match="read-only"):
         robot.joint_damping[3] = 1.0
@@ -418,5 +418,5 @@ def test_a_saved_rollout_knows_whether_damping_and_friction_are_what_they_were(
     assert loaded.joint_damping.tolist() == robot.joint_damping.tolist()
     urdf.write_text(RESISTED.replace('friction="0.2"', 'friction="0.4"'))
     changed = pm.Rollout.load(file).plant
-    assert isinstance(changed, PlantOutline)
+    assert isinstance(changed, PlantDescription)
     assert "joints' damping, friction and rotors differ from the stored ones" in changed.reason

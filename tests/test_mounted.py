@@ -180,12 +180,14 @@ def test_locked_arms_are_a_load(robot: pm.MobileRobot) -> None:
     q, v, a = states(robot)
     v[:, 3:] = a[:, 3:] = 0
     for k in range(4):
-        lump = robot.lumped(q[k])
+        lump = robot.with_locked_arms(q[k])
         assert (lump.nv, lump.mounts) == (3, ())
         tau = robot.inverse_dynamics(q[k], v[k], a[k])[:3]
         np.testing.assert_allclose(lump.inverse_dynamics(q[k, :3], v[k, :3], a[k, :3]), tau, atol=1e-11)
-        assert robot.lumped(q[k, 3:]) == robot.lumped(np.concatenate([np.zeros(3), q[k, 3:]]))
-    assert robot.lumped() == robot.lumped(robot.rest)
+        assert robot.with_locked_arms(q[k, 3:]) == robot.with_locked_arms(
+            np.concatenate([np.zeros(3), q[k, 3:]])
+        )
+    assert robot.with_locked_arms() == robot.with_locked_arms(robot.rest)
     assert robot.base == pm.MobileRobot.box()
 
 
@@ -340,7 +342,7 @@ def test_loads_weigh_where_they_are() -> None:
     moving = J[:, :3] - np.cross(arm[:, :, None], J[:, 3:], axis=1)
     np.testing.assert_allclose(light.gravity(q) - UR5.gravity(q), 2 * 9.81 * moving[:, 2], atol=1e-11)
     assert light.visual_model.geometryObjects[-1].name == "load1"
-    assert light.lumped().mass == pytest.approx(UR5.lumped().mass + 2)
+    assert light.with_locked_arms().mass == pytest.approx(UR5.with_locked_arms().mass + 2)
 
 
 def _composite() -> pin.JointModel:

@@ -33,7 +33,7 @@ METHODS = [
     name
     for name in dir(pm.MobileRobot)
     if not name.startswith("_") and inspect.isfunction(getattr(pm.MobileRobot, name))
-    if parameters(getattr(pm.MobileRobot, name)) and name not in ("lumped", "evaluate_metrics")
+    if parameters(getattr(pm.MobileRobot, name)) and name not in ("with_locked_arms", "evaluate_metrics")
 ]
 ON_ARMS = {"arm_manipulability", "mount_wrench"}  # of a bare robot they are errors
 CASES = [(kind, name) for kind in ROBOTS for name in METHODS if ROBOTS[kind].mounts or name not in ON_ARMS]

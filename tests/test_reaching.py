@@ -388,7 +388,9 @@ def test_a_frames_drift_is_the_rate_of_its_jacobian(robot: pm.MobileRobot) -> No
     q, v = robot.random_configuration(rng, (5,)), rng.normal(size=(5, robot.nv))
     ahead, behind = (robot.frame_jacobian(robot.integrate(q, s * h * v)) for s in (1, -1))
     slope = np.einsum("nij,nj->ni", ahead - behind, v) / (2 * h)
-    np.testing.assert_allclose(robot.frame_drift(q, v), slope, atol=1e-6)  # eps / h times numbers of order 10
+    np.testing.assert_allclose(
+        robot.frame_bias_acceleration(q, v), slope, atol=1e-6
+    )  # eps / h times numbers of order 10
 
 
 @pytest.mark.parametrize(

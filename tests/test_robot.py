@@ -229,13 +229,13 @@ def test_nothing_is_lost_far_from_the_origin(offset_robot: MobileRobot, x: float
             given = (v,) if name == "kinetic_energy" else ()
             method = getattr(robot, name)
             np.testing.assert_array_equal(method(far, *given), method(here, *given), name)
-        for name in ("nonlinear_effects", "coriolis_matrix", "frame_drift"):
+        for name in ("nonlinear_effects", "coriolis_matrix", "frame_bias_acceleration"):
             np.testing.assert_array_equal(getattr(robot, name)(far, v), getattr(robot, name)(here, v), name)
         for name in ("inverse_dynamics", "forward_dynamics", "linearize", "regressor", "ground_wrench"):
             method = getattr(robot, name)
             for found, expected in zip(method(far, v, a), method(here, v, a), strict=True):
                 np.testing.assert_array_equal(found, expected, name)
-        assert robot.lumped(far) == robot.lumped(here)
+        assert robot.with_locked_arms(far) == robot.with_locked_arms(here)
 
 
 def test_what_is_handed_out_may_be_written_into_and_nothing_changes() -> None:

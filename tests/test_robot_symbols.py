@@ -91,7 +91,7 @@ def methods(robot: MobileRobot) -> dict[str, tuple[Any, ...]]:
         "ground_wrench": ("qva",),
         "frame_pose": ("q", "base_link"),
         "frame_jacobian": ("q", robot.end_effector),
-        "frame_drift": ("qv", robot.end_effector),
+        "frame_bias_acceleration": ("qv", robot.end_effector),
         "manipulability": ("q",),
         "integrate": ("qv",),
         "difference": ("qv",),

@@ -14,7 +14,7 @@ import pytest
 import pinmobile as pm
 from pinmobile import plots
 from pinmobile.balance import MotionStates, required_friction, tip_over_margin, zero_moment_point
-from pinmobile.robot import Stance
+from pinmobile.robot import SupportGeometry
 from pinmobile.robot.support_geometry import hull
 from pinmobile.urdf import Body
 from tests import wheeled
@@ -358,7 +358,7 @@ def test_how_it_stands_survives_all_that_keeps_a_robot(tmp_path: Path, name: str
     assert read(tmp_path, robot.to_urdf()) == robot
     assert read(tmp_path, robot.to_urdf()).stance == robot.stance
     arm = robot.mount("ur5", (0, 0, 0.5, 0)).attach(pm.PayloadBody(1.0))
-    for same in (pickle.loads(pickle.dumps(arm)), arm.lumped(), arm.base):
+    for same in (pickle.loads(pickle.dumps(arm)), arm.with_locked_arms(), arm.base):
         assert same.stance == robot.stance
         assert same.locked_joints == robot.locked_joints
     run = pm.simulate(robot, pm.ComputedTorque(robot), pm.Tangent(pm.Circle(1, 0.5, 1)), dt=0.1)
@@ -373,13 +373,13 @@ def test_how_it_stands_survives_all_that_keeps_a_robot(tmp_path: Path, name: str
 
 def test_a_stance_checks_itself() -> None:
     with refused("footprint has shape"):
-        Stance([(0, 0), (1, 0)])
+        SupportGeometry([(0, 0), (1, 0)])
     with refused(r"top is -1\.0 m, expected > 0"):
-        Stance(top=-1.0)
-    with refused(r"stance is 3, expected a pinmobile.robot.Stance"):
+        SupportGeometry(top=-1.0)
+    with refused(r"stance is 3, expected a pinmobile.robot.SupportGeometry"):
         pm.MobileRobot.from_body(pm.MobileRobot.box().body, stance=3)  # type: ignore[arg-type]
-    assert Stance.of_box((1, 2, 3)) == Stance(box(0.5, 1), 3)
-    assert hash(Stance.of_box((1, 2, 3))) == hash(Stance(box(0.5, 1), 3))
+    assert SupportGeometry.of_box((1, 2, 3)) == SupportGeometry(box(0.5, 1), 3)
+    assert hash(SupportGeometry.of_box((1, 2, 3))) == hash(SupportGeometry(box(0.5, 1), 3))
 
 
 @pytest.mark.parametrize("words", ['top="a"', 'top="1 2"', 'footprint="1 2 3"', 'footprint="0 0 1 0"'])

@@ -9,7 +9,7 @@ from attrs import fields
 from hypothesis import given, settings, strategies as st
 
 from pinmobile import InvalidArgument, MobileRobot, UnicycleTracking
-from pinmobile.controllers import Changing, DynamicFeedback, Kanayama, KinematicLaw, Parking, Tracked
+from pinmobile.controllers import DualNumber, DynamicFeedback, Kanayama, KinematicLaw, Parking, TrackingState
 from pinmobile.plant import Context
 
 T = np.arange(0.0, 1.0, 0.1)
@@ -18,7 +18,7 @@ LAWS = UnicycleTracking(), Kanayama(), Parking(), DynamicFeedback()
 NUMBERS = st.floats(-1.5, 1.5)
 
 
-def derivative(tracked: Tracked, v: float, w: float) -> tuple[float, float, float]:
+def derivative(tracked: TrackingState, v: float, w: float) -> tuple[float, float, float]:
     """Return the rates of the errors of a body that moves at (v, w)."""
     x, y, turn, speed, yaw_rate = tracked[:5]
     return w * y - v + speed * np.cos(turn), speed * np.sin(turn) - w * x, yaw_rate - w
@@ -38,14 +38,14 @@ def test_rates_of_commands_are_their_derivatives(
     if np.hypot(x, y) < 0.1 or (isinstance(law, Parking) and np.abs(np.arctan2(y, x)) > 3.0):
         return  # where the parking law jumps
     gained, turned, h = 0.3, -0.4, 1e-5
-    at = Tracked(x, y, turn, speed, yaw_rate, gained, v)
+    at = TrackingState(x, y, turn, speed, yaw_rate, gained, v)
     rates = (*derivative(at, v, w), gained, turned, 0.0, 0.0)
-    both = Tracked(*(Changing(value, rate) for value, rate in zip(at, rates, strict=True)))
+    both = TrackingState(*(DualNumber(value, rate) for value, rate in zip(at, rates, strict=True)))
     state = state_of(law, speed)
     command, _ = law(both, state)
     ends = []
     for sign in (-1.0, 1.0):
-        there = Tracked(*(value + sign * h * rate for value, rate in zip(at, rates, strict=True)))
+        there = TrackingState(*(value + sign * h * rate for value, rate in zip(at, rates, strict=True)))
         moved = state and (state[0] + sign * h * command[0].rate, *state[1:])
         ends.append(law(there, moved)[0])
     for k in range(2):
@@ -54,25 +54,25 @@ def test_rates_of_commands_are_their_derivatives(
         assert command[k].rate == pytest.approx(slope, rel=1e-5, abs=1e-5)
 
 
-def _of_tracking(law: Any, e: Tracked) -> tuple[float, float]:
+def _of_tracking(law: Any, e: TrackingState) -> tuple[float, float]:
     k = 2 * law.zeta * np.sqrt(e.yaw_rate**2 + law.b * e.speed**2)
     fall = -k * (law.b * e.ahead**2 + e.turn**2)
     return (law.b * (e.ahead**2 + e.aside**2) + e.turn**2) / 2, fall
 
 
-def _of_kanayama(law: Any, e: Tracked) -> tuple[float, float]:
+def _of_kanayama(law: Any, e: TrackingState) -> tuple[float, float]:
     fall = -law.k1 * e.ahead**2 - law.k3 / law.k2 * e.speed * np.sin(e.turn) ** 2
     return (e.ahead**2 + e.aside**2) / 2 + (1 - np.cos(e.turn)) / law.k2, fall
 
 
-def _of_parking(law: Any, e: Tracked) -> tuple[float, float]:
+def _of_parking(law: Any, e: TrackingState) -> tuple[float, float]:
     rho, bearing = np.hypot(e.ahead, e.aside), np.arctan2(e.aside, e.ahead)
     approach = (bearing - e.turn + np.pi) % (2 * np.pi) - np.pi
     fall = -law.k1 * rho**2 * np.cos(bearing) ** 2 - law.k2 * bearing**2
     return (rho**2 + bearing**2 + law.k3 * approach**2) / 2, fall
 
 
-CANDIDATES: list[tuple[Any, Callable[[Any, Tracked], tuple[float, float]], tuple[float, float]]] = [
+CANDIDATES: list[tuple[Any, Callable[[Any, TrackingState], tuple[float, float]], tuple[float, float]]] = [
     (UnicycleTracking(), _of_tracking, (0.7, 0.4)),
     (UnicycleTracking(), _of_tracking, (-0.7, 0.4)),
     (Kanayama(), _of_kanayama, (0.7, 0.4)),
@@ -84,11 +84,13 @@ CANDIDATES: list[tuple[Any, Callable[[Any, Tracked], tuple[float, float]], tuple
 def test_lyapunov_functions_fall_as_the_papers_say(law: Any, candidate: Any, moving: Any) -> None:
     rng = np.random.default_rng(2)
     for _ in range(50):
-        e = Tracked(*rng.uniform(-1, 1, 3), *moving)
+        e = TrackingState(*rng.uniform(-1, 1, 3), *moving)
         (v, w), _ = law(e, None)
         h, rates = 1e-6, derivative(e, v, w)
         ends = [
-            candidate(law, Tracked(*(a + s * h * b for a, b in zip(e, rates, strict=False)), *moving))[0]
+            candidate(law, TrackingState(*(a + s * h * b for a, b in zip(e, rates, strict=False)), *moving))[
+                0
+            ]
             for s in (-1, 1)
         ]
         assert (ends[1] - ends[0]) / (2 * h) == pytest.approx(candidate(law, e)[1], abs=1e-6)
@@ -97,7 +99,7 @@ def test_lyapunov_functions_fall_as_the_papers_say(law: Any, candidate: Any, mov
 def test_a_reference_is_followed_backwards() -> None:
     e = np.array([0.3, -0.3, 0.5])
     for _ in range(5000):
-        tracked = Tracked(e[0], e[1], e[2], -0.5, 0.2)
+        tracked = TrackingState(e[0], e[1], e[2], -0.5, 0.2)
         (v, w), _ = UnicycleTracking()(tracked, None)
         e = e + 2e-3 * np.asarray(derivative(tracked, v, w), np.float64)
     assert np.abs(e).max() < 1e-6
@@ -107,7 +109,7 @@ def test_errors_of_the_place_decay_as_two_poles_by_dynamic_feedback() -> None:
     law, e, h = DynamicFeedback(), np.array([0.0, 0.2, 0.0]), 1e-3
     state, squares = state_of(law, 0.6), []
     for _ in range(10000):
-        tracked = Tracked(e[0], e[1], e[2], 0.6, 0.3, 0.0, state[0])
+        tracked = TrackingState(e[0], e[1], e[2], 0.6, 0.3, 0.0, state[0])
         (v, w), state = law(tracked, state)
         e = e + h * np.array(derivative(tracked, float(v.value), float(w)))
         squares.append(np.hypot(e[0], e[1]))

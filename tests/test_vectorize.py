@@ -51,7 +51,7 @@ def asked(robot: MobileRobot) -> dict[str, tuple[Any, ...]]:
         "ground_wrench": ("qva",),
         "frame_pose": ("q", "base_link"),
         "frame_jacobian": ("q", robot.end_effector),
-        "frame_drift": ("qv", robot.end_effector),
+        "frame_bias_acceleration": ("qv", robot.end_effector),
         "manipulability": ("q",),
         **arms,
     }

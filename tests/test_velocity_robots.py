@@ -11,7 +11,7 @@ import sympy
 import pinmobile as pm
 from pinmobile import parts
 from pinmobile.arrays import Array
-from pinmobile.controllers import Kanayama, RandomSteps, Tracked, VelocityCommand
+from pinmobile.controllers import Kanayama, RandomSteps, TrackingState, VelocityCommand
 from pinmobile.identification import VELOCITY_ROBOTS
 from pinmobile.parts import evolved
 from pinmobile.plant import Context
@@ -41,7 +41,7 @@ class Fed:
     def check(self, t: Array, speed: Array, yaw_rate: Array) -> None:
         return
 
-    def __call__(self, tracked: Tracked, state: None) -> tuple[tuple[Any, Any], None]:
+    def __call__(self, tracked: TrackingState, state: None) -> tuple[tuple[Any, Any], None]:
         return (tracked.speed, tracked.yaw_rate), state
 
 

@@ -215,7 +215,7 @@ def test_a_load_belongs_on_the_body_or_on_an_arm() -> None:
     for frame in ("x", "y"):
         with pytest.raises(InvalidArgument, match=f"frame is '{frame}', a virtual link, expected"):
             MobileRobot.box().attach(PayloadBody(1.0), frame)
-    assert MobileRobot.box().attach(PayloadBody(1.0), "psi").lumped().mass == 31
+    assert MobileRobot.box().attach(PayloadBody(1.0), "psi").with_locked_arms().mass == 31
 
 
 WHEEL: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006}

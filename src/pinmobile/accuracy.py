@@ -13,7 +13,7 @@ import numpy as np
 
 from pinmobile.arrays import Array, callable_as, finite, frozen, instance, positive, shaped
 from pinmobile.controllers import ComputedTorque
-from pinmobile.errors import Diverged, InvalidArgument, shown
+from pinmobile.errors import Diverged, InvalidArgument, format_value
 from pinmobile.integrators import Acceleration, Integrator
 from pinmobile.loop import Rollout, simulate
 from pinmobile.paths import Circle
@@ -146,7 +146,7 @@ def guarded(integrator: Integrator) -> Integrator:
             answer = integrator(acceleration, t, q, v, dt)
         if type(answer) is not tuple or len(answer) != 2 or any(np.shape(x) != q.shape for x in answer):
             raise InvalidArgument(
-                f"integrator returned {shown(answer)}, expected (q, v), each of shape {q.shape}"
+                f"integrator returned {format_value(answer)}, expected (q, v), each of shape {q.shape}"
             )
         if not np.abs(answer).max() < FAR:
             raise Diverged(

@@ -18,7 +18,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import ArrayLike as ArrayLike, NDArray
 
-from pinmobile.errors import InvalidArgument, NotFinite, UnknownName, shown
+from pinmobile.errors import InvalidArgument, NotFinite, UnknownName, format_value
 
 Array: TypeAlias = NDArray[np.float64]
 _Function = TypeVar("_Function")
@@ -260,7 +260,7 @@ def real(name: str, value: ArrayLike) -> Array:
         )
     array = _array(value)
     if array.dtype.kind not in "fiu":
-        raise InvalidArgument(f"{name} is {shown(value)}, expected real numbers")
+        raise InvalidArgument(f"{name} is {format_value(value)}, expected real numbers")
     if array.ndim > _MOST_AXES:
         raise InvalidArgument(f"{name} has {array.ndim} axes, expected at most {_MOST_AXES}")
     if array.dtype == np.float64:
@@ -292,7 +292,7 @@ def are_real(answer: object) -> bool:
     return type(answer) is not np.ndarray or answer.dtype is _FLOAT or answer.dtype.kind in "fiub"
 
 
-def answered(what: str, answer: object, expected: str = "real numbers") -> Array:
+def check_returned_array(what: str, answer: object, expected: str = "real numbers") -> Array:
     """Return the result of a part as a float64 array.
 
     Parameters
@@ -316,13 +316,13 @@ def answered(what: str, answer: object, expected: str = "real numbers") -> Array
 
     Examples
     --------
-    >>> from pinmobile.arrays import answered
-    >>> answered("forces[0]", [0, 5, 0])
+    >>> from pinmobile.arrays import check_returned_array
+    >>> check_returned_array("forces[0]", [0, 5, 0])
     array([0., 5., 0.])
     """
     found = _array(answer)
     if not are_real(found):
-        raise InvalidArgument(f"{what} returned {shown(answer)}, expected {expected}")
+        raise InvalidArgument(f"{what} returned {format_value(answer)}, expected {expected}")
     return np.array(found, np.float64)
 
 
@@ -627,7 +627,7 @@ def positive_or_endless(name: str, value: ArrayLike, unit: str = "") -> float:
     return np.inf if not limit.ndim and limit > _LARGEST else positive(name, limit, unit)
 
 
-def whole(name: str, value: Any, *, least: int = 1, most: int = 2**53) -> int:
+def check_integer(name: str, value: Any, *, least: int = 1, most: int = 2**53) -> int:
     """Return a whole number within bounds as an int.
 
     Parameters
@@ -651,8 +651,8 @@ def whole(name: str, value: Any, *, least: int = 1, most: int = 2**53) -> int:
 
     Examples
     --------
-    >>> from pinmobile.arrays import whole
-    >>> whole("substeps", 4.0)
+    >>> from pinmobile.arrays import check_integer
+    >>> check_integer("substeps", 4.0)
     4
     """
     if type(value) is int and least <= value <= most:
@@ -662,9 +662,9 @@ def whole(name: str, value: Any, *, least: int = 1, most: int = 2**53) -> int:
     except InvalidArgument:
         number = least - 1.0  # a value out of bounds, which the next line rejects
     if number != int(number) or number < least:
-        raise InvalidArgument(f"{name} is {shown(value)}, expected a whole number >= {least}")
+        raise InvalidArgument(f"{name} is {format_value(value)}, expected a whole number >= {least}")
     if number > most:
-        raise InvalidArgument(f"{name} is {shown(value)}, expected at most {most:,}")
+        raise InvalidArgument(f"{name} is {format_value(value)}, expected at most {most:,}")
     return int(number)
 
 
@@ -698,10 +698,10 @@ def seeded(name: str, seed: Any) -> np.random.Generator:
     kinds = np.random.Generator, np.random.BitGenerator, np.random.SeedSequence
     if not isinstance(seed, kinds):
         try:
-            seed = seed if type(seed) is int and seed >= 0 else whole(name, seed, least=0)
+            seed = seed if type(seed) is int and seed >= 0 else check_integer(name, seed, least=0)
         except InvalidArgument:
             raise InvalidArgument(
-                f"{name} is {shown(seed)}, expected a whole number >= 0 or a Generator"
+                f"{name} is {format_value(seed)}, expected a whole number >= 0 or a Generator"
             ) from None
     return np.random.default_rng(seed)
 
@@ -740,8 +740,8 @@ def location(name: str, value: object) -> Path:
         named = b"\0"
     if b"\0" in named or max(map(len, named.split(b"/"))) > _LONGEST_NAME:
         raise InvalidArgument(
-            f"{name} is {shown(str(value))}, expected the path of a file: letters that a file name can "
-            f"contain, at most {_LONGEST_NAME} bytes between two slashes"
+            f"{name} is {format_value(str(value))}, expected the path of a file: letters that a file name "
+            f"can contain, at most {_LONGEST_NAME} bytes between two slashes"
         )
     return path
 
@@ -778,7 +778,7 @@ def text(name: str, value: object) -> str:
     from unicodedata import category  # here, because few calls need the module
 
     if not isinstance(value, str) or any(category(letter) in _UNWRITTEN for letter in value):
-        raise InvalidArgument(f"{name} is {shown(value)}, expected text without control characters")
+        raise InvalidArgument(f"{name} is {format_value(value)}, expected text without control characters")
     return value
 
 
@@ -850,7 +850,7 @@ def instance(name: str, value: object, kind: Any, expected: str) -> Any:
     pinmobile.errors.InvalidArgument: name is 5, expected a name
     """
     if not isinstance(value, kind):
-        raise InvalidArgument(f"{name} is {shown(value)}, expected {expected}")
+        raise InvalidArgument(f"{name} is {format_value(value)}, expected {expected}")
     return value
 
 
@@ -883,7 +883,7 @@ def mapping(name: str, value: object, expected: str) -> Mapping[Any, Any]:
     {'nominal': {}}
     """
     if not isinstance(value, Mapping) or not value:
-        raise InvalidArgument(f"{name} is {shown(value)}, expected {expected}")
+        raise InvalidArgument(f"{name} is {format_value(value)}, expected {expected}")
     return value
 
 
@@ -1018,7 +1018,7 @@ def sequence(name: str, value: object, expected: str) -> tuple[Any, ...]:
     if isinstance(value, np.ndarray) and value.ndim == 1:
         return tuple(value.tolist())
     if isinstance(value, str | bytes) or not isinstance(value, Sequence):
-        raise InvalidArgument(f"{name} is {shown(value)}, expected {expected}")
+        raise InvalidArgument(f"{name} is {format_value(value)}, expected {expected}")
     return tuple(value)
 
 
@@ -1057,7 +1057,7 @@ def callable_as(form: str, function: _Function, expected: str = "") -> _Function
     arguments = inside.split(", ") if inside else []
     if isinstance(function, type) or not callable(function):
         wanted = expected or f"a function of {', '.join(arguments[:-1])} and {arguments[-1]}"
-        raise InvalidArgument(f"{name} is {shown(function)}, expected {wanted}")
+        raise InvalidArgument(f"{name} is {format_value(function)}, expected {wanted}")
     code, *rest = _code_of(function)
     call = form, *rest
     if code is not None and call in _fitting.get(code, ()):
@@ -1070,7 +1070,7 @@ def callable_as(form: str, function: _Function, expected: str = "") -> _Function
         signature.bind(*arguments)
     except TypeError as error:
         raise InvalidArgument(
-            f"{name} is {shown(function)}, which cannot be called as {form}: {error}; give another"
+            f"{name} is {format_value(function)}, which cannot be called as {form}: {error}; give another"
         ) from None
     if code is not None:
         _fitting.setdefault(code, set()).add(call)

@@ -13,6 +13,7 @@ from pinmobile.arrays import (
     Array,
     ArrayLike,
     broadcast,
+    check_integer,
     finite,
     frozen,
     instance,
@@ -20,12 +21,11 @@ from pinmobile.arrays import (
     scalar,
     shaped,
     vector,
-    whole,
 )
-from pinmobile.errors import InvalidArgument, shown
+from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.parts import Desired, Following, Grounded, required
 from pinmobile.plant import ContactLoads, SlipMargins, refuse_path, robot_at, stated
-from pinmobile.robot import WEIGHTLESS, checked_footprint, margin_inside, pressed_at
+from pinmobile.robot import WEIGHTLESS, checked_footprint, margin_inside, zero_moment_point_of
 from pinmobile.trajectories import Reference
 
 _FASTEST = 1e6  # largest factor of the speed: beyond, the speed counts as unlimited
@@ -33,7 +33,7 @@ _HALVINGS = 40
 _UPRIGHT = np.pi / 2 - 1e-9  # [rad]
 
 
-class Moving(Protocol):
+class MotionLike(Protocol):
     """A Rollout or a MotionStates.
 
     Any object with a plant and arrays q, v and a also satisfies this protocol.
@@ -128,11 +128,11 @@ class MotionStates:
 
 
 def _robot_of(motion: Any) -> Any:
-    required("motion", motion, Moving)
+    required("motion", motion, MotionLike)
     return required("motion.plant", robot_at(motion.plant, stated(motion, "t")), Grounded)
 
 
-def reaction_wrench(motion: Moving, mount: str | None = None) -> Array:
+def reaction_wrench(motion: MotionLike, mount: str | None = None) -> Array:
     """Return the force and moment of an arm and its loads on the base, at the mount.
 
     This is the arm's weight minus its rate of momentum, by Newton and Euler (Luh, Walker and Paul, 1980),
@@ -178,7 +178,7 @@ def reaction_wrench(motion: Moving, mount: str | None = None) -> Array:
     return answer(motion.q, motion.v, motion.a, mount)  # type: ignore[no-any-return]
 
 
-def zero_moment_point(motion: Moving) -> Array:
+def zero_moment_point(motion: MotionLike) -> Array:
     """Return the zero-moment point: the ground reaction has no horizontal moment there, shape (..., 2) [m].
 
     Let f be the ground's force and m its moment about the origin of the body frame B, which lies on the
@@ -224,7 +224,7 @@ def zero_moment_point(motion: Moving) -> Array:
     return np.stack([pose[..., 0] + cos * x - sin * y, pose[..., 1] + sin * x + cos * y], axis=-1)
 
 
-def body_zero_moment_point(motion: Moving) -> Array:
+def body_zero_moment_point(motion: MotionLike) -> Array:
     """Return the zero-moment point in the body frame, x forward and y left, shape (..., 2) [m].
 
     Parameters
@@ -263,11 +263,11 @@ def body_zero_moment_point(motion: Moving) -> Array:
             "motion.plant has an unknown height above the ground, expected a known one: "
             "MobileRobot.from_urdf(path, ground=...), with the ground's z in the root link's frame [m]"
         )
-    found: Array = pressed_at(*_ground(motion))
+    found: Array = zero_moment_point_of(*_ground(motion))
     return found
 
 
-def tip_over_margin(motion: Moving, footprint: ArrayLike | None = None) -> Array:
+def tip_over_margin(motion: MotionLike, footprint: ArrayLike | None = None) -> Array:
     """Return the distance of the zero-moment point inside the edge of the footprint, shape (...) [m].
 
     If the margin is negative, the base tips over: only a pulling force at the far edge could prevent this.
@@ -310,7 +310,7 @@ def tip_over_margin(motion: Moving, footprint: ArrayLike | None = None) -> Array
     return np.where(np.isnan(margin), -np.inf, margin)
 
 
-def contact_loads(motion: Moving) -> ContactLoads:
+def contact_loads(motion: MotionLike) -> ContactLoads:
     """Return the load of each wheel and support, and whether the robot begins to tip over.
 
     The loads balance the wrench of the ground, including the dynamics of arms and wheels. This balance
@@ -354,7 +354,7 @@ def contact_loads(motion: Moving) -> ContactLoads:
     return answer(motion.q, motion.v, motion.a)  # type: ignore[no-any-return]
 
 
-def slip_margins(motion: Moving) -> SlipMargins:
+def slip_margins(motion: MotionLike) -> SlipMargins:
     """Return the friction left at each wheel before slip, ``mu N - hypot(along, across)`` [N].
 
     If rolling does not determine the lateral force of each wheel on an axle, the margin belongs to the axle
@@ -407,7 +407,7 @@ def _method(argument: str, plant: Any, name: str, words: str) -> Any:
         if hasattr(plant, "wheeled"):
             expected = f"torques as inputs: simulate {argument}.wheeled, without TorqueToVoltage"
         raise InvalidArgument(
-            f"{argument} is {shown(plant)}, which does not compute {words}, expected {expected}"
+            f"{argument} is {format_value(plant)}, which does not compute {words}, expected {expected}"
         )
     return found
 
@@ -498,7 +498,7 @@ def max_path_speed(plant: Any, trajectory: Any, samples: int = 400) -> MotionLim
     follows = _method("plant", plant, "follows", "the loads along a trajectory")
     required("trajectory", trajectory, Following)
     duration = positive("trajectory.duration", trajectory.duration, "s")
-    t = np.linspace(0.0, duration, whole("samples", samples, least=4))
+    t = np.linspace(0.0, duration, check_integer("samples", samples, least=4))
     refuse_path("trajectory", trajectory)
     reference = required("what trajectory(t) returned", trajectory(t), Desired)
     going = follows(t, reference)
@@ -636,7 +636,7 @@ def footprint_of(robot: Any, footprint: ArrayLike | None = None) -> Array:
     return checked_footprint(corners)
 
 
-def required_friction(motion: Moving) -> Array:
+def required_friction(motion: MotionLike) -> Array:
     """Return the required friction coefficient, the ratio of horizontal and vertical force, shape (...).
 
     The condition is necessary. It is sufficient if the moment about the vertical axis is small, since this
@@ -679,7 +679,7 @@ def required_friction(motion: Moving) -> Array:
     return np.where(carried, horizontal / np.where(carried, wrench[..., 2], 1.0), lifted)
 
 
-def _ground(motion: Moving) -> tuple[Array, NDArray[np.bool_]]:
+def _ground(motion: MotionLike) -> tuple[Array, NDArray[np.bool_]]:
     """Return the ground's wrench, shape (..., 6), and whether the ground carries the robot, shape (...)."""
     robot = _robot_of(motion)
     wrench = finite("ground_wrench of motion.plant", robot.ground_wrench(motion.q, motion.v, motion.a))
@@ -689,7 +689,7 @@ def _ground(motion: Moving) -> tuple[Array, NDArray[np.bool_]]:
     return wrench, wrench[..., 2] > _negligible(motion)
 
 
-def _negligible(motion: Moving) -> float:
+def _negligible(motion: MotionLike) -> float:
     plant, q = robot_at(motion.plant, 0.0), np.asarray(motion.q, np.float64)
     if not q.size:
         return 0.0

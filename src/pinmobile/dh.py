@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, broadcast, finite, instance, one_of, scalar, sequence, vector
-from pinmobile.errors import InvalidArgument, PinmobileError, shown
+from pinmobile.errors import InvalidArgument, PinmobileError, format_value
 
 
 class JointType(Enum):
@@ -103,7 +103,7 @@ class DHRow:
             object.__setattr__(self, "joint", kinds[one_of("joint", self.joint, kinds)])
         instance("joint", self.joint, JointType, "a JointType")
         if not isinstance(self.variable, str) or not self.variable.isidentifier():
-            raise InvalidArgument(f"variable is {shown(self.variable)}, expected a name")
+            raise InvalidArgument(f"variable is {format_value(self.variable)}, expected a name")
 
 
 _TURN = 2 * pi + 1e-9  # [rad], largest angle of a row
@@ -121,7 +121,7 @@ def _read(name: str, text: str) -> float:
     try:
         return float(_computed(ast.parse(text.strip(), mode="eval").body))
     except (SyntaxError, ValueError, TypeError, LookupError, ArithmeticError, RecursionError):
-        raise InvalidArgument(f"{name} is {shown(text)}, expected a number, such as 'pi/2'") from None
+        raise InvalidArgument(f"{name} is {format_value(text)}, expected a number, such as 'pi/2'") from None
 
 
 def _refuse_degrees(name: str, given: str, degrees: Any) -> None:
@@ -266,7 +266,7 @@ def _row(row: Any) -> DHRow:
             return DHRow(**row)
         row = DHRow(*row) if isinstance(row, Sequence) and not isinstance(row, str) else row
     except TypeError:
-        raise InvalidArgument(f"it is {shown(row)}, expected {names}") from None
+        raise InvalidArgument(f"it is {format_value(row)}, expected {names}") from None
     return instance("it", row, DHRow, f"a DHRow, or {names}")  # type: ignore[no-any-return]
 
 

@@ -11,7 +11,7 @@ _LONGEST = 500  # letters of a value that a message shows
 _LONGEST_LIST = 4000  # letters of a list of names
 
 
-def shown(value: object) -> str:
+def format_value(value: object) -> str:
     """Return a value as text for a message.
 
     The text is the ``repr`` of the value, cut after 500 letters. A part with more than 200 letters, such as
@@ -34,10 +34,10 @@ def shown(value: object) -> str:
 
     Examples
     --------
-    >>> from pinmobile.errors import shown
-    >>> shown([1.0, "two"])
+    >>> from pinmobile.errors import format_value
+    >>> format_value([1.0, "two"])
     "[1.0, 'two']"
-    >>> len(shown("x" * 1000)) < 600
+    >>> len(format_value("x" * 1000)) < 600
     True
     """
     text = text_of(value)
@@ -81,7 +81,7 @@ def format_names(names: Iterable[str]) -> str:
     """
     words, room, rest = [], _LONGEST_LIST, 0
     for name in names:
-        word = name if name.isprintable() and len(name) <= _LONGEST else shown(name)
+        word = name if name.isprintable() and len(name) <= _LONGEST else format_value(name)
         room -= len(word) + 2
         words += [word] * (room >= 0)
         rest += room < 0
@@ -270,9 +270,9 @@ class UnknownName(PinmobileError, KeyError):
         asked = name.casefold()[:_LONGEST] if isinstance(name, str) else ""
         near = [plain[match] for match in get_close_matches(asked, plain, n=3)]
         self.listed = (*near, *(known for known in self.available if known not in near))
-        self.meant = f"did you mean {' or '.join(map(shown, near))}? " if near else ""
+        self.meant = f"did you mean {' or '.join(map(format_value, near))}? " if near else ""
         listed = format_names(self.listed) or "none"
-        super().__init__(f"unknown {kind} {shown(name)}, {self.meant}available: {listed}")
+        super().__init__(f"unknown {kind} {format_value(name)}, {self.meant}available: {listed}")
 
     def __str__(self) -> str:
         # KeyError would show the repr of the message instead of the message.

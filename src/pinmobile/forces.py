@@ -10,7 +10,7 @@ import attrs
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, frozen, representable, seeded, sequence, shaped, text
-from pinmobile.errors import InvalidArgument, shown
+from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.parts import (
     Number,
     array,
@@ -568,7 +568,9 @@ class ViscousFriction:
         each = forward, left, yaw
         for name, value in zip(_TWIST, each, strict=True):
             if coefficients is not None and value is not None:
-                raise InvalidArgument(f"{name} is {shown(value)} beside coefficients, expected only one")
+                raise InvalidArgument(
+                    f"{name} is {format_value(value)} beside coefficients, expected only one"
+                )
         given = [0.0 if x is None else x for x in each] if coefficients is None else coefficients
         self.__attrs_init__(given)  # type: ignore[attr-defined]
 
@@ -779,7 +781,7 @@ class JointFriction:
         asked = ("joint_damping", "joint_friction", "coordinates")
         missing = [name for name in asked if not hasattr(robot, name)]
         if isinstance(robot, type) or missing:
-            raise InvalidArgument(f"robot is {shown(robot)}, expected a MobileRobot")
+            raise InvalidArgument(f"robot is {format_value(robot)}, expected a MobileRobot")
         names = [one.name for one in coordinates_of(robot)]
         return cls(robot.joint_damping, robot.joint_friction, speed, names)
 

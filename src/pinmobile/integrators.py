@@ -14,7 +14,7 @@ from typing import Protocol, TypeAlias
 import numpy as np
 
 from pinmobile.arrays import Array, callable_as
-from pinmobile.errors import InvalidArgument, shown
+from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.parts import option, part
 
 #: Acceleration, shape (..., n), as a function of time [s], configuration and velocity.
@@ -98,7 +98,7 @@ def check_integrator(integrator: object) -> None:
     """
     if hasattr(integrator, "initial_state"):
         raise InvalidArgument(
-            f"integrator is {shown(integrator)}, a controller, expected one of pinmobile.integrators"
+            f"integrator is {format_value(integrator)}, a controller, expected one of pinmobile.integrators"
         )
     callable_as(
         "integrator(acceleration, t, q, v, dt)",

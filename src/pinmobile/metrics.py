@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, one_of, sequence, shaped, text
-from pinmobile.errors import InvalidArgument, shown
+from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.parts import Measuring, able
 
 _WORST = ("largest", "smallest", "ever")
@@ -242,7 +242,7 @@ def chosen(plant: object, wanted: object, taken: Sequence[str]) -> tuple[Metric,
         one_of(f"worst of the metric {text('name of a metric', one.name)!r}:", one.worst, _WORST)
         if not callable(one.function):
             raise InvalidArgument(
-                f"metrics[{one.name!r}] is {shown(one.function)}, expected a function of a sample"
+                f"metrics[{one.name!r}] is {format_value(one.function)}, expected a function of a sample"
             )
     known, ours = {one.name: one for one in stated}, [one.name for one in own]
     names = [one.name if isinstance(one, Metric) else one for one in given]

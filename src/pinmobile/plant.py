@@ -14,19 +14,19 @@ from pinmobile.arrays import (
     Array,
     ArrayLike,
     callable_as,
+    check_integer,
     finite,
     frozen,
     positive,
     sequence,
     shaped,
     text,
-    whole,
 )
-from pinmobile.errors import InvalidArgument, shown
+from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.parts import TimeVarying, able
 
 if TYPE_CHECKING:
-    from pinmobile.compiled import Line, Noise, Schedule
+    from pinmobile.compiled import DelayLine, Noise, Schedule
 
 #: Function ``difference(q0, q1)``: displacement from q0 to q1, shape (..., nv).
 Difference: TypeAlias = Callable[[Array, Array], Array]
@@ -92,7 +92,8 @@ def robot_at(plant: Any, t: Any) -> Any:
     >>> from pinmobile.plant import robot_at
     >>> robot = MobileRobot.box(mass=30.0)
     >>> plant = PayloadTransfer(robot, PayloadBody(5.0), begin=2.0)
-    >>> [robot_at(plant, t).lumped().mass for t in (1.0, 3.0)]  # [kg]
+    >>> robots = [robot_at(plant, t) for t in (1.0, 3.0)]
+    >>> [robot.with_locked_arms().mass for robot in robots]  # [kg]
     [30.0, 35.0]
     """
     timed = able(plant, TimeVarying)
@@ -130,8 +131,8 @@ def check_difference(difference: object) -> None:
     """
     if difference is np.subtract or difference is operator.sub:
         raise InvalidArgument(
-            f"difference is {shown(difference)}, which returns q0 - q1, expected difference(q0, q1), the "
-            "displacement from q0 to q1: write difference=plain_difference"
+            f"difference is {format_value(difference)}, which returns q0 - q1, expected difference(q0, q1), "
+            "the displacement from q0 to q1: write difference=plain_difference"
         )
     callable_as("difference(q0, q1)", difference)
 
@@ -169,13 +170,13 @@ def refuse_path(name: str, trajectory: object) -> None:
     """
     if stated(trajectory, "rows") is not None:
         raise InvalidArgument(
-            f"{name} is {shown(trajectory)}, a path of poses of an end effector, expected a trajectory of "
-            "the robot's coordinates, such as solve_inverse_kinematics(robot, path)"
+            f"{name} is {format_value(trajectory)}, a path of poses of an end effector, expected a "
+            "trajectory of the robot's coordinates, such as solve_inverse_kinematics(robot, path)"
         )
     if stated(trajectory, "derivative") is not None:
         raise InvalidArgument(
-            f"{name} is {shown(trajectory)}, a path, which has no heading, expected a trajectory: wrap the "
-            "path in Tangent or FixedHeading, such as Tangent(path)"
+            f"{name} is {format_value(trajectory)}, a path, which has no heading, expected a trajectory: "
+            "wrap the path in Tangent or FixedHeading, such as Tangent(path)"
         )
 
 
@@ -672,7 +673,7 @@ class Context:
         """Number of coordinates of the reference."""
         return int(np.shape(self.reference.v)[-1])
 
-    def delay(self, samples: int) -> Line:
+    def delay(self, samples: int) -> DelayLine:
         """Return a delay to keep in the state: ``old, line = line.push(values)``.
 
         ``push`` returns the arrays that it received `samples` samples before; until then, it returns the
@@ -683,9 +684,9 @@ class Context:
         samples : int
             Delay in samples, >= 0.
         """
-        from pinmobile.compiled import Line
+        from pinmobile.compiled import DelayLine
 
-        return Line(whole("samples", samples, least=0))
+        return DelayLine(check_integer("samples", samples, least=0))
 
     def noise(self, name: str, n: int) -> Noise:
         """Return noise to keep in the state: ``numbers, noise = noise.draw()``.
@@ -703,7 +704,9 @@ class Context:
         from pinmobile.compiled import Noise, robot_keys
 
         text("name", name)
-        return Noise(robot_keys(self.seed, name, range(self.member, self.member + 1))[0], whole("n", n))
+        return Noise(
+            robot_keys(self.seed, name, range(self.member, self.member + 1))[0], check_integer("n", n)
+        )
 
     def schedule(self, rows: ArrayLike) -> Schedule:
         """Return a row of numbers for each sample, to keep in the state: ``row, schedule = schedule.next()``.
@@ -758,7 +761,9 @@ class Context:
         missing = [name for name in ("difference", "integrate") if not callable(stated(plant, name))]
         if isinstance(plant, type) or missing:
             what = f", which has no {missing[0]}" if missing else ""
-            raise InvalidArgument(f"plant is {shown(plant)}{what}, expected a MobileRobot or other plant")
+            raise InvalidArgument(
+                f"plant is {format_value(plant)}{what}, expected a MobileRobot or other plant"
+            )
         check_difference(plant.difference)
         times = shaped("t", finite("t", np.zeros(1) if t is None else t), ("n",))
         named = coordinates_of(plant), inputs_of(plant), reference_sizes_of(plant)
@@ -1109,7 +1114,8 @@ def check_plant(plant: object) -> None:
     moves = stated(plant, "forward_dynamics") or stated(plant, "step")
     if isinstance(plant, type) or not (moves and known):
         raise InvalidArgument(
-            f"plant is {shown(plant)}, expected a plant with 'forward_dynamics' and the sizes nq, nv, nu"
+            f"plant is {format_value(plant)}, expected a plant with 'forward_dynamics' and the sizes nq, nv, "
+            "nu"
         )
     for name, size, listed in (
         ("coordinates", "nv", coordinates_of(plant)),
@@ -1196,7 +1202,7 @@ def whole_configurations(plant: Any, q: Array, reference: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class PlantOutline:
+class PlantDescription:
     """Description of a plant, as files keep it if its class may not be available. It cannot be simulated.
 
     Attributes
@@ -1224,9 +1230,9 @@ class PlantOutline:
     Examples
     --------
     >>> from pinmobile import MobileRobot
-    >>> from pinmobile.plant import PlantOutline
+    >>> from pinmobile.plant import PlantDescription
     >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
-    >>> outline = PlantOutline.of(robot, robot.rest[None])
+    >>> outline = PlantDescription.of(robot, robot.rest[None])
     >>> outline.kind, outline.nv, outline.inputs[0].unit
     ('MobileRobot', 3, 'N')
     """
@@ -1241,7 +1247,7 @@ class PlantOutline:
     reason: str = field(default="", compare=False)
 
     @classmethod
-    def of(cls, plant: object, q: Array) -> PlantOutline:
+    def of(cls, plant: object, q: Array) -> PlantDescription:
         """Return the outline of a plant.
 
         Parameters

@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 from pinmobile.arrays import Array, ArrayLike, frozen
-from pinmobile.errors import InvalidArgument, shown
+from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.robot import Solid, Solids
 
 GROUND = "ground"
@@ -174,7 +174,7 @@ def clearance(robot: Any, q: ArrayLike) -> Clearance:
     """
     if isinstance(robot, type) or not hasattr(type(robot), "solid_placements"):
         raise InvalidArgument(
-            f"robot is {shown(robot)}, which has no collision geometry, expected a "
+            f"robot is {format_value(robot)}, which has no collision geometry, expected a "
             "MobileRobot or a WheeledRobot"
         )
     choice = _choice(robot)

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, frozen, instance, real, shaped
-from pinmobile.errors import InvalidArgument, shown
+from pinmobile.errors import InvalidArgument, format_value
 
 _DEEPEST = 100  # nested wrappers
 
@@ -40,7 +40,7 @@ class Signal(NamedTuple):
     values: Array
 
 
-class Claim(NamedTuple):
+class SignalSample(NamedTuple):
     """Value of a signal at one sample.
 
     Attributes
@@ -54,13 +54,13 @@ class Claim(NamedTuple):
 
     See Also
     --------
-    signals.claimed : collect the signals of several parts.
+    signals.collect_signals : collect the signals of several parts.
 
     Examples
     --------
     >>> import numpy as np
-    >>> from pinmobile.signals import Claim
-    >>> Claim("forces[0]", "N", np.array(3.0)).unit
+    >>> from pinmobile.signals import SignalSample
+    >>> SignalSample("forces[0]", "N", np.array(3.0)).unit
     'N'
     """
 
@@ -86,7 +86,7 @@ def signals_of(part: object, *given: object) -> Any:
 
     See Also
     --------
-    signals.claimed : check and collect the signals of several parts.
+    signals.collect_signals : check and collect the signals of several parts.
 
     Examples
     --------
@@ -127,9 +127,9 @@ def number(name: str, value: ArrayLike) -> Array:
     return shaped(name, np.array(real(name, value)), (), ("n",))
 
 
-def claimed(
+def collect_signals(
     told: Iterable[tuple[str, Any]], value_of: Callable[[str, Any], Any] = number
-) -> dict[str, Claim]:
+) -> dict[str, SignalSample]:
     """Return the signals of several parts at one sample, by name.
 
     Parameters
@@ -141,7 +141,7 @@ def claimed(
 
     Returns
     -------
-    dict of str to Claim
+    dict of str to SignalSample
         Part, unit and value of each signal.
 
     Raises
@@ -151,30 +151,32 @@ def claimed(
 
     See Also
     --------
-    signals.Claim : value of a signal at one sample.
+    signals.SignalSample : value of a signal at one sample.
 
     Examples
     --------
-    >>> from pinmobile.signals import claimed
-    >>> found = claimed([("forces[0]", {"push": ("N", 3.0)})])
+    >>> from pinmobile.signals import collect_signals
+    >>> found = collect_signals([("forces[0]", {"push": ("N", 3.0)})])
     >>> found["push"].part, float(found["push"].value)
     ('forces[0]', 3.0)
     """
-    found: dict[str, Claim] = {}
+    found: dict[str, SignalSample] = {}
     for part, signals in told:
         instance(f"result of {part}.signals", signals, Mapping, "a dict of name to (unit, value)")
         for name, pair in signals.items():
             if type(pair) is not tuple or len(pair) != 2 or not isinstance(pair[0], str):
-                raise InvalidArgument(f"{part}.signals[{name!r}] is {shown(pair)}, expected (unit, value)")
+                raise InvalidArgument(
+                    f"{part}.signals[{name!r}] is {format_value(pair)}, expected (unit, value)"
+                )
             if name in found:
                 raise InvalidArgument(
                     f"{found[name].part} and {part} both have the signal {name!r}, expected another name"
                 )
-            found[name] = Claim(part, pair[0], value_of(f"{part}.signals[{name!r}]", pair[1]))
+            found[name] = SignalSample(part, pair[0], value_of(f"{part}.signals[{name!r}]", pair[1]))
     return found
 
 
-def told_at(t: Array, controller: object, trajectory: object) -> dict[str, Signal]:
+def collect_time_signals(t: Array, controller: object, trajectory: object) -> dict[str, Signal]:
     """Return the signals that a controller and a trajectory define as functions of time, by name.
 
     Such a signal depends on the time alone, for example a target. The function also searches controllers
@@ -203,9 +205,9 @@ def told_at(t: Array, controller: object, trajectory: object) -> dict[str, Signa
     --------
     >>> import numpy as np
     >>> from pinmobile import PD, Circle, Tangent
-    >>> from pinmobile.signals import told_at
+    >>> from pinmobile.signals import collect_time_signals
     >>> path = Tangent(Circle(1.0, 0.5, 4.0))
-    >>> told_at(np.array([0.0, 1.0]), PD(4, 4), path)
+    >>> collect_time_signals(np.array([0.0, 1.0]), PD(4, 4), path)
     {}
     """
     wrapped: list[object] = []

@@ -25,7 +25,7 @@ from pinmobile.arrays import (
     text,
 )
 from pinmobile.dh import DHTable, JointType, transform
-from pinmobile.errors import InvalidArgument, shown
+from pinmobile.errors import InvalidArgument, format_value
 
 _INERTIA_ROUNDING = 1e-9  # tolerance of the triangle inequality: files have about eight digits
 # Dynamics about B's origin subtract m |com|^2 from the yaw inertia: six digits of the difference must remain.
@@ -228,7 +228,9 @@ def write(
         ]
     if stance is not None:
         if not (isinstance(stance, Mapping) and all(map(_is_attribute, stance))):
-            raise InvalidArgument(f"stance is {shown(stance)}, expected a mapping with XML names as keys")
+            raise InvalidArgument(
+                f"stance is {format_value(stance)}, expected a mapping with XML names as keys"
+            )
         words = {key: text(f"stance[{key!r}]", value) for key, value in stance.items()}
         attributes = [f"{key}={_quoted(value)}" for key, value in words.items()]
         lines.append(f"  <{' '.join(['pinmobile', *attributes])}/>")

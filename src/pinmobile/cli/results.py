@@ -30,7 +30,7 @@ from pinmobile.cli.scenario_file import Opened
 from pinmobile.loop import run_scenario
 from pinmobile.metrics import in_words, metrics_of
 from pinmobile.parts import evolved
-from pinmobile.plant import PlantOutline
+from pinmobile.plant import PlantDescription
 from pinmobile.sweeps import connected, run_points
 
 _FILM = 10.0  # [s] that a film lasts at most
@@ -381,7 +381,7 @@ def _print_address(url: str, host: str) -> None:
 def _loaded(path: Path) -> Rollout:
     """Return a saved run; reject a run without its robot."""
     run = Rollout.load(path)
-    if isinstance(run.plant, PlantOutline) and run.plant.reason:
+    if isinstance(run.plant, PlantDescription) and run.plant.reason:
         raise InvalidArgument(
             f"{str(path)!r} has no robot: {run.plant.reason}; in Python, "
             "dataclasses.replace(rollout, plant=...) adds it"

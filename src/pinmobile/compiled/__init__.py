@@ -26,7 +26,7 @@ from pinmobile.compiled.identity import (
     is_traced as is_traced,
 )
 from pinmobile.compiled.memory import (
-    Line as Line,
+    DelayLine as DelayLine,
     Noise as Noise,
     Schedule as Schedule,
     leaves as leaves,
@@ -59,12 +59,12 @@ from pinmobile.compiled.tape import (
     Tape as Tape,
     choose as choose,
     evaluated as evaluated,
-    higher as higher,
     maximum as maximum,
     needed as needed,
     operands as operands,
     repeated as repeated,
     root as root,
+    scalar_max as scalar_max,
     square_root as square_root,
 )
 

@@ -16,7 +16,7 @@ from pinmobile.compiled.processor import Cache, processors
 from pinmobile.compiled.program import Program, aligned
 from pinmobile.compiled.symbolic import entries, symbols
 from pinmobile.compiled.tape import Leaf, LoopTape, Tape, needed, operands
-from pinmobile.errors import InvalidArgument, NotTraceable, shown
+from pinmobile.errors import InvalidArgument, NotTraceable, format_value
 
 _CLOSE = 1e-7  # relative tolerance of results; the condition of M costs digits in forward dynamics
 _STATES = 1 << 14  # states in memory at once
@@ -78,7 +78,7 @@ def vectorize(
     array([15., 60.])
     """
     if not callable(function):
-        raise InvalidArgument(f"function is {shown(function)}, expected a function of one state")
+        raise InvalidArgument(f"function is {format_value(function)}, expected a function of one state")
     programs: dict[Any, _Compiled] = {}
 
     def vectorized(*given: Any) -> Any:

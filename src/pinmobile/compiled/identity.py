@@ -33,7 +33,7 @@ from typing import Any, Self
 import numpy as np
 
 from pinmobile.compiled._tracing import is_foreign, names_of
-from pinmobile.compiled.memory import Line, Noise, Schedule, is_leaf
+from pinmobile.compiled.memory import DelayLine, Noise, Schedule, is_leaf
 from pinmobile.parts import Child, Field, Number, entries_of, fields_of, is_part
 
 _BEGAN = time.time()
@@ -162,7 +162,7 @@ class Identity:
             return tuple((key, self._memory(value)) for key, value in tree.items())
         if isinstance(tree, list | tuple):
             return type(tree).__qualname__, tuple(map(self._memory, tree))
-        if isinstance(tree, Line):
+        if isinstance(tree, DelayLine):
             return "line", tree.samples
         if isinstance(tree, Noise):
             return "noise", tree.n

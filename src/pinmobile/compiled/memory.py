@@ -1,8 +1,8 @@
 """Memory of a law between samples: a tree of dicts, lists, tuples and dataclasses with numbers.
 
 Other entries of such a tree (a function, a name, None) must not change. A context gives a controller three
-kinds of memory: `Line` for delays, `Noise` for white Gaussian noise, and `Schedule` for numbers known at each
-sample.
+kinds of memory: `DelayLine` for delays, `Noise` for white Gaussian noise, and `Schedule` for numbers known at
+each sample.
 
 Noise is a function of a robot's key and the index of the sample, without a table or a generator. SplitMix64
 (Steele, Lea and Flood, Fast splittable pseudorandom number generators, 2014) computes 64 bits from the key
@@ -112,7 +112,7 @@ def _told(x: Any) -> str:
     return f"an array of shape {np.shape(x)}" if is_leaf(x) else repr(x) if x is None else type(x).__name__
 
 
-class Line:
+class DelayLine:
     """Delay in the memory of a controller: ``old, line = line.push(values)``.
 
     Parameters
@@ -129,11 +129,13 @@ class Line:
         self.samples = samples
         self.past = deque(past, samples + 1)
 
-    def push(self, values: object) -> tuple[Any, Line]:
+    def push(self, values: object) -> tuple[Any, DelayLine]:
         """Return the values of `samples` samples ago, a tree of arrays, and the delay for the next sample."""
         kept = mapped(values, lambda x: np.array(x, np.float64))
         past = (*self.past, kept)
-        return mapped(past[0], np.copy), Line(self.samples, past[-self.samples :] if self.samples else ())
+        return mapped(past[0], np.copy), DelayLine(
+            self.samples, past[-self.samples :] if self.samples else ()
+        )
 
 
 class Schedule:

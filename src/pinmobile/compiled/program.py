@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pinmobile.arrays import Array, affordable, shaped, whole
+from pinmobile.arrays import Array, affordable, check_integer, shaped
 from pinmobile.compiled.emit import BINS, Shape, text_of
 from pinmobile.compiled.processor import Cache, Target, function_of
 from pinmobile.compiled.tape import COUNT, LoopTape, evaluated
@@ -137,7 +137,7 @@ class Program:
         nq, nv, _, length, size = self.tape.sizes
         n, count = len(start[0]), len(t)
         for name, number in (("number of robots", n), ("number of samples", count), ("every", every)):
-            whole(name, number)
+            check_integer(name, number)
         sizes = length, size, size
         shaped("q", start[0], (n, nq))
         shaped("v", start[1], (n, nv))

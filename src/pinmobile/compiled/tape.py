@@ -519,7 +519,7 @@ def choose(condition: Any, a: Any, b: Any) -> Any:
     return select(condition, a, b)
 
 
-def higher(a: Any, b: Any) -> Any:
+def scalar_max(a: Any, b: Any) -> Any:
     """Return the larger of two scalars."""
     return choose(a > b, a, b)
 

@@ -17,9 +17,9 @@ from pinmobile.controllers.controller import (
     check_controller,
     check_memory as check_memory,
     law,
+    notify_applied as notify_applied,
     plain_difference,
     planar_difference,
-    told as told,
 )
 from pinmobile.controllers.feedback import (
     PD,
@@ -33,13 +33,13 @@ from pinmobile.controllers.feedback import (
 )
 from pinmobile.controllers.kinematic_laws import (
     Backstepping,
-    Changing,
+    DualNumber,
     DynamicFeedback,
     Kanayama,
     KinematicLaw,
     Parking,
     SwerveTracking,
-    Tracked,
+    TrackingState,
     UnicycleTracking,
 )
 from pinmobile.controllers.lqr import LQR
@@ -64,12 +64,12 @@ __all__ = [
     "Adaptive",
     "AdaptiveVelocity",
     "Backstepping",
-    "Changing",
     "ComputedTorque",
     "ControlAllocation",
     "Controller",
     "Decoupled",
     "DisturbanceObserver",
+    "DualNumber",
     "DynamicFeedback",
     "InputDelay",
     "InputSaturation",
@@ -86,7 +86,7 @@ __all__ = [
     "SuperTwisting",
     "SwerveTracking",
     "TorqueToVoltage",
-    "Tracked",
+    "TrackingState",
     "UnicycleTracking",
     "VelocityCommand",
     "WheelSpeed",

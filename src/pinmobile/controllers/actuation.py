@@ -9,7 +9,7 @@ import attrs
 import numpy as np
 
 from pinmobile.arrays import Array, bounded, callable_as, frozen, vector
-from pinmobile.controllers.controller import Controller, Seen, State, Wrapper, answer_of, told
+from pinmobile.controllers.controller import Controller, Seen, State, Wrapper, answer_of, notify_applied
 from pinmobile.controllers.kinematic_laws import (
     LAW,
     KinematicLaw,
@@ -106,7 +106,7 @@ class TorqueToVoltage(Wrapper):
     def applied(self, u: Array, state: tuple[Any, Any]) -> tuple[Any, Any]:
         """Return the next state; the wrapped controller receives the torques of the applied voltages."""
         inner, v = state
-        return told(self.controller, self.robot.torques_at(v, u), inner), v
+        return notify_applied(self.controller, self.robot.torques_at(v, u), inner), v
 
     def __call__(
         self, t: float, q: Array, v: Array, reference: State, state: tuple[Any, Any]

@@ -12,7 +12,7 @@ from pinmobile.arrays import Array, bounded, frozen, instance, scalar, shaped, v
 from pinmobile.controllers.controller import State, combined, passive_torque
 from pinmobile.controllers.feedback import SLOPE, OfBody, bound, check_bounds, comparison, coordinates_of
 from pinmobile.controllers.kinematic_laws import (
-    Changing,
+    DualNumber,
     cos,
     rate_of,
     reference_of,
@@ -246,21 +246,21 @@ class AdaptiveVelocity:
         after = np.minimum(np.maximum(theta + dt * grown, self.lower), self.upper)
         return asked, (after, theta, errors, asked, dt)
 
-    def _wanted(self, q: Array, nu: Array, reference: State) -> tuple[Changing, Changing]:
+    def _wanted(self, q: Array, nu: Array, reference: State) -> tuple[DualNumber, DualNumber]:
         """Return the speed and yaw rate of the kinematic law, with their rates."""
         ahead, off = self.ahead, self.ahead - self.robot.ahead
         u, w = nu[..., 0], nu[..., 1]
-        psi, turn = Changing(q[..., 2], w), Changing(reference.v[..., 2], reference.a[..., 2])
-        psi_r = Changing(reference.q[..., 2], turn.value)
+        psi, turn = DualNumber(q[..., 2], w), DualNumber(reference.v[..., 2], reference.a[..., 2])
+        psi_r = DualNumber(reference.q[..., 2], turn.value)
         c, s, c_r, s_r = cos(psi), sin(psi), cos(psi_r), sin(psi_r)
         own = u * c.value - ahead * (w * s.value), u * s.value + ahead * (w * c.value)
         places = off * (c_r.value - c.value), off * (s_r.value - s.value)
         turned = -(off * (turn * s_r)), off * (turn * c_r)
         x, y = (
-            rate + self.saturation * tanh((self.kp / self.saturation) * Changing(place, rate.value - mine))
+            rate + self.saturation * tanh((self.kp / self.saturation) * DualNumber(place, rate.value - mine))
             for rate, place, mine in (
                 (
-                    Changing(reference.v[..., i], reference.a[..., i]) + turned[i],
+                    DualNumber(reference.v[..., i], reference.a[..., i]) + turned[i],
                     reference.q[..., i] - q[..., i] + places[i],
                     own[i],
                 )

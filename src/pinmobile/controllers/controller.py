@@ -11,15 +11,15 @@ from pinmobile.arrays import (
     LEAST_ANGLE,
     Array,
     ArrayLike,
-    answered,
     are_real,
     broadcast,
     callable_as,
+    check_returned_array,
     finite,
     shaped,
     wrap_angle,
 )
-from pinmobile.errors import InvalidArgument, shown
+from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.parts import Informed, able, option, part, required
 from pinmobile.plant import Context
 from pinmobile.signals import signals_of
@@ -173,7 +173,9 @@ def answer_of(
     """
     answer = controller(t, q, v, reference, state)
     if type(answer) is not tuple or len(answer) != 2:
-        raise InvalidArgument(f"controller returned {shown(answer)} at t = {t:g} s, expected (u, state)")
+        raise InvalidArgument(
+            f"controller returned {format_value(answer)} at t = {t:g} s, expected (u, state)"
+        )
     return answer
 
 
@@ -224,17 +226,17 @@ def check_memory(controller: Controller, context: Context, q: Array, v: Array) -
             copies = type(at)(*map(np.copy, at))
             state = controller.initial_state(context)
             answer = answer_of(controller, t, place[0].copy(), place[1].copy(), copies, state)
-            answers.append(answered("controller", answer[0]))
+            answers.append(check_returned_array("controller", answer[0]))
     first, _, again = answers
     if first.shape != again.shape or not np.allclose(first, again, rtol=_SAME, atol=_SAME, equal_nan=True):
         raise InvalidArgument(
-            f"controller is {shown(controller)}, which returns {first.tolist()} and, called again with the "
-            f"same arguments, {again.tolist()}, expected the same: keep memory in state, and take random "
-            "numbers from context.noise(name, n)"
+            f"controller is {format_value(controller)}, which returns {first.tolist()} and, called again "
+            f"with the same arguments, {again.tolist()}, expected the same: keep memory in state, and take "
+            "random numbers from context.noise(name, n)"
         )
 
 
-def told(controller: Controller, u: Array, state: object) -> Any:
+def notify_applied(controller: Controller, u: Array, state: object) -> Any:
     """Return the state of a controller after its optional call ``applied(u, state)``."""
     informed = able(controller, Informed)
     return informed.applied(u, state) if informed else state
@@ -251,7 +253,7 @@ class Wrapper:
 
     def applied(self, u: Array, state: Any) -> Any:
         """Return the next state, with the applied input passed on, shape (..., nu)."""
-        return told(self.controller, u, state[0]), *state[1:]
+        return notify_applied(self.controller, u, state[0]), *state[1:]
 
     def signals(self, state: Any) -> Any:
         """Return the signals of the wrapped controller: name to (unit, value)."""
@@ -371,7 +373,8 @@ class _Law:
             return np.asarray(force if force is not None else "nothing", np.float64), None
         except (TypeError, ValueError):
             raise InvalidArgument(
-                f"function of the law returned {shown(force)} at t = {t:g} s, expected an input: nu numbers"
+                f"function of the law returned {format_value(force)} at t = {t:g} s, expected an input: nu "
+                "numbers"
             ) from None
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from pinmobile.arrays import Array, ArrayLike, endless_or_finite, finite, frozen, real, shaped
 from pinmobile.controllers.controller import State, combined, completed, passive_torque
 from pinmobile.controllers.lqr import check_held, diagonal, double_integrators
-from pinmobile.errors import InvalidArgument, shown
+from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.parts import (
     Comparing,
     Gravitating,
@@ -96,7 +96,7 @@ def check_compares(controller: Any) -> None:
     """
     if controller.difference is None and not able(controller.robot, Comparing):
         raise InvalidArgument(
-            f"robot is {shown(controller.robot)}, which has no difference(q0, q1), "
+            f"robot is {format_value(controller.robot)}, which has no difference(q0, q1), "
             "expected one, or the argument difference of the controller: difference=planar_difference"
         )
 
@@ -112,7 +112,7 @@ def check_wheelless(controller: Any) -> None:
     robot = controller.robot
     if max(reference_sizes_of(robot)) < robot.nv:
         raise InvalidArgument(
-            f"robot is {shown(robot)}, which has wheels, expected the body on them: "
+            f"robot is {format_value(robot)}, which has wheels, expected the body on them: "
             f"ControlAllocation({type(controller).__name__}(robot.robot, ...), robot)"
         )
 
@@ -179,8 +179,8 @@ class PD:
         """Return the generalised force, shape (..., n), and the unchanged state."""
         if not callable(state):
             raise InvalidArgument(
-                f"state is {shown(state)}, expected the result of initial_state(context); for a call by "
-                "hand, use context = Context.of(robot, dt=...)"
+                f"state is {format_value(state)}, expected the result of initial_state(context); for a call "
+                "by hand, use context = Context.of(robot, dt=...)"
             )
         return feedback(self, q, v, reference, state), state
 
@@ -268,7 +268,7 @@ def _check_fit(robot: Any, q: Array, v: Array, reference: State) -> None:
         shaped(name, actual, ("...", *desired.shape[-1:]), words=", as in the reference")
     if robot is not None and robot.nv != v.shape[-1]:
         raise InvalidArgument(
-            f"robot of the controller is {shown(robot)}, which has {robot.nv} coordinates, expected "
+            f"robot of the controller is {format_value(robot)}, which has {robot.nv} coordinates, expected "
             f"{v.shape[-1]}, as the plant has"
         )
 
@@ -494,8 +494,8 @@ class PID(OfBody):
 class Decoupled(OfBody):
     """Computed torque of base and arms separately: each neglects the motion of the other.
 
-    The base treats the arms as a locked load, as `MobileRobot.lumped` does. The arms assume a base at rest,
-    and compensate gravity. With c = a_d + Kd de/dt + Kp e, split into base (b) and arms (a)::
+    The base treats the arms as a locked load, as `MobileRobot.with_locked_arms` does. The arms assume a base
+    at rest, and compensate gravity. With c = a_d + Kd de/dt + Kp e, split into base (b) and arms (a)::
 
         tau_base = M_bb(q) c_b + n_b(q, (v_b, 0)),      tau_arm = M_aa(q) c_a + n_a(q, (0, v_a)).
 

@@ -21,7 +21,7 @@ LAW = "a kinematic law, such as UnicycleTracking()"
 
 
 @final
-class Changing:
+class DualNumber:
     """Number, array or symbol together with its rate of change (a dual number).
 
     Arithmetic applies the chain rule, so a kinematic law returns commands together with their rates.
@@ -34,12 +34,12 @@ class Changing:
     See Also
     --------
     controllers.KinematicLaw : laws that compute with these numbers
-    controllers.Tracked : the tracking error, made of these numbers
+    controllers.TrackingState : the tracking error, made of these numbers
 
     Examples
     --------
-    >>> from pinmobile.controllers import Changing
-    >>> distance = Changing(3.0, 0.5)  # [m, m/s]
+    >>> from pinmobile.controllers import DualNumber
+    >>> distance = DualNumber(3.0, 0.5)  # [m, m/s]
     >>> area = distance * distance
     >>> area.value, area.rate  # [m^2, m^2/s]
     (9.0, 3.0)
@@ -50,52 +50,52 @@ class Changing:
     def __init__(self, value: Any, rate: Any) -> None:
         self.value, self.rate = value, rate
 
-    def __add__(self, other: Any) -> Changing:
-        return Changing(self.value + value_of(other), self.rate + rate_of(other))
+    def __add__(self, other: Any) -> DualNumber:
+        return DualNumber(self.value + value_of(other), self.rate + rate_of(other))
 
     __radd__ = __add__
 
-    def __neg__(self) -> Changing:
-        return Changing(-self.value, -self.rate)
+    def __neg__(self) -> DualNumber:
+        return DualNumber(-self.value, -self.rate)
 
-    def __sub__(self, other: Any) -> Changing:
-        return Changing(self.value - value_of(other), self.rate - rate_of(other))
+    def __sub__(self, other: Any) -> DualNumber:
+        return DualNumber(self.value - value_of(other), self.rate - rate_of(other))
 
-    def __rsub__(self, other: Any) -> Changing:
+    def __rsub__(self, other: Any) -> DualNumber:
         return (-self).__add__(other)
 
-    def __mul__(self, other: Any) -> Changing:
-        if not isinstance(other, Changing):
-            return Changing(self.value * other, self.rate * other)
-        return Changing(self.value * other.value, self.rate * other.value + self.value * other.rate)
+    def __mul__(self, other: Any) -> DualNumber:
+        if not isinstance(other, DualNumber):
+            return DualNumber(self.value * other, self.rate * other)
+        return DualNumber(self.value * other.value, self.rate * other.value + self.value * other.rate)
 
     __rmul__ = __mul__
 
-    def __truediv__(self, other: Any) -> Changing:
-        if not isinstance(other, Changing):
-            return Changing(self.value / other, self.rate / other)
+    def __truediv__(self, other: Any) -> DualNumber:
+        if not isinstance(other, DualNumber):
+            return DualNumber(self.value / other, self.rate / other)
         value = self.value / other.value
-        return Changing(value, (self.rate - value * other.rate) / other.value)
+        return DualNumber(value, (self.rate - value * other.rate) / other.value)
 
-    def __rtruediv__(self, other: Any) -> Changing:
-        return Changing(other, 0.0 * self.value).__truediv__(self)
+    def __rtruediv__(self, other: Any) -> DualNumber:
+        return DualNumber(other, 0.0 * self.value).__truediv__(self)
 
 
 def value_of(x: Any) -> Any:
     """Return the value of a number that may have a rate."""
-    return x.value if isinstance(x, Changing) else x
+    return x.value if isinstance(x, DualNumber) else x
 
 
 def rate_of(x: Any) -> Any:
     """Return the rate of a number; 0 for a number without one."""
-    return x.rate if isinstance(x, Changing) else 0.0
+    return x.rate if isinstance(x, DualNumber) else 0.0
 
 
 def _through(function: Callable[[Any], Any], slope: Callable[[Any], Any], x: Any) -> Any:
     """Return a function of a number, with its rate by the chain rule."""
-    if not isinstance(x, Changing):
+    if not isinstance(x, DualNumber):
         return function(x)
-    return Changing(function(x.value), slope(x.value) * x.rate)
+    return DualNumber(function(x.value), slope(x.value) * x.rate)
 
 
 def sin(x: Any) -> Any:
@@ -130,12 +130,12 @@ def root(x: Any) -> Any:
 def angle_of(y: Any, x: Any) -> Any:
     """Return the angle of the vector (x, y), with its rate; the rate is 0 at the origin."""
     found = np.arctan2(value_of(y), value_of(x))
-    if not (isinstance(x, Changing) or isinstance(y, Changing)):
+    if not (isinstance(x, DualNumber) or isinstance(y, DualNumber)):
         return found
     a, b = value_of(y), value_of(x)
     square = a * a + b * b
     turn = rate_of(y) * b - a * rate_of(x)
-    return Changing(found, turn / np.where(square > 0.0, square, 1.0))
+    return DualNumber(found, turn / np.where(square > 0.0, square, 1.0))
 
 
 def ratio(x: Any) -> Any:
@@ -156,12 +156,12 @@ def ratio(x: Any) -> Any:
 def chosen(condition: Any, x: Any, y: Any) -> Any:
     """Return x where a condition holds, else y, with the rate."""
     value = np.where(condition, value_of(x), value_of(y))
-    if not (isinstance(x, Changing) or isinstance(y, Changing)):
+    if not (isinstance(x, DualNumber) or isinstance(y, DualNumber)):
         return value
-    return Changing(value, np.where(condition, rate_of(x), rate_of(y)))
+    return DualNumber(value, np.where(condition, rate_of(x), rate_of(y)))
 
 
-class Tracked(NamedTuple):
+class TrackingState(NamedTuple):
     """Tracking error for a kinematic law, of the point on the fixed axle, along the body's axes of motion.
 
     Attributes
@@ -184,8 +184,8 @@ class Tracked(NamedTuple):
     Examples
     --------
     >>> from pinmobile import UnicycleTracking
-    >>> from pinmobile.controllers import Tracked
-    >>> error = Tracked(ahead=0.1, aside=0.0, turn=0.0,
+    >>> from pinmobile.controllers import TrackingState
+    >>> error = TrackingState(ahead=0.1, aside=0.0, turn=0.0,
     ...                 speed=1.0, yaw_rate=0.0)
     >>> (v, w), _ = UnicycleTracking(zeta=0.7, b=20.0)(error, None)
     >>> print(f"{v:.2f} m/s, {w:.2f} rad/s")
@@ -213,7 +213,7 @@ class KinematicLaw(Protocol):
 
     Examples
     --------
-    >>> from pinmobile.controllers import Tracked
+    >>> from pinmobile.controllers import TrackingState
     >>> class Proportional:
     ...     def initial_state(self, context):
     ...         return None
@@ -223,7 +223,7 @@ class KinematicLaw(Protocol):
     ...         x, y, turn, speed, yaw_rate = tracked[:5]
     ...         v, w = speed + 2 * x, yaw_rate + 9 * y + 4 * turn
     ...         return (v, w), state
-    >>> Proportional()(Tracked(0.1, 0.0, 0.0, 1.0, 0.2), None)[0]
+    >>> Proportional()(TrackingState(0.1, 0.0, 0.0, 1.0, 0.2), None)[0]
     (1.2, 0.2)
     """
 
@@ -241,13 +241,13 @@ class KinematicLaw(Protocol):
             Speed and yaw rate of the reference [m/s, rad/s].
         """
 
-    def __call__(self, tracked: Tracked, state: Any, /) -> tuple[tuple[Any, Any], Any]:
+    def __call__(self, tracked: TrackingState, state: Any, /) -> tuple[tuple[Any, Any], Any]:
         """Return the desired speed and yaw rate, and the next state.
 
         Parameters
         ----------
         tracked : Tracked
-            Tracking error; its entries may have a rate, see `controllers.Changing`.
+            Tracking error; its entries may have a rate, see `controllers.DualNumber`.
         state : any
             State of the law.
 
@@ -300,8 +300,8 @@ class UnicycleTracking:
     Examples
     --------
     >>> from pinmobile import UnicycleTracking
-    >>> from pinmobile.controllers import Tracked
-    >>> error = Tracked(ahead=0.1, aside=0.0, turn=0.0,
+    >>> from pinmobile.controllers import TrackingState
+    >>> error = TrackingState(ahead=0.1, aside=0.0, turn=0.0,
     ...                 speed=1.0, yaw_rate=0.0)
     >>> (v, w), _ = UnicycleTracking(zeta=0.7, b=20.0)(error, None)
     >>> print(f"{v:.2f} m/s, {w:.2f} rad/s")
@@ -319,7 +319,7 @@ class UnicycleTracking:
         if not (np.abs(speed) > _STILL).any() and not (np.abs(yaw_rate) > _STILL).any():
             raise InvalidArgument("reference rests, expected a reference that moves, or the law Parking()")
 
-    def __call__(self, tracked: Tracked, state: None) -> tuple[tuple[Any, Any], None]:
+    def __call__(self, tracked: TrackingState, state: None) -> tuple[tuple[Any, Any], None]:
         """Return (v, w) [m/s, rad/s], and None."""
         x, y, turn, speed, yaw_rate = tracked[:5]
         k = 2.0 * self.zeta * root(yaw_rate * yaw_rate + self.b * (speed * speed))
@@ -356,8 +356,8 @@ class Kanayama:
 
     Examples
     --------
-    >>> from pinmobile.controllers import Kanayama, Tracked
-    >>> error = Tracked(ahead=0.0, aside=0.1, turn=0.0,
+    >>> from pinmobile.controllers import Kanayama, TrackingState
+    >>> error = TrackingState(ahead=0.0, aside=0.1, turn=0.0,
     ...                 speed=1.0, yaw_rate=0.0)
     >>> (v, w), _ = Kanayama(k1=2.0, k2=10.0, k3=5.0)(error, None)
     >>> print(f"{v:.2f} m/s, {w:.2f} rad/s")
@@ -381,7 +381,7 @@ class Kanayama:
                 "forwards, or the law UnicycleTracking()"
             )
 
-    def __call__(self, tracked: Tracked, state: None) -> tuple[tuple[Any, Any], None]:
+    def __call__(self, tracked: TrackingState, state: None) -> tuple[tuple[Any, Any], None]:
         """Return (v, w) [m/s, rad/s], and None."""
         x, y, turn, speed, yaw_rate = tracked[:5]
         v = speed * cos(turn) + self.k1 * x
@@ -421,8 +421,8 @@ class Parking:
 
     Examples
     --------
-    >>> from pinmobile.controllers import Parking, Tracked
-    >>> error = Tracked(ahead=1.0, aside=0.0, turn=0.0,
+    >>> from pinmobile.controllers import Parking, TrackingState
+    >>> error = TrackingState(ahead=1.0, aside=0.0, turn=0.0,
     ...                 speed=0.0, yaw_rate=0.0)
     >>> (v, w), _ = Parking(k1=0.5)(error, None)
     >>> print(f"{v:.2f} m/s, {w:.2f} rad/s")
@@ -445,7 +445,7 @@ class Parking:
                 f"reference moves at t = {when:g} s, expected a goal at rest, or the law UnicycleTracking()"
             )
 
-    def __call__(self, tracked: Tracked, state: None) -> tuple[tuple[Any, Any], None]:
+    def __call__(self, tracked: TrackingState, state: None) -> tuple[tuple[Any, Any], None]:
         """Return (v, w) [m/s, rad/s], and None."""
         x, y = tracked.ahead, tracked.aside
         square = x * x + y * y
@@ -461,7 +461,7 @@ def _turned(x: Any) -> Any:
     """Return an angle wrapped to [-pi, pi], with its rate."""
     value = value_of(x)
     value = value - 2 * np.pi * np.rint(value / (2 * np.pi))
-    return Changing(value, x.rate) if isinstance(x, Changing) else value
+    return DualNumber(value, x.rate) if isinstance(x, DualNumber) else value
 
 
 @final
@@ -498,8 +498,8 @@ class DynamicFeedback:
 
     Examples
     --------
-    >>> from pinmobile.controllers import DynamicFeedback, Tracked
-    >>> error = Tracked(ahead=0.1, aside=0.0, turn=0.0, speed=1.0,
+    >>> from pinmobile.controllers import DynamicFeedback, TrackingState
+    >>> error = TrackingState(ahead=0.1, aside=0.0, turn=0.0, speed=1.0,
     ...                 yaw_rate=0.0, own_speed=1.0)
     >>> memory = (0.0, 0.0, 0.01)
     >>> (v, w), (v_next, *_) = DynamicFeedback(kp=2.0)(error, memory)
@@ -525,7 +525,7 @@ class DynamicFeedback:
             )
 
     def __call__(
-        self, tracked: Tracked, state: tuple[Any, Any, Any]
+        self, tracked: TrackingState, state: tuple[Any, Any, Any]
     ) -> tuple[tuple[Any, Any], tuple[Any, Any, Any]]:
         """Return (v, w) [m/s, rad/s], and the next state."""
         x, y, turn, speed, yaw_rate, acceleration, own = tracked
@@ -537,10 +537,10 @@ class DynamicFeedback:
         rate = value_of(ahead)
         fast = np.abs(xi) >= self.least
         by = np.where(fast, xi, np.where(xi < 0.0, -self.least, self.least))
-        w = aside / Changing(by, np.where(fast, rate, 0.0))
-        if not isinstance(x, Changing):
+        w = aside / DualNumber(by, np.where(fast, rate, 0.0))
+        if not isinstance(x, DualNumber):
             w = w.value
-        return (Changing(xi, rate), w), (xi + dt * rate, 1.0 + 0.0 * known, dt)
+        return (DualNumber(xi, rate), w), (xi + dt * rate, 1.0 + 0.0 * known, dt)
 
 
 _BASE = 3
@@ -690,7 +690,7 @@ class Backstepping:
         for i in range(_BASE, n):
             rate, desired = reference.v[..., i] - v[..., i], reference.v[..., i]
             wanted.append(
-                Changing(desired + self.arms * errors[..., i], reference.a[..., i] + self.arms * rate)
+                DualNumber(desired + self.arms * errors[..., i], reference.a[..., i] + self.arms * rate)
             )
         if self._steers:
             turn, steering = self._steered(q, nu, known, (speed, yaw_rate), steering)
@@ -702,8 +702,13 @@ class Backstepping:
         return inverse(q, v, wanted_rates), (inner, steering)
 
     def _steered(
-        self, q: Array, nu: Array, tracked: Tracked, command: tuple[Any, Any], memory: tuple[Any, Any, Any]
-    ) -> tuple[Changing, tuple[Any, Any, Any]]:
+        self,
+        q: Array,
+        nu: Array,
+        tracked: TrackingState,
+        command: tuple[Any, Any],
+        memory: tuple[Any, Any, Any],
+    ) -> tuple[DualNumber, tuple[Any, Any, Any]]:
         """Return the desired steering rate with its own rate, and the next memory of the reference's."""
         before, known, dt = memory
         limit, _ = self._steers or (np.inf, None)
@@ -714,7 +719,7 @@ class Backstepping:
         rate = self._angle(tracked.speed, tracked.yaw_rate).rate
         grown = known * (rate - before) / dt
         wanted = found.rate + self.steer * (found.value - angle)
-        turn = Changing(wanted, grown + self.steer * (found.rate - nu[..., -1]))
+        turn = DualNumber(wanted, grown + self.steer * (found.rate - nu[..., -1]))
         return turn, (rate, 1.0 + 0.0 * known, dt)
 
     def _angle(self, speed: Any, yaw_rate: Any) -> Any:
@@ -850,15 +855,15 @@ class SwerveTracking:
             angle, turning = q[..., _BASE + i], nu[..., 1 + i]
             along, aside = wanted[0] - wanted[2] * y, wanted[1] + wanted[2] * x
             target = angle_of(aside, along) - zero
-            near = Changing(target.value + np.pi * np.rint((angle - target.value) / np.pi), target.rate)
+            near = DualNumber(target.value + np.pi * np.rint((angle - target.value) / np.pi), target.rate)
             slow = value_of(along * along + aside * aside) < self.least * self.least
-            goal = chosen(slow, Changing(angle, 0.0 * angle), near)
+            goal = chosen(slow, DualNumber(angle, 0.0 * angle), near)
             leads = angle_of(own[1] + own[2] * x, own[0] - own[2] * y).rate
             grown.append(leads)
             extra = np.where(slow, 0.0, np.asarray(known) * (leads - before[..., i]) / dt)
             z = goal.rate + self.steer * (goal.value - angle)
             rates.append(extra + self.steer * (goal.rate - turning) + self.k * (z - turning))
-            head = Changing(angle + zero, turning)
+            head = DualNumber(angle + zero, turning)
             axles.append([-sin(head), cos(head), x * cos(head) + y * sin(head)])
         (a, b, m), (d, e, f) = axles
         about = [b * f - m * e, m * d - a * f, a * e - b * d]
@@ -869,23 +874,23 @@ class SwerveTracking:
         leads = np.stack(np.broadcast_arrays(*grown), axis=-1)
         return u, (leads, 1.0 + 0.0 * known, dt)
 
-    def _wanted(self, q: Array, v: Array, reference: State) -> list[Changing]:
+    def _wanted(self, q: Array, v: Array, reference: State) -> list[DualNumber]:
         """Return the desired body twist, with its rate."""
         errors, w = self.robot.difference(q, completed(q, reference.q)), v[..., 2]
         ahead, aside = _along(q, errors)
         (vx, vy), (rx, ry), (ax, ay) = (_along(q, x) for x in (v, reference.v, reference.a))
         w_r = reference.v[..., 2]
         return [
-            Changing(rx, ax + w * ry) + self.kp * Changing(ahead, rx - vx + w * aside),
-            Changing(ry, ay - w * rx) + self.kp * Changing(aside, ry - vy - w * ahead),
-            Changing(w_r, reference.a[..., 2]) + self.kp * Changing(errors[..., 2], w_r - w),
+            DualNumber(rx, ax + w * ry) + self.kp * DualNumber(ahead, rx - vx + w * aside),
+            DualNumber(ry, ay - w * rx) + self.kp * DualNumber(aside, ry - vy - w * ahead),
+            DualNumber(w_r, reference.a[..., 2]) + self.kp * DualNumber(errors[..., 2], w_r - w),
         ]
 
-    def _turned(self, reference: State) -> list[Changing]:
+    def _turned(self, reference: State) -> list[DualNumber]:
         """Return the body twist of the reference, with its rate."""
         (rx, ry), (ax, ay) = (_along(reference.q, x) for x in (reference.v, reference.a))
         w = reference.v[..., 2]
-        return [Changing(rx, ax + w * ry), Changing(ry, ay - w * rx), Changing(w, reference.a[..., 2])]
+        return [DualNumber(rx, ax + w * ry), DualNumber(ry, ay - w * rx), DualNumber(w, reference.a[..., 2])]
 
 
 def _along(q: Array, x: Array) -> tuple[Any, Any]:
@@ -920,7 +925,7 @@ def speeds_along(axle: Array, t: Array, reference: Any) -> tuple[Array, Array]:
 
 def tracked(
     robot: Any, axle: Any, q: Array, v: Array, reference: State, own_speed: Any
-) -> tuple[Tracked, Array]:
+) -> tuple[TrackingState, Array]:
     """Return the tracking error of a law, with its rates, and the errors of all coordinates."""
     a, b, arm = axle[..., 0], axle[..., 1], axle[..., 2]
     errors = robot.difference(q, completed(q, reference.q))
@@ -934,14 +939,14 @@ def tracked(
     speed, turn = x_r * vx + y_r * vy, errors[..., 2]
     gained = x_r * reference.a[..., 0] + y_r * reference.a[..., 1] + w_r * (x_r * vy - y_r * vx)
     ahead, aside = x * dx + y * dy, x * dy - y * dx
-    found = Tracked(
-        Changing(ahead, w * aside - own_speed + speed * np.cos(turn)),
-        Changing(aside, speed * np.sin(turn) - w * ahead),
-        Changing(turn, w_r - w),
-        Changing(speed, gained),
-        Changing(w_r, reference.a[..., 2]),
-        Changing(gained, 0.0 * gained),
-        Changing(own_speed, 0.0 * own_speed),
+    found = TrackingState(
+        DualNumber(ahead, w * aside - own_speed + speed * np.cos(turn)),
+        DualNumber(aside, speed * np.sin(turn) - w * ahead),
+        DualNumber(turn, w_r - w),
+        DualNumber(speed, gained),
+        DualNumber(w_r, reference.a[..., 2]),
+        DualNumber(gained, 0.0 * gained),
+        DualNumber(own_speed, 0.0 * own_speed),
     )
     return found, errors
 

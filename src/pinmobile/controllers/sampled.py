@@ -8,7 +8,7 @@ import numpy as np
 
 from pinmobile.arrays import Array
 from pinmobile.compiled import has_symbols, leaves, mapped
-from pinmobile.controllers.controller import Controller, Seen, answer_of, told
+from pinmobile.controllers.controller import Controller, Seen, answer_of, notify_applied
 from pinmobile.controllers.kinematic_laws import value_of
 from pinmobile.parts import child, integer, part
 from pinmobile.plant import Context
@@ -99,7 +99,7 @@ class Sampled:
         """Return the next state; the law receives the applied input of its own samples, shape (..., nu)."""
         inner, *rest = state
         due = rest[1] == 1.0 % self.every  # the law has just run
-        return _chosen(due, told(self.controller, u, inner), inner), *rest
+        return _chosen(due, notify_applied(self.controller, u, inner), inner), *rest
 
     def signals(self, state: tuple[Any, ...]) -> Any:
         """Return the signals of the law: name to (unit, value)."""

@@ -13,11 +13,19 @@ import attrs
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, frozen, shaped
-from pinmobile.controllers.controller import Controller, Seen, State, Wrapper, answer_of, check_wheels, told
+from pinmobile.controllers.controller import (
+    Controller,
+    Seen,
+    State,
+    Wrapper,
+    answer_of,
+    check_wheels,
+    notify_applied,
+)
 from pinmobile.controllers.feedback import check_wheelless, coordinates_of
 from pinmobile.controllers.kinematic_laws import has_axle, reference_of, speeds_along
 from pinmobile.controllers.lqr import check_held
-from pinmobile.errors import InvalidArgument, shown
+from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.parts import Allocating, Integrating, Observable, child, each, integer, option, part, structure
 from pinmobile.plant import Context, inputs_of, reference_sizes_of
 
@@ -99,7 +107,7 @@ class DisturbanceObserver(Wrapper):
     def applied(self, u: Array, state: tuple[Any, ...]) -> tuple[Any, ...]:
         """Return the next state for the applied force; the wrapped controller receives its own share."""
         inner, (begun, integral, asked, estimate), dt = state
-        inner = told(self.controller, u + estimate, inner)
+        inner = notify_applied(self.controller, u + estimate, inner)
         return inner, (begun, integral + dt * (u - asked), u, estimate), dt
 
     def signals(self, state: tuple[Any, ...]) -> dict[str, Any]:
@@ -274,7 +282,9 @@ def _seed(name: str, value: Any) -> Any:
     """Return a seed after a check that it is a whole number >= 0 or a SeedSequence."""
     whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
     if not (isinstance(value, np.random.SeedSequence) or (whole and value >= 0)):
-        raise InvalidArgument(f"{name} is {shown(value)}, expected a whole number >= 0 or a SeedSequence")
+        raise InvalidArgument(
+            f"{name} is {format_value(value)}, expected a whole number >= 0 or a SeedSequence"
+        )
     return value
 
 
@@ -322,7 +332,7 @@ class InputSaturation(Wrapper):
 
     def applied(self, u: Array, state: Any) -> Any:
         """Return the wrapped controller's next state for the applied input, shape (..., n)."""
-        return told(self.controller, u, state)
+        return notify_applied(self.controller, u, state)
 
     def signals(self, state: Any) -> Any:
         """Return the signals of the wrapped controller: name to (unit, value)."""
@@ -610,7 +620,7 @@ class ControlAllocation(Wrapper):
 
     def applied(self, u: Array, state: Any) -> Any:
         """Return the next state; the wrapped controller receives the force of the wheels, shape (..., n)."""
-        return told(self.controller, state[2], state[0]), *state[1:]
+        return notify_applied(self.controller, state[2], state[0]), *state[1:]
 
     def signals(self, state: Any) -> dict[str, Any]:
         """Return the residual force [N, N m] beside the signals of the wrapped controller."""

@@ -16,9 +16,9 @@ from sympy import Expr, ImmutableMatrix, Symbol
 from sympy.polys.rings import PolyElement, PolyRing
 from sympy.simplify.fu import TR10i
 
-from pinmobile.arrays import Array, sequence, whole
+from pinmobile.arrays import Array, check_integer, sequence
 from pinmobile.dh import DHTable, table_of
-from pinmobile.errors import InvalidArgument, shown
+from pinmobile.errors import InvalidArgument, format_value
 
 
 def exact(name: str, value: object) -> Expr:
@@ -45,7 +45,7 @@ def exact(name: str, value: object) -> Expr:
         expression = None
     if not isinstance(expression, Expr) or expression.has(sympy.nan, sympy.zoo, sympy.oo, sympy.I):
         raise InvalidArgument(
-            f"{name} is {shown(value)}, expected a finite real number or a sympy expression"
+            f"{name} is {format_value(value)}, expected a finite real number or a sympy expression"
         )
     floats = expression.atoms(sympy.Float)
     return expression.xreplace({number: sympy.Rational(repr(float(number))) for number in floats})
@@ -76,7 +76,7 @@ def exact_matrix(name: str, value: Any, shape: tuple[int, int]) -> ImmutableMatr
         rows = ((),)
     if any(len(row) != shape[1] for row in rows):
         wanted = f"{shape[0]} entries" if shape[1] == 1 else f"shape {shape}"
-        raise InvalidArgument(f"{name} is {shown(value)}, expected {wanted}")
+        raise InvalidArgument(f"{name} is {format_value(value)}, expected {wanted}")
     return ImmutableMatrix(*shape, [exact(name, entry) for row in rows for entry in row])
 
 
@@ -298,7 +298,7 @@ class Link:
         k : int
             Index of the link, >= 0.
         """
-        k = whole("k", k, least=0)
+        k = check_integer("k", k, least=0)
         inertia = [[Symbol(f"I{min(i, j)}{max(i, j)}{k}") for j in "xyz"] for i in "xyz"]
         return cls(Symbol(f"m{k}"), [Symbol(f"{axis}c{k}") for axis in "xyz"], inertia)
 
@@ -371,9 +371,13 @@ class Chain:
     def _check(self) -> None:
         variables = self.table.variables
         if len(self.links) != len(self) or not all(isinstance(link, Link | None) for link in self.links):
-            raise InvalidArgument(f"links is {shown(self.links)}, expected {len(self)} of Link or None")
+            raise InvalidArgument(
+                f"links is {format_value(self.links)}, expected {len(self)} of Link or None"
+            )
         if len(self.order) != len(variables) or set(variables) != {*map(str, self.order)}:
-            raise InvalidArgument(f"order is {shown(self.order)}, expected a permutation of {variables}")
+            raise InvalidArgument(
+                f"order is {format_value(self.order)}, expected a permutation of {variables}"
+            )
         names = Counter(symbol.name for symbol in (*self.q, *self.v, *self.a, *self.parameters))
         if twice := [name for name, count in names.items() if count > 1]:
             raise InvalidArgument(f"links and table give {twice} two meanings, expected distinct names")

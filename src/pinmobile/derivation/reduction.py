@@ -12,11 +12,11 @@ import sympy
 from sympy import Expr, Function, ImmutableMatrix, Symbol
 from sympy.polys.matrices import DomainMatrix
 
-from pinmobile.arrays import instance, sequence, shaped, whole
+from pinmobile.arrays import check_integer, instance, sequence, shaped
 from pinmobile.derivation.chain import exact, exact_angle, grouped, reduced
 from pinmobile.derivation.equations import lecture
 from pinmobile.derivation.steps import Assignments, Step, Told
-from pinmobile.errors import InvalidArgument, shown
+from pinmobile.errors import InvalidArgument, format_value
 
 _BODY = _, _, _PSI = sympy.symbols("x y psi")
 _TWIST = _VX, _VY, _OMEGA = sympy.symbols("v_x v_y omega")
@@ -81,11 +81,11 @@ class RollerWheel:
             plain = value.is_Rational and abs(value) < _MANY_TURNS
             object.__setattr__(self, name, exact_angle(name, float(value)) if plain else value)
         if (abs(self.roller) - sympy.pi / 2).is_nonnegative:
-            raise InvalidArgument(f"roller is {shown(self.roller)} rad, expected less than pi/2")
+            raise InvalidArgument(f"roller is {format_value(self.roller)} rad, expected less than pi/2")
         if self.radius.is_nonpositive:
-            raise InvalidArgument(f"radius is {shown(self.radius)} m, expected > 0")
+            raise InvalidArgument(f"radius is {format_value(self.radius)} m, expected > 0")
         if self.spin_inertia.is_negative:
-            raise InvalidArgument(f"spin_inertia is {shown(self.spin_inertia)} kg m^2, expected >= 0")
+            raise InvalidArgument(f"spin_inertia is {format_value(self.spin_inertia)} kg m^2, expected >= 0")
 
     @classmethod
     def general(cls, k: int) -> RollerWheel:
@@ -96,7 +96,7 @@ class RollerWheel:
         k : int
             Index of the wheel, >= 0.
         """
-        k = whole("k", k, least=0)
+        k = check_integer("k", k, least=0)
         return cls(*sympy.symbols(f"x{k} y{k} delta{k} gamma{k} r{k} Iw{k}"))
 
 

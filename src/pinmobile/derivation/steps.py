@@ -18,7 +18,7 @@ from sympy import Expr, ImmutableMatrix, Symbol
 from pinmobile.arrays import Array, ArrayLike, finite, instance, one_of, representable, vector
 from pinmobile.derivation.chain import Chain, grouped, reduced
 from pinmobile.dh import DHRow, JointType
-from pinmobile.errors import InvalidArgument, UnknownName, shown
+from pinmobile.errors import InvalidArgument, UnknownName, format_value
 
 Parameters = Mapping[str, ArrayLike]
 _NONE: Parameters = MappingProxyType({})
@@ -176,7 +176,9 @@ class Numeric:
     def _values(self, params: Parameters) -> list[Array]:
         names = [symbol.name for symbol in self.derivation.parameters]
         if not isinstance(params, Mapping):
-            raise InvalidArgument(f"params is {shown(params)}, expected a mapping with {', '.join(names)}")
+            raise InvalidArgument(
+                f"params is {format_value(params)}, expected a mapping with {', '.join(names)}"
+            )
         for name in params:
             one_of("parameter", name, names)
         if missing := [name for name in names if name not in params]:

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, final
 import numpy as np
 
 from pinmobile.arrays import Array, one_of
-from pinmobile.errors import InvalidArgument, shown
+from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.loop import Record, Sample, Scenario
 from pinmobile.metrics import Metric, metrics_of
 from pinmobile.parts import option, part
@@ -63,7 +63,8 @@ class Loss(NamedTuple):
         if not isinstance(given, str):
             if not callable(given):
                 raise InvalidArgument(
-                    f"{where} is {shown(given)}, expected a function of a sample or the name of a metric"
+                    f"{where} is {format_value(given)}, expected a function of a sample or the name of a "
+                    "metric"
                 )
             return cls(given, reduction or "sum", where)
         plant = scenario.robot
@@ -122,7 +123,7 @@ class Losses:
         for i, one in enumerate(self.losses):
             value = one.of(sample) if callable(one.of) else sample.measured[one.of]
             if np.shape(value) != ():
-                raise InvalidArgument(f"{one.name} returned {shown(value)}, expected a number")
+                raise InvalidArgument(f"{one.name} returned {format_value(value)}, expected a number")
             before = state[i]
             if one.reduction in ("sum", "mean", "rms"):
                 value = before + (value * value if one.reduction == "rms" else value)

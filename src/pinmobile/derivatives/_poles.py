@@ -11,7 +11,7 @@ import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, scalar
 from pinmobile.compiled import tangent
-from pinmobile.controllers import Controller, Wrapper, answer_of, told
+from pinmobile.controllers import Controller, Wrapper, answer_of, notify_applied
 from pinmobile.derivatives._problem import Problem, differentiated, problem_of
 from pinmobile.errors import InvalidArgument
 from pinmobile.forces import Force
@@ -43,7 +43,7 @@ class _Probed(Wrapper):
 
     def applied(self, u: Array, state: Any) -> Any:
         """Return the next state; the controller receives its own share."""
-        return (told(self.controller, u - self.probe, state[0]),)
+        return (notify_applied(self.controller, u - self.probe, state[0]),)
 
     def __call__(self, t: Any, q: Any, v: Any, reference: Any, state: Any) -> Any:
         """Return the input and the next state."""

@@ -10,11 +10,11 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, instance, one_of, sequence, whole
+from pinmobile.arrays import Array, ArrayLike, check_integer, instance, one_of, sequence
 from pinmobile.controllers import Controller
 from pinmobile.derivatives._losses import Loss, Losses
 from pinmobile.derivatives._problem import Evaluation, Problem, evaluated, problem_of
-from pinmobile.errors import InvalidArgument, shown
+from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.forces import Force
 from pinmobile.integrators import Integrator
 from pinmobile.loop import Sample, Scenario, Source
@@ -235,7 +235,7 @@ class _Variables:
             own = given.get(path) or (low, np.inf if high is None else high)
             if np.shape(own) != (2,) or not own[0] < own[1]:
                 raise InvalidArgument(
-                    f"by[{path!r}] is {shown(own)}, expected (lower, upper) with lower < upper"
+                    f"by[{path!r}] is {format_value(own)}, expected (lower, upper) with lower < upper"
                 )
             labels = {entry: label for label, entry in one.leaf.entries.items() if len(entry) == value.ndim}
             places = [one.place(value.ndim)] if one.entry is not None else [*np.ndindex(value.shape)]
@@ -444,10 +444,12 @@ def tune(
 
     began = time.perf_counter()
     one_of("objective", objective, OBJECTIVES)
-    most = whole("iterations", iterations)
+    most = check_integer("iterations", iterations)
     given = dict(by) if isinstance(by, Mapping) else dict.fromkeys(by if not isinstance(by, str) else ())
     if not given:
-        raise InvalidArgument(f"by is {shown(by)}, expected paths of numbers, such as ['controller.kp']")
+        raise InvalidArgument(
+            f"by is {format_value(by)}, expected paths of numbers, such as ['controller.kp']"
+        )
     every = [constraints] if isinstance(constraints, Constraint) else constraints
     every = sequence("constraints", every, "a list of derivatives.Constraint")
     bounds = tuple(instance("constraints", one, Constraint, "derivatives.Constraint") for one in every)

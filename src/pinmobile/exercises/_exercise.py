@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from pinmobile.errors import InvalidArgument, UnknownName, shown
+from pinmobile.errors import InvalidArgument, UnknownName, format_value
 from pinmobile.exercises._question import Question
 
 _F = TypeVar("_F", bound=Callable[..., Any])
@@ -162,7 +162,9 @@ def check_course(course: object) -> str:
         If it is no text, or contains signs that a notebook cannot store.
     """
     if not isinstance(course, str) or not re.fullmatch(r"[\w .:+-]*", course):
-        raise InvalidArgument(f"seed is {shown(course)}, expected letters, digits, spaces and _ . : + -")
+        raise InvalidArgument(
+            f"seed is {format_value(course)}, expected letters, digits, spaces and _ . : + -"
+        )
     return course
 
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pinmobile.errors import InvalidArgument, shown
+from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.exercises._exercise import check_course, exercise_names, read_exercise
 from pinmobile.exercises._question import RECORD, Verdict, describe
 
@@ -100,7 +100,7 @@ def start_exercises(folder: str | os.PathLike[str] = "exercises", *, seed: str =
                 lines.append(f"{path} exists, left as it is")
     except OSError as error:
         raise InvalidArgument(
-            f"FOLDER is {shown(str(folder))}, expected a folder to write to ({error.strerror})"
+            f"FOLDER is {format_value(str(folder))}, expected a folder to write to ({error.strerror})"
         ) from None
     return lines
 
@@ -174,7 +174,7 @@ def check_exercises(
     False
     """
     if not 0 < limit < 1e6:
-        raise InvalidArgument(f"limit is {shown(limit)}, expected a number of seconds > 0")
+        raise InvalidArgument(f"limit is {format_value(limit)}, expected a number of seconds > 0")
     wanted = None if seed is None else check_course(seed)
     return (_check(Path(file), wanted, limit) for file in files)
 
@@ -197,10 +197,10 @@ def read_cells(path: Path) -> tuple[list[str], str, str]:
             cells = re.split(r"^# %%.*$", text, flags=re.M)
     except (OSError, ValueError, KeyError, TypeError) as error:
         why = error.strerror if isinstance(error, OSError) else describe(error)
-        raise InvalidArgument(f"FILE is {shown(str(path))}, {expected} ({why})") from None
+        raise InvalidArgument(f"FILE is {format_value(str(path))}, {expected} ({why})") from None
     loaded = _LOADED.search("\n".join(cells))
     if loaded is None or loaded[1] not in exercise_names():
-        raise InvalidArgument(f"FILE is {shown(str(path))}, {expected}: no cell calls load_exercise")
+        raise InvalidArgument(f"FILE is {format_value(str(path))}, {expected}: no cell calls load_exercise")
     return cells, loaded[1], loaded[2] or ""
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from pinmobile.arrays import Array, location, one_of, positive, sequence
 from pinmobile.compiled import uncollected
 from pinmobile.controllers import Controller, check_controller
-from pinmobile.errors import InvalidArgument, NotTraceable, shown
+from pinmobile.errors import InvalidArgument, NotTraceable, format_value
 from pinmobile.export._law import InputRecorder, InputSchedule, Law
 from pinmobile.export._project import Project
 from pinmobile.files import refusals, write
@@ -122,7 +122,8 @@ def export_c(
     one_of("precision", precision, ("double", "single"))
     if not isinstance(name, str) or not re.fullmatch(r"[a-z][a-z0-9_]{0,30}", name):
         raise InvalidArgument(
-            f"name is {shown(name)}, expected a name of lower-case letters, digits and _, such as 'robot'"
+            f"name is {format_value(name)}, expected a name of lower-case letters, digits and _, such as "
+            "'robot'"
         )
     if name in _RESERVED:
         raise InvalidArgument(f"name is {name!r}, a word of C, expected another name, such as 'robot'")

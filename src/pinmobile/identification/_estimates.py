@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
-from pinmobile.arrays import Array, bounded, frozen, instance, scalar, seeded, whole
+from pinmobile.arrays import Array, bounded, check_integer, frozen, instance, scalar, seeded
 from pinmobile.errors import InvalidArgument
 from pinmobile.identification._estimator import Whiteness
 from pinmobile.identification._log import Log
@@ -451,7 +451,7 @@ class Identification:
         InvalidArgument
             If a parameter is not identifiable, or almost all draws are impossible bodies.
         """
-        n, generator = whole("n", n), seeded("seed", seed)
+        n, generator = check_integer("n", n), seeded("seed", seed)
         check_identifiable("spread", self.unseen)
         values, vectors = np.linalg.eigh(self.covariance_of_phi)
         half, phi = vectors * np.sqrt(np.maximum(values, 0)), np.empty((0, len(self.phi)))

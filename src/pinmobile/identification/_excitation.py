@@ -8,7 +8,7 @@ from typing import Any, final
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, bounded, finite, positive, seeded, shaped, whole
+from pinmobile.arrays import Array, ArrayLike, bounded, check_integer, finite, positive, seeded, shaped
 from pinmobile.identification._planar_model import PlanarModel
 from pinmobile.parts import array, number, part
 from pinmobile.robot import MobileRobot
@@ -215,7 +215,7 @@ def excitation(
     """
     given = {"position": position, "velocity": velocity, "acceleration": acceleration}
     limits = [bounded(name, shaped(name, finite(name, x), (3,)), above=0) for name, x in given.items()]
-    count, generator = whole("harmonics", harmonics, least=3), seeded("seed", seed)
+    count, generator = check_integer("harmonics", harmonics, least=3), seeded("seed", seed)
     T, length = positive("period", period, "s"), positive("duration", duration, "s")
     believed = MobileRobot.box() if robot is None else robot
     model = PlanarModel.of(believed)

@@ -21,8 +21,8 @@ from pinmobile.errors import (
     PinmobileError,
     UnknownName,
     format_names,
+    format_value,
     imported,
-    shown,
 )
 from pinmobile.files import refusals
 
@@ -128,7 +128,7 @@ def _table(file: Path, bare: bool) -> tuple[list[str], list[list[str]]]:
         lines = [comments[-1].lstrip("# "), *lines]
     headless = bool(lines) and _is_numbers(lines[0])
     if not lines or (headless and not bare):
-        said = f"whose first line {shown(lines[0])} contains numbers" if lines else "which is empty"
+        said = f"whose first line {format_value(lines[0])} contains numbers" if lines else "which is empty"
         by_number = "; without a header, columns={'t': '1', 'q': ('2', '3', '4'), ...} counts them from 1"
         expected = "a header that names the columns, such as t,x,y,psi,Fx,Fy,Mz" + by_number * headless
         raise _refused(file, said, expected)
@@ -167,7 +167,9 @@ def _column(file: Path, title: str, cells: Sequence[str]) -> Array:
     """Return the numbers of a column; NaN for cells without a number."""
     numbers = np.array([_number(cell) for cell in cells])
     if np.isnan(numbers).all():
-        raise _refused(file, f"whose column {title!r} has no numbers, but {shown(cells[0])}", "numbers")
+        raise _refused(
+            file, f"whose column {title!r} has no numbers, but {format_value(cells[0])}", "numbers"
+        )
     return numbers
 
 
@@ -221,7 +223,7 @@ def read_bag(path: str | PathLike[str], topics: Mapping[str, str]) -> dict[str, 
     sensors = {"q", "twist", "wheel_rates", "joints"}
     if not isinstance(topics, Mapping) or "u" not in topics or not sensors & set(topics):
         raise InvalidArgument(
-            f"topics is {shown(topics)}, expected topics of u and of q, twist, wheel_rates or joints, "
+            f"topics is {format_value(topics)}, expected topics of u and of q, twist, wheel_rates or joints, "
             "such as {'q': '/odom', 'u': '/wrench'}"
         )
     for role in topics:
@@ -237,7 +239,7 @@ def read_bag(path: str | PathLike[str], topics: Mapping[str, str]) -> dict[str, 
         except (PinmobileError, PermissionError):
             raise
         except Exception as error:  # rosbags and sqlite raise many errors for damaged files
-            why = shown(str(error) or type(error).__name__)
+            why = format_value(str(error) or type(error).__name__)
             message = f"path is {str(file)!r}, expected a bag: it is damaged or another file: {why}"
             raise FileError(message, errno=getattr(error, "errno", None), filename=str(file)) from error
 

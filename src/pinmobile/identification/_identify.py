@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pinmobile.arrays import Array, bounded, instance, one_of, scalar, sequence
-from pinmobile.errors import InvalidArgument, shown
+from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.identification._clocks import clock_hint
 from pinmobile.identification._estimates import Identification, in_words
 from pinmobile.identification._estimator import (
@@ -336,7 +336,7 @@ def _moments(loads: Sequence[PayloadBody | None] | None, count: int) -> list[Arr
         m, x, y, inertia = (load.mass, *load.com[:2], load.inertia[2]) if load else (0.0,) * 4
         found.append(np.array([m, m * x, m * y, inertia + m * (x * x + y * y)]))
     if len(found) != count or (loads is not None and all(np.array_equal(x, found[0]) for x in found)):
-        raise InvalidArgument(f"loads is {shown(loads)}, expected {expected}")
+        raise InvalidArgument(f"loads is {format_value(loads)}, expected {expected}")
     return found
 
 

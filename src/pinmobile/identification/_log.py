@@ -14,6 +14,7 @@ from pinmobile.arrays import (
     Array,
     ArrayLike,
     bounded,
+    check_integer,
     finite,
     frozen,
     increasing,
@@ -24,9 +25,8 @@ from pinmobile.arrays import (
     seeded,
     sequence,
     shaped,
-    whole,
 )
-from pinmobile.errors import InvalidArgument, shown
+from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.identification._clocks import clock_of
 from pinmobile.identification._files import read_bag, read_csv
 from pinmobile.identification._filters import LEAST_ROWS
@@ -558,7 +558,7 @@ class Log:
             has another shape.
         """
         instance("rollout", rollout, Rollout, "a Rollout")
-        late, plant = whole("delay", delay, least=0, most=len(rollout) - 2), rollout.plant
+        late, plant = check_integer("delay", delay, least=0, most=len(rollout) - 2), rollout.plant
         generator, end = seeded("seed", seed), len(rollout) - late
 
         def noisy(name: str, deviation: ArrayLike, values: Array) -> Array:
@@ -663,7 +663,7 @@ def logs_of(log: object) -> list[Log]:
     expected = f"a Log or a sequence of Log{hint}"
     logs = [log] if isinstance(log, Log) else [*sequence("log", log, expected)]
     if not logs or not all(isinstance(each, Log) for each in logs):
-        raise InvalidArgument(f"log is {shown(log)}, expected {expected}")
+        raise InvalidArgument(f"log is {format_value(log)}, expected {expected}")
     return logs
 
 

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from pinmobile import parts
 from pinmobile.arrays import Array, bounded, frozen, positive, scalar
-from pinmobile.errors import InvalidArgument, shown
+from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.forces import JointFriction, RollingResistance, ViscousFriction
 from pinmobile.identification._estimates import Identification
 from pinmobile.identification._estimator import solve
@@ -209,8 +209,9 @@ class PlanarModel:
         if not offers(robot, Tabled):
             if robot is not None and (not isinstance(robot, MobileRobot) or robot.mounts):
                 raise InvalidArgument(
-                    f"robot is {shown(robot)}, expected a MobileRobot without arms (robot.lumped() has them "
-                    "locked), or a WheeledRobot that rolls; for velocity inputs use identify_velocity"
+                    f"robot is {format_value(robot)}, expected a MobileRobot without arms "
+                    "(robot.with_locked_arms() has them locked), or a WheeledRobot that rolls; for velocity "
+                    "inputs use identify_velocity"
                 )
             slow = positive("rolling_speed", _SPEED if speed is None else speed, "m/s")
             eye = frozen(np.eye(3))
@@ -219,9 +220,9 @@ class PlanarModel:
         table = robot.table
         if table.axes or robot.ground.slips or table.couplings or robot.mounts:
             raise InvalidArgument(
-                f"robot is {shown(robot)}, with wheels that steer or slip, shared motors, or arms, expected "
-                "wheels that roll and do not steer, with separate motors and without arms, such as a "
-                "differential, mecanum or omni drive"
+                f"robot is {format_value(robot)}, with wheels that steer or slip, shared motors, or arms, "
+                "expected wheels that roll and do not steer, with separate motors and without arms, such as "
+                "a differential, mecanum or omni drive"
             )
         reduced = robot.reduced(robot.rest, np.zeros(robot.nv))
         S, turning = reduced.S[:3], reduced.S[3:]
@@ -235,7 +236,7 @@ class PlanarModel:
 
     def prior(self, robot: Any) -> Array:
         """Return phi of a robot."""
-        body = (robot.robot if self.wheels else robot).lumped()
+        body = (robot.robot if self.wheels else robot).with_locked_arms()
         told = np.zeros(self.size)
         told[:4] = body.mass, *body.com[:2], body.body.yaw_inertia
         told[self.size - self.scaled :] = 1.0
@@ -383,7 +384,7 @@ class PlanarModel:
         prior = found.prior
         if prior is None:
             return MobileRobot(m, inertia, com=(x, y))
-        new = with_inertia((prior.robot if self.wheels else prior).lumped(), m, x, y, inertia)
+        new = with_inertia((prior.robot if self.wheels else prior).with_locked_arms(), m, x, y, inertia)
         if not self.wheels:
             return new
         if not self.motors:

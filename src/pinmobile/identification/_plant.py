@@ -23,7 +23,7 @@ from pinmobile.compiled import (
     processors,
     tangent,
 )
-from pinmobile.errors import InvalidArgument, shown
+from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.identification._estimates import Identification, in_words
 from pinmobile.identification._estimator import (
     NORMAL,
@@ -343,7 +343,7 @@ def _sensors(log: Log, plant: Any) -> list[str]:
 def identify_plant(logs: Sequence[Log], plant: Any, by: Any, delay: float | None) -> Identification:
     """Return the estimates of numbers of a plant from logs, see `identify`."""
     if not offers(plant, Plant):
-        raise InvalidArgument(f"robot is {shown(plant)}, expected a plant with the numbers of by")
+        raise InvalidArgument(f"robot is {format_value(plant)}, expected a plant with the numbers of by")
     found, dt = _numbers_of(plant, by), max(log.dt for log in logs)
     base = np.array([float(one.value) for one in found])
     sizes = np.maximum(np.abs(base), [max(np.abs(np.asarray(x.leaf.value)).max(), _SIZE) for x in found])

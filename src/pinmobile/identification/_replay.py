@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from pinmobile.arrays import Array, bounded, scalar
-from pinmobile.errors import InvalidArgument, shown
+from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.identification._filters import FINEST, LEAST_ROWS, filtered, without_outliers
 from pinmobile.integrators import rk4
 from pinmobile.loop import Rollout
@@ -50,7 +50,7 @@ def rollout_of(log: Any, robot: Any, delay: float = 0.0, **options: Any) -> Roll
     inputs, names = inputs_of(robot), [one.name for one in coordinates_of(robot)[:3]]
     if log.u.shape[1] != len(inputs) or names != ["x", "y", "psi"]:
         raise InvalidArgument(
-            f"robot is {shown(robot)}, with {len(inputs)} inputs, expected a robot in the plane with "
+            f"robot is {format_value(robot)}, with {len(inputs)} inputs, expected a robot in the plane with "
             f"{log.u.shape[1]}, as the log has"
         )
     for unit, one in zip(log.units, inputs, strict=False):

@@ -247,7 +247,7 @@ class TorqueCar(VelocityModel):
         """Return the identified car."""
         check_identifiable("robot", found.unseen)
         values, prior = found.parameters, found.prior
-        (x, y, _), bare = self.body.com, _wheeled(prior).robot.lumped()
+        (x, y, _), bare = self.body.com, _wheeled(prior).robot.with_locked_arms()
         body = with_inertia(bare, values["mass"], values.get("com_x", x), y, values["yaw_inertia"])
         new = parts.evolved(_wheeled(prior), robot=body)
         if self.stiffness:
@@ -306,7 +306,7 @@ def identify_car(
     slips = np.array([wheel.friction.slip for wheel in robot.table.wheels])
     if robot.ground.slips and (slips > 0).all():
         stiff = tuple(float((1 / slips[axle]).sum()) for axle in (wheels.steers, ~wheels.steers))
-    body, given = _wheeled(robot).robot.lumped().body, {"delay": 0.0, "ahead": 0.0}
+    body, given = _wheeled(robot).robot.with_locked_arms().body, {"delay": 0.0, "ahead": 0.0}
     model = TorqueCar((), given, 1, 1.0, is_pose, wheels=wheels, body=body, slow=slow, stiffness=stiff)
     runs = model.runs(logs)
     seconds = sum(len(run.u) * run.dt for run in runs)

@@ -30,7 +30,7 @@ from pinmobile.arrays import (
     vector,
     wrap_angle,
 )
-from pinmobile.errors import InvalidArgument, shown
+from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.integrators import rk4
 from pinmobile.parts import array, by_value, evolved, is_symbolic, number, option, part, structure
 from pinmobile.plant import Coordinate, Input
@@ -234,7 +234,9 @@ class Commanded:
             If an array has another shape or is not finite, or `f` is not zero.
         """
         if not is_symbolic(f) and finite("f", f).any():
-            raise InvalidArgument(f"f is {shown(f)}, expected zero: {self.unforced} responds to a force")
+            raise InvalidArgument(
+                f"f is {format_value(f)}, expected zero: {self.unforced} responds to a force"
+            )
         return self._acceleration(q, v, u)
 
     @property

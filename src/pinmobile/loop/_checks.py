@@ -14,17 +14,17 @@ import numpy as np
 from pinmobile.arrays import (
     Array,
     affordable,
-    answered,
     callable_as,
+    check_integer,
+    check_returned_array,
     frozen,
     positive,
     sequence,
     vector,
-    whole,
 )
 from pinmobile.compiled import is_constant
 from pinmobile.controllers import check_controller, check_memory
-from pinmobile.errors import InvalidArgument, shown
+from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.integrators import Integrator, check_integrator, constant_acceleration
 from pinmobile.loop._loop import Loop, displaced, named_forces
 from pinmobile.loop._python import error_of_sizes
@@ -94,7 +94,7 @@ def chosen_integrator(plant: Plant, integrator: Integrator | None) -> Integrator
         return constant_acceleration if chosen is None else chosen
     if integrator is not None:
         whose = f"but the plant, a {type(plant).__name__}, has its own step"
-        raise InvalidArgument(f"integrator is {shown(integrator)}, {whose}: leave integrator out")
+        raise InvalidArgument(f"integrator is {format_value(integrator)}, {whose}: leave integrator out")
     return None
 
 
@@ -106,7 +106,7 @@ def checked_substeps(substeps: int, samples: int) -> int:
     InvalidArgument
         If the number is not a whole number >= 1, or the run would take days.
     """
-    return whole("substeps", substeps, most=int(_MOST_STEPS / samples))
+    return check_integer("substeps", substeps, most=int(_MOST_STEPS / samples))
 
 
 def sample_times(dt: float, duration: float | None, longest: float) -> Array:
@@ -237,7 +237,8 @@ def _check_carried(forces: Mapping[str, Any], plant: Plant) -> None:
     first = tuple(one.name for one in coordinates_of(plant)[:3])
     if able(plant, Stepping) or first != ("x", "y", "psi"):
         why = "has its own step" if able(plant, Stepping) else f"begins with the coordinates {first}"
-        what = f"{name} is {shown(forces[name])}, which adds inertia to the plant, a {type(plant).__name__}"
+        force, kind = format_value(forces[name]), type(plant).__name__
+        what = f"{name} is {force}, which adds inertia to the plant, a {kind}"
         expected = "a plant with an integrator and the first coordinates x, y and psi"
         raise InvalidArgument(f"{what}, which {why}; expected {expected}")
 
@@ -351,8 +352,10 @@ def _check_sizes(plant: Plant, q: Array, v: Array) -> None:
         if answer is None:
             continue
         if np.shape(answer) != (size,):
-            raise InvalidArgument(f"{whose} returned {shown(answer)}, expected an array of shape ({size},)")
-        answered(whose, answer)
+            raise InvalidArgument(
+                f"{whose} returned {format_value(answer)}, expected an array of shape ({size},)"
+            )
+        check_returned_array(whose, answer)
 
 
 def _check_repeated(
@@ -360,11 +363,11 @@ def _check_repeated(
 ) -> None:
     """Check that a part returns the same result again after a call with other arguments."""
     first, _, again = (ask(x.copy(), w.copy()) for x, w in (*states, states[0]))
-    one, other = (answered(path, answer, expected) for answer in (first, again))
+    one, other = (check_returned_array(path, answer, expected) for answer in (first, again))
     same = np.shape(one) == np.shape(other)
     if not (same and np.allclose(one, other, rtol=_SAME, atol=_SAME, equal_nan=True)):
         raise InvalidArgument(
-            f"{path} is {shown(part)}, which returns {shown(first)} and, asked again for the same arguments, "
-            f"{shown(again)}, expected the same: only controllers have memory, in their state, and "
-            "random numbers come from their context.noise(name, n), or from a NoiseForce"
+            f"{path} is {format_value(part)}, which returns {format_value(first)} and, asked again for the "
+            f"same arguments, {format_value(again)}, expected the same: only controllers have memory, in "
+            "their state, and random numbers come from their context.noise(name, n), or from a NoiseForce"
         )

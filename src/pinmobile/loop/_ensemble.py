@@ -10,7 +10,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from pinmobile.arrays import Array, ArrayLike, location, one_of, whole
+from pinmobile.arrays import Array, ArrayLike, check_integer, location, one_of
 from pinmobile.errors import Diverged, InvalidArgument
 from pinmobile.files import read_archive, write_archive, write_table
 from pinmobile.loop._causes import causes, worst_share
@@ -363,7 +363,7 @@ class Ensemble:
             If `count` is not a whole number >= 1, or there is no such error.
         """
         earliest = np.where(self.diverged, self.diverged_at, np.inf)
-        return np.lexsort((-self._badness(by), earliest))[: whole("count", count)]
+        return np.lexsort((-self._badness(by), earliest))[: check_integer("count", count)]
 
     def largest(self, by: str = "distance") -> Array:
         """Return each robot's largest error, or smallest margin, shape (n,).
@@ -441,7 +441,7 @@ class Ensemble:
         return arguments_of(self.scenario, index)
 
     def _index(self, i: int) -> int:
-        return whole("i", i, least=0, most=len(self) - 1)
+        return check_integer("i", i, least=0, most=len(self) - 1)
 
     def member(self, i: int) -> Rollout:
         """Return all samples of robot i, as kept or as `simulate` computes them.

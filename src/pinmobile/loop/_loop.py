@@ -16,7 +16,7 @@ import numpy as np
 
 from pinmobile.arrays import Array, are_real
 from pinmobile.compiled import entries, has_symbols
-from pinmobile.errors import InvalidArgument, shown
+from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.metrics import evaluate_metrics_of
 from pinmobile.parts import (
     Carried,
@@ -35,7 +35,7 @@ from pinmobile.parts import (
     part,
 )
 from pinmobile.plant import Context, coordinates_of, stated
-from pinmobile.signals import Claim, claimed, number as signal_number, signals_of
+from pinmobile.signals import SignalSample, collect_signals, number as signal_number, signals_of
 from pinmobile.trajectories import Reference
 
 
@@ -258,7 +258,7 @@ class Sample(NamedTuple):
         Configuration, velocity, applied input and acceleration.
     error, error_rate : ndarray, shape (n,)
         Errors of the reference's coordinates and of their rates; None if the recorder has ``errors = False``.
-    signals : dict of str to Claim
+    signals : dict of str to SignalSample
         Signals by name, if the recorder has ``signals = True``.
     measured : ndarray, shape (m,)
         Metrics of the plant, if the recorder has ``metrics``.
@@ -291,7 +291,7 @@ class Sample(NamedTuple):
     a: Any
     error: Any
     error_rate: Any
-    signals: Mapping[str, Claim] = {}
+    signals: Mapping[str, SignalSample] = {}
     measured: Any = ()
     reference: Any = None
 
@@ -402,10 +402,10 @@ def step(
     error, error_rate = tracking_errors(plant, q, v, reference) if loop.records_errors else (None, None)
     u, kept = control(loop, t, q, v, reference, kept)
     a, q1, v1, after = advance(loop, t, h, q, v, u, memory)
-    signals: Mapping[str, Claim] = {}
+    signals: Mapping[str, SignalSample] = {}
     if loop.signals:
         own = signals_of(loop.controller, kept)
-        signals = claimed(collected_signals(loop, t, q, v, u, memory, own), _signal)
+        signals = collect_signals(collected_signals(loop, t, q, v, u, memory, own), _signal)
     measured: Any = ()
     if loop.is_measured:
         measured = evaluate_metrics_of(plant, t, q, v, a, u, reference)
@@ -418,7 +418,7 @@ def control(loop: Loop, t: Any, q: Any, v: Any, reference: Reference, memory: An
     """Return the applied input of a sample and the memory of the controller after it."""
     answer = loop.controller(t, q.copy(), v.copy(), reference, memory)
     if type(answer) is not tuple or len(answer) != 2:
-        raise InvalidArgument(f"controller returned {shown(answer)}{when(t)}, expected (u, state)")
+        raise InvalidArgument(f"controller returned {format_value(answer)}{when(t)}, expected (u, state)")
     u, memory = answer
     if type(u) is not np.ndarray or u.dtype != np.float64 or u.shape != (loop.law.nu,):
         u = _numbers("controller", u, t, (loop.law.nu,), advice(loop.plant))
@@ -434,7 +434,7 @@ def _numbers(name: str, found: Any, t: Any, shape: tuple[int, ...], instead: str
     array = np.asarray(found)
     if np.shape(array) != shape or not are_real(array):
         expected = f"an array of shape {shape}{'' if are_real(array) else ' of real numbers'}"
-        raise InvalidArgument(f"{name} returned {shown(found)}{when(t)}, expected {expected}{instead}")
+        raise InvalidArgument(f"{name} returned {format_value(found)}{when(t)}, expected {expected}{instead}")
     return array
 
 
@@ -581,7 +581,7 @@ def _own_steps(loop: Loop, t: Any, h: Any, q: Any, v: Any, u: Any, memory: objec
         time = t + j * h if j else t
         found = loop.law.step(time, q, v, u, h, partial(_pushed, loop), memory)
         if not all(hasattr(found, name) for name in ("q", "v", "memory")):
-            what = f"plant.step returned {shown(found)}{when(t)}"
+            what = f"plant.step returned {format_value(found)}{when(t)}"
             raise InvalidArgument(f"{what}, expected a Step(q, v, memory)")
         q1 = _numbers("q of plant.step", found.q, t, np.shape(q))
         v1 = _numbers("v of plant.step", found.v, t, np.shape(v))
@@ -606,7 +606,7 @@ def displaced(integrator: Any, acceleration: Any, first: Any, t: Any, v: Any, h:
     wrong = type(answer) is not tuple or len(answer) != 2
     if wrong or any(np.shape(x) != np.shape(v) or not are_real(x) for x in answer):
         expected = f"(q, v) of shapes {np.shape(v)} and {np.shape(v)}, of real numbers"
-        raise InvalidArgument(f"integrator returned {shown(answer)}{when(t)}, expected {expected}")
+        raise InvalidArgument(f"integrator returned {format_value(answer)}{when(t)}, expected {expected}")
     return answer
 
 

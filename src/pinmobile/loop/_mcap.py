@@ -16,7 +16,7 @@ import numpy as np
 from pinmobile.arrays import Array, location, scalar
 from pinmobile.errors import FileError, InvalidArgument, format_names, imported
 from pinmobile.files import packed, refusals, unpacked, written
-from pinmobile.plant import PlantOutline, all_samples, stated
+from pinmobile.plant import PlantDescription, all_samples, stated
 from pinmobile.signals import Signal
 from pinmobile.trajectories import Reference
 
@@ -217,7 +217,7 @@ def _motion(rollout: Any) -> tuple[Array, Array] | None:
         poses = rollout.poses
     except InvalidArgument:
         return None
-    posed = (0, 1, 2) if plant is None else PlantOutline.of(plant, q).posed
+    posed = (0, 1, 2) if plant is None else PlantDescription.of(plant, q).posed
     if callable(stated(plant, "pose_rate")):
         rates = all_samples(plant, "pose_rate", q, v)
     elif posed is not None and q.shape == v.shape:

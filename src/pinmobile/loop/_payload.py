@@ -82,7 +82,8 @@ class PayloadTransfer:
     >>> robot = MobileRobot.box(mass=30.0)
     >>> crate = PayloadBody(10.0, com=(0.5, 0, 0.3))
     >>> plant = PayloadTransfer(robot, crate, begin=2.0, end=4.0)
-    >>> [plant.robot_at(t).lumped().mass for t in (1, 2, 4)]  # [kg]
+    >>> robots = [plant.robot_at(t) for t in (1, 2, 4)]
+    >>> [robot.with_locked_arms().mass for robot in robots]  # [kg]
     [30.0, 40.0, 30.0]
     >>> path = Tangent(Circle(1.0, rate=0.5, duration=6.0))
     >>> for model in (plant.robot, plant.loaded):

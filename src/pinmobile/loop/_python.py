@@ -27,7 +27,7 @@ from pinmobile.loop._record import Samples, is_alive
 from pinmobile.loop._trace import arrays_of, traced_numbers
 from pinmobile.parts import array, child, evolved, part
 from pinmobile.plant import Context, stated
-from pinmobile.signals import Claim
+from pinmobile.signals import SignalSample
 from pinmobile.trajectories import Reference
 
 _U = "controller.u"
@@ -268,7 +268,7 @@ class PythonRun(Run):
         self._samples = in_python(evolved(loop, {"recorder": _Signals()}), context, q0, v0)
         sizes = {"q": loop.plant.nq, "v": loop.plant.nv, "a": loop.plant.nv, "u": loop.plant.nu}
         self.kept = {name: np.full((len(context.t), size), np.nan) for name, size in sizes.items()}
-        self._first: Mapping[str, Claim] = {}
+        self._first: Mapping[str, SignalSample] = {}
 
     def fill(self, begin: int, end: int) -> None:
         """Compute the samples from `begin` to before `end`; they end at a number that is not finite."""
@@ -281,7 +281,7 @@ class PythonRun(Run):
         except NotFinite as error:
             self.stopped = error  # the rest stays empty
 
-    def _keep(self, k: int, found: Mapping[str, Claim]) -> None:
+    def _keep(self, k: int, found: Mapping[str, SignalSample]) -> None:
         """Keep the signals of sample k, which must have the names, units and shapes of the first sample."""
         if not k:
             self._first, rows = found, len(self._times)
@@ -297,7 +297,7 @@ class PythonRun(Run):
             self.kept[f"signal {name}"][k] = found[name].value
 
 
-def _form_of(claim: Claim | None) -> str:
+def _form_of(claim: SignalSample | None) -> str:
     return "missing" if claim is None else f"of unit {claim.unit!r} and shape {claim.value.shape}"
 
 

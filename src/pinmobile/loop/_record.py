@@ -13,7 +13,7 @@ import numpy as np
 
 from pinmobile.arrays import Array, are_real, one_of
 from pinmobile.compiled import has_symbols, place_of
-from pinmobile.errors import InvalidArgument, NotTraceable, shown
+from pinmobile.errors import InvalidArgument, NotTraceable, format_value
 from pinmobile.loop._loop import Record, Sample
 from pinmobile.metrics import Metric, size_of
 from pinmobile.parts import number, option, part
@@ -221,7 +221,7 @@ def _value(metric: Metric, sample: Sample) -> Any:
             raise
         raise UntraceableMetric(metric.name, error) from error
     if np.shape(found) != () or not are_real(np.asarray(found)):
-        what = f"metrics has {metric.name!r}, whose function returned {shown(found)}"
+        what = f"metrics has {metric.name!r}, whose function returned {format_value(found)}"
         raise InvalidArgument(f"{what}, expected a number")
     return 1.0 * np.asarray(found) if isinstance(found, bool | np.bool_) else found
 

@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 from pinmobile.arrays import Array, finite, frozen, increasing, location, real, shaped
-from pinmobile.errors import InvalidArgument, shown
+from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.files import packed, read_archive, unpacked, write_archive, write_table
 from pinmobile.loop._events import events_of
 from pinmobile.loop._mcap import Columns, read_mcap, write_mcap
@@ -22,7 +22,7 @@ from pinmobile.plant import (
     Coordinate,
     Event,
     Input,
-    PlantOutline,
+    PlantDescription,
     all_samples,
     configuration_names_of,
     coordinates_of,
@@ -204,8 +204,8 @@ class Rollout:
     Attributes
     ----------
     plant : MobileRobot or other plant
-        Simulated system. After loading a file, it is a `pinmobile.plant.PlantOutline` (names and units) if
-        the file cannot restore the plant: its class belongs to a user, or the URDF of its arm is missing.
+        Simulated system. After loading a file, it is a `pinmobile.plant.PlantDescription` (names and units)
+        if the file cannot restore the plant: its class belongs to a user, or the URDF of its arm is missing.
     t : ndarray, shape (N + 1,)
         Times [s].
     q : ndarray, shape (N + 1, nq)
@@ -485,7 +485,7 @@ class Rollout:
         plant = self.plant
         if not all(callable(stated(plant, name)) for name in ("frame_pose", "frame_name")):
             raise InvalidArgument(
-                f"plant is {shown(plant)}, which has no poses of frames, expected a MobileRobot, a "
+                f"plant is {format_value(plant)}, which has no poses of frames, expected a MobileRobot, a "
                 "WheeledRobot, or a plant with frame_name(frame) and frame_pose(q, frame)"
             )
         name = plant.frame_name(self._aimed_at if frame is None else frame)
@@ -537,7 +537,7 @@ class Rollout:
     def content(self) -> dict[str, Any]:
         """Return the content of a file: the fields, with the plant as text or as an outline."""
         own, plant = {each.name: getattr(self, each.name) for each in fields(self)}, ""
-        outline = None if self.plant is None else PlantOutline.of(self.plant, self.q)
+        outline = None if self.plant is None else PlantDescription.of(self.plant, self.q)
         try:
             plant = "" if outline is self.plant else packed(self.plant)
         except TypeError:  # the class belongs to a user

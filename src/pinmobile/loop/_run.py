@@ -10,7 +10,7 @@ from warnings import warn
 
 import numpy as np
 
-from pinmobile.arrays import Array, callable_as, instance, whole
+from pinmobile.arrays import Array, callable_as, check_integer, instance
 from pinmobile.compiled import BINS, processors, robot_keys
 from pinmobile.controllers import Controller
 from pinmobile.errors import InvalidArgument, LimitWarning, NotFinite, NotTraceable, SlowerEngine
@@ -42,7 +42,7 @@ Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, eq=False)
-class Way:
+class ExecutionPlan:
     """Execution plan of a scenario.
 
     Attributes
@@ -130,7 +130,7 @@ class Way:
                 raise
 
 
-def way_of(scenario: Scenario, engine: Engine | None = None) -> Way:
+def way_of(scenario: Scenario, engine: Engine | None = None) -> ExecutionPlan:
     """Return the execution plan of a scenario: the given engine, by default compiled if its parts allow.
 
     Parameters
@@ -147,18 +147,18 @@ def way_of(scenario: Scenario, engine: Engine | None = None) -> Way:
     """
     asked = checked_engine(engine)
     if asked is Engine.PYTHON:
-        return Way(scenario, Engine.PYTHON)
+        return ExecutionPlan(scenario, Engine.PYTHON)
     try:
         own = scenario.has_own_references
         loop = _with_recorder(scenario)
         compiled = compiled_of(scenario, loop, hides_reference=own, own_reference=own)
-        return Way(scenario, Engine.COMPILED, "", compiled)
+        return ExecutionPlan(scenario, Engine.COMPILED, "", compiled)
     except UntraceableMetric as error:
         raise InvalidArgument(f"{error.reason}, or give engine=Engine.PYTHON") from error
     except NotTraceable as error:
         if asked is not None:
             raise not_compiled(error) from error
-        return Way(scenario, Engine.PYTHON, f"not COMPILED: {error.reason}")
+        return ExecutionPlan(scenario, Engine.PYTHON, f"not COMPILED: {error.reason}")
 
 
 def _with_recorder(scenario: Scenario, loop: Loop | None = None) -> Loop:
@@ -465,11 +465,11 @@ def run_scenario(
     0.079
     """
     checked_scenario(scenario)
-    workers = processors() if threads is None else whole("threads", threads)
+    workers = processors() if threads is None else check_integer("threads", threads)
     if progress is not None:
         callable_as("progress(done, n)", progress)
     listed = instance("traces", traces, Iterable, "indices of robots, such as [0]")
-    followed = [whole("traces", i, least=0, most=scenario.n - 1) for i in listed]
+    followed = [check_integer("traces", i, least=0, most=scenario.n - 1) for i in listed]
     draws = scenario.draws()
     way = way_of(scenario, engine)
     if way.fallback_reason and engine is None:

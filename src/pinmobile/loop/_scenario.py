@@ -15,13 +15,13 @@ from pinmobile.arrays import (
     Array,
     affordable,
     bounded,
+    check_integer,
     finite,
     instance,
     positive,
     scalar,
     sequence,
     text,
-    whole,
 )
 from pinmobile.compiled import BINS, Noise, is_traced
 from pinmobile.errors import InvalidArgument, UnknownName
@@ -205,7 +205,7 @@ class Scenario(Recorded):
         options: Any = {name: getattr(self, name) for name in ("forces", "integrator", "substeps")}
         parts = self.robot, self.controller, self.trajectory
         loop, t = checked_run(*parts, **options, dt=dt, duration=duration)
-        n = whole("n", self.n)
+        n = check_integer("n", self.n)
         if n > _MOST:
             expected = f"at most {_MOST:,}, whose records take {_MOST * _RECORD / 1e9:.0f} GB"
             raise InvalidArgument(f"n is {n:,}, expected {expected}")
@@ -213,10 +213,10 @@ class Scenario(Recorded):
         self._set(n=n, dt=dt, duration=duration, t=t, given=loop)
         self._set(**{name: getattr(loop, name) for name in options})
         self._set(
-            seed=whole("seed", self.seed, least=0),
+            seed=check_integer("seed", self.seed, least=0),
             limit=positive("limit", self.limit),
             after=bounded("after", scalar("after", self.after), least=0, most=float(t[-1]), unit="s"),
-            every=None if self.every is None else whole("every", self.every),
+            every=None if self.every is None else check_integer("every", self.every),
             reference=sampled(self.trajectory, t, self.robot),
         )
         bands = f"the bands of {len(self.grid):,} times, every {self.stride} samples,"
@@ -536,7 +536,10 @@ class Scenario(Recorded):
         InvalidArgument
             If values are impossible; the message gives their share.
         """
-        first, last = whole("start", start, least=0), self.n if stop is None else whole("stop", stop)
+        first, last = (
+            check_integer("start", start, least=0),
+            self.n if stop is None else check_integer("stop", stop),
+        )
         if not first < last <= self.n:
             raise InvalidArgument(f"start is {first} and stop {last}, expected 0 <= start < stop <= {self.n}")
         values = draw(self.spread, self.seed, first, last, self.find)

@@ -13,13 +13,13 @@ import numpy as np
 from pinmobile.arrays import (
     Array,
     ArrayLike,
+    check_integer,
     finite,
     instance,
     one_of,
     positive,
     sequence,
     shaped,
-    whole,
 )
 from pinmobile.controllers import Controller
 from pinmobile.errors import Diverged, InvalidArgument, LimitWarning, NotTraceable, SlowerEngine
@@ -33,7 +33,7 @@ from pinmobile.loop._record import LARGEST, is_near
 from pinmobile.loop._rollout import Rollout
 from pinmobile.parts import OnCoordinates, Starting, able
 from pinmobile.plant import Context, Plant, all_samples, coordinates_of, stated, whole_configurations
-from pinmobile.signals import Signal, told_at
+from pinmobile.signals import Signal, collect_time_signals
 from pinmobile.trajectories import Reference, Trajectory, check_limits
 
 
@@ -206,7 +206,9 @@ def simulate(
     reference = sampled(trajectory, t, plant)
     start = start_of(plant, reference, q0, v0)
     context = Context.of(plant, dt=dt, t=t, reference=reference, trajectory=trajectory)
-    context = replace(context, seed=whole("seed", seed, least=0), member=whole("member", member, least=0))
+    context = replace(
+        context, seed=check_integer("seed", seed, least=0), member=check_integer("member", member, least=0)
+    )
     check_answers(whole_loop, context, *start)
     loop, why = _engaged(whole_loop, context, start, asked, compiles=compiles)
     made: Any = {"engine": "COMPILED" if isinstance(loop, CompiledRun) else "PYTHON", "fallback_reason": why}
@@ -388,7 +390,7 @@ def rollout_of(
     """Return the samples before `end` from arrays by name; `units` contains those of the signals."""
     desired = Reference(*(part[:end] for part in reference))
     q, v, a, u = (kept[name][:end] for name in "qvau")
-    signals = told_at(t[:end], loop.controller, loop.trajectory)
+    signals = collect_time_signals(t[:end], loop.controller, loop.trajectory)
     signals |= {name: Signal(unit, kept[f"signal {name}"][:end]) for name, unit in units.items()}
     error = errors_of(loop.plant, q, desired)
     return Rollout(loop.plant, t[:end], q, v, a, u, error, desired, signals, **made)

@@ -11,8 +11,8 @@ from zlib import crc32
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, affordable, finite, instance, scalar, shaped, whole
-from pinmobile.errors import InvalidArgument, shown
+from pinmobile.arrays import Array, ArrayLike, affordable, check_integer, finite, instance, scalar, shaped
+from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.parts import Found, Number, by_value, matching, number, part
 from pinmobile.plant import stated
 
@@ -290,8 +290,8 @@ class Relative:
 def _check_factor(factor: object) -> None:
     if isinstance(factor, SameAs | Relative):
         raise InvalidArgument(
-            f"factor is {shown(factor)}, expected a number, an array or a distribution: give the other "
-            "number its own entry in the spread"
+            f"factor is {format_value(factor)}, expected a number, an array or a distribution: give the "
+            "other number its own entry in the spread"
         )
 
 
@@ -339,7 +339,7 @@ def checked_size(size: int) -> int:
     InvalidArgument
         If the number is not a whole number >= 0, or the draws do not fit into memory.
     """
-    count = whole("size", size, least=0)
+    count = check_integer("size", size, least=0)
     affordable(f"{count} draws", count, "draw fewer at a time")
     return count
 

@@ -11,9 +11,9 @@ import numpy as np
 from pinmobile.arrays import Array, ArrayLike
 from pinmobile.compiled import (
     COUNT,
+    DelayLine,
     Identity,
     Leaf,
-    Line,
     LoopTape,
     Node,
     Noise,
@@ -160,7 +160,7 @@ class Trace:
 
     def _memory(self, k: int) -> State:
         """Return the memory before the first sample, with the noise of sample k."""
-        makers = Line, lambda name, n: Noise(0, n, k), lambda rows: Schedule(rows, k)
+        makers = DelayLine, lambda name, n: Noise(0, n, k), lambda rows: Schedule(rows, k)
         return self.grown(initial_memory(self.loop, self.context, *makers))
 
     def _elsewhere(self) -> _Asked:
@@ -457,7 +457,7 @@ class _Context:
 def initial_memory(
     loop: Loop,
     context: Context,
-    delay: Callable[..., Any] = Line,
+    delay: Callable[..., Any] = DelayLine,
     noise: Callable[..., Any] | None = None,
     schedule: Callable[..., Any] = Schedule,
 ) -> State:

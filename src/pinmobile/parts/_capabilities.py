@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import cache
 from typing import Any, Protocol
 
-from pinmobile.errors import InvalidArgument, shown
+from pinmobile.errors import InvalidArgument, format_value
 
 
 class Comparing(Protocol):
@@ -568,5 +568,5 @@ def required(name: str, part: Any, kind: type, why: str = "") -> Any:
     """
     if isinstance(part, type) or not offers(part, kind):
         told = lacks(part, kind) + (why and f", and {why}")
-        raise InvalidArgument(f"{name} is {shown(part)}{told}, expected {meaning(kind, part)}")
+        raise InvalidArgument(f"{name} is {format_value(part)}{told}, expected {meaning(kind, part)}")
     return part

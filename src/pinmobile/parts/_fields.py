@@ -16,6 +16,7 @@ import numpy as np
 
 from pinmobile.arrays import (
     broadcast,
+    check_integer as checked_whole,
     endless_or_finite,
     finite,
     frozen,
@@ -23,9 +24,8 @@ from pinmobile.arrays import (
     shaped,
     shapes_in_words,
     vector,
-    whole as checked_whole,
 )
-from pinmobile.errors import InvalidArgument, NotTraceable, shown
+from pinmobile.errors import InvalidArgument, NotTraceable, format_value
 from pinmobile.parts._capabilities import advice, lacks, meaning, offers
 
 _T = TypeVar("_T")
@@ -299,7 +299,7 @@ class Child(Field):
         if isinstance(value, Mapping):
             return {key: self._one(f"{name}.{key}", each) for key, each in value.items()}
         if isinstance(value, str) or not isinstance(value, list | tuple):
-            raise InvalidArgument(f"{name} is {shown(value)}, expected a sequence of parts")
+            raise InvalidArgument(f"{name} is {format_value(value)}, expected a sequence of parts")
         return tuple(self._one(f"{name}[{i}]", each) for i, each in enumerate(value))
 
     def _one(self, name: str, value: Any) -> Any:
@@ -307,7 +307,7 @@ class Child(Field):
         if value is None or isinstance(value, type) or not _is_of(value, kind):
             expected = self.expected or (meaning(kind, value) if not isinstance(kind, tuple) else "a part")
             told, other = (lacks(value, kind), advice(value)) if is_protocol(kind) else ("", "")
-            raise InvalidArgument(f"{name} is {shown(value)}{told}, expected {expected}{other}")
+            raise InvalidArgument(f"{name} is {format_value(value)}{told}, expected {expected}{other}")
         return value
 
 

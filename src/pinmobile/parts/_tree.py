@@ -12,7 +12,7 @@ from typing import Any
 import attrs
 import numpy as np
 
-from pinmobile.errors import InvalidArgument, PinmobileError, shown
+from pinmobile.errors import InvalidArgument, PinmobileError, format_value
 from pinmobile.parts._fields import Child, Field, Number, Values, Whole, evolved, fields_of, is_part
 from pinmobile.parts._registry import (
     Parameter,
@@ -139,8 +139,8 @@ class Reader:
             return self._fail(path, f"{path} is nested too deep, expected at most {_DEEPEST} levels")
         tree = called(tree) if isinstance(tree, str) else tree
         if not isinstance(tree, Mapping):
-            told = f"{path} is {shown(tree)}, expected {expected(declared, one=True)}: its name, or a table"
-            return self._fail(path, told)
+            form = expected(declared, one=True)
+            return self._fail(path, f"{path} is {format_value(tree)}, expected {form}: its name, or a table")
         tree = dict(tree)
         name = tree.pop("type", None)
         if name is None and (base is _WRONG or (base is None and self._shared.get("robot") is _WRONG)):
@@ -159,7 +159,7 @@ class Reader:
         """Return the object of a type, if it is allowed here."""
         kind, wanted = declared.kind, expected(declared, one=True)
         if not isinstance(name, str):
-            told = f"{path} has the type {shown(name)}, expected text in quotes"
+            told = f"{path} has the type {format_value(name)}, expected text in quotes"
             return self._fail(path, f"{path} has no type, expected {wanted}" if name is None else told)
         try:
             make = resolve(name, self.folder)
@@ -168,7 +168,7 @@ class Reader:
         known = names_of(kind)
         if make is None or not (is_code(name) or is_part_class(make) or is_part(make) or callable(make)):
             why = unreadable(name) or f"expected {wanted}, {nearest(name, known)}"
-            return self._fail(_join(path, "type"), f"{path} is {shown(name)}, {why}")
+            return self._fail(_join(path, "type"), f"{path} is {format_value(name)}, {why}")
         # Members that a class takes from another part exist only in its objects.
         is_free = is_code(name) or "__getattr__" in dir(make) or (makes_part(make) and not is_part(make))
         if not is_free and not fits(kind, make):
@@ -239,7 +239,7 @@ class Reader:
     def _changed(self, base: Any, tree: Mapping[str, Any], path: str) -> Any:
         """Return a part with other values of its fields."""
         if not is_part(base):
-            return self._fail(path, f"{path} is {shown(base)}, which has no fields to change")
+            return self._fail(path, f"{path} is {format_value(base)}, which has no fields to change")
         own: Any = type(base)
         known = parameters(own)
         self._unknown(tree, known, type(base), path)
@@ -271,7 +271,7 @@ class Reader:
         except InvalidArgument as error:
             if isinstance(declared, Child):
                 return self._fail(path, str(error))
-            told = f"{path} is {shown(tree)}, expected {expected(declared)}"
+            told = f"{path} is {format_value(tree)}, expected {expected(declared)}"
             return self._fail(path, told)
         if isinstance(declared, Values) and isinstance(tree, Mapping):
             read = {key: self._generic(one, f"{path}.{key}") for key, one in flat(tree).items()}
@@ -301,7 +301,7 @@ class Reader:
             made: Any = [self.part(declared, each, f"{path}.{k}") for k, each in enumerate(tree)]
             return _WRONG if any(each is _WRONG for each in made) else made
         if not isinstance(tree, Mapping) or base is None or base is attrs.NOTHING:
-            return self._fail(path, f"{path} is {shown(tree)}, expected a list, {expected(declared)}")
+            return self._fail(path, f"{path} is {format_value(tree)}, expected a list, {expected(declared)}")
         known = dict(entries_of(base))
         if not isinstance(base, Mapping) and tree.keys() - known.keys():
             return self._fail(path, f"{path} has {', '.join(known)}, and not {', '.join(tree)}")
@@ -374,7 +374,7 @@ class Reader:
             return [self.tree(each, f"{path}.{k}") for k, each in enumerate(value)]
         if isinstance(value, str | bool | int | float):
             return value
-        raise InvalidArgument(f"{path} is {shown(value)}, which a file cannot contain: use Python")
+        raise InvalidArgument(f"{path} is {format_value(value)}, which a file cannot contain: use Python")
 
     def _written(self, part: Any, path: str) -> Iterator[tuple[str, Any]]:
         """Yield the fields that a file states with their values, without models equal to the file's robot."""
@@ -432,7 +432,7 @@ def _check_plain(path: str, value: Any) -> None:
         if isinstance(each, list | tuple):
             _check_plain(path, each)
         elif isinstance(each, str | bool | Mapping):
-            raise InvalidArgument(f"{path} is {shown(value)}, expected numbers")
+            raise InvalidArgument(f"{path} is {format_value(value)}, expected numbers")
 
 
 def _tuples(value: Any) -> Any:

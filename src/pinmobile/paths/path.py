@@ -10,7 +10,17 @@ from typing import TYPE_CHECKING, Any, Protocol, final, runtime_checkable
 import attrs
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, bounded, finite, frozen, positive, representable, shaped, whole
+from pinmobile.arrays import (
+    Array,
+    ArrayLike,
+    bounded,
+    check_integer,
+    finite,
+    frozen,
+    positive,
+    representable,
+    shaped,
+)
 from pinmobile.errors import InvalidArgument
 from pinmobile.parts import child, fields_of, number, part, required
 
@@ -255,7 +265,7 @@ def checked_order(order: ArrayLike) -> int:
     InvalidArgument
         If it is not a whole number from 0 to 1000.
     """
-    return whole("order", order, least=0, most=_HIGHEST)
+    return check_integer("order", order, least=0, most=_HIGHEST)
 
 
 _HIGHEST = 1000  # order of a derivative: beyond it, powers of a figure's rates overflow

@@ -178,7 +178,7 @@ class _Corner(NamedTuple):
 _NONE = _Corner(0.0, 0.0, 0.0, np.zeros((2, 0)))
 
 
-class _Way(NamedTuple):
+class _PolylinePath(NamedTuple):
     """Polyline with rounded corners, independent of the speed.
 
     Attributes
@@ -265,7 +265,7 @@ class Polyline(Curve):
         self.pieces  # noqa: B018
 
     @cached_property
-    def _way(self) -> _Way:
+    def _way(self) -> _PolylinePath:
         return self._rounded(self.waypoints)
 
     @property
@@ -296,7 +296,7 @@ class Polyline(Curve):
             found[mine] = self.pieces[k].derivative(t[mine], order)
         return found
 
-    def _rounded(self, points: Array) -> _Way:
+    def _rounded(self, points: Array) -> _PolylinePath:
         """Return the lines between points, and the corners between them."""
         ways = np.diff(points, axis=0)
         lengths = representable("the distance of two waypoints", np.linalg.norm(ways, axis=-1))
@@ -304,11 +304,11 @@ class Polyline(Curve):
             raise InvalidArgument(f"waypoints[{k + 1}] is equal to waypoints[{k}], expected another point")
         directions = ways / lengths[:, None]
         turns = (self._corner(k, *directions[k - 1 : k + 1]) for k in range(1, len(ways)))
-        way = _Way(points, directions, lengths, (_NONE, *turns, _NONE))
+        way = _PolylinePath(points, directions, lengths, (_NONE, *turns, _NONE))
         self._check_room(way.cuts, lengths, "the corners take")
         return way
 
-    def _made(self, way: _Way) -> Iterator[Polynomial | _Turn]:
+    def _made(self, way: _PolylinePath) -> Iterator[Polynomial | _Turn]:
         """Yield the pieces in order: lines, and the corners between them."""
         gain = np.zeros(len(way.points))  # distance of speeding up, and of slowing down [m]
         if self.acceleration is not None:

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 import pinmobile.palette as palette
 from pinmobile.arrays import Array, bounded, by_label, scalar, text
-from pinmobile.errors import InvalidArgument, shown
+from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.loop import Rollout, at_samples
 from pinmobile.palette import INK
 from pinmobile.parts import able
@@ -186,7 +186,7 @@ class Sheet:
             return
         if width is not None:
             reason = "because its figure has a width"
-            raise InvalidArgument(f"width is {shown(width)}, expected None with ax, {reason}")
+            raise InvalidArgument(f"width is {format_value(width)}, expected None with ax, {reason}")
         self.scale = 1.0
         if isinstance(ax, Figure | SubFigure):
             self.parent, self.width = ax, _inches(ax, ax.bbox.width)
@@ -429,7 +429,7 @@ def _axes_of(ax: object) -> list[Axes]:
     given = list(np.ravel(np.asarray(ax, object)))
     if not given or not all(isinstance(each, Axes) for each in given):
         raise InvalidArgument(
-            f"ax is {shown(ax)}, expected matplotlib's Axes, a sequence of them, or a Figure"
+            f"ax is {format_value(ax)}, expected matplotlib's Axes, a sequence of them, or a Figure"
         )
     return given
 
@@ -489,12 +489,12 @@ def crowded(figure: Figure, own: Sequence[Axes]) -> str:
     for words, box, whose, _ in known:
         inside = whole.x0 <= box.x0 and box.x1 <= whole.x1 and whole.y0 <= box.y0 and box.y1 <= whole.y1
         if not inside and (whose is None or whose in own):
-            return f"{shown(words)} would be cut off"
+            return f"{format_value(words)} would be cut off"
     pairs = combinations([(one, box, whose) for one, box, whose, noted in known if not noted], 2)
     for (words, box, whose), (others, other, theirs) in pairs:
         is_own = {whose, theirs} & {None, *own}
         if is_own and box.padded(-room).overlaps(other.padded(-room)):
-            return f"{shown(words)} would overlap {shown(others)}"
+            return f"{format_value(words)} would overlap {format_value(others)}"
     return ""
 
 
@@ -658,7 +658,7 @@ def with_plants(rollouts: object, kind: type, expected: str) -> dict[str, Rollou
     runs = {label: at_samples(run) for label, run in labelled(rollouts).items()}
     for label, run in runs.items():
         if able(run.plant, kind) is None:
-            raise InvalidArgument(f"{called(label)}.plant is {shown(run.plant)}, expected {expected}")
+            raise InvalidArgument(f"{called(label)}.plant is {format_value(run.plant)}, expected {expected}")
     return runs
 
 

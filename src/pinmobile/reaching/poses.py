@@ -32,7 +32,7 @@ _ROUNDS, _SETTLED = 200, 1e-13  # largest number and relative tolerance of itera
 _WIDE = 5  # bands beside the diagonal of a block-tridiagonal matrix with blocks of three rows
 
 
-class Standing(NamedTuple):
+class OrientationSample(NamedTuple):
     """Orientation at given times, with its angular velocity and acceleration along the inertial axes.
 
     Attributes
@@ -51,7 +51,7 @@ class Standing(NamedTuple):
 class Orientation(Protocol):
     """An orientation as a function of time."""
 
-    def __call__(self, t: Array, /) -> Standing:
+    def __call__(self, t: Array, /) -> OrientationSample:
         """Return the orientation at the times `t`, shape (...) [s]."""
         ...
 
@@ -74,16 +74,16 @@ class Turn:
     turn: Array
     duration: float
 
-    def __call__(self, t: Array) -> Standing:
+    def __call__(self, t: Array) -> OrientationSample:
         """Return the orientation at times between 0 and the duration."""
         s, ds, dds = _quintic(t / self.duration)
         axis = self.start @ self.turn  # constant, so the rates about this axis are those of the angle
         rate, change = ds[..., None] / self.duration * axis, dds[..., None] / self.duration**2 * axis
-        return Standing(self.start @ rotations_of(s[..., None] * self.turn), rate, change)
+        return OrientationSample(self.start @ rotations_of(s[..., None] * self.turn), rate, change)
 
 
 @dataclass(frozen=True, eq=False)
-class Through:
+class OrientationSpline:
     """Spline through orientations with continuous angular acceleration, at rest at both ends.
 
     Between two orientations, the rotation vector relative to the first is a cubic polynomial of time, as in
@@ -121,7 +121,7 @@ class Through:
         rows = np.stack([np.zeros_like(turns), rates[:-1], quadratic, cubic], axis=1)
         object.__setattr__(self, "_cubics", frozen(rows))
 
-    def __call__(self, t: Array) -> Standing:
+    def __call__(self, t: Array) -> OrientationSample:
         """Return the orientation at times between the first and the last."""
         k = np.searchsorted(self.times[1:-1], t, side="right")
         s, c = (t - self.times[k])[..., None], np.moveaxis(self._cubics[k], -2, 0)
@@ -131,7 +131,7 @@ class Through:
         turned = self.rotations[k] @ rotations_of(phi)
         own = (_body_rate(phi, rate), _body_rate(phi, change) + _body_drift(phi, rate))
         seen = (np.einsum("...ij,...j->...i", turned, each) for each in own)
-        return Standing(turned, *seen)
+        return OrientationSample(turned, *seen)
 
 
 def rotations_of(turns: Array) -> Array:
@@ -404,7 +404,7 @@ class PosePath:
                 f"times goes from {t[0]:g} to {t[-1]:g} s, expected from 0 to {end:g} s, like the path"
             )
         object.__setattr__(self, "times", frozen(t))
-        return Through(R, np.append(t[:-1], end))
+        return OrientationSpline(R, np.append(t[:-1], end))
 
     @property
     def duration(self) -> float:

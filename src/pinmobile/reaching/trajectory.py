@@ -674,7 +674,7 @@ class EndEffectorTracking:
         J = body.frame_jacobian(own_q, self.frame)
         error = pose_error(target.pose, body.frame_pose(own_q, self.frame))
         wanted = target.rate + self.kd * (target.twist - J @ own_v) + self.kp * error
-        wanted -= body.frame_drift(own_q, own_v, self.frame)
+        wanted -= body.frame_bias_acceleration(own_q, own_v, self.frame)
         posture = reference.a + self.posture_kd * (reference.v - own_v)
         posture = posture + self.posture_kp * body.difference(own_q, reference.q)
         A = np.vstack([J[:rows], self.damping * np.eye(body.nv)])

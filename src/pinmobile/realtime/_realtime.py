@@ -17,8 +17,16 @@ from typing import Any, TypeAlias, final
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, callable_as, instance, positive, positive_or_endless, whole
-from pinmobile.errors import InvalidArgument, shown
+from pinmobile.arrays import (
+    Array,
+    ArrayLike,
+    callable_as,
+    check_integer,
+    instance,
+    positive,
+    positive_or_endless,
+)
+from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.loop import Rollout
 from pinmobile.realtime._stepper import Stepper
 from pinmobile.signals import Signal
@@ -185,7 +193,7 @@ class _Periods:
 
 def _check_measurement(found: object) -> Measurement:
     if not isinstance(found, tuple) or len(found) != 3:
-        raise InvalidArgument(f"read returned {shown(found)}, expected (t, q, v) or None")
+        raise InvalidArgument(f"read returned {format_value(found)}, expected (t, q, v) or None")
     return found
 
 
@@ -360,7 +368,7 @@ def run_realtime(
     end = np.inf if np.isinf(total) else max(1, round(total / period))
     bounds = positive("stale", stale, "s"), positive_or_endless("limit", limit)
     if priority is not None:
-        whole("priority", priority, most=99)
+        check_integer("priority", priority, most=99)
     periods = _Periods(stepper, read, write, end, bounds)
     stepper.clear()
     with _fixed_priority(priority) as scheduling, _disable_collector(), _handle_interrupt(periods):

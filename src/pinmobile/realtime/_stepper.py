@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, affordable, finite, positive, real, shaped, whole
+from pinmobile.arrays import Array, ArrayLike, affordable, check_integer, finite, positive, real, shaped
 from pinmobile.compiled import Program, aligned, mapped, uncollected
 from pinmobile.controllers import Controller, check_controller
-from pinmobile.errors import InvalidArgument, NotFinite, NotTraceable, shown
+from pinmobile.errors import InvalidArgument, NotFinite, NotTraceable, format_value
 from pinmobile.export import InputRecorder, Law, begun, noise_error
 from pinmobile.loop import (
     Loop,
@@ -25,7 +25,7 @@ from pinmobile.loop import (
 )
 from pinmobile.parts import evolved
 from pinmobile.plant import Plant, check_plant, stated
-from pinmobile.signals import Signal, claimed, signals_of, told_at
+from pinmobile.signals import Signal, collect_signals, collect_time_signals, signals_of
 from pinmobile.trajectories import Reference, Trajectory
 
 _BEFORE = -1e-300  # time [s] before the first sample, which may be at 0
@@ -93,7 +93,7 @@ class _PythonCode:
         self.units = {f"signal {name}": claim.unit for name, claim in signals.items()}
 
     def _signals(self, memory: Any) -> Any:
-        return claimed([("controller", signals_of(self._loop.controller, memory))])
+        return collect_signals([("controller", signals_of(self._loop.controller, memory))])
 
     def connect(self, row: Array, answer: Array) -> None:
         """Use a row of q, v, t and reference in each call, and write the answer to an array."""
@@ -191,7 +191,7 @@ class Stepper:
         capacity: int = 60_000,
     ) -> None:
         self.controller, self.plant, self.trajectory = controller, plant, trajectory
-        self.dt, self.capacity = positive("dt", dt, "s"), whole("capacity", capacity)
+        self.dt, self.capacity = positive("dt", dt, "s"), check_integer("capacity", capacity)
         context, start, first = self._start()
         loop = Loop(plant, controller, trajectory, (), chosen_integrator(plant, None), 1)
         self.fallback_reason = ""
@@ -330,9 +330,9 @@ class Stepper:
     @memory.setter
     def memory(self, value: Any) -> None:
         if not isinstance(value, tuple) or len(value) != 2:
-            raise InvalidArgument(f"memory is {shown(value)}, expected the memory of a stepper")
+            raise InvalidArgument(f"memory is {format_value(value)}, expected the memory of a stepper")
         self._law.memory = value[1]
-        self.k = whole("memory", value[0], least=0)
+        self.k = check_integer("memory", value[0], least=0)
         self.clear()
 
     def clear(self) -> None:
@@ -364,7 +364,7 @@ class Stepper:
         if len(t) > 1:
             a[:-1] = np.diff(v, axis=0) / np.diff(t)[:, None]
             a[-1] = a[-2]
-        signals = told_at(t, self.controller, self.trajectory)
+        signals = collect_time_signals(t, self.controller, self.trajectory)
         for name, unit in self._law.units.items():
             values = kept[name].reshape(len(t), *self._law.kept[name])
             signals[name.removeprefix("signal ")] = Signal(unit, values)

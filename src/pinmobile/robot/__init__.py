@@ -40,16 +40,16 @@ from pinmobile.robot.pinocchio_backend import (
 )
 from pinmobile.robot.support_geometry import (
     WEIGHTLESS as WEIGHTLESS,
-    Stance,
+    SupportGeometry,
     Swivel as Swivel,
     WheelJoint as WheelJoint,
     checked_footprint as checked_footprint,
     hull as hull,
     margin_inside as margin_inside,
     margin_of_wrench as margin_of_wrench,
-    pressed_at as pressed_at,
+    zero_moment_point_of as zero_moment_point_of,
 )
-from pinmobile.robot.system import Linearization, System
+from pinmobile.robot.system import Linearization, MultibodySystem
 from pinmobile.robot.visuals import (
     BODY as BODY,
     Solid as Solid,
@@ -69,9 +69,9 @@ __all__ = [
     "Mount",
     "Mountable",
     "Mountables",
+    "MultibodySystem",
     "PayloadBody",
-    "Stance",
-    "System",
+    "SupportGeometry",
     "UncheckedDynamics",
     "mountable",
 ]

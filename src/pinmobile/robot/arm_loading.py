@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 from pinmobile.arrays import Array, ArrayLike, instance, location, one_of, sequence, shaped, vector
-from pinmobile.errors import InvalidArgument, UnknownName, shown
+from pinmobile.errors import InvalidArgument, UnknownName, format_value
 from pinmobile.robot.arms import Arm, Origin
 from pinmobile.robot.linkage import convert_configuration, joints_of, replace_continuous_joints
 from pinmobile.robot.urdf_checks import judge_links, urdf_model
@@ -322,7 +322,7 @@ def existing_folders(package_dirs: str | PathLike[str] | Sequence[str | PathLike
     paths = [location("package_dirs", one) for one in folders]
     for path in paths:
         if not path.is_dir():
-            raise InvalidArgument(f"package_dirs has {shown(str(path))}, expected a folder")
+            raise InvalidArgument(f"package_dirs has {format_value(str(path))}, expected a folder")
     return tuple(str(path.resolve()) for path in paths)
 
 

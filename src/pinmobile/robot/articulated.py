@@ -583,7 +583,7 @@ class ArticulatedDynamics(_Coordinates):
             raise InvalidArgument(f"frame is {arm!r}, expected a frame of an arm")
         return self.manipulability(q, frame, arm=arm)
 
-    def frame_drift(self, q: Array, v: Array, frame: str | None = None) -> Array:
+    def frame_bias_acceleration(self, q: Array, v: Array, frame: str | None = None) -> Array:
         """Return the bias acceleration dJ/dt v, shape (..., 6), with J as in `frame_jacobian`."""
         fixed = self._frame(frame)
         line, spin = self._moving(q, v).drift(fixed.joint, self._placed(*fixed[2:]).p)

@@ -86,7 +86,7 @@ def of_robot(robot: Any, corners: Array | None, wheeled: Any = None) -> list[str
         lines += ["numbers of arms: from their files or models"]
         lines += [f"  {each}" for each in notes.split("; ") if each]
     if robot.mounts or robot.loads:
-        whole = robot.lumped()
+        whole = robot.with_locked_arms()
         place = f"centre of mass {numbers(whole.com, 'm')} in the reference posture"
         lines.append(f"whole robot: {numbers(whole.mass, 'kg')}, {place}")
     return lines
@@ -124,6 +124,6 @@ def described(robot: Any, wheeled: Any = None) -> str:
     if wheeled is not None:
         corners, down = wheeled.footprint, np.asarray(wheeled.fall)
     lines = of_robot(robot, corners, wheeled) + (of_wheels(wheeled) if wheeled is not None else [])
-    com = np.array(robot.lumped().com)
+    com = np.array(robot.with_locked_arms().com)
     words = stands(com[:2] - com[2] * down[:2] / down[2], corners)
     return "\n".join([*lines, words + (" on this ramp, at psi = 0" if down[:2].any() else "")])

@@ -65,8 +65,8 @@ from pinmobile.robot.model_import import (
 )
 from pinmobile.robot.mounts import Mount, PayloadBody, assemble, checked_name, free_name, free_place
 from pinmobile.robot.pinocchio_backend import PinocchioBackend, UncheckedDynamics, in_public_order
-from pinmobile.robot.support_geometry import ArmMetrics, Stance, Undercarriage
-from pinmobile.robot.system import System, by_values
+from pinmobile.robot.support_geometry import ArmMetrics, SupportGeometry, Undercarriage
+from pinmobile.robot.system import MultibodySystem, by_values
 from pinmobile.robot.visuals import Solids, VisualFile, visuals_of
 
 
@@ -85,12 +85,12 @@ def _frozen(name: str, inertia: Array | None) -> Array | None:
 
 @final
 @part
-class MobileRobot(System):
+class MobileRobot(MultibodySystem):
     """A planar mobile robot: a rigid body on a chain of joints, with arms and loads, computed by Pinocchio.
 
-    The chain is prismatic y, prismatic x, revolute z. `robot.System` states the conventions of q, v, a and
-    tau, and the errors of the inherited methods. If the robot carries arms (see `mount`), the parameters
-    below describe the body of the base without arms.
+    The chain is prismatic y, prismatic x, revolute z. `robot.MultibodySystem` states the conventions of q, v,
+    a and tau, and the errors of the inherited methods. If the robot carries arms (see `mount`), the
+    parameters below describe the body of the base without arms.
 
     Parameters
     ----------
@@ -161,7 +161,9 @@ class MobileRobot(System):
     reference_inertia: Array | None = option(
         default=None, check=_frozen, kw_only=True, doc="inertia about all axes, scaled to yaw_inertia"
     )
-    _stance: Stance | None = option(default=None, kw_only=True, doc="contact geometry; None: the box")
+    _stance: SupportGeometry | None = option(
+        default=None, kw_only=True, doc="contact geometry; None: the box"
+    )
     _source: str = option(default="made from numbers", kw_only=True, doc="origin of the numbers")
     locked_joints: tuple[str, ...] = option(default=(), kw_only=True, doc="locked joints of the file")
     undercarriage: Undercarriage = option(default=Undercarriage(), kw_only=True, doc="wheels of the file")
@@ -209,9 +211,9 @@ class MobileRobot(System):
         return PinocchioBackend(assemble(build_model(self.dh, self.body), self.mounts, self.loads))
 
     @numeric
-    def stance(self) -> Stance:
+    def stance(self) -> SupportGeometry:
         """Contact geometry of the base: the source of `footprint`, `top` and `grounded`."""
-        return Stance.of_box(self.size) if self._stance is None else self._stance
+        return SupportGeometry.of_box(self.size) if self._stance is None else self._stance
 
     @property
     def source(self) -> str:
@@ -285,7 +287,7 @@ class MobileRobot(System):
     @property
     def is_box(self) -> bool:
         """Whether the body is a box of dimensions `size` that stands on the ground."""
-        return self._looks is None and self.stance == Stance.of_box(self.size)
+        return self._looks is None and self.stance == SupportGeometry.of_box(self.size)
 
     @property
     def grounded(self) -> bool:
@@ -410,7 +412,7 @@ class MobileRobot(System):
         dh: DHTable = LECTURE_TABLE,
         source: str = "made from a body",
         *,
-        stance: Stance | None = None,
+        stance: SupportGeometry | None = None,
         locked_joints: Sequence[str] = (),
     ) -> MobileRobot:
         """Return the robot with a given body, including all six moments and products of inertia.
@@ -425,7 +427,7 @@ class MobileRobot(System):
             DH table of the chain.
         source : str
             Origin of the numbers, as text.
-        stance : robot.Stance, optional
+        stance : robot.SupportGeometry, optional
             Contact geometry; by default, the box of dimensions `size`.
         locked_joints : sequence of str
             Names of locked joints.
@@ -441,7 +443,7 @@ class MobileRobot(System):
             If `body` or `stance` has another type, or `size` or `dh` is not what the class expects.
         """
         instance("body", body, urdf.Body, "a pinmobile.urdf.Body")
-        instance("stance", stance, Stance | None, "a pinmobile.robot.Stance")
+        instance("stance", stance, SupportGeometry | None, "a pinmobile.robot.SupportGeometry")
         locked = sequence("locked_joints", locked_joints, "names of joints")
         return cls(  # type: ignore[call-arg]  # attrs names arguments without the underscore
             **fields_of_body(body),
@@ -634,7 +636,7 @@ class MobileRobot(System):
             return self._articulated
         mass, inertia, (x, y) = self.mass, self.yaw_inertia, (self.com[0], self.com[1])
         if self.loads and not self._is_symbolic:
-            bare = self.lumped()
+            bare = self.with_locked_arms()
             mass, inertia, (x, y) = bare.mass, bare.yaw_inertia, bare.com[:2]
         elif self.loads:
             own = [(each.mass, each.com, each.inertia[2]) for each in self.loads]
@@ -782,7 +784,7 @@ class MobileRobot(System):
         """Robot without arms and loads."""
         return evolved(self, {"mounts": (), "loads": ()}) if self.mounts or self.loads else self
 
-    def lumped(self, q: ArrayLike | None = None) -> MobileRobot:
+    def with_locked_arms(self, q: ArrayLike | None = None) -> MobileRobot:
         """Return the robot without arms whose body has the composite inertia, with arms locked at q.
 
         Parameters
@@ -872,9 +874,9 @@ class MobileRobot(System):
         arms, it describes only the base.
         """
         loaded = self.loads and not self.mounts
-        box = self.stance == Stance.of_box(self.size)
+        box = self.stance == SupportGeometry.of_box(self.size)
         stance = None if box else self.stance.written()
-        body, table = self.lumped().body if loaded else self.body, self.chain or self.dh
+        body, table = self.with_locked_arms().body if loaded else self.body, self.chain or self.dh
         arms = [link for mount in self.mounts for link in mount.links[1:]] if len(table) > BODY_JOINT else ()
         links = [urdf.Body(link.mass, link.com, matrix_of_six(link.inertia)) for link in arms]
         return urdf.write(table, body, size=self.size, stance=stance, links=links)

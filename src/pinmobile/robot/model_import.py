@@ -18,7 +18,7 @@ from pinmobile.errors import InvalidArgument
 from pinmobile.robot.linkage import Joint, carries_only_wheels, children, joints_of, turns_freely
 from pinmobile.robot.support_geometry import (
     ALONG,
-    Stance,
+    SupportGeometry,
     WheelJoint,
     hull,
     joint_axis,
@@ -227,7 +227,7 @@ def stance_on(
     *,
     file: VisualFile | None,
     root: int,
-) -> tuple[Stance, list[str], list[tuple[float, float]]]:
+) -> tuple[SupportGeometry, list[str], list[tuple[float, float]]]:
     """Return the contact geometry of a robot, its origin as text, and the supports beside the wheels.
 
     Parameters
@@ -271,7 +271,7 @@ def stance_on(
     else:
         words = f"footprint: {words}"
     top, why = _top([(shape, pose) for shape, pose in placed if shape.joint == root], file)
-    return Stance(corners, top), [words, why], supports
+    return SupportGeometry(corners, top), [words, why], supports
 
 
 def _top(body: Sequence[tuple[Shape, pin.SE3]], file: VisualFile | None) -> tuple[float | None, str]:
@@ -461,9 +461,11 @@ def read_model(
     )
     own = None if root is None else stance_written(root, name)
     if own is not None:
-        stance = Stance(own.footprint, own.top and own.top - (z or 0.0), own.grounded or ground is not None)
+        stance = SupportGeometry(
+            own.footprint, own.top and own.top - (z or 0.0), own.grounded or ground is not None
+        )
     elif z is None:
-        stance = Stance(grounded=False)
+        stance = SupportGeometry(grounded=False)
         parts.append(
             "height of the ground unknown, assumed at the origin of the root link: give ground=, its z in "
             "the root link's frame [m]"

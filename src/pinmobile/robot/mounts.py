@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from pinmobile.arrays import ArrayLike, finite, lengths, positive, text
-from pinmobile.errors import InvalidArgument, shown
+from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.parts import array, by_value, children, declare, number, option, part, structure
 from pinmobile.robot.arms import (
     Arm,
@@ -216,7 +216,7 @@ class PayloadBody(RigidBody):
     >>> from pinmobile import MobileRobot, PayloadBody
     >>> crate = PayloadBody(10.0, com=(0.2, 0, 0.3), size=(0.2, 0.2, 0.2))
     >>> loaded = MobileRobot.box(mass=30.0).attach(crate)
-    >>> whole = loaded.lumped()
+    >>> whole = loaded.with_locked_arms()
     >>> whole.mass, whole.com  # [kg, m]
     (40.0, (0.05, 0.0, 0.15))
     """
@@ -294,7 +294,7 @@ def checked_name(name: str) -> str:
     """
     if not isinstance(name, str) or not text("name", name).strip() or set('/,"') & set(name):
         raise InvalidArgument(
-            f"name is {shown(name)}, expected a word without slash, comma and quotation mark"
+            f"name is {format_value(name)}, expected a word without slash, comma and quotation mark"
         )
     return name
 

@@ -217,7 +217,7 @@ def frames_of(
     return poses, jacobians
 
 
-def frame_drift(number: int, model: pin.Model, data: pin.Data, q: Array, v: Array) -> Array:
+def frame_bias_acceleration(number: int, model: pin.Model, data: pin.Data, q: Array, v: Array) -> Array:
     """Return the bias acceleration of a frame."""
     pin.forwardKinematics(model, data, q, v, np.zeros(model.nv))
     found = pin.getFrameClassicalAcceleration(model, data, number, pin.LOCAL_WORLD_ALIGNED)

@@ -100,7 +100,7 @@ def margin_inside(corners: Array, points: Array) -> Array:
     return np.where(inside, distance, -distance)
 
 
-def pressed_at(wrench: Array, carried: NDArray[np.bool_]) -> Array:
+def zero_moment_point_of(wrench: Array, carried: NDArray[np.bool_]) -> Array:
     """Return the zero-moment point, where the ground's wrench has no horizontal moment, shape (..., 2) [m].
 
     Parameters
@@ -120,12 +120,12 @@ def margin_of_wrench(corners: Array, wrench: Array, weight: Any) -> Array:
     Parameters
     ----------
     corners, wrench
-        As in `margin_inside` and `pressed_at`.
+        As in `margin_inside` and `zero_moment_point_of`.
     weight : scalar or ndarray, shape (...)
         Weight of the robot [N].
     """
     carried = wrench[..., 2] > WEIGHTLESS * weight
-    return np.where(carried, margin_inside(corners, pressed_at(wrench, carried)), -np.inf)
+    return np.where(carried, margin_inside(corners, zero_moment_point_of(wrench, carried)), -np.inf)
 
 
 def _kept_footprint(name: str, footprint: ArrayLike | None) -> Array | None:
@@ -138,7 +138,7 @@ def _cross(a: Array, b: Array) -> Array:
 
 @by_value
 @part
-class Stance:
+class SupportGeometry:
     """Contact geometry of a body on the ground, in its body frame B.
 
     Parameters
@@ -162,8 +162,8 @@ class Stance:
 
     Examples
     --------
-    >>> from pinmobile.robot import Stance
-    >>> stance = Stance.of_box((0.6, 0.4, 0.2))
+    >>> from pinmobile.robot import SupportGeometry
+    >>> stance = SupportGeometry.of_box((0.6, 0.4, 0.2))
     >>> stance.footprint.max(axis=0), stance.top  # [m]
     (array([0.3, 0.2]), 0.2)
     """
@@ -173,7 +173,7 @@ class Stance:
     grounded: bool = option(default=True, doc="whether the ground is known")
 
     @classmethod
-    def of_box(cls, size: ArrayLike) -> Stance:
+    def of_box(cls, size: ArrayLike) -> SupportGeometry:
         """Return the contact geometry of a box that stands on the ground, centred at the origin of B.
 
         Parameters
@@ -183,7 +183,7 @@ class Stance:
 
         Returns
         -------
-        Stance
+        SupportGeometry
             Contact geometry of the box.
 
         Raises
@@ -203,7 +203,7 @@ class Stance:
         return words if self.top is None else {**words, "top": repr(self.top)}
 
 
-def stance_written(root: Element, name: str) -> Stance | None:
+def stance_written(root: Element, name: str) -> SupportGeometry | None:
     """Return the contact geometry from the element <pinmobile> of a file, or None for a file without it.
 
     Raises
@@ -217,7 +217,9 @@ def stance_written(root: Element, name: str) -> Stance | None:
     corners, top = element.get("footprint", "").split(), element.get("top")
     try:
         footprint = np.reshape([*map(float, corners)], (-1, 2)) if corners else None
-        return Stance(footprint, None if top is None else float(top), element.get("ground") is not None)
+        return SupportGeometry(
+            footprint, None if top is None else float(top), element.get("ground") is not None
+        )
     except ValueError as error:
         words = f"{name}: <pinmobile> has {element.attrib}, expected x y of corners, and a top"
         raise InvalidArgument(f"{words}: {error}") from None

@@ -1,4 +1,4 @@
-"""`System`: a tree of joints on the DH chain, with configurations, frames, dynamics and wrenches."""
+"""`MultibodySystem`: a tree of joints on the DH chain, with configurations, frames, dynamics and wrenches."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from pinmobile.arrays import (
     ArrayLike,
     affordable,
     broadcast,
+    check_integer,
     finite,
     finite_answer,
     frozen,
@@ -25,10 +26,9 @@ from pinmobile.arrays import (
     sequence,
     shaped,
     vector,
-    whole,
     wrap_angle,
 )
-from pinmobile.errors import InvalidArgument, NotTraceable, shown
+from pinmobile.errors import InvalidArgument, NotTraceable, format_value
 from pinmobile.parts import Desired, holds_symbols, is_tracing, on_numbers, required, structure
 from pinmobile.plant import Coordinate, Input
 from pinmobile.robot import pinocchio_backend
@@ -89,7 +89,7 @@ def by_values(fast: Callable[..., Any] | None = None, states: int = 0) -> Callab
         name = method.__name__
 
         @wraps(method)
-        def run(self: System, *given: Any, **options: Any) -> Any:
+        def run(self: MultibodySystem, *given: Any, **options: Any) -> Any:
             if fast is not None and len(given) == states and not options:
                 found = self._quick(fast, *given)
                 if found is not None:
@@ -110,7 +110,7 @@ def by_values(fast: Callable[..., Any] | None = None, states: int = 0) -> Callab
     return decorate
 
 
-class System:
+class MultibodySystem:
     """Base class of a kinematic tree on the DH chain, with Pinocchio's dynamics; `MobileRobot` implements it.
 
     Arrays of all methods have coordinates along the last axis, in the inertial frame: configuration q = (x,
@@ -311,7 +311,7 @@ class System:
         """
         instance("generator", generator, np.random.Generator, "a numpy.random.Generator")
         sizes = sequence("shape", shape, "a tuple of whole numbers")
-        shape = tuple(whole("shape", n, least=0) for n in sizes)
+        shape = tuple(check_integer("shape", n, least=0) for n in sizes)
         affordable("random configurations", 4.0 * self.nq * prod(shape), "draw fewer at a time")
         q = generator.uniform(-np.pi, np.pi, (*shape, self.nq))
         q[..., :2] /= np.pi
@@ -511,7 +511,7 @@ class System:
         return self._of_frame(pinocchio_backend.frame_jacobian, self._frame(frame)[1], q=self._here(q))
 
     @by_values()
-    def frame_drift(self, q: ArrayLike, v: ArrayLike, frame: str | None = None) -> Array:
+    def frame_bias_acceleration(self, q: ArrayLike, v: ArrayLike, frame: str | None = None) -> Array:
         """Return the bias acceleration dJ/dt v of a frame, shape (..., 6): its acceleration if a = 0.
 
         It holds the acceleration of the frame's origin and the angular acceleration, along the axes of the
@@ -531,7 +531,7 @@ class System:
         UnknownName
             If the robot has no such frame.
         """
-        return self._of_frame(pinocchio_backend.frame_drift, self._frame(frame)[1], q=q, v=v)
+        return self._of_frame(pinocchio_backend.frame_bias_acceleration, self._frame(frame)[1], q=q, v=v)
 
     @by_values()
     def manipulability(self, q: ArrayLike, frame: str | None = None) -> Array:
@@ -575,7 +575,7 @@ class System:
         name, number = self._frame(frame)
         arms = [mount for mount in self.mounts if name.startswith(f"{mount.name}/")]
         if not arms:
-            raise InvalidArgument(f"frame is {shown(name)}, expected a frame of an arm")
+            raise InvalidArgument(f"frame is {format_value(name)}, expected a frame of an arm")
         return self._volume(number, arms[0].v, q)
 
     def _volume(self, number: int, part: slice, q: ArrayLike) -> Array:

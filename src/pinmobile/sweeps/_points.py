@@ -19,7 +19,7 @@ import numpy as np
 
 from pinmobile.arrays import instance
 from pinmobile.compiled import Contents
-from pinmobile.errors import InvalidArgument, UnknownName, shown
+from pinmobile.errors import InvalidArgument, UnknownName, format_value
 from pinmobile.loop import (
     PER_ROBOT,
     SUMMED,
@@ -100,7 +100,7 @@ def index_of(axes: Mapping[str, Axis], labels: Mapping[str, Any]) -> tuple[int, 
         label = labels.get(name, axis.values[0] if len(axis.values) == 1 else None)
         if not isinstance(label, str | Real) or label not in axis.values:
             known = ", ".join(map(repr, axis.values))
-            raise InvalidArgument(f"{name} is {shown(label)}, expected one of {known}")
+            raise InvalidArgument(f"{name} is {format_value(label)}, expected one of {known}")
         found.append(axis.values.index(label))
     return tuple(found)
 
@@ -199,7 +199,7 @@ class Points:
 def _mapping(name: str, value: Any) -> Mapping[str, Any]:
     found = {} if value is None else value
     if not isinstance(found, Mapping) or not all(isinstance(key, str) for key in found):
-        raise InvalidArgument(f"{name} is {shown(value)}, expected a mapping with text as keys")
+        raise InvalidArgument(f"{name} is {format_value(value)}, expected a mapping with text as keys")
     return found
 
 
@@ -227,7 +227,8 @@ def _labels(name: str, values: Any) -> Axis:
     numbers = all(isinstance(x, Real) and not isinstance(x, bool) and isfinite(x) for x in found)
     if not found or not (numbers or all(isinstance(x, str) for x in found)) or len(set(found)) < len(found):
         raise InvalidArgument(
-            f"{name} is {shown(values)}, expected different finite numbers or texts, or a mapping of them"
+            f"{name} is {format_value(values)}, expected different finite numbers or texts, or a mapping of "
+            "them"
         )
     return Axis(tuple(x.item() if isinstance(x, np.generic) else x for x in found))
 

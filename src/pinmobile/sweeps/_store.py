@@ -20,7 +20,7 @@ import numpy as np
 
 from pinmobile.arrays import Array
 from pinmobile.compiled import BINS
-from pinmobile.errors import FileError, InvalidArgument, imported, shown
+from pinmobile.errors import FileError, InvalidArgument, format_value, imported
 from pinmobile.files import refusals, write
 from pinmobile.loop import (
     LEVELS,
@@ -299,7 +299,7 @@ def _check_plain(name: str, node: Mapping[str, Any]) -> None:
     kind = "text" if node.get("data_type") == "string" else np.dtype(node.get("data_type")).kind
     plain = kind in ("text", *"biuf") and node["zarr_format"] == 3 and not node.get("storage_transformers")
     if not plain or codecs != ["vlen-utf8" if kind == "text" else "bytes", "zstd"]:
-        found = f"array {shown(name)} has the codecs {shown(codecs)}"
+        found = f"array {format_value(name)} has the codecs {format_value(codecs)}"
         raise ValueError(f"{found}, expected plain numbers or text")
 
 

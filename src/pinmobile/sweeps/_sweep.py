@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 import pinmobile.loop as loop
-from pinmobile.arrays import Array, callable_as, location, one_of, text, whole
+from pinmobile.arrays import Array, callable_as, check_integer, location, one_of, text
 from pinmobile.compiled import processors
-from pinmobile.errors import InvalidArgument, SchedulerError, SlowerEngine, imported, shown
+from pinmobile.errors import InvalidArgument, SchedulerError, SlowerEngine, format_value, imported
 from pinmobile.loop import Ensemble, Part, Scenario
 from pinmobile.metrics import in_words
 from pinmobile.sweeps._points import Axis, Changes, Label, Points, describe, differences, index_of, place
@@ -214,7 +214,11 @@ class Sweep:
         InvalidArgument
             If `share` is not between 0 and 1, or a file of the store cannot be read.
         """
-        within, diverged, limit = self.error_quantile(share).values, self.diverged, whole("most", most)
+        within, diverged, limit = (
+            self.error_quantile(share).values,
+            self.diverged,
+            check_integer("most", most),
+        )
         heads = [f"{x} [{axis.unit}]" if axis.unit else x for x, axis in self.axes.items()]
         rows = [[*heads, f"{share * 100:g} % within", "diverged"]]
         for index in list(np.ndindex(within.shape))[:limit]:
@@ -492,13 +496,13 @@ def run_points(
     """Run the scenarios of points; see `sweep` for the other arguments, the result and the errors."""
     from pinmobile.sweeps._store import Store
 
-    folder, size = location("path", path), _CHUNK if chunk is None else whole("chunk", chunk)
+    folder, size = location("path", path), _CHUNK if chunk is None else check_integer("chunk", chunk)
     if client is not None:
         _check_client(client)
     if progress is not None:
         callable_as("progress(done, total)", progress)
     if version is not None and not text("version", version).strip():
-        raise InvalidArgument(f'version is {shown(version)}, expected a word, such as "1"')
+        raise InvalidArgument(f'version is {format_value(version)}, expected a word, such as "1"')
     description = describe(points, version)
     with Store(folder, points, description, size) as store:
         if chunk is not None and store.chunk != size:
@@ -536,7 +540,8 @@ def _check_client(client: Any) -> None:
     kind = imported("distributed", "sweeps", "a sweep").Client
     if not isinstance(client, kind) or client.status != "running" or client.asynchronous:
         raise InvalidArgument(
-            f"client is {shown(client)}, expected a distributed.Client that is connected to its scheduler"
+            f"client is {format_value(client)}, expected a distributed.Client that is connected to its "
+            "scheduler"
         )
 
 
@@ -565,8 +570,8 @@ def connected(address: str, timeout: float = _ANSWER) -> Any:
         return distributed.Client(address, timeout=timeout)
     except Exception as error:  # the answer of another server may raise any error
         raise SchedulerError(
-            f"scheduler is {shown(address)}, which does not answer within {timeout:g} s, expected an address "
-            f"such as tcp://127.0.0.1:8786{f': {error}' * bool(str(error))}"
+            f"scheduler is {format_value(address)}, which does not answer within {timeout:g} s, expected an "
+            f"address such as tcp://127.0.0.1:8786{f': {error}' * bool(str(error))}"
         ) from error
 
 

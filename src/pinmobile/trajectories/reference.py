@@ -12,7 +12,7 @@ from warnings import warn
 import numpy as np
 
 from pinmobile.arrays import LEAST_ANGLE, Array, ArrayLike, finite, frozen, instance, positive, shaped
-from pinmobile.errors import InvalidArgument, LimitWarning, shown
+from pinmobile.errors import InvalidArgument, LimitWarning, format_value
 from pinmobile.parts import Following, child, children, number, option, part
 from pinmobile.paths import Hold, Path, Value, checked_path, pieces_of, within
 from pinmobile.plant import refuse_path, stated
@@ -318,7 +318,7 @@ def _held(motion: Callable[[Array], Reference], end: float, t: Array) -> Referen
 def _check_robot(robot: Any) -> None:
     """Check that a robot is a `MobileRobot`."""
     if not isinstance(getattr(robot, "mounts", None), tuple):
-        raise InvalidArgument(f"robot is {shown(robot)}, expected a MobileRobot")
+        raise InvalidArgument(f"robot is {format_value(robot)}, expected a MobileRobot")
 
 
 def _check_base(base: Trajectory) -> None:
@@ -328,7 +328,7 @@ def _check_base(base: Trajectory) -> None:
     start = base(0.0) if known else None
     if start is None or not hasattr(start, "q"):  # a path has a duration and can be called, too
         raise InvalidArgument(
-            f"base is {shown(base)}, expected a trajectory of x, y and psi, such as Tangent(path)"
+            f"base is {format_value(base)}, expected a trajectory of x, y and psi, such as Tangent(path)"
         )
     positive("base.duration", base.duration, "s")
     shaped("base(0).q", start.q, (3,), words=": x, y and psi")

@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 
 from pinmobile import closed_form
-from pinmobile.arrays import Array, instance, seeded, whole
+from pinmobile.arrays import Array, check_integer, instance, seeded
 from pinmobile.compiled import vectorize
 from pinmobile.derivation import Numeric, lagrange, lecture
 from pinmobile.dh import DHTable
 from pinmobile.errors import NotTraceable
 from pinmobile.robot import MobileRobot
 from pinmobile.verification._wheels import Row, compare_wheeled
-from pinmobile.verification.bodies import Parts, lumped, off_by, times
+from pinmobile.verification.bodies import Parts, composite_body, off_by, times
 from pinmobile.wheels import WheeledRobot
 
 __all__ = ["Comparison", "Verification", "verify"]
@@ -203,7 +203,7 @@ def verify(
     (True, True)
     """
     instance("robot", robot, MobileRobot | WheeledRobot, "a MobileRobot or a WheeledRobot")
-    rng, count = seeded("seed", seed), whole("states", states, most=_MOST)
+    rng, count = seeded("seed", seed), check_integer("states", states, most=_MOST)
     compare: Any = compare_wheeled
     if isinstance(robot, MobileRobot):
         compare = compare_mounted if robot.mounts or robot.loads else compare_planar
@@ -355,7 +355,7 @@ def compare_mounted(robot: MobileRobot, states: int, rng: np.random.Generator) -
         ("f", "RNEA", _PARTS): each(robot.ground_wrench, q, v, a) - parts.ground_wrench(a),
         ("M", "CRBA", "RNEA's columns"): M - columns,
         ("M3", "CRBA", "closed form of the lump"): M[:, :3, :3]
-        - closed_form.mass_matrix(q[:, :3], **lumped(robot, q)),
+        - closed_form.mass_matrix(q[:, :3], **composite_body(robot, q)),
         ("n", "RNEA", "C(q, v) v + g(q)"): n - times(each(robot.coriolis_matrix, q, v), v) - g,
         ("tau", "RNEA", "M a + n"): tau - times(M, a) - n,
         ("a", "ABA", "M^-1 (tau - n)"): own["a"] - np.linalg.solve(M, (tau - n)[..., None])[..., 0],

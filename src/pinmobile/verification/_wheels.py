@@ -14,8 +14,8 @@ from pinmobile.compiled import vectorize
 from pinmobile.errors import InvalidArgument, NotTraceable
 from pinmobile.parts import Stepping, able, evolved
 from pinmobile.plant import Step
-from pinmobile.robot import BODY_JOINT, PinocchioBackend, System
-from pinmobile.verification.bodies import WheelBodies, lumped, off_by, reflected, times, tree_motion
+from pinmobile.robot import BODY_JOINT, MultibodySystem, PinocchioBackend
+from pinmobile.verification.bodies import WheelBodies, composite_body, off_by, reflected, times, tree_motion
 from pinmobile.wheels import AckermannSteering, Coulomb, WheeledRobot
 
 ROUNDING = 1e-13  # hundreds of roundings, relative to the scale of the terms
@@ -44,7 +44,7 @@ class _Scales(NamedTuple):
 
 
 @final
-class WheelTree(System):
+class WheelTree(MultibodySystem):
     """Pinocchio's tree of a robot on wheels, with its dynamics in the coordinates of a `WheeledRobot`.
 
     Parameters
@@ -165,7 +165,7 @@ def _reduced_rows(
     pair = diagonal[:, :, None] * diagonal[:, None, :]
     # |v| of what moves, by the metric of the kinetic energy: sqrt(M_ii) |rates|^2 sqrt(m), and gravity.
     rates = np.abs(v[:, : wheeled.robot.nv]).sum(-1) + np.abs(v[:, wheeled.robot.nv :]).sum(-1)
-    weight = np.sqrt(wheeled.robot.lumped(wheeled.robot.rest).mass)
+    weight = np.sqrt(wheeled.robot.with_locked_arms(wheeled.robot.rest).mass)
     size = diagonal * weight * (float(np.linalg.norm(body.fall)) + rates**2)[:, None]
     scales = {"M": pair, "n": size, "B": np.abs(own["B"]).max(axis=(1, 2), keepdims=True, initial=0.0) + 1.0}
     for quantity, scale in scales.items():
@@ -194,7 +194,7 @@ def by_closed_form(wheeled: WheeledRobot, q: Array, nu: Array) -> closed_form.Re
     wheels, alike = table.wheels, _alike(wheeled)
     if wheeled.ground.ramp is not None or any(any(wheel.trail) for wheel in wheels):
         return None
-    body: dict[str, Any] = lumped(robot, q[:, : robot.nq])
+    body: dict[str, Any] = composite_body(robot, q[:, : robot.nq])
     spins, shared = np.array([wheel.spin_inertia for wheel in wheels]), 0.0
     for actuator in table.actuators:
         column, rotor = np.array(actuator.column[len(table.axes) :]), actuator.motor.reflected_inertia

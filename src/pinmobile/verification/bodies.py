@@ -254,9 +254,9 @@ def off_by(difference: Array, scale: Array) -> float:
     return float((np.abs(difference) / scale).max(initial=0.0))
 
 
-def lumped(robot: MobileRobot, q: Array) -> dict[str, Array]:
+def composite_body(robot: MobileRobot, q: Array) -> dict[str, Array]:
     """Return mass, yaw inertia and centre of mass of the robot with locked arms, at each configuration."""
-    lumps = [robot.lumped(row) for row in q]
+    lumps = [robot.with_locked_arms(row) for row in q]
     found = ((lump.mass, lump.yaw_inertia, lump.com[:2]) for lump in lumps)
     return dict(zip(("mass", "yaw_inertia", "com"), map(np.array, zip(*found, strict=True)), strict=True))
 

@@ -11,7 +11,7 @@ import pinocchio as pin
 
 import pinmobile.viewer.shapes as shapes
 from pinmobile.arrays import Array
-from pinmobile.errors import InvalidArgument, PinmobileError, shown
+from pinmobile.errors import InvalidArgument, PinmobileError, format_value
 from pinmobile.loop import EndEffector, Rollout
 from pinmobile.palette import GRIPS, INK, QUIET, SLIDES, colour
 from pinmobile.parts import Touching, able
@@ -169,8 +169,8 @@ def contacts_at(run: Rollout, times: Array, poses: Array) -> Contacts:
     plant = able(robot_at(run.plant, run.t[held]), Touching)
     if plant is None:
         raise InvalidArgument(
-            f"overlays has contacts or centre, but the plant {shown(run.plant)} has no contacts, expected "
-            "a plant with contacts(q, v, a, u, signals), such as a WheeledRobot"
+            f"overlays has contacts or centre, but the plant {format_value(run.plant)} has no contacts, "
+            "expected a plant with contacts(q, v, a, u, signals), such as a WheeledRobot"
         )
     signals = {name: Signal(unit, values[held]) for name, (unit, values) in run.signals.items()}
     found: Contacts = plant.contacts(run.q[held], run.v[held], run.a[held], run.u[held], signals)

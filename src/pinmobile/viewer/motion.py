@@ -12,7 +12,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, bounded, finite, shaped
-from pinmobile.errors import InvalidArgument, shown
+from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.loop import Rollout
 from pinmobile.plant import all_samples, stated
 from pinmobile.reaching import continuous
@@ -186,8 +186,8 @@ class Drawing:
         given = stated(plant, "visual_model")
         if not isinstance(given, pin.GeometryModel) or not given.ngeoms:
             raise InvalidArgument(
-                f"plant is a {type(plant).__name__}, which has drawing(q) and visual_model {shown(given)}, "
-                "expected a pin.GeometryModel with objects"
+                f"plant is a {type(plant).__name__}, which has drawing(q) and visual_model "
+                f"{format_value(given)}, expected a pin.GeometryModel with objects"
             )
         self.model, self.visual_model = pin.Model(), pin.GeometryModel()
         for item in given.geometryObjects:
@@ -210,8 +210,8 @@ class Drawing:
             found = np.empty(0)
         if found.shape != (count, 4, 4):
             raise InvalidArgument(
-                f"plant.drawing(q) returned {shown(answer)}, expected the placements of its {count} objects, "
-                f"shape ({count}, 4, 4)"
+                f"plant.drawing(q) returned {format_value(answer)}, expected the placements of its {count} "
+                f"objects, shape ({count}, 4, 4)"
             )
         return finite("plant.drawing(q)", found)
 
@@ -258,8 +258,8 @@ def figure(plant: Any) -> Drawn:
         return robot
     if isinstance(plant, type) or not callable(stated(plant, "pose")):
         raise InvalidArgument(
-            f"plant is {shown(plant)}, expected a MobileRobot, or a plant with pose(q), which returns x, y "
-            "and psi"
+            f"plant is {format_value(plant)}, expected a MobileRobot, or a plant with pose(q), which returns "
+            "x, y and psi"
         )
     if stated(plant, "drawing") is not None:
         return Drawing(plant)

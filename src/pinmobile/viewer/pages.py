@@ -20,7 +20,7 @@ from typing import Any, NamedTuple, Protocol, Self
 import numpy as np
 
 from pinmobile.arrays import finite
-from pinmobile.errors import InvalidArgument, ViewerError, shown
+from pinmobile.errors import InvalidArgument, ViewerError, format_value
 
 with warnings.catch_warnings():
     # The client of meshcat imports deprecated parts of zmq.
@@ -143,7 +143,7 @@ def packed(command: Command) -> tuple[Key, bytes]:
         key = Key(kind, "/".join(filter(None, path.split("/"))), content.get("property", ""))
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise InvalidArgument(
-            f"command is {shown(command)}, expected a meshcat command ({', '.join(_KINDS)}): {error!r}"
+            f"command is {format_value(command)}, expected a meshcat command ({', '.join(_KINDS)}): {error!r}"
         ) from error
     _check(f"{kind} of {key.path or '/'}: {_KINDS[kind]}", payload)
     if kind == "set_transform" and len(payload) != 16:

@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from pinmobile.arrays import bounded, positive, scalar, sequence, shaped, whole
+from pinmobile.arrays import bounded, check_integer, positive, scalar, sequence, shaped
 from pinmobile.compiled import processors
 from pinmobile.errors import InvalidArgument, ViewerError, installing
 from pinmobile.files import write, written
@@ -391,7 +391,7 @@ def checked_size(size: tuple[int, int]) -> tuple[int, int]:
         If they are not two whole numbers of at least 16.
     """
     width, height = shaped("size", sequence("size", size, "width and height"), (2,))
-    return whole("size[0]", width, least=16), whole("size[1]", height, least=16)
+    return check_integer("size[0]", width, least=16), check_integer("size[1]", height, least=16)
 
 
 def picture_of(html: str, size: tuple[int, int], time: float) -> bytes:

@@ -11,7 +11,7 @@ from pinocchio.visualize import MeshcatVisualizer
 
 from pinmobile.arrays import Array, sequence
 from pinmobile.dh import DHTable
-from pinmobile.errors import InvalidArgument, shown
+from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.parts import array, by_value, child, number, option, part
 from pinmobile.robot import BODY
 from pinmobile.viewer.motion import Channel, Drawn
@@ -153,7 +153,9 @@ class Arrows:
 def _tables(name: str, value: Any) -> tuple[DHTable, ...]:
     for table in sequence(name, value, "a sequence of DHTable"):
         if not isinstance(table, DHTable) or table.variables != ("y", "x", "psi"):
-            raise InvalidArgument(f"{name} has {shown(table)}, expected tables with variables y, x, psi")
+            raise InvalidArgument(
+                f"{name} has {format_value(table)}, expected tables with variables y, x, psi"
+            )
     return tuple(value)
 
 

@@ -23,7 +23,7 @@ from tornado.web import Application, HTTPError, RequestHandler
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
 from pinmobile.arrays import text
-from pinmobile.errors import InvalidArgument, ViewerError, shown
+from pinmobile.errors import InvalidArgument, ViewerError, format_value
 from pinmobile.viewer.pages import Backlog, packed_command
 
 _LOOPBACK = ("127.0.0.1", "::1", "localhost")
@@ -116,7 +116,7 @@ def access_for(host: str, token: str | None) -> Access:
     host = host[1:-1] if bracketed else host
     if not host or set("[]/@?# ") & set(host) or (bracketed and ":" not in host):
         raise InvalidArgument(
-            f"host is {shown(given)}, expected a name or an address such as '127.0.0.1', '::1'"
+            f"host is {format_value(given)}, expected a name or an address such as '127.0.0.1', '::1'"
         )
     if host.lower() in _LOOPBACK:
         return Access(host.lower(), token)

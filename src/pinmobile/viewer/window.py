@@ -9,7 +9,7 @@ from io import BytesIO
 
 from PIL import Image, ImageOps
 
-from pinmobile.arrays import non_negative, whole
+from pinmobile.arrays import check_integer, non_negative
 from pinmobile.errors import ViewerError
 from pinmobile.viewer.pages import ENGINE, Command, SceneWindow, part_of_page, stage_page
 from pinmobile.viewer.server import Server, access_for, listening
@@ -60,7 +60,7 @@ class LiveWindow(SceneWindow):
     """
 
     def __init__(self, host: str = "127.0.0.1", port: int | None = None, token: str | None = None) -> None:
-        wanted = None if port is None else whole("port", port, most=65535)
+        wanted = None if port is None else check_integer("port", port, most=65535)
         access = access_for(host, token)
         engine, connect = _ENGINE.format(query=access.query), _CONNECT.format(query=access.query)
         html = stage_page("pinmobile", engine, connect + part_of_page("play.html"))
@@ -171,7 +171,7 @@ class LiveWindow(SceneWindow):
             If no browser is connected, the browser does not answer within 20 s, or the window is closed.
         """
         self._check_open()
-        sizes = [None if size is None else whole(name, size) for name, size in (("w", w), ("h", h))]
+        sizes = [None if size is None else check_integer(name, size) for name, size in (("w", w), ("h", h))]
         text = self._server.capture(_CAPTURE)
         try:
             data = base64.b64decode(text.partition(",")[2], validate=True)

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from functools import cached_property, reduce
 from typing import Any, NamedTuple
 
-from pinmobile.compiled import choose, higher, repeated, square_root
+from pinmobile.compiled import choose, repeated, scalar_max, square_root
 from pinmobile.robot import ONE, ZERO, Matrix, Vector, dot, factored, number
 
 _SOON = 24  # Gauss-Seidel iterations before Newton's method
@@ -220,7 +220,7 @@ class _Disc(NamedTuple):
         given = bottom > 0.0
         inverse = 1.0 / choose(given, bottom, 1.0)
         scale = choose(given, radius * radius * bent * inverse, 0.0)
-        better = higher(shift + square * (size - radius) * size * inverse, 0.0)
+        better = scalar_max(shift + square * (size - radius) * size * inverse, 0.0)
         p1, p2 = choose(inside, a1, p1 * scale), choose(inside, a2, p2 * scale)
         return [c * p1 - s * p2, s * p1 + c * p2], choose(inside, 0.0, choose(given, better, 0.0))
 
@@ -307,7 +307,7 @@ def impulses(
     for k, touch in enumerate(touches):
         velocity = touch._moved(velocity, [ZERO, ZERO], begun[2 * k : 2 * k + 2], ZERO)
     velocity = moved_by(velocity, [holder[at].spun for at in spins], begun[m:])
-    enough = ground.tolerance * reduce(higher, [bound.along for bound in bounds])
+    enough = ground.tolerance * reduce(scalar_max, [bound.along for bound in bounds])
 
     plain = min(ground.sweeps, _SOON)
 
@@ -322,7 +322,7 @@ def impulses(
                 held[at] = spun
         change: Any = 0.0
         for x, y in zip(p, before, strict=True):
-            change = higher(abs(x - y), change)
+            change = scalar_max(abs(x - y), change)
         done = change <= enough
         return (v, p, held, shifts, choose(done, 0.0, 1.0)), done
 
@@ -427,7 +427,7 @@ class FrictionConstraint(NamedTuple):
         now = [scale * x for x in z]
         against = choose(sticks, 0.0, scale * share)
         slides = choose(radius > 0.0, dot(slip, now) / choose(radius > 0.0, radius * radius, 1.0), 0.0)
-        multiplier = choose(sticks, 0.0, higher(-slides - self.give, 0.0))
+        multiplier = choose(sticks, 0.0, scalar_max(-slides - self.give, 0.0))
         return _Pushed(now, [scale * share] * 2, [*z, against * inverse], multiplier)
 
 
@@ -480,7 +480,7 @@ def found_by_newton(
     discs = [k for k, place in enumerate(places) if place.is_disc]
     moving = number(dot(free, [number(dot(row, free)) for row in M]))
     near = _PLAIN * tolerance
-    enough = reduce(higher, sizes) * near * near + _ROUNDING * _ROUNDING * moving
+    enough = reduce(scalar_max, sizes) * near * near + _ROUNDING * _ROUNDING * moving
 
     def one(v: Vector, way: Vector, p: Vector, search: Vector, *_: Any) -> tuple[Any, Any]:
         slope, share, low, high, rounded, sure = search
@@ -514,7 +514,7 @@ def found_by_newton(
         between = choose((level_at > low) & (level_at < high), level_at, 0.5 * (low + high))
         impulses = [choose(moves, x, y) for x, y in zip(now, p, strict=True)]
         velocity = moved_by(free, (column for place in places for column in place.columns), impulses)
-        smaller = choose(known, _FINE, higher(_LESS * rounded, _LEAST))
+        smaller = choose(known, _FINE, scalar_max(_LESS * rounded, _LEAST))
         search = [
             choose(moves, 0.0, choose(goes, fall, slope)),
             choose(moves, 0.0, choose(goes, 1.0, between)),

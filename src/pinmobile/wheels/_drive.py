@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 from pinmobile.arrays import Array, ArrayLike, finite, finite_answer, frozen, shaped
-from pinmobile.errors import InvalidArgument, shown
+from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.integrators import rk4
 from pinmobile.parts import by_value, child, evolved, part, structure, takes
 from pinmobile.plant import ContactLoads, Contacts, Coordinate, Input, SlipMargins
@@ -230,7 +230,7 @@ class WheeledRobot(PlantOnWheels):
         """
         if not hasattr(self.ground, "ramp"):
             raise InvalidArgument(
-                f"ground is {shown(self.ground)}, which has no ramp, expected Rolling() or Coulomb()"
+                f"ground is {format_value(self.ground)}, which has no ramp, expected Rolling() or Coulomb()"
             )
         return WheeledRobot(self.robot, self.table, evolved(self.ground, ramp=Ramp(angle, direction)))
 
@@ -272,7 +272,7 @@ class WheeledRobot(PlantOnWheels):
         com, (height, xz, yz) = self.robot.com, self._upright
         z = com[2] if len(com) > 2 else 0.0
         if own.loads:
-            whole, alone = own.lumped().mass, own.mass
+            whole, alone = own.with_locked_arms().mass, own.mass
             loads = whole * height - alone * (own.com[2] if len(own.com) > 2 else 0.0)
             z = (self.robot.mass * z + loads) / (self.robot.mass + (whole - alone))
         return column([z, xz, yz])
@@ -281,7 +281,7 @@ class WheeledRobot(PlantOnWheels):
     def _upright(self) -> Array:
         if self.robot.mounts:
             return frozen(np.zeros(3))
-        inertia = self.robot.lumped().model.inertias[BODY_JOINT]
+        inertia = self.robot.with_locked_arms().model.inertias[BODY_JOINT]
         return frozen([inertia.lever[2], inertia.inertia[0, 2], inertia.inertia[1, 2]])
 
     @structure

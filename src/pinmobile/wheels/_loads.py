@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, final
 import numpy as np
 
 from pinmobile.arrays import Array
-from pinmobile.compiled import choose, higher, square_root
+from pinmobile.compiled import choose, scalar_max, square_root
 from pinmobile.errors import InvalidArgument
 from pinmobile.metrics import Metric
 from pinmobile.plant import ContactLoads, Contacts, SlipMargins, TorqueMargins
@@ -94,7 +94,7 @@ def shared_loads(places: Sequence[Vector], fz: Any, mx: Any, my: Any) -> Loads:
             falls = (k > 0.0) & (y < 0.0)
             parts.append(choose(falls, x / choose(falls, x - y, 1.0), 2.0))
             share = choose(parts[-1] < share, parts[-1], share)
-            rises = higher(choose(k > 0.0, 0.0, y), rises)
+            rises = scalar_max(choose(k > 0.0, 0.0, y), rises)
         leaves, joins = share < 1.0, rises > nothing
         kept = [
             choose(leaves, choose(part <= share, 0.0, k), choose(joins & (y >= rises), 1.0, k))
@@ -103,14 +103,14 @@ def shared_loads(places: Sequence[Vector], fz: Any, mx: Any, my: Any) -> Loads:
         new = [choose(k > 0.0, x + share * (y - x), 0.0) for k, x, y in zip(kept, old, found, strict=True)]
         return (kept, new), (share >= 1.0) & (rises <= nothing)
 
-    first = [1.0 + 0.0 * fz] * n, [higher(fz, 0.0) * (1.0 / n)] * n
+    first = [1.0 + 0.0 * fz] * n, [scalar_max(fz, 0.0) * (1.0 / n)] * n
     kept, soft = iterated(one, first, 4 * n, press | (fz <= 0.0))
     sharp, area = _of_springs(places, kept, wrench, flat=_FLAT * whole)
     stands = area > _FLAT * whole
     values = [choose(k > 0.0, choose(stands, x, y), 0.0) for k, x, y in zip(kept, sharp, soft, strict=True)]
-    values = [higher(choose(press, y, x), 0.0) for x, y in zip(values, springs, strict=True)]
+    values = [scalar_max(choose(press, y, x), 0.0) for x, y in zip(values, springs, strict=True)]
     total = sum(values[1:], values[0])
-    scale = choose(press, 1.0, higher(fz, 0.0) / choose(total > 0.0, total, 1.0))
+    scale = choose(press, 1.0, scalar_max(fz, 0.0) / choose(total > 0.0, total, 1.0))
     values = [x * scale for x in values]
     off = [dot([place[i] for place in places], values) - x for i, x in ((1, wrench[1]), (0, -wrench[2]))]
     beyond = dot(off, off) > (_EDGE * _EDGE) * size * (fz * fz)
@@ -343,7 +343,7 @@ def _margin(wheels: Sequence[tuple[Any, Any]], side: Any, is_tyre: bool) -> Any:
         force, most = wheels[0]
         return most - square_root(force * force + side * side)
     rests = (most * most - force * force for force, most in wheels)
-    total = sum((square_root(higher(number(rest), 0.0)) for rest in rests), ZERO)
+    total = sum((square_root(scalar_max(number(rest), 0.0)) for rest in rests), ZERO)
     return reduce(lower, [*(most - abs(force) for force, most in wheels), total - abs(side)])
 
 
@@ -416,7 +416,7 @@ def evaluate_metrics(body: Any, q: Any, v: Any, a: Any, u: Any, desired: Any) ->
     if limits:
         inputs, most = scalars(u), 0.0
         for k, limit in limits:
-            most = higher(abs(number(inputs[k])) * (1.0 / limit), most)
+            most = scalar_max(abs(number(inputs[k])) * (1.0 / limit), most)
         found.append(most)
     if body.stands:
         found += _of_ground(body, state, a, u, q)
@@ -448,7 +448,7 @@ def _slip(body: Any, state: Any) -> Any:
         if row.wheel >= 0:
             slip = row.slip(state)
             squares[row.wheel] = squares.get(row.wheel, ZERO) + slip * slip
-    return square_root(reduce(higher, squares.values()))
+    return square_root(reduce(scalar_max, squares.values()))
 
 
 class Forces(NamedTuple):

@@ -25,7 +25,7 @@ from pinmobile.arrays import (
     text,
 )
 from pinmobile.compiled import choose
-from pinmobile.errors import InvalidArgument, shown
+from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.parts import by_value, number as declared, option, part
 from pinmobile.robot import ONE, ZERO, Vector, number, scalars
 from pinmobile.wheels._contact import within
@@ -228,7 +228,7 @@ class Motor:
         """Equations of this motor."""
         if not self.is_electric:
             words = "expected a motor with resistance, torque_constant and voltage"
-            raise InvalidArgument(f"motor is {shown(self)}, a torque source, {words}")
+            raise InvalidArgument(f"motor is {format_value(self)}, a torque source, {words}")
         return MotorLaw((self,), *([getattr(self, name)] for name in CONSTANTS))
 
     @in_numbers

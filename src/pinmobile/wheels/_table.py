@@ -16,6 +16,7 @@ from pinmobile.arrays import (
     Array,
     ArrayLike,
     bounded,
+    check_integer,
     finite,
     frozen,
     instance,
@@ -25,9 +26,8 @@ from pinmobile.arrays import (
     sequence,
     shaped,
     text,
-    whole,
 )
-from pinmobile.errors import InvalidArgument, shown
+from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.parts import (
     by_value,
     child,
@@ -106,7 +106,8 @@ def _checked_name(name: str, value: Any) -> str:
     checked = text(name, value)
     if not checked.strip() or set('/,":.') & set(checked):
         raise InvalidArgument(
-            f"{name} is {shown(checked)}, expected a word without slash, comma, colon, dot and quotation mark"
+            f"{name} is {format_value(checked)}, expected a word without slash, comma, colon, dot and "
+            "quotation mark"
         )
     return checked
 
@@ -265,7 +266,9 @@ def _names(least: int) -> Any:
     def check(name: str, value: Any) -> tuple[str, ...]:
         names = tuple(text(f"one of {name}", one) for one in sequence(name, value, "names of wheels"))
         if len(names) < least or len(set(names)) < len(names):
-            raise InvalidArgument(f"{name} is {shown(value)}, expected {least} different names or more")
+            raise InvalidArgument(
+                f"{name} is {format_value(value)}, expected {least} different names or more"
+            )
         return names
 
     return check
@@ -312,7 +315,7 @@ class GearTrain:
         """Raise `InvalidArgument` if there is not one ratio per wheel."""
         if len(self.ratios) != len(self.wheels) or not all(self.ratios):
             raise InvalidArgument(
-                f"ratios is {shown(self.ratios)}, expected {len(self.wheels)} numbers other than zero"
+                f"ratios is {format_value(self.ratios)}, expected {len(self.wheels)} numbers other than zero"
             )
 
 
@@ -748,7 +751,7 @@ class WheelTable:
             Other parameters of each `wheels.Wheel`: ``mass``, ``spin_inertia``, ``yaw_inertia``,
             ``friction``, ``motor``; default: a torque source.
         """
-        count, L = whole("n", n, least=3, most=_MOST), positive("distance", distance, "m")
+        count, L = check_integer("n", n, least=3, most=_MOST), positive("distance", distance, "m")
         angles = (scalar("first", first) + 2 * pi * np.arange(count) / count).tolist()
         own: dict[str, Any] = {"roller": 0.0, "motor": TORQUE, **wheel}
         places = [(f"wheel_{k}", L * cos(a), L * sin(a), radius, a + pi / 2) for k, a in enumerate(angles, 1)]

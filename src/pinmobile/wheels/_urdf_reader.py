@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from pinmobile.arrays import ArrayLike, bounded, finite, instance, one_of, positive, scalar, sequence, shaped
-from pinmobile.errors import InvalidArgument, shown
+from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.parts import evolved
 from pinmobile.robot import LOCKED, TOUCH, MobileRobot, Swivel, WheelJoint
 from pinmobile.wheels._motors import Motor
@@ -62,7 +62,7 @@ class _Reader:
             raise InvalidArgument(f"robot has no wheels in its file, {words}")
         if not self.joints:
             words = "all wheels of the robot; expected fewer"
-            raise InvalidArgument(f"locked is {shown(self.locked)}, {words}")
+            raise InvalidArgument(f"locked is {format_value(self.locked)}, {words}")
         for key in ("radius", "rollers", "steering", "inertia"):
             if isinstance(value := getattr(self, key), Mapping):
                 self._known(key, value)
@@ -168,8 +168,8 @@ class _Reader:
         asked = self._given("steering", joint.name)
         if not joint.swivels and asked not in (None, FIXED):
             raise InvalidArgument(
-                f"steering of wheel {joint.name!r} is {shown(asked)}, but the file has no joint about the "
-                "vertical above it; expected 'fixed'"
+                f"steering of wheel {joint.name!r} is {format_value(asked)}, but the file has no joint about "
+                "the vertical above it; expected 'fixed'"
             )
         if not joint.swivels or asked == FIXED:
             return FIXED, None
@@ -219,7 +219,7 @@ class _Reader:
         """Return the table."""
         if isinstance(self.radius, float | int) and all(each.radius for each in self.joints):
             raise InvalidArgument(
-                f"radius is {shown(self.radius)} m, but the file defines the radius of every wheel; "
+                f"radius is {format_value(self.radius)} m, but the file defines the radius of every wheel; "
                 "expected a mapping"
             )
         rows = [self._row(joint) for joint in self.joints]

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, final
 import numpy as np
 
 from pinmobile.arrays import Array
-from pinmobile.controllers import Controller, State, answer_of, check_controller, told
+from pinmobile.controllers import Controller, State, answer_of, check_controller, notify_applied
 from pinmobile.errors import InvalidArgument
 from pinmobile.parts import child, integer, number as declared, part
 from pinmobile.plant import Context, Input
@@ -349,7 +349,7 @@ class OdometryFeedback:
 
     def applied(self, u: Array, state: Any) -> Any:
         """Return the next state, with the applied input passed on, shape (..., nu)."""
-        return told(self.controller, u, state[0]), *state[1:]
+        return notify_applied(self.controller, u, state[0]), *state[1:]
 
     def signals(self, state: Any) -> dict[str, Any]:
         """Return the estimated pose [m, rad] beside the signals of the wrapped controller."""

@@ -14,8 +14,8 @@ from typing import Any, ClassVar, NamedTuple, final
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike
-from pinmobile.compiled import higher
-from pinmobile.errors import InvalidArgument, shown
+from pinmobile.compiled import scalar_max
+from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.parts import Powered, by_value, child, part, structure, takes
 from pinmobile.plant import Input, Step
 from pinmobile.robot import (
@@ -229,7 +229,7 @@ class VoltageDynamics:
             share: Any = 0.5
             for push, x in zip(pushes, freedom, strict=True):
                 if push.slope is not ZERO:
-                    share = higher(share, theta(h * push.slope * x))
+                    share = scalar_max(share, theta(h * push.slope * x))
             at = middle.moving([number(dot(row, mean)) for row in S])
             at = at.turned(psi + 0.5 * h * at.twist[2])
             if again and np.ndim(beside):
@@ -279,7 +279,7 @@ class VoltageDynamics:
         columns = [solve(row) for row in rows]
         own = [1.0 / number(dot(row, column)) for row, column in zip(rows, columns, strict=True)]
         most = [number(h * pushes[self.electric[k]].hold) for k in rubs]
-        largest = reduce(higher, most)
+        largest = reduce(scalar_max, most)
         held = [within(before[k], x) for k, x in zip(rubs, most, strict=True)]
         first = moved_by(nu, columns, held)
 
@@ -288,7 +288,7 @@ class VoltageDynamics:
             for k, (row, column, share) in enumerate(zip(rows, columns, own, strict=True)):
                 now = within(p[k] - number(dot(row, x)) * share, most[k])
                 x = [number(a + b * (now - p[k])) for a, b in zip(x, column, strict=True)]
-                change = higher(abs(now - p[k]), change)
+                change = scalar_max(abs(now - p[k]), change)
                 p[k] = now
             return (x, p), change <= _ENOUGH * largest
 
@@ -373,8 +373,8 @@ class ByVoltage(PlantOnWheels):
         body = self.wheeled.array_dynamics
         if body.slips and not hasattr(body, "driven"):
             raise InvalidArgument(
-                f"ground is {shown(self.wheeled.ground)}, whose dynamics do not support electric motors, "
-                "expected Rolling() or Coulomb()"
+                f"ground is {format_value(self.wheeled.ground)}, whose dynamics do not support electric "
+                "motors, expected Rolling() or Coulomb()"
             )
         for k in self._rubbing if body.slips else ():
             if len(body.turned_by(k)) > 1:
