@@ -246,7 +246,7 @@ class KinematicLaw(Protocol):
 
         Parameters
         ----------
-        tracked : Tracked
+        tracked : TrackingState
             Tracking error; its entries may have a rate, see `controllers.DualNumber`.
         state : any
             State of the law.
