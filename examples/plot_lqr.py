@@ -11,10 +11,10 @@ too little of it, and with a large force too much.
 
 import numpy as np
 
-from pinmobile import LQR, PD, DelayLine, FixedHeading, MobileRobot, plots, simulate
+from pinmobile import LQR, PD, FixedHeading, Line, MobileRobot, plots, simulate
 
 robot, offset = MobileRobot(mass=30, yaw_inertia=1.3), 0.5
-straight = FixedHeading(DelayLine((0, 0), (5, 0), duration=10), psi=0)
+straight = FixedHeading(Line((0, 0), (5, 0), duration=10), psi=0)
 start = straight(0.0).q + np.array([-0.3, offset, 0.4])
 forces = np.array([20, 40, 80, 160])  # N
 settled, runs = {"PD, kd = kp": [], "LQR": []}, {}

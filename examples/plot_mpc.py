@@ -9,10 +9,10 @@ and wall into account and brakes in time. The result is how far each goes beyond
 
 import numpy as np
 
-from pinmobile import LQR, MPC, DelayLine, FixedHeading, InputSaturation, MobileRobot, plots, simulate
+from pinmobile import LQR, MPC, FixedHeading, InputSaturation, Line, MobileRobot, plots, simulate
 
 robot, limits, wall = MobileRobot(mass=30, yaw_inertia=1.3, com=(0.1, 0.05)), (12, 12, 3), 0.05
-straight = FixedHeading(DelayLine((0, 0), (4, 0), duration=8), psi=0)
+straight = FixedHeading(Line((0, 0), (4, 0), duration=8), psi=0)
 controllers = {
     "LQR, cut off": InputSaturation(LQR(robot), limits),
     "MPC": MPC(robot, limits=limits, upper=(np.inf, wall), observer=0),
