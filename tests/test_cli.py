@@ -199,6 +199,8 @@ def test_run_is_the_lectures_circle_by_default(typed: Typed, tmp_path: Path) -> 
     assert (out / "rollout.csv").read_text().startswith("t [s],x [m],y [m],psi [rad]")
     names = {path.name for path in out.iterdir()}
     assert names == {"rollout.npz", "rollout.csv", "index.html", *(f"{each}.png" for each in FIGURES)}
+    page, scenario = unescape((out / "index.html").read_text()), typed("write")[1]
+    assert f"<h2>Scenario</h2>\n<pre># pinmobile {pm.__version__}\n{scenario}</pre>" in page
 
 
 FIGURES = "path", "states", "errors", "forces", "balance"

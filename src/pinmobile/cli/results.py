@@ -14,7 +14,17 @@ import numpy as np
 from matplotlib.figure import Figure
 from rich.progress import Progress
 
-from pinmobile import Diverged, Ensemble, InvalidArgument, MobileRobot, PinmobileError, Rollout, Sweep, plots
+from pinmobile import (
+    Diverged,
+    Ensemble,
+    InvalidArgument,
+    MobileRobot,
+    PinmobileError,
+    Rollout,
+    Sweep,
+    __version__,
+    plots,
+)
 from pinmobile.arrays import Array
 from pinmobile.cli.output import (
     Picture,
@@ -102,13 +112,18 @@ def show_run(words: Sequence[str], out: Path, film: Path | None, *, allow_code: 
         text = f"{diverged}\n\nup to there:\n{text}"
     robot = str(opened.content.robot)
     console.print(f"robot: {robot if len(robot) < _SHORT else f'{robot[:_SHORT]}...'}\n{text}", markup=False)
-    page = index_page(folder, opened.title, [Section("Results", text, pictures)])
+    page = index_page(folder, opened.title, [Section("Results", text, pictures), _source(opened)])
     console.print(f"wrote {folder / 'rollout.npz'}, rollout.csv and figures: open {page}", markup=False)
     seen = f"open {film}" if film is not None else f"pinmobile view {folder / 'rollout.npz'}"
     console.print(f"see it move: {seen}", markup=False)
     if diverged is not None:
         raise diverged
     return 0
+
+
+def _source(opened: Opened) -> Section:
+    """Return the section that repeats the results: the whole scenario and the version of pinmobile."""
+    return Section("Scenario", f"# pinmobile {__version__}\n{opened.written()}")
 
 
 def _metrics(run: Rollout) -> list[str]:
@@ -178,7 +193,7 @@ def show_ensemble(words: Sequence[str], out: Path, *, allow_code: bool) -> int:
         found = run_scenario(scenario, progress=lambda done, _: bar.update(bar.task_ids[0], completed=done))
     console.print(str(found), markup=False)
     pictures = _ensemble_figures(found, folder)
-    page = index_page(folder, opened.title, [Section("Results", str(found), pictures)])
+    page = index_page(folder, opened.title, [Section("Results", str(found), pictures), _source(opened)])
     console.print(
         f"figures: open {page}\ncompare values or controllers: pinmobile sweep --help", markup=False
     )
@@ -218,7 +233,7 @@ def show_sweep(words: Sequence[str], out: Path | None, scheduler: str | None, *,
             client.close()
     console.print(f"{found.table()}\n\n{found.answer()}", markup=False)
     section = Section("Results", found.table(most=1000), _sweep_figures(found, folder))
-    page = index_page(folder, found.answer(), [section])
+    page = index_page(folder, found.answer(), [section, _source(opened)])
     console.print(
         f"wrote {store}: xarray.open_zarr reads it, and pinmobile.Sweep.open\nopen {page}", markup=False
     )
