@@ -161,7 +161,7 @@ def test_wheels_that_explode_have_diverged_although_the_body_stays_near(engine: 
     """The reference has no wheel speeds: only inputs and accelerations tell of them."""
     table = pm.WheelTable.skid_steer(0.4, 0.5, 0.1, mass=1.0, spin_inertia=0.005)
     robot = pm.WheeledRobot(pm.MobileRobot(30, 1.3, (0.05, 0, 0.2)), table, pm.Coulomb(mu=0.6))
-    law = WheelSpeed(pm.UnicycleTracking(), robot, kp=5.0)
+    law = WheelSpeed(pm.UnicycleTracking(), robot, kp=50.0)
     motion = pm.Tangent(pm.Circle(radius=1, rate=0.5, duration=4))
     with pytest.raises(pm.Diverged, match=r"a or u beyond 1e\+100") as caught:
         pm.simulate(robot, law, motion, dt=0.01, engine=engine)

@@ -113,10 +113,11 @@ def test_a_slow_kinematic_law_runs_inside_a_fast_one(fast: Any) -> None:
     table = WheelTable.differential(0.5, 0.1, mass=1.0, spin_inertia=0.005)
     robot = WheeledRobot(ROBOT, table)
     more = {"kp": 5} if fast is WheelSpeed else {}
+    start: Any = {"dt": DT, "duration": 1.0, "q0": (0.05, 0.02, 0, 0, 0)}
     errors = []
     for law in (UnicycleTracking(), Sampled(UnicycleTracking(), 10)):
         one, other = (
-            simulate(robot, fast(law, robot, **more), PATH, dt=DT, q0=(0.05, 0.02, 0, 0, 0), engine=engine)
+            simulate(robot, fast(law, robot, **more), PATH, **start, engine=engine)
             for engine in (pm.Engine.COMPILED, pm.Engine.PYTHON)
         )
         np.testing.assert_allclose(one.q, other.q, atol=1e-11)

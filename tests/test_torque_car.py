@@ -68,7 +68,7 @@ def rates(t: float, z: Array, tau: float, rolls: bool) -> Array:
 
 def logged(rolls: bool, kind: str = "poses", seconds: float = 60.0, seed: int = 0) -> pm.Log:
     """Return a log with noise of 1 mm and 1 mrad, or 5 mm/s and 5 mrad/s."""
-    t, rng, substeps = np.arange(0, seconds, DT), np.random.default_rng(seed), 10
+    t, rng, substeps = np.arange(0, seconds, DT), np.random.default_rng(seed), 4
     z, found, h = np.zeros(6), [], DT / substeps
     for now in t:
         found.append(z)
