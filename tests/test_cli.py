@@ -203,6 +203,18 @@ def test_run_is_the_lectures_circle_by_default(typed: Typed, tmp_path: Path) -> 
     assert f"<h2>Scenario</h2>\n<pre># pinmobile {pm.__version__}\n{scenario}</pre>" in page
 
 
+def test_a_long_command_writes_lines_of_progress_where_no_terminal_is(
+    typed: Typed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("pinmobile.cli.output._MINUTE", 0.02)
+    code, text, err = typed("run", "duration=60", "--out", str(tmp_path))
+    assert code == 0
+    lines = err.splitlines()
+    assert {line.split(":")[0] for line in lines} >= {"simulating", "drawing errors"}
+    assert all(re.fullmatch(r"[a-z ]+: \d+ of \d+, \d+ s", line) for line in lines)
+    assert "simulating" not in text
+
+
 FIGURES = "path", "states", "errors", "forces", "balance"
 
 

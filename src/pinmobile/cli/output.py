@@ -1,14 +1,16 @@
 """Output of the command: console, progress bar, output folder and index page."""
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from html import escape
 from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryFile
+from threading import Event, Thread
 from typing import TYPE_CHECKING
 
+import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
@@ -18,6 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 console = Console(highlight=False, soft_wrap=True)
+_MINUTE = 60.0  # [s]
 
 
 @dataclass(frozen=True)
@@ -39,12 +42,25 @@ class Section:
 
 
 @contextmanager
-def progress(total: int, what: str = "") -> Iterator[Progress]:
-    """Show a progress bar with one task of `total` steps; without a terminal, show nothing."""
+def progress(total: int, what: str = "running") -> Iterator[Progress]:
+    """Show a progress bar with one task of `total` steps; without a terminal, write a line per minute."""
     columns = SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn()
     with Progress(*columns, console=console, transient=True) as bar:
         bar.add_task(what, total=total)
-        yield bar
+        task, ended = bar.tasks[0], Event()
+
+        def write_lines() -> None:
+            while not ended.wait(_MINUTE):
+                share = f"{task.completed:,.0f} of {task.total or 0:,.0f}"
+                with suppress(OSError, ValueError):  # nobody reads
+                    typer.echo(f"{task.description}: {share}, {task.elapsed or 0:.0f} s", err=True)
+
+        if not console.is_terminal:
+            Thread(target=write_lines, daemon=True).start()
+        try:
+            yield bar
+        finally:
+            ended.set()
 
 
 def begin(bar: Progress, what: str) -> None:
