@@ -263,6 +263,27 @@ class TestFigures:
         places = np.array([*box, astray.reference.q[0, :2]])
         assert ((low < places) & (places < high)).all()
 
+    def test_arms_are_drawn_where_their_frames_are(self) -> None:
+        arm = pm.MobileRobot.box().mount("ur5", at=(0.2, 0.1, 0.3, 0.5))
+        robot = pm.WheeledRobot(arm, pm.WheelTable.mecanum(0.4, 0.5, 0.1))
+        start = np.array([0.3, -0.2, 0.7, 0.4, -1.2, 1.6, -0.4, 1.57, 0.0])
+        still = pm.FixedHeading(pm.Hold([0.3, -0.2], 0.1), 0.7)
+        q0 = np.concatenate([start, np.zeros(4)])
+        run = pm.simulate(robot, pm.law(lambda t, q, v, r: np.zeros(10)), still, dt=0.01, q0=q0)
+        (axes,) = plots.path(run, times=[0.0]).axes
+        (drawn,) = [line.get_xydata() for line in axes.lines if np.isnan(line.get_xydata()).any()]
+        names = (
+            "shoulder_lift_joint",
+            "elbow_joint",
+            "wrist_1_joint",
+            "wrist_2_joint",
+            "wrist_3_joint",
+            "tool0",
+        )
+        frames = [arm.frame_pose(start, f"ur5/{name}")[:2, 3] for name in names]
+        np.testing.assert_allclose(drawn[1::3], frames, atol=1e-12)
+        np.testing.assert_allclose(drawn[3::3], frames[:-1], atol=1e-12)
+
     def test_what_is_not_a_rollout_is_refused(self, circle: Runs, tmp_path: Path) -> None:
         def animate(rollouts: Any) -> Any:
             return plots.animate(rollouts, tmp_path / "robot.gif")

@@ -16,12 +16,14 @@ from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon
+from matplotlib.patheffects import withStroke
 from PIL import Image
 
 from pinmobile.arrays import Array, ArrayLike, bounded, callable_as, finite, positive, scalar, shaped
 from pinmobile.errors import InvalidArgument
 from pinmobile.files import written
 from pinmobile.loop import Rollout
+from pinmobile.plant import stated
 from pinmobile.plots.style import (
     Layout,
     Rollouts,
@@ -48,6 +50,9 @@ from pinmobile.plots.style import (
     wrapped,
 )
 
+_POSTURES = 100  # of an arm, which the window shows
+_EDGE = withStroke(linewidth=4.4, foreground="white")
+_ARMS: Style = {"color": "#222222", "linewidth": 2.2, "solid_capstyle": "round", "path_effects": [_EDGE]}
 _ARROW = 0.06  # length of the arrowhead of a plant without size, as a share of the axes
 
 #         ______________
@@ -101,6 +106,24 @@ class Body:
         cos, sin = np.cos(pose[2]), np.sin(pose[2])
         for patch, shape in zip(self.patches, self._shapes, strict=True):
             patch.set_xy(pose[:2] + shape @ np.array([[cos, sin], [-sin, cos]]))
+
+
+def arm_links(run: Rollout, times: Array) -> Array:
+    """Return the links of arms from above at `times`, shape (n, 3 k, 2) [m]: each two ends, and NaN."""
+    robot = run.plant if stated(run.plant, "frame_placements") is not None else stated(run.plant, "robot")
+    mounts = stated(robot, "mounts") or ()
+    if not mounts:
+        return np.zeros((len(times), 0, 2))
+    q = np.stack([np.interp(times, run.t, column) for column in run.q[:, : robot.nq].T], axis=-1)
+    joints, model = np.moveaxis(robot.frame_placements(q)[..., :2, 3], 1, 0), robot.model
+    lines = []
+    for mount in mounts:
+        own = range(mount.joints.start, mount.joints.stop)
+        lines += [(joints[model.parents[k] - 1], joints[k - 1]) for k in own if model.parents[k] in own]
+        hand = model.frames[model.getFrameId(mount.tip)].parentJoint
+        lines.append((joints[hand - 1], robot.frame_pose(q, mount.tip)[:, :2, 3]))
+    gap = np.full((len(times), 2), np.nan)
+    return np.stack([point for start, end in lines for point in (start, end, gap)], axis=1)
 
 
 def diagonal(plant: object, otherwise: float) -> float:
@@ -181,8 +204,13 @@ def path(rollouts: Rollouts, *, times: ArrayLike | None = None, **layout: Unpack
     otherwise = _arrowhead(axes[0])
     for index, (label, run) in enumerate(runs.items()):
         curve(axes[index], *run.poses[:, :2].T, color=colour(index), label="travelled", **_travelled())
-        for t, pose in zip(instants[label], poses(run, instants[label]), strict=True):
+        drawn = zip(
+            instants[label], poses(run, instants[label]), arm_links(run, instants[label]), strict=True
+        )
+        for t, pose, arms in drawn:
             Body(axes[index], run.plant, colour(index), otherwise, zorder=5).move(pose)
+            if len(arms):
+                axes[index].plot(*arms.T, **_ARMS, zorder=5.5)
             _write_time(axes[index], t, pose, 0.5 * diagonal(run.plant, otherwise))
     return figure
 
@@ -208,7 +236,7 @@ def panels(
     shape = _shape(_window(runs, largest[0]))
     size = min(largest[0] / shape[0], largest[1] / shape[1])
     sheet = Sheet(0.85 + most * (shape[0] * size + 0.3) - 0.3, known=known, **layout)
-    columns, keys = sheet.columns(most, 1.7), list(_keys(len(runs)))
+    columns, keys = sheet.columns(most, 1.7), list(_keys(runs))
     window = _window(runs, sheet.width / columns)
     shape = _shape(window)
     room = (sheet.width - 5.5 * letters() / 72) / columns
@@ -281,11 +309,13 @@ def poses(run: Rollout, times: Array) -> Array:
     return np.stack([np.interp(times, run.t, column) for column in (x, y, np.unwrap(psi))], axis=-1)
 
 
-def _keys(count: int) -> Iterator[Patch | Line2D]:
-    shade = colour(0) if count == 1 else "#777777"
+def _keys(runs: Mapping[str, Rollout]) -> Iterator[Patch | Line2D]:
+    shade = colour(0) if len(runs) == 1 else "#777777"
     yield Line2D([], [], label="desired", **desired())
     yield Line2D([], [], label="travelled", color=shade, **_travelled())
     yield Patch(facecolor=(*(0.6,) * 3, 0.4), edgecolor=shade, label="robot")
+    if any(arm_links(run, run.t[:1]).size for run in runs.values()):
+        yield Line2D([], [], label="arm", **_ARMS)
 
 
 def _shape(window: Array) -> Array:
@@ -301,9 +331,10 @@ def _arrowhead(axes: Axes) -> float:
 
 def _window(runs: Mapping[str, Rollout], wide: float) -> Array:
     """Return the corners of the window of panels of a width [in], shape (2, 2) [m], with room for labels."""
-    both = [part for run in runs.values() for part in (run.poses, run.reference_poses)]
-    points = np.concatenate(both)[:, :2]
-    low, high = points.min(axis=0), points.max(axis=0)
+    both = [part[:, :2] for run in runs.values() for part in (run.poses, run.reference_poses)]
+    both += [arm_links(run, run.t[:: -(-len(run) // _POSTURES)]).reshape(-1, 2) for run in runs.values()]
+    points = np.concatenate(both)
+    low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
     extent = float((high - low).max())
     robot = max(diagonal(run.plant, _ARROW * extent) for run in runs.values())
     words = min(2.6 * letters() / 72 / wide, 0.25)
@@ -464,17 +495,19 @@ class _Mover:
         xy = run.poses[:, :2]
         kept = thinned(*xy.T)
         self.xy, self.reached = xy[kept], np.searchsorted(run.t[kept], times)
-        self.poses, self.axes = poses(run, times), axes
+        self.poses, self.arms, self.axes = poses(run, times), arm_links(run, times), axes
         self.body = Body(axes, run.plant, shade, _arrowhead(axes), animated=True)
         (self.desired,) = axes.lines  # drawn again, above the travelled path
         (self.line,) = axes.plot([], [], color=shade, animated=True, **_travelled())
+        (self.links,) = axes.plot([], [], animated=True, **_ARMS)
 
     def draw(self, index: int) -> None:
         """Draw robot and line in the frame of an index."""
         pose = self.poses[index]
         self.line.set_data(*np.vstack([self.xy[: self.reached[index]], pose[:2]]).T)
+        self.links.set_data(*self.arms[index].T)
         self.body.move(pose)
-        for artist in (self.line, self.desired, *self.body.patches):
+        for artist in (self.line, self.desired, *self.body.patches, self.links):
             self.axes.draw_artist(artist)
 
 
