@@ -271,7 +271,8 @@ class TestFigures:
         q0 = np.concatenate([start, np.zeros(4)])
         run = pm.simulate(robot, pm.law(lambda t, q, v, r: np.zeros(10)), still, dt=0.01, q0=q0)
         (axes,) = plots.path(run, times=[0.0]).axes
-        (drawn,) = [line.get_xydata() for line in axes.lines if np.isnan(line.get_xydata()).any()]
+        rows = [np.asarray(line.get_xydata()) for line in axes.lines]
+        (drawn,) = [xy for xy in rows if np.isnan(xy).any()]
         names = (
             "shoulder_lift_joint",
             "elbow_joint",
@@ -280,7 +281,7 @@ class TestFigures:
             "wrist_3_joint",
             "tool0",
         )
-        frames = [arm.frame_pose(start, f"ur5/{name}")[:2, 3] for name in names]
+        frames = np.array([arm.frame_pose(start, f"ur5/{name}")[:2, 3] for name in names])
         np.testing.assert_allclose(drawn[1::3], frames, atol=1e-12)
         np.testing.assert_allclose(drawn[3::3], frames[:-1], atol=1e-12)
 
