@@ -14,6 +14,7 @@ from pinmobile.derivatives import Gradient, gradient, poles
 from pinmobile.loop import Loop, sampled, start_of
 from pinmobile.parts import named, parts_of, replace
 from tests.frozen import BODY, CIRCLE, MOTOR, WHEEL, WRONG, by_lapack, loops, table, turning
+from tests.quick import every_fifth
 
 DT, DURATION = 0.01, 2.0
 DRY = ("differential Coulomb", "mecanum Coulomb", "skid-steer")
@@ -163,7 +164,7 @@ def test_every_public_part_is_in_a_loop() -> None:
 
 
 @pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize("name", LOOPS)
+@pytest.mark.parametrize("name", every_fifth(LOOPS))
 def test_forward_and_reverse_agree_with_each_other_and_with_runs(name: str) -> None:
     loop, own = base_of(name)
     parts = loop.plant, loop.controller, loop.trajectory

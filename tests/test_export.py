@@ -29,6 +29,7 @@ from tests.c_code import (
     run_test_program,
 )
 from tests.frozen import BODY, CIRCLE, WRONG, branching, by_lapack, loops, table
+from tests.quick import every_fifth
 
 DT = 0.003  # [s]; 2,001 samples of the loops with 6 s
 LOOPS = {name: (parts, options) for name, parts, options in (*loops(), *by_lapack())}
@@ -71,7 +72,7 @@ def computed(folder: Path, run: pm.Rollout, *flags: str, compiler: str = "gcc", 
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")
-@pytest.mark.parametrize("name", [name for name in LOOPS if name not in (*NOISY, *AGAIN)])
+@pytest.mark.parametrize("name", every_fifth(name for name in LOOPS if name not in (*NOISY, *AGAIN)))
 def test_a_controller_has_the_bits_of_the_library(name: str, tmp_path: Path) -> None:
     compiler = compilers()[0]
     run = exported(tmp_path, name)
@@ -109,7 +110,7 @@ PLANTS = (
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")
-@pytest.mark.parametrize("name", [*PLANTS, "ur5", "all forces", "semi-implicit"])
+@pytest.mark.parametrize("name", every_fifth([*PLANTS, "ur5", "all forces", "semi-implicit"]))
 def test_a_plant_has_the_bits_of_the_library(name: str, tmp_path: Path) -> None:
     compiler = compilers()[-1]
     (plant, controller, trajectory), own = LOOPS[name]

@@ -39,6 +39,7 @@ from pinmobile.trajectories import Reference
 from pinmobile.viewer import LiveRun, play, recording
 from pinmobile.viewer.live_run import _Drive
 from tests.chromium import Chromium, Page, chromium
+from tests.quick import every_fifth
 from tests.webclient import WebSocket, eventually
 
 ROBOT = MobileRobot(30.0, 1.3)
@@ -193,7 +194,7 @@ def test_one_page_drives_and_others_watch() -> None:
     assert run.rollout().signals["controller.kp"].values[-1] == 12.0
 
 
-@pytest.mark.parametrize("name", ["differential", "car", "omni", "swerve", "velocity"])
+@pytest.mark.parametrize("name", every_fifth(["differential", "car", "omni", "swerve", "velocity"]))
 def test_keys_drive_each_drive_ahead(name: str) -> None:
     with LiveRun(shipped(name)) as run, WebSocket(run.url) as page:
         client, speed = Client(page, "one"), run._drive.scale[0]
@@ -251,7 +252,7 @@ def composed() -> Iterator[Chromium]:
 
 @pytest.fixture
 def page(composed: Chromium) -> Iterator[Page]:
-    opened = composed.page(1200, 800)
+    opened = composed.page(800, 500)
     yield opened
     opened.close()
     assert opened.errors == []
@@ -270,6 +271,7 @@ def key(page: Page, code: str, kind: str = "keyDown") -> None:
 TEXT = "document.getElementById('%s').textContent"
 
 
+@pytest.mark.long
 def test_the_page_in_a_browser(page: Page, composed: Chromium) -> None:
     with LiveRun(shipped("skid-steer", "trajectory.path.duration=100"), ["mass"]) as run:
         page.open(run.url)

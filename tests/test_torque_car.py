@@ -111,6 +111,7 @@ def test_a_rolling_car_gives_mass_and_friction(kind: str) -> None:
     np.testing.assert_allclose(drag.viscous[4:6], found.parameters["joint_viscous_drive"] / 2)
 
 
+@pytest.mark.long
 def test_a_slipping_car_gives_cornering_stiffness() -> None:
     found = pm.identify(logged(False), car(0.02, com=0.15))
     stiff = {"cornering_front": STIFF[0], "cornering_rear": STIFF[1]}

@@ -361,6 +361,7 @@ def test_a_live_page_shows_the_robot_where_it_is_displayed(page: Page, live: Vie
     assert not sees(page, BLUE, spots[0])
 
 
+@pytest.mark.long
 def test_play_goes_through_the_rollout_in_its_time(page: Page, live: Viewer, apart: Runs) -> None:
     page.open(live.url)
     live.wait(20)
@@ -405,6 +406,7 @@ def test_ctrl_c_ends_play_and_the_viewer_goes_on(live: Viewer, apart: Runs) -> N
 # Pictures and films
 
 
+@pytest.mark.long
 def test_a_screenshot_is_of_the_time_that_is_asked_for(
     viewer: Viewer, runs: Runs, browser: Chromium, tmp_path: Path
 ) -> None:
