@@ -31,8 +31,10 @@ OF_COMMANDS: dict[str, Any] = {
 }
 LOOPS |= {name: ((COMMANDED, each, CIRCLE), {}) for name, each in OF_COMMANDS.items()}
 # Ends of the paths of numbers that no law uses in these loops, or not where they begin.
-OF_MOTORS = ("motor.gear", "motor.efficiency", "motor.viscous", "motor.coulomb", "friction.mu")
-UNUSED = (*OF_MOTORS, "forces.0.end", "dead_zone", "controller.steer", "controller.arms", "accelerations")
+OF_MOTORS = "motor.gear", "motor.efficiency", "motor.viscous", "motor.coulomb"
+OF_FRICTION = "friction.mu", "friction.rolling", "friction.across", "friction.slip"
+AT_LIMITS = "forces.0.end", "dead_zone", "controller.steer", "controller.arms", "accelerations"
+UNUSED = (*OF_MOTORS, *OF_FRICTION, *AT_LIMITS)
 OF_MODELS = (
     *("mass", "yaw_inertia", "com", "spin_inertia", "resistance", "torque_constant"),
     *("left.y", "right.y", "radius"),
@@ -137,6 +139,10 @@ def test_every_number_moves_both_engines_alike(name: str) -> None:
             unused.append(path)
     if name == "volts":
         assert not [path for path in unused if path.startswith("plant.") and path.endswith("motor.gear")]
+    if name in ("differential Coulomb", "mecanum Coulomb", "skid-steer"):
+        resisted = [path for path in paths if path.endswith("friction.rolling")]
+        assert resisted
+        assert not {*resisted} & {*unused}
     left = [path for path in unused if not path.endswith(UNUSED)]
     assert [
         path for path in left if path.startswith("plant.") or not path.endswith(OTHERS.get(name, ()))

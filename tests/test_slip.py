@@ -242,6 +242,19 @@ def test_rolling_resistance_holds_and_brakes() -> None:
     assert v[0] == pytest.approx(0.2 * (bound / 0.1) / (30.0 + 4 * 0.01 / 0.1**2), rel=1e-10)
 
 
+def test_an_ensemble_spreads_rolling_resistance_from_none() -> None:
+    """Each robot accelerates by what the bound leaves of the torque, as alone."""
+    robot = WheeledRobot(CENTRAL, skid(WheelFriction(rolling=0.0), coupled=False))
+    where, torque, shares = pm.FixedHeading(pm.Hold([0.0, 0.0], 0.2), 0.0), 0.6, [0.0, 0.01, 0.03]
+    spread = {f"{wheel.name}.friction.rolling": shares for wheel in robot.table.wheels}
+    runs = pm.ensemble(robot, steady(*(torque,) * 4), where, dt=0.01, n=3, spread=spread)
+    assert runs.engine == "COMPILED"
+    force = 4 * np.maximum(torque / 0.1 - np.array(shares) * 30.0 * G / 4, 0.0)
+    expected = 0.5 * 0.2**2 * force / (30.0 + 4 * 0.01 / 0.1**2)
+    np.testing.assert_allclose(runs.max_error[:, 0], expected, rtol=1e-9)
+    np.testing.assert_array_equal([runs.member(k).max_error() for k in range(3)], runs.max_error)
+
+
 def test_a_tyre_that_gives_way_slips_in_proportion() -> None:
     locked = skid(WheelFriction(mu=0.5, rolling=1e3, slip=1e-3))
     robot = WheeledRobot(CENTRAL, locked, Coulomb(ramp=Ramp(0.1)))

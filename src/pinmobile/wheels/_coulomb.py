@@ -231,14 +231,24 @@ class SlippingDynamics(WheeledDynamics):
 
     # The ground
 
+    def _friction(self, name: str) -> Vector:
+        """Return a number of the friction of each wheel."""
+        return [exact(x) for x in scalars(column([getattr(one.friction, name) for one in self.table.wheels]))]
+
     @cached_property
-    def _held(self) -> list[int]:
-        """Kept velocities that rolling resistance or dry friction of motors holds, in order."""
+    def _spins(self) -> list[int]:
+        """Kept velocity of each wheel."""
         first = self.of_body + len(self.table.axes)
-        rolling = [row for row, wheel in enumerate(self.table.wheels) if wheel.friction.rolling]
+        return [self._kept.index(self._leaders[first + row][0]) for row in range(len(self.table))]
+
+    @cached_property
+    def _holds(self) -> list[bool]:
+        """Whether rolling resistance or friction of motors holds each group of wheels that turn as one."""
+        first = self.of_body + len(self.table.axes)
+        rolling = [row for row, share in enumerate(self._friction("rolling")) if share is not ZERO]
         resisted = {self._leaders[first + row][0] for row in rolling}
         resisted |= {self.turned_by(k)[0][0] for k in self.rubbing}
-        return [k for k, i in enumerate(self._kept) if i in resisted]
+        return [self._kept[at] in resisted for at in dict.fromkeys(self._spins)]
 
     def turned_by(self, actuator: int) -> list[tuple[int, Any]]:
         """Return the kept velocities that an actuator turns, with its rate per each of them."""
@@ -262,8 +272,8 @@ class SlippingDynamics(WheeledDynamics):
         for row in rows:
             if row.wheel >= 0:
                 pairs[row.wheel].append(self._reduced([*row.base, *[ZERO] * self.na, *row.joints]))
-        n, held, first = len(self._kept), self._held, self.of_body + len(self.table.axes)
-        spins = [self._kept.index(self._leaders[first + row][0]) for row in range(len(self.table))]
+        n, spins = len(self._kept), self._spins
+        held = [at for at, holds in zip(dict.fromkeys(spins), self._holds, strict=True) if holds]
         touched = [
             k for k in range(n) if k in spins or any(row[k] is not ZERO for pair in pairs for row in pair)
         ]
@@ -275,15 +285,14 @@ class SlippingDynamics(WheeledDynamics):
         def over(x: Vector) -> Vector:
             return [x[k] for k in touched]
 
-        touches = []
+        touches, slip = [], self._friction("slip")
         for k, (pair, wheel) in enumerate(zip(pairs, self.table.wheels, strict=True)):
             pushed, at = columns[2 * k : 2 * k + 2], spins[k]
             spin = touched.index(at), over(units[at])
-            give, disc = exact(wheel.friction.slip) / h, wheel.roller is None
+            give, disc = slip[k] / h, wheel.roller is None
             own = [*map(over, pair)], [*map(over, pushed)]
             touches.append(WheelContact(*own, *spin, disc, give, at in held))
-        holding = [at for at in dict.fromkeys(spins) if at in held]
-        return _Shape(solve, touches, touched, rest, inertia, [*columns, *(units[at] for at in holding)])
+        return _Shape(solve, touches, touched, rest, inertia, [*columns, *(units[at] for at in held)])
 
     def _seen(self, state: State, rate: Vector) -> tuple[State, Vector]:
         """Return a state, and proper accelerations in the plane along the body's axes."""
@@ -296,15 +305,14 @@ class SlippingDynamics(WheeledDynamics):
         """Return the bounds of each wheel's friction."""
         first, found = self.of_body + len(self.table.axes), []
         holds: dict[int, Any] = {}
-        for k, (wheel, r) in enumerate(zip(self.table.wheels, scalars(self.radius), strict=True)):
-            share, ratio = exact(wheel.friction.rolling), abs(float(self._leaders[first + k][1]))
-            at = shape.touches[k].spin
+        for k, (share, r) in enumerate(zip(self._friction("rolling"), scalars(self.radius), strict=True)):
+            at, ratio = shape.touches[k].spin, abs(float(self._leaders[first + k][1]))
             holds[at] = holds.get(at, ZERO) + h * (exact(ratio) * share * r) * loads[k]
         for rub in rubs:
             holds[rub.at] = holds[rub.at] + rub.most
-        for k, wheel in enumerate(self.table.wheels):
+        for k, (wheel, share) in enumerate(zip(self.table.wheels, self._friction("across"), strict=True)):
             along = number(h * scalars(self.mu)[k] * loads[k])
-            across = along if wheel.roller is None else number(h * exact(wheel.friction.across) * loads[k])
+            across = along if wheel.roller is None else number(h * share * loads[k])
             found.append(Bounds(along, across, number(holds[shape.touches[k].spin]), slips[k]))
         return found
 
@@ -328,8 +336,9 @@ class SlippingDynamics(WheeledDynamics):
         whose force is proportional to its slip.
         """
         found, goes_on = [], []
-        for touch, wheel, on in zip(shape.touches, self.table.wheels, slides, strict=True):
-            if wheel.friction.slip:
+        rows = zip(shape.touches, self.table.wheels, self._friction("slip"), slides, strict=True)
+        for touch, wheel, slip, on in rows:
+            if slip is not ZERO:
                 found.append([0.0, 0.0])
                 goes_on.append(on)
                 continue
@@ -354,7 +363,7 @@ class SlippingDynamics(WheeledDynamics):
         state = self.state(q, np.zeros(self.nv))
         exerted = ground_reaction(self, *self._seen(state, still), q)
         found = shared_loads(places_of(self, state.steering), *exerted)
-        zeros = np.zeros(2 * k), np.zeros(len(self._held)), np.zeros(k), np.zeros(self.nv)
+        zeros = np.zeros(2 * k), np.zeros(len(self._holds)), np.zeros(k), np.zeros(self.nv)
         return ContactState(*zeros, stacked(found.values, q), 0.0, 0.0)
 
     def step(
@@ -478,7 +487,8 @@ class SlippingDynamics(WheeledDynamics):
             return found, done
 
         guess = [x + h * y for x, y in zip(before, scalars(memory.acceleration), strict=True)]
-        forces = [*scalars(memory.forces), *(scalars(memory.holding) if self._held else [])]
+        torques = zip(scalars(memory.holding), self._holds, strict=True)
+        forces = [*scalars(memory.forces), *(x for x, holds in torques if holds)]
         turns = [] if motors is None else begun
         first = [guess, [number(x) * h for x in forces], list(map(number, scalars(memory.multipliers)))]
         first += [led_to(guess), [0.0] * 6, [0.0] * 6]
@@ -488,9 +498,10 @@ class SlippingDynamics(WheeledDynamics):
         after, mean = found.after, at_mean(found.after)[1]
         on_the_way = self.in_plane(state.turned(psi + 0.5 * h * mean[2]), [h * x for x in mean], q)
         moved = self.integrate(q, on_the_way)
+        holding = iter(found.impulses[m:])
         kept = ContactState(
             stacked([x / h for x in found.impulses[:m]], q),
-            stacked([x / h for x in found.impulses[m:]], q) if self._held else memory.holding,
+            stacked([next(holding) / h if holds else 0.0 for holds in self._holds], q),
             stacked(found.multipliers, q),
             stacked([(y - x) / h for x, y in zip(before, after, strict=True)], q),
             stacked(found.loads, q),

@@ -96,9 +96,9 @@ class WheelFriction:
     """
 
     mu: float = number(default=0.8, lower=0, doc="coefficient of friction")
-    across: float = number(default=0.02, lower=0, fixed=True, doc="coefficient of friction across rollers")
-    rolling: float = number(default=0.01, lower=0, fixed=True, doc="rolling resistance per load")
-    slip: float = number(default=0.0, lower=0, unit="m/(N s)", fixed=True, doc="slip velocity per force")
+    across: float = number(default=0.02, lower=0, doc="coefficient of friction across rollers")
+    rolling: float = number(default=0.01, lower=0, doc="rolling resistance per load")
+    slip: float = number(default=0.0, lower=0, unit="m/(N s)", doc="slip velocity per force")
 
 
 def _checked_name(name: str, value: Any) -> str:
