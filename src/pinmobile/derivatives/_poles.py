@@ -11,7 +11,7 @@ import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, scalar
 from pinmobile.compiled import tangent
-from pinmobile.controllers import Controller, Wrapper, answer_of, notify_applied
+from pinmobile.controllers import Controller, Wrapper, evaluate, notify_applied
 from pinmobile.derivatives._problem import Problem, differentiated, problem_of
 from pinmobile.errors import InvalidArgument
 from pinmobile.forces import Force
@@ -47,7 +47,7 @@ class _Probed(Wrapper):
 
     def __call__(self, t: Any, q: Any, v: Any, reference: Any, state: Any) -> Any:
         """Return the input and the next state."""
-        u, inner = answer_of(self.controller, t, q, v, reference, state[0])
+        u, inner = evaluate(self.controller, t, q, v, reference, state[0])
         return u + self.probe, (inner,)
 
 
