@@ -11,7 +11,7 @@ import pytest
 import pinmobile as pm
 from pinmobile import controllers, forces, integrators, robot, wheels
 from pinmobile.derivatives import Gradient, gradient, poles
-from pinmobile.loop import Loop, sampled, start_of
+from pinmobile.loop import Loop, sample_reference, start_of
 from pinmobile.parts import named, parts_of, replace
 from tests.frozen import BODY, CIRCLE, MOTOR, WHEEL, WRONG, by_lapack, loops, table, turning
 
@@ -117,7 +117,7 @@ def differences(loop: Loop, own: dict[str, Any], paths: Sequence[str]) -> Any:
 
     def value(changed: Loop) -> float:
         parts = changed.plant, changed.controller, changed.trajectory
-        first = sampled(changed.trajectory, np.zeros(1), changed.plant)
+        first = sample_reference(changed.trajectory, np.zeros(1), changed.plant)
         q, v = start_of(changed.plant, first, own.get("q0"), own.get("v0"))
         start = changed.integrate(q, changed.start), v + changed.start_rate
         options: dict[str, Any] = {**own, "forces": changed.forces, "limit": 1e9}

@@ -191,7 +191,7 @@ def gradient(
         *(by, (q0, v0)),
         **options,
     )
-    units = {path: one.unit for path, one in problem.found.items()}
+    units = {path: one.unit for path, one in problem.numbers.items()}
     if smooth is not None:
         with differentiated():
             return _fitted(problem, bounded("smooth", positive("smooth", smooth), most=0.5))
@@ -221,7 +221,7 @@ def by_number(problem: Problem, directions: Sequence[Direction], slopes: Array) 
     """Return slopes by each entry, shape (..., P), by path in the shape of each number."""
     found: dict[str, Array] = {}
     for p, one in enumerate(directions):
-        number = problem.found[one.path]
+        number = problem.numbers[one.path]
         shape = () if number.entry is not None else problem.given[number.leaf.path].shape
         into = found.setdefault(one.path, np.zeros((*slopes.shape[:-1], *shape)))
         at: Any = (..., *(one.entry if shape else ()))
@@ -236,7 +236,7 @@ def _fitted(problem: Problem, share: float) -> Gradient:
         raise InvalidArgument("smooth is for one robot, expected n=1")
     known = named(scenario.given)
     entries, places = dict[str, float](), list[tuple[str, Any]]()
-    for path, one in problem.found.items():
+    for path, one in problem.numbers.items():
         many = one.entry is None and np.ndim(one.leaf.value) > 0
         own = [x for x in known.values() if x.leaf.path == path and x.label] if many else [one]
         entries |= {each.path: float(each.value) for each in own}
@@ -257,11 +257,11 @@ def _fitted(problem: Problem, share: float) -> Gradient:
     for k, (path, entry) in enumerate(places, 1):
         shape = (
             ()
-            if problem.found[path].entry is not None
-            else problem.given[problem.found[path].leaf.path].shape
+            if problem.numbers[path].entry is not None
+            else problem.given[problem.numbers[path].leaf.path].shape
         )
         for into, x in zip(slopes, (fit, deviation), strict=True):
             into.setdefault(path, np.zeros(shape))[entry if shape else ()] = x[k]
-    units = {path: one.unit for path, one in problem.found.items()}
+    units = {path: one.unit for path, one in problem.numbers.items()}
     words = f"fit to {len(steps)} runs within {100 * share:g} % of each number"
     return Gradient(float(fit[0]), slopes[0], units, words, errors=slopes[1])

@@ -38,7 +38,7 @@ from pinmobile.loop import (
     arrays_of,
     initial_memories,
     initial_memory,
-    sampled,
+    sample_reference,
     scheduled_rows,
     start_of,
     traced_numbers,
@@ -178,10 +178,10 @@ class Problem:
         self.loop = evolved(scenario.loop, {"recorder": recorder})
         known = named(scenario.given)
         self.named_by = {name: matching(scenario.given, name, known, "by") for name in by}
-        self.found = {one.path: one for some in self.named_by.values() for one in some}
+        self.numbers = {one.path: one for some in self.named_by.values() for one in some}
         numbers = traced_numbers(self.loop)
         spread = dict(scenario.entries) if is_ensemble else {}
-        for path in {one.leaf.path for one in self.found.values()} & numbers.keys():
+        for path in {one.leaf.path for one in self.numbers.values()} & numbers.keys():
             spread[path] = np.ones(np.shape(numbers[path]), bool)
         self.given = {path: np.asarray(x.leaf.value, float) for path, x in known.items() if not x.label}
         self.pure: dict[str, bool] = {}
@@ -213,7 +213,7 @@ class Problem:
         if loop.plant is self.loop.plant and loop.trajectory is self.loop.trajectory:
             return base, loop
         scenario = copy(base)  # without what it has derived
-        reference = sampled(loop.trajectory, base.t, loop.plant)
+        reference = sample_reference(loop.trajectory, base.t, loop.plant)
         scenario.__dict__.update(_own_parts(loop), reference=reference)
         return scenario, loop
 
@@ -262,12 +262,12 @@ class Problem:
     def _follow(self, changes: Mapping[str, Any], values: dict[str, Array]) -> None:
         """Change the numbers of the spread that are the same as changed numbers, in proportion."""
         scenario = self.scenario
-        for name, one in scenario.found.items() if changes else ():
+        for name, one in scenario.numbers.items() if changes else ():
             source: Any = scenario.spread[name]
             other, names = one, list[str]()
             while isinstance(source, SameAs):
                 other = scenario.find(source.name)
-                names = [each for each, found in scenario.found.items() if found.path == other.path]
+                names = [each for each, found in scenario.numbers.items() if found.path == other.path]
                 source = scenario.spread[names[0]] if names else None
             at = other.leaf.path
             if other is one or at not in changes:
@@ -312,7 +312,7 @@ class Problem:
         reference, are differentiated by central differences and Richardson's extrapolation.
         """
         every = list[Direction]()
-        for path, one in self.found.items():
+        for path, one in self.numbers.items():
             at = one.leaf.path
             value = np.asarray(changes.get(at, self.given[at]), float)
             leaf = self.machine.tape.parameters.get(at)
@@ -399,7 +399,7 @@ class Problem:
 
     def mode(self, losses: int = 1) -> tuple[str, str]:
         """Return the mode with the lower cost for a number of losses, and the reason."""
-        count = sum(1 if x.entry is not None else int(np.size(x.leaf.value)) for x in self.found.values())
+        count = sum(1 if x.entry is not None else int(np.size(x.leaf.value)) for x in self.numbers.values())
         if "slides" in self.machine.tape.kept:
             return "forward", "dry friction at the wheels"
         return "forward" if count <= _FEW * losses else "reverse", f"{count} number{'s' * (count > 1)}"

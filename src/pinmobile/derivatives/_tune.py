@@ -227,7 +227,7 @@ class _Variables:
     def __init__(self, problem: Problem, given: Mapping[str, Any]) -> None:
         self.problem, self.entries, self.names, self.units = problem, list[Any](), list[str](), list[str]()
         first, limits = list[float](), list[Any]()
-        for path, one in problem.found.items():
+        for path, one in problem.numbers.items():
             value = problem.given[one.leaf.path]
             declared = one.leaf.declared
             above, low, high = (stated(declared, name) for name in ("above", "lower", "upper"))
@@ -461,14 +461,14 @@ def tune(
     options: dict[str, Any] = {"dt": dt, "duration": duration, "integrator": integrator, "substeps": substeps}
     options |= {"forces": forces, "n": n, "spread": spread, "seed": seed}
     problem = problem_of(plant, controller, trajectory, losses, [*given], (q0, v0), **options)
-    twice = {one.leaf.path for one in problem.found.values()} & problem.values.keys()
+    twice = {one.leaf.path for one in problem.numbers.values()} & problem.values.keys()
     if twice:
         raise InvalidArgument(f"by has {min(twice)!r}, which is in the spread, expected other numbers")
     wholes, parts = (
-        {one.leaf.path for one in problem.found.values() if (one.entry is None) == is_whole}
+        {one.leaf.path for one in problem.numbers.values() if (one.entry is None) == is_whole}
         for is_whole in (True, False)
     )
-    if len(problem.found) < sum(map(len, problem.named_by.values())) or wholes & parts:
+    if len(problem.numbers) < sum(map(len, problem.named_by.values())) or wholes & parts:
         raise InvalidArgument(f"by has {', '.join(given)}, of which two mean the same number")
     pairs = ((one.path, given[name]) for name, some in problem.named_by.items() for one in some)
     variables = _Variables(problem, {path: pair for path, pair in pairs if pair is not None})

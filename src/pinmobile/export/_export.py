@@ -22,11 +22,11 @@ from pinmobile.integrators import Integrator
 from pinmobile.loop import (
     BlindContext,
     Loop,
-    checked_forces,
-    checked_substeps,
-    chosen_integrator,
+    check_forces,
+    check_substeps,
+    sample_reference,
     sample_times,
-    sampled,
+    select_integrator,
     start_of,
 )
 from pinmobile.parts import Following, OnCoordinates, evolved, required
@@ -136,9 +136,9 @@ def export_c(
         plant,
         InputSchedule() if controller is None else controller,
         trajectory,
-        checked_forces(forces, plant),
-        chosen_integrator(plant, integrator),
-        checked_substeps(substeps, 1),
+        check_forces(forces, plant),
+        select_integrator(plant, integrator),
+        check_substeps(substeps, 1),
     )
     try:
         with uncollected(), np.errstate(all="ignore"):
@@ -207,7 +207,7 @@ def begun(
         refuse_path("trajectory", trajectory)
         required("trajectory", trajectory, Following)
         t = sample_times(dt, None, trajectory.duration)
-        reference = sampled(trajectory, t, plant)
+        reference = sample_reference(trajectory, t, plant)
         context = Context.of(plant, dt=dt, t=t, reference=reference, trajectory=trajectory)
         return context, start_of(plant, reference, None, None), Reference(*(x[0] for x in reference))
     sizes = reference_sizes_of(plant)

@@ -15,11 +15,11 @@ from pinmobile.export import InputRecorder, Law, begun, noise_error
 from pinmobile.loop import (
     Loop,
     Rollout,
-    chosen_integrator,
     control,
     errors_of,
     initial_memory,
     scheduled_rows,
+    select_integrator,
     traced_numbers,
     tracking_errors,
 )
@@ -193,7 +193,7 @@ class Stepper:
         self.controller, self.plant, self.trajectory = controller, plant, trajectory
         self.dt, self.capacity = positive("dt", dt, "s"), check_integer("capacity", capacity)
         context, start, first = self._start()
-        loop = Loop(plant, controller, trajectory, (), chosen_integrator(plant, None), 1)
+        loop = Loop(plant, controller, trajectory, (), select_integrator(plant, None), 1)
         self.fallback_reason = ""
         self._law: _MachineCode | _PythonCode
         try:

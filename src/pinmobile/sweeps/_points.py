@@ -21,13 +21,13 @@ from pinmobile.arrays import instance
 from pinmobile.compiled import Contents
 from pinmobile.errors import InvalidArgument, UnknownName, format_value
 from pinmobile.loop import (
-    PER_ROBOT,
-    SUMMED,
+    ROBOT_ARRAYS,
+    SUMS,
     Loop,
     Relative,
     Scenario,
-    chosen_integrator,
     contents,
+    select_integrator,
     versions,
 )
 from pinmobile.parts import (
@@ -51,7 +51,7 @@ _PARTS = {"robot": "plant"} | {name: name for name in ("controller", "trajectory
 _OWN = {each.name for each in fields(Scenario) if each.init} - _PARTS.keys()
 _UNITS = {"dt": "s", "duration": "s", "after": "s"}
 _COORDINATES = "coordinate", "input", "metric", "channel", "time", "level", "bin"
-_NAMES = {"robot", "chunk", *_COORDINATES, *PER_ROBOT, *SUMMED}  # dimensions and arrays of a store
+_NAMES = {"robot", "chunk", *_COORDINATES, *ROBOT_ARRAYS, *SUMS}  # dimensions and arrays of a store
 _MOST = 100_000  # points; each has about twenty files in a store
 
 
@@ -293,7 +293,7 @@ def changed(scenario: Scenario, changes: Changes) -> Scenario:
             else:
                 loop = replaced(loop, {one.leaf.path: value})
     loop = replaced(loop, numbers)
-    default = chosen_integrator(scenario.robot, None) is loop.integrator
+    default = select_integrator(scenario.robot, None) is loop.integrator
     new = replace(
         scenario,
         **own | {"spread": spread},
@@ -302,13 +302,13 @@ def changed(scenario: Scenario, changes: Changes) -> Scenario:
         **{name: getattr(loop, name) for name in ("controller", "trajectory", "forces")},
     )
     for name, source in new.spread.items():
-        if new.found[name].path in found and not isinstance(source, Relative):
+        if new.numbers[name].path in found and not isinstance(source, Relative):
             raise InvalidArgument(
-                f"grid or cases have {new.found[name].path!r}, which the spread replaces for each robot: "
-                f"expected 'spread.{name}', or a Relative spread"
+                f"grid or cases have {new.numbers[name].path!r}, which the spread replaces for each "
+                f"robot: expected 'spread.{name}', or a Relative spread"
             )
-        old = scenario.found.get(name)
-        if old and not isinstance(source, Relative) and not np.array_equal(old.value, new.found[name].value):
+        x = scenario.numbers.get(name)
+        if x and not isinstance(source, Relative) and not np.array_equal(x.value, new.numbers[name].value):
             warnings.warn(f"grid or cases set {name}, which the spread replaces: use Relative", stacklevel=2)
     return new
 

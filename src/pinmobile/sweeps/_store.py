@@ -28,11 +28,11 @@ from pinmobile.loop import (
     Ensemble,
     Part,
     coordinates,
-    drawn,
-    drawn_name,
-    over_all,
-    per_robot,
-    summed,
+    draw_name,
+    draw_vars,
+    robot_vars,
+    sum_vars,
+    sums,
 )
 from pinmobile.sweeps._points import FORMAT, Points, differences
 
@@ -141,10 +141,10 @@ class Store:
         """
         where = (*self.points.index(job.scenario), slice(job.start, job.stop))
         records = Ensemble.of(self.points.scenarios[job.scenario], draws, part)
-        for name in per_robot(records.scenario):
+        for name in robot_vars(records.scenario):
             self._arrays[name][where] = getattr(records, name)
         for name, values in draws.items():
-            self._arrays[drawn_name(name)][where] = values
+            self._arrays[draw_name(name)][where] = values
         self._arrays["counts"][(*where[:-1], job.start // self.chunk)] = part.counts
         self._write_gathered()
         self._sum_up(job.scenario)
@@ -156,7 +156,7 @@ class Store:
         where = self.points.index(scenario)
         with reading(self.path):
             counts = np.asarray(_open_group(self.path)["counts"][where].sum(axis=0), np.int32)
-        found = summed(counts, self.points.scenarios[scenario].channels)
+        found = sums(counts, self.points.scenarios[scenario].channels)
         self._arrays["quantiles"][where] = found["quantiles"]
         self._write_gathered()
 
@@ -176,7 +176,7 @@ class Store:
 
     def _is_done(self, job: Job) -> bool:
         one = self.points.scenarios[job.scenario]
-        names = *per_robot(one), *map(drawn_name, one.spread), "counts"
+        names = *robot_vars(one), *map(draw_name, one.spread), "counts"
         return all(self._has(name, job.scenario, job.start // self.chunk) for name in names)
 
     def _has(self, name: str, scenario: int, chunk: int = 0) -> bool:
@@ -236,7 +236,7 @@ def _make_arrays(group: Any, points: Points, chunk: int) -> None:
     sizes |= {"time": len(first.grid), "bin": BINS, "level": len(LEVELS), "chunk": -(-n // chunk)}
     sizes |= {"metric": len(first.recorded_metrics), "channel": len(first.channels)}
     spread = {name: one for scenario in points.scenarios for name, one in scenario.parameters.items()}
-    variables = {**per_robot(first), **drawn(dict(sorted(spread.items()))), **over_all(first.channels)}
+    variables = {**robot_vars(first), **draw_vars(dict(sorted(spread.items()))), **sum_vars(first.channels)}
     counts = variables["counts"]
     variables["counts"] = counts._replace(dimensions=("chunk", *counts.dimensions))
     for name, one in variables.items():

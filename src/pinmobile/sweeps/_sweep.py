@@ -161,11 +161,11 @@ class Sweep:
         UnknownName
             If there is no such error.
         """
-        level, known = loop.checked_share(share), self._judged()
+        level, known = loop.check_share(share), self._judged()
         name, where, unit, sign = known[one_of("error", by, known)]
         data = self._read(self.dataset[[name, "diverged_at"]].isel(where))
         sizes = (sign * data[name]).where(data.diverged_at.isnull(), np.inf)
-        found = sign * sizes.reduce(loop.share_within, "robot", share=level)
+        found = sign * sizes.reduce(loop.share_quantile, "robot", share=level)
         what = "distance from the desired position" if by == "distance" else by
         stay = "stay within" if sign > 0 else "have at least"
         meaning = f"{what} that {level * 100:g} % of the robots {stay}"
@@ -305,11 +305,11 @@ class Sweep:
             )
         none = np.zeros((scenario.n, 0))
         records: dict[str, Any] = {
-            name: np.array(data[name]) if name in data else none for name in loop.PER_ROBOT
+            name: np.array(data[name]) if name in data else none for name in loop.ROBOT_ARRAYS
         }
         return Ensemble(
             scenario=scenario,
-            draws={name: np.array(data[loop.drawn_name(name)]) for name in scenario.spread},
+            draws={name: np.array(data[loop.draw_name(name)]) for name in scenario.spread},
             counts=np.array(data["counts"].sum("chunk"), np.int32),
             traces={},
             **records,
@@ -363,7 +363,7 @@ def compared(within: Mapping[str, float], share: float, diverged: Mapping[str, i
             words.append(f"{label} {'is' if s else 'are'} unknown")
         else:
             words.append(
-                f"{label} diverge{s}{'' if n == 1 else f' in {loop.percent(diverged[label], n)} runs'}"
+                f"{label} diverge{s}{'' if n == 1 else f' in {loop.format_percent(diverged[label], n)} runs'}"
             )
     return ", ".join(words)
 
@@ -525,7 +525,7 @@ def _warn_if_slower(points: Points, jobs: Sequence[Job]) -> None:
     """Warn once about parts that prevent the fastest engine, here and not where chunks are computed."""
     reasons: dict[str, list[int]] = {}
     for k in sorted({job.scenario for job in jobs}):
-        way = loop.way_of(points.scenarios[k])
+        way = loop.plan_execution(points.scenarios[k])
         if way.fallback_reason:
             reasons.setdefault(f"by {way.engine!r}, {way.engine.value}; {way.fallback_reason}", []).append(k)
     told = []
@@ -593,7 +593,7 @@ def _results(
     def send() -> None:
         for job in left:
             scenario = points.scenarios[job.scenario]
-            sent = scenario if client is None else scenario.holding(job.start, job.stop)
+            sent = scenario if client is None else scenario.subset(job.start, job.stop)
             under_way[executor.submit(loop.part_of, sent, job.start, job.stop)] = job
             return
 
