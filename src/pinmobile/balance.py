@@ -23,7 +23,7 @@ from pinmobile.arrays import (
     vector,
 )
 from pinmobile.errors import InvalidArgument, format_value
-from pinmobile.parts import Desired, Following, Grounded, required
+from pinmobile.parts import Desired, Following, Grounded, require
 from pinmobile.plant import ContactLoads, SlipMargins, refuse_path, robot_at, stated
 from pinmobile.robot import WEIGHTLESS, checked_footprint, margin_inside, zero_moment_point_of
 from pinmobile.trajectories import Reference
@@ -118,7 +118,7 @@ class MotionStates:
     u: ArrayLike | None = None
 
     def __post_init__(self) -> None:
-        robot = required("plant", self.plant, Grounded)
+        robot = require("plant", self.plant, Grounded)
         for name, size in (("q", robot.nq), ("v", robot.nv), ("a", robot.nv)):
             object.__setattr__(self, name, frozen(vector(name, getattr(self, name), size)))
         if self.u is not None:
@@ -128,8 +128,8 @@ class MotionStates:
 
 
 def _robot_of(motion: Any) -> Any:
-    required("motion", motion, MotionLike)
-    return required("motion.plant", robot_at(motion.plant, stated(motion, "t")), Grounded)
+    require("motion", motion, MotionLike)
+    return require("motion.plant", robot_at(motion.plant, stated(motion, "t")), Grounded)
 
 
 def reaction_wrench(motion: MotionLike, mount: str | None = None) -> Array:
@@ -496,11 +496,11 @@ def max_path_speed(plant: Any, trajectory: Any, samples: int = 400) -> MotionLim
     (1.98, 'left + right slip')
     """
     follows = _method("plant", plant, "follows", "the loads along a trajectory")
-    required("trajectory", trajectory, Following)
+    require("trajectory", trajectory, Following)
     duration = positive("trajectory.duration", trajectory.duration, "s")
     t = np.linspace(0.0, duration, check_integer("samples", samples, least=4))
     refuse_path("trajectory", trajectory)
-    reference = required("what trajectory(t) returned", trajectory(t), Desired)
+    reference = require("what trajectory(t) returned", trajectory(t), Desired)
     going = follows(t, reference)
     speed = float(np.hypot(*np.moveaxis(reference.v[..., :2], -1, 0)).max())
     if _first(going, 0.0)[0] < 0:
@@ -627,7 +627,7 @@ def footprint_of(robot: Any, footprint: ArrayLike | None = None) -> Array:
     """
     if footprint is not None:
         return checked_footprint(footprint)
-    corners: Array | None = getattr(required("robot", robot, Grounded), "footprint", None)
+    corners: Array | None = getattr(require("robot", robot, Grounded), "footprint", None)
     if corners is None:
         raise InvalidArgument(
             "footprint is not given, and the robot's footprint is not known, expected the corners of the "

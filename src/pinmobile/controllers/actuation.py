@@ -45,10 +45,10 @@ _HALF_SAMPLE = 0.5
 class _ByVoltage(Child):
     """Declaration of a robot whose input is voltages, or that has a method `by_voltage`."""
 
-    def checked(self, name: str, value: Any) -> Any:
+    def convert(self, name: str, value: Any) -> Any:
         """Return the robot whose input is voltages."""
         motor_robot = None if able(value, Electric) or isinstance(value, type) else able(value, Powered)
-        return super().checked(name, motor_robot.by_voltage() if motor_robot else value)
+        return super().convert(name, motor_robot.by_voltage() if motor_robot else value)
 
 
 @final

@@ -20,7 +20,7 @@ from pinmobile.arrays import (
     wrap_angle,
 )
 from pinmobile.errors import InvalidArgument, format_value
-from pinmobile.parts import Informed, able, option, part, required
+from pinmobile.parts import Informed, able, option, part, require
 from pinmobile.plant import Context
 from pinmobile.signals import signals_of
 
@@ -151,7 +151,7 @@ def check_controller(controller: object) -> None:
     ...     print(str(error)[:13])
     controller is
     """
-    typed = required("controller", controller, Controller)
+    typed = require("controller", controller, Controller)
     callable_as("controller(t, q, v, reference, state)", controller)
     try:
         callable_as("controller.initial_state(context)", typed.initial_state)

@@ -17,7 +17,7 @@ from pinmobile.forces import Force
 from pinmobile.integrators import Integrator
 from pinmobile.loop import Sample, Source
 from pinmobile.metrics import Metric, in_words
-from pinmobile.parts import OnCoordinates, named
+from pinmobile.parts import OnCoordinates, refs_of
 from pinmobile.plant import Plant
 from pinmobile.trajectories import Trajectory
 
@@ -234,7 +234,7 @@ def _fitted(problem: Problem, share: float) -> Gradient:
     scenario = problem.scenario
     if scenario.n > 1:
         raise InvalidArgument("smooth is for one robot, expected n=1")
-    known = named(scenario.given)
+    known = refs_of(scenario.given)
     entries, places = dict[str, float](), list[tuple[str, Any]]()
     for path, one in problem.numbers.items():
         many = one.entry is None and np.ndim(one.leaf.value) > 0

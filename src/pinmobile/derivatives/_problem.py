@@ -43,7 +43,7 @@ from pinmobile.loop import (
     start_of,
     traced_numbers,
 )
-from pinmobile.parts import evolved, matching, named, replace
+from pinmobile.parts import evolved, match_refs, refs_of, replace
 from pinmobile.trajectories import Reference
 
 _FEW = 8  # numbers for which forward mode is selected
@@ -176,8 +176,8 @@ class Problem:
         self.draws = scenario.draws() if is_ensemble else {}
         self.values = scenario.values(self.draws, 0, self.n) if is_ensemble else {}
         self.loop = evolved(scenario.loop, {"recorder": recorder})
-        known = named(scenario.given)
-        self.named_by = {name: matching(scenario.given, name, known, "by") for name in by}
+        known = refs_of(scenario.given)
+        self.named_by = {name: match_refs(scenario.given, name, known, "by") for name in by}
         self.numbers = {one.path: one for some in self.named_by.values() for one in some}
         numbers = traced_numbers(self.loop)
         spread = dict(scenario.entries) if is_ensemble else {}
@@ -550,8 +550,8 @@ def problem_of(
 
 def _grown(scenario: Scenario, by: Sequence[str]) -> Scenario:
     """Return the scenario with a number for each coordinate where `by` names one of a gain."""
-    known, grown = named(scenario.given), dict[str, Any]()
-    for one in (each for name in by for each in matching(scenario.given, name, known, "by")):
+    known, grown = refs_of(scenario.given), dict[str, Any]()
+    for one in (each for name in by for each in match_refs(scenario.given, name, known, "by")):
         if one.entry is not None and np.ndim(one.leaf.value) < len(one.entry):
             size = 1 + max(entry[-1] for entry in one.leaf.entries.values())
             grown[one.leaf.path] = np.full(size, float(one.leaf.value))

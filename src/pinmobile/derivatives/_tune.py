@@ -19,7 +19,7 @@ from pinmobile.forces import Force
 from pinmobile.integrators import Integrator
 from pinmobile.loop import Sample, Scenario, Source
 from pinmobile.metrics import Metric
-from pinmobile.parts import Found, OnCoordinates, replace
+from pinmobile.parts import NumberRef, OnCoordinates, replace
 from pinmobile.plant import Plant, stated
 from pinmobile.trajectories import Trajectory
 
@@ -244,7 +244,7 @@ class _Variables:
                 indices = "".join(f"[{i}]" for i in entry)
                 suffix = f".{labels[entry]}" if entry in labels else indices
                 self.names.append(path if one.entry is not None else path + suffix)
-                self.units.append(Found(one.leaf, one.label, entry or None).unit)
+                self.units.append(NumberRef(one.leaf, one.label, entry or None).unit)
                 first.append(float(value[entry]))
                 limits.append(own)
         self.first = np.array(first)

@@ -29,7 +29,7 @@ from pinmobile.loop import (
     select_integrator,
     start_of,
 )
-from pinmobile.parts import Following, OnCoordinates, evolved, required
+from pinmobile.parts import Following, OnCoordinates, evolved, require
 from pinmobile.plant import Context, Plant, check_plant, reference_sizes_of, refuse_path
 from pinmobile.trajectories import Reference, Trajectory
 
@@ -205,7 +205,7 @@ def begun(
     """
     if trajectory is not None:
         refuse_path("trajectory", trajectory)
-        required("trajectory", trajectory, Following)
+        require("trajectory", trajectory, Following)
         t = sample_times(dt, None, trajectory.duration)
         reference = sample_reference(trajectory, t, plant)
         context = Context.of(plant, dt=dt, t=t, reference=reference, trajectory=trajectory)

@@ -22,7 +22,7 @@ from pinmobile.loop import (
     scheduled_rows,
     traced_numbers,
 )
-from pinmobile.parts import Found, find, named, option, part, replace
+from pinmobile.parts import NumberRef, find, option, part, refs_of, replace
 from pinmobile.plant import Context, coordinates_of, inputs_of
 from pinmobile.signals import signals_of
 from pinmobile.trajectories import Reference
@@ -166,9 +166,9 @@ class Law:
         self._results()
         self._finish()
 
-    def _tunable(self, name: str) -> Found:
+    def _tunable(self, name: str) -> NumberRef:
         root = "plant." if self.is_plant else "controller."
-        known = {path: one for path, one in named(self.loop).items() if path.startswith(root)}
+        known = {path: one for path, one in refs_of(self.loop).items() if path.startswith(root)}
         found = find(self.loop, name, known, "tunable")
         if found.label:
             raise InvalidArgument(

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pinmobile.arrays import Array, scalar
 from pinmobile.errors import InvalidArgument
 from pinmobile.loop._spread import SameAs
-from pinmobile.parts import shortest
+from pinmobile.parts import shorten
 
 _CHANCE = 0.01  # that any of the parameters without effect is named
 _SIDE_SHARE = 0.1  # share of the statistic below which one side counts as chance
@@ -111,7 +111,7 @@ def causes(ensemble: Any, worst: NDArray[np.bool_]) -> list[Cause]:
 
 def _parameters(ensemble: Any) -> list[tuple[str, str, Array]]:
     """Return name, unit and values of each independent parameter; for `SameAs`, the factor."""
-    rows, short_names = [], dict(zip(ensemble.draws, shortest(ensemble.draws), strict=True))
+    rows, short_names = [], dict(zip(ensemble.draws, shorten(ensemble.draws), strict=True))
     for name, values in ensemble.draws.items():
         source = ensemble.scenario.spread[name]
         if isinstance(source, SameAs) and (base := ensemble.draws.get(source.name)) is not None:

@@ -28,7 +28,7 @@ from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.integrators import Integrator, check_integrator, constant_acceleration
 from pinmobile.loop._loop import Loop, displace, named_forces
 from pinmobile.loop._python import size_error
-from pinmobile.parts import Carried, Following, OnCoordinates, Pushable, Stepping, able, required
+from pinmobile.parts import Carried, Following, OnCoordinates, Pushable, Stepping, able, require
 from pinmobile.plant import (
     Context,
     Plant,
@@ -72,7 +72,7 @@ def check_run(
     integrator = select_integrator(plant, integrator)
     check_controller(controller)
     refuse_path("trajectory", trajectory)
-    required("trajectory", trajectory, Following)
+    require("trajectory", trajectory, Following)
     check_plant(plant)
     if integrator is not None:
         check_integrator(integrator)
@@ -218,7 +218,7 @@ def check_forces(forces: Any, plant: Plant) -> Any:
             callable_as(f"{name}(t, q, v)", force)
             has_wrench = True
     if has_wrench:
-        required("plant", plant, Pushable, "forces push its body")
+        require("plant", plant, Pushable, "forces push its body")
     _check_inertia(by_name, plant)
     if by_name and not able(plant, Stepping):
         try:

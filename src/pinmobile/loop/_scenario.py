@@ -43,14 +43,14 @@ from pinmobile.loop._trace import initial_memory, initial_velocities
 from pinmobile.metrics import Metric, channels_of, check_measured, chosen
 from pinmobile.parts import (
     Constrained,
-    Found,
+    NumberRef,
     Starting,
     Whole,
     able,
     find,
-    named,
     numbers,
     parts_of,
+    refs_of,
     replace as replaced,
     spread_entries,
     spread_values,
@@ -240,7 +240,7 @@ class Scenario(RecordGrid):
         check_supports(self.spread, self.numbers)
         self._check_answers()
 
-    def find(self, name: str, where: str = "spread") -> Found:
+    def find(self, name: str, where: str = "spread") -> NumberRef:
         """Return the number of the loop that a name of the spread means.
 
         A name is a path or the end of a path. Of several paths with this end, the plant's own comes first,
@@ -263,8 +263,8 @@ class Scenario(RecordGrid):
         return find(self.given, name, self._named_numbers, where)
 
     @cached_property
-    def _named_numbers(self) -> dict[str, Found]:
-        return named(self.given)
+    def _named_numbers(self) -> dict[str, NumberRef]:
+        return refs_of(self.given)
 
     def _check_shared(self, name: str) -> None:
         """Reject a spread of a whole number, such as the samples of a delay: all robots share it."""
@@ -330,7 +330,7 @@ class Scenario(RecordGrid):
         return chosen(self.robot, self.metrics, errors)
 
     @cached_property
-    def numbers(self) -> dict[str, Found]:
+    def numbers(self) -> dict[str, NumberRef]:
         """Numbers of the loop that the spread names, by its names."""
         return {name: self.find(name) for name in self.spread}
 

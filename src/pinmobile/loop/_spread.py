@@ -13,7 +13,7 @@ import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, affordable, check_integer, finite, instance, scalar, shaped
 from pinmobile.errors import InvalidArgument, format_value
-from pinmobile.parts import Found, Number, by_value, matching, number, part
+from pinmobile.parts import Number, NumberRef, by_value, match_refs, number, part
 from pinmobile.plant import stated
 
 
@@ -368,18 +368,18 @@ def draw_source(name: str, source: Any, generator: np.random.Generator, size: in
     return shaped(label, finite(label, values), (size,))
 
 
-Find: TypeAlias = Callable[..., Found]
+Find: TypeAlias = Callable[..., NumberRef]
 """``find(name, where)`` returns the number with this name, or raises."""
 
 
 def expand_patterns(
-    spread: Mapping[str, Source], given: Any, numbers: Mapping[str, Found]
+    spread: Mapping[str, Source], given: Any, numbers: Mapping[str, NumberRef]
 ) -> dict[str, Source]:
     """Return a spread in which each pattern, such as ``"*.mu"``, is replaced by the paths that it means."""
     expanded = dict[str, Source]()
     for name, source in spread.items():
         is_pattern = "*" in str(name)
-        paths = [one.path for one in matching(given, name, numbers, "spread")] if is_pattern else [name]
+        paths = [one.path for one in match_refs(given, name, numbers, "spread")] if is_pattern else [name]
         expanded |= dict.fromkeys(paths, source)
     return expanded
 
@@ -421,7 +421,7 @@ def check_spread(spread: Mapping[str, Source], n: int, find: Find) -> dict[str, 
     return sources
 
 
-def check_supports(spread: Mapping[str, Any], numbers: Mapping[str, Found]) -> None:
+def check_supports(spread: Mapping[str, Any], numbers: Mapping[str, NumberRef]) -> None:
     """Check that distributions stay within the bounds of their numbers.
 
     Raises
@@ -440,12 +440,12 @@ def check_supports(spread: Mapping[str, Any], numbers: Mapping[str, Found]) -> N
             raise _support_error(f"spread[{name!r}] reaches {low:.6g}", number, count)
 
 
-def _support_error(message: str, number: Found, count: str) -> InvalidArgument:
+def _support_error(message: str, number: NumberRef, count: str) -> InvalidArgument:
     words = f"{message} {number.unit} as the {number.meaning}, and {count} are impossible"
     return InvalidArgument(f"{words}; expected {number.leaf.declared.bound}")  # type: ignore[attr-defined]
 
 
-def check_draws(draws: Mapping[str, Array], numbers: Mapping[str, Found]) -> None:
+def check_draws(draws: Mapping[str, Array], numbers: Mapping[str, NumberRef]) -> None:
     """Check that draws stay within the bounds of their numbers.
 
     Raises
@@ -455,7 +455,7 @@ def check_draws(draws: Mapping[str, Array], numbers: Mapping[str, Found]) -> Non
     """
     for name, column in draws.items():
         number, field = numbers[name], numbers[name].leaf.declared
-        is_wrong = field.beyond(column) if isinstance(field, Number) else np.zeros(len(column), bool)
+        is_wrong = field.outside_bounds(column) if isinstance(field, Number) else np.zeros(len(column), bool)
         if is_wrong.any():
             count = f"{np.count_nonzero(is_wrong)} of {len(column)} draws ({is_wrong.mean():.2%})"
             raise _support_error(f"spread[{name!r}] gives {column[is_wrong].min():.6g}", number, count)
@@ -525,7 +525,7 @@ def draw(spread: Mapping[str, Any], seed: int, start: int, stop: int, find: Find
     """
     names, values = {find(name).path: name for name in spread}, dict[str, Array]()
 
-    def value_of(path: str, number: Found) -> Array:
+    def value_of(path: str, number: NumberRef) -> Array:
         if path not in values:
             name = names.get(path)
             source = None if name is None else spread[name]

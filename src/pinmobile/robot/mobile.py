@@ -44,7 +44,7 @@ from pinmobile.parts import (
     numeric,
     option,
     part,
-    required,
+    require,
     structure,
     walk,
 )
@@ -595,7 +595,7 @@ class MobileRobot(MultibodySystem):
         InvalidArgument
             If an argument has another shape or is not finite.
         """
-        required("reference", reference, Desired)
+        require("reference", reference, Desired)
         wanted = [("...", n) for n in self.reference_sizes]
         desired = shaped("reference.q", finite("reference.q", reference.q), *wanted)
         state = {"q": self._q(q), "v": self._v("v", v), "a": self._v("a", a), "u": self._v("u", u)}

@@ -32,13 +32,13 @@ from pinmobile.loop import (
 )
 from pinmobile.parts import (
     Field,
-    Found,
     Leaf,
     Number,
+    NumberRef,
     entries_of,
     find,
-    named,
     parts_of,
+    refs_of,
     replace as replaced,
     walk,
 )
@@ -233,11 +233,11 @@ def _labels(name: str, values: Any) -> Axis:
     return Axis(tuple(x.item() if isinstance(x, np.generic) else x for x in found))
 
 
-def _known(loop: Loop) -> dict[str, Found]:
+def _known(loop: Loop) -> dict[str, NumberRef]:
     """Return everything that has a path in a loop: parts, fields, and entries of numbers."""
-    known = {leaf.path: Found(leaf) for leaf in walk(loop) if "._" not in leaf.path}
-    known |= {path: Found(Leaf(path, loop, Field(), part)) for path, part in parts_of(loop) if path}
-    return known | named(loop)
+    known = {leaf.path: NumberRef(leaf) for leaf in walk(loop) if "._" not in leaf.path}
+    known |= {path: NumberRef(Leaf(path, loop, Field(), part)) for path, part in parts_of(loop) if path}
+    return known | refs_of(loop)
 
 
 def _unit(scenario: Scenario, path: str) -> str:
@@ -319,7 +319,7 @@ def _with_force(forces: Any, key: str, force: Any) -> Any:
     return more if isinstance(forces, Mapping) or key not in items else tuple(more.values())
 
 
-def _with_entry(base: Any, one: Found, value: Any, size: int) -> Any:
+def _with_entry(base: Any, one: NumberRef, value: Any, size: int) -> Any:
     """Return an array with another value of one entry; one gain for all coordinates becomes an array."""
     array = np.array(0.0 if base is None else base, np.float64)
     array = array if array.ndim else np.repeat(array, size)
