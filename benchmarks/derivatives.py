@@ -30,7 +30,7 @@ TOLERANCE, STEP, SPREAD = 1e-9, 1e-5, {"mass": pm.Uniform(27, 33)}
 def forgotten(folder: bool = False) -> None:
     """Forget the machine code of this process, and that of its folder too."""
     _problem._machines.clear()
-    processor._known.clear()
+    processor._functions.clear()
     for file in os.scandir(os.environ["PINMOBILE_CACHE"]) if folder else ():
         os.unlink(file)
 
@@ -106,7 +106,7 @@ def measured(case: Case, rounds: int, least: float) -> tuple[list[str], list[str
     rows = timed(works, rounds, least)
     costs = {name: f"{row.ratio(rows['rollout']):,.3g}" for name, row in rows.items()} | words
     seconds = {name: f"{took:.2f}" for name, (took, _) in peers.items()}
-    cells = [case.name, f"{problem.machine.tape.own:,}", f"{1e3 * rows['rollout'].median:.2f}"]
+    cells = [case.name, f"{problem.machine.tape.robot_size:,}", f"{1e3 * rows['rollout'].median:.2f}"]
     cells += [costs[name] for name in ("forward", "reverse", "whole", "central", *PEERS)]
     builds = [case.name, mode, *(f"{np.median(times):.2f}" for times in built)]
     builds += [*(seconds.get(name, words.get(name, "")) for name in PEERS)]
@@ -147,7 +147,7 @@ def of_tuning(case: Case, rounds: int, **own: Any) -> list[str]:
 
     def work() -> None:
         given = {"by": case.by, "q0": case.q0, "dt": case.dt, "progress": lambda trial: None}
-        found[:] = [tune(loss, *case.parts, **given, **case.own, **own)]
+        found[:] = [tune(loss, *case.parts, **given, **case.robot_size, **own)]
 
     seconds = (f"{np.median(times):.2f}" for times in build_times(work, rounds))
     trials, best = found[0].trials, found[0].best

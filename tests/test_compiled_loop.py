@@ -184,7 +184,7 @@ TARGETS = {
 
 def targets() -> dict[str, tuple[Target, Shape]]:
     """Return those that this machine runs; on another family, its own in all shapes."""
-    here = Target.here()
+    here = Target.host()
     if "avx" not in here.features:
         return {str(shape): (here, shape) for _, shape in TARGETS.values()}
     has = {8: "+avx512f" in here.features, 4: "+avx2" in here.features}
@@ -194,7 +194,7 @@ def targets() -> dict[str, tuple[Target, Shape]]:
 def test_what_is_tabled_for_all_robots_does_not_make_a_loop_too_large_for_two_vectors() -> None:
     waves = tuple(SinusoidalForce((3.0, 2.0, 1.0), f) for f in np.linspace(0.1, 2.0, 60))
     compiled = built(Loop(Body(), torque(), None, waves, constant_acceleration))
-    assert len(compiled.tape.tape) > 2000 > 2 * compiled.tape.own
+    assert len(compiled.tape.tape) > 2000 > 2 * compiled.tape.robot_size
     assert compiled.program.shape.vectors == 2
 
 

@@ -10,7 +10,7 @@ from pinmobile import Coulomb, InvalidArgument, Motor, Rolling, VelocityRobot, W
 from pinmobile.arrays import Array
 from pinmobile.compiled import symbols
 from pinmobile.compiled.symbolic import entries
-from pinmobile.compiled.tape import Node, Tape, evaluated
+from pinmobile.compiled.tape import Node, Tape, evaluate
 from pinmobile.controllers import Backstepping, UnicycleTracking
 from pinmobile.loop import Engine, simulate
 from pinmobile.paths import Circle
@@ -58,7 +58,7 @@ def on_symbols(robot: Any, answer: Any, *state: Array) -> Array:
     inputs = {("row", k): x for k, x in enumerate(values.values())}
     inputs |= {("state", k): x for k, x in enumerate(flat)}
     wanted = [(x if type(x) is Node else tape.const(float(x))).index for x in found]
-    return np.array(evaluated(tape, wanted, inputs))
+    return np.array(evaluate(tape, wanted, inputs))
 
 
 def state_of(robot: Any) -> tuple[Array, Array, Array]:
@@ -235,5 +235,5 @@ def test_theta_has_a_name_for_each_entry() -> None:
     state = np.array([0.1, 0.2, 0.3]), np.array([0.5, 0.1, 0.4]), np.array([0.6, 0.2])
     found = entries(symbolic.forward_dynamics(*state)).reshape(-1)
     inputs = {("row", k): x for k, x in enumerate(robot.theta)}
-    got = evaluated(tape, [x.index for x in found], inputs)
+    got = evaluate(tape, [x.index for x in found], inputs)
     np.testing.assert_allclose(got, robot.forward_dynamics(*state), rtol=1e-13)

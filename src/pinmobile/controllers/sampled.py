@@ -7,7 +7,7 @@ from typing import Any, final, overload
 import numpy as np
 
 from pinmobile.arrays import Array
-from pinmobile.compiled import has_symbols, leaves, mapped
+from pinmobile.compiled import has_symbols, leaves, map_leaves
 from pinmobile.controllers.controller import ContextView, Controller, evaluate, notify_applied
 from pinmobile.controllers.kinematic_laws import value_of
 from pinmobile.parts import child, integer, part
@@ -143,4 +143,4 @@ class _SlowContext(ContextView):
 def _select_memory(is_due: Any, new: Any, old: Any) -> Any:
     """Return the new memory where it is due, else the old one; delays, noise and schedules always go on."""
     old_leaves = iter([leaf for _, leaf in leaves(old)])
-    return mapped(new, lambda leaf: np.where(is_due, leaf, next(old_leaves)))
+    return map_leaves(new, lambda leaf: np.where(is_due, leaf, next(old_leaves)))

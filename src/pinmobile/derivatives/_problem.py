@@ -21,13 +21,13 @@ from pinmobile.compiled import (
     Target,
     adjoint,
     aligned,
-    bits_of_indices,
+    expand_delays,
+    index_bits,
+    pause_gc,
     processors,
     robot_keys,
     sides,
     tangent,
-    uncollected,
-    without_delays,
 )
 from pinmobile.errors import InvalidArgument, NotTraceable
 from pinmobile.loop import (
@@ -129,7 +129,7 @@ class Machine:
         key = (key, many)
         if key not in self.programs:
             tape = make()
-            self.programs[key] = tape, Program(tape, shape=Shape(Target.here().lanes if many else 1, 1))
+            self.programs[key] = tape, Program(tape, shape=Shape(Target.host().lanes if many else 1, 1))
         return self.programs[key]
 
     @property
@@ -202,7 +202,7 @@ class Problem:
             parts = loop, scenario.context, begin, first, self.identity, self.spread, self.own
             traced = Trace(*parts, own_schedules=True).result()
             longest = max((ring.samples for ring in traced.rings), default=0)
-            known = _machines[key] = Machine(without_delays(traced), longest, self.identity.kept)
+            known = _machines[key] = Machine(expand_delays(traced), longest, self.identity.kept)
             while len(_machines) > _MOST:
                 _machines.popitem(last=False)
         return known
@@ -254,7 +254,7 @@ class Problem:
             )
         for leaf, value in zip(tape.leaves, begun, strict=True):
             put(leaf, np.asarray(value, float))
-        given = scheduled_rows(loop, scenario.context) if tape.scheduled else []
+        given = scheduled_rows(loop, scenario.context) if tape.schedule_size else []
         given = [np.reshape(each, (len(scenario.t), -1)) for each in given]
         samples = np.concatenate([scenario.t[:, None], *scenario.reference, *given], axis=1)
         return Inputs(states, rows, uniforms, samples, tracks)
@@ -388,7 +388,7 @@ class Problem:
         nothing = np.empty((len(samples), 0))
         columns = [samples[:, 1:], *(np.reshape(each, (len(samples), 1)) for each in extra)]
         given = program.samples_of(samples[:, 0], (nothing,) * 3, uniforms, columns, first)
-        program.called(blocks, given, uniforms, kept, m, 1, threads=processors(), first=first)
+        program.launch(blocks, given, uniforms, kept, m, 1, threads=processors(), first=first)
         final = blocks.swapaxes(0, 1)[: len(tape.states)].reshape(len(tape.states), -1)[:, :m]
         return final, kept
 
@@ -493,7 +493,7 @@ class Problem:
                 samples=part.samples[::-1],
                 tracks=np.repeat(tracks, L, axis=2),
             )
-            indices = [bits_of_indices(count)]
+            indices = [index_bits(count)]
             found, by_sample = self.run(back, given, some, indices, copies=L, recorded=recorded)
             adjoints = found.reshape(len(found), m, L)
             each = back[1].kept_samples(by_sample, m * L)["sample"].reshape(m, L, count, -1)[:, :, ::-1]
@@ -570,7 +570,7 @@ def _own_parts(loop: Loop) -> dict[str, Any]:
 def differentiated() -> Iterator[None]:
     """Enter a context in which a loop without derivative raises `InvalidArgument`."""
     try:
-        with np.errstate(all="ignore"), uncollected():
+        with np.errstate(all="ignore"), pause_gc():
             yield
     except NotTraceable as error:
         raise InvalidArgument(f"this loop has no derivative: {error.reason}") from error

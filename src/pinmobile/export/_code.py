@@ -85,7 +85,7 @@ class Code:
         with np.errstate(all="ignore"):
             for node, operation in enumerate(tape.operations[:end]):
                 if operation[0] == "const":
-                    values[node] = DTYPES[tape.types[node]](tape.known(node))
+                    values[node] = DTYPES[tape.types[node]](tape.constant_of(node))
                 elif operation in self.constants:
                     values[node] = DTYPES[tape.types[node]](self.constants[operation])
                 elif operation[0] in NUMPY and all(i in values for i in operation[1:]):
@@ -109,7 +109,7 @@ class Code:
         rounds, known = Rounds.of(self.tape, repeat), self.carried.setdefault(repeat, [])
         if number not in known:
             known.append(number)
-        return rounds.first[number], rounds.following[number]
+        return rounds.first[number], rounds.results[number]
 
     def _repeat_of(self, number: int) -> int:
         """Return the node of a repetition by its number."""
@@ -141,11 +141,11 @@ class Code:
         lines = self.lines
         lines += [f"{indent}{real} y{node}_{j} = {self.name(rounds.first[j])};" for j in numbers]
         lines += [
-            f"{indent}int done{node} = {self.name(rounds.settled)};",
+            f"{indent}int done{node} = {self.name(rounds.skip)};",
             f"{indent}for (int k{node} = 0; k{node} < {rounds.most} && !done{node}; ++k{node}) {{",
         ]
         self._block([i for i in rounds.body if i in self.live], inner)
-        lines += [f"{inner}const {real} z{node}_{j} = {self.name(rounds.following[j])};" for j in numbers]
+        lines += [f"{inner}const {real} z{node}_{j} = {self.name(rounds.results[j])};" for j in numbers]
         lines.append(f"{inner}done{node} = {self.name(rounds.done)};")
         lines += [f"{inner}y{node}_{j} = z{node}_{j};" for j in numbers]
         lines.append(f"{indent}}}")

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from pinmobile.arrays import Array, location, one_of, positive, sequence
-from pinmobile.compiled import uncollected
+from pinmobile.compiled import pause_gc
 from pinmobile.controllers import Controller, check_controller
 from pinmobile.errors import InvalidArgument, NotTraceable, format_value
 from pinmobile.export._law import InputRecorder, InputSchedule, Law
@@ -141,7 +141,7 @@ def export_c(
         check_substeps(substeps, 1),
     )
     try:
-        with uncollected(), np.errstate(all="ignore"):
+        with pause_gc(), np.errstate(all="ignore"):
             context, start, first = begun(plant, loop.controller, step, trajectory)
             law = Law(
                 evolved(loop, {"recorder": InputRecorder(as_measured=controller is not None)}),

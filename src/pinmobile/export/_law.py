@@ -10,7 +10,7 @@ from typing import Any, final
 import numpy as np
 
 from pinmobile.arrays import Array
-from pinmobile.compiled import COUNT, Identity, LoopTape, Ring, evaluated, needed
+from pinmobile.compiled import COUNT, Identity, LoopTape, Ring, ancestors, evaluate
 from pinmobile.errors import InvalidArgument
 from pinmobile.loop import (
     Loop,
@@ -289,7 +289,7 @@ class Law:
 
     def _finish(self) -> None:
         """Find the delays in use, and refuse noise."""
-        used = needed(self.tape, [node for _, node in self.outputs])
+        used = ancestors(self.tape, [node for _, node in self.outputs])
         self.rings: list[Ring] = [ring for ring in self.loop_tape.rings if ring.node in used]
         for i in used:
             operation = self.tape.operations[i]
@@ -299,7 +299,7 @@ class Law:
     def samples(self, count: int) -> Iterator[tuple[dict[str, Array], dict[str, Array]]]:
         """Yield arguments and results of consecutive samples near the start, computed by NumPy."""
         nodes = [node for _, node in self.outputs]
-        pushed = [ring.pushed for ring in self.rings]
+        pushed = [ring.source for ring in self.rings]
         memory = {
             f"memory->{each.name}[{i}]": x
             for each in (*self.memory, *(self.states if self.is_plant else ()))
@@ -322,7 +322,7 @@ class Law:
                 if past[ring.node]:
                     known = past[ring.node]
                     inputs[self.tape.operations[ring.node]] = known[max(0, k - ring.samples)]
-            found = evaluated(self.tape, [*nodes, *pushed], inputs, first=k == 0)
+            found = evaluate(self.tape, [*nodes, *pushed], inputs, first=k == 0)
             for ring, x in zip(self.rings, found[len(nodes) :], strict=True):
                 past[ring.node].append(x)
             results = {place: float(x) for (place, _), x in zip(self.outputs, found, strict=False)}

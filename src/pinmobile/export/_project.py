@@ -45,7 +45,7 @@ class Project:
         self.code = Code(
             law.tape, {**law.places, COUNT: "(uint64_t)memory->k"}, law.constants, prefix=name, single=single
         )
-        self.code.write([*(node for _, node in law.outputs), *(ring.pushed for ring in law.rings)])
+        self.code.write([*(node for _, node in law.outputs), *(ring.source for ring in law.rings)])
         self.words: dict[str, Any] = {"name": name, "UPPER": name.upper(), "title": title}
         dt = law.context.dt
         self.words |= {"version": pinmobile.__version__, "dt": f"{dt:g}", "dt_c": self._number(dt)}
@@ -174,7 +174,7 @@ class Project:
                 "delay",
                 samples=ring.samples,
                 place=f"memory->delay_{ring.node}",
-                value=code.name(ring.pushed),
+                value=code.name(ring.source),
             )
             for ring in law.rings
         ]

@@ -88,7 +88,7 @@ def _programs(
         leaves = {kind: Leaf("", kind, (size,), begin, kind) for kind, size, begin in kinds}
         changes: dict[str, Any] = {"kept": dict([[*tape.kept.items()][-1]]), "tracks": whole.tracks}
         changes |= {"sizes": (len(tape.states), 0, *whole.sizes[2:]), "leaves": [], "parameters": leaves}
-        found.append(Program(replaced(tape, **changes), shape=Shape(Target.here().lanes, 1)))
+        found.append(Program(replaced(tape, **changes), shape=Shape(Target.host().lanes, 1)))
     return traced, found[0], found[1]
 
 

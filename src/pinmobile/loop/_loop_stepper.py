@@ -62,7 +62,7 @@ class LoopStepper:
                 self._compiled = compile_loop(scenario, loop, hides_reference=False)
         except NotTraceable as error:
             raise InvalidArgument(f"this loop cannot run in real time: {error.reason}") from error
-        self._rows = scheduled_rows(loop, scenario.context) if self._compiled.tape.scheduled else []
+        self._rows = scheduled_rows(loop, scenario.context) if self._compiled.tape.schedule_size else []
         self.reset({name: float(drawn[0]) for name, drawn in scenario.draws().items()})
 
     def reset(self, values: Mapping[str, float]) -> None:

@@ -11,7 +11,7 @@ from typing import Any, final
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, finite
-from pinmobile.compiled import has_symbols, leaves, mapped
+from pinmobile.compiled import has_symbols, leaves, map_leaves
 from pinmobile.errors import InvalidArgument
 from pinmobile.forces import since
 from pinmobile.integrators import rk4
@@ -206,7 +206,7 @@ class PayloadTransfer:
             shape = np.shape(is_loaded) + (1,) * (np.ndim(x) - np.ndim(is_loaded))
             return np.where(np.reshape(is_loaded, shape) > 0, x, other)
 
-        return mapped(evaluate(self.loaded), choose)
+        return map_leaves(evaluate(self.loaded), choose)
 
 
 class _Samples:

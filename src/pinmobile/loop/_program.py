@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from pinmobile.arrays import Array
-from pinmobile.compiled import LOOP, Cache, Identity, LoopTape, Outcome, Program, Target, uncollected
+from pinmobile.compiled import LOOP, Cache, Identity, LoopTape, Outcome, Program, Target, pause_gc
 from pinmobile.loop._loop import Loop
 from pinmobile.loop._trace import (
     Trace,
@@ -77,7 +77,7 @@ class Compiled:
             entry = _programs.get(identity.key)
         if entry is None:
             trace = partial(Trace, loop, context, start, reference, identity, self.spread, own_reference)
-            with uncollected():
+            with pause_gc():
                 entry = _program_of(identity, trace, single), identity.kept
         self.program = entry[0]
         with _lock:
@@ -123,7 +123,7 @@ class Compiled:
         values : mapping of str to ndarray, shape (n, ...)
             Numbers of each robot, by the paths of the spread.
         """
-        options["rows"] = scheduled_rows(self.loop, self.context) if self.tape.scheduled else []
+        options["rows"] = scheduled_rows(self.loop, self.context) if self.tape.schedule_size else []
         options["values"] = {**traced_numbers(self.loop), **values}
         options["first"] = self.first(values, len(start[0]))
         h = self.context.dt / self.loop.substeps
@@ -137,7 +137,7 @@ class Compiled:
 
 def _program_of(identity: Identity, trace: Callable[[], Trace], single: bool) -> Program:
     """Return the program of a loop, which this or another process traces."""
-    cache, target = Cache(), Target.here()
+    cache, target = Cache(), Target.host()
     name = identity.digest if cache.folder is not None else None
     if name is not None:
         with suppress(Exception):  # the file is missing or damaged

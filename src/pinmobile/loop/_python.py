@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from pinmobile.arrays import Array
-from pinmobile.compiled import aligned, leaves, mapped, robot_keys
+from pinmobile.compiled import aligned, leaves, map_leaves, robot_keys
 from pinmobile.errors import InvalidArgument, NotFinite
 from pinmobile.loop._loop import (
     NOTHING,
@@ -151,7 +151,7 @@ class CompiledPlant:
             is_fixed = leaf.kind != "state"
             return value if is_fixed else row[leaf.first : leaf.end].reshape(leaf.shape).copy()
 
-        return RecordedStep(row[:nq].copy(), row[nq:n].copy(), mapped(memory, next_value), values["a"])
+        return RecordedStep(row[:nq].copy(), row[nq:n].copy(), map_leaves(memory, next_value), values["a"])
 
     def signals(self, *arguments: Any) -> dict[str, Any]:
         """Return the signals of plant and forces at the last sample."""

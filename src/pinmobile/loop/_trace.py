@@ -21,15 +21,15 @@ from pinmobile.compiled import (
     Schedule,
     Symbols,
     Tape,
-    calling_place,
+    ancestors,
     entries,
-    evaluated,
+    evaluate,
     has_symbols,
     is_traced,
+    law_place,
     leaves,
-    mapped,
-    matched,
-    needed,
+    map_leaves,
+    match_leaves,
     normals,
     sample_index,
     symbols,
@@ -142,7 +142,7 @@ class Trace:
             has_grown = False
             for owner in OWNERS:
                 old_tree, new_tree = getattr(sample.memory, owner), getattr(sample.next_state, owner)
-                for path, old, new in matched(old_tree, new_tree, "state"):
+                for path, old, new in match_leaves(old_tree, new_tree, "state"):
                     if np.shape(old) != np.shape(new):
                         self.shapes[owner, path] = _common_shape(owner, path, np.shape(old), np.shape(new))
                         has_grown = True
@@ -153,7 +153,7 @@ class Trace:
     def _sample_at(self, k: int, q: Array, v: Array) -> _NumericSample:
         """Return a sample on numbers; the laws receive copies, because they may change their arguments."""
         state = self._memory(k)._replace(q=q, v=v)
-        copies = State(q.copy(), v.copy(), *(mapped(getattr(state, owner), np.copy) for owner in OWNERS))
+        copies = State(q.copy(), v.copy(), *(map_leaves(getattr(state, owner), np.copy) for owner in OWNERS))
         reference = Reference(*(x.copy() for x in self.reference))
         next_state, _, record = step(self.loop, float(k), 0.0, self.h, copies, reference)
         return _NumericSample(k, state, next_state, record)
@@ -181,16 +181,16 @@ class Trace:
                 shape = self.shapes.get((owner, next(paths)))
                 return leaf if shape is None else np.broadcast_to(leaf, shape).copy()
 
-            trees[owner] = mapped(tree, grow)
+            trees[owner] = map_leaves(tree, grow)
         return memory._replace(**trees)
 
     def _tape(self, place: Callable[[], str] | None = None) -> LoopTape:
-        return _SymbolicRun(self, Tape(where=place)).loop_tape()
+        return _SymbolicRun(self, Tape(locate=place)).loop_tape()
 
     def _compare_tapes(self, one: LoopTape, two: LoopTape) -> None:
         if one.tape.operations == two.tape.operations and one.outputs == two.outputs:
             return
-        located = self._tape(calling_place)
+        located = self._tape(law_place)
         ends = [len(located.tape) - 1]
         for other in (one, two):  # a law with alternating results differs from one of the tapes
             pairs = zip(other.tape.operations, located.tape.operations, strict=False)
@@ -211,7 +211,7 @@ class Trace:
             results = [state for _, state in loop.states]
             results += [node for _, nodes in loop.kept.values() for node in nodes]
             with np.errstate(all="ignore"):
-                got = np.array(evaluated(loop.tape, results, inputs), float)
+                got = np.array(evaluate(loop.tape, results, inputs), float)
                 most = 1e-9 + 1e-7 * np.nan_to_num(sizes)
                 near = np.isclose(got, expected, rtol=1e-7, atol=most, equal_nan=True)
             if not near.all():
@@ -279,7 +279,7 @@ class _SymbolicRun:
         kept = {name: (np.shape(x), self._nodes([x])) for name, x in record.kept.items()}
         counted = self._nodes(record.counted)
         results = *ends, *counted, *(n for _, nodes in kept.values() for n in nodes)
-        used = {tape.operations[i] for i in needed(tape, results)}
+        used = {tape.operations[i] for i in ancestors(tape, results)}
 
         def is_used(leaf: Leaf) -> bool:
             return any((leaf.kind, i) in used for i in range(leaf.first, leaf.end))
@@ -295,7 +295,7 @@ class _SymbolicRun:
             units=dict(record.units),
             sizes=(*map(len, trace.start), loop.plant.nu, *map(len, trace.reference[:2])),
             tracks=self.next["track"],
-            scheduled=self.next["sample"] - columns,
+            schedule_size=self.next["sample"] - columns,
             unused=[name for name, leaf in self.parameters.items() if not is_used(leaf)],
         )
 
@@ -329,7 +329,7 @@ class _SymbolicRun:
             symbol = self._new(kind, array.shape)
             return symbol != 0.0 if array.dtype == bool else symbol
 
-        return mapped(tree, replace_leaf)
+        return map_leaves(tree, replace_leaf)
 
     def _nodes(self, values: Iterable[Any]) -> list[int]:
         """Return the nodes of all entries of some values."""
@@ -340,7 +340,7 @@ class _SymbolicRun:
         next_nodes = self._nodes([next_state.q, next_state.v])
         run_leaves = iter(self.leaves)
         for owner in OWNERS:
-            for path, old, new in matched(getattr(state, owner), getattr(next_state, owner)):
+            for path, old, new in match_leaves(getattr(state, owner), getattr(next_state, owner)):
                 leaf = next(run_leaves)
                 if np.shape(new) not in ((), leaf.shape):
                     message = f"{path} has shape {leaf.shape}, and shape {np.shape(new)} a sample later"
@@ -365,7 +365,7 @@ class _SymbolicRun:
             return symbols(nodes, np.shape(x))
 
         error_words = "a delay is pushed twice in a sample", "push all values at once, as a tuple"
-        return _Source(lambda values: mapped(values, delay), error_words)
+        return _Source(lambda values: map_leaves(values, delay), error_words)
 
     def _schedule(self, rows: Array) -> _Source:
         row = self._new("sample", rows.shape[1:])
@@ -585,7 +585,7 @@ def _evaluate_symbols(
             arrays.append(np.asarray(value, np.float64))
             continue
         nodes = map(tape.number, entries(value).reshape(-1))
-        columns = np.array([np.broadcast_to(x, n) for x in evaluated(tape, nodes, inputs)], np.float64)
+        columns = np.array([np.broadcast_to(x, n) for x in evaluate(tape, nodes, inputs)], np.float64)
         arrays.append(columns.T.reshape(n, *np.shape(value)))
     return arrays
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, affordable, check_integer, finite, positive, real, shaped
-from pinmobile.compiled import Program, aligned, mapped, uncollected
+from pinmobile.compiled import Program, aligned, map_leaves, pause_gc
 from pinmobile.controllers import Controller, check_controller
 from pinmobile.errors import InvalidArgument, NotFinite, NotTraceable, format_value
 from pinmobile.export import InputRecorder, Law, begun, noise_error
@@ -35,7 +35,7 @@ class _MachineCode:
     """Controller as machine code; raises `NotTraceable` if it cannot be compiled."""
 
     def __init__(self, loop: Loop, context: Any, start: tuple[Array, Array], first: Reference) -> None:
-        with uncollected():
+        with pause_gc():
             law = Law(evolved(loop, {"recorder": InputRecorder(errors=True)}), context, start, first)
             tape = law.controller_tape()
             program = Program(tape, single=True)
@@ -114,11 +114,11 @@ class _PythonCode:
     @property
     def memory(self) -> Any:
         """Memory after the last sample, a copy."""
-        return mapped(self._state, lambda x: x.copy() if isinstance(x, np.ndarray) else x)
+        return map_leaves(self._state, lambda x: x.copy() if isinstance(x, np.ndarray) else x)
 
     @memory.setter
     def memory(self, value: Any) -> None:
-        self._state = mapped(value, lambda x: x.copy() if isinstance(x, np.ndarray) else x)
+        self._state = map_leaves(value, lambda x: x.copy() if isinstance(x, np.ndarray) else x)
 
 
 def _refuse_noise(name: str, n: int) -> Any:
