@@ -16,7 +16,7 @@ import pytest
 
 from pinmobile import InvalidArgument, Sweep, law, sweep
 from pinmobile.errors import SchedulerError
-from pinmobile.sweeps import connected
+from pinmobile.sweeps import connect
 from tests.sweeping import contents, scenario, swept
 
 pytestmark = [pytest.mark.once, pytest.mark.long]
@@ -106,12 +106,12 @@ def test_what_is_no_scheduler_is_given_up() -> None:
         with pytest.raises(
             SchedulerError, match=rf"scheduler is '{address}', which does not answer within 0\.5 s"
         ):
-            connected(address, timeout=0.5)
+            connect(address, timeout=0.5)
     for wrong in (address, "tcp//1"):
         with pytest.raises(
             SchedulerError, match=r"which does not answer .* expected an address such as tcp://"
         ):
-            connected(wrong, timeout=0.5)
+            connect(wrong, timeout=0.5)
     with socket.create_server(("127.0.0.1", 0)) as other:
 
         def serve() -> None:
@@ -122,7 +122,7 @@ def test_what_is_no_scheduler_is_given_up() -> None:
         serving = Thread(target=serve)
         serving.start()
         with pytest.raises(SchedulerError, match=r"which does not answer within 5 s"):
-            connected(f"tcp://127.0.0.1:{other.getsockname()[1]}", timeout=5)
+            connect(f"tcp://127.0.0.1:{other.getsockname()[1]}", timeout=5)
         other.shutdown(socket.SHUT_RDWR)
         serving.join()
     assert time.monotonic() - before < 20

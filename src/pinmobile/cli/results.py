@@ -31,7 +31,7 @@ from pinmobile.loop import run_scenario
 from pinmobile.metrics import in_words, metrics_of
 from pinmobile.parts import evolved
 from pinmobile.plant import PlantDescription
-from pinmobile.sweeps import connected, run_points
+from pinmobile.sweeps import connect, run_points
 
 _FILM = 10.0  # [s] that a film lasts at most
 _MOST, _SHORT = 12, 160  # figures of a sweep, and letters of a robot
@@ -199,7 +199,7 @@ def show_sweep(words: Sequence[str], out: Path | None, scheduler: str | None, *,
     opened = Opened(words, allow_code=allow_code)
     points = opened.points()
     folder = output_folder(Path("out") / opened.title if out is None else out)
-    client = None if scheduler is None else connected(scheduler)
+    client = None if scheduler is None else connect(scheduler)
     store = folder / "sweep.zarr"
     if store.exists():
         console.print(f"{store} is there: only what it lacks is run", markup=False)

@@ -49,12 +49,12 @@ class Code:
         self.marks = tape.marks if single else {}
         self.values: dict[int, Any] = {}  # values of nodes that depend on constants only
         self.live: set[int] = set()
-        self.carried: dict[int, list[int]] = {}  # numbers of rounds that something needs
+        self.round_numbers: dict[int, list[int]] = {}  # numbers of rounds that something needs
         self.lines: list[str] = []
         self.functions: set[str] = set()
         self.operations = 0
 
-    def write(self, wanted: Iterable[int]) -> list[str]:
+    def write(self, nodes: Iterable[int]) -> list[str]:
         """Return the statements that compute some nodes, in order.
 
         Raises
@@ -62,9 +62,9 @@ class Code:
         InvalidArgument
             If an operation has no equivalent in single precision.
         """
-        wanted = list(wanted)
-        self._fold(max(wanted, default=-1) + 1)
-        self._find(wanted)
+        nodes = list(nodes)
+        self._fold(max(nodes, default=-1) + 1)
+        self._mark_live(nodes)
         self._block([i for i in sorted(self.live) if self.tape.depends[i] < ROUND], "    ")
         return self.lines
 
@@ -106,19 +106,19 @@ class Code:
 
     def _carry(self, repeat: int, number: int) -> tuple[int, int]:
         """Return the nodes of a number of rounds before and after a round; something needs the number."""
-        rounds, known = Rounds.of(self.tape, repeat), self.carried.setdefault(repeat, [])
-        if number not in known:
-            known.append(number)
+        rounds, numbers = Rounds.of(self.tape, repeat), self.round_numbers.setdefault(repeat, [])
+        if number not in numbers:
+            numbers.append(number)
         return rounds.first[number], rounds.results[number]
 
     def _repeat_of(self, number: int) -> int:
         """Return the node of a repetition by its number."""
-        known = self.tape.operations
-        return next(i for i, each in enumerate(known) if each[:2] == ("repeat", number))
+        operations = self.tape.operations
+        return next(i for i, operation in enumerate(operations) if operation[:2] == ("repeat", number))
 
-    def _find(self, wanted: list[int]) -> None:
+    def _mark_live(self, nodes: list[int]) -> None:
         """Find all nodes that some nodes need."""
-        todo = list(wanted)
+        todo = list(nodes)
         while todo:
             node = todo.pop()
             if node not in self.live and node not in self.values:
@@ -137,7 +137,7 @@ class Code:
     def _rounds(self, node: int, indent: str) -> None:
         """Write the loop of a repetition."""
         rounds, real = Rounds.of(self.tape, node), f"{self.prefix}_real"
-        numbers, inner = sorted(self.carried.get(node, [])), indent + "    "
+        numbers, inner = sorted(self.round_numbers.get(node, [])), indent + "    "
         lines = self.lines
         lines += [f"{indent}{real} y{node}_{j} = {self.name(rounds.first[j])};" for j in numbers]
         lines += [
@@ -166,16 +166,16 @@ class Code:
         """Return the C expression of an operation."""
         self.operations += 1
         if node in self.marks:
-            function, own = self.marks[node]
+            function, operands = self.marks[node]
             if function == "count":
                 return f"({self.prefix}_real)memory->k"
             self.functions.add(function)
-            return f"{self.prefix}_{function}({', '.join(map(self.name, own))})"
-        name, *given = self.tape.operations[node]
+            return f"{self.prefix}_{function}({', '.join(map(self.name, operands))})"
+        name, *args = self.tape.operations[node]
         if name == "ring":
-            return f"memory->k == 0 ? {self.name(given[2])} : memory->delay_{node}[memory->at_{given[1]}]"
-        x = [self.name(i) for i in given]
-        if self.single and "u" in (self.tape.types[node], *(self.tape.types[i] for i in given)):
+            return f"memory->k == 0 ? {self.name(args[2])} : memory->delay_{node}[memory->at_{args[1]}]"
+        x = [self.name(i) for i in args]
+        if self.single and "u" in (self.tape.types[node], *(self.tape.types[i] for i in args)):
             raise InvalidArgument(
                 "precision is 'single', but the law computes with the bits of doubles, expected precision="
                 "'double'",

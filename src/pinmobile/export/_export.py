@@ -33,9 +33,9 @@ from pinmobile.parts import Following, OnCoordinates, evolved, require
 from pinmobile.plant import Context, Plant, check_plant, reference_sizes_of, refuse_path
 from pinmobile.trajectories import Reference, Trajectory
 
-_UNKNOWN = "which is not known", "give its trajectory, whose samples become tables"
+_NO_REFERENCE = "which is not known", "give its trajectory, whose samples become tables"
 _RESERVED = {"double", "float", "int", "main", "return", "static", "struct", "union", "void"}
-_MOST = 2e6  # numbers of the table of a trajectory
+_MAX_TABLE = 2e6  # numbers of the table of a trajectory
 
 
 def export_c(
@@ -127,7 +127,7 @@ def export_c(
         )
     if name in _RESERVED:
         raise InvalidArgument(f"name is {name!r}, a word of C, expected another name, such as 'robot'")
-    own = sequence("tunable", tunable, 'paths of numbers, such as ["kp"]')
+    paths = sequence("tunable", tunable, 'paths of numbers, such as ["kp"]')
     step, target = positive("dt", dt, "s"), location("folder", folder)
     check_plant(plant)
     if controller is not None:
@@ -142,13 +142,13 @@ def export_c(
     )
     try:
         with pause_gc(), np.errstate(all="ignore"):
-            context, start, first = begun(plant, loop.controller, step, trajectory)
+            context, start, first = initial_context(plant, loop.controller, step, trajectory)
             law = Law(
                 evolved(loop, {"recorder": InputRecorder(as_measured=controller is not None)}),
                 context,
                 start,
                 first,
-                own,
+                paths,
             )
     except NotTraceable as error:
         argument = "plant" if controller is None else "controller"
@@ -176,15 +176,15 @@ def _table(reference: Reference) -> Array:
             "the first coordinates, or none: the caller then supplies the reference"
         )
     table = np.concatenate(reference, axis=1)
-    if table.size > _MOST:
+    if table.size > _MAX_TABLE:
         raise InvalidArgument(
             f"trajectory has {len(table):,} samples, a table of {table.size:,} numbers, expected at most "
-            f"{_MOST:,.0f}: give a larger dt, or no trajectory"
+            f"{_MAX_TABLE:,.0f}: give a larger dt, or no trajectory"
         )
     return table
 
 
-def begun(
+def initial_context(
     plant: Plant, controller: Controller, dt: float, trajectory: Trajectory | None
 ) -> tuple[Any, tuple[Array, Array], Reference]:
     """Return context, initial state and first reference of a controller of a real robot.
@@ -211,20 +211,20 @@ def begun(
         context = Context.of(plant, dt=dt, t=t, reference=reference, trajectory=trajectory)
         return context, start_of(plant, reference, None, None), Reference(*(x[0] for x in reference))
     sizes = reference_sizes_of(plant)
-    least = min(sizes)
-    rest = Reference(np.zeros((1, sizes[least])), *[np.zeros((1, least))] * 2)
+    smallest = min(sizes)
+    rest = Reference(np.zeros((1, sizes[smallest])), *[np.zeros((1, smallest))] * 2)
     q, v = start_of(plant, rest, None, None)
     errors: list[Exception] = []
     for n in sorted(sizes, reverse=True):
         first = Reference(q[: sizes[n]], v[:n], np.zeros(n))
         whole: Any = Context.of(plant, dt=dt, reference=Reference(*(x[None] for x in first)))
-        blind: Any = BlindContext(whole, *_UNKNOWN)
+        blind_context: Any = BlindContext(whole, *_NO_REFERENCE)
         try:  # the largest reference that the controller accepts
-            controller(0.0, q.copy(), v.copy(), first, controller.initial_state(blind))
+            controller(0.0, q.copy(), v.copy(), first, controller.initial_state(blind_context))
         except NotTraceable:
             raise
         except Exception as error:
             errors.append(error)
         else:
-            return blind, (q, v), first
+            return blind_context, (q, v), first
     raise errors[0]

@@ -74,7 +74,7 @@ from pinmobile.robot.visuals import Solids, VisualFile, visuals_of
 class _Size(Number):
     """Declaration of the lengths of the sides of the drawn box."""
 
-    def checked(self, name: str, value: Any) -> tuple[float, ...]:
+    def convert(self, name: str, value: Any) -> tuple[float, ...]:
         """Return the lengths as a tuple of floats."""
         return tuple(lengths(value).tolist())
 
