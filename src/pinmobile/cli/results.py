@@ -28,7 +28,7 @@ from pinmobile.cli.output import (
 )
 from pinmobile.cli.scenario_file import Opened
 from pinmobile.loop import run_scenario
-from pinmobile.metrics import in_words, metrics_of
+from pinmobile.metrics import format_si, metrics_of
 from pinmobile.parts import evolved
 from pinmobile.plant import PlantDescription
 from pinmobile.sweeps import connect, run_points
@@ -118,7 +118,7 @@ def _metrics(run: Rollout) -> list[str]:
     for each in metrics_of(run.plant) if found else ():
         values = found[each.name].values
         worst = np.nanmin(values) if each.is_margin else np.nanmax(np.abs(values))
-        lines.append(f"{each.worst} {each.title}: {in_words(float(worst))}")
+        lines.append(f"{each.worst} {each.title}: {format_si(float(worst))}")
     return lines
 
 

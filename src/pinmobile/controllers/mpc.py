@@ -24,7 +24,7 @@ from pinmobile.controllers.lqr import (
     weight_field,
 )
 from pinmobile.controllers.wrappers import estimate_force
-from pinmobile.errors import InvalidArgument, NotSolved, NotTraceable, imported
+from pinmobile.errors import InvalidArgument, NotSolved, NotTraceable, import_extra
 from pinmobile.parts import Linearized, Rolling, able, array, child, integer, number, part
 from pinmobile.plant import Context, inputs_of
 
@@ -180,7 +180,7 @@ def solver() -> Any:
     InvalidArgument
         If daqp is not installed.
     """
-    return imported("daqp", "mpc", "MPC").solve
+    return import_extra("daqp", "mpc", "MPC").solve
 
 
 _EXAMPLE_ROBOTS = 10_000

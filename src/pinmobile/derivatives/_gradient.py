@@ -16,7 +16,7 @@ from pinmobile.errors import InvalidArgument
 from pinmobile.forces import Force
 from pinmobile.integrators import Integrator
 from pinmobile.loop import Sample, Source
-from pinmobile.metrics import Metric, in_words
+from pinmobile.metrics import Metric, format_si
 from pinmobile.parts import OnCoordinates, refs_of
 from pinmobile.plant import Plant
 from pinmobile.trajectories import Trajectory
@@ -78,7 +78,7 @@ class Gradient:
         lines = [f"{title} {np.mean(self.value):.6g}, {self.mode}"]
         for path, slopes in self.by.items():
             mean = np.mean(slopes, axis=0) if is_many else slopes
-            numbers = [in_words(x, ".6g") for x in np.ravel(mean)]
+            numbers = [format_si(x, ".6g") for x in np.ravel(mean)]
             if self.errors:
                 numbers = [f"{x} +- {e:.1g}" for x, e in zip(numbers, self.errors[path].ravel(), strict=True)]
             suffix = f" per {self.units[path]}" if self.units[path] else ""

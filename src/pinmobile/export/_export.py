@@ -16,7 +16,7 @@ from pinmobile.controllers import Controller, check_controller
 from pinmobile.errors import InvalidArgument, NotTraceable, format_value
 from pinmobile.export._law import InputRecorder, InputSchedule, Law
 from pinmobile.export._project import Project
-from pinmobile.files import refusals, write
+from pinmobile.files import file_errors, write
 from pinmobile.forces import Force
 from pinmobile.integrators import Integrator
 from pinmobile.loop import (
@@ -161,7 +161,7 @@ def export_c(
     has_table = controller is not None and trajectory is not None
     table = _table(context.reference) if has_table else None
     project = Project(law, name, single=precision == "single", table=table, title=title)
-    with refusals("written", "folder", target):
+    with file_errors("written", "folder", target):
         target.mkdir(parents=True, exist_ok=True)
     for file, text in project.files().items():
         write(target / file, text.encode(), name="folder")

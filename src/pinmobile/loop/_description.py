@@ -20,7 +20,7 @@ from pinmobile.errors import text_of
 from pinmobile.loop._loop import named_forces
 from pinmobile.loop._scenario import RecordGrid, Scenario, check_scenario
 from pinmobile.loop._spread import SameAs, Source
-from pinmobile.metrics import Metric, in_words
+from pinmobile.metrics import Metric, format_si
 from pinmobile.parts import is_part, parts_of, walk
 from pinmobile.plant import Coordinate, Input, Parameter
 from pinmobile.trajectories import Reference
@@ -45,7 +45,7 @@ def format_result(n: int, duration: float, errors: tuple[float, float], diverged
     after : float
         Time from which errors count [s].
     """
-    sizes = f"within {in_words(errors[0])} m and {in_words(errors[1])} rad"
+    sizes = f"within {format_si(errors[0])} m and {format_si(errors[1])} rad"
     prefix = f"from {after:g} s on " if after else ""
     if n == 1:
         return f"1 robot over {duration:g} s: {'diverged' if diverged else f'{prefix}stays {sizes}'}"
@@ -99,7 +99,7 @@ def format_ranges(
     for name, values in columns.items():
         finite = values[~np.isnan(values)]
         if len(finite):
-            low, middle, high = map(in_words, (finite.min(), np.median(finite), finite.max()))
+            low, middle, high = map(format_si, (finite.min(), np.median(finite), finite.max()))
             rows.append(f"{name:<{width}} least {low}, median {middle}, largest {high}")
     return rows
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from pinmobile.arrays import Array
 from pinmobile.metrics import Metric, metrics_of
-from pinmobile.plant import Event, limits_exceeded, robot_at, stated
+from pinmobile.plant import Event, limit_events, robot_at, stated
 
 _SINCE = "(from t = {t} s, {count})"
 _GROUND = {
@@ -57,7 +57,7 @@ def events_of(run: Any, *, with_metrics: bool = True) -> tuple[Event, ...]:
         Whether events of the plant's metrics are included, which take longer.
     """
     plant = robot_at(run.plant, run.t)
-    limits = limits_exceeded(plant, run.t, run.q, run.v, run.u)
+    limits = limit_events(plant, run.t, run.q, run.v, run.u)
     events = [x for x in (*limits, *_motor_events(run, plant), *_ground_events(run, plant)) if x is not None]
     metrics = [x for x in metrics_of(plant) if x.worst != "largest"] if with_metrics else []
     values = run.metrics() if metrics else {}

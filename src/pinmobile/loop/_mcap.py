@@ -14,8 +14,8 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from pinmobile.arrays import Array, location, scalar
-from pinmobile.errors import FileError, InvalidArgument, format_names, imported
-from pinmobile.files import packed, refusals, unpacked, written
+from pinmobile.errors import FileError, InvalidArgument, format_names, import_extra
+from pinmobile.files import file_errors, pack, unpack, write_file
 from pinmobile.plant import PlantDescription, all_samples, stated
 from pinmobile.signals import Signal
 from pinmobile.trajectories import Reference
@@ -71,8 +71,8 @@ def write_mcap(
     start : float
         Time of t = 0 since 1970 [s].
     """
-    mcap = imported("mcap.writer", "bags", "an MCAP file")
-    typesys = imported("rosbags.typesys", "bags", "an MCAP file")
+    mcap = import_extra("mcap.writer", "bags", "an MCAP file")
+    typesys = import_extra("rosbags.typesys", "bags", "an MCAP file")
     stamps = _stamps(rollout.t, start)
 
     def content() -> bytes:
@@ -102,7 +102,7 @@ def write_mcap(
         writer.finish()
         return file.getvalue()
 
-    written(path, ".mcap", content)
+    write_file(path, ".mcap", content)
 
 
 def _stamps(t: Array, start: float) -> list[int]:
@@ -130,7 +130,7 @@ def _metadata(rollout: Any, form: str, columns: Sequence[Columns]) -> dict[str, 
         "arrays": [(part.key, len(part.titles) if part.values.ndim == 2 else None) for part in columns],
         "signals": {name: unit for name, (unit, _) in rollout.signals.items()},
     }
-    texts |= {name: json.dumps(value) for name, value in values.items()} | {"description": packed(outline)}
+    texts |= {name: json.dumps(value) for name, value in values.items()} | {"description": pack(outline)}
     return texts | {"crc32": _checksum(texts)}  # MCAP has checksums of messages, but not of metadata
 
 
@@ -240,9 +240,9 @@ def read_mcap(path: str | PathLike[str], form: str, make: Callable[[dict[str, An
     make : callable
         Function of the content.
     """
-    mcap = imported("mcap.reader", "bags", "an MCAP file")
+    mcap = import_extra("mcap.reader", "bags", "an MCAP file")
     file = location("path", path)
-    with refusals("read", "path", file):
+    with file_errors("read", "path", file):
         data = file.read_bytes()
     try:
         return make(_content(mcap.make_reader(BytesIO(data), validate_crcs=True), form))
@@ -272,7 +272,7 @@ def _content(reader: Any, form: str) -> dict[str, Any]:
         arrays[key] = table[:, column] if width is None else table[:, column : column + width]
         column += 1 if width is None else width
     units = json.loads(texts["signals"])
-    content: dict[str, Any] = unpacked(texts["description"])
+    content: dict[str, Any] = unpack(texts["description"])
     content["reference"] = Reference(*(arrays.pop(f"reference.{name}") for name in Reference._fields))
     content["signals"] = {name: Signal(unit, arrays.pop(f"signals.{name}")) for name, unit in units.items()}
     return content | arrays

@@ -14,10 +14,10 @@ import pinocchio as pin
 
 from pinmobile.arrays import Array, finite, frozen, increasing, location, real, shaped
 from pinmobile.errors import InvalidArgument, format_value
-from pinmobile.files import packed, read_archive, unpacked, write_archive, write_table
+from pinmobile.files import pack, read_archive, unpack, write_archive, write_table
 from pinmobile.loop._events import events_of
 from pinmobile.loop._mcap import Columns, read_mcap, write_mcap
-from pinmobile.metrics import evaluate_metrics_of, in_words, metrics_of
+from pinmobile.metrics import evaluate_metrics_of, format_si, metrics_of
 from pinmobile.plant import (
     Coordinate,
     Event,
@@ -26,11 +26,11 @@ from pinmobile.plant import (
     all_samples,
     configuration_names_of,
     coordinates_of,
+    full_configurations,
     inputs_of,
     reference_sizes_of,
     robot_at,
     stated,
-    whole_configurations,
 )
 from pinmobile.reaching import error_sizes, pose_error, target_names
 from pinmobile.signals import Signal
@@ -194,7 +194,7 @@ _FORMAT = "pinmobile rollout 4"
 
 def error_text(value: float) -> str:
     """Return an error [m, rad] as text with seven digits; a rounding error becomes "< 1e-12"."""
-    return in_words(value, ".6e")
+    return format_si(value, ".6e")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -307,7 +307,7 @@ class Rollout:
     def __str__(self) -> str:
         step = f" at dt = {self.t[1]:g} s" if len(self) > 1 else ""
         pairs = zip(self.inputs, self.max_input(), strict=True)
-        inputs = [f"{one.name} {in_words(value)} {one.unit}".rstrip() for one, value in pairs]
+        inputs = [f"{one.name} {format_si(value)} {one.unit}".rstrip() for one, value in pairs]
         lines = [
             f"{len(self)} samples over {self.t[-1]:g} s{step}",
             self._format_errors("largest", self.max_error()),
@@ -365,7 +365,7 @@ class Rollout:
         InvalidArgument
             If the plant does not provide the pose of its body.
         """
-        return self._poses(whole_configurations(self, self.q, self.reference.q))
+        return self._poses(full_configurations(self, self.q, self.reference.q))
 
     @property
     def distance(self) -> Array:
@@ -449,7 +449,7 @@ class Rollout:
         inputs = pairs if has_inputs else [None] * len(labels)
         for (name, unit), largest, rms, pair in zip(labels, *columns, inputs, strict=True):
             errors = " ".join(f"{error_text(value):>13} {unit:3}" for value in (largest, rms))
-            size = "" if pair is None else f"{in_words(pair[0]):>10} {pair[1].unit:3}"
+            size = "" if pair is None else f"{format_si(pair[0]):>10} {pair[1].unit:3}"
             lines.append(f"{name:{width}} {errors} {size}".rstrip())
         return lines
 
@@ -496,7 +496,7 @@ class Rollout:
             return EndEffector(name, self.t, pose, target, orientation in self.signals)
         if self.error.shape[1] < _coordinates_of(plant, name):
             return EndEffector(name, self.t, pose)
-        desired = whole_configurations(plant, self.q, self.reference.q)
+        desired = full_configurations(plant, self.q, self.reference.q)
         return EndEffector(name, self.t, pose, plant.frame_pose(desired, name))
 
     @property
@@ -539,7 +539,7 @@ class Rollout:
         values, plant = {item.name: getattr(self, item.name) for item in fields(self)}, ""
         outline = None if self.plant is None else PlantDescription.of(self.plant, self.q)
         try:
-            plant = "" if outline is self.plant else packed(self.plant)
+            plant = "" if outline is self.plant else pack(self.plant)
         except TypeError:  # the class belongs to a user
             pass
         except InvalidArgument as error:
@@ -563,7 +563,7 @@ class Rollout:
         values = dict(content)
         outline = values.pop("outline")
         try:
-            values["plant"] = unpacked(values["plant"]) if values["plant"] else outline
+            values["plant"] = unpack(values["plant"]) if values["plant"] else outline
         except Exception as error:  # the file of an arm is missing, or another release wrote the robot
             values["plant"] = replace(outline, reason=str(error))
         return cls(**values)

@@ -40,7 +40,7 @@ from pinmobile.loop._spread import (
     slice_spread,
 )
 from pinmobile.loop._trace import initial_memory, initial_velocities
-from pinmobile.metrics import Metric, channels_of, check_measured, chosen
+from pinmobile.metrics import Metric, channels_of, check_metrics, select_metrics
 from pinmobile.parts import (
     Constrained,
     NumberRef,
@@ -279,7 +279,7 @@ class Scenario(RecordGrid):
         """Reject parts that return arrays of wrong shapes, or different values for the same arguments."""
         start = self.start
         if any(one.function is None for one in self.recorded_metrics):
-            check_measured(self.robot, *start, self.reference)
+            check_metrics(self.robot, *start, self.reference)
         check_answers(self.given, self.context, *start)
 
     def _set(self, **values: object) -> None:
@@ -327,7 +327,7 @@ class Scenario(RecordGrid):
     def recorded_metrics(self) -> tuple[Metric, ...]:
         """Metrics that the ensemble records beside errors."""
         errors = "distance", "heading", *(one.name for one in self._coordinates)
-        return chosen(self.robot, self.metrics, errors)
+        return select_metrics(self.robot, self.metrics, errors)
 
     @cached_property
     def numbers(self) -> dict[str, NumberRef]:

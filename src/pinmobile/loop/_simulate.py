@@ -32,7 +32,7 @@ from pinmobile.loop._python import CompiledRun, PythonRun, Run, compile_plant
 from pinmobile.loop._record import LARGEST, is_near
 from pinmobile.loop._rollout import Rollout
 from pinmobile.parts import OnCoordinates, Starting, able
-from pinmobile.plant import Context, Plant, all_samples, coordinates_of, stated, whole_configurations
+from pinmobile.plant import Context, Plant, all_samples, coordinates_of, full_configurations, stated
 from pinmobile.signals import Signal, collect_time_signals
 from pinmobile.trajectories import Reference, Trajectory, check_limits
 
@@ -322,7 +322,7 @@ _initial_states = ResultCache()
 
 def errors_of(plant: Plant, q: Array, reference: Reference) -> Array:
     """Return the tracking errors of samples in the n coordinates of the reference, shape (N, n)."""
-    desired = whole_configurations(plant, q, reference.q)
+    desired = full_configurations(plant, q, reference.q)
     return all_samples(plant, "difference", q, desired)[:, : reference.v.shape[1]]
 
 

@@ -14,7 +14,7 @@ from pinmobile import parts
 from pinmobile.arrays import Array, ArrayLike, bounded, finite, scalar, shaped
 from pinmobile.compiled import BINS, FIRST, SHIFT
 from pinmobile.controllers import Controller
-from pinmobile.errors import imported
+from pinmobile.errors import import_extra
 from pinmobile.loop._description import Outline
 from pinmobile.loop._scenario import Scenario
 from pinmobile.metrics import Metric, value_of
@@ -481,7 +481,7 @@ def dataset_of(ensemble: Any, attributes: Mapping[str, Any]) -> Any:
     InvalidArgument
         If xarray is not installed.
     """
-    xarray = imported("xarray", "sweeps", "a Dataset")
+    xarray = import_extra("xarray", "sweeps", "a Dataset")
     scenario = ensemble.scenario
     variables = {**_robot_variables(ensemble), **sum_vars(scenario.channels)}
     arrays = sums(ensemble.counts, scenario.channels)

@@ -19,10 +19,10 @@ from pinmobile.arrays import (
     check_integer as checked_whole,
     endless_or_finite,
     finite,
+    finite_result,
+    format_shapes,
     frozen,
-    in_numbers,
     shaped,
-    shapes_in_words,
     vector,
 )
 from pinmobile.errors import InvalidArgument, NotTraceable, format_value
@@ -80,7 +80,7 @@ def takes(**sizes: int | str) -> Callable[[_Method], _Method]:
 
     def decorate(method: _Method) -> _Method:
         parameters = list(inspect.signature(method).parameters.values())[1:]
-        names, method_of = [parameter.name for parameter in parameters], in_numbers(method)
+        names, method_of = [parameter.name for parameter in parameters], finite_result(method)
         defaults = {parameter.name: parameter.default for parameter in parameters}
 
         @dispatch_symbols
@@ -240,7 +240,7 @@ class Number(Field):
         if is_symbolic(value) or value is None:
             return value
         if any(length != n for length in shape):
-            words = shapes_in_words(self.shapes).replace("n", str(n))
+            words = format_shapes(self.shapes).replace("n", str(n))
             raise InvalidArgument(f"{name} has shape {shape}, expected {words}")
         return value if shape or any(len(each) > 1 for each in self.shapes) else frozen(np.full(n, value))
 

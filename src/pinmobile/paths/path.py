@@ -15,10 +15,10 @@ from pinmobile.arrays import (
     ArrayLike,
     bounded,
     check_integer,
+    check_overflow,
     finite,
     frozen,
     positive,
-    representable,
     shaped,
 )
 from pinmobile.errors import InvalidArgument
@@ -567,7 +567,7 @@ class PiecewisePolynomial:
     def __post_init__(self) -> None:
         object.__setattr__(self, "knots", frozen(self.knots))
         object.__setattr__(
-            self, "coefficients", representable("a coefficient of the path", frozen(self.coefficients))
+            self, "coefficients", check_overflow("a coefficient of the path", frozen(self.coefficients))
         )
 
     @property

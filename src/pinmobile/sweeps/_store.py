@@ -20,8 +20,8 @@ import numpy as np
 
 from pinmobile.arrays import Array
 from pinmobile.compiled import BINS
-from pinmobile.errors import FileError, InvalidArgument, format_value, imported
-from pinmobile.files import refusals, write
+from pinmobile.errors import FileError, InvalidArgument, format_value, import_extra
+from pinmobile.files import file_errors, write
 from pinmobile.loop import (
     LEVELS,
     NOTE,
@@ -37,8 +37,8 @@ from pinmobile.loop import (
 from pinmobile.sweeps._points import FORMAT, Points, differences
 
 # The first sweep imports this module, because it needs these packages.
-xarray: Any = imported("xarray", "sweeps", "a sweep")
-zarr: Any = imported("zarr", "sweeps", "a sweep")
+xarray: Any = import_extra("xarray", "sweeps", "a sweep")
+zarr: Any = import_extra("zarr", "sweeps", "a sweep")
 
 METADATA = "zarr.json"
 RESTART = "start the same sweep again"
@@ -76,7 +76,7 @@ class Store:
     def __init__(self, path: Path, points: Points, description: Mapping[str, Any], chunk: int) -> None:
         self.path, self.points = path, points
         is_new = not path.exists()
-        with refusals("written", "store", path):
+        with file_errors("written", "store", path):
             if not is_new and any(each.name not in (_LOCK, _PART_FILE) for each in path.iterdir()):
                 attributes_of(path)  # rejects a folder with other contents
             path.mkdir(parents=True, exist_ok=True)
@@ -101,7 +101,7 @@ class Store:
         self.chunk: int = attributes["chunk"]
         for place, data in _empty_store(self.points, description, self.chunk).items():
             file = self.path / place
-            with refusals("read", "a file of the store", file):
+            with file_errors("read", "a file of the store", file):
                 is_equal = file.is_file() and file.read_bytes() == data
             if place != METADATA and not is_equal:
                 self._write(place, data)
@@ -167,7 +167,7 @@ class Store:
     def _write(self, place: str, data: bytes) -> None:
         file = self.path / place
         try:
-            with refusals("written", "a file of the store", file):
+            with file_errors("written", "a file of the store", file):
                 file.parent.mkdir(parents=True, exist_ok=True)
             write(file, data, name="a file of the store", through=self.path / _PART_FILE)
         except FileError as error:

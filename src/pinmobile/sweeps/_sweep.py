@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 import pinmobile.loop as loop
 from pinmobile.arrays import Array, callable_as, check_integer, location, one_of, text
 from pinmobile.compiled import processors
-from pinmobile.errors import InvalidArgument, SchedulerError, SlowerEngine, format_value, imported
+from pinmobile.errors import InvalidArgument, SchedulerError, SlowerEngine, format_value, import_extra
 from pinmobile.loop import Ensemble, Part, Scenario
-from pinmobile.metrics import in_words
+from pinmobile.metrics import format_si
 from pinmobile.sweeps._points import Axis, Changes, Label, Points, describe, differences, index_of, place_text
 
 if TYPE_CHECKING:
@@ -330,7 +330,7 @@ def format_length(metres: float) -> str:
     for unit, size in (("m", 1.0), ("mm", 1e-3), ("µm", 1e-6)):
         if rounded >= size:
             return f"{rounded / size:.3g} {unit}"
-    return f"{rounded * 1e9:.3g} nm" if rounded >= 1e-12 else f"{in_words(rounded)} m"
+    return f"{rounded * 1e9:.3g} nm" if rounded >= 1e-12 else f"{format_si(rounded)} m"
 
 
 def format_since(after: float) -> str:
@@ -537,7 +537,7 @@ def _warn_slow(points: Points, jobs: Sequence[Job]) -> None:
 
 
 def _check_client(client: Any) -> None:
-    kind = imported("distributed", "sweeps", "a sweep").Client
+    kind = import_extra("distributed", "sweeps", "a sweep").Client
     if not isinstance(client, kind) or client.status != "running" or client.asynchronous:
         raise InvalidArgument(
             f"client is {format_value(client)}, expected a distributed.Client that is connected to its "
@@ -555,7 +555,7 @@ def connect(address: str, timeout: float = _ANSWER_TIME) -> Any:
     """
     import asyncio  # here, because most sweeps have no cluster
 
-    distributed = imported("distributed", "sweeps", "a sweep")
+    distributed = import_extra("distributed", "sweeps", "a sweep")
 
     async def identity() -> Any:  # a client would wait forever for a silent server
         comm = await distributed.comm.connect(address, timeout=timeout)
@@ -619,7 +619,7 @@ def _results(
 def _answer(future: Future[Any], client: Any) -> tuple[dict[str, Array], Part]:
     if client is None:
         return future.result()  # type: ignore[no-any-return]
-    distributed = imported("distributed", "sweeps", "a sweep")
+    distributed = import_extra("distributed", "sweeps", "a sweep")
     try:
         draws, part = future.result()
     except (CancelledError, distributed.CancelledError, distributed.KilledWorker) as error:
