@@ -321,15 +321,15 @@ def _errors(integrator: Integrator, robot: MobileRobot, h: float, count: int) ->
     except Diverged:
         return 5 * [np.inf]
     q, v = states[:, 0], states[:, 1]
-    start, states_now = invariants(robot, q[0], v[0]), invariants(robot, q, v)
+    start, end = invariants(robot, q[0], v[0]), invariants(robot, q, v)
     error = q[-1] - free_motion(robot, np.asarray(h * count))[0]
-    drift = np.linalg.norm(states_now.momentum - start.momentum, axis=-1) / np.linalg.norm(start.momentum)
+    drift = np.linalg.norm(end.momentum - start.momentum, axis=-1) / np.linalg.norm(start.momentum)
     return [
         float(np.hypot(error[0], error[1])),
         float(abs(error[2])),
         float(drift.max()),
-        float(np.abs(states_now.angular_momentum / start.angular_momentum - 1).max()),
-        float(np.abs(states_now.energy / start.energy - 1).max()),
+        float(np.abs(end.angular_momentum / start.angular_momentum - 1).max()),
+        float(np.abs(end.energy / start.energy - 1).max()),
     ]
 
 

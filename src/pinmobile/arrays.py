@@ -732,9 +732,9 @@ def location(name: str, value: object) -> Path:
     >>> location("path", "runs/a.npz").name
     'a.npz'
     """
-    value_checked = instance(name, value, str | PathLike, "the path of a file")
+    path_like = instance(name, value, str | PathLike, "the path of a file")
     try:
-        path = Path(value_checked)
+        path = Path(path_like)
         name_bytes = os.fsencode(path)
     except (TypeError, UnicodeEncodeError):
         name_bytes = b"\0"

@@ -579,7 +579,7 @@ def _smallest_margin(motion: Any, factor: float) -> tuple[float, str, int]:
     """Return the smallest margin or load of a motion, the event that it predicts, and its sample."""
     words = "ContactLoads, SlipMargins and TorqueMargins"
     loads, margins, torques = instance("what the plant follows", motion.at(factor), tuple, words)
-    margins_found = []
+    candidates = []
     for values, names, verb in (
         (loads.springs, loads.names, "lifts"),
         (margins.values, margins.names, "slips"),
@@ -587,8 +587,8 @@ def _smallest_margin(motion: Any, factor: float) -> tuple[float, str, int]:
     ):
         sample, k = np.unravel_index(int(np.argmin(values)), values.shape)
         plural = verb.removesuffix("s") if " + " in names[k] else verb
-        margins_found.append((float(values[sample, k]), f"{names[k]} {plural}", int(sample)))
-    return min(margins_found)
+        candidates.append((float(values[sample, k]), f"{names[k]} {plural}", int(sample)))
+    return min(candidates)
 
 
 def footprint_of(robot: Any, footprint: ArrayLike | None = None) -> Array:

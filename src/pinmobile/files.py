@@ -41,7 +41,7 @@ _PATH_ERRORS = frozenset(
 
 @contextmanager
 def replace_file(
-    path: str | PathLike[str], *, name: str = "path", through: Path | None = None
+    path: str | PathLike[str], *, name: str = "path", scratch: Path | None = None
 ) -> Iterator[IO[bytes]]:
     """Open a binary file that replaces the file at `path` when all content is on disk, as a context manager.
 
@@ -55,7 +55,7 @@ def replace_file(
         File to write.
     name : str
         Name of the argument, for the message.
-    through : Path, optional
+    scratch : Path, optional
         Temporary file for the content; default: a new file beside `path`.
 
     Yields
@@ -89,8 +89,8 @@ def replace_file(
     target = location(name, path)
     with file_errors("written", name, target):
         real = _real_target(target)
-        temporary = real and (through or real.with_name(f".pinmobile-{os.urandom(8).hex()}.new"))
-        open_flag = os.O_EXCL if temporary and not through else os.O_TRUNC
+        temporary = real and (scratch or real.with_name(f".pinmobile-{os.urandom(8).hex()}.new"))
+        open_flag = os.O_EXCL if temporary and not scratch else os.O_TRUNC
         raw = _Sink(os.open(temporary or target, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC | open_flag, 0o666))
     raw.label = name, target
     try:
@@ -113,7 +113,7 @@ def replace_file(
         raise
 
 
-def write(path: str | PathLike[str], data: bytes, *, name: str = "path", through: Path | None = None) -> None:
+def write(path: str | PathLike[str], data: bytes, *, name: str = "path", scratch: Path | None = None) -> None:
     """Write a file completely or not at all.
 
     Parameters
@@ -124,7 +124,7 @@ def write(path: str | PathLike[str], data: bytes, *, name: str = "path", through
         Content.
     name : str
         Name of the argument, for the message.
-    through : Path, optional
+    scratch : Path, optional
         Temporary file, see `replace_file`.
 
     Raises
@@ -148,7 +148,7 @@ def write(path: str | PathLike[str], data: bytes, *, name: str = "path", through
     ...     print(error)
     path is '/no/such/folder/run.bin', which cannot be written: ...
     """
-    with replace_file(path, name=name, through=through) as file:
+    with replace_file(path, name=name, scratch=scratch) as file:
         file.write(data)
 
 

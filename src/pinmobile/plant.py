@@ -1066,19 +1066,19 @@ def limit_events(plant: object, t: Array, q: Array, v: Array, u: Array | None = 
         if np.isfinite([one.lower, one.upper]).any() and one.name in names:
             check("position limit", one.name, q[:, names.index(one.name)], one.lower, one.upper, one.unit)
     applied = {} if u is None else dict(zip((one.name for one in inputs_of(plant)), u.T, strict=False))
-    for each in inputs_of(plant) if applied else ():
-        check("saturation", each.name, applied[each.name], each.lower, each.upper, each.unit)
+    for entry in inputs_of(plant) if applied else ():
+        check("saturation", entry.name, applied[entry.name], entry.lower, entry.upper, entry.unit)
     robots = plant, stated(plant, "robot")
-    robot: Any = next((each for each in robots if stated(each, "effort_limit") is not None), None)
+    robot: Any = next((entry for entry in robots if stated(entry, "effort_limit") is not None), None)
     if robot is not None:
         rates = [one.name for one in coordinates]
-        for one, own, speed, effort in zip(
+        for one, motor, speed, effort in zip(
             coordinates_of(robot), inputs_of(robot), robot.velocity_limit, robot.effort_limit, strict=True
         ):
             if one.name in rates:
                 check("speed limit", one.name, v[:, rates.index(one.name)], -speed, speed, f"{one.unit}/s")
-            if own.name in applied:
-                check("effort limit", own.name, applied[own.name], -effort, effort, own.unit)
+            if motor.name in applied:
+                check("effort limit", motor.name, applied[motor.name], -effort, effort, motor.unit)
     return tuple(one for one in events if one is not None)
 
 
@@ -1225,7 +1225,7 @@ class PlantDescription:
     See Also
     --------
     plant.Plant : protocol of plants
-    Rollout : result, whose file contains an outline
+    Rollout : result, whose file contains a description
 
     Examples
     --------
@@ -1248,12 +1248,12 @@ class PlantDescription:
 
     @classmethod
     def of(cls, plant: object, q: Array) -> PlantDescription:
-        """Return the outline of a plant.
+        """Return the description of a plant.
 
         Parameters
         ----------
         plant : plant
-            Any plant; an outline is returned unchanged.
+            Any plant; a description is returned unchanged.
         q : ndarray, shape (N, nq)
             Configurations, which locate the entries of the pose in q.
         """

@@ -145,10 +145,10 @@ class Copy:
 
     def _copy_node(self, i: int) -> int:
         operation, depends = self.old.operations[i], self.old.depends[i]
-        renamed = with_operands(operation, self.new)
+        new_operation = with_operands(operation, self.new)
         if operands(operation) and operation[0] not in ("repeat", "result", "ring"):
-            depends = self.tape.dependence(renamed[1:])
-        return self.tape.copy_node(self.old.types[i], depends, renamed)
+            depends = self.tape.dependence(new_operation[1:])
+        return self.tape.copy_node(self.old.types[i], depends, new_operation)
 
     def loop(self, loop: LoopTape) -> LoopTape:
         """Return the loop on the new tape."""

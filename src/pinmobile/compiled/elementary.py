@@ -261,8 +261,8 @@ def _angle(y: Number, x: Number) -> Any:
     steep, middle = y > 2.41421356237309504880 * x, y > 0.66 * x
     top = select(steep, -x, select(middle, y - x, y))
     bottom = select(steep, y, select(middle, y + x, x))
-    nothing = bottom == 0.0
-    t = select(nothing, 0.0, top) / select(nothing, 1.0, bottom)
+    is_zero = bottom == 0.0
+    t = select(is_zero, 0.0, top) / select(is_zero, 1.0, bottom)
     z = t * t
     series = t + (t * z) * (polynomial(_ARCTAN_P, z) / polynomial(_ARCTAN_Q, z))
     rest = select(steep, 6.123233995736765886130e-17, select(middle, 3.061616997868382943065e-17, 0.0))

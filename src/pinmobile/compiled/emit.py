@@ -188,7 +188,7 @@ class Code:
         for i in rounds.outer:
             if self.shared[i] and self.tape.operations[i][0] != "const":
                 self.argument(i, 0, "sample")
-        entry, body, after = f"before{node}", f"round{node}", f"behind{node}"
+        entry, body, end = f"before{node}", f"round{node}", f"behind{node}"
         inner = [i for i in rounds.body if self.tape.operations[i][0] == "repeat"]
         last = f"behind{inner[-1]}" if inner else body  # the block in which a round ends
         lines += [f"  br label %{entry}", f"{entry}:"]
@@ -196,7 +196,7 @@ class Code:
         may_skip = self.tape.constant_of(rounds.skip) is None
         branch = f"label %{body}"
         if may_skip:
-            branch = f"i1 {self._any_active(skip)}, {branch}, label %{after}"
+            branch = f"i1 {self._any_active(skip)}, {branch}, label %{end}"
         lines += [f"  br {branch}", f"{body}:"]
         names = [(f"{node}_{j}_{u}", values[u]) for j, values in enumerate(first) for u in vectors]
         for name, value in names:
@@ -205,7 +205,7 @@ class Code:
             self._phi(f"%e{node}_{u}", truth, (skip[u], entry), (f"%d{node}_{u}", last))
         self._phi(f"%r{node}", "i64", ("1", entry), (f"%q{node}", last))
         self._round(node, rounds)
-        lines += [f"  br i1 %m{node}, label %{body}, label %{after}", f"{after}:"]
+        lines += [f"  br i1 %m{node}, label %{body}, label %{end}", f"{end}:"]
         for name, value in names if may_skip else ():
             self._phi(f"%w{name}", vector_type, (value, entry), (f"%z{name}", last))
         letter = "w" if may_skip else "z"
@@ -311,9 +311,9 @@ class Code:
             index = self.put("sample", f"add i64 {row}, {offset}")
             base.append(self.put("sample", f"getelementptr double, ptr %ring, i64 {index}"))
         for u in self.vectors():
-            value, whole = self.argument(source, u, "sample"), self.type("f")
+            value, kind = self.argument(source, u, "sample"), self.type("f")
             old = self.load(base[1], 0, u, "sample")
-            values.append(self.put("sample", f"select i1 {first}, {whole} {value}, {whole} {old}"))
+            values.append(self.put("sample", f"select i1 {first}, {kind} {value}, {kind} {old}"))
             self.ring_stores.append(self.store(value, self.place(base[0], 0, u, "sample")))
         return values
 

@@ -130,7 +130,7 @@ def _interpolate(
     places, values = entries(xp), entries(fp)
     slopes = [(values[i + 1] - values[i]) / (places[i + 1] - places[i]) for i in range(len(places) - 1)]
 
-    def one(x: Number) -> Any:
+    def interpolate(x: Number) -> Any:
         result = values[-1] if right is None else right
         result = select(x == places[-1], values[-1], result)
         for i in reversed(range(len(slopes))):
@@ -138,7 +138,7 @@ def _interpolate(
         result = select(x < places[0], values[0] if left is None else left, result)
         return select(x == x, result, x)
 
-    return wrap(as_array(elementwise(one, 1)(unwrap(x))))
+    return wrap(as_array(elementwise(interpolate, 1)(unwrap(x))))
 
 
 _ORDERS = elementwise(minimum, 2), elementwise(maximum, 2)
@@ -321,9 +321,9 @@ _FILLS = ("zeros", "empty", "ones", "full", "eye", "identity", "zeros_like", "em
 def constructors() -> dict[str, Callable[..., Any]]:
     """Return the functions that replace NumPy functions of the same names while a law is traced."""
     names = "array", "asarray", "asanyarray", "ascontiguousarray"
-    making = {name: _make_array(getattr(np, name), name == "array") for name in names}
-    filling = {name: _make_fill(getattr(np, name)) for name in _FILLS}
-    return making | filling | {function.__name__: _elementary(function) for function in ELEMENTARY}
+    arrays = {name: _make_array(getattr(np, name), name == "array") for name in names}
+    fills = {name: _make_fill(getattr(np, name)) for name in _FILLS}
+    return arrays | fills | {function.__name__: _elementary(function) for function in ELEMENTARY}
 
 
 FUNCTIONS.update(_FUNCTIONS)

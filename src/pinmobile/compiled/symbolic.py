@@ -250,16 +250,16 @@ class Symbols(NDArrayOperatorsMixin):
     ) -> Any:
         options.pop("dtype", None)
         options.pop("casting", None)
-        where = options.pop("where", True)
+        mask = options.pop("where", True)
         given = tuple(map(unwrap, given))
-        if where is not True and method == "reduce":
+        if mask is not True and method == "reduce":
             if ufunc.identity is None:
                 raise NotTraceable(f"np.{ufunc.__name__} with a mask", "use np.where first")
-            given, where = (choose(unwrap(where), given[0], ufunc.identity), *given[1:]), True
+            given, mask = (choose(unwrap(mask), given[0], ufunc.identity), *given[1:]), True
         result = wrap(compute(ufunc, method, list(given), options))
-        if where is not True:
+        if mask is not True:
             old = out[0] if out is not None else 0.0
-            result = wrap(choose(unwrap(where), unwrap(result), unwrap(old)))
+            result = wrap(choose(unwrap(mask), unwrap(result), unwrap(old)))
         return result if out is None else put(result, out[0])
 
     def __array_function__(

@@ -87,9 +87,9 @@ def operands(operation: _Operation) -> tuple[int, ...]:
 
 def with_operands(operation: _Operation, new: Mapping[int, int]) -> _Operation:
     """Return an operation with the new nodes of its operands."""
-    operand_slice, renamed = _OPERAND_SLICES.get(operation[0], _AFTER_NAME), [*operation]
-    renamed[operand_slice] = [new[x] for x in renamed[operand_slice]]
-    return tuple(renamed)
+    operand_slice, items = _OPERAND_SLICES.get(operation[0], _AFTER_NAME), [*operation]
+    items[operand_slice] = [new[x] for x in items[operand_slice]]
+    return tuple(items)
 
 
 class Rounds(NamedTuple):
@@ -227,13 +227,13 @@ class Tape:
         starts = [self._convert(x, "f").index for x in first]
         carried = [self._node("f", STATE | level, ("carry", number, i)) for i in range(len(starts))]
         results, done = law(carried)
-        ends_of_round = [self._convert(x, "f").index for x in results]
+        round_ends = [self._convert(x, "f").index for x in results]
         ends = [self._convert(x, "b").index for x in (done, skip)]
         self._level = level
-        outer = self.dependence((*ends, *starts, *ends_of_round)) & (level - ROUND)  # on the outer rounds
+        outer = self.dependence((*ends, *starts, *round_ends)) & (level - ROUND)  # on the outer rounds
         depends = STATE | outer
-        node = self._node("f", depends, ("repeat", number, level, most, *ends, *starts, *ends_of_round))
-        return [self._node("f", depends, ("result", node.index, i)) for i in range(len(ends_of_round))]
+        node = self._node("f", depends, ("repeat", number, level, most, *ends, *starts, *round_ends))
+        return [self._node("f", depends, ("result", node.index, i)) for i in range(len(round_ends))]
 
     def const(self, value: Known, kind: str = "f") -> Node:
         """Return the node of a constant: a number, a truth value or 64 bits."""

@@ -161,8 +161,8 @@ def weight(name: str, value: ArrayLike, *, above: bool) -> Array:
     InvalidArgument
         If it has another shape, or is not symmetric or not definite.
     """
-    given = shaped(name, finite(name, value), ("n>=1",), ("n>=1", "n"))
-    matrix = np.diag(given) if given.ndim == 1 else given
+    values = shaped(name, finite(name, value), ("n>=1",), ("n>=1", "n"))
+    matrix = np.diag(values) if values.ndim == 1 else values
     largest = np.abs(matrix).max()
     if np.abs(matrix - matrix.T).max() > _SYMMETRY_TOLERANCE * largest:
         raise InvalidArgument(f"{name} is not symmetric, expected a symmetric matrix")

@@ -102,11 +102,11 @@ class Plan:
         Closed-loop model from each sample to the next step, and its gains.
     u, x : ndarray, shape (N + 1, nu), (N + 1, n + m)
         Input and tracked state of the reference.
-    moves : ndarray, shape (N + 1, nu, nu)
+    scales : ndarray, shape (N + 1, nu, nu)
         Input w per z.
-    responses : ndarray, shape (N + 1, horizon, nu + kept, nu)
+    responses : ndarray, shape (N + 1, horizon, nu + bounded, nu)
         Later inputs, and bounded states after them, per z of each sample.
-    slopes, pushes, pulls : ndarray, shape (N + 1, m, n + m), (N + 1, m, nu), (N + 1, nu, m)
+    A_nu, B_nu, B_pinv : ndarray, shape (N + 1, m, n + m), (N + 1, m, nu), (N + 1, nu, m)
         Rates of independent velocities per state and per input, and the pseudoinverse of the latter.
     """
 

@@ -631,7 +631,7 @@ class ControlAllocation(Wrapper):
     ) -> tuple[Array, tuple[Any, Any, Any]]:
         """Return the torques, shape (..., nu), and the next state."""
         body = self.robot.robot
-        state_of_body = q[..., : body.nq], v[..., : body.nv]
-        tau, inner = evaluate(self.controller, t, *state_of_body, reference, state[0])
+        body_state = q[..., : body.nq], v[..., : body.nv]
+        tau, inner = evaluate(self.controller, t, *body_state, reference, state[0])
         u, residual = self.robot.allocate_scaled(q, tau)
         return u, (inner, residual, tau - residual)

@@ -255,7 +255,7 @@ class Problem:
         for leaf, value in zip(tape.leaves, memories, strict=True):
             put(leaf, np.asarray(value, float))
         schedules = scheduled_rows(loop, scenario.context) if tape.schedule_size else []
-        schedules = [np.reshape(rows_of, (len(scenario.t), -1)) for rows_of in schedules]
+        schedules = [np.reshape(schedule, (len(scenario.t), -1)) for schedule in schedules]
         samples = np.concatenate([scenario.t[:, None], *scenario.reference, *schedules], axis=1)
         return Inputs(states, rows, uniforms, samples, tracks)
 
@@ -551,7 +551,7 @@ def problem_of(
 def _expand_gains(scenario: Scenario, by: Sequence[str]) -> Scenario:
     """Return the scenario with a number for each coordinate where `by` names one of a gain."""
     refs, gains = refs_of(scenario.given), dict[str, Any]()
-    for ref in (ref_of_name for name in by for ref_of_name in match_refs(scenario.given, name, refs, "by")):
+    for ref in (match for name in by for match in match_refs(scenario.given, name, refs, "by")):
         if ref.entry is not None and np.ndim(ref.leaf.value) < len(ref.entry):
             size = 1 + max(entry[-1] for entry in ref.leaf.entries.values())
             gains[ref.leaf.path] = np.full(size, float(ref.leaf.value))

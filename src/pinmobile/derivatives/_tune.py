@@ -483,9 +483,9 @@ def tune(
     search.unit = size
     soft = _SOFTNESS * size if objective == "soft maximum" else 0.0
     bound = objective == "worst" and problem.n > 1
-    options_of_method = {"jac": True, "bounds": variables.bounds, "options": {"maxiter": max_iterations}}
+    settings = {"jac": True, "bounds": variables.bounds, "options": {"maxiter": max_iterations}}
 
-    def scaled_value(z: Array) -> tuple[float, Array]:
+    def scale_value(z: Array) -> tuple[float, Array]:
         if bound:
             return float(z[-1]), np.eye(len(z))[-1]
         value, slope = search.value(z, soft)
@@ -494,13 +494,13 @@ def tune(
     method = "SLSQP" if bounds or bound else "L-BFGS-B"
     if method == "SLSQP":
         slacks = {"fun": lambda z: search.slacks(z, bound)[0], "jac": lambda z: search.slacks(z, bound)[1]}
-        options_of_method |= {"constraints": [{"type": "ineq", **slacks}]}
+        settings |= {"constraints": [{"type": "ineq", **slacks}]}
         if bound:
             start = np.append(start, first.values[0].max() / size)
-            options_of_method["bounds"] = [*variables.bounds, (None, None)]
+            settings["bounds"] = [*variables.bounds, (None, None)]
     try:
         with np.errstate(all="ignore"):
-            result = minimize(scaled_value, start, method=method, **options_of_method)
+            result = minimize(scale_value, start, method=method, **settings)
             limit = result.nit >= max_iterations
             reason = (
                 "converged" if result.success else "limit of iterations" if limit else "no further decrease"
@@ -522,12 +522,12 @@ def tune(
         old, new = (evaluate_losses(fresh, x, None).values for x in ({}, changes))
         others, excesses = (old[0], new[0]), search.excess(new[1:])
     words = "loss" if problem.n == 1 else "mean loss" if objective == "mean" else "largest loss"
-    parts_tuned = loop.plant, loop.controller, loop.trajectory, loop.forces
+    tuned_parts = loop.plant, loop.controller, loop.trajectory, loop.forces
     seconds = time.perf_counter() - start_time
     trials, limits = tuple(search.trials), np.stack([variables.low, variables.high], axis=1)
     keys = tuple(variables.names), tuple(variables.units), limits
-    ending = f"{method}, {mode} mode: {reason}"
-    return Tuning(*parts_tuned, *keys, trials, best, bounds, words, others, excesses, ending, seconds, built)
+    note = f"{method}, {mode} mode: {reason}"
+    return Tuning(*tuned_parts, *keys, trials, best, bounds, words, others, excesses, note, seconds, built)
 
 
 def _show_trial(trial: Trial) -> None:

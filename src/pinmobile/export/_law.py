@@ -258,8 +258,8 @@ class Law:
         loop, (nq, nv, *_) = self.loop_tape, self.loop_tape.sizes
         self.signals: list[Member] = []
         if self.is_plant:
-            for i, (_, node_after) in enumerate(loop.states[: nq + nv]):
-                self.outputs.append((self.places["state", i], node_after))
+            for i, (_, next_node) in enumerate(loop.states[: nq + nv]):
+                self.outputs.append((self.places["state", i], next_node))
             return
         self.outputs += [(f"u[{i}]", node) for i, node in enumerate(loop.kept["u"][1])]
         signals = signals_of(self.loop.controller, self.initial.controller)
@@ -320,10 +320,10 @@ class Law:
                 if past[ring.node]:
                     history = past[ring.node]
                     inputs[self.tape.operations[ring.node]] = history[max(0, k - ring.samples)]
-            values_found = evaluate(self.tape, [*nodes, *sources], inputs, first=k == 0)
-            for ring, x in zip(self.rings, values_found[len(nodes) :], strict=True):
+            outputs = evaluate(self.tape, [*nodes, *sources], inputs, first=k == 0)
+            for ring, x in zip(self.rings, outputs[len(nodes) :], strict=True):
                 past[ring.node].append(x)
-            results = {place: float(x) for (place, _), x in zip(self.outputs, values_found, strict=False)}
+            results = {place: float(x) for (place, _), x in zip(self.outputs, outputs, strict=False)}
             memory |= {place: x for place, x in results.items() if place in memory}
             yield (
                 arguments,

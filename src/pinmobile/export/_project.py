@@ -228,8 +228,8 @@ class Project:
             field: Any = ref.leaf.declared
             low = field.lower if field.above is None else field.above
             ends = (-np.inf if low is None else low), (np.inf if field.upper is None else field.upper)
-            rows_of_ends = member.values, *([end] * len(member) for end in ends)
-            for key, values in zip(bounds, rows_of_ends, strict=True):
+            columns = member.values, *([end] * len(member) for end in ends)
+            for key, values in zip(bounds, columns, strict=True):
                 bounds[key].append(f"{{{self._numbers(values)}}}")
             comparison = "<" if field.above is None else "<="
             tests.append(self._text("parameter", count=len(member), member=member.name, below=comparison))

@@ -311,7 +311,7 @@ def _digests(scenario: Scenario) -> dict[str, str]:
     texts: dict[str, list[str]] = {}
     for path, value in contents(scenario):
         name = path.partition(".")[0]
-        if name != "spread":  # the draws tell of it
+        if name != "spread":  # the draws contain it
             text, unknown = Contents.of_value(value)
             texts.setdefault(name, []).append("" if unknown else f"{path} {text}")
     return {

@@ -535,7 +535,7 @@ class Rollout:
         write_archive(path, _FORMAT, self.content())
 
     def content(self) -> dict[str, Any]:
-        """Return the content of a file: the fields, with the plant as text or as an outline."""
+        """Return the content of a file: the fields, with the plant as text or as a description."""
         values, plant = {item.name: getattr(self, item.name) for item in fields(self)}, ""
         outline = None if self.plant is None else PlantDescription.of(self.plant, self.q)
         try:
@@ -548,7 +548,7 @@ class Rollout:
 
     @classmethod
     def of(cls, content: Mapping[str, Any]) -> Rollout:
-        """Return the rollout of a file's content; a plant that cannot be restored becomes its outline.
+        """Return the rollout of a file's content; a plant that cannot be restored becomes its description.
 
         Parameters
         ----------

@@ -83,7 +83,7 @@ def check_engine(engine: object) -> Engine | None:
 
 
 def compile_error(error: NotTraceable) -> InvalidArgument:
-    """Return the error for a user who asked for `Engine.COMPILED`."""
+    """Return the error for a user who selects `Engine.COMPILED`."""
     return InvalidArgument(f"engine is Engine.COMPILED, which cannot run this: {error.reason}")
 
 
@@ -198,7 +198,7 @@ def simulate(
     """
     dt, limit = positive("dt", dt, "s"), positive("limit", limit)
     options: Any = {"forces": forces, "integrator": integrator, "substeps": substeps}
-    whole_loop, t = check_run(plant, controller, trajectory, **options, dt=dt, duration=duration)
+    full_loop, t = check_run(plant, controller, trajectory, **options, dt=dt, duration=duration)
     selected, event_kinds = check_engine(engine), kinds_of(plant)
     kinds = sequence("stop_at", stop_at, 'kinds of events, such as ["tip over"]')
     stops = [one_of("event", kind, event_kinds) for kind in kinds]
@@ -209,15 +209,15 @@ def simulate(
     context = replace(
         context, seed=check_integer("seed", seed, least=0), member=check_integer("member", member, least=0)
     )
-    check_answers(whole_loop, context, *start)
-    loop, cause = _make_run(whole_loop, context, start, selected, compiles=compiles)
+    check_answers(full_loop, context, *start)
+    loop, cause = _make_run(full_loop, context, start, selected, compiles=compiles)
     info = {"engine": "COMPILED" if isinstance(loop, CompiledRun) else "PYTHON", "fallback_reason": cause}
     if cause.startswith("not") and compiles:
         warn(f"this loop runs by PYTHON: {cause}", SlowerEngine, stacklevel=2)
     chunk = len(t) if isinstance(loop, CompiledRun) else _CHUNK
 
-    def rollout_to(end: int) -> Rollout:
-        return rollout_of(whole_loop, t, loop.kept, reference, end, loop.units, **info)
+    def make_rollout(end: int) -> Rollout:
+        return rollout_of(full_loop, t, loop.kept, reference, end, loop.units, **info)
 
     for begin in range(0, len(t), chunk):
         end = min(begin + chunk, len(t))
@@ -227,16 +227,16 @@ def simulate(
             continue
         index, cause = _first_invalid(plant, loop, reference, begin, end, limit)
         if index is not None:
-            rollout = rollout_to(index) if index else None
+            rollout = make_rollout(index) if index else None
             if end := _end_of(rollout, stops):
-                return rollout_to(end)
+                return make_rollout(end)
             q, v, _, _ = loop.samples(index, index + 1)
             message = f"the loop diverged at t = {t[index]:g} s (sample {index} of {len(t) - 1}): {cause}"
-            message += _stiffness_advice(whole_loop, start[0], dt)
+            message += _stiffness_advice(full_loop, start[0], dt)
             message += "".join(f"; {event}" for event in _faults(rollout))
             raise Diverged(message, time=float(t[index]), q=q[0], v=v[0], rollout=rollout) from loop.failure
-    run = rollout_to(len(t))
-    run = rollout_to(end) if (end := _end_of(run, stops)) else run
+    run = make_rollout(len(t))
+    run = make_rollout(end) if (end := _end_of(run, stops)) else run
     if faults := _faults(run):
         warn("; ".join(faults), LimitWarning, stacklevel=2)
     return run

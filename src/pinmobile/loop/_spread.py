@@ -610,12 +610,12 @@ def draw_blocks(
         Draws of the last block by its index. The function stores the block of its last robot here, so that a
         call for the next robots is fast.
     """
-    blocks_drawn, first = dict(last or {}), start // _BLOCK
+    cache, first = dict(last or {}), start // _BLOCK
     blocks = range(first, -(-stop // _BLOCK))
     for block in blocks:
-        if block not in blocks_drawn:
-            blocks_drawn[block] = draws(np.random.default_rng(stream(seed, label, block)), _BLOCK)
-    parts = [blocks_drawn[block] for block in blocks]
+        if block not in cache:
+            cache[block] = draws(np.random.default_rng(stream(seed, label, block)), _BLOCK)
+    parts = [cache[block] for block in blocks]
     if last is not None:
         last.clear()
         last[blocks[-1]] = parts[-1]

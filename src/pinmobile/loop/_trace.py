@@ -190,15 +190,15 @@ class Trace:
     def _compare_tapes(self, one: LoopTape, two: LoopTape) -> None:
         if one.tape.operations == two.tape.operations and one.outputs == two.outputs:
             return
-        located = self._tape(law_place)
-        ends = [len(located.tape) - 1]
+        placed = self._tape(law_place)
+        ends = [len(placed.tape) - 1]
         for other in (one, two):  # a law with alternating results differs from one of the tapes
-            pairs = zip(other.tape.operations, located.tape.operations, strict=False)
+            pairs = zip(other.tape.operations, placed.tape.operations, strict=False)
             ends += [i for i, (a, b) in enumerate(pairs) if a != b][:1]
         reason = "it counts, draws random numbers or keeps memory outside its state"
         message = f"the law computes something else when it runs again: {reason}"
         remedy = "keep memory in state, and take noise from context.noise(name, n)"
-        raise NotTraceable(message, remedy, located.tape.places[min(ends)])
+        raise NotTraceable(message, remedy, placed.tape.places[min(ends)])
 
     def _compare_numbers(self, loop: LoopTape, numbers: Sequence[_NumericSample]) -> None:
         for sample in numbers:
@@ -212,10 +212,10 @@ class Trace:
             results += [node for _, nodes in loop.kept.values() for node in nodes]
             with np.errstate(all="ignore"):
                 got = np.array(evaluate(loop.tape, results, inputs), float)
-                most = 1e-9 + 1e-7 * np.nan_to_num(sizes)
-                near = np.isclose(got, expected, rtol=1e-7, atol=most, equal_nan=True)
-            if not near.all():
-                i = int(np.argmin(near))
+                tolerance = 1e-9 + 1e-7 * np.nan_to_num(sizes)
+                is_close = np.isclose(got, expected, rtol=1e-7, atol=tolerance, equal_nan=True)
+            if not is_close.all():
+                i = int(np.argmin(is_close))
                 values = f"{got[i]:g} after a sample, and with numbers {expected[i]:g}"
                 instead = "write a law that treats every kind of array alike, without isinstance or try"
                 raise NotTraceable(f"with symbols, {_entry_name(loop, i)} is {values}", instead)
@@ -279,10 +279,10 @@ class _SymbolicRun:
         kept = {name: (np.shape(x), self._nodes([x])) for name, x in record.kept.items()}
         counted = self._nodes(record.counted)
         results = *ends, *counted, *(n for _, nodes in kept.values() for n in nodes)
-        used = {tape.operations[i] for i in ancestors(tape, results)}
+        live = {tape.operations[i] for i in ancestors(tape, results)}
 
         def is_used(leaf: Leaf) -> bool:
-            return any((leaf.kind, i) in used for i in range(leaf.first, leaf.end))
+            return any((leaf.kind, i) in live for i in range(leaf.first, leaf.end))
 
         lists: Any = {name: getattr(self, name) for name in ("tape", "leaves", "parameters", "keys", "rings")}
         return LoopTape(

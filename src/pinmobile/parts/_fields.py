@@ -80,7 +80,7 @@ def takes(**sizes: int | str) -> Callable[[_Method], _Method]:
 
     def decorate(method: _Method) -> _Method:
         parameters = list(inspect.signature(method).parameters.values())[1:]
-        names, method_of = [parameter.name for parameter in parameters], finite_result(method)
+        names, numeric_method = [parameter.name for parameter in parameters], finite_result(method)
         defaults = {parameter.name: parameter.default for parameter in parameters}
 
         @dispatch_symbols
@@ -99,7 +99,7 @@ def takes(**sizes: int | str) -> Callable[[_Method], _Method]:
             if any(array.ndim > 1 for array in arrays.values()):
                 lead = broadcast(**arrays)
                 arrays = {name: np.broadcast_to(x, (*lead, x.shape[-1])) for name, x in arrays.items()}
-            return method_of(self, **args | arrays)
+            return numeric_method(self, **args | arrays)
 
         return run  # type: ignore[return-value]
 

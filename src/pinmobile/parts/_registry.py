@@ -176,8 +176,8 @@ def _code(text: str, folder: Path | None) -> Any:
     except Exception as error:
         frames = [frame for frame in extract_tb(error.__traceback__) if str(folder) in frame.filename]
         place = f" at {Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else ""
-        text_of_error = f"{type(error).__name__}: {error}"
-        raise InvalidArgument(f"is {module}:{name}, which fails{place}: {text_of_error}") from error
+        message = f"{type(error).__name__}: {error}"
+        raise InvalidArgument(f"is {module}:{name}, which fails{place}: {message}") from error
     return value
 
 
@@ -243,7 +243,7 @@ def _is_like(name: str, kind: Any, value: Any) -> bool:
     if isinstance(value, type) and "__call__" not in dir(value):
         return False
     required, offered = (
-        [name_of for name_of in inspect.signature(call).parameters if name_of != "self"]
+        [word for word in inspect.signature(call).parameters if word != "self"]
         for call in (kind.__call__, vars(value).get("__call__", member) if isinstance(value, type) else value)
     )
     return len(required) == len(offered) and required[0] == offered[0]
@@ -251,7 +251,7 @@ def _is_like(name: str, kind: Any, value: Any) -> bool:
 
 def suggest_name(name: str, names: Iterable[str]) -> str:
     """Return a question that suggests the nearest name, or a list of all names."""
-    plain = {name_of.lower().replace("_", ""): name_of for name_of in names}
+    plain = {word.lower().replace("_", ""): word for word in names}
     matches = get_close_matches(name[:100].lower().replace("-", "").replace("_", ""), plain, n=1)
     return f"did you mean {plain[matches[0]]!r}?" if matches else f"available: {format_names(names)}"
 

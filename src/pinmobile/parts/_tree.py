@@ -211,16 +211,16 @@ class Reader:
     def _make(self, make: Any, values: dict[str, Any], path: str) -> Any:
         if any(value is _INVALID for value in values.values()):
             return _INVALID
-        values_first: list[Any] = []
+        positional: list[Any] = []
         names = [] if isinstance(make, partial) else [*parameters(make)]
         for k, key in enumerate(names):
             if parameters(make)[key].is_variadic and key in values:
                 rest = values.pop(key)
                 rest = rest if isinstance(rest, list | tuple) else [rest]
-                values_first = [*(values.pop(name) for name in names[:k]), *rest]
+                positional = [*(values.pop(name) for name in names[:k]), *rest]
         try:
             with np.errstate(all="ignore"):  # the part itself rejects overflow
-                return make(*values_first, **values)
+                return make(*positional, **values)
         except InvalidArgument as error:
             return self._fail(_join(path, error.argument.partition("[")[0]), f"{path or 'file'}: {error}")
         except (
@@ -300,14 +300,14 @@ class Reader:
             return _INVALID if any(item is _INVALID for item in parts) else parts
         if not isinstance(tree, Mapping) or base is None or base is attrs.NOTHING:
             return self._fail(path, f"{path} is {format_value(tree)}, expected a list, {requirement(field)}")
-        parts_by_key = dict(entries_of(base))
-        if not isinstance(base, Mapping) and tree.keys() - parts_by_key.keys():
-            return self._fail(path, f"{path} has {', '.join(parts_by_key)}, and not {', '.join(tree)}")
+        children = dict(entries_of(base))
+        if not isinstance(base, Mapping) and tree.keys() - children.keys():
+            return self._fail(path, f"{path} has {', '.join(children)}, and not {', '.join(tree)}")
         for key, branch in tree.items():
-            parts_by_key[key] = self.part(field, branch, f"{path}.{key}", parts_by_key.get(key))
-        if any(item is _INVALID for item in parts_by_key.values()):
+            children[key] = self.part(field, branch, f"{path}.{key}", children.get(key))
+        if any(item is _INVALID for item in children.values()):
             return _INVALID
-        return parts_by_key if isinstance(base, Mapping) else tuple(parts_by_key.values())
+        return children if isinstance(base, Mapping) else tuple(children.values())
 
     def _numbers(self, declared: Number, tree: Any, path: str, base: Any) -> Any:
         """Return numbers; a table changes some entries, by label or by index."""

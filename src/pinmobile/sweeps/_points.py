@@ -267,14 +267,14 @@ def change_scenario(scenario: Scenario, changes: Changes) -> Scenario:
         If a value does not match the declaration of its field.
     """
     loop, spread = scenario.given, scenario.spread
-    fields_given, numbers, paths = dict[str, Any](), dict[str, Any](), set[str]()
+    scenario_fields, numbers, paths = dict[str, Any](), dict[str, Any](), set[str]()
     by_path = {_PARTS.get(path, path): value for path, value in changes.items()}
     for path in sorted(by_path, key=lambda path: (path not in _PARTS.values(), path.count("."))):
         value, (first, _, rest) = by_path[path], path.partition(".")
         if path == "spread":
             spread = value
         elif path in _FIELDS:
-            fields_given[path] = value
+            scenario_fields[path] = value
         elif first == "spread" or first.startswith("start"):
             spread = {**spread, rest if first == "spread" else path: value}
         elif path in _PARTS.values():
@@ -296,7 +296,7 @@ def change_scenario(scenario: Scenario, changes: Changes) -> Scenario:
     default = select_integrator(scenario.robot, None) is loop.integrator
     new = replace(
         scenario,
-        **fields_given | {"spread": spread},
+        **scenario_fields | {"spread": spread},
         robot=loop.plant,
         integrator=None if default else loop.integrator,
         **{name: getattr(loop, name) for name in ("controller", "trajectory", "forces")},
@@ -315,8 +315,8 @@ def change_scenario(scenario: Scenario, changes: Changes) -> Scenario:
 
 def _add_force(forces: Any, key: str, force: Any) -> Any:
     items = dict(entries_of(forces))
-    forces_after = items | {key: force}
-    return forces_after if isinstance(forces, Mapping) or key not in items else tuple(forces_after.values())
+    new_forces = items | {key: force}
+    return new_forces if isinstance(forces, Mapping) or key not in items else tuple(new_forces.values())
 
 
 def _set_entry(base: Any, ref: NumberRef, value: Any, size: int) -> Any:

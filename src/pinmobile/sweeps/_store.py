@@ -106,8 +106,8 @@ class Store:
             if place != METADATA and not is_equal:
                 self._write(place, data)
         # Arrays are written to memory first, then to disk, each file completely or not at all.
-        as_buffer = zarr.core.buffer.default_buffer_prototype().buffer.from_bytes
-        self._buffer: dict[str, Any] = {METADATA: as_buffer((self.path / METADATA).read_bytes())}
+        make_buffer = zarr.core.buffer.default_buffer_prototype().buffer.from_bytes
+        self._buffer: dict[str, Any] = {METADATA: make_buffer((self.path / METADATA).read_bytes())}
         with zarr.config.set({"array.write_empty_chunks": True}):
             group = zarr.open_group(zarr.storage.MemoryStore(self._buffer), mode="r+")
             self._arrays: dict[str, Any] = {name: group[name] for name in attributes["nodes"]}
@@ -169,7 +169,7 @@ class Store:
         try:
             with file_errors("written", "a file of the store", file):
                 file.parent.mkdir(parents=True, exist_ok=True)
-            write(file, data, name="a file of the store", through=self.path / _PART_FILE)
+            write(file, data, name="a file of the store", scratch=self.path / _PART_FILE)
         except FileError as error:
             message = f"{error}; finished chunks are in the store: {RESTART} to resume"
             raise FileError(message, errno=error.errno, filename=error.filename) from error
@@ -211,11 +211,11 @@ def _empty_store(points: Points, description: Mapping[str, Any], chunk: int) -> 
     nodes = {place.split("/")[0]: json.loads(raw[place]) for place in raw if place.endswith(METADATA)}
     begins = {scenario.after for scenario in points.scenarios}
     data = {"chunk": chunk, "determined_by": description}
-    since = {"errors_from_s": begins.pop()} if len(begins) == 1 else {}
+    onset = {"errors_from_s": begins.pop()} if len(begins) == 1 else {}
     metadata["attributes"] = {
         "Conventions": NOTE,
-        "pinmobile_sweep": json.dumps({**data, "digest": digest_of(data, nodes, since), "arrays": [*nodes]}),
-        **since,
+        "pinmobile_sweep": json.dumps({**data, "digest": digest_of(data, nodes, onset), "arrays": [*nodes]}),
+        **onset,
     }
     # Not in the specification; other readers ignore it.
     metadata["consolidated_metadata"] = {"kind": "inline", "must_understand": False, "metadata": nodes}
@@ -253,9 +253,9 @@ def _make_arrays(group: Any, points: Points, chunk: int) -> None:
         )
 
 
-def digest_of(record: Mapping[str, Any], nodes: Mapping[str, Any], since: Mapping[str, Any]) -> str:
+def digest_of(record: Mapping[str, Any], nodes: Mapping[str, Any], onset: Mapping[str, Any]) -> str:
     """Return the digest of a store's own metadata; the digest ignores other entries of the file."""
-    return sha256(json.dumps([record, nodes, since], sort_keys=True).encode()).hexdigest()
+    return sha256(json.dumps([record, nodes, onset], sort_keys=True).encode()).hexdigest()
 
 
 def attributes_of(path: Path) -> dict[str, Any]:
@@ -277,8 +277,8 @@ def attributes_of(path: Path) -> dict[str, Any]:
         digest, arrays = record.pop("digest"), record.pop("arrays")
         consolidated = metadata["consolidated_metadata"]["metadata"]
         nodes = {name: consolidated[name] for name in arrays}
-        since = {name: x for name, x in metadata["attributes"].items() if name == "errors_from_s"}
-        if digest_of(record, nodes, since) != digest:
+        onset = {name: x for name, x in metadata["attributes"].items() if name == "errors_from_s"}
+        if digest_of(record, nodes, onset) != digest:
             raise ValueError("its digest differs")
         for name, node in consolidated.items():
             _check_plain(name, node)
