@@ -577,7 +577,7 @@ def test_the_key_is_of_text_and_processor() -> None:
 
 
 def test_the_folder_is_thinned_and_leaves_no_halves(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pinmobile.compiled.processor._MOST", 8)
+    monkeypatch.setattr("pinmobile.compiled.processor._MAX_FILES", 8)
     cache = Cache(tmp_path)
     for i in range(40):
         cache.write(f"key{i}", b"code")
