@@ -22,7 +22,7 @@ from measuring import Row, about, console, interleaved, median_time, options, pr
 import pinmobile as pm
 from pinmobile.compiled import processor
 from pinmobile.derivatives import _problem, poles, tune
-from pinmobile.derivatives._poles import _PROBE, _Inputs, _linearized, _Probed
+from pinmobile.derivatives._poles import _PROBE, _Inputs, _linearize, _Probe
 
 TOLERANCE, STEP, SPREAD = 1e-9, 1e-5, {"mass": pm.Uniform(27, 33)}
 
@@ -30,7 +30,7 @@ TOLERANCE, STEP, SPREAD = 1e-9, 1e-5, {"mass": pm.Uniform(27, 33)}
 def forgotten(folder: bool = False) -> None:
     """Forget the machine code of this process, and that of its folder too."""
     _problem._machines.clear()
-    processor._known.clear()
+    processor._functions.clear()
     for file in os.scandir(os.environ["PINMOBILE_CACHE"]) if folder else ():
         os.unlink(file)
 
@@ -81,9 +81,9 @@ def of_peers(case: Case, inputs: Any, values: Any, words: dict[str, str]) -> dic
 def measured(case: Case, rounds: int, least: float) -> tuple[list[str], list[str], bool]:
     """Return the cells of a case: costs in rollouts, and what is built; tell whether all agree."""
     mode = case.modes[-1]
-    built = build_times(lambda: _problem.evaluated(case.problem(), {}, mode), rounds)
+    built = build_times(lambda: _problem.evaluate_losses(case.problem(), {}, mode), rounds)
     problem = case.problem()
-    exact = _problem.evaluated(problem, {}, mode)
+    exact = _problem.evaluate_losses(problem, {}, mode)
     inputs, directions, at = exact.inputs, exact.directions, place(problem)
     words = {} if "reverse" in case.modes else {"reverse": "-"}
     peers = of_peers(case, inputs, np.array([inputs.rows[one.row, 0] for one in directions]), words)
@@ -102,11 +102,11 @@ def measured(case: Case, rounds: int, least: float) -> tuple[list[str], list[str
                 words[name] = f"WRONG: {off[name]:.0e}"
     works = {name: gradient for name, gradient in gradients.items() if name not in words}
     works |= {"rollout": lambda: problem.plain(inputs)}
-    works |= {"whole": lambda: _problem.evaluated(problem, {}, mode)}
+    works |= {"whole": lambda: _problem.evaluate_losses(problem, {}, mode)}
     rows = timed(works, rounds, least)
     costs = {name: f"{row.ratio(rows['rollout']):,.3g}" for name, row in rows.items()} | words
     seconds = {name: f"{took:.2f}" for name, (took, _) in peers.items()}
-    cells = [case.name, f"{problem.machine.tape.own:,}", f"{1e3 * rows['rollout'].median:.2f}"]
+    cells = [case.name, f"{problem.machine.tape.robot_size:,}", f"{1e3 * rows['rollout'].median:.2f}"]
     cells += [costs[name] for name in ("forward", "reverse", "whole", "central", *PEERS)]
     builds = [case.name, mode, *(f"{np.median(times):.2f}" for times in built)]
     builds += [*(seconds.get(name, words.get(name, "")) for name in PEERS)]
@@ -128,7 +128,7 @@ def timed(works: dict[str, Callable[[], Any]], rounds: int, least: float) -> dic
 def of_ensemble(case: Case, rounds: int, least: float) -> list[str]:
     """Return the cells of the gradient of 64 robots with other masses, in ensembles."""
     problem = case.problem(n=64, spread=SPREAD)
-    found = _problem.evaluated(problem, {}, "reverse")
+    found = _problem.evaluate_losses(problem, {}, "reverse")
     inputs, directions, at = found.inputs, found.directions, place(problem)
     works: dict[str, Callable[[], Any]] = {
         "plain": lambda: problem.plain(inputs),
@@ -147,7 +147,7 @@ def of_tuning(case: Case, rounds: int, **own: Any) -> list[str]:
 
     def work() -> None:
         given = {"by": case.by, "q0": case.q0, "dt": case.dt, "progress": lambda trial: None}
-        found[:] = [tune(loss, *case.parts, **given, **case.own, **own)]
+        found[:] = [tune(loss, *case.parts, **given, **case.robot_size, **own)]
 
     seconds = (f"{np.median(times):.2f}" for times in build_times(work, rounds))
     trials, best = found[0].trials, found[0].best
@@ -157,11 +157,11 @@ def of_tuning(case: Case, rounds: int, **own: Any) -> list[str]:
 def of_poles(rounds: int, least: float) -> list[str]:
     """Return the cells of the poles of a loop with delays: states, and microseconds."""
     law, rest = pm.MeasurementDelay(pm.PID(BODY), samples=5), pm.FixedHeading(pm.Hold((0, 0), 1.0), 0.0)
-    parts, known = (BODY, _Probed(law, np.zeros(3)), rest), {"recorder": lambda _: _Inputs(), "by": [_PROBE]}
+    parts, known = (BODY, _Probe(law, np.zeros(3)), rest), {"recorder": lambda _: _Inputs(), "by": [_PROBE]}
     problem = _problem.problem_of(*parts, dt=0.01, n=1, **known)
     works: dict[str, Callable[[], Any]] = {
-        "matrix": lambda: _linearized(problem, 1),
-        "eigenvalues": lambda: np.linalg.eigvals(_linearized(problem, 1)[0][:, :states]),
+        "matrix": lambda: _linearize(problem, 1),
+        "eigenvalues": lambda: np.linalg.eigvals(_linearize(problem, 1)[0][:, :states]),
         "poles": lambda: poles(BODY, law, rest, dt=0.01),
     }
     states = len(problem.machine.tape.states)
@@ -182,7 +182,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     tuned = table("\nTuning, s", "numbers", "", "trials", "loss", "to", "first", "known")
     roots = table("\nPoles, us", "loop", "", "states", "matrix", "+ eigenvalues", "poles()")
     with tempfile.TemporaryDirectory() as folder, mock.patch.dict(os.environ, PINMOBILE_CACHE=folder):
-        _problem.evaluated(known["PD"].problem(), {}, "reverse")  # what a process starts once
+        _problem.evaluate_losses(known["PD"].problem(), {}, "reverse")  # what a process starts once
         for case in known.values():
             with out.status(case.name):
                 cells, built, agree = measured(case, rounds, least)

@@ -7,11 +7,11 @@ import attrs
 import numpy as np
 
 import pinmobile as pm
-from pinmobile.parts import Child, Number, Whole, fits, is_part_class, names_of, parameters, public
+from pinmobile.parts import Child, Number, Whole, fits, is_part_class, names_of, parameters, public_names
 from pinmobile.wheels import WheelFriction
 
 ODD = [5e-324, 1e22, 0.1, 1 / 3, -0.0, 2**53 + 0.0, 1e-7, 123456789.123456789]
-PARTS = {name: one for name, one in public().items() if attrs.has(one) and is_part_class(one)}
+PARTS = {name: one for name, one in public_names().items() if attrs.has(one) and is_part_class(one)}
 # What numbers alone do not make: names, tables that fit each other, parts that only Python makes.
 APART = {
     *(

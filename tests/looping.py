@@ -13,7 +13,7 @@ from pinmobile.forces import SinusoidalForce
 from pinmobile.integrators import constant_acceleration, semi_implicit_euler
 from pinmobile.loop import Loop, Samples
 from pinmobile.loop._program import Compiled
-from pinmobile.loop._python import in_python
+from pinmobile.loop._python import python_samples
 from pinmobile.parts import evolved
 from pinmobile.plant import Context
 from pinmobile.trajectories import Reference
@@ -175,7 +175,7 @@ def ran(compiled: Compiled, n: int, first: int = 0, **options: Any) -> Outcome:
 
 def looped(loop: Loop, q: Any, v: Any, t: Any = TIMES, reference: Any = CIRCLE, member: int = 0) -> Any:
     """Return the samples of one robot in Python, by name."""
-    samples = [one for one, _ in in_python(loop, told(loop, t, reference, member), q, v)]
+    samples = [one for one, _ in python_samples(loop, told(loop, t, reference, member), q, v)]
     return {name: np.array([getattr(one, name) for one in samples]) for name in ("q", "v", "u", "a")}
 
 

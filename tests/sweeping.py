@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pinmobile as pm
-from pinmobile.sweeps import Points, connected
+from pinmobile.sweeps import Points, connect
 
 CHUNK = 64
 ROBOT = pm.MobileRobot.lecture()
@@ -51,7 +51,7 @@ def run_until_killed(store: str, robots: str, scheduler: str = "") -> None:
         if done >= int(robots):
             os.kill(os.getpid(), signal.SIGKILL)
 
-    swept(Path(store), client=connected(scheduler) if scheduler else None, progress=kill)
+    swept(Path(store), client=connect(scheduler) if scheduler else None, progress=kill)
 
 
 if __name__ == "__main__":

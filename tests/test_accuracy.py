@@ -11,7 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_hex
 
 from pinmobile import InvalidArgument, MobileRobot, plots, rk4
-from pinmobile.accuracy import Convergence, IntegratorReport, conserved, free_motion, integrator_report
+from pinmobile.accuracy import Convergence, IntegratorReport, free_motion, integrator_report, invariants
 from pinmobile.arrays import Array
 from pinmobile.integrators import constant_acceleration, semi_implicit_euler
 from pinmobile.palette import colour
@@ -114,7 +114,7 @@ def test_what_is_conserved_is_the_generalised_momentum(robot: MobileRobot, seed:
     """M v is the momentum, and that about the body's origin; x p_y - y p_x takes it to the inertial one."""
     q, v = np.random.default_rng(seed).normal(size=(2, 3))
     p = robot.mass_matrix(q) @ v
-    now = conserved(robot, q, v)
+    now = invariants(robot, q, v)
     scale = 1e-12 * np.abs(p).max() * (1 + np.abs(q).max())
     np.testing.assert_allclose(now.momentum, p[:2], rtol=0, atol=scale + 1e-13)
     assert now.angular_momentum == pytest.approx(p[2] + q[0] * p[1] - q[1] * p[0], abs=scale + 1e-12)

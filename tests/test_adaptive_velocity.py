@@ -224,7 +224,7 @@ def test_the_bound_of_dt_is_where_the_loop_itself_becomes_unstable(monkeypatch: 
     with pytest.raises(pm.InvalidArgument, match=r"gains kp = .* dt < ([0-9.]+) s") as caught:
         pm.simulate(robot, controller, CIRCLE, dt=0.5)
     bound = float(str(caught.value).rpartition("dt < ")[2].partition(" s")[0])
-    monkeypatch.setattr(adaptive, "check_held", lambda *given: None)
+    monkeypatch.setattr(adaptive, "check_gains", lambda *given: None)
 
     def last(dt: float) -> float:
         start: Any = {"q0": CIRCLE(0.0).q + np.array([0.003, 0, 0]), "v0": CIRCLE(0.0).v}

@@ -13,7 +13,7 @@ import pytest
 
 import pinmobile
 from pinmobile import controllers, forces, paths, trajectories
-from pinmobile.parts._registry import public
+from pinmobile.parts._registry import public_names
 
 ROOT = Path(__file__).parents[1]
 CONTRIBUTING = (ROOT / "CONTRIBUTING.md").read_text()
@@ -30,7 +30,7 @@ def _parts(*packages: ModuleType) -> list[str]:
     classes = [
         (name, kind)
         for name, kind in kinds
-        if isinstance(kind, type) and name in public() and kind.__module__.startswith(own)
+        if isinstance(kind, type) and name in public_names() and kind.__module__.startswith(own)
     ]
     return [name for name, kind in classes if not getattr(kind, "_is_protocol", False)]
 
@@ -137,7 +137,7 @@ def test_the_parts_are_those_of_the_library() -> None:
 
 @pytest.mark.parametrize("name", [*PARTS, *REFERENCES])
 def test_a_part_is_known_by_its_own_file_and_its_package_alone(name: str) -> None:
-    part = public()[name]
+    part = public_names()[name]
     own = Path(*part.__module__.split(".")[1:]).with_suffix(".py")
     allowed = {own.as_posix(), (own.parent / "__init__.py").as_posix(), "__init__.py"}
     allowed |= {file for file, used in USERS.items() if name in used}

@@ -388,7 +388,7 @@ def test_a_missing_package_is_named_with_how_to_get_it() -> None:
     with pytest.raises(
         pm.InvalidArgument, match=r"^a sweep needs nothing_of_it, which is not installed: pip install da"
     ):
-        pm.errors.imported("nothing_of_it", "sweeps", "a sweep")
+        pm.errors.import_extra("nothing_of_it", "sweeps", "a sweep")
 
 
 def test_a_stable_friction_has_no_hint() -> None:

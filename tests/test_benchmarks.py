@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pinmobile.derivatives._problem import evaluated
+from pinmobile.derivatives._problem import evaluate_losses
 from tests.c_code import compilers
 
 pytestmark = [pytest.mark.once, pytest.mark.long]
@@ -212,7 +212,7 @@ def test_a_gradient_of_a_peer_is_checked_before_it_is_timed(
     monkeypatch.setattr(derivatives, "cases", lambda: {"PD": known["PD"]})
     monkeypatch.setattr(derivatives, "PEERS", {"right": there, "wrong": there, "away": away})
     problem = known["PD"].problem()
-    exact = evaluated(problem, {}, "forward").slopes[0, 0]
+    exact = evaluate_losses(problem, {}, "forward").slopes[0, 0]
     makers = {
         "right": lambda *given: lambda: lambda: exact,
         "wrong": lambda *given: lambda: lambda: 1.1 * exact,

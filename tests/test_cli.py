@@ -673,7 +673,7 @@ def test_a_lost_cluster_is_a_failure_and_no_wrong_word(
     def lost(address: str) -> None:
         raise SchedulerError(f"scheduler is {address!r}, which does not answer")
 
-    monkeypatch.setattr("pinmobile.cli.results.connected", lost)
+    monkeypatch.setattr("pinmobile.cli.results.connect", lost)
     code, _, told = typed("sweep", "rivals", f"--out={tmp_path}", "--scheduler=tcp://127.0.0.1:1")
     assert (code, told) == (1, "pinmobile: scheduler is 'tcp://127.0.0.1:1', which does not answer\n")
 

@@ -17,7 +17,7 @@ from pinmobile.compiled import Cache, Program
 from pinmobile.controllers import Decoupled
 from pinmobile.errors import SlowerEngine
 from pinmobile.integrators import rk4
-from pinmobile.loop._run import way_of
+from pinmobile.loop._run import plan_execution
 from tests.looping import Swing
 from tests.test_compiled_loop import targets
 from tests.test_mounted import mjcf
@@ -226,7 +226,7 @@ def test_the_bits_of_arms_are_those_of_every_processor() -> None:
         pm.MeasurementNoise(pm.ComputedTorque(PENDULUM, 20, 8), 1e-4, 1e-4, seed=1), 50
     )
     spread = {f"{PENDULUM.mounts[0].links[-1].name}.mass": pm.Uniform(0.2, 0.4)}
-    way = way_of(pm.Scenario(**given(PENDULUM, controller, spread, n=11)))
+    way = plan_execution(pm.Scenario(**given(PENDULUM, controller, spread, n=11)))
     assert way.program is not None
     draws, found = way.scenario.draws(), []
     for target, shape in targets().values():

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from pinmobile.arrays import Array
-from pinmobile.compiled import Noise, elementary, repeated, robot_keys
+from pinmobile.compiled import Noise, elementary, repeat, robot_keys
 from pinmobile.compiled.memory import _minus_two_log, normals
-from pinmobile.compiled.tape import COUNT, Tape, evaluated
+from pinmobile.compiled.tape import COUNT, Tape, evaluate
 from tests.tapes import compiled
 from tests.test_compiled_loop import targets
 
@@ -62,7 +62,7 @@ MPMATH = {"arctan": "atan", "arcsin": "asin", "arccos": "acos"}
 @pytest.mark.parametrize("name", DOMAINS)
 def test_a_function_is_off_by_a_few_units_of_the_last_place(name: str) -> None:
     x = DOMAINS[name]
-    found = elementary.of_floats(getattr(elementary, name))(x)
+    found = elementary.on_floats(getattr(elementary, name))(x)
     with mpmath.workdps(40):
         true = [getattr(mpmath, MPMATH.get(name, name))(mpmath.mpf(float(each))) for each in x]
         # Of a sine or cosine near its zero, as many bits are right as the reduced angle has: 2e-16 of 1.
@@ -76,7 +76,7 @@ def test_a_function_is_off_by_a_few_units_of_the_last_place(name: str) -> None:
 def test_of_what_is_no_usual_number_a_function_is_what_numpy_says(name: str) -> None:
     x = np.array([0.0, np.inf, -np.inf, np.nan, 1.0, -1.0, 1e300, -1e300])
     np.testing.assert_allclose(
-        elementary.of_floats(getattr(elementary, name))(x), getattr(np, name)(x), rtol=4e-16
+        elementary.on_floats(getattr(elementary, name))(x), getattr(np, name)(x), rtol=4e-16
     )
 
 
@@ -85,7 +85,7 @@ def test_the_angle_of_two_numbers_is_right_in_all_quadrants() -> None:
     np.testing.assert_allclose(elementary.arctan2(y, x), np.arctan2(y, x), rtol=5e-16)
     axes = np.array([0.0, 0.0, 1.0, -1.0, 0.0]), np.array([1.0, -1.0, 0.0, 0.0, 0.0])
     np.testing.assert_allclose(
-        elementary.of_floats(elementary.arctan2)(*axes), [0, np.pi, np.pi / 2, -np.pi / 2, 0]
+        elementary.on_floats(elementary.arctan2)(*axes), [0, np.pi, np.pi / 2, -np.pi / 2, 0]
     )
 
 
@@ -95,8 +95,8 @@ def test_the_bits_are_the_same_on_the_tape_in_numpy_and_on_every_processor(name:
     tape = Tape()
     x = tape.input("row", 0)
     node = function(x).index
-    numpy = elementary.of_floats(function)(WIDE)
-    (by_tape,) = evaluated(tape, [node], {("row", 0): WIDE})
+    numpy = elementary.on_floats(function)(WIDE)
+    (by_tape,) = evaluate(tape, [node], {("row", 0): WIDE})
     np.testing.assert_array_equal(by_tape, numpy)
     for label, (target, shape) in targets().items():
         np.testing.assert_array_equal(compiled(tape, node, WIDE, target, shape), numpy, err_msg=label)
@@ -107,12 +107,12 @@ def test_noise_has_the_same_bits_in_numpy_and_compiled() -> None:
     tape = Tape()
     nodes = normals(tape.input("key", 0), tape.input(*COUNT), 5)
     for k in (0, 1, 77):
-        values = evaluated(tape, [x.index for x in nodes], {("key", 0): keys, COUNT: np.uint64(k)})
+        values = evaluate(tape, [x.index for x in nodes], {("key", 0): keys, COUNT: np.uint64(k)})
         noise = Noise(keys[3], 5)
         for _ in range(k + 1):
             numbers, noise = noise.draw()
         np.testing.assert_array_equal(numbers, [value[3] for value in values])
-    first = evaluated(tape, [nodes[1].index], {("key", 0): keys, COUNT: np.uint64(0)})
+    first = evaluate(tape, [nodes[1].index], {("key", 0): keys, COUNT: np.uint64(0)})
     for label, (target, shape) in targets().items():
         by_machine = compiled(tape, nodes[1].index, keys, target, shape, key=True)
         np.testing.assert_array_equal(by_machine, first[0], err_msg=label)
@@ -160,9 +160,9 @@ def fourth_root(x: Any) -> Any:
             better = 0.5 * (z + half / z)
             return [better], abs(better - z) <= 1e-15 * z
 
-        return [*repeated(inner, [half + 1.0], 60, half == 4.0), half], abs(half - y) <= 1e-15 * y
+        return [*repeat(inner, [half + 1.0], 60, half == 4.0), half], abs(half - y) <= 1e-15 * y
 
-    return repeated(outer, [x + 0.0, x + 1.0], 60)[0]
+    return repeat(outer, [x + 0.0, x + 1.0], 60)[0]
 
 
 def test_rounds_within_rounds_are_those_of_python() -> None:
@@ -172,7 +172,7 @@ def test_rounds_within_rounds_are_those_of_python() -> None:
     alone = [fourth_root(float(each)) for each in x]
     np.testing.assert_allclose(alone[:-1], x[:-1] ** 0.25, rtol=1e-14)
     assert alone[-1] == 5.0  # where no round within is needed, what they begin with stays
-    (found,) = evaluated(tape, [node.index], {("row", 0): x})
+    (found,) = evaluate(tape, [node.index], {("row", 0): x})
     np.testing.assert_array_equal(found, alone)
     for label, (target, shape) in targets().items():
         by_machine = compiled(tape, node.index, x, target, shape)

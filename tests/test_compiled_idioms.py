@@ -12,7 +12,7 @@ from numpy import linalg
 from pinmobile import Circle, Engine, InvalidArgument, MobileRobot, Tangent, errors, law, simulate
 from pinmobile.compiled._tracing import tracing
 from pinmobile.compiled.symbolic import entries, symbols
-from pinmobile.compiled.tape import Node, Tape, evaluated
+from pinmobile.compiled.tape import Node, Tape, evaluate
 
 K = np.array([[100.0, 1.0, -2.0], [1.0, 90.0, 0.5], [-2.0, 0.5, 20.0]])
 LIMITS = np.array([1.0, 2.0, 3.0])
@@ -321,7 +321,7 @@ def test_an_idiom_gives_on_symbols_what_it_gives_on_numbers(name: str) -> None:
         expected = np.asarray(law(state.copy()), float)
         nodes = [x if type(x) is Node else tape.const(x) for x in traced.reshape(-1)]
         inputs = {("state", i): x for i, x in enumerate(state)}
-        values = np.array([float(x) for x in evaluated(tape, [node.index for node in nodes], inputs)])
+        values = np.array([float(x) for x in evaluate(tape, [node.index for node in nodes], inputs)])
         assert traced.shape == expected.shape
         np.testing.assert_allclose(values.reshape(expected.shape), expected, rtol=1e-13, atol=1e-14)
 

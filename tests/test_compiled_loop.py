@@ -53,7 +53,7 @@ def test_the_summary_is_that_of_the_samples() -> None:
     counted = built(loop, recorder=Worst(limit=1e3, begin=50.0))
     summary, kept = ran(counted, n, every=every), ran(built(loop), n).kept
     error = np.array([[loop.plant.difference(*pair) for pair in zip(q, CIRCLE.q)] for q in kept["q"]])  # noqa: B905
-    record = counted.recorded(summary)
+    record = counted.recorder_memory(summary)
     assert (record["lived"] == COUNT).all()
     np.testing.assert_array_equal(record["largest"], np.abs(error[:, 50:]).max(axis=1))
     far = np.square(error[..., :2]).sum(axis=2)
@@ -70,7 +70,7 @@ def test_the_summary_is_that_of_the_samples() -> None:
 def test_what_diverges_is_counted_so_far_and_in_the_last_bin() -> None:
     compiled = built(plain(PD(-400.0, -400.0), integrator=rk4), recorder=Worst(limit=5.0))
     found = ran(compiled, 5, every=COUNT - 1)
-    record = compiled.recorded(found)
+    record = compiled.recorder_memory(found)
     assert (record["alive"] == 0).all()
     assert (record["lived"] < COUNT).all()
     assert (record["largest"] <= 5).all()
@@ -84,7 +84,7 @@ def test_one_that_is_no_number_is_not_alive_though_no_input_says_so() -> None:
 
     with np.errstate(invalid="ignore"):
         compiled = built(plain(PD(0.0, 0.0), Lost()), {}, Worst())
-        record = compiled.recorded(ran(compiled, 3))
+        record = compiled.recorder_memory(ran(compiled, 3))
     assert (record["alive"] == 0).all()
     assert np.isfinite(record["largest"]).all()
 
@@ -112,7 +112,7 @@ def test_a_law_may_write_into_what_it_is_given() -> None:
     assert_near({name: x[1] for name, x in ran(built(loop, {}), 2).kept.items()}, expected)
     summary = built(loop, {}, Worst())
     error = [loop.plant.difference(a, b) for a, b in zip(expected["q"], CIRCLE.q, strict=True)]
-    largest = summary.recorded(ran(summary, 2))["largest"]
+    largest = summary.recorder_memory(ran(summary, 2))["largest"]
     np.testing.assert_allclose(largest[1], np.abs(error).max(axis=0), rtol=1e-11)
 
 
@@ -184,7 +184,7 @@ TARGETS = {
 
 def targets() -> dict[str, tuple[Target, Shape]]:
     """Return those that this machine runs; on another family, its own in all shapes."""
-    here = Target.here()
+    here = Target.host()
     if "avx" not in here.features:
         return {str(shape): (here, shape) for _, shape in TARGETS.values()}
     has = {8: "+avx512f" in here.features, 4: "+avx2" in here.features}
@@ -194,7 +194,7 @@ def targets() -> dict[str, tuple[Target, Shape]]:
 def test_what_is_tabled_for_all_robots_does_not_make_a_loop_too_large_for_two_vectors() -> None:
     waves = tuple(SinusoidalForce((3.0, 2.0, 1.0), f) for f in np.linspace(0.1, 2.0, 60))
     compiled = built(Loop(Body(), torque(), None, waves, constant_acceleration))
-    assert len(compiled.tape.tape) > 2000 > 2 * compiled.tape.own
+    assert len(compiled.tape.tape) > 2000 > 2 * compiled.tape.robot_size
     assert compiled.program.shape.vectors == 2
 
 
@@ -204,7 +204,7 @@ def test_the_bits_are_those_of_every_processor(name: str) -> None:
     for label, (target, shape) in targets().items():
         compiled = built(COMPOSITIONS[name](), recorder=Worst(limit=1e3), target=target, shape=shape)
         out = ran(compiled, 37, every=20)
-        found[label] = (*compiled.recorded(out).values(), out.counts)
+        found[label] = (*compiled.recorder_memory(out).values(), out.counts)
     first = next(iter(found.values()))
     for label, arrays in found.items():
         for one, other in zip(first, arrays, strict=True):
@@ -217,7 +217,7 @@ def test_the_bits_of_a_robot_do_not_depend_on_threads_nor_on_who_runs_beside_it(
 
     def some(begin: int, end: int, threads: int) -> Any:
         out = ran(compiled, end - begin, begin, every=10, threads=threads)
-        return compiled.recorded(out), out.counts
+        return compiled.recorder_memory(out), out.counts
 
     whole, counts = some(0, n, 1)
     for cut in ((0, n), (0, 1, n), (0, 100, 200, n)):

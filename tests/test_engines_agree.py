@@ -233,7 +233,7 @@ def test_the_engines_agree(k: int) -> None:
 def test_the_bits_hang_on_no_thread_chunk_or_number_of_robots(
     k: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("pinmobile.compiled.program._WORTH", 1.0)  # every block is worth a thread
+    monkeypatch.setattr("pinmobile.compiled.program._THREAD_WORK", 1.0)  # every block is worth a thread
     scenario, run = compiled(k)
     many = run_scenario(made(compositions()[k], 20 * N), engine=Engine.COMPILED, threads=3)
     chunk = part_of(scenario, 1, N, Engine.COMPILED)[1]

@@ -12,7 +12,7 @@ from scipy import stats
 import pinmobile as pm
 from pinmobile import plots
 from pinmobile.loop import Engine, Outline, causes, run_scenario, worst_share
-from pinmobile.loop._variables import PER_ROBOT
+from pinmobile.loop._variables import ROBOT_ARRAYS
 from tests.damage import answer, damaged
 from tests.refusals import refused
 
@@ -59,7 +59,7 @@ def saved(one: pm.Ensemble, tmp_path: Path) -> Path:
 
 def bits(one: pm.Ensemble) -> dict[str, Any]:
     """Return all numbers of an ensemble, so that NaN is NaN."""
-    arrays = {name: getattr(one, name) for name in (*PER_ROBOT, "counts")}
+    arrays = {name: getattr(one, name) for name in (*ROBOT_ARRAYS, "counts")}
     arrays |= {f"drawn {name}": values for name, values in one.draws.items()}
     for i, trace in one.traces.items():
         arrays |= {f"{name} of {i}": getattr(trace, name) for name in SERIES}

@@ -16,7 +16,7 @@ from pinmobile.errors import SlowerEngine
 from pinmobile.forces import NoiseForce, SinusoidalForce
 from pinmobile.integrators import RungeKuttaNystrom, constant_acceleration, semi_implicit_euler
 from pinmobile.loop import Engine, part_of, run_scenario
-from pinmobile.loop._description import judgement
+from pinmobile.loop._description import format_result
 from pinmobile.trajectories import LectureHeading
 from tests.memory import PEAK
 from tests.users import PID
@@ -397,7 +397,7 @@ def test_what_goes_to_another_process_holds_its_own_robots_of_an_array_alone() -
         "start.x": 0.01,
     }
     scenario = made(n=50_000, spread=spread, duration=1.0)
-    sent = pickle.dumps(scenario.holding(30_000, 30_100))
+    sent = pickle.dumps(scenario.subset(30_000, 30_100))
     assert len(sent) < len(pickle.dumps(scenario)) / 50
     draws, part = part_of(scenario, 30_000, 30_100)
     held, other = part_of(pickle.loads(sent), 30_000, 30_100)
@@ -553,8 +553,8 @@ def test_loads_count_as_the_bodys_on_the_plant_and_in_the_model() -> None:
 def test_a_judgement_tells_the_share_that_diverged(
     n: int, within: tuple[float, float], diverged: int, text: str
 ) -> None:
-    assert judgement(n, 6.0, within, diverged, 0.0) == text
-    since = judgement(n, 6.0, within, diverged, 2.0)
+    assert format_result(n, 6.0, within, diverged, 0.0) == text
+    since = format_result(n, 6.0, within, diverged, 2.0)
     assert since == (text if within[0] == np.inf else text.replace(" s: ", " s: from 2 s on "))
 
 

@@ -13,9 +13,9 @@ from pinmobile.compiled.identity import is_traced
 from pinmobile.controllers import AdaptiveVelocity, DynamicFeedback, Kanayama, VelocityCommand
 from pinmobile.errors import NotTraceable
 from pinmobile.loop import Loop, Samples
-from pinmobile.loop._checks import chosen_integrator, sampled
+from pinmobile.loop._checks import sample_reference, select_integrator
 from pinmobile.loop._program import Compiled
-from pinmobile.loop._python import in_python
+from pinmobile.loop._python import python_samples
 from pinmobile.parts import numbers, replace
 from pinmobile.plant import Context
 from pinmobile.trajectories import Reference
@@ -58,11 +58,11 @@ ITS_OWN_AXLE = "robot.ahead", "left.x", "right.x"
 def made(name: str) -> tuple[Loop, Context, Any]:
     """Return a loop, its context, and a start off the reference, where all that has a rate moves."""
     (plant, controller, trajectory), options = LOOPS[name]
-    integrator = chosen_integrator(plant, options.get("integrator"))
+    integrator = select_integrator(plant, options.get("integrator"))
     forces = options.get("forces", ())
     loop = Loop(plant, controller, trajectory, forces, integrator, options.get("substeps", 1), Samples())
     t: Any = 1.0 + DT * np.arange(3 if name.startswith("adaptive") else 2)  # leakage is felt in the third
-    reference = sampled(trajectory, t, plant)
+    reference = sample_reference(trajectory, t, plant)
     q, v = plant.start(Reference(*(x[0] for x in reference)))
     context = Context.of(plant, dt=DT, t=t, reference=reference, trajectory=trajectory)
     moved = 0.05 * np.cos(np.arange(len(v)))
@@ -75,7 +75,7 @@ def rows(samples: Any) -> Any:
 
 
 def by_python(loop: Loop, context: Context, start: Any) -> Any:
-    return rows(list(in_python(loop, context, *start)))
+    return rows(list(python_samples(loop, context, *start)))
 
 
 def by_compiled(loop: Loop, context: Context, start: Any, others: list[Loop]) -> Any:

@@ -18,7 +18,7 @@ import pinmobile as pm
 from pinmobile import plots
 from pinmobile.cli.output import Section, index_page, save_figure
 from pinmobile.errors import FileError
-from pinmobile.files import replacing, write
+from pinmobile.files import replace_file, write
 from pinmobile.loop import Engine
 from pinmobile.viewer import Recording, Viewer
 from tests.damage import full_disk
@@ -94,7 +94,7 @@ def test_whatever_ends_a_write_leaves_the_file_that_was_there(
         raise failure
 
     def begin_and_stop() -> None:
-        with replacing(tmp_path / "file") as file:
+        with replace_file(tmp_path / "file") as file:
             file.write(b"x" * 100_000)
             raise failure
 

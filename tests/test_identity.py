@@ -45,7 +45,7 @@ class Process:
 
     def begin(self) -> None:
         _program._programs.clear()
-        processor._known.clear()
+        processor._functions.clear()
         self.traced = 0
 
     @property
@@ -476,7 +476,7 @@ def test_no_file_is_used_where_the_source_is_not_what_was_loaded(
 ) -> None:
     run(pm.PD(100, 20))
     identity._source.cache_clear()
-    monkeypatch.setattr(identity, "_BEGAN", 0.0)
+    monkeypatch.setattr(identity, "_START", 0.0)
     process.begin()
     run(pm.PD(100, 20))
     assert process.traced == 1
@@ -577,7 +577,7 @@ def test_the_key_is_of_text_and_processor() -> None:
 
 
 def test_the_folder_is_thinned_and_leaves_no_halves(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pinmobile.compiled.processor._MOST", 8)
+    monkeypatch.setattr("pinmobile.compiled.processor._MAX_FILES", 8)
     cache = Cache(tmp_path)
     for i in range(40):
         cache.write(f"key{i}", b"code")

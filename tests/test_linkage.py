@@ -9,7 +9,7 @@ import pytest
 
 from pinmobile import InvalidArgument, MobileRobot, PayloadBody, verify
 from pinmobile.arrays import Array
-from pinmobile.compiled.tape import Tape, needed
+from pinmobile.compiled.tape import Tape, ancestors
 from pinmobile.errors import NotTraceable, UnknownName
 from pinmobile.parts import find, replace
 from pinmobile.robot.articulated import ArticulatedDynamics
@@ -117,7 +117,7 @@ def nodes(robot: MobileRobot) -> int:
         for n in (robot.nq, robot.nv, robot.nv)
     )
     found: Any = body.inverse_dynamics(q, v, a)  # type: ignore[arg-type]  # they stand for arrays
-    return len(needed(tape, [x.index for x in found.entries]))
+    return len(ancestors(tape, [x.index for x in found.entries]))
 
 
 def test_what_is_zero_costs_nothing() -> None:

@@ -161,7 +161,7 @@ def test_a_program_that_fails_keeps_its_state_and_problem(monkeypatch: pytest.Mo
     assert flag == 1
     moved = pm.MPC(NOMINAL, 4, limits=(22, 22, 3))
     plan = moved.initial_state(Context.of(NOMINAL, dt=0.01, t=T, reference=SHORT(T)))[0]
-    u = plan.u[0] - plan.K[0] @ caught.value.state + plan.moves[0] @ z[:3]
+    u = plan.u[0] - plan.K[0] @ caught.value.state + plan.scales[0] @ z[:3]
     assert np.abs(u - asked(moved, NOMINAL, start, SHORT(0.0).v)).max() < 1e-6 * 22
 
 
@@ -206,11 +206,11 @@ def test_rows_of_a_program_are_what_its_inputs_do_to_the_model() -> None:
     plan = controller.initial_state(Context.of(NOMINAL, dt=0.01, t=T, reference=SHORT(T)))[0]
     A, B = tracked_model(NOMINAL, SHORT(T)).discrete(0.05)
     for k in (0, 180):  # from the second, the horizon reaches beyond the end
-        at, z = plan.at(k), np.cos(np.arange(27.0))
+        at, z = plan.samples(k), np.cos(np.arange(27.0))
         program = plan.program(at, np.zeros((9, 5)), np.zeros((9, 5)))
         x, wanted = np.zeros(6), []
         for i, own in zip(at[:-1], z.reshape(9, 3), strict=True):
-            u = plan.moves[i] @ own - plan.K[i] @ x
+            u = plan.scales[i] @ own - plan.K[i] @ x
             x = A[i] @ x + B[i] @ u
             wanted.append([*u, x[0], x[4]])
         assert np.abs(program.A @ z - np.ravel(wanted)).max() < 1e-12 * np.abs(wanted).max()

@@ -13,7 +13,7 @@ import pytest
 import pinmobile as pm
 from pinmobile.errors import SlowerEngine, UnknownName
 from pinmobile.loop import Engine, Loop, part_of, run_scenario
-from pinmobile.loop._variables import PER_ROBOT
+from pinmobile.loop._variables import ROBOT_ARRAYS
 from pinmobile.parts import find, replace
 from pinmobile.trajectories import LectureHeading
 from tests.parts import (
@@ -64,14 +64,14 @@ def made(what: str, spread: Any = STARTS, **options: Any) -> pm.Scenario:
 
 def assert_close(one: pm.Ensemble, other: pm.Ensemble) -> None:
     """Compare all records to 1e-12 of the largest number of each."""
-    for name in PER_ROBOT:
+    for name in ROBOT_ARRAYS:
         here, there = getattr(one, name), getattr(other, name)
         size = np.abs(np.nan_to_num(there)).max(initial=0.0)
         np.testing.assert_allclose(here, there, rtol=0, atol=1e-12 * size, err_msg=name)
 
 
 def assert_same(one: pm.Ensemble, other: pm.Ensemble) -> None:
-    for name in (*PER_ROBOT, "counts"):
+    for name in (*ROBOT_ARRAYS, "counts"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
 
 
@@ -141,7 +141,7 @@ def test_a_sweep_over_users_parts_has_the_bits_of_their_ensembles(tmp_path: Path
 
 def test_a_worker_that_imports_users_parts_has_the_same_bits(tmp_path: Path) -> None:
     scenario = made("wrappers of a user's", forces=[Spring()], integrator=midpoint)
-    (tmp_path / "chunk.pkl").write_bytes(pickle.dumps(scenario.holding(1, 3)))
+    (tmp_path / "chunk.pkl").write_bytes(pickle.dumps(scenario.subset(1, 3)))
     code = (
         "import pathlib, pickle; from pinmobile.loop import part_of;"
         f"scenario = pickle.loads(pathlib.Path({str(tmp_path / 'chunk.pkl')!r}).read_bytes());"
@@ -402,7 +402,7 @@ def test_own_references_have_the_same_bits_however_the_robots_are_divided(tmp_pa
         pm.sweep(scenario, tmp_path / "store", chunk=3).ensemble(),
     ):
         assert_same(other, whole)
-    pieces = [part_of(pickle.loads(pickle.dumps(scenario.holding(k, k + 1))), k, k + 1)[1] for k in range(7)]
+    pieces = [part_of(pickle.loads(pickle.dumps(scenario.subset(k, k + 1))), k, k + 1)[1] for k in range(7)]
     np.testing.assert_array_equal(np.concatenate([each.max_error for each in pieces]), whole.max_error)
 
 

@@ -11,7 +11,7 @@ from pinmobile import MobileRobot, PayloadBody
 from pinmobile.arrays import Array
 from pinmobile.compiled._tracing import tracing
 from pinmobile.compiled.symbolic import Symbols, entries, symbols
-from pinmobile.compiled.tape import Node, Tape, evaluated
+from pinmobile.compiled.tape import Node, Tape, evaluate
 from pinmobile.errors import InvalidArgument, NotTraceable
 from pinmobile.parts import numbers, replace
 from pinmobile.robot import ArticulatedDynamics, PlanarDynamics, UncheckedDynamics
@@ -66,7 +66,7 @@ class Traced:
             found = law()
         table = np.asarray(entries(found), object)
         nodes = [x if type(x) is Node else self.tape.const(float(x)) for x in table.ravel()]
-        values = evaluated(self.tape, [x.index for x in nodes], self.inputs)
+        values = evaluate(self.tape, [x.index for x in nodes], self.inputs)
         return np.array(values, float).reshape(table.shape)
 
 

@@ -22,8 +22,8 @@ from pinmobile.loop._variables import edges
 from pinmobile.metrics import Metric
 from pinmobile.parts import evolved
 from pinmobile.sweeps import Axis, Points
-from pinmobile.sweeps._points import _NAMES, changed
-from pinmobile.sweeps._sweep import compared, length
+from pinmobile.sweeps._points import _NAMES, change_scenario
+from pinmobile.sweeps._sweep import format_length, summarize
 from tests.refusals import refused
 from tests.sweeping import CHUNK, GRID, ROBOT, contents, points, scenario, swept
 
@@ -52,7 +52,7 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> pm.Sweep:
 def test_a_spread_that_replaces_a_number_of_a_part_of_a_case_warns() -> None:
     base = replace(scenario(), spread={"robot.mass": pm.Uniform(28.0, 32.0)})
     with pytest.warns(UserWarning, match=r"grid or cases set robot\.mass"):
-        changed(base, {"robot": evolved(ROBOT, mass=40.0)})
+        change_scenario(base, {"robot": evolved(ROBOT, mass=40.0)})
 
 
 @pytest.fixture
@@ -92,9 +92,9 @@ def copy(done: pm.Sweep, tmp_path: Path) -> Path:
 )
 def test_a_path_changes_what_it_names_and_nothing_else(changes: Any, read: Any, value: Any) -> None:
     base = scenario()
-    assert read(changed(base, changes)) == value
-    assert read(changed(base, dict(reversed(changes.items())))) == value
-    assert changed(base, {}).spread == base.spread
+    assert read(change_scenario(base, changes)) == value
+    assert read(change_scenario(base, dict(reversed(changes.items())))) == value
+    assert change_scenario(base, {}).spread == base.spread
 
 
 @pytest.mark.parametrize(
@@ -238,7 +238,7 @@ def test_a_sweep_has_metrics_of_the_user_and_knows_their_code(tmp_path: Path) ->
 
 
 def _heavy() -> pm.MobileRobot:
-    return changed(scenario(), {"robot.mass": 35.0}).robot  # type: ignore[no-any-return]
+    return change_scenario(scenario(), {"robot.mass": 35.0}).robot  # type: ignore[no-any-return]
 
 
 def judged(axes: dict[str, Any], within: Any, diverged: Any = 0, n: int = 20) -> pm.Sweep:
@@ -306,7 +306,7 @@ def test_the_answer_is_the_worst_case(axes: Any, within: Any, diverged: Any, tex
 
 
 def test_lengths_and_shares_in_words() -> None:
-    assert [length(x) for x in (2.5, 0.012, 3e-5, 1e-9, INF)] == [
+    assert [format_length(x) for x in (2.5, 0.012, 3e-5, 1e-9, INF)] == [
         "2.5 m",
         "12 mm",
         "30 µm",
@@ -314,10 +314,10 @@ def test_lengths_and_shares_in_words() -> None:
         "unbounded",
     ]
     for exact, text in ((1.0, "1 m"), (1e-3, "1 mm"), (1e-6, "1 µm")):
-        assert [length(exact * (1 + off)) for off in (0, 1e-15, -1e-15, -1e-9)] == [text] * 4
-    alone = compared({"PD": 0.1, "wild": INF}, 0.99, {"PD": 0, "wild": 1}, 1)
+        assert [format_length(exact * (1 + off)) for off in (0, 1e-15, -1e-15, -1e-9)] == [text] * 4
+    alone = summarize({"PD": 0.1, "wild": INF}, 0.99, {"PD": 0, "wild": 1}, 1)
     assert alone == "PD stays within 100 mm, wild diverges"
-    many = compared({"the robots": INF}, 0.99, {"the robots": 19_285}, 19_286)
+    many = summarize({"the robots": INF}, 0.99, {"the robots": 19_285}, 19_286)
     assert many == "the robots diverge in more than 99 % of runs"
 
 

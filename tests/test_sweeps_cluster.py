@@ -16,7 +16,7 @@ import pytest
 
 from pinmobile import InvalidArgument, Sweep, law, sweep
 from pinmobile.errors import SchedulerError
-from pinmobile.sweeps import connected
+from pinmobile.sweeps import connect
 from tests.sweeping import contents, scenario, swept
 
 pytestmark = [pytest.mark.once, pytest.mark.long]
@@ -106,12 +106,12 @@ def test_what_is_no_scheduler_is_given_up() -> None:
         with pytest.raises(
             SchedulerError, match=rf"scheduler is '{address}', which does not answer within 0\.5 s"
         ):
-            connected(address, timeout=0.5)
+            connect(address, timeout=0.5)
     for wrong in (address, "tcp//1"):
         with pytest.raises(
             SchedulerError, match=r"which does not answer .* expected an address such as tcp://"
         ):
-            connected(wrong, timeout=0.5)
+            connect(wrong, timeout=0.5)
     with socket.create_server(("127.0.0.1", 0)) as other:
 
         def serve() -> None:
@@ -122,7 +122,7 @@ def test_what_is_no_scheduler_is_given_up() -> None:
         serving = Thread(target=serve)
         serving.start()
         with pytest.raises(SchedulerError, match=r"which does not answer within 5 s"):
-            connected(f"tcp://127.0.0.1:{other.getsockname()[1]}", timeout=5)
+            connect(f"tcp://127.0.0.1:{other.getsockname()[1]}", timeout=5)
         other.shutdown(socket.SHUT_RDWR)
         serving.join()
     assert time.monotonic() - before < 20
@@ -131,7 +131,7 @@ def test_what_is_no_scheduler_is_given_up() -> None:
 def test_a_closed_client_and_a_cluster_without_workers_are_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("pinmobile.sweeps._sweep._ANSWER", 0.5)
+    monkeypatch.setattr("pinmobile.sweeps._sweep._ANSWER_TIME", 0.5)
     with distributed.LocalCluster(n_workers=0, processes=False, dashboard_address=":0") as empty:
         client = distributed.Client(empty)
         with client, pytest.raises(SchedulerError, match=r"has no worker after 0\.5 s"):
@@ -143,7 +143,7 @@ def test_a_closed_client_and_a_cluster_without_workers_are_refused(
 def test_a_lost_scheduler_is_told_and_what_is_done_is_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("pinmobile.sweeps._sweep._LOOK", 0.1)
+    monkeypatch.setattr("pinmobile.sweeps._sweep._CHECK_TIME", 0.1)
     file = str(tmp_path / "scheduler.json")
     words = ("--host", "127.0.0.1", "--port", "0", "--no-dashboard"), ("--no-nanny",)
     modules = "distributed.cli.dask_scheduler", "distributed.cli.dask_worker"

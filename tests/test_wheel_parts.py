@@ -10,7 +10,7 @@ from pinmobile import Coulomb, InvalidArgument, Motor, Rolling, VelocityRobot, W
 from pinmobile.arrays import Array
 from pinmobile.compiled import symbols
 from pinmobile.compiled.symbolic import entries
-from pinmobile.compiled.tape import Node, Tape, evaluated
+from pinmobile.compiled.tape import Node, Tape, evaluate
 from pinmobile.controllers import Backstepping, UnicycleTracking
 from pinmobile.loop import Engine, simulate
 from pinmobile.paths import Circle
@@ -58,7 +58,7 @@ def on_symbols(robot: Any, answer: Any, *state: Array) -> Array:
     inputs = {("row", k): x for k, x in enumerate(values.values())}
     inputs |= {("state", k): x for k, x in enumerate(flat)}
     wanted = [(x if type(x) is Node else tape.const(float(x))).index for x in found]
-    return np.array(evaluated(tape, wanted, inputs))
+    return np.array(evaluate(tape, wanted, inputs))
 
 
 def state_of(robot: Any) -> tuple[Array, Array, Array]:
@@ -228,7 +228,7 @@ test_what_is_declared_is_checked = refusals(
 
 def test_theta_has_a_name_for_each_entry() -> None:
     robot = VelocityRobot([0.26, 0.25, 0.03, 1.1, 0.2, 1.2], ahead=0.1)
-    assert [*parts.named(robot)][1] == "theta.theta_1"
+    assert [*parts.refs_of(robot)][1] == "theta.theta_1"
     assert parts.find(robot, "theta.theta_3").label == "theta_3"
     tape = Tape()
     theta = symbols([tape.input("row", k) for k in range(6)], (6,))
@@ -236,5 +236,5 @@ def test_theta_has_a_name_for_each_entry() -> None:
     state = np.array([0.1, 0.2, 0.3]), np.array([0.5, 0.1, 0.4]), np.array([0.6, 0.2])
     found = entries(symbolic.forward_dynamics(*state)).reshape(-1)
     inputs = {("row", k): x for k, x in enumerate(robot.theta)}
-    got = evaluated(tape, [x.index for x in found], inputs)
+    got = evaluate(tape, [x.index for x in found], inputs)
     np.testing.assert_allclose(got, robot.forward_dynamics(*state), rtol=1e-13)

@@ -21,7 +21,7 @@ from pinmobile import (
     rk4,
 )
 from pinmobile.compiled import LoopTape, Program, Shape, Target, processors
-from pinmobile.loop._run import way_of
+from pinmobile.loop._run import plan_execution
 
 
 def words(fleet: ArmFleet) -> dict[str, object]:
@@ -57,7 +57,7 @@ def judged(fleet: ArmFleet) -> Run:
 
 def ensembles(told: dict[str, object]) -> Run:
     """Return what runs an ensemble, compiled."""
-    way_of(Scenario(**told))
+    plan_execution(Scenario(**told))
 
     def run() -> Figures:
         done = ensemble(**told)
@@ -74,7 +74,7 @@ def for_avx2(fleet: ArmFleet) -> Run:
 def kernel(fleet: ArmFleet, made: Callable[[LoopTape], Program]) -> Run:
     """Return a function that runs a scenario by another program of its tape."""
     scenario = Scenario(**words(fleet))
-    way = way_of(scenario)
+    way = plan_execution(scenario)
     compiled = copy.copy(way.program)
     assert compiled is not None
     compiled.program = made(compiled.tape)

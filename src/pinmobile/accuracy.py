@@ -21,8 +21,8 @@ from pinmobile.robot import MobileRobot
 from pinmobile.trajectories import Tangent
 
 EPS = float(np.finfo(np.float64).eps)  # machine epsilon, 2.2e-16
-_LEAST = 0.5  # smallest order that counts as convergence
-_ABOVE = 10.0  # smallest ratio of an error to rounding that enters the order
+_MIN_ORDER = 0.5  # smallest order that counts as convergence
+_ERROR_RATIO = 10.0  # smallest ratio of an error to rounding that enters the order
 
 
 @final
@@ -79,16 +79,16 @@ class Convergence:
 
         It is None for fewer than two such errors.
         """
-        clear = (self.errors > _ABOVE * self.rounding) & np.isfinite(self.errors)
-        if clear.sum() < 2:
+        is_clear = (self.errors > _ERROR_RATIO * self.rounding) & np.isfinite(self.errors)
+        if is_clear.sum() < 2:
             return None
-        return float(np.polyfit(np.log(self.steps[clear]), np.log(self.errors[clear]), 1)[0])
+        return float(np.polyfit(np.log(self.steps[is_clear]), np.log(self.errors[is_clear]), 1)[0])
 
     @property
     def converges(self) -> bool:
         """Whether the error vanishes with the step, down to rounding: its order is None or above one half."""
         order = self.order
-        return bool(np.isfinite(self.errors).all()) if order is None else order > _LEAST
+        return bool(np.isfinite(self.errors).all()) if order is None else order > _MIN_ORDER
 
     def __str__(self) -> str:
         if self.exact:
@@ -103,7 +103,7 @@ class Convergence:
 FAR = 1e-3 / EPS
 
 
-def guarded(integrator: Integrator) -> Integrator:
+def guard(integrator: Integrator) -> Integrator:
     """Return the integrator with checks: its step raises an error for an invalid or diverged state.
 
     Parameters
@@ -133,9 +133,9 @@ def guarded(integrator: Integrator) -> Integrator:
     --------
     >>> import numpy as np
     >>> from pinmobile import rk4
-    >>> from pinmobile.accuracy import guarded
+    >>> from pinmobile.accuracy import guard
     >>> explode = lambda t, q, v: 1e300 * np.ones(3)
-    >>> guarded(rk4)(explode, 0.0, np.zeros(3), np.zeros(3), 0.1)
+    >>> guard(rk4)(explode, 0.0, np.zeros(3), np.zeros(3), 0.1)
     Traceback (most recent call last):
     ...
     pinmobile.errors.Diverged: the integrator diverged at t = 0.1 s
@@ -163,7 +163,7 @@ _HEADING, _SPIN = 0.4, 1.0  # [rad, rad/s]
 _WALK = 64.0  # [eps]: rounding per step; over n steps, roundings add up as sqrt(n)
 
 
-class _Conserved(NamedTuple):
+class _Invariants(NamedTuple):
     """Conserved quantities of a body without external forces.
 
     Attributes
@@ -181,7 +181,7 @@ class _Conserved(NamedTuple):
     energy: Array
 
 
-def conserved(robot: MobileRobot, q: Array, v: Array) -> _Conserved:
+def invariants(robot: MobileRobot, q: Array, v: Array) -> _Invariants:
     """Return momentum, angular momentum and energy from the motion of the centre of mass.
 
     Parameters
@@ -209,16 +209,16 @@ def conserved(robot: MobileRobot, q: Array, v: Array) -> _Conserved:
     --------
     >>> import numpy as np
     >>> from pinmobile import MobileRobot
-    >>> from pinmobile.accuracy import conserved
+    >>> from pinmobile.accuracy import invariants
     >>> q, v = np.array([0.0, 2.0, 0.0]), np.array([1.0, 0.0, 0.0])
-    >>> conserved(MobileRobot.lecture(), q, v).angular_momentum
+    >>> invariants(MobileRobot.lecture(), q, v).angular_momentum
     np.float64(-60.0)
     """
     arm, spin = _arm(robot, q[..., 2]), v[..., 2]
-    centre, speed = q[..., :2] + arm, v[..., :2] + spin[..., None] * _left(arm)
-    about = robot.mass * (centre[..., 0] * speed[..., 1] - centre[..., 1] * speed[..., 0])
+    centre, speed = q[..., :2] + arm, v[..., :2] + spin[..., None] * _quarter_turn(arm)
+    moment = robot.mass * (centre[..., 0] * speed[..., 1] - centre[..., 1] * speed[..., 0])
     energy = (robot.mass * np.square(speed).sum(-1) + robot.yaw_inertia * spin**2) / 2
-    return _Conserved(robot.mass * speed, about + robot.yaw_inertia * spin, energy)
+    return _Invariants(robot.mass * speed, moment + robot.yaw_inertia * spin, energy)
 
 
 def free_motion(robot: MobileRobot, t: Array) -> tuple[Array, Array]:
@@ -238,7 +238,7 @@ def free_motion(robot: MobileRobot, t: Array) -> tuple[Array, Array]:
 
     See Also
     --------
-    accuracy.conserved : momentum and energy of this motion
+    accuracy.invariants : momentum and energy of this motion
     accuracy.free_body : errors of an integrator for this motion
 
     Examples
@@ -253,7 +253,7 @@ def free_motion(robot: MobileRobot, t: Array) -> tuple[Array, Array]:
     psi = _HEADING + _SPIN * t
     arm = _arm(robot, psi)
     origin = _CENTRE + _DRIFT * t[..., None] - arm
-    rate = _DRIFT - _SPIN * _left(arm)
+    rate = _DRIFT - _SPIN * _quarter_turn(arm)
     return np.append(origin, psi[..., None], -1), np.append(rate, np.full((*t.shape, 1), _SPIN), -1)
 
 
@@ -287,7 +287,7 @@ def free_body(
     See Also
     --------
     accuracy.integrator_report : all measurements of an integrator
-    accuracy.held_force : errors in a closed loop
+    accuracy.hold_errors : errors in a closed loop
 
     Examples
     --------
@@ -298,11 +298,11 @@ def free_body(
     >>> position.order
     4.0
     """
-    step = guarded(integrator)
+    step = guard(integrator)
     errors = np.array([_errors(step, robot, h, round(duration / h)) for h in steps])
     scales = _scales(robot, duration)
-    taken = duration / np.asarray(steps)
-    named = (
+    counts = duration / np.asarray(steps)
+    titles = (
         ("position at the end", "m"),
         ("heading at the end", "rad"),
         ("linear momentum, drift", ""),
@@ -310,35 +310,35 @@ def free_body(
         ("kinetic energy, drift", ""),
     )
     return tuple(
-        Convergence(name, unit, np.asarray(steps), column, scale * _WALK * EPS * np.sqrt(taken))
-        for (name, unit), column, scale in zip(named, errors.T, scales, strict=True)
+        Convergence(name, unit, np.asarray(steps), column, scale * _WALK * EPS * np.sqrt(counts))
+        for (name, unit), column, scale in zip(titles, errors.T, scales, strict=True)
     )
 
 
 def _errors(integrator: Integrator, robot: MobileRobot, h: float, count: int) -> list[float]:
     try:
-        states = _travelled(integrator, robot, h, count)
+        states = _simulate_states(integrator, robot, h, count)
     except Diverged:
         return 5 * [np.inf]
     q, v = states[:, 0], states[:, 1]
-    start, now = conserved(robot, q[0], v[0]), conserved(robot, q, v)
-    off = q[-1] - free_motion(robot, np.asarray(h * count))[0]
-    drift = np.linalg.norm(now.momentum - start.momentum, axis=-1) / np.linalg.norm(start.momentum)
+    start, end = invariants(robot, q[0], v[0]), invariants(robot, q, v)
+    error = q[-1] - free_motion(robot, np.asarray(h * count))[0]
+    drift = np.linalg.norm(end.momentum - start.momentum, axis=-1) / np.linalg.norm(start.momentum)
     return [
-        float(np.hypot(off[0], off[1])),
-        float(abs(off[2])),
+        float(np.hypot(error[0], error[1])),
+        float(abs(error[2])),
         float(drift.max()),
-        float(np.abs(now.angular_momentum / start.angular_momentum - 1).max()),
-        float(np.abs(now.energy / start.energy - 1).max()),
+        float(np.abs(end.angular_momentum / start.angular_momentum - 1).max()),
+        float(np.abs(end.energy / start.energy - 1).max()),
     ]
 
 
-def _travelled(integrator: Integrator, robot: MobileRobot, h: float, count: int) -> Array:
+def _simulate_states(integrator: Integrator, robot: MobileRobot, h: float, count: int) -> Array:
     """Return q and v at each step, shape (count + 1, 2, 3)."""
-    nothing = np.zeros(3)
+    zero = np.zeros(3)
 
     def acceleration(t: float, q: Array, v: Array) -> Array:
-        return robot.forward_dynamics(q, v, nothing)
+        return robot.forward_dynamics(q, v, zero)
 
     states = np.empty((count + 1, 2, 3))
     states[0] = free_motion(robot, np.zeros(()))
@@ -350,17 +350,17 @@ def _travelled(integrator: Integrator, robot: MobileRobot, h: float, count: int)
 def _scales(robot: MobileRobot, duration: float) -> tuple[float, ...]:
     """Return the size of the terms whose difference is each error."""
     reach = float(np.linalg.norm(robot.com[:2]))
-    far = float(np.linalg.norm(_CENTRE)) + duration * float(np.linalg.norm(_DRIFT)) + reach
-    fast = float(np.linalg.norm(_DRIFT)) + reach * _SPIN
-    start = conserved(robot, *free_motion(robot, np.zeros(())))
+    distance = float(np.linalg.norm(_CENTRE)) + duration * float(np.linalg.norm(_DRIFT)) + reach
+    speed = float(np.linalg.norm(_DRIFT)) + reach * _SPIN
+    start = invariants(robot, *free_motion(robot, np.zeros(())))
     turn = _HEADING + _SPIN * duration
-    momentum = robot.mass * fast
+    momentum = robot.mass * speed
     return (
-        far * turn,
+        distance * turn,
         turn,
         momentum / float(np.linalg.norm(start.momentum)),
-        (far * momentum + robot.yaw_inertia * _SPIN) / float(start.angular_momentum),
-        (momentum * fast + robot.yaw_inertia * _SPIN**2) / float(start.energy),
+        (distance * momentum + robot.yaw_inertia * _SPIN) / float(start.angular_momentum),
+        (momentum * speed + robot.yaw_inertia * _SPIN**2) / float(start.energy),
     )
 
 
@@ -370,19 +370,19 @@ def _arm(robot: MobileRobot, psi: Array) -> Array:
     return np.stack([x * np.cos(psi) - y * np.sin(psi), x * np.sin(psi) + y * np.cos(psi)], axis=-1)
 
 
-def _left(vector: Array) -> Array:
+def _quarter_turn(vector: Array) -> Array:
     """Return the vector rotated by a quarter turn to the left, shape (..., 2)."""
     return np.stack([-vector[..., 1], vector[..., 0]], axis=-1)
 
 
 _RADIUS, _RATE = 1.0, 0.5  # radius and angular rate of the reference circle [m, rad/s]
-_OFF = np.array([0.2, -0.1, 0.4])  # initial error [m, m, rad]
+_INITIAL_ERROR = np.array([0.2, -0.1, 0.4])  # initial error [m, m, rad]
 _GAIN = 4.0  # kp [1/s^2] and kd [1/s]: critically damped
-_MOST = 50_000  # largest number of evaluations in the accurate solution, which needs some thousand
+_MAX_EVALUATIONS = 50_000  # largest number of evaluations in the accurate solution, which needs some thousand
 _TOLERANCE = 1e-13  # relative tolerance of the accurate solution
 
 
-def held_force(
+def hold_errors(
     integrator: Integrator, robot: MobileRobot, steps: Sequence[float], duration: float
 ) -> tuple[Convergence, Convergence, float]:
     """Return the errors of an integrator between samples and of the sampled loop, and the cost of the hold.
@@ -423,23 +423,23 @@ def held_force(
     Examples
     --------
     >>> from pinmobile import MobileRobot, rk4
-    >>> from pinmobile.accuracy import held_force
+    >>> from pinmobile.accuracy import hold_errors
     >>> robot = MobileRobot(30, 1.0, com=(0.1, 0.05))
-    >>> _, sampling, cost = held_force(rk4, robot, [0.1, 0.05], 0.5)
+    >>> _, sampling, cost = hold_errors(rk4, robot, [0.1, 0.05], 0.5)
     >>> print(f"order {sampling.order:.0f}, hold {1e3 * cost:.1f} mm")
     order 1, hold 8.3 mm
     """
-    at = np.asarray(steps)
-    run, step = partial(_run, robot, duration), guarded(integrator)
-    fine = run(steps[0], _exactly(), 1)
+    dt = np.asarray(steps)
+    run, step = partial(_run, robot, duration), guard(integrator)
+    fine = run(steps[0], _exact_integrator(), 1)
     inner = [_distance(run(steps[0], step, round(steps[0] / h)), fine) for h in steps]
-    outer = [_from_continuous(run(h, step, 1)) for h in steps]
+    outer = [_continuous_error(run(h, step, 1)) for h in steps]
     size = _RADIUS + duration
-    rounding = size * np.full(len(at), 10 * _TOLERANCE), size * 64 * EPS * np.sqrt(duration / at)
+    rounding = size * np.full(len(dt), 10 * _TOLERANCE), size * 64 * EPS * np.sqrt(duration / dt)
     return (
-        Convergence("position, step h", "m", at, np.array(inner), rounding[0]),
-        Convergence("position, force held for h", "m", at, np.array(outer), rounding[1]),
-        _from_continuous(fine),
+        Convergence("position, step h", "m", dt, np.array(inner), rounding[0]),
+        Convergence("position, force held for h", "m", dt, np.array(outer), rounding[1]),
+        _continuous_error(fine),
     )
 
 
@@ -448,7 +448,7 @@ def _run(
 ) -> Rollout | None:
     """Return the rollout of the loop, or None if the loop diverges."""
     trajectory = Tangent(Circle(_RADIUS, _RATE, duration))
-    controller, start = ComputedTorque(robot, _GAIN, _GAIN), trajectory(0.0).q - _OFF
+    controller, start = ComputedTorque(robot, _GAIN, _GAIN), trajectory(0.0).q - _INITIAL_ERROR
     try:
         return simulate(
             robot, controller, trajectory, q0=start, dt=dt, integrator=integrator, substeps=substeps
@@ -457,17 +457,17 @@ def _run(
         return None
 
 
-def _exactly() -> Integrator:
+def _exact_integrator() -> Integrator:
     """Return a step of order 8 with a tolerance of `_TOLERANCE`, which detects divergence in bounded time."""
     # Imported here: figures of a report need no solver, and scipy loads slowly.
     from scipy.integrate import solve_ivp
 
-    asked = count()
+    counter = count()
 
     def step(acceleration: Acceleration, t: float, q: Array, v: Array, dt: float) -> tuple[Array, Array]:
         def rate(time: float, x: Array) -> Array:
             # A constant force may accelerate the body's rotation, which requires ever shorter steps.
-            if next(asked) > _MOST or not np.abs(x).max() < FAR:
+            if next(counter) > _MAX_EVALUATIONS or not np.abs(x).max() < FAR:
                 raise Diverged(f"the loop diverged at t = {time:g} s", time=time, q=x[:3], v=x[3:])
             return np.concatenate([x[3:], acceleration(time, x[:3], x[3:])])
 
@@ -484,7 +484,7 @@ def _distance(run: Rollout | None, other: Rollout | None) -> float:
     return float(np.linalg.norm((run.q - other.q)[:, :2], axis=1).max())
 
 
-def _from_continuous(run: Rollout | None) -> float:
+def _continuous_error(run: Rollout | None) -> float:
     """Return the largest distance from the loop in continuous time [m].
 
     With an exact model, the error satisfies e'' + kd e' + kp e = 0. kp = kd = 4 gives critical damping. The
@@ -493,11 +493,11 @@ def _from_continuous(run: Rollout | None) -> float:
     if run is None:
         return np.inf
     t = run.t[:, None]
-    exact = run.reference.q - _OFF * (1 + _GAIN / 2 * t) * np.exp(-_GAIN / 2 * t)
+    exact = run.reference.q - _INITIAL_ERROR * (1 + _GAIN / 2 * t) * np.exp(-_GAIN / 2 * t)
     return float(np.linalg.norm((run.q - exact)[:, :2], axis=1).max())
 
 
-_WHOLE = 1e-9  # relative rounding allowed in a ratio of times
+_RATIO = 1e-9  # relative rounding allowed in a ratio of times
 
 
 @final
@@ -571,12 +571,12 @@ class IntegratorReport:
         lines = [f"{self.integrator} on {self.robot!r}"]
         for title, rows in sections:
             lines.append(f"{title:42}" + "".join(f"{f'h = {h:g} s':>14}" for h in steps))
-            lines += [_row(row) for row in rows]
+            lines += [_format_row(row) for row in rows]
         return "\n".join([*lines, "", *self._words()])
 
     def _words(self) -> list[str]:
         """Return the conclusions from the measurements, line by line."""
-        dt, own = self.substeps.steps[0], float(self.substeps.errors[0])
+        dt, error = self.substeps.steps[0], float(self.substeps.errors[0])
         words = ["order p: with half the step, the error is 1 / 2^p."]
         if not all(row.converges for row in (*self.free, self.substeps)):
             return [
@@ -584,10 +584,10 @@ class IntegratorReport:
                 "The integrator does not converge: it solves another equation, or the steps are too long.",
             ]
         words.append("In the loop, the zero-order hold has order 1 in dt, for every integrator.")
-        costs = f"At dt = {dt:g} s the hold costs {self.held:.2g} m, the integrator {own:.2g} m: "
-        more = "a shorter dt gains more than a better integrator."
-        less = "a better integrator, or substeps, gain more than a shorter dt."
-        return [*words, costs + (more if own < self.held else less)]
+        costs = f"At dt = {dt:g} s the hold costs {self.held:.2g} m, the integrator {error:.2g} m: "
+        shorter_dt = "a shorter dt gains more than a better integrator."
+        better_integrator = "a better integrator, or substeps, gain more than a shorter dt."
+        return [*words, costs + (shorter_dt if error < self.held else better_integrator)]
 
 
 def integrator_report(
@@ -652,34 +652,34 @@ def integrator_report(
     body = MobileRobot(30, 1.0, com=(0.1, 0.05)) if robot is None else robot
     instance("robot", robot, MobileRobot | None, "a MobileRobot")
     total = positive("duration", duration, "s")
-    ladder = _ladder(steps, total)
-    free, loop = (measure(integrator, body, ladder, total) for measure in (free_body, held_force))
+    ladder = _check_steps(steps, total)
+    free, loop = (measure(integrator, body, ladder, total) for measure in (free_body, hold_errors))
     name = getattr(integrator, "__name__", repr(integrator))
     return IntegratorReport(name, body, total, *free, *loop)
 
 
-def _ladder(steps: Sequence[float], duration: float) -> list[float]:
+def _check_steps(steps: Sequence[float], duration: float) -> list[float]:
     array = shaped("steps", finite("steps", steps), ("n>=2",))
     ladder: list[float] = array.tolist()
     if ladder[-1] <= 0 or any(finer >= coarser for coarser, finer in pairwise(ladder)):
         raise InvalidArgument(f"steps are {ladder} s, expected steps > 0, the largest first")
-    if duration / ladder[-1] > _MOST_STEPS:
+    if duration / ladder[-1] > _MAX_STEPS:
         raise InvalidArgument(
             f"duration is {duration} s, which gives {duration / ladder[-1]:.3g} of the shortest step, "
-            f"expected at most {_MOST_STEPS:g}: use a longer step"
+            f"expected at most {_MAX_STEPS:g}: use a longer step"
         )
     for name, whole, part in (
         ("duration", duration, ladder[0]),
         *(("steps[0]", ladder[0], h) for h in ladder),
     ):
-        if not isfinite(whole / part) or abs(whole / part - round(whole / part)) > _WHOLE * whole / part:
+        if not isfinite(whole / part) or abs(whole / part - round(whole / part)) > _RATIO * whole / part:
             raise InvalidArgument(f"{name} is {whole} s, expected a whole multiple of the step {part} s")
     return ladder
 
 
-_MOST_STEPS = 1e7
+_MAX_STEPS = 1e7
 
 
-def _row(row: Convergence) -> str:
+def _format_row(row: Convergence) -> str:
     name = f"  {row.name}" + (f" [{row.unit}]" if row.unit else "")
     return f"{name:42}" + "".join(f"{error:14.1e}" for error in row.errors) + f"   {row}"

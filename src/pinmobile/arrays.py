@@ -28,7 +28,7 @@ _Shaped = TypeVar("_Shaped")
 MEMORY = 16e9
 """Largest memory that one call may allocate for arrays [bytes]; the value is 16e9."""
 
-_FEW = 1000  # largest array whose product is faster than a check of each entry; BLAS uses threads above
+_VDOT_SIZE = 1000  # largest array whose product is faster than a check of each entry; BLAS uses threads above
 _FLOAT = np.dtype(np.float64)
 _LARGEST = float(np.finfo(np.float64).max)
 _MOST_AXES = 24  # NumPy broadcasts 32 axes; the library adds some
@@ -69,7 +69,7 @@ def finite(name: str, value: ArrayLike) -> Array:
         type(value) is np.ndarray
         and value.dtype == np.float64
         and value.ndim == 1
-        and value.size <= _FEW
+        and value.size <= _VDOT_SIZE
         and isfinite(np.vdot(value, value))
     ):
         return value  # fast check for loops; if the product overflows, the checks below decide
@@ -79,9 +79,9 @@ def finite(name: str, value: ArrayLike) -> Array:
         return value  # type: ignore[return-value]  # symbols of `compiled` have no numbers
     array = real(name, value)
     if not np.isfinite(array).all():
-        where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
-        place = f"[{', '.join(map(str, where))}]" if where else ""
-        raise InvalidArgument(f"{name}{place} is {array[where]}, expected a finite number", name)
+        index = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
+        place = f"[{', '.join(map(str, index))}]" if index else ""
+        raise InvalidArgument(f"{name}{place} is {array[index]}, expected a finite number", name)
     return array
 
 
@@ -113,15 +113,15 @@ def finite_answer(answer: Array, /, **arguments: ArrayLike) -> Array:
     array([1., 2.])
     """
     # One product is faster than a check of each entry; `vdot` does not warn, `dot` does.
-    few = answer.size <= _FEW
-    if (few and isfinite(np.vdot(answer, answer))) or np.isfinite(answer).all():
+    is_small = answer.size <= _VDOT_SIZE
+    if (is_small and isfinite(np.vdot(answer, answer))) or np.isfinite(answer).all():
         return answer
-    bad = answer[~np.isfinite(answer)][0]
+    x = answer[~np.isfinite(answer)][0]
     sizes = ", ".join(f"|{name}| up to {np.abs(value).max():.3g}" for name, value in arguments.items())
-    raise NotFinite(f"the result is {bad} for {sizes}: a number exceeds 1.8e308, expected smaller arguments")
+    raise NotFinite(f"the result is {x} for {sizes}: a number exceeds 1.8e308, expected smaller arguments")
 
 
-def in_numbers(function: _Function) -> _Function:
+def finite_result(function: _Function) -> _Function:
     """Decorate a function of numbers: if its result is not finite, the function raises `NotFinite`.
 
     The message contains the size of each argument. The decorated function returns an array or a tuple; some
@@ -140,27 +140,27 @@ def in_numbers(function: _Function) -> _Function:
     Examples
     --------
     >>> import numpy as np
-    >>> from pinmobile.arrays import in_numbers
-    >>> inverse = in_numbers(lambda x: 1 / np.asarray(x))
+    >>> from pinmobile.arrays import finite_result
+    >>> inverse = finite_result(lambda x: 1 / np.asarray(x))
     >>> inverse([2.0, 4.0])
     array([0.5 , 0.25])
     """
 
     @wraps(function)  # type: ignore[arg-type]
-    def asked(*arguments: Any, **named: Any) -> Any:
+    def run(*arguments: Any, **keywords: Any) -> Any:
         with np.errstate(all="ignore"):
             try:
-                answer = function(*arguments, **named)  # type: ignore[operator]
+                answer = function(*arguments, **keywords)  # type: ignore[operator]
             except (np.linalg.LinAlgError, ZeroDivisionError):
                 answer = np.array(np.nan)
         for part in answer if isinstance(answer, tuple) else (answer,):
             if type(part) is np.ndarray and part.dtype == _FLOAT and not np.isfinite(part).all():
                 # Inside the function: other objects in the closure of a law would prevent its caching.
-                given = inspect.signature(function).bind(*arguments, **named).arguments  # type: ignore[arg-type]
-                finite_answer(part, **{name: x for name, x in given.items() if name != "self" and np.size(x)})
+                bound = inspect.signature(function).bind(*arguments, **keywords).arguments  # type: ignore[arg-type]
+                finite_answer(part, **{name: x for name, x in bound.items() if name != "self" and np.size(x)})
         return answer
 
-    return asked  # type: ignore[return-value]
+    return run  # type: ignore[return-value]
 
 
 def endless_or_finite(name: str, value: ArrayLike) -> Array:
@@ -203,24 +203,24 @@ def _array(value: object) -> np.ndarray[Any, Any]:
         return np.asarray(None)
 
 
-def _hides(value: object) -> bool:
+def _has_mask(value: object) -> bool:
     """Return whether a value is a masked array or a list that contains one."""
     # If the module is not loaded completely, there is no masked array.
-    masked = getattr(sys.modules.get("numpy.ma"), "MaskedArray", None)
-    if masked is None:
+    mask_type = getattr(sys.modules.get("numpy.ma"), "MaskedArray", None)
+    if mask_type is None:
         return False
-    waiting, seen = [value], set()
-    while waiting:
-        part = waiting.pop()
-        if isinstance(part, masked):
+    stack, ids = [value], set()
+    while stack:
+        part = stack.pop()
+        if isinstance(part, mask_type):
             return True
-        if isinstance(part, list | tuple) and id(part) not in seen and not set(map(type, part)) <= _PLAIN:
-            seen.add(id(part))  # a list may contain itself
-            waiting.extend(part)
+        if isinstance(part, list | tuple) and id(part) not in ids and not set(map(type, part)) <= _NUMBERS:
+            ids.add(id(part))  # a list may contain itself
+            stack.extend(part)
     return False
 
 
-_PLAIN = {float, int, np.float64}
+_NUMBERS = {float, int, np.float64}
 
 
 def real(name: str, value: ArrayLike) -> Array:
@@ -254,7 +254,7 @@ def real(name: str, value: ArrayLike) -> Array:
     >>> real("gap", [1, np.nan])
     array([ 1., nan])
     """
-    if _hides(value):
+    if _has_mask(value):
         raise InvalidArgument(
             f"{name} is a masked array, expected an array without a mask: fill or remove the masked entries"
         )
@@ -292,12 +292,12 @@ def are_real(answer: object) -> bool:
     return type(answer) is not np.ndarray or answer.dtype is _FLOAT or answer.dtype.kind in "fiub"
 
 
-def check_returned_array(what: str, answer: object, expected: str = "real numbers") -> Array:
+def check_returned_array(label: str, answer: object, expected: str = "real numbers") -> Array:
     """Return the result of a part as a float64 array.
 
     Parameters
     ----------
-    what : str
+    label : str
         Name of the part, for the message.
     answer : object
         Result of the part.
@@ -320,10 +320,10 @@ def check_returned_array(what: str, answer: object, expected: str = "real number
     >>> check_returned_array("forces[0]", [0, 5, 0])
     array([0., 5., 0.])
     """
-    found = _array(answer)
-    if not are_real(found):
-        raise InvalidArgument(f"{what} returned {format_value(answer)}, expected {expected}")
-    return np.array(found, np.float64)
+    array = _array(answer)
+    if not are_real(array):
+        raise InvalidArgument(f"{label} returned {format_value(answer)}, expected {expected}")
+    return np.array(array, np.float64)
 
 
 def shaped(name: str, array: _Shaped, *shapes: tuple[int | str, ...], words: str = "") -> _Shaped:
@@ -358,13 +358,13 @@ def shaped(name: str, array: _Shaped, *shapes: tuple[int | str, ...], words: str
     >>> shaped("kp", np.ones(3), (), ("n",), ("n", "n"))
     array([1., 1., 1.])
     """
-    found = np.shape(cast(Any, array))
-    if found not in shapes and not any(_fits(found, shape) for shape in shapes):
-        raise InvalidArgument(f"{name} has shape {found}, expected {shapes_in_words(shapes)}{words}")
+    size = np.shape(cast(Any, array))
+    if size not in shapes and not any(_fits(size, shape) for shape in shapes):
+        raise InvalidArgument(f"{name} has shape {size}, expected {format_shapes(shapes)}{words}")
     return array
 
 
-def shapes_in_words(shapes: Sequence[tuple[int | str, ...]]) -> str:
+def format_shapes(shapes: Sequence[tuple[int | str, ...]]) -> str:
     """Return shapes as text.
 
     Parameters
@@ -379,28 +379,28 @@ def shapes_in_words(shapes: Sequence[tuple[int | str, ...]]) -> str:
 
     Examples
     --------
-    >>> from pinmobile.arrays import shapes_in_words
-    >>> shapes_in_words([(), (3,), (3, 3)])
+    >>> from pinmobile.arrays import format_shapes
+    >>> format_shapes([(), (3,), (3, 3)])
     '(), (3,) or (3, 3)'
     """
     if tuple(shapes) == ((),):
         return "one number"
-    told = [re.sub(r"'|>=\d+", "", str(shape)) for shape in shapes]
-    *first, last = told
-    bounds = [each.replace(">=", " >= ") for shape in shapes for each in map(str, shape) if ">=" in each]
+    words = [re.sub(r"'|>=\d+", "", str(shape)) for shape in shapes]
+    *first, last = words
+    bounds = [size.replace(">=", " >= ") for shape in shapes for size in map(str, shape) if ">=" in size]
     return ", ".join([f"{', '.join(first)} or {last}" if first else last, *bounds])
 
 
-def _fits(shape: tuple[int, ...], wanted: tuple[int | str, ...]) -> bool:
-    if wanted[:1] == ("...",):
-        wanted = wanted[1:]
-        shape = shape[max(len(shape) - len(wanted), 0) :]
-    if len(shape) != len(wanted):
+def _fits(shape: tuple[int, ...], pattern: tuple[int | str, ...]) -> bool:
+    if pattern[:1] == ("...",):
+        pattern = pattern[1:]
+        shape = shape[max(len(shape) - len(pattern), 0) :]
+    if len(shape) != len(pattern):
         return False
     lengths: dict[str, int] = {}
-    for n, each in zip(shape, wanted, strict=True):
-        letter, _, least = str(each).partition(">=")
-        if n != (each if isinstance(each, int) else lengths.setdefault(letter, n)) or n < int(least or 0):
+    for n, size in zip(shape, pattern, strict=True):
+        letter, _, minimum = str(size).partition(">=")
+        if n != (size if isinstance(size, int) else lengths.setdefault(letter, n)) or n < int(minimum or 0):
             return False
     return True
 
@@ -514,21 +514,21 @@ def bounded(
     """
     numbers = np.asarray(value)
     bounds = {">": above, ">=": least, "<": below, "<=": most}
-    given = [(sign, bound) for sign, bound in bounds.items() if bound is not None]
-    wrong = ~np.all([_COMPARED[sign](numbers, bound) for sign, bound in given], axis=0)
-    if wrong.any():
-        at = tuple(int(i) for i in np.argwhere(wrong)[0])
-        place, unit = f"[{', '.join(map(str, at))}]" if at else "", unit and f" {unit}"
-        if len(given) == 2:
-            (first, low), (second, high) = given
+    limits = [(sign, bound) for sign, bound in bounds.items() if bound is not None]
+    outside = ~np.all([_COMPARISONS[sign](numbers, bound) for sign, bound in limits], axis=0)
+    if outside.any():
+        index = tuple(int(i) for i in np.argwhere(outside)[0])
+        place, unit = f"[{', '.join(map(str, index))}]" if index else "", unit and f" {unit}"
+        if len(limits) == 2:
+            (first, low), (second, high) = limits
             words = f"{low:.9g} {first.replace('>', '<')} {name} {second} {high:.9g}{unit}"
         else:
-            words = " ".join(f"{sign} {bound:.9g}" for sign, bound in given)
-        raise InvalidArgument(f"{name}{place} is {numbers[at]}{unit}, expected {words}")
+            words = " ".join(f"{sign} {bound:.9g}" for sign, bound in limits)
+        raise InvalidArgument(f"{name}{place} is {numbers[index]}{unit}, expected {words}")
     return value
 
 
-_COMPARED = {">": np.greater, ">=": np.greater_equal, "<": np.less, "<=": np.less_equal}
+_COMPARISONS = {">": np.greater, ">=": np.greater_equal, "<": np.less, "<=": np.less_equal}
 
 
 def positive(name: str, value: ArrayLike, unit: str = "") -> float:
@@ -732,13 +732,13 @@ def location(name: str, value: object) -> Path:
     >>> location("path", "runs/a.npz").name
     'a.npz'
     """
-    given = instance(name, value, str | PathLike, "the path of a file")
+    path_like = instance(name, value, str | PathLike, "the path of a file")
     try:
-        path = Path(given)
-        named = os.fsencode(path)
+        path = Path(path_like)
+        name_bytes = os.fsencode(path)
     except (TypeError, UnicodeEncodeError):
-        named = b"\0"
-    if b"\0" in named or max(map(len, named.split(b"/"))) > _LONGEST_NAME:
+        name_bytes = b"\0"
+    if b"\0" in name_bytes or max(map(len, name_bytes.split(b"/"))) > _LONGEST_NAME:
         raise InvalidArgument(
             f"{name} is {format_value(str(value))}, expected the path of a file: letters that a file name "
             f"can contain, at most {_LONGEST_NAME} bytes between two slashes"
@@ -777,20 +777,20 @@ def text(name: str, value: object) -> str:
     """
     from unicodedata import category  # here, because few calls need the module
 
-    if not isinstance(value, str) or any(category(letter) in _UNWRITTEN for letter in value):
+    if not isinstance(value, str) or any(category(letter) in _CONTROL for letter in value):
         raise InvalidArgument(f"{name} is {format_value(value)}, expected text without control characters")
     return value
 
 
-_UNWRITTEN = {"Cs", "Cc"}  # surrogates and control characters
+_CONTROL = {"Cs", "Cc"}  # surrogates and control characters
 
 
-def representable(what: str, array: Array) -> Array:
+def check_overflow(label: str, array: Array) -> Array:
     """Return a result that must not have overflowed.
 
     Parameters
     ----------
-    what : str
+    label : str
         Name of the result, for the message.
     array : ndarray, any shape
         Result of a computation from finite numbers under ``np.errstate(all="ignore")``.
@@ -808,12 +808,12 @@ def representable(what: str, array: Array) -> Array:
     Examples
     --------
     >>> import numpy as np
-    >>> from pinmobile.arrays import representable
-    >>> representable("length of the path", np.array(6.28))
+    >>> from pinmobile.arrays import check_overflow
+    >>> check_overflow("length of the path", np.array(6.28))
     array(6.28)
     """
     if not np.isfinite(array).all():
-        raise InvalidArgument(f"{what} is beyond the largest number, expected smaller arguments")
+        raise InvalidArgument(f"{label} is beyond the largest number, expected smaller arguments")
     return array
 
 
@@ -887,7 +887,7 @@ def mapping(name: str, value: object, expected: str) -> Mapping[Any, Any]:
     return value
 
 
-def by_label(argument: str, values: object, kind: type[_Kind]) -> dict[str, _Kind]:
+def label_items(argument: str, values: object, kind: type[_Kind]) -> dict[str, _Kind]:
     """Return one or several objects of a class by label; a single object has the label "".
 
     Parameters
@@ -911,19 +911,19 @@ def by_label(argument: str, values: object, kind: type[_Kind]) -> dict[str, _Kin
 
     Examples
     --------
-    >>> from pinmobile.arrays import by_label
-    >>> by_label("runs", 1.5, float)
+    >>> from pinmobile.arrays import label_items
+    >>> label_items("runs", 1.5, float)
     {'': 1.5}
     """
-    what = kind.__name__
-    one = f"{'an' if what[0] in 'AEIOU' else 'a'} {what}"
+    kind_name = kind.__name__
+    words = f"{'an' if kind_name[0] in 'AEIOU' else 'a'} {kind_name}"
     if isinstance(values, kind):
         return {"": values}
-    found = mapping(argument, values, f"{one} or a mapping of labels to {what}s")
-    for label, value in found.items():
+    items = mapping(argument, values, f"{words} or a mapping of labels to {kind_name}s")
+    for label, value in items.items():
         text(f"a label of {argument}", label)
-        instance(f"{argument}[{label!r}]", value, kind, one)
-    return dict(found)
+        instance(f"{argument}[{label!r}]", value, kind, words)
+    return dict(items)
 
 
 def one_of(kind: str, value: object, available: Iterable[str]) -> str:
@@ -1053,14 +1053,14 @@ def callable_as(form: str, function: _Function, expected: str = "") -> _Function
         ...
     pinmobile.errors.InvalidArgument: force is <function ...
     """
-    name, _, inside = form.rstrip(")").partition("(")
-    arguments = inside.split(", ") if inside else []
+    name, _, arguments_text = form.rstrip(")").partition("(")
+    arguments = arguments_text.split(", ") if arguments_text else []
     if isinstance(function, type) or not callable(function):
-        wanted = expected or f"a function of {', '.join(arguments[:-1])} and {arguments[-1]}"
-        raise InvalidArgument(f"{name} is {format_value(function)}, expected {wanted}")
+        words = expected or f"a function of {', '.join(arguments[:-1])} and {arguments[-1]}"
+        raise InvalidArgument(f"{name} is {format_value(function)}, expected {words}")
     code, *rest = _code_of(function)
     call = form, *rest
-    if code is not None and call in _fitting.get(code, ()):
+    if code is not None and call in _accepted.get(code, ()):
         return function
     try:
         signature = inspect.signature(function)
@@ -1073,7 +1073,7 @@ def callable_as(form: str, function: _Function, expected: str = "") -> _Function
             f"{name} is {format_value(function)}, which cannot be called as {form}: {error}; give another"
         ) from None
     if code is not None:
-        _fitting.setdefault(code, set()).add(call)
+        _accepted.setdefault(code, set()).add(call)
     return function
 
 
@@ -1082,16 +1082,16 @@ def _code_of(function: object) -> tuple[Any, ...]:
 
     The first entry is None if the signature depends on more than the code and the defaults.
     """
-    bound, law = not isinstance(function, FunctionType), function
-    if bound:
+    is_method, law = not isinstance(function, FunctionType), function
+    if is_method:
         law = function.__func__ if isinstance(function, MethodType) else type(function).__call__
     if not isinstance(law, FunctionType) or vars(law) or hasattr(function, "__signature__"):
         return (None,)
-    return law.__code__, bound, len(law.__defaults__ or ()), *sorted(law.__kwdefaults__ or ())
+    return law.__code__, is_method, len(law.__defaults__ or ()), *sorted(law.__kwdefaults__ or ())
 
 
 # Calls that fit a code; the complete check takes some 50 us.
-_fitting: WeakKeyDictionary[CodeType, set[tuple[Any, ...]]] = WeakKeyDictionary()
+_accepted: WeakKeyDictionary[CodeType, set[tuple[Any, ...]]] = WeakKeyDictionary()
 
 
 def increasing(name: str, t: Array) -> None:
@@ -1120,20 +1120,20 @@ def increasing(name: str, t: Array) -> None:
     """
     shaped(name, t, ("n>=1",))
     if not (t[1:] > t[:-1]).all():
-        late = int(np.argmin(t[1:] > t[:-1]))
-        raise InvalidArgument(f"{name}[{late + 1}] is {t[late + 1]} s after {t[late]} s, expected more")
+        index = int(np.argmin(t[1:] > t[:-1]))
+        raise InvalidArgument(f"{name}[{index + 1}] is {t[index + 1]} s after {t[index]} s, expected more")
 
 
-def affordable(what: str, numbers: float, instead: str) -> None:
+def affordable(label: str, numbers: float, remedy: str) -> None:
     """Check that arrays fit into `MEMORY`, before a function allocates them.
 
     Parameters
     ----------
-    what : str
+    label : str
         Arrays, for the message, such as ``"the records of 1e9 samples"``.
     numbers : float
         Number of float64 entries (8 bytes each).
-    instead : str
+    remedy : str
         Advice, for the message.
 
     Raises
@@ -1151,7 +1151,7 @@ def affordable(what: str, numbers: float, instead: str) -> None:
     """
     if not 8 * numbers <= MEMORY:
         raise InvalidArgument(
-            f"{what} take {8e-9 * numbers:.3g} GB, expected at most {1e-9 * MEMORY:g} GB: {instead}"
+            f"{label} take {8e-9 * numbers:.3g} GB, expected at most {1e-9 * MEMORY:g} GB: {remedy}"
         )
 
 
@@ -1213,8 +1213,8 @@ def frozen(array: ArrayLike) -> Array:
         return array  # type: ignore[return-value]
     if type(array) is np.ndarray and isinstance(array.base, bytes) and array.dtype == np.float64:
         return array
-    whole = np.asarray(array, dtype=np.float64)
-    return np.ndarray(whole.shape, np.float64, whole.tobytes())
+    floats = np.asarray(array, dtype=np.float64)
+    return np.ndarray(floats.shape, np.float64, floats.tobytes())
 
 
 HALF_TURN = 1e-9

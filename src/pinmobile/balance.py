@@ -23,14 +23,14 @@ from pinmobile.arrays import (
     vector,
 )
 from pinmobile.errors import InvalidArgument, format_value
-from pinmobile.parts import Desired, Following, Grounded, required
+from pinmobile.parts import Desired, Following, Grounded, require
 from pinmobile.plant import ContactLoads, SlipMargins, refuse_path, robot_at, stated
 from pinmobile.robot import WEIGHTLESS, checked_footprint, margin_inside, zero_moment_point_of
 from pinmobile.trajectories import Reference
 
-_FASTEST = 1e6  # largest factor of the speed: beyond, the speed counts as unlimited
+_MAX_FACTOR = 1e6  # largest factor of the speed: beyond, the speed counts as unlimited
 _HALVINGS = 40
-_UPRIGHT = np.pi / 2 - 1e-9  # [rad]
+_MAX_ANGLE = np.pi / 2 - 1e-9  # [rad]
 
 
 class MotionLike(Protocol):
@@ -118,18 +118,18 @@ class MotionStates:
     u: ArrayLike | None = None
 
     def __post_init__(self) -> None:
-        robot = required("plant", self.plant, Grounded)
+        robot = require("plant", self.plant, Grounded)
         for name, size in (("q", robot.nq), ("v", robot.nv), ("a", robot.nv)):
             object.__setattr__(self, name, frozen(vector(name, getattr(self, name), size)))
         if self.u is not None:
             object.__setattr__(self, "u", frozen(vector("u", self.u, robot.nu)))
-        given = {name: getattr(self, name) for name in "qvau" if getattr(self, name) is not None}
-        broadcast(**given)
+        arrays = {name: getattr(self, name) for name in "qvau" if getattr(self, name) is not None}
+        broadcast(**arrays)
 
 
 def _robot_of(motion: Any) -> Any:
-    required("motion", motion, MotionLike)
-    return required("motion.plant", robot_at(motion.plant, stated(motion, "t")), Grounded)
+    require("motion", motion, MotionLike)
+    return require("motion.plant", robot_at(motion.plant, stated(motion, "t")), Grounded)
 
 
 def reaction_wrench(motion: MotionLike, mount: str | None = None) -> Array:
@@ -174,8 +174,8 @@ def reaction_wrench(motion: MotionLike, mount: str | None = None) -> Array:
     >>> print(balance.reaction_wrench(states)[2])  # arm's weight [N]
     -205.95
     """
-    answer = _method("motion.plant", _robot_of(motion), "mount_wrench", "the wrench of an arm")
-    return answer(motion.q, motion.v, motion.a, mount)  # type: ignore[no-any-return]
+    method = _method("motion.plant", _robot_of(motion), "mount_wrench", "the wrench of an arm")
+    return method(motion.q, motion.v, motion.a, mount)  # type: ignore[no-any-return]
 
 
 def zero_moment_point(motion: MotionLike) -> Array:
@@ -263,8 +263,8 @@ def body_zero_moment_point(motion: MotionLike) -> Array:
             "motion.plant has an unknown height above the ground, expected a known one: "
             "MobileRobot.from_urdf(path, ground=...), with the ground's z in the root link's frame [m]"
         )
-    found: Array = zero_moment_point_of(*_ground(motion))
-    return found
+    point: Array = zero_moment_point_of(*_ground(motion))
+    return point
 
 
 def tip_over_margin(motion: MotionLike, footprint: ArrayLike | None = None) -> Array:
@@ -350,8 +350,8 @@ def contact_loads(motion: MotionLike) -> ContactLoads:
     >>> balance.contact_loads(rest).values  # [N]
     array([73.575, 73.575, 73.575, 73.575])
     """
-    answer = _method("motion.plant", _robot_of(motion), "contact_loads", "the loads of wheels")
-    return answer(motion.q, motion.v, motion.a)  # type: ignore[no-any-return]
+    method = _method("motion.plant", _robot_of(motion), "contact_loads", "the loads of wheels")
+    return method(motion.q, motion.v, motion.a)  # type: ignore[no-any-return]
 
 
 def slip_margins(motion: MotionLike) -> SlipMargins:
@@ -401,15 +401,15 @@ def slip_margins(motion: MotionLike) -> SlipMargins:
 
 
 def _method(argument: str, plant: Any, name: str, words: str) -> Any:
-    found = getattr(plant, name, None)
-    if isinstance(plant, type) or not callable(found):
+    method = getattr(plant, name, None)
+    if isinstance(plant, type) or not callable(method):
         expected = f"a WheeledRobot, or a plant with {name}"
         if hasattr(plant, "wheeled"):
             expected = f"torques as inputs: simulate {argument}.wheeled, without TorqueToVoltage"
         raise InvalidArgument(
             f"{argument} is {format_value(plant)}, which does not compute {words}, expected {expected}"
         )
-    return found
+    return method
 
 
 class MotionLimit(NamedTuple):
@@ -496,25 +496,25 @@ def max_path_speed(plant: Any, trajectory: Any, samples: int = 400) -> MotionLim
     (1.98, 'left + right slip')
     """
     follows = _method("plant", plant, "follows", "the loads along a trajectory")
-    required("trajectory", trajectory, Following)
+    require("trajectory", trajectory, Following)
     duration = positive("trajectory.duration", trajectory.duration, "s")
     t = np.linspace(0.0, duration, check_integer("samples", samples, least=4))
     refuse_path("trajectory", trajectory)
-    reference = required("what trajectory(t) returned", trajectory(t), Desired)
-    going = follows(t, reference)
+    reference = require("what trajectory(t) returned", trajectory(t), Desired)
+    motion = follows(t, reference)
     speed = float(np.hypot(*np.moveaxis(reference.v[..., :2], -1, 0)).max())
-    if _first(going, 0.0)[0] < 0:
+    if _smallest_margin(motion, 0.0)[0] < 0:
         raise InvalidArgument(
-            f"plant does not stand at rest: {_first(going, 0.0)[1]}, expected one that does"
+            f"plant does not stand at rest: {_smallest_margin(motion, 0.0)[1]}, expected one that does"
         )
     low, high = 0.0, 1.0
-    while _first(going, high)[0] >= 0:
+    while _smallest_margin(motion, high)[0] >= 0:
         low, high = high, 2.0 * high
-        if high > _FASTEST:
+        if high > _MAX_FACTOR:
             return MotionLimit(np.inf, "", 0.0, np.inf)
-    low, high = _halved(low, high, lambda factor: _first(going, factor)[0] >= 0)
-    _, what, at = _first(going, high)
-    return MotionLimit(low * speed, what, float(t[at]), low)
+    low, high = _bisect(low, high, lambda factor: _smallest_margin(motion, factor)[0] >= 0)
+    _, event, sample = _smallest_margin(motion, high)
+    return MotionLimit(low * speed, event, float(t[sample]), low)
 
 
 def max_slope(plant: Any, direction: float = 0.0) -> MotionLimit:
@@ -555,40 +555,40 @@ def max_slope(plant: Any, direction: float = 0.0) -> MotionLimit:
     """
     on_ramp = _method("plant", plant, "on_ramp", "its loads on a slope")
     direction = scalar("direction", direction)
-    still = Reference(np.zeros((1, 3)), np.zeros((1, 3)), np.zeros((1, 3)))
+    reference = Reference(np.zeros((1, 3)), np.zeros((1, 3)), np.zeros((1, 3)))
 
     def worst(angle: float) -> tuple[float, str, int]:
-        return _first(on_ramp(angle, direction).follows(np.zeros(1), still), 0.0)
+        return _smallest_margin(on_ramp(angle, direction).follows(np.zeros(1), reference), 0.0)
 
-    margin, what, _ = worst(0.0)
+    margin, event, _ = worst(0.0)
     if margin < 0:
-        raise InvalidArgument(f"plant does not stand on level ground: {what}, expected one that does")
-    low, high = _halved(0.0, _UPRIGHT, lambda angle: worst(angle)[0] >= 0)
+        raise InvalidArgument(f"plant does not stand on level ground: {event}, expected one that does")
+    low, high = _bisect(0.0, _MAX_ANGLE, lambda angle: worst(angle)[0] >= 0)
     return MotionLimit(low, worst(high)[1])
 
 
-def _halved(low: float, high: float, stands: Callable[[float], bool]) -> tuple[float, float]:
+def _bisect(low: float, high: float, is_safe: Callable[[float], bool]) -> tuple[float, float]:
     """Return a small interval: the robot stands at its lower end, but not at its upper end."""
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if stands(middle) else (low, middle)
+        low, high = (middle, high) if is_safe(middle) else (low, middle)
     return low, high
 
 
-def _first(going: Any, factor: float) -> tuple[float, str, int]:
+def _smallest_margin(motion: Any, factor: float) -> tuple[float, str, int]:
     """Return the smallest margin or load of a motion, the event that it predicts, and its sample."""
     words = "ContactLoads, SlipMargins and TorqueMargins"
-    loads, margins, torques = instance("what the plant follows", going.at(factor), tuple, words)
-    found = []
+    loads, margins, torques = instance("what the plant follows", motion.at(factor), tuple, words)
+    candidates = []
     for values, names, verb in (
         (loads.springs, loads.names, "lifts"),
         (margins.values, margins.names, "slips"),
         (torques.values, torques.names, "lacks torque"),
     ):
-        at, k = np.unravel_index(int(np.argmin(values)), values.shape)
+        sample, k = np.unravel_index(int(np.argmin(values)), values.shape)
         plural = verb.removesuffix("s") if " + " in names[k] else verb
-        found.append((float(values[at, k]), f"{names[k]} {plural}", int(at)))
-    return min(found)
+        candidates.append((float(values[sample, k]), f"{names[k]} {plural}", int(sample)))
+    return min(candidates)
 
 
 def footprint_of(robot: Any, footprint: ArrayLike | None = None) -> Array:
@@ -627,7 +627,7 @@ def footprint_of(robot: Any, footprint: ArrayLike | None = None) -> Array:
     """
     if footprint is not None:
         return checked_footprint(footprint)
-    corners: Array | None = getattr(required("robot", robot, Grounded), "footprint", None)
+    corners: Array | None = getattr(require("robot", robot, Grounded), "footprint", None)
     if corners is None:
         raise InvalidArgument(
             "footprint is not given, and the robot's footprint is not known, expected the corners of the "
@@ -672,11 +672,11 @@ def required_friction(motion: MotionLike) -> Array:
     >>> balance.required_friction(states), 5 / 9.81
     (array(0.5097), 0.5097)
     """
-    wrench, carried = _ground(motion)
+    wrench, is_loaded = _ground(motion)
     horizontal = np.hypot(wrench[..., 0], wrench[..., 1])
-    nothing = np.linalg.norm(wrench[..., :3], axis=-1) <= _negligible(motion)
-    lifted = np.where(nothing, np.nan, np.inf)
-    return np.where(carried, horizontal / np.where(carried, wrench[..., 2], 1.0), lifted)
+    is_weightless = np.linalg.norm(wrench[..., :3], axis=-1) <= _negligible(motion)
+    default = np.where(is_weightless, np.nan, np.inf)
+    return np.where(is_loaded, horizontal / np.where(is_loaded, wrench[..., 2], 1.0), default)
 
 
 def _ground(motion: MotionLike) -> tuple[Array, NDArray[np.bool_]]:
@@ -693,6 +693,6 @@ def _negligible(motion: MotionLike) -> float:
     plant, q = robot_at(motion.plant, 0.0), np.asarray(motion.q, np.float64)
     if not q.size:
         return 0.0
-    still = np.zeros(plant.nv)
-    weight = plant.ground_wrench(q.reshape(-1, q.shape[-1])[0], still, still)[..., :3]
+    zeros = np.zeros(plant.nv)
+    weight = plant.ground_wrench(q.reshape(-1, q.shape[-1])[0], zeros, zeros)[..., :3]
     return WEIGHTLESS * float(np.linalg.norm(weight))

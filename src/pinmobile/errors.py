@@ -7,8 +7,8 @@ from functools import partial
 from importlib import import_module
 from typing import Any
 
-_LONGEST = 500  # letters of a value that a message shows
-_LONGEST_LIST = 4000  # letters of a list of names
+_MAX_LETTERS = 500  # letters of a value that a message shows
+_MAX_LIST = 4000  # letters of a list of names
 
 
 def format_value(value: object) -> str:
@@ -51,7 +51,7 @@ def text_of(value: object) -> str:
         text = repr(value)
     except Exception:
         return f"<{type(value).__name__} without a repr>"
-    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}... ({len(text):,} letters)"
+    return text if len(text) <= _MAX_LETTERS else f"{text[:_MAX_LETTERS]}... ({len(text):,} letters)"
 
 
 def format_names(names: Iterable[str]) -> str:
@@ -79,9 +79,9 @@ def format_names(names: Iterable[str]) -> str:
     >>> format_names(["mass", "yaw_inertia"])
     'mass, yaw_inertia'
     """
-    words, room, rest = [], _LONGEST_LIST, 0
+    words, room, rest = [], _MAX_LIST, 0
     for name in names:
-        word = name if name.isprintable() and len(name) <= _LONGEST else format_value(name)
+        word = name if name.isprintable() and len(name) <= _MAX_LETTERS else format_value(name)
         room -= len(word) + 2
         words += [word] * (room >= 0)
         rest += room < 0
@@ -159,7 +159,7 @@ class NotTraceable(InvalidArgument):
     ----------
     what : str
         Description of the operation that symbols do not support.
-    instead : str
+    remedy : str
         Code that the user can write instead.
     place : str
         Part and line of the law, "" if unknown.
@@ -180,9 +180,9 @@ class NotTraceable(InvalidArgument):
     pinmobile.errors.NotTraceable: ...
     """
 
-    def __init__(self, what: str, instead: str, place: str = "") -> None:
-        self.what, self.instead, self.place = what, instead, place
-        super().__init__(f"{place and place + ': '}{what}, which cannot be compiled; {instead}")
+    def __init__(self, what: str, remedy: str, place: str = "") -> None:
+        self.what, self.instead, self.place = what, remedy, place
+        super().__init__(f"{place and place + ': '}{what}, which cannot be compiled; {remedy}")
 
     @property
     def reason(self) -> str:
@@ -266,13 +266,13 @@ class UnknownName(PinmobileError, KeyError):
         from difflib import get_close_matches  # here, because only this error needs the module
 
         self.kind, self.name, self.available = kind, name, tuple(available)
-        plain = {known.casefold(): known for known in self.available}
-        asked = name.casefold()[:_LONGEST] if isinstance(name, str) else ""
-        near = [plain[match] for match in get_close_matches(asked, plain, n=3)]
-        self.listed = (*near, *(known for known in self.available if known not in near))
-        self.meant = f"did you mean {' or '.join(map(format_value, near))}? " if near else ""
-        listed = format_names(self.listed) or "none"
-        super().__init__(f"unknown {kind} {format_value(name)}, {self.meant}available: {listed}")
+        folded = {x.casefold(): x for x in self.available}
+        query = name.casefold()[:_MAX_LETTERS] if isinstance(name, str) else ""
+        matches = [folded[match] for match in get_close_matches(query, folded, n=3)]
+        self.listed = (*matches, *(x for x in self.available if x not in matches))
+        self.meant = f"did you mean {' or '.join(map(format_value, matches))}? " if matches else ""
+        words = format_names(self.listed) or "none"
+        super().__init__(f"unknown {kind} {format_value(name)}, {self.meant}available: {words}")
 
     def __str__(self) -> str:
         # KeyError would show the repr of the message instead of the message.
@@ -486,7 +486,7 @@ EXTRAS: Mapping[str, tuple[str, ...]] = {
 """Packages of each extra, by their names on PyPI. The file pyproject.toml states their versions."""
 
 
-def installing(extra: str) -> str:
+def install_command(extra: str) -> str:
     """Return the command that installs the packages of an extra.
 
     Parameters
@@ -501,14 +501,14 @@ def installing(extra: str) -> str:
 
     Examples
     --------
-    >>> from pinmobile.errors import installing
-    >>> installing("mpc")
+    >>> from pinmobile.errors import install_command
+    >>> install_command("mpc")
     "pip install daqp, or 'pinmobile[mpc]'"
     """
     return f"pip install {' '.join(EXTRAS[extra])}, or 'pinmobile[{extra}]'"
 
 
-def imported(name: str, extra: str, what: str) -> Any:
+def import_extra(name: str, extra: str, label: str) -> Any:
     """Return a module of an extra.
 
     Parameters
@@ -517,7 +517,7 @@ def imported(name: str, extra: str, what: str) -> Any:
         Name of the module.
     extra : str
         Name of the extra that contains the module.
-    what : str
+    label : str
         Feature that needs the module, for the message, such as ``"a sweep"``.
 
     Returns
@@ -532,8 +532,8 @@ def imported(name: str, extra: str, what: str) -> Any:
 
     Examples
     --------
-    >>> from pinmobile.errors import imported
-    >>> imported("nothing_like_it", "mpc", "MPC")
+    >>> from pinmobile.errors import import_extra
+    >>> import_extra("nothing_like_it", "mpc", "MPC")
     Traceback (most recent call last):
         ...
     pinmobile.errors.InvalidArgument: MPC needs nothing_like_it...
@@ -542,5 +542,5 @@ def imported(name: str, extra: str, what: str) -> Any:
         return import_module(name)
     except ModuleNotFoundError as error:
         raise InvalidArgument(
-            f"{what} needs {error.name}, which is not installed: {installing(extra)}"
+            f"{label} needs {error.name}, which is not installed: {install_command(extra)}"
         ) from error

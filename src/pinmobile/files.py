@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 _T = TypeVar("_T")
 
 # Errors that another path avoids. All other errors are faults of the system, such as a full disk.
-_OF_THE_PATH = frozenset(
+_PATH_ERRORS = frozenset(
     {
         *(errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.EEXIST, errno.ENOTEMPTY, errno.ENAMETOOLONG),
         *(errno.EACCES, errno.EPERM, errno.EROFS, errno.ELOOP, errno.EINVAL, errno.ENXIO, errno.EILSEQ),
@@ -40,8 +40,8 @@ _OF_THE_PATH = frozenset(
 
 
 @contextmanager
-def replacing(
-    path: str | PathLike[str], *, name: str = "path", through: Path | None = None
+def replace_file(
+    path: str | PathLike[str], *, name: str = "path", scratch: Path | None = None
 ) -> Iterator[IO[bytes]]:
     """Open a binary file that replaces the file at `path` when all content is on disk, as a context manager.
 
@@ -55,7 +55,7 @@ def replacing(
         File to write.
     name : str
         Name of the argument, for the message.
-    through : Path, optional
+    scratch : Path, optional
         Temporary file for the content; default: a new file beside `path`.
 
     Yields
@@ -77,43 +77,43 @@ def replacing(
     Examples
     --------
     >>> import pathlib, tempfile
-    >>> from pinmobile.files import replacing
+    >>> from pinmobile.files import replace_file
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     path = pathlib.Path(folder, "run.bin")
-    ...     with replacing(path) as file:
+    ...     with replace_file(path) as file:
     ...         file.write(b"complete") and path.exists()
     ...     path.read_bytes()
     False
     b'complete'
     """
     target = location(name, path)
-    with refusals("written", name, target):
-        real = _replaceable(target)
-        made = real and (through or real.with_name(f".pinmobile-{os.urandom(8).hex()}.new"))
-        is_own = os.O_EXCL if made and not through else os.O_TRUNC
-        raw = _Sink(os.open(made or target, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC | is_own, 0o666))
-    raw.told = name, target
+    with file_errors("written", name, target):
+        real = _real_target(target)
+        temporary = real and (scratch or real.with_name(f".pinmobile-{os.urandom(8).hex()}.new"))
+        open_flag = os.O_EXCL if temporary and not scratch else os.O_TRUNC
+        raw = _Sink(os.open(temporary or target, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC | open_flag, 0o666))
+    raw.label = name, target
     try:
         file = io.BufferedWriter(raw)
         yield file
-        with refusals("written", name, target):
+        with file_errors("written", name, target):
             file.flush()
-            if real and made:
-                _dress_as(real, raw.fileno())
+            if real and temporary:
+                _copy_mode(real, raw.fileno())
                 os.fsync(raw.fileno())  # some file systems and quotas report a full disk only here
             raw.close()
-            if real and made:
-                os.replace(made, real)
+            if real and temporary:
+                os.replace(temporary, real)
     except BaseException:
         with suppress(OSError):
             raw.close()  # before its buffer, which would try to write the rest
         with suppress(OSError):
-            if made:
-                made.unlink()
+            if temporary:
+                temporary.unlink()
         raise
 
 
-def write(path: str | PathLike[str], data: bytes, *, name: str = "path", through: Path | None = None) -> None:
+def write(path: str | PathLike[str], data: bytes, *, name: str = "path", scratch: Path | None = None) -> None:
     """Write a file completely or not at all.
 
     Parameters
@@ -124,8 +124,8 @@ def write(path: str | PathLike[str], data: bytes, *, name: str = "path", through
         Content.
     name : str
         Name of the argument, for the message.
-    through : Path, optional
-        Temporary file, see `replacing`.
+    scratch : Path, optional
+        Temporary file, see `replace_file`.
 
     Raises
     ------
@@ -136,7 +136,7 @@ def write(path: str | PathLike[str], data: bytes, *, name: str = "path", through
 
     See Also
     --------
-    files.replacing : the same for content in pieces
+    files.replace_file : the same for content in pieces
 
     Examples
     --------
@@ -148,7 +148,7 @@ def write(path: str | PathLike[str], data: bytes, *, name: str = "path", through
     ...     print(error)
     path is '/no/such/folder/run.bin', which cannot be written: ...
     """
-    with replacing(path, name=name, through=through) as file:
+    with replace_file(path, name=name, scratch=scratch) as file:
         file.write(data)
 
 
@@ -158,7 +158,7 @@ def write_table(path: str | PathLike[str], header: Sequence[str], columns: Seque
     Parameters
     ----------
     path : str or path-like
-        File to write; errors are those of `replacing`.
+        File to write; errors are those of `replace_file`.
     header : sequence of str
         Titles of the columns.
     columns : sequence of ndarray, shape (n,) or (n, m)
@@ -182,14 +182,14 @@ def write_table(path: str | PathLike[str], header: Sequence[str], columns: Seque
     0,1
     1,1
     """
-    with replacing(path) as file:
+    with replace_file(path) as file:
         titles = io.StringIO()
         csv.writer(titles, lineterminator="\n").writerow(header)  # quotes special characters of joint names
         file.write(titles.getvalue().encode())
         np.savetxt(file, np.column_stack(columns), fmt="%.17g", delimiter=",")
 
 
-def written(path: str | PathLike[str], suffix: str, content: Callable[[], bytes]) -> Path:
+def write_file(path: str | PathLike[str], suffix: str, content: Callable[[], bytes]) -> Path:
     """Check that a file can be written, then compute its content, write it, and return the path.
 
     Parameters
@@ -219,8 +219,8 @@ def written(path: str | PathLike[str], suffix: str, content: Callable[[], bytes]
 
     Examples
     --------
-    >>> from pinmobile.files import written
-    >>> written("run.png", ".gif", lambda: b"")
+    >>> from pinmobile.files import write_file
+    >>> write_file("run.png", ".gif", lambda: b"")
     Traceback (most recent call last):
     ...
     pinmobile.errors.InvalidArgument: path is 'run.png', expected a name that ends in '.gif'
@@ -228,18 +228,18 @@ def written(path: str | PathLike[str], suffix: str, content: Callable[[], bytes]
     target = location("path", path)
     if target.suffix.lower() != suffix:
         raise InvalidArgument(f"path is {str(target)!r}, expected a name that ends in {suffix!r}")
-    with replacing(target) as file, refusals("made", "path", target):
+    with replace_file(target) as file, file_errors("made", "path", target):
         file.write(content())
     return target
 
 
 @contextmanager
-def refusals(done: str, name: str, path: str | PathLike[str]) -> Iterator[None]:
-    """Convert system errors within a ``with`` block to errors that name the file, see `cannot`.
+def file_errors(action: str, name: str, path: str | PathLike[str]) -> Iterator[None]:
+    """Convert system errors within a ``with`` block to errors that name the file, see `file_error`.
 
     Parameters
     ----------
-    done : str
+    action : str
         Participle for the message, such as ``"read"`` or ``"written"``.
     name : str
         Name of the argument.
@@ -253,12 +253,12 @@ def refusals(done: str, name: str, path: str | PathLike[str]) -> Iterator[None]:
 
     See Also
     --------
-    files.cannot : the error
+    files.file_error : the error
 
     Examples
     --------
-    >>> from pinmobile.files import refusals
-    >>> with refusals("read", "path", "run.npz"):
+    >>> from pinmobile.files import file_errors
+    >>> with file_errors("read", "path", "run.npz"):
     ...     raise FileNotFoundError(2, "No such file or directory")
     Traceback (most recent call last):
     ...
@@ -269,15 +269,15 @@ def refusals(done: str, name: str, path: str | PathLike[str]) -> Iterator[None]:
     except PinmobileError:
         raise
     except OSError as error:
-        raise cannot(done, name, path, error) from error
+        raise file_error(action, name, path, error) from error
 
 
-def cannot(done: str, name: str, path: str | PathLike[str], error: OSError) -> PinmobileError:
+def file_error(action: str, name: str, path: str | PathLike[str], error: OSError) -> PinmobileError:
     """Return the error of pinmobile for a system error about a file.
 
     Parameters
     ----------
-    done : str
+    action : str
         Participle for the message, such as ``"read"`` or ``"written"``.
     name : str
         Name of the argument.
@@ -293,20 +293,20 @@ def cannot(done: str, name: str, path: str | PathLike[str], error: OSError) -> P
 
     See Also
     --------
-    files.refusals : context manager that raises the error
+    files.file_errors : context manager that raises the error
 
     Examples
     --------
-    >>> from pinmobile.files import cannot
+    >>> from pinmobile.files import file_error
     >>> error = OSError(5, "Input/output error")
-    >>> cannot("read", "path", "run.npz", error)
+    >>> file_error("read", "path", "run.npz", error)
     FileError("path is 'run.npz', which cannot be read: Input/output error")
     """
-    why, folder = error.strerror or str(error), Path(path).parent
-    if done == "written" and error.errno in (errno.ENOENT, errno.ENOTDIR) and not folder.is_dir():
-        why = f"there is no folder {str(folder)!r}"
-    message = f"{name} is {str(path)!r}, which cannot be {done}: {why}"
-    if error.errno in _OF_THE_PATH:
+    reason, folder = error.strerror or str(error), Path(path).parent
+    if action == "written" and error.errno in (errno.ENOENT, errno.ENOTDIR) and not folder.is_dir():
+        reason = f"there is no folder {str(folder)!r}"
+    message = f"{name} is {str(path)!r}, which cannot be {action}: {reason}"
+    if error.errno in _PATH_ERRORS:
         return InvalidArgument(message)
     return FileError(message, errno=error.errno, filename=str(path))
 
@@ -314,7 +314,7 @@ def cannot(done: str, name: str, path: str | PathLike[str], error: OSError) -> P
 class _Sink(io.FileIO):
     """Raw file with errors that name the file."""
 
-    told: tuple[str, Path]
+    label: tuple[str, Path]
 
     def __init__(self, descriptor: int) -> None:
         super().__init__(descriptor, "wb")
@@ -323,10 +323,10 @@ class _Sink(io.FileIO):
         try:
             return super().write(data)
         except OSError as error:
-            raise cannot("written", *self.told, error) from error
+            raise file_error("written", *self.label, error) from error
 
 
-def _replaceable(path: Path) -> Path | None:
+def _real_target(path: Path) -> Path | None:
     """Return the target file of a path, or None if the path is not a regular file of a folder.
 
     Raises
@@ -357,15 +357,15 @@ def _is_open_file(path: Path) -> bool:
         link = folder / os.readlink(link)
 
 
-def _dress_as(there: Path, descriptor: int) -> None:
+def _copy_mode(existing: Path, descriptor: int) -> None:
     """Give an open file the owner and the permissions of an existing file."""
     try:
-        like = there.stat()
+        status = existing.stat()
     except FileNotFoundError:
         return
     with suppress(PermissionError):  # the file then belongs to the writer
-        os.fchown(descriptor, like.st_uid, like.st_gid)
-    os.fchmod(descriptor, stat.S_IMODE(like.st_mode))
+        os.fchown(descriptor, status.st_uid, status.st_gid)
+    os.fchmod(descriptor, stat.S_IMODE(status.st_mode))
 
 
 _NAME = re.compile(r"[A-Za-z_][\w.]*", re.ASCII)
@@ -377,7 +377,7 @@ def write_archive(path: str | PathLike[str], form: str, content: Mapping[str, An
     Parameters
     ----------
     path : str or path-like
-        File to write; errors are those of `replacing`.
+        File to write; errors are those of `replace_file`.
     form : str
         Name and version of the format.
     content : mapping of str to object
@@ -399,13 +399,13 @@ def write_archive(path: str | PathLike[str], form: str, content: Mapping[str, An
     {'kp': (4.0, 9.0)}
     """
     arrays: dict[str, Any] = {}
-    described = json.dumps(_packed(dict(content), "", arrays))
-    with replacing(path) as file:
-        np.savez(file, allow_pickle=False, format=form, description=described, **arrays)
+    description = json.dumps(_pack(dict(content), "", arrays))
+    with replace_file(path) as file:
+        np.savez(file, allow_pickle=False, format=form, description=description, **arrays)
 
 
-def packed(value: object) -> str:
-    """Return a value as JSON text, for `unpacked`.
+def pack(value: object) -> str:
+    """Return a value as JSON text, for `unpack`.
 
     Parameters
     ----------
@@ -421,41 +421,41 @@ def packed(value: object) -> str:
 
     See Also
     --------
-    files.unpacked : the inverse
+    files.unpack : the inverse
 
     Examples
     --------
     >>> from pinmobile import Circle
-    >>> from pinmobile.files import packed, unpacked
+    >>> from pinmobile.files import pack, unpack
     >>> circle = Circle(1.0, 0.5, 4.0)
-    >>> unpacked(packed(circle)) == circle
+    >>> unpack(pack(circle)) == circle
     True
     """
-    return json.dumps(_packed(value, "", None))
+    return json.dumps(_pack(value, "", None))
 
 
-def unpacked(text: str) -> Any:
-    """Return the value of a text of `packed`.
+def unpack(text: str) -> Any:
+    """Return the value of a text of `pack`.
 
     Parameters
     ----------
     text : str
-        Text of `packed`.
+        Text of `pack`.
 
     See Also
     --------
-    files.packed : the inverse
+    files.pack : the inverse
 
     Examples
     --------
-    >>> from pinmobile.files import packed, unpacked
-    >>> unpacked(packed({"kp": (4.0, 9.0)}))
+    >>> from pinmobile.files import pack, unpack
+    >>> unpack(pack({"kp": (4.0, 9.0)}))
     {'kp': (4.0, 9.0)}
     """
-    return _unpacked(json.loads(text), {})
+    return _unpack(json.loads(text), {})
 
 
-def _packed(value: Any, path: str, arrays: dict[str, Any] | None) -> Any:
+def _pack(value: Any, path: str, arrays: dict[str, Any] | None) -> Any:
     """Return a value for JSON. Arrays go to `arrays`; arrays of parts become lists in the value."""
     if value is None or isinstance(value, bool | int | float | str):
         return value
@@ -468,17 +468,17 @@ def _packed(value: Any, path: str, arrays: dict[str, Any] | None) -> Any:
         arrays[name] = value
         return {"array": name}
     if type(value) in (tuple, list):
-        return [_packed(each, f"{path}.{k}", arrays) for k, each in enumerate(value)]
+        return [_pack(item, f"{path}.{k}", arrays) for k, item in enumerate(value)]
     if isinstance(value, Mapping):
-        return {"mapping": [[key, _packed(x, _join(path, key), arrays)] for key, x in value.items()]}
+        return {"mapping": [[key, _pack(x, _join(path, key), arrays)] for key, x in value.items()]}
     kind = type(value)
     name = f"{kind.__module__}:{kind.__qualname__}"
     if not _is_plain(kind):
         raise TypeError(f"{name} is not a class of pinmobile that a file can contain")
     if isinstance(value, Enum):
         return {"type": name, "member": value.name}
-    own = {key: _packed(x, _join(path, key), None if attrs.has(kind) else arrays) for key, x in _kept(value)}
-    return {"type": name, "fields": own}
+    data = {key: _pack(x, _join(path, key), None if attrs.has(kind) else arrays) for key, x in _state(value)}
+    return {"type": name, "fields": data}
 
 
 def _join(path: str, key: object) -> str:
@@ -492,19 +492,19 @@ def _is_plain(kind: Any) -> bool:
     return dataclasses.is_dataclass(kind) or attrs.has(kind) or issubclass(kind, Enum | tuple)
 
 
-_KEPT: dict[Any, tuple[Callable[[Any], dict[str, Any]], Callable[..., Any]]] = {}
+_STORED: dict[Any, tuple[Callable[[Any], dict[str, Any]], Callable[..., Any]]] = {}
 
 
-def keep(kind: type, kept: Callable[[Any], dict[str, Any]], restored: Callable[..., Any]) -> None:
+def keep(kind: type, values_of: Callable[[Any], dict[str, Any]], restore: Callable[..., Any]) -> None:
     """Register a class whose objects archives store by other values than its fields.
 
     Parameters
     ----------
     kind : type
         Class of pinmobile.
-    kept : callable
+    values_of : callable
         Function that returns the stored values of an object by name.
-    restored : callable
+    restore : callable
         Function of these values, as keyword arguments, that returns the object.
 
     See Also
@@ -513,19 +513,19 @@ def keep(kind: type, kept: Callable[[Any], dict[str, Any]], restored: Callable[.
 
     Examples
     --------
-    >>> from pinmobile.files import keep, packed, unpacked
+    >>> from pinmobile.files import keep, pack, unpack
     >>> from pinmobile.signals import Signal
     >>> keep(Signal, Signal._asdict, Signal)
-    >>> unpacked(packed(Signal("N", 1.0)))
+    >>> unpack(pack(Signal("N", 1.0)))
     Signal(unit='N', values=1.0)
     """
-    _KEPT[kind] = kept, restored
+    _STORED[kind] = values_of, restore
 
 
-def _kept(value: Any) -> Iterable[tuple[str, Any]]:
+def _state(value: Any) -> Iterable[tuple[str, Any]]:
     """Return the stored values of an object by name: its fields, or the values of `keep`."""
-    if type(value) in _KEPT:
-        return _KEPT[type(value)][0](value).items()
+    if type(value) in _STORED:
+        return _STORED[type(value)][0](value).items()
     if isinstance(value, tuple):
         return zip(value._fields, value, strict=True)  # type: ignore[attr-defined]
     if attrs.has(type(value)):
@@ -533,9 +533,9 @@ def _kept(value: Any) -> Iterable[tuple[str, Any]]:
     return [(f.name, getattr(value, f.name)) for f in dataclasses.fields(value) if f.init]
 
 
-def _unpacked(tree: Any, arrays: Mapping[str, Any]) -> Any:
+def _unpack(tree: Any, arrays: Mapping[str, Any]) -> Any:
     if isinstance(tree, list):
-        return tuple(_unpacked(each, arrays) for each in tree)
+        return tuple(_unpack(item, arrays) for item in tree)
     if not isinstance(tree, dict):
         return tree
     if "array" in tree:
@@ -543,15 +543,15 @@ def _unpacked(tree: Any, arrays: Mapping[str, Any]) -> Any:
     if "numbers" in tree:
         return np.array(tree["numbers"], tree["dtype"]).reshape(tree["shape"])
     if "mapping" in tree:
-        return {key: _unpacked(each, arrays) for key, each in tree["mapping"]}
+        return {key: _unpack(item, arrays) for key, item in tree["mapping"]}
     module, _, name = tree["type"].partition(":")
     kind: Any = module.startswith("pinmobile.") and getattr(import_module(module), name)
     if not _is_plain(kind):
         raise ValueError(f"it has a {tree['type']}, expected a class of pinmobile")
     if "member" in tree:
         return kind[tree["member"]]
-    fields = {key: _unpacked(each, arrays) for key, each in tree["fields"].items()}
-    return _KEPT[kind][1](**fields) if kind in _KEPT else kind(**fields)
+    fields = {key: _unpack(item, arrays) for key, item in tree["fields"].items()}
+    return _STORED[kind][1](**fields) if kind in _STORED else kind(**fields)
 
 
 def read_archive(path: Path, form: str, make: Callable[[dict[str, Any]], _T]) -> _T:
@@ -596,14 +596,14 @@ def read_archive(path: Path, form: str, make: Callable[[dict[str, Any]], _T]) ->
             file.seek(0)
             with np.load(file) as archive:
                 arrays = dict(archive)
-        other = str(arrays["format"])
-        if other != form:
-            raise ValueError(f"its format is {other!r}")
+        file_form = str(arrays["format"])
+        if file_form != form:
+            raise ValueError(f"its format is {file_form!r}")
         for array in arrays.values():
             array.setflags(write=False)
-        return make(_unpacked(json.loads(str(arrays["description"])), arrays))
+        return make(_unpack(json.loads(str(arrays["description"])), arrays))
     except OSError as error:
-        raise cannot("read", "path", path, error) from error
+        raise file_error("read", "path", path, error) from error
     except Exception as error:  # zipfile and NumPy raise many errors for damaged files
-        why = f"it has no {error}" if isinstance(error, KeyError) else str(error) or type(error).__name__
-        raise InvalidArgument(f"path is {str(path)!r}, which is not a {form!r} archive: {why}") from error
+        reason = f"it has no {error}" if isinstance(error, KeyError) else str(error) or type(error).__name__
+        raise InvalidArgument(f"path is {str(path)!r}, which is not a {form!r} archive: {reason}") from error

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Protocol, Self, final
 import attrs
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, frozen, representable, seeded, sequence, shaped, text
+from pinmobile.arrays import Array, ArrayLike, check_overflow, frozen, seeded, sequence, shaped, text
 from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.parts import (
     Number,
@@ -121,10 +121,10 @@ def since(t: ArrayLike, begin: ArrayLike) -> Array:
     >>> since([0.0, 1.0, 2.0], 1.0)
     array([0., 1., 1.])
     """
-    return np.where(np.subtract(t, begin) > -_ROUNDING, 1.0, 0.0)
+    return np.where(np.subtract(t, begin) > -_TIME_TOLERANCE, 1.0, 0.0)
 
 
-_ROUNDING = 1e-9  # [s]
+_TIME_TOLERANCE = 1e-9  # [s]
 _TERMS = 16
 _GOLDEN = 0.6180339887498949  # fractional part of the golden ratio: its multiples never nearly repeat
 
@@ -247,7 +247,7 @@ class SinusoidalForce:
         return spread(self.amplitude * wave[..., None], t, q)
 
 
-def _of_phases(doc: str, function: Any) -> Any:
+def _phase_field(doc: str, function: Any) -> Any:
     """Declare a field whose default is a function of the phases."""
     default = attrs.Factory(lambda force: function(force.phases), takes_self=True)
     return declare(Number(doc, shapes=((_TERMS, 3),)), default, kw_only=True, repr=False)
@@ -324,8 +324,8 @@ class NoiseForce:
         kw_only=True,
         repr=False,
     )
-    in_phase: Any = _of_phases("cosines of the phases", np.cos)
-    quadrature: Any = _of_phases("sines of the phases", np.sin)
+    in_phase: Any = _phase_field("cosines of the phases", np.cos)
+    quadrature: Any = _phase_field("sines of the phases", np.sin)
 
     @classmethod
     def of_phases(cls, std: ArrayLike, bandwidth: float, phases: ArrayLike) -> Self:
@@ -354,7 +354,7 @@ class NoiseForce:
     def _rates(self) -> Array:
         """2 pi f_kj, shape (TERMS, 3) [rad/s]."""
         with np.errstate(over="ignore"):
-            return frozen(representable("2 pi bandwidth", 2 * np.pi * noise_frequencies(self.bandwidth)))
+            return frozen(check_overflow("2 pi bandwidth", 2 * np.pi * noise_frequencies(self.bandwidth)))
 
     def __call__(self, t: ArrayLike, q: Array, v: Array) -> Array:
         """Return the force, shape (..., 3) [N, N, N m].
@@ -366,8 +366,8 @@ class NoiseForce:
         q, v : ndarray, shape (..., 3)
             Pose of the body [m, m, rad], and its rate [m/s, m/s, rad/s].
         """
-        turned = np.asarray(t)[..., None, None] * self._rates  # (..., K, 3), the same for all robots
-        waves = self.in_phase * np.cos(turned) - self.quadrature * np.sin(turned)
+        angles = np.asarray(t)[..., None, None] * self._rates  # (..., K, 3), the same for all robots
+        waves = self.in_phase * np.cos(angles) - self.quadrature * np.sin(angles)
         return spread(self.std * np.sqrt(2 / self.TERMS) * waves.sum(axis=-2), t, q)
 
     def draw(self, generator: np.random.Generator, count: int) -> dict[str, Array]:
@@ -495,9 +495,9 @@ class PayloadForce:
         """
         x, y = self.at[..., 0], self.at[..., 1]
         k1, k2 = self._lever(q)
-        here = since(t, self.when) + 0.0 * k1
-        m = here * self.mass
-        izz = here * self.yaw_inertia + m * (x * x + y * y)
+        is_on = since(t, self.when) + 0.0 * k1
+        m = is_on * self.mass
+        izz = is_on * self.yaw_inertia + m * (x * x + y * y)
         rows = [[m, 0.0 * m, -m * k1], [0.0 * m, m, m * k2], [-m * k1, m * k2, izz]]
         return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
@@ -565,18 +565,18 @@ class ViscousFriction:
         left: float | None = None,
         yaw: float | None = None,
     ) -> None:
-        each = forward, left, yaw
-        for name, value in zip(_TWIST, each, strict=True):
+        values = forward, left, yaw
+        for name, value in zip(_TWIST, values, strict=True):
             if coefficients is not None and value is not None:
                 raise InvalidArgument(
                     f"{name} is {format_value(value)} beside coefficients, expected only one"
                 )
-        given = [0.0 if x is None else x for x in each] if coefficients is None else coefficients
-        self.__attrs_init__(given)  # type: ignore[attr-defined]
+        array = [0.0 if x is None else x for x in values] if coefficients is None else coefficients
+        self.__attrs_init__(array)  # type: ignore[attr-defined]
 
     def __repr__(self) -> str:
-        each = zip(_TWIST, self.coefficients.tolist(), strict=True)
-        return f"ViscousFriction({', '.join(f'{name}={value!r}' for name, value in each)})"
+        pairs = zip(_TWIST, self.coefficients.tolist(), strict=True)
+        return f"ViscousFriction({', '.join(f'{name}={value!r}' for name, value in pairs)})"
 
     @property
     def damping(self) -> Array:
@@ -594,8 +594,8 @@ class ViscousFriction:
             Pose of the body [m, m, rad], and its rate [m/s, m/s, rad/s].
         """
         cos, sin = np.cos(q[..., 2]), np.sin(q[..., 2])
-        twist = _turned(cos, -sin, v)
-        return spread(_turned(cos, sin, -self.coefficients * twist), t, q)
+        twist = _rotate(cos, -sin, v)
+        return spread(_rotate(cos, sin, -self.coefficients * twist), t, q)
 
 
 @final
@@ -658,25 +658,25 @@ class RollingResistance:
             Pose of the body [m, m, rad], and its rate [m/s, m/s, rad/s].
         """
         cos, sin = np.cos(q[..., 2]), np.sin(q[..., 2])
-        twist = _turned(cos, -sin, v)
-        return spread(_turned(cos, sin, -self.force * twist / np.hypot(twist, self.speed)), t, q)
+        twist = _rotate(cos, -sin, v)
+        return spread(_rotate(cos, sin, -self.force * twist / np.hypot(twist, self.speed)), t, q)
 
 
-def _turned(cos: Array, sin: Array, vector: Array) -> Array:
+def _rotate(cos: Array, sin: Array, vector: Array) -> Array:
     """Return vectors with the first two components rotated by an angle, shape (..., 3)."""
     x, y = vector[..., 0], vector[..., 1]
-    along = cos * x - sin * y
-    turned = np.empty((*along.shape, 3))
-    turned[..., 0] = along
-    turned[..., 1] = sin * x + cos * y
-    turned[..., 2] = vector[..., 2]
-    return turned
+    x_rotated = cos * x - sin * y
+    rotated = np.empty((*x_rotated.shape, 3))
+    rotated[..., 0] = x_rotated
+    rotated[..., 1] = sin * x + cos * y
+    rotated[..., 2] = vector[..., 2]
+    return rotated
 
 
-def _checked_names(name: str, value: object) -> tuple[str, ...]:
+def _check_names(name: str, value: object) -> tuple[str, ...]:
     """Return names of coordinates after a check."""
-    given = sequence(name, value, "names of the coordinates")
-    return tuple(text(f"{name}[{k}]", each) for k, each in enumerate(given))
+    names = sequence(name, value, "names of the coordinates")
+    return tuple(text(f"{name}[{k}]", name_k) for k, name_k in enumerate(names))
 
 
 def _names(friction: JointFriction) -> Sequence[str]:
@@ -747,14 +747,14 @@ class JointFriction:
         unit="m/s or rad/s",
         doc="speed at which dry friction has 71 % of its size",
     )
-    names: Sequence[str] = option(default=(), check=_checked_names, doc="names of the coordinates")
+    names: Sequence[str] = option(default=(), check=_check_names, doc="names of the coordinates")
 
     def check(self) -> None:
         """Raise `InvalidArgument` if the arrays have different sizes."""
         sizes = {name: np.size(x) for name, x in vars(self).items() if np.ndim(x) and len(x)}
         if len(set(sizes.values())) > 1:
-            told = ", ".join(f"{name} {size}" for name, size in sizes.items())
-            raise InvalidArgument(f"numbers of coordinates are {told}, expected equal numbers")
+            words = ", ".join(f"{name} {size}" for name, size in sizes.items())
+            raise InvalidArgument(f"numbers of coordinates are {words}, expected equal numbers")
 
     @classmethod
     def of(cls, robot: Any, speed: ArrayLike = 0.01) -> Self:
@@ -778,8 +778,8 @@ class JointFriction:
         InvalidArgument
             If the robot has no such properties.
         """
-        asked = ("joint_damping", "joint_friction", "coordinates")
-        missing = [name for name in asked if not hasattr(robot, name)]
+        attributes = ("joint_damping", "joint_friction", "coordinates")
+        missing = [name for name in attributes if not hasattr(robot, name)]
         if isinstance(robot, type) or missing:
             raise InvalidArgument(f"robot is {format_value(robot)}, expected a MobileRobot")
         names = [one.name for one in coordinates_of(robot)]

@@ -176,10 +176,10 @@ class RungeKuttaNystrom:
             Length of the step [s].
         """
 
-        def moved(t: float, x: Array, v: Array) -> Array:
+        def acceleration_at(t: float, x: Array, v: Array) -> Array:
             return acceleration(t, q + x, v)
 
-        x, v = self.displaced(moved, acceleration(t, q, v), t, v, dt)
+        x, v = self.displaced(acceleration_at, acceleration(t, q, v), t, v, dt)
         return q + x, v
 
     def displaced(
@@ -202,16 +202,16 @@ class RungeKuttaNystrom:
             pairs = zip(v.tolist(), first.tolist(), strict=True)
             x, w = zip(*[(dt * rate + a * gain, rate + b * gain) for rate, gain in pairs], strict=True)
             return np.array(x), np.array(w)
-        found = [first]
+        stages = [first]
         for c, by_q, by_v in zip(self.nodes[1:], self.stages_q[1:], self.stages_v[1:], strict=True):
-            found.append(acceleration(t + c * dt, *_moved(v, c * dt, dt, by_q, by_v, found)))
-        return _moved(v, dt, dt, self.weights_q, self.weights_v, found)
+            stages.append(acceleration(t + c * dt, *_advance(v, c * dt, dt, by_q, by_v, stages)))
+        return _advance(v, dt, dt, self.weights_q, self.weights_v, stages)
 
     def __repr__(self) -> str:
         return self.name
 
 
-def _moved(
+def _advance(
     v: Array,
     time: float,
     dt: float,

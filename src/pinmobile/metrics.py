@@ -11,13 +11,13 @@ from pinmobile.arrays import Array, ArrayLike, one_of, sequence, shaped, text
 from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.parts import Measuring, able
 
-_WORST = ("largest", "smallest", "ever")
+_WORST_KINDS = ("largest", "smallest", "ever")
 _SCALE = 2.0**-12  # bins of margins are linear below this size and logarithmic above
-_BEYOND = 2.0**20  # margins below minus this size count as equal
-_ROUNDING = 1e-12  # SI units; smaller quantities of a ground robot are rounding errors
+_MAX_SIZE = 2.0**20  # margins below minus this size count as equal
+_ROUNDING_ERROR = 1e-12  # SI units; smaller quantities of a ground robot are rounding errors
 
 
-def in_words(size: float, form: str = ".4g") -> str:
+def format_si(size: float, form: str = ".4g") -> str:
     """Return a quantity in SI units as text.
 
     A quantity of the size of rounding errors becomes ``"< 1e-12"``, because machines differ there.
@@ -36,11 +36,11 @@ def in_words(size: float, form: str = ".4g") -> str:
 
     Examples
     --------
-    >>> from pinmobile.metrics import in_words
-    >>> in_words(0.123456), in_words(3e-15)
+    >>> from pinmobile.metrics import format_si
+    >>> format_si(0.123456), format_si(3e-15)
     ('0.1235', '< 1e-12')
     """
-    if 0 < abs(size) < _ROUNDING:
+    if 0 < abs(size) < _ROUNDING_ERROR:
         return "< 1e-12" if size > 0 else "> -1e-12"
     return f"{size:{form}}"
 
@@ -126,7 +126,7 @@ def size_of(margin: ArrayLike) -> Any:
     >>> float(value_of(size_of(-0.1)))
     -0.1
     """
-    m = np.maximum(margin, -_BEYOND)
+    m = np.maximum(margin, -_MAX_SIZE)
     return m + np.sqrt(m * m + _SCALE**2)
 
 
@@ -186,23 +186,23 @@ def metrics_of(plant: object) -> tuple[Metric, ...]:
     >>> metrics_of(MobileRobot(mass=30.0, yaw_inertia=1.3))
     ()
     """
-    stated = able(plant, Measuring)
-    found = () if stated is None else tuple(stated.metrics)
-    for one in found:
-        one_of(f"worst of the metric {one.name!r}:", one.worst, _WORST)
-    return found
+    provider = able(plant, Measuring)
+    metrics = () if provider is None else tuple(provider.metrics)
+    for metric in metrics:
+        one_of(f"worst of the metric {metric.name!r}:", metric.worst, _WORST_KINDS)
+    return metrics
 
 
-def chosen(plant: object, wanted: object, taken: Sequence[str]) -> tuple[Metric, ...]:
+def select_metrics(plant: object, selected: object, reserved: Sequence[str]) -> tuple[Metric, ...]:
     """Return the selected metrics: those of a plant, in its order, then those with functions.
 
     Parameters
     ----------
     plant : plant
         Plant with metrics.
-    wanted : sequence of str and Metric, mapping of str to callable, or None
+    selected : sequence of str and Metric, mapping of str to callable, or None
         Selected metrics; those of a mapping are in addition to all of the plant; None: all of the plant.
-    taken : sequence of str
+    reserved : sequence of str
         Names of the errors, which no metric may have.
 
     Returns
@@ -213,50 +213,50 @@ def chosen(plant: object, wanted: object, taken: Sequence[str]) -> tuple[Metric,
     Raises
     ------
     InvalidArgument
-        If `wanted` is anything else, or a metric has the name of an error or of another metric.
+        If `selected` is anything else, or a metric has the name of an error or of another metric.
     UnknownName
         If the plant has no metric of a name.
 
     Examples
     --------
     >>> from pinmobile import MobileRobot
-    >>> from pinmobile.metrics import chosen
-    >>> chosen(MobileRobot(30.0, 1.3), None, ["distance"])
+    >>> from pinmobile.metrics import select_metrics
+    >>> select_metrics(MobileRobot(30.0, 1.3), None, ["distance"])
     ()
     """
-    stated = metrics_of(plant)
-    if wanted is None:
-        given: list[Any] = [one.name for one in stated]
-    elif isinstance(wanted, Mapping):
-        own = [
+    plant_metrics = metrics_of(plant)
+    if selected is None:
+        entries: list[Any] = [one.name for one in plant_metrics]
+    elif isinstance(selected, Mapping):
+        user_metrics = [
             one._replace(name=name) if isinstance(one, Metric) else Metric(name, "", name, function=one)
-            for name, one in wanted.items()
+            for name, one in selected.items()
         ]
-        given = [*(one.name for one in stated), *own]
-    elif isinstance(wanted, Metric):
-        given = [wanted]
+        entries = [*(one.name for one in plant_metrics), *user_metrics]
+    elif isinstance(selected, Metric):
+        entries = [selected]
     else:
-        given = list(sequence("metrics", wanted, 'a sequence of names or Metrics, or {"name": function}'))
-    own = [one for one in given if isinstance(one, Metric) and one.function is not None]
-    for one in own:
-        one_of(f"worst of the metric {text('name of a metric', one.name)!r}:", one.worst, _WORST)
+        entries = list(sequence("metrics", selected, 'a sequence of names or Metrics, or {"name": function}'))
+    user_metrics = [one for one in entries if isinstance(one, Metric) and one.function is not None]
+    for one in user_metrics:
+        one_of(f"worst of the metric {text('name of a metric', one.name)!r}:", one.worst, _WORST_KINDS)
         if not callable(one.function):
             raise InvalidArgument(
                 f"metrics[{one.name!r}] is {format_value(one.function)}, expected a function of a sample"
             )
-    known, ours = {one.name: one for one in stated}, [one.name for one in own]
-    names = [one.name if isinstance(one, Metric) else one for one in given]
+    by_name, user_names = {one.name: one for one in plant_metrics}, [one.name for one in user_metrics]
+    names = [one.name if isinstance(one, Metric) else one for one in entries]
     for name in names:
-        if name not in ours:
-            one_of("metric", name, known)
-    every = [*taken, *(one.name for one in (*stated, *own))]
-    twice = next((x for x in (*every, *names) if every.count(x) > 1 or names.count(x) > 1), None)
-    if twice is not None:
+        if name not in user_names:
+            one_of("metric", name, by_name)
+    all_names = [*reserved, *(one.name for one in (*plant_metrics, *user_metrics))]
+    duplicate = next((x for x in (*all_names, *names) if all_names.count(x) > 1 or names.count(x) > 1), None)
+    if duplicate is not None:
         raise InvalidArgument(
-            f"metrics has {twice!r} twice, or as the name of an error ({', '.join(taken)}) or of a metric of "
-            f"the plant, a {type(plant).__name__}, expected different names"
+            f"metrics has {duplicate!r} twice, or as the name of an error ({', '.join(reserved)}) or of a "
+            f"metric of the plant, a {type(plant).__name__}, expected different names"
         )
-    return (*(one for one in stated if one.name in names), *own)
+    return (*(one for one in plant_metrics if one.name in names), *user_metrics)
 
 
 def channels_of(coordinates: Sequence[Any], metrics: Sequence[Metric]) -> tuple[Metric, ...]:
@@ -291,7 +291,7 @@ def channels_of(coordinates: Sequence[Any], metrics: Sequence[Metric]) -> tuple[
     )
 
 
-def check_measured(plant: Any, q: Array, v: Array, reference: Any) -> None:
+def check_metrics(plant: Any, q: Array, v: Array, reference: Any) -> None:
     """Check the metrics of a plant that is at rest in its start configuration.
 
     Parameters
@@ -316,18 +316,18 @@ def check_measured(plant: Any, q: Array, v: Array, reference: Any) -> None:
     --------
     >>> import numpy as np
     >>> from pinmobile import Circle, MobileRobot, Tangent
-    >>> from pinmobile.metrics import check_measured
+    >>> from pinmobile.metrics import check_metrics
     >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
     >>> desired = Tangent(Circle(1.0, 0.5, 4.0))(np.array([0.0, 1.0]))
-    >>> check_measured(robot, np.zeros(3), np.zeros(3), desired)
+    >>> check_metrics(robot, np.zeros(3), np.zeros(3), desired)
     """
     first = type(reference)(*(x[0] for x in reference))
-    found = evaluate_metrics_of(plant, np.zeros(()), q, v, np.zeros(plant.nv), np.zeros(plant.nu), first)
-    for one, number in zip(metrics_of(plant), found, strict=True):
+    values = evaluate_metrics_of(plant, np.zeros(()), q, v, np.zeros(plant.nv), np.zeros(plant.nu), first)
+    for metric, number in zip(metrics_of(plant), values, strict=True):
         if np.isnan(number):
             raise InvalidArgument(
                 f"plant is a {type(plant).__name__}, whose evaluate_metrics(t, q, v, a, u, reference) "
-                f"returned NaN as {one.name!r} where it starts, expected a number"
+                f"returned NaN as {metric.name!r} where it starts, expected a number"
             )
 
 
@@ -370,7 +370,7 @@ def evaluate_metrics_of(plant: Any, t: Any, q: Any, v: Any, a: Any, u: Any, refe
     (0,)
     """
     copies = type(reference)(*(x.copy() for x in reference))
-    found = plant.evaluate_metrics(t, q.copy(), v.copy(), a.copy(), u.copy(), copies)
+    values = plant.evaluate_metrics(t, q.copy(), v.copy(), a.copy(), u.copy(), copies)
     words = ": one number for each metric"
-    asked = f"result of evaluate_metrics(t, q, v, a, u, reference) of the plant, a {type(plant).__name__},"
-    return shaped(asked, found, (*np.shape(v)[:-1], len(plant.metrics)), words=words)
+    label = f"result of evaluate_metrics(t, q, v, a, u, reference) of the plant, a {type(plant).__name__},"
+    return shaped(label, values, (*np.shape(v)[:-1], len(plant.metrics)), words=words)

@@ -96,8 +96,8 @@ def robot_at(plant: Any, t: Any) -> Any:
     >>> [robot.with_locked_arms().mass for robot in robots]  # [kg]
     [30.0, 35.0]
     """
-    timed = able(plant, TimeVarying)
-    return plant if timed is None else timed.robot_at(t)
+    provider = able(plant, TimeVarying)
+    return plant if provider is None else provider.robot_at(t)
 
 
 def check_difference(difference: object) -> None:
@@ -725,9 +725,9 @@ class Context:
         """
         from pinmobile.compiled import Schedule
 
-        found = finite("rows", rows)
-        shaped("rows", found, (len(self.t), *found.shape[1:]), words=", a row for each sample")
-        return Schedule(frozen(found))
+        table = finite("rows", rows)
+        shaped("rows", table, (len(self.t), *table.shape[1:]), words=", a row for each sample")
+        return Schedule(frozen(table))
 
     @classmethod
     def of(
@@ -760,19 +760,19 @@ class Context:
         """
         missing = [name for name in ("difference", "integrate") if not callable(stated(plant, name))]
         if isinstance(plant, type) or missing:
-            what = f", which has no {missing[0]}" if missing else ""
+            reason = f", which has no {missing[0]}" if missing else ""
             raise InvalidArgument(
-                f"plant is {format_value(plant)}{what}, expected a MobileRobot or other plant"
+                f"plant is {format_value(plant)}{reason}, expected a MobileRobot or other plant"
             )
         check_difference(plant.difference)
         times = shaped("t", finite("t", np.zeros(1) if t is None else t), ("n",))
-        named = coordinates_of(plant), inputs_of(plant), reference_sizes_of(plant)
+        descriptions = coordinates_of(plant), inputs_of(plant), reference_sizes_of(plant)
         return cls(
             positive("dt", dt, "s"),
             frozen(times),
             plant.difference,
             plant.integrate,
-            *named,
+            *descriptions,
             reference,
             trajectory,
             stated(plant, "nv"),
@@ -810,10 +810,10 @@ def coordinates_of(plant: object) -> tuple[Coordinate, ...]:
     >>> [one.name for one in coordinates_of(robot)]
     ['x', 'y', 'psi']
     """
-    found = stated(plant, "coordinates")
-    if found is None:
+    coordinates = stated(plant, "coordinates")
+    if coordinates is None:
         return tuple(Coordinate(f"[{k}]", "") for k in range(stated(plant, "nv")))
-    return sequence("plant.coordinates", found, "a sequence of Coordinate")
+    return sequence("plant.coordinates", coordinates, "a sequence of Coordinate")
 
 
 def inputs_of(plant: object) -> tuple[Input, ...]:
@@ -846,10 +846,10 @@ def inputs_of(plant: object) -> tuple[Input, ...]:
     >>> [(one.name, one.unit) for one in inputs_of(robot)]
     [('speed command', 'm/s'), ('yaw rate command', 'rad/s')]
     """
-    found = stated(plant, "inputs")
-    if found is None:
+    inputs = stated(plant, "inputs")
+    if inputs is None:
         return tuple(Input(f"[{k}]", "") for k in range(stated(plant, "nu")))
-    return sequence("plant.inputs", found, "a sequence of Input")
+    return sequence("plant.inputs", inputs, "a sequence of Input")
 
 
 def configuration_names_of(plant: object) -> tuple[str, ...]:
@@ -881,11 +881,11 @@ def configuration_names_of(plant: object) -> tuple[str, ...]:
     >>> configuration_names_of(MobileRobot(30.0, 1.3))
     ('x', 'y', 'psi')
     """
-    found = stated(plant, "configuration_names")
-    if found is not None:
-        return sequence("plant.configuration_names", found, "a sequence of names")
-    count, named = stated(plant, "nq"), coordinates_of(plant)
-    return tuple(one.name for one in named) if len(named) == count else tuple(f"[{k}]" for k in range(count))
+    names = stated(plant, "configuration_names")
+    if names is not None:
+        return sequence("plant.configuration_names", names, "a sequence of names")
+    count, rows = stated(plant, "nq"), coordinates_of(plant)
+    return tuple(one.name for one in rows) if len(rows) == count else tuple(f"[{k}]" for k in range(count))
 
 
 def reference_sizes_of(plant: object) -> Mapping[int, int]:
@@ -914,12 +914,12 @@ def reference_sizes_of(plant: object) -> Mapping[int, int]:
     >>> robot.nq, dict(reference_sizes_of(robot))
     (5, {3: 3})
     """
-    found: Mapping[int, int] = stated(plant, "reference_sizes") or {stated(plant, "nv"): stated(plant, "nq")}
-    return found
+    sizes: Mapping[int, int] = stated(plant, "reference_sizes") or {stated(plant, "nv"): stated(plant, "nq")}
+    return sizes
 
 
-_SLACK = 1e-6  # relative to a limit: tolerance of integration errors
-_BEYOND = {
+_LIMIT_TOLERANCE = 1e-6  # relative to a limit: tolerance of integration errors
+_LIMIT_WORDS = {
     kind: begin + " {value} {unit} at t = {at} s, beyond its limit of {limit} {unit} since t = {t} s"
     for kind, begin in {
         "position limit": "{name} reaches",
@@ -989,7 +989,7 @@ class Event(NamedTuple):
         name: str,
         t: Array,
         values: Array,
-        beyond: Array,
+        excess: Array,
         *,
         words: str,
         limit: float = 0.0,
@@ -1002,24 +1002,24 @@ class Event(NamedTuple):
         ----------
         kind, name, limit, unit
             As in the event.
-        t, values, beyond : ndarray, shape (N,)
+        t, values, excess : ndarray, shape (N,)
             Times [s], values, and their excess, whose largest is the worst.
         words : str
             Sentence with places: ``{value}``, ``{limit}``, ``{unit}``, ``{at}``, ``{t}`` and ``{count}``.
         slack : float
             Excess that is no event.
         """
-        happens = beyond > slack
+        happens = excess > slack
         if not happens.any():
             return None
-        k, first, count = int(beyond.argmax()), float(t[happens.argmax()]), int(happens.sum())
-        at, value = float(t[k]), float(values[k])
-        told = {"value": f"{value:.4g}", "limit": f"{limit:.4g}", "unit": unit, "name": name}
-        told |= {"at": f"{at:g}", "t": f"{first:g}", "count": f"{count} of {len(t)} samples"}
-        return cls(kind, name, first, at, value, float(limit), unit, count, words.format(**told))
+        k, first, count = int(excess.argmax()), float(t[happens.argmax()]), int(happens.sum())
+        t_worst, value = float(t[k]), float(values[k])
+        fields = {"value": f"{value:.4g}", "limit": f"{limit:.4g}", "unit": unit, "name": name}
+        fields |= {"at": f"{t_worst:g}", "t": f"{first:g}", "count": f"{count} of {len(t)} samples"}
+        return cls(kind, name, first, t_worst, value, float(limit), unit, count, words.format(**fields))
 
 
-def limits_exceeded(plant: object, t: Array, q: Array, v: Array, u: Array | None = None) -> tuple[Event, ...]:
+def limit_events(plant: object, t: Array, q: Array, v: Array, u: Array | None = None) -> tuple[Event, ...]:
     """Return an event for each limit of a plant that samples exceed, and each input at its limit.
 
     ``coordinates`` contain the limits of position; ``velocity_limit`` and ``effort_limit`` of the robot
@@ -1045,41 +1045,41 @@ def limits_exceeded(plant: object, t: Array, q: Array, v: Array, u: Array | None
     --------
     >>> import numpy as np
     >>> from pinmobile import MobileRobot
-    >>> from pinmobile.plant import limits_exceeded
+    >>> from pinmobile.plant import limit_events
     >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)  # no limits
     >>> q, v = np.ones((1, 3)), np.zeros((1, 3))
-    >>> limits_exceeded(robot, np.zeros(1), q, v)
+    >>> limit_events(robot, np.zeros(1), q, v)
     ()
     """
-    named, names = coordinates_of(plant), list(configuration_names_of(plant))
-    found: list[Event | None] = []
+    coordinates, names = coordinates_of(plant), list(configuration_names_of(plant))
+    events: list[Event | None] = []
 
     def check(kind: str, name: str, values: Array, lower: float, upper: float, unit: str) -> None:
-        beyond = np.maximum(lower - values, values - upper)
-        k = int(beyond.argmax())
+        excess = np.maximum(lower - values, values - upper)
+        k = int(excess.argmax())
         limit = lower if lower - values[k] >= values[k] - upper else upper
-        slack = _SLACK * (-1.0 if kind == "saturation" else 1.0) * abs(limit)
-        told: Any = {"words": _BEYOND[kind], "limit": limit, "unit": unit, "slack": slack}
-        found.append(Event.of(kind, name, t, values, beyond, **told))
+        slack = _LIMIT_TOLERANCE * (-1.0 if kind == "saturation" else 1.0) * abs(limit)
+        options: Any = {"words": _LIMIT_WORDS[kind], "limit": limit, "unit": unit, "slack": slack}
+        events.append(Event.of(kind, name, t, values, excess, **options))
 
-    for one in named:
+    for one in coordinates:
         if np.isfinite([one.lower, one.upper]).any() and one.name in names:
             check("position limit", one.name, q[:, names.index(one.name)], one.lower, one.upper, one.unit)
-    driven = {} if u is None else dict(zip((one.name for one in inputs_of(plant)), u.T, strict=False))
-    for each in inputs_of(plant) if driven else ():
-        check("saturation", each.name, driven[each.name], each.lower, each.upper, each.unit)
+    applied = {} if u is None else dict(zip((one.name for one in inputs_of(plant)), u.T, strict=False))
+    for entry in inputs_of(plant) if applied else ():
+        check("saturation", entry.name, applied[entry.name], entry.lower, entry.upper, entry.unit)
     robots = plant, stated(plant, "robot")
-    robot: Any = next((each for each in robots if stated(each, "effort_limit") is not None), None)
+    robot: Any = next((entry for entry in robots if stated(entry, "effort_limit") is not None), None)
     if robot is not None:
-        rates = [one.name for one in named]
-        for one, own, speed, effort in zip(
+        rates = [one.name for one in coordinates]
+        for one, motor, speed, effort in zip(
             coordinates_of(robot), inputs_of(robot), robot.velocity_limit, robot.effort_limit, strict=True
         ):
             if one.name in rates:
                 check("speed limit", one.name, v[:, rates.index(one.name)], -speed, speed, f"{one.unit}/s")
-            if own.name in driven:
-                check("effort limit", own.name, driven[own.name], -effort, effort, own.unit)
-    return tuple(one for one in found if one is not None)
+            if motor.name in applied:
+                check("effort limit", motor.name, applied[motor.name], -effort, effort, motor.unit)
+    return tuple(one for one in events if one is not None)
 
 
 def check_plant(plant: object) -> None:
@@ -1110,21 +1110,21 @@ def check_plant(plant: object) -> None:
     pinmobile.errors.InvalidArgument: plant is 30.0, expected ...
     """
     sizes: dict[str, Any] = {size: getattr(plant, size, None) for size in ("nq", "nv", "nu")}
-    known = all(isinstance(value, int | np.integer) for value in sizes.values())
-    moves = stated(plant, "forward_dynamics") or stated(plant, "step")
-    if isinstance(plant, type) or not (moves and known):
+    has_sizes = all(isinstance(value, int | np.integer) for value in sizes.values())
+    method = stated(plant, "forward_dynamics") or stated(plant, "step")
+    if isinstance(plant, type) or not (method and has_sizes):
         raise InvalidArgument(
             f"plant is {format_value(plant)}, expected a plant with 'forward_dynamics' and the sizes nq, nv, "
             "nu"
         )
-    for name, size, listed in (
+    for name, size, entries in (
         ("coordinates", "nv", coordinates_of(plant)),
         ("configuration_names", "nq", configuration_names_of(plant)),
         ("inputs", "nu", inputs_of(plant)),
     ):
-        if len(listed) != sizes[size]:
+        if len(entries) != sizes[size]:
             raise InvalidArgument(
-                f"plant has {size} = {sizes[size]} and {len(listed)} {name}, expected equal numbers"
+                f"plant has {size} = {sizes[size]} and {len(entries)} {name}, expected equal numbers"
             )
 
 
@@ -1164,7 +1164,7 @@ def all_samples(plant: object, name: str, *rows: Array) -> Array:
     return np.stack([method(*(part.copy() for part in row)) for row in zip(*rows, strict=True)])
 
 
-def whole_configurations(plant: Any, q: Array, reference: Array) -> Array:
+def full_configurations(plant: Any, q: Array, reference: Array) -> Array:
     """Return the reference's configurations, completed by the last entries of q.
 
     Parameters
@@ -1189,10 +1189,10 @@ def whole_configurations(plant: Any, q: Array, reference: Array) -> Array:
     --------
     >>> import numpy as np
     >>> from pinmobile import MobileRobot, WheeledRobot, WheelTable
-    >>> from pinmobile.plant import whole_configurations
+    >>> from pinmobile.plant import full_configurations
     >>> table = WheelTable.differential(0.4, 0.1, spin_inertia=0.01)
     >>> robot = WheeledRobot(MobileRobot(30.0, 1.3), table)
-    >>> whole_configurations(robot, robot.rest, np.ones(3))
+    >>> full_configurations(robot, robot.rest, np.ones(3))
     array([1., 1., 1., 0., 0.])
     """
     length = reference.shape[-1]
@@ -1225,7 +1225,7 @@ class PlantDescription:
     See Also
     --------
     plant.Plant : protocol of plants
-    Rollout : result, whose file contains an outline
+    Rollout : result, whose file contains a description
 
     Examples
     --------
@@ -1248,12 +1248,12 @@ class PlantDescription:
 
     @classmethod
     def of(cls, plant: object, q: Array) -> PlantDescription:
-        """Return the outline of a plant.
+        """Return the description of a plant.
 
         Parameters
         ----------
         plant : plant
-            Any plant; an outline is returned unchanged.
+            Any plant; a description is returned unchanged.
         q : ndarray, shape (N, nq)
             Configurations, which locate the entries of the pose in q.
         """
@@ -1266,7 +1266,7 @@ class PlantDescription:
             configuration_names=configuration_names_of(plant),
             inputs=tuple(Input(*one) for one in inputs_of(plant)),
             reference_sizes=dict(reference_sizes_of(plant)),
-            posed=_posed(plant, q),
+            posed=_pose_entries(plant, q),
             size=None if size is None or np.shape(size) != (3,) else tuple(float(x) for x in size),
         )
 
@@ -1296,10 +1296,10 @@ class PlantDescription:
         return None if self.posed is None else lambda q: np.asarray(q)[..., list(self.posed or ())]
 
 
-def _posed(plant: object, q: Array) -> tuple[int, ...] | None:
+def _pose_entries(plant: object, q: Array) -> tuple[int, ...] | None:
     """Return the entries of q that equal the pose in all samples; None without such entries."""
     if not callable(stated(plant, "pose")) or not len(q):
         return None
     poses = all_samples(plant, "pose", q)
-    found = [np.flatnonzero((q == column[:, None]).all(axis=0)) for column in poses.T]
-    return tuple(int(where[0]) for where in found) if all(map(len, found)) else None
+    entries = [np.flatnonzero((q == column[:, None]).all(axis=0)) for column in poses.T]
+    return tuple(int(indices[0]) for indices in entries) if all(map(len, entries)) else None

@@ -10,7 +10,7 @@ import numpy as np
 from pinmobile.arrays import Array, ArrayLike, frozen, instance, real, shaped
 from pinmobile.errors import InvalidArgument, format_value
 
-_DEEPEST = 100  # nested wrappers
+_MAX_DEPTH = 100  # nested wrappers
 
 
 class Signal(NamedTuple):
@@ -128,13 +128,13 @@ def number(name: str, value: ArrayLike) -> Array:
 
 
 def collect_signals(
-    told: Iterable[tuple[str, Any]], value_of: Callable[[str, Any], Any] = number
+    parts: Iterable[tuple[str, Any]], value_of: Callable[[str, Any], Any] = number
 ) -> dict[str, SignalSample]:
     """Return the signals of several parts at one sample, by name.
 
     Parameters
     ----------
-    told : iterable of (str, mapping)
+    parts : iterable of (str, mapping)
         Name of each part in messages, and its signals: a dict of name to (unit, value).
     value_of : callable
         Function ``value_of(name, value)`` that checks a value and returns it as an array.
@@ -160,20 +160,20 @@ def collect_signals(
     >>> found["push"].part, float(found["push"].value)
     ('forces[0]', 3.0)
     """
-    found: dict[str, SignalSample] = {}
-    for part, signals in told:
+    samples: dict[str, SignalSample] = {}
+    for part, signals in parts:
         instance(f"result of {part}.signals", signals, Mapping, "a dict of name to (unit, value)")
         for name, pair in signals.items():
             if type(pair) is not tuple or len(pair) != 2 or not isinstance(pair[0], str):
                 raise InvalidArgument(
                     f"{part}.signals[{name!r}] is {format_value(pair)}, expected (unit, value)"
                 )
-            if name in found:
+            if name in samples:
                 raise InvalidArgument(
-                    f"{found[name].part} and {part} both have the signal {name!r}, expected another name"
+                    f"{samples[name].part} and {part} both have the signal {name!r}, expected another name"
                 )
-            found[name] = SignalSample(part, pair[0], value_of(f"{part}.signals[{name!r}]", pair[1]))
-    return found
+            samples[name] = SignalSample(part, pair[0], value_of(f"{part}.signals[{name!r}]", pair[1]))
+    return samples
 
 
 def collect_time_signals(t: Array, controller: object, trajectory: object) -> dict[str, Signal]:
@@ -210,18 +210,18 @@ def collect_time_signals(t: Array, controller: object, trajectory: object) -> di
     >>> collect_time_signals(np.array([0.0, 1.0]), PD(4, 4), path)
     {}
     """
-    wrapped: list[object] = []
-    while controller is not None and len(wrapped) < _DEEPEST:
-        wrapped.append(controller)
+    controllers: list[object] = []
+    while controller is not None and len(controllers) < _MAX_DEPTH:
+        controllers.append(controller)
         controller = getattr(controller, "controller", None)
-    found: dict[str, Signal] = {}
-    for part in (trajectory, *reversed(wrapped)):
+    signals: dict[str, Signal] = {}
+    for part in (trajectory, *reversed(controllers)):
         if isinstance(part, type) or not hasattr(part, "signals_at"):
             continue
-        named = f"{type(part).__name__}.signals_at"
-        told = instance(f"result of {named}", part.signals_at(t.copy()), Mapping, "a dict of signals")
-        for name, (unit, values) in told.items():
-            array = real(f"{named}[{name!r}]", values)
-            shaped(f"{named}[{name!r}]", array, (len(t),), (len(t), "k"))
-            found[name] = Signal(unit, frozen(array))
-    return found
+        label = f"{type(part).__name__}.signals_at"
+        series = instance(f"result of {label}", part.signals_at(t.copy()), Mapping, "a dict of signals")
+        for name, (unit, values) in series.items():
+            array = real(f"{label}[{name!r}]", values)
+            shaped(f"{label}[{name!r}]", array, (len(t),), (len(t), "k"))
+            signals[name] = Signal(unit, frozen(array))
+    return signals

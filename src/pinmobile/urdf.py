@@ -14,13 +14,13 @@ import numpy as np
 from pinmobile.arrays import (
     Array,
     ArrayLike,
+    check_overflow,
     finite,
     frozen,
     instance,
     lengths,
     one_of,
     positive,
-    representable,
     sequence,
     text,
 )
@@ -142,7 +142,7 @@ def box_inertia(mass: float, size: ArrayLike) -> Array:
     with np.errstate(all="ignore"):
         squares = np.square(lengths(size))
         moments = positive("mass", mass, "kg") / 12 * (squares.sum() - squares)
-    return np.diag(representable("the inertia of the box", moments))
+    return np.diag(check_overflow("the inertia of the box", moments))
 
 
 def _quoted(text: str) -> str:

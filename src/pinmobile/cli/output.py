@@ -14,7 +14,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-from pinmobile.files import refusals, write
+from pinmobile.files import file_errors, write
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -87,7 +87,7 @@ def output_folder(path: Path, option: str = "--out", given: Path | None = None) 
     FileError
         If the system fails, for example because the disk is full.
     """
-    with refusals("written to", option, given or path):
+    with file_errors("written to", option, given or path):
         path.mkdir(parents=True, exist_ok=True)
         TemporaryFile(dir=path).close()
     return path

@@ -38,10 +38,10 @@ from pinmobile.cli.output import (
 )
 from pinmobile.cli.scenario_file import Opened
 from pinmobile.loop import run_scenario
-from pinmobile.metrics import in_words, metrics_of
+from pinmobile.metrics import format_si, metrics_of
 from pinmobile.parts import evolved
 from pinmobile.plant import PlantDescription
-from pinmobile.sweeps import connected, run_points
+from pinmobile.sweeps import connect, run_points
 
 _FILM = 10.0  # [s] that a film lasts at most
 _MOST, _SHORT = 12, 160  # figures of a sweep, and letters of a robot
@@ -133,7 +133,7 @@ def _metrics(run: Rollout) -> list[str]:
     for each in metrics_of(run.plant) if found else ():
         values = found[each.name].values
         worst = np.nanmin(values) if each.is_margin else np.nanmax(np.abs(values))
-        lines.append(f"{each.worst} {each.title}: {in_words(float(worst))}")
+        lines.append(f"{each.worst} {each.title}: {format_si(float(worst))}")
     return lines
 
 
@@ -214,7 +214,7 @@ def show_sweep(words: Sequence[str], out: Path | None, scheduler: str | None, *,
     opened = Opened(words, allow_code=allow_code)
     points = opened.points()
     folder = output_folder(Path("out") / opened.title if out is None else out)
-    client = None if scheduler is None else connected(scheduler)
+    client = None if scheduler is None else connect(scheduler)
     store = folder / "sweep.zarr"
     if store.exists():
         console.print(f"{store} is there: only what it lacks is run", markup=False)

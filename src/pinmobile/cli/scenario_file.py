@@ -26,23 +26,23 @@ from pinmobile.parts import (
     children,
     declare,
     evolved,
-    expected,
-    flat,
+    flatten,
     integer,
     is_part_class,
-    located,
+    locate_errors,
     makes_part,
-    matching,
-    named,
-    nearest,
+    match_refs,
     number,
     option,
     parameters,
     part,
-    public,
+    public_names,
     read_entries,
     read_file,
+    refs_of,
+    requirement,
     resolve,
+    suggest_name,
     write_text,
 )
 from pinmobile.plant import Plant
@@ -56,7 +56,7 @@ _SHIPPED = files("pinmobile") / "scenarios"
 def _paths(name: str, value: Any) -> dict[str, Any]:
     if not isinstance(value, Mapping):
         raise InvalidArgument(f"{name} is {value!r}, expected a table of PATH = VALUE")
-    return flat(value)
+    return flatten(value)
 
 
 def _grid(name: str, value: Any) -> dict[str, Any]:
@@ -199,7 +199,7 @@ class Opened:
         bare, problems = evolved(plain, spread={}).scenario(), {}
         for path in self.content.spread:
             try:
-                matching(bare.given, path, named(bare.given), "spread")
+                match_refs(bare.given, path, refs_of(bare.given), "spread")
             except (UnknownName, InvalidArgument) as error:
                 problems[f"spread.{path}"] = str(error)
         self._refuse(problems)
@@ -208,7 +208,7 @@ class Opened:
     def _refuse(self, problems: Mapping[str, str]) -> None:
         if problems:
             sets = dict(word.split("=", 1) for word in self.words)
-            raise located(InvalidEntries(problems), sets, self.name, self.text)
+            raise locate_errors(InvalidEntries(problems), sets, self.name, self.text)
 
     def points(self) -> Points:
         """Return the scenarios at all points of cases and grid.
@@ -233,7 +233,7 @@ class Opened:
             own |= {f"grid.{path}": (path, x) for path, x in values.items()}
             paths = {at: _full(nominal, path) for at, (path, _) in own.items()}
             try:
-                changed = self.reader.changed(plain, {paths[at]: x for at, (_, x) in own.items()})
+                changed = self.reader.change(plain, {paths[at]: x for at, (_, x) in own.items()})
                 return changed.scenario()  # type: ignore[no-any-return]
             except InvalidEntries as error:
                 self.reader.problems.clear()
@@ -273,7 +273,7 @@ def _text_of(name: str) -> str:
     if path.suffix or path.exists():
         return read_file(path)
     if name not in shipped():
-        told = f"neither a file nor a shipped scenario, {nearest(name, shipped())}"
+        told = f"neither a file nor a shipped scenario, {suggest_name(name, shipped())}"
         raise InvalidArgument(f"FILE is {name!r}, {told}")
     return (_SHIPPED / f"{name}.toml").read_text("utf-8")
 
@@ -286,7 +286,7 @@ def shipped() -> list[str]:
 def listed() -> str:
     """Return the public parts by package, each with the first line of its docstring."""
     found: dict[str, list[str]] = {}
-    for name, one in public().items():
+    for name, one in public_names().items():
         if is_part_class(one):
             package = one.__module__.split(".")[1]
             found.setdefault(package, []).append(f"  {name:20} {(inspect.getdoc(one) or '').splitlines()[0]}")
@@ -299,11 +299,11 @@ def described(name: str) -> str:
     """Return the fields of a part, or the arguments of its constructor, with meaning, unit and default."""
     make = ScenarioFile if name == "scenario" else resolve(name)
     if not (is_part_class(make) or makes_part(make)):
-        known = [each for each, one in public().items() if is_part_class(one)]
-        raise InvalidArgument(f"NAME is {name!r}, expected a part, {nearest(name, known)}")
+        known = [each for each, one in public_names().items() if is_part_class(one)]
+        raise InvalidArgument(f"NAME is {name!r}, expected a part, {suggest_name(name, known)}")
     lines = [f"{name}: {(inspect.getdoc(make) or '').splitlines()[0]}"]
     for key, each in parameters(make).items():
-        wanted = expected(each.declared).replace("a value", "")
+        wanted = requirement(each.declared).replace("a value", "")
         is_stated = not (
             each.is_required
             or each.default is None

@@ -1,20 +1,20 @@
 """Compilation: laws in NumPy for one state run with symbols and become vector code for many robots."""
 
 from pinmobile.compiled._tracing import (
-    calling_place as calling_place,
+    law_place as law_place,
+    pause_gc as pause_gc,
     place_of as place_of,
     tracing as tracing,
-    uncollected as uncollected,
 )
 from pinmobile.compiled._vectorize import Recurrence as Recurrence, jacobian as jacobian, vectorize
 from pinmobile.compiled.differentiation import (
     Copy as Copy,
     adjoint as adjoint,
-    bits_of_indices as bits_of_indices,
+    expand_delays as expand_delays,
+    index_bits as index_bits,
     sample_index as sample_index,
     sides as sides,
     tangent as tangent,
-    without_delays as without_delays,
 )
 from pinmobile.compiled.elementary import sincos as sincos
 from pinmobile.compiled.emit import BINS as BINS, FIRST as FIRST, SHIFT as SHIFT, Shape as Shape
@@ -30,8 +30,8 @@ from pinmobile.compiled.memory import (
     Noise as Noise,
     Schedule as Schedule,
     leaves as leaves,
-    mapped as mapped,
-    matched as matched,
+    map_leaves as map_leaves,
+    match_leaves as match_leaves,
     normals as normals,
     robot_keys as robot_keys,
 )
@@ -46,8 +46,8 @@ from pinmobile.compiled.symbolic import (
     Symbols as Symbols,
     entries as entries,
     has_symbols as has_symbols,
-    plain as plain,
     symbols as symbols,
+    unwrap as unwrap,
 )
 from pinmobile.compiled.tape import (
     COUNT as COUNT,
@@ -57,12 +57,12 @@ from pinmobile.compiled.tape import (
     Ring as Ring,
     Rounds as Rounds,
     Tape as Tape,
+    ancestors as ancestors,
     choose as choose,
-    evaluated as evaluated,
+    evaluate as evaluate,
     maximum as maximum,
-    needed as needed,
     operands as operands,
-    repeated as repeated,
+    repeat as repeat,
     root as root,
     scalar_max as scalar_max,
     square_root as square_root,

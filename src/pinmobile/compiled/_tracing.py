@@ -20,9 +20,9 @@ from pinmobile.errors import NotTraceable
 from pinmobile.parts import TRACING as _local, is_tracing
 
 _lock = threading.RLock()
-_HERE = str(Path(__file__).parent)
+_FOLDER = str(Path(__file__).parent)
 _LIBRARY = str(Path(__file__).parents[1])
-_OURS = (_HERE, str(Path(np.__file__).parent), "<__array_function__", "<frozen")
+_OWN_PATHS = (_FOLDER, str(Path(np.__file__).parent), "<__array_function__", "<frozen")
 _MACHINERY = "pinmobile.compiled.", "pinmobile.loop._trace"
 FOREIGN = (
     frozenset(("numpy", "scipy", "pinocchio", "llvmlite", "sympy", "matplotlib", "attr", "attrs"))
@@ -31,12 +31,12 @@ FOREIGN = (
 """Packages that contain no laws."""
 
 
-def _guarded(true: Callable[..., Any], other: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a function that calls `other` in a tracing thread, and NumPy's own function in other threads."""
+def _guard(original: Callable[..., Any], substitute: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a function that calls `substitute` in a tracing thread, and NumPy's own in other threads."""
 
-    @functools.wraps(true)
+    @functools.wraps(original)
     def run(*given: object, **options: object) -> Any:
-        return (other if is_tracing() else true)(*given, **options)
+        return (substitute if is_tracing() else original)(*given, **options)
 
     return run
 
@@ -50,19 +50,19 @@ class _NumPy(ModuleType):
 
     def __getattr__(self, name: str) -> Any:
         if name == "random" and is_tracing():
-            instead = "take the numbers from the context: context.noise(name, n), kept in state"
-            raise NotTraceable("np.random in a law", instead)
+            remedy = "take the numbers from the context: context.noise(name, n), kept in state"
+            raise NotTraceable("np.random in a law", remedy)
         return getattr(np, name)
 
 
-_replaced = {name: _guarded(getattr(np, name), other) for name, other in constructors().items()}
+_replacements = {name: _guard(getattr(np, name), other) for name, other in constructors().items()}
 _numpy = _NumPy("numpy")
-vars(_numpy).update(_replaced)
-_others = {id(getattr(np, name)): other for name, other in _replaced.items()} | {id(np): _numpy}
+vars(_numpy).update(_replacements)
+_swaps = {id(getattr(np, name)): other for name, other in _replacements.items()} | {id(np): _numpy}
 
 
 @contextlib.contextmanager
-def uncollected() -> Iterator[None]:
+def pause_gc() -> Iterator[None]:
     """Disable garbage collection: making many small permanent objects then takes a third of the time."""
     collects = gc.isenabled()
     gc.disable()
@@ -90,35 +90,35 @@ def tracing(namespaces: Iterable[dict[str, Any]] = (), cells: Iterable[CellType]
         If a law does something that symbols do not support; the message contains the line.
     """
     with _lock:
-        known = sys.modules.items()
-        spaces = [vars(module) for name, module in list(known) if module is not None and _holds_laws(name)]
-        seen = {id(space) for space in spaces}
-        spaces += [space for space in namespaces if id(space) not in seen]
-        changed = [(space, name, x) for space in spaces for name, x in [*space.items()] if id(x) in _others]
-        shut = [(cell, value) for cell in cells if id(value := _content(cell)) in _others]
-        for space, name, value in changed:
-            space[name] = _others[id(value)]
-        for cell, value in shut:
-            cell.cell_contents = _others[id(value)]
+        modules = sys.modules.items()
+        spaces = [vars(module) for name, module in list(modules) if module is not None and _holds_laws(name)]
+        ids = {id(space) for space in spaces}
+        spaces += [space for space in namespaces if id(space) not in ids]
+        changes = [(space, name, x) for space in spaces for name, x in [*space.items()] if id(x) in _swaps]
+        cell_swaps = [(cell, value) for cell in cells if id(value := _content(cell)) in _swaps]
+        for space, name, value in changes:
+            space[name] = _swaps[id(value)]
+        for cell, value in cell_swaps:
+            cell.cell_contents = _swaps[id(value)]
         _local.depth = getattr(_local, "depth", 0) + 1
         try:
-            with uncollected(), np.errstate(all="ignore"):  # constants of unused branches may overflow
+            with pause_gc(), np.errstate(all="ignore"):  # constants of unused branches may overflow
                 yield
         except NotTraceable as error:
             if error.place:
                 raise
             raise NotTraceable(error.what, error.instead, place_of(error.__traceback__)) from None
         except Exception as error:
-            what = f"with symbols it raises {type(error).__name__} ({error})"
-            instead = "write it in NumPy for one state, or run it with engine=Engine.PYTHON"
+            reason = f"with symbols it raises {type(error).__name__} ({error})"
+            remedy = "write it in NumPy for one state, or run it with engine=Engine.PYTHON"
             if isinstance(error, IndexError):
-                instead = "if an index comes from a symbol, use np.where or np.select"
-            raise NotTraceable(what, instead, place_of(error.__traceback__)) from error
+                remedy = "if an index comes from a symbol, use np.where or np.select"
+            raise NotTraceable(reason, remedy, place_of(error.__traceback__)) from error
         finally:
             _local.depth -= 1
-            for space, name, value in changed:
+            for space, name, value in changes:
                 space[name] = value
-            for cell, value in shut:
+            for cell, value in cell_swaps:
                 cell.cell_contents = value
 
 
@@ -139,31 +139,31 @@ def place_of(traceback: TracebackType | None) -> str:
     A line of a user's law takes precedence. Compiled modules have no lines of text, and lines of other
     packages are not a user's.
     """
-    found, theirs = "", ""
+    user_line, law_line = "", ""
     while traceback is not None:
         code, line = traceback.tb_frame.f_code, traceback.tb_lineno
         file = code.co_filename
-        if not file.startswith(_OURS):
-            theirs = _told(code, line)
+        if not file.startswith(_OWN_PATHS):
+            law_line = _format_line(code, line)
             is_users = "site-packages" not in file and not file.startswith(_LIBRARY)
             if is_users and linecache.getline(file, line):
-                found = theirs
+                user_line = law_line
         traceback = traceback.tb_next
-    return found or theirs
+    return user_line or law_line
 
 
-def calling_place() -> str:
+def law_place() -> str:
     """Return the line of the law that is running."""
     frame = sys._getframe(1)
     while frame is not None:
         name = frame.f_code.co_filename
-        if not name.startswith(_OURS):
-            return _told(frame.f_code, frame.f_lineno)
+        if not name.startswith(_OWN_PATHS):
+            return _format_line(frame.f_code, frame.f_lineno)
         frame = frame.f_back  # type: ignore[assignment]
     return ""
 
 
-def _told(code: CodeType, line: int) -> str:
+def _format_line(code: CodeType, line: int) -> str:
     text = linecache.getline(code.co_filename, line).strip()
     place = f"{code.co_qualname}, line {line} of {Path(code.co_filename).name}"
     return f"{place} (`{text}`)" if text else place

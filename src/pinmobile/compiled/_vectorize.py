@@ -15,13 +15,13 @@ from pinmobile.compiled.identity import Identity
 from pinmobile.compiled.processor import Cache, processors
 from pinmobile.compiled.program import Program, aligned
 from pinmobile.compiled.symbolic import entries, symbols
-from pinmobile.compiled.tape import Leaf, LoopTape, Tape, needed, operands
+from pinmobile.compiled.tape import Leaf, LoopTape, Tape, ancestors, operands
 from pinmobile.errors import InvalidArgument, NotTraceable, format_value
 
-_CLOSE = 1e-7  # relative tolerance of results; the condition of M costs digits in forward dynamics
+_RTOL = 1e-7  # relative tolerance of results; the condition of M costs digits in forward dynamics
 _STATES = 1 << 14  # states in memory at once
 _NUMBERS = "numbers"
-_MANY = 1e6  # numbers; smaller results need no check of the memory
+_CHECK_SIZE = 1e6  # numbers; smaller results need no check of the memory
 
 
 def vectorize(
@@ -86,49 +86,49 @@ def vectorize(
         names = [f"argument {k + 1}" for k in range(len(given)) if k not in words]
         arrays = [np.asarray(x, np.float64) for k, x in enumerate(given) if k not in words]
         arrays = list(map(finite, names, arrays)) if checked else arrays
-        own = (axes,) * len(arrays) if isinstance(axes, int) else axes
-        if len(own) != len(arrays) or any(x.ndim < n for x, n in zip(arrays, own, strict=True)):
-            what = f"arguments have shapes {[x.shape for x in arrays]}"
-            raise InvalidArgument(f"{what}, expected axes = {axes} for one state")
-        leads = [x.shape[: x.ndim - n] for x, n in zip(arrays, own, strict=True)]
-        shapes = [x.shape[x.ndim - n :] for x, n in zip(arrays, own, strict=True)]
+        sizes = (axes,) * len(arrays) if isinstance(axes, int) else axes
+        if len(sizes) != len(arrays) or any(x.ndim < n for x, n in zip(arrays, sizes, strict=True)):
+            message = f"arguments have shapes {[x.shape for x in arrays]}"
+            raise InvalidArgument(f"{message}, expected axes = {axes} for one state")
+        leads = [x.shape[: x.ndim - n] for x, n in zip(arrays, sizes, strict=True)]
+        shapes = [x.shape[x.ndim - n :] for x, n in zip(arrays, sizes, strict=True)]
         try:
             lead = np.broadcast_shapes(*leads)
         except ValueError:
             raise InvalidArgument(f"leading shapes are {leads}, expected shapes that broadcast") from None
 
-        several = tuple(map(bool, leads))  # whether an argument differs from state to state
-        key = *shapes, *several, *words.items()
+        varies = tuple(map(bool, leads))  # whether an argument differs from state to state
+        key = *shapes, *varies, *words.items()
         program = programs.get(key)
         if program is None:
-            of_one = _with_words(function, words)
-            state = [_first(x, shape) for x, shape in zip(arrays, shapes, strict=True)]
-            expected = of_one(*(x.copy() for x in state))  # raises the function's own errors
-            program = _Compiled(of_one, shapes, several, Cache() if keep else Cache(""))
+            law = _bind_words(function, words)
+            state = [_first_state(x, shape) for x, shape in zip(arrays, shapes, strict=True)]
+            expected = law(*(x.copy() for x in state))  # raises the function's own errors
+            program = _Compiled(law, shapes, varies, Cache() if keep else Cache(""))
             program.compare(state, expected)
             programs[key] = program
-        found = program(arrays, lead)
+        results = program(arrays, lead)
         if checked:
-            for answer in found:
-                finite_answer(answer, **dict(zip(names, arrays, strict=True)))
-        return found if program.is_tuple else found[0]
+            for result in results:
+                finite_answer(result, **dict(zip(names, arrays, strict=True)))
+        return results if program.is_tuple else results[0]
 
     return vectorized
 
 
-def _with_words(function: Callable[..., Any], words: dict[int, Any]) -> Callable[..., Any]:
+def _bind_words(function: Callable[..., Any], words: dict[int, Any]) -> Callable[..., Any]:
     """Return a function of the arguments that are arrays; the other arguments are fixed."""
 
-    def of_one(*states: Any) -> Any:
-        given = list(states)
+    def law(*states: Any) -> Any:
+        arguments = list(states)
         for place, word in sorted(words.items()):
-            given.insert(place, word)
-        return function(*given)
+            arguments.insert(place, word)
+        return function(*arguments)
 
-    return of_one
+    return law
 
 
-def _first(array: Array, shape: tuple[int, ...]) -> Array:
+def _first_state(array: Array, shape: tuple[int, ...]) -> Array:
     return np.array(array.reshape(-1, *shape)[0]) if array.size else np.zeros(shape)
 
 
@@ -139,19 +139,19 @@ class _Compiled:
         self,
         function: Callable[..., Any],
         shapes: Sequence[tuple[int, ...]],
-        several: Sequence[bool],
+        varies: Sequence[bool],
         cache: Cache,
     ) -> None:
-        self.shapes, self.several = shapes, several
-        tape, given = Tape(), []
+        self.shapes, self.varies = shapes, varies
+        tape, arguments = Tape(), []
         counts = {"row": 0, "uniform": 1}  # the first uniform is a loop's step
-        for shape, own in zip(shapes, several, strict=True):
-            kind, size = "row" if own else "uniform", prod(shape)
-            given.append(symbols([tape.input(kind, counts[kind] + i) for i in range(size)], shape))
+        for shape, is_row in zip(shapes, varies, strict=True):
+            kind, size = "row" if is_row else "uniform", prod(shape)
+            arguments.append(symbols([tape.input(kind, counts[kind] + i) for i in range(size)], shape))
             counts[kind] += size
         code = Identity().visit(function)
         with tracing(code.namespaces.values(), code.cells):
-            answer = function(*given)
+            answer = function(*arguments)
         self.is_tuple, kept = isinstance(answer, tuple), {}
         for i, output in enumerate(answer if isinstance(answer, tuple) else (answer,)):
             kept[str(i)] = entries(output).shape, [*map(tape.number, entries(output).reshape(-1))]
@@ -162,44 +162,44 @@ class _Compiled:
         """Return the results for each of the leading axes."""
         n, loop = prod(lead), self.program.tape
         outputs = [(*lead, *shape) for shape, _ in loop.kept.values()]
-        if n * loop.outputs_kept > _MANY:
+        if n * loop.outputs_kept > _CHECK_SIZE:
             affordable(f"results for {n:,} states", 1.0 * n * loop.outputs_kept, "give fewer at a time")
         rows, uniforms = [], [np.zeros(1)]
-        for array, shape, own in zip(arrays, self.shapes, self.several, strict=True):
-            if own:
+        for array, shape, is_row in zip(arrays, self.shapes, self.varies, strict=True):
+            if is_row:
                 rows.append(np.broadcast_to(array, (*lead, *shape)).reshape(n, prod(shape)))
             else:
                 uniforms.append(array.reshape(-1))
         if n <= _STATES:
-            found = self._some(rows, uniforms, n)
+            results = self._evaluate(rows, uniforms, n)
         else:
-            found = [np.empty((n, *shape[len(lead) :])) for shape in outputs]
+            results = [np.empty((n, *shape[len(lead) :])) for shape in outputs]
             for first in range(0, n, _STATES):
-                some = [x[first : first + _STATES] for x in rows]
-                parts = self._some(some, uniforms, min(n - first, _STATES))
-                for answer, part in zip(found, parts, strict=True):
+                chunk = [x[first : first + _STATES] for x in rows]
+                parts = self._evaluate(chunk, uniforms, min(n - first, _STATES))
+                for answer, part in zip(results, parts, strict=True):
                     answer[first : first + len(part)] = part
-        return tuple(x.reshape(shape) for x, shape in zip(found, outputs, strict=True))
+        return tuple(x.reshape(shape) for x, shape in zip(results, outputs, strict=True))
 
-    def _some(self, rows: Sequence[Array], uniforms: Sequence[Array], n: int) -> list[Array]:
+    def _evaluate(self, rows: Sequence[Array], uniforms: Sequence[Array], n: int) -> list[Array]:
         """Return the results for n states, shape (n, ...) each."""
         program, width = self.program, self.program.shape.width
         blocks = aligned((-(-n // width), program.tape.rows, width))
         if rows:
             program.set_rows(blocks, 0, np.concatenate(rows, axis=1).T)
         kept = aligned((len(blocks), 1, program.tape.outputs_kept, width))
-        program.called(blocks, np.zeros((1, 1)), np.concatenate(uniforms), kept, n, 1, threads=processors())
+        program.launch(blocks, np.zeros((1, 1)), np.concatenate(uniforms), kept, n, 1, threads=processors())
         return [x[:, 0] for x in program.kept_samples(kept, n).values()]
 
     def compare(self, state: Sequence[Array], expected: Any) -> None:
         """Reject a function whose results with symbols and with numbers differ."""
-        lead = (1,) if any(self.several) else ()
+        lead = (1,) if any(self.varies) else ()
         for one, other in zip(expected if self.is_tuple else (expected,), self(state, lead), strict=True):
-            own, scale = other.reshape(other.shape[len(lead) :]), np.abs(one).max(initial=1e-3)
-            if np.shape(one) != own.shape or not np.allclose(one, own, rtol=0, atol=_CLOSE * scale):
-                what = "with symbols, the function computes something else than with numbers"
-                instead = "write a function that treats every kind of array alike, without isinstance or try"
-                raise NotTraceable(what, instead)
+            result, scale = other.reshape(other.shape[len(lead) :]), np.abs(one).max(initial=1e-3)
+            if np.shape(one) != result.shape or not np.allclose(one, result, rtol=0, atol=_RTOL * scale):
+                reason = "with symbols, the function computes something else than with numbers"
+                remedy = "write a function that treats every kind of array alike, without isinstance or try"
+                raise NotTraceable(reason, remedy)
 
 
 def jacobian(values: Any, inputs: Sequence[Any]) -> list[dict[int, Any]]:
@@ -219,17 +219,17 @@ def jacobian(values: Any, inputs: Sequence[Any]) -> list[dict[int, Any]]:
     """
     tape = inputs[0].tape
     ends = [tape.number(x) for x in entries(values)]
-    of = {x.index: {j: tape.const(1.0)} for j, x in enumerate(inputs)}
-    for i in needed(tape, ends):
-        given = tape.marks[i][1] if i in tape.marks else operands(tape.operations[i])
-        if i in of or tape.types[i] != "f" or not any(x in of for x in given):
+    rows = {x.index: {j: tape.const(1.0)} for j, x in enumerate(inputs)}
+    for i in ancestors(tape, ends):
+        nodes = tape.marks[i][1] if i in tape.marks else operands(tape.operations[i])
+        if i in rows or tape.types[i] != "f" or not any(x in rows for x in nodes):
             continue
         total: dict[int, Any] = {}
         for x, multiply in slopes(tape, i):
-            for j, d in of.get(x, {}).items():
+            for j, d in rows.get(x, {}).items():
                 total[j] = total[j] + multiply(d) if j in total else multiply(d)
-        of[i] = {j: d for j, d in total.items() if d.value != 0}
-    return [of.get(i, {}) for i in ends]
+        rows[i] = {j: d for j, d in total.items() if d.value != 0}
+    return [rows.get(i, {}) for i in ends]
 
 
 class Recurrence:
@@ -247,13 +247,13 @@ class Recurrence:
     def __init__(self, law: Callable[[Any, Any, Any], Any], sizes: tuple[int, int, int]) -> None:
         tape, (n, m, k) = Tape(), sizes
         kinds = ("state", n), ("track", m), ("row", k)
-        given = [symbols([tape.input(kind, i) for i in range(size)], (size,)) for kind, size in kinds]
+        arguments = [symbols([tape.input(kind, i) for i in range(size)], (size,)) for kind, size in kinds]
         code = Identity().visit(law)
         with tracing(code.namespaces.values(), code.cells):
-            after = law(*given)
-        now, then = ([tape.number(x) for x in entries(z)] for z in (given[0], after))
-        loop = LoopTape(tape, {"z": ((n,), now)}, uniforms=1, rows=k, sizes=(n, 0, 0, m, 0), tracks=m)
-        loop.states.extend(zip(now, then, strict=True))
+            next_state = law(*arguments)
+        state, following = ([tape.number(x) for x in entries(z)] for z in (arguments[0], next_state))
+        loop = LoopTape(tape, {"z": ((n,), state)}, uniforms=1, rows=k, sizes=(n, 0, 0, m, 0), tracks=m)
+        loop.states.extend(zip(state, following, strict=True))
         loop.parameters[_NUMBERS] = Leaf("", _NUMBERS, (k,), 0, "row")
         self._program = Program(loop)
 
@@ -270,20 +270,20 @@ class Recurrence:
             Numbers of the systems.
         """
         N, m = len(start), u.shape[-1]
-        found = np.empty((N, len(u) + 1, start.shape[1]))
-        found[:, 0], step = start, max(1, _STATES // N)
+        states = np.empty((N, len(u) + 1, start.shape[1]))
+        states[:, 0], step = start, max(1, _STATES // N)
         for first in range(0, len(u), step):
             inputs = u[first : first + step].reshape(-1, N, m)
             inputs = np.concatenate([inputs, inputs[:1]])  # the last state needs no input
-            count, none = len(inputs), np.empty((len(inputs), 0))
+            count, empty = len(inputs), np.empty((len(inputs), 0))
             outcome = self._program.run(
-                (found[:, first], np.empty((N, 0))),
+                (states[:, first], np.empty((N, 0))),
                 np.zeros(count),
-                (np.zeros((count, m)), none, none),
+                (np.zeros((count, m)), empty, empty),
                 h=0.0,
                 values={_NUMBERS: numbers},
                 first=(),
                 tracks=(inputs, *[np.empty((count, N, 0))] * 2),
             )
-            found[:, first : first + count] = outcome.kept["z"]
-        return found
+            states[:, first : first + count] = outcome.kept["z"]
+        return states

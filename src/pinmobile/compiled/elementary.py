@@ -31,31 +31,31 @@ _TOP = 2**52 - 1  # bits of the fraction of a float
 _ONE = float_bits(1.0)
 
 
-def _marked(function: Callable[..., Any]) -> Callable[..., Any]:
+def _mark(function: Callable[..., Any]) -> Callable[..., Any]:
     """Return a function that marks its values on the tape with its name."""
 
     @functools.wraps(function)
     def run(*given: Number) -> Any:
-        found = function(*given)
-        if type(found) is not Node:
-            return found
-        return found.tape.mark(function.__name__, found, *given)
+        result = function(*given)
+        if type(result) is not Node:
+            return result
+        return result.tape.mark(function.__name__, result, *given)
 
     return run
 
 
-@_marked
+@_mark
 def rounded(x: Number) -> Any:
     """Return the nearest whole number, the even one of two equally near numbers; beyond 2^51, x itself."""
-    near = (x + _ROUNDER) - _ROUNDER
-    return select(absolute(x) < 2.0**51, near, x)
+    nearest = (x + _ROUNDER) - _ROUNDER
+    return select(absolute(x) < 2.0**51, nearest, x)
 
 
-@_marked
+@_mark
 def floor(x: Number) -> Any:
     """Return the largest whole number <= x."""
-    near = rounded(x)
-    return select(near > x, near - 1.0, near)
+    nearest = rounded(x)
+    return select(nearest > x, nearest - 1.0, nearest)
 
 
 def _short(value: float, bits_kept: int) -> float:
@@ -124,35 +124,35 @@ def polynomial(c: Sequence[float], z: Number) -> Any:
         return pair(i) + z2 * pair(i + 2) if i + 2 < len(c) else pair(i)
 
     last = (len(c) - 1) // 4 * 4
-    found = four(last)
+    result = four(last)
     for i in range(last - 4, -1, -4):
-        found = four(i) + z4 * found
-    return found
+        result = four(i) + z4 * result
+    return result
 
 
 _LN2_HIGH, _LN2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10
 _TAYLOR = [1 / math.factorial(k) for k in range(16)]
 
 
-@_marked
+@_mark
 def exp(x: Number) -> Any:
     """Return the exponential; infinity above 709.78, and 0 below -708, where results would be subnormal."""
-    found = _exp_inside(minimum(709.78, maximum(-708.0, x)))
-    found = select(x > 709.78, math.inf, select(x < -708.0, 0.0, found))
-    return select(x == x, found, x)
+    result = _exp_bounded(minimum(709.78, maximum(-708.0, x)))
+    result = select(x > 709.78, math.inf, select(x < -708.0, 0.0, result))
+    return select(x == x, result, x)
 
 
-def _exp_inside(inside: Number) -> Any:
+def _exp_bounded(x: Number) -> Any:
     """Return the exponential of a number in [-708, 709.78]."""
-    shifted = inside * (1 / math.log(2)) + _ROUNDER
+    shifted = x * (1 / math.log(2)) + _ROUNDER
     k = shifted - _ROUNDER
-    r = (inside - k * _LN2_HIGH) - k * _LN2_LOW
+    r = (x - k * _LN2_HIGH) - k * _LN2_LOW
     # 2^1024 exceeds float64: half of the power, then a product with 2.
     power_of_two = real((bits(shifted) + 1022) << 52)
     return (polynomial(_TAYLOR[:14], r) * power_of_two) * 2.0
 
 
-@_marked
+@_mark
 def expm1(x: Number) -> Any:
     """Return exp(x) - 1, accurate near zero too."""
     return select(absolute(x) < 0.35, x * polynomial(_TAYLOR[1:], x), exp(x) - 1.0)
@@ -160,16 +160,16 @@ def expm1(x: Number) -> Any:
 
 def sinh(x: Number) -> Any:
     """Return the hyperbolic sine."""
-    grown = expm1(absolute(x))
-    size = 0.5 * (grown + grown / (grown + 1.0))
+    excess = expm1(absolute(x))
+    size = 0.5 * (excess + excess / (excess + 1.0))
     size = select(absolute(x) > 40.0, 0.5 * exp(absolute(x)), size)
     return select(x < 0.0, -size, size)
 
 
 def cosh(x: Number) -> Any:
     """Return the hyperbolic cosine."""
-    grown = exp(absolute(x))
-    return 0.5 * (grown + 1.0 / grown)
+    power = exp(absolute(x))
+    return 0.5 * (power + 1.0 / power)
 
 
 # Cephes (S. Moshier, 1989): rational approximations of tanh and arctan.
@@ -177,21 +177,21 @@ _TANH_P = (-1.61468768441708447952e3, -9.92877231001918586564e1, -9.643991794250
 _TANH_Q = (4.84406305325125486048e3, 2.23548839060100448583e3, 1.12811678491632931402e2, 1.0)
 
 
-@_marked
+@_mark
 def tanh(x: Number) -> Any:
     """Return the hyperbolic tangent."""
     size, z = absolute(x), x * x
     small = x + (x * z) * (_horner(_TANH_P, z) / _horner(_TANH_Q, z))
-    large = 1.0 - 2.0 / (_exp_inside(minimum(40.0, 2.0 * size)) + 1.0)
+    large = 1.0 - 2.0 / (_exp_bounded(minimum(40.0, 2.0 * size)) + 1.0)
     large = select(x < 0.0, -large, large)
     return select(size < 0.625, small, large)
 
 
 def _horner(c: Sequence[float], z: Number) -> Any:
-    found = c[-1]
-    for each in reversed(c[:-1]):
-        found = found * z + each
-    return found
+    result = c[-1]
+    for coefficient in reversed(c[:-1]):
+        result = result * z + coefficient
+    return result
 
 
 # Coefficients from e_log.c of fdlibm (Sun Microsystems, 1993).
@@ -206,15 +206,15 @@ _LOG = (
 )
 
 
-@_marked
+@_mark
 def log(x: Number) -> Any:
     """Return the natural logarithm; minus infinity at 0, and NaN below."""
     tiny = x < 2.0**-1022  # subnormal: the bits do not contain the exponent
-    found = _log_of_normal(
+    result = _log_of_normal(
         select(tiny, x * 2.0**54, x), select(tiny, 2.0**52 + 1023.0 + 54.0, 2.0**52 + 1023.0)
     )
-    found = select(x == 0.0, -math.inf, select(x > 0.0, found, math.nan))
-    return select(x == math.inf, math.inf, found)
+    result = select(x == 0.0, -math.inf, select(x > 0.0, result, math.nan))
+    return select(x == math.inf, math.inf, result)
 
 
 def _log_of_normal(x: Number, shift: Number = 2.0**52 + 1023.0) -> Any:
@@ -232,7 +232,7 @@ def _log_of_normal(x: Number, shift: Number = 2.0**52 + 1023.0) -> Any:
     return exponent * _LN2_HIGH - ((half - (s * (half + rest) + exponent * _LN2_LOW)) - f)
 
 
-@_marked
+@_mark
 def log1p(x: Number) -> Any:
     """Return log(1 + x), accurate near zero too."""
     sum_ = 1.0 + x
@@ -261,29 +261,29 @@ def _angle(y: Number, x: Number) -> Any:
     steep, middle = y > 2.41421356237309504880 * x, y > 0.66 * x
     top = select(steep, -x, select(middle, y - x, y))
     bottom = select(steep, y, select(middle, y + x, x))
-    nothing = bottom == 0.0
-    t = select(nothing, 0.0, top) / select(nothing, 1.0, bottom)
+    is_zero = bottom == 0.0
+    t = select(is_zero, 0.0, top) / select(is_zero, 1.0, bottom)
     z = t * t
     series = t + (t * z) * (polynomial(_ARCTAN_P, z) / polynomial(_ARCTAN_Q, z))
     rest = select(steep, 6.123233995736765886130e-17, select(middle, 3.061616997868382943065e-17, 0.0))
     return select(steep, math.pi / 2, select(middle, math.pi / 4, 0.0)) + (series + rest)
 
 
-@_marked
+@_mark
 def arctan2(y: Number, x: Number) -> Any:
     """Return the angle of (x, y) in [-pi, pi]; both arguments are finite."""
-    found = _angle(absolute(y), absolute(x))
-    found = select(x < 0.0, math.pi - found, found)
-    return select(y < 0.0, -found, found)
+    angle = _angle(absolute(y), absolute(x))
+    angle = select(x < 0.0, math.pi - angle, angle)
+    return select(y < 0.0, -angle, angle)
 
 
-@_marked
+@_mark
 def arctan(x: Number) -> Any:
     """Return the angle whose tangent is x."""
     size = absolute(x)
     inverse = size > 1.0
-    found = _angle(select(inverse, 1.0, size), select(inverse, select(inverse, 1.0, size) / size, 1.0))
-    return select(x < 0.0, -found, found)
+    angle = _angle(select(inverse, 1.0, size), select(inverse, select(inverse, 1.0, size) / size, 1.0))
+    return select(x < 0.0, -angle, angle)
 
 
 def arcsin(x: Number) -> Any:
@@ -298,35 +298,35 @@ def arccos(x: Number) -> Any:
 
 def power(base: Number, exponent: Number) -> Any:
     """Return a power: by products and a root for a simple constant exponent, else by exp."""
-    known = exponent.value if type(exponent) is Node else exponent
-    if known is None:
+    value = exponent.value if type(exponent) is Node else exponent
+    if value is None:
         return _any_power(base, exponent)
-    known = float(known)
-    if known != np.rint(known):
-        if known * 2 == np.rint(known * 2) and abs(known) < 8:
-            return power(base, math.floor(known)) * root(base)
-        return exp(known * log(base))
-    if abs(known) > 64:
-        return exp(known * log(absolute(base))) * (1.0 if known % 2 == 0 else select(base < 0.0, -1.0, 1.0))
-    found, square, left = None, base, int(abs(known))
-    while left:
-        if left & 1:
-            found = square if found is None else found * square
-        square, left = square * square, left >> 1
-    if found is None:
+    value = float(value)
+    if value != np.rint(value):
+        if value * 2 == np.rint(value * 2) and abs(value) < 8:
+            return power(base, math.floor(value)) * root(base)
+        return exp(value * log(base))
+    if abs(value) > 64:
+        return exp(value * log(absolute(base))) * (1.0 if value % 2 == 0 else select(base < 0.0, -1.0, 1.0))
+    product, square, count = None, base, int(abs(value))
+    while count:
+        if count & 1:
+            product = square if product is None else product * square
+        square, count = square * square, count >> 1
+    if product is None:
         return 1.0
-    return found if known > 0 else 1.0 / found
+    return product if value > 0 else 1.0 / product
 
 
 def _any_power(base: Number, exponent: Number) -> Any:
     size = exp(exponent * log(absolute(base)))
-    whole = rounded(exponent) == exponent
-    odd = rounded(0.5 * exponent) * 2.0 != exponent
-    below = select(whole, select(odd, -size, size), math.nan)
-    return select(exponent == 0.0, 1.0, select(base < 0.0, below, size))
+    is_whole = rounded(exponent) == exponent
+    is_odd = rounded(0.5 * exponent) * 2.0 != exponent
+    negative = select(is_whole, select(is_odd, -size, size), math.nan)
+    return select(exponent == 0.0, 1.0, select(base < 0.0, negative, size))
 
 
-def of_floats(function: Callable[..., Any]) -> Callable[..., Any]:
+def on_floats(function: Callable[..., Any]) -> Callable[..., Any]:
     """Return a function for NumPy arrays, without warnings, like compiled code."""
 
     def run(*given: Any) -> Any:

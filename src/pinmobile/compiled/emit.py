@@ -2,7 +2,7 @@
 
 The state of a block stays in registers from sample to sample. Numbers that all robots share are computed once
 for all lanes, numbers of a robot before its first sample. The code has no branches except loops. Every
-operation rounds once, and none are contracted, so that the bits are those of `tape.evaluated`.
+operation rounds once, and none are contracted, so that the bits are those of `tape.evaluate`.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import reduce
 
 from pinmobile.compiled.folding import ROBOT, ROUND, SAMPLE, STATE
-from pinmobile.compiled.tape import LoopTape, Rounds, needed, operands
+from pinmobile.compiled.tape import LoopTape, Rounds, ancestors, operands
 
 ENTRY = "pinmobile_loop"
 
@@ -24,7 +24,7 @@ BINS = 32 * _OCTAVES + 2  # including one bin below and one above
 _BINARY = {name: f"f{name}" for name in ("add", "sub", "mul", "div")}  # of floats
 _BINARY |= {f"i{name}": name for name in ("add", "mul", "xor", "and", "or")}  # of words
 _BINARY |= {name: name for name in ("and", "or", "xor", "shl")} | {"shr": "lshr"}
-_COMPARED = {"gt": "ogt", "ge": "oge", "lt": "olt", "le": "ole", "eq": "oeq", "ne": "une"}
+_COMPARISONS = {"gt": "ogt", "ge": "oge", "lt": "olt", "le": "ole", "eq": "oeq", "ne": "une"}
 _SCALAR = {"f": "double", "u": "i64", "b": "i1"}
 
 
@@ -66,18 +66,18 @@ class Code:
         self.lines: dict[str, list[str]] = {name: [] for name in ("entry", "block", "sample", "count")}
         self.values: dict[int, list[str]] = {}
         self.spread: dict[tuple[int, str], str] = {}
-        self.late: list[str] = []
+        self.ring_stores: list[str] = []
         self.rings: dict[int, tuple[str, str, str]] = {}
         self.results: dict[int, list[list[str]]] = {}
-        self.named = 0
+        self.counter = 0
         self.constants: dict[tuple[int, bool], str] = {}
         self.shared = [not depends & (ROBOT | STATE) for depends in self.tape.depends]
         lanes = shape.lanes
-        self.whole = {k: one if lanes == 1 else f"<{lanes} x {one}>" for k, one in _SCALAR.items()}
+        self.vector_types = {k: one if lanes == 1 else f"<{lanes} x {one}>" for k, one in _SCALAR.items()}
 
     def type(self, kind: str, scalar: bool = False) -> str:
         """Return LLVM's type of a value: a vector, unless all lanes share the value."""
-        return _SCALAR[kind] if scalar else self.whole[kind]
+        return _SCALAR[kind] if scalar else self.vector_types[kind]
 
     def constant(self, kind: str, literal: str, scalar: bool = False) -> str:
         """Return a constant, repeated for each lane."""
@@ -88,9 +88,9 @@ class Code:
 
     def put(self, region: str, text: str) -> str:
         """Write an instruction, and return the name of its value."""
-        self.named += 1
-        self.lines[region].append(f"  %t{self.named} = {text}")
-        return f"%t{self.named}"
+        self.counter += 1
+        self.lines[region].append(f"  %t{self.counter} = {text}")
+        return f"%t{self.counter}"
 
     def region(self, node: int, default: str) -> str:
         """Return the region in which a node is computed, where it runs least often."""
@@ -109,15 +109,15 @@ class Code:
         value = self.values[node][0]
         if scalar or self.shape.lanes == 1:
             return value
-        where = self.region(node, region)
-        if (node, where) not in self.spread:
-            whole, one = self.type(kind), _SCALAR[kind]
-            first = self.put(where, f"insertelement {whole} poison, {one} {value}, i32 0")
+        place = self.region(node, region)
+        if (node, place) not in self.spread:
+            vector_type, scalar_type = self.type(kind), _SCALAR[kind]
+            first = self.put(place, f"insertelement {vector_type} poison, {scalar_type} {value}, i32 0")
             mask = f"<{self.shape.lanes} x i32> zeroinitializer"
-            self.spread[node, where] = self.put(
-                where, f"shufflevector {whole} {first}, {whole} poison, {mask}"
+            self.spread[node, place] = self.put(
+                place, f"shufflevector {vector_type} {first}, {vector_type} poison, {mask}"
             )
-        return self.spread[node, where]
+        return self.spread[node, place]
 
     def _literal(self, node: int, scalar: bool) -> str:
         """Return a constant of the tape."""
@@ -127,26 +127,26 @@ class Code:
             self.constants[node, scalar] = self.constant(kind, literal, scalar)
         return self.constants[node, scalar]
 
-    def emit(self, wanted: int, default: str = "sample") -> None:
+    def emit(self, target: int, default: str = "sample") -> None:
         """Write a node and the nodes that it needs."""
-        todo = [wanted]
+        todo = [target]
         while todo:
             node = todo[-1]
             operation = self.tape.operations[node]
-            given = Rounds.of(self.tape, node).outside if operation[0] == "repeat" else operands(operation)
+            args = Rounds.of(self.tape, node).outer if operation[0] == "repeat" else operands(operation)
             if self._is_known(node):
                 todo.pop()
-            elif missing := [i for i in given if not self._is_known(i)]:
+            elif missing := [i for i in args if not self._is_known(i)]:
                 todo += reversed(missing)
             else:
                 todo.pop()
-                self.values[node] = self._written(node, self.region(node, default))
+                self.values[node] = self._write(node, self.region(node, default))
 
     def _is_known(self, node: int) -> bool:
         """Return whether the value of a node can be an argument."""
         return node in self.values or self.tape.operations[node][0] == "const"
 
-    def _written(self, node: int, region: str) -> list[str]:
+    def _write(self, node: int, region: str) -> list[str]:
         operation, kind = self.tape.operations[node], self.tape.types[node]
         name = operation[0]
         if name == "count":
@@ -159,8 +159,8 @@ class Code:
             base, first = "%block", self.vector_rows + (self.loop.rows if name == "key" else 0)
             if name == "track":
                 base, first = "%keep", self.loop.outputs_kept
-            at = (first + operation[1]) * self.shape.width
-            return [self.load(base, at, u, region, kind) for u in self.vectors()]
+            offset = (first + operation[1]) * self.shape.width
+            return [self.load(base, offset, u, region, kind) for u in self.vectors()]
         if name == "ring":
             return self._ring(node)
         if name == "repeat":
@@ -170,10 +170,10 @@ class Code:
         shared = self.shared[node]
         return [self._operation(node, u, region, shared) for u in (range(1) if shared else self.vectors())]
 
-    def _phi(self, name: str, kind: str, *ways: tuple[str, str]) -> str:
+    def _phi(self, name: str, kind: str, *branches: tuple[str, str]) -> str:
         """Write a value that depends on the previous block, and return its name."""
-        listed = ", ".join(f"[ {value}, %{block} ]" for value, block in ways)
-        self.lines["sample"].append(f"  {name} = phi {kind} {listed}")
+        words = ", ".join(f"[ {value}, %{block} ]" for value, block in branches)
+        self.lines["sample"].append(f"  {name} = phi {kind} {words}")
         return name
 
     def _rounds(self, node: int) -> list[str]:
@@ -182,32 +182,32 @@ class Code:
         The code skips all rounds if no robot needs one.
         """
         rounds, lines, vectors = Rounds.of(self.tape, node), self.lines["sample"], self.vectors()
-        whole, truth = self.type("f"), self.type("b")
+        vector_type, truth = self.type("f"), self.type("b")
         first = [[self.argument(i, u, "sample") for u in vectors] for i in rounds.first]
         # Shared values are copied to all lanes before the rounds, not in each round.
-        for i in rounds.outside:
+        for i in rounds.outer:
             if self.shared[i] and self.tape.operations[i][0] != "const":
                 self.argument(i, 0, "sample")
-        before, inside, behind = f"before{node}", f"round{node}", f"behind{node}"
-        nested = [i for i in rounds.body if self.tape.operations[i][0] == "repeat"]
-        last = f"behind{nested[-1]}" if nested else inside  # the block in which a round ends
-        lines += [f"  br label %{before}", f"{before}:"]
-        none = [self.argument(rounds.settled, u, "sample") for u in vectors]
-        may_skip = self.tape.known(rounds.settled) is None
-        way = f"label %{inside}"
+        entry, body, end = f"before{node}", f"round{node}", f"behind{node}"
+        inner = [i for i in rounds.body if self.tape.operations[i][0] == "repeat"]
+        last = f"behind{inner[-1]}" if inner else body  # the block in which a round ends
+        lines += [f"  br label %{entry}", f"{entry}:"]
+        skip = [self.argument(rounds.skip, u, "sample") for u in vectors]
+        may_skip = self.tape.constant_of(rounds.skip) is None
+        branch = f"label %{body}"
         if may_skip:
-            way = f"i1 {self._some_left(none)}, {way}, label %{behind}"
-        lines += [f"  br {way}", f"{inside}:"]
+            branch = f"i1 {self._any_active(skip)}, {branch}, label %{end}"
+        lines += [f"  br {branch}", f"{body}:"]
         names = [(f"{node}_{j}_{u}", values[u]) for j, values in enumerate(first) for u in vectors]
         for name, value in names:
-            self._phi(f"%y{name}", whole, (value, before), (f"%z{name}", last))
+            self._phi(f"%y{name}", vector_type, (value, entry), (f"%z{name}", last))
         for u in vectors:
-            self._phi(f"%e{node}_{u}", truth, (none[u], before), (f"%d{node}_{u}", last))
-        self._phi(f"%r{node}", "i64", ("1", before), (f"%q{node}", last))
+            self._phi(f"%e{node}_{u}", truth, (skip[u], entry), (f"%d{node}_{u}", last))
+        self._phi(f"%r{node}", "i64", ("1", entry), (f"%q{node}", last))
         self._round(node, rounds)
-        lines += [f"  br i1 %m{node}, label %{inside}, label %{behind}", f"{behind}:"]
+        lines += [f"  br i1 %m{node}, label %{body}, label %{end}", f"{end}:"]
         for name, value in names if may_skip else ():
-            self._phi(f"%w{name}", whole, (value, before), (f"%z{name}", last))
+            self._phi(f"%w{name}", vector_type, (value, entry), (f"%z{name}", last))
         letter = "w" if may_skip else "z"
         self.results[node] = [[f"%{letter}{node}_{j}_{u}" for u in vectors] for j in range(len(first))]
         return []
@@ -215,35 +215,35 @@ class Code:
     def _round(self, node: int, rounds: Rounds) -> None:
         """Write one round, and the test for a further one."""
         lines, vectors = self.lines["sample"], self.vectors()
-        whole, truth = self.type("f"), self.type("b")
+        vector_type, truth = self.type("f"), self.type("b")
         for i in rounds.body:
-            name, *given = self.tape.operations[i]
+            name, *args = self.tape.operations[i]
             if name == "carry":
-                self.values[i] = [f"%y{node}_{given[1]}_{u}" for u in vectors]
+                self.values[i] = [f"%y{node}_{args[1]}_{u}" for u in vectors]
             elif name in ("repeat", "result"):
-                self.values[i] = self._written(i, "sample")
+                self.values[i] = self._write(i, "sample")
             else:
                 self.values[i] = [self._operation(i, u, "sample", False) for u in vectors]
-        for j, i in enumerate(rounds.following):
+        for j, i in enumerate(rounds.results):
             for u in vectors:
                 value, name = self.argument(i, u, "sample"), f"{node}_{j}_{u}"
-                chosen = f"{truth} %e{node}_{u}, {whole} %y{name}, {whole} {value}"
-                lines.append(f"  %z{name} = select {chosen}")
+                choice = f"{truth} %e{node}_{u}, {vector_type} %y{name}, {vector_type} {value}"
+                lines.append(f"  %z{name} = select {choice}")
         for u in vectors:
             value = self.argument(rounds.done, u, "sample")
             lines.append(f"  %d{node}_{u} = or {truth} %e{node}_{u}, {value}")
-        more = self._some_left([f"%d{node}_{u}" for u in vectors])
-        under = self.put("sample", f"icmp slt i64 %r{node}, {rounds.most}")
-        lines += [f"  %m{node} = and i1 {more}, {under}", f"  %q{node} = add i64 %r{node}, 1"]
+        any_active = self._any_active([f"%d{node}_{u}" for u in vectors])
+        below_limit = self.put("sample", f"icmp slt i64 %r{node}, {rounds.most}")
+        lines += [f"  %m{node} = and i1 {any_active}, {below_limit}", f"  %q{node} = add i64 %r{node}, 1"]
 
-    def _some_left(self, done: Sequence[str]) -> str:
+    def _any_active(self, masks: Sequence[str]) -> str:
         """Write a test for unfinished robots in a block, from vectors of truth values."""
-        lanes, left = self.shape.lanes, []
-        for word in done:
+        lanes, tests = self.shape.lanes, []
+        for word in masks:
             if lanes > 1:
                 word = self.put("sample", f"bitcast {self.type('b')} {word} to i{lanes}")
-            left.append(self.put("sample", f"icmp ne i{lanes} {word}, -1"))
-        return reduce(lambda more, each: self.put("sample", f"or i1 {more}, {each}"), left)
+            tests.append(self.put("sample", f"icmp ne i{lanes} {word}, -1"))
+        return reduce(lambda more, each: self.put("sample", f"or i1 {more}, {each}"), tests)
 
     def vectors(self) -> range:
         """Return the indices of the vectors."""
@@ -266,56 +266,56 @@ class Code:
         operation, kind = self.tape.operations[node], self.tape.types[node]
         name = operation[0]
         x = [self.argument(i, vector, region, shared) for i in operation[1:]]
-        own, first = self.type(kind, shared), self.type(self.tape.types[operation[1]], shared)
+        out, input_type = self.type(kind, shared), self.type(self.tape.types[operation[1]], shared)
         if name in _BINARY:
-            return self.put(region, f"{_BINARY[name]} {own} {x[0]}, {x[1]}")
-        if name in _COMPARED:
-            return self.put(region, f"fcmp {_COMPARED[name]} {first} {x[0]}, {x[1]}")
+            return self.put(region, f"{_BINARY[name]} {out} {x[0]}, {x[1]}")
+        if name in _COMPARISONS:
+            return self.put(region, f"fcmp {_COMPARISONS[name]} {input_type} {x[0]}, {x[1]}")
         if name in ("max", "min"):
-            truth = self.put(region, f"fcmp {'ogt' if name == 'max' else 'olt'} {own} {x[0]}, {x[1]}")
-            return self.put(region, f"select {self.type('b', shared)} {truth}, {own} {x[0]}, {own} {x[1]}")
+            truth = self.put(region, f"fcmp {'ogt' if name == 'max' else 'olt'} {out} {x[0]}, {x[1]}")
+            return self.put(region, f"select {self.type('b', shared)} {truth}, {out} {x[0]}, {out} {x[1]}")
         if name == "select":
             truth = self.type("b", shared)
             if self.shared[operation[1]] and not shared:
                 # One condition for all lanes needs no vector.
                 truth, x[0] = "i1", self.argument(operation[1], vector, region, True)
-            return self.put(region, f"select {truth} {x[0]}, {own} {x[1]}, {own} {x[2]}")
+            return self.put(region, f"select {truth} {x[0]}, {out} {x[1]}, {out} {x[2]}")
         if name in ("bits", "real"):
-            return self.put(region, f"bitcast {first} {x[0]} to {own}")
+            return self.put(region, f"bitcast {input_type} {x[0]} to {out}")
         if name == "neg":
-            return self.put(region, f"fneg {own} {x[0]}")
+            return self.put(region, f"fneg {out} {x[0]}")
         if name == "not":
-            return self.put(region, f"xor {own} {x[0]}, {self.constant('b', 'true', shared)}")
+            return self.put(region, f"xor {out} {x[0]}, {self.constant('b', 'true', shared)}")
         if name == "abs":
-            whole = self.type("u", shared)
-            word = self.put(region, f"bitcast {own} {x[0]} to {whole}")
-            word = self.put(region, f"and {whole} {word}, {self.constant('u', str(2**63 - 1), shared)}")
-            return self.put(region, f"bitcast {whole} {word} to {own}")
+            word_type = self.type("u", shared)
+            word = self.put(region, f"bitcast {out} {x[0]} to {word_type}")
+            word = self.put(region, f"and {word_type} {word}, {self.constant('u', str(2**63 - 1), shared)}")
+            return self.put(region, f"bitcast {word_type} {word} to {out}")
         suffix = "f64" if shared or self.shape.lanes == 1 else f"v{self.shape.lanes}f64"
-        return self.put(region, f"call {own} @llvm.sqrt.{suffix}({own} {x[0]})")
+        return self.put(region, f"call {out} @llvm.sqrt.{suffix}({out} {x[0]})")
 
     def _ring(self, node: int) -> list[str]:
         """Write the output of a delay; its input is stored at the end of the sample."""
-        _, number, samples, pushed = self.tape.operations[node]
+        _, number, samples, source = self.tape.operations[node]
         if samples not in self.rings:
-            now = self.put("sample", f"urem i64 %k, {samples}")
-            early = self.put("sample", f"icmp ult i64 %k, {samples}")
+            slot_in = self.put("sample", f"urem i64 %k, {samples}")
+            is_early = self.put("sample", f"icmp ult i64 %k, {samples}")
             # Early samples return the first value, which is not overwritten before.
-            then = self.put("sample", f"select i1 {early}, i64 0, i64 {now}")
-            self.rings[samples] = now, then, self.put("sample", "icmp eq i64 %k, 0")
-        now, then, first = self.rings[samples]
+            slot_out = self.put("sample", f"select i1 {is_early}, i64 0, i64 {slot_in}")
+            self.rings[samples] = slot_in, slot_out, self.put("sample", "icmp eq i64 %k, 0")
+        slot_in, slot_out, first = self.rings[samples]
         offset = sum(ring.samples for ring in self.loop.rings[:number]) * self.shape.width
-        base, found = [], []
-        for slot in (now, then):
+        base, values = [], []
+        for slot in (slot_in, slot_out):
             row = self.put("sample", f"mul i64 {slot}, {self.shape.width}")
-            at = self.put("sample", f"add i64 {row}, {offset}")
-            base.append(self.put("sample", f"getelementptr double, ptr %ring, i64 {at}"))
+            index = self.put("sample", f"add i64 {row}, {offset}")
+            base.append(self.put("sample", f"getelementptr double, ptr %ring, i64 {index}"))
         for u in self.vectors():
-            value, whole = self.argument(pushed, u, "sample"), self.type("f")
+            value, kind = self.argument(source, u, "sample"), self.type("f")
             old = self.load(base[1], 0, u, "sample")
-            found.append(self.put("sample", f"select i1 {first}, {whole} {value}, {whole} {old}"))
-            self.late.append(self.store(value, self.place(base[0], 0, u, "sample")))
-        return found
+            values.append(self.put("sample", f"select i1 {first}, {kind} {value}, {kind} {old}"))
+            self.ring_stores.append(self.store(value, self.place(base[0], 0, u, "sample")))
+        return values
 
 
 def text_of(loop: LoopTape, shape: Shape) -> str:
@@ -329,32 +329,32 @@ def text_of(loop: LoopTape, shape: Shape) -> str:
     robots' references if each has its own.
     """
     code = Code(loop, shape)
-    for j, (now, _) in enumerate(loop.states):
-        code.values[now] = [f"%s{j}_{u}" for u in code.vectors()]
-    for j, node in enumerate(loop.tabled, loop.columns - len(loop.tabled)):
+    for j, (state, _) in enumerate(loop.states):
+        code.values[state] = [f"%s{j}_{u}" for u in code.vectors()]
+    for j, node in enumerate(loop.table_nodes, loop.columns - len(loop.table_nodes)):
         place = code.put("sample", f"getelementptr double, ptr %at, i64 {j}")
         code.values[node] = [code.put("sample", f"load double, ptr {place}, align 8")]
     for ring in loop.rings:
         code.emit(ring.node)
-    for node in needed(code.tape, loop.outputs):
+    for node in ancestors(code.tape, loop.outputs):
         if code.tape.operations[node][0] == "repeat" and code.tape.depends[node] < ROUND:
             code.emit(node)  # in the part that every sample runs
     # In the order of the tape: operands of the next line are then still in registers.
-    for node in needed(code.tape, [after for _, after in loop.states]):
+    for node in ancestors(code.tape, [last for _, last in loop.states]):
         if code.tape.depends[node] < ROUND:
             code.emit(node)
-    following = [[code.argument(after, u, "sample") for u in code.vectors()] for _, after in loop.states]
-    _keep(code)
-    code.lines["sample"] += code.late
-    _count_places(code)
-    declared = ["declare double @llvm.sqrt.f64(double)"]
+    ends = [[code.argument(last, u, "sample") for u in code.vectors()] for _, last in loop.states]
+    _store_records(code)
+    code.lines["sample"] += code.ring_stores
+    _write_bins(code)
+    declarations = ["declare double @llvm.sqrt.f64(double)"]
     if shape.lanes > 1:
-        whole = code.type("f")
-        declared.append(f"declare {whole} @llvm.sqrt.v{shape.lanes}f64({whole})")
-    return "\n".join([*declared, *_function(code, following)])
+        vector_type = code.type("f")
+        declarations.append(f"declare {vector_type} @llvm.sqrt.v{shape.lanes}f64({vector_type})")
+    return "\n".join([*declarations, *_function(code, ends)])
 
 
-def _keep(code: Code) -> None:
+def _store_records(code: Code) -> None:
     nodes = [node for _, nodes in code.loop.kept.values() for node in nodes]
     for j, node in enumerate(nodes):
         code.emit(node)
@@ -363,9 +363,9 @@ def _keep(code: Code) -> None:
             code.lines["sample"].append(code.store(code.argument(node, u, "sample"), place))
 
 
-def _count_places(code: Code) -> None:
+def _write_bins(code: Code) -> None:
     """Write the computation of the bins of the sizes."""
-    whole, truth = code.type("u"), code.type("b")
+    vtype, truth = code.type("u"), code.type("b")
 
     def number(x: int) -> str:
         return code.constant("u", str(x))
@@ -373,29 +373,29 @@ def _count_places(code: Code) -> None:
     for j, node in enumerate(code.loop.counted):
         code.emit(node, "count")
         for u in code.vectors():
-            word = code.put("count", f"bitcast {code.type('f')} {code.argument(node, u, 'count')} to {whole}")
-            word = code.put("count", f"lshr {whole} {word}, {number(SHIFT)}")
-            word = code.put("count", f"sub {whole} {word}, {number(FIRST - 1)}")
-            for compared, bound in (("slt", 0), ("sgt", BINS - 1)):
-                beyond = code.put("count", f"icmp {compared} {whole} {word}, {number(bound)}")
-                word = code.put("count", f"select {truth} {beyond}, {whole} {number(bound)}, {whole} {word}")
+            word = code.put("count", f"bitcast {code.type('f')} {code.argument(node, u, 'count')} to {vtype}")
+            word = code.put("count", f"lshr {vtype} {word}, {number(SHIFT)}")
+            word = code.put("count", f"sub {vtype} {word}, {number(FIRST - 1)}")
+            for comparison, bound in (("slt", 0), ("sgt", BINS - 1)):
+                over = code.put("count", f"icmp {comparison} {vtype} {word}, {number(bound)}")
+                word = code.put("count", f"select {truth} {over}, {vtype} {number(bound)}, {vtype} {word}")
             place = code.place("%places", j * code.shape.width, u, "count")
             code.lines["count"].append(code.store(word, place, "u"))
 
 
-def _function(code: Code, following: list[list[str]]) -> list[str]:
+def _function(code: Code, next_values: list[list[str]]) -> list[str]:
     loop, shape = code.loop, code.shape
-    width, whole, align = shape.width, code.type("f"), 8 * shape.lanes
+    width, vector_type, align = shape.width, code.type("f"), 8 * shape.lanes
     rows = len(loop.states) + loop.rows + len(loop.keys)
     kept = loop.outputs_kept + loop.tracks
-    begun, carried, ended = [], [], []
+    loads, phis, stores = [], [], []
     for j in range(len(loop.states)):
         for u in code.vectors():
             name, place = f"%i{j}_{u}", f"%p{j}_{u}"
-            begun.append(f"  {place} = getelementptr double, ptr %block, i64 {j * width + u * shape.lanes}")
-            begun.append(f"  {name} = load {whole}, ptr {place}, align {align}")
-            carried.append(f"  %s{j}_{u} = phi {whole} [ {name}, %each ], [ {following[j][u]}, %latch ]")
-            ended.append(f"  store {whole} {following[j][u]}, ptr {place}, align {align}")
+            loads.append(f"  {place} = getelementptr double, ptr %block, i64 {j * width + u * shape.lanes}")
+            loads.append(f"  {name} = load {vector_type}, ptr {place}, align {align}")
+            phis.append(f"  %s{j}_{u} = phi {vector_type} [ {name}, %each ], [ {next_values[j][u]}, %latch ]")
+            stores.append(f"  store {vector_type} {next_values[j][u]}, ptr {place}, align {align}")
     return [
         # Otherwise the stack may not be aligned for vectors, which makes the code up to 20 % slower.
         f"define void @{ENTRY}(ptr noalias %blocks, i64 %begin, i64 %end, "
@@ -414,20 +414,20 @@ def _function(code: Code, following: list[list[str]]) -> list[str]:
         f"  %size = mul i64 %count, {kept * width}",
         "  %before = mul i64 %b, %size",
         "  %mine = getelementptr double, ptr %kept, i64 %before",
-        *begun,
+        *loads,
         *code.lines["block"],
         "  br label %loop",
         "loop:",
         "  %j = phi i64 [ 0, %each ], [ %j1, %latch ]",
         "  %due = phi i64 [ 0, %each ], [ %due2, %latch ]",
-        *carried,
+        *phis,
         "  %k = add i64 %j, %start",
         f"  %row = mul i64 %j, {loop.columns}",
         "  %at = getelementptr double, ptr %samples, i64 %row",
         f"  %line = mul i64 %j, {kept * width}",
         "  %keep = getelementptr double, ptr %mine, i64 %line",
         *code.lines["sample"],
-        *_counting(code),
+        *_count_loop(code),
         "latch:",
         "  %j1 = add i64 %j, 1",
         "  %due1 = add i64 %due, 1",
@@ -436,7 +436,7 @@ def _function(code: Code, following: list[list[str]]) -> list[str]:
         "  %again = icmp slt i64 %j1, %count",
         "  br i1 %again, label %loop, label %after",
         "after:",
-        *ended,
+        *stores,
         "  %b1 = add i64 %b, 1",
         "  %more = icmp slt i64 %b1, %end",
         "  br i1 %more, label %each, label %done",
@@ -446,10 +446,10 @@ def _function(code: Code, following: list[list[str]]) -> list[str]:
     ]
 
 
-def _counting(code: Code) -> list[str]:
+def _count_loop(code: Code) -> list[str]:
     """Return the loop that counts sizes, one robot after the other."""
-    counted, width = len(code.loop.counted), code.shape.width
-    if not counted:
+    count, width = len(code.loop.counted), code.shape.width
+    if not count:
         return ["  br label %latch"]
     lines = [
         "  %now = icmp eq i64 %due, 0",
@@ -461,12 +461,12 @@ def _counting(code: Code) -> list[str]:
         f"  %few = icmp slt i64 %left, {width}",
         f"  %lanes = select i1 %few, i64 %left, i64 {width}",
         "  %time = udiv i64 %j, %every",
-        f"  %table = mul i64 %time, {counted * BINS}",
+        f"  %table = mul i64 %time, {count * BINS}",
         "  br label %robot",
         "robot:",
         "  %lane = phi i64 [ 0, %bins ], [ %lane1, %robot ]",
     ]
-    for j in range(counted):
+    for j in range(count):
         lines += [
             f"  %ca{j} = add i64 %lane, {j * width}",
             f"  %cb{j} = getelementptr i64, ptr %places, i64 %ca{j}",

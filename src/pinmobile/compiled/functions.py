@@ -9,26 +9,26 @@ from typing import Any
 
 import numpy as np
 
-from pinmobile.compiled.elementary import ELEMENTARY, of_floats
+from pinmobile.compiled.elementary import ELEMENTARY, on_floats
 from pinmobile.compiled.symbolic import (
     FUNCTIONS,
-    REFUSED,
+    REFUSALS,
     Operand,
     Symbols,
     Values,
     as_array,
-    between,
-    boxed,
+    box,
     choose,
+    clip,
     elementwise,
     entries,
     has_symbols,
     larger,
-    of_truths,
-    plain,
+    on_truths,
     put,
     smaller,
-    wrapped,
+    unwrap,
+    wrap,
 )
 from pinmobile.compiled.tape import Number, absolute, maximum, minimum, root, select
 from pinmobile.errors import NotTraceable
@@ -36,19 +36,19 @@ from pinmobile.errors import NotTraceable
 
 def _where(condition: Operand, *choice: Operand) -> Any:
     if not choice:
-        instead = "give three arguments: np.where(condition, a, b)"
-        raise NotTraceable("np.where with one argument of symbols", instead)
-    return wrapped(choose(*map(plain, (condition, *choice))))
+        remedy = "give three arguments: np.where(condition, a, b)"
+        raise NotTraceable("np.where with one argument of symbols", remedy)
+    return wrap(choose(*map(unwrap, (condition, *choice))))
 
 
-def _clip(a: object, a_min: object = None, a_max: object = None, out: object = None, **named: object) -> Any:
-    low, high = named.get("min", a_min), named.get("max", a_max)
+def _clip(a: object, a_min: object = None, a_max: object = None, out: object = None, **more: object) -> Any:
+    low, high = more.get("min", a_min), more.get("max", a_max)
     bounds = -np.inf if low is None else low, np.inf if high is None else high
-    found = wrapped(between(*map(plain, (a, *bounds))))
-    return found if out is None else put(found, out)
+    result = wrap(clip(*map(unwrap, (a, *bounds))))
+    return result if out is None else put(result, out)
 
 
-def _reduced(function: Callable[..., Any]) -> Callable[..., Any]:
+def _make_reduction(function: Callable[..., Any]) -> Callable[..., Any]:
     step = elementwise(function, 2)
 
     def run(
@@ -58,9 +58,9 @@ def _reduced(function: Callable[..., Any]) -> Callable[..., Any]:
         if "initial" in options:
             array = np.append(array.reshape(-1), [options["initial"]])
         if axis is None:
-            found = reduce(function, array.reshape(-1))
-            return wrapped(boxed(found).reshape((1,) * array.ndim if keepdims else ()))
-        return wrapped(as_array(step.reduce(array, axis=axis, keepdims=keepdims)))
+            result = reduce(function, array.reshape(-1))
+            return wrap(box(result).reshape((1,) * array.ndim if keepdims else ()))
+        return wrap(as_array(step.reduce(array, axis=axis, keepdims=keepdims)))
 
     return run
 
@@ -76,7 +76,7 @@ def _norm(x: Symbols, ord: object = None, axis: int | None = None, keepdims: boo
     raise NotTraceable(f"np.linalg.norm with ord={ord!r}", "write it by sums, products, np.abs and np.max")
 
 
-def _eliminated(matrix: object, right: object) -> Any:
+def _solve(matrix: object, right: object) -> Any:
     """Return the solution of linear equations by elimination with row pivoting."""
     a, b = entries(matrix).copy(), entries(right).copy()
     if a.ndim != 2 or a.shape[0] != a.shape[1]:
@@ -96,7 +96,7 @@ def _eliminated(matrix: object, right: object) -> Any:
         for i in range(j + 1, n):
             rows[j, n:] = rows[j, n:] - rows[j, i] * rows[i, n:]
         rows[j, n:] = rows[j, n:] * (1.0 / rows[j, j])
-    return wrapped(rows[:, n] if vector else rows[:, n:])
+    return wrap(rows[:, n] if vector else rows[:, n:])
 
 
 def _cholesky(matrix: object, **_: object) -> Any:
@@ -108,21 +108,21 @@ def _cholesky(matrix: object, **_: object) -> Any:
         for i in range(j + 1, n):
             products = (x * y for x, y in zip(lower[i, :j], lower[j, :j], strict=True))
             lower[i, j] = (a[i, j] - sum(products, 0.0)) / lower[j, j]
-    return wrapped(lower)
+    return wrap(lower)
 
 
 def _determinant(matrix: object) -> Any:
     a = entries(matrix)
     if len(a) == 1:
-        return wrapped(boxed(a[0, 0]))
+        return wrap(box(a[0, 0]))
     minors = (
-        (-1.0) ** j * (a[0, j] * plain(_determinant(wrapped(np.delete(a[1:], j, axis=1)))).item())
+        (-1.0) ** j * (a[0, j] * unwrap(_determinant(wrap(np.delete(a[1:], j, axis=1)))).item())
         for j in range(len(a))
     )
-    return wrapped(boxed(sum(minors, 0.0)))
+    return wrap(box(sum(minors, 0.0)))
 
 
-def _interpolated(
+def _interpolate(
     x: object, xp: object, fp: object, left: object = None, right: object = None, period: object = None
 ) -> Any:
     if period is not None:
@@ -130,52 +130,52 @@ def _interpolated(
     places, values = entries(xp), entries(fp)
     slopes = [(values[i + 1] - values[i]) / (places[i + 1] - places[i]) for i in range(len(places) - 1)]
 
-    def one(at: Number) -> Any:
-        found = values[-1] if right is None else right
-        found = select(at == places[-1], values[-1], found)
+    def interpolate(x: Number) -> Any:
+        result = values[-1] if right is None else right
+        result = select(x == places[-1], values[-1], result)
         for i in reversed(range(len(slopes))):
-            found = select(at < places[i + 1], values[i] + slopes[i] * (at - places[i]), found)
-        found = select(at < places[0], values[0] if left is None else left, found)
-        return select(at == at, found, at)
+            result = select(x < places[i + 1], values[i] + slopes[i] * (x - places[i]), result)
+        result = select(x < places[0], values[0] if left is None else left, result)
+        return select(x == x, result, x)
 
-    return wrapped(as_array(elementwise(one, 1)(plain(x))))
-
-
-_ORDERED = elementwise(minimum, 2), elementwise(maximum, 2)
+    return wrap(as_array(elementwise(interpolate, 1)(unwrap(x))))
 
 
-def _sorted(a: object, axis: int | None = -1, **_: object) -> Any:
+_ORDERS = elementwise(minimum, 2), elementwise(maximum, 2)
+
+
+def _sort(a: object, axis: int | None = -1, **_: object) -> Any:
     """Return the entries in order, by exchanges of neighbours."""
     array = entries(a).copy()
     rows = array.reshape(-1) if axis is None else np.moveaxis(array, axis, 0)
     for end in range(len(rows) - 1, 0, -1):
         for i in range(end):
-            rows[i], rows[i + 1] = [order(rows[i], rows[i + 1]) for order in _ORDERED]
-    return wrapped(np.moveaxis(rows, 0, axis or 0))
+            rows[i], rows[i + 1] = [order(rows[i], rows[i + 1]) for order in _ORDERS]
+    return wrap(np.moveaxis(rows, 0, axis or 0))
 
 
-def _selected(conditions: Iterable[Operand], choices: Iterable[Operand], default: Operand = 0) -> Any:
+def _select(conditions: Iterable[Operand], choices: Iterable[Operand], default: Operand = 0) -> Any:
     pairs = zip(conditions, choices, strict=True)
     return reduce(lambda rest, pair: _where(pair[0], pair[1], rest), reversed(list(pairs)), default)
 
 
-def _filled(value: float) -> Callable[..., Any]:
+def _make_constant(value: float) -> Callable[..., Any]:
     def run(a: Operand, *_: object, shape: int | tuple[int, ...] | None = None, **__: object) -> Any:
-        return wrapped(np.full(np.shape(a) if shape is None else shape, value).astype(object))
+        return wrap(np.full(np.shape(a) if shape is None else shape, value).astype(object))
 
     return run
 
 
 def _full_like(a: Operand, value: object, *_: object, **__: object) -> Any:
-    return wrapped(np.array(np.broadcast_to(entries(value), np.shape(a)), object))
+    return wrap(np.array(np.broadcast_to(entries(value), np.shape(a)), object))
 
 
-def _masked(function: Callable[..., Any], neutral: float) -> Callable[..., Any]:
+def _make_masked(function: Callable[..., Any], neutral: float) -> Callable[..., Any]:
     """Return a sum or product that skips masked entries."""
 
     def run(a: Operand, *given: object, where: Operand = True, **options: object) -> Any:
         masked = a if where is True else _where(where, a, neutral)
-        return wrapped(function(plain(masked), *given, **options))
+        return wrap(function(unwrap(masked), *given, **options))
 
     return run
 
@@ -184,7 +184,7 @@ def _round(a: Symbols, decimals: int = 0, **_: object) -> Any:
     return np.rint(a * 10.0**decimals) / 10.0**decimals if decimals else np.rint(a)
 
 
-def _numbered(
+def _replace_nan(
     x: Symbols, nan: float = 0.0, posinf: float | None = None, neginf: float | None = None, **_: object
 ) -> Any:
     top = np.finfo(float).max
@@ -192,46 +192,46 @@ def _numbered(
     return np.where(x != x, nan, np.where(x == np.inf, high, np.where(x == -np.inf, low, x)))
 
 
-def _spread(a: Symbols, axis: int | None = None, ddof: float = 0, **_: object) -> Any:
+def _variance(a: Symbols, axis: int | None = None, ddof: float = 0, **_: object) -> Any:
     centred = a - np.mean(a, axis=axis, keepdims=True)
     count = np.size(a) if axis is None else np.shape(a)[axis]
     return np.sum(np.square(centred), axis=axis) / (count - ddof)
 
 
-def _near(a: Values, b: Values, rtol: float = 1e-5, atol: float = 1e-8, **_: object) -> Any:
+def _is_close(a: Values, b: Values, rtol: float = 1e-5, atol: float = 1e-8, **_: object) -> Any:
     return np.abs(a - b) <= atol + rtol * np.abs(b)
 
 
-_OWN: dict[Any, Callable[..., Any]] = {
+_FUNCTIONS: dict[Any, Callable[..., Any]] = {
     np.where: _where,
     np.clip: _clip,
-    **dict.fromkeys((np.max, np.amax), _reduced(larger)),
-    **dict.fromkeys((np.min, np.amin), _reduced(smaller)),
+    **dict.fromkeys((np.max, np.amax), _make_reduction(larger)),
+    **dict.fromkeys((np.min, np.amin), _make_reduction(smaller)),
     np.ptp: lambda a, axis=None, **_: np.max(a, axis=axis) - np.min(a, axis=axis),
-    np.sum: _masked(np.sum, 0.0),
-    np.prod: _masked(np.prod, 1.0),
-    np.any: _reduced(of_truths(operator.or_)),
-    np.all: _reduced(of_truths(operator.and_)),
+    np.sum: _make_masked(np.sum, 0.0),
+    np.prod: _make_masked(np.prod, 1.0),
+    np.any: _make_reduction(on_truths(operator.or_)),
+    np.all: _make_reduction(on_truths(operator.and_)),
     np.count_nonzero: lambda a, axis=None, **_: np.sum((a != 0).astype(float), axis=axis),
-    np.select: _selected,
+    np.select: _select,
     **dict.fromkeys((np.round, np.around), _round),
-    np.nan_to_num: _numbered,
-    np.var: _spread,
-    np.std: lambda a, axis=None, ddof=0, **_: np.sqrt(_spread(a, axis, ddof)),
-    np.isclose: _near,
-    np.allclose: lambda a, b, **options: np.all(_near(a, b, **options)),
+    np.nan_to_num: _replace_nan,
+    np.var: _variance,
+    np.std: lambda a, axis=None, ddof=0, **_: np.sqrt(_variance(a, axis, ddof)),
+    np.isclose: _is_close,
+    np.allclose: lambda a, b, **options: np.all(_is_close(a, b, **options)),
     np.array_equal: lambda a, b, **_: np.all(a == b),
     np.sinc: lambda x: np.where(x == 0, 1.0, np.sin(np.pi * x) / np.where(x == 0, 1.0, np.pi * x)),
-    np.interp: _interpolated,
-    np.sort: _sorted,
-    np.median: lambda a, **_: _middle(_sorted(a, axis=None)),
-    np.unwrap: lambda p, **_: _unwrapped(p),
-    **dict.fromkeys((np.zeros_like, np.empty_like), _filled(0.0)),
-    np.ones_like: _filled(1.0),
+    np.interp: _interpolate,
+    np.sort: _sort,
+    np.median: lambda a, **_: _median(_sort(a, axis=None)),
+    np.unwrap: lambda p, **_: _unwrap(p),
+    **dict.fromkeys((np.zeros_like, np.empty_like), _make_constant(0.0)),
+    np.ones_like: _make_constant(1.0),
     np.full_like: _full_like,
     np.copyto: lambda d, s, casting="same_kind", where=True: d.__setitem__(..., _where(where, s, d)),
-    np.linalg.solve: _eliminated,
-    np.linalg.inv: lambda a: _eliminated(a, np.eye(len(a))),
+    np.linalg.solve: _solve,
+    np.linalg.inv: lambda a: _solve(a, np.eye(len(a))),
     np.linalg.det: _determinant,
     np.linalg.cholesky: _cholesky,
     np.linalg.norm: _norm,
@@ -244,12 +244,12 @@ _OWN: dict[Any, Callable[..., Any]] = {
 }
 
 
-def _middle(ordered: Symbols) -> Any:
+def _median(ordered: Symbols) -> Any:
     half = ordered.size // 2
     return ordered[half] if ordered.size % 2 else 0.5 * (ordered[half - 1] + ordered[half])
 
 
-def _unwrapped(p: Symbols) -> Any:
+def _unwrap(p: Symbols) -> Any:
     turns = np.cumsum(-2 * np.pi * np.rint(np.diff(p) / (2 * np.pi)))
     return np.concatenate([p[:1], p[1:] + turns])
 
@@ -259,72 +259,72 @@ def _pseudo_inverse(a: Symbols) -> Any:
     return np.linalg.inv(a.T @ a) @ a.T if rows >= columns else a.T @ np.linalg.inv(a @ a.T)
 
 
-_LOOPS = "it branches on its values: write it by np.where, or run the law with engine=Engine.PYTHON"
+_BRANCHES = "it branches on its values: write it by np.where, or run the law with engine=Engine.PYTHON"
 
 
 _EIGEN = (np.linalg.eig, np.linalg.eigh, np.linalg.eigvals, np.linalg.eigvalsh)
-_PLACES = (np.nonzero, np.argwhere, np.flatnonzero, np.extract)
-_NOT_TRACED: dict[Any, str] = {
+_SEARCHES = (np.nonzero, np.argwhere, np.flatnonzero, np.extract)
+_REFUSALS: dict[Any, str] = {
     np.argmax: "use np.max, or np.where over the candidates",
     np.argmin: "use np.min, or np.where over the candidates",
     np.argsort: "use np.sort, or np.where over the candidates",
-    **dict.fromkeys(_PLACES, "use np.where with three arguments"),
+    **dict.fromkeys(_SEARCHES, "use np.where with three arguments"),
     **dict.fromkeys((np.searchsorted, np.digitize), "use np.interp, or a sum of comparisons"),
-    **dict.fromkeys((*_EIGEN, np.unique, np.linalg.svd, np.linalg.qr), _LOOPS),
+    **dict.fromkeys((*_EIGEN, np.unique, np.linalg.svd, np.linalg.qr), _BRANCHES),
     np.linalg.lstsq: "use np.linalg.solve of the normal equations, or np.linalg.pinv",
 }
 
 
-def _making(true: Callable[..., Any], copies: bool) -> Callable[..., Any]:
+def _make_array(original: Callable[..., Any], copies: bool) -> Callable[..., Any]:
     def run(x: object, *given: Any, **options: Any) -> Any:
         if not has_symbols(x):
-            return true(x, *given, **options)
+            return original(x, *given, **options)
         if isinstance(x, Symbols) and not copies:
             return x
         try:
-            found = Symbols(np.array(entries(x), object))
+            result = Symbols(np.array(entries(x), object))
         except ValueError:
-            return true(x, *given, **options)  # NumPy raises an error about ragged lists
+            return original(x, *given, **options)  # NumPy raises an error about ragged lists
         dtype = given[0] if given else options.get("dtype")
-        return found if dtype is None else found.astype(dtype)
+        return result if dtype is None else result.astype(dtype)
 
     return run
 
 
-def _filling(true: Callable[..., Any]) -> Callable[..., Any]:
+def _make_fill(original: Callable[..., Any]) -> Callable[..., Any]:
     def run(*given: Any, **options: Any) -> Any:
-        if true is np.full and has_symbols(given):
-            return wrapped(np.broadcast_to(entries(given[1]), given[0]).copy())
-        found = true(*given, **options)
+        if original is np.full and has_symbols(given):
+            return wrap(np.broadcast_to(entries(given[1]), given[0]).copy())
+        result = original(*given, **options)
         # Symbols, so that a law can write symbols into the array.
-        is_float = isinstance(found, np.ndarray) and found.dtype == float
-        return Symbols(found.astype(object)) if is_float else found
+        is_float = isinstance(result, np.ndarray) and result.dtype == float
+        return Symbols(result.astype(object)) if is_float else result
 
     return run
 
 
-def _own(function: Callable[..., Any]) -> Callable[..., Any]:
+def _elementary(function: Callable[..., Any]) -> Callable[..., Any]:
     """Return a function of numbers with the bits of compiled code; NumPy handles symbols."""
-    true, floats = getattr(np, function.__name__), of_floats(function)
+    original, floats = getattr(np, function.__name__), on_floats(function)
 
     def run(*given: Any, **options: Any) -> Any:
         if options or any(has_symbols(x) for x in given):
-            return true(*given, **options)
+            return original(*given, **options)
         return floats(*given)
 
     return run
 
 
-_MADE = ("zeros", "empty", "ones", "full", "eye", "identity", "zeros_like", "empty_like", "ones_like")
+_FILLS = ("zeros", "empty", "ones", "full", "eye", "identity", "zeros_like", "empty_like", "ones_like")
 
 
 def constructors() -> dict[str, Callable[..., Any]]:
     """Return the functions that replace NumPy functions of the same names while a law is traced."""
     names = "array", "asarray", "asanyarray", "ascontiguousarray"
-    making = {name: _making(getattr(np, name), name == "array") for name in names}
-    filling = {name: _filling(getattr(np, name)) for name in _MADE}
-    return making | filling | {function.__name__: _own(function) for function in ELEMENTARY}
+    arrays = {name: _make_array(getattr(np, name), name == "array") for name in names}
+    fills = {name: _make_fill(getattr(np, name)) for name in _FILLS}
+    return arrays | fills | {function.__name__: _elementary(function) for function in ELEMENTARY}
 
 
-FUNCTIONS.update(_OWN)
-REFUSED.update(_NOT_TRACED)
+FUNCTIONS.update(_FUNCTIONS)
+REFUSALS.update(_REFUSALS)

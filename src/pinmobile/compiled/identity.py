@@ -36,16 +36,16 @@ from pinmobile.compiled._tracing import is_foreign, names_of
 from pinmobile.compiled.memory import DelayLine, Noise, Schedule, is_leaf
 from pinmobile.parts import Child, Field, Number, entries_of, fields_of, is_part
 
-_BEGAN = time.time()
-_DEEPEST = 60
+_START = time.time()
+_MAX_DEPTH = 60
 _ATOMS = (bool, int, float, complex, str, bytes, type(None), type(...), range)
 _constant: weakref.WeakKeyDictionary[Any, Hashable] = weakref.WeakKeyDictionary()
 _constant_values: weakref.WeakKeyDictionary[Any, Hashable] = weakref.WeakKeyDictionary()
-_MADE = {  # methods that attrs and dataclasses generate, and that no law calls
+_GENERATED = {  # methods that attrs and dataclasses generate, and that no law calls
     *("__init__", "__repr__", "__eq__", "__hash__", "__setattr__", "__delattr__", "__replace__"),
     *("__getstate__", "__setstate__", "__reduce__", "__copy__", "__attrs_post_init__"),
 }
-_UNTRACED = ("trajectory", "start", "start_rate")  # fields of a loop without effect on its samples
+_EXEMPT_FIELDS = ("trajectory", "start", "start_rate")  # fields of a loop without effect on its samples
 
 
 def is_constant(part: Any) -> bool:
@@ -60,7 +60,7 @@ def is_constant(part: Any) -> bool:
 
 def is_traced(path: str) -> bool:
     """Return whether a number of a loop is a symbol of its law; numbers of trajectory and start are not."""
-    return path.partition(".")[0] not in _UNTRACED
+    return path.partition(".")[0] not in _EXEMPT_FIELDS
 
 
 class Identity:
@@ -85,12 +85,12 @@ class Identity:
         self.namespaces: dict[int, dict[str, Any]] = {}
         self.cells: list[CellType] = []
         self.key: tuple[Any, ...] = ()
-        self._seen: dict[int, tuple[int, Any]] = {}
-        self._changing = 0  # number of values that may change
+        self._objects: dict[int, tuple[int, Any]] = {}
+        self._changeable = 0  # number of values that may change
         self._by_value = False  # whether numbers of a part outside the loop are constants
 
     @classmethod
-    def of(cls, loop: Any, memory: Sequence[Any], spread: Mapping[str, Any], others: Hashable) -> Self:
+    def of(cls, loop: Any, memory: Sequence[Any], spread: Mapping[str, Any], options: Hashable) -> Self:
         """Return the identity of a loop.
 
         Parameters
@@ -101,15 +101,15 @@ class Identity:
             Memory of its parts before the first sample.
         spread : mapping of str to array of bool
             Paths of the numbers that differ from robot to robot, with masks of the entries that differ.
-        others : hashable
+        options : hashable
             Other data that determine the program.
         """
-        own = cls()
-        parts = tuple(own._field(*each) for each in fields_of(loop) if is_traced(each[0]))
+        identity = cls()
+        parts = tuple(identity._field(*row) for row in fields_of(loop) if is_traced(row[0]))
         differs = tuple((path, varies.shape, varies.tobytes()) for path, varies in spread.items())
-        kept = tuple(map(own._memory, memory))
-        own.key = parts, differs, kept, others
-        return own
+        memories = tuple(map(identity._memory, memory))
+        identity.key = parts, differs, memories, options
+        return identity
 
     def visit(self, function: Any) -> Self:
         """Add the code of a function."""
@@ -119,15 +119,15 @@ class Identity:
     @property
     def kept(self) -> list[Any]:
         """Objects whose ids are in the key; keeping them reserves their ids."""
-        return [value for _, value in self._seen.values()]
+        return [value for _, value in self._objects.values()]
 
-    def _field(self, name: str, declared: Field, value: Any) -> Hashable:
+    def _field(self, name: str, field: Field, value: Any) -> Hashable:
         """Return a field of a part; for a number that may differ, its shape and its neutral entries."""
-        if isinstance(declared, Number) and not (declared.fixed or self._by_value or value is None):
-            return name, np.shape(value), (np.asarray(value) != declared.neutral).tobytes()
-        if isinstance(declared, Child) and declared.many:
-            return name, tuple((key, self._part(each)) for key, each in entries_of(value))
-        return name, (self._part if isinstance(declared, Child) else self._value)(value)
+        if isinstance(field, Number) and not (field.fixed or self._by_value or value is None):
+            return name, np.shape(value), (np.asarray(value) != field.neutral).tobytes()
+        if isinstance(field, Child) and field.many:
+            return name, tuple((key, self._part(item)) for key, item in entries_of(value))
+        return name, (self._part if isinstance(field, Child) else self._value)(value)
 
     def _part(self, part: Any) -> Hashable:
         """Return a part; the result for an immutable part is kept."""
@@ -135,24 +135,24 @@ class Identity:
             return self._value(part)
         cache = _constant_values if self._by_value else _constant
         try:
-            known: Hashable = cache.get(part)
+            value: Hashable = cache.get(part)
         except TypeError:
-            known = None
-        if known is not None:
-            return known
-        before = self._changing, self.is_lasting
-        found = self._class(type(part)), tuple(self._field(*each) for each in fields_of(part))
-        if before == (self._changing, True) and self.is_lasting:
+            value = None
+        if value is not None:
+            return value
+        state = self._changeable, self.is_lasting
+        key = self._class(type(part)), tuple(self._field(*row) for row in fields_of(part))
+        if state == (self._changeable, True) and self.is_lasting:
             with contextlib.suppress(TypeError):  # no weak references
-                cache[part] = found
-        return found
+                cache[part] = key
+        return key
 
-    def _whole_part(self, part: Any) -> Hashable:
+    def _part_value(self, part: Any) -> Hashable:
         """Return a part that code refers to, with its numbers."""
-        before, self._by_value = self._by_value, True
-        found = self._part(part)
-        self._by_value = before
-        return found
+        by_value, self._by_value = self._by_value, True
+        key = self._part(part)
+        self._by_value = by_value
+        return key
 
     def _memory(self, tree: Any) -> Hashable:
         """Return the structure of a memory."""
@@ -179,7 +179,7 @@ class Identity:
         if isinstance(x, _ATOMS):
             return type(x).__name__, x if x == x else "nan"
         if isinstance(x, np.ndarray) and x.dtype != object:
-            self._changing += x.flags.writeable
+            self._changeable += x.flags.writeable
             return "array", x.shape, x.dtype.str, x.tobytes()
         if isinstance(x, np.generic):
             return "number", x.dtype.str, x.tobytes()
@@ -196,7 +196,7 @@ class Identity:
         if isinstance(x, tuple):
             return type(x).__qualname__, tuple(map(self._value, x))
         if is_part(x):
-            return self._whole_part(x)
+            return self._part_value(x)
         if isinstance(x, PurePath | np.dtype | GenericAlias):
             return "text", repr(x)
         if hasattr(type(x), "geometryObjects"):  # shapes, whose text takes seconds; no law uses their points
@@ -205,31 +205,31 @@ class Identity:
             return "model", x.saveToString()
         if isinstance(x, slice):
             return "slice", *map(self._value, (x.start, x.stop, x.step))
-        if id(x) in self._seen:
-            return "seen", self._again(x)
-        self._seen[id(x)] = len(self._seen), x
+        if id(x) in self._objects:
+            return "seen", self._object_index(x)
+        self._objects[id(x)] = len(self._objects), x
         if isinstance(x, list | deque):
-            self._changing += 1
+            self._changeable += 1
             return type(x).__qualname__, tuple(map(self._value, x))
         if isinstance(x, Mapping):
-            self._changing += 1
+            self._changeable += 1
             return "mapping", tuple((self._value(key), self._value(value)) for key, value in x.items())
         if isinstance(x, set | frozenset):
-            self._changing += isinstance(x, set)
+            self._changeable += isinstance(x, set)
             return "set", frozenset(map(self._value, x))
         if isinstance(x, MethodType):
             return "method", self._value(x.__func__), self._value(x.__self__)
         if isinstance(x, functools.partial):
             return "partial", self._value((x.func, x.args, x.keywords))
         if isinstance(x, BuiltinFunctionType):
-            of = getattr(x, "__self__", None)  # Pinocchio's functions have none
-            return "builtin", x.__name__, None if isinstance(of, ModuleType | type(None)) else self._value(of)
+            obj = getattr(x, "__self__", None)  # Pinocchio's functions have none
+            return "builtin", x.__name__, None if isinstance(obj, ModuleType | None) else self._value(obj)
         return self._object(x)
 
-    def _again(self, x: Any) -> int:
+    def _object_index(self, x: Any) -> int:
         """Return the index of a value that occurs again in this loop."""
-        self._changing += 1
-        return self._seen[id(x)][0]
+        self._changeable += 1
+        return self._objects[id(x)][0]
 
     def _object(self, x: Any) -> Hashable:
         kind = type(x)
@@ -238,14 +238,14 @@ class Identity:
             return kind.__name__, self._value(inner)
         if isinstance(x, MemberDescriptorType):  # descriptor of a slot
             return "slot", x.__name__
-        self._changing += 1
-        own = getattr(x, "__dict__", None)
+        self._changeable += 1
+        state = getattr(x, "__dict__", None)
         if isinstance(x, SimpleNamespace) or not is_foreign(kind.__module__):
             slots = {name: getattr(x, name) for name in _slots(kind) if hasattr(x, name)}  # type: ignore[arg-type]
-            if slots or isinstance(own, dict):
-                made = {name for name in own or () if _is_cached(kind, name)}
-                held = slots | {name: value for name, value in (own or {}).items() if name not in made}
-                return self._class(kind), tuple((name, self._value(value)) for name, value in held.items())
+            if slots or isinstance(state, dict):
+                cached = {name for name in state or () if _is_cached(kind, name)}
+                items = slots | {name: value for name, value in (state or {}).items() if name not in cached}
+                return self._class(kind), tuple((name, self._value(value)) for name, value in items.items())
         self.is_lasting = False
         return "object", id(x)
 
@@ -254,17 +254,17 @@ class Identity:
         name = kind.__module__, kind.__qualname__
         if _is_library(kind.__module__) or is_foreign(kind.__module__):
             return name
-        if id(kind) in self._seen:
-            return (*name, self._again(kind))
-        self._seen[id(kind)] = len(self._seen), kind
+        if id(kind) in self._objects:
+            return (*name, self._object_index(kind))
+        self._objects[id(kind)] = len(self._objects), kind
         self.is_ours = False
-        self._changing += 1
-        own = [
+        self._changeable += 1
+        members = [
             (key, self._value(value))
             for key, value in vars(kind).items()
-            if not key.startswith("__") or (isinstance(value, FunctionType) and key not in _MADE)
+            if not key.startswith("__") or (isinstance(value, FunctionType) and key not in _GENERATED)
         ]
-        return (*name, tuple(own), tuple(map(self._class, kind.__bases__)))
+        return (*name, tuple(members), tuple(map(self._class, kind.__bases__)))
 
     def _function(self, function: FunctionType) -> Hashable:
         """Return a function: its name, and for a user's function its code too."""
@@ -273,24 +273,24 @@ class Identity:
         library = _is_library(module)
         if (library or is_foreign(module)) and not function.__closure__ and function.__name__ != "<lambda>":
             return name
-        if id(function) in self._seen:
-            return (*name, self._again(function))
-        self._seen[id(function)] = len(self._seen), function
-        self._changing += 1
+        if id(function) in self._objects:
+            return (*name, self._object_index(function))
+        self._objects[id(function)] = len(self._objects), function
+        self._changeable += 1
         code = function.__code__
-        found: list[Any] = [code, self._value(function.__defaults__), self._value(function.__kwdefaults__)]
+        items: list[Any] = [code, self._value(function.__defaults__), self._value(function.__kwdefaults__)]
         for cell in function.__closure__ or ():
             self.cells.append(cell)
             try:
-                found.append(self._value(cell.cell_contents))
+                items.append(self._value(cell.cell_contents))
             except ValueError:
-                found.append("not set")
-        found += [(key, self._value(value)) for key, value in vars(function).items()]
+                items.append("not set")
+        items += [(key, self._value(value)) for key, value in vars(function).items()]
         if not library and not is_foreign(module):
             self.is_ours = False
             self.namespaces[id(function.__globals__)] = function.__globals__
-            found += self._names(code, function.__globals__)
-        return (*name, *found)
+            items += self._names(code, function.__globals__)
+        return (*name, *items)
 
     def _names(self, code: CodeType, space: Mapping[str, Any]) -> Iterator[Hashable]:
         """Yield the values of names of code in a namespace, and in a user's modules there."""
@@ -298,9 +298,9 @@ class Identity:
             value = space[name]
             yield name, self._value(value)
             if isinstance(value, ModuleType) and not (
-                is_foreign(value.__name__) or _is_library(value.__name__) or id(value) in self._seen
+                is_foreign(value.__name__) or _is_library(value.__name__) or id(value) in self._objects
             ):
-                self._seen[id(value)] = len(self._seen), value
+                self._objects[id(value)] = len(self._objects), value
                 yield from self._names(code, vars(value))
 
     @property
@@ -327,22 +327,22 @@ class Contents(Identity):
     @classmethod
     def of_value(cls, value: Any) -> tuple[str, str]:
         """Return a value as text, and its unknown contents."""
-        own = cls()
-        return _text(own._value(value)), own.unknown
+        contents = cls()
+        return _text(contents._value(value)), contents.unknown
 
     def _part(self, part: Any) -> Hashable:
         return self._class(type(part)), tuple((name, self._value(x)) for name, _, x in fields_of(part))
 
     def _object(self, x: Any) -> Hashable:
-        named = getattr(x, "__qualname__", None)
-        if named and is_foreign(getattr(x, "__module__", None) or ""):
-            return "compiled", x.__module__, named
-        found = super()._object(x)
-        if found != ("object", id(x)):
-            return found
+        name = getattr(x, "__qualname__", None)
+        if name and is_foreign(getattr(x, "__module__", None) or ""):
+            return "compiled", x.__module__, name
+        key = super()._object(x)
+        if key != ("object", id(x)):
+            return key
         with contextlib.suppress(TypeError):  # the object cannot be copied
             return "copied", self._value(x.__reduce_ex__(4))
-        self.unknown = self.unknown or named or f"a {type(x).__name__}"
+        self.unknown = self.unknown or name or f"a {type(x).__name__}"
         return "unknown", type(x).__qualname__
 
 
@@ -363,8 +363,8 @@ def _is_library(module: str) -> bool:
 @functools.cache
 def _slots(kind: Any) -> tuple[str, ...]:
     """Return the names of attributes that objects of a class keep in slots."""
-    found = (vars(each).get("__slots__", ()) for each in kind.__mro__)
-    names = {name for each in found for name in ((each,) if isinstance(each, str) else each)}
+    slots = (vars(x).get("__slots__", ()) for x in kind.__mro__)
+    names = {name for x in slots for name in ((x,) if isinstance(x, str) else x)}
     return tuple(sorted(names - {"__dict__", "__weakref__"}))
 
 
@@ -372,17 +372,17 @@ def _slots(kind: Any) -> tuple[str, ...]:
 def _source() -> str | None:
     """Return a text for the code of library, Python and NumPy; None if a file has just changed."""
     files = [(file, file.stat()) for file in sorted(Path(__file__).parents[1].rglob("*.py"))]
-    if any(stat.st_mtime > _BEGAN for _, stat in files):
+    if any(stat.st_mtime > _START for _, stat in files):
         return None  # the file may differ from the loaded module
-    found = [(str(file), stat.st_size, stat.st_mtime_ns) for file, stat in files]
-    return repr((found, sys.version, np.__version__))
+    stats = [(str(file), stat.st_size, stat.st_mtime_ns) for file, stat in files]
+    return repr((stats, sys.version, np.__version__))
 
 
 def _text(x: Any) -> str:
     """Return a key as text, the same in all processes."""
     if isinstance(x, CodeType):
-        own = x.co_code, x.co_names, x.co_varnames, x.co_freevars, x.co_cellvars, x.co_flags, x.co_argcount
-        return f"{own} {_text(x.co_consts)}"
+        code = x.co_code, x.co_names, x.co_varnames, x.co_freevars, x.co_cellvars, x.co_flags, x.co_argcount
+        return f"{code} {_text(x.co_consts)}"
     if isinstance(x, tuple):
         return f"({','.join(map(_text, x))})"
     return f"{{{sorted(map(_text, x))}}}" if isinstance(x, frozenset) else repr(x)

@@ -57,25 +57,25 @@ def leaves(tree: object, path: str = "state") -> list[tuple[str, Any]]:
     return [leaf for name, value in _children(tree) or () for leaf in leaves(value, path + name)]
 
 
-def mapped(tree: Any, function: Callable[[Any], Any]) -> Any:
+def map_leaves(tree: Any, function: Callable[[Any], Any]) -> Any:
     """Return the tree after applying a function to its numbers and arrays."""
     if is_leaf(tree):
         return function(tree)
     if isinstance(tree, dict):
-        return {key: mapped(value, function) for key, value in tree.items()}
+        return {key: map_leaves(value, function) for key, value in tree.items()}
     if isinstance(tree, tuple) and hasattr(tree, "_fields"):
-        return type(tree)(*(mapped(value, function) for value in tree))
+        return type(tree)(*(map_leaves(value, function) for value in tree))
     if type(tree) in (list, tuple):
-        return type(tree)(mapped(value, function) for value in tree)
+        return type(tree)(map_leaves(value, function) for value in tree)
     if _children(tree) is None:
         return tree
     new = copy.copy(tree)
     for field in dataclasses.fields(tree):
-        object.__setattr__(new, field.name, mapped(getattr(tree, field.name), function))
+        object.__setattr__(new, field.name, map_leaves(getattr(tree, field.name), function))
     return new
 
 
-def matched(before: object, after: object, path: str = "state") -> Iterator[tuple[str, Any, Any]]:
+def match_leaves(tree_a: object, tree_b: object, path: str = "state") -> Iterator[tuple[str, Any, Any]]:
     """Yield the numbers and arrays of two trees side by side.
 
     Raises
@@ -83,23 +83,23 @@ def matched(before: object, after: object, path: str = "state") -> Iterator[tupl
     NotTraceable
         If the trees differ in anything else.
     """
-    if is_leaf(before) and is_leaf(after):
-        yield path, before, after
+    if is_leaf(tree_a) and is_leaf(tree_b):
+        yield path, tree_a, tree_b
         return
-    old, new = _children(before), _children(after)
-    if old is None or new is None or is_leaf(before) or is_leaf(after):
-        if not _same(before, after):
-            raise NotTraceable(f"{path} was {_told(before)} and is {_told(after)} a sample later", _STATE)
+    old, new = _children(tree_a), _children(tree_b)
+    if old is None or new is None or is_leaf(tree_a) or is_leaf(tree_b):
+        if not _equal(tree_a, tree_b):
+            raise NotTraceable(f"{path} was {_words(tree_a)} and is {_words(tree_b)} a sample later", _STATE)
         return
     first, second = list(old), list(new)
     if [name for name, _ in first] != [name for name, _ in second]:
         names = (", ".join(name for name, _ in entries) or "nothing" for entries in (first, second))
         raise NotTraceable("{} has {} and a sample later {}".format(path, *names), _STATE)
     for (name, a), (_, b) in zip(first, second, strict=True):
-        yield from matched(a, b, path + name)
+        yield from match_leaves(a, b, path + name)
 
 
-def _same(a: object, b: object) -> bool:
+def _equal(a: object, b: object) -> bool:
     if a is b or (type(a) is type(b) and hasattr(a, "goes_on")):
         return True
     try:
@@ -108,7 +108,7 @@ def _same(a: object, b: object) -> bool:
         return False
 
 
-def _told(x: Any) -> str:
+def _words(x: Any) -> str:
     return f"an array of shape {np.shape(x)}" if is_leaf(x) else repr(x) if x is None else type(x).__name__
 
 
@@ -131,9 +131,9 @@ class DelayLine:
 
     def push(self, values: object) -> tuple[Any, DelayLine]:
         """Return the values of `samples` samples ago, a tree of arrays, and the delay for the next sample."""
-        kept = mapped(values, lambda x: np.array(x, np.float64))
-        past = (*self.past, kept)
-        return mapped(past[0], np.copy), DelayLine(
+        copies = map_leaves(values, lambda x: np.array(x, np.float64))
+        past = (*self.past, copies)
+        return map_leaves(past[0], np.copy), DelayLine(
             self.samples, past[-self.samples :] if self.samples else ()
         )
 
@@ -167,10 +167,10 @@ _BLOCK = 256  # samples
 _ONE = float_bits(1.0)
 _SIGN = 1 << 63
 _FRACTION = 2**52 - 1  # bits of the fraction of a float
-_FORTY, _TWENTY_TWO = _FRACTION - (2**12 - 1), 2**23 - 2  # masks of bits of a word
+_MASK_40, _MASK_22 = _FRACTION - (2**12 - 1), 2**23 - 2  # masks of bits of a word
 _ODD = float_bits(2.0**52) + 1
 _ROOT = float_bits(math.sqrt(0.5))
-_ABOVE_ROOT = 2**64 + (64 << 52) - _ROOT  # exponent of u / sqrt(1/2), plus 64, which makes it positive
+_ROOT_OFFSET = 2**64 + (64 << 52) - _ROOT  # exponent of u / sqrt(1/2), plus 64, which makes it positive
 
 # Series of -4 artanh(s), and of sine and cosine for an eighth of a turn, as short as the accuracy allows.
 _PER_OCTAVE = -1.3862943611198906  # -2 log 2
@@ -183,11 +183,11 @@ Word: TypeAlias = Node | np.uint64 | NDArray[np.uint64]
 """64 bits, known or not."""
 
 
-def _mixed(x: Word) -> Any:
+def _mix(x: Word) -> Any:
     """Return the SplitMix64 function of 64 bits."""
-    once = (x ^ (x >> 30)) * 0xBF58476D1CE4E5B9
-    twice = (once ^ (once >> 27)) * 0x94D049BB133111EB
-    return twice ^ (twice >> 31)
+    first = (x ^ (x >> 30)) * 0xBF58476D1CE4E5B9
+    second = (first ^ (first >> 27)) * 0x94D049BB133111EB
+    return second ^ (second >> 31)
 
 
 def normals(key: Word, k: Word, n: int) -> list[Any]:
@@ -208,30 +208,30 @@ def normals(key: Word, k: Word, n: int) -> list[Any]:
     numbers : list of n nodes or ndarrays
         Numbers, in pairs from 64 bits each.
     """
-    found = []
+    numbers = []
     pairs = (n + 1) // 2
     first = k * pairs
     for j in range(1, pairs + 1):
-        word = _mixed(key + (first + j) * _GOLDEN)
-        part = real(((word >> 11) & _FORTY) | _ONE)  # in [1, 2)
+        word = _mix(key + (first + j) * _GOLDEN)
+        part = real(((word >> 11) & _MASK_40) | _ONE)  # in [1, 2)
         radius = root(_minus_two_log(2.0 - part))
-        turned = real(bits(radius) | (word & _SIGN))  # half a turn
-        s, c = _sincos_of_an_eighth(real((word & _TWENTY_TWO) | _ODD) - (2.0**52 + 2.0**22))
-        mirrored = real((word & 1) | _ONE) > 1.0  # reflection at the line between both axes
-        found += [turned * select(mirrored, s, c), turned * select(mirrored, c, s)]
-    return found[:n]
+        signed = real(bits(radius) | (word & _SIGN))  # half a turn
+        s, c = _sincos_eighth(real((word & _MASK_22) | _ODD) - (2.0**52 + 2.0**22))
+        is_mirrored = real((word & 1) | _ONE) > 1.0  # reflection at the line between both axes
+        numbers += [signed * select(is_mirrored, s, c), signed * select(is_mirrored, c, s)]
+    return numbers[:n]
 
 
 def _minus_two_log(u: Number) -> Any:
     """Return -2 log u of a number in [2^-40, 1], with an error below 5e-11."""
-    word = bits(u) + _ABOVE_ROOT
+    word = bits(u) + _ROOT_OFFSET
     exponent = real((word >> 52) | float_bits(2.0**52)) - (2.0**52 + 64.0)
     fraction = real((word & _FRACTION) + _ROOT)  # in [sqrt(1/2), sqrt(2))
     s = (fraction - 1.0) / (fraction + 1.0)
     return exponent * _PER_OCTAVE + s * polynomial(_ARTANH, s * s)
 
 
-def _sincos_of_an_eighth(i: Number) -> tuple[Any, Any]:
+def _sincos_eighth(i: Number) -> tuple[Any, Any]:
     """Return sine and cosine of i pi / 2^24 for -2^22 < i < 2^22, an eighth of a turn to each side."""
     r = i * (math.pi / 2**24)
     z = r * r
@@ -256,7 +256,7 @@ def robot_keys(
     words = sequence.generate_state(2, np.uint64).tobytes() + name.encode()
     start = np.frombuffer(hashlib.sha256(words).digest()[:8], "<u8")
     with np.errstate(over="ignore"):
-        return np.asarray(_mixed(start + np.asarray(robots, np.uint64) * np.uint64(_GOLDEN)), np.uint64)
+        return np.asarray(_mix(start + np.asarray(robots, np.uint64) * np.uint64(_GOLDEN)), np.uint64)
 
 
 class Noise:
@@ -279,11 +279,11 @@ class Noise:
 
     def draw(self) -> tuple[Array, Noise]:
         """Return n numbers, shape (..., n) for keys of shape (...), and the noise for the next sample."""
-        after = Noise(self.key, self.n, self.k + 1)
+        next_noise = Noise(self.key, self.n, self.k + 1)
         if not np.ndim(self.key):
             block, row = divmod(int(self.k), _BLOCK)
-            return _block(int(self.key), self.n, block)[row].copy(), after
-        return _numbers(np.asarray(self.key, np.uint64), np.uint64(self.k), self.n), after
+            return _block(int(self.key), self.n, block)[row].copy(), next_noise
+        return _numbers(np.asarray(self.key, np.uint64), np.uint64(self.k), self.n), next_noise
 
 
 def _numbers(key: np.uint64 | NDArray[np.uint64], k: np.uint64 | NDArray[np.uint64], n: int) -> Array:

@@ -25,7 +25,7 @@ CODE, LOOP = ".o", ".loop"
 """Extensions of files: ``.o`` for machine code, ``.loop`` for loops."""
 
 _MAGIC = b"pinmobile object 2\n"
-_MOST = 512  # files of 5 to 200 kB
+_MAX_FILES = 512  # files of 5 to 200 kB
 
 
 class Cache:
@@ -41,9 +41,9 @@ class Cache:
     """
 
     def __init__(self, folder: str | os.PathLike[str] | None = None) -> None:
-        self.folder = _default() if folder is None else Path(folder) if os.fspath(folder) else None
+        self.folder = _default_folder() if folder is None else Path(folder) if os.fspath(folder) else None
         if self.folder is not None and _is_open_to_others(self.folder):
-            _warn_of(self.folder)
+            _warn_folder(self.folder)
             self.folder = None
 
     def read(self, key: str, kind: str = CODE) -> bytes | None:
@@ -54,10 +54,10 @@ class Cache:
             with self._file(key, kind).open("rb") as file:
                 if hasattr(os, "getuid") and os.fstat(file.fileno()).st_uid != os.getuid():
                     return None  # code that another user could write does not run
-                found = file.read()
+                content = file.read()
         except OSError:
             return None
-        head, code = found[: len(_MAGIC) + 32], found[len(_MAGIC) + 32 :]
+        head, code = content[: len(_MAGIC) + 32], content[len(_MAGIC) + 32 :]
         return code if head == _head(key, code, kind) else None
 
     def write(self, key: str, code: bytes, kind: str = CODE) -> None:
@@ -85,8 +85,8 @@ class Cache:
         """Remove the oldest files if there are too many."""
         assert self.folder is not None
         files = [entry for entry in os.scandir(self.folder) if entry.name.endswith((CODE, LOOP, ".part"))]
-        if len(files) >= _MOST:
-            for entry in sorted(files, key=lambda entry: entry.stat().st_mtime)[: _MOST // 4]:
+        if len(files) >= _MAX_FILES:
+            for entry in sorted(files, key=lambda entry: entry.stat().st_mtime)[: _MAX_FILES // 4]:
                 with contextlib.suppress(OSError):
                     os.unlink(entry.path)
 
@@ -99,22 +99,22 @@ def _head(key: str, code: bytes, kind: str) -> bytes:
 def _is_open_to_others(folder: Path) -> bool:
     """Return whether other users may write to a folder."""
     try:
-        found = folder.stat()
+        status = folder.stat()
     except OSError:
         return False
-    return hasattr(os, "getuid") and (found.st_uid != os.getuid() or bool(found.st_mode & 0o022))
+    return hasattr(os, "getuid") and (status.st_uid != os.getuid() or bool(status.st_mode & 0o022))
 
 
 @functools.cache
-def _warn_of(folder: Path) -> None:
-    what = f"the folder of machine code {str(folder)!r} is not used, because other users may write to it"
-    warnings.warn(f"{what}: `chmod go-w` it or set PINMOBILE_CACHE to your own folder", stacklevel=3)
+def _warn_folder(folder: Path) -> None:
+    message = f"the folder of machine code {str(folder)!r} is not used, because other users may write to it"
+    warnings.warn(f"{message}: `chmod go-w` it or set PINMOBILE_CACHE to your own folder", stacklevel=3)
 
 
-def _default() -> Path | None:
-    given = os.environ.get("PINMOBILE_CACHE")
-    if given is not None:
-        return Path(given) if given else None
+def _default_folder() -> Path | None:
+    setting = os.environ.get("PINMOBILE_CACHE")
+    if setting is not None:
+        return Path(setting) if setting else None
     try:
         if sys.platform == "darwin":
             return Path.home() / "Library" / "Caches" / "pinmobile"
@@ -124,9 +124,9 @@ def _default() -> Path | None:
     return Path(base) / "pinmobile"
 
 
-_LOADED = 64  # functions that stay loaded without a user
+_MAX_LOADED = 64  # functions that stay loaded without a user
 _lock = threading.Lock()
-_known: OrderedDict[str, Callable[..., None]] = OrderedDict()
+_functions: OrderedDict[str, Callable[..., None]] = OrderedDict()
 
 
 @functools.cache
@@ -151,12 +151,12 @@ def _check_executable() -> None:
     page = mmap.mmap(-1, mmap.PAGESIZE, mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
     page[0] = 0
     first, libc = ctypes.c_char.from_buffer(page), ctypes.CDLL(None, use_errno=True)
-    wanted = ctypes.c_size_t(mmap.PAGESIZE), mmap.PROT_READ | mmap.PROT_EXEC
-    if libc.mprotect(ctypes.c_void_p(ctypes.addressof(first)), *wanted):
-        why = os.strerror(ctypes.get_errno())
-        what = f"this process may not execute memory that it wrote (mprotect: {why})"
+    arguments = ctypes.c_size_t(mmap.PAGESIZE), mmap.PROT_READ | mmap.PROT_EXEC
+    if libc.mprotect(ctypes.c_void_p(ctypes.addressof(first)), *arguments):
+        reason = os.strerror(ctypes.get_errno())
+        message = f"this process may not execute memory that it wrote (mprotect: {reason})"
         example = "for example by MemoryDenyWriteExecute=no in its systemd unit"
-        raise NotTraceable(what, f"allow it for the fastest engine, {example}")
+        raise NotTraceable(message, f"allow it for the fastest engine, {example}")
 
 
 @dataclass(frozen=True)
@@ -176,7 +176,7 @@ class Target:
     lanes: int
 
     @classmethod
-    def here(cls) -> Target:
+    def host(cls) -> Target:
         """Return the processor of this machine.
 
         Raises
@@ -194,8 +194,8 @@ class Target:
         """Return the key of the machine code of a text, which depends on text, processor and compiler."""
         import llvmlite
 
-        made_by = llvmlite.__version__, _llvm().get_default_triple()
-        words = "\0".join((text, self.processor, self.features, *made_by))
+        compiler = llvmlite.__version__, _llvm().get_default_triple()
+        words = "\0".join((text, self.processor, self.features, *compiler))
         return hashlib.sha256(words.encode()).hexdigest()
 
     def build(self, text: str) -> bytes:
@@ -214,9 +214,9 @@ class Target:
         file = llvm.ObjectFileRef.from_data(code)
         engine.add_object_file(file)
         engine.finalize_object()
-        pointer, whole = ctypes.c_void_p, ctypes.c_int64
-        counted = whole, pointer, pointer, pointer, whole, whole
-        types = (pointer, whole, whole, pointer, *counted, pointer, whole)
+        pointer, word = ctypes.c_void_p, ctypes.c_int64
+        tail = word, pointer, pointer, pointer, word, word
+        types = (pointer, word, word, pointer, *tail, pointer, word)
         function = ctypes.CFUNCTYPE(None, *types)(engine.get_function_address(ENTRY))
         function.engine = engine, file  # type: ignore[attr-defined]  # lives as long as the function
         return function
@@ -230,14 +230,14 @@ class Target:
 def function_of(key: str, text: Callable[[], str], target: Target, cache: Cache) -> Callable[..., None]:
     """Return the function of a target's key: known, read from the cache, or built from the key's text."""
     with _lock:
-        found = _known.get(key)
-        if found is None:
+        function = _functions.get(key)
+        if function is None:
             code = cache.read(key)
             if code is None:
                 code = target.build(text())
                 cache.write(key, code)
-            found = _known[key] = target.load(code)
-        _known.move_to_end(key)
-        while len(_known) > _LOADED:
-            _known.popitem(last=False)
-    return found
+            function = _functions[key] = target.load(code)
+        _functions.move_to_end(key)
+        while len(_functions) > _MAX_LOADED:
+            _functions.popitem(last=False)
+    return function

@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 from pinmobile.arrays import Array, affordable, check_integer, shaped
 from pinmobile.compiled.emit import BINS, Shape, text_of
 from pinmobile.compiled.processor import Cache, Target, function_of
-from pinmobile.compiled.tape import COUNT, LoopTape, evaluated
+from pinmobile.compiled.tape import COUNT, LoopTape, evaluate
 from pinmobile.errors import InvalidArgument
 
-_SLICE = 2e8  # operations of a vector in one call, some 0.1 s; Ctrl-C works between calls
-_WORTH = 4e6  # operations of a vector that justify a thread
-_SMALL = 2500  # operations; above, a second vector takes longer to build than it saves
-_FEW = 32  # numbers of the state, as many as registers; above, a second vector costs time
+_CALL_WORK = 2e8  # operations of a vector in one call, some 0.1 s; Ctrl-C works between calls
+_THREAD_WORK = 4e6  # operations of a vector that justify a thread
+_MAX_OPERATIONS = 2500  # operations; above, a second vector takes longer to build than it saves
+_MAX_STATES = 32  # numbers of the state, as many as registers; above, a second vector costs time
 
 
 class Outcome(NamedTuple):
@@ -70,9 +70,9 @@ class Program:
         cache: Cache | None = None,
         key: str | None = None,
     ) -> None:
-        self.tape, target = tape, target or Target.here()
-        small = tape.own <= _SMALL and len(tape.states) <= _FEW
-        many = Shape(target.lanes, 2 if small else 1)
+        self.tape, target = tape, target or Target.host()
+        is_small = tape.robot_size <= _MAX_OPERATIONS and len(tape.states) <= _MAX_STATES
+        many = Shape(target.lanes, 2 if is_small else 1)
         self.shape = shape or (Shape(1, 1) if single else many)
         self.key = key or target.key(self.text)
         self.function = function_of(self.key, lambda: self.text, target, cache or Cache())
@@ -124,15 +124,15 @@ class Program:
         threads : int
             Largest number of threads.
         """
-        n = self._checked(start, t, reference, tracks, every)
+        n = self._check(start, t, reference, tracks, every)
         blocks = self.blocks_of(start, n, values, first, keys or {})
         uniforms = self.uniforms_of(h, values, first)
         samples = self.samples_of(t, reference, uniforms, rows)
-        kept = self._kept(tracks, len(blocks), len(t))
-        counts = self.called(blocks, samples, uniforms, kept, n, every, threads=threads)
-        return Outcome(self._last(blocks, first, n), counts, self.kept_samples(kept, n))
+        kept = self._make_records(tracks, len(blocks), len(t))
+        counts = self.launch(blocks, samples, uniforms, kept, n, every, threads=threads)
+        return Outcome(self._final_memory(blocks, first, n), counts, self.kept_samples(kept, n))
 
-    def _checked(self, start: tuple[Array, Array], t: Array, reference: Any, tracks: Any, every: int) -> int:
+    def _check(self, start: tuple[Array, Array], t: Array, reference: Any, tracks: Any, every: int) -> int:
         """Check that the machine code reads inside the arrays, and return the number of robots."""
         nq, nv, _, length, size = self.tape.sizes
         n, count = len(start[0]), len(t)
@@ -143,8 +143,8 @@ class Program:
         shaped("v", start[1], (n, nv))
         for part, m in zip(reference, sizes, strict=True):
             shaped("reference", part, (count, m))
-        tracked = sizes if self.tape.tracks else ()  # sizes of the robots' own references
-        for part, m in zip(tracks or (), tracked, strict=True):
+        track_sizes = sizes if self.tape.tracks else ()  # sizes of the robots' own references
+        for part, m in zip(tracks or (), track_sizes, strict=True):
             shaped("tracks", part, (count, n, m))
         return n
 
@@ -152,20 +152,20 @@ class Program:
         self, t: Array, reference: tuple[Array, ...], uniforms: Array, rows: Sequence[Array], first: int = 0
     ) -> Array:
         """Return the numbers of the samples from `first` that all robots share, shape (N + 1, columns)."""
-        known = [np.reshape(each, (len(t), -1)) for each in rows]
-        given = np.empty((len(t), 1 + sum(part.shape[1] for part in (*reference, *known))))
-        np.concatenate([t[:, None], *reference, *known], axis=1, out=given)
-        tabled, size = self.tape.tabled, len(t) * self.tape.columns
-        if not tabled:
-            return given
+        schedules = [np.reshape(row, (len(t), -1)) for row in rows]
+        columns_in = np.empty((len(t), 1 + sum(part.shape[1] for part in (*reference, *schedules))))
+        np.concatenate([t[:, None], *reference, *schedules], axis=1, out=columns_in)
+        table_nodes, size = self.tape.table_nodes, len(t) * self.tape.columns
+        if not table_nodes:
+            return columns_in
         affordable(f"the tables of {len(t):,} samples", size, "give a larger dt, or fewer waves")
         inputs: dict[Any, Any] = {COUNT: np.arange(first, first + len(t), dtype=np.uint64)}
         inputs |= {("uniform", i): x for i, x in enumerate(uniforms)}
-        inputs |= {("sample", i): column for i, column in enumerate(given.T)}
-        columns = (np.broadcast_to(x, len(t)) for x in evaluated(self.tape.tape, tabled, inputs))
-        return np.ascontiguousarray(np.column_stack([given, *columns]))
+        inputs |= {("sample", i): column for i, column in enumerate(columns_in.T)}
+        columns = (np.broadcast_to(x, len(t)) for x in evaluate(self.tape.tape, table_nodes, inputs))
+        return np.ascontiguousarray(np.column_stack([columns_in, *columns]))
 
-    def _kept(self, tracks: tuple[Array, ...] | None, blocks: int, samples: int) -> Array:
+    def _make_records(self, tracks: tuple[Array, ...] | None, blocks: int, samples: int) -> Array:
         """Return the array for the values of every sample, with the robots' own references at its end."""
         loop, first = self.tape, self.tape.outputs_kept
         kept = aligned((blocks, samples, first + loop.tracks, self.shape.width))
@@ -217,22 +217,22 @@ class Program:
 
     def uniforms_of(self, h: float, values: Mapping[str, Array], first: Sequence[Array]) -> Array:
         """Return the numbers that all robots share: the step, parameters, and constant memory."""
-        found = np.empty(self.tape.uniforms)
-        found[0] = h
+        uniforms = np.empty(self.tape.uniforms)
+        uniforms[0] = h
         for parameter, leaf in self.tape.parameters.items():
             if leaf.kind == "uniform":
                 value = values[parameter]
                 if value.shape != leaf.shape:
-                    what = f"{parameter} has shape {value.shape}, expected {leaf.shape}"
-                    instead = "name numbers that differ from robot to robot before the loop is traced"
-                    raise InvalidArgument(f"{what}; {instead}")
-                found[leaf.first : leaf.first + value.size] = value.ravel()
+                    message = f"{parameter} has shape {value.shape}, expected {leaf.shape}"
+                    remedy = "name numbers that differ from robot to robot before the loop is traced"
+                    raise InvalidArgument(f"{message}; {remedy}")
+                uniforms[leaf.first : leaf.first + value.size] = value.ravel()
         for leaf, value in zip(self.tape.leaves, first, strict=True):
             if leaf.kind == "uniform":
-                found[leaf.first : leaf.first + value.size] = np.ravel(value)
-        return found
+                uniforms[leaf.first : leaf.first + value.size] = np.ravel(value)
+        return uniforms
 
-    def called(
+    def launch(
         self,
         blocks: Array,
         samples: Array,
@@ -249,22 +249,22 @@ class Program:
         `first` is the index of the first sample.
         """
         loop = self.tape
-        work = len(samples) * max(1, loop.own) * self.shape.vectors  # operations of a block
-        workers = max(1, min(threads, len(blocks), int(work * len(blocks) / _WORTH)))
-        step = max(1, min(int(_SLICE / work), -(-len(blocks) // (4 * workers))))
-        counted = len(loop.counted), BINS
+        work = len(samples) * max(1, loop.robot_size) * self.shape.vectors  # operations of a block
+        workers = max(1, min(threads, len(blocks), int(work * len(blocks) / _THREAD_WORK)))
+        step = max(1, min(int(_CALL_WORK / work), -(-len(blocks) // (4 * workers))))
+        bins = len(loop.counted), BINS
         times = -(-len(samples) // every) if loop.counted else 0
-        counts = np.zeros((workers, max(1, times), *counted), np.int32)
+        counts = np.zeros((workers, max(1, times), *bins), np.int32)
         longest = max(1, sum(ring.samples for ring in loop.rings))
         rings = [aligned((longest, self.shape.width)) for _ in counts]
 
         def run(worker: int, begin: int, end: int) -> None:
-            own = rings[worker], counts[worker], kept
-            self.call(blocks, samples, uniforms, *own, part=(begin, end), every=every, n=n, first=first)
+            arrays = rings[worker], counts[worker], kept
+            self.call(blocks, samples, uniforms, *arrays, part=(begin, end), every=every, n=n, first=first)
 
-        shared_out(run, len(blocks), step, workers)
-        found = counts[:, :times]
-        return np.asarray(found[0] if workers == 1 else found.sum(axis=0, dtype=np.int32))
+        share_work(run, len(blocks), step, workers)
+        totals = counts[:, :times]
+        return np.asarray(totals[0] if workers == 1 else totals.sum(axis=0, dtype=np.int32))
 
     def call(
         self,
@@ -288,27 +288,27 @@ class Program:
         block, sample, uniform, ring, count, keep = [x.ctypes.data for x in arrays]
         self.function(block, *part, sample, len(arrays[1]), uniform, ring, count, every, n, keep, first)
 
-    def _last(self, blocks: Array, first: Sequence[Array], n: int) -> list[Array]:
+    def _final_memory(self, blocks: Array, first: Sequence[Array], n: int) -> list[Array]:
         """Return the arrays of the memory after the last sample, shape (n, ...)."""
-        rows, found = blocks.swapaxes(0, 1), []
+        rows, arrays = blocks.swapaxes(0, 1), []
         for leaf, value in zip(self.tape.leaves, first, strict=True):
             if leaf.kind == "uniform":
-                found.append(np.broadcast_to(value, (n, *leaf.shape)))
+                arrays.append(np.broadcast_to(value, (n, *leaf.shape)))
                 continue
-            size, at = prod(leaf.shape), leaf.first + (len(self.tape.states) if leaf.kind == "row" else 0)
-            flat = rows[at : at + size].reshape(size, prod(rows.shape[1:]))  # works for empty arrays, too
-            found.append(flat[:, :n].T.reshape(n, *leaf.shape))
-        return found
+            size, row = prod(leaf.shape), leaf.first + (len(self.tape.states) if leaf.kind == "row" else 0)
+            flat = rows[row : row + size].reshape(size, prod(rows.shape[1:]))  # works for empty arrays, too
+            arrays.append(flat[:, :n].T.reshape(n, *leaf.shape))
+        return arrays
 
     def kept_samples(self, kept: Array, n: int) -> dict[str, Array]:
         """Return the kept values of the samples of n robots by name, from their blocks."""
-        found, first, count = {}, 0, len(kept) * kept.shape[3]
+        samples, first, count = {}, 0, len(kept) * kept.shape[3]
         for name, (shape, nodes) in self.tape.kept.items():
             block = kept[:, :, first : first + len(nodes)]  # (blocks, samples, numbers, width)
             robots = np.moveaxis(block, 3, 1).reshape(count, kept.shape[1], *shape)[:n]
-            found[name] = np.ascontiguousarray(robots)
+            samples[name] = np.ascontiguousarray(robots)
             first += len(nodes)
-        return found
+        return samples
 
 
 def _fill(blocks: Array, columns: Array) -> None:
@@ -316,14 +316,14 @@ def _fill(blocks: Array, columns: Array) -> None:
     width, n = blocks.shape[-1], columns.shape[-1]
     full = n // width
     if full:
-        whole = columns[..., : full * width].reshape(*columns.shape[:-1], full, width)
-        blocks[:full] = np.moveaxis(whole, -2, 0)
+        full_blocks = columns[..., : full * width].reshape(*columns.shape[:-1], full, width)
+        blocks[:full] = np.moveaxis(full_blocks, -2, 0)
     if full < len(blocks):
         blocks[full, ..., : n - full * width] = columns[..., full * width :]
         blocks[full, ..., n - full * width :] = columns[..., -1:]
 
 
-def shared_out(run: Callable[[int, int, int], None], count: int, step: int, workers: int) -> None:
+def share_work(run: Callable[[int, int, int], None], count: int, step: int, workers: int) -> None:
     """Run pieces of work on threads, including this thread; Ctrl-C works between two pieces.
 
     Parameters
@@ -336,23 +336,23 @@ def shared_out(run: Callable[[int, int, int], None], count: int, step: int, work
         Number of threads.
     """
     starts = iter(range(0, count, step))
-    lock, stopped = threading.Lock(), threading.Event()
+    lock, stop = threading.Lock(), threading.Event()
 
-    def work_off(worker: int) -> None:
-        while not stopped.is_set():
+    def work(worker: int) -> None:
+        while not stop.is_set():
             with lock:
                 begin = next(starts, None)
             if begin is None:
                 return
             run(worker, begin, min(begin + step, count))
 
-    helpers = [threading.Thread(target=work_off, args=(i,)) for i in range(1, workers)]
+    helpers = [threading.Thread(target=work, args=(i,)) for i in range(1, workers)]
     for helper in helpers:
         helper.start()
     try:
-        work_off(0)
+        work(0)
     finally:
-        stopped.set()
+        stop.set()
         for helper in helpers:
             helper.join()
 

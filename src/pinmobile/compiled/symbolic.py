@@ -21,16 +21,16 @@ from pinmobile.compiled.tape import Node, Number, absolute, bits, maximum, minim
 from pinmobile.errors import NotTraceable
 
 
-def boxed(x: object) -> Any:
+def box(x: object) -> Any:
     """Return an entry as an array of shape ()."""
-    box = np.empty((), object)
-    box[()] = x
-    return box
+    array = np.empty((), object)
+    array[()] = x
+    return array
 
 
 def as_array(x: object) -> Any:
     """Return an entry as an array, and an array itself."""
-    return x if isinstance(x, np.ndarray) else boxed(x)
+    return x if isinstance(x, np.ndarray) else box(x)
 
 
 def is_truth(x: object) -> bool:
@@ -46,8 +46,8 @@ def elementwise(function: Callable[..., Any], arity: int) -> Any:
             if type(x) is Node:
                 return function(*given)
         with np.errstate(all="ignore"):
-            found = function(*(x if is_truth(x) else np.float64(x) for x in given))
-        return found.item() if hasattr(found, "item") else found
+            result = function(*(x if is_truth(x) else np.float64(x) for x in given))
+        return result.item() if hasattr(result, "item") else result
 
     return np.frompyfunc(run, arity, 1)
 
@@ -62,29 +62,29 @@ def as_float(x: Number) -> Any:
 choose = elementwise(select, 3)
 
 
-def _known(x: object) -> bool:
+def _is_known(x: object) -> bool:
     return type(x) is not Node or x.value is not None
 
 
-def _of_two(choice: Callable[..., Any]) -> Callable[..., Any]:
+def _propagate_nan(choice: Callable[..., Any]) -> Callable[..., Any]:
     """Return `maximum` or `minimum` with the result NaN if one number is NaN, as in NumPy."""
 
     def run(a: Number, b: Number) -> Any:
-        if _known(a):
+        if _is_known(a):
             return choice(a, b)
-        return choice(b, a) if _known(b) else select(a == a, choice(a, b), a)
+        return choice(b, a) if _is_known(b) else select(a == a, choice(a, b), a)
 
     return run
 
 
-larger, smaller = _of_two(maximum), _of_two(minimum)
+larger, smaller = _propagate_nan(maximum), _propagate_nan(minimum)
 
 
 def _sign(x: Number) -> Any:
     return select(x > 0.0, 1.0, select(x < 0.0, -1.0, x))
 
 
-def _truncated(x: Number) -> Any:
+def _truncate(x: Number) -> Any:
     size = floor(absolute(x))
     return select(x < 0.0, -size, size)
 
@@ -93,7 +93,7 @@ def _remainder(a: Number, b: Number) -> Any:
     return a - b * floor(a / b)
 
 
-def of_truths(function: Callable[..., Any]) -> Callable[..., Any]:
+def on_truths(function: Callable[..., Any]) -> Callable[..., Any]:
     """Return a function of truth values; a number is true if it is not zero."""
 
     def run(*given: Number) -> Any:
@@ -106,7 +106,7 @@ def _not(x: Number) -> Any:
     return np.invert(x) if isinstance(x, np.bool_) else ~x if type(x) is Node else not x
 
 
-def _copied_sign(a: Number, b: Number) -> Any:
+def _copy_sign(a: Number, b: Number) -> Any:
     return select(b < 0.0, -absolute(a), absolute(a))
 
 
@@ -120,7 +120,7 @@ _UFUNCS: dict[Any, Callable[..., Any]] = {
     **dict.fromkeys((np.positive, np.conjugate), lambda x: x),
     **dict.fromkeys((np.absolute, np.fabs), absolute),
     np.sqrt: root,
-    np.cbrt: lambda x: _copied_sign(exp(log(absolute(x)) * (1 / 3)), x),
+    np.cbrt: lambda x: _copy_sign(exp(log(absolute(x)) * (1 / 3)), x),
     np.square: lambda x: x * x,
     np.reciprocal: lambda x: 1.0 / x,
     **dict.fromkeys((np.power, np.float_power), power),
@@ -136,11 +136,11 @@ _UFUNCS: dict[Any, Callable[..., Any]] = {
     np.rint: rounded,
     np.floor: floor,
     np.ceil: lambda x: -floor(-x),
-    np.trunc: _truncated,
+    np.trunc: _truncate,
     np.floor_divide: lambda a, b: floor(a / b),
     np.remainder: _remainder,
-    np.fmod: lambda a, b: a - b * _truncated(a / b),
-    np.copysign: _copied_sign,
+    np.fmod: lambda a, b: a - b * _truncate(a / b),
+    np.copysign: _copy_sign,
     **dict.fromkeys((np.deg2rad, np.radians), lambda x: x * (np.pi / 180)),
     **dict.fromkeys((np.rad2deg, np.degrees), lambda x: x * (180 / np.pi)),
     np.heaviside: lambda x, h: select(x > 0.0, 1.0, select(x < 0.0, 0.0, h)),
@@ -150,10 +150,10 @@ _UFUNCS: dict[Any, Callable[..., Any]] = {
     np.less_equal: operator.le,
     np.equal: operator.eq,
     np.not_equal: operator.ne,
-    np.logical_and: of_truths(operator.and_),
-    np.logical_or: of_truths(operator.or_),
-    np.logical_xor: of_truths(operator.xor),
-    **dict.fromkeys((np.logical_not, np.invert), of_truths(_not)),
+    np.logical_and: on_truths(operator.and_),
+    np.logical_or: on_truths(operator.or_),
+    np.logical_xor: on_truths(operator.xor),
+    **dict.fromkeys((np.logical_not, np.invert), on_truths(_not)),
     np.bitwise_and: operator.and_,
     np.bitwise_or: operator.or_,
     np.bitwise_xor: operator.xor,
@@ -168,14 +168,14 @@ _UFUNCS: dict[Any, Callable[..., Any]] = {
 UFUNCS = {ufunc: elementwise(function, ufunc.nin) for ufunc, function in _UFUNCS.items()}
 
 
-between = elementwise(lambda x, low, high: minimum(high, maximum(low, x)), 3)
+clip = elementwise(lambda x, low, high: minimum(high, maximum(low, x)), 3)
 
 
 def _objects(x: object) -> Any:
     return np.asarray(x).astype(object)
 
 
-def computed(ufunc: np.ufunc, method: str, given: list[Any], options: dict[str, Any]) -> Any:
+def compute(ufunc: np.ufunc, method: str, given: list[Any], options: dict[str, Any]) -> Any:
     """Return the result of a ufunc for arrays of objects."""
     name = ufunc.__name__
     if method == "__call__":
@@ -184,16 +184,16 @@ def computed(ufunc: np.ufunc, method: str, given: list[Any], options: dict[str, 
                 return _objects(given[0]) @ _objects(given[1])
             return getattr(np, name)(*map(_objects, given))
         if name == "clip":
-            return between(*given)
+            return clip(*given)
         if name == "divmod":
             return UFUNCS[np.floor_divide](*given), UFUNCS[np.remainder](*given)
         if name == "modf":
-            whole = UFUNCS[np.trunc](*given)
-            return given[0] - whole, whole
+            integer = UFUNCS[np.trunc](*given)
+            return given[0] - integer, integer
     if ufunc not in UFUNCS or method == "at":
-        names = ", ".join(sorted(each.__name__ for each in _UFUNCS))
-        what = f"np.{name}{'' if method == '__call__' else '.' + method} of symbols"
-        raise NotTraceable(what, f"use one of {names}")
+        names = ", ".join(sorted(function.__name__ for function in _UFUNCS))
+        message = f"np.{name}{'' if method == '__call__' else '.' + method} of symbols"
+        raise NotTraceable(message, f"use one of {names}")
     if method == "reduce" and ufunc in (np.add, np.multiply) and np.asarray(given[0]).size == 0:
         return getattr(ufunc, method)(np.asarray(given[0], float), **options)
     return as_array(getattr(UFUNCS[ufunc], method)(*given, **options))
@@ -211,7 +211,7 @@ setattr(Node, "__pow__", power)  # noqa: B010 (elementary functions need nodes f
 FUNCTIONS: dict[Any, Callable[..., Any]] = {}
 """NumPy functions with their own code for symbols; `functions` fills the mapping."""
 
-REFUSED: dict[Any, str] = {}
+REFUSALS: dict[Any, str] = {}
 """NumPy functions that cannot be compiled, and the code to write instead."""
 
 
@@ -238,7 +238,7 @@ class Symbols(NDArrayOperatorsMixin):
     size = property(lambda self: self.entries.size)
     T = property(lambda self: Symbols(self.entries.T))
     real = property(lambda self: self)
-    flat = property(lambda self: (Symbols(boxed(x)) for x in self.entries.flat))
+    flat = property(lambda self: (Symbols(box(x)) for x in self.entries.flat))
 
     @property
     def dtype(self) -> Any:
@@ -250,33 +250,33 @@ class Symbols(NDArrayOperatorsMixin):
     ) -> Any:
         options.pop("dtype", None)
         options.pop("casting", None)
-        where = options.pop("where", True)
-        given = tuple(map(plain, given))
-        if where is not True and method == "reduce":
+        mask = options.pop("where", True)
+        given = tuple(map(unwrap, given))
+        if mask is not True and method == "reduce":
             if ufunc.identity is None:
                 raise NotTraceable(f"np.{ufunc.__name__} with a mask", "use np.where first")
-            given, where = (choose(plain(where), given[0], ufunc.identity), *given[1:]), True
-        found = wrapped(computed(ufunc, method, list(given), options))
-        if where is not True:
-            kept = out[0] if out is not None else 0.0
-            found = wrapped(choose(plain(where), plain(found), plain(kept)))
-        return found if out is None else put(found, out[0])
+            given, mask = (choose(unwrap(mask), given[0], ufunc.identity), *given[1:]), True
+        result = wrap(compute(ufunc, method, list(given), options))
+        if mask is not True:
+            old = out[0] if out is not None else 0.0
+            result = wrap(choose(unwrap(mask), unwrap(result), unwrap(old)))
+        return result if out is None else put(result, out[0])
 
     def __array_function__(
         self, function: Callable[..., Any], types: object, given: Iterable[object], options: dict[str, Any]
     ) -> Any:
         out = options.pop("out", None) if function not in (np.clip,) else None
         if function in FUNCTIONS:
-            found = FUNCTIONS[function](*given, **options)
-        elif function in REFUSED:
-            raise NotTraceable(f"np.{function.__name__} of symbols", REFUSED[function])
+            result = FUNCTIONS[function](*given, **options)
+        elif function in REFUSALS:
+            raise NotTraceable(f"np.{function.__name__} of symbols", REFUSALS[function])
         else:
             try:
-                found = wrapped(function(*map(plain, given), **{k: plain(v) for k, v in options.items()}))
+                result = wrap(function(*map(unwrap, given), **{k: unwrap(v) for k, v in options.items()}))
             except (TypeError, AttributeError, ValueError) as error:
-                instead = "write it by sums, products and np.where, or run the law with engine=Engine.PYTHON"
-                raise NotTraceable(f"np.{function.__name__} of symbols ({error})", instead) from None
-        return found if out is None else put(found, out)
+                remedy = "write it by sums, products and np.where, or run the law with engine=Engine.PYTHON"
+                raise NotTraceable(f"np.{function.__name__} of symbols ({error})", remedy) from None
+        return result if out is None else put(result, out)
 
     def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> Any:
         if all(type(x) is not Node or x.value is not None for x in self.entries.flat):
@@ -286,13 +286,13 @@ class Symbols(NDArrayOperatorsMixin):
         return self.entries.copy()
 
     def __getitem__(self, index: object) -> Any:
-        return wrapped(self.entries[_index(index)])
+        return wrap(self.entries[_index(index)])
 
     def __setitem__(self, index: object, value: object) -> None:
         if isinstance(index, Symbols):  # x[mask] = value
-            self.entries[...] = choose(index.entries, plain(value), self.entries)
+            self.entries[...] = choose(index.entries, unwrap(value), self.entries)
             return
-        value = plain(value)
+        value = unwrap(value)
         self.entries[_index(index)] = (
             value.item() if isinstance(value, np.ndarray) and not value.ndim else value
         )
@@ -349,15 +349,15 @@ class Symbols(NDArrayOperatorsMixin):
             return np.trunc(self)
         if np.dtype(dtype) not in (np.float64, object):
             raise NotTraceable(f"an array of {np.dtype(dtype)}", "use float64, the type of all compiled laws")
-        return wrapped(_number(self.entries))
+        return wrap(_number(self.entries))
 
     def fill(self, value: object) -> None:
         """Set all entries to one value."""
-        self.entries[...] = plain(value)
+        self.entries[...] = unwrap(value)
 
     def flatten(self, *_: object) -> Any:
         """Return the entries as one row."""
-        return wrapped(self.entries.reshape(-1).copy())
+        return wrap(self.entries.reshape(-1).copy())
 
     def conjugate(self) -> Symbols:
         """Return the array itself."""
@@ -372,7 +372,7 @@ Values: TypeAlias = Symbols | Array
 Operand: TypeAlias = Symbols | ArrayLike
 """Array-like object that may contain symbols."""
 
-Moment: TypeAlias = Symbols | float
+SymbolicScalar: TypeAlias = Symbols | float
 """Time, number of a sample or length of time in a law."""
 
 
@@ -393,48 +393,48 @@ def has_symbols(x: object) -> bool:
     )
 
 
-def plain(x: object) -> Any:
+def unwrap(x: object) -> Any:
     """Return the entries of symbols as an array of objects, also inside lists and tuples."""
     if isinstance(x, Symbols):
         return x.entries
     if isinstance(x, Node):
-        return boxed(x)
+        return box(x)
     if isinstance(x, list | tuple) and has_symbols(x):
-        inside = [plain(y) for y in x]
-        one = [y.item() if isinstance(y, np.ndarray) and not y.ndim else y for y in inside]
-        return type(x)(one) if type(x) in (list, tuple) else one
+        items = [unwrap(y) for y in x]
+        scalars = [y.item() if isinstance(y, np.ndarray) and not y.ndim else y for y in items]
+        return type(x)(scalars) if type(x) in (list, tuple) else scalars
     return x
 
 
-def wrapped(x: Any) -> Any:
+def wrap(x: Any) -> Any:
     """Return an array of objects, or a node, as symbols."""
     if isinstance(x, Symbols):
         return x
     if isinstance(x, Node):
-        return Symbols(boxed(x))
+        return Symbols(box(x))
     if isinstance(x, np.ndarray) and x.dtype == object:
         return Symbols(x)
     if type(x) in (tuple, list):
-        return type(x)(map(wrapped, x))
+        return type(x)(map(wrap, x))
     return x
 
 
 def _index(index: object) -> Any:
     if has_symbols(index):
-        parts = [plain(x) for x in index] if isinstance(index, tuple) else [plain(index)]
+        parts = [unwrap(x) for x in index] if isinstance(index, tuple) else [unwrap(index)]
         if all(type(y) is not Node or y.value is not None for x in parts for y in _asarray(x, object).flat):
             return index
         raise NotTraceable("an index or a mask contains a symbol", "use np.where or np.select")
     return index
 
 
-def put(found: object, out: object) -> Any:
+def put(result: object, out: object) -> Any:
     """Write a result into the array `out` of a NumPy call."""
     if not isinstance(out, Symbols):
-        instead = "write x = x + ..., or make the array in the law by np.zeros or np.zeros_like"
-        what = "an operation writes symbols into an array of numbers from outside the law"
-        raise NotTraceable(what, instead)
-    out.entries[...] = plain(found)
+        remedy = "write x = x + ..., or make the array in the law by np.zeros or np.zeros_like"
+        message = "an operation writes symbols into an array of numbers from outside the law"
+        raise NotTraceable(message, remedy)
+    out.entries[...] = unwrap(result)
     return out
 
 
@@ -466,4 +466,4 @@ def entries(x: object) -> Any:
     """Return lists of symbols and numbers as one array of objects."""
     if isinstance(x, list | tuple):
         return np.stack([_asarray(entries(y), object) for y in x]) if x else _asarray([], object)
-    return as_array(plain(x)).astype(object)
+    return as_array(unwrap(x)).astype(object)

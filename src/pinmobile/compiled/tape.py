@@ -1,7 +1,7 @@
 """Tape: the computation of a law as a list of operations on symbols.
 
 A processor rounds each operation according to IEEE 754, so that a tape has the same bits everywhere:
-`evaluated` runs it with NumPy, `emit` writes machine code. Equal operations appear once, and constants are
+`evaluate` runs it with NumPy, `emit` writes machine code. Equal operations appear once, and constants are
 folded. A product with a constant zero is zero. A division by a constant, or by a number that is the same at
 all samples, is a product with the reciprocal.
 """
@@ -22,16 +22,16 @@ from pinmobile.compiled.folding import (
     COMMUTE,
     DTYPES,
     NUMPY,
-    ON_WHOLES,
     ROBOT,
     ROUND,
     RULES,
     SAMPLE,
     STATE,
     UNIFORM,
-    kind_after,
+    WORD_NAMES,
     kind_of,
-    kinds_before,
+    operand_kinds,
+    result_kind,
 )
 from pinmobile.errors import NotTraceable
 
@@ -75,25 +75,25 @@ def _bits_float(x: int) -> float:
 
 
 # Where operations have their operands, unless behind their name.
-_PLACES = dict.fromkeys(("const", "carry", *_INPUTS), slice(0))
-_PLACES |= {"repeat": slice(4, None), "result": slice(1, 2), "ring": slice(3, 4)}
-_BEHIND_NAME = slice(1, None)
+_OPERAND_SLICES = dict.fromkeys(("const", "carry", *_INPUTS), slice(0))
+_OPERAND_SLICES |= {"repeat": slice(4, None), "result": slice(1, 2), "ring": slice(3, 4)}
+_AFTER_NAME = slice(1, None)
 
 
 def operands(operation: _Operation) -> tuple[int, ...]:
     """Return the nodes that are operands of an operation."""
-    return operation[_PLACES.get(operation[0], _BEHIND_NAME)]
+    return operation[_OPERAND_SLICES.get(operation[0], _AFTER_NAME)]
 
 
 def with_operands(operation: _Operation, new: Mapping[int, int]) -> _Operation:
     """Return an operation with the new nodes of its operands."""
-    own, found = _PLACES.get(operation[0], _BEHIND_NAME), [*operation]
-    found[own] = [new[x] for x in found[own]]
-    return tuple(found)
+    operand_slice, items = _OPERAND_SLICES.get(operation[0], _AFTER_NAME), [*operation]
+    items[operand_slice] = [new[x] for x in items[operand_slice]]
+    return tuple(items)
 
 
 class Rounds(NamedTuple):
-    """Data of an operation ``("repeat", number, level, most, done, settled, *first, *following)``.
+    """Data of an operation ``("repeat", number, level, most, done, skip, *first, *results)``.
 
     Attributes
     ----------
@@ -101,45 +101,45 @@ class Rounds(NamedTuple):
         Largest number of rounds.
     done : int
         Node that is true if a robot needs no further round.
-    settled : int
+    skip : int
         Node that is true if a robot needs no round.
-    first, following : tuple of int
+    first, results : tuple of int
         Nodes of each carried number, before the first round and after each round.
     body : list of int
         Nodes of a round, in order; an inner repetition is one node.
-    outside : list of int
+    outer : list of int
         Nodes that a round needs and that are the same in all rounds.
     """
 
     most: int
     done: int
-    settled: int
+    skip: int
     first: tuple[int, ...]
-    following: tuple[int, ...]
+    results: tuple[int, ...]
     body: list[int]
-    outside: list[int]
+    outer: list[int]
 
     @classmethod
     def of(cls, tape: Tape, index: int) -> Rounds:
         """Return the rounds of a node, which are computed once."""
         if index in tape.rounds:
             return tape.rounds[index]
-        _, number, level, most, done, settled, *nodes = tape.operations[index]
+        _, number, level, most, done, skip, *nodes = tape.operations[index]
         half = len(nodes) // 2
-        body, outside, todo = set(), {settled, *nodes[:half]}, [done, *nodes[half:]]
+        body, outer, todo = set(), {skip, *nodes[:half]}, [done, *nodes[half:]]
         while todo:
             node = todo.pop()
             operation = tape.operations[node]
             if not tape.depends[node] & level:
-                outside.add(node)
+                outer.add(node)
             elif node not in body:
                 body.add(node)
-                todo += cls.of(tape, node).outside if operation[0] == "repeat" else operands(operation)
+                todo += cls.of(tape, node).outer if operation[0] == "repeat" else operands(operation)
                 if tape.depends[node] >= 2 * level or (operation[0] == "carry" and operation[1] != number):
                     raise NotTraceable("a symbol of other rounds was kept", "return it from each round")
         ends = (*nodes[:half],), (*nodes[half:],)
-        found = tape.rounds[index] = cls(most, done, settled, *ends, sorted(body), sorted(outside))
-        return found
+        rounds = tape.rounds[index] = cls(most, done, skip, *ends, sorted(body), sorted(outer))
+        return rounds
 
 
 class Tape:
@@ -149,7 +149,7 @@ class Tape:
     ----------
     largest : int
         Largest number of nodes.
-    where : callable, optional
+    locate : callable, optional
         Function that is called for each new node; `places` contains its results.
 
     Attributes
@@ -167,17 +167,17 @@ class Tape:
         Elementary function and operands of the nodes that are values of such functions.
     """
 
-    def __init__(self, largest: int = LARGEST, where: Callable[[], Any] | None = None) -> None:
+    def __init__(self, largest: int = LARGEST, locate: Callable[[], Any] | None = None) -> None:
         self.operations: list[_Operation] = []
         self.types: list[str] = []
         self.depends: list[int] = []
         self.rounds: dict[int, Rounds] = {}
         self.marks: dict[int, tuple[str, tuple[int, ...]]] = {}
         self.places: list[Any] = []
-        self._known: dict[_Operation, int] = {}
-        self._applied: dict[tuple[Any, ...], int] = {}  # operations before simplification
+        self._indices: dict[_Operation, int] = {}
+        self._results: dict[tuple[Any, ...], int] = {}  # operations before simplification
         self._values: dict[int, Any] = {}  # values of constants
-        self._largest, self._where, self._own = largest, where, 0
+        self._largest, self._locate, self._count = largest, locate, 0
         self._repeats, self._level = 0, ROUND
 
     @classmethod
@@ -205,35 +205,35 @@ class Tape:
         depends, kind = _INPUTS[name]
         return self._node(kind, depends, (name, *number))
 
-    def copied(self, kind: str, depends: int, operation: _Operation) -> int:
+    def copy_node(self, kind: str, depends: int, operation: _Operation) -> int:
         """Return the index of an operation of another tape, as it stands."""
         self._repeats = max(self._repeats, operation[1] + 1 if operation[0] == "repeat" else 0)
         return self._node(kind, depends, operation).index
 
-    def ring(self, number: int, samples: int, pushed: Node) -> Node:
-        """Return the value of `pushed` from `samples` ago, or its first value before that."""
-        return self._node("f", STATE, ("ring", number, samples, pushed.index))
+    def ring(self, number: int, samples: int, source: Node) -> Node:
+        """Return the value of `source` from `samples` ago, or its first value before that."""
+        return self._node("f", STATE, ("ring", number, samples, source.index))
 
-    def repeated(
+    def repeat(
         self,
         law: Callable[[list[Any]], tuple[Sequence[Any], Any]],
         first: Sequence[Any],
         most: int,
-        settled: Any = False,
+        skip: Any = False,
     ) -> list[Node]:
-        """Return numbers after rounds of a law, see `repeated`."""
+        """Return numbers after rounds of a law, see `repeat`."""
         number, self._repeats = self._repeats, self._repeats + 1
         level, self._level = self._level, 2 * self._level
-        before = [self._as(x, "f").index for x in first]
-        carried = [self._node("f", STATE | level, ("carry", number, i)) for i in range(len(before))]
-        following, done = law(carried)
-        after = [self._as(x, "f").index for x in following]
-        ends = [self._as(x, "b").index for x in (done, settled)]
+        starts = [self._convert(x, "f").index for x in first]
+        carried = [self._node("f", STATE | level, ("carry", number, i)) for i in range(len(starts))]
+        results, done = law(carried)
+        round_ends = [self._convert(x, "f").index for x in results]
+        ends = [self._convert(x, "b").index for x in (done, skip)]
         self._level = level
-        outer = self.dependence((*ends, *before, *after)) & (level - ROUND)  # on the outer rounds
+        outer = self.dependence((*ends, *starts, *round_ends)) & (level - ROUND)  # on the outer rounds
         depends = STATE | outer
-        node = self._node("f", depends, ("repeat", number, level, most, *ends, *before, *after))
-        return [self._node("f", depends, ("result", node.index, i)) for i in range(len(after))]
+        node = self._node("f", depends, ("repeat", number, level, most, *ends, *starts, *round_ends))
+        return [self._node("f", depends, ("result", node.index, i)) for i in range(len(round_ends))]
 
     def const(self, value: Known, kind: str = "f") -> Node:
         """Return the node of a constant: a number, a truth value or 64 bits."""
@@ -243,20 +243,20 @@ class Tape:
 
     def number(self, x: Node | Known) -> int:
         """Return the index of a number or constant; a truth value becomes 1 or 0."""
-        node = self._as(x, "f") if type(x) is Node else self.const(x)
+        node = self._convert(x, "f") if type(x) is Node else self.const(x)
         return node.index
 
-    def mark(self, name: str, found: Any, *given: Any) -> Any:
+    def mark(self, name: str, node: Any, *given: Any) -> Any:
         """Mark a node as the value of an elementary function of its operands, and return it."""
-        if type(found) is Node:
-            self.marks.setdefault(found.index, (name, tuple(map(self.number, given))))
-        return found
+        if type(node) is Node:
+            self.marks.setdefault(node.index, (name, tuple(map(self.number, given))))
+        return node
 
     def at(self, index: int) -> Node:
         """Return the node with this index."""
         return Node(self, index)
 
-    def known(self, index: int) -> Any:
+    def constant_of(self, index: int) -> Any:
         """Return the value of a constant; None for any other node."""
         return self._values.get(index)
 
@@ -269,79 +269,79 @@ class Tape:
             elif type(x) is float and x != 0:
                 key.append((x,))  # distinct from the index of a node
             else:
-                return self._applied_anew(name, given)
-        found = self._applied.get(tuple(key))
-        if found is None:
-            node = self._applied_anew(name, given)
-            found = self._applied[tuple(key)] = node.index
-        return Node(self, found)
+                return self._apply_new(name, given)
+        index = self._results.get(tuple(key))
+        if index is None:
+            node = self._apply_new(name, given)
+            index = self._results[tuple(key)] = node.index
+        return Node(self, index)
 
-    def _applied_anew(self, name: str, given: Sequence[Node | Known]) -> Node:
+    def _apply_new(self, name: str, given: Sequence[Node | Known]) -> Node:
         kinds = [self.types[x.index] if type(x) is Node else kind_of(x) for x in given]
-        if "u" in kinds and name in ON_WHOLES:
-            name = ON_WHOLES[name]
-        wanted = kinds_before(name, kinds)
-        nodes = [self._as(x, kind) for x, kind in zip(given, wanted, strict=True)]
+        if "u" in kinds and name in WORD_NAMES:
+            name = WORD_NAMES[name]
+        operand_types = operand_kinds(name, kinds)
+        nodes = [self._convert(x, kind) for x, kind in zip(given, operand_types, strict=True)]
         indices = [node.index for node in nodes]
         values = [*map(self._values.get, indices)]
         if None not in values:
-            return self._folded(name, wanted, values)
+            return self._fold(name, operand_types, values)
         simpler: Node | None = RULES[name](self, *nodes, *values) if name in RULES else None
         if simpler is not None:
             return simpler
         if name in COMMUTE:
             indices.sort()
-        return self._node(kind_after(name, wanted), self.dependence(indices), (name, *indices))
+        return self._node(result_kind(name, operand_types), self.dependence(indices), (name, *indices))
 
     def dependence(self, nodes: Iterable[int]) -> int:
         """Return what some nodes depend on."""
-        found = 0
+        depends = 0
         for index in nodes:
-            found |= self.depends[index]
-        return found
+            depends |= self.depends[index]
+        return depends
 
-    def _as(self, x: Node | Known, kind: str) -> Node:
+    def _convert(self, x: Node | Known, kind: str) -> Node:
         if type(x) is not Node:
             return self.const(x, kind)
         if x.tape is not self:
-            instead = "keep memory in state: return it with the input"
-            raise NotTraceable("a symbol of an earlier trace was kept", instead)
-        own = self.types[x.index]
-        if own == kind or kind == "u":
+            remedy = "keep memory in state: return it with the input"
+            raise NotTraceable("a symbol of an earlier trace was kept", remedy)
+        own_kind = self.types[x.index]
+        if own_kind == kind or kind == "u":
             return x
         return self.apply("select", x, 1.0, 0.0) if kind == "f" else self.apply("ne", x, 0.0)
 
-    def _folded(self, name: str, kinds: Sequence[str], values: Sequence[Any]) -> Node:
+    def _fold(self, name: str, kinds: Sequence[str], values: Sequence[Any]) -> Node:
         with np.errstate(all="ignore"):
             value = NUMPY[name](*(DTYPES[k](v) for k, v in zip(kinds, values, strict=True)))
-        return self.const(value, kind_after(name, kinds))
+        return self.const(value, result_kind(name, kinds))
 
     def _node(self, kind: str, depends: int, operation: _Operation) -> Node:
-        index = self._known.get(operation)
+        index = self._indices.get(operation)
         if index is None:
             index = len(self.operations)
             # Nodes that all robots share are computed before the loop and cost little.
-            self._own += bool(depends & (ROBOT | STATE))
-            if self._own >= self._largest or index >= _SHARED * self._largest:
-                what = f"the law has more than {self._largest} operations with unrolled loops"
-                instead = "use fewer iterations or substeps, or run it with engine=Engine.PYTHON"
-                raise NotTraceable(what, instead)
-            self._known[operation] = index
+            self._count += bool(depends & (ROBOT | STATE))
+            if self._count >= self._largest or index >= _SHARED * self._largest:
+                reason = f"the law has more than {self._largest} operations with unrolled loops"
+                remedy = "use fewer iterations or substeps, or run it with engine=Engine.PYTHON"
+                raise NotTraceable(reason, remedy)
+            self._indices[operation] = index
             if operation[0] == "const":
                 self._keep(index, operation)
             self.operations.append(operation)
             self.types.append(kind)
             self.depends.append(depends)
-            if self._where is not None:
-                self.places.append(self._where())
+            if self._locate is not None:
+                self.places.append(self._locate())
         return Node(self, index)
 
 
-def _operator(name: str, turned: bool = False) -> Callable[[Node, Any], Any]:
+def _operator(name: str, is_reversed: bool = False) -> Callable[[Node, Any], Any]:
     def apply(self: Node, other: Any) -> Any:
         if type(other) is not Node and not isinstance(other, int | float | np.generic):
             return NotImplemented
-        return self.tape.apply(name, *((other, self) if turned else (self, other)))
+        return self.tape.apply(name, *((other, self) if is_reversed else (self, other)))
 
     return apply
 
@@ -367,37 +367,37 @@ class Node:
     @property
     def value(self) -> Any:
         """Value of a constant, else None."""
-        return self.tape.known(self.index)
+        return self.tape.constant_of(self.index)
 
-    def _needed(self, what: str, instead: str) -> Any:
+    def _require_value(self, reason: str, remedy: str) -> Any:
         """Return the value of a constant; raise `NotTraceable` for a symbol."""
         if (value := self.value) is None:
-            raise NotTraceable(what, instead)
+            raise NotTraceable(reason, remedy)
         return value
 
     def __bool__(self) -> bool:
-        what = "`if`, `while`, `and`, `or`, `not`, `assert`, max() or min() needs the truth of a symbol"
-        instead = "use np.where, np.logical_and, np.logical_or, np.logical_not, np.maximum and np.minimum"
-        return bool(self._needed(what, instead))
+        reason = "`if`, `while`, `and`, `or`, `not`, `assert`, max() or min() needs the truth of a symbol"
+        remedy = "use np.where, np.logical_and, np.logical_or, np.logical_not, np.maximum and np.minimum"
+        return bool(self._require_value(reason, remedy))
 
     def __float__(self) -> float:
-        what = "float(), a function of `math`, or an array from outside the law needs the value of a symbol"
-        make = "make the array in the law, by np.array, np.zeros or np.zeros_like"
-        return float(self._needed(what, f"use NumPy's function, and {make}"))
+        reason = "float(), a function of `math`, or an array from outside the law needs the value of a symbol"
+        remedy = "make the array in the law, by np.array, np.zeros or np.zeros_like"
+        return float(self._require_value(reason, f"use NumPy's function, and {remedy}"))
 
     def __index__(self) -> int:
-        what = "an index, int(), range() or an array of whole numbers needs the value of a symbol"
-        return int(self._needed(what, "use np.where or np.select, and arrays of floats"))
+        reason = "an index, int(), range() or an array of whole numbers needs the value of a symbol"
+        return int(self._require_value(reason, "use np.where or np.select, and arrays of floats"))
 
     __int__ = __index__
 
-    __add__, __radd__ = _operator("add"), _operator("add", turned=True)
-    __sub__, __rsub__ = _operator("sub"), _operator("sub", turned=True)
-    __mul__, __rmul__ = _operator("mul"), _operator("mul", turned=True)
-    __truediv__, __rtruediv__ = _operator("div"), _operator("div", turned=True)
-    __and__, __rand__ = _operator("and"), _operator("and", turned=True)
-    __or__, __ror__ = _operator("or"), _operator("or", turned=True)
-    __xor__, __rxor__ = _operator("xor"), _operator("xor", turned=True)
+    __add__, __radd__ = _operator("add"), _operator("add", is_reversed=True)
+    __sub__, __rsub__ = _operator("sub"), _operator("sub", is_reversed=True)
+    __mul__, __rmul__ = _operator("mul"), _operator("mul", is_reversed=True)
+    __truediv__, __rtruediv__ = _operator("div"), _operator("div", is_reversed=True)
+    __and__, __rand__ = _operator("and"), _operator("and", is_reversed=True)
+    __or__, __ror__ = _operator("or"), _operator("or", is_reversed=True)
+    __xor__, __rxor__ = _operator("xor"), _operator("xor", is_reversed=True)
     __lshift__, __rshift__ = _operator("shl"), _operator("shr")
     __gt__, __ge__, __lt__, __le__ = _operator("gt"), _operator("ge"), _operator("lt"), _operator("le")
     __eq__, __ne__ = _operator("eq"), _operator("ne")
@@ -429,8 +429,8 @@ select, root, absolute = map(_primitive, ("select", "sqrt", "abs"))
 bits, real, maximum, minimum = map(_primitive, ("bits", "real", "max", "min"))
 
 
-def evaluated(
-    tape: Tape, wanted: Iterable[int], inputs: Mapping[_Operation, Any], first: bool = True
+def evaluate(
+    tape: Tape, nodes: Iterable[int], inputs: Mapping[_Operation, Any], first: bool = True
 ) -> list[Any]:
     """Return the values of nodes, computed with NumPy; the bits are those of compiled code.
 
@@ -438,7 +438,7 @@ def evaluated(
     ----------
     tape : Tape
         Tape with the nodes.
-    wanted : iterable of int
+    nodes : iterable of int
         Indices of the nodes.
     inputs : mapping of operation to ndarray
         Value of each input, such as ``("row", 2)``; all values broadcast. If `first` is False, also the
@@ -446,11 +446,11 @@ def evaluated(
     first : bool
         Whether this is the first sample, at which a delay returns its argument.
     """
-    wanted = list(wanted)
+    nodes = list(nodes)
     values: dict[int, Any] = {}
-    order = (index for index in needed(tape, wanted) if tape.depends[index] < ROUND)  # rounds compute others
+    order = (index for index in ancestors(tape, nodes) if tape.depends[index] < ROUND)  # not in rounds
 
-    def given(operation: _Operation) -> Any:
+    def input_value(operation: _Operation) -> Any:
         if operation[0] == "ring":
             return values[operation[3]] if first else inputs[operation]
         # A NumPy scalar for one number: faster than an array without axes.
@@ -458,58 +458,56 @@ def evaluated(
         return np.asarray(inputs[operation], DTYPES[kind])[()]
 
     with np.errstate(all="ignore"):
-        _compute(tape, order, values, given)
-    return [values[index] for index in wanted]
+        _compute(tape, order, values, input_value)
+    return [values[index] for index in nodes]
 
 
 def _compute(
-    tape: Tape, order: Iterable[int], values: dict[int, Any], given: Callable[[_Operation], Any]
+    tape: Tape, order: Iterable[int], values: dict[int, Any], input_value: Callable[[_Operation], Any]
 ) -> None:
-    """Compute nodes in order; `given` returns the values of inputs."""
+    """Compute nodes in order; `input_value` returns the values of inputs."""
     for index in order:
         operation = tape.operations[index]
         name = operation[0]
         if name in NUMPY:
             values[index] = NUMPY[name](*[values[i] for i in operation[1:]])
         elif name == "const":
-            values[index] = DTYPES[operation[1]](tape.known(index))
+            values[index] = DTYPES[operation[1]](tape.constant_of(index))
         elif name == "repeat":
-            values[index] = _after_rounds(tape, Rounds.of(tape, index), values)
+            values[index] = _evaluate_rounds(tape, Rounds.of(tape, index), values)
         elif name == "result":
             values[index] = values[operation[1]][operation[2]]
         else:
-            values[index] = given(operation)
+            values[index] = input_value(operation)
 
 
-def _after_rounds(tape: Tape, rounds: Rounds, values: dict[int, Any]) -> list[Any]:
+def _evaluate_rounds(tape: Tape, rounds: Rounds, values: dict[int, Any]) -> list[Any]:
     """Return the carried numbers after the last round; those of a finished robot do not change.
 
     `values` contains the known nodes, and then the nodes of the last round.
     """
-    carried, done = [values[i] for i in rounds.first], values[rounds.settled]
+    carried, done = [values[i] for i in rounds.first], values[rounds.skip]
     for _ in range(rounds.most):
         if np.all(done):
             break
-        now = carried
-        _compute(tape, rounds.body, values, lambda operation: now[operation[2]])  # noqa: B023 (called here)
-        carried = [
-            np.where(done, old, values[i])[()] for old, i in zip(carried, rounds.following, strict=True)
-        ]
+        current = carried
+        _compute(tape, rounds.body, values, lambda operation: current[operation[2]])  # noqa: B023 (called here)
+        carried = [np.where(done, old, values[i])[()] for old, i in zip(carried, rounds.results, strict=True)]
         done = done | values[rounds.done]
     return carried
 
 
-def needed(tape: Tape, wanted: Iterable[int]) -> list[int]:
+def ancestors(tape: Tape, nodes: Iterable[int]) -> list[int]:
     """Return the nodes that some nodes need, including themselves, in the order of the tape."""
-    last = max(wanted := list(wanted), default=-1)
-    found = bytearray(last + 1)
-    for index in wanted:
-        found[index] = 1
+    last = max(nodes := list(nodes), default=-1)
+    is_ancestor = bytearray(last + 1)
+    for index in nodes:
+        is_ancestor[index] = 1
     for index in range(last, -1, -1):  # an operand precedes its operation
-        if found[index]:
+        if is_ancestor[index]:
             for operand in operands(tape.operations[index]):
-                found[operand] = 1
-    return [index for index, is_needed in enumerate(found) if is_needed]
+                is_ancestor[operand] = 1
+    return [index for index, is_needed in enumerate(is_ancestor) if is_needed]
 
 
 def choose(condition: Any, a: Any, b: Any) -> Any:
@@ -529,11 +527,11 @@ def square_root(x: Any) -> Any:
     return math.sqrt(x) if isinstance(x, float) else root(x)
 
 
-def repeated(
+def repeat(
     law: Callable[[list[Any]], tuple[Sequence[Any], Any]],
     first: Sequence[Any],
     most: int,
-    settled: Any = False,
+    skip: Any = False,
 ) -> list[Any]:
     """Return numbers after rounds of a law.
 
@@ -549,24 +547,24 @@ def repeated(
         Numbers before the first round: numbers, arrays, or symbols.
     most : int
         Largest number of rounds, >= 1.
-    settled : bool or ndarray of bool or symbol
+    skip : bool or ndarray of bool or symbol
         Whether no round is needed.
     """
-    for x in (*first, settled):
+    for x in (*first, skip):
         if type(x) is Node:
-            return list(x.tape.repeated(law, first, most, settled))
-    carried, done = list(first), np.bool_(False) | settled
+            return list(x.tape.repeat(law, first, most, skip))
+    carried, done = list(first), np.bool_(False) | skip
     for _ in range(most):
         if np.all(done):
             break
-        found, now = law(list(carried))
+        results, is_done = law(list(carried))
         if np.any(done):
-            found = [np.where(done, old, new) for old, new in zip(carried, found, strict=True)]
-        carried, done = list(found), done | now
+            results = [np.where(done, old, new) for old, new in zip(carried, results, strict=True)]
+        carried, done = list(results), done | is_done
     return carried
 
 
-_WORTH_A_TABLE = 32  # operations of a sample that justify a table
+_TABLE_WORK = 32  # operations of a sample that justify a table
 
 
 @dataclass(frozen=True)
@@ -602,7 +600,7 @@ class Ring:
     """Delayed number: its node, the node that enters the delay, and the delay in samples."""
 
     node: int
-    pushed: int
+    source: int
     samples: int
 
 
@@ -658,7 +656,7 @@ class LoopTape:
     unused: list[str] = field(default_factory=list)
     tracks: int = 0
     units: dict[str, str] = field(default_factory=dict)
-    scheduled: int = 0
+    schedule_size: int = 0
     tables: bool = True
 
     @property
@@ -667,34 +665,34 @@ class LoopTape:
         return sum(len(nodes) for _, nodes in self.kept.values())
 
     @functools.cached_property
-    def tabled(self) -> list[int]:
+    def table_nodes(self) -> list[int]:
         """Nodes of time and reference only, which are computed once, as further columns of the samples.
 
         They are the same for all robots. Long computations, such as the waves of a noise force, are thus not
         repeated for each block of robots.
         """
         tape = self.tape
-        wanted = needed(tape, self.outputs)
-        shared = {i for i in wanted if tape.depends[i] & SAMPLE and not tape.depends[i] & (ROBOT | STATE)}
-        used = {i for j in wanted if j not in shared for i in operands(tape.operations[j])}
-        ends = sorted(shared & (used | set(self.outputs)))
-        found = [i for i in ends if tape.types[i] == "f" and operands(tape.operations[i])]
-        saved = len(shared & set(needed(tape, found)))
-        return found if self.tables and saved > _WORTH_A_TABLE + 2 * len(found) else []
+        nodes = ancestors(tape, self.outputs)
+        shared = {i for i in nodes if tape.depends[i] & SAMPLE and not tape.depends[i] & (ROBOT | STATE)}
+        operand_nodes = {i for j in nodes if j not in shared for i in operands(tape.operations[j])}
+        ends = sorted(shared & (operand_nodes | set(self.outputs)))
+        tables = [i for i in ends if tape.types[i] == "f" and operands(tape.operations[i])]
+        savings = len(shared & set(ancestors(tape, tables)))
+        return tables if self.tables and savings > _TABLE_WORK + 2 * len(tables) else []
 
     @functools.cached_property
-    def own(self) -> int:
+    def robot_size(self) -> int:
         """Number of operations per robot and sample, without those in tables."""
-        return sum(bool(self.tape.depends[i] & (ROBOT | STATE)) for i in needed(self.tape, self.outputs))
+        return sum(bool(self.tape.depends[i] & (ROBOT | STATE)) for i in ancestors(self.tape, self.outputs))
 
     @property
     def columns(self) -> int:
         """Number of entries of a sample: time, reference, schedules and tables."""
-        return 1 + self.sizes[3] + 2 * self.sizes[4] + self.scheduled + len(self.tabled)
+        return 1 + self.sizes[3] + 2 * self.sizes[4] + self.schedule_size + len(self.table_nodes)
 
     @property
     def outputs(self) -> list[int]:
         """Nodes that are needed at each sample."""
         kept = [node for _, nodes in self.kept.values() for node in nodes]
-        pushed = [node for ring in self.rings for node in (ring.node, ring.pushed)]
-        return [node for pair in self.states for node in pair] + pushed + self.counted + kept
+        ring_nodes = [node for ring in self.rings for node in (ring.node, ring.source)]
+        return [node for pair in self.states for node in pair] + ring_nodes + self.counted + kept

@@ -9,12 +9,12 @@ import attrs
 import numpy as np
 
 from pinmobile.arrays import Array, bounded, callable_as, frozen, vector
-from pinmobile.controllers.controller import Controller, Seen, State, Wrapper, answer_of, notify_applied
+from pinmobile.controllers.controller import ContextView, Controller, State, Wrapper, evaluate, notify_applied
 from pinmobile.controllers.kinematic_laws import (
     LAW,
     KinematicLaw,
     check_law,
-    tracked,
+    tracking_error,
     value_of,
 )
 from pinmobile.errors import InvalidArgument
@@ -45,10 +45,10 @@ _HALF_SAMPLE = 0.5
 class _ByVoltage(Child):
     """Declaration of a robot whose input is voltages, or that has a method `by_voltage`."""
 
-    def checked(self, name: str, value: Any) -> Any:
+    def convert(self, name: str, value: Any) -> Any:
         """Return the robot whose input is voltages."""
-        powered = None if able(value, Electric) or isinstance(value, type) else able(value, Powered)
-        return super().checked(name, powered.by_voltage() if powered else value)
+        motor_robot = None if able(value, Electric) or isinstance(value, type) else able(value, Powered)
+        return super().convert(name, motor_robot.by_voltage() if motor_robot else value)
 
 
 @final
@@ -100,7 +100,7 @@ class TorqueToVoltage(Wrapper):
 
     def initial_state(self, context: Context) -> tuple[Any, Any]:
         """Return the first state of the wrapped controller, and zero velocities."""
-        inner: Any = Seen(context, inputs=self.robot.wheeled.inputs)
+        inner: Any = ContextView(context, inputs=self.robot.wheeled.inputs)
         return self.controller.initial_state(inner), np.zeros(self.robot.nv)
 
     def applied(self, u: Array, state: tuple[Any, Any]) -> tuple[Any, Any]:
@@ -112,7 +112,7 @@ class TorqueToVoltage(Wrapper):
         self, t: float, q: Array, v: Array, reference: State, state: tuple[Any, Any]
     ) -> tuple[Array, tuple[Any, Any]]:
         """Return the voltages, shape (..., nu) [V], and the next state."""
-        torques, inner = answer_of(self.controller, t, q, v, reference, state[0])
+        torques, inner = evaluate(self.controller, t, q, v, reference, state[0])
         return self.robot.volts_for(v, torques), (inner, v)
 
 
@@ -194,29 +194,29 @@ class WheelSpeed:
         return np.array([actuator.column for actuator in self.robot.table.actuators])
 
     @cached_property
-    def _wanted(self) -> Array:
+    def _rate_matrix(self) -> Array:
         """Rate of each motor per speed and per yaw rate, shape (2, nu)."""
         a, b, arm = self._axle
         twists = np.array([[b, -a, 0.0], [-arm * a, -arm * b, 1.0]])
         return np.asarray(self.robot.wheel_rates(twists) @ self._columns.T)
 
     @structure
-    def _measured(self) -> tuple[tuple[tuple[int, float], ...], ...]:
+    def _rate_entries(self) -> tuple[tuple[tuple[int, float], ...], ...]:
         """Entries of v in the rate of each motor, and their coefficients."""
-        first = self.robot.nv - self._columns.shape[1]
-        return tuple(tuple((first + i, float(x)) for i, x in enumerate(row) if x) for row in self._columns)
+        offset = self.robot.nv - self._columns.shape[1]
+        return tuple(tuple((offset + i, float(x)) for i, x in enumerate(row) if x) for row in self._columns)
 
     def initial_state(self, context: Context) -> tuple[Any, Any, Any, Any, Any]:
         """Return the law's state, integrals, increments, last input, and time step."""
         check_law(self.law, self._axle, context)
-        none = np.zeros(len(self._measured))
-        return self.law.initial_state(context), none, none, none, float(context.dt)
+        zeros = np.zeros(len(self._rate_entries))
+        return self.law.initial_state(context), zeros, zeros, zeros, float(context.dt)
 
     def applied(self, u: Array, state: tuple[Any, Any, Any, Any, Any]) -> tuple[Any, Any, Any, Any, Any]:
         """Return the state without the increments that a limit makes useless, shape (..., nu)."""
-        law, integral, gain, asked, dt = state
-        back = np.where((asked - u) * gain > 0.0, gain, 0.0)
-        return law, integral - back, gain, asked, dt
+        law, integral, gain, law_input, dt = state
+        excess = np.where((law_input - u) * gain > 0.0, gain, 0.0)
+        return law, integral - excess, gain, law_input, dt
 
     def __call__(
         self, t: float, q: Array, v: Array, reference: State, state: tuple[Any, Any, Any, Any, Any]
@@ -225,13 +225,13 @@ class WheelSpeed:
         law, integral, _, _, dt = state
         a, b, _ = self._axle
         c, s = np.cos(q[..., 2]), np.sin(q[..., 2])
-        own = (b * c + a * s) * v[..., 0] + (b * s - a * c) * v[..., 1]
-        known, _ = tracked(self.robot, self._axle, q, v, reference, own)
-        (speed, yaw_rate), law = self.law(known, law)
-        wanted, turning = value_of(speed), value_of(yaw_rate)
+        body_speed = (b * c + a * s) * v[..., 0] + (b * s - a * c) * v[..., 1]
+        error_state, _ = tracking_error(self.robot, self._axle, q, v, reference, body_speed)
+        (speed, yaw_rate), law = self.law(error_state, law)
+        v_c, w_c = value_of(speed), value_of(yaw_rate)
         errors = []
-        for k, column in enumerate(self._measured):
-            rate = self._wanted[0, k] * wanted + self._wanted[1, k] * turning
+        for k, column in enumerate(self._rate_entries):
+            rate = self._rate_matrix[0, k] * v_c + self._rate_matrix[1, k] * w_c
             for i, share in column:
                 rate = rate - share * v[..., i]
             errors.append(rate)
@@ -303,9 +303,9 @@ class VelocityCommand:
 
     def __call__(self, t: float, q: Array, v: Array, reference: State, state: Any) -> tuple[Array, Any]:
         """Return the commands, shape (..., 2) [m/s, rad/s or rad], and the law's next state."""
-        own = self.robot.independent(q, v)[..., 0]
-        known, _ = tracked(self.robot, self.robot.axle, q, v, reference, own)
-        (speed, yaw_rate), state = self.law(known, state)
+        body_speed = self.robot.independent(q, v)[..., 0]
+        error_state, _ = tracking_error(self.robot, self.robot.axle, q, v, reference, body_speed)
+        (speed, yaw_rate), state = self.law(error_state, state)
         return self.robot.command_for(value_of(speed), value_of(yaw_rate)), state
 
 
@@ -383,13 +383,13 @@ class RandomSteps:
         self, t: float, q: Array, v: Array, reference: State, state: tuple[Any, Any, Any, float]
     ) -> tuple[Array, tuple[Any, Any, Any, float]]:
         """Return the levels, shape (..., 2) [m/s, rad/s], and the next state."""
-        left, level, noise, dt = state
+        remaining, level, noise, dt = state
         numbers, noise = noise.draw()
         # The direction of a vector of two normal numbers is uniform.
         x, y = numbers[..., :4], numbers[..., 4:]
         share = 0.5 + _TURN * np.arctan2(y, x)
-        ends = left < _HALF_SAMPLE * dt
-        level = np.where(ends, self.lowest + (self.largest - self.lowest) * share[..., :2], level)
-        longer = self.hold[..., :1] + (self.hold[..., 1:] - self.hold[..., :1]) * share[..., 2:]
-        left = np.where(ends, longer, left) - dt
-        return level, (left, level, noise, dt)
+        is_over = remaining < _HALF_SAMPLE * dt
+        level = np.where(is_over, self.lowest + (self.largest - self.lowest) * share[..., :2], level)
+        new_hold = self.hold[..., :1] + (self.hold[..., 1:] - self.hold[..., :1]) * share[..., 2:]
+        remaining = np.where(is_over, new_hold, remaining) - dt
+        return level, (remaining, level, noise, dt)

@@ -9,33 +9,33 @@ import attrs
 import numpy as np
 
 from pinmobile.arrays import Array, bounded, frozen, instance, scalar, shaped, vector
-from pinmobile.controllers.controller import State, combined, passive_torque
-from pinmobile.controllers.feedback import SLOPE, OfBody, bound, check_bounds, comparison, coordinates_of
+from pinmobile.controllers.controller import State, combined_error, passive_torque
+from pinmobile.controllers.feedback import SLOPE, BodyLaw, bound, check_bounds, comparison, coordinates_of
 from pinmobile.controllers.kinematic_laws import (
     DualNumber,
     cos,
     rate_of,
     reference_of,
+    reference_speeds,
     sin,
-    speeds_along,
     tanh,
     value_of,
 )
-from pinmobile.controllers.lqr import check_held, diagonal, double_integrators
+from pinmobile.controllers.lqr import check_gains, diagonal, double_integrators
 from pinmobile.errors import InvalidArgument
 from pinmobile.parts import Commanded, Passive, array, child, each, number, option, part, structure
 from pinmobile.plant import Context
 
 _SIZE = 6
-_ABOVE_ZERO = 0, 1, 3, 5  # entries of theta that are positive: inertias and losses
-_LEAST_EXCITATION = 0.1  # smallest ratio of such an estimate and its nominal value
-_FREE = np.where(np.isin(np.arange(_SIZE), _ABOVE_ZERO), 0.0, np.inf)  # the others have no bound
-_AHEAD = 0.2  # [m], default for a robot whose point lies on its axle
-_EXCITED_RATES = (1.0, 1.0, 0.1, 4.0, 0.1, 4.0)  # gains of estimates, per inertia in their row
-_BACKWARDS, _STILL = -1e-6, 1e-6  # [m/s]
+_POSITIVE_ENTRIES = 0, 1, 3, 5  # entries of theta that are positive: inertias and losses
+_ESTIMATE_RATIO = 0.1  # smallest ratio of such an estimate and its nominal value
+_FREE = np.where(np.isin(np.arange(_SIZE), _POSITIVE_ENTRIES), 0.0, np.inf)  # the others have no bound
+_DISTANCE = 0.2  # [m], default for a robot whose point lies on its axle
+_THETA_GAINS = (1.0, 1.0, 0.1, 4.0, 0.1, 4.0)  # gains of estimates, per inertia in their row
+_REVERSE_SPEED, _SPEED_TOLERANCE = -1e-6, 1e-6  # [m/s]
 
 
-_usual = partial(attrs.Factory, takes_self=True)
+_self_default = partial(attrs.Factory, takes_self=True)
 
 
 @final
@@ -117,7 +117,7 @@ class AdaptiveVelocity:
 
     robot: Any = child(Commanded, doc="controller model; its theta is the initial estimate")
     ahead: float = number(
-        default=_usual(lambda self: self._own if self._own > 0 else _AHEAD),
+        default=_self_default(lambda self: self._distance if self._distance > 0 else _DISTANCE),
         above=0.0,
         unit="m",
         doc="distance from the axle to the point that follows",
@@ -136,7 +136,7 @@ class AdaptiveVelocity:
         size=lambda self: 2,
     )
     gamma: Any = array(
-        default=_usual(lambda self: np.array(_EXCITED_RATES) * _of_each(self._theta[:2])),
+        default=_self_default(lambda self: np.array(_THETA_GAINS) * _expand_to_theta(self._theta[:2])),
         shapes=((), ("n",)),
         lower=0.0,
         fixed=True,
@@ -147,12 +147,12 @@ class AdaptiveVelocity:
         default=0.0, lower=0.0, unit="1/s", doc="leakage rate toward the initial estimates"
     )
     lower: Any = bound(
-        -1.0, "lower bounds of theta", _usual(lambda self: _LEAST_EXCITATION * self._theta - _FREE)
+        -1.0, "lower bounds of theta", _self_default(lambda self: _ESTIMATE_RATIO * self._theta - _FREE)
     )
-    upper: Any = bound(1.0, "upper bounds of theta", _usual(lambda self: np.full(_SIZE, np.inf)))
+    upper: Any = bound(1.0, "upper bounds of theta", _self_default(lambda self: np.full(_SIZE, np.inf)))
 
     @property
-    def _own(self) -> float:
+    def _distance(self) -> float:
         """Distance from the axle of the robot to its point [m]."""
         return scalar("ahead of robot", self.robot.ahead)
 
@@ -172,25 +172,25 @@ class AdaptiveVelocity:
     @structure
     def _follows_pose(self) -> bool:
         """Whether the point differs from the robot's own, so that the reference's heading matters."""
-        return bool(self.ahead != self._own)
+        return bool(self.ahead != self._distance)
 
     def initial_state(self, context: Context) -> tuple[Any, Any, Any, Any, float]:
         """Return theta, the theta before, errors, the last commands, and the time step."""
         reference = reference_of(context)
         if reference is not None and self._follows_pose:
             t = np.asarray(context.t)
-            speed, _ = speeds_along(self.robot.axle, t, reference)
-            if (speed < _BACKWARDS).any():
-                j = int(np.argmax(speed < _BACKWARDS))
+            speed, _ = reference_speeds(self.robot.axle, t, reference)
+            if (speed < _REVERSE_SPEED).any():
+                j = int(np.argmax(speed < _REVERSE_SPEED))
                 raise InvalidArgument(
                     f"reference has a speed of {speed[j]:.3g} m/s at t = {t[j]:g} s, expected one that "
                     "does not move backwards, where a point ahead of the axle turns around"
                 )
-        self._check_held(context.dt, reference)
-        none = np.zeros(2)
-        return self.robot.theta, self.robot.theta, none, none, float(context.dt)
+        self._check_gains(context.dt, reference)
+        zeros = np.zeros(2)
+        return self.robot.theta, self.robot.theta, zeros, zeros, float(context.dt)
 
-    def _check_held(self, dt: float, reference: Any) -> None:
+    def _check_gains(self, dt: float, reference: Any) -> None:
         """Raise `InvalidArgument` for gains at which the sampled loop is unstable for an exact model."""
 
         def gains() -> dict[str, Any]:
@@ -200,23 +200,23 @@ class AdaptiveVelocity:
             kp, k, gamma, theta = map(np.asarray, gains().values())
             inertia, loss, kp = theta[..., :2], theta[..., [3, 5]], kp[..., None] + 0 * k
             decay = np.exp(-dt * loss / inertia)
-            gained = (1 - decay) / loss  # velocity per command
-            moved = (dt - inertia * gained) / loss
-            asked = inertia * k * kp, loss - inertia * (kp + k), 1 + 0 * kp
-            grown = dt * _squares(gamma, reference)
-            place = [1 - moved * asked[0], -inertia * gained - moved * asked[1], -moved]
-            velocity = [gained * asked[0], decay + gained * asked[1], gained]
-            estimate = [grown * kp, -grown, 1]
-            rows = (np.stack(np.broadcast_arrays(kp, *row)[1:], -1) for row in (place, velocity, estimate))
+            v_gain = (1 - decay) / loss  # velocity per command
+            x_gain = (dt - inertia * v_gain) / loss
+            command = inertia * k * kp, loss - inertia * (kp + k), 1 + 0 * kp
+            estimate_gain = dt * _squares(gamma, reference)
+            position = [1 - x_gain * command[0], -inertia * v_gain - x_gain * command[1], -x_gain]
+            velocity = [v_gain * command[0], decay + v_gain * command[1], v_gain]
+            estimate = [estimate_gain * kp, -estimate_gain, 1]
+            rows = (np.stack(np.broadcast_arrays(kp, *row)[1:], -1) for row in (position, velocity, estimate))
             return np.stack(np.broadcast_arrays(*rows), axis=-2)
 
-        check_held(gains, loop, dt)
+        check_gains(gains, loop, dt)
 
     def applied(self, u: Array, state: tuple[Any, Any, Any, Any, float]) -> tuple[Any, Any, Any, Any, float]:
         """Return the state without the increments that a limit makes useless, shape (..., 2)."""
-        theta, before, errors, asked, dt = state
-        further = (asked - u) * errors
-        return np.where(_of_each(further) > 0.0, before, theta), before, errors, asked, dt
+        theta, previous, errors, command, dt = state
+        windup = (command - u) * errors
+        return np.where(_expand_to_theta(windup) > 0.0, previous, theta), previous, errors, command, dt
 
     def signals(self, state: tuple[Any, Any, Any, Any, float]) -> dict[str, Any]:
         """Return the estimate of theta."""
@@ -228,52 +228,52 @@ class AdaptiveVelocity:
         """Return the commands, shape (..., 2) [m/s, rad/s], and the next state."""
         theta, dt = state[0], state[-1]
         nu = self.robot.independent(q, v)
-        wanted = self._wanted(q, nu, reference)
-        errors = np.stack([value_of(each) for each in wanted], axis=-1) - nu
-        rates = np.stack([rate_of(each) for each in wanted], axis=-1) + self.k * errors
+        desired = self._desired_velocities(q, nu, reference)
+        errors = np.stack([value_of(velocity) for velocity in desired], axis=-1) - nu
+        rates = np.stack([rate_of(velocity) for velocity in desired], axis=-1) + self.k * errors
         u, w = nu[..., 0], nu[..., 1]
         columns = rates[..., 0], rates[..., 1], -w * w, u, u * w, w
         Y = np.stack(np.broadcast_arrays(*columns), axis=-1)
         parts = Y * theta
-        asked = np.stack(
+        command = np.stack(
             [
                 parts[..., 0] + parts[..., 2] + parts[..., 3],
                 parts[..., 1] + parts[..., 4] + parts[..., 5],
             ],
             axis=-1,
         )
-        grown = self.gamma * Y * _of_each(errors) - self.leakage * (theta - self.robot.theta)
-        after = np.minimum(np.maximum(theta + dt * grown, self.lower), self.upper)
-        return asked, (after, theta, errors, asked, dt)
+        theta_rate = self.gamma * Y * _expand_to_theta(errors) - self.leakage * (theta - self.robot.theta)
+        next_theta = np.minimum(np.maximum(theta + dt * theta_rate, self.lower), self.upper)
+        return command, (next_theta, theta, errors, command, dt)
 
-    def _wanted(self, q: Array, nu: Array, reference: State) -> tuple[DualNumber, DualNumber]:
+    def _desired_velocities(self, q: Array, nu: Array, reference: State) -> tuple[DualNumber, DualNumber]:
         """Return the speed and yaw rate of the kinematic law, with their rates."""
-        ahead, off = self.ahead, self.ahead - self.robot.ahead
+        distance, offset = self.ahead, self.ahead - self.robot.ahead
         u, w = nu[..., 0], nu[..., 1]
         psi, turn = DualNumber(q[..., 2], w), DualNumber(reference.v[..., 2], reference.a[..., 2])
         psi_r = DualNumber(reference.q[..., 2], turn.value)
         c, s, c_r, s_r = cos(psi), sin(psi), cos(psi_r), sin(psi_r)
-        own = u * c.value - ahead * (w * s.value), u * s.value + ahead * (w * c.value)
-        places = off * (c_r.value - c.value), off * (s_r.value - s.value)
-        turned = -(off * (turn * s_r)), off * (turn * c_r)
+        velocity = u * c.value - distance * (w * s.value), u * s.value + distance * (w * c.value)
+        shifts = offset * (c_r.value - c.value), offset * (s_r.value - s.value)
+        shift_rates = -(offset * (turn * s_r)), offset * (turn * c_r)
         x, y = (
-            rate + self.saturation * tanh((self.kp / self.saturation) * DualNumber(place, rate.value - mine))
-            for rate, place, mine in (
+            rate + self.saturation * tanh((self.kp / self.saturation) * DualNumber(error, rate.value - v))
+            for rate, error, v in (
                 (
-                    DualNumber(reference.v[..., i], reference.a[..., i]) + turned[i],
-                    reference.q[..., i] - q[..., i] + places[i],
-                    own[i],
+                    DualNumber(reference.v[..., i], reference.a[..., i]) + shift_rates[i],
+                    reference.q[..., i] - q[..., i] + shifts[i],
+                    velocity[i],
                 )
                 for i in range(2)
             )
         )
-        return x * c + y * s, (y * c - x * s) / ahead
+        return x * c + y * s, (y * c - x * s) / distance
 
 
-def _of_each(rows: Any) -> Any:
+def _expand_to_theta(rows: Any) -> Any:
     """Return values of speed and yaw rate, shape (..., 2), for each entry of theta, shape (..., 6)."""
-    speed, turning = rows[..., 0], rows[..., 1]
-    return np.stack([speed, turning, speed, speed, turning, turning], axis=-1)
+    speed, yaw_rate = rows[..., 0], rows[..., 1]
+    return np.stack([speed, yaw_rate, speed, speed, yaw_rate, yaw_rate], axis=-1)
 
 
 def _squares(gamma: Array, reference: Any) -> Array:
@@ -282,24 +282,24 @@ def _squares(gamma: Array, reference: Any) -> Array:
         return np.zeros(2)
     (x, y), (ax, ay) = (np.moveaxis(part[..., :2], -1, 0) for part in (reference.v, reference.a))
     u = np.hypot(x, y)
-    by = np.maximum(u, _STILL)
-    faster, w = (x * ax + y * ay) / by, (x * ay - y * ax) / (by * by)
-    still = u < _STILL
-    faster, w = np.where(still, 0.0, faster), np.where(still, 0.0, w)
-    speed = [np.mean(x) for x in (faster**2, w**4, u**2)]
-    ahead = gamma[..., 0] * speed[0] + gamma[..., 2] * speed[1] + gamma[..., 3] * speed[2]
-    turning = gamma[..., 4] * np.mean((u * w) ** 2) + gamma[..., 5] * np.mean(w**2)
-    return np.stack([ahead, turning], axis=-1)
+    divisor = np.maximum(u, _SPEED_TOLERANCE)
+    acceleration, w = (x * ax + y * ay) / divisor, (x * ay - y * ax) / (divisor * divisor)
+    is_at_rest = u < _SPEED_TOLERANCE
+    acceleration, w = np.where(is_at_rest, 0.0, acceleration), np.where(is_at_rest, 0.0, w)
+    speed = [np.mean(x) for x in (acceleration**2, w**4, u**2)]
+    speed_sum = gamma[..., 0] * speed[0] + gamma[..., 2] * speed[1] + gamma[..., 3] * speed[2]
+    yaw_sum = gamma[..., 4] * np.mean((u * w) ** 2) + gamma[..., 5] * np.mean(w**2)
+    return np.stack([speed_sum, yaw_sum], axis=-1)
 
 
 _BASE = 3  # coordinates of the base: x, y, psi
-_BODY = 4  # parameters of a body in the plane: m, m com_x, m com_y, and inertia about the frame's vertical
-_EACH = 10  # parameters of a body in space, as in `regressor`
-_RATES = (2 / 3, 1 / 15, 1 / 15, 1 / 50)  # gains of the estimates of a body in the plane, per kg of it
-_RUBBING = (2.0, 1.0)  # gains of viscous and dry friction, per diagonal entry of M
-_TURNING = 1.8  # factor of these gains if a coordinate is an angle
-_ROUNDING = 1e-9  # relative tolerance for the equality of applied and desired force
-_LEAST = 0.04  # smallest ratio of the estimated and nominal inertia about the centre of mass
+_PLANAR = 4  # parameters of a body in the plane: m, m com_x, m com_y, and inertia about the frame's vertical
+_SPATIAL = 10  # parameters of a body in space, as in `regressor`
+_BODY_GAINS = (2 / 3, 1 / 15, 1 / 15, 1 / 50)  # gains of the estimates of a body in the plane, per kg of it
+_FRICTION_GAINS = (2.0, 1.0)  # gains of viscous and dry friction, per diagonal entry of M
+_ANGLE_FACTOR = 1.8  # factor of these gains if a coordinate is an angle
+_FORCE_TOLERANCE = 1e-9  # relative tolerance for the equality of applied and desired force
+_INERTIA_RATIO = 0.04  # smallest ratio of the estimated and nominal inertia about the centre of mass
 
 
 def _flag(name: str, value: Any) -> bool:
@@ -309,7 +309,7 @@ def _flag(name: str, value: Any) -> bool:
 
 @final
 @part
-class Adaptive(OfBody):
+class Adaptive(BodyLaw):
     """Adaptive control (Slotine and Li, 1987): it estimates the model's parameters phi in the run.
 
     ::
@@ -413,29 +413,29 @@ class Adaptive(OfBody):
         """Initial estimate, shape (p,)."""
         M = self._inertia
         is_planar = len(M) == _BASE
-        own = [M[0, 0], M[1, 2], -M[0, 2], M[2, 2]] if is_planar else self.robot.inertial_parameters
-        return frozen(np.concatenate([own, np.zeros(2 * len(M) * self.friction)]))
+        inertial = [M[0, 0], M[1, 2], -M[0, 2], M[2, 2]] if is_planar else self.robot.inertial_parameters
+        return frozen(np.concatenate([inertial, np.zeros(2 * len(M) * self.friction)]))
 
     def check(self) -> None:
         """Complete gains and bounds; raise `InvalidArgument` if the bounds exclude the initial estimate."""
         super().check()
         nominal, M = self._nominal, self._inertia
         p, n = len(nominal), len(M)
-        size = _BODY if n == _BASE else _EACH
+        size = _PLANAR if n == _BASE else _SPATIAL
         inertial = nominal[: p - 2 * n * self.friction]
-        least = np.full(p, -np.inf)
-        least[: len(inertial) : size] = nominal[: len(inertial) : size] / 10
-        least[len(inertial) :] = 0.0  # friction
-        rates = float(self.robot.mass) * np.array(_RATES) if n == _BASE else _of_bodies(inertial)
+        lowest = np.full(p, -np.inf)
+        lowest[: len(inertial) : size] = nominal[: len(inertial) : size] / 10
+        lowest[len(inertial) :] = 0.0  # friction
+        rates = float(self.robot.mass) * np.array(_BODY_GAINS) if n == _BASE else _spatial_gains(inertial)
         if self.friction:
-            sizes = np.where(np.arange(n) < 2, 1.0, _TURNING) * np.diagonal(M)
-            rates = np.concatenate([rates, *(rate * sizes for rate in _RUBBING)])
-        for name, usual in (("gamma", rates), ("lower", least), ("upper", np.full(p, np.inf))):
+            sizes = np.where(np.arange(n) < 2, 1.0, _ANGLE_FACTOR) * np.diagonal(M)
+            rates = np.concatenate([rates, *(rate * sizes for rate in _FRICTION_GAINS)])
+        for name, default in (("gamma", rates), ("lower", lowest), ("upper", np.full(p, np.inf))):
             given = getattr(self, name)
             given = np.full(p, given) if isinstance(given, float) else given
-            found = usual if given is None else given
-            shaped(name, found, (p,), words=", or one number" if name == "gamma" else "")
-            object.__setattr__(self, name, frozen(found))
+            values = default if given is None else given
+            shaped(name, values, (p,), words=", or one number" if name == "gamma" else "")
+            object.__setattr__(self, name, frozen(values))
         check_bounds([f"parameter {k}" for k in range(p)], self.lower, nominal, self.upper)
 
     def initial_state(self, context: Context) -> tuple[Any, ...]:
@@ -446,67 +446,67 @@ class Adaptive(OfBody):
             kp = gain @ slope
             return double_integrators(dt, kp, gain + slope, 0 * kp)
 
-        check_held(lambda: {"slope": self.slope, "kd": self.kd}, loop, context.dt)
-        none = np.zeros(len(self._nominal))
-        return none, none, np.zeros(self.robot.nv), float(context.dt)
+        check_gains(lambda: {"slope": self.slope, "kd": self.kd}, loop, context.dt)
+        zeros = np.zeros(len(self._nominal))
+        return zeros, zeros, np.zeros(self.robot.nv), float(context.dt)
 
     def applied(self, u: Array, state: tuple[Any, ...]) -> tuple[Any, ...]:
         """Return the next state for the applied force, shape (..., n)."""
-        change, before, tau, dt = state
-        is_whole = np.all(np.abs(u - tau) <= _ROUNDING * (1 + np.abs(tau)), axis=-1)[..., None]
-        return np.where(is_whole, change, before), before, tau, dt
+        change, previous, tau, dt = state
+        is_unlimited = np.all(np.abs(u - tau) <= _FORCE_TOLERANCE * (1 + np.abs(tau)), axis=-1)[..., None]
+        return np.where(is_unlimited, change, previous), previous, tau, dt
 
     def signals(self, state: tuple[Any, ...]) -> dict[str, Any]:
         """Return the estimates: mass, first moment and inertia of a planar body, else all; and friction."""
         phi, n = self._nominal + state[0], self.robot.nv
         inertial = phi[..., : len(self._nominal) - 2 * n] if self.friction else phi
         if n == _BASE:
-            own = {
+            estimates = {
                 "mass": ("kg", inertial[..., 0]),
                 "first_moment": ("kg m", inertial[..., 1:3]),
                 "inertia": ("kg m^2", inertial[..., 3]),
             }
         else:
-            own = {"inertial_parameters": ("kg, kg m, kg m^2", inertial)}
+            estimates = {"inertial_parameters": ("kg, kg m, kg m^2", inertial)}
         if self.friction:
-            own |= {
+            estimates |= {
                 "viscous_friction": ("N s/m, N m s/rad", phi[..., -2 * n : -n]),
                 "resistance": ("N, N m", phi[..., -n:]),
             }
-        return own
+        return estimates
 
     def _regressor(self, q: Array, v: Array, velocity: Array, acceleration: Array) -> Array:
         """Return Y(q, v, v_r, a_r), shape (..., n, p), for M a_r + C(q, v) v_r + g and friction."""
         c, s = np.cos(q[..., 2]), np.sin(q[..., 2])
         if self.robot.nv == _BASE:
-            found = _of_body(c, s, v, velocity, acceleration)
+            Y = _planar_regressor(c, s, v, velocity, acceleration)
         else:
-            of, still = self.robot.regressor, np.zeros(np.shape(v))
-            found = (
-                of(q, 0.5 * (v + velocity), acceleration)
-                - of(q, 0.5 * (v - velocity), still)
-                + of(q, still, still)
+            regressor, zeros = self.robot.regressor, np.zeros(np.shape(v))
+            Y = (
+                regressor(q, 0.5 * (v + velocity), acceleration)
+                - regressor(q, 0.5 * (v - velocity), zeros)
+                + regressor(q, zeros, zeros)
             )
         if not self.friction:
-            return found
-        own = [c * velocity[..., 0] + s * velocity[..., 1], c * velocity[..., 1] - s * velocity[..., 0]]
-        own += [velocity[..., k] for k in range(2, self.robot.nv)]
-        smooth = [rate / np.sqrt(rate * rate + self.speed * self.speed) for rate in own]
-        columns = [column for group in (own, smooth) for column in self._pushes(group, c, s)]
-        return np.concatenate([found, np.stack(columns, axis=-1)], axis=-1)
+            return Y
+        rates = [c * velocity[..., 0] + s * velocity[..., 1], c * velocity[..., 1] - s * velocity[..., 0]]
+        rates += [velocity[..., k] for k in range(2, self.robot.nv)]
+        smooth = [rate / np.sqrt(rate * rate + self.speed * self.speed) for rate in rates]
+        columns = [column for group in (rates, smooth) for column in self._force_columns(group, c, s)]
+        return np.concatenate([Y, np.stack(columns, axis=-1)], axis=-1)
 
-    def _pushes(self, rates: list[Any], c: Array, s: Array) -> list[Array]:
+    def _force_columns(self, rates: list[Any], c: Array, s: Array) -> list[Array]:
         """Return the forces proportional to each of these rates, shape (..., n) each."""
-        none, found = 0.0 * rates[0], []
+        zero, columns = 0.0 * rates[0], []
         for k, rate in enumerate(rates):
-            rows = [none] * len(rates)
+            rows = [zero] * len(rates)
             rows[k] = rate
             if k == 0:
                 rows[:2] = [c * rate, s * rate]
             elif k == 1:
                 rows[:2] = [-s * rate, c * rate]
-            found.append(np.stack(np.broadcast_arrays(*rows), axis=-1))
-        return found
+            columns.append(np.stack(np.broadcast_arrays(*rows), axis=-1))
+        return columns
 
     def __call__(
         self, t: float, q: Array, v: Array, reference: State, state: tuple[Any, ...]
@@ -514,46 +514,46 @@ class Adaptive(OfBody):
         """Return the generalised force, shape (..., n), and the next state."""
         change, _, _, dt = state
         robot = self.robot
-        s, velocity, acceleration = combined(self, q, v, reference)
+        s, velocity, acceleration = combined_error(self, q, v, reference)
         Y = self._regressor(q, v, velocity, acceleration)
         tau = passive_torque(robot, q, v, velocity, acceleration) + self.kd * s
         tau = tau + np.sum(Y * change[..., None, :], axis=-1)
-        grown = self.gamma * np.sum(Y * s[..., :, None], axis=-2) - self.leakage * change
+        phi_rate = self.gamma * np.sum(Y * s[..., :, None], axis=-2) - self.leakage * change
         adapts = np.sum(s * s, axis=-1, keepdims=True) >= np.asarray(self.dead_zone)[..., None] ** 2
-        return tau, (self._possible(change + np.where(adapts, dt * grown, 0.0)), change, tau, dt)
+        return tau, (self._clip(change + np.where(adapts, dt * phi_rate, 0.0)), change, tau, dt)
 
-    def _possible(self, change: Array) -> Array:
+    def _clip(self, change: Array) -> Array:
         """Return the change of the estimates, clipped to their bounds."""
         phi = self._nominal + change
         phi = np.minimum(np.maximum(phi, self.lower), self.upper)
         if self.robot.nv > _BASE:
             return np.asarray(phi - self._nominal)
-        m0, mx0, my0, I0 = self._nominal[:_BODY]
-        least = _LEAST * (I0 - (mx0 * mx0 + my0 * my0) / m0)
-        m, mx, my, inertia = (phi[..., k] for k in range(_BODY))
-        inertia = np.maximum(inertia, (mx * mx + my * my) / m + least)
-        parts = [m, mx, my, inertia, *(phi[..., k] for k in range(_BODY, len(self._nominal)))]
+        m0, mx0, my0, I0 = self._nominal[:_PLANAR]
+        lowest = _INERTIA_RATIO * (I0 - (mx0 * mx0 + my0 * my0) / m0)
+        m, mx, my, inertia = (phi[..., k] for k in range(_PLANAR))
+        inertia = np.maximum(inertia, (mx * mx + my * my) / m + lowest)
+        parts = [m, mx, my, inertia, *(phi[..., k] for k in range(_PLANAR, len(self._nominal)))]
         return np.asarray(np.stack(parts, axis=-1) - self._nominal)
 
 
-def _of_bodies(inertial: Array) -> Array:
+def _spatial_gains(inertial: Array) -> Array:
     """Return gains for bodies in space, shape (10 bodies,): half of each squared parameter, per joule."""
     rates = []
-    for body in inertial.reshape(-1, _EACH):
+    for body in inertial.reshape(-1, _SPATIAL):
         inertia = float(body[4] + body[6] + body[9])  # the trace
         sizes = [body[0], *(np.sqrt(max(body[0] * inertia, 0.0)),) * 3, *(inertia,) * 6]
         rates.append(np.square(sizes) / 4)
     return np.concatenate(rates)
 
 
-def _of_body(c: Array, s: Array, v: Array, velocity: Array, acceleration: Array) -> Array:
+def _planar_regressor(c: Array, s: Array, v: Array, velocity: Array, acceleration: Array) -> Array:
     """Return the regressor of a planar body, shape (..., 3, 4)."""
     ax, ay, az = (acceleration[..., k] for k in range(_BASE))
     r, vz = v[..., 2], velocity[..., 2]
-    none = 0.0 * (ax + r)
+    zero = 0.0 * (ax + r)
     rows = (
-        (ax, -s * az - r * c * vz, -c * az + r * s * vz, none),
-        (ay, c * az - r * s * vz, -s * az - r * c * vz, none),
-        (none, c * ay - s * ax, -c * ax - s * ay, az),
+        (ax, -s * az - r * c * vz, -c * az + r * s * vz, zero),
+        (ay, c * az - r * s * vz, -s * az - r * c * vz, zero),
+        (zero, c * ay - s * ax, -c * ax - s * ay, az),
     )
     return np.stack([np.stack(np.broadcast_arrays(*row), axis=-1) for row in rows], axis=-2)

@@ -20,11 +20,11 @@ from pinmobile.arrays import (
     wrap_angle,
 )
 from pinmobile.errors import InvalidArgument, format_value
-from pinmobile.parts import Informed, able, option, part, required
+from pinmobile.parts import Informed, able, option, part, require
 from pinmobile.plant import Context
 from pinmobile.signals import signals_of
 
-_SAME = 1e-9  # tolerance of two results for the same arguments
+_TOL = 1e-9  # tolerance of two results for the same arguments
 
 
 class State(Protocol):
@@ -151,17 +151,17 @@ def check_controller(controller: object) -> None:
     ...     print(str(error)[:13])
     controller is
     """
-    found = required("controller", controller, Controller)
+    typed = require("controller", controller, Controller)
     callable_as("controller(t, q, v, reference, state)", controller)
     try:
-        callable_as("controller.initial_state(context)", found.initial_state)
+        callable_as("controller.initial_state(context)", typed.initial_state)
     except InvalidArgument as error:
         raise InvalidArgument(f"{error}: write def initial_state(self, context)") from None
-    if informed := able(controller, Informed):
-        callable_as("controller.applied(u, state)", informed.applied)
+    if listener := able(controller, Informed):
+        callable_as("controller.applied(u, state)", listener.applied)
 
 
-def answer_of(
+def evaluate(
     controller: Controller, t: float, q: Array, v: Array, reference: State, state: object
 ) -> tuple[Array, Any]:
     """Return the input and the next state of a controller.
@@ -187,10 +187,10 @@ def check_wheels(robot: Any) -> None:
     InvalidArgument
         If it has too few motors.
     """
-    still = robot.reduced(robot.rest, np.zeros(robot.nv))
-    if np.linalg.matrix_rank(still.B) < len(still.M):
+    dynamics = robot.reduced(robot.rest, np.zeros(robot.nv))
+    if np.linalg.matrix_rank(dynamics.B) < len(dynamics.M):
         raise InvalidArgument(
-            f"robot has {len(robot.inputs)} motors and {len(still.M)} independent velocities, expected a "
+            f"robot has {len(robot.inputs)} motors and {len(dynamics.M)} independent velocities, expected a "
             "motor for each"
         )
 
@@ -216,30 +216,30 @@ def check_memory(controller: Controller, context: Context, q: Array, v: Array) -
     InvalidArgument
         If two inputs for the same arguments differ.
     """
-    at = type(context.reference)(*(np.array(part[0]) for part in context.reference))
+    reference = type(context.reference)(*(np.array(part[0]) for part in context.reference))
     t, wave = float(context.t[0]), np.cos(np.arange(len(v)))
     # First near the reference, where an integral grows; then elsewhere; then at the first state again.
-    here, there = ((context.integrate(q, off * wave), v + off * wave) for off in (0.01, -0.02))
+    near, far = ((context.integrate(q, offset * wave), v + offset * wave) for offset in (0.01, -0.02))
     answers = []
     with np.errstate(all="ignore"):
-        for place in (here, there, here):
-            copies = type(at)(*map(np.copy, at))
+        for point in (near, far, near):
+            copies = type(reference)(*map(np.copy, reference))
             state = controller.initial_state(context)
-            answer = answer_of(controller, t, place[0].copy(), place[1].copy(), copies, state)
+            answer = evaluate(controller, t, point[0].copy(), point[1].copy(), copies, state)
             answers.append(check_returned_array("controller", answer[0]))
-    first, _, again = answers
-    if first.shape != again.shape or not np.allclose(first, again, rtol=_SAME, atol=_SAME, equal_nan=True):
+    first, _, last = answers
+    if first.shape != last.shape or not np.allclose(first, last, rtol=_TOL, atol=_TOL, equal_nan=True):
         raise InvalidArgument(
             f"controller is {format_value(controller)}, which returns {first.tolist()} and, called again "
-            f"with the same arguments, {again.tolist()}, expected the same: keep memory in state, and take "
+            f"with the same arguments, {last.tolist()}, expected the same: keep memory in state, and take "
             "random numbers from context.noise(name, n)"
         )
 
 
 def notify_applied(controller: Controller, u: Array, state: object) -> Any:
     """Return the state of a controller after its optional call ``applied(u, state)``."""
-    informed = able(controller, Informed)
-    return informed.applied(u, state) if informed else state
+    listener = able(controller, Informed)
+    return listener.applied(u, state) if listener else state
 
 
 class Wrapper:
@@ -260,18 +260,18 @@ class Wrapper:
         return signals_of(self.controller, state[0])
 
 
-class Seen:
+class ContextView:
     """Context of a wrapped controller: the context of the loop, except for the given attributes."""
 
-    def __init__(self, context: Any, **others: Any) -> None:
+    def __init__(self, context: Any, **attributes: Any) -> None:
         self._context = context
-        vars(self).update(others)
+        vars(self).update(attributes)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._context, name)
 
 
-def completed(q: Array, desired: Array) -> Array:
+def complete_reference(q: Array, desired: Array) -> Array:
     """Return a reference's configurations, completed by the last entries of q, shape (..., nq)."""
     lead, length = np.shape(q)[:-1], np.shape(desired)[-1]
     return np.concatenate([np.broadcast_to(desired, (*lead, length)), q[..., length:]], axis=-1)
@@ -414,7 +414,7 @@ def law(function: Callable[[float, Array, Array, Any], ArrayLike]) -> Controller
     return _Law(function)
 
 
-class Combined(NamedTuple):
+class CombinedError(NamedTuple):
     """Combined error of configuration and velocity (Slotine and Li, 1987), each of shape (..., n).
 
     Attributes
@@ -430,7 +430,7 @@ class Combined(NamedTuple):
     acceleration: Array
 
 
-def combined(law: Any, q: Array, v: Array, reference: State) -> Combined:
+def combined_error(law: Any, q: Array, v: Array, reference: State) -> CombinedError:
     """Return the combined error of a law with `robot`, `slope` and `difference`.
 
     Raises
@@ -442,7 +442,7 @@ def combined(law: Any, q: Array, v: Array, reference: State) -> Combined:
         shaped(name, actual, ("...", *desired.shape[-1:]), words=", as in the reference")
     slope, difference = law.slope, law.difference or law.robot.difference
     error, rate = difference(q, reference.q), np.subtract(reference.v, v)
-    return Combined(rate + slope * error, reference.v + slope * error, reference.a + slope * rate)
+    return CombinedError(rate + slope * error, reference.v + slope * error, reference.a + slope * rate)
 
 
 def passive_torque(robot: Any, q: Array, v: Array, velocity: Array, acceleration: Array) -> Array:

@@ -8,8 +8,8 @@ from typing import Any, final
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, endless_or_finite, finite, frozen, real, shaped
-from pinmobile.controllers.controller import State, combined, completed, passive_torque
-from pinmobile.controllers.lqr import check_held, diagonal, double_integrators
+from pinmobile.controllers.controller import State, combined_error, complete_reference, passive_torque
+from pinmobile.controllers.lqr import check_gains, diagonal, double_integrators
 from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.parts import (
     Comparing,
@@ -30,7 +30,7 @@ SLOPE = "decay rate of errors on the surface s = 0"
 """Meaning of the field `slope`."""
 
 _BASE = 3  # coordinates of the base: x, y, psi
-_PLACE, _RATE = "N/m, N/m, N m/rad", "N s/m, N s/m, N m s/rad"
+_POSITION_UNITS, _VELOCITY_UNITS = "N/m, N/m, N m/rad", "N s/m, N s/m, N m s/rad"
 
 
 def coordinates_of(controller: Any) -> int:
@@ -46,30 +46,30 @@ def tracked_coordinates_of(controller: Any) -> int:
 def comparison() -> Any:
     """Declare the field `difference`; default: the difference of the plant or of the controller model."""
 
-    def checked(name: str, value: Any) -> Any:
+    def check(name: str, value: Any) -> Any:
         check_difference(value)
         return value
 
-    return option(default=None, doc="difference(q0, q1), the displacement from q0 to q1", check=checked)
+    return option(default=None, doc="difference(q0, q1), the displacement from q0 to q1", check=check)
 
 
 def bound(sign: float, doc: str, default: Any = None) -> Any:
     """Declare bounds of numbers: lower bounds, possibly -infinity, for sign -1; upper bounds for sign 1."""
 
-    def checked(name: str, value: Any) -> Any:
+    def check(name: str, value: Any) -> Any:
         return frozen(sign * endless_or_finite(name, sign * real(name, value)))
 
-    return option(default=default, doc=doc, check=checked)
+    return option(default=default, doc=doc, check=check)
 
 
-def check_bounds(names: Sequence[str], lower: Array, own: Array, upper: Array) -> None:
+def check_bounds(names: Sequence[str], lower: Array, nominal: Array, upper: Array) -> None:
     """Check that bounds of estimates include the robot's values.
 
     Parameters
     ----------
     names : sequence of str
         Names of the parameters.
-    lower, own, upper : ndarray, shape (p,)
+    lower, nominal, upper : ndarray, shape (p,)
         Lower bounds, values of the robot, and upper bounds.
 
     Raises
@@ -77,16 +77,16 @@ def check_bounds(names: Sequence[str], lower: Array, own: Array, upper: Array) -
     InvalidArgument
         If a value lies outside its bounds; the message names the first such parameter.
     """
-    outside = ~((lower <= own) & (own <= upper))
-    if outside.any():
-        k = int(outside.argmax())
+    excludes = ~((lower <= nominal) & (nominal <= upper))
+    if excludes.any():
+        k = int(excludes.argmax())
         raise InvalidArgument(
             f"lower and upper of {names[k]} are {lower[k]:g} and {upper[k]:g}, which exclude the robot's "
-            f"value, {own[k]:g}"
+            f"value, {nominal[k]:g}"
         )
 
 
-def check_compares(controller: Any) -> None:
+def check_comparison(controller: Any) -> None:
     """Check that a controller or its model has a `difference`.
 
     Raises
@@ -117,7 +117,7 @@ def check_wheelless(controller: Any) -> None:
         )
 
 
-class OfBody:
+class BodyLaw:
     """Base class of controllers whose model is a base with arms, and which compare configurations."""
 
     robot: Any
@@ -125,7 +125,7 @@ class OfBody:
 
     def check(self) -> None:
         """Raise `InvalidArgument` if the robot has wheels, or if nothing compares its configurations."""
-        check_compares(self)
+        check_comparison(self)
         check_wheelless(self)
 
 
@@ -165,8 +165,8 @@ class PD:
     6.8 mm
     """
 
-    kp: Any = gain(unit=_PLACE, doc="proportional gain")
-    kd: Any = gain(unit=_RATE, doc="derivative gain")
+    kp: Any = gain(unit=_POSITION_UNITS, doc="proportional gain")
+    kd: Any = gain(unit=_VELOCITY_UNITS, doc="derivative gain")
     difference: Any = comparison()
 
     def initial_state(self, context: Context) -> Difference:
@@ -243,23 +243,23 @@ def feedback(
     InvalidArgument
         If the sizes of state, reference and gains disagree.
     """
-    robot, wanted = getattr(controller, "robot", None), reference.q
+    robot, desired = getattr(controller, "robot", None), reference.q
     n = reference.v.shape[-1]
-    if q.shape != wanted.shape or v.shape != reference.v.shape or (robot is not None and robot.nv != n):
+    if q.shape != desired.shape or v.shape != reference.v.shape or (robot is not None and robot.nv != n):
         # Wheels have no reference.
         if robot is not None and n == max(reference_sizes_of(robot)) < v.shape[-1]:
-            wanted = completed(q, wanted)
+            desired = complete_reference(q, desired)
         else:
             _check_fit(robot, q, v, reference)
     compare = difference or controller.difference or controller.robot.difference
-    error = compare(q, wanted)
+    error = compare(q, desired)
     if error.shape[-1:] != v.shape[-1:]:
         raise InvalidArgument(
             f"difference returns shape {error.shape}, expected {v.shape}: use the difference of the plant, "
             "difference=plant.difference"
         )
     rate = reference.v - v[..., :n]
-    return amplified("kp", controller.kp, error[..., :n]) + amplified("kd", controller.kd, rate)
+    return apply_gain("kp", controller.kp, error[..., :n]) + apply_gain("kd", controller.kd, rate)
 
 
 def _check_fit(robot: Any, q: Array, v: Array, reference: State) -> None:
@@ -273,7 +273,7 @@ def _check_fit(robot: Any, q: Array, v: Array, reference: State) -> None:
         )
 
 
-def amplified(name: str, gain: Any, error: Array) -> Array:
+def apply_gain(name: str, gain: Any, error: Array) -> Array:
     """Return the product of a gain and an error, shape (..., n)."""
     if type(gain) is float or not gain.ndim:
         return gain * error  # type: ignore[no-any-return]
@@ -289,7 +289,7 @@ def amplified(name: str, gain: Any, error: Array) -> Array:
 
 @final
 @part
-class PDGravity(OfBody):
+class PDGravity(BodyLaw):
     """PD with gravity compensation, tau = Kp e + Kd de/dt + g(q) (Takegaki and Arimoto, 1981).
 
     At a constant reference the steady-state error is zero, because only g(q) remains.
@@ -325,8 +325,8 @@ class PDGravity(OfBody):
     """
 
     robot: Any = child(Gravitating, doc="model of the controller")
-    kp: Any = gain(unit=_PLACE, doc="proportional gain", size=coordinates_of)
-    kd: Any = gain(unit=_RATE, doc="derivative gain", size=coordinates_of)
+    kp: Any = gain(unit=_POSITION_UNITS, doc="proportional gain", size=coordinates_of)
+    kd: Any = gain(unit=_VELOCITY_UNITS, doc="derivative gain", size=coordinates_of)
     difference: Any = comparison()
 
     def initial_state(self, context: Context) -> None:
@@ -391,7 +391,7 @@ class ComputedTorque:
 
     def check(self) -> None:
         """Raise `InvalidArgument` if no torques accelerate the robot in every direction."""
-        check_compares(self)
+        check_comparison(self)
         if robot := able(self.robot, Inverted):
             robot.check_inverse_dynamics()
 
@@ -406,7 +406,7 @@ class ComputedTorque:
 
 @final
 @part
-class PID(OfBody):
+class PID(BodyLaw):
     """Computed torque with an integral, tau = M(q) (a_d + kd de/dt + kp e + ki z) + n(q, v), dz/dt = e.
 
     The integral removes the steady-state error of a constant force, or of a wrong mass on a steady path. It
@@ -462,15 +462,15 @@ class PID(OfBody):
         def loop(dt: float) -> Array:
             return double_integrators(dt, **{name: gain_matrix(name, x, n) for name, x in gains().items()})
 
-        check_held(gains, loop, context.dt)
-        none = np.zeros(n)
-        return none, none, none, float(context.dt)
+        check_gains(gains, loop, context.dt)
+        zeros = np.zeros(n)
+        return zeros, zeros, zeros, float(context.dt)
 
     def applied(self, u: Array, state: tuple[Any, Any, Any, float]) -> tuple[Any, Any, Any, float]:
         """Return the next state; without the last increment if the applied input differs from the law's."""
-        integral, gain, asked, dt = state
-        differs = np.max(np.abs(u - asked), axis=-1, keepdims=True) > 0
-        return integral - np.where(differs, gain, 0.0), gain, asked, dt
+        integral, gain, law_input, dt = state
+        differs = np.max(np.abs(u - law_input), axis=-1, keepdims=True) > 0
+        return integral - np.where(differs, gain, 0.0), gain, law_input, dt
 
     def signals(self, state: tuple[Any, Any, Any, float]) -> dict[str, Any]:
         """Return the integral of the error [m s, rad s]."""
@@ -483,7 +483,7 @@ class PID(OfBody):
         integral, _, _, dt = state
         difference = self.difference or self.robot.difference
         command = reference.a + feedback(self, q, v, reference, difference)
-        command = command + amplified("ki", self.ki, integral)
+        command = command + apply_gain("ki", self.ki, integral)
         tau = self.robot.inverse_dynamics(q, v, command)
         gain = dt * difference(q, reference.q)
         return tau, (integral + gain, gain, tau, dt)
@@ -491,7 +491,7 @@ class PID(OfBody):
 
 @final
 @part
-class Decoupled(OfBody):
+class Decoupled(BodyLaw):
     """Computed torque of base and arms separately: each neglects the motion of the other.
 
     The base treats the arms as a locked load, as `MobileRobot.with_locked_arms` does. The arms assume a base
@@ -541,19 +541,19 @@ class Decoupled(OfBody):
     def __call__(self, t: float, q: Array, v: Array, reference: State, state: None) -> tuple[Array, None]:
         """Return the generalised force, shape (..., n), and None."""
         command = reference.a + feedback(self, q, v, reference)
-        base = self.robot.inverse_dynamics(q, *map(_of_base, (v, command)))
-        arms = self.robot.inverse_dynamics(q, *map(_of_arms, (v, command)))
+        base = self.robot.inverse_dynamics(q, *map(_base_part, (v, command)))
+        arms = self.robot.inverse_dynamics(q, *map(_arm_part, (v, command)))
         return np.concatenate([base[..., :_BASE], arms[..., _BASE:]], axis=-1), None
 
 
-def _of_base(rate: Array) -> Array:
+def _base_part(rate: Array) -> Array:
     """Return velocities or accelerations with zeros for the arms, shape (..., n)."""
     part = np.zeros(rate.shape)
     part[..., :_BASE] = rate[..., :_BASE]
     return part
 
 
-def _of_arms(rate: Array) -> Array:
+def _arm_part(rate: Array) -> Array:
     """Return velocities or accelerations with zeros for the base, shape (..., n)."""
     part = np.zeros(rate.shape)
     part[..., _BASE:] = rate[..., _BASE:]
@@ -566,7 +566,7 @@ _LAYER = "half the width of the boundary layer"
 
 @final
 @part
-class SlidingMode(OfBody):
+class SlidingMode(BodyLaw):
     """Sliding mode control with a boundary layer (Slotine and Li, 1991).
 
     ::
@@ -634,19 +634,19 @@ class SlidingMode(OfBody):
             kp, kd = diagonal(self.slope * gain), diagonal(self.slope + gain)
             return double_integrators(dt, kp, kd, 0 * kp)
 
-        check_held(lambda: {name: getattr(self, name) for name in names}, loop, context.dt)
+        check_gains(lambda: {name: getattr(self, name) for name in names}, loop, context.dt)
 
     def __call__(self, t: float, q: Array, v: Array, reference: State, state: None) -> tuple[Array, None]:
         """Return the generalised force, shape (..., n), and None."""
-        s, velocity, acceleration = combined(self, q, v, reference)
-        switched = self.reach * np.minimum(np.maximum(s / self.layer, -1.0), 1.0)
-        push = self.damping * s + switched
-        return passive_torque(self.robot, q, v, velocity, acceleration + push), None
+        s, velocity, acceleration = combined_error(self, q, v, reference)
+        switching = self.reach * np.minimum(np.maximum(s / self.layer, -1.0), 1.0)
+        correction = self.damping * s + switching
+        return passive_torque(self.robot, q, v, velocity, acceleration + correction), None
 
 
 @final
 @part
-class SuperTwisting(OfBody):
+class SuperTwisting(BodyLaw):
     """Super-twisting control (Levant, 1993): sliding mode of second order with a continuous force.
 
     ::
@@ -704,13 +704,13 @@ class SuperTwisting(OfBody):
 
     def initial_state(self, context: Context) -> tuple[Any, Any, Any, float]:
         """Return the integral z, its last increment, the last input, and the time step."""
-        none = np.zeros(self.robot.nv)
-        return none, none, none, float(context.dt)
+        zeros = np.zeros(self.robot.nv)
+        return zeros, zeros, zeros, float(context.dt)
 
     def applied(self, u: Array, state: tuple[Any, Any, Any, float]) -> tuple[Any, Any, Any, float]:
         """Return the next state; without the last increment of z where another input is applied."""
-        z, gain, asked, dt = state
-        return z - np.where(u != asked, gain, 0.0), gain, asked, dt
+        z, gain, law_input, dt = state
+        return z - np.where(u != law_input, gain, 0.0), gain, law_input, dt
 
     def signals(self, state: tuple[Any, Any, Any, float]) -> dict[str, Any]:
         """Return the integral z, an estimate of the unmodelled acceleration [m/s^2, rad/s^2]."""
@@ -721,9 +721,9 @@ class SuperTwisting(OfBody):
     ) -> tuple[Array, tuple[Any, Any, Any, float]]:
         """Return the generalised force, shape (..., n), and the next state."""
         z, _, _, dt = state
-        s, velocity, acceleration = combined(self, q, v, reference)
+        s, velocity, acceleration = combined_error(self, q, v, reference)
         side = np.sign(s)
-        push = self.k1 * np.sqrt(np.abs(s)) * side + z
-        tau = passive_torque(self.robot, q, v, velocity, acceleration + push)
+        correction = self.k1 * np.sqrt(np.abs(s)) * side + z
+        tau = passive_torque(self.robot, q, v, velocity, acceleration + correction)
         gain = dt * (self.k2 * side)
         return tau, (z + gain, gain, tau, dt)

@@ -8,13 +8,13 @@ from typing import Any, NamedTuple, Protocol, final
 import numpy as np
 
 from pinmobile.arrays import Array, callable_as, frozen, wrap_angle
-from pinmobile.controllers.controller import State, check_wheels, completed
+from pinmobile.controllers.controller import State, check_wheels, complete_reference
 from pinmobile.errors import InvalidArgument, NotTraceable
 from pinmobile.parts import Commanded, Rolling, able, child, number, part, structure
 from pinmobile.plant import Context
 
-_SMALL = 1e-3  # [rad]; below it, sin(x) / x is computed by its series
-_STILL = 1e-6  # [m/s, rad/s]; a reference below it is at rest
+_SERIES_ANGLE = 1e-3  # [rad]; below it, sin(x) / x is computed by its series
+_SPEED_TOLERANCE = 1e-6  # [m/s, rad/s]; a reference below it is at rest
 
 LAW = "a kinematic law, such as UnicycleTracking()"
 """Words of error messages for the expected law."""
@@ -91,7 +91,7 @@ def rate_of(x: Any) -> Any:
     return x.rate if isinstance(x, DualNumber) else 0.0
 
 
-def _through(function: Callable[[Any], Any], slope: Callable[[Any], Any], x: Any) -> Any:
+def _chain_rule(function: Callable[[Any], Any], slope: Callable[[Any], Any], x: Any) -> Any:
     """Return a function of a number, with its rate by the chain rule."""
     if not isinstance(x, DualNumber):
         return function(x)
@@ -100,22 +100,22 @@ def _through(function: Callable[[Any], Any], slope: Callable[[Any], Any], x: Any
 
 def sin(x: Any) -> Any:
     """Return the sine, with its rate."""
-    return _through(np.sin, np.cos, x)
+    return _chain_rule(np.sin, np.cos, x)
 
 
 def cos(x: Any) -> Any:
     """Return the cosine, with its rate."""
-    return _through(np.cos, lambda value: -np.sin(value), x)
+    return _chain_rule(np.cos, lambda value: -np.sin(value), x)
 
 
 def tanh(x: Any) -> Any:
     """Return the hyperbolic tangent, with its rate."""
-    return _through(np.tanh, lambda value: 1.0 - np.tanh(value) * np.tanh(value), x)
+    return _chain_rule(np.tanh, lambda value: 1.0 - np.tanh(value) * np.tanh(value), x)
 
 
 def arctan(x: Any) -> Any:
     """Return the arctangent, with its rate."""
-    return _through(np.arctan, lambda value: 1.0 / (1.0 + value * value), x)
+    return _chain_rule(np.arctan, lambda value: 1.0 / (1.0 + value * value), x)
 
 
 def root(x: Any) -> Any:
@@ -124,36 +124,36 @@ def root(x: Any) -> Any:
     def slope(value: Any) -> Any:
         return np.where(value > 0.0, 0.5 / np.sqrt(np.where(value > 0.0, value, 1.0)), 0.0)
 
-    return _through(np.sqrt, slope, x)
+    return _chain_rule(np.sqrt, slope, x)
 
 
 def angle_of(y: Any, x: Any) -> Any:
     """Return the angle of the vector (x, y), with its rate; the rate is 0 at the origin."""
-    found = np.arctan2(value_of(y), value_of(x))
+    angle = np.arctan2(value_of(y), value_of(x))
     if not (isinstance(x, DualNumber) or isinstance(y, DualNumber)):
-        return found
+        return angle
     a, b = value_of(y), value_of(x)
     square = a * a + b * b
     turn = rate_of(y) * b - a * rate_of(x)
-    return DualNumber(found, turn / np.where(square > 0.0, square, 1.0))
+    return DualNumber(angle, turn / np.where(square > 0.0, square, 1.0))
 
 
-def ratio(x: Any) -> Any:
+def sinc(x: Any) -> Any:
     """Return sin(x) / x, with its rate."""
 
     def function(value: Any) -> Any:
-        near = np.abs(value) < _SMALL
-        return np.where(near, 1.0 - value * value / 6.0, np.sin(value) / np.where(near, 1.0, value))
+        is_small = np.abs(value) < _SERIES_ANGLE
+        return np.where(is_small, 1.0 - value * value / 6.0, np.sin(value) / np.where(is_small, 1.0, value))
 
     def slope(value: Any) -> Any:
-        near = np.abs(value) < _SMALL
-        far = np.where(near, 1.0, value)
-        return np.where(near, -value / 3.0, (np.cos(value) - np.sin(value) / far) / far)
+        is_small = np.abs(value) < _SERIES_ANGLE
+        divisor = np.where(is_small, 1.0, value)
+        return np.where(is_small, -value / 3.0, (np.cos(value) - np.sin(value) / divisor) / divisor)
 
-    return _through(function, slope, x)
+    return _chain_rule(function, slope, x)
 
 
-def chosen(condition: Any, x: Any, y: Any) -> Any:
+def select(condition: Any, x: Any, y: Any) -> Any:
     """Return x where a condition holds, else y, with the rate."""
     value = np.where(condition, value_of(x), value_of(y))
     if not (isinstance(x, DualNumber) or isinstance(y, DualNumber)):
@@ -260,10 +260,10 @@ class KinematicLaw(Protocol):
         """
 
 
-def _first(t: Array, wrong: Any) -> float | None:
+def _first_time(t: Array, wrong: Any) -> float | None:
     """Return the first time at which a condition holds; None if it never does."""
-    found = np.flatnonzero(wrong)
-    return float(t[found[0]]) if len(found) else None
+    indices = np.flatnonzero(wrong)
+    return float(t[indices[0]]) if len(indices) else None
 
 
 @final
@@ -316,7 +316,7 @@ class UnicycleTracking:
 
     def check(self, t: Array, speed: Array, yaw_rate: Array) -> None:
         """Raise `InvalidArgument` for a reference that never moves."""
-        if not (np.abs(speed) > _STILL).any() and not (np.abs(yaw_rate) > _STILL).any():
+        if not (np.abs(speed) > _SPEED_TOLERANCE).any() and not (np.abs(yaw_rate) > _SPEED_TOLERANCE).any():
             raise InvalidArgument("reference rests, expected a reference that moves, or the law Parking()")
 
     def __call__(self, tracked: TrackingState, state: None) -> tuple[tuple[Any, Any], None]:
@@ -324,7 +324,7 @@ class UnicycleTracking:
         x, y, turn, speed, yaw_rate = tracked[:5]
         k = 2.0 * self.zeta * root(yaw_rate * yaw_rate + self.b * (speed * speed))
         v = speed * cos(turn) + k * x
-        return (v, yaw_rate + self.b * (speed * ratio(turn) * y) + k * turn), None
+        return (v, yaw_rate + self.b * (speed * sinc(turn) * y) + k * turn), None
 
 
 @final
@@ -373,10 +373,10 @@ class Kanayama:
 
     def check(self, t: Array, speed: Array, yaw_rate: Array) -> None:
         """Raise `InvalidArgument` for a reference that stops or moves backwards."""
-        when = _first(t, speed <= _STILL)
-        if when is not None:
+        time = _first_time(t, speed <= _SPEED_TOLERANCE)
+        if time is not None:
             raise InvalidArgument(
-                f"reference has a speed of {speed[t == when][0]:.3g} m/s at t = {when:g} s, expected a "
+                f"reference has a speed of {speed[t == time][0]:.3g} m/s at t = {time:g} s, expected a "
                 "reference that always moves "
                 "forwards, or the law UnicycleTracking()"
             )
@@ -439,25 +439,25 @@ class Parking:
 
     def check(self, t: Array, speed: Array, yaw_rate: Array) -> None:
         """Raise `InvalidArgument` for a reference that moves."""
-        when = _first(t, np.hypot(speed, yaw_rate) > _STILL)
-        if when is not None:
+        time = _first_time(t, np.hypot(speed, yaw_rate) > _SPEED_TOLERANCE)
+        if time is not None:
             raise InvalidArgument(
-                f"reference moves at t = {when:g} s, expected a goal at rest, or the law UnicycleTracking()"
+                f"reference moves at t = {time:g} s, expected a goal at rest, or the law UnicycleTracking()"
             )
 
     def __call__(self, tracked: TrackingState, state: None) -> tuple[tuple[Any, Any], None]:
         """Return (v, w) [m/s, rad/s], and None."""
         x, y = tracked.ahead, tracked.aside
         square = x * x + y * y
-        there = value_of(square) < self.near * self.near
+        is_at_goal = value_of(square) < self.near * self.near
         rho, bearing = root(square), angle_of(y, x)
-        approach = _turned(bearing - tracked.turn)
+        approach = _wrap(bearing - tracked.turn)
         v = self.k1 * (rho * cos(bearing))
-        w = self.k2 * bearing + self.k1 * (ratio(bearing) * cos(bearing) * (bearing + self.k3 * approach))
-        return (chosen(there, 0.0, v), chosen(there, 0.0, w)), None
+        w = self.k2 * bearing + self.k1 * (sinc(bearing) * cos(bearing) * (bearing + self.k3 * approach))
+        return (select(is_at_goal, 0.0, v), select(is_at_goal, 0.0, w)), None
 
 
-def _turned(x: Any) -> Any:
+def _wrap(x: Any) -> Any:
     """Return an angle wrapped to [-pi, pi], with its rate."""
     value = value_of(x)
     value = value - 2 * np.pi * np.rint(value / (2 * np.pi))
@@ -517,10 +517,10 @@ class DynamicFeedback:
 
     def check(self, t: Array, speed: Array, yaw_rate: Array) -> None:
         """Raise `InvalidArgument` for a reference that rests or reverses."""
-        when = _first(t, speed * np.sign(speed[0]) < self.least)
-        if when is not None:
+        time = _first_time(t, speed * np.sign(speed[0]) < self.least)
+        if time is not None:
             raise InvalidArgument(
-                f"reference has a speed of {speed[t == when][0]:.3g} m/s at t = {when:g} s, expected "
+                f"reference has a speed of {speed[t == time][0]:.3g} m/s at t = {time:g} s, expected "
                 f"{self.least:g} m/s or more, always in one direction, or the law UnicycleTracking()"
             )
 
@@ -528,28 +528,28 @@ class DynamicFeedback:
         self, tracked: TrackingState, state: tuple[Any, Any, Any]
     ) -> tuple[tuple[Any, Any], tuple[Any, Any, Any]]:
         """Return (v, w) [m/s, rad/s], and the next state."""
-        x, y, turn, speed, yaw_rate, acceleration, own = tracked
-        xi, known, dt = state
-        xi = xi + (1.0 - known) * value_of(speed)
-        c, s, across = cos(turn), sin(turn), speed * yaw_rate
-        ahead = acceleration * c - across * s + self.kd * (speed * c - own) + self.kp * x
-        aside = acceleration * s + across * c + self.kd * (speed * s) + self.kp * y
-        rate = value_of(ahead)
-        fast = np.abs(xi) >= self.least
-        by = np.where(fast, xi, np.where(xi < 0.0, -self.least, self.least))
-        w = aside / DualNumber(by, np.where(fast, rate, 0.0))
+        x, y, turn, speed, yaw_rate, acceleration, own_speed = tracked
+        xi, has_speed, dt = state
+        xi = xi + (1.0 - has_speed) * value_of(speed)
+        c, s, centripetal = cos(turn), sin(turn), speed * yaw_rate
+        a_x = acceleration * c - centripetal * s + self.kd * (speed * c - own_speed) + self.kp * x
+        a_y = acceleration * s + centripetal * c + self.kd * (speed * s) + self.kp * y
+        rate = value_of(a_x)
+        is_fast = np.abs(xi) >= self.least
+        divisor = np.where(is_fast, xi, np.where(xi < 0.0, -self.least, self.least))
+        w = a_y / DualNumber(divisor, np.where(is_fast, rate, 0.0))
         if not isinstance(x, DualNumber):
             w = w.value
-        return (DualNumber(xi, rate), w), (xi + dt * rate, 1.0 + 0.0 * known, dt)
+        return (DualNumber(xi, rate), w), (xi + dt * rate, 1.0 + 0.0 * has_speed, dt)
 
 
 _BASE = 3
-_SIDEWAYS = 1e-6  # [m/s], and relative to the speed: tolerance of motion across the axle
-_JUMP = 0.1  # [rad]: largest difference of the heading's step and the integral of its rate
-_LEAST_SPEED = 1e-3  # [m/s]: smallest forward speed of a steered wheel in its direction
+_LATERAL_TOLERANCE = 1e-6  # [m/s], and relative to the speed: tolerance of motion across the axle
+_HEADING_JUMP = 0.1  # [rad]: largest difference of the heading's step and the integral of its rate
+_MIN_SPEED = 1e-3  # [m/s]: smallest forward speed of a steered wheel in its direction
 _NO_AXLE = 1e-9  # added to a square, which is 0 where both axles lie on one line
 _KINDS = ((2, 0), (1, 1))
-_ROUNDING = 1e-9  # relative: a reference may stay at the limit of the steering
+_ANGLE_TOLERANCE = 1e-9  # relative: a reference may stay at the limit of the steering
 
 
 @final
@@ -622,13 +622,13 @@ class Backstepping:
         callable_as("law(tracked, state)", self.law)
         mobility = self.robot.mobility
         if not has_axle(mobility):
-            others = {(3, 0): "ComputedTorque(robot)", (1, 2): "SwerveTracking(robot)"}
+            alternatives = {(3, 0): "ComputedTorque(robot)", (1, 2): "SwerveTracking(robot)"}
             kind = mobility.mobility, mobility.steerability
-            other = others.get(kind, "ControlAllocation(controller, robot)")
+            alternative = alternatives.get(kind, "ControlAllocation(controller, robot)")
             if not mobility.is_regular:
-                other = "WheelSpeed(law, robot, kp), where no wheel steers"
+                alternative = "WheelSpeed(law, robot, kp), where no wheel steers"
             raise InvalidArgument(
-                f"robot is {mobility.kind}, expected a drive with a fixed axle: for this one, {other}"
+                f"robot is {mobility.kind}, expected a drive with a fixed axle: for this one, {alternative}"
             )
         check_wheels(self.robot)
 
@@ -638,7 +638,7 @@ class Backstepping:
         return int(max(self.robot.reference_sizes))
 
     @structure
-    def _steers(self) -> tuple[float, Array] | None:
+    def _steering_limit(self) -> tuple[float, Array] | None:
         """Largest steering angle [rad], and pose of the steered wheel; None for a fixed axle alone."""
         robot = self.robot
         if not robot.mobility.steerability:
@@ -655,7 +655,7 @@ class Backstepping:
         reference = reference_of(context)
         if reference is not None:
             self._check_reference(np.asarray(context.t), reference)
-        steering = None if self._steers is None else (0.0, 0.0, float(context.dt))
+        steering = None if self._steering_limit is None else (0.0, 0.0, float(context.dt))
         return self.law.initial_state(context), steering
 
     def _check_reference(self, t: Array, reference: Any) -> None:
@@ -665,13 +665,13 @@ class Backstepping:
                 f"reference has {reference.v.shape[-1]} coordinates, expected {self._n}: x, y, psi and "
                 "those of arms"
             )
-        speed, w = speeds_along(self._axle, t, reference)
-        if self._steers is not None:
-            limit, pivot = self._steers
+        speed, w = reference_speeds(self._axle, t, reference)
+        if self._steering_limit is not None:
+            limit, pivot = self._steering_limit
             angle = np.abs(_steering_angle(self._axle, pivot, speed, w))
-            beyond = angle > limit * (1 + _ROUNDING)
-            if beyond.any():
-                k = int(np.argmax(beyond))
+            exceeds = angle > limit * (1 + _ANGLE_TOLERANCE)
+            if exceeds.any():
+                k = int(np.argmax(exceeds))
                 raise InvalidArgument(
                     f"reference needs a steering angle of {angle[k]:.3g} rad at t = "
                     f"{t[k]:g} s, expected at most {limit:.3g} rad"
@@ -684,43 +684,43 @@ class Backstepping:
         """Return the input, shape (..., nu), and the next state."""
         inner, steering = state
         nu, n = self.robot.independent(q, v), self._n
-        known, errors = tracked(self.robot, self.robot.axle, q, v, reference, nu[..., 0])
-        (speed, yaw_rate), inner = self.law(known, inner)
-        wanted = [speed] if self._steers else [speed, yaw_rate]
+        error_state, errors = tracking_error(self.robot, self.robot.axle, q, v, reference, nu[..., 0])
+        (speed, yaw_rate), inner = self.law(error_state, inner)
+        desired_nu = [speed] if self._steering_limit else [speed, yaw_rate]
         for i in range(_BASE, n):
             rate, desired = reference.v[..., i] - v[..., i], reference.v[..., i]
-            wanted.append(
+            desired_nu.append(
                 DualNumber(desired + self.arms * errors[..., i], reference.a[..., i] + self.arms * rate)
             )
-        if self._steers:
-            turn, steering = self._steered(q, nu, known, (speed, yaw_rate), steering)
-            wanted.append(turn)
-        rates = [rate_of(z) + self.k * (value_of(z) - nu[..., i]) for i, z in enumerate(wanted)]
-        wanted_rates = np.stack(np.broadcast_arrays(*rates), axis=-1)
-        commanded = able(self.robot, Commanded)
-        inverse = commanded.commands if commanded else self.robot.torques
-        return inverse(q, v, wanted_rates), (inner, steering)
+        if self._steering_limit:
+            turn, steering = self._steering_rate(q, nu, error_state, (speed, yaw_rate), steering)
+            desired_nu.append(turn)
+        rates = [rate_of(z) + self.k * (value_of(z) - nu[..., i]) for i, z in enumerate(desired_nu)]
+        nu_rates = np.stack(np.broadcast_arrays(*rates), axis=-1)
+        velocity_robot = able(self.robot, Commanded)
+        inverse = velocity_robot.commands if velocity_robot else self.robot.torques
+        return inverse(q, v, nu_rates), (inner, steering)
 
-    def _steered(
+    def _steering_rate(
         self,
         q: Array,
         nu: Array,
-        tracked: TrackingState,
+        error_state: TrackingState,
         command: tuple[Any, Any],
         memory: tuple[Any, Any, Any],
     ) -> tuple[DualNumber, tuple[Any, Any, Any]]:
         """Return the desired steering rate with its own rate, and the next memory of the reference's."""
-        before, known, dt = memory
-        limit, _ = self._steers or (np.inf, None)
+        last_rate, has_rate, dt = memory
+        limit, _ = self._steering_limit or (np.inf, None)
         angle = q[..., self._n]
-        found = self._angle(*command)
-        beyond = np.abs(found.value) > limit
-        found = chosen(beyond, np.sign(found.value) * limit, found)
-        rate = self._angle(tracked.speed, tracked.yaw_rate).rate
-        grown = known * (rate - before) / dt
-        wanted = found.rate + self.steer * (found.value - angle)
-        turn = DualNumber(wanted, grown + self.steer * (found.rate - nu[..., -1]))
-        return turn, (rate, 1.0 + 0.0 * known, dt)
+        desired = self._angle(*command)
+        exceeds = np.abs(desired.value) > limit
+        desired = select(exceeds, np.sign(desired.value) * limit, desired)
+        rate = self._angle(error_state.speed, error_state.yaw_rate).rate
+        acceleration = has_rate * (rate - last_rate) / dt
+        desired_rate = desired.rate + self.steer * (desired.value - angle)
+        turn = DualNumber(desired_rate, acceleration + self.steer * (desired.rate - nu[..., -1]))
+        return turn, (rate, 1.0 + 0.0 * has_rate, dt)
 
     def _angle(self, speed: Any, yaw_rate: Any) -> Any:
         """Return the steering angle at which the wheel rolls at a speed and yaw rate, with its rate [rad]."""
@@ -744,7 +744,7 @@ def check_law(law: KinematicLaw, axle: Array, context: Context) -> None:
     """Raise `InvalidArgument` for a reference that an axle or a law cannot follow."""
     reference, t = reference_of(context), np.asarray(context.t)
     if reference is not None:
-        law.check(t, *speeds_along(axle, t, reference))
+        law.check(t, *reference_speeds(axle, t, reference))
 
 
 def check_heading(t: Array, reference: Any) -> tuple[Array, Array]:
@@ -757,8 +757,8 @@ def check_heading(t: Array, reference: Any) -> tuple[Array, Array]:
     """
     psi, w = reference.q[:, 2], reference.v[:, 2]
     jumps = np.abs(wrap_angle(np.diff(psi) - np.diff(t) * (w[1:] + w[:-1]) / 2))
-    if len(jumps) and jumps.max() > _JUMP:
-        k = int(np.argmax(jumps > _JUMP))
+    if len(jumps) and jumps.max() > _HEADING_JUMP:
+        k = int(np.argmax(jumps > _HEADING_JUMP))
         raise InvalidArgument(
             f"reference has a jump of its heading by {jumps[k]:.3g} rad at t = {t[k + 1]:g} s, "
             "expected one that "
@@ -845,61 +845,61 @@ class SwerveTracking:
         self, t: float, q: Array, v: Array, reference: State, state: tuple[Any, Any, Any]
     ) -> tuple[Array, tuple[Any, Any, Any]]:
         """Return the input, shape (..., 4), and the next state."""
-        before, known, dt = state
+        last_rates, has_rates, dt = state
         nu = self.robot.independent(q, v)
-        wanted = self._wanted(q, v, reference)
-        own = self._turned(reference)
-        rates, grown, axles = [], [], []
+        twist = self._desired_twist(q, v, reference)
+        twist_r = self._reference_twist(reference)
+        rates, reference_rates, axles = [], [], []
         for i in range(2):
             x, y, zero = (self.robot.pivots[..., i, j] for j in range(3))
-            angle, turning = q[..., _BASE + i], nu[..., 1 + i]
-            along, aside = wanted[0] - wanted[2] * y, wanted[1] + wanted[2] * x
-            target = angle_of(aside, along) - zero
-            near = DualNumber(target.value + np.pi * np.rint((angle - target.value) / np.pi), target.rate)
-            slow = value_of(along * along + aside * aside) < self.least * self.least
-            goal = chosen(slow, DualNumber(angle, 0.0 * angle), near)
-            leads = angle_of(own[1] + own[2] * x, own[0] - own[2] * y).rate
-            grown.append(leads)
-            extra = np.where(slow, 0.0, np.asarray(known) * (leads - before[..., i]) / dt)
+            angle, steering_rate = q[..., _BASE + i], nu[..., 1 + i]
+            forward, left = twist[0] - twist[2] * y, twist[1] + twist[2] * x
+            target = angle_of(left, forward) - zero
+            nearest = DualNumber(target.value + np.pi * np.rint((angle - target.value) / np.pi), target.rate)
+            is_slow = value_of(forward * forward + left * left) < self.least * self.least
+            goal = select(is_slow, DualNumber(angle, 0.0 * angle), nearest)
+            reference_rate = angle_of(twist_r[1] + twist_r[2] * x, twist_r[0] - twist_r[2] * y).rate
+            reference_rates.append(reference_rate)
+            extra = np.where(is_slow, 0.0, np.asarray(has_rates) * (reference_rate - last_rates[..., i]) / dt)
             z = goal.rate + self.steer * (goal.value - angle)
-            rates.append(extra + self.steer * (goal.rate - turning) + self.k * (z - turning))
-            head = DualNumber(angle + zero, turning)
+            rates.append(extra + self.steer * (goal.rate - steering_rate) + self.k * (z - steering_rate))
+            head = DualNumber(angle + zero, steering_rate)
             axles.append([-sin(head), cos(head), x * cos(head) + y * sin(head)])
         (a, b, m), (d, e, f) = axles
-        about = [b * f - m * e, m * d - a * f, a * e - b * d]
-        square = about[0] * about[0] + about[1] * about[1] + about[2] * about[2] + _NO_AXLE
-        share = (about[0] * wanted[0] + about[1] * wanted[1] + about[2] * wanted[2]) / square
-        first = share.rate + self.k * (share.value - nu[..., 0])
-        u = self.robot.torques(q, v, np.stack(np.broadcast_arrays(first, *rates), axis=-1))
-        leads = np.stack(np.broadcast_arrays(*grown), axis=-1)
-        return u, (leads, 1.0 + 0.0 * known, dt)
+        axis = [b * f - m * e, m * d - a * f, a * e - b * d]
+        square = axis[0] * axis[0] + axis[1] * axis[1] + axis[2] * axis[2] + _NO_AXLE
+        share = (axis[0] * twist[0] + axis[1] * twist[1] + axis[2] * twist[2]) / square
+        body_rate = share.rate + self.k * (share.value - nu[..., 0])
+        u = self.robot.torques(q, v, np.stack(np.broadcast_arrays(body_rate, *rates), axis=-1))
+        reference_rate = np.stack(np.broadcast_arrays(*reference_rates), axis=-1)
+        return u, (reference_rate, 1.0 + 0.0 * has_rates, dt)
 
-    def _wanted(self, q: Array, v: Array, reference: State) -> list[DualNumber]:
+    def _desired_twist(self, q: Array, v: Array, reference: State) -> list[DualNumber]:
         """Return the desired body twist, with its rate."""
-        errors, w = self.robot.difference(q, completed(q, reference.q)), v[..., 2]
-        ahead, aside = _along(q, errors)
-        (vx, vy), (rx, ry), (ax, ay) = (_along(q, x) for x in (v, reference.v, reference.a))
+        errors, w = self.robot.difference(q, complete_reference(q, reference.q)), v[..., 2]
+        e_x, e_y = _body_components(q, errors)
+        (vx, vy), (rx, ry), (ax, ay) = (_body_components(q, x) for x in (v, reference.v, reference.a))
         w_r = reference.v[..., 2]
         return [
-            DualNumber(rx, ax + w * ry) + self.kp * DualNumber(ahead, rx - vx + w * aside),
-            DualNumber(ry, ay - w * rx) + self.kp * DualNumber(aside, ry - vy - w * ahead),
+            DualNumber(rx, ax + w * ry) + self.kp * DualNumber(e_x, rx - vx + w * e_y),
+            DualNumber(ry, ay - w * rx) + self.kp * DualNumber(e_y, ry - vy - w * e_x),
             DualNumber(w_r, reference.a[..., 2]) + self.kp * DualNumber(errors[..., 2], w_r - w),
         ]
 
-    def _turned(self, reference: State) -> list[DualNumber]:
+    def _reference_twist(self, reference: State) -> list[DualNumber]:
         """Return the body twist of the reference, with its rate."""
-        (rx, ry), (ax, ay) = (_along(reference.q, x) for x in (reference.v, reference.a))
+        (rx, ry), (ax, ay) = (_body_components(reference.q, x) for x in (reference.v, reference.a))
         w = reference.v[..., 2]
         return [DualNumber(rx, ax + w * ry), DualNumber(ry, ay - w * rx), DualNumber(w, reference.a[..., 2])]
 
 
-def _along(q: Array, x: Array) -> tuple[Any, Any]:
+def _body_components(q: Array, x: Array) -> tuple[Any, Any]:
     """Return the components of a vector in the plane along the body's axes, forward and left."""
     c, s = np.cos(q[..., 2]), np.sin(q[..., 2])
     return c * x[..., 0] + s * x[..., 1], c * x[..., 1] - s * x[..., 0]
 
 
-def speeds_along(axle: Array, t: Array, reference: Any) -> tuple[Array, Array]:
+def reference_speeds(axle: Array, t: Array, reference: Any) -> tuple[Array, Array]:
     """Return speed and yaw rate of a reference, shape (N,), for a drive with this fixed axle.
 
     Raises
@@ -910,25 +910,25 @@ def speeds_along(axle: Array, t: Array, reference: Any) -> tuple[Array, Array]:
     psi, w = check_heading(t, reference)
     a, b, arm = axle
     c, s = np.cos(psi), np.sin(psi)
-    across = (a * c - b * s) * reference.v[:, 0] + (a * s + b * c) * reference.v[:, 1] + arm * w
+    lateral = (a * c - b * s) * reference.v[:, 0] + (a * s + b * c) * reference.v[:, 1] + arm * w
     speed = (b * c + a * s) * reference.v[:, 0] + (b * s - a * c) * reference.v[:, 1]
-    wrong = np.abs(across) > _SIDEWAYS * (1.0 + np.abs(speed))
+    wrong = np.abs(lateral) > _LATERAL_TOLERANCE * (1.0 + np.abs(speed))
     if wrong.any():
         k = int(np.argmax(wrong))
         raise InvalidArgument(
-            f"reference moves sideways, at {across[k]:.3g} m/s across the fixed axle, at t = {t[k]:g} "
+            f"reference moves sideways, at {lateral[k]:.3g} m/s across the fixed axle, at t = {t[k]:g} "
             "s, expected "
             "one that the wheels can follow, such as Tangent(path)"
         )
     return speed, w
 
 
-def tracked(
+def tracking_error(
     robot: Any, axle: Any, q: Array, v: Array, reference: State, own_speed: Any
 ) -> tuple[TrackingState, Array]:
     """Return the tracking error of a law, with its rates, and the errors of all coordinates."""
     a, b, arm = axle[..., 0], axle[..., 1], axle[..., 2]
-    errors = robot.difference(q, completed(q, reference.q))
+    errors = robot.difference(q, complete_reference(q, reference.q))
     c, s = np.cos(q[..., 2]), np.sin(q[..., 2])
     c_r, s_r = np.cos(reference.q[..., 2]), np.sin(reference.q[..., 2])
     # Directions of motion of body and reference, and positions of both axles.
@@ -937,18 +937,18 @@ def tracked(
     dy = reference.q[..., 1] - q[..., 1] + arm * (y_r - y)
     vx, vy, w_r, w = reference.v[..., 0], reference.v[..., 1], reference.v[..., 2], v[..., 2]
     speed, turn = x_r * vx + y_r * vy, errors[..., 2]
-    gained = x_r * reference.a[..., 0] + y_r * reference.a[..., 1] + w_r * (x_r * vy - y_r * vx)
-    ahead, aside = x * dx + y * dy, x * dy - y * dx
-    found = TrackingState(
-        DualNumber(ahead, w * aside - own_speed + speed * np.cos(turn)),
-        DualNumber(aside, speed * np.sin(turn) - w * ahead),
+    acceleration = x_r * reference.a[..., 0] + y_r * reference.a[..., 1] + w_r * (x_r * vy - y_r * vx)
+    e_x, e_y = x * dx + y * dy, x * dy - y * dx
+    error_state = TrackingState(
+        DualNumber(e_x, w * e_y - own_speed + speed * np.cos(turn)),
+        DualNumber(e_y, speed * np.sin(turn) - w * e_x),
         DualNumber(turn, w_r - w),
-        DualNumber(speed, gained),
+        DualNumber(speed, acceleration),
         DualNumber(w_r, reference.a[..., 2]),
-        DualNumber(gained, 0.0 * gained),
+        DualNumber(acceleration, 0.0 * acceleration),
         DualNumber(own_speed, 0.0 * own_speed),
     )
-    return found, errors
+    return error_state, errors
 
 
 def _steering_angle(axle: Any, pivot: Any, speed: Any, yaw_rate: Any) -> Any:
@@ -956,7 +956,7 @@ def _steering_angle(axle: Any, pivot: Any, speed: Any, yaw_rate: Any) -> Any:
     a, b, arm = axle[..., 0], axle[..., 1], axle[..., 2]
     x, y = pivot[..., 0] - arm * b, pivot[..., 1] + arm * a  # from the axle
     c, s = np.cos(pivot[..., 2]), np.sin(pivot[..., 2])
-    ahead = (b * c - a * s) * speed + (x * s - y * c) * yaw_rate
-    aside = -(b * s + a * c) * speed + (x * c + y * s) * yaw_rate
-    least = np.where(value_of(ahead) < 0.0, -_LEAST_SPEED, _LEAST_SPEED)
-    return arctan(aside / chosen(np.abs(value_of(ahead)) < _LEAST_SPEED, least, ahead))
+    forward = (b * c - a * s) * speed + (x * s - y * c) * yaw_rate
+    left = -(b * s + a * c) * speed + (x * c + y * s) * yaw_rate
+    lowest = np.where(value_of(forward) < 0.0, -_MIN_SPEED, _MIN_SPEED)
+    return arctan(left / select(np.abs(value_of(forward)) < _MIN_SPEED, lowest, forward))

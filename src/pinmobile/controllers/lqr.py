@@ -13,15 +13,15 @@ import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, finite, frozen, shaped
 from pinmobile.compiled import is_constant
-from pinmobile.controllers.controller import State, completed
+from pinmobile.controllers.controller import State, complete_reference
 from pinmobile.errors import InvalidArgument, NotTraceable
 from pinmobile.parts import Electric, Followed, Linearized, Rolling, able, child, number, option, part
 from pinmobile.plant import Context, Input, inputs_of
 
 _BASE = 3
-_MOST = 4  # cached designs per robot
-_SYMMETRIC = 1e-9  # tolerance of symmetry, relative to the largest entry
-_STILL = 1e-6  # [m/s, rad/s]; a reference below it is at rest
+_CACHE_SIZE = 4  # cached designs per robot
+_SYMMETRY_TOLERANCE = 1e-9  # tolerance of symmetry, relative to the largest entry
+_SPEED_TOLERANCE = 1e-6  # [m/s, rad/s]; a reference below it is at rest
 _T = TypeVar("_T")
 
 
@@ -55,10 +55,10 @@ class TrackedModel(NamedTuple):
         from scipy.linalg import expm
 
         k, n, m = self.B.shape
-        whole = np.zeros((k, n + m, n + m))
-        whole[:, :n, :n], whole[:, :n, n:] = self.A, self.B
-        found = expm(h * whole)
-        return found[:, :n, :n], found[:, :n, n:]
+        block = np.zeros((k, n + m, n + m))
+        block[:, :n, :n], block[:, :n, n:] = self.A, self.B
+        exponential = expm(h * block)
+        return exponential[:, :n, :n], exponential[:, :n, n:]
 
 
 def tracked_model(robot: Any, reference: State) -> TrackedModel:
@@ -80,10 +80,10 @@ def tracked_model(robot: Any, reference: State) -> TrackedModel:
         body = getattr(robot, "array_dynamics", robot)  # the same in all engines
     except NotTraceable:
         body = robot
-    if following := able(body, Followed):
-        along = following.followed(reference)
-        A, B = body.linearize_tracked(along.q, along.v, along.u)
-        return TrackedModel(A, B, along.u, along.nu)
+    if follower := able(body, Followed):
+        motion = follower.followed(reference)
+        A, B = body.linearize_tracked(motion.q, motion.v, motion.u)
+        return TrackedModel(A, B, motion.u, motion.nu)
     q, v, a = reference.q, reference.v, reference.a
     if v.shape[-1] != body.nv:
         raise InvalidArgument(
@@ -95,7 +95,7 @@ def tracked_model(robot: Any, reference: State) -> TrackedModel:
     return TrackedModel(A, B, np.asarray(u), v)
 
 
-class Weighted:
+class WeightedLaw:
     """Base class of laws with weights of errors and inputs of a robot along a reference."""
 
     robot: Any
@@ -106,13 +106,13 @@ class Weighted:
     @cached_property
     def _sizes(self) -> tuple[int, int, int]:
         """Numbers of tracked coordinates, independent velocities and inputs."""
-        robot, still = self.robot, np.zeros(self.robot.nv)
-        A, B = robot.linearize_tracked(robot.rest, still, np.zeros(robot.nu))
-        m = len(robot.reduced(robot.rest, still).nu) if able(robot, Rolling) else int(robot.nv)
+        robot, zeros = self.robot, np.zeros(self.robot.nv)
+        A, B = robot.linearize_tracked(robot.rest, zeros, np.zeros(robot.nu))
+        m = len(robot.reduced(robot.rest, zeros).nu) if able(robot, Rolling) else int(robot.nv)
         return A.shape[-1] - m, m, B.shape[-1]
 
     @cached_property
-    def _usual(self) -> tuple[Array, Array]:
+    def _default_weights(self) -> tuple[Array, Array]:
         """Default weights of the tracked state and of the input, as diagonals.
 
         Errors cost 400 / m^2 and 100 / rad^2, velocities 20 and 5, forces 1e-3 / N^2, moments 2e-2 / (N m)^2.
@@ -120,16 +120,16 @@ class Weighted:
         """
         robot, (n, m, _) = self.robot, self._sizes
         arms = n - _BASE
-        own = {3: (20.0, 20.0, 5.0), 2: (20.0, 5.0), 1: (20.0,)}[m - arms]
-        units = [each.unit for each in robot.coordinates[_BASE:n]]
-        places = [400.0, 400.0, 100.0, *(400.0 if unit == "m" else 100.0 for unit in units)]
-        speeds = [*own, *(20.0 if unit == "m" else 5.0 for unit in units)]
+        base = {3: (20.0, 20.0, 5.0), 2: (20.0, 5.0), 1: (20.0,)}[m - arms]
+        units = [entry.unit for entry in robot.coordinates[_BASE:n]]
+        positions = [400.0, 400.0, 100.0, *(400.0 if unit == "m" else 100.0 for unit in units)]
+        velocities = [*base, *(20.0 if unit == "m" else 5.0 for unit in units)]
         inputs: tuple[Input, ...] = inputs_of(robot)
-        costs = np.array([1e-3 if each.unit == "N" else 2e-2 for each in inputs])
+        costs = np.array([1e-3 if entry.unit == "N" else 2e-2 for entry in inputs])
         if able(robot, Electric):
-            largest = np.array([each.upper if each.unit == "V" else 1.0 for each in inputs])
+            largest = np.array([entry.upper if entry.unit == "V" else 1.0 for entry in inputs])
             costs *= (robot.torques_at(np.zeros(robot.nv), largest) / largest) ** 2
-        return np.array(places + speeds), costs
+        return np.array(positions + velocities), costs
 
     def check(self) -> None:
         """Raise `InvalidArgument` if a weight has another size than its errors or inputs."""
@@ -138,10 +138,10 @@ class Weighted:
             shaped(name, getattr(self, name), (size, size), words=f", or its diagonal, shape ({size},)")
 
 
-def weighting(index: int, doc: str) -> Any:
-    """Declare Q or R of a `Weighted` law: a diagonal or a matrix, stored as a matrix."""
-    usual = attrs.Factory(lambda self: self._usual[index], takes_self=True)
-    return option(default=usual, doc=doc, check=partial(weight, above=index == 1))
+def weight_field(index: int, doc: str) -> Any:
+    """Declare Q or R of a `WeightedLaw`: a diagonal or a matrix, stored as a matrix."""
+    default = attrs.Factory(lambda self: self._default_weights[index], takes_self=True)
+    return option(default=default, doc=doc, check=partial(weight, above=index == 1))
 
 
 def weight(name: str, value: ArrayLike, *, above: bool) -> Array:
@@ -161,19 +161,19 @@ def weight(name: str, value: ArrayLike, *, above: bool) -> Array:
     InvalidArgument
         If it has another shape, or is not symmetric or not definite.
     """
-    given = shaped(name, finite(name, value), ("n>=1",), ("n>=1", "n"))
-    matrix = np.diag(given) if given.ndim == 1 else given
+    values = shaped(name, finite(name, value), ("n>=1",), ("n>=1", "n"))
+    matrix = np.diag(values) if values.ndim == 1 else values
     largest = np.abs(matrix).max()
-    if np.abs(matrix - matrix.T).max() > _SYMMETRIC * largest:
+    if np.abs(matrix - matrix.T).max() > _SYMMETRY_TOLERANCE * largest:
         raise InvalidArgument(f"{name} is not symmetric, expected a symmetric matrix")
-    least = float(np.linalg.eigvalsh(matrix)[0])
-    if not (least > 0 if above else least >= -_SYMMETRIC * largest):
+    lowest = float(np.linalg.eigvalsh(matrix)[0])
+    if not (lowest > 0 if above else lowest >= -_SYMMETRY_TOLERANCE * largest):
         definite = "positive definite" if above else "positive semidefinite"
-        raise InvalidArgument(f"{name} has the eigenvalue {least:.3g}, expected a {definite} matrix")
+        raise InvalidArgument(f"{name} has the eigenvalue {lowest:.3g}, expected a {definite} matrix")
     return frozen(matrix)
 
 
-def whole_reference(context: Context, robot: Any) -> Any:
+def full_reference(context: Context, robot: Any) -> Any:
     """Return the reference at all samples after a check that model and plant have the same inputs.
 
     Parameters
@@ -188,10 +188,10 @@ def whole_reference(context: Context, robot: Any) -> Any:
     InvalidArgument
         If the context has no reference, as in calls by hand, or only one of model and plant takes voltages.
     """
-    theirs, own = ([each.unit for each in inputs] for inputs in (context.inputs, inputs_of(robot)))
-    if len(theirs) == len(own) and ([unit == "V" for unit in theirs] != [unit == "V" for unit in own]):
+    plant, model = ([entry.unit for entry in inputs] for inputs in (context.inputs, inputs_of(robot)))
+    if len(plant) == len(model) and ([unit == "V" for unit in plant] != [unit == "V" for unit in model]):
         raise InvalidArgument(
-            f"robot has inputs in {', '.join(own)}, and the plant in {', '.join(theirs)}, expected a "
+            f"robot has inputs in {', '.join(model)}, and the plant in {', '.join(plant)}, expected a "
             "model with the inputs of the plant: robot.by_voltage() takes volts, and "
             "TorqueToVoltage(controller, robot) "
             "turns torques into volts"
@@ -204,7 +204,7 @@ def whole_reference(context: Context, robot: Any) -> Any:
     return context.reference
 
 
-def check_moves(robot: Any, reference: Any, nu: Array, t: float) -> None:
+def check_motion(robot: Any, reference: Any, nu: Array, t: float) -> None:
     """Raise an error for a reference that ends at rest, if the robot cannot move in every direction.
 
     At rest the linear model of such a robot is not controllable: no input moves it sideways.
@@ -214,7 +214,7 @@ def check_moves(robot: Any, reference: Any, nu: Array, t: float) -> None:
     InvalidArgument
         If the reference ends at rest and the robot cannot move sideways.
     """
-    if nu.shape[-1] < reference.v.shape[-1] and np.abs(reference.v[-1, :_BASE]).max() < _STILL:
+    if nu.shape[-1] < reference.v.shape[-1] and np.abs(reference.v[-1, :_BASE]).max() < _SPEED_TOLERANCE:
         raise InvalidArgument(
             f"reference ends at rest, at t = {t:g} s, where a {type(robot).__name__} that cannot move "
             "sideways has no controllable linear model, so that no gain exists; expected a reference that "
@@ -225,14 +225,14 @@ def check_moves(robot: Any, reference: Any, nu: Array, t: float) -> None:
 _designs: WeakKeyDictionary[Any, dict[Any, Any]] = WeakKeyDictionary()
 
 
-def remembered(robot: Any, what: tuple[object, ...], arrays: tuple[Array, ...], make: Callable[[], _T]) -> _T:
+def memoize(robot: Any, label: tuple[object, ...], arrays: tuple[Array, ...], make: Callable[[], _T]) -> _T:
     """Return a result that depends on a robot and some arrays, from the cache or computed.
 
     Parameters
     ----------
     robot : robot
         Robot; the cache holds results of immutable robots only.
-    what : tuple
+    label : tuple
         Other values on which the result depends.
     arrays : tuple of ndarray
         Arrays on which the result depends.
@@ -242,29 +242,29 @@ def remembered(robot: Any, what: tuple[object, ...], arrays: tuple[Array, ...], 
     if not is_constant(robot):
         return make()
     digest = hashlib.sha256()
-    for each in arrays:
-        digest.update(f"{each.shape}".encode() + np.ascontiguousarray(each).tobytes())
+    for array in arrays:
+        digest.update(f"{array.shape}".encode() + np.ascontiguousarray(array).tobytes())
     designs = _designs.setdefault(robot, {})
-    key = (*what, digest.digest())
-    found = designs.get(key)
-    if found is None:
-        found = make()
-        for old in list(designs)[: max(0, len(designs) - _MOST + 1)]:
+    key = (*label, digest.digest())
+    design = designs.get(key)
+    if design is None:
+        design = make()
+        for old in list(designs)[: max(0, len(designs) - _CACHE_SIZE + 1)]:
             designs.pop(old, None)
-        designs[key] = found
-    return found
+        designs[key] = design
+    return design
 
 
 def tracked_errors(robot: Any, q: Array, v: Array, reference: State, nu: Array) -> Array:
     """Return the errors of the tracked state, shape (..., n + m), from a reference and its nu."""
     if not able(robot, Rolling):
         return np.concatenate([robot.difference(q, reference.q), nu - v], axis=-1)
-    errors = robot.difference(q, completed(q, reference.q))[..., : np.shape(reference.v)[-1]]
+    errors = robot.difference(q, complete_reference(q, reference.q))[..., : np.shape(reference.v)[-1]]
     return np.concatenate([errors, nu - robot.independent(q, v)], axis=-1)
 
 
-_ROUNDING = 1e-7  # numerical error of a double eigenvalue at 1
-_SHARE = 1e-3  # of a time step; a smaller bound counts as none
+_EIGENVALUE_ERROR = 1e-7  # numerical error of a double eigenvalue at 1
+_STEP_FRACTION = 1e-3  # of a time step; a smaller bound counts as none
 
 
 def double_integrators(dt: float, kp: Array, kd: Array, ki: Array) -> Array:
@@ -285,7 +285,7 @@ def diagonal(gain: Array) -> Array:
     return np.asarray(gain[..., None] * np.eye(gain.shape[-1]))
 
 
-def check_held(gains: Callable[[], dict[str, Any]], loop: Callable[[float], Array], dt: float) -> None:
+def check_gains(gains: Callable[[], dict[str, Any]], loop: Callable[[float], Array], dt: float) -> None:
     """Check that a sampled loop with an exact model of a rigid robot is stable.
 
     Symbolic gains, which differ between the robots of an ensemble, are not checked.
@@ -306,7 +306,7 @@ def check_held(gains: Callable[[], dict[str, Any]], loop: Callable[[float], Arra
     """
 
     def is_stable(step: float) -> bool:
-        return bool((np.abs(np.linalg.eigvals(loop(step))) <= 1 + _ROUNDING).all())
+        return bool((np.abs(np.linalg.eigvals(loop(step))) <= 1 + _EIGENVALUE_ERROR).all())
 
     try:
         given = {name: np.asarray(gain, np.float64) for name, gain in gains().items()}
@@ -319,7 +319,7 @@ def check_held(gains: Callable[[], dict[str, Any]], loop: Callable[[float], Arra
     for _ in range(40):
         middle = (good + bad) / 2
         good, bad = (middle, bad) if is_stable(middle) else (good, middle)
-    if good < _SHARE * dt:
+    if good < _STEP_FRACTION * dt:
         raise InvalidArgument(f"gains {words} are unstable at any dt, expected other gains")
     raise InvalidArgument(
         f"gains {words} are unstable with a zero-order hold of dt = {dt:g} s, expected "
@@ -329,7 +329,7 @@ def check_held(gains: Callable[[], dict[str, Any]], loop: Callable[[float], Arra
 
 @final
 @part
-class LQR(Weighted):
+class LQR(WeightedLaw):
     """Linear quadratic regulator along a reference, u = u_d + K(t) (e; e_v), with gains at each sample.
 
     u_d is the reference's input. With A and B of the linear model at each sample, with zero-order hold::
@@ -385,32 +385,32 @@ class LQR(Weighted):
     """
 
     robot: Any = child(Linearized, doc="model of the controller")
-    Q: Any = weighting(0, "weight of the errors")
-    R: Any = weighting(1, "weight of the input")
+    Q: Any = weight_field(0, "weight of the errors")
+    R: Any = weight_field(1, "weight of the input")
     input_weight: float = number(default=1.0, above=0.0, doc="factor of R, the weight of the input")
 
     def initial_state(self, context: Context) -> tuple[Any, Any, Any]:
         """Return the inputs, velocities and gains at all samples, as schedules."""
-        reference = whole_reference(context, self.robot)
+        reference = full_reference(context, self.robot)
         Q, R = self.Q, self.input_weight * self.R
         dt, t = float(context.dt), np.asarray(context.t)
 
         def design() -> tuple[Array, Array, Array]:
             model = tracked_model(self.robot, reference)
-            check_moves(self.robot, reference, model.nu, float(t[-1]))
+            check_motion(self.robot, reference, model.nu, float(t[-1]))
             gains, _ = riccati(*model.discrete(dt), Q, R)
             return frozen(model.u), frozen(model.nu), frozen(gains)
 
-        given = (*reference, Q, R)
-        return tuple(map(context.schedule, remembered(self.robot, ("LQR", dt), given, design)))  # type: ignore[return-value]
+        arrays = (*reference, Q, R)
+        return tuple(map(context.schedule, memoize(self.robot, ("LQR", dt), arrays, design)))  # type: ignore[return-value]
 
     def __call__(
         self, t: float, q: Array, v: Array, reference: State, state: tuple[Any, Any, Any]
     ) -> tuple[Array, tuple[Any, Any, Any]]:
         """Return the input, shape (..., nu), and the next state."""
-        (u, held), (nu, speeds), (gains, feedback) = (schedule.next() for schedule in state)
+        (u, next_u), (nu, next_nu), (gains, next_gains) = (schedule.next() for schedule in state)
         errors = tracked_errors(self.robot, q, v, reference, nu)
-        return u + np.sum(gains * errors[..., None, :], axis=-1), (held, speeds, feedback)
+        return u + np.sum(gains * errors[..., None, :], axis=-1), (next_u, next_nu, next_gains)
 
 
 def riccati(A: Array, B: Array, Q: Array, R: Array, stride: int = 1) -> tuple[Array, Array]:
@@ -446,8 +446,8 @@ def riccati(A: Array, B: Array, Q: Array, R: Array, stride: int = 1) -> tuple[Ar
         ) from error
     P[len(A) :] = (last + last.T) / 2
     for k in reversed(range(len(A))):
-        pushed = B[k].T @ P[k + stride]
-        K[k] = np.linalg.solve(R + pushed @ B[k], pushed @ A[k])
+        BP = B[k].T @ P[k + stride]
+        K[k] = np.linalg.solve(R + BP @ B[k], BP @ A[k])
         cost = Q + A[k].T @ P[k + stride] @ (A[k] - B[k] @ K[k])
         P[k] = (cost + cost.T) / 2
     return K, P

@@ -13,24 +13,24 @@ from pinmobile.controllers.controller import State
 from pinmobile.controllers.feedback import bound
 from pinmobile.controllers.lqr import (
     TrackedModel,
-    Weighted,
-    check_held,
-    check_moves,
-    remembered,
+    WeightedLaw,
+    check_gains,
+    check_motion,
+    full_reference,
+    memoize,
     riccati,
     tracked_errors,
     tracked_model,
-    weighting,
-    whole_reference,
+    weight_field,
 )
-from pinmobile.controllers.wrappers import estimated
-from pinmobile.errors import InvalidArgument, NotSolved, NotTraceable, imported
+from pinmobile.controllers.wrappers import estimate_force
+from pinmobile.errors import InvalidArgument, NotSolved, NotTraceable, import_extra
 from pinmobile.parts import Linearized, Rolling, able, array, child, integer, number, part
 from pinmobile.plant import Context, inputs_of
 
-_SOFT = 8  # flag of daqp: a bound that may be violated at a cost
-_AT_UPPER, _AT_LOWER = 1, 3  # flags of daqp: a bound that is active at the start
-_TIGHT = 1e-9  # tolerance of bounds in daqp
+_SOFT_FLAG = 8  # flag of daqp: a bound that may be violated at a cost
+_UPPER_ACTIVE, _LOWER_ACTIVE = 1, 3  # flags of daqp: a bound that is active at the start
+_BOUND_TOLERANCE = 1e-9  # tolerance of bounds in daqp
 
 
 class Program(NamedTuple):
@@ -55,23 +55,23 @@ class Program(NamedTuple):
     upper: Array
     sense: Any
 
-    def solved(self, prices: Array) -> tuple[Array, Array, int]:
+    def solve(self, duals: Array) -> tuple[Array, Array, int]:
         """Return z, the multiplier of each bound, and the exit flag of daqp, above 0 for a solution.
 
         Parameters
         ----------
-        prices : ndarray, shape (rows,)
+        duals : ndarray, shape (rows,)
             Multipliers of a similar program: the solver starts with its active bounds.
         """
         solve = solver()
-        begun = self.sense | np.where(prices > 0, _AT_UPPER, np.where(prices < 0, _AT_LOWER, 0))
-        for sense in (begun.astype(np.int32), self.sense):
-            z, _, flag, told = solve(
-                self.H, self.f, self.A, self.upper, self.lower, sense.copy(), primal_tol=_TIGHT
+        flags = self.sense | np.where(duals > 0, _UPPER_ACTIVE, np.where(duals < 0, _LOWER_ACTIVE, 0))
+        for sense in (flags.astype(np.int32), self.sense):
+            z, _, flag, details = solve(
+                self.H, self.f, self.A, self.upper, self.lower, sense.copy(), primal_tol=_BOUND_TOLERANCE
             )
             if flag > 0 and np.isfinite(z).all():
-                return z, np.asarray(told["lam"]), flag
-        return z, 0.0 * prices, min(flag, 0)
+                return z, np.asarray(details["lam"]), flag
+        return z, 0.0 * duals, min(flag, 0)
 
 
 class Plan:
@@ -93,7 +93,7 @@ class Plan:
         Time between two samples [s].
     stride, horizon : int
         Number of samples of a prediction step, and number of steps.
-    kept : ndarray of bool, shape (n + m,)
+    is_bounded : ndarray of bool, shape (n + m,)
         Whether each state is bounded.
 
     Attributes
@@ -102,11 +102,11 @@ class Plan:
         Closed-loop model from each sample to the next step, and its gains.
     u, x : ndarray, shape (N + 1, nu), (N + 1, n + m)
         Input and tracked state of the reference.
-    moves : ndarray, shape (N + 1, nu, nu)
+    scales : ndarray, shape (N + 1, nu, nu)
         Input w per z.
-    responses : ndarray, shape (N + 1, horizon, nu + kept, nu)
+    responses : ndarray, shape (N + 1, horizon, nu + bounded, nu)
         Later inputs, and bounded states after them, per z of each sample.
-    slopes, pushes, pulls : ndarray, shape (N + 1, m, n + m), (N + 1, m, nu), (N + 1, nu, m)
+    A_nu, B_nu, B_pinv : ndarray, shape (N + 1, m, n + m), (N + 1, m, nu), (N + 1, nu, m)
         Rates of independent velocities per state and per input, and the pseudoinverse of the latter.
     """
 
@@ -120,7 +120,7 @@ class Plan:
         dt: float,
         stride: int,
         horizon: int,
-        kept: Array,
+        is_bounded: Array,
     ) -> None:
         A, B = model.discrete(stride * dt)
         K, P = riccati(A, B, stride * Q, stride * R, stride)
@@ -128,47 +128,47 @@ class Plan:
         m, last = model.nu.shape[-1], len(A) - 1
         self.stride, self.horizon, self.dt = stride, horizon, dt
         self.K, self.F, self.u, self.x = K, A - B @ K, frozen(model.u), frozen(x)
-        self.moves = np.swapaxes(np.linalg.inv(np.linalg.cholesky(S)), -1, -2)
-        self.slopes, self.pushes = model.A[:, -m:], model.B[:, -m:]
-        self.pulls = np.linalg.pinv(self.pushes)
-        nu, soft = B.shape[-1], np.flatnonzero(kept)
+        self.scales = np.swapaxes(np.linalg.inv(np.linalg.cholesky(S)), -1, -2)
+        self.A_nu, self.B_nu = model.A[:, -m:], model.B[:, -m:]
+        self.B_pinv = np.linalg.pinv(self.B_nu)
+        nu, soft = B.shape[-1], np.flatnonzero(is_bounded)
         self.responses = np.empty((last + 1, horizon, nu + len(soft), nu))
-        at, inputs, states = np.arange(last + 1), self.moves, B @ self.moves
-        for late in range(horizon):
-            self.responses[:, late, :nu], self.responses[:, late, nu:] = inputs, states[:, soft]
-            at = np.minimum(at + stride, last)
-            inputs, states = -self.K[at] @ states, self.F[at] @ states
-        self.hessian, self.free = np.eye(horizon * nu), np.zeros(horizon * nu)
-        self.sense = np.tile(np.repeat(np.array([0, _SOFT], np.int32), [nu, len(soft)]), horizon)
+        samples, inputs, states = np.arange(last + 1), self.scales, B @ self.scales
+        for lag in range(horizon):
+            self.responses[:, lag, :nu], self.responses[:, lag, nu:] = inputs, states[:, soft]
+            samples = np.minimum(samples + stride, last)
+            inputs, states = -self.K[samples] @ states, self.F[samples] @ states
+        self.hessian, self.gradient = np.eye(horizon * nu), np.zeros(horizon * nu)
+        self.sense = np.tile(np.repeat(np.array([0, _SOFT_FLAG], np.int32), [nu, len(soft)]), horizon)
 
-    def at(self, k: int) -> Any:
+    def samples(self, k: int) -> Any:
         """Return the samples of a horizon, shape (horizon + 1,); after the end, the last one repeats."""
         return np.minimum(k + self.stride * np.arange(self.horizon + 1), len(self.u) - 1)
 
-    def ahead(self, at: Any, dx: Array) -> tuple[Array, Array]:
+    def free_response(self, samples: Any, dx: Array) -> tuple[Array, Array]:
         """Return inputs and next states of the gains alone, shape (horizon, nu), (horizon, n + m)."""
         states = np.empty((self.horizon + 1, len(dx)))
         states[0] = dx
-        for j, step in enumerate(self.F[at[:-1]]):
+        for j, step in enumerate(self.F[samples[:-1]]):
             np.dot(step, states[j], out=states[j + 1])
-        return -(self.K[at[:-1]] @ states[:-1, :, None])[..., 0], states[1:]
+        return -(self.K[samples[:-1]] @ states[:-1, :, None])[..., 0], states[1:]
 
-    def program(self, at: Any, lower: Array, upper: Array) -> Program:
+    def program(self, samples: Any, lower: Array, upper: Array) -> Program:
         """Return the program of a horizon.
 
         Parameters
         ----------
-        at : ndarray of int, shape (horizon + 1,)
+        samples : ndarray of int, shape (horizon + 1,)
             Samples of the horizon.
         lower, upper : ndarray, shape (horizon, nu + kept)
             Bounds of inputs and states relative to those of the gains.
         """
         N, rows, nu = self.responses.shape[1:]
         A = np.zeros((N, rows, N * nu))
-        for j, i in enumerate(at[:-1]):
+        for j, i in enumerate(samples[:-1]):
             A[j:, :, j * nu : (j + 1) * nu] = self.responses[i, : N - j]
         return Program(
-            self.hessian, self.free, A.reshape(N * rows, N * nu), lower.ravel(), upper.ravel(), self.sense
+            self.hessian, self.gradient, A.reshape(N * rows, N * nu), lower.ravel(), upper.ravel(), self.sense
         )
 
 
@@ -180,25 +180,25 @@ def solver() -> Any:
     InvalidArgument
         If daqp is not installed.
     """
-    return imported("daqp", "mpc", "MPC").solve
+    return import_extra("daqp", "mpc", "MPC").solve
 
 
-_MANY = 10_000
-_WHOLE = 1e-9  # relative tolerance of step / dt, and of limits compared with those of motors
-_OFF, _TIMES = 0.1, 8  # error of a timed call [m, rad], and number of its doublings
+_EXAMPLE_ROBOTS = 10_000
+_RELATIVE_TOLERANCE = 1e-9  # relative tolerance of step / dt, and of limits compared with those of motors
+_TEST_ERROR, _DOUBLINGS = 0.1, 8  # error of a timed call [m, rad], and number of its doublings
 
 
-class _Belief(NamedTuple):
+class _ObserverMemory(NamedTuple):
     """Memory of the observer: whether a sample came before, its integral, and its estimate."""
 
-    begun: float
+    is_ready: float
     integral: Array
     disturbance: Array
 
 
 @final
 @part
-class MPC(Weighted):
+class MPC(WeightedLaw):
     """Model predictive control along a reference: a quadratic program per sample keeps inputs within limits.
 
     Over `horizon` steps of the linear model along the reference, dx+ = A dx + B (du + d), it minimises the
@@ -276,8 +276,8 @@ class MPC(Weighted):
     )
     lower: Any = bound(-1.0, "lower soft bounds", ())
     upper: Any = bound(1.0, "upper soft bounds", ())
-    Q: Any = weighting(0, "weight of the errors")
-    R: Any = weighting(1, "weight of the input")
+    Q: Any = weight_field(0, "weight of the errors")
+    R: Any = weight_field(1, "weight of the input")
     observer: float = number(
         default=10.0, lower=0.0, unit="1/s", fixed=True, doc="rate of the estimate of the disturbance"
     )
@@ -287,38 +287,38 @@ class MPC(Weighted):
         """Raise `InvalidArgument` if limits exceed the robot's, or lower bounds are not below upper ones."""
         super().check()
         limits = [np.inf] * self._sizes[2] if self.limits is None else self.limits
-        for one, limit in zip(inputs_of(self.robot), limits, strict=True):
-            largest = min(-one.lower, one.upper)
-            if largest * (1 + _WHOLE) < limit < np.inf:
+        for entry, limit in zip(inputs_of(self.robot), limits, strict=True):
+            largest = min(-entry.lower, entry.upper)
+            if largest * (1 + _RELATIVE_TOLERANCE) < limit < np.inf:
                 raise InvalidArgument(
-                    f"limits has {limit:.9g} {one.unit} for {one.name}, expected at most {largest:.9g} "
-                    f"{one.unit}, the limit of its motor, at which the robot cuts inputs off"
+                    f"limits has {limit:.9g} {entry.unit} for {entry.name}, expected at most {largest:.9g} "
+                    f"{entry.unit}, the limit of its motor, at which the robot cuts inputs off"
                 )
         size = sum(self._sizes[:2])
-        for name, none in (("lower", -np.inf), ("upper", np.inf)):
-            given, whole = getattr(self, name), np.full(size, none)
+        for name, infinite in (("lower", -np.inf), ("upper", np.inf)):
+            given, bounds = getattr(self, name), np.full(size, infinite)
             k = min(given.size, size)
-            whole[:k] = shaped(name, given, (k,))
-            object.__setattr__(self, name, frozen(whole))
+            bounds[:k] = shaped(name, given, (k,))
+            object.__setattr__(self, name, frozen(bounds))
         if (self.lower >= self.upper).any():
             raise InvalidArgument("lower is not below upper, expected lower soft bounds below the upper ones")
 
     @cached_property
     def range(self) -> tuple[Array, Array]:
         """Smallest and largest inputs, shape (nu,) each [N, N m or V]."""
-        own = inputs_of(self.robot)
-        least, most = np.array([x.lower for x in own]), np.array([x.upper for x in own])
+        entries = inputs_of(self.robot)
+        lowest, highest = np.array([x.lower for x in entries]), np.array([x.upper for x in entries])
         if self.limits is not None:
-            least, most = np.maximum(least, -self.limits), np.minimum(most, self.limits)
-        return frozen(least), frozen(most)
+            lowest, highest = np.maximum(lowest, -self.limits), np.minimum(highest, self.limits)
+        return frozen(lowest), frozen(highest)
 
     def initial_state(self, context: Context) -> tuple[Any, ...]:
         """Return the plan, the sample number, the observer's memory, the last input, and the multipliers."""
         solver()
-        reference = whole_reference(context, self.robot)
+        reference = full_reference(context, self.robot)
         dt, t = float(context.dt), np.asarray(context.t)
         stride = round(self.step / dt)
-        if stride < 1 or abs(stride * dt - self.step) > _WHOLE * self.step:
+        if stride < 1 or abs(stride * dt - self.step) > _RELATIVE_TOLERANCE * self.step:
             raise InvalidArgument(f"step is {self.step:g} s, expected a whole number of time steps, {dt:g} s")
         if self.horizon * stride <= context.measurement_delay:
             raise InvalidArgument(
@@ -326,42 +326,42 @@ class MPC(Weighted):
                 f"{context.measurement_delay * dt:g} s, expected more than "
                 f"{context.measurement_delay / stride:.3g} steps"
             )
-        check_held(lambda: {"observer": self.observer}, lambda dt: np.array([[1.0 - dt * self.observer]]), dt)
+        check_gains(lambda: {"observer": self.observer}, lambda h: np.array([[1.0 - h * self.observer]]), dt)
         Q, R = self.Q, self.input_weight * self.R
 
         def design() -> Plan:
             model = tracked_model(self.robot, reference)
-            check_moves(self.robot, reference, model.nu, float(t[-1]))
+            check_motion(self.robot, reference, model.nu, float(t[-1]))
             x = np.concatenate([reference.q[..., : reference.v.shape[-1]], model.nu], axis=-1)
-            sizes = {"stride": stride, "horizon": self.horizon, "kept": self._kept}
+            sizes = {"stride": stride, "horizon": self.horizon, "is_bounded": self._is_bounded}
             return Plan(model, x, Q, R, dt=dt, **sizes)
 
-        given = (*reference, Q, R, t, self._kept)
-        plan = remembered(self.robot, ("MPC", dt, self.step, self.horizon), given, design)
-        beyond = np.maximum(self.range[0] - plan.u, plan.u - self.range[1]).max(axis=-1)
-        if (beyond >= 0).any():
-            k = int(np.argmax(beyond))
+        arrays = (*reference, Q, R, t, self._is_bounded)
+        plan = memoize(self.robot, ("MPC", dt, self.step, self.horizon), arrays, design)
+        excess = np.maximum(self.range[0] - plan.u, plan.u - self.range[1]).max(axis=-1)
+        if (excess >= 0).any():
+            k = int(np.argmax(excess))
             raise InvalidArgument(
                 f"limits exclude the reference: at t = {t[k]:g} s it needs an input of {plan.u[k].tolist()}, "
                 f"expected limits above that, instead of {self.range[1].tolist()}"
             )
-        nu, m = plan.u.shape[-1], len(plan.slopes[0])
-        belief = _Belief(0.0, np.zeros(m), np.zeros(nu))
-        return plan, 0, belief, np.zeros(nu), np.zeros(len(plan.sense))
+        nu, m = plan.u.shape[-1], len(plan.A_nu[0])
+        memory = _ObserverMemory(0.0, np.zeros(m), np.zeros(nu))
+        return plan, 0, memory, np.zeros(nu), np.zeros(len(plan.sense))
 
     @property
-    def _kept(self) -> Any:
+    def _is_bounded(self) -> Any:
         """Whether each state is bounded, shape (n + m,)."""
         return np.isfinite(self.lower) | np.isfinite(self.upper)
 
     def applied(self, u: Array, state: tuple[Any, ...]) -> tuple[Any, ...]:
         """Return the next state for the applied input, shape (nu,)."""
-        plan, k, belief, _, prices = state
-        return plan, k, belief, u, prices
+        plan, k, memory, _, duals = state
+        return plan, k, memory, u, duals
 
     def signals(self, state: tuple[Any, ...]) -> dict[str, Any]:
         """Return the estimated input disturbance, and the number of active bounds."""
-        units = ", ".join(dict.fromkeys(each.unit for each in inputs_of(self.robot)))
+        units = ", ".join(dict.fromkeys(entry.unit for entry in inputs_of(self.robot)))
         return {
             "disturbance": (units, state[2].disturbance),
             "active_bounds": ("", float(np.count_nonzero(state[4]))),
@@ -371,49 +371,49 @@ class MPC(Weighted):
         self, t: float, q: Array, v: Array, reference: State, state: tuple[Any, ...]
     ) -> tuple[Array, tuple[Any, ...]]:
         """Return the input, shape (nu,), and the next state."""
-        plan, k, belief, last, prices = state
+        plan, k, memory, last, duals = state
         if not (type(q) is np.ndarray and q.ndim == 1):
-            hours = _MANY * len(plan.u) * self._seconds(plan) / 3600
+            hours = _EXAMPLE_ROBOTS * len(plan.u) * self._solve_time(plan) / 3600
             raise NotTraceable(
-                f"MPC solves a quadratic program at each of {len(plan.u):,} samples, so that {_MANY:,} "
-                f"robots take some {hours:.2g} h of a processor",
+                f"MPC solves a quadratic program at each of {len(plan.u):,} samples, so that "
+                f"{_EXAMPLE_ROBOTS:,} robots take some {hours:.2g} h of a processor",
                 "use LQR in InputSaturation, which is compiled",
             )
         dx = -tracked_errors(self.robot, q, v, reference, plan.x[k][np.shape(reference.v)[-1] :])
         if self.observer > 0:
-            belief = self._believed(plan, k, q, v, dx, belief, last)
-        u, prices = self._input(t, plan, k, dx, belief.disturbance, prices)
-        return u, (plan, min(k + 1, len(plan.u) - 1), belief, u, prices)
+            memory = self._observe(plan, k, q, v, dx, memory, last)
+        u, duals = self._input(t, plan, k, dx, memory.disturbance, duals)
+        return u, (plan, min(k + 1, len(plan.u) - 1), memory, u, duals)
 
-    def _believed(
-        self, plan: Plan, k: int, q: Array, v: Array, dx: Array, belief: _Belief, last: Array
-    ) -> _Belief:
+    def _observe(
+        self, plan: Plan, k: int, q: Array, v: Array, dx: Array, memory: _ObserverMemory, last: Array
+    ) -> _ObserverMemory:
         """Return the observer's memory at a sample, with the last input `last`."""
-        begun, integral, _ = belief
+        is_ready, integral, _ = memory
         if not able(self.robot, Rolling):
             integral = integral + plan.dt * last
-            estimate, integral, rate = estimated(self.robot, self.observer, q, v, begun, integral)
-            return _Belief(1.0, integral + plan.dt * rate, estimate)
+            estimate, integral, rate = estimate_force(self.robot, self.observer, q, v, is_ready, integral)
+            return _ObserverMemory(1.0, integral + plan.dt * rate, estimate)
         speeds = dx[-len(integral) :]
-        integral = integral + plan.dt * (plan.pushes[k - 1] @ last) if begun else speeds
+        integral = integral + plan.dt * (plan.B_nu[k - 1] @ last) if is_ready else speeds
         rates = self.observer * (speeds - integral)
-        rest = plan.slopes[k] @ dx - plan.pushes[k] @ plan.u[k] + rates
-        return _Belief(1.0, integral + plan.dt * rest, plan.pulls[k] @ rates)
+        integral_rate = plan.A_nu[k] @ dx - plan.B_nu[k] @ plan.u[k] + rates
+        return _ObserverMemory(1.0, integral + plan.dt * integral_rate, plan.B_pinv[k] @ rates)
 
     def _input(
-        self, t: float, plan: Plan, k: int, dx: Array, estimate: Array, prices: Array
+        self, t: float, plan: Plan, k: int, dx: Array, estimate: Array, duals: Array
     ) -> tuple[Array, Array]:
         """Return the first input of the horizon, and the multipliers of its bounds."""
-        at, kept = plan.at(k), self._kept
-        inputs, states = plan.ahead(at, dx)
-        inputs += plan.u[at[:-1]] - estimate
-        states = (states + plan.x[at[1:]])[:, kept]
-        lower = np.concatenate([self.range[0] - inputs, self.lower[kept] - states], axis=-1)
-        upper = np.concatenate([self.range[1] - inputs, self.upper[kept] - states], axis=-1)
+        samples, is_bounded = plan.samples(k), self._is_bounded
+        inputs, states = plan.free_response(samples, dx)
+        inputs += plan.u[samples[:-1]] - estimate
+        states = (states + plan.x[samples[1:]])[:, is_bounded]
+        lower = np.concatenate([self.range[0] - inputs, self.lower[is_bounded] - states], axis=-1)
+        upper = np.concatenate([self.range[1] - inputs, self.upper[is_bounded] - states], axis=-1)
         if (lower <= 0).all() and (upper >= 0).all():
-            return np.asarray(inputs[0]), 0.0 * prices
-        program = plan.program(at, lower, upper)
-        z, prices, flag = program.solved(prices)
+            return np.asarray(inputs[0]), 0.0 * duals
+        program = plan.program(samples, lower, upper)
+        z, duals, flag = program.solve(duals)
         if flag <= 0:
             raise NotSolved(
                 f"the quadratic program of MPC at t = {t:g} s has no solution (exit flag {flag} of daqp), "
@@ -422,17 +422,17 @@ class MPC(Weighted):
                 state=dx,
                 problem=program._asdict(),
             )
-        w = plan.moves[k] @ z[: len(estimate)]
-        return np.asarray(np.clip(inputs[0] + w, *self.range)), prices
+        w = plan.scales[k] @ z[: len(estimate)]
+        return np.asarray(np.clip(inputs[0] + w, *self.range)), duals
 
-    def _seconds(self, plan: Plan) -> float:
+    def _solve_time(self, plan: Plan) -> float:
         """Return the processor time of one program with active bounds [s]."""
-        none = np.zeros(plan.u.shape[-1])
-        for k in range(_TIMES):
-            dx = np.full(plan.x.shape[-1], _OFF * 2**k)
+        zeros = np.zeros(plan.u.shape[-1])
+        for k in range(_DOUBLINGS):
+            dx = np.full(plan.x.shape[-1], _TEST_ERROR * 2**k)
             begin = process_time()
-            _, prices = self._input(0.0, plan, 0, dx, none, np.zeros(len(plan.sense)))
-            spent = process_time() - begin
-            if prices.any():
+            _, duals = self._input(0.0, plan, 0, dx, zeros, np.zeros(len(plan.sense)))
+            seconds = process_time() - begin
+            if duals.any():
                 break
-        return spent
+        return seconds

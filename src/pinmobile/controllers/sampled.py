@@ -7,8 +7,8 @@ from typing import Any, final, overload
 import numpy as np
 
 from pinmobile.arrays import Array
-from pinmobile.compiled import has_symbols, leaves, mapped
-from pinmobile.controllers.controller import Controller, Seen, answer_of, notify_applied
+from pinmobile.compiled import has_symbols, leaves, map_leaves
+from pinmobile.controllers.controller import ContextView, Controller, evaluate, notify_applied
 from pinmobile.controllers.kinematic_laws import value_of
 from pinmobile.parts import child, integer, part
 from pinmobile.plant import Context
@@ -68,18 +68,18 @@ class Sampled:
 
     def initial_state(self, context: Context) -> tuple[Any, ...]:
         """Return the law's state, the held output, the number of samples since, and whether it goes on."""
-        asked: list[str] = []
+        requests: list[str] = []
 
         def delay(samples: int) -> Any:
-            asked.append("delay")
+            requests.append("delay")
             return context.delay(samples * self.every)
 
         def noise(name: str, n: int) -> Any:
-            asked.append("noise")
+            requests.append("noise")
             return context.noise(name, n)
 
         def schedule(rows: Any) -> Any:
-            asked.append("schedule")
+            requests.append("schedule")
             return context.schedule(np.repeat(rows, self.every, axis=0)[: len(context.t)])
 
         slow: Any = _SlowContext(
@@ -93,13 +93,13 @@ class Sampled:
             schedule=schedule,
         )
         inner = self.controller.initial_state(slow)
-        return inner, 0.0, 0.0, "goes on" if asked else ""
+        return inner, 0.0, 0.0, "goes on" if requests else ""
 
     def applied(self, u: Array, state: tuple[Any, ...]) -> tuple[Any, ...]:
         """Return the next state; the law receives the applied input of its own samples, shape (..., nu)."""
         inner, *rest = state
-        due = rest[1] == 1.0 % self.every  # the law has just run
-        return _chosen(due, notify_applied(self.controller, u, inner), inner), *rest
+        is_due = rest[1] == 1.0 % self.every  # the law has just run
+        return _select_memory(is_due, notify_applied(self.controller, u, inner), inner), *rest
 
     def signals(self, state: tuple[Any, ...]) -> Any:
         """Return the signals of the law: name to (unit, value)."""
@@ -113,22 +113,22 @@ class Sampled:
     def __call__(self, tracked: Any, state: Any, /) -> tuple[tuple[Any, Any], tuple[Any, ...]]: ...
     def __call__(self, *given: Any) -> tuple[Any, tuple[Any, ...]]:  # type: ignore[misc]  # a loop gives no names
         """Return the held output, and the next state; the arguments are those of the law."""
-        *measured, (inner, held, count, goes_on) = given
-        due = count == 0.0
-        after = np.where(count >= self.every - 1.0, 0.0, count + 1.0)
-        if goes_on or has_symbols(due) or due:
-            if len(measured) > 1:
-                t, q, v, reference = measured
-                u, new = answer_of(self.controller, t, q, v, reference, inner)
+        *arguments, (inner, last_output, count, runs_always) = given
+        is_due = count == 0.0
+        next_count = np.where(count >= self.every - 1.0, 0.0, count + 1.0)
+        if runs_always or has_symbols(is_due) or is_due:
+            if len(arguments) > 1:
+                t, q, v, reference = arguments
+                u, memory = evaluate(self.controller, t, q, v, reference, inner)
             else:  # a kinematic law, whose speeds may have rates: held, they have none
-                pair, new = self.controller(*measured, inner)
+                pair, memory = self.controller(*arguments, inner)
                 u = np.stack(np.broadcast_arrays(*map(value_of, pair)), axis=-1)
-            held, inner = np.where(due, u, held), _chosen(due, new, inner)
-        output = held if len(measured) > 1 else (held[..., 0], held[..., 1])
-        return output, (inner, held, after, goes_on)
+            last_output, inner = np.where(is_due, u, last_output), _select_memory(is_due, memory, inner)
+        output = last_output if len(arguments) > 1 else (last_output[..., 0], last_output[..., 1])
+        return output, (inner, last_output, next_count, runs_always)
 
 
-class _SlowContext(Seen):
+class _SlowContext(ContextView):
     """Context of a law at each n-th sample."""
 
     every: int
@@ -136,11 +136,11 @@ class _SlowContext(Seen):
     @property
     def reference(self) -> Any:
         """Reference at the samples of the law, if it is known."""
-        known = self._context.reference
-        return None if known is None else type(known)(*(x[:: self.every] for x in known))
+        samples = self._context.reference
+        return None if samples is None else type(samples)(*(x[:: self.every] for x in samples))
 
 
-def _chosen(due: Any, new: Any, old: Any) -> Any:
+def _select_memory(is_due: Any, new: Any, old: Any) -> Any:
     """Return the new memory where it is due, else the old one; delays, noise and schedules always go on."""
-    before = iter([leaf for _, leaf in leaves(old)])
-    return mapped(new, lambda leaf: np.where(due, leaf, next(before)))
+    old_leaves = iter([leaf for _, leaf in leaves(old)])
+    return map_leaves(new, lambda leaf: np.where(is_due, leaf, next(old_leaves)))

@@ -14,17 +14,17 @@ import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, frozen, shaped
 from pinmobile.controllers.controller import (
+    ContextView,
     Controller,
-    Seen,
     State,
     Wrapper,
-    answer_of,
     check_wheels,
+    evaluate,
     notify_applied,
 )
 from pinmobile.controllers.feedback import check_wheelless, coordinates_of
-from pinmobile.controllers.kinematic_laws import has_axle, reference_of, speeds_along
-from pinmobile.controllers.lqr import check_held
+from pinmobile.controllers.kinematic_laws import has_axle, reference_of, reference_speeds
+from pinmobile.controllers.lqr import check_gains
 from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.parts import Allocating, Integrating, Observable, child, each, integer, option, part, structure
 from pinmobile.plant import Context, inputs_of, reference_sizes_of
@@ -96,19 +96,19 @@ class DisturbanceObserver(Wrapper):
 
         The memory of the observer is (begun, integral, last input, estimate).
         """
-        check_held(
+        check_gains(
             lambda: {"gain": self.gain},
             lambda dt: 1.0 - dt * self.gain[..., None, None],
             context.dt,
         )
-        none = np.zeros(self.robot.nv)
-        return self.controller.initial_state(context), (0.0, none, none, none), float(context.dt)
+        zeros = np.zeros(self.robot.nv)
+        return self.controller.initial_state(context), (0.0, zeros, zeros, zeros), float(context.dt)
 
     def applied(self, u: Array, state: tuple[Any, ...]) -> tuple[Any, ...]:
         """Return the next state for the applied force; the wrapped controller receives its own share."""
-        inner, (begun, integral, asked, estimate), dt = state
+        inner, (is_ready, integral, law_input, estimate), dt = state
         inner = notify_applied(self.controller, u + estimate, inner)
-        return inner, (begun, integral + dt * (u - asked), u, estimate), dt
+        return inner, (is_ready, integral + dt * (u - law_input), u, estimate), dt
 
     def signals(self, state: tuple[Any, ...]) -> dict[str, Any]:
         """Return the estimated disturbance [N, N m] beside the signals of the wrapped controller."""
@@ -118,15 +118,15 @@ class DisturbanceObserver(Wrapper):
         self, t: float, q: Array, v: Array, reference: State, state: tuple[Any, ...]
     ) -> tuple[Array, tuple[Any, ...]]:
         """Return the generalised force, shape (..., n), and the next state."""
-        inner, (begun, integral, _, _), dt = state
-        estimate, integral, rate = estimated(self.robot, self.gain, q, v, begun, integral)
-        tau, inner = answer_of(self.controller, t, q, v, reference, inner)
+        inner, (is_ready, integral, _, _), dt = state
+        estimate, integral, rate = estimate_force(self.robot, self.gain, q, v, is_ready, integral)
+        tau, inner = evaluate(self.controller, t, q, v, reference, inner)
         tau = tau - estimate
         return tau, (inner, (1.0, integral + dt * (tau + rate), tau, estimate), dt)
 
 
-def estimated(
-    robot: Any, gain: Any, q: Array, v: Array, begun: Any, integral: Array
+def estimate_force(
+    robot: Any, gain: Any, q: Array, v: Array, is_ready: Any, integral: Array
 ) -> tuple[Array, Array, Array]:
     """Return the estimated force, its integral, and the integral's rate without the applied force.
 
@@ -138,15 +138,15 @@ def estimated(
         Rate of the estimate [1/s].
     q, v : ndarray, shape (..., n)
         State.
-    begun, integral : ndarray
+    is_ready, integral : ndarray
         1 after the first sample, else 0; and p(0) plus the integral so far.
     """
     gravity = robot.gravity(q)
     momentum = robot.inverse_dynamics(q, np.zeros(np.shape(v)), v) - gravity
-    integral = np.where(begun > 0.0, integral, momentum)
+    integral = np.where(is_ready > 0.0, integral, momentum)
     estimate = gain * (momentum - integral)
-    turning = np.sum(robot.coriolis_matrix(q, v) * v[..., :, None], axis=-2)
-    return estimate, integral, turning - gravity + estimate
+    coriolis = np.sum(robot.coriolis_matrix(q, v) * v[..., :, None], axis=-2)
+    return estimate, integral, coriolis - gravity + estimate
 
 
 def _inertia_at_rest(controller: Any) -> Array:
@@ -223,38 +223,38 @@ class ADRC:
     def initial_state(self, context: Context) -> tuple[Any, ...]:
         """Return (begun, prediction, last input, estimate, time step)."""
         names = ("bandwidth", "observer")
-        check_held(lambda: {name: getattr(self, name) for name in names}, self._loop, context.dt)
-        none = np.zeros(self.robot.nv)
-        place = np.zeros(self.robot.nq)
-        return 0.0, (place, none, none), none, none, float(context.dt)
+        check_gains(lambda: {name: getattr(self, name) for name in names}, self._loop, context.dt)
+        zeros = np.zeros(self.robot.nv)
+        q = np.zeros(self.robot.nq)
+        return 0.0, (q, zeros, zeros), zeros, zeros, float(context.dt)
 
     def _gains(self, dt: float) -> tuple[Any, Any, Any]:
         """Return the three gains of the observer for a time step [s]."""
         pole = np.exp(-dt * self.observer)
-        off = 1.0 - pole
-        return 1.0 - pole**3, 1.5 * off * off * (1.0 + pole) / dt, off * off * off / (dt * dt)
+        decay = 1.0 - pole
+        return 1.0 - pole**3, 1.5 * decay * decay * (1.0 + pole) / dt, decay * decay * decay / (dt * dt)
 
     def _loop(self, dt: float) -> Array:
         """Return the matrix of an error x, dx/dt and of the prediction, shape (..., 5, 5)."""
         w, gains = self.bandwidth, np.stack(self._gains(dt), axis=-1)
-        here = np.zeros((*w.shape, 3, 5))  # z1, z2, z3 after the sample, by (x, x', z)
-        here[..., 0] = gains
-        here[..., 2:] = np.eye(3)
-        here[..., 2] -= gains
-        force = -(w * w)[..., None] * here[..., 0, :] - (2 * w)[..., None] * here[..., 1, :] - here[..., 2, :]
-        ahead = np.array([[1.0, dt, dt * dt / 2], [0.0, 1.0, dt], [0.0, 0.0, 1.0]])
-        push = np.array([dt * dt / 2, dt])
-        pushed = push[:, None] * force[..., None, :]
-        body = ahead[:2, :2] @ np.eye(2, 5) + pushed
-        expected = ahead @ here
-        expected[..., :2, :] += pushed
-        return np.concatenate([body, expected], axis=-2)
+        z = np.zeros((*w.shape, 3, 5))  # z1, z2, z3 after the sample, by (x, x', z)
+        z[..., 0] = gains
+        z[..., 2:] = np.eye(3)
+        z[..., 2] -= gains
+        force = -(w * w)[..., None] * z[..., 0, :] - (2 * w)[..., None] * z[..., 1, :] - z[..., 2, :]
+        transition = np.array([[1.0, dt, dt * dt / 2], [0.0, 1.0, dt], [0.0, 0.0, 1.0]])
+        input_gain = np.array([dt * dt / 2, dt])
+        input_effect = input_gain[:, None] * force[..., None, :]
+        body = transition[:2, :2] @ np.eye(2, 5) + input_effect
+        prediction = transition @ z
+        prediction[..., :2, :] += input_effect
+        return np.concatenate([body, prediction], axis=-2)
 
     def applied(self, u: Array, state: tuple[Any, ...]) -> tuple[Any, ...]:
         """Return the state with the prediction for the applied input, shape (..., n)."""
-        begun, (z1, z2, z3), asked, estimate, dt = state
-        a = (u - asked) / self.inertia
-        return begun, (self.robot.integrate(z1, (0.5 * dt * dt) * a), z2 + dt * a, z3), u, estimate, dt
+        is_ready, (z1, z2, z3), law_input, estimate, dt = state
+        a = (u - law_input) / self.inertia
+        return is_ready, (self.robot.integrate(z1, (0.5 * dt * dt) * a), z2 + dt * a, z3), u, estimate, dt
 
     def signals(self, state: tuple[Any, ...]) -> dict[str, Any]:
         """Return the estimated acceleration that the input does not cause [m/s^2, rad/s^2]."""
@@ -264,24 +264,24 @@ class ADRC:
         self, t: float, q: Array, v: Array, reference: State, state: tuple[Any, ...]
     ) -> tuple[Array, tuple[Any, ...]]:
         """Return the generalised force, shape (..., n), and the next state; `v` is not used."""
-        begun, (z1, z2, z3), _, _, dt = state
+        is_ready, (z1, z2, z3), _, _, dt = state
         robot, w = self.robot, self.bandwidth
-        z1 = np.where(begun > 0.0, z1, q)
-        z2 = np.where(begun > 0.0, z2, reference.v)
-        off, (first, second, third) = robot.difference(z1, q), self._gains(dt)
-        z1, z2, z3 = robot.integrate(z1, first * off), z2 + second * off, z3 + third * off
+        z1 = np.where(is_ready > 0.0, z1, q)
+        z2 = np.where(is_ready > 0.0, z2, reference.v)
+        innovation, (l1, l2, l3) = robot.difference(z1, q), self._gains(dt)
+        z1, z2, z3 = robot.integrate(z1, l1 * innovation), z2 + l2 * innovation, z3 + l3 * innovation
         error, rate = robot.difference(z1, reference.q), reference.v - z2
         command = reference.a + w * w * error + 2.0 * w * rate - z3
         tau = self.inertia * command
         a = command + z3
-        ahead = robot.integrate(z1, dt * z2 + (0.5 * dt * dt) * a), z2 + dt * a, z3
-        return tau, (1.0, ahead, tau, z3, dt)
+        prediction = robot.integrate(z1, dt * z2 + (0.5 * dt * dt) * a), z2 + dt * a, z3
+        return tau, (1.0, prediction, tau, z3, dt)
 
 
 def _seed(name: str, value: Any) -> Any:
     """Return a seed after a check that it is a whole number >= 0 or a SeedSequence."""
-    whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
-    if not (isinstance(value, np.random.SeedSequence) or (whole and value >= 0)):
+    is_integer = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    if not (isinstance(value, np.random.SeedSequence) or (is_integer and value >= 0)):
         raise InvalidArgument(
             f"{name} is {format_value(value)}, expected a whole number >= 0 or a SeedSequence"
         )
@@ -340,8 +340,8 @@ class InputSaturation(Wrapper):
 
     def __call__(self, t: float, q: Array, v: Array, reference: State, state: Any) -> tuple[Array, Any]:
         """Return the limited input, shape (..., n), and the wrapped controller's next state."""
-        tau, state = answer_of(self.controller, t, q, v, reference, state)
-        limits = _fitting("limits", self.limits, np.shape(tau)[-1:])
+        tau, state = evaluate(self.controller, t, q, v, reference, state)
+        limits = _check_size("limits", self.limits, np.shape(tau)[-1:])
         return np.minimum(np.maximum(tau, -limits), limits), state
 
 
@@ -387,8 +387,8 @@ class MeasurementDelay(Wrapper):
 
     def initial_state(self, context: Context) -> tuple[Any, Any]:
         """Return the first state of the wrapped controller, and an empty delay line."""
-        late: Any = Seen(context, measurement_delay=context.measurement_delay + self.samples)
-        return self.controller.initial_state(late), context.delay(self.samples)
+        view: Any = ContextView(context, measurement_delay=context.measurement_delay + self.samples)
+        return self.controller.initial_state(view), context.delay(self.samples)
 
     def __call__(
         self, t: float, q: Array, v: Array, reference: State, state: tuple[Any, Any]
@@ -396,7 +396,7 @@ class MeasurementDelay(Wrapper):
         """Return the input, shape (..., nu), and the next state: the wrapped one and the delay line."""
         inner, line = state
         (old_q, old_v), line = line.push((q, v))
-        tau, inner = answer_of(self.controller, t, old_q, old_v, reference, inner)
+        tau, inner = evaluate(self.controller, t, old_q, old_v, reference, inner)
         return tau, (inner, line)
 
 
@@ -449,7 +449,7 @@ class InputDelay(Wrapper):
         self, t: float, q: Array, v: Array, reference: State, state: tuple[Any, Any]
     ) -> tuple[Array, tuple[Any, Any]]:
         """Return the input, shape (..., nu), and the next state: the wrapped one and the delay line."""
-        tau, inner = answer_of(self.controller, t, q, v, reference, state[0])
+        tau, inner = evaluate(self.controller, t, q, v, reference, state[0])
         (old,), line = state[1].push((tau,))
         return old, (inner, line)
 
@@ -505,14 +505,14 @@ class MeasurementNoise(Wrapper):
     @property
     def _name(self) -> str:
         """Name of the noise: it differs for each seed, and for each of several nested wrappers."""
-        within, inner = 0, self.controller
+        depth, inner = 0, self.controller
         while inner is not None:
-            within += isinstance(inner, MeasurementNoise)
+            depth += isinstance(inner, MeasurementNoise)
             inner = getattr(inner, "controller", None)
         sequence = (
             self.seed if isinstance(self.seed, np.random.SeedSequence) else np.random.SeedSequence(self.seed)
         )
-        return f"measurement {within} {sha256(sequence.generate_state(4).tobytes()).hexdigest()[:16]}"
+        return f"measurement {depth} {sha256(sequence.generate_state(4).tobytes()).hexdigest()[:16]}"
 
     def initial_state(self, context: Context) -> tuple[Any, Any, Any]:
         """Return the first state of the wrapped controller, the noise, and the plant's ``integrate``."""
@@ -525,14 +525,14 @@ class MeasurementNoise(Wrapper):
         """Return the input, shape (..., nu), and the next state: the wrapped one and the noise."""
         inner, noise, integrate = state
         n = np.shape(v)[-1]
-        std_q, std_v = _fitting("std_q", self.std_q, (n,)), _fitting("std_v", self.std_v, (n,))
+        std_q, std_v = _check_size("std_q", self.std_q, (n,)), _check_size("std_v", self.std_v, (n,))
         numbers, noise = noise.draw()
         noisy = integrate(q, std_q * numbers[..., :n]), v + std_v * numbers[..., n:]
-        tau, inner = answer_of(self.controller, t, *noisy, reference, inner)
+        tau, inner = evaluate(self.controller, t, *noisy, reference, inner)
         return tau, (inner, noise, integrate)
 
 
-def _fitting(name: str, value: ArrayLike, size: tuple[int, ...]) -> Array:
+def _check_size(name: str, value: ArrayLike, size: tuple[int, ...]) -> Array:
     """Return a parameter after a check that its size is the number of coordinates."""
     return shaped(name, np.asarray(value), (), ("...", *size))
 
@@ -604,9 +604,9 @@ class ControlAllocation(Wrapper):
         """Return the wrapped controller's state, the residual force, and the applied force."""
         reference = reference_of(context)
         if self._axle is not None and reference is not None:
-            speeds_along(self._axle, np.asarray(context.t), reference)
+            reference_speeds(self._axle, np.asarray(context.t), reference)
         body = self.robot.robot
-        own: Any = Seen(
+        view: Any = ContextView(
             context,
             difference=body.difference,
             integrate=body.integrate,
@@ -615,8 +615,8 @@ class ControlAllocation(Wrapper):
             coordinates=context.coordinates[: body.nv],
             inputs=inputs_of(body),
         )
-        none = np.zeros(body.nv)
-        return self.controller.initial_state(own), none, none
+        zeros = np.zeros(body.nv)
+        return self.controller.initial_state(view), zeros, zeros
 
     def applied(self, u: Array, state: Any) -> Any:
         """Return the next state; the wrapped controller receives the force of the wheels, shape (..., n)."""
@@ -631,7 +631,7 @@ class ControlAllocation(Wrapper):
     ) -> tuple[Array, tuple[Any, Any, Any]]:
         """Return the torques, shape (..., nu), and the next state."""
         body = self.robot.robot
-        own = q[..., : body.nq], v[..., : body.nv]
-        tau, inner = answer_of(self.controller, t, *own, reference, state[0])
-        u, left = self.robot.allocate_scaled(q, tau)
-        return u, (inner, left, tau - left)
+        body_state = q[..., : body.nq], v[..., : body.nv]
+        tau, inner = evaluate(self.controller, t, *body_state, reference, state[0])
+        u, residual = self.robot.allocate_scaled(q, tau)
+        return u, (inner, residual, tau - residual)

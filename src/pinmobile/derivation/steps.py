@@ -15,7 +15,7 @@ import numpy as np
 import sympy
 from sympy import Expr, ImmutableMatrix, Symbol
 
-from pinmobile.arrays import Array, ArrayLike, finite, instance, one_of, representable, vector
+from pinmobile.arrays import Array, ArrayLike, check_overflow, finite, instance, one_of, vector
 from pinmobile.derivation.chain import Chain, grouped, reduced
 from pinmobile.dh import DHRow, JointType
 from pinmobile.errors import InvalidArgument, UnknownName, format_value
@@ -171,7 +171,7 @@ class Numeric:
         result = np.empty((*leading, len(entries)))
         for i, entry in enumerate(entries):
             result[..., i] = entry
-        return representable("an entry of the result", result)
+        return check_overflow("an entry of the result", result)
 
     def _values(self, params: Parameters) -> list[Array]:
         names = [symbol.name for symbol in self.derivation.parameters]

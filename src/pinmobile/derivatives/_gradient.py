@@ -11,13 +11,13 @@ import numpy as np
 from pinmobile.arrays import Array, ArrayLike, bounded, one_of, positive, sequence
 from pinmobile.controllers import Controller
 from pinmobile.derivatives._losses import Loss, Losses
-from pinmobile.derivatives._problem import Direction, Problem, differentiated, evaluated, problem_of
+from pinmobile.derivatives._problem import Direction, Problem, evaluate_losses, loop_errors, problem_of
 from pinmobile.errors import InvalidArgument
 from pinmobile.forces import Force
 from pinmobile.integrators import Integrator
 from pinmobile.loop import Sample, Source
-from pinmobile.metrics import Metric, in_words
-from pinmobile.parts import OnCoordinates, named
+from pinmobile.metrics import Metric, format_si
+from pinmobile.parts import OnCoordinates, refs_of
 from pinmobile.plant import Plant
 from pinmobile.trajectories import Trajectory
 
@@ -73,23 +73,23 @@ class Gradient:
     name: str = "loss"
 
     def __str__(self) -> str:
-        many = np.ndim(self.value) > 0
-        title = f"mean over {np.size(self.value)} robots of {self.name}" if many else self.name
+        is_many = np.ndim(self.value) > 0
+        title = f"mean over {np.size(self.value)} robots of {self.name}" if is_many else self.name
         lines = [f"{title} {np.mean(self.value):.6g}, {self.mode}"]
-        for path, found in self.by.items():
-            each = np.mean(found, axis=0) if many else found
-            numbers = [in_words(x, ".6g") for x in np.ravel(each)]
+        for path, slopes in self.by.items():
+            mean = np.mean(slopes, axis=0) if is_many else slopes
+            numbers = [format_si(x, ".6g") for x in np.ravel(mean)]
             if self.errors:
                 numbers = [f"{x} +- {e:.1g}" for x, e in zip(numbers, self.errors[path].ravel(), strict=True)]
-            per = f" per {self.units[path]}" if self.units[path] else ""
+            suffix = f" per {self.units[path]}" if self.units[path] else ""
             lines.append(
-                f"  by {path}: {numbers[0] if len(numbers) == 1 else '(' + ', '.join(numbers) + ')'}{per}"
+                f"  by {path}: {numbers[0] if len(numbers) == 1 else '(' + ', '.join(numbers) + ')'}{suffix}"
             )
         kinks, slides = int(np.sum(self.kinks)), int(np.sum(self.slides))
         if slides:
-            often = f"{slides:,} time{'s' * (slides != 1)}"
+            times = f"{slides:,} time{'s' * (slides != 1)}"
             lines.append(
-                f"  wheels change between rolling and sliding {often}: the derivative is local, and may say "
+                f"  wheels change between rolling and sliding {times}: the derivative is local, and may say "
                 "nothing about finite changes; smooth=0.01 fits the loss over 1 %"
             )
         elif kinks:
@@ -191,56 +191,56 @@ def gradient(
         *(by, (q0, v0)),
         **options,
     )
-    units = {path: one.unit for path, one in problem.found.items()}
+    units = {path: one.unit for path, one in problem.numbers.items()}
     if smooth is not None:
-        with differentiated():
-            return _fitted(problem, bounded("smooth", positive("smooth", smooth), most=0.5))
+        with loop_errors():
+            return _fit_slopes(problem, bounded("smooth", positive("smooth", smooth), most=0.5))
     selected, reason = mode, "as given"
     if mode is None:
         selected, reason = problem.mode()
-    found = evaluated(problem, {}, selected)
-    if n == 1 and not np.isfinite(found.values).all():
-        raise InvalidArgument(f"loss is {found.values[0, 0]}, expected a finite number: the run diverges")
-    if n == 1 and not np.isfinite(found.slopes).all():
+    result = evaluate_losses(problem, {}, selected)
+    if n == 1 and not np.isfinite(result.values).all():
+        raise InvalidArgument(f"loss is {result.values[0, 0]}, expected a finite number: the run diverges")
+    if n == 1 and not np.isfinite(result.slopes).all():
         raise InvalidArgument(
             "the derivatives are not finite: the run diverges, or a law has an infinite slope"
         )
-    with differentiated():
-        kinks, slides = problem.kinks(found.inputs)
-    by_path = by_number(problem, found.directions, found.slopes[0])
-    words, own = f"{selected} mode, {reason}", problem.loop.recorder.losses[0]
-    name = own.name if own.name == "loss" else f"{own.reduction} {own.name}"
+    with loop_errors():
+        kinks, slides = problem.kinks(result.inputs)
+    by_path = arrange_slopes(problem, result.directions, result.slopes[0])
+    words, loss_part = f"{selected} mode, {reason}", problem.loop.recorder.losses[0]
+    name = loss_part.name if loss_part.name == "loss" else f"{loss_part.reduction} {loss_part.name}"
     if n == 1:
         by_path = {path: x[0] for path, x in by_path.items()}
         times = int(kinks[0]), int(slides[0])
-        return Gradient(float(found.values[0, 0]), by_path, units, words, *times, name=name)
-    return Gradient(found.values[0], by_path, units, words, kinks, slides, name=name)
+        return Gradient(float(result.values[0, 0]), by_path, units, words, *times, name=name)
+    return Gradient(result.values[0], by_path, units, words, kinks, slides, name=name)
 
 
-def by_number(problem: Problem, directions: Sequence[Direction], slopes: Array) -> dict[str, Array]:
+def arrange_slopes(problem: Problem, directions: Sequence[Direction], slopes: Array) -> dict[str, Array]:
     """Return slopes by each entry, shape (..., P), by path in the shape of each number."""
-    found: dict[str, Array] = {}
-    for p, one in enumerate(directions):
-        number = problem.found[one.path]
+    arrays: dict[str, Array] = {}
+    for p, direction in enumerate(directions):
+        number = problem.numbers[direction.path]
         shape = () if number.entry is not None else problem.given[number.leaf.path].shape
-        into = found.setdefault(one.path, np.zeros((*slopes.shape[:-1], *shape)))
-        at: Any = (..., *(one.entry if shape else ()))
-        into[at] = slopes[..., p]
-    return found
+        target = arrays.setdefault(direction.path, np.zeros((*slopes.shape[:-1], *shape)))
+        index: Any = (..., *(direction.entry if shape else ()))
+        target[index] = slopes[..., p]
+    return arrays
 
 
-def _fitted(problem: Problem, share: float) -> Gradient:
+def _fit_slopes(problem: Problem, share: float) -> Gradient:
     """Return the slopes of a linear fit to runs with numbers from a range around the given ones."""
     scenario = problem.scenario
     if scenario.n > 1:
         raise InvalidArgument("smooth is for one robot, expected n=1")
-    known = named(scenario.given)
-    entries, places = dict[str, float](), list[tuple[str, Any]]()
-    for path, one in problem.found.items():
-        many = one.entry is None and np.ndim(one.leaf.value) > 0
-        own = [x for x in known.values() if x.leaf.path == path and x.label] if many else [one]
-        entries |= {each.path: float(each.value) for each in own}
-        places += [(path, each.entry if many else ()) for each in own]
+    refs = refs_of(scenario.given)
+    entries, indices = dict[str, float](), list[tuple[str, Any]]()
+    for path, one in problem.numbers.items():
+        is_array = one.entry is None and np.ndim(one.leaf.value) > 0
+        parts = [x for x in refs.values() if x.leaf.path == path and x.label] if is_array else [one]
+        entries |= {part.path: float(part.value) for part in parts}
+        indices += [(path, part.entry if is_array else ()) for part in parts]
     values = np.array([*entries.values()])
     points = np.random.default_rng(scenario.seed).uniform(
         -1.0, 1.0, (_RUNS // 2 + 4 * len(values), len(values))
@@ -248,20 +248,20 @@ def _fitted(problem: Problem, share: float) -> Gradient:
     steps = np.concatenate([points, -points]) * share * np.where(values == 0, 1.0, np.abs(values))
     spread = {path: value + column for (path, value), column in zip(entries.items(), steps.T, strict=True)}
     robots = replaced(scenario, n=len(steps), spread=spread)
-    found = evaluated(Problem(robots, problem.loop.recorder, (), problem.start), {}, None).values[0]
+    losses = evaluate_losses(Problem(robots, problem.loop.recorder, (), problem.start), {}, None).values[0]
     columns = np.column_stack([np.ones(len(steps)), steps])
-    fit, *_ = np.linalg.lstsq(columns, found, rcond=None)
-    left = float(((found - columns @ fit) ** 2).sum()) / (len(steps) - len(fit))
-    deviation = np.sqrt(left * np.diag(np.linalg.inv(columns.T @ columns)))
+    fit, *_ = np.linalg.lstsq(columns, losses, rcond=None)
+    variance = float(((losses - columns @ fit) ** 2).sum()) / (len(steps) - len(fit))
+    deviation = np.sqrt(variance * np.diag(np.linalg.inv(columns.T @ columns)))
     slopes: tuple[dict[str, Array], ...] = {}, {}
-    for k, (path, entry) in enumerate(places, 1):
+    for k, (path, entry) in enumerate(indices, 1):
         shape = (
             ()
-            if problem.found[path].entry is not None
-            else problem.given[problem.found[path].leaf.path].shape
+            if problem.numbers[path].entry is not None
+            else problem.given[problem.numbers[path].leaf.path].shape
         )
-        for into, x in zip(slopes, (fit, deviation), strict=True):
-            into.setdefault(path, np.zeros(shape))[entry if shape else ()] = x[k]
-    units = {path: one.unit for path, one in problem.found.items()}
+        for target, x in zip(slopes, (fit, deviation), strict=True):
+            target.setdefault(path, np.zeros(shape))[entry if shape else ()] = x[k]
+    units = {path: one.unit for path, one in problem.numbers.items()}
     words = f"fit to {len(steps)} runs within {100 * share:g} % of each number"
     return Gradient(float(fit[0]), slopes[0], units, words, errors=slopes[1])

@@ -15,7 +15,7 @@ from pinmobile.parts import option, part
 
 REDUCTIONS = ("sum", "mean", "rms", "last", "largest", "smallest")
 """Reductions of the values of all samples to one number."""
-_BEFORE = {"largest": -np.inf, "smallest": np.inf}
+_INITIAL = {"largest": -np.inf, "smallest": np.inf}
 
 
 class Loss(NamedTuple):
@@ -36,7 +36,7 @@ class Loss(NamedTuple):
     name: str
 
     @classmethod
-    def read(cls, given: Any, reduction: str | None, scenario: Scenario, where: str = "loss") -> Loss:
+    def read(cls, given: Any, reduction: str | None, scenario: Scenario, label: str = "loss") -> Loss:
         """Return the loss that a user means.
 
         Parameters
@@ -47,7 +47,7 @@ class Loss(NamedTuple):
             Default: the sum of a function; the worst value of a metric.
         scenario : Scenario
             Loop of the loss.
-        where : str
+        label : str
             Name of the argument.
 
         Raises
@@ -63,21 +63,21 @@ class Loss(NamedTuple):
         if not isinstance(given, str):
             if not callable(given):
                 raise InvalidArgument(
-                    f"{where} is {format_value(given)}, expected a function of a sample or the name of a "
+                    f"{label} is {format_value(given)}, expected a function of a sample or the name of a "
                     "metric"
                 )
-            return cls(given, reduction or "sum", where)
+            return cls(given, reduction or "sum", label)
         plant = scenario.robot
-        own: dict[str, Any] = {"distance": _distance, "heading": _Error(2)}
-        own |= {one.name: _Error(i) for i, one in enumerate(scenario.coordinates)}
-        stated = {one.name: (i, one.is_margin) for i, one in enumerate(metrics_of(plant))}
-        name = one_of(where, given, {**own, **stated})
-        if name in own:
-            return cls(own[name], reduction or "largest", name)
-        index, is_margin = stated[name]
+        errors: dict[str, Any] = {"distance": _distance, "heading": _Error(2)}
+        errors |= {one.name: _Error(i) for i, one in enumerate(scenario.coordinates)}
+        metrics = {one.name: (i, one.is_margin) for i, one in enumerate(metrics_of(plant))}
+        name = one_of(label, given, {**errors, **metrics})
+        if name in errors:
+            return cls(errors[name], reduction or "largest", name)
+        index, is_margin = metrics[name]
         return cls(index, reduction or ("smallest" if is_margin else "largest"), name)
 
-    def finished(self, value: Array, count: int) -> tuple[Array, Array]:
+    def finish(self, value: Array, count: int) -> tuple[Array, Array]:
         """Return the loss of a recorded value, and its slope by the recorded value."""
         if self.reduction == "rms":
             root = np.sqrt(value / count)
@@ -115,21 +115,21 @@ class Losses:
 
     def initial_state(self, n: int, nu: int) -> Any:
         """Return the losses of no sample."""
-        return np.array([_BEFORE.get(one.reduction, 0.0) for one in self.losses])
+        return np.array([_INITIAL.get(one.reduction, 0.0) for one in self.losses])
 
     def __call__(self, sample: Sample, state: Any) -> Record:
         """Return the losses with one more sample."""
-        after = []
-        for i, one in enumerate(self.losses):
-            value = one.of(sample) if callable(one.of) else sample.measured[one.of]
+        values = []
+        for i, loss in enumerate(self.losses):
+            value = loss.of(sample) if callable(loss.of) else sample.measured[loss.of]
             if np.shape(value) != ():
-                raise InvalidArgument(f"{one.name} returned {format_value(value)}, expected a number")
-            before = state[i]
-            if one.reduction in ("sum", "mean", "rms"):
-                value = before + (value * value if one.reduction == "rms" else value)
-            elif one.reduction != "last":
-                is_new = value > before if one.reduction == "largest" else value < before
-                value = np.where(is_new, value, before)
-            after.append(value + 0.0 * sample.t)
+                raise InvalidArgument(f"{loss.name} returned {format_value(value)}, expected a number")
+            last = state[i]
+            if loss.reduction in ("sum", "mean", "rms"):
+                value = last + (value * value if loss.reduction == "rms" else value)
+            elif loss.reduction != "last":
+                is_new = value > last if loss.reduction == "largest" else value < last
+                value = np.where(is_new, value, last)
+            values.append(value + 0.0 * sample.t)
         kept = {name: sample.signals[name].value for name in ("slides",) if name in sample.signals}
-        return Record(np.stack(after), kept=kept)
+        return Record(np.stack(values), kept=kept)

@@ -11,8 +11,8 @@ import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, scalar
 from pinmobile.compiled import tangent
-from pinmobile.controllers import Controller, Wrapper, answer_of, notify_applied
-from pinmobile.derivatives._problem import Problem, differentiated, problem_of
+from pinmobile.controllers import Controller, Wrapper, evaluate, notify_applied
+from pinmobile.derivatives._problem import Problem, loop_errors, problem_of
 from pinmobile.errors import InvalidArgument
 from pinmobile.forces import Force
 from pinmobile.integrators import Integrator
@@ -21,8 +21,8 @@ from pinmobile.parts import OnCoordinates, array, child, part
 from pinmobile.plant import Plant, coordinates_of, inputs_of
 from pinmobile.trajectories import Trajectory
 
-_DOUBLE = 1e-7  # imaginary part that rounding gives to two equal real poles
-_ROUNDING = 1e-12  # relative size of singular values that are 0
+_REAL_TOLERANCE = 1e-7  # imaginary part that rounding gives to two equal real poles
+_RANK_TOLERANCE = 1e-12  # relative size of singular values that are 0
 _UNIT_TOLERANCE = 1e-6  # distance from the unit circle that is rounding: multiple poles scatter
 _ZERO_TOLERANCE = 1e-6  # largest size of a pole that is 0 up to rounding
 _FREQUENCIES = 2000  # of the search for crossings, over five decades below half the sample rate
@@ -31,7 +31,7 @@ _PROBE = "controller.probe"
 
 @final
 @part
-class _Probed(Wrapper):
+class _Probe(Wrapper):
     """Wrapper that adds an input of which the controller does not know."""
 
     controller: Any = child(Controller, doc="controller")
@@ -47,7 +47,7 @@ class _Probed(Wrapper):
 
     def __call__(self, t: Any, q: Any, v: Any, reference: Any, state: Any) -> Any:
         """Return the input and the next state."""
-        u, inner = answer_of(self.controller, t, q, v, reference, state[0])
+        u, inner = evaluate(self.controller, t, q, v, reference, state[0])
         return u + self.probe, (inner,)
 
 
@@ -117,10 +117,10 @@ class Margins(NamedTuple):
         w = np.append(top * np.logspace(-5, 0, _FREQUENCIES)[:-1], top * (1 - 1e-12))
         values = loop(w)
 
-        def crossings(function: Callable[[Any], Any], at: Any) -> list[float]:
-            signs = np.sign(function(at))
-            places = np.flatnonzero(signs[1:] * signs[:-1] < 0)
-            return [brentq(lambda x: function(loop(x))[0], w[k], w[k + 1], xtol=1e-12 * top) for k in places]
+        def crossings(function: Callable[[Any], Any], points: Any) -> list[float]:
+            signs = np.sign(function(points))
+            indices = np.flatnonzero(signs[1:] * signs[:-1] < 0)
+            return [brentq(lambda x: function(loop(x))[0], w[k], w[k + 1], xtol=1e-12 * top) for k in indices]
 
         real = [float(loop(x)[0].real) for x in crossings(lambda x: x.imag, values)] + [
             float(values[-1].real)
@@ -130,15 +130,15 @@ class Margins(NamedTuple):
         lags = [float(np.angle(-loop(x)[0])) % (2 * np.pi) for x in unit]
         peaks = np.abs(2.0 * sensitivity(w) - 1.0)
         k = int(peaks.argmax())
-        near = w[max(k - 1, 0)], w[min(k + 1, len(w) - 1)]
-        best = minimize_scalar(lambda x: -abs(2.0 * sensitivity(np.atleast_1d(x))[0] - 1.0), bounds=near)
+        interval = w[max(k - 1, 0)], w[min(k + 1, len(w) - 1)]
+        best = minimize_scalar(lambda x: -abs(2.0 * sensitivity(np.atleast_1d(x))[0] - 1.0), bounds=interval)
         return cls(
             (
                 max((x for x in factors if x < 1), default=0.0),
                 min((x for x in factors if x > 1), default=np.inf),
             ),
             min((min(x, 2 * np.pi - x) for x in lags), default=np.inf),
-            min((x / at for x, at in zip(lags, unit, strict=True)), default=np.inf),
+            min((x / frequency for x, frequency in zip(lags, unit, strict=True)), default=np.inf),
             2.0 / max(-float(best.fun), float(peaks[k])),
         )
 
@@ -210,8 +210,8 @@ class Poles:
         """Damping ratio of each pole, shape (n,): 1 if it is real and stable, below 0 if it is unstable."""
         s = self.continuous
         size = np.abs(s)
-        known = np.isfinite(size) & (size * self.dt > _UNIT_TOLERANCE)
-        return np.asarray(np.divide(-s.real, size, out=np.ones_like(size), where=known))
+        is_known = np.isfinite(size) & (size * self.dt > _UNIT_TOLERANCE)
+        return np.asarray(np.divide(-s.real, size, out=np.ones_like(size), where=is_known))
 
     @property
     def is_stable(self) -> bool:
@@ -259,9 +259,9 @@ class Poles:
     def __str__(self) -> str:
         size = float(np.abs(self.values).max())
         word = "grow" if not self.is_stable else "do not decay" if size > 1 - _UNIT_TOLERANCE else "decay"
-        dead = np.count_nonzero(np.abs(self.values) <= _ZERO_TOLERANCE)
+        count = np.count_nonzero(np.abs(self.values) <= _ZERO_TOLERANCE)
         lines = [
-            f"{len(self.values)} poles at t = {self.t:g} s, {dead} of them at 0, "
+            f"{len(self.values)} poles at t = {self.t:g} s, {count} of them at 0, "
             f"largest |z| = {size:.4f}: small deviations {word} near this sample, which proves "
             "nothing about a whole trajectory"
         ]
@@ -326,59 +326,59 @@ def poles(
     """
     if not scalar("at", at) >= 0:
         raise InvalidArgument(f"at is {at} s, expected a time in the run")
-    probed = _Probed(controller, np.zeros(plant.nu))
+    probe = _Probe(controller, np.zeros(plant.nu))
     options: dict[str, Any] = {"dt": dt, "forces": forces, "integrator": integrator, "substeps": substeps}
-    parts = plant, probed, trajectory
+    parts = plant, probe, trajectory
     problem = problem_of(*parts, lambda _: _Inputs(), [_PROBE], (q0, v0), n=1, **options)
     t = problem.scenario.t
     if at > t[-1]:
         raise InvalidArgument(f"at is {at} s, expected a time in the run, 0 to {t[-1]:g} s")
     k = min(max(1, round(at / problem.scenario.dt)), len(t) - 1)
-    with differentiated():
-        matrix, output = _linearized(problem, k)
+    with loop_errors():
+        matrix, output = _linearize(problem, k)
     n = len(problem.machine.tape.states)
     matrix, input_matrix = matrix[:, :n], matrix[:, n:]
     # Chains of delays have poles 0, which rounding scatters: leave them out by the range of a power.
     power = np.linalg.matrix_power(matrix, 1 + problem.machine.longest)
-    left, sizes, _ = np.linalg.svd(power)
-    basis = left[:, sizes > _ROUNDING * sizes[0]]
+    U, sizes, _ = np.linalg.svd(power)
+    basis = U[:, sizes > _RANK_TOLERANCE * sizes[0]]
     values = np.zeros(n, complex)
     values[: basis.shape[1]] = np.linalg.eigvals(basis.T @ matrix @ basis)
-    values.imag[np.abs(values.imag) < _DOUBLE] = 0.0
+    values.imag[np.abs(values.imag) < _REAL_TOLERANCE] = 0.0
     order = np.lexsort([-values.imag, -np.round(np.abs(values), 6)])
     inputs = tuple(one.name for one in inputs_of(plant))
     outputs = input_matrix, output[:, :n], output[:, n:], inputs
     return Poles(values[order], matrix, _names(problem), problem.scenario.dt, float(t[k]), *outputs)
 
 
-def _linearized(problem: Problem, k: int) -> tuple[Array, Array]:
+def _linearize(problem: Problem, k: int) -> tuple[Array, Array]:
     """Return the derivatives of state and input by state and probe at sample k, (n, n + nu), (nu, n + nu)."""
     machine, inputs = problem.machine, problem.inputs({})
     n, leaf = len(machine.tape.states), machine.tape.parameters[_PROBE]
-    places = [("row", leaf.first + i) for i in range(int(np.prod(leaf.shape)))]
-    m = n + len(places)
-    before = inputs._replace(samples=inputs.samples[: k + 1])
-    record = machine.of("recording", machine.recording, False)
-    kept = record[1].kept_samples(problem.run(record, before, slice(None))[1], 1)
-    made = machine.of("one sample", lambda: tangent(replaced(machine.tape, counted=[]), places), True)
-    both = np.eye(m)
-    given = inputs._replace(
-        states=np.concatenate([np.tile(kept["state"][0, k][:, None], m), both[:n]]),
-        rows=np.concatenate([np.tile(inputs.rows, m), both[n:]]),
+    columns = [("row", leaf.first + i) for i in range(int(np.prod(leaf.shape)))]
+    m = n + len(columns)
+    history = inputs._replace(samples=inputs.samples[: k + 1])
+    record = machine.of("recording", machine.state_recorder, False)
+    kept = record[1].kept_samples(problem.run(record, history, slice(None))[1], 1)
+    program = machine.of("one sample", lambda: tangent(replaced(machine.tape, counted=[]), columns), True)
+    identity = np.eye(m)
+    arguments = inputs._replace(
+        states=np.concatenate([np.tile(kept["state"][0, k][:, None], m), identity[:n]]),
+        rows=np.concatenate([np.tile(inputs.rows, m), identity[n:]]),
         samples=inputs.samples[k : k + 1],
     )
-    final, found = problem.run(made, given, slice(None), first=k, copies=m)
-    return final[n:], made[1].kept_samples(found, m)["tangent u"][:, 0].T
+    final, outputs = problem.run(program, arguments, slice(None), first=k, copies=m)
+    return final[n:], program[1].kept_samples(outputs, m)["tangent u"][:, 0].T
 
 
 def _names(problem: Problem) -> tuple[str, ...]:
     """Return the names of the states."""
     plant, tape = problem.scenario.robot, problem.machine.tape
-    found = [one.name for one in coordinates_of(plant)]
+    names = [one.name for one in coordinates_of(plant)]
     nq, nv = tape.sizes[:2]
-    found = found if nq == nv else [f"q[{i}]" for i in range(nq)]
-    found += [one.rate or f"{one.name}_rate" for one in coordinates_of(plant)]
+    names = names if nq == nv else [f"q[{i}]" for i in range(nq)]
+    names += [one.rate or f"{one.name}_rate" for one in coordinates_of(plant)]
     for leaf in tape.leaves:
         if leaf.kind == "state":
-            found += [f"{leaf.owner} {leaf.path}"] * int(np.prod(leaf.shape))
-    return (*found, *["delay"] * (len(tape.states) - len(found)))
+            names += [f"{leaf.owner} {leaf.path}"] * int(np.prod(leaf.shape))
+    return (*names, *["delay"] * (len(tape.states) - len(names)))

@@ -10,8 +10,8 @@ import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, bounded, finite, instance, one_of, sequence, shaped
 from pinmobile.controllers import Controller
-from pinmobile.derivatives._gradient import by_number
-from pinmobile.derivatives._problem import differentiated, problem_of
+from pinmobile.derivatives._gradient import arrange_slopes
+from pinmobile.derivatives._problem import loop_errors, problem_of
 from pinmobile.errors import InvalidArgument
 from pinmobile.forces import Force
 from pinmobile.integrators import Integrator
@@ -153,12 +153,12 @@ def sensitivities(
     parts = plant, controller, trajectory
     problem = problem_of(*parts, lambda _: Samples(), by, (q0, v0), n=1, **options)
     run = simulate(*parts, q0=q0, v0=v0, engine=Engine.COMPILED, **options)
-    with differentiated():
+    with loop_errors():
         inputs = problem.inputs({})
         directions = problem.directions(inputs, {})
         _, _, kept = problem.tangents(inputs, directions)
     q, v, u, a = (
-        by_number(problem, directions, np.moveaxis(kept[f"tangent {name}"][:, : len(run.t)], 0, -1))
+        arrange_slopes(problem, directions, np.moveaxis(kept[f"tangent {name}"][:, : len(run.t)], 0, -1))
         for name in ("q", "v", "u", "a")
     )
-    return Sensitivities(run, q, v, u, a, {path: one.unit for path, one in problem.found.items()})
+    return Sensitivities(run, q, v, u, a, {path: one.unit for path, one in problem.numbers.items()})

@@ -13,23 +13,23 @@ import numpy as np
 from pinmobile.arrays import Array, ArrayLike, check_integer, instance, one_of, sequence
 from pinmobile.controllers import Controller
 from pinmobile.derivatives._losses import Loss, Losses
-from pinmobile.derivatives._problem import Evaluation, Problem, evaluated, problem_of
+from pinmobile.derivatives._problem import Evaluation, Problem, evaluate_losses, problem_of
 from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.forces import Force
 from pinmobile.integrators import Integrator
 from pinmobile.loop import Sample, Scenario, Source
 from pinmobile.metrics import Metric
-from pinmobile.parts import Found, OnCoordinates, replace
+from pinmobile.parts import NumberRef, OnCoordinates, replace
 from pinmobile.plant import Plant, stated
 from pinmobile.trajectories import Trajectory
 
 OBJECTIVES = ("mean", "soft maximum", "worst")
-_SHOWN = 12  # numbers in a summary
-_SOFT = 0.02  # softness of the maximum, as a share of the first loss
+_MAX_ROWS = 12  # numbers in a summary
+_SOFTNESS = 0.02  # softness of the maximum, as a share of the first loss
 _EXCESS_TOLERANCE = 1e-6  # violation of a constraint that counts as rounding
 _SLOPE_TOLERANCE = 1e-12  # slope by a variable that is rounding, as a share of the first loss
-_AT_BOUND = 1e-6  # distance from a bound that counts as rounding, as a share of the bound
-_LARGEST = 12.0  # largest logarithm of the ratio of a tuned number and the first one
+_BOUND_TOLERANCE = 1e-6  # distance from a bound that counts as rounding, as a share of the bound
+_MAX_LOG = 12.0  # largest logarithm of the ratio of a tuned number and the first one
 
 
 class Constraint(NamedTuple):
@@ -79,8 +79,8 @@ class Constraint(NamedTuple):
         return np.maximum(np.maximum(self.lower - value, value - self.upper), 0.0)
 
     def __str__(self) -> str:
-        told = (stated(self.of, word) for word in ("name", "__name__"))
-        name = self.of if isinstance(self.of, str) else next(filter(None, told), "number")
+        names = (stated(self.of, word) for word in ("name", "__name__"))
+        name = self.of if isinstance(self.of, str) else next(filter(None, names), "number")
         low = f"{self.lower:g} <= " if np.isfinite(self.lower) else ""
         return f"{low}{name}{f' <= {self.upper:g}' if np.isfinite(self.upper) else ''}"
 
@@ -193,31 +193,31 @@ class Tuning:
         ]
         width = max(map(len, names))
         sizes = np.where(first.numbers == 0, 1.0, np.abs(first.numbers))
-        moved = np.abs(best.numbers - first.numbers) / sizes
-        most = np.sort(np.argsort(-moved)[:_SHOWN])
-        near = np.isclose(best.numbers[:, None], self.bounds, rtol=_AT_BOUND, atol=0.0)
-        reached = np.any(near, axis=1)
-        for k in most:
+        changes = np.abs(best.numbers - first.numbers) / sizes
+        rows = np.sort(np.argsort(-changes)[:_MAX_ROWS])
+        is_close = np.isclose(best.numbers[:, None], self.bounds, rtol=_BOUND_TOLERANCE, atol=0.0)
+        at_bound = np.any(is_close, axis=1)
+        for k in rows:
             unit = f" {self.units[k]}" if self.units[k] else ""
-            bound = " (its bound)" if reached[k] else ""
+            bound = " (its bound)" if at_bound[k] else ""
             lines.append(
                 f"  {names[k]:{width}}  {first.numbers[k]:10.4g} to {best.numbers[k]:10.4g}{unit}{bound}"
             )
-        if len(names) > len(most):
-            lines.append(f"  ... and {len(names) - len(most)} numbers that changed less")
+        if len(names) > len(rows):
+            lines.append(f"  ... and {len(names) - len(rows)} numbers that changed less")
         for one in self.constraints:
             is_kept = best.excess <= _EXCESS_TOLERANCE
             lines.append(f"  {one}: {'kept' if is_kept else f'exceeded by up to {best.excess:.3g}'}")
         if best.excess > _EXCESS_TOLERANCE:
             lines.append("  no trial keeps all constraints: these numbers exceed them least")
         if self.others:
-            before, after = ((np.mean(x), np.quantile(x, 0.99), np.max(x)) for x in self.others)
+            old, new = ((np.mean(x), np.quantile(x, 0.99), np.max(x)) for x in self.others)
             words = ("mean", "99 %", "largest")
-            each = ", ".join(f"{w} {x:.4g} to {y:.4g}" for w, x, y in zip(words, before, after, strict=True))
-            lines.append(f"  loss of {len(self.others[0])} other robots: {each}")
-            beyond = self.others_excess[self.others_excess > _EXCESS_TOLERANCE]
-            if beyond.size:
-                lines.append(f"  {beyond.size} of them exceed a constraint, by up to {beyond.max():.3g}")
+            text = ", ".join(f"{w} {x:.4g} to {y:.4g}" for w, x, y in zip(words, old, new, strict=True))
+            lines.append(f"  loss of {len(self.others[0])} other robots: {text}")
+            excesses = self.others_excess[self.others_excess > _EXCESS_TOLERANCE]
+            if excesses.size:
+                lines.append(f"  {excesses.size} of them exceed a constraint, by up to {excesses.max():.3g}")
         return "\n".join(lines)
 
 
@@ -227,31 +227,31 @@ class _Variables:
     def __init__(self, problem: Problem, given: Mapping[str, Any]) -> None:
         self.problem, self.entries, self.names, self.units = problem, list[Any](), list[str](), list[str]()
         first, limits = list[float](), list[Any]()
-        for path, one in problem.found.items():
-            value = problem.given[one.leaf.path]
-            declared = one.leaf.declared
-            above, low, high = (stated(declared, name) for name in ("above", "lower", "upper"))
+        for path, ref in problem.numbers.items():
+            value = problem.given[ref.leaf.path]
+            field = ref.leaf.declared
+            above, low, high = (stated(field, name) for name in ("above", "lower", "upper"))
             low = above if above is not None else -np.inf if low is None else low
-            own = given.get(path) or (low, np.inf if high is None else high)
-            if np.shape(own) != (2,) or not own[0] < own[1]:
+            pair = given.get(path) or (low, np.inf if high is None else high)
+            if np.shape(pair) != (2,) or not pair[0] < pair[1]:
                 raise InvalidArgument(
-                    f"by[{path!r}] is {format_value(own)}, expected (lower, upper) with lower < upper"
+                    f"by[{path!r}] is {format_value(pair)}, expected (lower, upper) with lower < upper"
                 )
-            labels = {entry: label for label, entry in one.leaf.entries.items() if len(entry) == value.ndim}
-            places = [one.place(value.ndim)] if one.entry is not None else [*np.ndindex(value.shape)]
-            for entry in places:
-                self.entries.append((one.leaf.path, entry))
+            labels = {entry: label for label, entry in ref.leaf.entries.items() if len(entry) == value.ndim}
+            cells = [ref.place(value.ndim)] if ref.entry is not None else [*np.ndindex(value.shape)]
+            for entry in cells:
+                self.entries.append((ref.leaf.path, entry))
                 indices = "".join(f"[{i}]" for i in entry)
                 suffix = f".{labels[entry]}" if entry in labels else indices
-                self.names.append(path if one.entry is not None else path + suffix)
-                self.units.append(Found(one.leaf, one.label, entry or None).unit)
+                self.names.append(path if ref.entry is not None else path + suffix)
+                self.units.append(NumberRef(ref.leaf, ref.label, entry or None).unit)
                 first.append(float(value[entry]))
-                limits.append(own)
+                limits.append(pair)
         self.first = np.array(first)
         self.low, self.high = np.array(limits, float).T
-        wrong = np.flatnonzero((self.first < self.low) | (self.first > self.high))
-        if wrong.size:
-            k = wrong[0]
+        outside = np.flatnonzero((self.first < self.low) | (self.first > self.high))
+        if outside.size:
+            k = outside[0]
             raise InvalidArgument(
                 f"by has bounds {self.low[k]:g} and {self.high[k]:g} for {self.names[k]}, expected bounds "
                 f"around its value, {self.first[k]:g}"
@@ -263,10 +263,10 @@ class _Variables:
     def bounds(self) -> list[tuple[float | None, float | None]]:
         """Bounds of the variables."""
         with np.errstate(divide="ignore", invalid="ignore"):
-            logs = [np.clip(np.log(x / self.scale), -_LARGEST, _LARGEST) for x in (self.low, self.high)]
+            logs = [np.clip(np.log(x / self.scale), -_MAX_LOG, _MAX_LOG) for x in (self.low, self.high)]
         shares = [(x - self.first) / self.scale for x in (self.low, self.high)]
         low, high = (np.where(self.is_log, x, y) for x, y in zip(logs, shares, strict=True))
-        ends = ([None if np.isinf(x) else float(x) for x in each] for each in (low, high))
+        ends = ([None if np.isinf(x) else float(x) for x in column] for column in (low, high))
         return [*zip(*ends, strict=True)]
 
     def numbers(self, z: Array) -> Array:
@@ -276,10 +276,10 @@ class _Variables:
 
     def changes(self, numbers: Array) -> dict[str, Any]:
         """Return the values of the fields by path."""
-        found: dict[str, Any] = {}
+        values: dict[str, Any] = {}
         for (path, entry), x in zip(self.entries, numbers, strict=True):
-            found.setdefault(path, np.array(self.problem.given[path]))[entry] = x
-        return {path: value if value.ndim else float(value) for path, value in found.items()}
+            values.setdefault(path, np.array(self.problem.given[path]))[entry] = x
+        return {path: value if value.ndim else float(value) for path, value in values.items()}
 
     def slopes(self, numbers: Array) -> Array:
         """Return the slopes of the numbers by the variables, shape (P,)."""
@@ -299,22 +299,22 @@ class _Search:
     last: tuple[bytes, Evaluation | None] = (b"", None)
     unit: float = 1.0
 
-    def at(self, z: Array) -> Evaluation | None:
+    def evaluate(self, z: Array) -> Evaluation | None:
         """Return the evaluation at variables; None if the parts refuse the numbers."""
         key = z.tobytes()
         if key != self.last[0]:
             numbers, problem = self.variables.numbers(z), self.variables.problem
             try:
-                found = evaluated(problem, self.variables.changes(numbers), self.mode)
+                result = evaluate_losses(problem, self.variables.changes(numbers), self.mode)
             except InvalidArgument:
                 if not self.trials:
                     raise
-                found = None
-            self.last = key, found
+                result = None
+            self.last = key, result
             loss = excess = np.inf
-            if found is not None and np.isfinite(found.values).all():
-                loss = self.of(found.values[0])[0]
-                excess = float(self.excess(found.values[1:]).max())
+            if result is not None and np.isfinite(result.values).all():
+                loss = self.of(result.values[0])[0]
+                excess = float(self.excess(result.values[1:]).max())
             self.trials.append(Trial(numbers, float(loss), excess))
             if self.progress is not None:
                 self.progress(self.trials[-1])
@@ -322,8 +322,8 @@ class _Search:
 
     def excess(self, values: Array) -> Array:
         """Return the largest violation of a constraint by each robot, shape (n,), of values (L, n)."""
-        each = [one.excess(x) for one, x in zip(self.constraints, values, strict=True)]
-        return np.asarray(np.max([np.zeros(self.variables.problem.n), *each], axis=0))
+        excesses = [one.excess(x) for one, x in zip(self.constraints, values, strict=True)]
+        return np.asarray(np.max([np.zeros(self.variables.problem.n), *excesses], axis=0))
 
     def of(self, losses: Array, soft: float = 0.0) -> tuple[float, Array]:
         """Return the objective of the robots' losses, and its slopes by them."""
@@ -337,28 +337,28 @@ class _Search:
 
     def value(self, z: Array, soft: float = 0.0) -> tuple[float, Array]:
         """Return the objective and its gradient by the variables."""
-        found = self.at(z)
-        if found is None or not np.isfinite(found.values).all() or not np.isfinite(found.slopes).all():
+        result = self.evaluate(z)
+        if result is None or not np.isfinite(result.values).all() or not np.isfinite(result.slopes).all():
             return np.inf, np.zeros(len(z))
-        value, weights = self.of(found.values[0], soft)
-        return value, (weights @ found.slopes[0]) * self.variables.slopes(self.variables.numbers(z))
+        value, weights = self.of(result.values[0], soft)
+        return value, (weights @ result.slopes[0]) * self.variables.slopes(self.variables.numbers(z))
 
-    def rooms(self, z: Array, bound: bool) -> tuple[Array, Array]:
+    def slacks(self, z: Array, bound: bool) -> tuple[Array, Array]:
         """Return distances from the bounds, >= 0 where they are kept, and their slopes by the variables.
 
         If `bound`, the last variable is a bound of all losses.
         """
-        own = z[: len(self.variables.first)]
-        found = self.at(own)
+        numbers = z[: len(self.variables.first)]
+        result = self.evaluate(numbers)
         values, slopes = [np.zeros(0)], [np.zeros((0, len(z)))]
-        if found is not None:
-            by = found.slopes * self.variables.slopes(self.variables.numbers(own))
-            by = np.concatenate([by, np.zeros((*by.shape[:2], len(z) - len(own)))], axis=2)
+        if result is not None:
+            J = result.slopes * self.variables.slopes(self.variables.numbers(numbers))
+            J = np.concatenate([J, np.zeros((*J.shape[:2], len(z) - len(numbers)))], axis=2)
             if bound:
-                values.append(z[-1] - found.values[0] / self.unit)
-                slopes.append(np.eye(len(z))[-1] - by[0] / self.unit)
-            for one, value, slope in zip(self.constraints, found.values[1:], by[1:], strict=True):
-                for limit, sign in ((one.lower, 1.0), (one.upper, -1.0)):
+                values.append(z[-1] - result.values[0] / self.unit)
+                slopes.append(np.eye(len(z))[-1] - J[0] / self.unit)
+            for c, value, slope in zip(self.constraints, result.values[1:], J[1:], strict=True):
+                for limit, sign in ((c.lower, 1.0), (c.upper, -1.0)):
                     if np.isfinite(limit):
                         size = max(abs(limit), 1e-3)
                         values.append(sign * (value - limit) / size)
@@ -442,66 +442,66 @@ def tune(
     """
     from scipy.optimize import minimize
 
-    began = time.perf_counter()
+    start_time = time.perf_counter()
     one_of("objective", objective, OBJECTIVES)
-    most = check_integer("iterations", iterations)
+    max_iterations = check_integer("iterations", iterations)
     given = dict(by) if isinstance(by, Mapping) else dict.fromkeys(by if not isinstance(by, str) else ())
     if not given:
         raise InvalidArgument(
             f"by is {format_value(by)}, expected paths of numbers, such as ['controller.kp']"
         )
-    every = [constraints] if isinstance(constraints, Constraint) else constraints
-    every = sequence("constraints", every, "a list of derivatives.Constraint")
-    bounds = tuple(instance("constraints", one, Constraint, "derivatives.Constraint") for one in every)
+    items = [constraints] if isinstance(constraints, Constraint) else constraints
+    items = sequence("constraints", items, "a list of derivatives.Constraint")
+    bounds = tuple(instance("constraints", one, Constraint, "derivatives.Constraint") for one in items)
 
     def losses(scenario: Scenario) -> Losses:
-        own = [one.read(scenario) for one in bounds]
-        return Losses((Loss.read(loss, reduction, scenario), *own))
+        limits = [one.read(scenario) for one in bounds]
+        return Losses((Loss.read(loss, reduction, scenario), *limits))
 
     options: dict[str, Any] = {"dt": dt, "duration": duration, "integrator": integrator, "substeps": substeps}
     options |= {"forces": forces, "n": n, "spread": spread, "seed": seed}
     problem = problem_of(plant, controller, trajectory, losses, [*given], (q0, v0), **options)
-    twice = {one.leaf.path for one in problem.found.values()} & problem.values.keys()
-    if twice:
-        raise InvalidArgument(f"by has {min(twice)!r}, which is in the spread, expected other numbers")
+    duplicates = {one.leaf.path for one in problem.numbers.values()} & problem.values.keys()
+    if duplicates:
+        raise InvalidArgument(f"by has {min(duplicates)!r}, which is in the spread, expected other numbers")
     wholes, parts = (
-        {one.leaf.path for one in problem.found.values() if (one.entry is None) == is_whole}
+        {one.leaf.path for one in problem.numbers.values() if (one.entry is None) == is_whole}
         for is_whole in (True, False)
     )
-    if len(problem.found) < sum(map(len, problem.named_by.values())) or wholes & parts:
+    if len(problem.numbers) < sum(map(len, problem.refs_by_name.values())) or wholes & parts:
         raise InvalidArgument(f"by has {', '.join(given)}, of which two mean the same number")
-    pairs = ((one.path, given[name]) for name, some in problem.named_by.items() for one in some)
+    pairs = ((one.path, given[name]) for name, refs in problem.refs_by_name.items() for one in refs)
     variables = _Variables(problem, {path: pair for path, pair in pairs if pair is not None})
     mode, _ = problem.mode(1 + len(bounds))
     search = _Search(variables, bounds, objective, mode, progress or _show_trial)
     start = np.zeros(len(variables.names))
-    first = search.at(start)
-    built = time.perf_counter() - began
+    first = search.evaluate(start)
+    built = time.perf_counter() - start_time
     if first is None or not np.isfinite(first.values).all():
         raise InvalidArgument("the loop diverges with the given numbers, expected numbers with finite losses")
     size = max(abs(search.trials[0].loss), np.finfo(float).tiny)
     search.unit = size
-    soft = _SOFT * size if objective == "soft maximum" else 0.0
-    worst = objective == "worst" and problem.n > 1
-    ends = {"jac": True, "bounds": variables.bounds, "options": {"maxiter": most}}
+    soft = _SOFTNESS * size if objective == "soft maximum" else 0.0
+    bound = objective == "worst" and problem.n > 1
+    settings = {"jac": True, "bounds": variables.bounds, "options": {"maxiter": max_iterations}}
 
-    def scaled(z: Array) -> tuple[float, Array]:
-        if worst:
+    def scale_value(z: Array) -> tuple[float, Array]:
+        if bound:
             return float(z[-1]), np.eye(len(z))[-1]
         value, slope = search.value(z, soft)
         return value / size, slope / size
 
-    method = "SLSQP" if bounds or worst else "L-BFGS-B"
+    method = "SLSQP" if bounds or bound else "L-BFGS-B"
     if method == "SLSQP":
-        rooms = {"fun": lambda z: search.rooms(z, worst)[0], "jac": lambda z: search.rooms(z, worst)[1]}
-        ends |= {"constraints": [{"type": "ineq", **rooms}]}
-        if worst:
+        slacks = {"fun": lambda z: search.slacks(z, bound)[0], "jac": lambda z: search.slacks(z, bound)[1]}
+        settings |= {"constraints": [{"type": "ineq", **slacks}]}
+        if bound:
             start = np.append(start, first.values[0].max() / size)
-            ends["bounds"] = [*variables.bounds, (None, None)]
+            settings["bounds"] = [*variables.bounds, (None, None)]
     try:
         with np.errstate(all="ignore"):
-            result = minimize(scaled, start, method=method, **ends)
-            limit = result.nit >= most
+            result = minimize(scale_value, start, method=method, **settings)
+            limit = result.nit >= max_iterations
             reason = (
                 "converged" if result.success else "limit of iterations" if limit else "no further decrease"
             )
@@ -515,19 +515,19 @@ def tune(
     changes = variables.changes(best.numbers)
     loop = replace(problem.scenario.given, changes)
     others: tuple[Array, ...] = ()
-    beyond = np.zeros(0)
+    excesses = np.zeros(0)
     if problem.n > 1:
         others_of = replaced(problem.scenario, seed=seed + 1)
         fresh = Problem(others_of, problem.loop.recorder, [*given], (q0, v0))
-        before, after = (evaluated(fresh, x, None).values for x in ({}, changes))
-        others, beyond = (before[0], after[0]), search.excess(after[1:])
+        old, new = (evaluate_losses(fresh, x, None).values for x in ({}, changes))
+        others, excesses = (old[0], new[0]), search.excess(new[1:])
     words = "loss" if problem.n == 1 else "mean loss" if objective == "mean" else "largest loss"
-    own_parts = loop.plant, loop.controller, loop.trajectory, loop.forces
-    seconds = time.perf_counter() - began
-    tried, limits = tuple(search.trials), np.stack([variables.low, variables.high], axis=1)
+    tuned_parts = loop.plant, loop.controller, loop.trajectory, loop.forces
+    seconds = time.perf_counter() - start_time
+    trials, limits = tuple(search.trials), np.stack([variables.low, variables.high], axis=1)
     keys = tuple(variables.names), tuple(variables.units), limits
-    ended = f"{method}, {mode} mode: {reason}"
-    return Tuning(*own_parts, *keys, tried, best, bounds, words, others, beyond, ended, seconds, built)
+    note = f"{method}, {mode} mode: {reason}"
+    return Tuning(*tuned_parts, *keys, trials, best, bounds, words, others, excesses, note, seconds, built)
 
 
 def _show_trial(trial: Trial) -> None:

@@ -49,12 +49,12 @@ class Code:
         self.marks = tape.marks if single else {}
         self.values: dict[int, Any] = {}  # values of nodes that depend on constants only
         self.live: set[int] = set()
-        self.carried: dict[int, list[int]] = {}  # numbers of rounds that something needs
+        self.round_numbers: dict[int, list[int]] = {}  # numbers of rounds that something needs
         self.lines: list[str] = []
         self.functions: set[str] = set()
         self.operations = 0
 
-    def write(self, wanted: Iterable[int]) -> list[str]:
+    def write(self, nodes: Iterable[int]) -> list[str]:
         """Return the statements that compute some nodes, in order.
 
         Raises
@@ -62,9 +62,9 @@ class Code:
         InvalidArgument
             If an operation has no equivalent in single precision.
         """
-        wanted = list(wanted)
-        self._fold(max(wanted, default=-1) + 1)
-        self._find(wanted)
+        nodes = list(nodes)
+        self._fold(max(nodes, default=-1) + 1)
+        self._mark_live(nodes)
         self._block([i for i in sorted(self.live) if self.tape.depends[i] < ROUND], "    ")
         return self.lines
 
@@ -85,7 +85,7 @@ class Code:
         with np.errstate(all="ignore"):
             for node, operation in enumerate(tape.operations[:end]):
                 if operation[0] == "const":
-                    values[node] = DTYPES[tape.types[node]](tape.known(node))
+                    values[node] = DTYPES[tape.types[node]](tape.constant_of(node))
                 elif operation in self.constants:
                     values[node] = DTYPES[tape.types[node]](self.constants[operation])
                 elif operation[0] in NUMPY and all(i in values for i in operation[1:]):
@@ -106,19 +106,19 @@ class Code:
 
     def _carry(self, repeat: int, number: int) -> tuple[int, int]:
         """Return the nodes of a number of rounds before and after a round; something needs the number."""
-        rounds, known = Rounds.of(self.tape, repeat), self.carried.setdefault(repeat, [])
-        if number not in known:
-            known.append(number)
-        return rounds.first[number], rounds.following[number]
+        rounds, numbers = Rounds.of(self.tape, repeat), self.round_numbers.setdefault(repeat, [])
+        if number not in numbers:
+            numbers.append(number)
+        return rounds.first[number], rounds.results[number]
 
     def _repeat_of(self, number: int) -> int:
         """Return the node of a repetition by its number."""
-        known = self.tape.operations
-        return next(i for i, each in enumerate(known) if each[:2] == ("repeat", number))
+        operations = self.tape.operations
+        return next(i for i, operation in enumerate(operations) if operation[:2] == ("repeat", number))
 
-    def _find(self, wanted: list[int]) -> None:
+    def _mark_live(self, nodes: list[int]) -> None:
         """Find all nodes that some nodes need."""
-        todo = list(wanted)
+        todo = list(nodes)
         while todo:
             node = todo.pop()
             if node not in self.live and node not in self.values:
@@ -137,15 +137,15 @@ class Code:
     def _rounds(self, node: int, indent: str) -> None:
         """Write the loop of a repetition."""
         rounds, real = Rounds.of(self.tape, node), f"{self.prefix}_real"
-        numbers, inner = sorted(self.carried.get(node, [])), indent + "    "
+        numbers, inner = sorted(self.round_numbers.get(node, [])), indent + "    "
         lines = self.lines
         lines += [f"{indent}{real} y{node}_{j} = {self.name(rounds.first[j])};" for j in numbers]
         lines += [
-            f"{indent}int done{node} = {self.name(rounds.settled)};",
+            f"{indent}int done{node} = {self.name(rounds.skip)};",
             f"{indent}for (int k{node} = 0; k{node} < {rounds.most} && !done{node}; ++k{node}) {{",
         ]
         self._block([i for i in rounds.body if i in self.live], inner)
-        lines += [f"{inner}const {real} z{node}_{j} = {self.name(rounds.following[j])};" for j in numbers]
+        lines += [f"{inner}const {real} z{node}_{j} = {self.name(rounds.results[j])};" for j in numbers]
         lines.append(f"{inner}done{node} = {self.name(rounds.done)};")
         lines += [f"{inner}y{node}_{j} = z{node}_{j};" for j in numbers]
         lines.append(f"{indent}}}")
@@ -166,16 +166,16 @@ class Code:
         """Return the C expression of an operation."""
         self.operations += 1
         if node in self.marks:
-            function, own = self.marks[node]
+            function, operands = self.marks[node]
             if function == "count":
                 return f"({self.prefix}_real)memory->k"
             self.functions.add(function)
-            return f"{self.prefix}_{function}({', '.join(map(self.name, own))})"
-        name, *given = self.tape.operations[node]
+            return f"{self.prefix}_{function}({', '.join(map(self.name, operands))})"
+        name, *args = self.tape.operations[node]
         if name == "ring":
-            return f"memory->k == 0 ? {self.name(given[2])} : memory->delay_{node}[memory->at_{given[1]}]"
-        x = [self.name(i) for i in given]
-        if self.single and "u" in (self.tape.types[node], *(self.tape.types[i] for i in given)):
+            return f"memory->k == 0 ? {self.name(args[2])} : memory->delay_{node}[memory->at_{args[1]}]"
+        x = [self.name(i) for i in args]
+        if self.single and "u" in (self.tape.types[node], *(self.tape.types[i] for i in args)):
             raise InvalidArgument(
                 "precision is 'single', but the law computes with the bits of doubles, expected precision="
                 "'double'",

@@ -11,31 +11,31 @@ from typing import Any
 import numpy as np
 
 from pinmobile.arrays import Array, location, one_of, positive, sequence
-from pinmobile.compiled import uncollected
+from pinmobile.compiled import pause_gc
 from pinmobile.controllers import Controller, check_controller
 from pinmobile.errors import InvalidArgument, NotTraceable, format_value
 from pinmobile.export._law import InputRecorder, InputSchedule, Law
 from pinmobile.export._project import Project
-from pinmobile.files import refusals, write
+from pinmobile.files import file_errors, write
 from pinmobile.forces import Force
 from pinmobile.integrators import Integrator
 from pinmobile.loop import (
     BlindContext,
     Loop,
-    checked_forces,
-    checked_substeps,
-    chosen_integrator,
+    check_forces,
+    check_substeps,
+    sample_reference,
     sample_times,
-    sampled,
+    select_integrator,
     start_of,
 )
-from pinmobile.parts import Following, OnCoordinates, evolved, required
+from pinmobile.parts import Following, OnCoordinates, evolved, require
 from pinmobile.plant import Context, Plant, check_plant, reference_sizes_of, refuse_path
 from pinmobile.trajectories import Reference, Trajectory
 
-_UNKNOWN = "which is not known", "give its trajectory, whose samples become tables"
+_NO_REFERENCE = "which is not known", "give its trajectory, whose samples become tables"
 _RESERVED = {"double", "float", "int", "main", "return", "static", "struct", "union", "void"}
-_MOST = 2e6  # numbers of the table of a trajectory
+_MAX_TABLE = 2e6  # numbers of the table of a trajectory
 
 
 def export_c(
@@ -127,7 +127,7 @@ def export_c(
         )
     if name in _RESERVED:
         raise InvalidArgument(f"name is {name!r}, a word of C, expected another name, such as 'robot'")
-    own = sequence("tunable", tunable, 'paths of numbers, such as ["kp"]')
+    paths = sequence("tunable", tunable, 'paths of numbers, such as ["kp"]')
     step, target = positive("dt", dt, "s"), location("folder", folder)
     check_plant(plant)
     if controller is not None:
@@ -136,19 +136,19 @@ def export_c(
         plant,
         InputSchedule() if controller is None else controller,
         trajectory,
-        checked_forces(forces, plant),
-        chosen_integrator(plant, integrator),
-        checked_substeps(substeps, 1),
+        check_forces(forces, plant),
+        select_integrator(plant, integrator),
+        check_substeps(substeps, 1),
     )
     try:
-        with uncollected(), np.errstate(all="ignore"):
-            context, start, first = begun(plant, loop.controller, step, trajectory)
+        with pause_gc(), np.errstate(all="ignore"):
+            context, start, first = initial_context(plant, loop.controller, step, trajectory)
             law = Law(
                 evolved(loop, {"recorder": InputRecorder(as_measured=controller is not None)}),
                 context,
                 start,
                 first,
-                own,
+                paths,
             )
     except NotTraceable as error:
         argument = "plant" if controller is None else "controller"
@@ -161,7 +161,7 @@ def export_c(
     has_table = controller is not None and trajectory is not None
     table = _table(context.reference) if has_table else None
     project = Project(law, name, single=precision == "single", table=table, title=title)
-    with refusals("written", "folder", target):
+    with file_errors("written", "folder", target):
         target.mkdir(parents=True, exist_ok=True)
     for file, text in project.files().items():
         write(target / file, text.encode(), name="folder")
@@ -176,15 +176,15 @@ def _table(reference: Reference) -> Array:
             "the first coordinates, or none: the caller then supplies the reference"
         )
     table = np.concatenate(reference, axis=1)
-    if table.size > _MOST:
+    if table.size > _MAX_TABLE:
         raise InvalidArgument(
             f"trajectory has {len(table):,} samples, a table of {table.size:,} numbers, expected at most "
-            f"{_MOST:,.0f}: give a larger dt, or no trajectory"
+            f"{_MAX_TABLE:,.0f}: give a larger dt, or no trajectory"
         )
     return table
 
 
-def begun(
+def initial_context(
     plant: Plant, controller: Controller, dt: float, trajectory: Trajectory | None
 ) -> tuple[Any, tuple[Array, Array], Reference]:
     """Return context, initial state and first reference of a controller of a real robot.
@@ -205,26 +205,26 @@ def begun(
     """
     if trajectory is not None:
         refuse_path("trajectory", trajectory)
-        required("trajectory", trajectory, Following)
+        require("trajectory", trajectory, Following)
         t = sample_times(dt, None, trajectory.duration)
-        reference = sampled(trajectory, t, plant)
+        reference = sample_reference(trajectory, t, plant)
         context = Context.of(plant, dt=dt, t=t, reference=reference, trajectory=trajectory)
         return context, start_of(plant, reference, None, None), Reference(*(x[0] for x in reference))
     sizes = reference_sizes_of(plant)
-    least = min(sizes)
-    rest = Reference(np.zeros((1, sizes[least])), *[np.zeros((1, least))] * 2)
+    smallest = min(sizes)
+    rest = Reference(np.zeros((1, sizes[smallest])), *[np.zeros((1, smallest))] * 2)
     q, v = start_of(plant, rest, None, None)
     errors: list[Exception] = []
     for n in sorted(sizes, reverse=True):
         first = Reference(q[: sizes[n]], v[:n], np.zeros(n))
         whole: Any = Context.of(plant, dt=dt, reference=Reference(*(x[None] for x in first)))
-        blind: Any = BlindContext(whole, *_UNKNOWN)
+        blind_context: Any = BlindContext(whole, *_NO_REFERENCE)
         try:  # the largest reference that the controller accepts
-            controller(0.0, q.copy(), v.copy(), first, controller.initial_state(blind))
+            controller(0.0, q.copy(), v.copy(), first, controller.initial_state(blind_context))
         except NotTraceable:
             raise
         except Exception as error:
             errors.append(error)
         else:
-            return blind, (q, v), first
+            return blind_context, (q, v), first
     raise errors[0]

@@ -10,7 +10,7 @@ from typing import Any, final
 import numpy as np
 
 from pinmobile.arrays import Array
-from pinmobile.compiled import COUNT, Identity, LoopTape, Ring, evaluated, needed
+from pinmobile.compiled import COUNT, Identity, LoopTape, Ring, ancestors, evaluate
 from pinmobile.errors import InvalidArgument
 from pinmobile.loop import (
     Loop,
@@ -22,7 +22,7 @@ from pinmobile.loop import (
     scheduled_rows,
     traced_numbers,
 )
-from pinmobile.parts import Found, find, named, option, part, replace
+from pinmobile.parts import NumberRef, find, option, part, refs_of, replace
 from pinmobile.plant import Context, coordinates_of, inputs_of
 from pinmobile.signals import signals_of
 from pinmobile.trajectories import Reference
@@ -59,8 +59,8 @@ class InputRecorder:
 
     def __call__(self, sample: Sample, state: None) -> Record:
         """Return the applied input and the signals as a record."""
-        values = {f"signal {name}": claim.value for name, claim in sample.signals.items()}
-        units = {name: claim.unit for name, claim in sample.signals.items()}
+        values = {f"signal {name}": signal.value for name, signal in sample.signals.items()}
+        units = {name: signal.unit for name, signal in sample.signals.items()}
         errors = {"error": np.concatenate([sample.error, sample.error_rate])} if self.errors else {}
         return Record(None, (), {"u": sample.u, **errors, **values}, units)
 
@@ -76,8 +76,8 @@ class InputSchedule:
 
     def __call__(self, t: Any, q: Any, v: Any, reference: Any, state: Any) -> tuple[Any, Any]:
         """Return the input of this sample."""
-        u, after = state.next()
-        return u, after
+        u, next_state = state.next()
+        return u, next_state
 
 
 class Member:
@@ -101,12 +101,12 @@ class Member:
     def __len__(self) -> int:
         return len(self.entries)
 
-    def described(self, before: str, after: str = "") -> list[str]:
+    def comment_lines(self, prefix: str, suffix: str = "") -> list[str]:
         """Return a line with name and unit of each entry, or one line if they are alike."""
-        texts = [f"{one} [{unit}]" if unit else one for one, unit in self.entries]
+        texts = [f"{x} [{unit}]" if unit else x for x, unit in self.entries]
         if len(set(texts)) == 1:
-            return [f"{before}{self.name}: {texts[0]}{after}"]
-        return [f"{before}{self.name}[{i}]: {text}{after}" for i, text in enumerate(texts)]
+            return [f"{prefix}{self.name}: {texts[0]}{suffix}"]
+        return [f"{prefix}{self.name}[{i}]: {text}{suffix}" for i, text in enumerate(texts)]
 
 
 class Law:
@@ -149,11 +149,11 @@ class Law:
     ) -> None:
         self.loop, self.context, self.start = loop, context, start
         self.is_plant = not loop.recorder.as_measured
-        named_once = {one.path: one for one in map(self._tunable, tunable)}
-        self.found = [*named_once.values()]
-        spread = {one.path: np.ones(np.shape(one.leaf.value), bool) for one in self.found}
-        self.initial = begun = initial_memory(loop, context)
-        identity = Identity.of(loop, begun[2:], spread, ())
+        refs = {ref.path: ref for ref in map(self._tunable, tunable)}
+        self.tunables = [*refs.values()]
+        spread = {ref.path: np.ones(np.shape(ref.leaf.value), bool) for ref in self.tunables}
+        self.initial = memory = initial_memory(loop, context)
+        identity = Identity.of(loop, memory[2:], spread, ())
         self.loop_tape = Trace(loop, context, start, reference, identity, spread).result()
         self.tape = self.loop_tape.tape
         self.constants: dict[Any, float] = {("uniform", 0): context.dt / loop.substeps}
@@ -161,35 +161,35 @@ class Law:
         self.outputs: list[tuple[str, int]] = []
         self._parameters()
         self._interface(reference)
-        self.values = arrays_of(begun)
+        self.values = arrays_of(memory)
         self._memory(self.values)
         self._results()
         self._finish()
 
-    def _tunable(self, name: str) -> Found:
+    def _tunable(self, name: str) -> NumberRef:
         root = "plant." if self.is_plant else "controller."
-        known = {path: one for path, one in named(self.loop).items() if path.startswith(root)}
-        found = find(self.loop, name, known, "tunable")
-        if found.label:
+        refs = {path: ref for path, ref in refs_of(self.loop).items() if path.startswith(root)}
+        number = find(self.loop, name, refs, "tunable")
+        if number.label:
             raise InvalidArgument(
-                f"tunable has {name!r}, an entry of {found.leaf.path}, expected the whole field: "
-                f"{found.leaf.path!r}"
+                f"tunable has {name!r}, an entry of {number.leaf.path}, expected the whole field: "
+                f"{number.leaf.path!r}"
             )
-        changed = replace(self.loop, {found.path: np.asarray(found.leaf.value, float) * 1.001 + 1e-6})
-        loops = self.loop, changed
-        memories = (arrays_of(initial_memory(each, self.context)) for each in loops)
-        schedules = (scheduled_rows(each, self.context) for each in loops)
+        varied = replace(self.loop, {number.path: np.asarray(number.leaf.value, float) * 1.001 + 1e-6})
+        loops = self.loop, varied
+        memories = (arrays_of(initial_memory(x, self.context)) for x in loops)
+        schedules = (scheduled_rows(x, self.context) for x in loops)
         if not (all(map(np.array_equal, *memories)) and all(map(np.array_equal, *schedules))):
             raise InvalidArgument(
                 f"tunable has {name!r}, from which the law computes its memory before the first sample, "
                 "expected a number that the law reads at each sample: export again with another value"
             )
-        return found
+        return number
 
     def _parameters(self) -> None:
         """Place the parameters: numbers that stay variable, and constants."""
         values, self.parameters = traced_numbers(self.loop), list[Member]()
-        tunable = {one.path: one for one in self.found}
+        tunable = {ref.path: ref for ref in self.tunables}
         unused = [path for path in tunable if path in self.loop_tape.unused]
         if unused:
             raise InvalidArgument(
@@ -200,11 +200,11 @@ class Law:
             if path not in tunable:
                 keys = [(leaf.kind, leaf.first + i) for i in range(values[path].size)]
                 self.constants |= dict(zip(keys, map(float, values[path].flat), strict=True))
-        for path, one in tunable.items():
+        for path, ref in tunable.items():
             leaf, size = self.loop_tape.parameters[path], values[path].size
             name = re.sub(r"\W", "_", path.partition(".")[2])
-            units = (one.unit.split(", ") * size)[:size]
-            self.parameters.append(Member(name, [(one.meaning, unit) for unit in units], values[path]))
+            units = (ref.unit.split(", ") * size)[:size]
+            self.parameters.append(Member(name, [(ref.meaning, unit) for unit in units], values[path]))
             places = {(leaf.kind, leaf.first + i): f"parameters->{name}[{i}]" for i in range(size)}
             self.places |= places
 
@@ -219,16 +219,16 @@ class Law:
             names = [(f"configuration {i}", "") for i in range(nq)]
         q, v = (Member(x, y, z) for x, y, z in zip("qv", (names, rates), self.start, strict=True))
         self.u = Member("u", [(one.name, one.unit) for one in inputs])
-        self.states, before = [q, v], "memory->" if self.is_plant else ""
-        for first, each in ((0, q), (nq, v)):
-            self.places |= {("state", first + i): f"{before}{each.name}[{i}]" for i in range(len(each))}
-        given = Member("q", names[:length]), Member("v", rates[:n]), Member("a", accelerations[:n])
-        self.reference, column = list(given), 1
+        self.states, prefix = [q, v], "memory->" if self.is_plant else ""
+        for first, member in ((0, q), (nq, v)):
+            self.places |= {("state", first + i): f"{prefix}{member.name}[{i}]" for i in range(len(member))}
+        members = Member("q", names[:length]), Member("v", rates[:n]), Member("a", accelerations[:n])
+        self.reference, column = list(members), 1
         self.places["sample", 0] = "t"
-        for each in given:
-            for i in range(len(each)):
-                self.places["sample", column + i] = f"reference->{each.name}[{i}]"
-            column += len(each)
+        for member in members:
+            for i in range(len(member)):
+                self.places["sample", column + i] = f"reference->{member.name}[{i}]"
+            column += len(member)
         rows = [np.reshape(x, (len(x), -1)) for x in scheduled_rows(self.loop, self.context)]
         self.rows = np.concatenate(rows, axis=1) if rows else np.zeros((0, 0))
         if self.is_plant:
@@ -250,22 +250,22 @@ class Law:
                 name = f"state_{len(self.memory)}"
                 self.memory.append(Member(name, [(leaf.path, "")] * len(flat), flat))
                 self.places |= {key: f"memory->{name}[{i}]" for i, key in enumerate(keys)}
-                after = [loop.states[leaf.first + i][1] for i in range(len(flat))]
-                self.outputs += [(f"memory->{name}[{i}]", node) for i, node in enumerate(after)]
+                nodes = [loop.states[leaf.first + i][1] for i in range(len(flat))]
+                self.outputs += [(f"memory->{name}[{i}]", node) for i, node in enumerate(nodes)]
 
     def _results(self) -> None:
         """Place the results of a step: the input, or the next state; and the controller's signals."""
         loop, (nq, nv, *_) = self.loop_tape, self.loop_tape.sizes
         self.signals: list[Member] = []
         if self.is_plant:
-            for i, (_, after) in enumerate(loop.states[: nq + nv]):
-                self.outputs.append((self.places["state", i], after))
+            for i, (_, next_node) in enumerate(loop.states[: nq + nv]):
+                self.outputs.append((self.places["state", i], next_node))
             return
         self.outputs += [(f"u[{i}]", node) for i, node in enumerate(loop.kept["u"][1])]
-        own = signals_of(self.loop.controller, self.initial.controller)
+        signals = signals_of(self.loop.controller, self.initial.controller)
         for key, (_, nodes) in loop.kept.items():
             name = key.removeprefix("signal ")
-            if name in own:
+            if name in signals:
                 member = re.sub(r"\W", "_", name)
                 self.signals.append(Member(member, [(name, loop.units[name])] * len(nodes)))
                 self.outputs += [(f"memory->signals.{member}[{i}]", node) for i, node in enumerate(nodes)]
@@ -276,22 +276,22 @@ class Law:
         It keeps the applied input, the errors if the recorder has them, and the signals of the controller.
         """
         loop = self.loop_tape
-        moves = [False] * len(loop.states)
+        is_memory_row = [False] * len(loop.states)
         for leaf in loop.leaves:
             if leaf.kind == "state" and leaf.owner == "controller":
                 size = int(np.prod(leaf.shape))
-                moves[leaf.first : leaf.first + size] = [True] * size
-        pairs = zip(loop.states, moves, strict=True)
-        states = [(now, after if is_memory else now) for (now, after), is_memory in pairs]
-        own = {f"signal {name}" for name in signals_of(self.loop.controller, self.initial.controller)}
-        kept = {name: each for name, each in loop.kept.items() if name in {"u", "error"} | own}
+                is_memory_row[leaf.first : leaf.first + size] = [True] * size
+        pairs = zip(loop.states, is_memory_row, strict=True)
+        states = [(node, next_node if is_memory else node) for (node, next_node), is_memory in pairs]
+        names = {f"signal {name}" for name in signals_of(self.loop.controller, self.initial.controller)}
+        kept = {name: entry for name, entry in loop.kept.items() if name in {"u", "error"} | names}
         return replaced(loop, states=states, kept=kept, counted=[], tables=False)
 
     def _finish(self) -> None:
         """Find the delays in use, and refuse noise."""
-        used = needed(self.tape, [node for _, node in self.outputs])
-        self.rings: list[Ring] = [ring for ring in self.loop_tape.rings if ring.node in used]
-        for i in used:
+        live = ancestors(self.tape, [node for _, node in self.outputs])
+        self.rings: list[Ring] = [ring for ring in self.loop_tape.rings if ring.node in live]
+        for i in live:
             operation = self.tape.operations[i]
             if operation[0] == "key":
                 raise noise_error(self.loop_tape.keys[operation[1]])
@@ -299,20 +299,18 @@ class Law:
     def samples(self, count: int) -> Iterator[tuple[dict[str, Array], dict[str, Array]]]:
         """Yield arguments and results of consecutive samples near the start, computed by NumPy."""
         nodes = [node for _, node in self.outputs]
-        pushed = [ring.pushed for ring in self.rings]
+        sources = [ring.source for ring in self.rings]
         memory = {
-            f"memory->{each.name}[{i}]": x
-            for each in (*self.memory, *(self.states if self.is_plant else ()))
-            for i, x in enumerate(each.values)
+            f"memory->{member.name}[{i}]": x
+            for member in (*self.memory, *(self.states if self.is_plant else ()))
+            for i, x in enumerate(member.values)
         }
-        fixed = {
-            f"parameters->{one.name}[{i}]": x for one in self.parameters for i, x in enumerate(one.values)
-        }
+        fixed = {f"parameters->{p.name}[{i}]": x for p in self.parameters for i, x in enumerate(p.values)}
         past: dict[int, list[Any]] = {ring.node: [] for ring in self.rings}
         for k in range(count):
-            given = self._arguments(k)
-            values = {"t": float(given["t"][0]), **memory, **fixed}
-            for name, array in given.items():
+            arguments = self._arguments(k)
+            values = {"t": float(arguments["t"][0]), **memory, **fixed}
+            for name, array in arguments.items():
                 values |= {f"{name}[{i}]": x for i, x in enumerate(array)}
             if len(self.rows):
                 values |= {f"row[{i}]": x for i, x in enumerate(self.rows[min(k, len(self.rows) - 1)])}
@@ -320,15 +318,15 @@ class Law:
             inputs |= {op: values[place] for op, place in self.places.items() if place in values}
             for ring in self.rings:
                 if past[ring.node]:
-                    known = past[ring.node]
-                    inputs[self.tape.operations[ring.node]] = known[max(0, k - ring.samples)]
-            found = evaluated(self.tape, [*nodes, *pushed], inputs, first=k == 0)
-            for ring, x in zip(self.rings, found[len(nodes) :], strict=True):
+                    history = past[ring.node]
+                    inputs[self.tape.operations[ring.node]] = history[max(0, k - ring.samples)]
+            outputs = evaluate(self.tape, [*nodes, *sources], inputs, first=k == 0)
+            for ring, x in zip(self.rings, outputs[len(nodes) :], strict=True):
                 past[ring.node].append(x)
-            results = {place: float(x) for (place, _), x in zip(self.outputs, found, strict=False)}
+            results = {place: float(x) for (place, _), x in zip(self.outputs, outputs, strict=False)}
             memory |= {place: x for place, x in results.items() if place in memory}
             yield (
-                given,
+                arguments,
                 {name: self._result(name, results) for name in (("q", "v") if self.is_plant else "u")},
             )
 
@@ -344,12 +342,12 @@ class Law:
         def wave(size: int, shift: float, scale: float) -> Array:
             return np.asarray(scale * np.sin(0.7 + shift + 1.3 * np.arange(size) + 0.31 * k))
 
-        found = {"t": np.array([t])}
+        arguments = {"t": np.array([t])}
         if self.is_plant:
-            return {**found, "u": wave(len(self.u), 0.2, 1.0)}
+            return {**arguments, "u": wave(len(self.u), 0.2, 1.0)}
         (q, v), n = self.start, len(self.reference[1])
-        moved = np.asarray(self.loop.integrate(q, wave(len(v), 0.0, 0.05)), float)
-        along = np.asarray(self.loop.integrate(q, wave(len(v), 0.4, 0.03)), float)
-        found |= {"q": moved, "v": v + wave(len(v), 0.9, 0.1)}
+        q_sample = np.asarray(self.loop.integrate(q, wave(len(v), 0.0, 0.05)), float)
+        q_reference = np.asarray(self.loop.integrate(q, wave(len(v), 0.4, 0.03)), float)
+        arguments |= {"q": q_sample, "v": v + wave(len(v), 0.9, 0.1)}
         rates = ("reference->v", v[:n] + wave(n, 0.5, 0.1)), ("reference->a", wave(n, 0.1, 0.2))
-        return {**found, "reference->q": along[: len(self.reference[0])], **dict(rates)}
+        return {**arguments, "reference->q": q_reference[: len(self.reference[0])], **dict(rates)}

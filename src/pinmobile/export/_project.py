@@ -20,7 +20,7 @@ from pinmobile.export._law import Law, Member
 
 _SAMPLES = 64  # of the test program
 _TOLERANCE = 1e-5  # of single precision, relative to the largest result
-_NEAR = 1e-5  # of a time to a sample, in steps
+_TIME_TOLERANCE = 1e-5  # of a time to a sample, in steps
 
 
 class Project:
@@ -45,15 +45,15 @@ class Project:
         self.code = Code(
             law.tape, {**law.places, COUNT: "(uint64_t)memory->k"}, law.constants, prefix=name, single=single
         )
-        self.code.write([*(node for _, node in law.outputs), *(ring.pushed for ring in law.rings)])
+        self.code.write([*(node for _, node in law.outputs), *(ring.source for ring in law.rings)])
         self.words: dict[str, Any] = {"name": name, "UPPER": name.upper(), "title": title}
         dt = law.context.dt
         self.words |= {"version": pinmobile.__version__, "dt": f"{dt:g}", "dt_c": self._number(dt)}
-        self.words |= {f"n{one.name}": len(one) for one in (*law.states, law.u)}
+        self.words |= {f"n{member.name}": len(member) for member in (*law.states, law.u)}
         self.words["prototype"] = self._prototype()
         types, body = self._types(), self._body()
-        kept = "\n".join([title, pinmobile.__version__, types, body])
-        self.words |= {"types": types, "body": body, "digest": hashlib.sha256(kept.encode()).hexdigest()[:16]}
+        text = "\n".join([title, pinmobile.__version__, types, body])
+        self.words |= {"types": types, "body": body, "digest": hashlib.sha256(text.encode()).hexdigest()[:16]}
 
     def files(self) -> dict[str, str]:
         """Return the texts by file name."""
@@ -82,28 +82,28 @@ class Project:
 
     def _struct(
         self,
-        what: str,
+        kind: str,
         comment: str,
         members: Sequence[Member],
         first: Sequence[str] = (),
         last: Sequence[str] = (),
     ) -> str:
         """Return a struct, with names and units of its entries."""
-        own = list(first)
-        for one in members:
-            own += [*one.described("/* ", " */"), f"{self.name}_real {one.name}[{len(one)}];"]
-        own += last
-        body = "".join(f"    {line}\n" for line in own)
-        return f"/* {comment} */\ntypedef struct {{\n{body}}} {self.name}_{what};" if own else ""
+        lines = list(first)
+        for member in members:
+            lines += [*member.comment_lines("/* ", " */"), f"{self.name}_real {member.name}[{len(member)}];"]
+        lines += last
+        body = "".join(f"    {line}\n" for line in lines)
+        return f"/* {comment} */\ntypedef struct {{\n{body}}} {self.name}_{kind};" if lines else ""
 
     def _types(self) -> str:
         law, name = self.law, self.name
-        found = [f"typedef {'float' if self.single else 'double'} {name}_real;"]
+        structs = [f"typedef {'float' if self.single else 'double'} {name}_real;"]
         if not law.is_plant:
-            found.append(self._struct("reference", "Reference of a sample.", law.reference))
+            structs.append(self._struct("reference", "Reference of a sample.", law.reference))
         comment = "Numbers that may change between two samples."
-        found.append(self._struct("parameters", comment, law.parameters))
-        found.append(self._struct("signals", "Signals of the last sample.", law.signals))
+        structs.append(self._struct("parameters", comment, law.parameters))
+        structs.append(self._struct("signals", "Signals of the last sample.", law.signals))
         first = [f"{name}_real t; /* time of the last sample [s] */"]
         first += [f"{name}_real delay_{ring.node}[{ring.samples}];" for ring in law.rings]
         first += [f"{name}_parameters parameters;"] if law.parameters else []
@@ -112,8 +112,8 @@ class Project:
         last += [f"uint32_t at_{n}; /* place in delays of {n} samples */" for n in self._delays()]
         members = [*law.states, *law.memory] if law.is_plant else law.memory
         comment = "Memory from sample to sample: one for each robot."
-        found.append(self._struct("memory", comment, members, first, last))
-        return "\n\n".join(filter(None, found))
+        structs.append(self._struct("memory", comment, members, first, last))
+        return "\n\n".join(filter(None, structs))
 
     def _delays(self) -> list[int]:
         return sorted({ring.samples for ring in self.law.rings})
@@ -121,10 +121,10 @@ class Project:
     def _prototype(self) -> str:
         name, law = self.name, self.law
         arrays = [law.u] if law.is_plant else law.states
-        given = [f"{name}_real t", *(f"const {name}_real {one.name}[{len(one)}]" for one in arrays)]
-        given += [] if law.is_plant else [f"const {name}_reference *reference"]
-        given += [f"{name}_memory *memory"] + ([] if law.is_plant else [f"{name}_real u[{len(law.u)}]"])
-        return f"{name}_status {name}_step({', '.join(given)})"
+        args = [f"{name}_real t", *(f"const {name}_real {m.name}[{len(m)}]" for m in arrays)]
+        args += [] if law.is_plant else [f"const {name}_reference *reference"]
+        args += [f"{name}_memory *memory"] + ([] if law.is_plant else [f"{name}_real u[{len(law.u)}]"])
+        return f"{name}_status {name}_step({', '.join(args)})"
 
     def _header(self) -> str:
         law = self.law
@@ -135,7 +135,7 @@ class Project:
             [*law.states, law.u],
         )
         purpose, first, members = plant if law.is_plant else control
-        arguments = "\n".join([first, *(line for one in members for line in one.described("   "))])
+        arguments = "\n".join([first, *(line for member in members for line in member.comment_lines("   "))])
         parts = ["declare_parameters"] * bool(law.parameters) + ["declare_table"] * (self.table is not None)
         declarations = "".join(f"\n{self._text(part)}" for part in parts)
         return self._text("header", purpose=purpose, arguments=arguments, declarations=declarations)
@@ -145,19 +145,19 @@ class Project:
     def _body(self) -> str:
         name, law, code = self.name, self.law, self.code
         starts = [
-            f"memory->{one.name}[{i}] = {self._number(x)};"
-            for one in (*law.memory, *(law.states if law.is_plant else ()))
-            for i, x in enumerate(one.values)
+            f"memory->{m.name}[{i}] = {self._number(x)};"
+            for m in (*law.memory, *(law.states if law.is_plant else ()))
+            for i, x in enumerate(m.values)
         ]
         starts += [f"memory->delay_{ring.node}[{i}] = 0;" for ring in law.rings for i in range(ring.samples)]
         starts += [f"memory->at_{n} = 0;" for n in self._delays()]
         starts += [f"memory->parameters = {name}_default;"] if law.parameters else []
-        starts += [f"memory->signals.{one.name}[{i}] = 0;" for one in law.signals for i in range(len(one))]
+        starts += [f"memory->signals.{m.name}[{i}] = 0;" for m in law.signals for i in range(len(m))]
         arrays = {"u": law.u, "memory->q": law.states[0], "memory->v": law.states[1]}
         if not law.is_plant:
-            arrays = {one.name: one for one in law.states}
-            arrays |= {f"reference->{one.name}": one for one in law.reference}
-        given = {"&t": 1, **{place: len(one) for place, one in arrays.items()}}
+            arrays = {m.name: m for m in law.states}
+            arrays |= {f"reference->{m.name}": m for m in law.reference}
+        checks = {"&t": 1, **{place: len(m) for place, m in arrays.items()}}
         beginning, last = [], len(law.rows) - 1
         if law.parameters:
             beginning.append(f"const {name}_parameters *const parameters = &memory->parameters;")
@@ -165,74 +165,74 @@ class Project:
             row = f"{name}_rows[memory->k < {last}u ? memory->k : {last}u]"
             beginning.append(f"const {name}_real *const row = {row};")
         results = [(place, code.name(node)) for place, node in law.outputs]
-        signals = [each for each in results if each[0].startswith("memory->signals")]
-        required = [each for each in results if each not in signals]
+        signals = [pair for pair in results if pair[0].startswith("memory->signals")]
+        required = [pair for pair in results if pair not in signals]
         # Signals first: their expressions may contain the memory before the sample.
-        assigned = [f"    {place} = {value};" for place, value in signals]
-        assigned += [
+        assignments = [f"    {place} = {value};" for place, value in signals]
+        assignments += [
             self._text(
                 "delay",
                 samples=ring.samples,
                 place=f"memory->delay_{ring.node}",
-                value=code.name(ring.pushed),
+                value=code.name(ring.source),
             )
             for ring in law.rings
         ]
-        assigned += [
+        assignments += [
             f"    memory->at_{n} = memory->at_{n} + 1u < {n}u ? memory->at_{n} + 1u : 0u;"
             for n in self._delays()
         ]
-        assigned += [f"    {place} = results[{i}];" for i, (place, _) in enumerate(required)]
+        assignments += [f"    {place} = results[{i}];" for i, (place, _) in enumerate(required)]
         return self._text(
             "body",
             helpers="\n".join(self._helpers()).strip(),
             starts="\n".join(f"    {line}" for line in starts),
             beginning="\n".join(f"    {line}" for line in beginning),
-            not_finite=" || ".join(f"!{name}_is_finite({place}, {n})" for place, n in given.items()),
+            not_finite=" || ".join(f"!{name}_is_finite({place}, {n})" for place, n in checks.items()),
             statements="\n".join(code.lines),
             results=",\n        ".join(value for _, value in required),
             count=len(required),
-            assignments="\n".join(assigned),
+            assignments="\n".join(assignments),
         ).strip()
 
     def _helpers(self) -> list[str]:
         """Return the functions and tables before the step."""
         text, law = "\n".join(self.code.lines), self.law
-        found = [self._text("is_finite")]
-        found += [self._text(key) for key in ("bits", "from_bits") if f"{self.name}_{key}(" in text]
-        known, wanted = _sections("single.c"), set(self.code.functions)
-        todo = list(wanted)
+        parts = [self._text("is_finite")]
+        parts += [self._text(key) for key in ("bits", "from_bits") if f"{self.name}_{key}(" in text]
+        table, names = _sections("single.c"), set(self.code.functions)
+        todo = list(names)
         while todo:
-            others = [other for other in known[todo.pop()][0] if other not in wanted]
-            wanted.update(others)
-            todo += others
-        found += [f"{text.replace('NAME', self.name)}\n" for key, (_, text) in known.items() if key in wanted]
-        found += [self._parameters()] if law.parameters else []
-        found += [self._array("rows", law.rows)] if len(law.rows) else []
+            missing = [name for name in table[todo.pop()][0] if name not in names]
+            names.update(missing)
+            todo += missing
+        parts += [f"{text.replace('NAME', self.name)}\n" for key, (_, text) in table.items() if key in names]
+        parts += [self._parameters()] if law.parameters else []
+        parts += [self._array("rows", law.rows)] if len(law.rows) else []
         if self.table is not None:
             words = {"n": len(law.reference[1]), "last": len(self.table) - 1}
-            numbers = {"half": self._number(0.5), "near": self._number(_NEAR)}
-            found += [self._array("table", self.table), self._text("interpolation", **words, **numbers)]
-        return found
+            numbers = {"half": self._number(0.5), "near": self._number(_TIME_TOLERANCE)}
+            parts += [self._array("table", self.table), self._text("interpolation", **words, **numbers)]
+        return parts
 
-    def _array(self, what: str, numbers: Array) -> str:
+    def _array(self, kind: str, numbers: Array) -> str:
         rows = "".join(f"    {{{self._numbers(row)}}},\n" for row in numbers)
         size = f"[{len(numbers)}][{numbers.shape[1]}]"
-        return f"static const {self.name}_real {self.name}_{what}{size} = {{\n{rows}}};\n"
+        return f"static const {self.name}_real {self.name}_{kind}{size} = {{\n{rows}}};\n"
 
     def _parameters(self) -> str:
         """Return the constants and the check of the parameters' bounds."""
         bounds: dict[str, list[str]] = {"default": [], "lower": [], "upper": []}
         tests = []
-        for one, member in zip(self.law.found, self.law.parameters, strict=True):
-            declared: Any = one.leaf.declared
-            low = declared.lower if declared.above is None else declared.above
-            ends = (-np.inf if low is None else low), (np.inf if declared.upper is None else declared.upper)
-            every = member.values, *([end] * len(member) for end in ends)
-            for key, values in zip(bounds, every, strict=True):
+        for ref, member in zip(self.law.tunables, self.law.parameters, strict=True):
+            field: Any = ref.leaf.declared
+            low = field.lower if field.above is None else field.above
+            ends = (-np.inf if low is None else low), (np.inf if field.upper is None else field.upper)
+            columns = member.values, *([end] * len(member) for end in ends)
+            for key, values in zip(bounds, columns, strict=True):
                 bounds[key].append(f"{{{self._numbers(values)}}}")
-            below = "<" if declared.above is None else "<="
-            tests.append(self._text("parameter", count=len(member), member=member.name, below=below))
+            comparison = "<" if field.above is None else "<="
+            tests.append(self._text("parameter", count=len(member), member=member.name, below=comparison))
         words = {key: ", ".join(rows) for key, rows in bounds.items()}
         return self._text("parameters", tests="\n".join(tests), **words)
 
@@ -241,35 +241,35 @@ class Project:
     def _test(self) -> str:
         name, law = self.name, self.law
         samples = list(law.samples(_SAMPLES))
-        given = {key: np.array([one[key] for one, _ in samples]) for key in samples[0][0]}
-        results = {key: np.array([found[key] for _, found in samples]) for key in samples[0][1]}
-        named = [(f"given_{key.replace('->', '_')}", rows) for key, rows in given.items()]
-        named += [(f"result_{key}", rows) for key, rows in results.items()]
+        arguments = {key: np.array([inputs[key] for inputs, _ in samples]) for key in samples[0][0]}
+        results = {key: np.array([outputs[key] for _, outputs in samples]) for key in samples[0][1]}
+        arrays = [(f"given_{key.replace('->', '_')}", rows) for key, rows in arguments.items()]
+        arrays += [(f"result_{key}", rows) for key, rows in results.items()]
         largest = max(1e-3, *(float(np.abs(rows).max()) for rows in results.values()))
         loop = "        for (int i = 0; i < {n}; ++i) {{\n            {body}\n        }}"
         fills = [f"        const {name}_real t = {name}_given_t[k][0];"]
-        own, call, before = "", f"{name}_step(t, {name}_given_u[k], &memory)", "memory."
+        declarations, call, prefix = "", f"{name}_step(t, {name}_given_u[k], &memory)", "memory."
         if not law.is_plant:
-            before = ""
-            own = f"    {name}_reference reference;\n    {name}_real u[{len(law.u)}];"
+            prefix = ""
+            declarations = f"    {name}_reference reference;\n    {name}_real u[{len(law.u)}];"
             call = f"{name}_step(t, {name}_given_q[k], {name}_given_v[k], &reference, &memory, u)"
-            for one in law.reference:
-                body = f"reference.{one.name}[i] = {name}_given_reference_{one.name}[k][i];"
-                fills.append(loop.format(n=len(one), body=body))
-        compared = [
+            for inputs in law.reference:
+                body = f"reference.{inputs.name}[i] = {name}_given_reference_{inputs.name}[k][i];"
+                fills.append(loop.format(n=len(inputs), body=body))
+        comparisons = [
             loop.format(
-                n=rows.shape[1], body=f"off = larger(off, {before}{key}[i] - {name}_result_{key}[k][i]);"
+                n=rows.shape[1], body=f"off = larger(off, {prefix}{key}[i] - {name}_result_{key}[k][i]);"
             )
             for key, rows in results.items()
         ]
         return self._text(
             "test",
-            arrays="\n".join(self._array(*each) for each in named).strip(),
-            own=own,
+            arrays="\n".join(self._array(*array) for array in arrays).strip(),
+            own=declarations,
             samples=_SAMPLES,
             fills="\n".join(fills),
             call=call,
-            compared="\n".join(compared),
+            compared="\n".join(comparisons),
             limit=f"{_TOLERANCE * largest:g}" if self.single else "0",
         )
 
@@ -277,22 +277,22 @@ class Project:
         law, size = self.law, 4 if self.single else 8
         numbers = 1 + sum(map(len, (*law.memory, *law.parameters, *law.signals)))
         numbers += sum(ring.samples for ring in law.rings) + law.is_plant * sum(map(len, law.states))
-        whole = size * numbers + 4 * (1 + len(self._delays()))
+        size_total = size * numbers + 4 * (1 + len(self._delays()))
         constants = law.rows.size + (0 if self.table is None else self.table.size)
         notes = {"parameters": bool(law.parameters), "table": self.table is not None, "plant": law.is_plant}
         refer = "reference_at(t, &reference);" if self.table is not None else ""
         fill = f"    {self.name}_{refer}\n" if refer else "    /* fill `reference` for this time */\n"
-        declared = f"{self.name}_memory memory;" + f"\n{self.name}_reference reference;" * (not law.is_plant)
+        fields = f"{self.name}_memory memory;" + f"\n{self.name}_reference reference;" * (not law.is_plant)
         return self._text(
             "readme",
             precision="single" if self.single else "double, with the bits of the library",
             operations=f"{self.code.operations:,}",
-            memory=f"{-(-whole // size) * size:,}",
+            memory=f"{-(-size_total // size) * size:,}",
             constants=f"{size * constants:,}",
             stack=f"{self.code.stack + size * len(law.outputs):,}",
-            declared=declared,
+            declared=fields,
             refer="" if law.is_plant else fill,
-            notes="".join(self._text(f"note_{key}") for key, is_there in notes.items() if is_there),
+            notes="".join(self._text(f"note_{key}") for key, is_included in notes.items() if is_included),
         )
 
 
@@ -300,5 +300,5 @@ class Project:
 def _sections(file: str) -> dict[str, tuple[list[str], str]]:
     """Return the sections of a file by name: the sections that each needs, and its text."""
     text = files("pinmobile.export").joinpath(file).read_text()
-    found = re.findall(r"/\* = ([\w ]+) \*/\n(.*?)(?=\n+/\* = |\s*\Z)", text, re.S)
-    return {words.split()[0]: (words.split()[1:], body) for words, body in found}
+    sections = re.findall(r"/\* = ([\w ]+) \*/\n(.*?)(?=\n+/\* = |\s*\Z)", text, re.S)
+    return {words.split()[0]: (words.split()[1:], body) for words, body in sections}

@@ -22,9 +22,9 @@ from pinmobile.errors import (
     UnknownName,
     format_names,
     format_value,
-    imported,
+    import_extra,
 )
-from pinmobile.files import refusals
+from pinmobile.files import file_errors
 
 _UNIT = re.compile(r"[\[(]([^][()]*)[\])]$")
 _SEPARATORS = ";", "\t", ",", " "
@@ -117,7 +117,7 @@ def _table(file: Path, bare: bool) -> tuple[list[str], list[list[str]]]:
     Lines before the header that begin with # are comments. The last comment is the header if numbers follow.
     A bare file without header has the numbers of its columns as names: 1, 2, ...
     """
-    with refusals("read", "path", file):
+    with file_errors("read", "path", file):
         content = file.read_bytes().decode("utf-8-sig", errors="replace")
     if "\0" in content:
         raise _refused(file, "which is not a text file", "a CSV file")
@@ -228,10 +228,10 @@ def read_bag(path: str | PathLike[str], topics: Mapping[str, str]) -> dict[str, 
         )
     for role in topics:
         one_of("part of a log", role, _RULES)
-    highlevel = imported("rosbags.highlevel", "bags", "a bag")
-    stores = imported("rosbags.typesys", "bags", "a bag")
+    highlevel = import_extra("rosbags.highlevel", "bags", "a bag")
+    stores = import_extra("rosbags.typesys", "bags", "a bag")
     store = stores.get_typestore(stores.Stores.ROS2_HUMBLE)
-    with refusals("read", "path", file):
+    with file_errors("read", "path", file):
         file.stat()
         try:
             with highlevel.AnyReader([file], default_typestore=store) as reader:

@@ -40,7 +40,7 @@ from pinmobile.identification._simulation import Quantity, Same, Segments, simul
 from pinmobile.identification._velocity import TRAINED
 from pinmobile.integrators import RungeKuttaNystrom
 from pinmobile.loop import Loop, Trace, arrays_of, initial_memory, traced_numbers
-from pinmobile.parts import Found, Stepping, matching, named, numbers, offers, part, replace, shortest
+from pinmobile.parts import NumberRef, Stepping, match_refs, numbers, offers, part, refs_of, replace, shorten
 from pinmobile.plant import Context, Plant, coordinates_of, stated
 from pinmobile.trajectories import Reference
 
@@ -88,7 +88,7 @@ def _programs(
         leaves = {kind: Leaf("", kind, (size,), begin, kind) for kind, size, begin in kinds}
         changes: dict[str, Any] = {"kept": dict([[*tape.kept.items()][-1]]), "tracks": whole.tracks}
         changes |= {"sizes": (len(tape.states), 0, *whole.sizes[2:]), "leaves": [], "parameters": leaves}
-        found.append(Program(replaced(tape, **changes), shape=Shape(Target.here().lanes, 1)))
+        found.append(Program(replaced(tape, **changes), shape=Shape(Target.host().lanes, 1)))
     return traced, found[0], found[1]
 
 
@@ -113,7 +113,7 @@ class PlantProblem:
     """
 
     plant: Any
-    found: tuple[Found, ...]
+    found: tuple[NumberRef, ...]
     base: Array
     basis: Array
     dt: float
@@ -128,7 +128,7 @@ class PlantProblem:
     def quantities(self) -> tuple[Quantity, ...]:
         """The unknown numbers, with the shortest different ends of their paths."""
         told = []
-        for one, name in zip(self.found, shortest(one.path for one in self.found), strict=True):
+        for one, name in zip(self.found, shorten(one.path for one in self.found), strict=True):
             declared: Any = one.leaf.declared
             bounded = declared.above == 0.0 or declared.lower == 0.0
             told.append(Quantity(name, one.unit, bounded, one.path))
@@ -281,14 +281,14 @@ class PlantProblem:
         return segments, solve(known, segments, np.zeros(0)).near.residual, segments.good, segments.noise[0]
 
 
-def _numbers_of(plant: Any, by: Any) -> tuple[Found, ...]:
+def _numbers_of(plant: Any, by: Any) -> tuple[NumberRef, ...]:
     """Return the numbers that names or patterns mean; an array means its entries."""
-    known, found = named(plant), dict[str, Found]()
+    known, found = refs_of(plant), dict[str, NumberRef]()
     for name in sequence(
         "by", [by] if isinstance(by, str) else by, "names of numbers, such as '*_link.mass'"
     ):
-        for one in matching(plant, name, known, "by"):
-            entries = [Found(one.leaf, *each) for each in one.leaf.entries.items()]
+        for one in match_refs(plant, name, known, "by"):
+            entries = [NumberRef(one.leaf, *each) for each in one.leaf.entries.items()]
             for each in entries if one.entry is None and np.ndim(one.leaf.value) else [one]:
                 found[each.path] = each
     if not found:

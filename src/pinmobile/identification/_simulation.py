@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinmobile.arrays import Array
-from pinmobile.compiled import Identity, Recurrence, choose, entries, jacobian, processors, repeated, symbols
+from pinmobile.compiled import Identity, Recurrence, choose, entries, jacobian, processors, repeat, symbols
 
 _STEP = 1e-30  # imaginary step, whose square vanishes
 _LEAST_SHARE = 1e-9  # of a sample, before which the previous input acts, so that the delay has a slope
@@ -236,7 +236,7 @@ def _made(given: Same, sizes: tuple[int, int, int], active: _Active = None, late
             after = z + span / 6 * (a + 2 * (b + c) + law(z + span * c, own, numbers[4:]))
             return [*entries(after), left - 1.0], left <= 1.0
 
-        found = repeated(step, [*entries(z), first + last], _MOST_STEPS, first + last <= 0.0)
+        found = repeat(step, [*entries(z), first + last], _MOST_STEPS, first + last <= 0.0)
         return symbols(found[:-1], z.shape)
 
     states = n if active is None else n * (1 + len(active) + n + late)

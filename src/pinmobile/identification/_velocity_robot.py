@@ -19,8 +19,8 @@ from pinmobile.arrays import (
     ArrayLike,
     broadcast,
     finite,
+    finite_result,
     frozen,
-    in_numbers,
     instance,
     lengths,
     non_negative,
@@ -115,7 +115,7 @@ def arrays(**sizes: int) -> Callable[[_Method], _Method]:
             broadcast(**arrays)
             return np.asarray(method(**(bound | arrays)))
 
-        return in_numbers(run)  # type: ignore[return-value]
+        return finite_result(run)  # type: ignore[return-value]
 
     return wrapped
 
@@ -520,7 +520,7 @@ class VelocityRobot(Commanded):
         ahead = stacked(rates[..., 0], o, -w * w, u, o, o)
         return np.stack([ahead, stacked(o, rates[..., 1], o, o, u * w, w)], axis=-2)
 
-    @in_numbers
+    @finite_result
     def reduced(self, q: ArrayLike, v: ArrayLike) -> Reduced:
         """Return the dynamics in nu = (speed, yaw rate): M nu' + n = B u and v = S nu.
 

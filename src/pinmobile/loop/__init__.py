@@ -2,16 +2,16 @@
 
 from pinmobile.loop._causes import Cause as Cause, causes as causes, worst_share as worst_share
 from pinmobile.loop._checks import (
-    checked_forces as checked_forces,
-    checked_substeps as checked_substeps,
-    chosen_integrator as chosen_integrator,
+    check_forces as check_forces,
+    check_substeps as check_substeps,
+    sample_reference as sample_reference,
     sample_times as sample_times,
-    sampled as sampled,
+    select_integrator as select_integrator,
 )
 from pinmobile.loop._description import (
     Outline,
     contents as contents,
-    percent as percent,
+    format_percent as format_percent,
     versions as versions,
 )
 from pinmobile.loop._ensemble import Bands, Ensemble, ErrorQuantile
@@ -33,8 +33,8 @@ from pinmobile.loop._run import (
     BlindContext as BlindContext,
     ensemble,
     part_of,
+    plan_execution as plan_execution,
     run_scenario,
-    way_of as way_of,
 )
 from pinmobile.loop._scenario import Scenario
 from pinmobile.loop._simulate import Engine, errors_of as errors_of, simulate, start_of as start_of
@@ -58,19 +58,19 @@ from pinmobile.loop._trace import (
 from pinmobile.loop._variables import (
     LEVELS as LEVELS,
     NOTE as NOTE,
-    PER_ROBOT as PER_ROBOT,
-    SUMMED as SUMMED,
+    ROBOT_ARRAYS as ROBOT_ARRAYS,
+    SUMS as SUMS,
     Arguments,
     Part,
-    checked_share as checked_share,
+    check_share as check_share,
     coordinates as coordinates,
-    drawn as drawn,
-    drawn_name as drawn_name,
+    draw_name as draw_name,
+    draw_vars as draw_vars,
     edges as edges,
-    over_all as over_all,
-    per_robot as per_robot,
-    share_within as share_within,
-    summed as summed,
+    robot_vars as robot_vars,
+    share_quantile as share_quantile,
+    sum_vars as sum_vars,
+    sums as sums,
 )
 from pinmobile.plant import Plant
 from pinmobile.signals import Signal

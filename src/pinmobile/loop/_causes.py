@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from pinmobile.arrays import Array, scalar
 from pinmobile.errors import InvalidArgument
 from pinmobile.loop._spread import SameAs
-from pinmobile.parts import shortest
+from pinmobile.parts import shorten
 
 _CHANCE = 0.01  # that any of the parameters without effect is named
-_ONE_SIDED = 0.1  # share of the statistic below which one side counts as chance
+_SIDE_SHARE = 0.1  # share of the statistic below which one side counts as chance
 
 
 class Cause(NamedTuple):
@@ -64,8 +64,8 @@ class Cause(NamedTuple):
 
     def holds(self, values: Array) -> NDArray[np.bool_]:
         """Return which values are in the interval of the worst robots."""
-        between = (values > self.low) & (values <= self.high)
-        return ~between if self.outside else between
+        is_inside = (values > self.low) & (values <= self.high)
+        return ~is_inside if self.outside else is_inside
 
 
 def worst_share(ensemble: Any, share: float, by: str = "distance") -> NDArray[np.bool_]:
@@ -101,25 +101,25 @@ def causes(ensemble: Any, worst: NDArray[np.bool_]) -> list[Cause]:
     InvalidArgument
         If all robots have the same parameters.
     """
-    differ = [one for one in _parameters(ensemble) if np.ptp(one[2]) > 1e-12 * np.abs(one[2]).max()]
-    if not differ:
-        what = "ensemble has robots with the same parameters"
-        raise InvalidArgument(f"{what}, expected a spread of at least one parameter")
-    found = (_cause(*one, worst, _CHANCE / len(differ)) for one in differ)
-    return sorted(found, key=lambda one: -one.difference)
+    parameters = [one for one in _parameters(ensemble) if np.ptp(one[2]) > 1e-12 * np.abs(one[2]).max()]
+    if not parameters:
+        message = "ensemble has robots with the same parameters"
+        raise InvalidArgument(f"{message}, expected a spread of at least one parameter")
+    rows = (_cause(*one, worst, _CHANCE / len(parameters)) for one in parameters)
+    return sorted(rows, key=lambda one: -one.difference)
 
 
 def _parameters(ensemble: Any) -> list[tuple[str, str, Array]]:
     """Return name, unit and values of each independent parameter; for `SameAs`, the factor."""
-    found, short = [], dict(zip(ensemble.draws, shortest(ensemble.draws), strict=True))
+    rows, short_names = [], dict(zip(ensemble.draws, shorten(ensemble.draws), strict=True))
     for name, values in ensemble.draws.items():
         source = ensemble.scenario.spread[name]
         if isinstance(source, SameAs) and (base := ensemble.draws.get(source.name)) is not None:
             ratio = np.divide(values, base, out=np.ones_like(values), where=base != 0)
-            found.append((f"{short[name]} / {short[source.name]}", "", ratio))
+            rows.append((f"{short_names[name]} / {short_names[source.name]}", "", ratio))
         else:
-            found.append((short[name], ensemble.scenario.parameters[name].unit, values))
-    return found
+            rows.append((short_names[name], ensemble.scenario.parameters[name].unit, values))
+    return rows
 
 
 def _cause(name: str, unit: str, values: Array, worst: NDArray[np.bool_], chance: float) -> Cause:
@@ -135,9 +135,9 @@ def _cause(name: str, unit: str, values: Array, worst: NDArray[np.bool_], chance
     # Kuiper's test: Stephens, J. R. Stat. Soc. B 32 (1970).
     square = max(1.0, difference * (size + 0.155 + 0.24 / size)) ** 2
     visible = bool((8 * square - 2) * np.exp(-2 * square) < chance)
-    if above.statistic <= _ONE_SIDED * difference:
+    if above.statistic <= _SIDE_SHARE * difference:
         high = np.inf
-    elif below.statistic <= _ONE_SIDED * difference:
+    elif below.statistic <= _SIDE_SHARE * difference:
         low = -np.inf
     outside = high < low
     low, high = sorted((low, high))

@@ -26,9 +26,9 @@ from pinmobile.compiled import is_constant
 from pinmobile.controllers import check_controller, check_memory
 from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.integrators import Integrator, check_integrator, constant_acceleration
-from pinmobile.loop._loop import Loop, displaced, named_forces
-from pinmobile.loop._python import error_of_sizes
-from pinmobile.parts import Carried, Following, OnCoordinates, Pushable, Stepping, able, required
+from pinmobile.loop._loop import Loop, displace, named_forces
+from pinmobile.loop._python import size_error
+from pinmobile.parts import Carried, Following, OnCoordinates, Pushable, Stepping, able, require
 from pinmobile.plant import (
     Context,
     Plant,
@@ -40,18 +40,18 @@ from pinmobile.plant import (
 )
 from pinmobile.trajectories import Reference, Trajectory, check_limits
 
-_Ask: TypeAlias = Callable[[Array, Array], object]
+_Law: TypeAlias = Callable[[Array, Array], object]
 
-_WHOLE = 1e-9  # relative rounding allowed in duration / dt
+_STEP_ERROR = 1e-9  # relative rounding allowed in duration / dt
 _COORDINATES = 3  # assumed number before the plant is checked
-_MOST = 1e8  # samples
-_SHORTER = "give a larger dt or a shorter duration"
-_MOST_STEPS = 1e11  # steps of the integrator, which take days
-_SAME = 1e-9  # tolerance of two results for the same arguments
-_RECORDED = 16  # numbers per coordinate of a sample in the loop, the reference and the rollout
+_MAX_SAMPLES = 1e8  # samples
+_ADVICE = "give a larger dt or a shorter duration"
+_MAX_STEPS = 1e11  # steps of the integrator, which take days
+_RTOL = 1e-9  # tolerance of two results for the same arguments
+_RECORD_SIZE = 16  # numbers per coordinate of a sample in the loop, the reference and the rollout
 
 
-def checked_run(
+def check_run(
     plant: Any,
     controller: Any,
     trajectory: Any,
@@ -69,18 +69,18 @@ def checked_run(
     InvalidArgument
         If an argument is invalid.
     """
-    integrator = chosen_integrator(plant, integrator)
+    integrator = select_integrator(plant, integrator)
     check_controller(controller)
     refuse_path("trajectory", trajectory)
-    required("trajectory", trajectory, Following)
+    require("trajectory", trajectory, Following)
     check_plant(plant)
     if integrator is not None:
         check_integrator(integrator)
-    t, kept = sample_times(dt, duration, trajectory.duration), checked_forces(forces, plant)
-    return Loop(plant, controller, trajectory, kept, integrator, checked_substeps(substeps, len(t))), t
+    t, all_forces = sample_times(dt, duration, trajectory.duration), check_forces(forces, plant)
+    return Loop(plant, controller, trajectory, all_forces, integrator, check_substeps(substeps, len(t))), t
 
 
-def chosen_integrator(plant: Plant, integrator: Integrator | None) -> Integrator | None:
+def select_integrator(plant: Plant, integrator: Integrator | None) -> Integrator | None:
     """Return the given integrator or the plant's own choice; None for a plant with its own step method.
 
     Raises
@@ -88,17 +88,17 @@ def chosen_integrator(plant: Plant, integrator: Integrator | None) -> Integrator
     InvalidArgument
         If an integrator is given for a plant with its own step method.
     """
-    own = None if isinstance(plant, type) else able(plant, Stepping)
-    if own is None:
-        chosen = stated(plant, "integrator") if integrator is None else integrator
-        return constant_acceleration if chosen is None else chosen
+    stepper = None if isinstance(plant, type) else able(plant, Stepping)
+    if stepper is None:
+        default = stated(plant, "integrator") if integrator is None else integrator
+        return constant_acceleration if default is None else default
     if integrator is not None:
-        whose = f"but the plant, a {type(plant).__name__}, has its own step"
-        raise InvalidArgument(f"integrator is {format_value(integrator)}, {whose}: leave integrator out")
+        reason = f"but the plant, a {type(plant).__name__}, has its own step"
+        raise InvalidArgument(f"integrator is {format_value(integrator)}, {reason}: leave integrator out")
     return None
 
 
-def checked_substeps(substeps: int, samples: int) -> int:
+def check_substeps(substeps: int, samples: int) -> int:
     """Return the number of integrator steps per sample.
 
     Raises
@@ -106,7 +106,7 @@ def checked_substeps(substeps: int, samples: int) -> int:
     InvalidArgument
         If the number is not a whole number >= 1, or the run would take days.
     """
-    return check_integer("substeps", substeps, most=int(_MOST_STEPS / samples))
+    return check_integer("substeps", substeps, most=int(_MAX_STEPS / samples))
 
 
 def sample_times(dt: float, duration: float | None, longest: float) -> Array:
@@ -129,27 +129,27 @@ def sample_times(dt: float, duration: float | None, longest: float) -> Array:
     """
     longest = positive("trajectory.duration", longest, "s")
     total = longest if duration is None else positive("duration", duration, "s")
-    if total > longest * (1 + _WHOLE):
+    if total > longest * (1 + _STEP_ERROR):
         raise InvalidArgument(f"duration is {total} s, expected at most the trajectory's {longest} s")
-    if not total / _MOST <= dt <= total * (1 + _WHOLE):
-        least = f"at least {total / _MOST:g} s: {_MOST:g} samples"
-        raise InvalidArgument(f"dt is {dt} s, expected at most the duration, {total} s, and {least}")
+    if not total / _MAX_SAMPLES <= dt <= total * (1 + _STEP_ERROR):
+        minimum = f"at least {total / _MAX_SAMPLES:g} s: {_MAX_SAMPLES:g} samples"
+        raise InvalidArgument(f"dt is {dt} s, expected at most the duration, {total} s, and {minimum}")
     steps = round(total / dt)
-    affordable(f"the records of {steps + 1:,} samples", _RECORDED * _COORDINATES * (steps + 1), _SHORTER)
-    if abs(steps * dt - total) > _WHOLE * total:
-        below = int(total / dt)
+    affordable(f"the records of {steps + 1:,} samples", _RECORD_SIZE * _COORDINATES * (steps + 1), _ADVICE)
+    if abs(steps * dt - total) > _STEP_ERROR * total:
+        steps_below = int(total / dt)
         if duration is None:
-            why = f"the trajectory's {total:.12g} s are not a whole number of steps dt = {dt:g} s"
-            warn(f"the last sample is at t = {below * dt:.12g} s: {why}", stacklevel=4)
-            return np.asarray(np.arange(below + 1) * dt)
-        expected = f"a whole number of steps dt = {dt} s, such as {below * dt:.12g} s"
+            reason = f"the trajectory's {total:.12g} s are not a whole number of steps dt = {dt:g} s"
+            warn(f"the last sample is at t = {steps_below * dt:.12g} s: {reason}", stacklevel=4)
+            return np.asarray(np.arange(steps_below + 1) * dt)
+        expected = f"a whole number of steps dt = {dt} s, such as {steps_below * dt:.12g} s"
         raise InvalidArgument(f"duration is {total} s, expected {expected}")
     t = np.arange(steps + 1) * dt
     t[-1] = total
     return np.asarray(np.minimum(t, longest))
 
 
-def sampled(trajectory: Trajectory, t: Array, plant: Plant) -> Reference:
+def sample_reference(trajectory: Trajectory, t: Array, plant: Plant) -> Reference:
     """Return the reference at the times `t`, shape (N + 1,) [s].
 
     Parameters
@@ -166,12 +166,12 @@ def sampled(trajectory: Trajectory, t: Array, plant: Plant) -> Reference:
     InvalidArgument
         If the reference does not fit the plant, or violates joint limits of the plant.
     """
-    what = f"the records of {len(t):,} samples of {plant.nv} coordinates"
-    affordable(what, _RECORDED * len(t) * plant.nv, _SHORTER)
-    asked = id(plant), t.tobytes()
-    before: tuple[Reference, Callable[[], Plant | None]] | None = _sampled.get(trajectory, asked)
-    if before is not None and before[1]() is plant:  # and no other with its id
-        return before[0]
+    message = f"the records of {len(t):,} samples of {plant.nv} coordinates"
+    affordable(message, _RECORD_SIZE * len(t) * plant.nv, _ADVICE)
+    key = id(plant), t.tobytes()
+    entry: tuple[Reference, Callable[[], Plant | None]] | None = _references.get(trajectory, key)
+    if entry is not None and entry[1]() is plant:  # and no other with its id
+        return entry[0]
     try:
         reference = trajectory(t)
     except InvalidArgument:
@@ -185,22 +185,22 @@ def sampled(trajectory: Trajectory, t: Array, plant: Plant) -> Reference:
     for name, size in sizes.items():
         value = np.asarray(stated(reference, name))
         if value.shape != (len(t), size):
-            shorter = [k for k in reference_sizes if k != n]
-            how = f", or the first of its coordinates: {', '.join(map(str, shorter))}" if shorter else ""
-            what = f"trajectory gives {name} of shape {value.shape} for {len(t)} times"
-            raise InvalidArgument(f"{what}, expected ({len(t)}, {size}){how}")
-    checked = Reference(*(vector(f"trajectory's {x}", getattr(reference, x), k) for x, k in sizes.items()))
+            smaller = [k for k in reference_sizes if k != n]
+            advice = f", or the first of its coordinates: {', '.join(map(str, smaller))}" if smaller else ""
+            message = f"trajectory gives {name} of shape {value.shape} for {len(t)} times"
+            raise InvalidArgument(f"{message}, expected ({len(t)}, {size}){advice}")
+    samples = Reference(*(vector(f"trajectory's {x}", getattr(reference, x), k) for x, k in sizes.items()))
     if stated(plant, "velocity_limit") is not None:
-        check_limits(plant, checked.q, checked.v, t)
-    if len(t) * n > _KEPT or not is_constant(trajectory):
-        return checked
-    checked = Reference(*map(frozen, checked))
+        check_limits(plant, samples.q, samples.v, t)
+    if len(t) * n > _CACHED_SIZE or not is_constant(trajectory):
+        return samples
+    samples = Reference(*map(frozen, samples))
     with contextlib.suppress(TypeError):  # a plant without weak references
-        _sampled.keep(trajectory, asked, (checked, weakref.ref(plant)))
-    return checked
+        _references.keep(trajectory, key, (samples, weakref.ref(plant)))
+    return samples
 
 
-def checked_forces(forces: Any, plant: Plant) -> Any:
+def check_forces(forces: Any, plant: Plant) -> Any:
     """Return the forces, which the plant must accept.
 
     Raises
@@ -208,39 +208,39 @@ def checked_forces(forces: Any, plant: Plant) -> Any:
     InvalidArgument
         If a force is not a function, or the plant lacks a capability that the forces need.
     """
-    is_named, kept = isinstance(forces, Mapping), forces
-    kept = dict(kept) if is_named else sequence("forces", kept, "a sequence of forces, such as [force]")
-    listed, wrenches = named_forces(kept), False
-    for name, force in listed.items():
+    is_named, result = isinstance(forces, Mapping), forces
+    result = dict(result) if is_named else sequence("forces", result, "a sequence of forces, such as [force]")
+    by_name, has_wrench = named_forces(result), False
+    for name, force in by_name.items():
         if able(force, OnCoordinates):
             callable_as(f"{name}.on_coordinates(t, q, v)", force.on_coordinates)
         else:
             callable_as(f"{name}(t, q, v)", force)
-            wrenches = True
-    if wrenches:
-        required("plant", plant, Pushable, "forces push its body")
-    _check_carried(listed, plant)
-    if listed and not able(plant, Stepping):
+            has_wrench = True
+    if has_wrench:
+        require("plant", plant, Pushable, "forces push its body")
+    _check_inertia(by_name, plant)
+    if by_name and not able(plant, Stepping):
         try:
             callable_as("plant.forward_dynamics(q, v, u, f)", plant.forward_dynamics)
         except InvalidArgument:
-            what = f"plant is a {type(plant).__name__}, whose forward_dynamics takes no external forces f"
-            raise InvalidArgument(f"{what}, expected forward_dynamics(q, v, u, f)") from None
-    return kept
+            message = f"plant is a {type(plant).__name__}, whose forward_dynamics takes no external forces f"
+            raise InvalidArgument(f"{message}, expected forward_dynamics(q, v, u, f)") from None
+    return result
 
 
-def _check_carried(forces: Mapping[str, Any], plant: Plant) -> None:
+def _check_inertia(forces: Mapping[str, Any], plant: Plant) -> None:
     """Reject forces that add inertia if the plant does not provide the acceleration of its body."""
     name = next((name for name, force in forces.items() if able(force, Carried)), None)
     if name is None:
         return
-    first = tuple(one.name for one in coordinates_of(plant)[:3])
-    if able(plant, Stepping) or first != ("x", "y", "psi"):
-        why = "has its own step" if able(plant, Stepping) else f"begins with the coordinates {first}"
+    names = tuple(one.name for one in coordinates_of(plant)[:3])
+    if able(plant, Stepping) or names != ("x", "y", "psi"):
+        reason = "has its own step" if able(plant, Stepping) else f"begins with the coordinates {names}"
         force, kind = format_value(forces[name]), type(plant).__name__
-        what = f"{name} is {force}, which adds inertia to the plant, a {kind}"
+        message = f"{name} is {force}, which adds inertia to the plant, a {kind}"
         expected = "a plant with an integrator and the first coordinates x, y and psi"
-        raise InvalidArgument(f"{what}, which {why}; expected {expected}")
+        raise InvalidArgument(f"{message}, which {reason}; expected {expected}")
 
 
 def check_answers(loop: Loop, context: Context, q: Array, v: Array) -> None:
@@ -263,20 +263,20 @@ def check_answers(loop: Loop, context: Context, q: Array, v: Array) -> None:
     InvalidArgument
         If a size differs, or a result is not repeated.
     """
-    plant, asked = loop.plant, (loop.integrator, context.dt / loop.substeps)
+    plant, key = loop.plant, (loop.integrator, context.dt / loop.substeps)
     constant = not loop.all_forces and is_constant(loop.integrator or plant)
-    if not (constant and _answered.get(plant, asked)):
+    if not (constant and _repeatable.get(plant, key)):
         with np.errstate(all="ignore"):
-            _check_parts(loop, q, v, asked[1])
+            _check_parts(loop, q, v, key[1])
         if constant:
-            _answered.keep(plant, asked, True)
+            _repeatable.keep(plant, key, True)
     sizes = q.shape, v.shape, *map(np.shape, context.reference)
-    if not _answered.get(loop.controller, sizes):
+    if not _repeatable.get(loop.controller, sizes):
         try:
             check_memory(loop.controller, context, q, v)
         except InvalidArgument as error:
-            raise error_of_sizes(context, error) from error.__cause__
-        _answered.keep(loop.controller, sizes, True)
+            raise size_error(context, error) from error.__cause__
+        _repeatable.keep(loop.controller, sizes, True)
 
 
 def _check_parts(loop: Loop, q: Array, v: Array, h: float) -> None:
@@ -286,45 +286,45 @@ def _check_parts(loop: Loop, q: Array, v: Array, h: float) -> None:
     states = [(x.copy(), w.copy()) for x, w in ((q, v), (plant.integrate(q, 0.01 + 0 * v), v + 0.01))]
     pose, rate = stated(plant, "pose"), stated(plant, "pose_rate")
     for name, force in loop.named_forces.items():
-        ask: _Ask
+        law: _Law
         if able(force, OnCoordinates):
-            ask, size = partial(force.on_coordinates, 0.0), plant.nv
+            law, size = partial(force.on_coordinates, 0.0), plant.nv
         elif callable(pose) and callable(rate):
-            ask, size = (lambda x, w: force(0.0, pose(x), rate(x, w))), 3  # noqa: B023
+            law, size = (lambda x, w: force(0.0, pose(x), rate(x, w))), 3  # noqa: B023
         else:
             continue
-        _check_repeated(name, force, ask, states, f"an array of shape ({size},) of real numbers")
+        _check_repeats(name, force, law, states, f"an array of shape ({size},) of real numbers")
     if integrator is not None:
-        _check_repeated("plant", plant, lambda x, w: plant.forward_dynamics(x, w, u.copy()), states)
+        _check_repeats("plant", plant, lambda x, w: plant.forward_dynamics(x, w, u.copy()), states)
 
-        def moved(x: Array, w: Array) -> object:
-            return displaced(integrator, lambda t, x, w: -x - w, -w, 0.0, w, h)
+        def step(x: Array, w: Array) -> object:
+            return displace(integrator, lambda t, x, w: -x - w, -w, 0.0, w, h)
 
-        _check_repeated("integrator", integrator, moved, [(np.zeros(plant.nv), w) for _, w in states])
+        _check_repeats("integrator", integrator, step, [(np.zeros(plant.nv), w) for _, w in states])
 
 
-class Last:
+class ResultCache:
     """Last result of each immutable part, with its arguments."""
 
     def __init__(self) -> None:
-        self._known: weakref.WeakKeyDictionary[Any, tuple[Any, Any]] = weakref.WeakKeyDictionary()
+        self._entries: weakref.WeakKeyDictionary[Any, tuple[Any, Any]] = weakref.WeakKeyDictionary()
 
-    def get(self, part: Any, asked: tuple[Any, ...]) -> Any:
+    def get(self, part: Any, arguments: tuple[Any, ...]) -> Any:
         """Return the last result of a part; None if the arguments differ or the part may change."""
-        known = self._known.get(part) if is_constant(part) else None
-        return known[1] if known is not None and known[0] == asked else None
+        entry = self._entries.get(part) if is_constant(part) else None
+        return entry[1] if entry is not None and entry[0] == arguments else None
 
-    def keep(self, part: Any, asked: Any, found: Any) -> None:
+    def keep(self, part: Any, arguments: Any, result: Any) -> None:
         """Keep the result of an immutable part."""
         if is_constant(part):
-            self._known[part] = asked, found
+            self._entries[part] = arguments, result
 
 
-_KEPT = 1e5  # largest size of a reference that is kept for the next run
-_sampled = Last()
+_CACHED_SIZE = 1e5  # largest size of a reference that is kept for the next run
+_references = ResultCache()
 """References of trajectories, by plant and times."""
 
-_answered = Last()
+_repeatable = ResultCache()
 """Whether results are repeated: for plants by integrator and step, for controllers by shapes."""
 
 
@@ -334,7 +334,7 @@ def _check_sizes(plant: Plant, q: Array, v: Array) -> None:
     for name, value, size in (("q", q, nq), ("v", v, nv)):
         if (shape := np.shape(value)) != (size,):
             raise InvalidArgument(f"{sizes}, which starts with {name} of shape {shape}, expected ({size},)")
-    asked: dict[str, tuple[str, int, tuple[Array, ...]]] = {
+    methods: dict[str, tuple[str, int, tuple[Array, ...]]] = {
         "integrate": ("q, dq", nq, (q, np.zeros(nv))),
         "difference": ("q0, q1", nv, (q, q)),
         "project": ("q, v", nv, (q, v)),
@@ -343,31 +343,31 @@ def _check_sizes(plant: Plant, q: Array, v: Array) -> None:
         "generalized_force": ("q, wrench", nv, (q, wrench)),
     }
     if not able(plant, Stepping):
-        asked["forward_dynamics"] = ("q, v, u", nv, (q, v, u))
-    for name, (arguments, size, values) in asked.items():
+        methods["forward_dynamics"] = ("q, v, u", nv, (q, v, u))
+    for name, (arguments, size, values) in methods.items():
         method = stated(plant, name)
         if not callable(method):
             continue
-        answer, whose = method(*(value.copy() for value in values)), f"{sizes}, whose {name}({arguments})"
+        answer, label = method(*(value.copy() for value in values)), f"{sizes}, whose {name}({arguments})"
         if answer is None:
             continue
         if np.shape(answer) != (size,):
             raise InvalidArgument(
-                f"{whose} returned {format_value(answer)}, expected an array of shape ({size},)"
+                f"{label} returned {format_value(answer)}, expected an array of shape ({size},)"
             )
-        check_returned_array(whose, answer)
+        check_returned_array(label, answer)
 
 
-def _check_repeated(
-    path: str, part: object, ask: _Ask, states: Sequence[tuple[Array, Array]], expected: str = "real numbers"
+def _check_repeats(
+    path: str, part: object, law: _Law, states: Sequence[tuple[Array, Array]], expected: str = "real numbers"
 ) -> None:
     """Check that a part returns the same result again after a call with other arguments."""
-    first, _, again = (ask(x.copy(), w.copy()) for x, w in (*states, states[0]))
-    one, other = (check_returned_array(path, answer, expected) for answer in (first, again))
-    same = np.shape(one) == np.shape(other)
-    if not (same and np.allclose(one, other, rtol=_SAME, atol=_SAME, equal_nan=True)):
+    first, _, last = (law(x.copy(), w.copy()) for x, w in (*states, states[0]))
+    value, repeat = (check_returned_array(path, answer, expected) for answer in (first, last))
+    is_same = np.shape(value) == np.shape(repeat)
+    if not (is_same and np.allclose(value, repeat, rtol=_RTOL, atol=_RTOL, equal_nan=True)):
         raise InvalidArgument(
             f"{path} is {format_value(part)}, which returns {format_value(first)} and, asked again for the "
-            f"same arguments, {format_value(again)}, expected the same: only controllers have memory, in "
+            f"same arguments, {format_value(last)}, expected the same: only controllers have memory, in "
             "their state, and random numbers come from their context.noise(name, n), or from a NoiseForce"
         )

@@ -18,17 +18,17 @@ from pinmobile.arrays import Array
 from pinmobile.compiled import Contents
 from pinmobile.errors import text_of
 from pinmobile.loop._loop import named_forces
-from pinmobile.loop._scenario import Recorded, Scenario, checked_scenario
+from pinmobile.loop._scenario import RecordGrid, Scenario, check_scenario
 from pinmobile.loop._spread import SameAs, Source
-from pinmobile.metrics import Metric, in_words
+from pinmobile.metrics import Metric, format_si
 from pinmobile.parts import is_part, parts_of, walk
 from pinmobile.plant import Coordinate, Input, Parameter
 from pinmobile.trajectories import Reference
 
-_NARROWEST = 28  # smallest width of a row's name
+_MIN_WIDTH = 28  # smallest width of a row's name
 
 
-def judgement(n: int, duration: float, within: tuple[float, float], diverged: int, after: float) -> str:
+def format_result(n: int, duration: float, errors: tuple[float, float], diverged: int, after: float) -> str:
     """Return the result of n robots in one line.
 
     Parameters
@@ -37,7 +37,7 @@ def judgement(n: int, duration: float, within: tuple[float, float], diverged: in
         Number of robots.
     duration : float
         Duration of each run [s].
-    within : tuple of 2 floats
+    errors : tuple of 2 floats
         Distance [m] and heading error [rad] that 99 % of the robots do not exceed; infinite if too many
         diverge.
     diverged : int
@@ -45,18 +45,18 @@ def judgement(n: int, duration: float, within: tuple[float, float], diverged: in
     after : float
         Time from which errors count [s].
     """
-    sizes = f"within {in_words(within[0])} m and {in_words(within[1])} rad"
-    since = f"from {after:g} s on " if after else ""
+    sizes = f"within {format_si(errors[0])} m and {format_si(errors[1])} rad"
+    prefix = f"from {after:g} s on " if after else ""
     if n == 1:
-        return f"1 robot over {duration:g} s: {'diverged' if diverged else f'{since}stays {sizes}'}"
+        return f"1 robot over {duration:g} s: {'diverged' if diverged else f'{prefix}stays {sizes}'}"
     start = f"{n:,} robots over {duration:g} s: "
-    if np.isinf(within[0]):
-        return f"{start}{diverged:,} diverged, {percent(diverged, n).removesuffix(' of')}"
-    sizes = f"{since}99 % stay {sizes}"
+    if np.isinf(errors[0]):
+        return f"{start}{diverged:,} diverged, {format_percent(diverged, n).removesuffix(' of')}"
+    sizes = f"{prefix}99 % stay {sizes}"
     return f"{start}{sizes}, {f'{diverged:,} diverged' if diverged else 'none diverged'}"
 
 
-def percent(part: int, n: int) -> str:
+def format_percent(part: int, n: int) -> str:
     """Return a part of n as text: ``"96 % of"`` or ``"all"``; only all of n are 100 %."""
     if part == n:
         return "all"
@@ -64,7 +64,7 @@ def percent(part: int, n: int) -> str:
     return f"{share:.2g} % of" if share < 99 else "more than 99 % of"
 
 
-def ranges(
+def format_ranges(
     max_distance: Array,
     max_error: Array,
     max_input: Array,
@@ -89,37 +89,37 @@ def ranges(
         Names and units of the metrics.
     """
     columns = {"largest distance [m]": max_distance}
-    errors = zip([_titled(f"error of {one.name}", one.unit) for one in coordinates], max_error.T, strict=True)
-    sizes = zip([_titled(one.name, one.unit) for one in inputs], max_input.T, strict=True)
+    errors = zip([_title(f"error of {one.name}", one.unit) for one in coordinates], max_error.T, strict=True)
+    sizes = zip([_title(one.name, one.unit) for one in inputs], max_input.T, strict=True)
     for pair in zip_longest(errors, sizes):
         columns |= dict(filter(None, pair))
-    each = zip(metrics, worst_metric.T, strict=True)
-    columns |= {f"{one.worst} {one.title}": column for one, column in each if one.worst != "ever"}
-    rows, width = [], max(_NARROWEST, *map(len, columns))
+    pairs = zip(metrics, worst_metric.T, strict=True)
+    columns |= {f"{one.worst} {one.title}": column for one, column in pairs if one.worst != "ever"}
+    rows, width = [], max(_MIN_WIDTH, *map(len, columns))
     for name, values in columns.items():
-        good = values[~np.isnan(values)]
-        if len(good):
-            low, middle, high = map(in_words, (good.min(), np.median(good), good.max()))
+        finite = values[~np.isnan(values)]
+        if len(finite):
+            low, middle, high = map(format_si, (finite.min(), np.median(finite), finite.max()))
             rows.append(f"{name:<{width}} least {low}, median {middle}, largest {high}")
     return rows
 
 
-def _titled(name: str, unit: str) -> str:
+def _title(name: str, unit: str) -> str:
     return f"largest {name} [{unit}]" if unit else f"largest {name}"
 
 
 _PARTS = ("robot", "controller", "trajectory", "integrator")
 _NUMBERS = ("n", "seed", "dt", "substeps", "limit", "after", "every")
-_PRINTED: dict[str, Any] = {  # arrays with all digits, independent of the user's options
+_PRINT_OPTIONS: dict[str, Any] = {  # arrays with all digits, independent of the user's options
     **{"precision": 17, "threshold": 1000, "edgeitems": 3, "suppress": False, "floatmode": "maxprec"},
     **{"sign": "-", "formatter": None, "nanstr": "nan", "infstr": "inf", "legacy": False},
 }
-_CLOSE = 1e-9  # largest relative difference between machines or releases
+_RTOL = 1e-9  # largest relative difference between machines or releases
 
 
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Outline(Recorded):
+class Outline(RecordGrid):
     """Description of a scenario with its parts as text, for an ensemble that was loaded from a file.
 
     Attributes
@@ -216,18 +216,18 @@ class Outline(Recorded):
         """
         if isinstance(scenario, Outline):
             return scenario
-        given = checked_scenario(scenario)
-        same: Any = {name: getattr(given, name) for name in (*_NUMBERS, "parameters", "t", "reference")}
-        parts: Any = {name: _words(getattr(given, name)) for name in _PARTS}
+        typed = check_scenario(scenario)
+        numbers: Any = {name: getattr(typed, name) for name in (*_NUMBERS, "parameters", "t", "reference")}
+        parts: Any = {name: _format_part(getattr(typed, name)) for name in _PARTS}
         return cls(
-            **(same | {"every": given.stride}),
+            **(numbers | {"every": typed.stride}),
             **parts,
-            forces=tuple(map(_words, named_forces(given.forces).values())),
-            spread={name: _source(source) for name, source in given.spread.items()},
-            coordinates=tuple(Coordinate(*one[:2]) for one in given.coordinates),
-            inputs=tuple(Input(*one[:4]) for one in given.inputs),
-            recorded_metrics=tuple(one._replace(function=None) for one in given.recorded_metrics),
-            code=_digests(given),
+            forces=tuple(map(_format_part, named_forces(typed.forces).values())),
+            spread={name: _format_source(source) for name, source in typed.spread.items()},
+            coordinates=tuple(Coordinate(*one[:2]) for one in typed.coordinates),
+            inputs=tuple(Input(*one[:4]) for one in typed.inputs),
+            recorded_metrics=tuple(one._replace(function=None) for one in typed.recorded_metrics),
+            code=_digests(typed),
             versions=versions(),
         )
 
@@ -244,53 +244,53 @@ class Outline(Recorded):
         str
             Name and both values of the first difference.
         """
-        there, here = self._told(), other._told()
-        for name in {**there, **here}:
-            if there.get(name) != here.get(name):
-                return f"{name} is {there.get(name, 'absent')} there and {here.get(name, 'absent')} here"
+        texts, others = self._collect_texts(), other._collect_texts()
+        for name in {**texts, **others}:
+            if texts.get(name) != others.get(name):
+                return f"{name} is {texts.get(name, 'absent')} there and {others.get(name, 'absent')} here"
         names = ("t", *(f"reference.{name}" for name in Reference._fields))
         rows = zip(names, (self.t, *self.reference), (other.t, *other.reference), strict=True)
-        found = [f"{name} differs" for name, one, two in rows if not alike(one, two)]
-        known = [name for name, mine in self.code.items() if mine and other.code.get(name)]
-        found += [
-            f"numbers or code of {name} differ" for name in known if self.code[name] != other.code[name]
+        lines = [f"{name} differs" for name, one, two in rows if not are_close(one, two)]
+        shared = [name for name, digest in self.code.items() if digest and other.code.get(name)]
+        lines += [
+            f"numbers or code of {name} differ" for name in shared if self.code[name] != other.code[name]
         ]
-        return found[0] if found else ""
+        return lines[0] if lines else ""
 
     @property
     def spread_in_words(self) -> str:
         """Names of the spread with distributions and units, "" if nothing is spread."""
-        given = (self._source_in_words(source) for source in self.spread.values())
+        sources = (self._source_text(source) for source in self.spread.values())
         units = (one.unit for one in self.parameters.values())
-        told = zip(self.spread, given, units, strict=True)
-        rows = ((name, x, "" if x.startswith("Relative(") else unit) for name, x, unit in told)
+        triples = zip(self.spread, sources, units, strict=True)
+        rows = ((name, x, "" if x.startswith("Relative(") else unit) for name, x, unit in triples)
         return ", ".join(f"{name} {words} {unit}".rstrip() for name, words, unit in rows)
 
     @staticmethod
-    def _source_in_words(source: str | SameAs) -> str:
+    def _source_text(source: str | SameAs) -> str:
         return f"{source.name} times {source.factor}" if isinstance(source, SameAs) else source
 
     def __str__(self) -> str:
-        told = self._told()
-        numbers = ", ".join(f"{name} {told.pop(name)}" for name in _NUMBERS)
-        made = ", ".join(f"{name} {version}" for name, version in self.versions.items())
-        return "\n".join([*(f"{name}: {words}" for name, words in told.items()), numbers, made])
+        texts = self._collect_texts()
+        numbers = ", ".join(f"{name} {texts.pop(name)}" for name in _NUMBERS)
+        releases = ", ".join(f"{name} {version}" for name, version in self.versions.items())
+        return "\n".join([*(f"{name}: {words}" for name, words in texts.items()), numbers, releases])
 
-    def _told(self) -> dict[str, str]:
+    def _collect_texts(self) -> dict[str, str]:
         """Return everything except times and reference as text, by name."""
-        found = {name: getattr(self, name) for name in _PARTS}
-        found |= {f"forces[{k}]": force for k, force in enumerate(self.forces)}
+        texts = {name: getattr(self, name) for name in _PARTS}
+        texts |= {f"forces[{k}]": force for k, force in enumerate(self.forces)}
         for name, source in self.spread.items():
-            found[f"spread[{name!r}]"] = self._source_in_words(source)
+            texts[f"spread[{name!r}]"] = self._source_text(source)
         if self.recorded_metrics:
-            found["metrics"] = ", ".join(one.name for one in self.recorded_metrics)
-        return found | {name: f"{getattr(self, name)!r}" for name in _NUMBERS}
+            texts["metrics"] = ", ".join(one.name for one in self.recorded_metrics)
+        return texts | {name: f"{getattr(self, name)!r}" for name in _NUMBERS}
 
 
 def versions() -> dict[str, str]:
     """Return the versions of Python and of the packages on which numbers depend."""
-    found = {"python": get_python_version(), "pinmobile": pinmobile.__version__}
-    return found | {name: installed(name) for name in ("numpy", "scipy", "pin", "llvmlite")}
+    releases = {"python": get_python_version(), "pinmobile": pinmobile.__version__}
+    return releases | {name: installed(name) for name in ("numpy", "scipy", "pin", "llvmlite")}
 
 
 def contents(scenario: Scenario) -> Iterator[tuple[str, Any]]:
@@ -311,41 +311,41 @@ def _digests(scenario: Scenario) -> dict[str, str]:
     texts: dict[str, list[str]] = {}
     for path, value in contents(scenario):
         name = path.partition(".")[0]
-        if name != "spread":  # the draws tell of it
+        if name != "spread":  # the draws contain it
             text, unknown = Contents.of_value(value)
             texts.setdefault(name, []).append("" if unknown else f"{path} {text}")
     return {
-        name: sha256("\n".join(each).encode("utf-8", "surrogatepass")).hexdigest() if all(each) else ""
-        for name, each in texts.items()
+        name: sha256("\n".join(lines).encode("utf-8", "surrogatepass")).hexdigest() if all(lines) else ""
+        for name, lines in texts.items()
     }
 
 
-def alike(one: Array, other: Array) -> bool:
+def are_close(one: Array, other: Array) -> bool:
     """Return whether arrays are equal up to differences between machines or releases."""
     size = np.abs(one).max(initial=0.0)
-    return one.shape == other.shape and np.allclose(one, other, rtol=_CLOSE, atol=_CLOSE * size)
+    return one.shape == other.shape and np.allclose(one, other, rtol=_RTOL, atol=_RTOL * size)
 
 
-def _source(source: Source) -> str | SameAs:
+def _format_source(source: Source) -> str | SameAs:
     """Return the source of a number of the spread as text."""
     if isinstance(source, SameAs):
-        return SameAs(source.name, _drawn_from(source.factor))
-    return _drawn_from(source)
+        return SameAs(source.name, _format_law(source.factor))
+    return _format_law(source)
 
 
-def _drawn_from(source: Any) -> str:
+def _format_law(source: Any) -> str:
     if isinstance(source, np.ndarray):
         return f"{source.size} numbers" if source.ndim else repr(float(source))
     law = None if hasattr(source, "sample") else getattr(source, "dist", None)
     if law is None:
-        return _words(source)
+        return _format_part(source)
     # The repr of a frozen distribution of scipy.stats contains no parameters.
-    given = [*map(repr, source.args), *(f"{name}={value!r}" for name, value in source.kwds.items())]
-    return f"{law.name}({', '.join(given)})"
+    arguments = [*map(repr, source.args), *(f"{name}={value!r}" for name, value in source.kwds.items())]
+    return f"{law.name}({', '.join(arguments)})"
 
 
-def _words(value: object) -> str:
+def _format_part(value: object) -> str:
     """Return the ``repr`` of a part on one line, without its address in memory."""
-    with np.printoptions(**_PRINTED):
+    with np.printoptions(**_PRINT_OPTIONS):
         line = " ".join(re.sub(r" at 0x[0-9a-fA-F]+", "", text_of(value)).split())
     return "".join(letter if letter.isprintable() else "?" for letter in line)

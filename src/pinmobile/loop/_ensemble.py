@@ -14,37 +14,37 @@ from pinmobile.arrays import Array, ArrayLike, check_integer, location, one_of
 from pinmobile.errors import Diverged, InvalidArgument
 from pinmobile.files import read_archive, write_archive, write_table
 from pinmobile.loop._causes import causes, worst_share
-from pinmobile.loop._description import Outline, alike, judgement, ranges
+from pinmobile.loop._description import Outline, are_close, format_ranges, format_result
 from pinmobile.loop._rollout import Rollout
 from pinmobile.loop._scenario import Scenario
 from pinmobile.loop._simulate import simulate
 from pinmobile.loop._variables import (
-    PER_ROBOT,
+    ROBOT_ARRAYS,
     Arguments,
     Part,
     arguments_of,
-    checked_levels,
-    checked_share,
+    check_levels,
+    check_share,
     columns_of,
     content_of,
     dataset_of,
     quantiles_of,
-    share_within,
+    share_quantile,
 )
 from pinmobile.metrics import Metric
 from pinmobile.signals import Signal
 
 _FORMAT = "pinmobile ensemble 5"
-_WORST, _FEW, _CAUSES = 0.05, 40, 3  # share of the worst, robots that it needs, and numbers in one line
+_SHARE, _MIN_ROBOTS, _MAX_CAUSES = 0.05, 40, 3  # share of the worst, robots that it needs, numbers in a line
 _V = TypeVar("_V")
 
 
-class _ByChannel(Generic[_V]):
+class _Channels(Generic[_V]):
     """Values of each of `Scenario.channels`, by name."""
 
     def __getitem__(self, name: str) -> _V:
-        named: Mapping[str, _V] = next(x for x in vars(self).values() if isinstance(x, Mapping))
-        return named[one_of("channel", name, named)]
+        values: Mapping[str, _V] = next(x for x in vars(self).values() if isinstance(x, Mapping))
+        return values[one_of("channel", name, values)]
 
     @property
     def distance(self) -> _V:
@@ -58,7 +58,7 @@ class _ByChannel(Generic[_V]):
 
 
 @dataclass(frozen=True, eq=False)
-class Bands(_ByChannel[Array]):
+class Bands(_Channels[Array]):
     """Quantiles over the robots as functions of time; `Ensemble.bands` returns them.
 
     ``bands["end effector"]``, shape (L, G), contains the quantiles of one of `Scenario.channels`. At each
@@ -95,7 +95,7 @@ class Bands(_ByChannel[Array]):
 
 
 @dataclass(frozen=True)
-class ErrorQuantile(_ByChannel[float]):
+class ErrorQuantile(_Channels[float]):
     """Quantile of the largest errors of the robots; `Ensemble.error_quantile` returns it.
 
     ``quantile["tip-over margin"]`` is the value of one of `Scenario.channels`: the share of the robots has at
@@ -200,7 +200,7 @@ class Ensemble:
     def __post_init__(self) -> None:
         for signal in self.kept.values():
             signal.values.setflags(write=False)
-        for array in (*self.draws.values(), *(getattr(self, name) for name in (*PER_ROBOT, "counts"))):
+        for array in (*self.draws.values(), *(getattr(self, name) for name in (*ROBOT_ARRAYS, "counts"))):
             array.setflags(write=False)
 
     @classmethod
@@ -233,16 +233,16 @@ class Ensemble:
         Ensemble
             Results of the robots.
         """
-        own = part._asdict()
-        lived = own.pop("lived")
+        arrays = part._asdict()
+        lived = arrays.pop("lived")
         for name in ("max_error", "max_distance", "rms_error", "worst_metric", "rms_metric"):
-            own[name][lived <= scenario.begin] = np.nan
-        own["max_input"][lived == 0] = np.nan
-        own["diverged_at"] = np.append(scenario.t, np.nan)[np.minimum(lived, len(scenario.t))]
-        own |= {"traces": {}, "engine": engine, "fallback_reason": fallback_reason}
-        made = cls(scenario=scenario, draws=dict(draws), **own)
-        object.__setattr__(made, "traces", {i: made.member(i) for i in traces})
-        return made
+            arrays[name][lived <= scenario.begin] = np.nan
+        arrays["max_input"][lived == 0] = np.nan
+        arrays["diverged_at"] = np.append(scenario.t, np.nan)[np.minimum(lived, len(scenario.t))]
+        arrays |= {"traces": {}, "engine": engine, "fallback_reason": fallback_reason}
+        ensemble = cls(scenario=scenario, draws=dict(draws), **arrays)
+        object.__setattr__(ensemble, "traces", {i: ensemble.member(i) for i in traces})
+        return ensemble
 
     def __len__(self) -> int:
         return int(self.scenario.n)
@@ -258,19 +258,19 @@ class Ensemble:
 
         They count robots with an event or a negative margin among the metrics, and inputs at their limits.
         """
-        return tuple(words for _, words in self.told())
+        return tuple(words for _, words in self.format_events())
 
-    def told(self) -> list[tuple[bool, str]]:
+    def format_events(self) -> list[tuple[bool, str]]:
         """Return the sentences of `events`, each with whether a metric with the rule "ever" states it."""
         lines = []
-        for each in self.scenario.recorded_metrics:
-            words = f"have a negative {each.name}" if each.is_margin else each.name
-            lines.append((each.worst == "ever", f"{words}: {each.meaning}", self._fails(each)))
-        for one, most in zip(self.scenario.inputs, self.max_input.T, strict=True):
-            words = f"have input {one.name} at its limit of {one.upper:.4g} {one.unit}".rstrip()
-            lines.append((False, words, most >= max(abs(one.lower), abs(one.upper))))
+        for metric in self.scenario.recorded_metrics:
+            words = f"have a negative {metric.name}" if metric.is_margin else metric.name
+            lines.append((metric.worst == "ever", f"{words}: {metric.meaning}", self._fails(metric)))
+        for entry, largest in zip(self.scenario.inputs, self.max_input.T, strict=True):
+            words = f"have input {entry.name} at its limit of {entry.upper:.4g} {entry.unit}".rstrip()
+            lines.append((False, words, largest >= max(abs(entry.lower), abs(entry.upper))))
         count = f"of {len(self):,} robots"
-        return [(ever, f"{fails.sum():,} {count} {words}") for ever, words, fails in lines if fails.any()]
+        return [(event, f"{fails.sum():,} {count} {words}") for event, words, fails in lines if fails.any()]
 
     def _fails(self, metric: Metric) -> NDArray[np.bool_]:
         """Return the robots with an event, or with a negative margin, shape (n,)."""
@@ -280,10 +280,10 @@ class Ensemble:
     @property
     def faults(self) -> dict[str, NDArray[np.bool_]]:
         """Robots that diverged, that have an event, or a negative margin, masks of shape (n,) by reason."""
-        found = {"diverged": self.diverged}
-        for one in self.scenario.recorded_metrics:
-            found[f"{one.name} below 0" if one.is_margin else one.name] = self._fails(one)
-        return {reason: robots for reason, robots in found.items() if robots.any()}
+        masks = {"diverged": self.diverged}
+        for metric in self.scenario.recorded_metrics:
+            masks[f"{metric.name} below 0" if metric.is_margin else metric.name] = self._fails(metric)
+        return {reason: robots for reason, robots in masks.items() if robots.any()}
 
     def error_quantile(self, share: float = 0.99) -> ErrorQuantile:
         """Return the errors that a share of the robots does not exceed after `Scenario.after`.
@@ -305,11 +305,11 @@ class Ensemble:
         InvalidArgument
             If `share` is not between 0 and 1.
         """
-        level, found = checked_share(share), {}
-        for one in self.scenario.channels:
-            size = float(share_within(self._badness(one.name), level))
-            found[one.name] = -size if one.is_margin else size
-        return ErrorQuantile(found)
+        level, sizes = check_share(share), {}
+        for channel in self.scenario.channels:
+            size = float(share_quantile(self._badness(channel.name), level))
+            sizes[channel.name] = -size if channel.is_margin else size
+        return ErrorQuantile(sizes)
 
     def _badness(self, by: str) -> Array:
         """Return a number that is larger for a worse robot, shape (n,); infinity for a diverged robot."""
@@ -335,9 +335,9 @@ class Ensemble:
         InvalidArgument
             If a level is not between 0 and 1.
         """
-        wanted = checked_levels(levels)
-        found = quantiles_of(self.counts, wanted, self.scenario.channels)
-        return Bands(self.scenario.grid, wanted, found)
+        checked = check_levels(levels)
+        quantiles = quantiles_of(self.counts, checked, self.scenario.channels)
+        return Bands(self.scenario.grid, checked, quantiles)
 
     def worst(self, count: int = 5, by: str = "distance") -> NDArray[np.intp]:
         """Return the indices of the worst robots, the worst first, shape (count,) or (n,) if n is smaller.
@@ -385,8 +385,8 @@ class Ensemble:
         UnknownName
             If there is no such error.
         """
-        found = {"distance": self.max_distance, **self._by_name(self.max_error, self.worst_metric)}
-        return found[one_of("error", by, found)]
+        by_name = {"distance": self.max_distance, **self._by_name(self.max_error, self.worst_metric)}
+        return by_name[one_of("error", by, by_name)]
 
     def rms(self, by: str = "heading") -> Array:
         """Return each robot's root mean square of an error or metric, shape (n,).
@@ -406,8 +406,8 @@ class Ensemble:
         UnknownName
             If there is no such error.
         """
-        found = self._by_name(self.rms_error, self.rms_metric)
-        return found[one_of("error", by, found)]
+        by_name = self._by_name(self.rms_error, self.rms_metric)
+        return by_name[one_of("error", by, by_name)]
 
     def _by_name(self, errors: Array, metrics: Array) -> dict[str, Array]:
         names = [one.name for one in (*self.scenario.coordinates, *self.scenario.recorded_metrics)]
@@ -522,21 +522,21 @@ class Ensemble:
             If the system fails.
         """
         file = location("path", path)
-        made = read_archive(file, _FORMAT, cls._of_content)
+        ensemble = read_archive(file, _FORMAT, cls._from_content)
         if scenario is None:
-            return made
-        found = made.scenario.difference(Outline.of(scenario))
-        for name, values in ({} if found else scenario.draws()).items():
-            if not alike(made.draws[name], values):
-                found = f"its draws of {name} differ"
-        if found:
-            raise InvalidArgument(f"scenario does not match {str(file)!r}: {found}")
-        return replace(made, scenario=scenario)
+            return ensemble
+        difference = ensemble.scenario.difference(Outline.of(scenario))
+        for name, values in ({} if difference else scenario.draws()).items():
+            if not are_close(ensemble.draws[name], values):
+                difference = f"its draws of {name} differ"
+        if difference:
+            raise InvalidArgument(f"scenario does not match {str(file)!r}: {difference}")
+        return replace(ensemble, scenario=scenario)
 
     @classmethod
-    def _of_content(cls, content: dict[str, Any]) -> Ensemble:
+    def _from_content(cls, content: dict[str, Any]) -> Ensemble:
         del content["variables"]
-        traces = {i: Rollout.of(each) for i, each in content.pop("traces").items()}
+        traces = {i: Rollout.of(trace) for i, trace in content.pop("traces").items()}
         return cls(**content, traces=traces)
 
     def to_xarray(self) -> Any:
@@ -579,34 +579,34 @@ class Ensemble:
         write_table(path, *columns_of(self))
 
     def __repr__(self) -> str:
-        return f"<Ensemble: {'; '.join([self._judgement(), *self._failures()])}>"
+        return f"<Ensemble: {'; '.join([self._format_result(), *self._failures()])}>"
 
     def __str__(self) -> str:
         samples = f"seed {self.scenario.seed}, {len(self.scenario.t)} samples each"
-        named = self.scenario.coordinates, self.scenario.inputs
-        judged = self.worst_metric, self.scenario.recorded_metrics
-        rows = ranges(self.max_distance, self.max_error, self.max_input, *named, *judged)
+        axes = self.scenario.coordinates, self.scenario.inputs
+        metrics = self.worst_metric, self.scenario.recorded_metrics
+        rows = format_ranges(self.max_distance, self.max_error, self.max_input, *axes, *metrics)
         words = [str(self.scenario)] if isinstance(self.scenario, Outline) else []
-        drawn = Outline.of(self.scenario).spread_in_words
-        told = [*([f"spread: {drawn}"] if drawn else []), *self._failures(), *self.events, *self._drivers()]
-        return "\n".join([self._judgement(), samples, *told, *rows, *words])
+        spread = Outline.of(self.scenario).spread_in_words
+        lines = [*([f"spread: {spread}"] if spread else []), *self._failures(), *self.events, *self._causes()]
+        return "\n".join([self._format_result(), samples, *lines, *rows, *words])
 
     def _failures(self) -> list[str]:
         """Return a line with the number of robots that failed and the reasons; no line if none did."""
         if not (faults := self.faults):
             return []
-        failed = int(np.any(list(faults.values()), axis=0).sum())
+        count = int(np.any(list(faults.values()), axis=0).sum())
         reasons = ", ".join(f"{robots.sum():,} {reason}" for reason, robots in faults.items())
-        return [f"failed: {failed:,} of {len(self):,} robots ({reasons})"]
+        return [f"failed: {count:,} of {len(self):,} robots ({reasons})"]
 
-    def _drivers(self) -> list[str]:
+    def _causes(self) -> list[str]:
         """Return a line with the numbers of the spread that the worst robots share."""
-        if len(self) < _FEW or not any(np.ptp(values) > 0 for values in self.draws.values()):
+        if len(self) < _MIN_ROBOTS or not any(np.ptp(values) > 0 for values in self.draws.values()):
             return []
-        found = [one for one in causes(self, worst_share(self, _WORST)) if one.visible]
-        words = ", ".join(f"{one.name} {one.place}" for one in found[:_CAUSES])
-        return [f"the worst {_WORST * 100:g} % by distance have {words or 'nothing of the spread in common'}"]
+        visible = [one for one in causes(self, worst_share(self, _SHARE)) if one.visible]
+        words = ", ".join(f"{one.name} {one.place}" for one in visible[:_MAX_CAUSES])
+        return [f"the worst {_SHARE * 100:g} % by distance have {words or 'nothing of the spread in common'}"]
 
-    def _judgement(self) -> str:
-        within, counted = self.error_quantile(0.99), (int(self.diverged.sum()), self.scenario.after)
-        return judgement(len(self), self.scenario.t[-1], (within.distance, within.heading), *counted)
+    def _format_result(self) -> str:
+        errors, counts = self.error_quantile(0.99), (int(self.diverged.sum()), self.scenario.after)
+        return format_result(len(self), self.scenario.t[-1], (errors.distance, errors.heading), *counts)

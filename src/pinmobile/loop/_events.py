@@ -9,7 +9,7 @@ import numpy as np
 
 from pinmobile.arrays import Array
 from pinmobile.metrics import Metric, metrics_of
-from pinmobile.plant import Event, limits_exceeded, robot_at, stated
+from pinmobile.plant import Event, limit_events, robot_at, stated
 
 _SINCE = "(from t = {t} s, {count})"
 _GROUND = {
@@ -19,7 +19,7 @@ _GROUND = {
     "compare with half the time step",
 }
 _SLIDES = f"sliding: {{name}}, at up to {{value}} m/s at t = {{at}} s {_SINCE}"
-_FASTER = (
+_OVERSPEED = (
     "motor of {name} turns at {value} rad/s at t = {at} s, faster than {limit} rad/s, its speed without "
     "load, since t = {t} s"
 )
@@ -31,19 +31,19 @@ KINDS = (
     *("tip over", "slip", "ground"),
 )
 """Kinds of events of every plant; margins and events among the metrics of a plant are further kinds."""
-_EXPECTED = {"saturation", "current limit", "slip"}
+_SIMULATED_KINDS = {"saturation", "current limit", "slip"}
 """Kinds of events that a run simulates."""
 
 
 def is_fault(event: Event) -> bool:
     """Return whether a run does not simulate what happens in an event."""
-    return event.kind not in _EXPECTED
+    return event.kind not in _SIMULATED_KINDS
 
 
 def kinds_of(plant: object) -> tuple[str, ...]:
     """Return the kinds of events that a run of a plant may have."""
-    own = (_KINDS.get(one.name, one.name) for one in metrics_of(plant) if one.worst != "largest")
-    return tuple(dict.fromkeys((*KINDS, *own)))
+    metric_kinds = (_KINDS.get(one.name, one.name) for one in metrics_of(plant) if one.worst != "largest")
+    return tuple(dict.fromkeys((*KINDS, *metric_kinds)))
 
 
 def events_of(run: Any, *, with_metrics: bool = True) -> tuple[Event, ...]:
@@ -57,18 +57,18 @@ def events_of(run: Any, *, with_metrics: bool = True) -> tuple[Event, ...]:
         Whether events of the plant's metrics are included, which take longer.
     """
     plant = robot_at(run.plant, run.t)
-    limits = limits_exceeded(plant, run.t, run.q, run.v, run.u)
-    found = [one for one in (*limits, *_of_motors(run, plant), *_of_ground(run, plant)) if one is not None]
-    metrics = [one for one in metrics_of(plant) if one.worst != "largest"] if with_metrics else []
+    limits = limit_events(plant, run.t, run.q, run.v, run.u)
+    events = [x for x in (*limits, *_motor_events(run, plant), *_ground_events(run, plant)) if x is not None]
+    metrics = [x for x in metrics_of(plant) if x.worst != "largest"] if with_metrics else []
     values = run.metrics() if metrics else {}
-    for one in metrics:
-        event = _of_metric(one, run.t, values[one.name].values)
-        if event is not None and all(event.kind != each.kind for each in found):
-            found.append(event)
-    return tuple(found)
+    for x in metrics:
+        event = _metric_event(x, run.t, values[x.name].values)
+        if event is not None and all(event.kind != each.kind for each in events):
+            events.append(event)
+    return tuple(events)
 
 
-def _of_motors(run: Any, plant: Any) -> Iterator[Event | None]:
+def _motor_events(run: Any, plant: Any) -> Iterator[Event | None]:
     """Yield the events of motors: currents at their limits, speeds above those without load."""
     table, t = stated(plant, "table"), run.t
     motors = table.actuators if table is not None else ()
@@ -76,16 +76,16 @@ def _of_motors(run: Any, plant: Any) -> Iterator[Event | None]:
         electric = [one for one in motors if one.motor.is_electric]
         for one, current in zip(electric, np.abs(run.signals["currents"].values).T, strict=True):
             limit = float(one.motor.current)
-            size: Any = {"words": _CURRENT, "limit": limit, "unit": "A", "slack": -1e-6 * limit}
-            yield Event.of("current limit", one.name, t, current, current - limit, **size)
+            options: Any = {"words": _CURRENT, "limit": limit, "unit": "A", "slack": -1e-6 * limit}
+            yield Event.of("current limit", one.name, t, current, current - limit, **options)
     for one in motors:
         rate = np.abs(run.v[:, run.v.shape[1] - len(one.column) :] @ np.array(one.column))
         limit = one.motor.no_load_rate() if one.motor.is_electric else np.inf
-        size = {"words": _FASTER, "limit": limit, "unit": "rad/s", "slack": 1e-6 * limit}
-        yield Event.of("speed limit", one.name, t, rate, rate - limit, **size)
+        options = {"words": _OVERSPEED, "limit": limit, "unit": "rad/s", "slack": 1e-6 * limit}
+        yield Event.of("speed limit", one.name, t, rate, rate - limit, **options)
 
 
-def _of_ground(run: Any, plant: Any) -> Iterator[Event | None]:
+def _ground_events(run: Any, plant: Any) -> Iterator[Event | None]:
     """Yield the events of a robot on the ground: it tips over, its loads do not converge, wheels slide."""
     table, t, signals = stated(plant, "table"), run.t, run.signals
     states = {name: signals[name].values for name in ("tips", "missed") if name in signals}
@@ -103,9 +103,9 @@ def _of_ground(run: Any, plant: Any) -> Iterator[Event | None]:
         yield Event.of("slip", name, t, fastest, fastest, words=_SLIDES, unit="m/s")
 
 
-def _of_metric(one: Metric, t: Array, values: Array) -> Event | None:
+def _metric_event(m: Metric, t: Array, values: Array) -> Event | None:
     """Return the event of a metric: a margin below 0, or what happens."""
-    words = f"{_MARGIN}: {one.meaning}" if one.is_margin else f"{one.name} {_SINCE}: {one.meaning}"
-    beyond = -values if one.is_margin else values
-    kind = _KINDS.get(one.name, one.name)
-    return Event.of(kind, one.name, t, values, beyond, words=words, unit=one.unit)
+    words = f"{_MARGIN}: {m.meaning}" if m.is_margin else f"{m.name} {_SINCE}: {m.meaning}"
+    excess = -values if m.is_margin else values
+    kind = _KINDS.get(m.name, m.name)
+    return Event.of(kind, m.name, t, values, excess, words=words, unit=m.unit)

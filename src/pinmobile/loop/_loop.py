@@ -59,7 +59,7 @@ def _rate_units(loop: Any) -> str:
     return ", ".join(f"{one.unit or '1'}/s" for one in coordinates_of(loop.plant))
 
 
-_OF_START = attrs.Factory(_zeros, takes_self=True)
+_ZERO_START = attrs.Factory(_zeros, takes_self=True)
 
 
 @final
@@ -122,22 +122,22 @@ class Loop:
     )
     substeps: int = integer(default=1, least=1, doc="integrator steps per sample")
     recorder: Any = child(object, default=None, optional=True, doc="part that records samples")
-    start: Any = array(default=_OF_START, labels=_coordinates, unit=_units, doc="displacement of the start")
+    start: Any = array(default=_ZERO_START, labels=_coordinates, unit=_units, doc="displacement of the start")
     start_rate: Any = array(
-        default=_OF_START, labels=_rates, unit=_rate_units, doc="velocity added to the initial velocity"
+        default=_ZERO_START, labels=_rates, unit=_rate_units, doc="velocity added to the initial velocity"
     )
 
     @cached_property
     def law(self) -> Any:
         """Plant as the loop calls it: its unchecked dynamics if the plant offers them."""
-        own = stated(self.plant, "law")
-        return self.plant if own is None else own
+        law = stated(self.plant, "law")
+        return self.plant if law is None else law
 
     @cached_property
     def integrate(self) -> Callable[[Any, Any], Any]:
         """Function that adds a displacement to a configuration."""
-        own = stated(self.law, "integrate")
-        return np.add if own is None else own
+        function = stated(self.law, "integrate")
+        return np.add if function is None else function
 
     @cached_property
     def steps(self) -> bool:
@@ -156,8 +156,8 @@ class Loop:
     @cached_property
     def displaced(self) -> Callable[..., tuple[Any, Any]]:
         """Integrator as a function of displacements, which receives the acceleration at the start."""
-        own = stated(self.integrator, "displaced")
-        return partial(displaced, self.integrator) if own is None else own
+        method = stated(self.integrator, "displaced")
+        return partial(displace, self.integrator) if method is None else method
 
     @cached_property
     def limits(self) -> tuple[Array, Array] | None:
@@ -207,15 +207,15 @@ class Loop:
     @cached_property
     def is_measured(self) -> bool:
         """Whether the recorder reads the plant's metrics."""
-        asked = getattr(self.recorder, "metrics", ())
-        return any(isinstance(one, int) for one, _ in asked) and able(self.plant, Measuring) is not None
+        metrics = getattr(self.recorder, "metrics", ())
+        return any(isinstance(one, int) for one, _ in metrics) and able(self.plant, Measuring) is not None
 
     @cached_property
     def signals(self) -> bool:
         """Whether the recorder keeps signals and a part has some."""
         parts = self.law, self.controller, *self.all_forces
-        wanted = stated(self.recorder, "signals")
-        return wanted and any(able(each, Signalling) for each in parts)
+        is_kept = stated(self.recorder, "signals")
+        return is_kept and any(able(each, Signalling) for each in parts)
 
 
 def named_forces(forces: Any) -> dict[str, Any]:
@@ -296,7 +296,7 @@ class Sample(NamedTuple):
     reference: Any = None
 
 
-class Moved(NamedTuple):
+class RecordedStep(NamedTuple):
     """`Step` of a plant with the acceleration at its start, which the run records."""
 
     q: Any
@@ -395,33 +395,33 @@ def step(
     0.2
     """
     plant = loop.law
-    q, v, memory, kept, record_state = state
+    q, v, memory, law_memory, record_state = state
     if loop.is_constrained:
         # Here, not after the step: this sample's dynamics need the same mass matrix, which a tape has once.
         v = np.where(k == 0.0, v, plant.project(q, v))  # the initial velocity stays as given
     error, error_rate = tracking_errors(plant, q, v, reference) if loop.records_errors else (None, None)
-    u, kept = control(loop, t, q, v, reference, kept)
-    a, q1, v1, after = advance(loop, t, h, q, v, u, memory)
+    u, law_memory = control(loop, t, q, v, reference, law_memory)
+    a, q1, v1, next_memory = advance(loop, t, h, q, v, u, memory)
     signals: Mapping[str, SignalSample] = {}
     if loop.signals:
-        own = signals_of(loop.controller, kept)
-        signals = collect_signals(collected_signals(loop, t, q, v, u, memory, own), _signal)
+        law_signals = signals_of(loop.controller, law_memory)
+        signals = collect_signals(part_signals(loop, t, q, v, u, memory, law_signals), _signal)
     measured: Any = ()
     if loop.is_measured:
         measured = evaluate_metrics_of(plant, t, q, v, a, u, reference)
     sample = Sample(k, t, q, v, u, a, error, error_rate, signals, measured, reference)
     record = NOTHING if loop.recorder is None else loop.recorder(sample, record_state)
-    return State(q1, v1, after, kept, record.state), sample, record
+    return State(q1, v1, next_memory, law_memory, record.state), sample, record
 
 
 def control(loop: Loop, t: Any, q: Any, v: Any, reference: Reference, memory: Any) -> tuple[Any, Any]:
     """Return the applied input of a sample and the memory of the controller after it."""
     answer = loop.controller(t, q.copy(), v.copy(), reference, memory)
     if type(answer) is not tuple or len(answer) != 2:
-        raise InvalidArgument(f"controller returned {format_value(answer)}{when(t)}, expected (u, state)")
+        raise InvalidArgument(f"controller returned {format_value(answer)}{stamp(t)}, expected (u, state)")
     u, memory = answer
     if type(u) is not np.ndarray or u.dtype != np.float64 or u.shape != (loop.law.nu,):
-        u = _numbers("controller", u, t, (loop.law.nu,), advice(loop.plant))
+        u = _check_numbers("controller", u, t, (loop.law.nu,), advice(loop.plant))
     if loop.limits is not None:
         u = np.clip(u, *loop.limits)
     if loop.is_informed:
@@ -429,30 +429,30 @@ def control(loop: Loop, t: Any, q: Any, v: Any, reference: Reference, memory: An
     return u, memory
 
 
-def _numbers(name: str, found: Any, t: Any, shape: tuple[int, ...], instead: str = "") -> Any:
+def _check_numbers(name: str, value: Any, t: Any, shape: tuple[int, ...], hint: str = "") -> Any:
     """Return the result of a part as an array of real numbers of this shape."""
-    array = np.asarray(found)
+    array = np.asarray(value)
     if np.shape(array) != shape or not are_real(array):
         expected = f"an array of shape {shape}{'' if are_real(array) else ' of real numbers'}"
-        raise InvalidArgument(f"{name} returned {format_value(found)}{when(t)}, expected {expected}{instead}")
+        raise InvalidArgument(f"{name} returned {format_value(value)}{stamp(t)}, expected {expected}{hint}")
     return array
 
 
-def when(t: Any) -> str:
+def stamp(t: Any) -> str:
     """Return a time as text for messages; "" for a symbol."""
     return f" at t = {t:g} s" if isinstance(t, float) else ""
 
 
-def collected_signals(
-    loop: Loop, t: Any, q: Any, v: Any, u: Any, memory: object, own: Any = None
+def part_signals(
+    loop: Loop, t: Any, q: Any, v: Any, u: Any, memory: object, law_signals: Any = None
 ) -> Iterator[tuple[str, Any]]:
-    """Yield the path and the signals of each part at a sample; `own` contains those of the controller."""
+    """Yield the path and the signals of each part at a sample; `law_signals` are those of the controller."""
     plant = loop.law
     if able(plant, Signalling):
-        f = _external(loop, t, q, v, u) + np.zeros(plant.nv)
+        f = _total_force(loop, t, q, v, u) + np.zeros(plant.nv)
         yield "plant", plant.signals(t, q.copy(), v.copy(), u.copy(), f, memory)
-    if own is not None:
-        yield "controller", own
+    if law_signals is not None:
+        yield "controller", law_signals
     for name, force in loop.named_forces.items():
         if able(force, OnCoordinates):
             yield name, signals_of(force, t, q.copy(), v.copy())
@@ -467,21 +467,21 @@ def _signal(name: str, value: Any) -> Any:
 def tracking_errors(plant: Any, q: Any, v: Any, reference: Reference) -> tuple[Any, Any]:
     """Return the errors of the reference's coordinates and of their rates, shape (n,) each."""
     n, length = reference.v.shape[-1], reference.q.shape[-1]
-    whole = reference.q
+    desired = reference.q
     if length != plant.nq:  # coordinates without a reference have no error
-        ahead = np.shape(q)[:-1]
-        whole = np.concatenate([np.broadcast_to(whole, (*ahead, length)), q[..., length:]], axis=-1)
-    return plant.difference(q, whole)[..., :n], reference.v - v[..., :n]
+        lead = np.shape(q)[:-1]
+        desired = np.concatenate([np.broadcast_to(desired, (*lead, length)), q[..., length:]], axis=-1)
+    return plant.difference(q, desired)[..., :n], reference.v - v[..., :n]
 
 
-def _pushed(loop: Loop, t: Any, q: Any, v: Any) -> Any:
+def _applied_force(loop: Loop, t: Any, q: Any, v: Any) -> Any:
     """Return the external forces on the coordinates, shape (nv,), or 0."""
     plant, total = loop.law, 0.0
     if loop.wrenches:
         pose, rate = plant.pose(q), plant.pose_rate(q, v)
         wrench: Any = 0.0
         for name, force in loop.wrenches:
-            wrench = wrench + _numbers(name, force(t, pose.copy(), rate.copy()), t, np.shape(pose))
+            wrench = wrench + _check_numbers(name, force(t, pose.copy(), rate.copy()), t, np.shape(pose))
         if type(wrench) is np.ndarray and not isfinite(wrench.sum()):
             return np.full(plant.nv, np.nan)  # the run reports NaN, with all samples before
         total = plant.generalized_force(q, wrench)
@@ -489,18 +489,18 @@ def _pushed(loop: Loop, t: Any, q: Any, v: Any) -> Any:
             kind = type(loop.plant).__name__
             raise InvalidArgument(f"plant is a {kind}, whose body accepts no wrench, but forces act on it")
     for name, force in loop.efforts:
-        found = force.on_coordinates(t, q.copy(), v.copy())
-        total = total + _numbers(f"{name}.on_coordinates", found, t, np.shape(v))
+        effort = force.on_coordinates(t, q.copy(), v.copy())
+        total = total + _check_numbers(f"{name}.on_coordinates", effort, t, np.shape(v))
     return total
 
 
-def _external(loop: Loop, t: Any, q: Any, v: Any, u: Any) -> Any:
+def _total_force(loop: Loop, t: Any, q: Any, v: Any, u: Any) -> Any:
     """Return the external forces, with the reaction of carried inertia, shape (nv,), or 0."""
-    plant, pushed = loop.law, _pushed(loop, t, q, v)
+    plant, applied = loop.law, _applied_force(loop, t, q, v)
     if not loop.carries:
-        return pushed
+        return applied
     forces = loop.all_forces
-    return pushed + reaction(plant, forces, t, q, lambda f: plant.forward_dynamics(q, v, u, pushed + f))
+    return applied + reaction(plant, forces, t, q, lambda f: plant.forward_dynamics(q, v, u, applied + f))
 
 
 def reaction(plant: Any, forces: Iterable[Any], t: Any, q: Any, accelerate: Callable[[Any], Any]) -> Any:
@@ -528,10 +528,10 @@ def reaction(plant: Any, forces: Iterable[Any], t: Any, q: Any, accelerate: Call
     ndarray, shape (..., nv), or float
         Reaction; 0.0 if no force adds inertia.
     """
-    carried = [force for force in forces if able(force, Carried)]
-    if not carried:
+    loads = [force for force in forces if able(force, Carried)]
+    if not loads:
         return 0.0
-    M = sum(force.inertia(t, plant.pose(q)) for force in carried)
+    M = sum(force.inertia(t, plant.pose(q)) for force in loads)
     axes = [plant.generalized_force(q, axis + 0.0 * q[..., :3]) for axis in np.eye(3)]
     free = accelerate(0.0)[..., :3]
     W = np.stack([accelerate(axis)[..., :3] - free for axis in axes], axis=-1)
@@ -541,76 +541,76 @@ def reaction(plant: Any, forces: Iterable[Any], t: Any, q: Any, accelerate: Call
 
 def advance(loop: Loop, t: Any, h: Any, q: Any, v: Any, u: Any, memory: object) -> Any:
     """Return the acceleration, the state after the substeps of a sample, and the plant's memory."""
-    return (_own_steps if loop.steps else _integrated)(loop, t, h, q, v, u, memory)
+    return (_plant_steps if loop.steps else _integrator_steps)(loop, t, h, q, v, u, memory)
 
 
-def _integrated(loop: Loop, t: Any, h: Any, q: Any, v: Any, u: Any, memory: object) -> Any:
+def _integrator_steps(loop: Loop, t: Any, h: Any, q: Any, v: Any, u: Any, memory: object) -> Any:
     """Return the acceleration and the state after the substeps, which the integrator computes."""
     plant, integrate, first = loop.law, loop.integrate, None
     for j in range(loop.substeps):
         time = t + j * h if j else t
         if j and loop.is_constrained:
             v = plant.project(q, v)
-        a, begin = _accelerated(loop, time, q, v, u), q
+        a, begin = _acceleration(loop, time, q, v, u), q
         first = a if first is None else first
 
-        def acceleration(time: Any, moved: Any, rate: Any) -> Any:
-            return _accelerated(loop, time, integrate(begin, moved), rate, u)  # noqa: B023
+        def acceleration(time: Any, displacement: Any, rate: Any) -> Any:
+            return _acceleration(loop, time, integrate(begin, displacement), rate, u)  # noqa: B023
 
-        moved, v = loop.displaced(acceleration, a, time, v, h)
-        q = integrate(begin, moved)
+        dq, v = loop.displaced(acceleration, a, time, v, h)
+        q = integrate(begin, dq)
     return first, q, v, memory
 
 
-def _accelerated(loop: Loop, t: Any, q: Any, v: Any, u: Any) -> Any:
+def _acceleration(loop: Loop, t: Any, q: Any, v: Any, u: Any) -> Any:
     """Return the acceleration of the plant, shape (nv,)."""
     plant = loop.law
     if loop.forces:
-        found = plant.forward_dynamics(q, v, u, _external(loop, t, q, v, u))
+        a = plant.forward_dynamics(q, v, u, _total_force(loop, t, q, v, u))
     else:
-        found = plant.forward_dynamics(q, v, u)
-    if type(found) is np.ndarray and found.shape == v.shape and found.dtype == np.float64:
-        return found
-    return _numbers("plant.forward_dynamics", found, t, np.shape(v))
+        a = plant.forward_dynamics(q, v, u)
+    if type(a) is np.ndarray and a.shape == v.shape and a.dtype == np.float64:
+        return a
+    return _check_numbers("plant.forward_dynamics", a, t, np.shape(v))
 
 
-def _own_steps(loop: Loop, t: Any, h: Any, q: Any, v: Any, u: Any, memory: object) -> Any:
+def _plant_steps(loop: Loop, t: Any, h: Any, q: Any, v: Any, u: Any, memory: object) -> Any:
     """Return the mean acceleration of the first substep, and the state after all of the plant's own steps."""
     acceleration = None
     for j in range(loop.substeps):
         time = t + j * h if j else t
-        found = loop.law.step(time, q, v, u, h, partial(_pushed, loop), memory)
-        if not all(hasattr(found, name) for name in ("q", "v", "memory")):
-            what = f"plant.step returned {format_value(found)}{when(t)}"
-            raise InvalidArgument(f"{what}, expected a Step(q, v, memory)")
-        q1 = _numbers("q of plant.step", found.q, t, np.shape(q))
-        v1 = _numbers("v of plant.step", found.v, t, np.shape(v))
+        end = loop.law.step(time, q, v, u, h, partial(_applied_force, loop), memory)
+        if not all(hasattr(end, name) for name in ("q", "v", "memory")):
+            message = f"plant.step returned {format_value(end)}{stamp(t)}"
+            raise InvalidArgument(f"{message}, expected a Step(q, v, memory)")
+        q1 = _check_numbers("q of plant.step", end.q, t, np.shape(q))
+        v1 = _check_numbers("v of plant.step", end.v, t, np.shape(v))
         if acceleration is None:
-            own = stated(found, "a")
-            acceleration = (v1 - v) / h if own is None else own
-        q, v, memory = q1, v1, found.memory
+            a = stated(end, "a")
+            acceleration = (v1 - v) / h if a is None else a
+        q, v, memory = q1, v1, end.memory
     return acceleration, q, v, memory
 
 
-def displaced(integrator: Any, acceleration: Any, first: Any, t: Any, v: Any, h: Any) -> Any:
+def displace(integrator: Any, acceleration: Any, first: Any, t: Any, v: Any, h: Any) -> Any:
     """Return the displacement and the velocity after a step of any integrator, which receives copies."""
-    still, own = np.zeros(np.shape(v)), v.copy()
+    zero, v_copy = np.zeros(np.shape(v)), v.copy()
 
-    def asked(time: Any, moved: Any, rate: Any) -> Any:
-        known = moved is still and rate is own and time is t and type(v) is np.ndarray
-        if known and not still.any() and (own == v).all():  # unless the integrator changed them
+    def call(time: Any, displacement: Any, rate: Any) -> Any:
+        is_start = displacement is zero and rate is v_copy and time is t and type(v) is np.ndarray
+        if is_start and not zero.any() and (v_copy == v).all():  # unless the integrator changed them
             return first
-        return acceleration(time, moved, rate)
+        return acceleration(time, displacement, rate)
 
-    answer = integrator(asked, t, still, own, h)
-    wrong = type(answer) is not tuple or len(answer) != 2
-    if wrong or any(np.shape(x) != np.shape(v) or not are_real(x) for x in answer):
+    answer = integrator(call, t, zero, v_copy, h)
+    is_wrong = type(answer) is not tuple or len(answer) != 2
+    if is_wrong or any(np.shape(x) != np.shape(v) or not are_real(x) for x in answer):
         expected = f"(q, v) of shapes {np.shape(v)} and {np.shape(v)}, of real numbers"
-        raise InvalidArgument(f"integrator returned {format_value(answer)}{when(t)}, expected {expected}")
+        raise InvalidArgument(f"integrator returned {format_value(answer)}{stamp(t)}, expected {expected}")
     return answer
 
 
-def initial(loop: Loop, context: Context, q: Any = None, v: Any = None) -> State:
+def initial_state(loop: Loop, context: Context, q: Any = None, v: Any = None) -> State:
     """Return the state before the first sample, with the memory of the parts."""
     begin, recorder = stated(loop.law, "initial_state"), loop.recorder
     plant = None if begin is None else begin(context)

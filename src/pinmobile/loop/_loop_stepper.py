@@ -12,14 +12,14 @@ from pinmobile.compiled import aligned, robot_keys
 from pinmobile.errors import InvalidArgument, NotTraceable
 from pinmobile.loop._record import Samples
 from pinmobile.loop._rollout import Rollout
-from pinmobile.loop._run import compiled_of
+from pinmobile.loop._run import compile_loop
 from pinmobile.loop._scenario import Scenario
 from pinmobile.loop._simulate import rollout_of
 from pinmobile.loop._trace import scheduled_rows, traced_numbers
 from pinmobile.parts import evolved
 from pinmobile.trajectories import Reference
 
-_MOST, _EACH = 1 << 24, 64  # numbers that are kept, some 130 MB, and the size of three arrays
+_MAX_NUMBERS, _OVERHEAD = 1 << 24, 64  # numbers that are kept, some 130 MB, and the size of three arrays
 
 
 class LoopStepper:
@@ -54,15 +54,15 @@ class LoopStepper:
         try:
             self.follows = True
             try:
-                self._compiled = compiled_of(scenario, loop, hides_reference=True)
+                self._compiled = compile_loop(scenario, loop, hides_reference=True)
             except NotTraceable:
                 if scenario.has_own_references:
                     raise
                 self.follows = False
-                self._compiled = compiled_of(scenario, loop, hides_reference=False)
+                self._compiled = compile_loop(scenario, loop, hides_reference=False)
         except NotTraceable as error:
             raise InvalidArgument(f"this loop cannot run in real time: {error.reason}") from error
-        self._rows = scheduled_rows(loop, scenario.context) if self._compiled.tape.scheduled else []
+        self._rows = scheduled_rows(loop, scenario.context) if self._compiled.tape.schedule_size else []
         self.reset({name: float(drawn[0]) for name, drawn in scenario.draws().items()})
 
     def reset(self, values: Mapping[str, float]) -> None:
@@ -84,19 +84,19 @@ class LoopStepper:
         """
         scenario, compiled = self.scenario, self._compiled
         draws = {name: np.array([value]) for name, value in values.items()}
-        every = scenario.values(draws, 0, 1)
-        own = scenario.references(every, 1)
-        reference = scenario.reference if own is None else Reference(*(x[:, 0] for x in own))
-        varied = {path: x for path, x in every.items() if path in scenario.entries}
-        known, first = {**traced_numbers(compiled.loop), **varied}, compiled.first(varied, 1)
+        all_values = scenario.values(draws, 0, 1)
+        references = scenario.references(all_values, 1)
+        reference = scenario.reference if references is None else Reference(*(x[:, 0] for x in references))
+        rows = {path: x for path, x in all_values.items() if path in scenario.entries}
+        numbers, first = {**traced_numbers(compiled.loop), **rows}, compiled.first(rows, 1)
         keys = {name: robot_keys(scenario.seed, name, range(1)) for name in compiled.tape.keys}
-        start = scenario.starts(every, 1, own)
-        blocks = compiled.program.blocks_of(start, 1, known, first, keys)
+        start = scenario.starts(all_values, 1, references)
+        blocks = compiled.program.blocks_of(start, 1, numbers, first, keys)
         if self.k:
             states = len(compiled.tape.states)
             blocks[:, :states] = self._blocks[:, :states]
         h = scenario.dt / scenario.substeps
-        self._blocks, self._uniforms = blocks, compiled.program.uniforms_of(h, known, first)
+        self._blocks, self._uniforms = blocks, compiled.program.uniforms_of(h, numbers, first)
         self.values, self.reference = dict(values), reference
 
     @property
@@ -127,19 +127,19 @@ class LoopStepper:
             Reference of these samples; default: `ahead`.
         """
         program, t = self._compiled.program, self.times(count)
-        given = Reference(*(np.ascontiguousarray(x, np.float64) for x in reference or self.ahead(count)))
+        desired = Reference(*(np.ascontiguousarray(x, np.float64) for x in reference or self.ahead(count)))
         last = len(self.scenario.t) - 1
-        rows = [each[np.minimum(self.k + np.arange(count), last)] for each in self._rows]
-        samples = program.samples_of(t, given, self._uniforms, rows, self.k)
-        kept = aligned((1, count, self._compiled.tape.outputs_kept, 1))
-        program.call(self._blocks, samples, self._uniforms, self._rings, self._counts, kept, first=self.k)
-        self._parts.append((samples, kept, np.array([*self.values.values()], np.float64)))
-        self._size += samples.size + kept.size + _EACH
-        while self._size > _MOST:
+        rows = [schedule[np.minimum(self.k + np.arange(count), last)] for schedule in self._rows]
+        samples = program.samples_of(t, desired, self._uniforms, rows, self.k)
+        records = aligned((1, count, self._compiled.tape.outputs_kept, 1))
+        program.call(self._blocks, samples, self._uniforms, self._rings, self._counts, records, first=self.k)
+        self._parts.append((samples, records, np.array([*self.values.values()], np.float64)))
+        self._size += samples.size + records.size + _OVERHEAD
+        while self._size > _MAX_NUMBERS:
             first = self._parts.popleft()
-            self._size -= first[0].size + first[1].size + _EACH
+            self._size -= first[0].size + first[1].size + _OVERHEAD
         self.k += count
-        return {name: x[0] for name, x in program.kept_samples(kept, 1).items()}
+        return {name: x[0] for name, x in program.kept_samples(records, 1).items()}
 
     def rollout(self) -> Rollout:
         """Return the samples since the last reset, until a number is not finite.
@@ -154,15 +154,15 @@ class LoopStepper:
         parts, scenario = list(self._parts), self.scenario
         if not parts:
             raise InvalidArgument("the run has no sample yet")
-        given, each, values = zip(*parts, strict=True)
-        samples, program = np.concatenate(given), self._compiled.program
-        kept = {name: x[0] for name, x in program.kept_samples(np.concatenate(each, axis=1), 1).items()}
-        numbers = np.repeat(values, [*map(len, given)], axis=0).T
-        kept |= {f"signal {name}": column for name, column in zip(self.values, numbers, strict=True)}
-        units = {**self.units, **{name: x.unit for name, x in scenario.found.items()}}
+        sample_parts, blocks, values = zip(*parts, strict=True)
+        samples, program = np.concatenate(sample_parts), self._compiled.program
+        records = {name: x[0] for name, x in program.kept_samples(np.concatenate(blocks, axis=1), 1).items()}
+        numbers = np.repeat(values, [*map(len, sample_parts)], axis=0).T
+        records |= {f"signal {name}": column for name, column in zip(self.values, numbers, strict=True)}
+        units = {**self.units, **{name: x.unit for name, x in scenario.numbers.items()}}
         nq, n = self._compiled.tape.sizes[3:]
         t, *reference, _ = np.split(samples, np.cumsum([1, nq, n, n]), axis=1)
-        finite = np.isfinite(np.hstack([kept[name] for name in "qvau"])).all(axis=1)
+        finite = np.isfinite(np.hstack([records[name] for name in "qvau"])).all(axis=1)
         end = len(t) if finite.all() else int(np.argmin(finite))
-        run = scenario.given, t[:, 0], kept, Reference(*reference)
+        run = scenario.given, t[:, 0], records, Reference(*reference)
         return rollout_of(*run, end, units, engine="COMPILED")

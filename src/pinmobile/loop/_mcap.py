@@ -14,8 +14,8 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from pinmobile.arrays import Array, location, scalar
-from pinmobile.errors import FileError, InvalidArgument, format_names, imported
-from pinmobile.files import packed, refusals, unpacked, written
+from pinmobile.errors import FileError, InvalidArgument, format_names, import_extra
+from pinmobile.files import file_errors, pack, unpack, write_file
 from pinmobile.plant import PlantDescription, all_samples, stated
 from pinmobile.signals import Signal
 from pinmobile.trajectories import Reference
@@ -71,8 +71,8 @@ def write_mcap(
     start : float
         Time of t = 0 since 1970 [s].
     """
-    writing = imported("mcap.writer", "bags", "an MCAP file")
-    typesys = imported("rosbags.typesys", "bags", "an MCAP file")
+    mcap = import_extra("mcap.writer", "bags", "an MCAP file")
+    typesys = import_extra("rosbags.typesys", "bags", "an MCAP file")
     stamps = _stamps(rollout.t, start)
 
     def content() -> bytes:
@@ -80,7 +80,7 @@ def write_mcap(
         names = [name for name, _ in columns[1].titles]
         table = np.column_stack([part.values for part in columns]).astype("<f8")
         file = BytesIO()
-        writer = writing.Writer(file)
+        writer = mcap.Writer(file)
         writer.start("ros2", "pinmobile")
         writer.add_metadata(_METADATA, _metadata(rollout, form, columns))
 
@@ -88,13 +88,13 @@ def write_mcap(
 
         def add(topic: str, kind: str, k: int, data: bytes) -> None:
             if topic not in channels:
-                own = topic == _TOPIC
-                text = _definition(columns) if own else store.generate_msgdef(kind, ros_version=2)[0]
+                is_sample = topic == _TOPIC
+                text = _definition(columns) if is_sample else store.generate_msgdef(kind, ros_version=2)[0]
                 schema = writer.register_schema(kind, "ros2msg", text.encode())
                 channels[topic] = writer.register_channel(topic, "cdr", schema)
             writer.add_message(channels[topic], stamps[k], data, stamps[k], sequence=k)
 
-        for k, standard in enumerate(_standard(rollout, names, stamps)):
+        for k, standard in enumerate(_messages(rollout, names, stamps)):
             add(_TOPIC, _SCHEMA, k, _CDR + table[k].tobytes())
             for topic, parts in standard.items():
                 data = store.serialize_cdr(_message(store, _TYPES[topic], parts), _TYPES[topic])
@@ -102,24 +102,24 @@ def write_mcap(
         writer.finish()
         return file.getvalue()
 
-    written(path, ".mcap", content)
+    write_file(path, ".mcap", content)
 
 
 def _stamps(t: Array, start: float) -> list[int]:
     """Return times since 1970, rounded to nanoseconds; fractions are exact, float64 has too few digits."""
     first = Fraction(scalar("start", start))
-    stamps = [round((first + Fraction(at)) * 10**9) for at in t.tolist()]
+    stamps = [round((first + Fraction(x)) * 10**9) for x in t.tolist()]
     if stamps[0] < 0 or stamps[-1] >= _LAST_SECOND * 10**9:
-        given = " to ".join(f"{at / 10**9:.10g}" for at in (stamps[0], stamps[-1]))
-        what = f"start is {start:g}, which gives samples from {given} s since 1970"
-        raise InvalidArgument(f"{what}, expected at least 0 and less than {_LAST_SECOND} s")
+        span = " to ".join(f"{x / 10**9:.10g}" for x in (stamps[0], stamps[-1]))
+        message = f"start is {start:g}, which gives samples from {span} s since 1970"
+        raise InvalidArgument(f"{message}, expected at least 0 and less than {_LAST_SECOND} s")
     return stamps
 
 
 def _metadata(rollout: Any, form: str, columns: Sequence[Columns]) -> dict[str, str]:
     """Return the metadata of a file: texts, and JSON."""
     arrays = {part.key for part in columns} | {"reference", "signals"}
-    described = {name: each for name, each in rollout.content().items() if name not in arrays}
+    outline = {name: field for name, field in rollout.content().items() if name not in arrays}
     t, titles = rollout.t.tolist(), [title for part in columns for title in part.titles]
     texts = {"format": form, "samples": str(len(t)), "dt": repr(t[1] - t[0]) if len(t) > 1 else ""}
     values = {
@@ -130,7 +130,7 @@ def _metadata(rollout: Any, form: str, columns: Sequence[Columns]) -> dict[str, 
         "arrays": [(part.key, len(part.titles) if part.values.ndim == 2 else None) for part in columns],
         "signals": {name: unit for name, (unit, _) in rollout.signals.items()},
     }
-    texts |= {name: json.dumps(value) for name, value in values.items()} | {"description": packed(described)}
+    texts |= {name: json.dumps(value) for name, value in values.items()} | {"description": pack(outline)}
     return texts | {"crc32": _checksum(texts)}  # MCAP has checksums of messages, but not of metadata
 
 
@@ -143,8 +143,8 @@ def _fields(columns: Sequence[Columns]) -> list[str]:
     fields: dict[str, None] = {}
     for part in columns:
         for name, _ in part.titles:
-            whole = f"q_{name}" if part.key == "q" else name
-            field = re.sub(r"[^a-z0-9]+", "_", whole.lower()).strip("_")
+            title = f"q_{name}" if part.key == "q" else name
+            field = re.sub(r"[^a-z0-9]+", "_", title.lower()).strip("_")
             while field in fields:
                 field += f"_{len(fields)}"
             fields[field] = None
@@ -158,22 +158,22 @@ def _definition(columns: Sequence[Columns]) -> str:
     return "".join(f"float64 {field}  # {json.dumps(title)}\n" for field, title in pairs)
 
 
-def _standard(rollout: Any, names: list[str], stamps: Sequence[int]) -> Iterator[dict[str, tuple[Any, ...]]]:
+def _messages(rollout: Any, names: list[str], stamps: Sequence[int]) -> Iterator[dict[str, tuple[Any, ...]]]:
     """Generate the parts of the standard messages of each sample, by topic."""
-    q, u, efforts, moved = rollout.q, rollout.u, _efforts(rollout, names), _motion(rollout)
+    q, u, efforts, motion = rollout.q, rollout.u, _efforts(rollout, names), _motion(rollout)
     rates, unknown = rollout.v if rollout.v.shape == q.shape else rollout.v[:, :0], np.zeros(36)
-    is_pushed = [(one.name, one.unit) for one in rollout.inputs[:3]] == _BODY_WRENCH
-    for k, at in enumerate(stamps):
-        time = divmod(at, 10**9)
+    has_wrench = [(one.name, one.unit) for one in rollout.inputs[:3]] == _BODY_WRENCH
+    for k, stamp in enumerate(stamps):
+        time = divmod(stamp, 10**9)
         odom, base = (time, "odom"), (time, "base_link")
         parts: dict[str, tuple[Any, ...]] = {
             "/joint_states": ((time, ""), names, q[k], rates[k], efforts[k]),
             "/input": (([], 0), u[k]),
         }
-        if is_pushed:
+        if has_wrench:
             parts["/wrench"] = odom, _planar(*u[k, :3])
-        if moved is not None:
-            (x, y, psi), twist = moved[0][k], _planar(*moved[1][k])
+        if motion is not None:
+            (x, y, psi), twist = motion[0][k], _planar(*motion[1][k])
             pose = (x, y, 0.0), (0.0, 0.0, np.sin(psi / 2), np.cos(psi / 2))
             parts["/odom"] = odom, "base_link", (pose, unknown), (twist, unknown)
             parts["/twist"] = base, twist
@@ -188,11 +188,11 @@ def _planar(x: float, y: float, turn: float) -> tuple[Any, ...]:
 def _message(store: Any, kind: str, parts: tuple[Any, ...]) -> Any:
     """Return a message of a type whose parts are values, or tuples for messages."""
     fields = store.fielddefs[kind][1]
-    made = (
-        _message(store, what[1], part) if isinstance(part, tuple) else part
-        for part, (_, what) in zip(parts, fields, strict=True)
+    values = (
+        _message(store, field[1], part) if isinstance(part, tuple) else part
+        for part, (_, field) in zip(parts, fields, strict=True)
     )
-    return store.types[kind](*made)
+    return store.types[kind](*values)
 
 
 def _efforts(rollout: Any, names: list[str]) -> Array:
@@ -202,11 +202,11 @@ def _efforts(rollout: Any, names: list[str]) -> Array:
     coordinate without input has 0. A coordinate whose input is a voltage or a command has NaN.
     """
     efforts, are_known = np.zeros(rollout.q.shape), False
-    for k, one in enumerate(rollout.inputs):
-        at = names.index(one.name) if one.name in names else k if rollout.u.shape == efforts.shape else None
-        if at is not None:
-            is_force = one.unit in ("N", "N m")
-            efforts[:, at], are_known = rollout.u[:, k] if is_force else np.nan, are_known or is_force
+    for k, x in enumerate(rollout.inputs):
+        column = names.index(x.name) if x.name in names else k if rollout.u.shape == efforts.shape else None
+        if column is not None:
+            is_force = x.unit in ("N", "N m")
+            efforts[:, column], are_known = rollout.u[:, k] if is_force else np.nan, are_known or is_force
     return efforts if are_known else efforts[:, :0]
 
 
@@ -217,11 +217,11 @@ def _motion(rollout: Any) -> tuple[Array, Array] | None:
         poses = rollout.poses
     except InvalidArgument:
         return None
-    posed = (0, 1, 2) if plant is None else PlantDescription.of(plant, q).posed
+    columns = (0, 1, 2) if plant is None else PlantDescription.of(plant, q).posed
     if callable(stated(plant, "pose_rate")):
         rates = all_samples(plant, "pose_rate", q, v)
-    elif posed is not None and q.shape == v.shape:
-        rates = v[:, list(posed)]
+    elif columns is not None and q.shape == v.shape:
+        rates = v[:, list(columns)]
     else:
         rates = np.full(poses.shape, np.nan)
     cos, sin, (x, y, turn) = np.cos(poses[:, 2]), np.sin(poses[:, 2]), rates.T
@@ -240,39 +240,39 @@ def read_mcap(path: str | PathLike[str], form: str, make: Callable[[dict[str, An
     make : callable
         Function of the content.
     """
-    reading = imported("mcap.reader", "bags", "an MCAP file")
+    mcap = import_extra("mcap.reader", "bags", "an MCAP file")
     file = location("path", path)
-    with refusals("read", "path", file):
+    with file_errors("read", "path", file):
         data = file.read_bytes()
     try:
-        return make(_content(reading.make_reader(BytesIO(data), validate_crcs=True), form))
+        return make(_content(mcap.make_reader(BytesIO(data), validate_crcs=True), form))
     except Exception as error:  # mcap, struct and the decompressors raise many errors for damaged files
-        why = f"it has no {error}" if isinstance(error, KeyError) else str(error) or type(error).__name__
-        message = f"path is {str(file)!r}, which is not a {form!r} file of Rollout.to_mcap: {why}"
+        reason = f"it has no {error}" if isinstance(error, KeyError) else str(error) or type(error).__name__
+        message = f"path is {str(file)!r}, which is not a {form!r} file of Rollout.to_mcap: {reason}"
         raise FileError(message, errno=None, filename=str(file)) from error
 
 
 def _content(reader: Any, form: str) -> dict[str, Any]:
     """Return the content of a file, see `Rollout.content`."""
     summary = reader.get_summary()
-    topics = [each.topic for each in summary.channels.values()] if summary else []
+    topics = [item.topic for item in summary.channels.values()] if summary else []
     if _TOPIC not in topics:
-        there = f"its topics are {format_names(topics)}" if topics else "it has no topics"
-        raise ValueError(f"{there}, expected {_TOPIC}; Log.from_bag(path, topics) reads other topics")
-    texts = {each.name: each.metadata for each in reader.iter_metadata()}[_METADATA]
+        contents = f"its topics are {format_names(topics)}" if topics else "it has no topics"
+        raise ValueError(f"{contents}, expected {_TOPIC}; Log.from_bag(path, topics) reads other topics")
+    texts = {item.name: item.metadata for item in reader.iter_metadata()}[_METADATA]
     if texts["format"] != form:
         raise ValueError(f"its format is {texts['format']!r}")
     if texts.pop("crc32") != _checksum(texts):
         raise ValueError(f"its metadata {_METADATA!r} are damaged")
-    found = [message for _, _, message in reader.iter_messages(topics=_TOPIC, log_time_order=False)]
-    data = b"".join(each.data[len(_CDR) :] for each in sorted(found, key=lambda each: each.sequence))
+    messages = [message for _, _, message in reader.iter_messages(topics=_TOPIC, log_time_order=False)]
+    data = b"".join(item.data[len(_CDR) :] for item in sorted(messages, key=lambda each: each.sequence))
     table = np.frombuffer(data, "<f8").reshape(int(texts["samples"]), -1)
     arrays, column = {}, 0
     for key, width in json.loads(texts["arrays"]):
         arrays[key] = table[:, column] if width is None else table[:, column : column + width]
         column += 1 if width is None else width
     units = json.loads(texts["signals"])
-    content: dict[str, Any] = unpacked(texts["description"])
+    content: dict[str, Any] = unpack(texts["description"])
     content["reference"] = Reference(*(arrays.pop(f"reference.{name}") for name in Reference._fields))
     content["signals"] = {name: Signal(unit, arrays.pop(f"signals.{name}")) for name, unit in units.items()}
     return content | arrays

@@ -11,26 +11,26 @@ from typing import Any, final
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, finite
-from pinmobile.compiled import has_symbols, leaves, mapped
+from pinmobile.compiled import has_symbols, leaves, map_leaves
 from pinmobile.errors import InvalidArgument
 from pinmobile.forces import since
 from pinmobile.integrators import rk4
-from pinmobile.loop._loop import Moved
+from pinmobile.loop._loop import RecordedStep
 from pinmobile.parts import Loadable, by_value, child, holds_symbols, number, option, part, replace, walk
 from pinmobile.plant import stated
 from pinmobile.robot import PayloadBody
 
-_OF_BOTH = re.compile(  # attributes on which the load has no effect
+_SHARED_NAMES = re.compile(  # attributes on which the load has no effect
     "n[qvu]|coordinates|configuration_names|inputs|reference_sizes|is_vector_space|compiles|broadcasts|rest|"
     "integrate|difference|pose|pose_rate|generalized_force|start|check_start|initial_state|lower|upper|"
     "velocity_limit|effort_limit|size|mounts|footprint|grounded|metrics|frame_names?|frame_pose|end_effector"
 )
-_OF_TIME = re.compile("evaluate_metrics|signals")
-_OF_SAMPLES = re.compile(
+_TIMED_NAMES = re.compile("evaluate_metrics|signals")
+_SAMPLE_NAMES = re.compile(
     "(ground|mount)_wrench|contact_loads|slip_margins|contacts|evaluate_metrics|signals|mass_matrix|gravity|"
     "nonlinear_effects|(inverse|forward)_dynamics|(kinetic|potential)_energy"
 )
-_DRAWN = re.compile("visual_model|model|drawing|frame_placements|top|table|robot|ground")
+_VISUAL_NAMES = re.compile("visual_model|model|drawing|frame_placements|top|table|robot|ground")
 
 
 @final
@@ -111,20 +111,20 @@ class PayloadTransfer:
         """Robot with the payload, as the last of its loads."""
         if "nominal" not in vars(self):
             return self.robot.attach(self.load, self.frame)
-        made = vars(self)["nominal"].loaded
-        own = {leaf.path: leaf.value for leaf in walk(self.robot)}
-        added = [leaf.path for leaf in walk(made) if leaf.path not in own]
-        own |= dict(zip(added, (leaf.value for leaf in walk(self.load)), strict=True))
-        return replace(made, {path: x for path, x in own.items() if holds_symbols(x)}, nominal=True)
+        robot = vars(self)["nominal"].loaded
+        values = {leaf.path: leaf.value for leaf in walk(self.robot)}
+        load_paths = [leaf.path for leaf in walk(robot) if leaf.path not in values]
+        values |= dict(zip(load_paths, (leaf.value for leaf in walk(self.load)), strict=True))
+        return replace(robot, {path: x for path, x in values.items() if holds_symbols(x)}, nominal=True)
 
     def __getattr__(self, name: str) -> Any:
-        is_timed = _OF_TIME.fullmatch(name)
-        if "robot" not in vars(self) or not (is_timed or _OF_BOTH.fullmatch(name)):
+        is_timed = _TIMED_NAMES.fullmatch(name)
+        if "robot" not in vars(self) or not (is_timed or _SHARED_NAMES.fullmatch(name)):
             raise AttributeError(
                 f"a PayloadTransfer has no {name}: use its method robot_at(t), robot or loaded"
             )
-        own = getattr(self.robot, name)
-        return (lambda t, *given: self._chosen(t, methodcaller(name, t, *given))) if is_timed else own
+        x = getattr(self.robot, name)
+        return (lambda t, *given: self._select(t, methodcaller(name, t, *given))) if is_timed else x
 
     def holds(self, t: ArrayLike) -> Any:
         """Return 1 at times at which the robot holds the payload, else 0, shape (...).
@@ -155,9 +155,9 @@ class PayloadTransfer:
         t : array_like, shape (...)
             Times [s].
         """
-        known = {item.name for item in self.robot.visual_model.geometryObjects}
+        robot_names = {item.name for item in self.robot.visual_model.geometryObjects}
         names = (item.name for item in self.loaded.visual_model.geometryObjects)
-        return {name: self.holds(t) for name in names if name not in known}
+        return {name: self.holds(t) for name in names if name not in robot_names}
 
     def step(self, t: Any, q: Any, v: Any, u: Any, h: Any, f: Any, memory: Any) -> Any:
         """Return the state after a step, see `parts.Stepping`.
@@ -176,37 +176,37 @@ class PayloadTransfer:
             Memory from `initial_state` or the step before.
         """
 
-        def moved(robot: Any) -> Any:
+        def step_of(robot: Any) -> Any:
             law = stated(robot, "law") or robot
             if stated(law, "step"):
                 return law.step(t, q, v, u, h, f, memory)
 
-            def acceleration(time: Any, way: Any, rate: Any) -> Any:
-                at = law.integrate(q, way)
-                return law.forward_dynamics(at, rate, u, f(time, at, rate))
+            def acceleration(time: Any, dq: Any, rate: Any) -> Any:
+                position = law.integrate(q, dq)
+                return law.forward_dynamics(position, rate, u, f(time, position, rate))
 
             a = acceleration(t, 0.0 * v, v)
-            way, after = rk4.displaced(acceleration, a, t, v, h)
-            end = law.integrate(q, way)
-            return Moved(end, law.project(end, after) if stated(law, "project") else after, memory, a)
+            shift, v_end = rk4.displaced(acceleration, a, t, v, h)
+            end = law.integrate(q, shift)
+            return RecordedStep(end, law.project(end, v_end) if stated(law, "project") else v_end, memory, a)
 
-        return self._chosen(t, moved)
+        return self._select(t, step_of)
 
-    def _chosen(self, t: Any, of: Callable[[Any], Any]) -> Any:
+    def _select(self, t: Any, evaluate: Callable[[Any], Any]) -> Any:
         """Return a result of the robot with or without the payload, for each time."""
-        held = self.holds(t)
-        if not has_symbols(held) and not np.ndim(held):
-            return of(self.loaded if held else self.robot)
-        others = iter(leaves(of(self.robot)))
+        is_loaded = self.holds(t)
+        if not has_symbols(is_loaded) and not np.ndim(is_loaded):
+            return evaluate(self.loaded if is_loaded else self.robot)
+        unloaded = iter(leaves(evaluate(self.robot)))
 
         def choose(x: Any) -> Any:
-            _, other = next(others)
+            _, other = next(unloaded)
             if not has_symbols([x, other]) and np.array_equal(x, other):
                 return x  # such as the names and sizes that the load does not change
-            shape = np.shape(held) + (1,) * (np.ndim(x) - np.ndim(held))
-            return np.where(np.reshape(held, shape) > 0, x, other)
+            shape = np.shape(is_loaded) + (1,) * (np.ndim(x) - np.ndim(is_loaded))
+            return np.where(np.reshape(is_loaded, shape) > 0, x, other)
 
-        return mapped(of(self.loaded), choose)
+        return map_leaves(evaluate(self.loaded), choose)
 
 
 class _Samples:
@@ -217,8 +217,8 @@ class _Samples:
         self.robot_at, self.shown = plant.robot_at, plant.shown
 
     def __getattr__(self, name: str) -> Any:
-        is_timed = _OF_SAMPLES.fullmatch(name)
-        if not (is_timed or _OF_BOTH.fullmatch(name) or _DRAWN.fullmatch(name)):
+        is_timed = _SAMPLE_NAMES.fullmatch(name)
+        if not (is_timed or _SHARED_NAMES.fullmatch(name) or _VISUAL_NAMES.fullmatch(name)):
             raise AttributeError(f"a PayloadTransfer at several times has no {name}")
-        own = getattr(self._plant.loaded, name)
-        return (lambda *given: self._plant._chosen(self._t, methodcaller(name, *given))) if is_timed else own
+        x = getattr(self._plant.loaded, name)
+        return (lambda *given: self._plant._select(self._t, methodcaller(name, *given))) if is_timed else x

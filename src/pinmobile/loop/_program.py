@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from pinmobile.arrays import Array
-from pinmobile.compiled import LOOP, Cache, Identity, LoopTape, Outcome, Program, Target, uncollected
+from pinmobile.compiled import LOOP, Cache, Identity, LoopTape, Outcome, Program, Target, pause_gc
 from pinmobile.loop._loop import Loop
 from pinmobile.loop._trace import (
     Trace,
@@ -27,7 +27,7 @@ from pinmobile.loop._trace import (
 from pinmobile.plant import Context
 from pinmobile.trajectories import Reference
 
-_MOST = 64  # programs
+_CACHE_SIZE = 64  # programs
 _lock = threading.Lock()
 _programs: OrderedDict[Any, tuple[Program, list[Any]]] = OrderedDict()
 
@@ -70,20 +70,20 @@ class Compiled:
         own_reference: bool = False,
     ) -> None:
         self.loop, self.context, self.spread = loop, context, spread or {}
-        self.begun = begun = initial_memory(loop, context)
-        others = loop.substeps, loop.steps, tuple(map(np.shape, reference)), single, own_reference
-        self.identity = identity = Identity.of(loop, begun[2:], self.spread, others)
+        self.memory = memory = initial_memory(loop, context)
+        options = loop.substeps, loop.steps, tuple(map(np.shape, reference)), single, own_reference
+        self.identity = identity = Identity.of(loop, memory[2:], self.spread, options)
         with _lock:
-            known = _programs.get(identity.key)
-        if known is None:
+            entry = _programs.get(identity.key)
+        if entry is None:
             trace = partial(Trace, loop, context, start, reference, identity, self.spread, own_reference)
-            with uncollected():
-                known = _program_of(identity, trace, single), identity.kept
-        self.program = known[0]
+            with pause_gc():
+                entry = _program_of(identity, trace, single), identity.kept
+        self.program = entry[0]
         with _lock:
-            _programs[identity.key] = known
+            _programs[identity.key] = entry
             _programs.move_to_end(identity.key)
-            while len(_programs) > _MOST:
+            while len(_programs) > _CACHE_SIZE:
                 _programs.popitem(last=False)
 
     @property
@@ -93,19 +93,19 @@ class Compiled:
 
     def first(self, values: Mapping[str, Array], n: int) -> list[Array]:
         """Return the memory before the first sample, arrays of shape (...), or (n, ...) if robots differ."""
-        own = {path: value for path, value in values.items() if self.tape.parameters[path].kind == "row"}
-        owners = {path.partition(".")[0] for path in own}
-        numbers = [np.asarray(x, np.float64) for x in arrays_of(self.begun)]
-        each = numbers
+        rows = {path: value for path, value in values.items() if self.tape.parameters[path].kind == "row"}
+        owners = {path.partition(".")[0] for path in rows}
+        numbers = [np.asarray(x, np.float64) for x in arrays_of(self.memory)]
+        memories = numbers
         if any(leaf.owner in owners for leaf in self.tape.leaves):
-            each = initial_memories(self.loop, self.context, own, n, self.identity)
-        found = []
-        for leaf, value, one in zip(self.tape.leaves, each, numbers, strict=True):
-            ahead = (n,) if value.ndim > one.ndim else ()
-            missing = len(leaf.shape) - one.ndim
-            grown = value.reshape((*ahead, *(1,) * missing, *one.shape))
-            found.append(np.broadcast_to(grown, (*ahead, *leaf.shape)))
-        return found
+            memories = initial_memories(self.loop, self.context, rows, n, self.identity)
+        arrays = []
+        for leaf, value, number in zip(self.tape.leaves, memories, numbers, strict=True):
+            lead = (n,) if value.ndim > number.ndim else ()
+            missing = len(leaf.shape) - number.ndim
+            array = value.reshape((*lead, *(1,) * missing, *number.shape))
+            arrays.append(np.broadcast_to(array, (*lead, *leaf.shape)))
+        return arrays
 
     def run(
         self,
@@ -123,13 +123,13 @@ class Compiled:
         values : mapping of str to ndarray, shape (n, ...)
             Numbers of each robot, by the paths of the spread.
         """
-        options["rows"] = scheduled_rows(self.loop, self.context) if self.tape.scheduled else []
+        options["rows"] = scheduled_rows(self.loop, self.context) if self.tape.schedule_size else []
         options["values"] = {**traced_numbers(self.loop), **values}
         options["first"] = self.first(values, len(start[0]))
         h = self.context.dt / self.loop.substeps
         return self.program.run(start, t, reference, h=h, **options)
 
-    def recorded(self, outcome: Outcome) -> dict[str, Array]:
+    def recorder_memory(self, outcome: Outcome) -> dict[str, Array]:
         """Return the recorder's memory after the last sample, by name, shape (n, ...)."""
         pairs = zip(self.tape.leaves, outcome.memory, strict=True)
         return {leaf.path[7:-2]: value for leaf, value in pairs if leaf.owner == "recorder"}
@@ -137,7 +137,7 @@ class Compiled:
 
 def _program_of(identity: Identity, trace: Callable[[], Trace], single: bool) -> Program:
     """Return the program of a loop, which this or another process traces."""
-    cache, target = Cache(), Target.here()
+    cache, target = Cache(), Target.host()
     name = identity.digest if cache.folder is not None else None
     if name is not None:
         with suppress(Exception):  # the file is missing or damaged

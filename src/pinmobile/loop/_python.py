@@ -9,17 +9,17 @@ from typing import Any
 import numpy as np
 
 from pinmobile.arrays import Array
-from pinmobile.compiled import aligned, leaves, mapped, robot_keys
+from pinmobile.compiled import aligned, leaves, map_leaves, robot_keys
 from pinmobile.errors import InvalidArgument, NotFinite
 from pinmobile.loop._loop import (
     NOTHING,
     Loop,
-    Moved,
     Record,
+    RecordedStep,
     Sample,
     advance,
-    collected_signals,
-    initial,
+    initial_state,
+    part_signals,
     step,
 )
 from pinmobile.loop._program import Compiled
@@ -34,7 +34,7 @@ _U = "controller.u"
 
 
 @part
-class _Held:
+class _FixedInput:
     """Controller whose input is a number of each robot."""
 
     u: Any = array()
@@ -48,7 +48,7 @@ class _Held:
 
 
 @part
-class _Whole:
+class _PlantStep:
     """Plant with its forces as a plant with its own step, which contains all substeps and the projection."""
 
     inner: Any = child(Loop)
@@ -63,16 +63,16 @@ class _Whole:
         begin = stated(self.inner.law, "initial_state")
         return None if begin is None else begin(context)
 
-    def step(self, t: Any, q: Any, v: Any, u: Any, h: Any, f: Any, memory: Any) -> Moved:
+    def step(self, t: Any, q: Any, v: Any, u: Any, h: Any, f: Any, memory: Any) -> RecordedStep:
         """Return the state one sample later."""
         loop = self.inner
         a, q, v, memory = advance(loop, t, h / loop.substeps, q, v, u, memory)
-        return Moved(q, loop.law.project(q, v) if loop.is_constrained else v, memory, a)
+        return RecordedStep(q, loop.law.project(q, v) if loop.is_constrained else v, memory, a)
 
     def signals(self, t: Any, q: Any, v: Any, u: Any, f: Any, memory: Any) -> dict[str, Any]:
         """Return the signals of plant and forces."""
-        found = collected_signals(self.inner, t, q, v, u, memory)
-        return {name: pair for _, own in found for name, pair in own.items()}
+        signals = part_signals(self.inner, t, q, v, u, memory)
+        return {name: pair for _, pairs in signals for name, pair in pairs.items()}
 
 
 class CompiledPlant:
@@ -100,71 +100,71 @@ class CompiledPlant:
         for name in ("inputs", "coordinates", "metrics", "evaluate_metrics"):
             if hasattr(plant, name):
                 setattr(self, name, getattr(plant, name))
-        held = _Held(np.zeros(self.nu))
-        inner = evolved(loop, {"controller": held, "recorder": None, "trajectory": None})
-        whole = Loop(_Whole(inner), held, recorder=Samples())
+        law = _FixedInput(np.zeros(self.nu))
+        inner = evolved(loop, {"controller": law, "recorder": None, "trajectory": None})
+        outer = Loop(_PlantStep(inner), law, recorder=Samples())
         reference = Reference(*context.reference)
         first = Reference(*(part[0] for part in reference))
         spread = {_U: np.ones(self.nu, bool)}
-        compiled = Compiled(whole, context, (q, v), first, spread=spread, single=True)
+        compiled = Compiled(outer, context, (q, v), first, spread=spread, single=True)
         program, self._tape = compiled.program, compiled.tape
-        values, begun = traced_numbers(whole), compiled.begun
-        memory = [np.asarray(value, np.float64) for value in arrays_of(begun)]
-        uniforms = program.uniforms_of(context.dt, values, memory)
-        self._block = program.blocks_of((q[None], v[None]), 1, values, memory, {})
+        values, memory = traced_numbers(outer), compiled.memory
+        arrays = [np.asarray(value, np.float64) for value in arrays_of(memory)]
+        uniforms = program.uniforms_of(context.dt, values, arrays)
+        self._block = program.blocks_of((q[None], v[None]), 1, values, arrays, {})
         self._row = self._block[0, :, 0]
         self._samples = program.samples_of(context.t, reference, uniforms, [])
         self._kept = aligned((1, 1, self._tape.outputs_kept, 1))
-        self._dt, self._begun = context.dt, begun.plant
+        self._dt, self._plant_memory = context.dt, memory.plant
         self._uniforms, self._counts, self._rings = uniforms, np.zeros(1, np.int32), aligned((1, 1))
-        where = (self._samples, uniforms, self._rings, self._counts, self._kept)
-        sample, uniform, rings, counts, kept = (array.ctypes.data for array in where)
+        buffers = (self._samples, uniforms, self._rings, self._counts, self._kept)
+        sample, uniform, rings, counts, kept = (array.ctypes.data for array in buffers)
         self._first, self._stride = sample, self._samples.strides[0]
         self._call = partial(program.function, self._block.ctypes.data, 0, 1)
-        self._behind = uniform, rings, counts, 1, 1, kept, 0
+        self._tail = uniform, rings, counts, 1, 1, kept, 0
         self._u = len(self._tape.states) + self._tape.parameters[_U].first
         self._leaves = [leaf for leaf in self._tape.leaves if leaf.owner == "plant"]
         self._signals: dict[str, Any] = {}
 
     def initial_state(self, context: object) -> Any:
         """Return the memory of the plant before the first sample."""
-        return self._begun
+        return self._plant_memory
 
-    def step(self, t: float, q: Array, v: Array, u: Array, h: float, f: Any, memory: Any) -> Moved:
+    def step(self, t: float, q: Array, v: Array, u: Array, h: float, f: Any, memory: Any) -> RecordedStep:
         """Return the state one sample later; the machine code contains the forces."""
         row, nq, n = self._row, self.nq, self.nq + self.nv
         row[:nq], row[nq:n], row[self._u : self._u + self.nu] = q, v, u
         for leaf, (_, value) in zip(self._leaves, leaves(memory), strict=True):
             if leaf.kind == "state":
                 row[leaf.first : leaf.end] = np.ravel(value)
-        self._call(self._first + round(t / self._dt) * self._stride, 1, *self._behind)
-        kept, first, found = self._kept[0, 0, :, 0], 0, {}
+        self._call(self._first + round(t / self._dt) * self._stride, 1, *self._tail)
+        numbers, first, values = self._kept[0, 0, :, 0], 0, {}
         for name, (shape, nodes) in self._tape.kept.items():
-            found[name] = kept[first : first + len(nodes)].reshape(shape).copy()
+            values[name] = numbers[first : first + len(nodes)].reshape(shape).copy()
             first += len(nodes)
         units = self._tape.units
-        self._signals = {name: (unit, found[f"signal {name}"]) for name, unit in units.items()}
-        places = iter(self._leaves)
+        self._signals = {name: (unit, values[f"signal {name}"]) for name, unit in units.items()}
+        plant_leaves = iter(self._leaves)
 
-        def after(value: Any) -> Any:
-            leaf = next(places)
-            kept = leaf.kind != "state"
-            return value if kept else row[leaf.first : leaf.end].reshape(leaf.shape).copy()
+        def next_value(value: Any) -> Any:
+            leaf = next(plant_leaves)
+            is_fixed = leaf.kind != "state"
+            return value if is_fixed else row[leaf.first : leaf.end].reshape(leaf.shape).copy()
 
-        return Moved(row[:nq].copy(), row[nq:n].copy(), mapped(memory, after), found["a"])
+        return RecordedStep(row[:nq].copy(), row[nq:n].copy(), map_leaves(memory, next_value), values["a"])
 
-    def signals(self, *asked: Any) -> dict[str, Any]:
+    def signals(self, *arguments: Any) -> dict[str, Any]:
         """Return the signals of plant and forces at the last sample."""
         return self._signals
 
 
-def with_compiled_plant(loop: Loop, context: Context, q: Array, v: Array) -> Loop:
+def compile_plant(loop: Loop, context: Context, q: Array, v: Array) -> Loop:
     """Return the loop with compiled plant and forces; raise `NotTraceable` if they cannot be compiled."""
     plant = CompiledPlant(loop, context, q, v)
     return evolved(loop, {"plant": plant, "forces": (), "integrator": None, "substeps": 1})
 
 
-def in_python(loop: Loop, context: Context, q0: Array, v0: Array) -> Iterator[tuple[Sample, Record]]:
+def python_samples(loop: Loop, context: Context, q0: Array, v0: Array) -> Iterator[tuple[Sample, Record]]:
     """Yield the samples of a loop in Python until a number is not finite.
 
     Parameters
@@ -176,23 +176,23 @@ def in_python(loop: Loop, context: Context, q0: Array, v0: Array) -> Iterator[tu
     q0, v0 : ndarray, shape (nq,) and (nv,)
         Initial configuration and velocity.
     """
-    h, state, k = context.dt / loop.substeps, initial(loop, context, q0, v0), 0.0
+    h, state, k = context.dt / loop.substeps, initial_state(loop, context, q0, v0), 0.0
     # Copies of the rows: a controller may write into its arguments.
     rows = zip(*(part.copy() for part in context.reference), strict=True)
     for t, row in zip(context.t.tolist(), rows, strict=True):
         try:
-            after, sample, record = step(loop, k, t, h, state, Reference(*row))
+            next_state, sample, record = step(loop, k, t, h, state, Reference(*row))
         except InvalidArgument as error:
             if not np.isfinite(np.concatenate(state[:2])).all():
                 return  # the part rejects a state that is not finite
             if k:
                 raise
-            raise error_of_sizes(context, error) from error.__cause__
+            raise size_error(context, error) from error.__cause__
         yield sample, record
-        state, k = after, k + 1.0
+        state, k = next_state, k + 1.0
 
 
-def error_of_sizes(context: Context, error: InvalidArgument) -> InvalidArgument:
+def size_error(context: Context, error: InvalidArgument) -> InvalidArgument:
     """Return an error of a controller; if the reference has fewer coordinates, its message says so."""
     n, count = context.reference.v.shape[1], len(context.coordinates)
     if n == count or " has shape " not in str(error):
@@ -219,12 +219,12 @@ class Run:
         Argument of the controller's `initial_state`. The loop uses the reference at its times.
     """
 
-    stopped: NotFinite | None = None
+    failure: NotFinite | None = None
 
     def __init__(self, loop: Loop, context: Context) -> None:
         reference = context.reference
         self.desired = np.hstack([reference.q, reference.v])
-        self.adds = stated(loop.plant, "is_vector_space") and reference.v.shape[1] == loop.plant.nv
+        self.is_vector_space = stated(loop.plant, "is_vector_space") and reference.v.shape[1] == loop.plant.nv
         self.kept: dict[str, Array] = {}
         self.units: Mapping[str, str] = {}
 
@@ -237,9 +237,9 @@ class Run:
         return q, v, a, u
 
     @np.errstate(over="ignore", invalid="ignore")  # an overflow gives False
-    def is_fine(self, begin: int, end: int, limit: float) -> bool:
+    def is_valid(self, begin: int, end: int, limit: float) -> bool:
         """Return whether the samples are finite and near the reference; False if in doubt."""
-        if not self.adds:
+        if not self.is_vector_space:
             return False
         q, v, a, u = self.samples(begin, end)
         errors = self.desired[begin:end] - np.hstack([q, v])  # errors on the circle are smaller
@@ -260,12 +260,12 @@ class _Signals:
 
 
 class PythonRun(Run):
-    """Run in Python, sample by sample, see `in_python`."""
+    """Run in Python, sample by sample, see `python_samples`."""
 
     def __init__(self, loop: Loop, context: Context, q0: Array, v0: Array) -> None:
         super().__init__(loop, context)
         self._times = context.t.tolist()
-        self._samples = in_python(evolved(loop, {"recorder": _Signals()}), context, q0, v0)
+        self._samples = python_samples(evolved(loop, {"recorder": _Signals()}), context, q0, v0)
         sizes = {"q": loop.plant.nq, "v": loop.plant.nv, "a": loop.plant.nv, "u": loop.plant.nu}
         self.kept = {name: np.full((len(context.t), size), np.nan) for name, size in sizes.items()}
         self._first: Mapping[str, SignalSample] = {}
@@ -279,26 +279,26 @@ class PythonRun(Run):
                 if sample.signals or self._first:
                     self._keep(k, sample.signals)
         except NotFinite as error:
-            self.stopped = error  # the rest stays empty
+            self.failure = error  # the rest stays empty
 
-    def _keep(self, k: int, found: Mapping[str, SignalSample]) -> None:
+    def _keep(self, k: int, signals: Mapping[str, SignalSample]) -> None:
         """Keep the signals of sample k, which must have the names, units and shapes of the first sample."""
         if not k:
-            self._first, rows = found, len(self._times)
-            self.units = {name: each.unit for name, each in found.items()}
-            for name, each in found.items():
-                self.kept[f"signal {name}"] = np.full((rows, *each.value.shape), np.nan)
-        for name in {**self._first, **found}:
-            now, before = (_form_of(claims.get(name)) for claims in (found, self._first))
-            if now != before:
-                part = (found.get(name) or self._first[name]).part
-                what = f"{part}.signals[{name!r}] is {now} at t = {self._times[k]:g} s"
-                raise InvalidArgument(f"{what}, expected {before} as in the first sample")
-            self.kept[f"signal {name}"][k] = found[name].value
+            self._first, rows = signals, len(self._times)
+            self.units = {name: signal.unit for name, signal in signals.items()}
+            for name, signal in signals.items():
+                self.kept[f"signal {name}"] = np.full((rows, *signal.value.shape), np.nan)
+        for name in {**self._first, **signals}:
+            form, expected = (_format_form(group.get(name)) for group in (signals, self._first))
+            if form != expected:
+                part = (signals.get(name) or self._first[name]).part
+                message = f"{part}.signals[{name!r}] is {form} at t = {self._times[k]:g} s"
+                raise InvalidArgument(f"{message}, expected {expected} as in the first sample")
+            self.kept[f"signal {name}"][k] = signals[name].value
 
 
-def _form_of(claim: SignalSample | None) -> str:
-    return "missing" if claim is None else f"of unit {claim.unit!r} and shape {claim.value.shape}"
+def _format_form(signal: SignalSample | None) -> str:
+    return "missing" if signal is None else f"of unit {signal.unit!r} and shape {signal.value.shape}"
 
 
 class CompiledRun(Run):

@@ -63,10 +63,10 @@ class UntraceableMetric(NotTraceable):
     """
 
     def __init__(self, name: str, error: Exception) -> None:
-        what, instead = f"it raises {type(error).__name__} ({error})", "write it in NumPy for one sample"
+        reason, remedy = f"it raises {type(error).__name__} ({error})", "write it in NumPy for one sample"
         if isinstance(error, NotTraceable):
-            what, instead = error.what, error.instead
-        super().__init__(f"metrics has {name!r}: {what}", instead, place_of(error.__traceback__))
+            reason, remedy = error.what, error.instead
+        super().__init__(f"metrics has {name!r}: {reason}", remedy, place_of(error.__traceback__))
 
 
 @final
@@ -134,10 +134,10 @@ class Worst:
             "farthest": np.zeros(farthest),  # squared
             "squares": np.zeros(n),
             "inputs": np.zeros(nu),
-            **self._no_metrics(),
+            **self._initial_metrics(),
         }
 
-    def _no_metrics(self) -> dict[str, Array]:
+    def _initial_metrics(self) -> dict[str, Array]:
         if not self.metrics:
             return {}
         worst = np.array([-np.inf if is_margin else 0.0 for _, is_margin in self.metrics])
@@ -162,17 +162,17 @@ class Worst:
         alive = (state["alive"] > 0.5) & is_alive(errors, self.limit, sample.u, sample.a)
         one = np.where(alive, 1.0, 0.0)
         error = np.where(alive[..., None], np.abs(sample.error), 0.0)
-        keep = 1.0 if self.begin is None else np.where(sample.k == self.begin, 0.0, 1.0)
+        factor = 1.0 if self.begin is None else np.where(sample.k == self.begin, 0.0, 1.0)
         squares = error * error
         groups = [sum(squares[..., i] for i in group) for group in self.distances]
-        far = [square for square, group in zip(groups, self.distances, strict=True) if len(group) > 1]
+        distances = [square for square, group in zip(groups, self.distances, strict=True) if len(group) > 1]
         farthest = state["farthest"]
-        new = {
+        record = {
             "alive": one,
             "lived": state["lived"] + one,
-            "largest": _larger(error, state["largest"] * keep),
-            "farthest": _larger(np.stack(far, axis=-1), farthest * keep) if far else farthest,
-            "squares": state["squares"] * keep + squares,
+            "largest": _larger(error, state["largest"] * factor),
+            "farthest": _larger(np.stack(distances, axis=-1), farthest * factor) if distances else farthest,
+            "squares": state["squares"] * factor + squares,
             "inputs": _larger(np.where(alive[..., None], np.abs(sample.u), 0.0), state["inputs"]),
         }
         sizes = []
@@ -180,13 +180,13 @@ class Worst:
             size = np.where(alive, square if len(group) > 1 else error[..., group[0]], np.inf)
             sizes.append(np.sqrt(size) if len(group) > 1 else size)
         if self.metrics:
-            kept, found = self._measured(sample, state, alive)
-            new, sizes = new | kept, sizes + found
-        claims = {name: sample.signals[one_of("signal", name, sample.signals)] for name in self.keep}
-        series = {f"signal {name}": claim.value for name, claim in claims.items()}
-        return Record(new, sizes, series, {name: claim.unit for name, claim in claims.items()})
+            metrics, metric_sizes = self._metric_record(sample, state, alive)
+            record, sizes = record | metrics, sizes + metric_sizes
+        signals = {name: sample.signals[one_of("signal", name, sample.signals)] for name in self.keep}
+        series = {f"signal {name}": signal.value for name, signal in signals.items()}
+        return Record(record, sizes, series, {name: signal.unit for name, signal in signals.items()})
 
-    def _measured(
+    def _metric_record(
         self, sample: Sample, state: Mapping[str, Any], alive: Any
     ) -> tuple[dict[str, Any], list[Any]]:
         """Return the record of the plant's metrics, and their sizes."""
@@ -194,18 +194,18 @@ class Worst:
             (_value(one, sample) if isinstance(one, Metric) else sample.measured[..., one], is_margin)
             for one, is_margin in self.metrics
         ]
-        bad = [-x if is_margin else np.abs(x) for x, is_margin in columns]
-        before = {name: state[name] for name in ("worst", "metric_squares")}
+        badness = [-x if is_margin else np.abs(x) for x, is_margin in columns]
+        last = {name: state[name] for name in ("worst", "metric_squares")}
         if self.begin is not None:  # reset infinite values of earlier samples, too
-            first = self._no_metrics()
-            before = {name: np.where(sample.k == self.begin, first[name], x) for name, x in before.items()}
-        lives = alive[..., None]
-        worst = np.where(lives, np.stack(bad, axis=-1), self._no_metrics()["worst"])
-        squares = np.where(lives, np.stack([x * x for x, _ in columns], axis=-1), 0.0)
-        worst, squares = _larger(worst, before["worst"]), before["metric_squares"] + squares
+            first = self._initial_metrics()
+            last = {name: np.where(sample.k == self.begin, first[name], x) for name, x in last.items()}
+        is_alive_row = alive[..., None]
+        worst = np.where(is_alive_row, np.stack(badness, axis=-1), self._initial_metrics()["worst"])
+        squares = np.where(is_alive_row, np.stack([x * x for x, _ in columns], axis=-1), 0.0)
+        worst, squares = _larger(worst, last["worst"]), last["metric_squares"] + squares
         sizes = [
             np.where(alive, size_of(x) if is_margin else y, 0.0 if is_margin else np.inf)
-            for (x, is_margin), y in zip(columns, bad, strict=True)
+            for (x, is_margin), y in zip(columns, badness, strict=True)
         ]
         return {"worst": worst, "metric_squares": squares}, sizes
 
@@ -213,17 +213,17 @@ class Worst:
 def _value(metric: Metric, sample: Sample) -> Any:
     """Return the number that the function of a metric returns for a sample."""
     try:
-        found = metric.function(sample)  # type: ignore[misc]
+        value = metric.function(sample)  # type: ignore[misc]
     except Exception as error:
         if not has_symbols(sample.q):
-            where = f"for the sample at t = {sample.t:g} s"
-            error.add_note(f"in the function of the metric {metric.name!r}, {where}")
+            place = f"for the sample at t = {sample.t:g} s"
+            error.add_note(f"in the function of the metric {metric.name!r}, {place}")
             raise
         raise UntraceableMetric(metric.name, error) from error
-    if np.shape(found) != () or not are_real(np.asarray(found)):
-        what = f"metrics has {metric.name!r}, whose function returned {format_value(found)}"
-        raise InvalidArgument(f"{what}, expected a number")
-    return 1.0 * np.asarray(found) if isinstance(found, bool | np.bool_) else found
+    if np.shape(value) != () or not are_real(np.asarray(value)):
+        message = f"metrics has {metric.name!r}, whose function returned {format_value(value)}"
+        raise InvalidArgument(f"{message}, expected a number")
+    return 1.0 * np.asarray(value) if isinstance(value, bool | np.bool_) else value
 
 
 def _larger(a: Any, b: Any) -> Any:
@@ -283,8 +283,8 @@ class Samples:
         Record
             Values to keep.
         """
-        kept = {"q": sample.q, "v": sample.v, "u": sample.u, "a": sample.a}
-        kept |= {f"signal {name}": claim.value for name, claim in sample.signals.items()}
-        kept |= {"error": sample.error} if self.errors else {}
-        kept |= {"measured": sample.measured} if self.metrics else {}
-        return Record(state, (), kept, {name: claim.unit for name, claim in sample.signals.items()})
+        arrays = {"q": sample.q, "v": sample.v, "u": sample.u, "a": sample.a}
+        arrays |= {f"signal {name}": signal.value for name, signal in sample.signals.items()}
+        arrays |= {"error": sample.error} if self.errors else {}
+        arrays |= {"measured": sample.measured} if self.metrics else {}
+        return Record(state, (), arrays, {name: signal.unit for name, signal in sample.signals.items()})

@@ -14,10 +14,10 @@ import pinocchio as pin
 
 from pinmobile.arrays import Array, finite, frozen, increasing, location, real, shaped
 from pinmobile.errors import InvalidArgument, format_value
-from pinmobile.files import packed, read_archive, unpacked, write_archive, write_table
+from pinmobile.files import pack, read_archive, unpack, write_archive, write_table
 from pinmobile.loop._events import events_of
 from pinmobile.loop._mcap import Columns, read_mcap, write_mcap
-from pinmobile.metrics import evaluate_metrics_of, in_words, metrics_of
+from pinmobile.metrics import evaluate_metrics_of, format_si, metrics_of
 from pinmobile.plant import (
     Coordinate,
     Event,
@@ -26,11 +26,11 @@ from pinmobile.plant import (
     all_samples,
     configuration_names_of,
     coordinates_of,
+    full_configurations,
     inputs_of,
     reference_sizes_of,
     robot_at,
     stated,
-    whole_configurations,
 )
 from pinmobile.reaching import error_sizes, pose_error, target_names
 from pinmobile.signals import Signal
@@ -157,8 +157,8 @@ class EndEffector:
         InvalidArgument
             If there is no target.
         """
-        way, turn = error_sizes(self.error).max(axis=0)
-        return float(way), float(turn)
+        distance, angle = error_sizes(self.error).max(axis=0)
+        return float(distance), float(angle)
 
 
 def at_samples(rollout: Rollout) -> Rollout:
@@ -167,11 +167,11 @@ def at_samples(rollout: Rollout) -> Rollout:
     return rollout if plant is rollout.plant else replace(rollout, plant=plant)
 
 
-def _told(signals: Mapping[str, Signal], position: str, orientation: str) -> Array:
+def _collect_targets(signals: Mapping[str, Signal], position: str, orientation: str) -> Array:
     """Return the target poses in signals, shape (N + 1, 4, 4)."""
-    place = signals[position].values
-    target = np.tile(np.eye(4), (len(place), 1, 1))
-    target[:, :3, 3] = place
+    positions = signals[position].values
+    target = np.tile(np.eye(4), (len(positions), 1, 1))
+    target[:, :3, 3] = positions
     if orientation in signals:
         quaternions = signals[orientation].values
         target[:, :3, :3] = [pin.Quaternion(row).toRotationMatrix() for row in quaternions]
@@ -183,18 +183,18 @@ def _coordinates_of(plant: Any, frame: str) -> int:
     mounts = stated(plant, "mounts")
     if mounts is None:
         return int(plant.nv)
-    own = (mount.v.stop for mount in mounts if frame.startswith(f"{mount.name}/"))
-    return int(next(own, _BASE))
+    counts = (mount.v.stop for mount in mounts if frame.startswith(f"{mount.name}/"))
+    return int(next(counts, _BASE))
 
 
 _POSE = 3  # x, y, psi
-_RECORDED = ("t", "q", "v", "a", "u", "error")
+_ARRAY_NAMES = ("t", "q", "v", "a", "u", "error")
 _FORMAT = "pinmobile rollout 4"
 
 
 def error_text(value: float) -> str:
     """Return an error [m, rad] as text with seven digits; a rounding error becomes "< 1e-12"."""
-    return in_words(value, ".6e")
+    return format_si(value, ".6e")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -266,7 +266,7 @@ class Rollout:
     fallback_reason: str = ""
 
     def __post_init__(self) -> None:
-        for name in _RECORDED:
+        for name in _ARRAY_NAMES:
             with np.errstate(over="ignore"):  # the square of a time may overflow
                 object.__setattr__(self, name, frozen(finite(name, getattr(self, name))))
         parts = zip(Reference._fields, self.reference, strict=True)
@@ -281,14 +281,14 @@ class Rollout:
     def _check_shapes(self) -> None:
         t, desired = self.t, self.reference
         increasing("t", t)
-        of_plant = {"q": self.q, "v": self.v, "a": self.a, "u": self.u}
-        tracked = {"error": self.error, "reference.v": desired.v, "reference.a": desired.a}
-        for name, array in {**of_plant, **tracked, "reference.q": desired.q}.items():
+        plant_arrays = {"q": self.q, "v": self.v, "a": self.a, "u": self.u}
+        error_arrays = {"error": self.error, "reference.v": desired.v, "reference.a": desired.a}
+        for name, array in {**plant_arrays, **error_arrays, "reference.q": desired.q}.items():
             shaped(name, array, (len(t), "k"), words=", as t has")
-        for name, like in (("q", "q"), ("v", "v"), ("a", "v"), ("u", "u")):
-            width: Any = getattr(self.plant, f"n{like}", of_plant[like].shape[1])
-            shaped(name, of_plant[name], (len(t), width))
-        for name, array in tracked.items():
+        for name, size_name in (("q", "q"), ("v", "v"), ("a", "v"), ("u", "u")):
+            width: Any = getattr(self.plant, f"n{size_name}", plant_arrays[size_name].shape[1])
+            shaped(name, plant_arrays[name], (len(t), width))
+        for name, array in error_arrays.items():
             shaped(name, array, self.error.shape, words=", as error has")
         if self.error.shape[1] > self.v.shape[1] or desired.q.shape[1] > self.q.shape[1]:
             shaped("reference.q", desired.q, self.q.shape)
@@ -297,24 +297,24 @@ class Rollout:
         return len(self.t)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        own = {each.name: getattr(self, each.name) for each in fields(self)}
-        return Rollout, tuple((own | {"signals": dict(self.signals)}).values())
+        values = {item.name: getattr(self, item.name) for item in fields(self)}
+        return Rollout, tuple((values | {"signals": dict(self.signals)}).values())
 
     def __repr__(self) -> str:
-        errors = self._errors("largest", self.max_error())
-        return f"<Rollout: {len(self)} samples over {self.t[-1]:g} s, {errors}{self._worst_joint()}>"
+        errors = self._format_errors("largest", self.max_error())
+        return f"<Rollout: {len(self)} samples over {self.t[-1]:g} s, {errors}{self._format_joint()}>"
 
     def __str__(self) -> str:
         step = f" at dt = {self.t[1]:g} s" if len(self) > 1 else ""
-        listed = zip(self.inputs, self.max_input(), strict=True)
-        inputs = [f"{one.name} {in_words(value)} {one.unit}".rstrip() for one, value in listed]
+        pairs = zip(self.inputs, self.max_input(), strict=True)
+        inputs = [f"{one.name} {format_si(value)} {one.unit}".rstrip() for one, value in pairs]
         lines = [
             f"{len(self)} samples over {self.t[-1]:g} s{step}",
-            self._errors("largest", self.max_error()),
-            self._errors("rms", self.rms_error()),
-            "largest input: " + ", ".join(inputs[: self._led] if self._by_coordinate else inputs),
-            *self._of_joints(),
-            *([f"end effector {self.end_effector()}"] if self._aimed_at else []),
+            self._format_errors("largest", self.max_error()),
+            self._format_errors("rms", self.rms_error()),
+            "largest input: " + ", ".join(inputs[: self._line_size] if self._by_coordinate else inputs),
+            *self._format_joints(),
+            *([f"end effector {self.end_effector()}"] if self._target_frame else []),
             *map(str, self.events),
         ]
         return "\n".join(lines)
@@ -332,8 +332,8 @@ class Rollout:
     def coordinates(self) -> tuple[Coordinate, ...]:
         """Coordinates of the reference, one for each column of `error`."""
         count = self.error.shape[1]
-        named = coordinates_of(self.plant) or tuple(Coordinate(f"[{k}]", "") for k in range(count))
-        return named[:count]
+        names = coordinates_of(self.plant) or tuple(Coordinate(f"[{k}]", "") for k in range(count))
+        return names[:count]
 
     @property
     def inputs(self) -> tuple[Input, ...]:
@@ -365,7 +365,7 @@ class Rollout:
         InvalidArgument
             If the plant does not provide the pose of its body.
         """
-        return self._poses(whole_configurations(self, self.q, self.reference.q))
+        return self._poses(full_configurations(self, self.q, self.reference.q))
 
     @property
     def distance(self) -> Array:
@@ -406,19 +406,19 @@ class Rollout:
         InvalidArgument
             If the plant's ``evaluate_metrics`` returns another shape, or anything but real numbers.
         """
-        known = metrics_of(self.plant)
-        if not known:
+        metrics = metrics_of(self.plant)
+        if not metrics:
             return {}
-        recorded = self.t, self.q, self.v, self.a, self.u
+        arrays = self.t, self.q, self.v, self.a, self.u
         if stated(self.plant, "broadcasts"):
-            found = evaluate_metrics_of(self.plant, *recorded, self.reference)
+            values = evaluate_metrics_of(self.plant, *arrays, self.reference)
         else:
-            rows = zip(zip(*recorded, strict=True), zip(*self.reference, strict=True), strict=True)
-            found = np.stack([evaluate_metrics_of(self.plant, *row, Reference(*at)) for row, at in rows])
-        return {one.name: Signal(one.unit, frozen(found[:, k])) for k, one in enumerate(known)}
+            rows = zip(zip(*arrays, strict=True), zip(*self.reference, strict=True), strict=True)
+            values = np.stack([evaluate_metrics_of(self.plant, *row, Reference(*r)) for row, r in rows])
+        return {one.name: Signal(one.unit, frozen(values[:, k])) for k, one in enumerate(metrics)}
 
     @property
-    def _led(self) -> int:
+    def _line_size(self) -> int:
         """Number of coordinates in one line of text: the smallest allowed size of a reference."""
         return min(*reference_sizes_of(self.plant), self.error.shape[1]) if self.plant is not None else _POSE
 
@@ -426,37 +426,37 @@ class Rollout:
     def _by_coordinate(self) -> bool:
         return bool(self.u.shape[1] == self.error.shape[1] == self.v.shape[1])
 
-    def _worst_joint(self) -> str:
+    def _format_joint(self) -> str:
         """Return the joint with the largest error as text; "" if all coordinates fit into one line."""
-        largest = self.max_error()[self._led :]
+        largest = self.max_error()[self._line_size :]
         if not largest.size:
             return ""
         worst = int(largest.argmax())
-        name, unit = self.labels[self._led + worst]
+        name, unit = self.labels[self._line_size + worst]
         return f", {name} {error_text(largest[worst])} {unit}".rstrip()
 
-    def _of_joints(self) -> list[str]:
+    def _format_joints(self) -> list[str]:
         """Return the lines of a table of the arms' joints; no line if there are none."""
-        led = self._led
-        labels, forced = self.labels[led:], self._by_coordinate
+        first = self._line_size
+        labels, has_inputs = self.labels[first:], self._by_coordinate
         if not labels:
             return []
         width = max(len(name) for name, _ in labels)
-        heads = f"{'joint':{width}} {'largest error':>17} {'rms error':>17}"
-        lines = [f"{heads} {'largest input':>14}" if forced else heads]
-        columns = (part[led:] for part in (self.max_error(), self.rms_error()))
-        most: Any = zip(self.max_input()[led:], self.inputs[led:], strict=True)
-        inputs = most if forced else [None] * len(labels)
+        header = f"{'joint':{width}} {'largest error':>17} {'rms error':>17}"
+        lines = [f"{header} {'largest input':>14}" if has_inputs else header]
+        columns = (part[first:] for part in (self.max_error(), self.rms_error()))
+        pairs: Any = zip(self.max_input()[first:], self.inputs[first:], strict=True)
+        inputs = pairs if has_inputs else [None] * len(labels)
         for (name, unit), largest, rms, pair in zip(labels, *columns, inputs, strict=True):
             errors = " ".join(f"{error_text(value):>13} {unit:3}" for value in (largest, rms))
-            size = "" if pair is None else f"{in_words(pair[0]):>10} {pair[1].unit:3}"
+            size = "" if pair is None else f"{format_si(pair[0]):>10} {pair[1].unit:3}"
             lines.append(f"{name:{width}} {errors} {size}".rstrip())
         return lines
 
-    def _errors(self, what: str, values: Array) -> str:
-        named = list(zip(self.labels, values, strict=True))[: self._led]
-        listed = ", ".join(f"{name} {error_text(value)} {unit}".rstrip() for (name, unit), value in named)
-        return f"{what} error: {listed}"
+    def _format_errors(self, kind: str, values: Array) -> str:
+        rows = list(zip(self.labels, values, strict=True))[: self._line_size]
+        words = ", ".join(f"{name} {error_text(value)} {unit}".rstrip() for (name, unit), value in rows)
+        return f"{kind} error: {words}"
 
     def end_effector(self, frame: str | None = None) -> EndEffector:
         """Return a frame over the samples: its pose, its target and its error.
@@ -488,19 +488,19 @@ class Rollout:
                 f"plant is {format_value(plant)}, which has no poses of frames, expected a MobileRobot, a "
                 "WheeledRobot, or a plant with frame_name(frame) and frame_pose(q, frame)"
             )
-        name = plant.frame_name(self._aimed_at if frame is None else frame)
+        name = plant.frame_name(self._target_frame if frame is None else frame)
         pose = plant.frame_pose(self.q, name)
         position, orientation = target_names(name)
         if position in self.signals:
-            target = _told(self.signals, position, orientation)
+            target = _collect_targets(self.signals, position, orientation)
             return EndEffector(name, self.t, pose, target, orientation in self.signals)
         if self.error.shape[1] < _coordinates_of(plant, name):
             return EndEffector(name, self.t, pose)
-        desired = whole_configurations(plant, self.q, self.reference.q)
+        desired = full_configurations(plant, self.q, self.reference.q)
         return EndEffector(name, self.t, pose, plant.frame_pose(desired, name))
 
     @property
-    def _aimed_at(self) -> str | None:
+    def _target_frame(self) -> str | None:
         """First frame of the plant with a target in the signals; None if there is none."""
         names = stated(self.plant, "frame_names") or ()
         return next((name for name in names if target_names(name)[0] in self.signals), None)
@@ -535,20 +535,20 @@ class Rollout:
         write_archive(path, _FORMAT, self.content())
 
     def content(self) -> dict[str, Any]:
-        """Return the content of a file: the fields, with the plant as text or as an outline."""
-        own, plant = {each.name: getattr(self, each.name) for each in fields(self)}, ""
+        """Return the content of a file: the fields, with the plant as text or as a description."""
+        values, plant = {item.name: getattr(self, item.name) for item in fields(self)}, ""
         outline = None if self.plant is None else PlantDescription.of(self.plant, self.q)
         try:
-            plant = "" if outline is self.plant else packed(self.plant)
+            plant = "" if outline is self.plant else pack(self.plant)
         except TypeError:  # the class belongs to a user
             pass
         except InvalidArgument as error:
             outline = outline and replace(outline, reason=str(error))
-        return own | {"plant": plant, "outline": outline}
+        return values | {"plant": plant, "outline": outline}
 
     @classmethod
     def of(cls, content: Mapping[str, Any]) -> Rollout:
-        """Return the rollout of a file's content; a plant that cannot be restored becomes its outline.
+        """Return the rollout of a file's content; a plant that cannot be restored becomes its description.
 
         Parameters
         ----------
@@ -560,13 +560,13 @@ class Rollout:
         Rollout
             Recorded samples.
         """
-        own = dict(content)
-        outline = own.pop("outline")
+        values = dict(content)
+        outline = values.pop("outline")
         try:
-            own["plant"] = unpacked(own["plant"]) if own["plant"] else outline
+            values["plant"] = unpack(values["plant"]) if values["plant"] else outline
         except Exception as error:  # the file of an arm is missing, or another release wrote the robot
-            own["plant"] = replace(outline, reason=str(error))
-        return cls(**own)
+            values["plant"] = replace(outline, reason=str(error))
+        return cls(**values)
 
     @classmethod
     def load(cls, path: str | PathLike[str]) -> Rollout:
@@ -670,32 +670,32 @@ class Rollout:
 
     def _columns(self) -> list[Columns]:
         """Return all arrays with the names and units of their columns, in the order of a CSV file."""
-        coordinates, known = coordinates_of(self.plant), self.plant is not None
+        coordinates, has_plant = coordinates_of(self.plant), self.plant is not None
         units = {one.name: one.unit for one in coordinates}
-        of_q = [(name, units.get(name, "")) for name in configuration_names_of(self.plant)]
-        of_v = [(one.name, one.unit) for one in coordinates]
-        of_u = [(one.name, one.unit) for one in self.inputs]
+        q_titles = [(name, units.get(name, "")) for name in configuration_names_of(self.plant)]
+        v_titles = [(one.name, one.unit) for one in coordinates]
+        u_titles = [(one.name, one.unit) for one in self.inputs]
         groups: Any = [
-            ("q", "", "", self.q, of_q),
-            ("v", "v_", "/s", self.v, of_v),
-            ("a", "a_", "/s^2", self.a, of_v),
-            ("u", "u_", "", self.u, of_u),
-            ("error", "error_", "", self.error, of_v),
-            ("reference.q", "desired_", "", self.reference.q, of_q),
-            ("reference.v", "desired_v_", "/s", self.reference.v, of_v),
-            ("reference.a", "desired_a_", "/s^2", self.reference.a, of_v),
+            ("q", "", "", self.q, q_titles),
+            ("v", "v_", "/s", self.v, v_titles),
+            ("a", "a_", "/s^2", self.a, v_titles),
+            ("u", "u_", "", self.u, u_titles),
+            ("error", "error_", "", self.error, v_titles),
+            ("reference.q", "desired_", "", self.reference.q, q_titles),
+            ("reference.v", "desired_v_", "/s", self.reference.v, v_titles),
+            ("reference.a", "desired_a_", "/s^2", self.reference.a, v_titles),
         ]
-        found = [Columns("t", self.t, [("t", "s")])]
-        for key, prefix, per, part, named in groups:
+        columns = [Columns("t", self.t, [("t", "s")])]
+        for key, prefix, suffix, part, pairs in groups:
             width = part.shape[1]
-            listed = named[:width] if known or key == "u" else [(f"[{k}]", "") for k in range(width)]
-            titles = [(f"{prefix}{name}", f"{unit}{per}" if unit else "") for name, unit in listed]
-            found.append(Columns(key, part, titles))
+            rows = pairs[:width] if has_plant or key == "u" else [(f"[{k}]", "") for k in range(width)]
+            titles = [(f"{prefix}{name}", f"{unit}{suffix}" if unit else "") for name, unit in rows]
+            columns.append(Columns(key, part, titles))
         for name, (unit, values) in self.signals.items():
             entries = [""] if values.ndim == 1 else [f"[{k}]" for k in range(values.shape[1])]
             titles = [(f"signal_{name}{entry}", unit) for entry in entries]
-            found.append(Columns(f"signals.{name}", values, titles))
-        return found
+            columns.append(Columns(f"signals.{name}", values, titles))
+        return columns
 
 
 def _head(name: str, unit: str) -> str:

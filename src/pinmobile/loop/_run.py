@@ -16,14 +16,14 @@ from pinmobile.controllers import Controller
 from pinmobile.errors import InvalidArgument, LimitWarning, NotFinite, NotTraceable, SlowerEngine
 from pinmobile.forces import Force
 from pinmobile.integrators import Integrator
-from pinmobile.loop._checks import sampled
+from pinmobile.loop._checks import sample_reference
 from pinmobile.loop._ensemble import Ensemble
 from pinmobile.loop._loop import Loop, Sample
 from pinmobile.loop._program import Compiled
-from pinmobile.loop._python import in_python, with_compiled_plant
+from pinmobile.loop._python import compile_plant, python_samples
 from pinmobile.loop._record import UntraceableMetric, Worst
-from pinmobile.loop._scenario import Scenario, checked_scenario
-from pinmobile.loop._simulate import Engine, checked_engine, not_compiled
+from pinmobile.loop._scenario import Scenario, check_scenario
+from pinmobile.loop._simulate import Engine, check_engine, compile_error
 from pinmobile.loop._spread import Source
 from pinmobile.loop._trace import arrays_of, initial_memory
 from pinmobile.loop._variables import Part, arguments_of, bins_of
@@ -33,9 +33,9 @@ from pinmobile.plant import Context, Plant
 from pinmobile.signals import Signal
 from pinmobile.trajectories import Reference, Trajectory
 
-_ONE_BY_ONE = 16  # robots between two reports of progress
+_PROGRESS_SIZE = 16  # robots between two reports of progress
 _WORK = 2e7  # robots times samples of one call of compiled code: some 0.3 s
-_SAMPLED = 1e6  # the same if each robot has its own reference: some 200 MB of references
+_REFERENCE_WORK = 1e6  # the same if each robot has its own reference: some 200 MB of references
 
 
 Progress = Callable[[int, int], None]
@@ -88,40 +88,40 @@ class ExecutionPlan:
         InvalidArgument
             If a metric becomes NaN; its mean square shows this.
         """
-        return Part.joined(self._parts(draws, start, stop, threads, progress))
+        return Part.concatenate(self._parts(draws, start, stop, threads, progress))
 
     def _parts(
         self, draws: Mapping[str, Array], start: int, stop: int, threads: int, progress: Progress | None
     ) -> Iterator[Part]:
         """Yield the records of some robots at a time, which allows progress reports and limits memory."""
-        scenario, each = self.scenario, _ONE_BY_ONE
+        scenario, size = self.scenario, _PROGRESS_SIZE
         if self.program is not None:
-            work = _SAMPLED if scenario.has_own_references or scenario.keep else _WORK
-            each = 256 * max(1, min(256, round(work / len(scenario.t) / 256)))
-        for first in range(start, stop, each):
-            last = min(first + each, stop)
-            own = {name: column[first - start : last - start] for name, column in draws.items()}
+            work = _REFERENCE_WORK if scenario.has_own_references or scenario.keep else _WORK
+            size = 256 * max(1, min(256, round(work / len(scenario.t) / 256)))
+        for first in range(start, stop, size):
+            last = min(first + size, stop)
+            columns = {name: column[first - start : last - start] for name, column in draws.items()}
             if self.program is not None:
-                part = _compiled(scenario, self.program, own, first, last, threads)
+                part = _compiled_part(scenario, self.program, columns, first, last, threads)
             else:
-                part = Part.joined(self._in_python(own, first, last))
+                part = Part.concatenate(self._python_parts(columns, first, last))
             for k, column in zip(*np.isnan(part.rms_metric).nonzero(), strict=True):
-                one, whose = scenario.recorded_metrics[column], "its function"
-                if one.function is None:
+                metric, source = scenario.recorded_metrics[column], "its function"
+                if metric.function is None:
                     kind = type(scenario.robot).__name__
-                    whose = f"plant is a {kind}, whose evaluate_metrics(t, q, v, a, u, reference)"
-                what = f"robot {first + k}: {whose} returned NaN as {one.name!r}"
-                raise InvalidArgument(f"{what}, expected a number")
+                    source = f"plant is a {kind}, whose evaluate_metrics(t, q, v, a, u, reference)"
+                message = f"robot {first + k}: {source} returned NaN as {metric.name!r}"
+                raise InvalidArgument(f"{message}, expected a number")
             yield part
             if progress is not None:
                 progress(last - start, stop - start)
 
-    def _in_python(self, draws: Mapping[str, Array], start: int, stop: int) -> Iterator[Part]:
+    def _python_parts(self, draws: Mapping[str, Array], start: int, stop: int) -> Iterator[Part]:
         """Yield the records of robots, one after another; errors name the robot."""
         for i in range(start, stop):
-            own = {name: column[i - start : i - start + 1] for name, column in draws.items()}
+            columns = {name: column[i - start : i - start + 1] for name, column in draws.items()}
             try:
-                yield _alone(self.scenario, own, i, compiles=bool(self.fallback_reason))
+                yield _python_part(self.scenario, columns, i, compiles=bool(self.fallback_reason))
             except Exception as error:
                 is_plain = type(error) is InvalidArgument and not str(error).startswith("robot ")
                 if is_plain:
@@ -130,7 +130,7 @@ class ExecutionPlan:
                 raise
 
 
-def way_of(scenario: Scenario, engine: Engine | None = None) -> ExecutionPlan:
+def plan_execution(scenario: Scenario, engine: Engine | None = None) -> ExecutionPlan:
     """Return the execution plan of a scenario: the given engine, by default compiled if its parts allow.
 
     Parameters
@@ -145,27 +145,27 @@ def way_of(scenario: Scenario, engine: Engine | None = None) -> ExecutionPlan:
     InvalidArgument
         If the given engine cannot run the scenario, or if no law uses a number of the spread.
     """
-    asked = checked_engine(engine)
-    if asked is Engine.PYTHON:
+    selected = check_engine(engine)
+    if selected is Engine.PYTHON:
         return ExecutionPlan(scenario, Engine.PYTHON)
     try:
-        own = scenario.has_own_references
-        loop = _with_recorder(scenario)
-        compiled = compiled_of(scenario, loop, hides_reference=own, own_reference=own)
+        has_own = scenario.has_own_references
+        loop = _add_recorder(scenario)
+        compiled = compile_loop(scenario, loop, hides_reference=has_own, own_reference=has_own)
         return ExecutionPlan(scenario, Engine.COMPILED, "", compiled)
     except UntraceableMetric as error:
         raise InvalidArgument(f"{error.reason}, or give engine=Engine.PYTHON") from error
     except NotTraceable as error:
-        if asked is not None:
-            raise not_compiled(error) from error
+        if selected is not None:
+            raise compile_error(error) from error
         return ExecutionPlan(scenario, Engine.PYTHON, f"not COMPILED: {error.reason}")
 
 
-def _with_recorder(scenario: Scenario, loop: Loop | None = None) -> Loop:
+def _add_recorder(scenario: Scenario, loop: Loop | None = None) -> Loop:
     begin = float(scenario.begin) if scenario.begin else None
     distances = ((0, 1), (2,), *((k,) for k in range(3, scenario.size)))
-    known, asked = [one.name for one in metrics_of(scenario.robot)], scenario.recorded_metrics
-    metrics = tuple((known.index(x.name) if x.function is None else x, x.is_margin) for x in asked)
+    names, recorded = [one.name for one in metrics_of(scenario.robot)], scenario.recorded_metrics
+    metrics = tuple((names.index(x.name) if x.function is None else x, x.is_margin) for x in recorded)
     recorder = Worst(scenario.limit, begin, distances, metrics, tuple(scenario.keep))
     return evolved(scenario.loop if loop is None else loop, {"recorder": recorder})
 
@@ -177,34 +177,34 @@ class BlindContext:
     ----------
     context : Context
         Context with everything else.
-    why, instead : str
+    reason, remedy : str
         Reason why they are hidden, and what the user can do instead, for the message.
     """
 
-    def __init__(self, context: Context, why: str, instead: str) -> None:
-        self._context, self._why, self._instead = context, why, instead
+    def __init__(self, context: Context, reason: str, remedy: str) -> None:
+        self._context, self._cause, self._cure = context, reason, remedy
 
     def __getattr__(self, name: str) -> Any:
         if name in ("reference", "trajectory"):
-            raise NotTraceable(f"the controller reads the {name} of its context, {self._why}", self._instead)
+            raise NotTraceable(f"the controller reads the {name} of its context, {self._cause}", self._cure)
         return getattr(self._context, name)
 
 
-_DIFFERS = (
+_OWN_REFERENCE = (
     "which differs from robot to robot",
     "use the reference of each sample, or spread no parameter of the trajectory",
 )
 
 
-def _starts_otherwise(scenario: Scenario, path: str) -> bool:
+def _affects_start(scenario: Scenario, path: str) -> bool:
     """Return whether a number changes the memory of the parts before the first sample."""
     value = np.asarray(scenario.find(path).leaf.value, np.float64)
     loops = scenario.loop, replaced(scenario.loop, {path: value * 1.001 + 1e-6})
-    before, after = (arrays_of(initial_memory(loop, scenario.context)) for loop in loops)
-    return any(not np.array_equal(one, other) for one, other in zip(before, after, strict=True))
+    nominal, changed = (arrays_of(initial_memory(loop, scenario.context)) for loop in loops)
+    return any(not np.array_equal(one, other) for one, other in zip(nominal, changed, strict=True))
 
 
-def compiled_of(
+def compile_loop(
     scenario: Scenario, loop: Loop, *, hides_reference: bool, own_reference: bool = False
 ) -> Compiled:
     """Return the machine code of a loop whose numbers of the spread differ.
@@ -227,77 +227,77 @@ def compiled_of(
     InvalidArgument
         If no law uses a number of the spread.
     """
-    at = Reference(*(part[0] for part in scenario.reference))
-    context: Any = BlindContext(scenario.context, *_DIFFERS) if hides_reference else scenario.context
+    first = Reference(*(part[0] for part in scenario.reference))
+    context: Any = BlindContext(scenario.context, *_OWN_REFERENCE) if hides_reference else scenario.context
     compiled = Compiled(
-        *(loop, context, scenario.start, at),
+        *(loop, context, scenario.start, first),
         spread=scenario.entries,
         single=scenario.n == 1,  # code for one robot does not fill vectors: two thirds of the time
         own_reference=own_reference,
     )
     unused = set(compiled.tape.unused)
-    for name, one in scenario.found.items():
+    for name, number in scenario.numbers.items():
         # Numbers of the plant may have no effect in a run, such as the mass of a load at rest.
-        path = one.leaf.path
-        if not path.startswith("plant.") and path in unused and not _starts_otherwise(scenario, path):
-            what = f"spread has {name!r}, {one.meaning}, which no law of this loop uses"
-            raise InvalidArgument(f"{what}, expected a number that a law uses")
+        path = number.leaf.path
+        if not path.startswith("plant.") and path in unused and not _affects_start(scenario, path):
+            message = f"spread has {name!r}, {number.meaning}, which no law of this loop uses"
+            raise InvalidArgument(f"{message}, expected a number that a law uses")
     return compiled
 
 
-def _compiled(
+def _compiled_part(
     scenario: Scenario, program: Compiled, draws: Mapping[str, Array], start: int, stop: int, threads: int
 ) -> Part:
     """Return the records of the robots from `start` to before `stop`, computed by machine code."""
     keys = {name: robot_keys(scenario.seed, name, range(start, stop)) for name in program.tape.keys}
     values = scenario.values(draws, start, stop)
-    own = scenario.references(values, stop - start, start)
-    run = scenario.starts(values, stop - start, own), scenario.t, Reference(*scenario.reference)
-    varied = {path: value for path, value in values.items() if path in scenario.entries}
+    references = scenario.references(values, stop - start, start)
+    run = scenario.starts(values, stop - start, references), scenario.t, Reference(*scenario.reference)
+    rows = {path: value for path, value in values.items() if path in scenario.entries}
     options: Any = {"keys": keys, "every": scenario.stride, "threads": threads}
-    outcome = program.run(*run, tracks=own, values=varied, **options)
-    kept = {
+    outcome = program.run(*run, tracks=references, values=rows, **options)
+    signals = {
         name: Signal(unit, outcome.kept[f"signal {name}"][:, :: scenario.stride])
         for name, unit in program.tape.units.items()
     }
-    return Part.of(scenario, program.recorded(outcome), outcome.counts, kept)
+    return Part.of(scenario, program.recorder_memory(outcome), outcome.counts, signals)
 
 
-def _alone(scenario: Scenario, draws: Mapping[str, Array], i: int, *, compiles: bool) -> Part:
+def _python_part(scenario: Scenario, draws: Mapping[str, Array], i: int, *, compiles: bool) -> Part:
     """Return the record of robot i; its controller, or its whole loop, runs in Python."""
     member = arguments_of(scenario, i, draws)
-    reference = sampled(member.trajectory, scenario.t, member.robot)
+    reference = sample_reference(member.trajectory, scenario.t, member.robot)
     context = Context.of(
         member.robot, dt=scenario.dt, t=scenario.t, reference=reference, trajectory=member.trajectory
     )
     context = replace(context, seed=scenario.seed, member=i)
     parts = member.robot, member.controller, member.trajectory, member.options["forces"]
-    loop = _with_recorder(scenario, Loop(*parts, scenario.integrator, scenario.substeps))
+    loop = _add_recorder(scenario, Loop(*parts, scenario.integrator, scenario.substeps))
     q, v = (np.array(member.options[name], np.float64) for name in ("q0", "v0"))
     if compiles:
         with contextlib.suppress(NotTraceable):
-            loop = with_compiled_plant(loop, context, q, v)
+            loop = compile_plant(loop, context, q, v)
     record = loop.recorder.initial_state(scenario.size, loop.plant.nu)
     counts = np.zeros((len(scenario.grid), len(scenario.channels), BINS), np.int32)
     counts[..., -1] = 1  # a diverged robot counts in the last bin
     for channel, one in enumerate(scenario.channels):
         if one.is_margin:
             counts[:, channel, 0], counts[:, channel, -1] = 1, 0
-    kept: dict[str, Signal] = {}
+    signals: dict[str, Signal] = {}
     with np.errstate(all="ignore"), contextlib.suppress(NotFinite):
-        for k, (_, found) in enumerate(in_python(loop, context, q, v)):
-            record = found.state
+        for k, (_, sample) in enumerate(python_samples(loop, context, q, v)):
+            record = sample.state
             if not record["alive"]:
                 break
             if k % scenario.stride == 0:
-                sizes = bins_of(np.array(found.counted, np.float64))
+                sizes = bins_of(np.array(sample.counted, np.float64))
                 counts[k // scenario.stride] = 0
                 counts[k // scenario.stride, range(len(sizes)), sizes] = 1
-                for name, unit in found.units.items():
-                    value = found.kept[f"signal {name}"]
+                for name, unit in sample.units.items():
+                    value = sample.kept[f"signal {name}"]
                     row = np.zeros((1, len(scenario.grid), *np.shape(value)))
-                    kept.setdefault(name, Signal(unit, row)).values[0, k // scenario.stride] = value
-    return Part.of(scenario, {name: np.asarray(x)[None] for name, x in record.items()}, counts, kept)
+                    signals.setdefault(name, Signal(unit, row)).values[0, k // scenario.stride] = value
+    return Part.of(scenario, {name: np.asarray(x)[None] for name, x in record.items()}, counts, signals)
 
 
 def ensemble(
@@ -464,23 +464,23 @@ def run_scenario(
     >>> run_scenario(runs).error_quantile(0.99).distance  # [m]
     0.079
     """
-    checked_scenario(scenario)
+    check_scenario(scenario)
     workers = processors() if threads is None else check_integer("threads", threads)
     if progress is not None:
         callable_as("progress(done, n)", progress)
-    listed = instance("traces", traces, Iterable, "indices of robots, such as [0]")
-    followed = [check_integer("traces", i, least=0, most=scenario.n - 1) for i in listed]
+    indices = instance("traces", traces, Iterable, "indices of robots, such as [0]")
+    members = [check_integer("traces", i, least=0, most=scenario.n - 1) for i in indices]
     draws = scenario.draws()
-    way = way_of(scenario, engine)
-    if way.fallback_reason and engine is None:
-        words = f"this ensemble runs by {way.engine!r}, {way.engine.value}; {way.fallback_reason}"
+    plan = plan_execution(scenario, engine)
+    if plan.fallback_reason and engine is None:
+        words = f"this ensemble runs by {plan.engine!r}, {plan.engine.value}; {plan.fallback_reason}"
         warn(words, SlowerEngine, stacklevel=3)
-    part = way.run(draws, 0, scenario.n, workers, progress)
-    made = repr(way.engine), way.fallback_reason
-    found = Ensemble.of(scenario, draws, part, followed, *made)
-    if told := [words for happens, words in found.told() if happens]:
-        warn("; ".join(told), LimitWarning, stacklevel=3)
-    return found
+    part = plan.run(draws, 0, scenario.n, workers, progress)
+    texts = repr(plan.engine), plan.fallback_reason
+    result = Ensemble.of(scenario, draws, part, members, *texts)
+    if sentences := [words for happens, words in result.format_events() if happens]:
+        warn("; ".join(sentences), LimitWarning, stacklevel=3)
+    return result
 
 
 def part_of(
@@ -529,4 +529,4 @@ def part_of(
     (10, 0.077)
     """
     draws = scenario.draws(start, stop)
-    return draws, way_of(scenario, engine).run(draws, start, stop)
+    return draws, plan_execution(scenario, engine).run(draws, start, stop)

@@ -26,31 +26,31 @@ from pinmobile.arrays import (
 from pinmobile.compiled import BINS, Noise, is_traced
 from pinmobile.errors import InvalidArgument, UnknownName
 from pinmobile.integrators import Integrator
-from pinmobile.loop._checks import check_answers, checked_run, sampled
+from pinmobile.loop._checks import check_answers, check_run, sample_reference
 from pinmobile.loop._loop import Loop, Sample
 from pinmobile.loop._spread import (
     Relative,
     Source,
-    check_possible,
+    check_draws,
+    check_spread,
     check_supports,
-    checked_spread,
     draw,
-    held,
-    in_blocks,
-    without_patterns,
+    draw_blocks,
+    expand_patterns,
+    slice_spread,
 )
 from pinmobile.loop._trace import initial_memory, initial_velocities
-from pinmobile.metrics import Metric, channels_of, check_measured, chosen
+from pinmobile.metrics import Metric, channels_of, check_metrics, select_metrics
 from pinmobile.parts import (
     Constrained,
-    Found,
+    NumberRef,
     Starting,
     Whole,
     able,
     find,
-    named,
     numbers,
     parts_of,
+    refs_of,
     replace as replaced,
     spread_entries,
     spread_values,
@@ -59,13 +59,13 @@ from pinmobile.parts import (
 from pinmobile.plant import Context, Coordinate, Input, Parameter, Plant
 from pinmobile.trajectories import Reference, Trajectory
 
-_SAME = 1e-6  # tolerance of sample times, as a share of dt
+_TIME_ERROR = 1e-6  # tolerance of sample times, as a share of dt
 _GRID = 60  # approximate number of intervals between counts
-_MOST = 100_000_000  # robots
+_MAX_ROBOTS = 100_000_000  # robots
 _RECORD = 150  # approximate bytes per robot
 
 
-class Recorded:
+class RecordGrid:
     """Grid, times and channels of an ensemble, from a scenario or from its description."""
 
     t: Array
@@ -83,7 +83,7 @@ class Recorded:
     @property
     def begin(self) -> int:
         """Index of the first sample at or after the time `after`; the ensemble records errors from there."""
-        return int(np.searchsorted(self.t, self.after - _SAME * self.dt))
+        return int(np.searchsorted(self.t, self.after - _TIME_ERROR * self.dt))
 
     @property
     def grid(self) -> Array:
@@ -98,7 +98,7 @@ class Recorded:
 
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Scenario(Recorded):
+class Scenario(RecordGrid):
     """Closed loop with n robots, each with its own parameters, start and disturbance.
 
     Parameters
@@ -204,10 +204,10 @@ class Scenario(Recorded):
         duration = None if self.duration is None else positive("duration", self.duration, "s")
         options: Any = {name: getattr(self, name) for name in ("forces", "integrator", "substeps")}
         parts = self.robot, self.controller, self.trajectory
-        loop, t = checked_run(*parts, **options, dt=dt, duration=duration)
+        loop, t = check_run(*parts, **options, dt=dt, duration=duration)
         n = check_integer("n", self.n)
-        if n > _MOST:
-            expected = f"at most {_MOST:,}, whose records take {_MOST * _RECORD / 1e9:.0f} GB"
+        if n > _MAX_ROBOTS:
+            expected = f"at most {_MAX_ROBOTS:,}, whose records take {_MAX_ROBOTS * _RECORD / 1e9:.0f} GB"
             raise InvalidArgument(f"n is {n:,}, expected {expected}")
         instance("spread", self.spread, Mapping, "a mapping of parameters to distributions")
         self._set(n=n, dt=dt, duration=duration, t=t, given=loop)
@@ -217,30 +217,30 @@ class Scenario(Recorded):
             limit=positive("limit", self.limit),
             after=bounded("after", scalar("after", self.after), least=0, most=float(t[-1]), unit="s"),
             every=None if self.every is None else check_integer("every", self.every),
-            reference=sampled(self.trajectory, t, self.robot),
+            reference=sample_reference(self.trajectory, t, self.robot),
         )
         bands = f"the bands of {len(self.grid):,} times, every {self.stride} samples,"
         affordable(bands, (1 + len(self.channels)) * BINS * len(self.grid), "give a larger `every`")
-        own = 3 + 2 * self.size + len(self.inputs) + 2 * len(self.recorded_metrics) + len(self.spread)
-        affordable(f"the records of {n:,} robots", own * n, "give a smaller n")
+        per_robot = 3 + 2 * self.size + len(self.inputs) + 2 * len(self.recorded_metrics) + len(self.spread)
+        affordable(f"the records of {n:,} robots", per_robot * n, "give a smaller n")
         keep = [text("keep", name) for name in sequence("keep", self.keep, "names of signals")]
         self._set(keep=tuple(dict.fromkeys(keep)))
         size = 3 * len(keep) * n * len(self.grid)  # most signals have up to three entries
         affordable(f"the signals of {n:,} robots at {len(self.grid)} times", size, "give a larger `every`")
         try:
-            spread = without_patterns(self.spread, self.given, self._known)
-            self._set(spread=checked_spread(spread, n, self.find))
+            spread = expand_patterns(self.spread, self.given, self._named_numbers)
+            self._set(spread=check_spread(spread, n, self.find))
         except UnknownName as error:
-            self._refuse_shared(str(error.name))
+            self._check_shared(str(error.name))
             if str(error.name).partition(".")[0] in ("force", "forces") and not self.forces:
                 expected = "a force whose number it is: add forces=[ConstantForce((0, 0, 0))]"
-                what = f"spread has {error.name!r} and forces is empty, expected {expected}"
-                raise InvalidArgument(what) from None
+                message = f"spread has {error.name!r} and forces is empty, expected {expected}"
+                raise InvalidArgument(message) from None
             raise
-        check_supports(self.spread, self.found)
+        check_supports(self.spread, self.numbers)
         self._check_answers()
 
-    def find(self, name: str, where: str = "spread") -> Found:
+    def find(self, name: str, where: str = "spread") -> NumberRef:
         """Return the number of the loop that a name of the spread means.
 
         A name is a path or the end of a path. Of several paths with this end, the plant's own comes first,
@@ -260,13 +260,13 @@ class Scenario(Recorded):
         InvalidArgument
             If several paths are equally near.
         """
-        return find(self.given, name, self._known, where)
+        return find(self.given, name, self._named_numbers, where)
 
     @cached_property
-    def _known(self) -> dict[str, Found]:
-        return named(self.given)
+    def _named_numbers(self) -> dict[str, NumberRef]:
+        return refs_of(self.given)
 
-    def _refuse_shared(self, name: str) -> None:
+    def _check_shared(self, name: str) -> None:
         """Reject a spread of a whole number, such as the samples of a delay: all robots share it."""
         for leaf in walk(self.given):
             if isinstance(leaf.declared, Whole) and f".{leaf.path}".endswith(f".{name}"):
@@ -279,7 +279,7 @@ class Scenario(Recorded):
         """Reject parts that return arrays of wrong shapes, or different values for the same arguments."""
         start = self.start
         if any(one.function is None for one in self.recorded_metrics):
-            check_measured(self.robot, *start, self.reference)
+            check_metrics(self.robot, *start, self.reference)
         check_answers(self.given, self.context, *start)
 
     def _set(self, **values: object) -> None:
@@ -327,10 +327,10 @@ class Scenario(Recorded):
     def recorded_metrics(self) -> tuple[Metric, ...]:
         """Metrics that the ensemble records beside errors."""
         errors = "distance", "heading", *(one.name for one in self._coordinates)
-        return chosen(self.robot, self.metrics, errors)
+        return select_metrics(self.robot, self.metrics, errors)
 
     @cached_property
-    def found(self) -> dict[str, Found]:
+    def numbers(self) -> dict[str, NumberRef]:
         """Numbers of the loop that the spread names, by its names."""
         return {name: self.find(name) for name in self.spread}
 
@@ -339,7 +339,7 @@ class Scenario(Recorded):
         """Nominal loop; numbers of the spread have the shape that they have for each robot."""
         nominal: dict[str, Any] = {}
         for path, value in self._spread_values(self._ones, 1).items():
-            given, shape = self._known[path].leaf.value, value.shape[1:]
+            given, shape = self._named_numbers[path].leaf.value, value.shape[1:]
             if given is None or np.shape(given) != shape:
                 nominal[path] = np.broadcast_to(1.0 if given is None else given, shape)
         return replaced(self.given, nominal) if nominal else self.given
@@ -354,31 +354,31 @@ class Scenario(Recorded):
         factors = {name for name, source in self.spread.items() if isinstance(source, Relative)}
         columns = [
             (one, draws[name], name in factors and one.entry is None and one.is_array)
-            for name, one in self.found.items()
+            for name, one in self.numbers.items()
         ]
         return spread_values(columns, count, self.size)
 
     @property
     def parameters(self) -> dict[str, Parameter]:
         """Name, unit and meaning of the numbers of the spread, by name."""
-        return {name: Parameter(name, one.unit, one.meaning) for name, one in self.found.items()}
+        return {name: Parameter(name, one.unit, one.meaning) for name, one in self.numbers.items()}
 
     @cached_property
     def is_noisy(self) -> bool:
         """Whether the controller uses noise of its context."""
-        asked = []
+        names = []
 
         def noise(name: str, n: int) -> Noise:
-            asked.append(name)
+            names.append(name)
             return Noise(0, n)
 
         initial_memory(self.loop, self.context, noise=noise)
-        return bool(asked)
+        return bool(names)
 
     @property
     def has_own_references(self) -> bool:
         """Whether the spread names a number of the trajectory: each robot then has its own reference."""
-        return any(one.path.startswith("trajectory.") for one in self.found.values())
+        return any(one.path.startswith("trajectory.") for one in self.numbers.values())
 
     def references(self, values: Mapping[str, Array], count: int, first: int = 0) -> Reference | None:
         """Return each robot's own reference, q, v and a of shape (N + 1, count, ...), or None.
@@ -397,38 +397,38 @@ class Scenario(Recorded):
         """
         if not self.has_own_references:
             return None
-        own = {x.removeprefix("trajectory."): y for x, y in values.items() if x.startswith("trajectory.")}
-        known: dict[bytes, Reference] = {}
-        found = Reference(*(np.empty((len(self.t), count, part.shape[1])) for part in self.reference))
+        paths = {x.removeprefix("trajectory."): y for x, y in values.items() if x.startswith("trajectory.")}
+        cache: dict[bytes, Reference] = {}
+        references = Reference(*(np.empty((len(self.t), count, part.shape[1])) for part in self.reference))
         for i in range(count):
-            numbers = {path: value[i] for path, value in own.items()}
+            numbers = {path: value[i] for path, value in paths.items()}
             key = b"".join(np.asarray(value).tobytes() for value in numbers.values())
             try:
-                if key not in known:
-                    known[key] = self._sampled(replaced(self.trajectory, numbers))
+                if key not in cache:
+                    cache[key] = self._own_reference(replaced(self.trajectory, numbers))
             except InvalidArgument as error:
                 raise InvalidArgument(f"robot {first + i}: {error}") from error
-            for rows, part in zip(found, known[key], strict=True):
+            for rows, part in zip(references, cache[key], strict=True):
                 rows[:, i] = part
-        return found
+        return references
 
-    def _sampled(self, trajectory: Trajectory) -> Reference:
+    def _own_reference(self, trajectory: Trajectory) -> Reference:
         """Return the reference of a robot's own trajectory, which must have the same shape for all robots."""
         longest = float(trajectory.duration)
-        if longest < self.t[-1] * (1 - _SAME):
-            least = f"{self.t[-1]:.9g} s as the ensemble"
-            raise InvalidArgument(f"its trajectory lasts {longest:.9g} s, expected at least {least}")
-        reference = sampled(trajectory, np.minimum(self.t, longest), self.robot)
+        if longest < self.t[-1] * (1 - _TIME_ERROR):
+            expected = f"{self.t[-1]:.9g} s as the ensemble"
+            raise InvalidArgument(f"its trajectory lasts {longest:.9g} s, expected at least {expected}")
+        reference = sample_reference(trajectory, np.minimum(self.t, longest), self.robot)
         if reference.v.shape != self.reference.v.shape:
-            what = f"its trajectory has {reference.v.shape[1]} coordinates"
-            raise InvalidArgument(f"{what}, expected {self.size} as all others")
+            message = f"its trajectory has {reference.v.shape[1]} coordinates"
+            raise InvalidArgument(f"{message}, expected {self.size} as all others")
         return reference
 
     @cached_property
-    def _drawn(self) -> dict[str, Any]:
+    def _random_parts(self) -> dict[str, Any]:
         """Parts that draw numbers for each robot without a spread, by the paths of these numbers."""
-        found = parts_of(self.given)
-        return {f"{path}.{name}": part for path, part in found for name in getattr(part, "drawn", ())}
+        parts = parts_of(self.given)
+        return {f"{path}.{name}": part for path, part in parts for name in getattr(part, "drawn", ())}
 
     @cached_property
     def _last_draws(self) -> dict[str, dict[int, Array]]:
@@ -445,22 +445,22 @@ class Scenario(Recorded):
         start, stop : int
             Range of robots.
         """
-        found = self._spread_values(draws, stop - start)
-        for path, part in self._drawn.items():
-            where, _, name = path.rpartition(".")
-            stream = f"{_numbered(where)} of {crc32(part.stream)}"
+        arrays = self._spread_values(draws, stop - start)
+        for path, part in self._random_parts.items():
+            owner, _, name = path.rpartition(".")
+            stream = f"{_stream_name(owner)} of {crc32(part.stream)}"
             last = self._last_draws.setdefault(path, {})
-            found[path] = in_blocks(stream, partial(_drawn_by, part, name), self.seed, start, stop, last)
-        return found
+            arrays[path] = draw_blocks(stream, partial(_draw, part, name), self.seed, start, stop, last)
+        return arrays
 
     @cached_property
     def entries(self) -> dict[str, Any]:
         """Masks of the entries that differ from robot to robot in the numbers of the loop, by path."""
-        found = spread_entries(list(self.found.values()), self._spread_values(self._ones, 1))
-        kept = {path: x for path, x in found.items() if is_traced(path)}
-        known = numbers(self.given)
-        drawn = {path: known[path].value for path in self._drawn if path in known}
-        return kept | {path: np.ones(np.shape(value), bool) for path, value in drawn.items()}
+        masks = spread_entries(list(self.numbers.values()), self._spread_values(self._ones, 1))
+        traced = {path: x for path, x in masks.items() if is_traced(path)}
+        leaves = numbers(self.given)
+        draws = {path: leaves[path].value for path in self._random_parts if path in leaves}
+        return traced | {path: np.ones(np.shape(value), bool) for path, value in draws.items()}
 
     def starts(
         self, values: Mapping[str, Array], count: int, references: Reference | None = None
@@ -476,35 +476,35 @@ class Scenario(Recorded):
         references : Reference, optional
             References of the robots, see `references`.
         """
-        plant, none = self.robot, np.zeros((count, self.robot.nv))
-        off, rates = values.get("start", none), values.get("start_rate", none)
+        plant, zeros = self.robot, np.zeros((count, self.robot.nv))
+        dqs, rates = values.get("start", zeros), values.get("start_rate", zeros)
         if references is None:
             start = self.start
-            q, v = _moved(plant, start[0], off), start[1] + rates
+            q, v = _displace(plant, start[0], dqs), start[1] + rates
         else:
-            begun = [self._beginning(Reference(*(part[0, i] for part in references))) for i in range(count)]
-            q = np.array([plant.integrate(q, dq) for (q, _), dq in zip(begun, off, strict=True)], np.float64)
-            v = np.array([v for _, v in begun]) + rates
-        own = {path: value for path, value in values.items() if path.startswith("plant.")}
-        if able(plant, Constrained) and (own or values.keys() & {"start", "start_rate"}):
-            return q, initial_velocities(self.loop, own, q, v)  # such as rolling
+            states = [self._start(Reference(*(part[0, i] for part in references))) for i in range(count)]
+            q = np.array([plant.integrate(q, dq) for (q, _), dq in zip(states, dqs, strict=True)], np.float64)
+            v = np.array([v for _, v in states]) + rates
+        plant_values = {path: value for path, value in values.items() if path.startswith("plant.")}
+        if able(plant, Constrained) and (plant_values or values.keys() & {"start", "start_rate"}):
+            return q, initial_velocities(self.loop, plant_values, q, v)  # such as rolling
         return q, v
 
     @property
     def start(self) -> tuple[Array, Array]:
         """Initial state of the nominal robot, shape (nq,) and (nv,)."""
-        q, v = self._beginning(Reference(*(part[0] for part in self.reference)))
+        q, v = self._start(Reference(*(part[0] for part in self.reference)))
         return np.array(q, np.float64), np.array(v, np.float64)
 
-    def _beginning(self, at: Reference) -> tuple[Array, Array]:
+    def _start(self, row: Reference) -> tuple[Array, Array]:
         """Return the state of the plant at a sample of a reference, (nq,) and (nv,)."""
-        starting = able(self.robot, Starting)
-        if starting is None:
-            return at.q, at.v
-        q, v = (finite(f"{name} of plant.start", x) for name, x in zip("qv", starting.start(at), strict=True))
+        starter = able(self.robot, Starting)
+        if starter is None:
+            return row.q, row.v
+        q, v = (finite(f"{name} of plant.start", x) for name, x in zip("qv", starter.start(row), strict=True))
         return q, v
 
-    def holding(self, start: int, stop: int) -> Scenario:
+    def subset(self, start: int, stop: int) -> Scenario:
         """Return the scenario for a process that runs the robots from `start` to before `stop`.
 
         Arrays of the spread contain only these robots. Everything else, draws included, is the same.
@@ -520,7 +520,7 @@ class Scenario(Recorded):
             Scenario with the same n.
         """
         part = copy(self)
-        object.__setattr__(part, "spread", held(self.spread, start, stop))
+        object.__setattr__(part, "spread", slice_spread(self.spread, start, stop))
         return part
 
     def draws(self, start: int = 0, stop: int | None = None) -> dict[str, Array]:
@@ -543,11 +543,11 @@ class Scenario(Recorded):
         if not first < last <= self.n:
             raise InvalidArgument(f"start is {first} and stop {last}, expected 0 <= start < stop <= {self.n}")
         values = draw(self.spread, self.seed, first, last, self.find)
-        check_possible(values, self.found)
-        self._check_together(values, last - first)
+        check_draws(values, self.numbers)
+        self._check_joint_draws(values, last - first)
         return values
 
-    def _check_together(self, draws: Mapping[str, Array], count: int) -> None:
+    def _check_joint_draws(self, draws: Mapping[str, Array], count: int) -> None:
         """Reject draws that are possible one by one but not together: a part's `impossible` decides.
 
         Raises
@@ -555,19 +555,19 @@ class Scenario(Recorded):
         InvalidArgument
             If there are some; the message gives their share.
         """
-        owners = {one.leaf.path.rpartition(".")[0]: one.leaf.owner for one in self.found.values()}
-        judges = {path: owner for path, owner in owners.items() if hasattr(owner, "impossible")}
-        values = self._spread_values(draws, count) if judges else {}
-        for path, owner in judges.items():
-            own = {at.rpartition(".")[2]: x for at, x in values.items() if at.rpartition(".")[0] == path}
-            wrong, expected = owner.impossible(own)
+        owners = {one.leaf.path.rpartition(".")[0]: one.leaf.owner for one in self.numbers.values()}
+        checkers = {path: owner for path, owner in owners.items() if hasattr(owner, "impossible")}
+        values = self._spread_values(draws, count) if checkers else {}
+        for path, owner in checkers.items():
+            part = {p.rpartition(".")[2]: x for p, x in values.items() if p.rpartition(".")[0] == path}
+            wrong, expected = owner.impossible(part)
             if wrong.any():
                 share = f"{np.count_nonzero(wrong)} of {count} draws ({wrong.mean():.2%})"
-                what = f"spread gives {path} in {share} an inertia that no body has"
-                raise InvalidArgument(f"{what}, {expected}")
+                message = f"spread gives {path} in {share} an inertia that no body has"
+                raise InvalidArgument(f"{message}, {expected}")
 
 
-def checked_scenario(scenario: object) -> Scenario:
+def check_scenario(scenario: object) -> Scenario:
     """Return a scenario.
 
     Raises
@@ -575,27 +575,27 @@ def checked_scenario(scenario: object) -> Scenario:
     InvalidArgument
         If the argument is not a `Scenario`.
     """
-    found: Scenario = instance("scenario", scenario, Scenario, "a Scenario")
-    return found
+    typed: Scenario = instance("scenario", scenario, Scenario, "a Scenario")
+    return typed
 
 
-def _drawn_by(part: Any, name: str, generator: np.random.Generator, count: int) -> Array:
+def _draw(part: Any, name: str, generator: np.random.Generator, count: int) -> Array:
     return np.asarray(part.draw(generator, count)[name])
 
 
-def _numbered(path: str) -> str:
+def _stream_name(path: str) -> str:
     """Return the name of a force in streams of random numbers, from its path."""
     first, _, rest = path.partition(".")
     return f"{first}[{rest}]" if rest.isdigit() else path
 
 
-def _moved(plant: Plant, q: Array, displacements: Array) -> Array:
+def _displace(plant: Plant, q: Array, displacements: Array) -> Array:
     """Return the configurations after displacements, shape (m, nq), in one call if the plant supports it."""
     ends = [plant.integrate(q, displacements[k]) for k in (0, -1)]
     try:
-        found = np.asarray(plant.integrate(q, displacements), np.float64)
-        if found.shape == (len(displacements), plant.nq) and np.array_equal(found[[0, -1]], ends):
-            return found
+        rows = np.asarray(plant.integrate(q, displacements), np.float64)
+        if rows.shape == (len(displacements), plant.nq) and np.array_equal(rows[[0, -1]], ends):
+            return rows
     except (TypeError, ValueError, IndexError):
         pass  # the plant accepts one state
-    return np.array([plant.integrate(q, each) for each in displacements], np.float64)
+    return np.array([plant.integrate(q, dq) for dq in displacements], np.float64)

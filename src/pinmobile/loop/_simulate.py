@@ -25,14 +25,14 @@ from pinmobile.controllers import Controller
 from pinmobile.errors import Diverged, InvalidArgument, LimitWarning, NotTraceable, SlowerEngine
 from pinmobile.forces import Force
 from pinmobile.integrators import Integrator
-from pinmobile.loop._checks import Last, check_answers, checked_run, sampled
+from pinmobile.loop._checks import ResultCache, check_answers, check_run, sample_reference
 from pinmobile.loop._events import events_of, is_fault, kinds_of
 from pinmobile.loop._loop import Loop
-from pinmobile.loop._python import CompiledRun, PythonRun, Run, with_compiled_plant
+from pinmobile.loop._python import CompiledRun, PythonRun, Run, compile_plant
 from pinmobile.loop._record import LARGEST, is_near
 from pinmobile.loop._rollout import Rollout
 from pinmobile.parts import OnCoordinates, Starting, able
-from pinmobile.plant import Context, Plant, all_samples, coordinates_of, stated, whole_configurations
+from pinmobile.plant import Context, Plant, all_samples, coordinates_of, full_configurations, stated
 from pinmobile.signals import Signal, collect_time_signals
 from pinmobile.trajectories import Reference, Trajectory, check_limits
 
@@ -70,7 +70,7 @@ class Engine(Enum):
     __str__ = __repr__
 
 
-def checked_engine(engine: object) -> Engine | None:
+def check_engine(engine: object) -> Engine | None:
     """Return an engine or None.
 
     Raises
@@ -78,17 +78,17 @@ def checked_engine(engine: object) -> Engine | None:
     InvalidArgument
         If the argument is anything else.
     """
-    found: Engine | None = instance("engine", engine, Engine | None, "Engine.PYTHON, Engine.COMPILED or None")
-    return found
+    typed: Engine | None = instance("engine", engine, Engine | None, "Engine.PYTHON, Engine.COMPILED or None")
+    return typed
 
 
-def not_compiled(error: NotTraceable) -> InvalidArgument:
-    """Return the error for a user who asked for `Engine.COMPILED`."""
+def compile_error(error: NotTraceable) -> InvalidArgument:
+    """Return the error for a user who selects `Engine.COMPILED`."""
     return InvalidArgument(f"engine is Engine.COMPILED, which cannot run this: {error.reason}")
 
 
 _CHUNK = 512  # samples between two checks for divergence
-_NOT_ASKED = "not COMPILED: give engine=Engine.COMPILED to compile the loop"
+_NOT_SELECTED = "not COMPILED: give engine=Engine.COMPILED to compile the loop"
 
 
 def simulate(
@@ -198,48 +198,48 @@ def simulate(
     """
     dt, limit = positive("dt", dt, "s"), positive("limit", limit)
     options: Any = {"forces": forces, "integrator": integrator, "substeps": substeps}
-    whole_loop, t = checked_run(plant, controller, trajectory, **options, dt=dt, duration=duration)
-    asked, known = checked_engine(engine), kinds_of(plant)
+    full_loop, t = check_run(plant, controller, trajectory, **options, dt=dt, duration=duration)
+    selected, event_kinds = check_engine(engine), kinds_of(plant)
     kinds = sequence("stop_at", stop_at, 'kinds of events, such as ["tip over"]')
-    stops = [one_of("event", kind, known) for kind in kinds]
-    compiles = asked is Engine.COMPILED or (asked is None and stated(plant, "compiles"))
-    reference = sampled(trajectory, t, plant)
+    stops = [one_of("event", kind, event_kinds) for kind in kinds]
+    compiles = selected is Engine.COMPILED or (selected is None and stated(plant, "compiles"))
+    reference = sample_reference(trajectory, t, plant)
     start = start_of(plant, reference, q0, v0)
     context = Context.of(plant, dt=dt, t=t, reference=reference, trajectory=trajectory)
     context = replace(
         context, seed=check_integer("seed", seed, least=0), member=check_integer("member", member, least=0)
     )
-    check_answers(whole_loop, context, *start)
-    loop, why = _engaged(whole_loop, context, start, asked, compiles=compiles)
-    made: Any = {"engine": "COMPILED" if isinstance(loop, CompiledRun) else "PYTHON", "fallback_reason": why}
-    if why.startswith("not") and compiles:
-        warn(f"this loop runs by PYTHON: {why}", SlowerEngine, stacklevel=2)
+    check_answers(full_loop, context, *start)
+    loop, cause = _make_run(full_loop, context, start, selected, compiles=compiles)
+    info = {"engine": "COMPILED" if isinstance(loop, CompiledRun) else "PYTHON", "fallback_reason": cause}
+    if cause.startswith("not") and compiles:
+        warn(f"this loop runs by PYTHON: {cause}", SlowerEngine, stacklevel=2)
     chunk = len(t) if isinstance(loop, CompiledRun) else _CHUNK
 
-    def recorded(end: int) -> Rollout:
-        return rollout_of(whole_loop, t, loop.kept, reference, end, loop.units, **made)
+    def make_rollout(end: int) -> Rollout:
+        return rollout_of(full_loop, t, loop.kept, reference, end, loop.units, **info)
 
     for begin in range(0, len(t), chunk):
         end = min(begin + chunk, len(t))
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # the check below reports it
             loop.fill(begin, end)
-        if loop.is_fine(begin, end, limit):
+        if loop.is_valid(begin, end, limit):
             continue
-        bad, why = _first_bad(plant, loop, reference, begin, end, limit)
-        if bad is not None:
-            kept = recorded(bad) if bad else None
-            if end := _end_of(kept, stops):
-                return recorded(end)
-            q, v, _, _ = loop.samples(bad, bad + 1)
-            message = f"the loop diverged at t = {t[bad]:g} s (sample {bad} of {len(t) - 1}): {why}"
-            message += _too_stiff(whole_loop, start[0], dt)
-            message += "".join(f"; {event}" for event in _faults(kept))
-            raise Diverged(message, time=float(t[bad]), q=q[0], v=v[0], rollout=kept) from loop.stopped
-    found = recorded(len(t))
-    found = recorded(end) if (end := _end_of(found, stops)) else found
-    if faults := _faults(found):
+        index, cause = _first_invalid(plant, loop, reference, begin, end, limit)
+        if index is not None:
+            rollout = make_rollout(index) if index else None
+            if end := _end_of(rollout, stops):
+                return make_rollout(end)
+            q, v, _, _ = loop.samples(index, index + 1)
+            message = f"the loop diverged at t = {t[index]:g} s (sample {index} of {len(t) - 1}): {cause}"
+            message += _stiffness_advice(full_loop, start[0], dt)
+            message += "".join(f"; {event}" for event in _faults(rollout))
+            raise Diverged(message, time=float(t[index]), q=q[0], v=v[0], rollout=rollout) from loop.failure
+    run = make_rollout(len(t))
+    run = make_rollout(end) if (end := _end_of(run, stops)) else run
+    if faults := _faults(run):
         warn("; ".join(faults), LimitWarning, stacklevel=2)
-    return found
+    return run
 
 
 def _faults(run: Rollout | None) -> list[str]:
@@ -253,24 +253,24 @@ def _end_of(run: Rollout | None, kinds: Sequence[str]) -> int:
     return int(np.searchsorted(run.t, min(times))) + 1 if run and times else 0
 
 
-def _engaged(
-    loop: Loop, context: Context, start: tuple[Array, Array], asked: Engine | None, *, compiles: bool
+def _make_run(
+    loop: Loop, context: Context, start: tuple[Array, Array], selected: Engine | None, *, compiles: bool
 ) -> tuple[Run, str]:
     """Return the run of a loop by an engine, and the reason why the engine is not `Engine.COMPILED`."""
     if not compiles:
-        return PythonRun(loop, context, *start), _NOT_ASKED if asked is None else ""
+        return PythonRun(loop, context, *start), _NOT_SELECTED if selected is None else ""
     try:
         return CompiledRun(loop, context, *start), ""
     except NotTraceable as error:
-        if asked is Engine.COMPILED:
-            raise not_compiled(error) from error
-        why = error.reason
+        if selected is Engine.COMPILED:
+            raise compile_error(error) from error
+        reason = error.reason
     try:
-        compiled = with_compiled_plant(loop, context, *start)
+        compiled = compile_plant(loop, context, *start)
     except NotTraceable:
-        return PythonRun(loop, context, *start), f"not COMPILED: {why}"
-    why = f"plant and forces are compiled, the controller runs in Python; not COMPILED: {why}"
-    return PythonRun(compiled, context, *start), why
+        return PythonRun(loop, context, *start), f"not COMPILED: {reason}"
+    reason = f"plant and forces are compiled, the controller runs in Python; not COMPILED: {reason}"
+    return PythonRun(compiled, context, *start), reason
 
 
 def start_of(
@@ -278,29 +278,29 @@ def start_of(
 ) -> tuple[Array, Array]:
     """Return the initial state: the given state, or the start of the reference as the plant completes it."""
     first = Reference(*(part[0] for part in reference))
-    asked, by_default = tuple(part.tobytes() for part in first), q0 is None and v0 is None
-    known = _started.get(plant, asked) if by_default else None
-    if known is not None:
-        return known[0].copy(), known[1].copy()
-    starting = able(plant, Starting)
-    if starting is not None:
-        on_reference = starting.start(first)
+    key, is_default = tuple(part.tobytes() for part in first), q0 is None and v0 is None
+    entry = _initial_states.get(plant, key) if is_default else None
+    if entry is not None:
+        return entry[0].copy(), entry[1].copy()
+    starter = able(plant, Starting)
+    if starter is not None:
+        default_start = starter.start(first)
     elif first.v.size == plant.nv:
-        on_reference = first.q, first.v
+        default_start = first.q, first.v
     elif q0 is None or v0 is None:
         raise InvalidArgument(
             f"reference has the first {first.v.size} of {plant.nv} coordinates, and the plant, a "
             f"{type(plant).__name__}, has no start(reference), which completes them: give q0 and v0"
         )
     else:
-        on_reference = np.zeros(plant.nq), np.zeros(plant.nv)
+        default_start = np.zeros(plant.nq), np.zeros(plant.nv)
 
-    def checked(name: str, given: Any, default: Array, size: int) -> Array:
-        own = finite(f"{name} of plant.start", default) if given is None else finite(name, given)
-        return shaped(name, own, (size,))
+    def check_size(name: str, value: Any, default: Array, size: int) -> Array:
+        array = finite(f"{name} of plant.start", default) if value is None else finite(name, value)
+        return shaped(name, array, (size,))
 
-    q = checked("q0", q0, on_reference[0], plant.nq)
-    v = checked("v0", v0, on_reference[1], plant.nv)
+    q = check_size("q0", q0, default_start[0], plant.nq)
+    v = check_size("v0", v0, default_start[1], plant.nv)
     if stated(plant, "velocity_limit") is not None:
         check_limits(plant, q, v)
     check = stated(plant, "check_start")
@@ -311,50 +311,50 @@ def start_of(
             if error.argument == "start" and q0 is None and v0 is None:
                 raise error.calling("reference at its start") from None
             raise
-    if by_default:
-        _started.keep(plant, asked, (q.copy(), v.copy()))
+    if is_default:
+        _initial_states.keep(plant, key, (q.copy(), v.copy()))
     return q, v
 
 
-_started = Last()
+_initial_states = ResultCache()
 """Initial states by plant and by the bytes of the first reference."""
 
 
 def errors_of(plant: Plant, q: Array, reference: Reference) -> Array:
     """Return the tracking errors of samples in the n coordinates of the reference, shape (N, n)."""
-    whole = whole_configurations(plant, q, reference.q)
-    return all_samples(plant, "difference", q, whole)[:, : reference.v.shape[1]]
+    desired = full_configurations(plant, q, reference.q)
+    return all_samples(plant, "difference", q, desired)[:, : reference.v.shape[1]]
 
 
-def _first_bad(
+def _first_invalid(
     plant: Plant, loop: Run, reference: Reference, begin: int, end: int, limit: float
 ) -> tuple[int | None, str]:
     """Return the first sample that is not acceptable and the reason, or None and ""."""
     samples = loop.samples(begin, end)
     with np.errstate(all="ignore"):
-        small = np.abs(sum(part.sum(axis=1) for part in samples[2:])) < LARGEST * limit
-    finite = np.all([small, *(np.isfinite(part).all(axis=1) for part in samples)], axis=0)
-    good = int(np.argmin(finite)) if not finite.all() else end - begin
-    if good:
-        q, v = (part[:good] for part in samples[:2])
-        window = Reference(*(part[begin : begin + good] for part in reference))
+        is_small = np.abs(sum(part.sum(axis=1) for part in samples[2:])) < LARGEST * limit
+    is_finite = np.all([is_small, *(np.isfinite(part).all(axis=1) for part in samples)], axis=0)
+    count = int(np.argmin(is_finite)) if not is_finite.all() else end - begin
+    if count:
+        q, v = (part[:count] for part in samples[:2])
+        window = Reference(*(part[begin : begin + count] for part in reference))
         n = window.v.shape[1]
         errors = np.hstack([errors_of(plant, q, window), window.v - v[:, :n]])
-        near = is_near(errors[..., None], limit)  # each error separately
-        if not near.all():
-            k, column = map(int, np.argwhere(~near)[0])
-            named = coordinates_of(plant)[column % n].name
-            what = f"the error in {'the rate of ' if column >= n else ''}{named}"
-            return begin + k, f"{what} is {errors[k, column]:.4g}, beyond the limit {limit:g}"
-    if good < end - begin:
+        is_close = is_near(errors[..., None], limit)  # each error separately
+        if not is_close.all():
+            k, column = map(int, np.argwhere(~is_close)[0])
+            name = coordinates_of(plant)[column % n].name
+            message = f"the error in {'the rate of ' if column >= n else ''}{name}"
+            return begin + k, f"{message} is {errors[k, column]:.4g}, beyond the limit {limit:g}"
+    if count < end - begin:
         parts = ("q", "v", "a", "u")
-        which = [n for n, part in zip(parts, samples, strict=True) if not np.isfinite(part[good]).all()]
-        reason = f"{', '.join(which)} not finite" if which else f"a or u beyond {LARGEST * limit:g}"
-        return begin + good, reason
+        names = [n for n, part in zip(parts, samples, strict=True) if not np.isfinite(part[count]).all()]
+        reason = f"{', '.join(names)} not finite" if names else f"a or u beyond {LARGEST * limit:g}"
+        return begin + count, reason
     return None, ""
 
 
-def _too_stiff(loop: Loop, q: Array, dt: float) -> str:
+def _stiffness_advice(loop: Loop, q: Array, dt: float) -> str:
     """Return advice if friction requires a smaller step of the integrator, else "".
 
     With the damping matrix C of all coordinates, explicit steps are stable up to about 2 / max eig(M^-1 C).
@@ -363,7 +363,7 @@ def _too_stiff(loop: Loop, q: Array, dt: float) -> str:
     if stated(plant, "mass_matrix") is None:
         return ""
     C = np.zeros((plant.nv, plant.nv))
-    for force in [each for each in loop.all_forces if stated(each, "damping") is not None]:
+    for force in [x for x in loop.all_forces if stated(x, "damping") is not None]:
         if able(force, OnCoordinates):
             C += np.diag(np.broadcast_to(force.damping, plant.nv))
             continue
@@ -374,23 +374,23 @@ def _too_stiff(loop: Loop, q: Array, dt: float) -> str:
         C += J.T @ np.diag(force.damping) @ J
     rates = np.linalg.eigvals(np.linalg.solve(plant.mass_matrix(q), C)) if C.any() else np.zeros(1)
     longest = 2 / max(float(np.abs(rates).max()), 1e-300)
-    needs = f"; the friction in `forces` needs steps of the integrator of at most {longest:.2g} s"
-    return "" if h <= longest else f"{needs}, and they are {h:.2g} s: give a smaller dt, or more substeps"
+    advice = f"; the friction in `forces` needs steps of the integrator of at most {longest:.2g} s"
+    return "" if h <= longest else f"{advice}, and they are {h:.2g} s: give a smaller dt, or more substeps"
 
 
 def rollout_of(
     loop: Loop,
     t: Array,
-    kept: Mapping[str, Array],
+    arrays: Mapping[str, Array],
     reference: Reference,
     end: int,
     units: Mapping[str, str],
-    **made: str,
+    **texts: str,
 ) -> Rollout:
     """Return the samples before `end` from arrays by name; `units` contains those of the signals."""
     desired = Reference(*(part[:end] for part in reference))
-    q, v, a, u = (kept[name][:end] for name in "qvau")
+    q, v, a, u = (arrays[name][:end] for name in "qvau")
     signals = collect_time_signals(t[:end], loop.controller, loop.trajectory)
-    signals |= {name: Signal(unit, kept[f"signal {name}"][:end]) for name, unit in units.items()}
+    signals |= {name: Signal(unit, arrays[f"signal {name}"][:end]) for name, unit in units.items()}
     error = errors_of(loop.plant, q, desired)
-    return Rollout(loop.plant, t[:end], q, v, a, u, error, desired, signals, **made)
+    return Rollout(loop.plant, t[:end], q, v, a, u, error, desired, signals, **texts)

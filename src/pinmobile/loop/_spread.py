@@ -13,7 +13,7 @@ import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, affordable, check_integer, finite, instance, scalar, shaped
 from pinmobile.errors import InvalidArgument, format_value
-from pinmobile.parts import Found, Number, by_value, matching, number, part
+from pinmobile.parts import Number, NumberRef, by_value, match_refs, number, part
 from pinmobile.plant import stated
 
 
@@ -117,7 +117,7 @@ class Uniform:
         InvalidArgument
             If `generator` is not a Generator, or `size` is not a whole number >= 0.
         """
-        return _random(generator).uniform(self.low, self.high, checked_size(size))
+        return _random(generator).uniform(self.low, self.high, check_size(size))
 
     def support(self) -> tuple[float, float]:
         """Return the bounds, as a frozen distribution of ``scipy.stats`` does."""
@@ -194,7 +194,7 @@ class Normal:
         InvalidArgument
             If `generator` is not a Generator, or `size` is not a whole number >= 0.
         """
-        return _random(generator).normal(self.mean, self.std, checked_size(size))
+        return _random(generator).normal(self.mean, self.std, check_size(size))
 
 
 @final
@@ -299,19 +299,19 @@ class _TrueModel(Mapping[str, SameAs]):
     """Immutable mapping whose pickle returns the same object in another process."""
 
     def __init__(self, names: Iterable[str]) -> None:
-        self._held = {f"controller.{name}": SameAs(f"plant.{name}") for name in names}
+        self._sources = {f"controller.{name}": SameAs(f"plant.{name}") for name in names}
 
     def __getitem__(self, name: str) -> SameAs:
-        return self._held[name]
+        return self._sources[name]
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._held)
+        return iter(self._sources)
 
     def __len__(self) -> int:
-        return len(self._held)
+        return len(self._sources)
 
     def __repr__(self) -> str:
-        return repr(self._held)
+        return repr(self._sources)
 
     def __reduce__(self) -> str:
         return "TRUE_MODEL"
@@ -327,11 +327,11 @@ Source: TypeAlias = Distribution | SameAs | Relative | ArrayLike
 
 
 def _random(generator: object) -> np.random.Generator:
-    found: np.random.Generator = instance("generator", generator, np.random.Generator, "a Generator of NumPy")
-    return found
+    typed: np.random.Generator = instance("generator", generator, np.random.Generator, "a Generator of NumPy")
+    return typed
 
 
-def checked_size(size: int) -> int:
+def check_size(size: int) -> int:
     """Return a number of draws.
 
     Raises
@@ -344,7 +344,7 @@ def checked_size(size: int) -> int:
     return count
 
 
-def drawn(name: str, source: Any, generator: np.random.Generator, size: int) -> Array:
+def draw_source(name: str, source: Any, generator: np.random.Generator, size: int) -> Array:
     """Return draws from a distribution, shape (size,).
 
     Parameters
@@ -363,28 +363,28 @@ def drawn(name: str, source: Any, generator: np.random.Generator, size: int) -> 
     InvalidArgument
         If the distribution returns anything but `size` finite numbers.
     """
-    is_own, what = stated(source, "sample") is not None, f"spread[{name!r}].sample"
-    values = source.sample(generator, size) if is_own else source.rvs(size=size, random_state=generator)
-    return shaped(what, finite(what, values), (size,))
+    has_sample, label = stated(source, "sample") is not None, f"spread[{name!r}].sample"
+    values = source.sample(generator, size) if has_sample else source.rvs(size=size, random_state=generator)
+    return shaped(label, finite(label, values), (size,))
 
 
-Find: TypeAlias = Callable[..., Found]
+Find: TypeAlias = Callable[..., NumberRef]
 """``find(name, where)`` returns the number with this name, or raises."""
 
 
-def without_patterns(
-    spread: Mapping[str, Source], given: Any, known: Mapping[str, Found]
+def expand_patterns(
+    spread: Mapping[str, Source], given: Any, numbers: Mapping[str, NumberRef]
 ) -> dict[str, Source]:
     """Return a spread in which each pattern, such as ``"*.mu"``, is replaced by the paths that it means."""
-    found = dict[str, Source]()
+    expanded = dict[str, Source]()
     for name, source in spread.items():
         is_pattern = "*" in str(name)
-        own = [one.path for one in matching(given, name, known, "spread")] if is_pattern else [name]
-        found |= dict.fromkeys(own, source)
-    return found
+        paths = [one.path for one in match_refs(given, name, numbers, "spread")] if is_pattern else [name]
+        expanded |= dict.fromkeys(paths, source)
+    return expanded
 
 
-def checked_spread(spread: Mapping[str, Source], n: int, find: Find) -> dict[str, Any]:
+def check_spread(spread: Mapping[str, Source], n: int, find: Find) -> dict[str, Any]:
     """Return a spread with checked names and sources, and copies of its arrays.
 
     Parameters
@@ -404,24 +404,24 @@ def checked_spread(spread: Mapping[str, Source], n: int, find: Find) -> dict[str
         If a source is not a distribution, number, array of shape (n,), `Relative` or `SameAs`, if a `SameAs`
         is circular, or if two names mean the same number.
     """
-    found, named = {}, dict[str, str]()
+    sources, names = {}, dict[str, str]()
     for name, source in spread.items():
-        one = find(name)
-        path, entries = one.path, one.leaf.entries
-        if one.is_array and entries and not (one.leaf.is_gain or isinstance(source, Relative | SameAs)):
-            each = ", ".join(repr(f"{name}.{entry}") for entry in entries)
-            what = f"spread has {name!r}, an array of {len(entries)} different numbers"
-            raise InvalidArgument(f"{what}, expected {each}, or a Relative distribution")
-        if named.setdefault(path, name) != name:
-            what = f"spread has {named[path]!r} and {name!r}, which both mean {path}"
-            raise InvalidArgument(f"{what}, expected one of them")
-        found[name] = _checked(f"spread[{name!r}]", source, n)
+        number = find(name)
+        path, entries = number.path, number.leaf.entries
+        if number.is_array and entries and not (number.leaf.is_gain or isinstance(source, Relative | SameAs)):
+            options = ", ".join(repr(f"{name}.{entry}") for entry in entries)
+            message = f"spread has {name!r}, an array of {len(entries)} different numbers"
+            raise InvalidArgument(f"{message}, expected {options}, or a Relative distribution")
+        if names.setdefault(path, name) != name:
+            message = f"spread has {names[path]!r} and {name!r}, which both mean {path}"
+            raise InvalidArgument(f"{message}, expected one of them")
+        sources[name] = _check_source(f"spread[{name!r}]", source, n)
         if isinstance(source, SameAs):
-            _follow(name, source, spread, find)
-    return found
+            _check_chain(name, source, spread, find)
+    return sources
 
 
-def check_supports(spread: Mapping[str, Any], found: Mapping[str, Found]) -> None:
+def check_supports(spread: Mapping[str, Any], numbers: Mapping[str, NumberRef]) -> None:
     """Check that distributions stay within the bounds of their numbers.
 
     Raises
@@ -430,22 +430,22 @@ def check_supports(spread: Mapping[str, Any], found: Mapping[str, Found]) -> Non
         If one exceeds a bound; the message gives the share of impossible draws.
     """
     for name, source in spread.items():
-        declared, one = found[name].leaf.declared, found[name]
+        field, number = numbers[name].leaf.declared, numbers[name]
         frozen = stated(source, "sample") is None and stated(source, "rvs") is not None  # of scipy.stats
-        known = frozen or isinstance(source, Uniform)
-        above, lower = (stated(declared, name) for name in ("above", "lower"))
-        least = lower if above is None else above
-        if least is not None and known and -np.inf < (low := float(source.support()[0])) < least:
-            count = f"{float(source.cdf(least)):.2%} of its draws"
-            raise _impossible(f"spread[{name!r}] reaches {low:.6g}", one, count)
+        has_support = frozen or isinstance(source, Uniform)
+        above, lower = (stated(field, name) for name in ("above", "lower"))
+        bound = lower if above is None else above
+        if bound is not None and has_support and -np.inf < (low := float(source.support()[0])) < bound:
+            count = f"{float(source.cdf(bound)):.2%} of its draws"
+            raise _support_error(f"spread[{name!r}] reaches {low:.6g}", number, count)
 
 
-def _impossible(what: str, one: Found, count: str) -> InvalidArgument:
-    words = f"{what} {one.unit} as the {one.meaning}, and {count} are impossible"
-    return InvalidArgument(f"{words}; expected {one.leaf.declared.bound}")  # type: ignore[attr-defined]
+def _support_error(message: str, number: NumberRef, count: str) -> InvalidArgument:
+    words = f"{message} {number.unit} as the {number.meaning}, and {count} are impossible"
+    return InvalidArgument(f"{words}; expected {number.leaf.declared.bound}")  # type: ignore[attr-defined]
 
 
-def check_possible(draws: Mapping[str, Array], found: Mapping[str, Found]) -> None:
+def check_draws(draws: Mapping[str, Array], numbers: Mapping[str, NumberRef]) -> None:
     """Check that draws stay within the bounds of their numbers.
 
     Raises
@@ -454,52 +454,52 @@ def check_possible(draws: Mapping[str, Array], found: Mapping[str, Found]) -> No
         If some exceed a bound; the message gives their share.
     """
     for name, column in draws.items():
-        one, declared = found[name], found[name].leaf.declared
-        wrong = declared.beyond(column) if isinstance(declared, Number) else np.zeros(len(column), bool)
-        if wrong.any():
-            count = f"{np.count_nonzero(wrong)} of {len(column)} draws ({wrong.mean():.2%})"
-            raise _impossible(f"spread[{name!r}] gives {column[wrong].min():.6g}", one, count)
+        number, field = numbers[name], numbers[name].leaf.declared
+        is_wrong = field.outside_bounds(column) if isinstance(field, Number) else np.zeros(len(column), bool)
+        if is_wrong.any():
+            count = f"{np.count_nonzero(is_wrong)} of {len(column)} draws ({is_wrong.mean():.2%})"
+            raise _support_error(f"spread[{name!r}] gives {column[is_wrong].min():.6g}", number, count)
 
 
-def _checked(what: str, source: Any, n: int) -> Any:
+def _check_source(label: str, source: Any, n: int) -> Any:
     if isinstance(source, SameAs | Relative):
-        return replace(source, factor=_checked(f"{what}.factor", source.factor, n))
+        return replace(source, factor=_check_source(f"{label}.factor", source.factor, n))
     if isinstance(source, type):
         kind = f"the class {source.__name__}"
-        raise InvalidArgument(f"{what} is {kind}, expected an object of a class, such as Uniform(1, 2)")
+        raise InvalidArgument(f"{label} is {kind}, expected an object of a class, such as Uniform(1, 2)")
     numbers = stated(source, "__array__") is not None  # a column of pandas has `sample` too
     if not numbers and any(stated(source, name) is not None for name in ("sample", "rvs")):
         return source
-    return shaped(what, finite(what, source), (), (n,)).copy()
+    return shaped(label, finite(label, source), (), (n,)).copy()
 
 
-def _follow(name: str, source: SameAs, spread: Mapping[str, Any], find: Find) -> None:
-    paths, seen = {find(other).path: other for other in spread}, [find(name).path]
+def _check_chain(name: str, source: SameAs, spread: Mapping[str, Any], find: Find) -> None:
+    paths, visited = {find(other).path: other for other in spread}, [find(name).path]
     while isinstance(source, SameAs):
-        path = find(source.name, f"spread[{paths[seen[-1]]!r}]").path
-        if path in seen:
-            circle = ", ".join(paths[each] for each in (*seen, path))
+        path = find(source.name, f"spread[{paths[visited[-1]]!r}]").path
+        if path in visited:
+            circle = ", ".join(paths[link] for link in (*visited, path))
             raise InvalidArgument(f"spread is circular ({circle}): give one its own distribution")
-        seen.append(path)
+        visited.append(path)
         source = spread.get(paths.get(path, ""))  # type: ignore[assignment]
 
 
 _BLOCK = 4096  # robots with draws from one stream of random numbers
 
 
-def stream(seed: int, what: str, *where: int) -> np.random.SeedSequence:
+def stream(seed: int, label: str, *index: int) -> np.random.SeedSequence:
     """Return the seed of a stream of random numbers, for a robot or a block of robots.
 
     Parameters
     ----------
     seed : int
         Seed of the ensemble.
-    what : str
+    label : str
         Name of the stream.
-    *where : int
+    *index : int
         Index of the robot or block.
     """
-    return np.random.SeedSequence(seed, spawn_key=(crc32(what.replace(".", "_").encode()), *where))
+    return np.random.SeedSequence(seed, spawn_key=(crc32(label.replace(".", "_").encode()), *index))
 
 
 def draw(spread: Mapping[str, Any], seed: int, start: int, stop: int, find: Find) -> dict[str, Array]:
@@ -510,7 +510,7 @@ def draw(spread: Mapping[str, Any], seed: int, start: int, stop: int, find: Find
     Parameters
     ----------
     spread : mapping
-        Result of `checked_spread`.
+        Result of `check_spread`.
     seed : int
         Seed of the ensemble.
     start, stop : int
@@ -525,44 +525,44 @@ def draw(spread: Mapping[str, Any], seed: int, start: int, stop: int, find: Find
     """
     names, values = {find(name).path: name for name in spread}, dict[str, Array]()
 
-    def of(path: str, found: Found) -> Array:
+    def value_of(path: str, number: NumberRef) -> Array:
         if path not in values:
             name = names.get(path)
             source = None if name is None else spread[name]
             if isinstance(source, SameAs | Relative):
                 if isinstance(source, SameAs):
                     other = find(source.name)
-                    base: Any = of(other.path, other)
+                    base: Any = value_of(other.path, other)
                 else:
-                    base = 1.0 if found.is_array else found.value
+                    base = 1.0 if number.is_array else number.value
                 values[path] = base * _values(f"{name} factor", source.factor, seed, start, stop)
             elif name is not None:
                 values[path] = _values(name, source, seed, start, stop)
-            elif found.is_array:
-                what = f"spread refers to {path!r}, an array of different numbers"
-                raise InvalidArgument(f"{what}, expected a single number")
+            elif number.is_array:
+                message = f"spread refers to {path!r}, an array of different numbers"
+                raise InvalidArgument(f"{message}, expected a single number")
             else:
-                return np.full(stop - start, found.value)
+                return np.full(stop - start, number.value)
         return values[path]
 
-    return {name: of(find(name).path, find(name)) for name in spread}
+    return {name: value_of(find(name).path, find(name)) for name in spread}
 
 
 @dataclass(frozen=True)
-class _Held:
+class _SpreadSlice:
     """Part of an array of the spread, for the robots from index `start` on."""
 
     start: int
     values: Array
 
 
-def held(spread: Mapping[str, Any], start: int, stop: int) -> dict[str, Any]:
+def slice_spread(spread: Mapping[str, Any], start: int, stop: int) -> dict[str, Any]:
     """Return a spread whose arrays contain only the robots from `start` to before `stop`.
 
     Parameters
     ----------
     spread : mapping
-        Result of `checked_spread`.
+        Result of `check_spread`.
     start, stop : int
         Range of robots.
     """
@@ -571,23 +571,23 @@ def held(spread: Mapping[str, Any], start: int, stop: int) -> dict[str, Any]:
         if isinstance(source, SameAs | Relative):
             return replace(source, factor=part(source.factor))
         if isinstance(source, np.ndarray) and source.ndim:
-            return _Held(start, source[start:stop])
+            return _SpreadSlice(start, source[start:stop])
         return source
 
     return {name: part(source) for name, source in spread.items()}
 
 
 def _values(name: str, source: Any, seed: int, start: int, stop: int) -> Array:
-    if isinstance(source, _Held):
+    if isinstance(source, _SpreadSlice):
         return source.values[start - source.start : stop - source.start].copy()
     if isinstance(source, np.ndarray):
         return np.array(source[start:stop] if source.ndim else np.full(stop - start, source))
 
-    return in_blocks(name, partial(drawn, name, source), seed, start, stop)
+    return draw_blocks(name, partial(draw_source, name, source), seed, start, stop)
 
 
-def in_blocks(
-    what: str,
+def draw_blocks(
+    label: str,
     draws: Callable[[np.random.Generator, int], Array],
     seed: int,
     start: int,
@@ -598,7 +598,7 @@ def in_blocks(
 
     Parameters
     ----------
-    what : str
+    label : str
         Name of the stream of random numbers.
     draws : callable
         Function ``draws(generator, size)`` that returns an array of shape (size, ...).
@@ -610,13 +610,13 @@ def in_blocks(
         Draws of the last block by its index. The function stores the block of its last robot here, so that a
         call for the next robots is fast.
     """
-    known, first = dict(last or {}), start // _BLOCK
+    cache, first = dict(last or {}), start // _BLOCK
     blocks = range(first, -(-stop // _BLOCK))
     for block in blocks:
-        if block not in known:
-            known[block] = draws(np.random.default_rng(stream(seed, what, block)), _BLOCK)
-    found = [known[block] for block in blocks]
+        if block not in cache:
+            cache[block] = draws(np.random.default_rng(stream(seed, label, block)), _BLOCK)
+    parts = [cache[block] for block in blocks]
     if last is not None:
         last.clear()
-        last[blocks[-1]] = found[-1]
-    return np.concatenate(found)[start - first * _BLOCK : stop - first * _BLOCK]
+        last[blocks[-1]] = parts[-1]
+    return np.concatenate(parts)[start - first * _BLOCK : stop - first * _BLOCK]

@@ -21,22 +21,22 @@ from pinmobile.compiled import (
     Schedule,
     Symbols,
     Tape,
-    calling_place,
+    ancestors,
     entries,
-    evaluated,
+    evaluate,
     has_symbols,
     is_traced,
+    law_place,
     leaves,
-    mapped,
-    matched,
-    needed,
+    map_leaves,
+    match_leaves,
     normals,
     sample_index,
     symbols,
     tracing,
 )
 from pinmobile.errors import NotTraceable
-from pinmobile.loop._loop import OWNERS, Loop, Record, State, initial, step
+from pinmobile.loop._loop import OWNERS, Loop, Record, State, initial_state, step
 from pinmobile.parts import numbers, replace
 from pinmobile.plant import Context
 from pinmobile.trajectories import Reference
@@ -44,7 +44,7 @@ from pinmobile.trajectories import Reference
 _FINAL = "return arrays of their final shapes from initial_state"
 
 
-class _Asked(NamedTuple):
+class _NumericSample(NamedTuple):
     """Sample on numbers: arguments and results of the laws.
 
     Attributes
@@ -59,7 +59,7 @@ class _Asked(NamedTuple):
 
     k: int
     memory: State
-    after: State
+    next_state: State
     record: Record
 
 
@@ -123,56 +123,56 @@ class Trace:
         """
         if not self.own_schedules:
             check_schedules(self.loop, self.context, self.spread)
-        number = self._shaped()
+        number = self._numeric_samples()
         tape = self._tape()
-        moves = [now != after for now, after in tape.states]
-        stays = [x for x in tape.leaves if x.kind == "state" and not any(moves[x.first : x.end])]
-        if stays:
-            self.fixed = frozenset((leaf.owner, leaf.path) for leaf in stays)
+        changes = [node != next_node for node, next_node in tape.states]
+        fixed = [x for x in tape.leaves if x.kind == "state" and not any(changes[x.first : x.end])]
+        if fixed:
+            self.fixed = frozenset((leaf.owner, leaf.path) for leaf in fixed)
             tape = self._tape()
         if not self.identity.is_ours:
             self._compare_tapes(tape, self._tape())
         self._compare_numbers(tape, number)
         return tape
 
-    def _shaped(self) -> list[_Asked]:
+    def _numeric_samples(self) -> list[_NumericSample]:
         """Return two samples on numbers, after the shapes of the memory are known."""
         for _ in range(4):
-            found = self._at(0, *self.start)
-            grew = False
+            sample = self._sample_at(0, *self.start)
+            has_grown = False
             for owner in OWNERS:
-                before, after = getattr(found.memory, owner), getattr(found.after, owner)
-                for path, old, new in matched(before, after, "state"):
+                old_tree, new_tree = getattr(sample.memory, owner), getattr(sample.next_state, owner)
+                for path, old, new in match_leaves(old_tree, new_tree, "state"):
                     if np.shape(old) != np.shape(new):
-                        self.shapes[owner, path] = _wider(owner, path, np.shape(old), np.shape(new))
-                        grew = True
-            if not grew:
-                return [found, self._elsewhere()]
+                        self.shapes[owner, path] = _common_shape(owner, path, np.shape(old), np.shape(new))
+                        has_grown = True
+            if not has_grown:
+                return [sample, self._general_sample()]
         raise NotTraceable("the memory changes its shape at each sample", "keep arrays of one shape in state")
 
-    def _at(self, k: int, q: Array, v: Array) -> _Asked:
+    def _sample_at(self, k: int, q: Array, v: Array) -> _NumericSample:
         """Return a sample on numbers; the laws receive copies, because they may change their arguments."""
-        begun = self._memory(k)._replace(q=q, v=v)
-        own = State(q.copy(), v.copy(), *(mapped(getattr(begun, owner), np.copy) for owner in OWNERS))
+        state = self._memory(k)._replace(q=q, v=v)
+        copies = State(q.copy(), v.copy(), *(map_leaves(getattr(state, owner), np.copy) for owner in OWNERS))
         reference = Reference(*(x.copy() for x in self.reference))
-        after, _, record = step(self.loop, float(k), 0.0, self.h, own, reference)
-        return _Asked(k, begun, after, record)
+        next_state, _, record = step(self.loop, float(k), 0.0, self.h, copies, reference)
+        return _NumericSample(k, state, next_state, record)
 
     def _memory(self, k: int) -> State:
         """Return the memory before the first sample, with the noise of sample k."""
         makers = DelayLine, lambda name, n: Noise(0, n, k), lambda rows: Schedule(rows, k)
-        return self.grown(initial_memory(self.loop, self.context, *makers))
+        return self.expand(initial_memory(self.loop, self.context, *makers))
 
-    def _elsewhere(self) -> _Asked:
+    def _general_sample(self) -> _NumericSample:
         """Return a sample at the next time and at a general state, so that no law sees a special case."""
         q, v = self.start
-        moved = 0.07 * np.cos(2.0 + np.arange(len(v)))
+        displacement = 0.07 * np.cos(2.0 + np.arange(len(v)))
         v = v + 0.05 * np.sin(1.0 + np.arange(len(v)))
-        return self._at(1, np.asarray(self.loop.integrate(q, moved), np.float64), v)
+        return self._sample_at(1, np.asarray(self.loop.integrate(q, displacement), np.float64), v)
 
-    def grown(self, memory: State) -> State:
+    def expand(self, memory: State) -> State:
         """Return the memory with arrays of the final shapes."""
-        found = {}
+        trees = {}
         for owner in OWNERS:
             tree = getattr(memory, owner)
             paths = iter([path for path, _ in leaves(tree)])
@@ -181,113 +181,113 @@ class Trace:
                 shape = self.shapes.get((owner, next(paths)))
                 return leaf if shape is None else np.broadcast_to(leaf, shape).copy()
 
-            found[owner] = mapped(tree, grow)
-        return memory._replace(**found)
+            trees[owner] = map_leaves(tree, grow)
+        return memory._replace(**trees)
 
-    def _tape(self, where: Callable[[], str] | None = None) -> LoopTape:
-        return _Pass(self, Tape(where=where)).loop_tape()
+    def _tape(self, place: Callable[[], str] | None = None) -> LoopTape:
+        return _SymbolicRun(self, Tape(locate=place)).loop_tape()
 
     def _compare_tapes(self, one: LoopTape, two: LoopTape) -> None:
         if one.tape.operations == two.tape.operations and one.outputs == two.outputs:
             return
-        told = self._tape(calling_place)
-        ends = [len(told.tape) - 1]
+        placed = self._tape(law_place)
+        ends = [len(placed.tape) - 1]
         for other in (one, two):  # a law with alternating results differs from one of the tapes
-            known = zip(other.tape.operations, told.tape.operations, strict=False)
-            ends += [i for i, (a, b) in enumerate(known) if a != b][:1]
-        why = "it counts, draws random numbers or keeps memory outside its state"
-        what = f"the law computes something else when it runs again: {why}"
-        instead = "keep memory in state, and take noise from context.noise(name, n)"
-        raise NotTraceable(what, instead, told.tape.places[min(ends)])
+            pairs = zip(other.tape.operations, placed.tape.operations, strict=False)
+            ends += [i for i, (a, b) in enumerate(pairs) if a != b][:1]
+        reason = "it counts, draws random numbers or keeps memory outside its state"
+        message = f"the law computes something else when it runs again: {reason}"
+        remedy = "keep memory in state, and take noise from context.noise(name, n)"
+        raise NotTraceable(message, remedy, placed.tape.places[min(ends)])
 
-    def _compare_numbers(self, loop: LoopTape, numbers: Sequence[_Asked]) -> None:
-        for asked in numbers:
-            inputs, after = self._inputs(loop, asked), asked.after
-            memory = zip(loop.leaves, arrays_of(after), strict=True)
-            kept = [value for leaf, value in memory if leaf.kind == "state"]
-            rows = [_flat_numbers([x]) for x in (after.q, after.v, *kept, *asked.record.kept.values())]
+    def _compare_numbers(self, loop: LoopTape, numbers: Sequence[_NumericSample]) -> None:
+        for sample in numbers:
+            inputs, state = self._inputs(loop, sample), sample.next_state
+            memory = zip(loop.leaves, arrays_of(state), strict=True)
+            states = [value for leaf, value in memory if leaf.kind == "state"]
+            rows = [_flat_numbers([x]) for x in (state.q, state.v, *states, *sample.record.kept.values())]
             expected = [x for row in rows for x in row]
             sizes = [max(map(abs, row)) for row in rows for _ in row]  # relative to the largest entry
-            wanted = [after for _, after in loop.states]
-            wanted += [node for _, nodes in loop.kept.values() for node in nodes]
+            results = [state for _, state in loop.states]
+            results += [node for _, nodes in loop.kept.values() for node in nodes]
             with np.errstate(all="ignore"):
-                got = np.array(evaluated(loop.tape, wanted, inputs), float)
-                most = 1e-9 + 1e-7 * np.nan_to_num(sizes)
-                near = np.isclose(got, expected, rtol=1e-7, atol=most, equal_nan=True)
-            if not near.all():
-                i = int(np.argmin(near))
+                got = np.array(evaluate(loop.tape, results, inputs), float)
+                tolerance = 1e-9 + 1e-7 * np.nan_to_num(sizes)
+                is_close = np.isclose(got, expected, rtol=1e-7, atol=tolerance, equal_nan=True)
+            if not is_close.all():
+                i = int(np.argmin(is_close))
                 values = f"{got[i]:g} after a sample, and with numbers {expected[i]:g}"
                 instead = "write a law that treats every kind of array alike, without isinstance or try"
-                raise NotTraceable(f"with symbols, {_name(loop, i)} is {values}", instead)
+                raise NotTraceable(f"with symbols, {_entry_name(loop, i)} is {values}", instead)
 
-    def _inputs(self, loop: LoopTape, asked: _Asked) -> dict[Any, Any]:
+    def _inputs(self, loop: LoopTape, sample: _NumericSample) -> dict[Any, Any]:
         """Return the inputs of the tape at a sample."""
-        inputs: dict[Any, Any] = {COUNT: np.uint64(asked.k), ("uniform", 0): self.h}
+        inputs: dict[Any, Any] = {COUNT: np.uint64(sample.k), ("uniform", 0): self.h}
         samples = _flat_numbers([0.0, *self.reference])
         inputs |= {("track", i): x for i, x in enumerate(samples[1:])}
         rows = scheduled_rows(self.loop, self.context)
-        samples += _flat_numbers([each[min(asked.k, len(each) - 1)] for each in rows])
+        samples += _flat_numbers([schedule[min(sample.k, len(schedule) - 1)] for schedule in rows])
         inputs |= {("sample", i): x for i, x in enumerate(samples)}
         inputs |= {("key", i): np.uint64(0) for i in range(len(loop.keys))}
-        inputs |= {("state", i): x for i, x in enumerate(_flat_numbers(asked.memory[:2]))}
+        inputs |= {("state", i): x for i, x in enumerate(_flat_numbers(sample.memory[:2]))}
         for parameter, leaf in loop.parameters.items():
             values = self.values[parameter].ravel()
             inputs |= {(leaf.kind, leaf.first + i): x for i, x in enumerate(values)}
-        for leaf, value in zip(loop.leaves, arrays_of(asked.memory), strict=True):
+        for leaf, value in zip(loop.leaves, arrays_of(sample.memory), strict=True):
             inputs |= {(leaf.kind, leaf.first + i): x for i, x in enumerate(_flat_numbers([value]))}
         return inputs
 
 
-class _Pass:
+class _SymbolicRun:
     """One run of the laws with symbols."""
 
     def __init__(self, trace: Trace, tape: Tape) -> None:
         self.trace, self.tape = trace, tape
         self.next = {"uniform": 0, "row": 0, "state": 0, "sample": 0, "track": 0}
         self.keys: list[str] = []
-        self.asked: list[str] = []
+        self.noise_names: list[str] = []
         self.rings: list[Ring] = []
         self.leaves: list[Leaf] = []
         self.parameters: dict[str, Leaf] = {}
-        self.now: list[int] = []
+        self.state_nodes: list[int] = []
 
     def _new(self, kind: str, shape: tuple[int, ...]) -> Symbols:
         first, count = self.next[kind], int(np.prod(shape))
         self.next[kind] += count
         nodes = [self.tape.input(kind, first + i) for i in range(count)]
         if kind == "state":
-            self.now += [node.index for node in nodes]
+            self.state_nodes += [node.index for node in nodes]
         return symbols(nodes, shape)
 
     def loop_tape(self) -> LoopTape:
         trace, tape = self.trace, self.tape
         h = self._new("uniform", ())
-        values = self._symbolic()
+        values = self._symbol_values()
         q, v = (self._new("state", x.shape) for x in trace.start)
         t = self._new("sample", ())
         kind = "track" if trace.own_reference else "sample"
         reference = Reference(*(self._new(kind, x.shape) for x in trace.reference))  # type: ignore[arg-type]
         self.next["sample"] = columns = 1 + sum(x.size for x in trace.reference)
         k = symbols([sample_index(tape)], ())
-        makers = self._line, self._noise, self._schedule
-        numbers = trace.grown(initial_memory(trace.loop, trace.context, *makers))
-        state = State(q, v, *(self._remembered(owner, getattr(numbers, owner)) for owner in OWNERS))
+        makers = self._delay, self._noise, self._schedule
+        numbers = trace.expand(initial_memory(trace.loop, trace.context, *makers))
+        state = State(q, v, *(self._symbolic_memory(owner, getattr(numbers, owner)) for owner in OWNERS))
         with tracing(trace.identity.namespaces.values(), trace.identity.cells):
             loop = replace(trace.loop, values, nominal=True)
-            after, _, record = step(loop, k, t, h, state, reference)
-            ends = self._after(state, after)
+            next_state, _, record = step(loop, k, t, h, state, reference)
+            ends = self._next_nodes(state, next_state)
         kept = {name: (np.shape(x), self._nodes([x])) for name, x in record.kept.items()}
         counted = self._nodes(record.counted)
-        wanted = *ends, *counted, *(n for _, nodes in kept.values() for n in nodes)
-        used = {tape.operations[i] for i in needed(tape, wanted)}
+        results = *ends, *counted, *(n for _, nodes in kept.values() for n in nodes)
+        live = {tape.operations[i] for i in ancestors(tape, results)}
 
         def is_used(leaf: Leaf) -> bool:
-            return any((leaf.kind, i) in used for i in range(leaf.first, leaf.end))
+            return any((leaf.kind, i) in live for i in range(leaf.first, leaf.end))
 
-        own: Any = {name: getattr(self, name) for name in ("tape", "leaves", "parameters", "keys", "rings")}
+        lists: Any = {name: getattr(self, name) for name in ("tape", "leaves", "parameters", "keys", "rings")}
         return LoopTape(
-            **own,
-            states=list(zip(self.now, ends, strict=True)),
+            **lists,
+            states=list(zip(self.state_nodes, ends, strict=True)),
             uniforms=self.next["uniform"],
             rows=self.next["row"],
             counted=counted,
@@ -295,13 +295,13 @@ class _Pass:
             units=dict(record.units),
             sizes=(*map(len, trace.start), loop.plant.nu, *map(len, trace.reference[:2])),
             tracks=self.next["track"],
-            scheduled=self.next["sample"] - columns,
+            schedule_size=self.next["sample"] - columns,
             unused=[name for name, leaf in self.parameters.items() if not is_used(leaf)],
         )
 
-    def _symbolic(self) -> dict[str, Symbols]:
+    def _symbol_values(self) -> dict[str, Symbols]:
         """Return symbols of the numbers, by path; numbers that are neutral for all robots are constants."""
-        found = {}
+        values = {}
         for path, leaf in numbers(self.trace.loop).items():
             if not is_traced(path):
                 continue
@@ -310,117 +310,117 @@ class _Pass:
             kind = "uniform" if varies is None else "row"
             self.parameters[path] = Leaf("parameter", path, value.shape, self.next[kind], kind)
             nodes = entries(self._new(kind, value.shape)).reshape(-1)
-            same = (value == neutral) if varies is None else (value == neutral) & ~varies
-            known = [neutral if one else node for one, node in zip(same.reshape(-1), nodes, strict=True)]
-            found[path] = symbols(known, value.shape)
-        return found
+            mask = (value == neutral) if varies is None else (value == neutral) & ~varies
+            mixed = [neutral if one else node for one, node in zip(mask.reshape(-1), nodes, strict=True)]
+            values[path] = symbols(mixed, value.shape)
+        return values
 
-    def _remembered(self, owner: str, tree: object) -> Any:
+    def _symbolic_memory(self, owner: str, tree: object) -> Any:
         """Return the memory with symbols as its entries."""
         paths = iter([path for path, _ in leaves(tree)])
 
-        def remember(value: ArrayLike) -> Any:
+        def replace_leaf(value: ArrayLike) -> Any:
             path, array = next(paths), np.asarray(value)
             kind = "state"
             if (owner, path) in self.trace.fixed:
-                drawn = any(path.partition(".")[0] == owner for path in self.trace.spread)
-                kind = "row" if drawn else "uniform"
+                has_spread = any(path.partition(".")[0] == owner for path in self.trace.spread)
+                kind = "row" if has_spread else "uniform"
             self.leaves.append(Leaf(owner, path, array.shape, self.next[kind], kind))
-            found = self._new(kind, array.shape)
-            return found != 0.0 if array.dtype == bool else found
+            symbol = self._new(kind, array.shape)
+            return symbol != 0.0 if array.dtype == bool else symbol
 
-        return mapped(tree, remember)
+        return map_leaves(tree, replace_leaf)
 
     def _nodes(self, values: Iterable[Any]) -> list[int]:
         """Return the nodes of all entries of some values."""
         return [self.tape.number(x) for value in values for x in entries(value).reshape(-1)]
 
-    def _after(self, before: State, found: State) -> list[int]:
+    def _next_nodes(self, state: State, next_state: State) -> list[int]:
         """Return the nodes of the state at the next sample."""
-        after = self._nodes([found.q, found.v])
-        places = iter(self.leaves)
+        next_nodes = self._nodes([next_state.q, next_state.v])
+        run_leaves = iter(self.leaves)
         for owner in OWNERS:
-            for path, old, new in matched(getattr(before, owner), getattr(found, owner)):
-                leaf = next(places)
+            for path, old, new in match_leaves(getattr(state, owner), getattr(next_state, owner)):
+                leaf = next(run_leaves)
                 if np.shape(new) not in ((), leaf.shape):
-                    what = f"{path} has shape {leaf.shape}, and shape {np.shape(new)} a sample later"
-                    raise NotTraceable(what, _FINAL)
+                    message = f"{path} has shape {leaf.shape}, and shape {np.shape(new)} a sample later"
+                    raise NotTraceable(message, _FINAL)
                 nodes = self._nodes([np.broadcast_to(entries(new), leaf.shape)])
                 if leaf.kind == "state":
-                    after += nodes
+                    next_nodes += nodes
                 elif nodes != self._nodes([old]):
-                    what = f"{path} stays constant in one run of the law and changes in another"
-                    raise NotTraceable(what, "keep memory in state")
-        return after
+                    message = f"{path} stays constant in one run of the law and changes in another"
+                    raise NotTraceable(message, "keep memory in state")
+        return next_nodes
 
-    def _line(self, samples: int) -> _Once:
-        def delayed(x: Any) -> Symbols:
-            found = []
+    def _delay(self, samples: int) -> _Source:
+        def delay(x: Any) -> Symbols:
+            nodes = []
             for y in entries(x).reshape(-1):
-                pushed = Node(self.tape, self.tape.number(y))
-                node = self.tape.ring(len(self.rings), samples, pushed)
+                source = Node(self.tape, self.tape.number(y))
+                node = self.tape.ring(len(self.rings), samples, source)
                 if samples:
-                    self.rings.append(Ring(node.index, pushed.index, samples))
-                found.append(node if samples else pushed)
-            return symbols(found, np.shape(x))
+                    self.rings.append(Ring(node.index, source.index, samples))
+                nodes.append(node if samples else source)
+            return symbols(nodes, np.shape(x))
 
-        again = "a delay is pushed twice in a sample", "push all values at once, as a tuple"
-        return _Once(lambda values: mapped(values, delayed), again)
+        error_words = "a delay is pushed twice in a sample", "push all values at once, as a tuple"
+        return _Source(lambda values: map_leaves(values, delay), error_words)
 
-    def _schedule(self, rows: Array) -> _Once:
+    def _schedule(self, rows: Array) -> _Source:
         row = self._new("sample", rows.shape[1:])
-        return _Once(lambda: row, ("a schedule is read twice in a sample", "read once, and keep the row"))
+        return _Source(lambda: row, ("a schedule is read twice in a sample", "read once, and keep the row"))
 
-    def _noise(self, name: str, n: int) -> _Once:
-        again = self.asked.count(name)
-        self.asked.append(name)
-        self.keys.append(f"{name} {again}" if again else name)
+    def _noise(self, name: str, n: int) -> _Source:
+        count = self.noise_names.count(name)
+        self.noise_names.append(name)
+        self.keys.append(f"{name} {count}" if count else name)
         key = self.tape.input("key", len(self.keys) - 1)
-        return _Once(
+        return _Source(
             lambda: symbols(normals(key, self.tape.input(*COUNT), n), (n,)),
             ("noise is drawn twice in a sample", "draw more numbers at once: context.noise(name, n)"),
         )
 
 
-class _Once:
+class _Source:
     """Delay, schedule or noise on the tape, which may be used once per sample.
 
     Parameters
     ----------
     answer : callable
         Function that returns the numbers of a sample.
-    again : (str, str)
+    words : (str, str)
         Error of a second use in a sample, and the code to write instead.
     """
 
     goes_on = True
 
-    def __init__(self, answer: Callable[..., Any], again: tuple[str, str], used: bool = False) -> None:
-        self.answer, self.again, self.used = answer, again, used
+    def __init__(self, answer: Callable[..., Any], words: tuple[str, str], is_used: bool = False) -> None:
+        self.answer, self.words, self.is_used = answer, words, is_used
 
-    def push(self, *values: object) -> tuple[Any, _Once]:
+    def push(self, *values: object) -> tuple[Any, _Source]:
         """Return the numbers of this sample, and the object for the next one."""
-        if self.used:
-            raise NotTraceable(*self.again)
-        return self.answer(*values), _Once(self.answer, self.again, used=True)
+        if self.is_used:
+            raise NotTraceable(*self.words)
+        return self.answer(*values), _Source(self.answer, self.words, is_used=True)
 
     next = draw = push
 
 
-def _wider(owner: str, path: str, old: tuple[int, ...], new: tuple[int, ...]) -> tuple[int, ...]:
+def _common_shape(owner: str, path: str, old: tuple[int, ...], new: tuple[int, ...]) -> tuple[int, ...]:
     """Return the shape to which two shapes of the memory broadcast, such as () and (3,)."""
     try:
         return np.broadcast_shapes(old, new)
     except ValueError:
-        what = f"{path} of the {owner} has shape {old} and a sample later {new}"
-        raise NotTraceable(what, f"{_FINAL}, and take delays from context.delay(samples)") from None
+        message = f"{path} of the {owner} has shape {old} and a sample later {new}"
+        raise NotTraceable(message, f"{_FINAL}, and take delays from context.delay(samples)") from None
 
 
 def _flat_numbers(values: Iterable[Any]) -> list[float]:
     return [float(x) for value in values for x in np.asarray(value, np.float64).reshape(-1)]
 
 
-def _name(loop: LoopTape, i: int) -> str:
+def _entry_name(loop: LoopTape, i: int) -> str:
     """Return the name of entry i of the state, or after the state of the kept values."""
     end = len(loop.states)
     for name, (_, nodes) in loop.kept.items():
@@ -439,7 +439,7 @@ def _name(loop: LoopTape, i: int) -> str:
 # Memory before the first sample
 
 
-class _Context:
+class _MemoryContext:
     """Context with given makers of delays, noise and schedules, such as those of a tape."""
 
     def __init__(self, given: Context, delay: Any, noise: Any, schedule: Any) -> None:
@@ -472,19 +472,19 @@ def initial_memory(
     delay, noise, schedule : callable
         Makers of a delay, a noise and a schedule, in place of those of the context.
     """
-    return initial(loop, _Context(context, delay, noise, schedule))  # type: ignore[arg-type]
+    return initial_state(loop, _MemoryContext(context, delay, noise, schedule))  # type: ignore[arg-type]
 
 
 def scheduled_rows(loop: Loop, context: Context) -> list[Array]:
     """Return the rows of all schedules of the parts, each of shape (N + 1, ...)."""
-    found: list[Array] = []
+    schedules: list[Array] = []
 
     def schedule(rows: Array) -> Schedule:
-        found.append(rows)
+        schedules.append(rows)
         return Schedule(rows)
 
     initial_memory(loop, context, schedule=schedule)
-    return found
+    return schedules
 
 
 def check_schedules(loop: Loop, context: Context, spread: Iterable[str]) -> None:
@@ -499,11 +499,11 @@ def check_schedules(loop: Loop, context: Context, spread: Iterable[str]) -> None
     rows = scheduled_rows(loop, context) if paths else []
     values = traced_numbers(loop) if rows else {}
     for path in paths if rows else ():
-        moved = replace(loop, {path: values[path] * 1.001 + 1e-6})
-        others = scheduled_rows(moved, context)
-        if not all(map(np.array_equal, rows, others)):
-            what = f"the context of the controller depends on {path}, which differs from robot to robot"
-            raise NotTraceable(what, "spread parameters of the plant, or run with engine=Engine.PYTHON")
+        changed = replace(loop, {path: values[path] * 1.001 + 1e-6})
+        changed_rows = scheduled_rows(changed, context)
+        if not all(map(np.array_equal, rows, changed_rows)):
+            message = f"the context of the controller depends on {path}, which differs from robot to robot"
+            raise NotTraceable(message, "spread parameters of the plant, or run with engine=Engine.PYTHON")
 
 
 def traced_numbers(loop: Loop) -> dict[str, Array]:
@@ -521,12 +521,12 @@ def initial_memories(
     """
     try:
         with tracing(identity.namespaces.values(), identity.cells):
-            return _of_each(lambda own: arrays_of(initial_memory(own, context)), loop, spread, n)
+            return _evaluate_symbols(lambda own: arrays_of(initial_memory(own, context)), loop, spread, n)
     except NotTraceable:
         rows = []
         for i in range(n):
-            own = replace(loop, {path: x[i] for path, x in _rows(spread, n).items()})
-            rows.append([np.asarray(x, np.float64) for x in arrays_of(initial_memory(own, context))])
+            varied = replace(loop, {path: x[i] for path, x in _rows(spread, n).items()})
+            rows.append([np.asarray(x, np.float64) for x in arrays_of(initial_memory(varied, context))])
         return [np.array(column) for column in zip(*rows, strict=True)]
 
 
@@ -547,47 +547,47 @@ def initial_velocities(loop: Loop, spread: Mapping[str, Array], q: Array, v: Arr
     """
     n = len(q)
 
-    def alone(i: int) -> Array:
-        own = replace(loop, {path: x[i] for path, x in _rows(spread, n).items()})
-        return np.asarray(own.plant.project(q[i].copy(), v[i].copy()), np.float64)
+    def project(i: int) -> Array:
+        varied = replace(loop, {path: x[i] for path, x in _rows(spread, n).items()})
+        return np.asarray(varied.plant.project(q[i].copy(), v[i].copy()), np.float64)
 
-    ends = np.array([alone(0), alone(n - 1)])
+    ends = np.array([project(0), project(n - 1)])
     try:
         with tracing():
-            (found,) = _of_each(lambda own, q, v: [own.law.project(q, v)], loop, spread, n, q, v)
+            (rows,) = _evaluate_symbols(lambda own, q, v: [own.law.project(q, v)], loop, spread, n, q, v)
     except NotTraceable:
-        found = np.zeros(0)
-    if found.shape == v.shape and np.allclose(found[[0, -1]], ends, rtol=1e-9, atol=1e-9):
-        return found
-    return np.array([*map(alone, range(n))])
+        rows = np.zeros(0)
+    if rows.shape == v.shape and np.allclose(rows[[0, -1]], ends, rtol=1e-9, atol=1e-9):
+        return rows
+    return np.array([*map(project, range(n))])
 
 
 def _rows(spread: Mapping[str, Array], n: int) -> dict[str, Array]:
     return {path: np.broadcast_to(x, (n, *x.shape[1:])) for path, x in spread.items()}
 
 
-def _of_each(
+def _evaluate_symbols(
     compute: Callable[..., Sequence[Any]], loop: Loop, spread: Mapping[str, Array], n: int, *rows: Array
 ) -> list[Array]:
     """Return arrays of n robots, shape (...) or (n, ...), from a function that runs once, with symbols."""
     tape, inputs = Tape(), dict[Any, Any]()
 
-    def given(value: Array) -> Any:
+    def add_input(value: Array) -> Any:
         columns, first = value.reshape(n, -1).T, len(inputs)
         inputs.update({("row", first + i): column for i, column in enumerate(columns)})
         return symbols([tape.input("row", first + i) for i in range(len(columns))], value.shape[1:])
 
-    on_tape = {path: given(value) for path, value in _rows(spread, n).items()}
-    answers = compute(replace(loop, on_tape, nominal=True), *map(given, rows))
-    found = []
+    tape_values = {path: add_input(value) for path, value in _rows(spread, n).items()}
+    answers = compute(replace(loop, tape_values, nominal=True), *map(add_input, rows))
+    arrays = []
     for value in answers:
         if not has_symbols(value):
-            found.append(np.asarray(value, np.float64))
+            arrays.append(np.asarray(value, np.float64))
             continue
         nodes = map(tape.number, entries(value).reshape(-1))
-        columns = np.array([np.broadcast_to(x, n) for x in evaluated(tape, nodes, inputs)], np.float64)
-        found.append(columns.T.reshape(n, *np.shape(value)))
-    return found
+        columns = np.array([np.broadcast_to(x, n) for x in evaluate(tape, nodes, inputs)], np.float64)
+        arrays.append(columns.T.reshape(n, *np.shape(value)))
+    return arrays
 
 
 def arrays_of(memory: State) -> list[Any]:

@@ -14,7 +14,7 @@ from pinmobile import parts
 from pinmobile.arrays import Array, ArrayLike, bounded, finite, scalar, shaped
 from pinmobile.compiled import BINS, FIRST, SHIFT
 from pinmobile.controllers import Controller
-from pinmobile.errors import imported
+from pinmobile.errors import import_extra
 from pinmobile.loop._description import Outline
 from pinmobile.loop._scenario import Scenario
 from pinmobile.metrics import Metric, value_of
@@ -62,7 +62,7 @@ class Part(NamedTuple):
     ...                 controller=PD(120, 120), spread={},
     ...                 trajectory=Tangent(Circle(1.0, 0.5, 4.0)))
     >>> one, two = (part_of(runs, k, k + 1)[1] for k in range(2))
-    >>> Part.joined([one, two]).max_distance  # [m]
+    >>> Part.concatenate([one, two]).max_distance  # [m]
     array([0.057, 0.057])
     """
 
@@ -103,11 +103,11 @@ class Part(NamedTuple):
             Records of the robots.
         """
         lived = record["lived"].astype(np.int64)
-        over = np.arange(len(scenario.grid)) * scenario.stride >= lived[:, None]
+        is_over = np.arange(len(scenario.grid)) * scenario.stride >= lived[:, None]
         for signal in kept.values():
-            signal.values[over] = np.nan
+            signal.values[is_over] = np.nan
         count = np.maximum(lived - scenario.begin, 1)[:, None]
-        none = np.zeros((len(lived), 0))
+        empty = np.zeros((len(lived), 0))
         signs = np.array([-1.0 if one.is_margin else 1.0 for one in scenario.recorded_metrics])
         return cls(
             lived,
@@ -115,14 +115,14 @@ class Part(NamedTuple):
             np.sqrt(record["farthest"][:, 0]),
             np.sqrt(record["squares"] / count),
             record["inputs"].copy(),
-            record.get("worst", none) * signs,
-            np.sqrt(record.get("metric_squares", none) / count),
+            record.get("worst", empty) * signs,
+            np.sqrt(record.get("metric_squares", empty) / count),
             counts,
             kept,
         )
 
     @classmethod
-    def joined(cls, parts: Iterable[Part]) -> Part:
+    def concatenate(cls, parts: Iterable[Part]) -> Part:
         """Return the records of all robots of several parts, in their order.
 
         Parameters
@@ -138,15 +138,15 @@ class Part(NamedTuple):
         columns: list[list[Any]] = [[] for _ in cls._fields[:-2]]
         counts: Any = 0
         series: dict[tuple[str, str], list[Array]] = {}
-        for *own, counted, kept in parts:
-            counts = counts + counted
-            for column, rows in zip(columns, own, strict=True):
+        for *arrays, part_counts, kept in parts:
+            counts = counts + part_counts
+            for column, rows in zip(columns, arrays, strict=True):
                 column.append(rows)
             for name, signal in kept.items():
                 series.setdefault((name, signal.unit), []).append(signal.values)
-        every = {name: Signal(unit, np.concatenate(rows)) for (name, unit), rows in series.items()}
+        signals = {name: Signal(unit, np.concatenate(rows)) for (name, unit), rows in series.items()}
         # One array after the other, which needs little additional memory.
-        return cls._make([*(np.concatenate(columns.pop(0)) for _ in cls._fields[:-2]), counts, every])
+        return cls._make([*(np.concatenate(columns.pop(0)) for _ in cls._fields[:-2]), counts, signals])
 
 
 class Arguments(NamedTuple):
@@ -184,7 +184,7 @@ class Arguments(NamedTuple):
     options: dict[str, Any]
 
 
-def arguments_of(scenario: Scenario, i: int, drawn: Mapping[str, Array] | None = None) -> Arguments:
+def arguments_of(scenario: Scenario, i: int, given_draws: Mapping[str, Array] | None = None) -> Arguments:
     """Return robot i as the arguments of `simulate`.
 
     Parameters
@@ -193,19 +193,19 @@ def arguments_of(scenario: Scenario, i: int, drawn: Mapping[str, Array] | None =
         Scenario of the robots.
     i : int
         Index of the robot, 0 <= i < n.
-    drawn : mapping of str to ndarray, shape (1,), optional
+    given_draws : mapping of str to ndarray, shape (1,), optional
         Draws of this robot.
     """
-    draws = scenario.draws(i, i + 1) if drawn is None else drawn
+    draws = scenario.draws(i, i + 1) if given_draws is None else given_draws
     values = scenario.values(draws, i, i + 1)
-    own_values = {path: value[0] for path, value in values.items() if not path.startswith("start")}
-    loop = parts.replace(scenario.loop, own_values)
-    own = scenario.references(values, 1, i)
-    q, v = scenario.starts(values, 1, own)
+    robot_values = {path: value[0] for path, value in values.items() if not path.startswith("start")}
+    loop = parts.replace(scenario.loop, robot_values)
+    references = scenario.references(values, 1, i)
+    q, v = scenario.starts(values, 1, references)
     names = "dt", "duration", "integrator", "substeps", "limit"
     options = {name: getattr(scenario, name) for name in names}
     options |= {"q0": q[0], "v0": v[0], "forces": loop.forces}
-    if own is not None:
+    if references is not None:
         options["duration"] = float(scenario.t[-1])
     if scenario.is_noisy:
         options |= {"seed": scenario.seed, "member": i}
@@ -224,7 +224,7 @@ def bins_of(values: Array) -> NDArray[np.int64]:
     return np.asarray(np.clip(bits - FIRST + 1, 0, BINS - 1))
 
 
-def checked_share(value: ArrayLike) -> float:
+def check_share(value: ArrayLike) -> float:
     """Return a share as a float.
 
     Raises
@@ -235,7 +235,7 @@ def checked_share(value: ArrayLike) -> float:
     return bounded("share", scalar("share", value), least=0, most=1)
 
 
-def checked_levels(value: ArrayLike) -> Array:
+def check_levels(value: ArrayLike) -> Array:
     """Return quantile levels as an array, shape (m,).
 
     Raises
@@ -243,11 +243,11 @@ def checked_levels(value: ArrayLike) -> Array:
     InvalidArgument
         If a level is not between 0 and 1.
     """
-    found = shaped("levels", np.atleast_1d(finite("levels", value)), ("n>=1",))
-    return bounded("levels", found, least=0, most=1)
+    levels = shaped("levels", np.atleast_1d(finite("levels", value)), ("n>=1",))
+    return bounded("levels", levels, least=0, most=1)
 
 
-def share_within(values: Array, share: float, axis: int = -1) -> Array:
+def share_quantile(values: Array, share: float, axis: int = -1) -> Array:
     """Return the smallest value that a share of the values does not exceed; NaN if a value is NaN.
 
     Parameters
@@ -259,9 +259,9 @@ def share_within(values: Array, share: float, axis: int = -1) -> Array:
     axis : int
         Axis that is reduced.
     """
-    place = max(int(np.ceil(_rank(share, values.shape[axis]))), 1) - 1
-    found = np.take(np.partition(values, place, axis), place, axis)
-    return np.where(np.isnan(values).any(axis), np.nan, found)
+    index = max(int(np.ceil(_rank(share, values.shape[axis]))), 1) - 1
+    quantile = np.take(np.partition(values, index, axis), index, axis)
+    return np.where(np.isnan(values).any(axis), np.nan, quantile)
 
 
 def _rank(share: float, count: int | NDArray[np.int64]) -> Array:
@@ -270,7 +270,7 @@ def _rank(share: float, count: int | NDArray[np.int64]) -> Array:
     return np.where(np.abs(rank - np.round(rank)) <= _ROUNDING * rank, np.round(rank), rank)
 
 
-def quantiles(counts: NDArray[np.int64], wanted: Array, *, margins: bool = False) -> Array:
+def quantiles(counts: NDArray[np.int64], levels: Array, *, margins: bool = False) -> Array:
     """Return quantiles from counts in bins.
 
     Within a bin, the logarithm of the numbers counts as evenly distributed. The error of a quantile is thus
@@ -280,7 +280,7 @@ def quantiles(counts: NDArray[np.int64], wanted: Array, *, margins: bool = False
     ----------
     counts : ndarray of int, shape (..., BINS)
         Number of robots in each bin; at least one robot in total.
-    wanted : ndarray, shape (m,)
+    levels : ndarray, shape (m,)
         Levels from 0 to 1.
     margins : bool
         Whether the sizes are those of margins, see `pinmobile.metrics.size_of`. The share of the robots then
@@ -296,22 +296,22 @@ def quantiles(counts: NDArray[np.int64], wanted: Array, *, margins: bool = False
         # From the best to the worst; only the lower edge of the best bin is known.
         counts, bounds = counts[..., ::-1], np.append(bounds[-2], bounds[-2::-1])
     total = counts.cumsum(axis=-1)
-    found = np.empty((len(wanted), *counts.shape[:-1]))
-    for k, level in enumerate(wanted):
+    values = np.empty((len(levels), *counts.shape[:-1]))
+    for k, level in enumerate(levels):
         rank = _rank(level, total[..., -1:])
         # The first bin whose total reaches the rank, and is not empty.
         bin_ = np.minimum((total < np.maximum(rank, 1e-9)).sum(axis=-1), BINS - 1)
         inside = np.take_along_axis(counts, bin_[..., None], -1)[..., 0]
-        before = np.take_along_axis(total, bin_[..., None], -1)[..., 0] - inside
-        part = (rank[..., 0] - before) / np.maximum(inside, 1)
+        below = np.take_along_axis(total, bin_[..., None], -1)[..., 0] - inside
+        part = (rank[..., 0] - below) / np.maximum(inside, 1)
         low, high = bounds[bin_], bounds[bin_ + 1]
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            between = low * (high / low) ** part
+            value = low * (high / low) ** part
         if margins:
-            found[k] = value_of(np.where(bin_ == BINS - 1, 0.0, between))
+            values[k] = value_of(np.where(bin_ == BINS - 1, 0.0, value))
             continue
-        found[k] = np.where(bin_ == 0, bounds[1] * part, np.where(bin_ == BINS - 1, np.inf, between))
-    return found
+        values[k] = np.where(bin_ == 0, bounds[1] * part, np.where(bin_ == BINS - 1, np.inf, value))
+    return values
 
 
 LEVELS = (0.5, 0.9, 0.99)
@@ -344,76 +344,76 @@ class Variable(NamedTuple):
     @property
     def attributes(self) -> dict[str, str]:
         """Unit and meaning under the names that xarray and other libraries use."""
-        found = {"units": self.units, "long_name": self.meaning}
-        return found | ({"worst": self.worst} if self.worst else {})
+        attributes = {"units": self.units, "long_name": self.meaning}
+        return attributes | ({"worst": self.worst} if self.worst else {})
 
 
 _UNTIL = "of a diverged robot until then"
 _SINCE = f"from the scenario's `after` on, {_UNTIL}"
-_EACH, _EACH_COORDINATE, _EACH_INPUT = ("robot",), ("robot", "coordinate"), ("robot", "input")
-_EACH_METRIC = ("robot", "metric")
-PER_ROBOT = (
+_ROBOT, _COORDINATE, _INPUT = ("robot",), ("robot", "coordinate"), ("robot", "input")
+_METRIC = ("robot", "metric")
+ROBOT_ARRAYS = (
     *("max_error", "rms_error", "max_input", "max_distance", "diverged_at"),
     *("worst_metric", "rms_metric"),
 )
 """Names of the arrays with one entry per robot, in addition to draws."""
 
 
-def per_robot(scenario: Scenario | Outline) -> dict[str, Variable]:
-    """Return the variables of `PER_ROBOT`; those of metrics only if there are metrics.
+def robot_vars(scenario: Scenario | Outline) -> dict[str, Variable]:
+    """Return the variables of `ROBOT_ARRAYS`; those of metrics only if there are metrics.
 
     Parameters
     ----------
     scenario : Scenario or Outline
         Scenario of the robots.
     """
-    named = scenario.coordinates, scenario.inputs, scenario.recorded_metrics
-    errors, sizes, units = (", ".join(one.unit or "1" for one in each) for each in named)
-    found = {
-        "max_error": Variable(_EACH_COORDINATE, errors, f"largest |error|, {_SINCE}"),
-        "rms_error": Variable(_EACH_COORDINATE, errors, f"root mean square error, {_SINCE}"),
-        "max_input": Variable(_EACH_INPUT, sizes, f"largest |input|, {_UNTIL}"),
-        "max_distance": Variable(_EACH, "m", f"largest distance from the desired position, {_SINCE}"),
-        "diverged_at": Variable(_EACH, "s", "time of divergence; NaN if the loop did not diverge"),
+    groups = scenario.coordinates, scenario.inputs, scenario.recorded_metrics
+    errors, sizes, units = (", ".join(one.unit or "1" for one in group) for group in groups)
+    variables = {
+        "max_error": Variable(_COORDINATE, errors, f"largest |error|, {_SINCE}"),
+        "rms_error": Variable(_COORDINATE, errors, f"root mean square error, {_SINCE}"),
+        "max_input": Variable(_INPUT, sizes, f"largest |input|, {_UNTIL}"),
+        "max_distance": Variable(_ROBOT, "m", f"largest distance from the desired position, {_SINCE}"),
+        "diverged_at": Variable(_ROBOT, "s", "time of divergence; NaN if the loop did not diverge"),
     }
     if scenario.recorded_metrics:
         worst = f"largest size, or smallest margin, of each metric, {_SINCE}"
-        each = ", ".join(one.worst for one in scenario.recorded_metrics)
-        found["worst_metric"] = Variable(_EACH_METRIC, units, worst, each)
-        found["rms_metric"] = Variable(_EACH_METRIC, units, f"root mean square of each metric, {_SINCE}")
-    return found
+        group = ", ".join(one.worst for one in scenario.recorded_metrics)
+        variables["worst_metric"] = Variable(_METRIC, units, worst, group)
+        variables["rms_metric"] = Variable(_METRIC, units, f"root mean square of each metric, {_SINCE}")
+    return variables
 
 
-SUMMED = ("counts", "quantiles")
+SUMS = ("counts", "quantiles")
 """Names of the arrays that contain sums over all robots."""
 
 
-def over_all(channels: Sequence[Metric]) -> dict[str, Variable]:
-    """Return the variables of `SUMMED`.
+def sum_vars(channels: Sequence[Metric]) -> dict[str, Variable]:
+    """Return the variables of `SUMS`.
 
     Parameters
     ----------
     channels : sequence of Metric
         Counted quantities.
     """
-    counted = "number of robots with this size; diverged robots are in the last bin, for margins in the first"
-    within = "largest error, or smallest margin, of the share `level` of the robots"
+    counts = "number of robots with this size; diverged robots are in the last bin, for margins in the first"
+    quantile = "largest error, or smallest margin, of the share `level` of the robots"
     units = ", ".join(one.unit or "1" for one in channels)
     return {
-        "counts": Variable(("time", "channel", "bin"), "1", counted),
-        "quantiles": Variable(("channel", "level", "time"), units, within),
+        "counts": Variable(("time", "channel", "bin"), "1", counts),
+        "quantiles": Variable(("channel", "level", "time"), units, quantile),
     }
 
 
-def drawn_name(parameter: str) -> str:
+def draw_name(parameter: str) -> str:
     """Return the name of the array of a number's draws; a slash would create a group of a store."""
     return f"drawn_{parameter.replace('/', '.')}"
 
 
-def drawn(parameters: Mapping[str, Parameter]) -> dict[str, Variable]:
+def draw_vars(parameters: Mapping[str, Parameter]) -> dict[str, Variable]:
     """Return the variables of the draws."""
     return {
-        drawn_name(name): Variable(_EACH, one.unit or "1", f"drawn {one.meaning}; NaN if not in the spread")
+        draw_name(name): Variable(_ROBOT, one.unit or "1", f"drawn {one.meaning}; NaN if not in the spread")
         for name, one in parameters.items()
     }
 
@@ -436,10 +436,10 @@ def quantiles_of(counts: NDArray[np.int32], levels: Array, channels: Sequence[Me
     }
 
 
-def summed(counts: NDArray[np.int32], channels: Sequence[Metric]) -> dict[str, Array | NDArray[np.int32]]:
-    """Return the arrays of `SUMMED`; see `quantiles_of` for the arguments."""
-    found = quantiles_of(counts, np.array(LEVELS), channels)
-    return {"counts": counts, "quantiles": np.array(list(found.values()))}
+def sums(counts: NDArray[np.int32], channels: Sequence[Metric]) -> dict[str, Array | NDArray[np.int32]]:
+    """Return the arrays of `SUMS`; see `quantiles_of` for the arguments."""
+    quantiles = quantiles_of(counts, np.array(LEVELS), channels)
+    return {"counts": counts, "quantiles": np.array(list(quantiles.values()))}
 
 
 def coordinates(scenario: Scenario | Outline) -> list[tuple[str, Sequence[Any], str, str]]:
@@ -450,19 +450,19 @@ def coordinates(scenario: Scenario | Outline) -> list[tuple[str, Sequence[Any], 
     scenario : Scenario or Outline
         Scenario of the robots.
     """
-    named = scenario.coordinates, scenario.inputs, scenario.recorded_metrics
-    names, inputs, metrics = ([one.name for one in each] for each in named)
-    told = ", ".join(f"{one.meaning} [{one.unit or '1'}]" for one in scenario.channels)
-    judged = ", ".join(one.meaning for one in scenario.recorded_metrics)
+    groups = scenario.coordinates, scenario.inputs, scenario.recorded_metrics
+    names, inputs, metrics = ([one.name for one in group] for group in groups)
+    channels = ", ".join(f"{one.meaning} [{one.unit or '1'}]" for one in scenario.channels)
+    meanings = ", ".join(one.meaning for one in scenario.recorded_metrics)
     edge = "lower edge, also upper edge of the previous bin; for a margin m: of m + sqrt(m^2 + 2^-24)"
     return [
         ("time", scenario.grid.tolist(), "s", "time"),
         ("coordinate", names, "1", "coordinate"),
         ("input", inputs, "1", "input"),
-        ("channel", [one.name for one in scenario.channels], "1", told),
+        ("channel", [one.name for one in scenario.channels], "1", channels),
         ("level", list(LEVELS), "1", "share of the robots"),
         ("bin", edges()[:-1].tolist(), "unit of the channel", edge),
-        *([("metric", metrics, "1", judged)] if metrics else []),
+        *([("metric", metrics, "1", meanings)] if metrics else []),
     ]
 
 
@@ -481,10 +481,10 @@ def dataset_of(ensemble: Any, attributes: Mapping[str, Any]) -> Any:
     InvalidArgument
         If xarray is not installed.
     """
-    xarray = imported("xarray", "sweeps", "a Dataset")
+    xarray = import_extra("xarray", "sweeps", "a Dataset")
     scenario = ensemble.scenario
-    variables = {**_per_robot(ensemble), **over_all(scenario.channels)}
-    arrays = summed(ensemble.counts, scenario.channels)
+    variables = {**_robot_variables(ensemble), **sum_vars(scenario.channels)}
+    arrays = sums(ensemble.counts, scenario.channels)
     arrays |= {name: array for name, _, array in _arrays(ensemble)}
     for name, (unit, values) in ensemble.kept.items():
         dimensions = ("robot", "time", f"entry of {name}")[: values.ndim]
@@ -505,36 +505,36 @@ def dataset_of(ensemble: Any, attributes: Mapping[str, Any]) -> Any:
 def columns_of(ensemble: Any) -> tuple[list[str], list[Array]]:
     """Return the arrays with one entry per robot as columns of a table, and their names with units."""
     header, columns = ["robot"], [np.arange(len(ensemble), dtype=np.float64)]
-    named: Mapping[str, Sequence[Any]] = {
+    parts: Mapping[str, Sequence[Any]] = {
         "coordinate": ensemble.scenario.coordinates,
         "input": ensemble.scenario.inputs,
         "metric": ensemble.scenario.recorded_metrics,
     }
     for name, one, array in _arrays(ensemble):
-        each = [(f"{name}_{part.name}", part.unit) for part in named.get(one.dimensions[-1], ())]
-        known = each or [(name, one.units)]
-        header += [f"{of} [{unit}]" if unit not in ("", "1") else of for of, unit in known]
+        titles = [(f"{name}_{part.name}", part.unit) for part in parts.get(one.dimensions[-1], ())]
+        pairs = titles or [(name, one.units)]
+        header += [f"{title} [{unit}]" if unit not in ("", "1") else title for title, unit in pairs]
         columns.append(array)
     return header, columns
 
 
-def _per_robot(ensemble: Any) -> dict[str, Variable]:
+def _robot_variables(ensemble: Any) -> dict[str, Variable]:
     scenario = ensemble.scenario
-    return {**drawn(scenario.parameters), **per_robot(scenario)}
+    return {**draw_vars(scenario.parameters), **robot_vars(scenario)}
 
 
 def _arrays(ensemble: Any) -> Iterator[tuple[str, Variable, Array]]:
-    draws = {drawn_name(name): values for name, values in ensemble.draws.items()}
-    for name, one in _per_robot(ensemble).items():
-        yield name, one, getattr(ensemble, name) if name in PER_ROBOT else draws[name]
+    draws = {draw_name(name): values for name, values in ensemble.draws.items()}
+    for name, one in _robot_variables(ensemble).items():
+        yield name, one, getattr(ensemble, name) if name in ROBOT_ARRAYS else draws[name]
 
 
 def content_of(ensemble: Any) -> dict[str, Any]:
     """Return the content of a file of an ensemble: description, arrays and their meanings."""
     outline = Outline.of(ensemble.scenario)
-    own = {each.name: getattr(ensemble, each.name) for each in fields(ensemble)}
-    return own | {
+    values = {item.name: getattr(ensemble, item.name) for item in fields(ensemble)}
+    return values | {
         "scenario": outline,
         "traces": {i: trace.content() for i, trace in ensemble.traces.items()},
-        "variables": {**per_robot(outline), **drawn(outline.parameters)},
+        "variables": {**robot_vars(outline), **draw_vars(outline.parameters)},
     }

@@ -526,14 +526,14 @@ def able(part: Any, kind: type) -> Any:
     return part if offers(part, kind) else None
 
 
-def lacks(part: object, kind: type) -> str:
+def format_missing(part: object, kind: type) -> str:
     """Return a text about the first missing member of a part that has other members of a protocol.
 
     The text is "" for a part that has none or all of the members.
     """
     names = [name for name in members(kind) if name != "__call__"]
-    lacking = [name for name in names if getattr(part, name, None) is None]
-    return f", which has no {lacking[0]}" if 0 < len(lacking) < len(names) else ""
+    missing = [name for name in names if getattr(part, name, None) is None]
+    return f", which has no {missing[0]}" if 0 < len(missing) < len(names) else ""
 
 
 def advice(part: object) -> str:
@@ -549,7 +549,7 @@ def meaning(kind: type, part: object = None) -> str:
     return words[:1].lower() + words[1:]
 
 
-def required(name: str, part: Any, kind: type, why: str = "") -> Any:
+def require(name: str, part: Any, kind: type, reason: str = "") -> Any:
     """Return a part that must have a capability.
 
     Parameters
@@ -558,7 +558,7 @@ def required(name: str, part: Any, kind: type, why: str = "") -> Any:
         Name and value of the argument.
     kind : protocol
         Capability.
-    why : str, optional
+    reason : str, optional
         Reason, for the message, such as ``"forces push its body"``.
 
     Raises
@@ -567,6 +567,6 @@ def required(name: str, part: Any, kind: type, why: str = "") -> Any:
         If the part does not have the capability.
     """
     if isinstance(part, type) or not offers(part, kind):
-        told = lacks(part, kind) + (why and f", and {why}")
-        raise InvalidArgument(f"{name} is {format_value(part)}{told}, expected {meaning(kind, part)}")
+        text = format_missing(part, kind) + (reason and f", and {reason}")
+        raise InvalidArgument(f"{name} is {format_value(part)}{text}, expected {meaning(kind, part)}")
     return part

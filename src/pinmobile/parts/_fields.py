@@ -19,14 +19,14 @@ from pinmobile.arrays import (
     check_integer as checked_whole,
     endless_or_finite,
     finite,
+    finite_result,
+    format_shapes,
     frozen,
-    in_numbers,
     shaped,
-    shapes_in_words,
     vector,
 )
 from pinmobile.errors import InvalidArgument, NotTraceable, format_value
-from pinmobile.parts._capabilities import advice, lacks, meaning, offers
+from pinmobile.parts._capabilities import advice, format_missing, meaning, offers
 
 _T = TypeVar("_T")
 _Method = TypeVar("_Method", bound=Callable[..., Any])
@@ -48,21 +48,21 @@ def holds_symbols(value: object) -> bool:
     return is_symbolic(value) or "nominal" in getattr(value, "__dict__", ())
 
 
-def also_symbols(method: _Method) -> _Method:
+def dispatch_symbols(method: _Method) -> _Method:
     """Decorate a method of a part: it calls `array_dynamics` if an argument or a field is a symbol."""
     name = method.__name__
 
     @functools.wraps(method)
-    def run(self: Any, *given: Any, **named: Any) -> Any:
-        if not ("nominal" in vars(self) or any(map(is_symbolic, (*given, *named.values())))):
-            return method(self, *given, **named)
+    def run(self: Any, *given: Any, **keywords: Any) -> Any:
+        if not ("nominal" in vars(self) or any(map(is_symbolic, (*given, *keywords.values())))):
+            return method(self, *given, **keywords)
         law = self.array_dynamics
         if not hasattr(law, name):
             raise NotTraceable(
                 f"{name} of a {type(self).__name__}, which accepts numbers only",
                 f"write the law with the methods of {type(law).__name__}",
             )
-        return getattr(law, name)(*given, **named)
+        return getattr(law, name)(*given, **keywords)
 
     return run  # type: ignore[return-value]
 
@@ -80,33 +80,33 @@ def takes(**sizes: int | str) -> Callable[[_Method], _Method]:
 
     def decorate(method: _Method) -> _Method:
         parameters = list(inspect.signature(method).parameters.values())[1:]
-        names, checked = [each.name for each in parameters], in_numbers(method)
-        defaults = {each.name: each.default for each in parameters}
+        names, numeric_method = [parameter.name for parameter in parameters], finite_result(method)
+        defaults = {parameter.name: parameter.default for parameter in parameters}
 
-        @also_symbols
+        @dispatch_symbols
         @functools.wraps(method)
-        def run(self: Any, *given: Any, **named: Any) -> Any:
+        def run(self: Any, *given: Any, **keywords: Any) -> Any:
             if len(given) > len(names):
-                return method(self, *given, **named)
-            asked, arrays = {**dict(zip(names, given, strict=False)), **named}, {}
-            for name in filter(asked.__contains__, sizes):
-                if isinstance(asked[name], float | int | np.ndarray) and _same(asked[name], defaults[name]):
-                    asked[name] = defaults[name]
+                return method(self, *given, **keywords)
+            args, arrays = {**dict(zip(names, given, strict=False)), **keywords}, {}
+            for name in filter(args.__contains__, sizes):
+                if isinstance(args[name], float | int | np.ndarray) and _equal(args[name], defaults[name]):
+                    args[name] = defaults[name]
                 else:
                     size = sizes[name]
                     n = getattr(self, size) if isinstance(size, str) else size
-                    arrays[name] = vector(name, asked[name], n)
-            if any(each.ndim > 1 for each in arrays.values()):
+                    arrays[name] = vector(name, args[name], n)
+            if any(array.ndim > 1 for array in arrays.values()):
                 lead = broadcast(**arrays)
                 arrays = {name: np.broadcast_to(x, (*lead, x.shape[-1])) for name, x in arrays.items()}
-            return checked(self, **asked | arrays)
+            return numeric_method(self, **args | arrays)
 
         return run  # type: ignore[return-value]
 
     return decorate
 
 
-def _same(value: Any, default: Any) -> bool:
+def _equal(value: Any, default: Any) -> bool:
     """Return whether a number, or an array without axes, equals the default of an argument."""
     return isinstance(default, float | int) and not np.ndim(value) and bool(value == default)
 
@@ -117,7 +117,7 @@ def is_tracing() -> bool:
 
 
 @contextlib.contextmanager
-def on_numbers() -> Iterator[None]:
+def numeric_context() -> Iterator[None]:
     """Run code with numbers in a thread that traces laws."""
     depth, TRACING.depth = getattr(TRACING, "depth", 0), 0
     try:
@@ -138,7 +138,7 @@ class numeric(functools.cached_property[_T]):
     def __get__(self, part: Any, owner: Any = None) -> Any:
         if part is None or self.attrname in vars(part):
             return super().__get__(part, owner)
-        with on_numbers():
+        with numeric_context():
             return super().__get__(part, owner)
 
 
@@ -169,7 +169,7 @@ class Field:
 
     doc: str = ""
 
-    def checked(self, name: str, value: Any) -> Any:
+    def convert(self, name: str, value: Any) -> Any:
         """Return the value in the form that the part stores.
 
         Raises
@@ -225,7 +225,7 @@ class Number(Field):
         bounds = (">", self.above), (">=", self.lower), ("<=", self.upper)
         return " and ".join(f"{sign} {x:g}" for sign, x in bounds if x is not None)
 
-    def checked(self, name: str, value: Any) -> Any:
+    def convert(self, name: str, value: Any) -> Any:
         """Return a float or an immutable array; symbols are returned unchanged."""
         if is_symbolic(value) or (value is None and self.optional):
             return value
@@ -234,33 +234,33 @@ class Number(Field):
         self.check_bounds(name, array)
         return frozen(array) if array.ndim else float(array)
 
-    def sized(self, name: str, value: Any, n: int) -> Any:
+    def fill(self, name: str, value: Any, n: int) -> Any:
         """Return a checked value with n entries."""
         shape = np.shape(value)
         if is_symbolic(value) or value is None:
             return value
         if any(length != n for length in shape):
-            words = shapes_in_words(self.shapes).replace("n", str(n))
+            words = format_shapes(self.shapes).replace("n", str(n))
             raise InvalidArgument(f"{name} has shape {shape}, expected {words}")
         return value if shape or any(len(each) > 1 for each in self.shapes) else frozen(np.full(n, value))
 
-    def beyond(self, values: Any) -> Any:
+    def outside_bounds(self, values: Any) -> Any:
         """Return which values are out of bounds, as an array of booleans."""
         limits = (self.above, np.less_equal), (self.lower, np.less), (self.upper, np.greater)
-        wrong = np.zeros(np.shape(values), bool)
+        is_outside = np.zeros(np.shape(values), bool)
         for limit, compare in limits:
             if limit is not None:
-                wrong |= compare(values, limit)
-        return wrong
+                is_outside |= compare(values, limit)
+        return is_outside
 
     def check_bounds(self, name: str, array: Any) -> None:
         """Raise `InvalidArgument` if a value is out of bounds."""
-        wrong = self.beyond(array)
-        if wrong.any():
-            at = tuple(int(i) for i in np.argwhere(wrong)[0])
-            own = "" if callable(self.unit) else self.unit
-            unit = unit_of(own, at[-1]) if at else "" if ", " in own else own
-            raise InvalidArgument(f"{name} is {array[at]}{unit and ' ' + unit}, expected {self.bound}")
+        is_outside = self.outside_bounds(array)
+        if is_outside.any():
+            index = tuple(int(i) for i in np.argwhere(is_outside)[0])
+            units = "" if callable(self.unit) else self.unit
+            unit = unit_of(units, index[-1]) if index else "" if ", " in units else units
+            raise InvalidArgument(f"{name} is {array[index]}{unit and ' ' + unit}, expected {self.bound}")
 
 
 def unit_of(unit: str, entry: int | None) -> str:
@@ -278,7 +278,7 @@ class Whole(Field):
     least: int = 0
     most: int = 2**53
 
-    def checked(self, name: str, value: Any) -> int:
+    def convert(self, name: str, value: Any) -> int:
         """Return an int."""
         return checked_whole(name, value, least=self.least, most=self.most)
 
@@ -292,29 +292,29 @@ class Child(Field):
     optional: bool = False
     expected: str = ""
 
-    def checked(self, name: str, value: Any) -> Any:
+    def convert(self, name: str, value: Any) -> Any:
         """Return the part, a tuple of parts, or a mapping of parts by name."""
         if not self.many:
-            return value if value is None and self.optional else self._one(name, value)
+            return value if value is None and self.optional else self._check_one(name, value)
         if isinstance(value, Mapping):
-            return {key: self._one(f"{name}.{key}", each) for key, each in value.items()}
+            return {key: self._check_one(f"{name}.{key}", part) for key, part in value.items()}
         if isinstance(value, str) or not isinstance(value, list | tuple):
             raise InvalidArgument(f"{name} is {format_value(value)}, expected a sequence of parts")
-        return tuple(self._one(f"{name}[{i}]", each) for i, each in enumerate(value))
+        return tuple(self._check_one(f"{name}[{i}]", part) for i, part in enumerate(value))
 
-    def _one(self, name: str, value: Any) -> Any:
+    def _check_one(self, name: str, value: Any) -> Any:
         kind = self.kind
-        if value is None or isinstance(value, type) or not _is_of(value, kind):
+        if value is None or isinstance(value, type) or not _matches(value, kind):
             expected = self.expected or (meaning(kind, value) if not isinstance(kind, tuple) else "a part")
-            told, other = (lacks(value, kind), advice(value)) if is_protocol(kind) else ("", "")
-            raise InvalidArgument(f"{name} is {format_value(value)}{told}, expected {expected}{other}")
+            reason, hint = (format_missing(value, kind), advice(value)) if is_protocol(kind) else ("", "")
+            raise InvalidArgument(f"{name} is {format_value(value)}{reason}, expected {expected}{hint}")
         return value
 
 
-def _is_of(value: Any, kind: Any) -> bool:
+def _matches(value: Any, kind: Any) -> bool:
     """Return whether a value matches a class, a protocol, or one of several kinds."""
     if isinstance(kind, tuple):
-        return any(_is_of(value, each) for each in kind)
+        return any(_matches(value, each) for each in kind)
     return offers(value, kind) if is_protocol(kind) else isinstance(value, kind)
 
 
@@ -328,26 +328,26 @@ class Values(Field):
     """Declaration of values by path, such as the distributions of a spread: numbers or parts."""
 
 
-def _checked(value: Any, owner: Any, field: attrs.Attribute[Any]) -> Any:
+def _convert_value(value: Any, owner: Any, field: attrs.Attribute[Any]) -> Any:
     """Return the value in the form that the part stores; None stands for a default from other fields."""
-    declared: Field = field.metadata["declared"]
+    declaration: Field = field.metadata["declared"]
     if value is None and isinstance(field.default, attrs.Factory):  # type: ignore[arg-type]
         value = field.default.factory(owner)  # type: ignore[union-attr]
     if value is None and field.default is None:
         return None
-    found = declared.checked(field.name, value)
-    if isinstance(declared, Number) and declared.size is not None:
-        return declared.sized(field.name, found, declared.size(owner))
-    return found
+    converted = declaration.convert(field.name, value)
+    if isinstance(declaration, Number) and declaration.size is not None:
+        return declaration.fill(field.name, converted, declaration.size(owner))
+    return converted
 
 
-_convert = attrs.Converter(_checked, takes_self=True, takes_field=True)
+_convert = attrs.Converter(_convert_value, takes_self=True, takes_field=True)
 
 
-def declare(declared: Field, default: Any = attrs.NOTHING, **options: Any) -> Any:
+def declare(declaration: Field, default: Any = attrs.NOTHING, **options: Any) -> Any:
     """Return a field with a declaration; `options` are those of ``attrs.field``."""
     return attrs.field(
-        default=default, converter=_convert, metadata={"declared": declared}, **{"repr": True, **options}
+        default=default, converter=_convert, metadata={"declared": declaration}, **{"repr": True, **options}
     )
 
 
@@ -370,14 +370,14 @@ class _Numbers(_Bounds, total=False):
     neutral: float
 
 
-def number(*, default: Any = attrs.NOTHING, **declared: Unpack[_Numbers]) -> Any:
+def number(*, default: Any = attrs.NOTHING, **options: Unpack[_Numbers]) -> Any:
     """Declare a field that is a number.
 
     Parameters
     ----------
     default : float or None, optional
         Default of the field; without it, the field is required.
-    **declared
+    **options
         Attributes of the declaration: ``doc`` (meaning), ``unit``, bounds ``above`` (excluded), ``lower`` and
         ``upper`` (included), ``endless`` (infinity is allowed), ``optional`` (None is allowed), ``fixed``
         (the same for all robots of an ensemble), ``neutral`` (value without effect).
@@ -404,12 +404,12 @@ def number(*, default: Any = attrs.NOTHING, **declared: Unpack[_Numbers]) -> Any
         ...
     pinmobile.errors.InvalidArgument: stiffness is -2.0 N/m, expected > 0
     """
-    optional = declared.get("optional", False)
-    return declare(Number(**declared), None if optional and default is attrs.NOTHING else default)
+    optional = options.get("optional", False)
+    return declare(Number(**options), None if optional and default is attrs.NOTHING else default)
 
 
 def array(
-    *, default: Any = attrs.NOTHING, shapes: tuple[_Shape, ...] = (("n",),), **declared: Unpack[_Numbers]
+    *, default: Any = attrs.NOTHING, shapes: tuple[_Shape, ...] = (("n",),), **options: Unpack[_Numbers]
 ) -> Any:
     """Declare a field that is an array of numbers.
 
@@ -419,7 +419,7 @@ def array(
         Default of the field; without it, the field is required.
     shapes : tuple of tuple
         Allowed shapes; a letter stands for any length, the same everywhere in a shape.
-    **declared
+    **options
         Attributes of the declaration, see `number`; also ``labels`` (names of the entries of the last axis)
         and ``size`` (function of the part that returns the number of entries).
 
@@ -442,21 +442,21 @@ def array(
     >>> Wind([3, 4]).force
     array([3., 4.])
     """
-    return declare(Number(shapes=shapes, **declared), default)
+    return declare(Number(shapes=shapes, **options), default)
 
 
 COORDINATES = ("x", "y", "psi")
 """Labels of the first coordinates of a plant; those of arms and wheels have their index as a label."""
 
 
-def gain(*, default: Any = attrs.NOTHING, **declared: Unpack[_Bounds]) -> Any:
+def gain(*, default: Any = attrs.NOTHING, **options: Unpack[_Bounds]) -> Any:
     """Declare a field that is a gain: one number for all coordinates, one per coordinate, or a matrix.
 
     Parameters
     ----------
     default : array_like, optional
         Default of the field; without it, the field is required.
-    **declared
+    **options
         Attributes of the declaration, see `number`.
 
     Returns
@@ -482,17 +482,17 @@ def gain(*, default: Any = attrs.NOTHING, **declared: Unpack[_Bounds]) -> Any:
     >>> Damping(kd=[20, 20, 2]).kd
     array([20., 20.,  2.])
     """
-    return array(default=default, shapes=((), ("n",), ("n", "n")), labels=COORDINATES, **declared)
+    return array(default=default, shapes=((), ("n",), ("n", "n")), labels=COORDINATES, **options)
 
 
-def each(*, default: Any = attrs.NOTHING, **declared: Unpack[_Bounds]) -> Any:
+def each(*, default: Any = attrs.NOTHING, **options: Unpack[_Bounds]) -> Any:
     """Declare a field with numbers of coordinates: one number for all coordinates, or one per coordinate.
 
     Parameters
     ----------
     default : array_like, optional
         Default of the field; without it, the field is required.
-    **declared
+    **options
         Attributes of the declaration, see `number`.
 
     Returns
@@ -514,7 +514,7 @@ def each(*, default: Any = attrs.NOTHING, **declared: Unpack[_Bounds]) -> Any:
     >>> Limits([1.0, 0.5, 2.0]).speed
     array([1. , 0.5, 2. ])
     """
-    return array(default=default, shapes=((), ("n",)), labels=COORDINATES, **declared)
+    return array(default=default, shapes=((), ("n",)), labels=COORDINATES, **options)
 
 
 def integer(*, default: Any = attrs.NOTHING, doc: str = "", least: int = 0, most: int = 2**53) -> Any:
@@ -674,7 +674,7 @@ def option(*, default: Any = attrs.NOTHING, doc: str = "", check: Any = None, **
 class _Option(Field):
     check: Any = None
 
-    def checked(self, name: str, value: Any) -> Any:
+    def convert(self, name: str, value: Any) -> Any:
         """Return the result of the check."""
         return value if self.check is None else self.check(name, value)
 
@@ -722,7 +722,7 @@ def part(cls: type[_T]) -> type[_T]:
     >>> Drag(4.0)
     Drag(coefficient=4.0)
     """
-    own = vars(cls)
+    attributes = vars(cls)
     checks: Any = getattr(cls, "check", None)
     if checks is not None and len(inspect.signature(checks).parameters) == 1:
 
@@ -731,14 +731,14 @@ def part(cls: type[_T]) -> type[_T]:
                 self.check()
 
         cls.__attrs_post_init__ = check  # type: ignore[attr-defined]
-    if "__reduce__" not in own:
-        cls.__reduce__ = lambda self: (_rebuilt, (type(self), _initial(self)))  # type: ignore[method-assign]
-    if "__copy__" not in own:
-        cls.__copy__ = _shallow  # type: ignore[attr-defined]
+    if "__reduce__" not in attributes:
+        cls.__reduce__ = lambda self: (_rebuilt, (type(self), _arguments(self)))  # type: ignore[method-assign]
+    if "__copy__" not in attributes:
+        cls.__copy__ = _copy  # type: ignore[attr-defined]
     return attrs.define(cls, slots=False, eq=False, frozen=True, repr=cls.__repr__ is object.__repr__)
 
 
-def _shallow(part: _T) -> _T:
+def _copy(part: _T) -> _T:
     """Return a copy with the same attributes, unchecked."""
     new = object.__new__(type(part))
     vars(new).update(vars(part))
@@ -751,10 +751,10 @@ def by_value(cls: type[_T]) -> type[_T]:
     def key(self: Any) -> tuple[Any, ...]:
         return tuple(_comparable(getattr(self, f.name)) for f in attrs.fields(type(self)) if f.eq)
 
-    def same(self: Any, other: object) -> bool:
-        return type(other) is type(self) and key(self) == key(other)
+    def is_equal(self: Any, value: object) -> bool:
+        return type(value) is type(self) and key(self) == key(value)
 
-    cls.__eq__ = same  # type: ignore[method-assign]
+    cls.__eq__ = is_equal  # type: ignore[method-assign]
     cls.__hash__ = lambda self: hash((type(self), key(self)))  # type: ignore[method-assign]
     return cls
 
@@ -763,7 +763,7 @@ def _comparable(value: Any) -> Any:
     return (value.shape, *value.ravel().tolist()) if isinstance(value, np.ndarray) else value
 
 
-def _initial(part: Any) -> dict[str, Any]:
+def _arguments(part: Any) -> dict[str, Any]:
     """Return the arguments that make a part again, by name."""
     return {f.alias: getattr(part, f.name) for f in attrs.fields(type(part)) if f.init}
 
@@ -777,7 +777,7 @@ def is_part(value: object) -> bool:
 
 
 @functools.cache
-def declared_by(kind: type) -> tuple[tuple[str, Field | None], ...]:
+def declarations(kind: type) -> tuple[tuple[str, Field | None], ...]:
     """Return name and declaration of each field of a class; the declaration may be None."""
     if attrs.has(kind):
         return tuple((f.name, f.metadata.get("declared")) for f in attrs.fields(kind) if f.init)
@@ -785,9 +785,9 @@ def declared_by(kind: type) -> tuple[tuple[str, Field | None], ...]:
         raise InvalidArgument(
             f"part is of type {kind.__name__}, expected a class with @part, or a frozen dataclass"
         )
-    whole = Field()  # a field that is not a number
+    plain = Field()  # a field that is not a number
     return tuple(
-        (f.name, whole if f.type in (int, "int", bool, "bool") else None)
+        (f.name, plain if f.type in (int, "int", bool, "bool") else None)
         for f in dataclasses.fields(kind)
         if f.init
     )
@@ -799,11 +799,11 @@ def fields_of(part: Any) -> list[tuple[str, Field, Any]]:
     The fields of a user's plain frozen dataclass have the kind of their values: floats and arrays are
     numbers.
     """
-    values = ((name, declared, getattr(part, name)) for name, declared in declared_by(type(part)))  # type: ignore[arg-type]
-    return [(name, declared or _seen(value), value) for name, declared, value in values]
+    values = ((name, declared, getattr(part, name)) for name, declared in declarations(type(part)))  # type: ignore[arg-type]
+    return [(name, declared or _infer_field(value), value) for name, declared, value in values]
 
 
-def _seen(value: Any) -> Field:
+def _infer_field(value: Any) -> Field:
     """Return the declaration of a field from its value."""
     if _is_number(value) or (isinstance(value, np.ndarray) and value.dtype.kind in "fi"):
         return Number(shapes=(tuple("abcdef"[: np.ndim(value)]),))
@@ -820,31 +820,31 @@ def _is_number(value: object) -> bool:
     return number or is_symbolic(value)
 
 
-def evolved(part: _T, changes: Mapping[str, Any] = MappingProxyType({}), /, **others: Any) -> _T:
+def evolved(part: _T, changes: Mapping[str, Any] = MappingProxyType({}), /, **more: Any) -> _T:
     """Return a part with other values of some fields, which are checked as in a new part."""
-    changes = {**changes, **others}
+    changes = {**changes, **more}
     if not attrs.has(type(part)):
-        given = dataclasses.fields(part)  # type: ignore[arg-type]
+        fields = dataclasses.fields(part)  # type: ignore[arg-type]
         try:
             return dataclasses.replace(part, **changes)  # type: ignore[type-var]
         except Exception:
-            if not (any(map(holds_symbols, changes.values())) and all(f.init for f in given)):
+            if not (any(map(holds_symbols, changes.values())) and all(f.init for f in fields)):
                 raise
-        copied = object.__new__(type(part))  # checks of a user accept numbers only
-        for f in given:
-            object.__setattr__(copied, f.name, changes.get(f.name, getattr(part, f.name)))
-        return copied
-    own = attrs.fields(type(part))  # type: ignore[arg-type]
-    unknown = changes.keys() - {f.name for f in own}
+        copy = object.__new__(type(part))  # checks of a user accept numbers only
+        for f in fields:
+            object.__setattr__(copy, f.name, changes.get(f.name, getattr(part, f.name)))
+        return copy
+    part_fields = attrs.fields(type(part))  # type: ignore[arg-type]
+    unknown = changes.keys() - {f.name for f in part_fields}
     if unknown:
         raise TypeError(f"{type(part).__name__} has no field {sorted(unknown)[0]!r}")
-    if not all(f.init and "declared" in f.metadata for f in own):
-        return attrs.evolve(part, **{f.alias: changes[f.name] for f in own if f.name in changes})  # type: ignore[misc]
+    if not all(f.init and "declared" in f.metadata for f in part_fields):
+        return attrs.evolve(part, **{f.alias: changes[f.name] for f in part_fields if f.name in changes})  # type: ignore[misc]
     new = object.__new__(type(part))  # unchanged fields are not checked again
-    vars(new).update({f.name: getattr(part, f.name) for f in own})
-    for f in own:
+    vars(new).update({f.name: getattr(part, f.name) for f in part_fields})
+    for f in part_fields:
         if f.name in changes:
-            vars(new)[f.name] = _checked(changes[f.name], new, f)
+            vars(new)[f.name] = _convert_value(changes[f.name], new, f)
     post = getattr(new, "__attrs_post_init__", None)
     if post is not None:
         post()

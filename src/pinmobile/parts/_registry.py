@@ -22,7 +22,7 @@ import attrs
 
 from pinmobile.errors import InvalidArgument, format_names
 from pinmobile.parts._capabilities import meaning, members
-from pinmobile.parts._fields import Child, Field, Number, Whole, declared_by, is_part, is_protocol
+from pinmobile.parts._fields import Child, Field, Number, Whole, declarations, is_part, is_protocol
 
 _CODE = re.compile(r"[^\W\d][\w.]*:[^\W\d][\w.]*")
 
@@ -62,24 +62,24 @@ class Parameter(NamedTuple):
 @cache
 def parameters(make: Any) -> dict[str, Parameter]:
     """Return the arguments of a class or function by name; "**" stands for further named arguments."""
-    known = inspect.signature(make).parameters
-    fields = dict(declared_by(make)) if is_part_class(make) else {}
-    given = {f.name: f.default for f in attrs.fields(make)} if attrs.has(make) else {}
-    found, told = {}, _documented(inspect.getdoc(make) or "")
-    for name, each in known.items():
+    arguments = inspect.signature(make).parameters
+    fields = dict(declarations(make)) if is_part_class(make) else {}
+    defaults = {f.name: f.default for f in attrs.fields(make)} if attrs.has(make) else {}
+    result, docs = {}, _parameter_docs(inspect.getdoc(make) or "")
+    for name, arg in arguments.items():
         if f"_{name}" not in fields:
-            is_rest = each.kind is each.VAR_KEYWORD
-            default = given.get(name, attrs.NOTHING if each.default is each.empty else each.default)
-            is_required = each.default is each.empty and each.kind is not each.VAR_POSITIONAL
+            is_rest = arg.kind is arg.VAR_KEYWORD
+            default = defaults.get(name, attrs.NOTHING if arg.default is arg.empty else arg.default)
+            is_required = arg.default is arg.empty and arg.kind is not arg.VAR_POSITIONAL
             declared = fields.get(name)
-            doc = told.get(name, "") if declared is None else declared.doc
-            many = each.kind is each.VAR_POSITIONAL
-            required = is_required and not is_rest
-            found["**" if is_rest else name] = Parameter(name, declared, default, required, many, doc)
-    return found
+            doc = docs.get(name, "") if declared is None else declared.doc
+            is_many = arg.kind is arg.VAR_POSITIONAL
+            is_needed = is_required and not is_rest
+            result["**" if is_rest else name] = Parameter(name, declared, default, is_needed, is_many, doc)
+    return result
 
 
-def _documented(text: str) -> dict[str, str]:
+def _parameter_docs(text: str) -> dict[str, str]:
     """Return the first sentence about each parameter in a docstring."""
     rows = re.findall(r"^(\*\*\w+|\**\w+(?:, \**\w+)*(?= : ))(?: : .*)?\n((?: +.*\n?)+)", text, re.MULTILINE)
     return {
@@ -121,21 +121,21 @@ def resolve(name: str, folder: Path | None = None) -> Any:
     first, *rest = path.split(".")
     library = import_module("pinmobile")
     if first in library.__all__ or first not in dir(library):
-        found = public().get(first)
+        value = public_names().get(first)
     else:
-        found = None if first[:1] == "_" else getattr(library, first)
+        value = None if first[:1] == "_" else getattr(library, first)
     for word in rest:
-        found = _member(found, word)
+        value = _member(value, word)
     if bracket:
-        found = found.get(key.strip("]'\"")) if isinstance(found, Mapping) else None
-    return None if isinstance(found, ModuleType) else found
+        value = value.get(key.strip("]'\"")) if isinstance(value, Mapping) else None
+    return None if isinstance(value, ModuleType) else value
 
 
 def _member(owner: Any, name: str) -> Any:
     if isinstance(owner, ModuleType):
         return getattr(owner, name) if name in vars(owner).get("__all__", ()) else None
-    made = getattr(owner, name) if is_part_class(owner) and name[:1] != "_" and name in dir(owner) else None
-    return made if makes_part(made) else None
+    member = getattr(owner, name) if is_part_class(owner) and name[:1] != "_" and name in dir(owner) else None
+    return member if makes_part(member) else None
 
 
 def makes_part(function: Any) -> bool:
@@ -143,8 +143,8 @@ def makes_part(function: Any) -> bool:
     plain = function.__func__ if inspect.ismethod(function) else function
     if not isinstance(plain, FunctionType):
         return False
-    returned = str(inspect.signature(plain).return_annotation).strip("'")
-    return returned == "Self" or attrs.has(plain.__globals__.get(returned, object))
+    result = str(inspect.signature(plain).return_annotation).strip("'")
+    return result == "Self" or attrs.has(plain.__globals__.get(result, object))
 
 
 def _code(text: str, folder: Path | None) -> Any:
@@ -159,26 +159,26 @@ def _code(text: str, folder: Path | None) -> Any:
         sys.path.insert(0, str(folder))
     file = folder.joinpath(*module.split(".")).with_suffix(".py")
     try:
-        loaded = before = sys.modules.get(module)
+        value = previous = sys.modules.get(module)
         spec = spec_from_file_location(module, file) if file.is_file() else None
         if spec is None or spec.loader is None:
-            loaded = import_module(module)
-        elif loaded is None or loaded.__file__ != str(file):
-            loaded = sys.modules[module] = module_from_spec(spec)
+            value = import_module(module)
+        elif value is None or value.__file__ != str(file):
+            value = sys.modules[module] = module_from_spec(spec)
             try:
-                spec.loader.exec_module(loaded)
+                spec.loader.exec_module(value)
             except BaseException:  # remove the incomplete module, and restore the previous one
                 sys.modules.pop(module)
-                sys.modules |= {} if before is None else {module: before}
+                sys.modules |= {} if previous is None else {module: previous}
                 raise
         for word in name.split("."):
-            loaded = getattr(loaded, word)
+            value = getattr(value, word)
     except Exception as error:
-        own = [each for each in extract_tb(error.__traceback__) if str(folder) in each.filename]
-        place = f" at {Path(own[-1].filename).name}:{own[-1].lineno}" if own else ""
-        told = f"{type(error).__name__}: {error}"
-        raise InvalidArgument(f"is {module}:{name}, which fails{place}: {told}") from error
-    return loaded
+        frames = [frame for frame in extract_tb(error.__traceback__) if str(folder) in frame.filename]
+        place = f" at {Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else ""
+        message = f"{type(error).__name__}: {error}"
+        raise InvalidArgument(f"is {module}:{name}, which fails{place}: {message}") from error
+    return value
 
 
 _PACKAGES = [
@@ -197,75 +197,75 @@ _PACKAGES = [
 
 
 @cache
-def public() -> dict[str, Any]:
+def public_names() -> dict[str, Any]:
     """Return the public names of the top level and of the packages of parts, with their objects."""
     library = import_module("pinmobile")
-    found = {name: getattr(library, name) for name in library.__all__}
+    objects = {name: getattr(library, name) for name in library.__all__}
     for package in map(import_module, (f"pinmobile.{name}" for name in _PACKAGES)):
         names = vars(package).get("__all__") or [
             name
-            for name, one in vars(package).items()
-            if name[:1] != "_" and getattr(one, "__module__", "") == package.__name__
+            for name, value in vars(package).items()
+            if name[:1] != "_" and getattr(value, "__module__", "") == package.__name__
         ]
-        found |= {name: one for name in names if _is_usable(one := getattr(package, name))}
-    return found
+        objects |= {name: value for name in names if _is_usable(value := getattr(package, name))}
+    return objects
 
 
-def _is_usable(one: object) -> bool:
+def _is_usable(value: object) -> bool:
     """Return whether a file may name an object: a class of parts, a part or a function."""
-    return is_part_class(one) or is_part(one) or isinstance(one, FunctionType)
+    return is_part_class(value) or is_part(value) or isinstance(value, FunctionType)
 
 
 @cache
 def names_of(kind: Any) -> tuple[str, ...]:
     """Return the public names of the parts of a kind."""
-    return tuple(name for name, one in public().items() if _is_usable(one) and fits(kind, one))
+    return tuple(name for name, value in public_names().items() if _is_usable(value) and fits(kind, value))
 
 
-def fits(kind: Any, one: Any) -> bool:
+def fits(kind: Any, value: Any) -> bool:
     """Return whether a class has the members of a kind, or an object is of a kind."""
     if isinstance(kind, tuple):
-        return any(fits(each, one) for each in kind)
+        return any(fits(kind_part, value) for kind_part in kind)
     if not is_protocol(kind):
-        return issubclass(one, kind) if isinstance(one, type) else isinstance(one, kind)
-    fields = dict(declared_by(one)) if is_part_class(one) else {}
-    return all(name in fields or _is_like(name, kind, one) for name in members(kind))
+        return issubclass(value, kind) if isinstance(value, type) else isinstance(value, kind)
+    fields = dict(declarations(value)) if is_part_class(value) else {}
+    return all(name in fields or _is_like(name, kind, value) for name in members(kind))
 
 
-def _is_like(name: str, kind: Any, one: Any) -> bool:
+def _is_like(name: str, kind: Any, value: Any) -> bool:
     """Return whether an object has a member of a protocol.
 
     A call must have the same number of arguments and the same first argument.
     """
-    own = getattr(one, name) if name in dir(one) else None
-    if name != "__call__" or own is None:
-        return own is not None
-    if isinstance(one, type) and "__call__" not in dir(one):
+    member = getattr(value, name) if name in dir(value) else None
+    if name != "__call__" or member is None:
+        return member is not None
+    if isinstance(value, type) and "__call__" not in dir(value):
         return False
-    asked, has = (
-        [each for each in inspect.signature(call).parameters if each != "self"]
-        for call in (kind.__call__, vars(one).get("__call__", own) if isinstance(one, type) else one)
+    required, offered = (
+        [word for word in inspect.signature(call).parameters if word != "self"]
+        for call in (kind.__call__, vars(value).get("__call__", member) if isinstance(value, type) else value)
     )
-    return len(asked) == len(has) and asked[0] == has[0]
+    return len(required) == len(offered) and required[0] == offered[0]
 
 
-def nearest(name: str, known: Iterable[str]) -> str:
+def suggest_name(name: str, names: Iterable[str]) -> str:
     """Return a question that suggests the nearest name, or a list of all names."""
-    plain = {each.lower().replace("_", ""): each for each in known}
-    near = get_close_matches(name[:100].lower().replace("-", "").replace("_", ""), plain, n=1)
-    return f"did you mean {plain[near[0]]!r}?" if near else f"available: {format_names(known)}"
+    plain = {word.lower().replace("_", ""): word for word in names}
+    matches = get_close_matches(name[:100].lower().replace("-", "").replace("_", ""), plain, n=1)
+    return f"did you mean {plain[matches[0]]!r}?" if matches else f"available: {format_names(names)}"
 
 
 @cache
 def _constants() -> dict[int, str]:
-    return {id(one): name for name, one in public().items() if not isinstance(one, type)}
+    return {id(value): name for name, value in public_names().items() if not isinstance(value, type)}
 
 
 def name_of(value: Any) -> str:
     """Return the public name of a class, a function or a constant, "" if there is none."""
     if not isinstance(value, type):
-        own = f"{value.__module__}:{value.__qualname__}" if isinstance(value, FunctionType) else ""
-        return str(_constants().get(id(value), own if is_code(own) else ""))
+        code_name = f"{value.__module__}:{value.__qualname__}" if isinstance(value, FunctionType) else ""
+        return str(_constants().get(id(value), code_name if is_code(code_name) else ""))
     if resolve(value.__name__) is value:
         return str(value.__name__)
     package = ".".join(value.__module__.split(".")[1:2])
@@ -277,53 +277,53 @@ _NO_TEXT = SyntaxError, ValueError, RecursionError, MemoryError, InvalidArgument
 _CALL = re.compile(r"([^\W\d][\w.]*:[^\W\d][\w.]*)\s*(\(.*\))", re.DOTALL)
 
 
-def expected(declared: Field | None, *, one: bool = False) -> str:
+def requirement(declared: Field | None, *, one: bool = False) -> str:
     """Return the expected value of a field as text, such as ``"a number > 0 [kg]"``.
 
     The argument `one` selects the text about one part of a field with several parts.
     """
     if isinstance(declared, Number):
         shapes = " or ".join(str(shape).replace("'", "") for shape in declared.shapes if shape)
-        what = f"numbers of shape {shapes}" if shapes else "a number"
+        words = f"numbers of shape {shapes}" if shapes else "a number"
         if shapes and () in declared.shapes:
-            what = f"a number, or {what}"
+            words = f"a number, or {words}"
         unit = f"[{declared.unit}]" if declared.unit and not callable(declared.unit) else ""
-        return " ".join(filter(None, [what, declared.bound, unit]))
+        return " ".join(filter(None, [words, declared.bound, unit]))
     if isinstance(declared, Whole):
         return f"a whole number >= {declared.least}"
     if isinstance(declared, Child):
-        known = declared.expected or ("" if isinstance(declared.kind, tuple) else meaning(declared.kind))
-        known = known.partition(":")[0]
-        known = known or "a part"
-        return f"several, each {known}" if declared.many and not one else known
+        part_words = declared.expected or ("" if isinstance(declared.kind, tuple) else meaning(declared.kind))
+        part_words = part_words.partition(":")[0]
+        part_words = part_words or "a part"
+        return f"several, each {part_words}" if declared.many and not one else part_words
     return "a value"
 
 
-def called(text: str) -> dict[str, Any]:
+def read_call(text: str) -> dict[str, Any]:
     """Return the tree of a part from text in Python's notation, ``"PD(kp=120)"``, or from a bare name.
 
     The text is parsed, never evaluated.
     """
     try:
-        return _parsed(text)
+        return _parse(text)
     except _NO_TEXT:
         return {"type": text}
 
 
-def _parsed(text: str) -> dict[str, Any]:
+def _parse(text: str) -> dict[str, Any]:
     code = _CALL.fullmatch(text.strip())
     node = ast.parse(f"_{code[2]}" if code else text.strip(), mode="eval").body
     if not isinstance(node, ast.Call):
         return {"type": text}
-    found = _call(node)
-    return found | {"type": code[1]} if code else found
+    tree = _call(node)
+    return tree | {"type": code[1]} if code else tree
 
 
-def unreadable(text: str) -> str:
+def syntax_problem(text: str) -> str:
     """Return why a text with a bracket is no part in Python's notation, or nothing."""
     try:
         if "(" in text:
-            _parsed(text)
+            _parse(text)
     except SyntaxError as error:
         return f"which cannot be read: {error.msg}"
     except _NO_TEXT as error:
@@ -331,7 +331,7 @@ def unreadable(text: str) -> str:
     return ""
 
 
-def listed(text: str) -> Any:
+def read_list(text: str) -> Any:
     """Return the list of a text in Python's notation, which may contain parts; other text stays text."""
     try:
         node = ast.parse(text.strip(), mode="eval").body
@@ -349,12 +349,12 @@ def _call(node: ast.Call) -> dict[str, Any]:
         name = ast.unparse(function)
     make = resolve(name)
     takes = list(parameters(make)) if callable(make) else []
-    given = [*first, *map(_value, node.args)]
-    if takes and takes[min(len(given), len(takes)) - 1 : len(given)] and len(given) > len(takes):
-        given = [*given[: len(takes) - 1], given[len(takes) - 1 :]]
-    names = [*takes, *(f"argument {k + 1}" for k in range(len(takes), len(given)))]
-    own = {str(each.arg): _value(each.value) for each in node.keywords}
-    return {"type": name, **dict(zip(names, given, strict=False)), **own}
+    values = [*first, *map(_value, node.args)]
+    if takes and takes[min(len(values), len(takes)) - 1 : len(values)] and len(values) > len(takes):
+        values = [*values[: len(takes) - 1], values[len(takes) - 1 :]]
+    names = [*takes, *(f"argument {k + 1}" for k in range(len(takes), len(values)))]
+    keywords = {str(keyword.arg): _value(keyword.value) for keyword in node.keywords}
+    return {"type": name, **dict(zip(names, values, strict=False)), **keywords}
 
 
 def _value(node: ast.AST) -> Any:
@@ -362,7 +362,7 @@ def _value(node: ast.AST) -> Any:
         case ast.Call():
             return _call(node)
         case ast.List() | ast.Tuple():
-            return [_value(each) for each in node.elts]
+            return [_value(item) for item in node.elts]
         case ast.Name():
             return math.inf if node.id == "inf" else node.id
         case ast.Subscript() | ast.Attribute():
@@ -379,48 +379,48 @@ def _value(node: ast.AST) -> Any:
 
 def put(tree: dict[str, Any], path: str, value: Any) -> None:
     """Set the value at a path of a tree, such as ``controller.kp`` or ``robot.com.x``."""
-    at: Any = tree
-    *way, last = path.split(".")
-    for key in way:
-        below = _entry(at, key)
-        if isinstance(below, str):
-            below = called(below)
-        elif isinstance(below, list) and not any(isinstance(each, Mapping | str) for each in below):
-            below = {"": below}
-        elif isinstance(below, list):
-            below = [called(each) if isinstance(each, str) else each for each in below]
-        elif not isinstance(below, dict):
-            below = {} if below is None else {"": below}
-        _set(at, key, below)
-        at = below
-    _set(at, last, value)
+    node: Any = tree
+    *keys, last = path.split(".")
+    for key in keys:
+        child = _entry(node, key)
+        if isinstance(child, str):
+            child = read_call(child)
+        elif isinstance(child, list) and not any(isinstance(item, Mapping | str) for item in child):
+            child = {"": child}
+        elif isinstance(child, list):
+            child = [read_call(item) if isinstance(item, str) else item for item in child]
+        elif not isinstance(child, dict):
+            child = {} if child is None else {"": child}
+        _set_entry(node, key, child)
+        node = child
+    _set_entry(node, last, value)
 
 
-def _entry(at: Any, key: str) -> Any:
-    if isinstance(at, list):
-        place = _place(at, key)
-        return None if place is None else at[place]
-    return at.get(key)
+def _entry(node: Any, key: str) -> Any:
+    if isinstance(node, list):
+        index = _index(node, key)
+        return None if index is None else node[index]
+    return node.get(key)
 
 
-def _set(at: Any, key: str, value: Any) -> None:
-    if isinstance(at, list):
-        place = _place(at, key)
-        if place is None:
-            raise InvalidArgument(f"there is no entry {key!r} among {len(at)}", key)
-        at[place] = value
+def _set_entry(node: Any, key: str, value: Any) -> None:
+    if isinstance(node, list):
+        index = _index(node, key)
+        if index is None:
+            raise InvalidArgument(f"there is no entry {key!r} among {len(node)}", key)
+        node[index] = value
     else:
-        at[key] = value
+        node[key] = value
 
 
-def _place(at: list[Any], key: str) -> int | None:
-    names = [str(each.get("name", k)) if isinstance(each, Mapping) else str(k) for k, each in enumerate(at)]
+def _index(items: list[Any], key: str) -> int | None:
+    names = [str(x.get("name", k)) if isinstance(x, Mapping) else str(k) for k, x in enumerate(items)]
     if key in names:
         return names.index(key)
-    return int(key) if key.isdigit() and int(key) < len(at) else None
+    return int(key) if key.isdigit() and int(key) < len(items) else None
 
 
-def nested(values: Mapping[str, Any]) -> dict[str, Any]:
+def make_tree(values: Mapping[str, Any]) -> dict[str, Any]:
     """Return values by path as a tree."""
     tree: dict[str, Any] = {}
     for path, value in values.items():
@@ -428,10 +428,10 @@ def nested(values: Mapping[str, Any]) -> dict[str, Any]:
     return tree
 
 
-def flat(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+def flatten(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     """Return the values of nested tables by path; tables with a type are values."""
-    found: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     for key, value in tree.items():
         is_table = isinstance(value, Mapping) and "type" not in value
-        found |= flat(value, f"{prefix}{key}.") if is_table else {f"{prefix}{key}": value}
-    return found
+        values |= flatten(value, f"{prefix}{key}.") if is_table else {f"{prefix}{key}": value}
+    return values

@@ -14,19 +14,19 @@ from pinmobile.errors import InvalidArgument
 from pinmobile.parts._fields import Child, Number, Values, Whole
 from pinmobile.parts._registry import (
     Parameter,
-    expected,
     is_code,
     is_part_class,
-    listed,
     names_of,
     parameters,
-    public,
+    public_names,
     put,
+    read_list,
+    requirement,
     resolve,
 )
 from pinmobile.parts._tree import InvalidEntries, Reader
 
-_MOST = 1 << 20  # bytes of a file
+_MAX_BYTES = 1 << 20  # bytes of a file
 
 
 def read_file(path: Path) -> str:
@@ -39,9 +39,9 @@ def read_file(path: Path) -> str:
     """
     try:
         with path.open("rb") as file:
-            data = file.read(_MOST + 1)  # a special file may be endless
-        if len(data) > _MOST:
-            raise InvalidArgument(f"FILE is {str(path)!r}, larger than {_MOST >> 20} MiB, expected less")
+            data = file.read(_MAX_BYTES + 1)  # a special file may be endless
+        if len(data) > _MAX_BYTES:
+            raise InvalidArgument(f"FILE is {str(path)!r}, larger than {_MAX_BYTES >> 20} MiB, expected less")
         return data.decode("utf-8").replace("\r\n", "\n")
     except (OSError, UnicodeDecodeError, ValueError) as error:
         if isinstance(error, InvalidArgument):
@@ -59,12 +59,12 @@ def read_tree(text: str, name: str) -> dict[str, Any]:
         raise InvalidArgument(f"{name}: its values are nested too deep") from None
 
 
-def typed(text: str) -> Any:
+def read_value(text: str) -> Any:
     """Return the value of text in TOML's notation, or a list in Python's notation; other text stays text."""
     try:
         return tomllib.loads(f"v = {text}")["v"] if "\n" not in text else text
     except (tomllib.TOMLDecodeError, RecursionError):
-        return listed(text)
+        return read_list(text)
 
 
 def read_entries(
@@ -100,27 +100,27 @@ def read_entries(
     sets = dict(word.split("=", 1) for word in words)
     for path, value in sets.items():
         try:
-            put(tree, path, typed(value))
+            put(tree, path, read_value(value))
         except (InvalidArgument, AttributeError, TypeError) as error:
             raise InvalidArgument(f"{path}={value}: {error}") from None
     reader = Reader(folder)
     try:
         return reader.root(kind, {key: value for key, value in tree.items() if key not in unused}), reader
     except InvalidEntries as error:
-        raise located(error, sets, name, text) from None
+        raise locate_errors(error, sets, name, text) from None
     except RecursionError:
         raise InvalidArgument(f"{name}: its values are nested too deep") from None
 
 
-def located(error: InvalidEntries, sets: Mapping[str, str], name: str, text: str) -> InvalidEntries:
+def locate_errors(error: InvalidEntries, sets: Mapping[str, str], name: str, text: str) -> InvalidEntries:
     """Return an error whose messages begin with the line of the file, or with the word of the command."""
-    found = {}
+    messages = {}
     for path, message in error.problems.items():
-        near = [each for each in sets if are_nested(path, each)]
-        word = max(near, key=len) if near else ""
-        place = f"{word}={sets[word]}: " if near else f"{name}:{line_of(text, path)}: " if text else ""
-        found[path] = f"{place}{message}"
-    return InvalidEntries(found)
+        paths = [other for other in sets if are_nested(path, other)]
+        word = max(paths, key=len) if paths else ""
+        place = f"{word}={sets[word]}: " if paths else f"{name}:{line_of(text, path)}: " if text else ""
+        messages[path] = f"{place}{message}"
+    return InvalidEntries(messages)
 
 
 def are_nested(path: str, other: str) -> bool:
@@ -158,25 +158,25 @@ def write_text(kind: type, tree: Mapping[str, Any]) -> str:
 
 def _table(tree: Mapping[str, Any], make: Any, path: str) -> Iterator[str]:
     """Yield the lines of a table: values first, then the tables of parts."""
-    known = parameters(make) if callable(make) else {}
-    fields = {key: known[key].declared if key in known else None for key in tree}
-    later = {key: value for key, value in tree.items() if _is_table(value, fields[key], path)}
+    arguments = parameters(make) if callable(make) else {}
+    fields = {key: arguments[key].declared if key in arguments else None for key in tree}
+    tables = {key: value for key, value in tree.items() if _is_table(value, fields[key], path)}
     for key, value in tree.items():
-        if key not in later:
-            about = known[key].doc if key in known else ""
+        if key not in tables:
+            comment = arguments[key].doc if key in arguments else ""
             if isinstance(fields[key], Number | Whole):
-                about = f"{about}{about and ': '}{expected(fields[key])}"
-            yield f"{_key(key)} = {_text(value)}{about and f'  # {about}'}"
-    for key, value in later.items():
-        at = f"{path}.{_key(key)}" if path else _key(key)
-        about = f"  # {known[key].doc}" if key in known and known[key].doc else ""
-        for each in value if isinstance(value, list) else [value]:
-            yield f"\n[[{at}]]{about}" if isinstance(value, list) else f"\n[{at}]{about}"
-            name = each.get("type", "")
+                comment = f"{comment}{comment and ': '}{requirement(fields[key])}"
+            yield f"{_key(key)} = {_text(value)}{comment and f'  # {comment}'}"
+    for key, value in tables.items():
+        table = f"{path}.{_key(key)}" if path else _key(key)
+        comment = f"  # {arguments[key].doc}" if key in arguments and arguments[key].doc else ""
+        for item in value if isinstance(value, list) else [value]:
+            yield f"\n[[{table}]]{comment}" if isinstance(value, list) else f"\n[{table}]{comment}"
+            name = item.get("type", "")
             if name or isinstance(fields[key], Child):
-                yield from _table(each, None if is_code(name) else resolve(name), at)
+                yield from _table(item, None if is_code(name) else resolve(name), table)
             else:
-                yield from (f"{_key(name)} = {_text(entry)}" for name, entry in each.items())
+                yield from (f"{_key(name)} = {_text(entry)}" for name, entry in item.items())
 
 
 def _is_table(value: Any, declared: Any, path: str) -> bool:
@@ -210,15 +210,15 @@ _BOUNDS = {"above": "exclusiveMinimum", "lower": "minimum", "upper": "maximum"}
 
 def schema_of(root: type) -> dict[str, Any]:
     """Return the JSON schema of a file: the fields of each part, with meaning, unit and bound."""
-    parts = {name: one for name, one in public().items() if is_part_class(one)}
+    parts = {name: cls for name, cls in public_names().items() if is_part_class(cls)}
     kinds = {
-        _title(each.declared.kind): each.declared.kind
+        _title(argument.declared.kind): argument.declared.kind
         for make in (root, *parts.values())
-        for each in parameters(make).values()
-        if isinstance(each.declared, Child)
+        for argument in parameters(make).values()
+        if isinstance(argument.declared, Child)
     }
-    made = {f"Any{title}": _choice(kind, parts) for title, kind in kinds.items()}
-    defs = {name: _object(parameters(one), inspect.getdoc(one)) for name, one in parts.items()} | made
+    choices = {f"Any{title}": _choice(kind, parts) for title, kind in kinds.items()}
+    defs = {name: _object(parameters(cls), inspect.getdoc(cls)) for name, cls in parts.items()} | choices
     head = {"$schema": "http://json-schema.org/draft-07/schema#"}
     return {**head, **_object(parameters(root), inspect.getdoc(root), typed=False), "$defs": defs}
 
@@ -245,38 +245,38 @@ def _choice(kind: Any, parts: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _object(known: Mapping[str, Parameter], text: str | None, *, typed: bool = True) -> dict[str, Any]:
-    own = {"type": {"type": "string"}} if typed else {}
+def _object(args: Mapping[str, Parameter], text: str | None, *, typed: bool = True) -> dict[str, Any]:
+    type_schema = {"type": {"type": "string"}} if typed else {}
     return {
         "type": "object",
         "description": (text or "").split("\n")[0],
         "additionalProperties": False,
-        "properties": own | {name: _field(each) for name, each in known.items() if name != "**"},
-        "required": [name for name, each in known.items() if each.is_required and not each.is_shared],
+        "properties": type_schema | {name: _field(arg) for name, arg in args.items() if name != "**"},
+        "required": [name for name, arg in args.items() if arg.is_required and not arg.is_shared],
     }
 
 
-def _field(each: Parameter) -> dict[str, Any]:
-    declared = each.declared
-    told = {"description": f"{declared.doc}: {expected(declared)}"} if declared is not None else {}
-    if isinstance(declared, Whole):
-        return told | {"type": "integer", "minimum": declared.least, "maximum": declared.most}
-    if isinstance(declared, Number):
-        bounds = {word: getattr(declared, name) for name, word in _BOUNDS.items()}
-        one = {"type": "number"} | {word: bound for word, bound in bounds.items() if bound is not None}
-        if declared.endless:
-            one["type"] = ["number", "null"]  # infinity in JSON
-        forms = [_array(one, shape) for shape in declared.shapes]
-        return told | {"anyOf": [*forms, {"type": "object"}]}
-    if isinstance(declared, Child):
-        one = {"$ref": f"#/$defs/Any{_title(declared.kind)}"}
-        many = {"anyOf": [{"type": "array", "items": one}, {"type": "object", "additionalProperties": one}]}
-        return told | (many if declared.many else {"anyOf": [one, {"type": "object"}]})
-    return told | ({"type": "object"} if isinstance(declared, Values) else {})
+def _field(argument: Parameter) -> dict[str, Any]:
+    field = argument.declared
+    schema = {"description": f"{field.doc}: {requirement(field)}"} if field is not None else {}
+    if isinstance(field, Whole):
+        return schema | {"type": "integer", "minimum": field.least, "maximum": field.most}
+    if isinstance(field, Number):
+        bounds = {word: getattr(field, name) for name, word in _BOUNDS.items()}
+        item = {"type": "number"} | {word: bound for word, bound in bounds.items() if bound is not None}
+        if field.endless:
+            item["type"] = ["number", "null"]  # infinity in JSON
+        forms = [_array(item, shape) for shape in field.shapes]
+        return schema | {"anyOf": [*forms, {"type": "object"}]}
+    if isinstance(field, Child):
+        item = {"$ref": f"#/$defs/Any{_title(field.kind)}"}
+        many = {"anyOf": [{"type": "array", "items": item}, {"type": "object", "additionalProperties": item}]}
+        return schema | (many if field.many else {"anyOf": [item, {"type": "object"}]})
+    return schema | ({"type": "object"} if isinstance(field, Values) else {})
 
 
-def _array(one: dict[str, Any], shape: tuple[int | str, ...]) -> dict[str, Any]:
+def _array(item: dict[str, Any], shape: tuple[int | str, ...]) -> dict[str, Any]:
     for size in reversed(shape):
         fixed = {"minItems": size, "maxItems": size} if isinstance(size, int) else {}
-        one = {"type": "array", "items": one} | fixed
-    return one
+        item = {"type": "array", "items": item} | fixed
+    return item

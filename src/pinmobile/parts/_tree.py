@@ -16,25 +16,25 @@ from pinmobile.errors import InvalidArgument, PinmobileError, format_value
 from pinmobile.parts._fields import Child, Field, Number, Values, Whole, evolved, fields_of, is_part
 from pinmobile.parts._registry import (
     Parameter,
-    called,
-    expected,
     fits,
-    flat,
+    flatten,
     is_code,
     is_part_class,
+    make_tree,
     makes_part,
     name_of,
     names_of,
-    nearest,
-    nested,
     parameters,
+    read_call,
+    requirement,
     resolve,
-    unreadable,
+    suggest_name,
+    syntax_problem,
 )
 from pinmobile.parts._walk import Leaf, entries_of
 
-_WRONG = object()  # stands for a part that cannot be made
-_DEEPEST = 50
+_INVALID = object()  # stands for a part that cannot be made
+_MAX_DEPTH = 50
 _FAILURES = TypeError, ValueError, LookupError, OSError, AttributeError, ArithmeticError, PinmobileError
 _NONE: Mapping[str, Any] = {}
 
@@ -70,8 +70,8 @@ class Reader:
     def __init__(self, folder: Path | None = None) -> None:
         self.folder = folder
         self.problems: dict[str, str] = {}
-        self._kept: dict[int, tuple[Any, dict[str, Any]]] = {}  # trees of parts, by id
-        self._shared: dict[str, Any] = {}
+        self._sources: dict[int, tuple[Any, dict[str, Any]]] = {}  # trees of parts, by id
+        self._defaults: dict[str, Any] = {}
 
     def root(self, kind: type, tree: Mapping[str, Any]) -> Any:
         """Return the part of a whole file; its robot is the default of all robots in it.
@@ -81,24 +81,24 @@ class Reader:
         InvalidEntries
             If entries are wrong; the message has a line for each.
         """
-        given: Any = kind
-        known, self._shared = parameters(given), {}
+        constructor: Any = kind
+        arguments, self._defaults = parameters(constructor), {}
         values: dict[str, Any] = {}
-        self._unknown(tree, known, kind, "")
-        for name, each in known.items():
-            values[name] = _default(each, SimpleNamespace(**values))
+        self._check_keys(tree, arguments, kind, "")
+        for name, argument in arguments.items():
+            values[name] = _default(argument, SimpleNamespace(**values))
             if tree.get(name) is not None:
-                values[name] = self._read(each, tree[name], name, values[name])
+                values[name] = self._read(argument, tree[name], name, values[name])
             if name == "robot":
-                self._shared = {"robot": values[name]}
+                self._defaults = {"robot": values[name]}
                 if is_part(values[name]):
-                    self._shared |= {own: value for own, _, value in fields_of(values[name]) if own != name}
+                    self._defaults |= {f: value for f, _, value in fields_of(values[name]) if f != name}
         self._raise()
-        made = self._made(kind, values, "")
+        part = self._make(kind, values, "")
         self._raise()
-        return made
+        return part
 
-    def changed(self, root: Any, changes: Mapping[str, Any], path: str = "") -> Any:
+    def change(self, root: Any, changes: Mapping[str, Any], path: str = "") -> Any:
         """Return a part with other values at paths; models of controllers keep the original robot.
 
         Raises
@@ -106,17 +106,17 @@ class Reader:
         InvalidEntries
             If a value is invalid.
         """
-        made = self._changed(root, nested(changes), path)
+        part = self._change(root, make_tree(changes), path)
         self._raise()
-        return made
+        return part
 
-    def _model(self, each: Parameter) -> Any:
+    def _model(self, argument: Parameter) -> Any:
         """Return the default of a model: the file's robot, or the part of the robot that fits."""
-        robot = self._shared.get("robot")
-        if each.name != "robot" or not isinstance(each.declared, Child) or not is_part(robot):
-            return self._shared.get(each.name)
+        robot = self._defaults.get("robot")
+        if argument.name != "robot" or not isinstance(argument.declared, Child) or not is_part(robot):
+            return self._defaults.get(argument.name)
         inner = [value for _, declared, value in fields_of(robot) if isinstance(declared, Child)]
-        return next((one for one in (robot, *inner) if fits(each.declared.kind, one)), robot)
+        return next((one for one in (robot, *inner) if fits(argument.declared.kind, one)), robot)
 
     def _raise(self) -> None:
         if self.problems:
@@ -124,105 +124,103 @@ class Reader:
 
     def _fail(self, path: str, message: str) -> Any:
         self.problems.setdefault(path, message)
-        return _WRONG
+        return _INVALID
 
-    def _unknown(self, tree: Any, known: Mapping[str, Any], kind: Any, path: str) -> None:
+    def _check_keys(self, tree: Any, names: Mapping[str, Any], kind: Any, path: str) -> None:
         for key in tree:
-            if key not in known:
-                at, takes = _join(path, str(key)), ", ".join(known) or "no fields"
+            if key not in names:
+                place, takes = _join(path, str(key)), ", ".join(names) or "no fields"
                 name = kind.__name__ if path else "a scenario"
-                self._fail(at, f"{at} is unknown, {name} has {takes}; {nearest(str(key), known)}")
+                self._fail(place, f"{place} is unknown, {name} has {takes}; {suggest_name(str(key), names)}")
 
     def part(self, declared: Child, tree: Any, path: str, base: Any = None) -> Any:
         """Return the part of a tree; `base` is the part that a table without a type changes."""
-        if path.count(".") > _DEEPEST:
-            return self._fail(path, f"{path} is nested too deep, expected at most {_DEEPEST} levels")
-        tree = called(tree) if isinstance(tree, str) else tree
+        if path.count(".") > _MAX_DEPTH:
+            return self._fail(path, f"{path} is nested too deep, expected at most {_MAX_DEPTH} levels")
+        tree = read_call(tree) if isinstance(tree, str) else tree
         if not isinstance(tree, Mapping):
-            form = expected(declared, one=True)
+            form = requirement(declared, one=True)
             return self._fail(path, f"{path} is {format_value(tree)}, expected {form}: its name, or a table")
         tree = dict(tree)
         name = tree.pop("type", None)
-        if name is None and (base is _WRONG or (base is None and self._shared.get("robot") is _WRONG)):
-            return _WRONG
+        if name is None and (base is _INVALID or (base is None and self._defaults.get("robot") is _INVALID)):
+            return _INVALID
         if name is None and base is not None:
-            return self._changed(base, tree, path)
-        make = self._named(declared, name, path)
-        if make is _WRONG:
+            return self._change(base, tree, path)
+        make = self._resolve(declared, name, path)
+        if make is _INVALID:
             return make
         is_function = isinstance(make, FunctionType) and not makes_part(make)
         if not callable(make) or is_part(make) or (is_function and not tree):
-            return self._changed(make, tree, path) if tree else make
-        return self._called(make, str(name), tree, path)
+            return self._change(make, tree, path) if tree else make
+        return self._construct(make, str(name), tree, path)
 
-    def _named(self, declared: Child, name: Any, path: str) -> Any:
+    def _resolve(self, declared: Child, name: Any, path: str) -> Any:
         """Return the object of a type, if it is allowed here."""
-        kind, wanted = declared.kind, expected(declared, one=True)
+        kind, words = declared.kind, requirement(declared, one=True)
         if not isinstance(name, str):
-            told = f"{path} has the type {format_value(name)}, expected text in quotes"
-            return self._fail(path, f"{path} has no type, expected {wanted}" if name is None else told)
+            message = f"{path} has the type {format_value(name)}, expected text in quotes"
+            return self._fail(path, f"{path} has no type, expected {words}" if name is None else message)
         try:
             make = resolve(name, self.folder)
         except InvalidArgument as error:
             return self._fail(_join(path, "type"), f"{path} {error}")
-        known = names_of(kind)
+        names = names_of(kind)
         if make is None or not (is_code(name) or is_part_class(make) or is_part(make) or callable(make)):
-            why = unreadable(name) or f"expected {wanted}, {nearest(name, known)}"
-            return self._fail(_join(path, "type"), f"{path} is {format_value(name)}, {why}")
+            reason = syntax_problem(name) or f"expected {words}, {suggest_name(name, names)}"
+            return self._fail(_join(path, "type"), f"{path} is {format_value(name)}, {reason}")
         # Members that a class takes from another part exist only in its objects.
         is_free = is_code(name) or "__getattr__" in dir(make) or (makes_part(make) and not is_part(make))
         if not is_free and not fits(kind, make):
-            told = f"{path} is {name!r}, expected {wanted}, available: {', '.join(known)}"
-            return self._fail(_join(path, "type"), told)
+            message = f"{path} is {name!r}, expected {words}, available: {', '.join(names)}"
+            return self._fail(_join(path, "type"), message)
         return make
 
-    def _called(self, make: Any, name: str, tree: dict[str, Any], path: str) -> Any:
+    def _construct(self, make: Any, name: str, tree: dict[str, Any], path: str) -> Any:
         """Return the object of a class or constructor with a table; the table may also change fields."""
-        known = parameters(make)
+        args = parameters(make)
         is_class = is_part_class(make)
-        tree = {_given(known, key): value for key, value in tree.items()}
+        tree = {_argument_name(args, key): value for key, value in tree.items()}
         owner = resolve(name.rpartition(".")[0]) if not is_class and not is_code(name) else None
         fields = parameters(owner) if is_part_class(owner) else {}
-        others = {
-            key: tree.pop(key)
-            for key in [*tree]
-            if not is_class and _is_change(known, fields, key, tree[key])
+        changes = {
+            key: tree.pop(key) for key in [*tree] if not is_class and _is_change(args, fields, key, tree[key])
         }
-        if "**" not in known:
-            self._unknown(tree, known, make, path)
+        if "**" not in args:
+            self._check_keys(tree, args, make, path)
         values: dict[str, Any] = {}
-        for key, each in known.items():
-            at = _join(path, key)
+        for key, arg in args.items():
+            place = _join(path, key)
             if tree.get(key) is not None:
-                base = _default(each, SimpleNamespace(**values))
-                values[key] = self._read(each, tree[key], at, base)
-            elif each.is_shared and key in self._shared:
-                values[key] = self._model(each)
-            elif each.is_required:
-                told = f"{at} is missing, expected {expected(each.declared)}{each.doc and ': ' + each.doc}"
-                values[key] = self._fail(at, told)
-        if "**" in known:
-            values |= {key: self._generic(tree[key], _join(path, key)) for key in tree if key not in known}
-        made = self._made(make, dict(values), path)
-        if others and made is not _WRONG:
-            made = self._changed(made, others, path)
-        if is_part(made) and (not is_class or is_code(name)):
-            self._kept[id(made)] = made, {"type": name, **values, **others}
-        return made
+                base = _default(arg, SimpleNamespace(**values))
+                values[key] = self._read(arg, tree[key], place, base)
+            elif arg.is_shared and key in self._defaults:
+                values[key] = self._model(arg)
+            elif arg.is_required:
+                text = f"{place} is missing, expected {requirement(arg.declared)}{arg.doc and ': ' + arg.doc}"
+                values[key] = self._fail(place, text)
+        if "**" in args:
+            values |= {key: self._generic(tree[key], _join(path, key)) for key in tree if key not in args}
+        part = self._make(make, dict(values), path)
+        if changes and part is not _INVALID:
+            part = self._change(part, changes, path)
+        if is_part(part) and (not is_class or is_code(name)):
+            self._sources[id(part)] = part, {"type": name, **values, **changes}
+        return part
 
-    def _made(self, make: Any, values: dict[str, Any], path: str) -> Any:
-        if any(value is _WRONG for value in values.values()):
-            return _WRONG
-        first: list[Any] = []
+    def _make(self, make: Any, values: dict[str, Any], path: str) -> Any:
+        if any(value is _INVALID for value in values.values()):
+            return _INVALID
+        positional: list[Any] = []
         names = [] if isinstance(make, partial) else [*parameters(make)]
         for k, key in enumerate(names):
             if parameters(make)[key].is_variadic and key in values:
-                more = values.pop(key)
-                more = more if isinstance(more, list | tuple) else [more]
-                first = [*(values.pop(name) for name in names[:k]), *more]
+                rest = values.pop(key)
+                rest = rest if isinstance(rest, list | tuple) else [rest]
+                positional = [*(values.pop(name) for name in names[:k]), *rest]
         try:
             with np.errstate(all="ignore"):  # the part itself rejects overflow
-                return make(*first, **values)
+                return make(*positional, **values)
         except InvalidArgument as error:
             return self._fail(_join(path, error.argument.partition("[")[0]), f"{path or 'file'}: {error}")
         except (
@@ -236,80 +234,80 @@ class Reader:
         ) as error:
             return self._fail(path, f"{path or 'file'} cannot be made: {error}")
 
-    def _changed(self, base: Any, tree: Mapping[str, Any], path: str) -> Any:
+    def _change(self, base: Any, tree: Mapping[str, Any], path: str) -> Any:
         """Return a part with other values of its fields."""
         if not is_part(base):
             return self._fail(path, f"{path} is {format_value(base)}, which has no fields to change")
-        own: Any = type(base)
-        known = parameters(own)
-        self._unknown(tree, known, type(base), path)
+        kind: Any = type(base)
+        arguments = parameters(kind)
+        self._check_keys(tree, arguments, type(base), path)
         changes = {
-            key: self._read(known[key], sub, _join(path, key), getattr(base, key))
-            for key, sub in tree.items()
-            if key in known
+            key: self._read(arguments[key], branch, _join(path, key), getattr(base, key))
+            for key, branch in tree.items()
+            if key in arguments
         }
-        if any(value is _WRONG for value in changes.values()) or tree.keys() - known.keys():
-            return _WRONG
-        new = self._made(partial(evolved, base, changes), {}, path)
-        if any(base is one for one in self._shared.values()) and new is not _WRONG and path:
-            self._kept[id(new)] = new, changes
+        if any(value is _INVALID for value in changes.values()) or tree.keys() - arguments.keys():
+            return _INVALID
+        new = self._make(partial(evolved, base, changes), {}, path)
+        if any(base is shared for shared in self._defaults.values()) and new is not _INVALID and path:
+            self._sources[id(new)] = new, changes
         return new
 
-    def _read(self, each: Parameter, tree: Any, path: str, base: Any) -> Any:
+    def _read(self, argument: Parameter, tree: Any, path: str, base: Any) -> Any:
         """Return the value of a tree for an argument; `base` is the value without it."""
-        declared = each.declared
-        if each.is_shared and (base is None or base is attrs.NOTHING):
-            base = self._model(each)
+        declared = argument.declared
+        if argument.is_shared and (base is None or base is attrs.NOTHING):
+            base = self._model(argument)
         try:
             if isinstance(declared, Child):
-                made = (self._many if declared.many else self.part)(declared, tree, path, base)
-                return made if made is _WRONG else declared.checked(path, made)
+                value = (self._read_many if declared.many else self.part)(declared, tree, path, base)
+                return value if value is _INVALID else declared.convert(path, value)
             if isinstance(declared, Number):
-                return declared.checked(path, self._numbers(declared, tree, path, base))
+                return declared.convert(path, self._numbers(declared, tree, path, base))
             if isinstance(declared, Whole):
-                return declared.checked(path, tree)
+                return declared.convert(path, tree)
         except InvalidArgument as error:
             if isinstance(declared, Child):
                 return self._fail(path, str(error))
-            told = f"{path} is {format_value(tree)}, expected {expected(declared)}"
-            return self._fail(path, told)
+            message = f"{path} is {format_value(tree)}, expected {requirement(declared)}"
+            return self._fail(path, message)
         if isinstance(declared, Values) and isinstance(tree, Mapping):
-            read = {key: self._generic(one, f"{path}.{key}") for key, one in flat(tree).items()}
-            return self._all({**(base or {}), **read})
+            values = {key: self._generic(one, f"{path}.{key}") for key, one in flatten(tree).items()}
+            return self._check_all({**(base or {}), **values})
         if declared is None or (isinstance(tree, Mapping) and "type" in tree):
             return self._generic(tree, path)
         if isinstance(tree, Mapping) and is_part(base):
-            return self._changed(base, tree, path)
+            return self._change(base, tree, path)
         return self._option(declared, tree, path)
 
     def _option(self, declared: Field, tree: Any, path: str) -> Any:
         """Return the value of a field that is neither a number nor a part; a name may mean a constant."""
-        made = _tuples(tree)
+        value = _tuples(tree)
         name = path.rpartition(".")[2]
         try:
-            return declared.checked(name, made)
+            return declared.convert(name, value)
         except InvalidArgument as error:
             is_named = isinstance(tree, str) and (self.folder is not None or not is_code(tree))
-            other = resolve(tree, self.folder) if is_named else None
+            constant = resolve(tree, self.folder) if is_named else None
             with contextlib.suppress(InvalidArgument):
-                if other is not None:
-                    return declared.checked(name, other)
+                if constant is not None:
+                    return declared.convert(name, constant)
             return self._fail(path, str(error.calling(path)))
 
-    def _many(self, declared: Child, tree: Any, path: str, base: Any) -> Any:
+    def _read_many(self, field: Child, tree: Any, path: str, base: Any) -> Any:
         if isinstance(tree, list | tuple):
-            made: Any = [self.part(declared, each, f"{path}.{k}") for k, each in enumerate(tree)]
-            return _WRONG if any(each is _WRONG for each in made) else made
+            parts: Any = [self.part(field, item, f"{path}.{k}") for k, item in enumerate(tree)]
+            return _INVALID if any(item is _INVALID for item in parts) else parts
         if not isinstance(tree, Mapping) or base is None or base is attrs.NOTHING:
-            return self._fail(path, f"{path} is {format_value(tree)}, expected a list, {expected(declared)}")
-        known = dict(entries_of(base))
-        if not isinstance(base, Mapping) and tree.keys() - known.keys():
-            return self._fail(path, f"{path} has {', '.join(known)}, and not {', '.join(tree)}")
-        for key, sub in tree.items():
-            known[key] = self.part(declared, sub, f"{path}.{key}", known.get(key))
-        if any(each is _WRONG for each in known.values()):
-            return _WRONG
-        return known if isinstance(base, Mapping) else tuple(known.values())
+            return self._fail(path, f"{path} is {format_value(tree)}, expected a list, {requirement(field)}")
+        children = dict(entries_of(base))
+        if not isinstance(base, Mapping) and tree.keys() - children.keys():
+            return self._fail(path, f"{path} has {', '.join(children)}, and not {', '.join(tree)}")
+        for key, branch in tree.items():
+            children[key] = self.part(field, branch, f"{path}.{key}", children.get(key))
+        if any(item is _INVALID for item in children.values()):
+            return _INVALID
+        return children if isinstance(base, Mapping) else tuple(children.values())
 
     def _numbers(self, declared: Number, tree: Any, path: str, base: Any) -> Any:
         """Return numbers; a table changes some entries, by label or by index."""
@@ -321,34 +319,34 @@ class Reader:
         _check_plain(path, base)
         if base is None:
             raise InvalidArgument(f"{path} has no entries to change")
-        own = declared if not callable(declared.labels) else attrs.evolve(declared, labels=())
-        places = Leaf(path, None, own, base).entries
-        made = np.array(base, np.float64) if np.ndim(base) else np.full(len(places), float(base))
+        field = declared if not callable(declared.labels) else attrs.evolve(declared, labels=())
+        indices = Leaf(path, None, field, base).entries
+        numbers = np.array(base, np.float64) if np.ndim(base) else np.full(len(indices), float(base))
         for key, value in tree.items():
             _check_plain(path, value)
-            if key not in places:
+            if key not in indices:
                 raise InvalidArgument(f"{path} has no entry {key!r}")
-            made[places[key]] = value
-        return made
+            numbers[indices[key]] = value
+        return numbers
 
     def _generic(self, tree: Any, path: str) -> Any:
         """Return the value of a tree without a declaration; names of parts become parts."""
         if isinstance(tree, Mapping):
             if "type" in tree:
                 return self.part(Child(), tree, path)
-            return self._all({key: self._generic(each, f"{path}.{key}") for key, each in tree.items()})
+            return self._check_all({key: self._generic(x, f"{path}.{key}") for key, x in tree.items()})
         if isinstance(tree, list | tuple):
-            made = self._all({str(k): self._generic(each, f"{path}.{k}") for k, each in enumerate(tree)})
-            return made if made is _WRONG else tuple(made.values())
+            values = self._check_all({str(k): self._generic(x, f"{path}.{k}") for k, x in enumerate(tree)})
+            return values if values is _INVALID else tuple(values.values())
         if isinstance(tree, str):
-            name = str(called(tree)["type"])
-            found = self.folder if is_code(name) else resolve(name)
-            if found is not None and (not isinstance(found, type) or is_part_class(found)):
+            name = str(read_call(tree)["type"])
+            target = self.folder if is_code(name) else resolve(name)
+            if target is not None and (not isinstance(target, type) or is_part_class(target)):
                 return self.part(Child(), tree, path)
         return tree
 
-    def _all(self, made: dict[str, Any]) -> Any:
-        return _WRONG if any(each is _WRONG for each in made.values()) else made
+    def _check_all(self, values: dict[str, Any]) -> Any:
+        return _INVALID if any(value is _INVALID for value in values.values()) else values
 
     def tree(self, value: Any, path: str = "") -> Any:
         """Return a part as a tree, from which the same part can be read.
@@ -358,56 +356,56 @@ class Reader:
         InvalidArgument
             If an object in the part has no text, such as a random number generator.
         """
-        if id(value) in self._kept:
-            kept = self._kept[id(value)][1]
-            return {k: v if k == "type" else self.tree(v, _join(path, k)) for k, v in kept.items()}
+        if id(value) in self._sources:
+            source = self._sources[id(value)][1]
+            return {k: v if k == "type" else self.tree(v, _join(path, k)) for k, v in source.items()}
         if name := name_of(value) if not isinstance(value, type) else "":
             return name
         if is_part(value):
-            own = {"type": name_of(type(value))} if path else {}
-            return own | {key: self.tree(each, _join(path, key)) for key, each in self._written(value, path)}
+            head = {"type": name_of(type(value))} if path else {}
+            return head | {key: self.tree(x, _join(path, key)) for key, x in self._stated_fields(value, path)}
         if isinstance(value, Mapping):
-            return {key: self.tree(each, _join(path, str(key))) for key, each in value.items()}
+            return {key: self.tree(x, _join(path, str(key))) for key, x in value.items()}
         if isinstance(value, np.ndarray | np.generic):
             return value.tolist()
         if isinstance(value, list | tuple):
-            return [self.tree(each, f"{path}.{k}") for k, each in enumerate(value)]
+            return [self.tree(x, f"{path}.{k}") for k, x in enumerate(value)]
         if isinstance(value, str | bool | int | float):
             return value
         raise InvalidArgument(f"{path} is {format_value(value)}, which a file cannot contain: use Python")
 
-    def _written(self, part: Any, path: str) -> Iterator[tuple[str, Any]]:
+    def _stated_fields(self, part: Any, path: str) -> Iterator[tuple[str, Any]]:
         """Yield the fields that a file states with their values, without models equal to the file's robot."""
-        own: Any = type(part)
-        known = parameters(own)
+        kind: Any = type(part)
+        arguments = parameters(kind)
         is_model = path and path.split(".")[0] != "robot"
         for key, declared, value in fields_of(part):
             is_shared = is_model and (key == "robot" or isinstance(declared, Child))
-            if value is None or key[:1] == "_" or (is_shared and value is self._model(known[key])):
+            if value is None or key[:1] == "_" or (is_shared and value is self._model(arguments[key])):
                 continue
-            default = known[key].default
+            default = arguments[key].default
             is_derived = isinstance(default, attrs.Factory) and default.takes_self  # type: ignore[arg-type]
-            usual = _default(known[key], part if path else SimpleNamespace())
+            default_value = _default(arguments[key], part if path else SimpleNamespace())
             is_derived = is_derived and bool(path)
             is_empty = isinstance(value, tuple | dict) and not value
             is_stated = isinstance(declared, Number | Whole | Child) and not (is_derived or is_empty)
-            if is_stated or not _is_same(value, usual):
+            if is_stated or not _is_same(value, default_value):
                 yield key, value
 
 
-def _given(known: Mapping[str, Parameter], key: str) -> str:
+def _argument_name(arguments: Mapping[str, Parameter], key: str) -> str:
     """Return the name of an argument that the text gives by position."""
     word, _, number = key.partition(" ")
-    at = int(number) - 1 if word == "argument" and number.isdigit() else len(known)
-    return [*known, key][min(at, len(known))]
+    index = int(number) - 1 if word == "argument" and number.isdigit() else len(arguments)
+    return [*arguments, key][min(index, len(arguments))]
 
 
-def _is_change(known: Mapping[str, Parameter], fields: Collection[str], key: str, tree: Any) -> bool:
+def _is_change(arguments: Mapping[str, Parameter], fields: Collection[str], key: str, tree: Any) -> bool:
     """Return whether an entry of a constructor's table changes a field of the constructed part."""
-    each = known.get(key)
+    argument = arguments.get(key)
     is_table = isinstance(tree, Mapping) and "type" not in tree
-    is_free = each is None or each.declared is None
-    return ("**" not in known and each is None) or (is_table and is_free and key in fields)
+    is_free = argument is None or argument.declared is None
+    return ("**" not in arguments and argument is None) or (is_table and is_free and key in fields)
 
 
 def _is_same(value: Any, default: Any) -> bool:
@@ -416,8 +414,8 @@ def _is_same(value: Any, default: Any) -> bool:
     return False
 
 
-def _default(each: Parameter, owner: Any) -> Any:
-    default = each.default
+def _default(argument: Parameter, owner: Any) -> Any:
+    default = argument.default
     if isinstance(default, attrs.Factory):  # type: ignore[arg-type]
         factory: Callable[..., Any] = default.factory
         with contextlib.suppress(Exception):  # another field may be wrong
@@ -428,10 +426,10 @@ def _default(each: Parameter, owner: Any) -> Any:
 
 def _check_plain(path: str, value: Any) -> None:
     """Reject text and truth values among numbers."""
-    for each in value if isinstance(value, list | tuple) else (value,):
-        if isinstance(each, list | tuple):
-            _check_plain(path, each)
-        elif isinstance(each, str | bool | Mapping):
+    for item in value if isinstance(value, list | tuple) else (value,):
+        if isinstance(item, list | tuple):
+            _check_plain(path, item)
+        elif isinstance(item, str | bool | Mapping):
             raise InvalidArgument(f"{path} is {format_value(value)}, expected numbers")
 
 

@@ -63,11 +63,11 @@ def entries_of(value: Any) -> list[tuple[str, Any]]:
     """Return the parts of a field of several parts with their keys: names if they differ, else indices."""
     if isinstance(value, Mapping):
         return list(value.items())
-    names = [getattr(each, "name", None) for each in value]
-    named = all(isinstance(name, str) for name in names) and len(set(names)) == len(names)
+    names = [getattr(item, "name", None) for item in value]
+    has_names = all(isinstance(name, str) for name in names) and len(set(names)) == len(names)
     return [
-        (str(name) if named else str(i), each)
-        for i, (name, each) in enumerate(zip(names, value, strict=True))
+        (str(name) if has_names else str(i), item)
+        for i, (name, item) in enumerate(zip(names, value, strict=True))
     ]
 
 
@@ -76,30 +76,30 @@ def walk(part: Any) -> tuple[Leaf, ...]:
 
     A declared part is immutable and keeps the result.
     """
-    kept: tuple[Leaf, ...] | None = getattr(part, "__dict__", {}).get("_leaves")
-    if kept is not None:
-        return kept
-    found: list[Leaf] = []
+    leaves: tuple[Leaf, ...] | None = getattr(part, "__dict__", {}).get("_leaves")
+    if leaves is not None:
+        return leaves
+    rows: list[Leaf] = []
     for name, declared, value in fields_of(part):
-        for path, each in _inner(name, declared, value):
-            if _is_within(declared, each):
-                found += [Leaf(f"{path}.{inner}", *others) for inner, *others in walk(each)]
+        for path, item in _inner_values(name, declared, value):
+            if _is_inner(declared, item):
+                rows += [Leaf(f"{path}.{inner}", *others) for inner, *others in walk(item)]
             else:
-                found.append(Leaf(path, part, declared, each))
-    kept = tuple(found)
+                rows.append(Leaf(path, part, declared, item))
+    leaves = tuple(rows)
     if attrs.has(type(part)):
-        object.__setattr__(part, "_leaves", kept)
-    return kept
+        object.__setattr__(part, "_leaves", leaves)
+    return leaves
 
 
-def _inner(path: str, declared: Field, value: Any) -> list[tuple[str, Any]]:
+def _inner_values(path: str, declared: Field, value: Any) -> list[tuple[str, Any]]:
     """Return the values in a field with their paths: one value, or those of a field of several parts."""
     if isinstance(declared, Child) and declared.many:
-        return [(f"{path}.{key}", each) for key, each in entries_of(value)]
+        return [(f"{path}.{key}", item) for key, item in entries_of(value)]
     return [(path, value)]
 
 
-def _is_within(declared: Field, value: Any) -> bool:
+def _is_inner(declared: Field, value: Any) -> bool:
     """Return whether a value is an inner part; the value of an option is not."""
     return is_part(value) and not isinstance(declared, _Option)
 
@@ -108,9 +108,9 @@ def parts_of(part: Any, path: str = "") -> Iterator[tuple[str, Any]]:
     """Yield a part and all inner parts with their paths, the outer ones first."""
     yield path, part
     for name, declared, value in fields_of(part):
-        for below, each in _inner(f"{path}.{name}" if path else name, declared, value):
-            if _is_within(declared, each):
-                yield from parts_of(each, below)
+        for item_path, item in _inner_values(f"{path}.{name}" if path else name, declared, value):
+            if _is_inner(declared, item):
+                yield from parts_of(item, item_path)
 
 
 def numbers(part: Any) -> dict[str, Leaf]:
@@ -159,31 +159,31 @@ def replace(part: _T, values: Mapping[str, Any], *, nominal: bool = False) -> _T
     >>> lighter.robot.mass  # [kg]
     25.0
     """
-    used: set[str] = set()
-    new: _T = _replaced(part, "", values, nominal, used)
-    for path in values.keys() - used:
+    used_paths: set[str] = set()
+    new: _T = _replace(part, "", values, nominal, used_paths)
+    for path in values.keys() - used_paths:
         raise UnknownName("parameter", path, numbers(part))
     return new
 
 
-def _replaced(part: Any, path: str, values: Mapping[str, Any], nominal: bool, used: set[str]) -> Any:
+def _replace(part: Any, path: str, values: Mapping[str, Any], nominal: bool, used_paths: set[str]) -> Any:
     changes: dict[str, Any] = {}
     for name, declared, value in fields_of(part):
-        at = f"{path}.{name}" if path else name
-        if at in values:
-            changes[name] = values[at]
-            used.add(at)
-        elif not isinstance(declared, _Option) and any(key.startswith(f"{at}.") for key in values):
-            changed = {
-                below: _replaced(each, below, values, nominal, used) if is_part(each) else each
-                for below, each in _inner(at, declared, value)
+        field_path = f"{path}.{name}" if path else name
+        if field_path in values:
+            changes[name] = values[field_path]
+            used_paths.add(field_path)
+        elif not isinstance(declared, _Option) and any(key.startswith(f"{field_path}.") for key in values):
+            items = {
+                item_path: _replace(item, item_path, values, nominal, used_paths) if is_part(item) else item
+                for item_path, item in _inner_values(field_path, declared, value)
             }
             if not (isinstance(declared, Child) and declared.many):
-                changes[name] = changed[at]
+                changes[name] = items[field_path]
             elif isinstance(value, Mapping):
-                changes[name] = dict(zip(value, changed.values(), strict=True))
+                changes[name] = dict(zip(value, items.values(), strict=True))
             else:
-                changes[name] = tuple(changed.values())
+                changes[name] = tuple(items.values())
     if not changes:
         return part
     new = evolved(part, changes)
@@ -192,7 +192,7 @@ def _replaced(part: Any, path: str, values: Mapping[str, Any], nominal: bool, us
     return new
 
 
-class Found(NamedTuple):
+class NumberRef(NamedTuple):
     """Number, array or entry of an array that a name means.
 
     Attributes
@@ -243,14 +243,14 @@ class Found(NamedTuple):
         return f"{doc}, {self.label}" if self.label else doc
 
 
-def named(part: Any) -> dict[str, Found]:
+def refs_of(part: Any) -> dict[str, NumberRef]:
     """Return all numbers that may differ, and their entries, by full path."""
-    found: dict[str, Found] = {}
+    numbers: dict[str, NumberRef] = {}
     for leaf in walk(part):
         if isinstance(leaf.declared, Number) and not leaf.declared.fixed and not _is_derived(leaf):
-            own = [Found(leaf), *(Found(leaf, label, entry) for label, entry in leaf.entries.items())]
-            found |= {one.path: one for one in own}
-    return found
+            refs = [NumberRef(leaf), *(NumberRef(leaf, label, i) for label, i in leaf.entries.items())]
+            numbers |= {ref.path: ref for ref in refs}
+    return numbers
 
 
 def _is_derived(leaf: Leaf) -> bool:
@@ -259,40 +259,40 @@ def _is_derived(leaf: Leaf) -> bool:
     return leaf.value is None and any(isinstance(n, int) for shape in shapes for n in shape)
 
 
-def short_names(known: Mapping[str, Found]) -> list[str]:
+def short_names(numbers: Mapping[str, NumberRef]) -> list[str]:
     """Return the shortest unique end of each path."""
-    found, taken = [], set[str]()
-    for path in sorted(known, key=_nearness):
+    names, used_ends = [], set[str]()
+    for path in sorted(numbers, key=_nearness):
         words = path.split(".")
-        least = 2 if known[path].label else 1
-        first = [k for k in range(len(words) - least, -1, -1) if not (k and words[k].isdigit())]
+        count = 2 if numbers[path].label else 1
+        first = [k for k in range(len(words) - count, -1, -1) if not (k and words[k].isdigit())]
         ends = (".".join(words[k:]) for k in first)
-        name = next(end for end in ends if not (end in taken or end.startswith("robot.")) or end == path)
-        taken |= {".".join(words[k:]) for k in range(len(words))}
+        name = next(end for end in ends if not (end in used_ends or end.startswith("robot.")) or end == path)
+        used_ends |= {".".join(words[k:]) for k in range(len(words))}
         if not words[-1].isdigit():
-            found.append(name)
-    return found
+            names.append(name)
+    return names
 
 
-def shortest(paths: Iterable[str]) -> list[str]:
+def shorten(paths: Iterable[str]) -> list[str]:
     """Return the shortest end of two words or more of each path that no other of them has.
 
     The index or letter of an entry does not count as a word.
     """
-    every, found = [path.split(".") for path in paths], []
-    for words in every:
-        least = min(len(words), 2 + (len(words[-1]) == 1))
-        ends = (words[-k:] for k in range(least, len(words)) if not words[-k].isdigit())
-        unique = (end for end in ends if sum(each[-len(end) :] == end for each in every) == 1)
-        found.append(".".join(next(unique, words)))
-    return found
+    splits, names = [path.split(".") for path in paths], []
+    for words in splits:
+        count = min(len(words), 2 + (len(words[-1]) == 1))
+        ends = (words[-k:] for k in range(count, len(words)) if not words[-k].isdigit())
+        unique = (end for end in ends if sum(split[-len(end) :] == end for split in splits) == 1)
+        names.append(".".join(next(unique, words)))
+    return names
 
 
 def _nearness(path: str) -> tuple[bool, int]:
     return not path.startswith("plant."), path.count(".")
 
 
-def find(part: Any, name: str, known: Mapping[str, Found] | None = None, where: str = "") -> Found:
+def find(part: Any, name: str, known: Mapping[str, NumberRef] | None = None, place: str = "") -> NumberRef:
     """Return the number that a name means.
 
     A name is a full path, the end of a path, or a word of a path and its end. Of several
@@ -307,34 +307,34 @@ def find(part: Any, name: str, known: Mapping[str, Found] | None = None, where: 
     InvalidArgument
         If several paths are equally near.
     """
-    known = named(part) if known is None else known
+    known = refs_of(part) if known is None else known
     if name in known:
         return known[name]
     first, _, rest = name.partition(".") if isinstance(name, str) else ("", "", "")
     if first == "robot" and rest and any(path.startswith("plant.") for path in known):
-        return find(part, f"plant.{rest}", known, where)
+        return find(part, f"plant.{rest}", known, place)
     ends = sorted(
         (*_nearness(path), path)
-        for path, one in known.items()
-        if not one.label or rest  # an entry has no name of one word
+        for path, number in known.items()
+        if not number.label or rest  # an entry has no name of one word
         if path.endswith(f".{name}") or (rest and f".{first}." in f".{path}" and path.endswith(f".{rest}"))
     )
     if not ends:
         from difflib import get_close_matches  # here, because only this error needs the module
 
-        near = get_close_matches(name, known, cutoff=0.85) if rest else []
-        raise UnknownName(f"parameter{where and ' in ' + where}", name, [*near, *short_names(known)])
+        matches = get_close_matches(name, known, cutoff=0.85) if rest else []
+        raise UnknownName(f"parameter{place and ' in ' + place}", name, [*matches, *short_names(known)])
     best = [path for *rank, path in ends if rank == list(ends[0][:2])]
     if len(best) > 1:
-        every = [*best, f"{best[0].partition('.')[0]}.*.{name}"] if where in ("spread", "by") else best
+        options = [*best, f"{best[0].partition('.')[0]}.*.{name}"] if place in ("spread", "by") else best
         raise InvalidArgument(
-            f"{where or 'name'} has {name!r}, which {' and '.join(best)} have, expected one of them: "
-            f"{' or '.join(map(repr, every))}{', which means all' * (every is not best)}"
+            f"{place or 'name'} has {name!r}, which {' and '.join(best)} have, expected one of them: "
+            f"{' or '.join(map(repr, options))}{', which means all' * (options is not best)}"
         )
     return known[best[0]]
 
 
-def matching(part: Any, name: str, known: Mapping[str, Found], where: str = "") -> list[Found]:
+def match_refs(part: Any, name: str, known: Mapping[str, NumberRef], where: str = "") -> list[NumberRef]:
     """Return the numbers that a name, or a pattern such as ``"*.gear"``, means, see `find`.
 
     Raises
@@ -346,18 +346,18 @@ def matching(part: Any, name: str, known: Mapping[str, Found], where: str = "") 
     """
     if not isinstance(name, str) or "*" not in name:
         return [find(part, name, known, where)]
-    found = [x for path, x in known.items() if not x.label and fnmatchcase(f".{path}", f"*.{name}")]
-    if not found:
+    numbers = [x for path, x in known.items() if not x.label and fnmatchcase(f".{path}", f"*.{name}")]
+    if not numbers:
         raise UnknownName(f"parameter{where and ' in ' + where}", name, short_names(known))
-    return found
+    return numbers
 
 
-def spread_values(found: Sequence[tuple[Found, Any, bool]], n: int, size: int = 3) -> dict[str, Any]:
+def spread_values(columns: Sequence[tuple[NumberRef, Any, bool]], n: int, size: int = 3) -> dict[str, Any]:
     """Return the values of n robots at each path, shape (n, ...).
 
     Parameters
     ----------
-    found : sequence of (Found, ndarray, bool)
+    columns : sequence of (Found, ndarray, bool)
         Each number, its values, shape (n,), and whether they are factors of the nominal array.
     n : int
         Number of robots.
@@ -365,30 +365,30 @@ def spread_values(found: Sequence[tuple[Found, Any, bool]], n: int, size: int = 
         Number of entries of a gain if one of its entries differs.
     """
     values: dict[str, Any] = {}
-    for one, column, is_factor in sorted(found, key=lambda each: each[0].entry is not None):
-        path, base = one.leaf.path, np.asarray(0.0 if one.leaf.value is None else one.leaf.value)
+    for number, column, is_factor in sorted(columns, key=lambda each: each[0].entry is not None):
+        path, base = number.leaf.path, np.asarray(0.0 if number.leaf.value is None else number.leaf.value)
         new = values.get(path)
         if new is None:
             new = np.array(np.broadcast_to(base.astype(np.float64), (n, *base.shape)))
-        if one.entry is None:
-            by = np.reshape(column, (n, *(1,) * base.ndim))
-            new[...] = new * by if is_factor else by
+        if number.entry is None:
+            factor = np.reshape(column, (n, *(1,) * base.ndim))
+            new[...] = new * factor if is_factor else factor
         else:
             if new.ndim == 1:
                 new = np.repeat(new[:, None], size, axis=1)
-            at: Any = slice(None), *one.place(new.ndim - 1)
-            new[at] = column
+            index: Any = slice(None), *number.place(new.ndim - 1)
+            new[index] = column
         values[path] = new
     return values
 
 
-def spread_entries(found: Sequence[Found], values: Mapping[str, Any]) -> dict[str, Any]:
+def spread_entries(numbers: Sequence[NumberRef], values: Mapping[str, Any]) -> dict[str, Any]:
     """Return masks of the entries that differ from robot to robot, by path."""
     entries: dict[str, Any] = {}
-    for one in found:
-        shape = np.shape(values[one.leaf.path])[1:]
-        varies = entries.setdefault(one.leaf.path, np.zeros(shape, bool))
-        varies[() if one.entry is None else one.place(len(shape))] = True
+    for number in numbers:
+        shape = np.shape(values[number.leaf.path])[1:]
+        varies = entries.setdefault(number.leaf.path, np.zeros(shape, bool))
+        varies[() if number.entry is None else number.place(len(shape))] = True
     return entries
 
 

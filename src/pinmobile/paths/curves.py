@@ -8,7 +8,7 @@ from typing import Any, final
 import attrs
 import numpy as np
 
-from pinmobile.arrays import Array, bounded, increasing, representable, shaped
+from pinmobile.arrays import Array, bounded, check_overflow, increasing, shaped
 from pinmobile.errors import InvalidArgument
 from pinmobile.parts import array, number, part
 from pinmobile.paths.path import (
@@ -48,7 +48,7 @@ class _Figure(Curve):
             x = rx * wx**order * _sine(wx * t, order)
             y = -ry * wy**order * _sine(wy * t, order + 1)
             curve = self._place(np.stack([x, y], axis=-1), order)
-        return representable("a point or derivative of the figure", curve)
+        return check_overflow("a point or derivative of the figure", curve)
 
 
 @final

@@ -15,14 +15,14 @@ from pinmobile.arrays import (
     ArrayLike,
     bounded,
     check_integer,
+    check_overflow,
     finite,
     frozen,
     positive,
-    representable,
     shaped,
 )
 from pinmobile.errors import InvalidArgument
-from pinmobile.parts import child, fields_of, number, part, required
+from pinmobile.parts import child, fields_of, number, part, require
 
 # Relative to the duration: tolerance for the rounding of `n * dt`.
 _ROUNDING = 4 * float(np.finfo(np.float64).eps)
@@ -229,7 +229,7 @@ def checked_path(path: object, size: int) -> Path:
     InvalidArgument
         If it is not a path, its points have another shape, or two pieces do not meet.
     """
-    found: Any = required("path", path, Path)
+    found: Any = require("path", path, Path)
     shape = np.shape(found(0.0))
     if shape != (size,):
         where = "the plane" if size == 2 else "space"
@@ -567,7 +567,7 @@ class PiecewisePolynomial:
     def __post_init__(self) -> None:
         object.__setattr__(self, "knots", frozen(self.knots))
         object.__setattr__(
-            self, "coefficients", representable("a coefficient of the path", frozen(self.coefficients))
+            self, "coefficients", check_overflow("a coefficient of the path", frozen(self.coefficients))
         )
 
     @property

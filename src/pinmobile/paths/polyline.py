@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
-from pinmobile.arrays import Array, ArrayLike, frozen, positive, representable, shaped
+from pinmobile.arrays import Array, ArrayLike, check_overflow, frozen, positive, shaped
 from pinmobile.errors import InvalidArgument
 from pinmobile.parts import array, children, number, part
 from pinmobile.paths.path import Curve, Path, Piece, Polynomial, axes_of, jumps, pieces_of, stretch, told
@@ -299,7 +299,7 @@ class Polyline(Curve):
     def _rounded(self, points: Array) -> _PolylinePath:
         """Return the lines between points, and the corners between them."""
         ways = np.diff(points, axis=0)
-        lengths = representable("the distance of two waypoints", np.linalg.norm(ways, axis=-1))
+        lengths = check_overflow("the distance of two waypoints", np.linalg.norm(ways, axis=-1))
         for k in np.flatnonzero(lengths < _SHORTEST)[:1]:
             raise InvalidArgument(f"waypoints[{k + 1}] is equal to waypoints[{k}], expected another point")
         directions = ways / lengths[:, None]
@@ -352,7 +352,7 @@ class Polyline(Curve):
         with np.errstate(all="ignore"):
             T = stretch("the time of a piece", way / self.speed)
             powers = (shares * T ** -np.arange(len(shares)))[:, None] * self.speed * direction
-        coefficients = representable("a coefficient of the path", np.array([start, *powers]))
+        coefficients = check_overflow("a coefficient of the path", np.array([start, *powers]))
         return Polynomial(t, t + T, coefficients)
 
     def _corner(self, k: int, before: Array, after: Array) -> _Corner:
@@ -429,7 +429,7 @@ class _Turn:
                 nodes, weights = _quadrature()
                 z = T * s * (weights * self._direction(s[..., None] * nodes, 0)).sum(axis=-1)
             found = z.real[..., None] * self.axes[0] + z.imag[..., None] * self.axes[1]
-        return representable("a derivative of the path", found) if order else self.point + found
+        return check_overflow("a derivative of the path", found) if order else self.point + found
 
     def _direction(self, s: Array, order: int) -> NDArray[np.complex128]:
         """Return a derivative by s of z = exp(i theta h(s)), with Leibniz' rule for z' = i theta h' z."""

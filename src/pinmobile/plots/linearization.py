@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.lines import Line2D
 
-from pinmobile.arrays import ArrayLike, by_label, instance
+from pinmobile.arrays import ArrayLike, instance, label_items
 from pinmobile.derivatives import Poles, Sensitivities
 from pinmobile.palette import QUIET
 from pinmobile.plots.series import errors
@@ -58,7 +58,7 @@ def poles(found: Poles | Mapping[str, Poles], **layout: Unpack[Layout]) -> Figur
     >>> figure.axes[0].get_xlabel()
     'real part of z'
     """
-    known: dict[str, Poles] = by_label("found", found, Poles)
+    known: dict[str, Poles] = label_items("found", found, Poles)
     sheet = Sheet(6.0, **layout)
     (axes,) = sheet.axes([(0, 0)], [5.2], share="")
     turn = np.exp(1j * np.linspace(0.0, 2 * np.pi, 361))

@@ -19,8 +19,8 @@ from pinmobile.arrays import (
     Array,
     ArrayLike,
     bounded,
-    by_label,
     finite,
+    label_items,
     mapping,
     real,
     sequence,
@@ -359,7 +359,7 @@ def integrator(
     >>> figure.axes[0].get_ylabel(), round(report.position.order)
     ('error [m]', 4)
     """
-    known: dict[str, IntegratorReport] = by_label("reports", reports, IntegratorReport)
+    known: dict[str, IntegratorReport] = label_items("reports", reports, IntegratorReport)
     sheet = Sheet(9.0, **layout)
     columns = sheet.columns(3, 2.6)
     found = sheet.axes([divmod(k, columns) for k in range(6)], [1.7] * (len(_PANELS) // columns))

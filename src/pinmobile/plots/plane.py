@@ -21,7 +21,7 @@ from PIL import Image
 
 from pinmobile.arrays import Array, ArrayLike, bounded, callable_as, finite, positive, scalar, shaped
 from pinmobile.errors import InvalidArgument
-from pinmobile.files import written
+from pinmobile.files import write_file
 from pinmobile.loop import Rollout
 from pinmobile.plant import stated
 from pinmobile.plots.style import (
@@ -447,7 +447,7 @@ def animate(
         next(frames).save(buffer, "GIF", save_all=True, append_images=frames, duration=stand, loop=0)
         return buffer.getvalue()
 
-    return written(path, ".gif", gif)
+    return write_file(path, ".gif", gif)
 
 
 def _agg(figure: Figure) -> Any:

@@ -15,7 +15,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from pinmobile.arrays import Array, ArrayLike, by_label, finite, one_of, sequence, shaped
+from pinmobile.arrays import Array, ArrayLike, finite, label_items, one_of, sequence, shaped
 from pinmobile.errors import InvalidArgument
 from pinmobile.loop import Bands, Cause, Ensemble, causes, edges, worst_share
 from pinmobile.metrics import Metric
@@ -113,7 +113,7 @@ def bands(
     >>> figure.axes[0].get_title(loc="left")
     '99 % stay within 41 mm throughout'
     """
-    known: dict[str, Ensemble] = by_label("ensembles", ensembles, Ensemble)
+    known: dict[str, Ensemble] = label_items("ensembles", ensembles, Ensemble)
     shares = shaped("levels", np.unique(finite("levels", levels)), ("n>=1",))
     rows = _rows(list(known.values()), by)
     drawn = [_drawn(one, shares, [row.name for row in rows]) for one in known.values()]

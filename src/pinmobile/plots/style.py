@@ -27,7 +27,7 @@ from matplotlib.transforms import Bbox
 from numpy.typing import NDArray
 
 import pinmobile.palette as palette
-from pinmobile.arrays import Array, bounded, by_label, scalar, text
+from pinmobile.arrays import Array, bounded, label_items, scalar, text
 from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.loop import Rollout, at_samples
 from pinmobile.palette import INK
@@ -628,7 +628,7 @@ def labelled(rollouts: object) -> dict[str, Rollout]:
     InvalidArgument
         If the argument is not a rollout or a mapping, or is empty.
     """
-    return by_label("rollouts", rollouts, Rollout)
+    return label_items("rollouts", rollouts, Rollout)
 
 
 def called(label: str) -> str:

@@ -26,7 +26,7 @@ from pinmobile.errors import InvalidArgument, LimitWarning, PinmobileError, Unre
 from pinmobile.integrators import Integrator, check_integrator, constant_acceleration
 from pinmobile.parts import Constrained, able
 from pinmobile.paths import within
-from pinmobile.plant import Context, limits_exceeded
+from pinmobile.plant import Context, limit_events
 from pinmobile.proximity import Clearance, clearance as clearance_of
 from pinmobile.reaching.drive import Drive
 from pinmobile.reaching.poses import FrameTask, PosePath, error_sizes, pose_error
@@ -380,7 +380,7 @@ def solve_inverse_kinematics(
     resolved = InverseKinematicsTrajectory(body, tasks, start, controls, drive)
     _judge(resolved, limits, tolerance, room)
     way = resolved(resolved.t)
-    exceeded = limits_exceeded(body, resolved.t, way.q, way.v, body.inverse_dynamics(*way))
+    exceeded = limit_events(body, resolved.t, way.q, way.v, body.inverse_dynamics(*way))
     if exceeded:
         warn("; ".join(map(str, exceeded)), LimitWarning, stacklevel=2)
     return resolved

@@ -111,8 +111,8 @@ class RealtimeReport:
             f"({100 * self.missed_share:.2g} %), end: {self.reason}"
         ]
         for name in _TIMES if self.rollout is not None else ():
-            found = (f"{level} {1e6 * x:.0f} us" for level, x in self.quantiles(name).items())
-            lines.append(f"{name}: {', '.join(found)}")
+            quantiles = (f"{level} {1e6 * x:.0f} us" for level, x in self.quantiles(name).items())
+            lines.append(f"{name}: {', '.join(quantiles)}")
         return "\n".join([*lines, *self.scheduling])
 
 
@@ -135,7 +135,7 @@ class _Periods:
     def run(self) -> str:
         """Return the reason of the end."""
         clock, period = time.monotonic, self.period
-        begin = measured = clock()
+        begin = t_measured = clock()
         q: Any = None
         v: Any = None
         while self.k < self.end:
@@ -143,16 +143,16 @@ class _Periods:
             if self._wait(due):
                 return "interrupt"
             start = clock()
-            found = self.read()
-            if found is not None:
-                measured, q, v = _check_measurement(found)
-            age = clock() - measured
+            measurement = self.read()
+            if measurement is not None:
+                t_measured, q, v = _check_measurement(measurement)
+            age = clock() - t_measured
             if age > self.stale:
                 return "stale measurement"
             if not age > -period:
                 raise InvalidArgument(
-                    f"read returned a measurement at {measured} s, {-age:.3g} s ahead of the clock, expected "
-                    "times of time.monotonic()"
+                    f"read returned a measurement at {t_measured} s, {-age:.3g} s ahead of the clock, "
+                    "expected times of time.monotonic()"
                 )
             if q is None:  # time begins with the first measurement
                 begin += period
@@ -185,16 +185,16 @@ class _Periods:
         """Return the recorded samples with their times."""
         if not len(self.stepper):
             return None
-        found = self.stepper.rollout()
-        order = np.arange(self.samples - len(found), self.samples) % len(self.times)
+        rollout = self.stepper.rollout()
+        order = np.arange(self.samples - len(rollout), self.samples) % len(self.times)
         times = {name: Signal("s", column) for name, column in zip(_TIMES, self.times[order].T, strict=True)}
-        return replace(found, signals={**found.signals, **times})
+        return replace(rollout, signals={**rollout.signals, **times})
 
 
-def _check_measurement(found: object) -> Measurement:
-    if not isinstance(found, tuple) or len(found) != 3:
-        raise InvalidArgument(f"read returned {format_value(found)}, expected (t, q, v) or None")
-    return found
+def _check_measurement(value: object) -> Measurement:
+    if not isinstance(value, tuple) or len(value) != 3:
+        raise InvalidArgument(f"read returned {format_value(value)}, expected (t, q, v) or None")
+    return value
 
 
 def _sleep_until(due: float) -> None:
@@ -203,40 +203,40 @@ def _sleep_until(due: float) -> None:
         time.sleep(max(0.0, due - time.monotonic()))
         return
     seconds = int(due)
-    at = (ctypes.c_long * 2)(seconds, int(1e9 * (due - seconds)))
-    _libc.clock_nanosleep(_CLOCK_MONOTONIC, _ABSOLUTE, at, None)
+    timespec = (ctypes.c_long * 2)(seconds, int(1e9 * (due - seconds)))
+    _libc.clock_nanosleep(_CLOCK_MONOTONIC, _ABSOLUTE, timespec, None)
 
 
 @contextmanager
 def _fixed_priority(priority: int | None) -> Iterator[tuple[str, ...]]:
     """Give this thread a fixed priority, lock its memory, and restore both; yield what was done."""
     if priority is None or _libc is None:
-        why = "" if priority is None else ": the system is not Linux"
-        yield (f"scheduling: as before{why}",)
+        reason = "" if priority is None else ": the system is not Linux"
+        yield (f"scheduling: as before{reason}",)
         return
-    before = os.sched_getscheduler(0), os.sched_getparam(0), _libc.prctl(_GET_SLACK, 0, 0, 0, 0)
-    done = [f"scheduling: SCHED_FIFO, priority {priority}", "memory: locked"]
+    settings = os.sched_getscheduler(0), os.sched_getparam(0), _libc.prctl(_GET_SLACK, 0, 0, 0, 0)
+    notes = [f"scheduling: SCHED_FIFO, priority {priority}", "memory: locked"]
     _libc.prctl(_SET_SLACK, 1, 0, 0, 0)  # before the scheduler, whose threads have no slack to set
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     except OSError as error:
-        done[0] = (
+        notes[0] = (
             f"scheduling: as before, SCHED_FIFO failed ({error.strerror}): allow it by a line "
             f"'<user> - rtprio {priority}' in /etc/security/limits.conf"
         )
     is_locked = not _libc.mlockall(_CURRENT_AND_FUTURE)
     if not is_locked:
-        done[1] = (
+        notes[1] = (
             f"memory: not locked ({os.strerror(ctypes.get_errno())}): allow it by a line "
             "'<user> - memlock unlimited' in /etc/security/limits.conf"
         )
     try:
-        yield tuple(done)
+        yield tuple(notes)
     finally:
         if is_locked:
             _libc.munlockall()
-        os.sched_setscheduler(0, before[0], before[1])
-        _libc.prctl(_SET_SLACK, before[2], 0, 0, 0)
+        os.sched_setscheduler(0, settings[0], settings[1])
+        _libc.prctl(_SET_SLACK, settings[2], 0, 0, 0)
 
 
 @contextmanager
@@ -267,11 +267,11 @@ def _handle_interrupt(periods: _Periods) -> Iterator[None]:
             raise KeyboardInterrupt
         periods.is_interrupted = True
 
-    before = signal.signal(signal.SIGINT, interrupt)
+    handler = signal.signal(signal.SIGINT, interrupt)
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, signal.SIG_DFL if before is None else before)
+        signal.signal(signal.SIGINT, signal.SIG_DFL if handler is None else handler)
 
 
 def run_realtime(

@@ -8,18 +8,18 @@ from typing import Any
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, affordable, check_integer, finite, positive, real, shaped
-from pinmobile.compiled import Program, aligned, mapped, uncollected
+from pinmobile.compiled import Program, aligned, map_leaves, pause_gc
 from pinmobile.controllers import Controller, check_controller
 from pinmobile.errors import InvalidArgument, NotFinite, NotTraceable, format_value
-from pinmobile.export import InputRecorder, Law, begun, noise_error
+from pinmobile.export import InputRecorder, Law, initial_context, noise_error
 from pinmobile.loop import (
     Loop,
     Rollout,
-    chosen_integrator,
     control,
     errors_of,
     initial_memory,
     scheduled_rows,
+    select_integrator,
     traced_numbers,
     tracking_errors,
 )
@@ -28,14 +28,14 @@ from pinmobile.plant import Plant, check_plant, stated
 from pinmobile.signals import Signal, collect_signals, collect_time_signals, signals_of
 from pinmobile.trajectories import Reference, Trajectory
 
-_BEFORE = -1e-300  # time [s] before the first sample, which may be at 0
+_START_TIME = -1e-300  # time [s] before the first sample, which may be at 0
 
 
 class _MachineCode:
     """Controller as machine code; raises `NotTraceable` if it cannot be compiled."""
 
     def __init__(self, loop: Loop, context: Any, start: tuple[Array, Array], first: Reference) -> None:
-        with uncollected():
+        with pause_gc():
             law = Law(evolved(loop, {"recorder": InputRecorder(errors=True)}), context, start, first)
             tape = law.controller_tape()
             program = Program(tape, single=True)
@@ -57,10 +57,10 @@ class _MachineCode:
         """Use a row of q, v, t, reference and schedules in each call, and write the answer to an array."""
         self._arguments_row, sample = row[: self._size], row[self._size :]
         arrays = self._blocks, sample, self._uniforms, self._memory[1], self._counts, answer
-        block, given, uniform, rings, counts, kept = (array.ctypes.data for array in arrays)
-        plain = block, 0, 1, given, 1, uniform, rings, counts, 1, 1, kept
+        block, inputs, uniform, rings, counts, outputs = (array.ctypes.data for array in arrays)
+        arguments = block, 0, 1, inputs, 1, uniform, rings, counts, 1, 1, outputs
         kinds = self._function.argtypes  # type: ignore[attr-defined]  # of ctypes
-        self._arguments = [kind(x) for kind, x in zip(kinds, plain, strict=False)]  # made once
+        self._arguments = [kind(x) for kind, x in zip(kinds, arguments, strict=False)]  # made once
 
     def __call__(self, k: int) -> None:
         """Compute sample k."""
@@ -75,10 +75,10 @@ class _MachineCode:
     @memory.setter
     def memory(self, value: Any) -> None:
         size = sum(map(len, self._memory))
-        found = shaped(
+        values = shaped(
             "memory", real("memory", value), (size,), words=", that of a stepper of the same parts"
         )
-        self._memory[0][...], self._memory[1][...] = np.split(found, [len(self._memory[0])])
+        self._memory[0][...], self._memory[1][...] = np.split(values, [len(self._memory[0])])
 
 
 class _PythonCode:
@@ -89,8 +89,8 @@ class _PythonCode:
         self._sizes = len(start[0]), len(start[1]), 1, *map(len, first)
         signals = self._signals(self._state)
         self.kept = {"u": (loop.plant.nu,), "error": (2 * len(first.v),)}
-        self.kept |= {f"signal {name}": claim.value.shape for name, claim in signals.items()}
-        self.units = {f"signal {name}": claim.unit for name, claim in signals.items()}
+        self.kept |= {f"signal {name}": signal.value.shape for name, signal in signals.items()}
+        self.units = {f"signal {name}": signal.unit for name, signal in signals.items()}
 
     def _signals(self, memory: Any) -> Any:
         return collect_signals([("controller", signals_of(self._loop.controller, memory))])
@@ -105,20 +105,20 @@ class _PythonCode:
         q, v, t, *reference = self._parts
         desired = Reference(*(x.copy() for x in reference))
         with np.errstate(all="ignore"):
-            u, after = control(self._loop, float(t[0]), q, v, desired, self._state)
+            u, next_state = control(self._loop, float(t[0]), q, v, desired, self._state)
             errors = tracking_errors(self._loop.law, q, v, desired)
-        signals = (claim.value for claim in self._signals(after).values())
+        signals = (signal.value for signal in self._signals(next_state).values())
         self._answer[...] = np.concatenate([*map(np.ravel, (u, *errors, *signals))])
-        self._state = after
+        self._state = next_state
 
     @property
     def memory(self) -> Any:
         """Memory after the last sample, a copy."""
-        return mapped(self._state, lambda x: x.copy() if isinstance(x, np.ndarray) else x)
+        return map_leaves(self._state, lambda x: x.copy() if isinstance(x, np.ndarray) else x)
 
     @memory.setter
     def memory(self, value: Any) -> None:
-        self._state = mapped(value, lambda x: x.copy() if isinstance(x, np.ndarray) else x)
+        self._state = map_leaves(value, lambda x: x.copy() if isinstance(x, np.ndarray) else x)
 
 
 def _refuse_noise(name: str, n: int) -> Any:
@@ -193,7 +193,7 @@ class Stepper:
         self.controller, self.plant, self.trajectory = controller, plant, trajectory
         self.dt, self.capacity = positive("dt", dt, "s"), check_integer("capacity", capacity)
         context, start, first = self._start()
-        loop = Loop(plant, controller, trajectory, (), chosen_integrator(plant, None), 1)
+        loop = Loop(plant, controller, trajectory, (), select_integrator(plant, None), 1)
         self.fallback_reason = ""
         self._law: _MachineCode | _PythonCode
         try:
@@ -213,7 +213,7 @@ class Stepper:
             rest[len(first.q) : len(first.q) + 2 * len(first.v)] = 0.0
             self._rows = np.vstack([rows, rest])
         self.k = self._count = 0
-        self._last: float = _BEFORE
+        self._last: float = _START_TIME
 
     def _start(self) -> tuple[Any, tuple[Array, Array], Reference]:
         """Return context, initial state and first reference."""
@@ -221,7 +221,7 @@ class Stepper:
         check_controller(self.controller)
         check_plant(plant)
         try:
-            return begun(plant, self.controller, self.dt, trajectory)
+            return initial_context(plant, self.controller, self.dt, trajectory)
         except NotTraceable as error:
             raise InvalidArgument(
                 f"trajectory is None, but {error.what}: expected its trajectory", "trajectory"
@@ -306,12 +306,12 @@ class Stepper:
             raise InvalidArgument(
                 f"t is {t} s, expected a time >= 0, after the last sample at {max(self._last, 0.0):g} s"
             )
-        given: dict[str, Any] = {"q": q, "v": v}
+        values: dict[str, Any] = {"q": q, "v": v}
         if reference is None and self.trajectory is None:
             raise InvalidArgument("reference is None, expected a Reference: the stepper has no trajectory")
         if reference is not None:
-            given |= {f"reference.{x}": stated(reference, x) for x in Reference._fields}
-        for name, value in given.items():
+            values |= {f"reference.{x}": stated(reference, x) for x in Reference._fields}
+        for name, value in values.items():
             shaped(name, finite(name, value), (len(self._parts[name]),))
 
     @property
@@ -337,7 +337,7 @@ class Stepper:
 
     def clear(self) -> None:
         """Remove the recorded samples; the memory of the controller stays."""
-        self._count, self._last = 0, _BEFORE
+        self._count, self._last = 0, _START_TIME
 
     def __len__(self) -> int:
         return min(self._count, self.capacity)
@@ -357,16 +357,16 @@ class Stepper:
             raise InvalidArgument("the stepper has no sample yet")
         order = np.arange(self._count - len(self), self._count) % self.capacity
         ends = np.cumsum([len(part) for part in self._parts.values()])[:-1]
-        kept = dict(zip(self._parts, np.split(self._record[order], ends, axis=1), strict=True))
-        q, v, t = kept["q"], kept["v"], kept["t"][:, 0]
-        reference = Reference(*(kept[f"reference.{name}"] for name in Reference._fields))
+        columns = dict(zip(self._parts, np.split(self._record[order], ends, axis=1), strict=True))
+        q, v, t = columns["q"], columns["v"], columns["t"][:, 0]
+        reference = Reference(*(columns[f"reference.{name}"] for name in Reference._fields))
         a = np.zeros_like(v)
         if len(t) > 1:
             a[:-1] = np.diff(v, axis=0) / np.diff(t)[:, None]
             a[-1] = a[-2]
         signals = collect_time_signals(t, self.controller, self.trajectory)
         for name, unit in self._law.units.items():
-            values = kept[name].reshape(len(t), *self._law.kept[name])
+            values = columns[name].reshape(len(t), *self._law.kept[name])
             signals[name.removeprefix("signal ")] = Signal(unit, values)
-        error, made = errors_of(self.plant, q, reference), (self.engine, self.fallback_reason)
-        return Rollout(self.plant, t, q, v, a, kept["u"], error, reference, signals, *made)
+        error, texts = errors_of(self.plant, q, reference), (self.engine, self.fallback_reason)
+        return Rollout(self.plant, t, q, v, a, columns["u"], error, reference, signals, *texts)

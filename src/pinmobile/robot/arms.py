@@ -49,9 +49,9 @@ class Entries(Number):
 
     length: int = 3
 
-    def checked(self, name: str, value: Any) -> Any:
+    def convert(self, name: str, value: Any) -> Any:
         """Return a tuple of floats, or the given symbols."""
-        found = super().checked(name, value)
+        found = super().convert(name, value)
         if is_symbolic(found):
             return found
         numbers = found.tolist()

@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from pinmobile.arrays import Array, frozen
-from pinmobile.compiled import Node, maximum, plain, root, sincos, symbols
+from pinmobile.compiled import Node, maximum, root, sincos, symbols, unwrap
 from pinmobile.errors import NotTraceable
 
 BODY_JOINT = 3
@@ -401,7 +401,7 @@ def volume(rows: Matrix) -> Any:
 
 def single(x: Any) -> Any:
     """Return a number or a symbol as a scalar, see `exact`."""
-    x = plain(x)
+    x = unwrap(x)
     return exact(x.item() if isinstance(x, np.ndarray) and not x.ndim else x)
 
 
@@ -409,7 +409,7 @@ def scalars(x: Array) -> Vector:
     """Return the entries of the last axis; for one row, as Python floats, which are faster than NumPy's."""
     if type(x) is np.ndarray and x.ndim == 1 and x.dtype == np.float64:
         return [_EXACT.get(y, y) for y in x.tolist()]
-    return [single(y) for y in np.moveaxis(plain(x), -1, 0)]
+    return [single(y) for y in np.moveaxis(unwrap(x), -1, 0)]
 
 
 def vector_of(values: Vector, q: Array) -> Array:

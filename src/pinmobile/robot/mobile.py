@@ -44,7 +44,7 @@ from pinmobile.parts import (
     numeric,
     option,
     part,
-    required,
+    require,
     structure,
     walk,
 )
@@ -74,7 +74,7 @@ from pinmobile.robot.visuals import Solids, VisualFile, visuals_of
 class _Size(Number):
     """Declaration of the lengths of the sides of the drawn box."""
 
-    def checked(self, name: str, value: Any) -> tuple[float, ...]:
+    def convert(self, name: str, value: Any) -> tuple[float, ...]:
         """Return the lengths as a tuple of floats."""
         return tuple(lengths(value).tolist())
 
@@ -595,7 +595,7 @@ class MobileRobot(MultibodySystem):
         InvalidArgument
             If an argument has another shape or is not finite.
         """
-        required("reference", reference, Desired)
+        require("reference", reference, Desired)
         wanted = [("...", n) for n in self.reference_sizes]
         desired = shaped("reference.q", finite("reference.q", reference.q), *wanted)
         state = {"q": self._q(q), "v": self._v("v", v), "a": self._v("a", a), "u": self._v("u", u)}

@@ -29,7 +29,7 @@ from pinmobile.arrays import (
     wrap_angle,
 )
 from pinmobile.errors import InvalidArgument, NotTraceable, format_value
-from pinmobile.parts import Desired, holds_symbols, is_tracing, on_numbers, required, structure
+from pinmobile.parts import Desired, holds_symbols, is_tracing, numeric_context, require, structure
 from pinmobile.plant import Coordinate, Input
 from pinmobile.robot import pinocchio_backend
 from pinmobile.robot.linkage import BODY_JOINT, circular_coordinates, joints_of
@@ -102,7 +102,7 @@ def by_values(fast: Callable[..., Any] | None = None, states: int = 0) -> Callab
                 return self._on_symbols(name, *given, **options)
             if not is_tracing():
                 return method(self, *given, **options)
-            with on_numbers():
+            with numeric_context():
                 return method(self, *given, **options)
 
         return run  # type: ignore[return-value]
@@ -721,7 +721,7 @@ class MultibodySystem:
         InvalidArgument
             If the argument is not a reference, or its number of coordinates is not in `reference_sizes`.
         """
-        required("reference", reference, Desired)
+        require("reference", reference, Desired)
         q = shaped("reference.q", finite("reference.q", reference.q), *((n,) for n in self.reference_sizes))
         v = shaped("reference.v", finite("reference.v", reference.v), q.shape)
         return np.append(q, self.rest[q.size :]), np.append(v, np.zeros(self.nv - v.size))

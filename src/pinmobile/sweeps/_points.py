@@ -21,24 +21,24 @@ from pinmobile.arrays import instance
 from pinmobile.compiled import Contents
 from pinmobile.errors import InvalidArgument, UnknownName, format_value
 from pinmobile.loop import (
-    PER_ROBOT,
-    SUMMED,
+    ROBOT_ARRAYS,
+    SUMS,
     Loop,
     Relative,
     Scenario,
-    chosen_integrator,
     contents,
+    select_integrator,
     versions,
 )
 from pinmobile.parts import (
     Field,
-    Found,
     Leaf,
     Number,
+    NumberRef,
     entries_of,
     find,
-    named,
     parts_of,
+    refs_of,
     replace as replaced,
     walk,
 )
@@ -48,11 +48,11 @@ Changes: TypeAlias = Mapping[str, Any]
 """Values by path."""
 
 _PARTS = {"robot": "plant"} | {name: name for name in ("controller", "trajectory", "integrator", "forces")}
-_OWN = {each.name for each in fields(Scenario) if each.init} - _PARTS.keys()
+_FIELDS = {each.name for each in fields(Scenario) if each.init} - _PARTS.keys()
 _UNITS = {"dt": "s", "duration": "s", "after": "s"}
 _COORDINATES = "coordinate", "input", "metric", "channel", "time", "level", "bin"
-_NAMES = {"robot", "chunk", *_COORDINATES, *PER_ROBOT, *SUMMED}  # dimensions and arrays of a store
-_MOST = 100_000  # points; each has about twenty files in a store
+_NAMES = {"robot", "chunk", *_COORDINATES, *ROBOT_ARRAYS, *SUMS}  # dimensions and arrays of a store
+_MAX_POINTS = 100_000  # points; each has about twenty files in a store
 
 
 @final
@@ -77,7 +77,7 @@ class Axis:
         return label if isinstance(label, str) else f"{label:g}"
 
 
-def place(axes: Mapping[str, Axis], index: Sequence[int]) -> list[str]:
+def place_text(axes: Mapping[str, Axis], index: Sequence[int]) -> list[str]:
     """Return a place along the axes as text for each axis, such as ``controller.kp = 4 1/s^2``."""
     items = zip(axes.items(), index, strict=True)
     return [f"{name} = {axis.text(i)} {axis.unit}".rstrip() for (name, axis), i in items]
@@ -95,14 +95,14 @@ def index_of(axes: Mapping[str, Axis], labels: Mapping[str, Any]) -> tuple[int, 
     """
     for name in labels.keys() - axes.keys():
         raise UnknownName("axis", name, axes)
-    found = []
+    index = []
     for name, axis in axes.items():
         label = labels.get(name, axis.values[0] if len(axis.values) == 1 else None)
         if not isinstance(label, str | Real) or label not in axis.values:
-            known = ", ".join(map(repr, axis.values))
-            raise InvalidArgument(f"{name} is {format_value(label)}, expected one of {known}")
-        found.append(axis.values.index(label))
-    return tuple(found)
+            values = ", ".join(map(repr, axis.values))
+            raise InvalidArgument(f"{name} is {format_value(label)}, expected one of {values}")
+        index.append(axis.values.index(label))
+    return tuple(index)
 
 
 @final
@@ -122,9 +122,9 @@ class Points:
     scenarios: Sequence[Scenario]
 
     def __post_init__(self) -> None:
-        first = _alike(self.scenarios[0])
+        first = _shared_fields(self.scenarios[0])
         for k, scenario in enumerate(self.scenarios):
-            for name, value in _alike(scenario).items():
+            for name, value in _shared_fields(scenario).items():
                 if value != first[name]:
                     raise InvalidArgument(
                         f"{name} is {first[name]} at {self.place(0)} and {value} at {self.place(k)}, "
@@ -144,26 +144,26 @@ class Points:
         cases = {name: _mapping(f"cases[{name!r}]", changes) for name, changes in cases.items()}
         for path in sorted(grid.keys() & {path for changes in cases.values() for path in changes}):
             raise InvalidArgument(f"grid and cases both change {path!r}, expected one of them")
-        given = {_axis_name(name): values for name, values in grid.items()}
-        if cases or not given:
-            given["case"] = cases or {"all": {}}
-        return cls.product(given, lambda values: changed(scenario, values | values.pop("case", {})))
+        choices = {_axis_name(name): values for name, values in grid.items()}
+        if cases or not choices:
+            choices["case"] = cases or {"all": {}}
+        return cls.product(choices, lambda values: change_scenario(scenario, values | values.pop("case", {})))
 
     @classmethod
-    def product(cls, given: Mapping[str, Any], make: Callable[[dict[str, Any]], Scenario]) -> Points:
+    def product(cls, grid: Mapping[str, Any], make: Callable[[dict[str, Any]], Scenario]) -> Points:
         """Return the points at all combinations of values.
 
         Parameters
         ----------
-        given : mapping of str to sequence or mapping
+        grid : mapping of str to sequence or mapping
             Values of each axis, in a sequence or by label.
         make : callable
             Function that returns the scenario at some values, by axis.
         """
-        axes = {name: _labels(name, values) for name, values in given.items()}
-        if (count := prod(len(axis.values) for axis in axes.values())) > _MOST:
-            raise InvalidArgument(f"grid and cases have {count:,} points, expected at most {_MOST:,}")
-        choices = [list(x.values()) if isinstance(x, Mapping) else list(x) for x in given.values()]
+        axes = {name: _labels(name, values) for name, values in grid.items()}
+        if (count := prod(len(axis.values) for axis in axes.values())) > _MAX_POINTS:
+            raise InvalidArgument(f"grid and cases have {count:,} points, expected at most {_MAX_POINTS:,}")
+        choices = [list(x.values()) if isinstance(x, Mapping) else list(x) for x in grid.values()]
         scenarios = []
         for index in product(*(range(len(axis.values)) for axis in axes.values())):
             values = {name: choice[i] for name, choice, i in zip(axes, choices, index, strict=True)}
@@ -171,9 +171,9 @@ class Points:
                 scenarios.append(make(values))
                 scenarios[-1].draws()  # rejects impossible draws before any work
             except InvalidArgument as error:
-                raise InvalidArgument(f"{error} (at {', '.join(place(axes, index))})") from error
+                raise InvalidArgument(f"{error} (at {', '.join(place_text(axes, index))})") from error
         for name, axis in axes.items():
-            if not isinstance(given[name], Mapping) and not isinstance(axis.values[0], str):
+            if not isinstance(grid[name], Mapping) and not isinstance(axis.values[0], str):
                 axes[name] = Axis(axis.values, _unit(scenarios[0], name))
         return cls(axes, scenarios)
 
@@ -193,24 +193,24 @@ class Points:
 
     def place(self, k: int) -> str:
         """Return the place of scenario k as text."""
-        return ", ".join(place(self.axes, self.index(k)))
+        return ", ".join(place_text(self.axes, self.index(k)))
 
 
 def _mapping(name: str, value: Any) -> Mapping[str, Any]:
-    found = {} if value is None else value
-    if not isinstance(found, Mapping) or not all(isinstance(key, str) for key in found):
+    mapping = {} if value is None else value
+    if not isinstance(mapping, Mapping) or not all(isinstance(key, str) for key in mapping):
         raise InvalidArgument(f"{name} is {format_value(value)}, expected a mapping with text as keys")
-    return found
+    return mapping
 
 
-def _alike(scenario: Scenario) -> dict[str, Any]:
+def _shared_fields(scenario: Scenario) -> dict[str, Any]:
     """Return the properties that all scenarios of a store must share."""
-    listed = {
+    texts = {
         name: ", ".join(f"{one.name} [{one.unit}]" for one in getattr(scenario, name)) or "none"
         for name in ("coordinates", "inputs", "recorded_metrics")
     }
     times = f"every {scenario.dt * scenario.stride:.9g} s, {len(scenario.grid)} times"
-    return {"n": scenario.n, **listed, "time of the bands": times}
+    return {"n": scenario.n, **texts, "time of the bands": times}
 
 
 def _axis_name(path: str) -> str:
@@ -222,34 +222,34 @@ def _axis_name(path: str) -> str:
 
 def _labels(name: str, values: Any) -> Axis:
     """Return an axis without its unit."""
-    listed = values.tolist() if isinstance(values, np.ndarray) else values
-    found = tuple(listed) if isinstance(listed, Sequence | Mapping) and not isinstance(listed, str) else ()
-    numbers = all(isinstance(x, Real) and not isinstance(x, bool) and isfinite(x) for x in found)
-    if not found or not (numbers or all(isinstance(x, str) for x in found)) or len(set(found)) < len(found):
+    items = values.tolist() if isinstance(values, np.ndarray) else values
+    names = tuple(items) if isinstance(items, Sequence | Mapping) and not isinstance(items, str) else ()
+    numbers = all(isinstance(x, Real) and not isinstance(x, bool) and isfinite(x) for x in names)
+    if not names or not (numbers or all(isinstance(x, str) for x in names)) or len(set(names)) < len(names):
         raise InvalidArgument(
             f"{name} is {format_value(values)}, expected different finite numbers or texts, or a mapping of "
             "them"
         )
-    return Axis(tuple(x.item() if isinstance(x, np.generic) else x for x in found))
+    return Axis(tuple(x.item() if isinstance(x, np.generic) else x for x in names))
 
 
-def _known(loop: Loop) -> dict[str, Found]:
+def _named_refs(loop: Loop) -> dict[str, NumberRef]:
     """Return everything that has a path in a loop: parts, fields, and entries of numbers."""
-    known = {leaf.path: Found(leaf) for leaf in walk(loop) if "._" not in leaf.path}
-    known |= {path: Found(Leaf(path, loop, Field(), part)) for path, part in parts_of(loop) if path}
-    return known | named(loop)
+    refs = {leaf.path: NumberRef(leaf) for leaf in walk(loop) if "._" not in leaf.path}
+    refs |= {path: NumberRef(Leaf(path, loop, Field(), part)) for path, part in parts_of(loop) if path}
+    return refs | refs_of(loop)
 
 
 def _unit(scenario: Scenario, path: str) -> str:
     """Return the unit of a number, given its path."""
-    if path in _OWN:
+    if path in _FIELDS:
         return _UNITS.get(path, "")
     with suppress(UnknownName):
-        return find(scenario.given, path.removeprefix("spread."), _known(scenario.given)).unit
+        return find(scenario.given, path.removeprefix("spread."), _named_refs(scenario.given)).unit
     return ""
 
 
-def changed(scenario: Scenario, changes: Changes) -> Scenario:
+def change_scenario(scenario: Scenario, changes: Changes) -> Scenario:
     """Return a scenario with other values at some paths, outer parts first.
 
     Parameters
@@ -267,72 +267,72 @@ def changed(scenario: Scenario, changes: Changes) -> Scenario:
         If a value does not match the declaration of its field.
     """
     loop, spread = scenario.given, scenario.spread
-    own, numbers, found = dict[str, Any](), dict[str, Any](), set[str]()
-    named_so = {_PARTS.get(path, path): value for path, value in changes.items()}
-    for path in sorted(named_so, key=lambda path: (path not in _PARTS.values(), path.count("."))):
-        value, (first, _, rest) = named_so[path], path.partition(".")
+    scenario_fields, numbers, paths = dict[str, Any](), dict[str, Any](), set[str]()
+    by_path = {_PARTS.get(path, path): value for path, value in changes.items()}
+    for path in sorted(by_path, key=lambda path: (path not in _PARTS.values(), path.count("."))):
+        value, (first, _, rest) = by_path[path], path.partition(".")
         if path == "spread":
             spread = value
-        elif path in _OWN:
-            own[path] = value
+        elif path in _FIELDS:
+            scenario_fields[path] = value
         elif first == "spread" or first.startswith("start"):
             spread = {**spread, rest if first == "spread" else path: value}
         elif path in _PARTS.values():
             loop = replaced(loop, {path: value})
         elif first == "forces" and rest and "." not in rest:
-            loop = replaced(loop, {"forces": _with_force(loop.forces, rest, value)})
+            loop = replaced(loop, {"forces": _add_force(loop.forces, rest, value)})
         else:
-            one = find(loop, path, _known(loop), "grid or cases")
-            if one.path in found:
-                raise InvalidArgument(f"grid and cases both change {one.path!r}, expected one of them")
-            found.add(one.path)
-            if one.entry is not None:
-                value = _with_entry(numbers.get(one.leaf.path, one.leaf.value), one, value, scenario.size)
-            if isinstance(one.leaf.declared, Number):
-                numbers[one.leaf.path] = value
+            ref = find(loop, path, _named_refs(loop), "grid or cases")
+            if ref.path in paths:
+                raise InvalidArgument(f"grid and cases both change {ref.path!r}, expected one of them")
+            paths.add(ref.path)
+            if ref.entry is not None:
+                value = _set_entry(numbers.get(ref.leaf.path, ref.leaf.value), ref, value, scenario.size)
+            if isinstance(ref.leaf.declared, Number):
+                numbers[ref.leaf.path] = value
             else:
-                loop = replaced(loop, {one.leaf.path: value})
+                loop = replaced(loop, {ref.leaf.path: value})
     loop = replaced(loop, numbers)
-    default = chosen_integrator(scenario.robot, None) is loop.integrator
+    default = select_integrator(scenario.robot, None) is loop.integrator
     new = replace(
         scenario,
-        **own | {"spread": spread},
+        **scenario_fields | {"spread": spread},
         robot=loop.plant,
         integrator=None if default else loop.integrator,
         **{name: getattr(loop, name) for name in ("controller", "trajectory", "forces")},
     )
     for name, source in new.spread.items():
-        if new.found[name].path in found and not isinstance(source, Relative):
+        if new.numbers[name].path in paths and not isinstance(source, Relative):
             raise InvalidArgument(
-                f"grid or cases have {new.found[name].path!r}, which the spread replaces for each robot: "
-                f"expected 'spread.{name}', or a Relative spread"
+                f"grid or cases have {new.numbers[name].path!r}, which the spread replaces for each "
+                f"robot: expected 'spread.{name}', or a Relative spread"
             )
-        old = scenario.found.get(name)
-        if old and not isinstance(source, Relative) and not np.array_equal(old.value, new.found[name].value):
+        x = scenario.numbers.get(name)
+        if x and not isinstance(source, Relative) and not np.array_equal(x.value, new.numbers[name].value):
             warnings.warn(f"grid or cases set {name}, which the spread replaces: use Relative", stacklevel=2)
     return new
 
 
-def _with_force(forces: Any, key: str, force: Any) -> Any:
+def _add_force(forces: Any, key: str, force: Any) -> Any:
     items = dict(entries_of(forces))
-    more = items | {key: force}
-    return more if isinstance(forces, Mapping) or key not in items else tuple(more.values())
+    new_forces = items | {key: force}
+    return new_forces if isinstance(forces, Mapping) or key not in items else tuple(new_forces.values())
 
 
-def _with_entry(base: Any, one: Found, value: Any, size: int) -> Any:
+def _set_entry(base: Any, ref: NumberRef, value: Any, size: int) -> Any:
     """Return an array with another value of one entry; one gain for all coordinates becomes an array."""
     array = np.array(0.0 if base is None else base, np.float64)
     array = array if array.ndim else np.repeat(array, size)
-    array[one.place(array.ndim)] = value
+    array[ref.place(array.ndim)] = value
     return array
 
 
 FORMAT = 4
 """Version of the store format."""
 
-_PLAIN = ("n", "seed", "dt", "substeps", "limit", "after", "stride")
-_SHOWN = 16  # largest array whose numbers a description contains
-_LONG = 100  # longest text that a description contains
+_NUMBERS = ("n", "seed", "dt", "substeps", "limit", "after", "stride")
+_MAX_ARRAY = 16  # largest array whose numbers a description contains
+_MAX_TEXT = 100  # longest text that a description contains
 _DIGEST = re.compile(r"\b[0-9a-f]{32} of ")
 
 
@@ -351,51 +351,51 @@ def describe(points: Points, version: str | None = None) -> dict[str, Any]:
     InvalidArgument
         If there are such objects, but no such word.
     """
-    each = [_described(scenario, version) for scenario in points.scenarios]
-    found: dict[str, Any] = {
+    rows = [_describe_scenario(scenario, version) for scenario in points.scenarios]
+    description: dict[str, Any] = {
         "format": FORMAT,
         "machine": machine(),
         "versions": versions(),
         "axes": {name: {"values": axis.values, "unit": axis.unit} for name, axis in points.axes.items()},
     }
-    for name in sorted(set().union(*each)):
-        values = [one.get(name) for one in each]
-        common = all(json.dumps(value) == json.dumps(values[0]) for value in values)
-        found.setdefault("all" if common else "each", {})[name] = values[0] if common else values
+    for name in sorted(set().union(*rows)):
+        values = [one.get(name) for one in rows]
+        is_common = all(json.dumps(value) == json.dumps(values[0]) for value in values)
+        description.setdefault("all" if is_common else "each", {})[name] = values[0] if is_common else values
     if version is not None:
-        found["version"] = version
-    same: dict[str, Any] = json.loads(json.dumps(found))  # in the form of a store
-    return same
+        description["version"] = version
+    result: dict[str, Any] = json.loads(json.dumps(description))  # in the form of a store
+    return result
 
 
-def _described(scenario: Scenario, version: str | None) -> dict[str, Any]:
+def _describe_scenario(scenario: Scenario, version: str | None) -> dict[str, Any]:
     """Return everything that determines the numbers of a scenario, by path.
 
     If the spread names no number of the trajectory, its reference replaces its contents: robots see nothing
     else.
     """
-    found = {name: _form(getattr(scenario, name))[0] for name in _PLAIN}
-    found |= {"duration": float(scenario.t[-1]), "reference": _form(np.hstack(scenario.reference))[0]}
+    items = {name: _json_form(getattr(scenario, name))[0] for name in _NUMBERS}
+    items |= {"duration": float(scenario.t[-1]), "reference": _json_form(np.hstack(scenario.reference))[0]}
     for path, value in contents(scenario):
-        found[path], unknown = _form(value)
+        items[path], unknown = _json_form(value)
         if unknown and version is None and (scenario.has_own_references or not path.startswith("trajectory")):
             raise InvalidArgument(
                 f"{path} has {unknown}, whose contents a store cannot recognise, expected numbers, arrays, "
                 'functions or objects with attributes, or sweep(..., version="1"): change this word '
                 "whenever the object changes"
             )
-    return found
+    return items
 
 
-def _form(value: Any) -> tuple[Any, str]:
+def _json_form(value: Any) -> tuple[Any, str]:
     """Return a value in the form of JSON, with digests of numbers and of code, and its unknown contents."""
     if value is None or type(value) in (bool, int, str) or (type(value) is float and np.isfinite(value)):
         return value, ""
-    if type(value) is np.ndarray and value.dtype.kind in "biuf" and 0 < value.size <= _SHOWN:
+    if type(value) is np.ndarray and value.dtype.kind in "biuf" and 0 < value.size <= _MAX_ARRAY:
         return f"{value.dtype} {value.tolist()}", ""
     text, unknown = Contents.of_value(value)
     digest = sha256(text.encode("utf-8", "surrogatepass")).hexdigest()[:32]
-    return text if len(text) <= _LONG else f"{digest} of a {type(value).__name__}", unknown
+    return text if len(text) <= _MAX_TEXT else f"{digest} of a {type(value).__name__}", unknown
 
 
 def differences(theirs: Mapping[str, Any], mine: Mapping[str, Any], most: int = 3) -> str:
@@ -403,21 +403,21 @@ def differences(theirs: Mapping[str, Any], mine: Mapping[str, Any], most: int = 
 
     Axes come first, versions and digests last.
     """
-    there, here = _flat(theirs), _flat(mine)
-    pairs = {name: (there.get(name, "absent"), here.get(name, "absent")) for name in here | there}
-    differ = [(name, *pair) for name, pair in pairs.items() if json.dumps(pair[0]) != json.dumps(pair[1])]
-    differ.sort(key=_rank)
-    words = [f"{name} is {_short(one)} there and {_short(other)} here" for name, one, other in differ]
+    old, new = _flatten(theirs), _flatten(mine)
+    pairs = {name: (old.get(name, "absent"), new.get(name, "absent")) for name in new | old}
+    rows = [(name, *pair) for name, pair in pairs.items() if json.dumps(pair[0]) != json.dumps(pair[1])]
+    rows.sort(key=_rank)
+    words = [f"{name} is {_shorten(one)} there and {_shorten(other)} here" for name, one, other in rows]
     return "; ".join(words[:most]) + (f"; and {len(words) - most} more differ" if len(words) > most else "")
 
 
-def _flat(description: Mapping[str, Any]) -> dict[str, Any]:
-    found: dict[str, Any] = {f"axis {name}": axis["values"] for name, axis in description["axes"].items()}
-    found |= {f"unit of {name}": axis["unit"] for name, axis in description["axes"].items()}
-    found |= {f"version of {name}": value for name, value in description["versions"].items()}
+def _flatten(description: Mapping[str, Any]) -> dict[str, Any]:
+    values: dict[str, Any] = {f"axis {name}": axis["values"] for name, axis in description["axes"].items()}
+    values |= {f"unit of {name}": axis["unit"] for name, axis in description["axes"].items()}
+    values |= {f"version of {name}": value for name, value in description["versions"].items()}
     inner = {"axes", "versions", "all", "each"}
-    found |= {name: value for name, value in description.items() if name not in inner}
-    return {**found, **description.get("all", {}), **description.get("each", {})}
+    values |= {name: value for name, value in description.items() if name not in inner}
+    return {**values, **description.get("all", {}), **description.get("each", {})}
 
 
 def _rank(difference: tuple[str, Any, Any]) -> int:
@@ -429,6 +429,6 @@ def _rank(difference: tuple[str, Any, Any]) -> int:
     return 0 if name.startswith("axis ") else 1 + is_digest
 
 
-def _short(value: Any) -> str:
+def _shorten(value: Any) -> str:
     text = value if isinstance(value, str) else json.dumps(value)
     return text if len(text) <= 60 else f"{text[:57]}..."

@@ -20,29 +20,29 @@ import numpy as np
 
 from pinmobile.arrays import Array
 from pinmobile.compiled import BINS
-from pinmobile.errors import FileError, InvalidArgument, format_value, imported
-from pinmobile.files import refusals, write
+from pinmobile.errors import FileError, InvalidArgument, format_value, import_extra
+from pinmobile.files import file_errors, write
 from pinmobile.loop import (
     LEVELS,
     NOTE,
     Ensemble,
     Part,
     coordinates,
-    drawn,
-    drawn_name,
-    over_all,
-    per_robot,
-    summed,
+    draw_name,
+    draw_vars,
+    robot_vars,
+    sum_vars,
+    sums,
 )
 from pinmobile.sweeps._points import FORMAT, Points, differences
 
 # The first sweep imports this module, because it needs these packages.
-xarray: Any = imported("xarray", "sweeps", "a sweep")
-zarr: Any = imported("zarr", "sweeps", "a sweep")
+xarray: Any = import_extra("xarray", "sweeps", "a sweep")
+zarr: Any = import_extra("zarr", "sweeps", "a sweep")
 
 METADATA = "zarr.json"
-AGAIN = "start the same sweep again"
-_LOCK, _WRITING = ".lock", ".writing"
+RESTART = "start the same sweep again"
+_LOCK, _PART_FILE = ".lock", ".writing"
 
 
 class Job(NamedTuple):
@@ -76,11 +76,11 @@ class Store:
     def __init__(self, path: Path, points: Points, description: Mapping[str, Any], chunk: int) -> None:
         self.path, self.points = path, points
         is_new = not path.exists()
-        with refusals("written", "store", path):
-            if not is_new and any(each.name not in (_LOCK, _WRITING) for each in path.iterdir()):
+        with file_errors("written", "store", path):
+            if not is_new and any(each.name not in (_LOCK, _PART_FILE) for each in path.iterdir()):
                 attributes_of(path)  # rejects a folder with other contents
             path.mkdir(parents=True, exist_ok=True)
-            self._lock = _locked(path)
+            self._lock = _lock_folder(path)
         try:
             self._open(description, chunk)
         except BaseException:
@@ -91,28 +91,28 @@ class Store:
             raise
 
     def _open(self, description: Mapping[str, Any], chunk: int) -> None:
-        (self.path / _WRITING).unlink(missing_ok=True)  # left by a process that died
+        (self.path / _PART_FILE).unlink(missing_ok=True)  # left by a process that died
         if not (self.path / METADATA).exists():
             self._write(METADATA, _empty_store(self.points, description, chunk)[METADATA])
-        there = attributes_of(self.path)
-        found = differences(there["determined_by"], description)
-        if found:
-            raise InvalidArgument(f"store is {str(self.path)!r}, which belongs to another sweep: {found}")
-        self.chunk: int = there["chunk"]
+        attributes = attributes_of(self.path)
+        words = differences(attributes["determined_by"], description)
+        if words:
+            raise InvalidArgument(f"store is {str(self.path)!r}, which belongs to another sweep: {words}")
+        self.chunk: int = attributes["chunk"]
         for place, data in _empty_store(self.points, description, self.chunk).items():
             file = self.path / place
-            with refusals("read", "a file of the store", file):
-                is_there = file.is_file() and file.read_bytes() == data
-            if place != METADATA and not is_there:
+            with file_errors("read", "a file of the store", file):
+                is_equal = file.is_file() and file.read_bytes() == data
+            if place != METADATA and not is_equal:
                 self._write(place, data)
         # Arrays are written to memory first, then to disk, each file completely or not at all.
-        as_buffer = zarr.core.buffer.default_buffer_prototype().buffer.from_bytes
-        self._gathered: dict[str, Any] = {METADATA: as_buffer((self.path / METADATA).read_bytes())}
+        make_buffer = zarr.core.buffer.default_buffer_prototype().buffer.from_bytes
+        self._buffer: dict[str, Any] = {METADATA: make_buffer((self.path / METADATA).read_bytes())}
         with zarr.config.set({"array.write_empty_chunks": True}):
-            group = zarr.open_group(zarr.storage.MemoryStore(self._gathered), mode="r+")
-            self._arrays: dict[str, Any] = {name: group[name] for name in there["nodes"]}
+            group = zarr.open_group(zarr.storage.MemoryStore(self._buffer), mode="r+")
+            self._arrays: dict[str, Any] = {name: group[name] for name in attributes["nodes"]}
         for k in range(len(self.points.scenarios)):
-            self._sum_up(k)
+            self._write_quantiles(k)
 
     def __enter__(self) -> Store:
         return self
@@ -123,13 +123,13 @@ class Store:
 
     def jobs(self, scenario: int) -> list[Job]:
         """Return all chunks of a scenario."""
-        n, each = self.points.n, self.chunk
-        return [Job(scenario, start, min(start + each, n)) for start in range(0, n, each)]
+        n, size = self.points.n, self.chunk
+        return [Job(scenario, start, min(start + size, n)) for start in range(0, n, size)]
 
-    def waiting(self) -> list[Job]:
+    def open_jobs(self) -> list[Job]:
         """Return the chunks that are not done."""
-        each = chain.from_iterable(map(self.jobs, range(len(self.points.scenarios))))
-        return [job for job in each if not self._is_done(job)]
+        jobs = chain.from_iterable(map(self.jobs, range(len(self.points.scenarios))))
+        return [job for job in jobs if not self._is_done(job)]
 
     def record(self, job: Job, draws: Mapping[str, Array], part: Part) -> None:
         """Write the numbers of a chunk.
@@ -139,44 +139,44 @@ class Store:
         FileError
             If the system fails, for example because the disk is full; existing files remain.
         """
-        where = (*self.points.index(job.scenario), slice(job.start, job.stop))
+        index = (*self.points.index(job.scenario), slice(job.start, job.stop))
         records = Ensemble.of(self.points.scenarios[job.scenario], draws, part)
-        for name in per_robot(records.scenario):
-            self._arrays[name][where] = getattr(records, name)
+        for name in robot_vars(records.scenario):
+            self._arrays[name][index] = getattr(records, name)
         for name, values in draws.items():
-            self._arrays[drawn_name(name)][where] = values
-        self._arrays["counts"][(*where[:-1], job.start // self.chunk)] = part.counts
-        self._write_gathered()
-        self._sum_up(job.scenario)
+            self._arrays[draw_name(name)][index] = values
+        self._arrays["counts"][(*index[:-1], job.start // self.chunk)] = part.counts
+        self._flush()
+        self._write_quantiles(job.scenario)
 
-    def _sum_up(self, scenario: int) -> None:
+    def _write_quantiles(self, scenario: int) -> None:
         """Write the quantiles of a scenario if all its chunks are done."""
         if self._has("quantiles", scenario) or not all(map(self._is_done, self.jobs(scenario))):
             return
-        where = self.points.index(scenario)
-        with reading(self.path):
-            counts = np.asarray(_open_group(self.path)["counts"][where].sum(axis=0), np.int32)
-        found = summed(counts, self.points.scenarios[scenario].channels)
-        self._arrays["quantiles"][where] = found["quantiles"]
-        self._write_gathered()
+        index = self.points.index(scenario)
+        with store_errors(self.path):
+            counts = np.asarray(_open_group(self.path)["counts"][index].sum(axis=0), np.int32)
+        arrays = sums(counts, self.points.scenarios[scenario].channels)
+        self._arrays["quantiles"][index] = arrays["quantiles"]
+        self._flush()
 
-    def _write_gathered(self) -> None:
-        for place in [place for place in self._gathered if place != METADATA]:
-            self._write(place, self._gathered.pop(place).to_bytes())
+    def _flush(self) -> None:
+        for place in [place for place in self._buffer if place != METADATA]:
+            self._write(place, self._buffer.pop(place).to_bytes())
 
     def _write(self, place: str, data: bytes) -> None:
         file = self.path / place
         try:
-            with refusals("written", "a file of the store", file):
+            with file_errors("written", "a file of the store", file):
                 file.parent.mkdir(parents=True, exist_ok=True)
-            write(file, data, name="a file of the store", through=self.path / _WRITING)
+            write(file, data, name="a file of the store", scratch=self.path / _PART_FILE)
         except FileError as error:
-            more = f"{error}; finished chunks are in the store: {AGAIN} to resume"
-            raise FileError(more, errno=error.errno, filename=error.filename) from error
+            message = f"{error}; finished chunks are in the store: {RESTART} to resume"
+            raise FileError(message, errno=error.errno, filename=error.filename) from error
 
     def _is_done(self, job: Job) -> bool:
-        one = self.points.scenarios[job.scenario]
-        names = *per_robot(one), *map(drawn_name, one.spread), "counts"
+        scenario = self.points.scenarios[job.scenario]
+        names = *robot_vars(scenario), *map(draw_name, scenario.spread), "counts"
         return all(self._has(name, job.scenario, job.start // self.chunk) for name in names)
 
     def _has(self, name: str, scenario: int, chunk: int = 0) -> bool:
@@ -185,7 +185,7 @@ class Store:
         return self.path.joinpath(name, "c", *map(str, (*self.points.index(scenario), *inner))).is_file()
 
 
-def _locked(path: Path) -> IO[bytes]:
+def _lock_folder(path: Path) -> IO[bytes]:
     """Return a file that only one process can lock; the system releases the lock if the process dies."""
     while True:
         file = (path / _LOCK).open("ab")
@@ -206,27 +206,27 @@ def _empty_store(points: Points, description: Mapping[str, Any], chunk: int) -> 
     files: dict[str, Any] = {}
     with zarr.config.set({"array.write_empty_chunks": True}):  # so that a coordinate of zeros has a file
         _make_arrays(zarr.create_group(zarr.storage.MemoryStore(files)), points, chunk)
-    made = {place: content.to_bytes() for place, content in files.items()}
-    metadata = json.loads(made.pop(METADATA))
-    nodes = {place.split("/")[0]: json.loads(made[place]) for place in made if place.endswith(METADATA)}
+    raw = {place: content.to_bytes() for place, content in files.items()}
+    metadata = json.loads(raw.pop(METADATA))
+    nodes = {place.split("/")[0]: json.loads(raw[place]) for place in raw if place.endswith(METADATA)}
     begins = {scenario.after for scenario in points.scenarios}
-    mine = {"chunk": chunk, "determined_by": description}
-    since = {"errors_from_s": begins.pop()} if len(begins) == 1 else {}
+    data = {"chunk": chunk, "determined_by": description}
+    onset = {"errors_from_s": begins.pop()} if len(begins) == 1 else {}
     metadata["attributes"] = {
         "Conventions": NOTE,
-        "pinmobile_sweep": json.dumps({**mine, "digest": digest_of(mine, nodes, since), "arrays": [*nodes]}),
-        **since,
+        "pinmobile_sweep": json.dumps({**data, "digest": digest_of(data, nodes, onset), "arrays": [*nodes]}),
+        **onset,
     }
     # Not in the specification; other readers ignore it.
     metadata["consolidated_metadata"] = {"kind": "inline", "must_understand": False, "metadata": nodes}
-    return {METADATA: json.dumps(metadata, indent=2).encode(), **made}
+    return {METADATA: json.dumps(metadata, indent=2).encode(), **raw}
 
 
 def _make_arrays(group: Any, points: Points, chunk: int) -> None:
     codec = zarr.codecs.ZstdCodec(level=0, checksum=True)
     first, n, chunk = points.scenarios[0], points.n, min(chunk, points.n)
-    swept = [(name, list(axis.values), axis.unit, name) for name, axis in points.axes.items()]
-    for name, values, unit, meaning in [*swept, *coordinates(first)]:
+    axes = [(name, list(axis.values), axis.unit, name) for name, axis in points.axes.items()]
+    for name, values, unit, meaning in [*axes, *coordinates(first)]:
         data = np.array(values, dtype=object if isinstance(values[0], str) else None)
         options = {"shape": data.shape, "chunks": data.shape, "dimension_names": [name], "compressors": codec}
         kind = "string" if data.dtype == object else data.dtype
@@ -235,27 +235,27 @@ def _make_arrays(group: Any, points: Points, chunk: int) -> None:
     sizes = {"robot": n, "coordinate": len(first.coordinates), "input": len(first.inputs)}
     sizes |= {"time": len(first.grid), "bin": BINS, "level": len(LEVELS), "chunk": -(-n // chunk)}
     sizes |= {"metric": len(first.recorded_metrics), "channel": len(first.channels)}
-    spread = {name: one for scenario in points.scenarios for name, one in scenario.parameters.items()}
-    variables = {**per_robot(first), **drawn(dict(sorted(spread.items()))), **over_all(first.channels)}
+    spread = {name: x for scenario in points.scenarios for name, x in scenario.parameters.items()}
+    variables = {**robot_vars(first), **draw_vars(dict(sorted(spread.items()))), **sum_vars(first.channels)}
     counts = variables["counts"]
     variables["counts"] = counts._replace(dimensions=("chunk", *counts.dimensions))
-    for name, one in variables.items():
-        each = [{"robot": chunk, "chunk": 1}.get(dimension, sizes[dimension]) for dimension in one.dimensions]
+    for name, x in variables.items():
+        chunks = [{"robot": chunk, "chunk": 1}.get(dimension, sizes[dimension]) for dimension in x.dimensions]
         group.create_array(
             name,
-            shape=(*points.shape, *(sizes[dimension] for dimension in one.dimensions)),
-            chunks=(*(1 for _ in points.axes), *each),
+            shape=(*points.shape, *(sizes[dimension] for dimension in x.dimensions)),
+            chunks=(*(1 for _ in points.axes), *chunks),
             dtype=np.int32 if name == "counts" else np.float64,
             fill_value=0 if name == "counts" else np.nan,
-            dimension_names=[*points.axes, *one.dimensions],
-            attributes=one.attributes,
+            dimension_names=[*points.axes, *x.dimensions],
+            attributes=x.attributes,
             compressors=codec,
         )
 
 
-def digest_of(mine: Mapping[str, Any], nodes: Mapping[str, Any], since: Mapping[str, Any]) -> str:
+def digest_of(record: Mapping[str, Any], nodes: Mapping[str, Any], onset: Mapping[str, Any]) -> str:
     """Return the digest of a store's own metadata; the digest ignores other entries of the file."""
-    return sha256(json.dumps([mine, nodes, since], sort_keys=True).encode()).hexdigest()
+    return sha256(json.dumps([record, nodes, onset], sort_keys=True).encode()).hexdigest()
 
 
 def attributes_of(path: Path) -> dict[str, Any]:
@@ -270,25 +270,25 @@ def attributes_of(path: Path) -> dict[str, Any]:
     file, is_ours = path / METADATA, False
     try:
         metadata = json.loads(file.read_bytes())
-        mine: dict[str, Any] = json.loads(metadata["attributes"]["pinmobile_sweep"])
-        if mine["determined_by"]["format"] != FORMAT:
-            raise ValueError(f"it has format {mine['determined_by']['format']}, expected {FORMAT}")
+        record: dict[str, Any] = json.loads(metadata["attributes"]["pinmobile_sweep"])
+        if record["determined_by"]["format"] != FORMAT:
+            raise ValueError(f"it has format {record['determined_by']['format']}, expected {FORMAT}")
         is_ours = True
-        digest, arrays = mine.pop("digest"), mine.pop("arrays")
+        digest, arrays = record.pop("digest"), record.pop("arrays")
         consolidated = metadata["consolidated_metadata"]["metadata"]
         nodes = {name: consolidated[name] for name in arrays}
-        since = {name: x for name, x in metadata["attributes"].items() if name == "errors_from_s"}
-        if digest_of(mine, nodes, since) != digest:
+        onset = {name: x for name, x in metadata["attributes"].items() if name == "errors_from_s"}
+        if digest_of(record, nodes, onset) != digest:
             raise ValueError("its digest differs")
         for name, node in consolidated.items():
             _check_plain(name, node)
     except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
-        why = f"it lacks {error}" if isinstance(error, KeyError) else f"{error}"
-        what = "is damaged" if is_ours else "is not the store of a sweep"
+        reason = f"it lacks {error}" if isinstance(error, KeyError) else f"{error}"
+        state = "is damaged" if is_ours else "is not the store of a sweep"
         raise InvalidArgument(
-            f"store is {str(path)!r}, which {what}: {str(file)!r} cannot be read: {why}"
+            f"store is {str(path)!r}, which {state}: {str(file)!r} cannot be read: {reason}"
         ) from error
-    return {**mine, "nodes": nodes}
+    return {**record, "nodes": nodes}
 
 
 def _check_plain(name: str, node: Mapping[str, Any]) -> None:
@@ -297,10 +297,10 @@ def _check_plain(name: str, node: Mapping[str, Any]) -> None:
         return
     codecs = [codec["name"] if isinstance(codec, dict) else codec for codec in node.get("codecs", ())]
     kind = "text" if node.get("data_type") == "string" else np.dtype(node.get("data_type")).kind
-    plain = kind in ("text", *"biuf") and node["zarr_format"] == 3 and not node.get("storage_transformers")
-    if not plain or codecs != ["vlen-utf8" if kind == "text" else "bytes", "zstd"]:
-        found = f"array {format_value(name)} has the codecs {format_value(codecs)}"
-        raise ValueError(f"{found}, expected plain numbers or text")
+    is_plain = kind in ("text", *"biuf") and node["zarr_format"] == 3 and not node.get("storage_transformers")
+    if not is_plain or codecs != ["vlen-utf8" if kind == "text" else "bytes", "zstd"]:
+        message = f"array {format_value(name)} has the codecs {format_value(codecs)}"
+        raise ValueError(f"{message}, expected plain numbers or text")
 
 
 def _open_group(path: Path) -> Any:
@@ -312,23 +312,23 @@ def open_dataset(path: Path) -> Any:
     for name, node in attributes_of(path)["nodes"].items():
         file = path / name / "c" / "0"
         if node["dimension_names"] == [name] and not file.is_file():
-            raise InvalidArgument(f"store is {str(path)!r}, in which {str(file)!r} is missing; {AGAIN}")
-    with reading(path):
+            raise InvalidArgument(f"store is {str(path)!r}, in which {str(file)!r} is missing; {RESTART}")
+    with store_errors(path):
         return xarray.open_zarr(path, chunks=None, consolidated=True, zarr_format=3)
 
 
 @contextmanager
-def reading(path: Path) -> Iterator[None]:
+def store_errors(path: Path) -> Iterator[None]:
     """Raise an error that names a damaged file of a store."""
     try:
         yield
     except Exception as error:  # codecs may raise any error
         raise InvalidArgument(
-            f"store is {str(path)!r}, in which {_damaged(path)}; remove that file, and {AGAIN}"
+            f"store is {str(path)!r}, in which {_find_damage(path)}; remove that file, and {RESTART}"
         ) from error
 
 
-def _damaged(path: Path) -> str:
+def _find_damage(path: Path) -> str:
     """Return the name of the damaged file of a store, and the reason."""
     group = _open_group(path)
     for name in attributes_of(path)["nodes"]:

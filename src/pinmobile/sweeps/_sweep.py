@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 import pinmobile.loop as loop
 from pinmobile.arrays import Array, callable_as, check_integer, location, one_of, text
 from pinmobile.compiled import processors
-from pinmobile.errors import InvalidArgument, SchedulerError, SlowerEngine, format_value, imported
+from pinmobile.errors import InvalidArgument, SchedulerError, SlowerEngine, format_value, import_extra
 from pinmobile.loop import Ensemble, Part, Scenario
-from pinmobile.metrics import in_words
-from pinmobile.sweeps._points import Axis, Changes, Label, Points, describe, differences, index_of, place
+from pinmobile.metrics import format_si
+from pinmobile.sweeps._points import Axis, Changes, Label, Points, describe, differences, index_of, place_text
 
 if TYPE_CHECKING:
     from pinmobile.sweeps._store import Job
@@ -99,13 +99,13 @@ class Sweep:
         """
         from pinmobile.sweeps._store import attributes_of
 
-        there = attributes_of(location("path", path))["determined_by"]
+        description = attributes_of(location("path", path))["determined_by"]
         points = None
         if scenario is not None:
             points = Points.of(scenario, grid, cases)
-            found = differences(there, describe(points, there.get("version")))
-            if found:
-                raise InvalidArgument(f"scenario does not match {str(path)!r}: {found}")
+            difference = differences(description, describe(points, description.get("version")))
+            if difference:
+                raise InvalidArgument(f"scenario does not match {str(path)!r}: {difference}")
         return cls.of_store(location("path", path), points)
 
     @classmethod
@@ -127,16 +127,16 @@ class Sweep:
         from pinmobile.sweeps._store import attributes_of, open_dataset
 
         axes = attributes_of(path)["determined_by"]["axes"].items()
-        known = {name: Axis(tuple(axis["values"]), axis["unit"]) for name, axis in axes}
-        return cls(path, known, open_dataset(path), points)
+        axes_read = {name: Axis(tuple(axis["values"]), axis["unit"]) for name, axis in axes}
+        return cls(path, axes_read, open_dataset(path), points)
 
     @property
     def rivals(self) -> str | None:
         """Axis that `answer` compares: that of a controller, else the last axis of names, or None."""
-        several = {name: axis.values[0] for name, axis in self.axes.items() if len(axis.values) > 1}
-        named = [name for name, first in several.items() if isinstance(first, str)]
-        laws = [name for name in named if name.split(".")[-1] == "controller"]
-        return [*named, *laws][-1] if named else None
+        values = {name: axis.values[0] for name, axis in self.axes.items() if len(axis.values) > 1}
+        names = [name for name, first in values.items() if isinstance(first, str)]
+        laws = [name for name in names if name.split(".")[-1] == "controller"]
+        return [*names, *laws][-1] if names else None
 
     def error_quantile(self, share: float = 0.99, by: str = "distance") -> Any:
         """Return the error that a share of the robots does not exceed after `Scenario.after`.
@@ -161,32 +161,32 @@ class Sweep:
         UnknownName
             If there is no such error.
         """
-        level, known = loop.checked_share(share), self._judged()
-        name, where, unit, sign = known[one_of("error", by, known)]
-        data = self._read(self.dataset[[name, "diverged_at"]].isel(where))
+        level, arrays = loop.check_share(share), self._result_arrays()
+        name, index, unit, sign = arrays[one_of("error", by, arrays)]
+        data = self._read(self.dataset[[name, "diverged_at"]].isel(index))
         sizes = (sign * data[name]).where(data.diverged_at.isnull(), np.inf)
-        found = sign * sizes.reduce(loop.share_within, "robot", share=level)
-        what = "distance from the desired position" if by == "distance" else by
-        stay = "stay within" if sign > 0 else "have at least"
-        meaning = f"{what} that {level * 100:g} % of the robots {stay}"
-        return found.rename("within").drop_vars([*where]).assign_attrs({"units": unit, "long_name": meaning})
+        result = sign * sizes.reduce(loop.share_quantile, "robot", share=level)
+        label = "distance from the desired position" if by == "distance" else by
+        verb = "stay within" if sign > 0 else "have at least"
+        meaning = f"{label} that {level * 100:g} % of the robots {verb}"
+        return result.rename("within").drop_vars([*index]).assign_attrs({"units": unit, "long_name": meaning})
 
-    def _judged(self) -> dict[str, tuple[str, dict[str, int], str, float]]:
+    def _result_arrays(self) -> dict[str, tuple[str, dict[str, int], str, float]]:
         """Return array, place in it, unit, and sign (-1 for margins) of each error and metric, by name."""
-        found = {"distance": ("max_distance", dict[str, int](), "m", 1.0)}
+        arrays = {"distance": ("max_distance", dict[str, int](), "m", 1.0)}
         for name, dimension in (("max_error", "coordinate"), ("worst_metric", "metric")):
             if name in self.dataset:
                 attributes, labels = self.dataset[name].attrs, self.dataset[dimension].values.tolist()
                 units, worst = (attributes.get(key, "").split(", ") for key in ("units", "worst"))
                 for k, label in enumerate(labels):
                     sign = -1.0 if worst[k:] and worst[k] == "smallest" else 1.0
-                    found[label] = name, {dimension: k}, units[k] if len(units) == len(labels) else "", sign
-        return found | {"heading": ("max_error", {"coordinate": 2}, "rad", 1.0)}
+                    arrays[label] = name, {dimension: k}, units[k] if len(units) == len(labels) else "", sign
+        return arrays | {"heading": ("max_error", {"coordinate": 2}, "rad", 1.0)}
 
     def _read(self, data: Any) -> Any:
-        from pinmobile.sweeps._store import reading
+        from pinmobile.sweeps._store import store_errors
 
-        with reading(self.path):
+        with store_errors(self.path):
             return data.load()
 
     @property
@@ -214,20 +214,20 @@ class Sweep:
         InvalidArgument
             If `share` is not between 0 and 1, or a file of the store cannot be read.
         """
-        within, diverged, limit = (
+        errors, diverged, limit = (
             self.error_quantile(share).values,
             self.diverged,
             check_integer("most", most),
         )
         heads = [f"{x} [{axis.unit}]" if axis.unit else x for x, axis in self.axes.items()]
         rows = [[*heads, f"{share * 100:g} % within", "diverged"]]
-        for index in list(np.ndindex(within.shape))[:limit]:
+        for index in list(np.ndindex(errors.shape))[:limit]:
             labels = [axis.text(i) for axis, i in zip(self.axes.values(), index, strict=True)]
-            lost = "unknown" if np.isnan(within[index]) else f"{diverged[index]:,}"
-            rows.append([*labels, length(float(within[index])), lost])
+            count = "unknown" if np.isnan(errors[index]) else f"{diverged[index]:,}"
+            rows.append([*labels, format_length(float(errors[index])), count])
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         lines = ["  ".join(x.rjust(width) for x, width in zip(row, widths, strict=True)) for row in rows]
-        rest = within.size - limit
+        rest = errors.size - limit
         return "\n".join([*lines, *([f"... and {rest} more"] if rest > 0 else [])])
 
     def answer(self, share: float = 0.99) -> str:
@@ -253,22 +253,22 @@ class Sweep:
         """
         after = float(self.dataset.attrs.get("errors_from_s", 0.0))
         data = self._read(self.dataset[["max_distance", "diverged_at"]])
-        done = float((data.max_distance.notnull() | data.diverged_at.notnull()).mean())
-        begun = f"{done * 100:.3g} % of the robots are done" if done < 1 else ""
-        within, diverged, n = self.error_quantile(share).values, self.diverged, self.dataset.sizes["robot"]
-        if np.isnan(within).all():
-            return f"{begun}, but no scenario is complete"
-        beside = self.rivals
-        last = len(self.axes) if beside is None else list(self.axes).index(beside)
-        within, diverged = (np.moveaxis(x if beside else x[..., None], last, -1) for x in (within, diverged))
-        worst = _worst(within, diverged)
-        places = place({name: axis for name, axis in self.axes.items() if name != beside}, worst)
-        where = " and ".join(x for x, count in zip(places, within.shape[:-1], strict=True) if count > 1)
-        labels = ("the robot" if n == 1 else "the robots",) if beside is None else self.axes[beside].values
-        rows = (x[worst].tolist() for x in (within, diverged))
-        sizes, lost = (dict(zip(map(str, labels), row, strict=True)) for row in rows)
-        words = f"{begun and begun + ': '}{where and f'with {where}, '}{compared(sizes, share, lost, n)}"
-        return since(after) + words
+        share_done = float((data.max_distance.notnull() | data.diverged_at.notnull()).mean())
+        state = f"{share_done * 100:.3g} % of the robots are done" if share_done < 1 else ""
+        errors, diverged, n = self.error_quantile(share).values, self.diverged, self.dataset.sizes["robot"]
+        if np.isnan(errors).all():
+            return f"{state}, but no scenario is complete"
+        rivals = self.rivals
+        last = len(self.axes) if rivals is None else list(self.axes).index(rivals)
+        errors, diverged = (np.moveaxis(x if rivals else x[..., None], last, -1) for x in (errors, diverged))
+        worst = _worst(errors, diverged)
+        places = place_text({name: axis for name, axis in self.axes.items() if name != rivals}, worst)
+        place = " and ".join(x for x, count in zip(places, errors.shape[:-1], strict=True) if count > 1)
+        labels = ("the robot" if n == 1 else "the robots",) if rivals is None else self.axes[rivals].values
+        rows = (x[worst].tolist() for x in (errors, diverged))
+        sizes, fails = (dict(zip(map(str, labels), row, strict=True)) for row in rows)
+        words = f"{state and state + ': '}{place and f'with {place}, '}{summarize(sizes, share, fails, n)}"
+        return format_since(after) + words
 
     def ensemble(self, **labels: Label) -> Ensemble:
         """Return the ensemble at one point.
@@ -303,13 +303,13 @@ class Sweep:
             raise InvalidArgument(
                 f"labels are {labels}, where robots are missing: start the same sweep again"
             )
-        none = np.zeros((scenario.n, 0))
+        empty = np.zeros((scenario.n, 0))
         records: dict[str, Any] = {
-            name: np.array(data[name]) if name in data else none for name in loop.PER_ROBOT
+            name: np.array(data[name]) if name in data else empty for name in loop.ROBOT_ARRAYS
         }
         return Ensemble(
             scenario=scenario,
-            draws={name: np.array(data[loop.drawn_name(name)]) for name in scenario.spread},
+            draws={name: np.array(data[loop.draw_name(name)]) for name in scenario.spread},
             counts=np.array(data["counts"].sum("chunk"), np.int32),
             traces={},
             **records,
@@ -322,28 +322,28 @@ class Sweep:
         return f"{self.table()}\n{self.answer()}"
 
 
-def length(metres: float) -> str:
+def format_length(metres: float) -> str:
     """Return a length [m] as text, in a suitable unit."""
     if not np.isfinite(metres):
         return "unknown" if np.isnan(metres) else "unbounded"
-    printed = float(f"{metres:.3g}")  # a rounding error below a millimetre is a millimetre, not 1e+03 µm
+    rounded = float(f"{metres:.3g}")  # a rounding error below a millimetre is a millimetre, not 1e+03 µm
     for unit, size in (("m", 1.0), ("mm", 1e-3), ("µm", 1e-6)):
-        if printed >= size:
-            return f"{printed / size:.3g} {unit}"
-    return f"{printed * 1e9:.3g} nm" if printed >= 1e-12 else f"{in_words(printed)} m"
+        if rounded >= size:
+            return f"{rounded / size:.3g} {unit}"
+    return f"{rounded * 1e9:.3g} nm" if rounded >= 1e-12 else f"{format_si(rounded)} m"
 
 
-def since(after: float) -> str:
+def format_since(after: float) -> str:
     """Return the time from which errors count as text, "" for the start."""
     return f"from t = {after:g} s on, " if after else ""
 
 
-def compared(within: Mapping[str, float], share: float, diverged: Mapping[str, int], n: int) -> str:
+def summarize(errors: Mapping[str, float], share: float, diverged: Mapping[str, int], n: int) -> str:
     """Return the distances that the share of the robots does not exceed as text, which states the share once.
 
     Parameters
     ----------
-    within : mapping of str to float
+    errors : mapping of str to float
         Distance that the share of the robots does not exceed, by name [m].
     share : float
         Share of the robots.
@@ -353,40 +353,40 @@ def compared(within: Mapping[str, float], share: float, diverged: Mapping[str, i
         Number of robots for each name.
     """
     words: list[str] = []
-    stay, runs = "stay", "" if n == 1 else f" in {share * 100:g} % of runs"
-    for label, distance in within.items():
+    verb, runs = "stay", "" if n == 1 else f" in {share * 100:g} % of runs"
+    for label, distance in errors.items():
         s = "" if label == "the robots" else "s"
         if np.isfinite(distance):
-            words.append(f"{label} {stay and f'{stay}{s} '}within {length(distance)}{runs}")
-            stay = runs = ""
+            words.append(f"{label} {verb and f'{verb}{s} '}within {format_length(distance)}{runs}")
+            verb = runs = ""
         elif np.isnan(distance):
             words.append(f"{label} {'is' if s else 'are'} unknown")
         else:
             words.append(
-                f"{label} diverge{s}{'' if n == 1 else f' in {loop.percent(diverged[label], n)} runs'}"
+                f"{label} diverge{s}{'' if n == 1 else f' in {loop.format_percent(diverged[label], n)} runs'}"
             )
     return ", ".join(words)
 
 
-def _worst(within: NDArray[Any], diverged: NDArray[Any]) -> tuple[int, ...]:
+def _worst(errors: NDArray[Any], diverged: NDArray[Any]) -> tuple[int, ...]:
     """Return the index of the worst place along all axes but the last, that of rivals.
 
     The place with the larger distance is worse. The comparison begins with the worst rival and continues with
     the next, so that a rival that diverges everywhere decides nothing. Then the number of diverged robots
     counts. Rounding errors do not count: of equal places, the first one is returned on every machine.
     """
-    sizes = np.nan_to_num(within, nan=-1.0, posinf=np.inf).reshape(-1, within.shape[-1])
-    left = np.arange(len(sizes))
+    sizes = np.nan_to_num(errors, nan=-1.0, posinf=np.inf).reshape(-1, errors.shape[-1])
+    indices = np.arange(len(sizes))
     for values in (*np.sort(sizes, axis=-1).T[::-1], diverged.sum(axis=-1).ravel()):
-        most = values[left].max()
-        left = left[values[left] >= min(most, most * (1 - _ROUNDING))]
-    return tuple(int(i) for i in np.unravel_index(int(left[0]), within.shape[:-1]))
+        largest = values[indices].max()
+        indices = indices[values[indices] >= min(largest, largest * (1 - _ROUNDING))]
+    return tuple(int(i) for i in np.unravel_index(int(indices[0]), errors.shape[:-1]))
 
 
 _CHUNK = 16384
-_ANSWER = 10.0  # time limit of a scheduler's answer, and of its first worker [s]
-_ALONE = 60.0  # time limit of a cluster without a worker, which is often started again [s]
-_LOOK = 2.0  # time between two checks of a cluster without results [s]
+_ANSWER_TIME = 10.0  # time limit of a scheduler's answer, and of its first worker [s]
+_WORKER_TIME = 60.0  # time limit of a cluster without a worker, which is often started again [s]
+_CHECK_TIME = 2.0  # time between two checks of a cluster without results [s]
 
 Progress: TypeAlias = Callable[[int, int], None]
 
@@ -507,37 +507,37 @@ def run_points(
     with Store(folder, points, description, size) as store:
         if chunk is not None and store.chunk != size:
             raise InvalidArgument(f"chunk is {size}, expected {store.chunk} as in the store, or None")
-        waiting = store.waiting()
+        jobs = store.open_jobs()
         total = len(points.scenarios) * points.n
-        left = sum(job.stop - job.start for job in waiting)
-        _warn_if_slower(points, waiting)
+        remaining = sum(job.stop - job.start for job in jobs)
+        _warn_slow(points, jobs)
         if progress is not None:
-            progress(total - left, total)
-        for job, draws, part in _results(points, waiting, client) if waiting else ():
+            progress(total - remaining, total)
+        for job, draws, part in _results(points, jobs, client) if jobs else ():
             store.record(job, draws, part)
-            left -= job.stop - job.start
+            remaining -= job.stop - job.start
             if progress is not None:
-                progress(total - left, total)
+                progress(total - remaining, total)
     return Sweep.of_store(folder, points)
 
 
-def _warn_if_slower(points: Points, jobs: Sequence[Job]) -> None:
+def _warn_slow(points: Points, jobs: Sequence[Job]) -> None:
     """Warn once about parts that prevent the fastest engine, here and not where chunks are computed."""
     reasons: dict[str, list[int]] = {}
     for k in sorted({job.scenario for job in jobs}):
-        way = loop.way_of(points.scenarios[k])
-        if way.fallback_reason:
-            reasons.setdefault(f"by {way.engine!r}, {way.engine.value}; {way.fallback_reason}", []).append(k)
-    told = []
+        p = loop.plan_execution(points.scenarios[k])
+        if p.fallback_reason:
+            reasons.setdefault(f"by {p.engine!r}, {p.engine.value}; {p.fallback_reason}", []).append(k)
+    lines = []
     for reason, places in reasons.items():
-        more = f" and {len(places) - 1} more" if len(places) > 1 else ""
-        told.append(f"{reason} (at {points.place(places[0])}{more})")
-    if told:
-        warn(f"this sweep runs {'; '.join(told)}", SlowerEngine, stacklevel=4)
+        rest = f" and {len(places) - 1} more" if len(places) > 1 else ""
+        lines.append(f"{reason} (at {points.place(places[0])}{rest})")
+    if lines:
+        warn(f"this sweep runs {'; '.join(lines)}", SlowerEngine, stacklevel=4)
 
 
 def _check_client(client: Any) -> None:
-    kind = imported("distributed", "sweeps", "a sweep").Client
+    kind = import_extra("distributed", "sweeps", "a sweep").Client
     if not isinstance(client, kind) or client.status != "running" or client.asynchronous:
         raise InvalidArgument(
             f"client is {format_value(client)}, expected a distributed.Client that is connected to its "
@@ -545,7 +545,7 @@ def _check_client(client: Any) -> None:
         )
 
 
-def connected(address: str, timeout: float = _ANSWER) -> Any:
+def connect(address: str, timeout: float = _ANSWER_TIME) -> Any:
     """Return a ``distributed.Client`` of the scheduler at an address, such as ``tcp://127.0.0.1:8786``.
 
     Raises
@@ -555,7 +555,7 @@ def connected(address: str, timeout: float = _ANSWER) -> Any:
     """
     import asyncio  # here, because most sweeps have no cluster
 
-    distributed = imported("distributed", "sweeps", "a sweep")
+    distributed = import_extra("distributed", "sweeps", "a sweep")
 
     async def identity() -> Any:  # a client would wait forever for a silent server
         comm = await distributed.comm.connect(address, timeout=timeout)
@@ -583,34 +583,34 @@ def _results(
     executor: Any = ThreadPoolExecutor(workers)
     if client is not None:
         try:
-            client.wait_for_workers(1, timeout=_ANSWER)
+            client.wait_for_workers(1, timeout=_ANSWER_TIME)
         except OSError as error:
-            raise _lost(client, f"has no worker after {_ANSWER:g} s") from error
+            raise _scheduler_error(client, f"has no worker after {_ANSWER_TIME:g} s") from error
         executor, workers = client.get_executor(pure=False), 2 * sum(client.nthreads().values())
-    left, alive = iter(jobs), monotonic()
-    under_way: dict[Future[Any], Job] = {}
+    remaining, last_seen = iter(jobs), monotonic()
+    futures: dict[Future[Any], Job] = {}
 
     def send() -> None:
-        for job in left:
+        for job in remaining:
             scenario = points.scenarios[job.scenario]
-            sent = scenario if client is None else scenario.holding(job.start, job.stop)
-            under_way[executor.submit(loop.part_of, sent, job.start, job.stop)] = job
+            part_scenario = scenario if client is None else scenario.subset(job.start, job.stop)
+            futures[executor.submit(loop.part_of, part_scenario, job.start, job.stop)] = job
             return
 
     try:
         for _ in range(workers + 1):
             send()
-        while under_way:
-            done, _ = wait(under_way, timeout=_LOOK, return_when=FIRST_COMPLETED)
-            alive = monotonic() if done or client is None or client.nthreads() else alive
-            if client is not None and (client.status != "running" or monotonic() - alive > _ALONE):
-                raise _lost(client, f"is lost, or had no worker for {_ALONE:g} s")
-            for future in done:
+        while futures:
+            finished, _ = wait(futures, timeout=_CHECK_TIME, return_when=FIRST_COMPLETED)
+            last_seen = monotonic() if finished or client is None or client.nthreads() else last_seen
+            if client is not None and (client.status != "running" or monotonic() - last_seen > _WORKER_TIME):
+                raise _scheduler_error(client, f"is lost, or had no worker for {_WORKER_TIME:g} s")
+            for future in finished:
                 draws, part = _answer(future, client)
-                yield under_way.pop(future), draws, part
+                yield futures.pop(future), draws, part
                 send()
     finally:
-        for future in under_way:
+        for future in futures:
             future.cancel()
         if client is None:
             executor.shutdown()
@@ -619,16 +619,16 @@ def _results(
 def _answer(future: Future[Any], client: Any) -> tuple[dict[str, Array], Part]:
     if client is None:
         return future.result()  # type: ignore[no-any-return]
-    distributed = imported("distributed", "sweeps", "a sweep")
+    distributed = import_extra("distributed", "sweeps", "a sweep")
     try:
         draws, part = future.result()
     except (CancelledError, distributed.CancelledError, distributed.KilledWorker) as error:
-        raise _lost(client, f"dropped a chunk ({type(error).__name__}: {error})") from error
+        raise _scheduler_error(client, f"dropped a chunk ({type(error).__name__}: {error})") from error
     return draws, Part._make((*map(np.array, part[:-1]), {}))  # received arrays may be read-only
 
 
-def _lost(client: Any, why: str) -> SchedulerError:
+def _scheduler_error(client: Any, event: str) -> SchedulerError:
     address = client.scheduler.address if client.scheduler else ""
     return SchedulerError(
-        f"scheduler {address} {why}; finished chunks are in the store: start the same sweep again to resume"
+        f"scheduler {address} {event}; finished chunks are in the store: start the same sweep again to resume"
     )

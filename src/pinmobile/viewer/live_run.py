@@ -19,7 +19,7 @@ from pinmobile.controllers import Controller
 from pinmobile.errors import PinmobileError
 from pinmobile.loop import LoopStepper, Rollout, Scenario
 from pinmobile.palette import QUIET, colour
-from pinmobile.parts import Driven, Found, Pushable, Tabled, Touching, able, array, entries_of, part
+from pinmobile.parts import Driven, NumberRef, Pushable, Tabled, Touching, able, array, entries_of, part
 from pinmobile.plant import Contacts, Plant, stated
 from pinmobile.robot import MobileRobot
 from pinmobile.signals import Signal
@@ -427,7 +427,7 @@ class LiveRun:
         self._stage.tell("driver", "")
         self._clear()
 
-    def _told(self, name: str, found: Found) -> list[Any]:
+    def _told(self, name: str, found: NumberRef) -> list[Any]:
         """Return name, unit, meaning and range of a number: its bounds, else up to three times its value."""
         one: Any = found.leaf.declared
         low, high = sorted((0.0, 3 * float(found.value))) if found.value else (-1.0, 1.0)

@@ -31,8 +31,8 @@ from PIL import Image
 
 from pinmobile.arrays import bounded, check_integer, positive, scalar, sequence, shaped
 from pinmobile.compiled import processors
-from pinmobile.errors import InvalidArgument, ViewerError, installing
-from pinmobile.files import write, written
+from pinmobile.errors import InvalidArgument, ViewerError, install_command
+from pinmobile.files import write, write_file
 from pinmobile.viewer.pages import engine, loading, sealed, stage_page
 
 _NAMES = (
@@ -338,7 +338,7 @@ def film_encoder() -> ModuleType:
         return importlib.import_module("imageio_ffmpeg")
     except ImportError:
         missing = "a film needs imageio-ffmpeg, which is not installed"
-        raise ViewerError(f"{missing}: {installing('mp4')}") from None
+        raise ViewerError(f"{missing}: {install_command('mp4')}") from None
 
 
 def check_films() -> None:
@@ -557,7 +557,7 @@ class Recording:
         FileError
             If the system fails, for example because the disk is full. An existing file remains unchanged.
         """
-        return written(path, ".html", lambda: self.html().encode("utf-8"))
+        return write_file(path, ".html", lambda: self.html().encode("utf-8"))
 
     def save_gif(
         self,
@@ -596,7 +596,7 @@ class Recording:
         """
         rate = scalar("fps", min(self.fps, 25.0) if fps is None else fps)
         bounded("fps", rate, above=0, most=_FASTEST, unit="1/s")
-        return written(path, ".gif", lambda: gif(self._frames(rate, size, progress), rate))
+        return write_file(path, ".gif", lambda: gif(self._frames(rate, size, progress), rate))
 
     def save_mp4(
         self,
@@ -637,7 +637,7 @@ class Recording:
         rate, even = positive("fps", self.fps if fps is None else fps, "1/s"), checked_size(size)
         if even[0] % 2 or even[1] % 2:
             raise InvalidArgument(f"size is {size}, expected even numbers")
-        return written(path, ".mp4", lambda: film(encoder, self._frames(rate, size, progress), rate, even))
+        return write_file(path, ".mp4", lambda: film(encoder, self._frames(rate, size, progress), rate, even))
 
     def screenshot(
         self, path: str | PathLike[str], *, t: float = 0.0, size: tuple[int, int] = (1200, 800)
@@ -668,7 +668,7 @@ class Recording:
             If Chromium is missing or fails.
         """
         time = bounded("t", scalar("t", t), least=0, most=self.duration, unit="s")
-        return written(path, ".png", lambda: picture_of(self.html(), size, time))
+        return write_file(path, ".png", lambda: picture_of(self.html(), size, time))
 
     def _frames(self, rate: float, size: tuple[int, int], progress: Progress | None) -> Iterator[Image.Image]:
         times = np.append(np.arange(0.0, self.duration, self.speed / rate), self.duration)

@@ -18,7 +18,7 @@ from pinmobile.errors import InvalidArgument
 from pinmobile.loop import EndEffector, Rollout
 from pinmobile.palette import AXES, INK, QUIET, colour
 from pinmobile.parts import TimeVarying, able
-from pinmobile.plant import whole_configurations
+from pinmobile.plant import full_configurations
 from pinmobile.viewer.motion import Channel, Drawing, Drawn, along, links, poses_of, sampled, samples_before
 from pinmobile.viewer.scene_tree import Arrows, Extent, Follow, Overlays, Stage, View, overview
 
@@ -247,7 +247,7 @@ class Scene:
             whole = _is_of(ghost, main.plant) and main.reference.q.shape == main.q.shape
             wanted = main.reference.q if whole else main.reference_poses
             if isinstance(ghost, Drawing):  # what has no reference is drawn as it is
-                wanted = whole_configurations(ghost.plant, main.q, main.reference.q)
+                wanted = full_configurations(ghost.plant, main.q, main.reference.q)
             desired = motion.configurations(ghost, main.t, wanted, times)
             self.channels += ridden("meshcat/desired", ghost, desired)
             self.legend.append(["desired pose", QUIET, "", 0.5])

@@ -9,9 +9,9 @@ from threading import RLock
 from time import monotonic, sleep
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from pinmobile.arrays import ArrayLike, by_label, finite, instance, positive, shaped, text
+from pinmobile.arrays import ArrayLike, finite, instance, label_items, positive, shaped, text
 from pinmobile.errors import InvalidArgument, ViewerError
-from pinmobile.files import written
+from pinmobile.files import write_file
 from pinmobile.loop import Rollout, at_samples
 from pinmobile.plant import robot_at
 from pinmobile.viewer.motion import figure, frame_times, row_of, tracks
@@ -288,7 +288,7 @@ class Viewer:
                 raise ViewerError("t needs a recording: call record first")
             return self._recording.screenshot(path, t=t, size=size)
         page = self.static_html()
-        return written(path, ".png", lambda: picture_of(page, size, 0.0))
+        return write_file(path, ".png", lambda: picture_of(page, size, 0.0))
 
     def static_html(self, title: str = "pinmobile") -> str:
         """Return a self-contained page of the present scene as HTML, for example for a notebook.
@@ -339,7 +339,7 @@ def _checked_runs(rollouts: object) -> dict[str, Rollout]:
     InvalidArgument
         If the argument is not a rollout or a mapping, or is empty, or a plant has no pose.
     """
-    runs = {label: at_samples(run) for label, run in by_label("rollout", rollouts, Rollout).items()}
+    runs = {label: at_samples(run) for label, run in label_items("rollout", rollouts, Rollout).items()}
     for label, run in runs.items():
         try:
             _ = run.poses, run.reference_poses

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from functools import cached_property, reduce
 from typing import Any, NamedTuple
 
-from pinmobile.compiled import choose, repeated, scalar_max, square_root
+from pinmobile.compiled import choose, repeat, scalar_max, square_root
 from pinmobile.robot import ONE, ZERO, Matrix, Vector, dot, factored, number
 
 _SOON = 24  # Gauss-Seidel iterations before Newton's method
@@ -339,7 +339,7 @@ def impulses(
 def iterated(
     one: Callable[..., tuple[Sequence[Any], Any]], first: Sequence[Any], most: int, settled: Any = False
 ) -> tuple[Any, ...]:
-    """Return scalars and lists of scalars after iterations of a function, see `repeated`.
+    """Return scalars and lists of scalars after iterations of a function, see `repeat`.
 
     Parameters
     ----------
@@ -348,7 +348,7 @@ def iterated(
     first : sequence of scalars and lists of scalars
         Initial parts.
     most, settled
-        As in `repeated`.
+        As in `repeat`.
     """
 
     def flat(parts: Sequence[Any]) -> Vector:
@@ -362,7 +362,7 @@ def iterated(
         found, done = one(*shaped(numbers))
         return flat(found), done
 
-    return shaped(repeated(law, flat(first), most, settled))
+    return shaped(repeat(law, flat(first), most, settled))
 
 
 def moved_by(velocity: Vector, columns: Iterable[Vector], impulses: Iterable[Any]) -> Vector:

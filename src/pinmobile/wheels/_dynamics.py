@@ -16,7 +16,7 @@ import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, broadcast, finite, finite_answer, positive, shaped
 from pinmobile.metrics import Metric
-from pinmobile.parts import Desired, also_symbols, holds_symbols, required, takes
+from pinmobile.parts import Desired, dispatch_symbols, holds_symbols, require, takes
 from pinmobile.plant import Step
 from pinmobile.robot import (
     ZERO,
@@ -585,7 +585,7 @@ class PlantOnWheels:
         """
         return self.array_dynamics.metrics  # type: ignore[no-any-return]
 
-    @also_symbols
+    @dispatch_symbols
     def evaluate_metrics(
         self, t: ArrayLike, q: ArrayLike, v: ArrayLike, a: ArrayLike, u: ArrayLike, reference: Any
     ) -> Array:
@@ -600,7 +600,7 @@ class PlantOnWheels:
         reference : Reference
             Desired values of the first coordinates.
         """
-        required("reference", reference, Desired)
+        require("reference", reference, Desired)
         wanted = [("...", n) for n in self.reference_sizes]
         given = [*self._state(q, v, u, a), shaped("reference.q", finite("reference.q", reference.q), *wanted)]
         lead = broadcast(**{"q": given[0], "reference.q": given[-1]})
@@ -623,7 +623,7 @@ class PlantOnWheels:
         return self.array_dynamics.initial_state(context)
 
     @of_ground
-    @also_symbols
+    @dispatch_symbols
     def step(
         self, t: float, q: Any, v: Any, u: Any, h: Any, f: ExternalForceFunction | ArrayLike, memory: Any
     ) -> Step:
@@ -649,7 +649,7 @@ class PlantOnWheels:
         return self.array_dynamics.step(t, q, v, u, h, f, memory)  # type: ignore[no-any-return]
 
     @of_ground
-    @also_symbols
+    @dispatch_symbols
     def signals(self, t: Any, q: Any, v: Any, u: Any, f: Any, memory: Any) -> dict[str, tuple[str, Any]]:
         """Return the signals of motors, and of the ground if wheels slip, in the step before."""
         return self.array_dynamics.signals(t, q, v, u, f, memory)  # type: ignore[no-any-return]

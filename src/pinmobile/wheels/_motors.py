@@ -18,7 +18,7 @@ from pinmobile.arrays import (
     ArrayLike,
     broadcast,
     finite,
-    in_numbers,
+    finite_result,
     non_negative,
     positive,
     scalar,
@@ -231,7 +231,7 @@ class Motor:
             raise InvalidArgument(f"motor is {format_value(self)}, a torque source, {words}")
         return MotorLaw((self,), *([getattr(self, name)] for name in CONSTANTS))
 
-    @in_numbers
+    @finite_result
     def armature_current(self, volts: ArrayLike, rate: ArrayLike) -> Array:
         """Return the current (V - k G W) / R within its limit, shape (...) [A].
 
@@ -249,7 +249,7 @@ class Motor:
         """
         return self._at(MotorLaw.current, volts, rate)
 
-    @in_numbers
+    @finite_result
     def torque(self, volts: ArrayLike, rate: ArrayLike) -> Array:
         """Return the torque at the wheel, shape (...) [N m].
 
@@ -276,7 +276,7 @@ class Motor:
         broadcast(volts=volts[..., None], rate=rate[..., None])
         return np.asarray(law(self._law, 0, self._law.volts(0, volts), rate))
 
-    @in_numbers
+    @finite_result
     def _free(self, volts: float | None) -> Array:
         """Return the no-load rate of the wheel, negative below the starting voltage [rad/s]."""
         R, k = self._law._numbers[0][:2]

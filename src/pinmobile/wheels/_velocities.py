@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, final
 import numpy as np
 
 from pinmobile.arrays import Array
-from pinmobile.controllers import Controller, State, answer_of, check_controller, notify_applied
+from pinmobile.controllers import Controller, State, check_controller, evaluate, notify_applied
 from pinmobile.errors import InvalidArgument
 from pinmobile.parts import child, integer, number as declared, part
 from pinmobile.plant import Context, Input
@@ -378,7 +378,7 @@ class OdometryFeedback:
         speeds = _outward(pose[..., 2], self._displacement(steering, rates))
         seen_q = np.concatenate([pose, q[..., 3:-n], now], axis=-1)
         seen_v = np.concatenate([speeds, v[..., 3:-n], rates], axis=-1)
-        u, inner = answer_of(self.controller, t, seen_q, seen_v, reference, inner)
+        u, inner = evaluate(self.controller, t, seen_q, seen_v, reference, inner)
         return u, (inner, noise, dt, (pose, now, 1.0 + 0.0 * known))
 
     def _displacement(self, steering: Any, joints: Any) -> Any:
