@@ -24,7 +24,7 @@ from pinmobile.arrays import (
     shaped,
 )
 from pinmobile.errors import InvalidArgument
-from pinmobile.paths import Path, Spline, checked_path, within
+from pinmobile.paths import Path, Spline, check_path, within
 
 _HALF_TURN = 1e-6  # [rad]: closer to half a turn, rounding would decide the sense of rotation
 _SMALL_ANGLE = 1e-2  # [rad]: below, a series avoids cancellation
@@ -337,7 +337,7 @@ class PosePath:
     _orientation: Orientation | None = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        checked_path(self.path, 3)
+        check_path(self.path, 3)
         given = {name: getattr(self, name) is not None for name in ("final_rotation", "turn", "times")}
         names = [name for name, is_given in given.items() if is_given]
         if names and self.rotation is None:
