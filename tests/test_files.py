@@ -53,7 +53,7 @@ WRITERS: dict[str, Callable[[Path], object]] = {
 @pytest.fixture(autouse=True)
 def without_chromium(monkeypatch: pytest.MonkeyPatch) -> None:
     """What a browser draws is another test's; here something of a good size is enough."""
-    for name in ("gif", "film", "picture_of"):
+    for name in ("gif", "film", "take_picture"):
         monkeypatch.setattr(f"pinmobile.viewer.recording.{name}", lambda *_: b"picture" * 1000)
 
 

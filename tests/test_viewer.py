@@ -31,7 +31,7 @@ from pinmobile.palette import colour
 from pinmobile.viewer import Arrows, FixedCamera, Follow, Overlays, Recording, Viewer, shapes
 from pinmobile.viewer.recording import Browser, gif as encoded_gif
 from pinmobile.viewer.scene_tree import Stage
-from pinmobile.viewer.shapes import coarse
+from pinmobile.viewer.shapes import simplify
 from tests.chromium import Chromium, Page
 
 pytestmark = pytest.mark.once
@@ -738,7 +738,7 @@ def sphere(n: int = 80) -> coal.BVHModelOBBRSS:
 
 def test_a_coarse_mesh_has_about_that_share_and_the_same_shape() -> None:
     share, fine = 0.05, sphere()
-    mesh = coarse(fine, share)
+    mesh = simplify(fine, share)
     assert 0.4 < mesh.num_tris / (share * fine.num_tris) < 2.5
     distance = np.linalg.norm(mesh.vertices(), axis=1)
     cell = np.sqrt(3 * 4 * np.pi / (share * fine.num_tris))
@@ -751,10 +751,10 @@ def test_a_coarse_mesh_has_about_that_share_and_the_same_shape() -> None:
 
 def test_what_is_fine_enough_or_no_mesh_stays() -> None:
     few, fine, box = sphere(4), sphere(20), coal.Box(1, 1, 1)
-    assert coarse(fine, 1.0) is fine
-    assert coarse(few, 0.01) is few
-    assert coarse(fine, 0.001).num_tris > 100
-    assert coarse(box, 0.1) is box
+    assert simplify(fine, 1.0) is fine
+    assert simplify(few, 0.01) is few
+    assert simplify(fine, 0.001).num_tris > 100
+    assert simplify(box, 0.1) is box
 
 
 @pytest.mark.long
@@ -767,7 +767,7 @@ def test_a_page_of_a_robot_with_hundreds_of_thousands_of_triangles_stays_small()
 
 def test_bands_along_many_lines_are_the_ribbon_of_each() -> None:
     lines = np.random.default_rng(0).normal(size=(5, 2, 2))
-    vertices, faces = shapes.joined([shapes.ribbon(line, 0.01) for line in lines])
+    vertices, faces = shapes.merge([shapes.ribbon(line, 0.01) for line in lines])
     found = shapes.bands(lines, 0.01)
     np.testing.assert_array_equal(found[0], vertices)
     np.testing.assert_array_equal(found[1], faces)

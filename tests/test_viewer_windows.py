@@ -26,7 +26,7 @@ from PIL import Image
 from pinmobile import InvalidArgument
 from pinmobile.errors import ViewerError
 from pinmobile.viewer import server
-from pinmobile.viewer.pages import OfflineWindow, Visualizer, packed_array
+from pinmobile.viewer.pages import OfflineWindow, Visualizer, pack_array
 from pinmobile.viewer.window import LiveWindow
 from tests.webclient import WebSocket, ask, eventually, listens, resident
 
@@ -145,7 +145,7 @@ def test_a_connected_browser_is_told_of_deletions_and_replacements_in_order() ->
          "set_animation of /: animations[0].times[1] is nan, expected a finite number"),
         (prop("a", "x", [1.7e308, 1.7e308, np.inf]), "set_property of a: value[2] is inf, expected"),
         (prop("a", "x", {1, 2}), "set_property of a cannot be sent: unsupported type: <class 'set'>"),
-        (shape("a", {"position": packed_array(np.array([0.0, np.nan]))}), "position.array[1] is nan"),
+        (shape("a", {"position": pack_array(np.array([0.0, np.nan]))}), "position.array[1] is nan"),
         ("text", "command is 'text', expected a meshcat command"),
         (Say({"type": "capture_image", "path": ""}), "expected a meshcat command"),
     ],
@@ -472,7 +472,7 @@ def test_a_script_that_ends_leaves_nothing_and_says_nothing(ending: str) -> None
 
 @pytest.mark.parametrize("request_", [b"", b"GET / HTTP/1.1\r\nHost: x\r\nContent-Length: 9\r\n\r\n"])
 def test_a_request_that_never_ends_is_ended(request_: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(server, "_PATIENCE", 0.3)
+    monkeypatch.setattr(server, "_TIMEOUT", 0.3)
     with LiveWindow() as w, socket.create_connection(("127.0.0.1", w.port), timeout=120) as connection:
         connection.sendall(request_)
         assert connection.recv(1) == b""

@@ -26,10 +26,10 @@ __all__ = [
 ]
 
 
-_LATER = {"LiveRun": "live_run", "LiveWindow": "window", "play": "live_run"}  # a recording needs no server
+_MODULES = {"LiveRun": "live_run", "LiveWindow": "window", "play": "live_run"}  # a recording needs no server
 
 
 def __getattr__(name: str) -> object:
-    if name in _LATER:
-        return getattr(import_module(f"pinmobile.viewer.{_LATER[name]}"), name)
+    if name in _MODULES:
+        return getattr(import_module(f"pinmobile.viewer.{_MODULES[name]}"), name)
     raise AttributeError(f"module 'pinmobile.viewer' has no attribute {name!r}")

@@ -25,25 +25,25 @@ from pinmobile.robot import MobileRobot
 from pinmobile.signals import Signal
 from pinmobile.trajectories import Reference, Trajectory
 from pinmobile.viewer.contact_markers import ABOVE, TRAIL, draw_contacts
-from pinmobile.viewer.motion import Channel, along, figure, row_of
+from pinmobile.viewer.motion import Channel, figure, pose_channels, row_of
 from pinmobile.viewer.scene import Scene, draw_path
 from pinmobile.viewer.scene_tree import Extent, Follow, Overlays, Stage
 from pinmobile.viewer.window import LiveWindow
 
 _FPS = 60
-_SELDOM = 4  # frames between two looks at contacts, which take long
+_CONTACT_STEP = 4  # frames between two looks at contacts, which take long
 _BLOCK, _BLOCKS = 15, 41  # frames that the page receives as a whole; they last more than 10 s
-_SHOWN = 6  # series of a plot
-_SLOW = 0.95  # of real time; the page states less
-_LONGEST = 0.5  # [s] of real time that a frame makes up for
-_SLOWEST = 0.1  # [s] of the run that one frame computes at most
-_STILL = 1e-3  # [m] that a trail is at least long
-_GROUND = 5.0  # [m] of the floor around the robot
-_TRACE, _TRACES = 3, 200  # frames between two points of the trail, and points: 10 s
-_PULSE, _HELD = 0.25, 0.6  # [s] duration of a push, and for which an event is shown
-_STRONG = 9.81 / 4  # [m/s^2] acceleration by a push
+_SERIES = 6  # series of a plot
+_SLOW_PACE = 0.95  # of real time; the page states less
+_MAX_PERIOD = 0.5  # [s] of real time that a frame makes up for
+_MAX_ADVANCE = 0.1  # [s] of the run that one frame computes at most
+_EXTENT = 1e-3  # [m] that a trail is at least long
+_GROUND_SIZE = 5.0  # [m] of the floor around the robot
+_TRAIL_STEP, _TRAIL_POINTS = 3, 200  # frames between two points of the trail, and points: 10 s
+_PULSE, _EVENT_TIME = 0.25, 0.6  # [s] duration of a push, and for which an event is shown
+_PUSH_ACCELERATION = 9.81 / 4  # [m/s^2] acceleration by a push
 _MASS, _LENGTH = 10.0, 1.0  # [kg, m] of a plant without a mass matrix; of the arm of a moment
-_REACH = 0.4  # [s] until the driven reference has the speed of a key
+_RISE_TIME = 0.4  # [s] until the driven reference has the speed of a key
 _FORCE = "forces.hand.force."
 _AXES = ("x", "y", "moment")
 
@@ -74,8 +74,8 @@ class _Drive:
         rates = reference.v
         speed = float(np.hypot(rates[:, 0], rates[:, 1]).max()) or 0.5
         turn = float(np.abs(rates[:, 2]).max()) or 1.0
-        own = stated(plant, "mobility")
-        kind = (2, 0) if own is None else (own.mobility, own.steerability)
+        mobility = stated(plant, "mobility")
+        kind = (2, 0) if mobility is None else (mobility.mobility, mobility.steerability)
         self.curves = kind == (1, 1) or stated(plant, "wheelbase") is not None  # it turns only while it moves
         self.scale = np.array([speed, speed if sum(kind) > 2 and kind != (2, 1) else 0.0, turn])
         self.twist, self.q = np.zeros(3), np.zeros(0)
@@ -84,7 +84,7 @@ class _Drive:
         """Begin at the pose of the body, shape (3,), with its rate; arms keep their reference."""
         self.q = reference.q[0].copy()
         self.q[:3] = pose
-        self.twist = _turned(-pose[2], rate) * (self.scale > 0)
+        self.twist = _rotate(-pose[2], rate) * (self.scale > 0)
 
     def ahead(self, keys: Array, count: int, dt: float) -> Reference:
         """Return the reference of the next samples for keys (ahead, turn, aside) from -1 to 1."""
@@ -93,16 +93,16 @@ class _Drive:
             goal[2] *= keys[0]
         rows = []
         for _ in range(count):
-            change = np.clip(goal - self.twist, *(self.scale * dt / _REACH * np.array([[-1.0], [1.0]])))
+            change = np.clip(goal - self.twist, *(self.scale * dt / _RISE_TIME * np.array([[-1.0], [1.0]])))
             v, a = np.zeros((2, len(self.q)))
-            v[:3] = _turned(self.q[2], self.twist)
-            a[:3] = _turned(self.q[2], change / dt) + self.twist[2] * np.array([-v[1], v[0], 0.0])
+            v[:3] = _rotate(self.q[2], self.twist)
+            a[:3] = _rotate(self.q[2], change / dt) + self.twist[2] * np.array([-v[1], v[0], 0.0])
             rows.append((self.q, v, a))
             self.q, self.twist = self.q + dt * v + dt**2 / 2 * a, self.twist + change
         return Reference(*map(np.array, zip(*rows, strict=True)))
 
 
-def _turned(angle: float, twist: Array) -> Array:
+def _rotate(angle: float, twist: Array) -> Array:
     """Return a twist with its first two entries rotated."""
     c, s = np.cos(angle), np.sin(angle)
     return np.array([c * twist[0] - s * twist[1], s * twist[0] + c * twist[1], twist[2]])
@@ -172,32 +172,32 @@ class LiveRun:
         self._has_hand, forces = able(plant, Pushable) is not None, scenario.forces
         if self._has_hand:
             forces = {**dict(entries_of(forces)), "hand": _Hand()}
-        bare = replace(scenario, n=1, spread={}, forces=forces)
+        nominal = replace(scenario, n=1, spread={}, forces=forces)
         names = sequence("sliders", sliders, 'names of numbers, such as ["controller.kp"]')
-        found = {one.path: (name, one) for name in names for one in [scenario.find(name, "sliders")]}
-        spread = {path: float(one.value) for path, (_, one) in found.items()}
-        self._sliders, self._values = found, dict(spread)
+        numbers = {one.path: (name, one) for name in names for one in [scenario.find(name, "sliders")]}
+        spread = {path: float(one.value) for path, (_, one) in numbers.items()}
+        self._sliders, self._values = numbers, dict(spread)
         spread |= {f"{_FORCE}{axis}": 0.0 for axis in (_AXES if self._has_hand else ())}
-        self._stepper = LoopStepper(replace(bare, spread=spread))
+        self._stepper = LoopStepper(replace(nominal, spread=spread))
         self._can_drive = self._stepper.follows and any(able(plant, x) for x in (Tabled, Driven))
-        self._drive = _Drive(plant, bare.reference)
+        self._drive = _Drive(plant, nominal.reference)
         mass_matrix = stated(plant, "mass_matrix")
-        M = np.eye(3) * _MASS if mass_matrix is None else np.asarray(mass_matrix(bare.start[0]))
+        M = np.eye(3) * _MASS if mass_matrix is None else np.asarray(mass_matrix(nominal.start[0]))
         self._mass, self._arm = float(M[0, 0]), float(M[2, 2] / M[0, 0]) / _LENGTH
-        self._push = _STRONG * self._mass
-        self._marks: list[Channel] = []
-        self._heard: deque[tuple[object, str]] = deque()
+        self._push = _PUSH_ACCELERATION * self._mass
+        self._contact_channels: list[Channel] = []
+        self._messages: deque[tuple[object, str]] = deque()
         self._driver: object = None
         self._lock, self._end, self._pace = threading.RLock(), threading.Event(), 1.0
         self._window = LiveWindow(host, port)
         self._stage, self._figure = Stage(self._window), figure(plant)
         try:
             self._begin()
-            self._furnish()
+            self._draw_scene()
         except BaseException:
             self._window.close()
             raise
-        self._window.listen(lambda browser, text: self._heard.append((browser, text)))
+        self._window.listen(lambda browser, text: self._messages.append((browser, text)))
         self._thread = threading.Thread(target=self._run, name="pinmobile-play", daemon=True)
         self._thread.start()
 
@@ -235,15 +235,15 @@ class LiveRun:
 
     def _begin(self) -> None:
         """Begin at the first sample, and forget what is shown of the run before."""
-        self._keys, self._pulse, self._due, self._frames = np.zeros(3), 0.0, 0.0, 0
-        self._drives = self._paused = False
+        self._keys, self._pulse, self._time, self._frames = np.zeros(3), 0.0, 0.0, 0
+        self._is_driven = self._paused = False
         self._rows: list[float] = []
-        self._points: deque[Array] = deque(maxlen=_TRACES)
+        self._points: deque[Array] = deque(maxlen=_TRAIL_POINTS)
         self._events: dict[str, tuple[str, float]] = {}
         self._stepper.reset(self._values | self._force(np.zeros(3)))
         self._desired, self._pushes = self._stepper.reference.q[0], np.zeros(3)
         self._last = {name: x[-1] for name, x in self._stepper.advance(1).items()}
-        self._before = self._last
+        self._previous = self._last
 
     def _run(self) -> None:
         begin, frame = monotonic(), 0
@@ -252,46 +252,46 @@ class LiveRun:
             frame += frames
             with self._lock:
                 try:
-                    self._listen()
+                    self._read_messages()
                     if not self._paused:
-                        self._frame(min(frames / _FPS, _LONGEST))
+                        self._frame(min(frames / _FPS, _MAX_PERIOD))
                 except PinmobileError as error:  # of a part, such as a trajectory that becomes impossible
                     self._pause(True, str(error))
 
     def _frame(self, period: float) -> None:
         """Advance the run by a period [s], or less if the loop is slow, and show it."""
-        before, self._due = self._due, self._due + period
+        previous, self._time = self._time, self._time + period
         self._advance()
-        self._pace += (self._due - before) - period * self._pace  # mean of a second
+        self._pace += (self._time - previous) - period * self._pace  # mean of a second
         self._show()
 
-    def _listen(self) -> None:
+    def _read_messages(self) -> None:
         """Do what the driver's page has asked for."""
-        while self._heard:
-            browser, text = self._heard.popleft()
-            own, word, *numbers = [*text.split(), "", ""][: max(2, len(text.split()))]
+        while self._messages:
+            browser, text = self._messages.popleft()
+            name, word, *numbers = [*text.split(), "", ""][: max(2, len(text.split()))]
             if not text:
                 if browser is self._driver:
                     self._driver, self._keys = None, np.zeros(3)
-                    self._stage.tell("driver", "")
+                    self._stage.publish("driver", "")
                 continue
             if self._driver is None:
                 self._driver = browser
-                self._stage.tell("driver", own)
+                self._stage.publish("driver", name)
             if browser is self._driver:
                 with suppress(ValueError, IndexError):  # another program's words
-                    self._obey(word, list(map(float, numbers)))
+                    self._execute(word, list(map(float, numbers)))
 
-    def _obey(self, word: str, numbers: list[float]) -> None:
+    def _execute(self, word: str, numbers: list[float]) -> None:
         if word == "keys" and len(numbers) == len(_AXES):
             self._keys = np.clip(np.nan_to_num(numbers), -1.0, 1.0)
-            if self._can_drive and not self._drives and self._keys.any():
+            if self._can_drive and not self._is_driven and self._keys.any():
                 q, v = self._last["q"], self._last["v"]
                 pose, rate = np.asarray(self._plant.pose(q)), np.asarray(self._plant.pose_rate(q, v))
                 self._drive.begin(pose, rate, self._stepper.ahead(1))
-                self._drives = True
+                self._is_driven = True
         elif word == "push":
-            self._pulse = self._due + _PULSE
+            self._pulse = self._time + _PULSE
         elif word == "pause":
             self._pause(not self._paused)
         elif word == "reset":
@@ -306,20 +306,20 @@ class LiveRun:
         if not name:
             self._push = value
         else:
-            told, before = "", self._values
-            self._values = before | {name: value}
+            message, values = "", self._values
+            self._values = values | {name: value}
             try:
                 self._stepper.change(self._stepper.values | self._values)
             except PinmobileError as error:
-                self._values, told = before, str(error)
-            self._stage.tell("message", told)
-            self._path()
-        self._stage.tell("values", [*self._values.values(), self._push])
+                self._values, message = values, str(error)
+            self._stage.publish("message", message)
+            self._draw_path()
+        self._stage.publish("values", [*self._values.values(), self._push])
 
-    def _pause(self, paused: bool, why: str = "") -> None:
+    def _pause(self, paused: bool, message: str = "") -> None:
         self._paused = paused
-        self._stage.tell("paused", paused)
-        self._stage.tell("message", why)
+        self._stage.publish("paused", paused)
+        self._stage.publish("message", message)
 
     def _force(self, force: Array) -> dict[str, float]:
         names = (f"{_FORCE}{axis}" for axis in _AXES)
@@ -328,50 +328,50 @@ class LiveRun:
     def _advance(self) -> None:
         """Compute the samples until the present, with the present keys."""
         stepper, dt = self._stepper, self._stepper.scenario.dt
-        count = int(np.ceil(self._due / dt - 1e-6)) + 1 - stepper.k
-        most = int(np.ceil(_SLOWEST / dt))
-        if count > most:  # slower than real time
-            count = most
-            self._due = (stepper.k + count - 1) * dt
+        count = int(np.ceil(self._time / dt - 1e-6)) + 1 - stepper.k
+        limit = int(np.ceil(_MAX_ADVANCE / dt))
+        if count > limit:  # slower than real time
+            count = limit
+            self._time = (stepper.k + count - 1) * dt
         if count < 1:
             return
         push = np.zeros(3) if self._can_drive else self._push * self._keys * (1, 1, self._arm)
-        if self._due < self._pulse:
+        if self._time < self._pulse:
             push[1] += self._push
-        self._pushes = _turned(float(self._plant.pose(self._last["q"])[2]), push)
+        self._pushes = _rotate(float(self._plant.pose(self._last["q"])[2]), push)
         force = self._force(self._pushes)
         if any(stepper.values[name] != x for name, x in force.items()):
             stepper.change(stepper.values | force)
-        reference = self._drive.ahead(self._keys, count, dt) if self._drives else stepper.ahead(count)
-        found = stepper.advance(count, reference)
-        whole = np.hstack([found[name] for name in ("q", "v", "a", "u", "error")])
-        if not (np.abs(found["error"]) <= stepper.scenario.limit).all() or not np.isfinite(whole).all():
+        reference = self._drive.ahead(self._keys, count, dt) if self._is_driven else stepper.ahead(count)
+        samples = stepper.advance(count, reference)
+        columns = np.hstack([samples[name] for name in ("q", "v", "a", "u", "error")])
+        if not (np.abs(samples["error"]) <= stepper.scenario.limit).all() or not np.isfinite(columns).all():
             self._pause(True, "the loop has diverged: reset begins again")
             return
-        rows = [self._last, *({name: x[k] for name, x in found.items()} for k in range(count))]
-        self._before, self._last = rows[-2:]
+        rows = [self._last, *({name: x[k] for name, x in samples.items()} for k in range(count))]
+        self._previous, self._last = rows[-2:]
         self._desired = reference.q[-1]
-        self._watch(found)
+        self._record_events(samples)
 
-    def _watch(self, found: Mapping[str, Array]) -> None:
+    def _record_events(self, samples: Mapping[str, Array]) -> None:
         """Remember the events of the newest samples: margins below zero, sliding wheels, tipping over."""
-        events, slides = {}, found.get("signal slides")
-        if np.any(found.get("signal tips", 0.0)):
+        events, slides = {}, samples.get("signal slides")
+        if np.any(samples.get("signal tips", 0.0)):
             events["tip over"] = "tip over"
-        columns = found.get("measured", np.zeros((0, 0))).T
+        columns = samples.get("measured", np.zeros((0, 0))).T
         for one, column in zip(self._stepper.scenario.recorded_metrics, columns, strict=False):
             if one.is_margin and column.min() < 0:
                 size = f" {column.min():.2g} {one.unit}" if np.isfinite(column.min()) else ""
                 events[one.name] = f"{one.name}{size}"
             elif one.worst == "ever" and column.max() > 0:
                 events[one.name] = one.name
-        if self._frames % _SELDOM == 0:
-            self._touching = self._contacts()
-        if self._touching is not None and slides is not None:
-            pairs = zip(self._touching.names, slides.max(axis=0).tolist(), strict=True)
+        if self._frames % _CONTACT_STEP == 0:
+            self._newest_contacts = self._contacts()
+        if self._newest_contacts is not None and slides is not None:
+            pairs = zip(self._newest_contacts.names, slides.max(axis=0).tolist(), strict=True)
             events |= {name: f"{name} slides" for name, one in pairs if one}
-        self._happens = bool(events)
-        self._events |= {name: (text, self._due + _HELD) for name, text in events.items()}
+        self._has_event = bool(events)
+        self._events |= {name: (text, self._time + _EVENT_TIME) for name, text in events.items()}
 
     def _contacts(self) -> Contacts | None:
         """Return the contacts at the newest sample; None if the plant has none, or cannot compute them."""
@@ -381,72 +381,72 @@ class LiveRun:
         states = (self._last[name][None] for name in "qvau")
         signals = {name: Signal(unit, self._last[f"signal {name}"][None]) for name, unit in units.items()}
         with suppress(PinmobileError):  # a gear train, for instance, has no force of each wheel
-            found: Contacts = plant.contacts(*states, signals)
-            return found
+            contacts: Contacts = plant.contacts(*states, signals)
+            return contacts
         return None
 
     # The page
 
-    def _furnish(self) -> None:
+    def _draw_scene(self) -> None:
         """Draw what does not move, and state what the page shows."""
         self._stage.remove("meshcat")
         q, scenario = self._last["q"], self._stepper.scenario
         overlays = Overlays(camera=Follow(distance=4.5 * max(self._figure.size[:2])))
         self._scene = scene = Scene(self._stage, self._figure, overlays)
         pose = row_of(self._figure, self._plant, q)
-        scene.alone(pose, _GROUND)
-        self._extent = Extent(pose[:2] - _GROUND, pose[:2] + _GROUND, self._figure.size)
+        scene.draw_robot(pose, _GROUND_SIZE)
+        self._extent = Extent(pose[:2] - _GROUND_SIZE, pose[:2] + _GROUND_SIZE, self._figure.size)
         self._stage.set("meshcat/scale", "visible", False)  # the grid goes along with the robot
         self._stage.robot("meshcat/desired", MobileRobot.box(size=self._figure.size), QUIET, ghost=True)
-        self._stage.put("meshcat/push", shapes.over(shapes.arrow(0.09), colour(3), order=ABOVE))
-        self._path()
-        self._watch({})
-        contacts = self._touching
+        self._stage.put("meshcat/push", shapes.overlay(shapes.arrow(0.09), colour(3), order=ABOVE))
+        self._draw_path()
+        self._record_events({})
+        contacts = self._newest_contacts
         legend = [["travelled", colour(0), "", 0.0], ["desired pose", QUIET, "", 0.5]]
         if contacts is not None:
-            legend += self._marked(contacts)[1]
-        self._stage.tell("legend", [*legend, [f"grid {self._extent.step:g} m", "#c9cdd1", "", 0.0]])
-        listed: dict[str, Any] = {"error": scenario.coordinates[:_SHOWN], "input": scenario.inputs[:_SHOWN]}
-        series = {title: [(one.name, one.unit) for one in each] for title, each in listed.items()}
+            legend += self._draw_contacts(contacts)[1]
+        self._stage.publish("legend", [*legend, [f"grid {self._extent.step:g} m", "#c9cdd1", "", 0.0]])
+        lists: dict[str, Any] = {"error": scenario.coordinates[:_SERIES], "input": scenario.inputs[:_SERIES]}
+        series = {title: [(one.name, one.unit) for one in each] for title, each in lists.items()}
         self._has_loads = contacts is not None and bool(np.isfinite(contacts.loads).all())
         if contacts is not None and self._has_loads:
-            series["wheel load"] = [(name, "N") for name in contacts.names[:_SHOWN]]
+            series["wheel load"] = [(name, "N") for name in contacts.names[:_SERIES]]
         plots = []
         for title, each in series.items():
             units = list(dict.fromkeys(unit for _, unit in each if unit))
             names = [f"{name} [{unit}]" if len(units) > 1 else name for name, unit in each]
             lines = [[name, colour(i)] for i, name in enumerate(names)]
             plots.append({"title": f"{title} [{', '.join(units)}]", "series": lines})
-        told = [self._told(name, one) for name, one in self._sliders.values()]
+        sliders = [self._slider_row(name, one) for name, one in self._sliders.values()]
         if self._has_hand:
-            told.append(["push", "N", "force of a push", 0.0, 9.81 * self._mass])
-        self._ranges = [(low, high) for *_, low, high in told]
-        panel = {"sliders": told, "plots": plots, "keys": self._help(), "push": self._has_hand}
+            sliders.append(["push", "N", "force of a push", 0.0, 9.81 * self._mass])
+        self._ranges = [(low, high) for *_, low, high in sliders]
+        panel = {"sliders": sliders, "plots": plots, "keys": self._help(), "push": self._has_hand}
         width = 2 + sum(len(each["series"]) for each in plots)
-        self._stage.tell("panel", panel | {"blocks": _BLOCKS, "size": width})
-        self._stage.tell("driver", "")
+        self._stage.publish("panel", panel | {"blocks": _BLOCKS, "size": width})
+        self._stage.publish("driver", "")
         self._clear()
 
-    def _told(self, name: str, found: NumberRef) -> list[Any]:
+    def _slider_row(self, name: str, number: NumberRef) -> list[Any]:
         """Return name, unit, meaning and range of a number: its bounds, else up to three times its value."""
-        one: Any = found.leaf.declared
-        low, high = sorted((0.0, 3 * float(found.value))) if found.value else (-1.0, 1.0)
+        one: Any = number.leaf.declared
+        low, high = sorted((0.0, 3 * float(number.value))) if number.value else (-1.0, 1.0)
         high = high if one.upper is None else float(one.upper)
         if one.above is not None:
             low = one.above + 1e-3 * (high - one.above)
-        return [name, found.unit, found.meaning, low if one.lower is None else float(one.lower), high]
+        return [name, number.unit, number.meaning, low if one.lower is None else float(one.lower), high]
 
     def _help(self) -> list[list[str]]:
         """Return the keys and their meanings."""
-        speed, aside, turn = self._drive.scale
-        driven = {"W S": f"drive at {speed:.2g} m/s", "A D": f"turn at {turn:.2g} rad/s"}
-        driven |= {"Q E": f"move aside at {aside:.2g} m/s"} if aside else {}
-        pushed = {"W S": "push ahead, back", "A D": "push left, right", "Q E": "turn"}
-        keys = driven if self._can_drive else pushed if self._has_hand else {}
+        speed, lateral, turn = self._drive.scale
+        drive_keys = {"W S": f"drive at {speed:.2g} m/s", "A D": f"turn at {turn:.2g} rad/s"}
+        drive_keys |= {"Q E": f"move aside at {lateral:.2g} m/s"} if lateral else {}
+        push_keys = {"W S": "push ahead, back", "A D": "push left, right", "Q E": "turn"}
+        keys = drive_keys if self._can_drive else push_keys if self._has_hand else {}
         keys = keys | ({"space": "push to the left"} if self._has_hand else {})
         return [list(each) for each in (keys | {"P": "pause", "R": "reset"}).items()]
 
-    def _path(self) -> None:
+    def _draw_path(self) -> None:
         """Draw the path of the trajectory."""
         draw_path(self._stage, self._stepper.reference.q[:, :2], self._extent)
 
@@ -454,77 +454,77 @@ class LiveRun:
         """Empty plots and trail, and state the numbers."""
         self._stage.remove("meshcat/trail")
         for k in range(_BLOCKS):
-            self._stage.tell(f"rows{k}", "[]")
-        self._stage.tell("events", [])
-        self._stage.tell("values", [*self._values.values(), self._push])
+            self._stage.publish(f"rows{k}", "[]")
+        self._stage.publish("events", [])
+        self._stage.publish("values", [*self._values.values(), self._push])
         self._pause(False)
         self._show()
 
-    def _marked(self, contacts: Contacts) -> tuple[list[Channel], list[list[object]]]:
+    def _draw_contacts(self, contacts: Contacts) -> tuple[list[Channel], list[list[object]]]:
         """Return channels and legend of the contacts; their shapes are sent once."""
-        sent = self._stage if self._frames == 0 else _Silent(self._stage.window)
+        stage = self._stage if self._frames == 0 else _SilentStage(self._stage.window)
         scale = 1.5 * self._extent.unit / (9.81 * self._mass)
         x, y, psi = np.asarray(self._plant.pose(self._last["q"]))
-        away = contacts.places - (x, y)
-        seen = away @ np.array([[np.cos(psi), -np.sin(psi)], [np.sin(psi), np.cos(psi)]])
-        seen_from_body = contacts._replace(places=seen, directions=contacts.directions - psi)
-        return draw_contacts(sent, seen_from_body, self._extent, scale, "meshcat/robot0")
+        offsets = contacts.places - (x, y)
+        places = offsets @ np.array([[np.cos(psi), -np.sin(psi)], [np.sin(psi), np.cos(psi)]])
+        relative = contacts._replace(places=places, directions=contacts.directions - psi)
+        return draw_contacts(stage, relative, self._extent, scale, "meshcat/robot0")
 
     def _show(self) -> None:
         """Send the present frame: poses, a row of the plots, the trail and the events."""
         plant, last, dt = self._plant, self._last, self._stepper.scenario.dt
-        share = np.clip(1 + self._due / dt - (self._stepper.k - 1), 0.0, 1.0)
-        before = self._before["q"]
-        q = np.asarray(plant.integrate(before, share * np.asarray(plant.difference(before, last["q"]))))
+        share = np.clip(1 + self._time / dt - (self._stepper.k - 1), 0.0, 1.0)
+        previous = self._previous["q"]
+        q = np.asarray(plant.integrate(previous, share * np.asarray(plant.difference(previous, last["q"]))))
         row = row_of(self._figure, plant, q)
-        channels = [one for rider in self._scene.riders for one in rider(row[None])]
-        channels += along("meshcat/desired", self._desired[None, :3])
-        if self._frames % _SELDOM == 0 and self._touching is not None:
-            self._marks = self._marked(self._touching)[0]
-        channels += self._marks + self._arrow(row)
+        channels = [one for attachment in self._scene.attachments for one in attachment(row[None])]
+        channels += pose_channels("meshcat/desired", self._desired[None, :3])
+        if self._frames % _CONTACT_STEP == 0 and self._newest_contacts is not None:
+            self._contact_channels = self._draw_contacts(self._newest_contacts)[0]
+        channels += self._contact_channels + self._push_channels(row)
         cell = self._extent.step
         floor = np.append(cell * np.round((row[:2] - self._extent.centre) / cell), 0.0)
         channels.append(Channel("meshcat/grid", "position", floor[None]))
         moves = [[one.path, one.name, one.at(0)] for one in channels]
-        self._stage.tell("moves", json.dumps(moves))  # packed much faster than its numbers
-        self._trail(row[:2])
-        self._plot()
-        if self._frames % _SELDOM == 0:
-            live = [text for text, until in self._events.values() if until > self._due]
-            self._stage.tell("events", live)
-            pace = f", {self._pace:.1f} times real time" if self._pace < _SLOW else ""
-            driven = ", driven" if self._drives else ""
-            self._stage.tell("caption", f"t = {self._due:.1f} s{driven}{pace}")
+        self._stage.publish("moves", json.dumps(moves))  # packed much faster than its numbers
+        self._draw_trail(row[:2])
+        self._send_plots()
+        if self._frames % _CONTACT_STEP == 0:
+            texts = [text for text, until in self._events.values() if until > self._time]
+            self._stage.publish("events", texts)
+            pace = f", {self._pace:.1f} times real time" if self._pace < _SLOW_PACE else ""
+            mode = ", driven" if self._is_driven else ""
+            self._stage.publish("caption", f"t = {self._time:.1f} s{mode}{pace}")
         self._frames += 1
 
-    def _arrow(self, row: Array) -> list[Channel]:
+    def _push_channels(self, row: Array) -> list[Channel]:
         """Return the channels of the arrow of a push, which ends at the body."""
         size = float(np.hypot(*self._pushes[:2]))
         angle = float(np.arctan2(self._pushes[1], self._pushes[0]))
-        long = max(1.2 * self._extent.unit * min(size / (_STRONG * self._mass), 2.0), 1e-4)
-        tail = np.array([row[0] - long * np.cos(angle), row[1] - long * np.sin(angle), angle])
-        scale = Channel("meshcat/push", "scale", np.full((1, 3), long))
-        return [*along("meshcat/push", tail[None], self._figure.size[2]), scale]
+        length = max(1.2 * self._extent.unit * min(size / (_PUSH_ACCELERATION * self._mass), 2.0), 1e-4)
+        placement = np.array([row[0] - length * np.cos(angle), row[1] - length * np.sin(angle), angle])
+        scale = Channel("meshcat/push", "scale", np.full((1, 3), length))
+        return [*pose_channels("meshcat/push", placement[None], self._figure.size[2]), scale]
 
-    def _trail(self, point: Array) -> None:
-        if self._frames % _TRACE == 0:
+    def _draw_trail(self, point: Array) -> None:
+        if self._frames % _TRAIL_STEP == 0:
             self._points.append(point)
-        if self._frames % (_SELDOM * _TRACE) == 0 and np.ptp(self._points, axis=0).max() > _STILL:
+        if self._frames % (_CONTACT_STEP * _TRAIL_STEP) == 0 and np.ptp(self._points, axis=0).max() > _EXTENT:
             band = shapes.ribbon(np.array(self._points), 0.05 * self._extent.unit)
             self._stage.put("meshcat/trail", shapes.flat(band, colour(0), order=TRAIL))
 
-    def _plot(self) -> None:
+    def _send_plots(self) -> None:
         """Send the row of this frame with those of its block."""
         if self._frames % _BLOCK == 0:
             self._rows = []
-        row = [self._last["error"][:_SHOWN], self._last["u"][:_SHOWN]]
-        if self._has_loads and self._touching is not None:
-            row.append(np.nan_to_num(self._touching.loads[0, :_SHOWN]))
-        self._rows += [self._due, *np.concatenate(row).tolist(), float(self._happens)]
-        self._stage.tell(f"rows{self._frames // _BLOCK % _BLOCKS}", json.dumps(self._rows))
+        row = [self._last["error"][:_SERIES], self._last["u"][:_SERIES]]
+        if self._has_loads and self._newest_contacts is not None:
+            row.append(np.nan_to_num(self._newest_contacts.loads[0, :_SERIES]))
+        self._rows += [self._time, *np.concatenate(row).tolist(), float(self._has_event)]
+        self._stage.publish(f"rows{self._frames // _BLOCK % _BLOCKS}", json.dumps(self._rows))
 
 
-class _Silent(Stage):
+class _SilentStage(Stage):
     """Stage that sends no shapes."""
 
     def put(self, path: str, shape: Any) -> None:

@@ -20,7 +20,7 @@ from pinmobile.robot import BODY_JOINT, MobileRobot
 
 _KINDS = {"position": "vector3", "scale": "vector3", "quaternion": "quaternion", "visible": "bool"}
 _DIGITS = {"position": 5, "scale": 5, "quaternion": 6, "drawn": 1, "visible": 1}
-_MOST_FRAMES = 200_000
+_MAX_FRAMES = 200_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,11 +71,11 @@ def frame_times(runs: Mapping[str, Rollout], fps: float, speed: float) -> Array:
     """
     start, end = min(run.t[0] for run in runs.values()), max(run.t[-1] for run in runs.values())
     count = float(end - start) * fps / speed
-    bounded("fps * duration / speed", count, most=_MOST_FRAMES, unit="frames")
+    bounded("fps * duration / speed", count, most=_MAX_FRAMES, unit="frames")
     return np.append(start + np.arange(int(np.ceil(count - 1e-6))) * speed / fps, end)
 
 
-def along(path: str, poses: Array, height: float = 0.0) -> list[Channel]:
+def pose_channels(path: str, poses: Array, height: float = 0.0) -> list[Channel]:
     """Return the channels of a node that follows poses (x, y, psi), shape (n, 3) [m, m, rad]."""
     zero = np.zeros(len(poses))
     position = np.column_stack([poses[:, :2], zero + height])
@@ -84,21 +84,21 @@ def along(path: str, poses: Array, height: float = 0.0) -> list[Channel]:
     return [Channel(path, "position", position), Channel(path, "quaternion", quaternion)]
 
 
-def poses_of(path: str, placements: Array) -> list[Channel]:
+def frame_channels(path: str, placements: Array) -> list[Channel]:
     """Return the channels of a node at placements, shape (n, 4, 4)."""
-    turning = align_signs(_quaternions(placements[:, :3, :3]))
-    return [Channel(path, "position", placements[:, :3, 3]), Channel(path, "quaternion", turning)]
+    quaternions = align_signs(_quaternions(placements[:, :3, :3]))
+    return [Channel(path, "position", placements[:, :3, 3]), Channel(path, "quaternion", quaternions)]
 
 
-def sampled(times: Array, t: Array, values: Array) -> Array:
+def interpolate(times: Array, t: Array, values: Array) -> Array:
     """Return values, shape (N, k), at other times, shape (n,), by linear interpolation."""
     return np.stack([np.interp(times, t, column) for column in values.T], axis=-1)
 
 
 def samples_before(t: Array, times: Array) -> NDArray[np.intp]:
     """Return the index of the sample of t, shape (N,), at or before each of the times, shape (n,)."""
-    now = times + 1e-9 * max(abs(times[-1]), 1.0)  # a frame at a sample is not before it
-    return np.asarray(np.clip(np.searchsorted(t, now, side="right") - 1, 0, len(t) - 1), np.intp)
+    shifted = times + 1e-9 * max(abs(times[-1]), 1.0)  # a frame at a sample is not before it
+    return np.asarray(np.clip(np.searchsorted(t, shifted, side="right") - 1, 0, len(t) - 1), np.intp)
 
 
 def tracks(channels: Iterable[Channel], times: Array, end: float) -> list[dict[str, Any]]:
@@ -123,20 +123,20 @@ def tracks(channels: Iterable[Channel], times: Array, end: float) -> list[dict[s
 def _track(channel: Channel, times: Array) -> dict[str, Any]:
     if channel.name in _DIGITS:
         values = np.round(np.asarray(channel.values, np.float64), _DIGITS[channel.name]) + 0.0
-        new = np.any(values[1:] != values[:-1], axis=1)
-        kept = np.concatenate([[True], new]) | np.concatenate([new, [False]])
-        kept[-1] |= bool(new.any())
-        listed: list[float | str] = [int(x) if x == int(x) else x for x in values[kept].ravel().tolist()]
+        is_new = np.any(values[1:] != values[:-1], axis=1)
+        is_key = np.concatenate([[True], is_new]) | np.concatenate([is_new, [False]])
+        is_key[-1] |= bool(is_new.any())
+        entries: list[float | str] = [int(x) if x == int(x) else x for x in values[is_key].ravel().tolist()]
         kind = _KINDS.get(channel.name, "number")
         if kind == "bool":  # three.js hides an object only if the value is false, not 0
-            listed = [bool(x) for x in listed]
+            entries = [bool(x) for x in entries]
     else:
-        listed = list(channel.values)
-        kept = np.array([True, *(a != b for a, b in pairwise(listed))])
-        listed = [text for text, keep in zip(listed, kept, strict=True) if keep]
+        entries = list(channel.values)
+        is_key = np.array([True, *(a != b for a, b in pairwise(entries))])
+        entries = [text for text, keep in zip(entries, is_key, strict=True) if keep]
         kind = "string"
-    at = np.round(times[kept], 4).tolist()
-    return {"name": f".{channel.name}", "type": kind, "times": at, "values": listed}
+    key_times = np.round(times[is_key], 4).tolist()
+    return {"name": f".{channel.name}", "type": kind, "times": key_times, "values": entries}
 
 
 def _quaternions(R: Array) -> Array:
@@ -157,8 +157,8 @@ def _quaternions(R: Array) -> Array:
     return np.asarray(best / np.linalg.norm(best, axis=1, keepdims=True))
 
 
-_POSTURES = 50  # largest number of configurations that determine the reach of a drawing
-_THICK = 0.1  # [m], assumed radius of a link around the origin of its joint
+_MAX_POSTURES = 50  # largest number of configurations that determine the reach of a drawing
+_LINK_RADIUS = 0.1  # [m], assumed radius of a link around the origin of its joint
 
 
 class Drawing:
@@ -205,15 +205,15 @@ class Drawing:
         """
         answer, count = self.plant.drawing(q.copy()), self.visual_model.ngeoms
         try:
-            found = np.asarray([getattr(each, "homogeneous", each) for each in answer], np.float64)
+            placements = np.asarray([getattr(each, "homogeneous", each) for each in answer], np.float64)
         except (TypeError, ValueError):
-            found = np.empty(0)
-        if found.shape != (count, 4, 4):
+            placements = np.empty(0)
+        if placements.shape != (count, 4, 4):
             raise InvalidArgument(
                 f"plant.drawing(q) returned {format_value(answer)}, expected the placements of its {count} "
                 f"objects, shape ({count}, 4, 4)"
             )
-        return finite("plant.drawing(q)", found)
+        return finite("plant.drawing(q)", placements)
 
     def row(self, q: Array) -> Array:
         """Return the row (x, y, psi, q), shape (3 + nq,), of a configuration of the plant, shape (nq,)."""
@@ -223,15 +223,15 @@ class Drawing:
         """Return rows at other times, shape (n, 3 + nq), interpolated between samples at t, shape (N,)."""
         shaped("rollout.q", q, ("N", self.plant.nq), words=", as the plant has")
         poses = all_samples(self.plant, "pose", q)
-        base = sampled(times, t, np.column_stack([poses[:, :2], np.unwrap(poses[:, 2])]))
-        before = np.clip(np.searchsorted(t, times, side="right") - 1, 0, max(len(t) - 2, 0))
-        after = np.minimum(before + 1, len(t) - 1)
-        span = np.where(after > before, t[after] - t[before], 1.0)
-        share = np.clip((times - t[before]) / span, 0, 1)[:, None]
-        ways = all_samples(self.plant, "difference", q[before], q[after])
-        return np.hstack([base, all_samples(self.plant, "integrate", q[before], share * ways)])
+        base = interpolate(times, t, np.column_stack([poses[:, :2], np.unwrap(poses[:, 2])]))
+        first = np.clip(np.searchsorted(t, times, side="right") - 1, 0, max(len(t) - 2, 0))
+        second = np.minimum(first + 1, len(t) - 1)
+        span = np.where(second > first, t[second] - t[first], 1.0)
+        share = np.clip((times - t[first]) / span, 0, 1)[:, None]
+        steps = all_samples(self.plant, "difference", q[first], q[second])
+        return np.hstack([base, all_samples(self.plant, "integrate", q[first], share * steps)])
 
-    def seen_from_body(self, rows: Array) -> Array:
+    def body_placements(self, rows: Array) -> Array:
         """Return the placements of the objects below the body's node, shape (n, k, 4, 4)."""
         body = np.zeros((len(rows), 4, 4))
         c, s = np.cos(rows[:, 2]), np.sin(rows[:, 2])
@@ -292,12 +292,12 @@ def configurations(robot: Drawn, t: Array, q: Array, times: Array) -> Array:
     """
     if isinstance(robot, Drawing):
         return robot.rows(t, q, times)
-    base = sampled(times, t, np.column_stack([q[:, :2], np.unwrap(q[:, 2])]))
+    base = interpolate(times, t, np.column_stack([q[:, :2], np.unwrap(q[:, 2])]))
     if robot.nq == len(base.T):
         return base
     if robot.nq != q.shape[1]:
         return np.hstack([base, np.broadcast_to(robot.rest[3:], (len(times), robot.nq - 3))])
-    return np.hstack([base, sampled(times, t, q[:, 3:])])
+    return np.hstack([base, interpolate(times, t, q[:, 3:])])
 
 
 def links(path: str, robot: Drawn, q: Array) -> list[Channel]:
@@ -314,13 +314,13 @@ def links(path: str, robot: Drawn, q: Array) -> list[Channel]:
     """
     items = list(robot.visual_model.geometryObjects)
     if isinstance(robot, Drawing):
-        placed = list(np.moveaxis(robot.seen_from_body(q), 1, 0))
+        placements = list(np.moveaxis(robot.body_placements(q), 1, 0))
     else:
         items = [item for item in items if item.parentJoint > BODY_JOINT]
-        frames = _seen_from_body(robot, q) if items else q
-        placed = [frames[:, item.parentJoint - 1] @ item.placement.homogeneous for item in items]
-    at = zip(items, placed, strict=True)
-    return [channel for item, T in at for channel in poses_of(f"{path}/visuals/{item.name}", T)]
+        frames = _body_placements(robot, q) if items else q
+        placements = [frames[:, item.parentJoint - 1] @ item.placement.homogeneous for item in items]
+    pairs = zip(items, placements, strict=True)
+    return [channel for item, T in pairs for channel in frame_channels(f"{path}/visuals/{item.name}", T)]
 
 
 def envelope(robot: Drawn, q: Array) -> tuple[float, float]:
@@ -338,12 +338,12 @@ def envelope(robot: Drawn, q: Array) -> tuple[float, float]:
     if not robot.mounts:
         return length, height
     if isinstance(robot, Drawing):
-        origins = robot.seen_from_body(q[:: -(-len(q) // _POSTURES)])[:, :, :3, 3]
+        origins = robot.body_placements(q[:: -(-len(q) // _MAX_POSTURES)])[:, :, :3, 3]
     else:
-        origins = _seen_from_body(robot, q)[:, :, :3, 3]
-    aside = float(np.hypot(origins[..., 0], origins[..., 1]).max())
-    return max(length, aside + _THICK), max(height, float(origins[..., 2].max()) + _THICK)
+        origins = _body_placements(robot, q)[:, :, :3, 3]
+    reach = float(np.hypot(origins[..., 0], origins[..., 1]).max())
+    return max(length, reach + _LINK_RADIUS), max(height, float(origins[..., 2].max()) + _LINK_RADIUS)
 
 
-def _seen_from_body(robot: MobileRobot, q: Array) -> Array:
+def _body_placements(robot: MobileRobot, q: Array) -> Array:
     return robot.frame_placements(np.hstack([np.zeros((len(q), 3)), q[:, 3:]]))

@@ -30,8 +30,8 @@ with warnings.catch_warnings():
 
 
 Visualizer = meshcat.Visualizer
-packed_array = meshcat.geometry.pack_numpy_array
-packed_command = umsgpack.packb
+pack_array = meshcat.geometry.pack_numpy_array
+pack_content = umsgpack.packb
 
 ENGINE = Path(meshcat.__file__).parent / "viewer" / "dist" / "main.min.js"
 """Meshcat's viewer, with three.js included."""
@@ -44,7 +44,7 @@ _POLICY = (
 )
 
 
-def loading(commands: Iterable[bytes]) -> str:
+def loading_script(commands: Iterable[bytes]) -> str:
     """Return the script that loads meshcat commands into a scene."""
     texts = ",\n".join(f'"{base64.b64encode(command).decode()}"' for command in commands)
     return (
@@ -53,7 +53,7 @@ def loading(commands: Iterable[bytes]) -> str:
     )
 
 
-def sealed(page: str) -> str:
+def seal_page(page: str) -> str:
     """Return a self-contained page with a content security policy: only its scripts run, without requests.
 
     Parameters
@@ -70,13 +70,13 @@ def sealed(page: str) -> str:
 
 def stage_page(title: str, engine: str, scene: str) -> str:
     """Return the page of the stage; `engine` is HTML that loads meshcat, `scene` is HTML that fills it."""
-    css, stage = part_of_page("stage.css"), part_of_page("stage.js")
-    page = Template(part_of_page("stage.html"))
+    css, stage = page_part("stage.css"), page_part("stage.js")
+    page = Template(page_part("stage.html"))
     return page.substitute(title=escape(title), css=css, stage=stage, engine=engine, scene=scene)
 
 
 @cache
-def part_of_page(name: str) -> str:
+def page_part(name: str) -> str:
     """Return the text of a file beside this module."""
     return files("pinmobile.viewer").joinpath(name).read_text(encoding="utf-8").strip()
 
@@ -123,7 +123,7 @@ class Key(NamedTuple):
     name: str = ""
 
 
-def packed(command: Command) -> tuple[Key, bytes]:
+def pack_command(command: Command) -> tuple[Key, bytes]:
     """Return a command as sent to browsers.
 
     Parameters
@@ -149,7 +149,7 @@ def packed(command: Command) -> tuple[Key, bytes]:
     if kind == "set_transform" and len(payload) != 16:
         raise InvalidArgument(f"the transform of {key.path} has {len(payload)} numbers, expected 16")
     try:
-        return key, packed_command(content)
+        return key, pack_content(content)
     except Exception as error:  # the packer's own errors have no common base
         raise InvalidArgument(f"{kind} of {key.path or '/'} cannot be sent: {error}") from error
 
@@ -178,8 +178,8 @@ def _check(name: str, value: object) -> None:
 # drops the node.
 _LIGHTS = ("SpotLight", "PointLightNegativeX", "PointLightPositiveX", "AmbientLight", "FillLight")
 _CAMERAS = ("Cameras", "Cameras/default", "Cameras/default/rotated")
-_GIVEN = ("Background", "Grid", "Axes", "Lights", *(f"Lights/{name}" for name in _LIGHTS), *_CAMERAS)
-_REMEMBERED = {*_GIVEN, *(f"{path}/<object>" for path in _GIVEN)}
+_PAGE_NODES = ("Background", "Grid", "Axes", "Lights", *(f"Lights/{name}" for name in _LIGHTS), *_CAMERAS)
+_PERMANENT_NODES = {*_PAGE_NODES, *(f"{path}/<object>" for path in _PAGE_NODES)}
 
 
 class Backlog:
@@ -191,7 +191,7 @@ class Backlog:
 
     def __init__(self) -> None:
         self._entries: OrderedDict[Key, tuple[int, bytes]] = OrderedDict()  # number and data
-        self._below: dict[str, set[Key]] = {}  # by path: keys of the node and of nodes below
+        self._index: dict[str, set[Key]] = {}  # by path: keys of the node and of nodes below
         self._deletions: set[Key] = set()
         self._latest = 0
         self.lock = Lock()
@@ -215,7 +215,7 @@ class Backlog:
         InvalidArgument
             If `command` is not a meshcat command, or contains a number that is not finite.
         """
-        key, data = packed(command)
+        key, data = pack_command(command)
         kind, path, _ = key
         with self.lock:
             if kind != "delete":
@@ -226,11 +226,11 @@ class Backlog:
                 self._delete(key, data)
             else:
                 # The page of meshcat cannot delete the root, only all nodes below it.
-                for name in [path for path in self._below if path and "/" not in path]:
-                    self._delete(*packed(Content({"type": "delete", "path": name})))
+                for name in [path for path in self._index if path and "/" not in path]:
+                    self._delete(*pack_command(Content({"type": "delete", "path": name})))
                 self._entries.pop(Key("set_animation", ""), None)
 
-    def since(self, number: int) -> tuple[list[bytes], int]:
+    def commands_after(self, number: int) -> tuple[list[bytes], int]:
         """Return the commands after a number (0: the whole scene), and the number of the newest command.
 
         Animations come last, because an animation binds to existing nodes.
@@ -238,27 +238,27 @@ class Backlog:
         newer: list[bytes] = []
         animation: list[bytes] = []
         with self.lock:
-            for key, (own, data) in reversed(self._entries.items()):
-                if own <= number:
+            for key, (command, data) in reversed(self._entries.items()):
+                if command <= number:
                     break
                 (animation if key.kind == "set_animation" else newer).append(data)
             return newer[::-1] + animation, self._latest
 
-    def forget_deletions(self, number: int) -> None:
+    def drop_deletions(self, number: int) -> None:
         """Drop the deletions up to a number that all browsers have received."""
         if not self._deletions:
             return
         with self.lock:
             for key in list(self._deletions):
                 if key not in self._entries or self._entries[key][0] <= number:
-                    self._forget(key)
+                    self._remove(key)
 
     # An interrupt in these three methods may leave keys in the index without an entry, but not the reverse.
 
     def _append(self, key: Key, data: bytes) -> None:
         if key not in self._entries:
-            for path in _up(key.path):
-                self._below.setdefault(path, set()).add(key)
+            for path in _parent_paths(key.path):
+                self._index.setdefault(path, set()).add(key)
         # The order matters: a new key that is not yet last is only sent later.
         self._entries[key] = self._latest + 1, data
         self._entries.move_to_end(key)
@@ -267,30 +267,30 @@ class Backlog:
     def _delete(self, key: Key, data: bytes) -> None:
         self._drop(key.path)
         self._append(key, data)
-        if key.path not in _REMEMBERED:
+        if key.path not in _PERMANENT_NODES:
             self._deletions.add(key)
 
     def _drop(self, path: str) -> None:
-        for key in list(self._below.get(path, ())):
-            self._forget(key)
+        for key in list(self._index.get(path, ())):
+            self._remove(key)
 
-    def _forget(self, key: Key) -> None:
+    def _remove(self, key: Key) -> None:
         self._entries.pop(key, None)
         self._deletions.discard(key)
-        for path in _up(key.path):
-            keys = self._below.get(path, set())
+        for path in _parent_paths(key.path):
+            keys = self._index.get(path, set())
             keys.discard(key)
             if not keys:
-                self._below.pop(path, None)
+                self._index.pop(path, None)
 
 
-def _up(path: str) -> list[str]:
+def _parent_paths(path: str) -> list[str]:
     """Return a path and all its parent paths."""
     names = path.split("/")
     return ["/".join(names[:k]) for k in range(1, len(names) + 1)]
 
 
-_SCRIPT, _CONNECTING = '<script type="text/javascript" src="main.min.js">', "viewer.connect();"
+_SCRIPT, _CONNECTION = '<script type="text/javascript" src="main.min.js">', "viewer.connect();"
 
 
 class SceneWindow:
@@ -318,7 +318,7 @@ class SceneWindow:
 
     def commands(self) -> list[bytes]:
         """Return the packed commands of the scene; animations come last."""
-        return self._backlog.since(0)[0]
+        return self._backlog.commands_after(0)[0]
 
     def get_scene(self) -> str:
         """Return a self-contained page of the scene as HTML. The page makes no request."""
@@ -368,7 +368,7 @@ class OfflineWindow(SceneWindow):
             If `command` is not a meshcat command, or contains a number that is not finite.
         """
         self._backlog.put(command)
-        self._backlog.forget_deletions(self._backlog.latest)  # no browser needs them
+        self._backlog.drop_deletions(self._backlog.latest)  # no browser needs them
 
 
 def static_page(commands: list[bytes]) -> str:
@@ -380,8 +380,8 @@ def static_page(commands: list[bytes]) -> str:
         If the page of the installed meshcat has an unknown form.
     """
     page = ENGINE.with_name("index.html").read_text(encoding="utf-8")
-    if _SCRIPT not in page or _CONNECTING not in page:
+    if _SCRIPT not in page or _CONNECTION not in page:
         raise ViewerError(f"the installed meshcat has another page: {ENGINE.with_name('index.html')}")
     head, _, rest = page.partition(_SCRIPT)
-    body = rest.replace(_CONNECTING, loading(commands))
-    return sealed(f"{head}<script>\n{engine()}\n{body}")
+    body = rest.replace(_CONNECTION, loading_script(commands))
+    return seal_page(f"{head}<script>\n{engine()}\n{body}")

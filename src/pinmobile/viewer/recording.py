@@ -33,7 +33,7 @@ from pinmobile.arrays import bounded, check_integer, positive, scalar, sequence,
 from pinmobile.compiled import processors
 from pinmobile.errors import InvalidArgument, ViewerError, install_command
 from pinmobile.files import write, write_file
-from pinmobile.viewer.pages import engine, loading, sealed, stage_page
+from pinmobile.viewer.pages import engine, loading_script, seal_page, stage_page
 
 _NAMES = (
     "chromium",
@@ -77,14 +77,14 @@ def find_chromium() -> str:
     ViewerError
         If there is no Chromium.
     """
-    chosen = os.environ.get("PINMOBILE_CHROMIUM")
-    for name in (chosen,) if chosen else _NAMES:
-        found = shutil.which(name)
-        if found is not None:
-            return found
+    selected = os.environ.get("PINMOBILE_CHROMIUM")
+    for name in (selected,) if selected else _NAMES:
+        path = shutil.which(name)
+        if path is not None:
+            return path
     raise ViewerError(
-        f"PINMOBILE_CHROMIUM is {chosen!r}, expected a program"
-        if chosen
+        f"PINMOBILE_CHROMIUM is {selected!r}, expected a program"
+        if selected
         else "no Chromium was found, which draws pictures without a screen: install the package 'chromium' "
         "(or Chrome), or set the environment variable PINMOBILE_CHROMIUM to its program"
     )
@@ -118,15 +118,15 @@ class Browser:
         self._profile = tempfile.TemporaryDirectory(prefix="pinmobile-", ignore_cleanup_errors=True)
         self._log = Path(self._profile.name) / "stderr"
         (inner, self._to), (self._from, outer) = os.pipe(), os.pipe()
-        words = [sys.executable, "-I", "-S", "-c", _START, str(inner), str(outer), program, *_FLAGS]
-        words += [_NO_SANDBOX] if os.geteuid() == 0 else []  # Chromium has no sandbox for root
-        words += [f"--user-data-dir={self._profile.name}", f"--window-size={size[0]},{size[1]}"]
-        off = subprocess.DEVNULL
+        argv = [sys.executable, "-I", "-S", "-c", _START, str(inner), str(outer), program, *_FLAGS]
+        argv += [_NO_SANDBOX] if os.geteuid() == 0 else []  # Chromium has no sandbox for root
+        argv += [f"--user-data-dir={self._profile.name}", f"--window-size={size[0]},{size[1]}"]
+        null = subprocess.DEVNULL
         try:
             # A new session: Ctrl-C then reaches this process only, which ends the browser in order.
             with self._log.open("wb") as log:
                 self._process = subprocess.Popen(
-                    words, pass_fds=(inner, outer), stdin=off, stdout=off, stderr=log, start_new_session=True
+                    argv, pass_fds=(inner, outer), stdin=null, stdout=null, stderr=log, start_new_session=True
                 )
         finally:
             os.close(inner)
@@ -182,8 +182,8 @@ class Browser:
         answer = self.call("Runtime.evaluate", expression=expression, awaitPromise=True, returnByValue=True)
         if "exceptionDetails" in answer:
             details = answer["exceptionDetails"]
-            told = details.get("exception", {}).get("description", details.get("text", ""))
-            raise ViewerError(f"the page failed at {expression[:60]!r}: {told}")
+            reason = details.get("exception", {}).get("description", details.get("text", ""))
+            raise ViewerError(f"the page failed at {expression[:60]!r}: {reason}")
         return answer["result"].get("value")
 
     def wait_for(self, expression: str) -> None:
@@ -276,7 +276,7 @@ if (animation.tracks.length) pinmobile.play(animation.tracks, animation.speed, a
 </script>"""
 
 
-def recorded_page(title: str, commands: Iterable[bytes], animation: dict[str, object]) -> str:
+def recording_page(title: str, commands: Iterable[bytes], animation: dict[str, object]) -> str:
     """Return a self-contained page.
 
     Parameters
@@ -289,15 +289,15 @@ def recorded_page(title: str, commands: Iterable[bytes], animation: dict[str, ob
         Meshcat animations ``tracks``, initial ``speed``, and last time ``end`` [s].
     """
     packed = json.dumps(animation, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
-    scene = Template(_LOAD).substitute(animation=packed, loading=loading(commands))
-    return sealed(stage_page(title, f"<script>\n{engine()}\n</script>", scene))
+    scene = Template(_LOAD).substitute(animation=packed, loading=loading_script(commands))
+    return seal_page(stage_page(title, f"<script>\n{engine()}\n</script>", scene))
 
 
 _BATCH = 8  # frames that a browser draws at a time
 _BROWSERS = 4  # largest number of browsers; each draws by software on one processor
-_HELD = 1.0  # [s], duration of the last frame
+_LAST_DURATION = 1.0  # [s], duration of the last frame
 _COLOURS = 128
-_SAMPLED = 8  # frames that determine the palette of a GIF
+_PALETTE_FRAMES = 8  # frames that determine the palette of a GIF
 
 
 def gif(frames: Iterator[Image.Image], rate: float) -> bytes:
@@ -311,16 +311,16 @@ def gif(frames: Iterator[Image.Image], rate: float) -> bytes:
         Frames per second.
     """
     pictures = list(frames)  # not decoded yet: about ten kilobytes each
-    sampled = [pictures[k] for k in np.unique(np.linspace(0, len(pictures) - 1, _SAMPLED).astype(int))]
+    samples = [pictures[k] for k in np.unique(np.linspace(0, len(pictures) - 1, _PALETTE_FRAMES).astype(int))]
     width, height = pictures[0].size
-    mosaic = Image.new("RGB", (width, height * len(sampled)))
-    for k, picture in enumerate(sampled):
+    mosaic = Image.new("RGB", (width, height * len(samples)))
+    for k, picture in enumerate(samples):
         mosaic.paste(picture.convert("RGB"), (0, height * k))
     palette = mosaic.quantize(_COLOURS, dither=Image.Dither.NONE)
     images = [p.convert("RGB").quantize(palette=palette, dither=Image.Dither.NONE) for p in pictures]
     ticks = np.round(100 * np.arange(len(images) + 1) / rate).astype(int)
     durations = [int(10 * tick) for tick in np.diff(ticks)]
-    durations[-1] = round(1000 * _HELD)
+    durations[-1] = round(1000 * _LAST_DURATION)
     buffer = BytesIO()
     images[0].save(buffer, "GIF", save_all=True, append_images=images[1:], duration=durations, loop=0)
     return buffer.getvalue()
@@ -382,7 +382,7 @@ def film(encoder: ModuleType, frames: Iterator[Image.Image], rate: float, size: 
 Progress = Callable[[int, int], object]
 
 
-def checked_size(size: tuple[int, int]) -> tuple[int, int]:
+def check_size(size: tuple[int, int]) -> tuple[int, int]:
     """Return checked width and height [px].
 
     Raises
@@ -394,13 +394,13 @@ def checked_size(size: tuple[int, int]) -> tuple[int, int]:
     return check_integer("size[0]", width, least=16), check_integer("size[1]", height, least=16)
 
 
-def picture_of(html: str, size: tuple[int, int], time: float) -> bytes:
+def take_picture(html: str, size: tuple[int, int], time: float) -> bytes:
     """Return a picture of a page at a time as a PNG.
 
     Parameters
     ----------
     html : str
-        Page of `recorded_page`.
+        Page of `recording_page`.
     size : tuple of 2 int
         Width and height [px].
     time : float
@@ -413,19 +413,19 @@ def picture_of(html: str, size: tuple[int, int], time: float) -> bytes:
     ViewerError
         If Chromium is missing or fails.
     """
-    with _opened(html, size) as browser:
+    with _open_page(html, size) as browser:
         return _picture(browser, time)
 
 
-def _pictures_of(
+def _take_pictures(
     html: str, size: tuple[int, int], times: Sequence[float], progress: Progress | None
 ) -> Iterator[Image.Image]:
-    """Yield pictures of a page at several times; errors are those of `picture_of`.
+    """Yield pictures of a page at several times; errors are those of `take_picture`.
 
     Parameters
     ----------
     html : str
-        Page of `recorded_page`.
+        Page of `recording_page`.
     size : tuple of 2 int
         Width and height [px].
     times : sequence of float
@@ -436,26 +436,26 @@ def _pictures_of(
     batches = [times[k : k + _BATCH] for k in range(0, len(times), _BATCH)]
     count = max(1, min(_BROWSERS, processors(), len(batches) // 2))
     idle: SimpleQueue[Browser] = SimpleQueue()
-    ended = Event()
+    stop = Event()
 
-    def taken(batch: Sequence[float]) -> list[bytes]:
+    def take(batch: Sequence[float]) -> list[bytes]:
         browser = idle.get()
         try:
-            return [_picture(browser, time, fast=True) for time in batch if not ended.is_set()]
+            return [_picture(browser, time, fast=True) for time in batch if not stop.is_set()]
         finally:
             idle.put(browser)
 
-    with ExitStack() as opened, ThreadPoolExecutor(count) as pool:
+    with ExitStack() as stack, ThreadPoolExecutor(count) as pool:
         try:
-            for browser in pool.map(lambda _: opened.enter_context(_opened(html, size)), range(count)):
+            for browser in pool.map(lambda _: stack.enter_context(_open_page(html, size)), range(count)):
                 idle.put(browser)
-            frames = (data for batch in pool.map(taken, batches) for data in batch)
+            frames = (data for batch in pool.map(take, batches) for data in batch)
             for done, data in enumerate(frames, 1):
                 yield Image.open(BytesIO(data))
                 if progress is not None:
                     progress(done, len(times))
         finally:
-            ended.set()
+            stop.set()
 
 
 def _picture(browser: Browser, time: float, *, fast: bool = False) -> bytes:
@@ -464,18 +464,18 @@ def _picture(browser: Browser, time: float, *, fast: bool = False) -> bytes:
 
 
 @contextmanager
-def _opened(html: str, size: tuple[int, int]) -> Iterator[Browser]:
+def _open_page(html: str, size: tuple[int, int]) -> Iterator[Browser]:
     with tempfile.TemporaryDirectory(prefix="pinmobile-") as folder:
         page = Path(folder) / "page.html"
         write(page, html.encode("utf-8"), name="page")
-        with Browser(checked_size(size)) as browser:
+        with Browser(check_size(size)) as browser:
             browser.open(page.as_uri())
             browser.wait_for("pinmobile.ready()")
             browser.evaluate("document.body.classList.add('bare')")
             yield browser
 
 
-_FASTEST = 50.0  # [1/s]; browsers slow down GIFs that are faster
+_MAX_RATE = 50.0  # [1/s]; browsers slow down GIFs that are faster
 
 
 class Recording:
@@ -535,7 +535,7 @@ class Recording:
     def html(self) -> str:
         """Return a self-contained page that plays the recording, as HTML. The page makes no request."""
         animation = {"tracks": self.tracks, "speed": self.speed, "end": self.duration}
-        return recorded_page(self.title, self._commands, animation)
+        return recording_page(self.title, self._commands, animation)
 
     def save_html(self, path: str | PathLike[str]) -> Path:
         """Write a self-contained page that plays the recording. It opens from the file system.
@@ -595,7 +595,7 @@ class Recording:
             If Chromium is missing or fails.
         """
         rate = scalar("fps", min(self.fps, 25.0) if fps is None else fps)
-        bounded("fps", rate, above=0, most=_FASTEST, unit="1/s")
+        bounded("fps", rate, above=0, most=_MAX_RATE, unit="1/s")
         return write_file(path, ".gif", lambda: gif(self._frames(rate, size, progress), rate))
 
     def save_mp4(
@@ -634,7 +634,7 @@ class Recording:
             If Chromium or imageio-ffmpeg is missing or fails.
         """
         encoder = film_encoder()
-        rate, even = positive("fps", self.fps if fps is None else fps, "1/s"), checked_size(size)
+        rate, even = positive("fps", self.fps if fps is None else fps, "1/s"), check_size(size)
         if even[0] % 2 or even[1] % 2:
             raise InvalidArgument(f"size is {size}, expected even numbers")
         return write_file(path, ".mp4", lambda: film(encoder, self._frames(rate, size, progress), rate, even))
@@ -668,8 +668,8 @@ class Recording:
             If Chromium is missing or fails.
         """
         time = bounded("t", scalar("t", t), least=0, most=self.duration, unit="s")
-        return write_file(path, ".png", lambda: picture_of(self.html(), size, time))
+        return write_file(path, ".png", lambda: take_picture(self.html(), size, time))
 
     def _frames(self, rate: float, size: tuple[int, int], progress: Progress | None) -> Iterator[Image.Image]:
         times = np.append(np.arange(0.0, self.duration, self.speed / rate), self.duration)
-        return _pictures_of(self.html(), size, times.tolist(), progress)
+        return _take_pictures(self.html(), size, times.tolist(), progress)

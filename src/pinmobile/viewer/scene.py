@@ -19,14 +19,14 @@ from pinmobile.loop import EndEffector, Rollout
 from pinmobile.palette import AXES, INK, QUIET, colour
 from pinmobile.parts import TimeVarying, able
 from pinmobile.plant import full_configurations
-from pinmobile.viewer.motion import Channel, Drawing, Drawn, along, links, poses_of, sampled, samples_before
+from pinmobile.viewer.motion import Channel, Drawn, frame_channels, interpolate, pose_channels, samples_before
 from pinmobile.viewer.scene_tree import Arrows, Extent, Follow, Overlays, Stage, View, overview
 
 _POSE = ("x", "y", "psi")
 
 
 def _captions(
-    runs: Mapping[str, Rollout], times: Array, hands: Mapping[str, EndEffector | None]
+    runs: Mapping[str, Rollout], times: Array, effectors: Mapping[str, EndEffector | None]
 ) -> list[str]:
     """Return a caption with time and errors for each frame; it changes at most ten times per second.
 
@@ -39,47 +39,47 @@ def _captions(
         Rollouts by label.
     times : ndarray, shape (n,)
         Times of the frames [s].
-    hands : mapping of str to EndEffector or None
+    effectors : mapping of str to EndEffector or None
         End effectors by label.
     """
     ticks = np.floor(10 * (times - times[0]) + 1e-6)
     first = np.searchsorted(ticks, ticks)  # the frame in which the tick began
-    at = times[first]
+    tick = times[first]
     heads = {label: f"{label}  " if label else "" for label in runs}
 
     def rows(columns: Mapping[str, list[Array]]) -> dict[str, Array]:
-        known = {label: each for label, each in columns.items() if each}
-        return {heads[x]: sampled(at, runs[x].t, np.column_stack(each)) for x, each in known.items()}
+        present = {label: each for label, each in columns.items() if each}
+        return {heads[x]: interpolate(tick, runs[x].t, np.column_stack(each)) for x, each in present.items()}
 
-    straying = rows({label: _sizes(run) for label, run in runs.items()})
-    reaching = rows({label: markers.hand_errors(hands.get(label)) for label in runs})
+    path_errors = rows({label: _error_columns(run) for label, run in runs.items()})
+    pose_errors = rows({label: markers.effector_errors(effectors.get(label)) for label in runs})
     events = {label: {e.kind: e.t for e in reversed(run.events)} for label, run in runs.items()}
-    written: dict[int, str] = {}
+    texts: dict[int, str] = {}
     for k in np.unique(first):
-        lines = [f"t = {times[k]:.1f} s", "position error", *_told(straying, int(k), ", joint ")]
-        lines += [f"end effector {words}" for words in _told(reaching, int(k), ", ")]
+        lines = [f"t = {times[k]:.1f} s", "position error", *_format_errors(path_errors, int(k), ", joint ")]
+        lines += [f"end effector {words}" for words in _format_errors(pose_errors, int(k), ", ")]
         for label, kinds in events.items():
-            happened = ", ".join(kind for kind, t in kinds.items() if t <= times[k])
-            lines += [f"{heads[label]}{happened}"] if happened else []
-        written[int(k)] = "\n".join(lines)
-    return [written[int(k)] for k in first]
+            names = ", ".join(kind for kind, t in kinds.items() if t <= times[k])
+            lines += [f"{heads[label]}{names}"] if names else []
+        texts[int(k)] = "\n".join(lines)
+    return [texts[int(k)] for k in first]
 
 
-def _told(rows: Mapping[str, Array], k: int, between: str) -> list[str]:
+def _format_errors(rows: Mapping[str, Array], k: int, comma: str) -> list[str]:
     """Return the errors of each run at a frame, as text."""
     return [
-        label + between.join(_short(*pair) for pair in zip(values[k].tolist(), ("m", "rad"), strict=False))
+        label + comma.join(_format_si(*pair) for pair in zip(values[k].tolist(), ("m", "rad"), strict=False))
         for label, values in rows.items()
     ]
 
 
-def _sizes(run: Rollout) -> list[Array]:
+def _error_columns(run: Rollout) -> list[Array]:
     """Return the position error [m] and, if there is a revolute joint, the largest joint error [rad]."""
-    turning = [k for k, one in enumerate(run.coordinates) if one.name not in _POSE and one.unit == "rad"]
-    return [run.distance, *([np.abs(run.error[:, turning]).max(axis=1)] if turning else [])]
+    revolute = [k for k, one in enumerate(run.coordinates) if one.name not in _POSE and one.unit == "rad"]
+    return [run.distance, *([np.abs(run.error[:, revolute]).max(axis=1)] if revolute else [])]
 
 
-def _short(value: float, unit: str) -> str:
+def _format_si(value: float, unit: str) -> str:
     for scale, prefix in ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n")):
         if value >= 0.9995 * scale or prefix == "n":
             break
@@ -90,8 +90,8 @@ def _short(value: float, unit: str) -> str:
 _GRID, _PATH, _WORDS = 1, 8, 9
 
 # Where the name of frame k stands, in lengths of the robot: frames 2 and 3 have one origin.
-_AWAY = np.array([[-0.45, -0.35, 0.0], [-0.45, -0.35, 0.0], [-1.1, -0.6, 0.0], [1.2, 0.5, 0.0]])
-_TO_AXIS = (
+_LABEL_OFFSETS = np.array([[-0.45, -0.35, 0.0], [-0.45, -0.35, 0.0], [-1.1, -0.6, 0.0], [1.2, 0.5, 0.0]])
+_AXIS_ROTATIONS = (
     np.eye(3),
     np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]),
     np.array([[0.0, 0, -1], [0, 1, 0], [1, 0, 0]]),
@@ -100,18 +100,18 @@ _TO_AXIS = (
 
 def _draw_grid(stage: Stage, extent: Extent) -> None:
     """Draw the grid, and write x and y at its edges."""
-    xs, ys, tall = extent.lines(0), extent.lines(1), extent.tall
+    xs, ys, size = extent.lines(0), extent.lines(1), extent.font
     # WebGL's lines are a pixel wide, and a software one drops those that cross the camera's plane.
     lines = [np.array([[x, y0], [x, y1]]) for x in xs for y0, y1 in pairwise(ys)]
     lines += [np.array([[x0, y], [x1, y]]) for y in ys for x0, x1 in pairwise(xs)]
-    stage.put("meshcat/grid", shapes.flat(shapes.bands(lines, 0.04 * tall), "#c9cdd1", order=_GRID))
-    words = [("x [m]", (xs[-1] + 1.6 * tall, ys[0])), ("y [m]", (xs[0] + 1.4 * tall, ys[-1] + 0.7 * tall))]
+    stage.put("meshcat/grid", shapes.flat(shapes.bands(lines, 0.04 * size), "#c9cdd1", order=_GRID))
+    words = [("x [m]", (xs[-1] + 1.6 * size, ys[0])), ("y [m]", (xs[0] + 1.4 * size, ys[-1] + 0.7 * size))]
     longest = max(len(f"{x:g}") for x in xs)
-    apart = int(np.ceil(0.7 * tall * longest / extent.step))  # lines from one word to the next
-    words += [(f"{x:g}", (x, ys[0] - 0.75 * tall)) for x in xs if round(x / extent.step) % apart == 0]
-    words += [(f"{y:g}", (xs[0] - (0.4 + 0.25 * len(f"{y:g}")) * tall, y)) for y in ys]
+    spacing = int(np.ceil(0.7 * size * longest / extent.step))  # lines from one word to the next
+    words += [(f"{x:g}", (x, ys[0] - 0.75 * size)) for x in xs if round(x / extent.step) % spacing == 0]
+    words += [(f"{y:g}", (xs[0] - (0.4 + 0.25 * len(f"{y:g}")) * size, y)) for y in ys]
     for k, (text, (x, y)) in enumerate(words):
-        stage.put(f"meshcat/scale/{k}", shapes.word(text, QUIET, tall, lying=True, order=_WORDS))
+        stage.put(f"meshcat/scale/{k}", shapes.word(text, QUIET, size, lying=True, order=_WORDS))
         stage.set(f"meshcat/scale/{k}", "position", [float(x), float(y), 0.0])
 
 
@@ -126,17 +126,17 @@ def draw_path(stage: Stage, points: Array, extent: Extent) -> None:
 def _draw_axes(stage: Stage, path: str, length: float, thickness: float) -> None:
     """Draw arrows of a length [m] along the axes of a node."""
     vertices, faces = shapes.arrow(thickness)
-    for axis, turned in enumerate(_TO_AXIS):
-        arrow = length * vertices @ turned.T, faces
-        stage.put(f"{path}/{'xyz'[axis]}", shapes.over(arrow, AXES[axis], order=markers.ABOVE + axis))
+    for axis, rotation in enumerate(_AXIS_ROTATIONS):
+        arrow = length * vertices @ rotation.T, faces
+        stage.put(f"{path}/{'xyz'[axis]}", shapes.overlay(arrow, AXES[axis], order=markers.ABOVE + axis))
 
 
-_Rider = Callable[[Array], list[Channel]]
-Where = Callable[[Array], Array]  # from poses (n, 3) to placements (n, 4, 4)
+_Attachment = Callable[[Array], list[Channel]]
+Placements = Callable[[Array], Array]  # from poses (n, 3) to placements (n, 4, 4)
 
 
 _BASE_FORCES = ("Fx", "Fy", "Mz")
-_NO_FORCE = 1e-9  # [N or N m]; less is rounding
+_FORCE_TOLERANCE = 1e-9  # [N or N m]; less is rounding
 _NAMES = {LECTURE_TABLE: "lecture", SLIDE_TABLE: "slide"}
 
 
@@ -157,7 +157,7 @@ class Scene:
     ----------
     channels : list of Channel
         Moving properties, with a value for each frame.
-    riders : list of callable
+    attachments : list of callable
         Functions from poses of the robot to channels of objects that move with it.
     """
 
@@ -165,32 +165,32 @@ class Scene:
     robot: Drawn
     overlays: Overlays
     channels: list[Channel] = field(default_factory=list)
-    riders: list[_Rider] = field(default_factory=list)
+    attachments: list[_Attachment] = field(default_factory=list)
     legend: list[list[object]] = field(default_factory=list)
 
-    def alone(self, pose: Array, around: float = 0.0) -> None:
+    def draw_robot(self, pose: Array, margin: float = 0.0) -> None:
         """Draw the robot alone at a configuration, shape (nq,), with some ground around it [m]."""
         poses = pose[None]
         reach, height = motion.envelope(self.robot, poses)
-        room = max(0.8 * max(self.robot.size), 0.75 * reach if self.robot.mounts else 0.0, around)
-        extent = Extent(pose[:2] - room, pose[:2] + room, (*self.robot.size[:2], height))
-        self._furnish(extent, poses)
+        radius = max(0.8 * max(self.robot.size), 0.75 * reach if self.robot.mounts else 0.0, margin)
+        extent = Extent(pose[:2] - radius, pose[:2] + radius, (*self.robot.size[:2], height))
+        self._set_up(extent, poses)
         self.stage.robot("meshcat/robot0", self.robot, colour(0))
-        self._rides(partial(ridden, "meshcat/robot0", self.robot), poses)
-        self._tables(poses, extent)
+        self._attach(partial(robot_channels, "meshcat/robot0", self.robot), poses)
+        self._draw_tables(poses, extent)
 
     def move(self, pose: Array) -> None:
         """Move the robot and all attached objects to a configuration, shape (nq,)."""
-        for rider in self.riders:
-            self.stage.show(rider(pose[None]), 0)
+        for attachment in self.attachments:
+            self.stage.show(attachment(pose[None]), 0)
 
     def show(self, frame: int) -> None:
         """Show all objects at a frame."""
         self.stage.show(self.channels, frame)
 
-    def _rides(self, rider: _Rider, poses: Array) -> None:
-        self.riders.append(rider)
-        self.channels += rider(poses)
+    def _attach(self, attachment: _Attachment, poses: Array) -> None:
+        self.attachments.append(attachment)
+        self.channels += attachment(poses)
 
     def play(self, runs: Mapping[str, Rollout], times: Array) -> None:
         """Draw the rollouts: the first robot solid, the others translucent.
@@ -206,133 +206,133 @@ class Scene:
         main = next(iter(runs.values()))
         robots = [self.robot if run.plant is None else motion.figure(run.plant) for run in runs.values()]
         poses = [
-            motion.configurations(robot, run.t, run.q if _is_of(robot, run.plant) else run.poses, times)
+            motion.configurations(robot, run.t, run.q if _is_full(robot, run.plant) else run.poses, times)
             for robot, run in zip(robots, runs.values(), strict=True)
         ]
         reach, height = motion.envelope(robots[0], poses[0])
         room = reach - self.robot.size[0]
         extent = Extent(points.min(axis=0) - room, points.max(axis=0) + room, (*self.robot.size[:2], height))
-        self._furnish(extent, poses[0])
+        self._set_up(extent, poses[0])
         if self.overlays.path:
             draw_path(self.stage, main.reference_poses[:, :2], extent)
             self.legend.append(["desired", INK, "6 4", 0.0])
-        hands = {label: markers.hand_of(run) for label, run in runs.items() if self.overlays.end_effector}
+        tips = {label: markers.effector_of(run) for label, run in runs.items() if self.overlays.end_effector}
         for index, (label, run) in enumerate(runs.items()):
             path = f"meshcat/robot{index}"
             self.stage.robot(path, robots[index], colour(index), ghost=index > 0)
-            self.channels += _shown(path, run.plant, times)
+            self.channels += _time_channels(path, run.plant, times)
             if index == 0:
-                self._rides(partial(ridden, path, robots[0]), poses[0])
+                self._attach(partial(robot_channels, path, robots[0]), poses[0])
             else:
-                self.channels += ridden(path, robots[index], poses[index])
+                self.channels += robot_channels(path, robots[index], poses[index])
             if self.overlays.trail:
                 width = 0.05 * extent.unit * (1 + 0.9 * (len(runs) - 1 - index))
                 self.channels += markers.draw_trail(
                     self.stage, f"meshcat/trail{index}", (run.t, run.poses[:, :2]), times,
-                    partial(shapes.ribbon, width=width), paint=colour(index), order=markers.TRAIL + index,
+                    partial(shapes.ribbon, width=width), color=colour(index), order=markers.TRAIL + index,
                 )  # fmt: skip
-            hand, shown = hands.get(label), self.overlays
-            if hand is not None:
-                self.channels += markers.draw_hand(
-                    self.stage, index, hand, times, extent, path=shown.path and not index, trail=shown.trail
+            tip, flags = tips.get(label), self.overlays
+            if tip is not None:
+                self.channels += markers.draw_end_effector(
+                    self.stage, index, tip, times, extent, path=flags.path and not index, trail=flags.trail
                 )
                 if index == 0:
                     _draw_axes(self.stage, "meshcat/tool", 0.3 * extent.unit, 0.08)
-                    self.channels += poses_of("meshcat/tool", hand.pose[samples_before(hand.t, times)])
+                    self.channels += frame_channels("meshcat/tool", tip.pose[samples_before(tip.t, times)])
             self.legend.append([label or "travelled", colour(index), "", 0.0 if index == 0 else 0.55])
         if self.overlays.desired:
             ghost = robots[0]
             self.stage.robot("meshcat/desired", ghost, QUIET, ghost=True)
-            self.channels += _shown("meshcat/desired", main.plant, times)
-            whole = _is_of(ghost, main.plant) and main.reference.q.shape == main.q.shape
-            wanted = main.reference.q if whole else main.reference_poses
-            if isinstance(ghost, Drawing):  # what has no reference is drawn as it is
-                wanted = full_configurations(ghost.plant, main.q, main.reference.q)
-            desired = motion.configurations(ghost, main.t, wanted, times)
-            self.channels += ridden("meshcat/desired", ghost, desired)
+            self.channels += _time_channels("meshcat/desired", main.plant, times)
+            is_full = _is_full(ghost, main.plant) and main.reference.q.shape == main.q.shape
+            reference = main.reference.q if is_full else main.reference_poses
+            if isinstance(ghost, motion.Drawing):  # what has no reference is drawn as it is
+                reference = full_configurations(ghost.plant, main.q, main.reference.q)
+            desired = motion.configurations(ghost, main.t, reference, times)
+            self.channels += robot_channels("meshcat/desired", ghost, desired)
             self.legend.append(["desired pose", QUIET, "", 0.5])
         if self.overlays.arrows is not None:
-            self._arrows(main, times, poses[0], extent, self.overlays.arrows)
+            self._draw_arrows(main, times, poses[0], extent, self.overlays.arrows)
         if self.overlays.contacts or self.overlays.centre:
-            found = markers.contacts_at(main, times, poses[0])
-            drawn = [markers.draw_contacts(self.stage, found, extent)] if self.overlays.contacts else []
+            contacts = markers.contacts_at(main, times, poses[0])
+            markings = [markers.draw_contacts(self.stage, contacts, extent)] if self.overlays.contacts else []
             if self.overlays.centre:
-                drawn.append(markers.draw_centre(self.stage, found.centre, poses[0], extent))
-            for channels, told in drawn:
+                markings.append(markers.draw_centre(self.stage, contacts.centre, poses[0], extent))
+            for channels, entries in markings:
                 self.channels += channels
-                self.legend += told
-        self._tables(poses[0], extent)
+                self.legend += entries
+        self._draw_tables(poses[0], extent)
         if self.overlays.caption:
-            self.channels.append(Channel("meshcat/stage", "caption", _captions(runs, times, hands)))
-        self.stage.tell("legend", self.legend)
+            self.channels.append(Channel("meshcat/stage", "caption", _captions(runs, times, tips)))
+        self.stage.publish("legend", self.legend)
 
-    def _furnish(self, extent: Extent, poses: Array) -> None:
+    def _set_up(self, extent: Extent, poses: Array) -> None:
         camera, ramp = self.overlays.camera, markers.ramp_of(self.robot)
         view = overview(extent, extent.size[2], low=bool(self.robot.mounts))
         if ramp is not None:
             view = markers.draw_ramp(self.stage, ramp, extent, view)
         if isinstance(camera, Follow):
-            toward = (view.eye - view.target) / np.linalg.norm(view.eye - view.target)
-            view = View(camera.distance * toward, np.zeros(3))
+            direction = (view.eye - view.target) / np.linalg.norm(view.eye - view.target)
+            view = View(camera.distance * direction, np.zeros(3))
         else:
-            chosen = zip((camera.eye, camera.target), view, strict=True)
-            view = View(*(default if own is None else np.asarray(own) for own, default in chosen))
-        self.stage.furnish(extent, view)
+            pairs = zip((camera.eye, camera.target), view, strict=True)
+            view = View(*(default if value is None else np.asarray(value) for value, default in pairs))
+        self.stage.set_up(extent, view)
         if isinstance(camera, Follow):
-            self._rides(_focus, poses)
+            self._attach(_focus_channels, poses)
         if self.overlays.grid:
             _draw_grid(self.stage, extent)
 
-    def _tables(self, poses: Array, extent: Extent) -> None:
-        drawn: list[Array] = []
+    def _draw_tables(self, poses: Array, extent: Extent) -> None:
+        others: list[Array] = []
         for number, table in enumerate(self.overlays.frames):
             for k in range(len(table) + 1):
                 placements = _frame(table, k, poses)
-                if any(np.allclose(placements, other) for other in drawn):
+                if any(np.allclose(placements, other) for other in others):
                     continue  # two tables share some of their frames
-                drawn.append(placements)
-                shared = all(np.allclose(_frame(t, k, poses), placements) for t in self.overlays.frames)
-                name = "" if shared else f" {_NAMES.get(table, f'table {number + 1}')}"
-                where = partial(_frame, table, k)
-                self._triad(f"meshcat/table{number}/{k}", f"{{{k}}}{name}", extent, (number, k), where, poses)
+                others.append(placements)
+                is_shared = all(np.allclose(_frame(t, k, poses), placements) for t in self.overlays.frames)
+                name = "" if is_shared else f" {_NAMES.get(table, f'table {number + 1}')}"
+                T_of = partial(_frame, table, k)
+                self._triad(f"meshcat/table{number}/{k}", f"{{{k}}}{name}", extent, (number, k), T_of, poses)
         if self.overlays.body_frame:
             self._triad("meshcat/body", "B", extent, (0, 0), partial(_frame, LECTURE_TABLE, 3), poses)
 
     def _triad(
-        self, path: str, label: str, extent: Extent, place: tuple[int, int], where: Where, poses: Array
+        self, path: str, label: str, extent: Extent, numbers: tuple[int, int], T_of: Placements, poses: Array
     ) -> None:
-        """Draw the axes of a frame, and its name beside; `place` is the numbers of table and frame."""
-        number, k = place
+        """Draw the axes of a frame, and its name beside; `numbers` are those of table and frame."""
+        number, k = numbers
         _draw_axes(self.stage, path, (0.9 + 0.3 * number) * extent.unit, 0.07 - 0.02 * min(number, 2))
         name = shapes.word(label, INK, 0.42 * extent.unit, lying=False, order=markers.ABOVE + 5)
         self.stage.put(f"{path}name", name)
-        away = extent.unit * (_AWAY[min(k, 3)] + np.array([0, -0.5 * number, 0]))
-        self._rides(lambda poses: poses_of(path, where(poses)), poses)
-        self._rides(lambda poses: [Channel(f"{path}name", "position", where(poses)[:, :3, 3] + away)], poses)
+        shift = extent.unit * (_LABEL_OFFSETS[min(k, 3)] + np.array([0, -0.5 * number, 0]))
+        self._attach(lambda poses: frame_channels(path, T_of(poses)), poses)
+        self._attach(lambda poses: [Channel(f"{path}name", "position", T_of(poses)[:, :3, 3] + shift)], poses)
 
-    def _arrows(self, run: Rollout, times: Array, poses: Array, extent: Extent, arrows: Arrows) -> None:
-        fx, fy, moment = run.u[samples_before(run.t, times)][:, _pushing(run)].T
+    def _draw_arrows(self, run: Rollout, times: Array, poses: Array, extent: Extent, arrows: Arrows) -> None:
+        fx, fy, moment = run.u[samples_before(run.t, times)][:, _force_indices(run)].T
         heading = np.column_stack([poses[:, :2], np.unwrap(np.arctan2(fy, fx))])
         flat = poses[:, :3] * (1, 1, 0)
         unit = extent.unit
-        for name, symbol, shape, paint, size, per, turned in (
+        for name, symbol, shape, color, size, unit_size, placement in (
             ("force", "N", shapes.arrow(0.06), colour(3), np.hypot(fx, fy), arrows.force, heading),
             ("moment", "N m", shapes.arc_arrow(), colour(4), moment, arrows.moment, flat),
         ):
             largest = float(np.abs(size).max())
-            if not largest > _NO_FORCE:
+            if not largest > _FORCE_TOLERANCE:
                 continue
-            scale = per or (1.6 if name == "force" else 0.8) * unit / largest
+            scale = unit_size or (1.6 if name == "force" else 0.8) * unit / largest
             path = f"meshcat/{name}"
-            self.stage.put(path, shapes.over(shape, paint, order=markers.ABOVE - 5))
+            self.stage.put(path, shapes.overlay(shape, color, order=markers.ABOVE - 5))
             lengths = np.maximum(scale * np.abs(size), 1e-4)[:, None] * np.ones(3)
             lengths[:, 1] *= np.where(size < 0, -1, 1)  # in a mirror the arc turns the other way
-            self.channels += along(path, turned, 1.6 * (self.robot.top or self.robot.size[2]))
+            self.channels += pose_channels(path, placement, 1.6 * (self.robot.top or self.robot.size[2]))
             self.channels.append(Channel(path, "scale", lengths))
-            self.legend.append([f"{name}, 1 m = {1 / scale:.2g} {symbol}", paint, "", 0.0])
+            self.legend.append([f"{name}, 1 m = {1 / scale:.2g} {symbol}", color, "", 0.0])
 
 
-def _pushing(run: Rollout) -> list[int]:
+def _force_indices(run: Rollout) -> list[int]:
     """Return the indices of the inputs that are the force and the moment on the base.
 
     Raises
@@ -350,7 +350,7 @@ def _pushing(run: Rollout) -> list[int]:
     return [names.index(name) for name in _BASE_FORCES]
 
 
-def _focus(poses: Array) -> list[Channel]:
+def _focus_channels(poses: Array) -> list[Channel]:
     position = np.column_stack([poses[:, :2], np.zeros(len(poses))])
     return [Channel("meshcat/focus", "position", position)]
 
@@ -363,17 +363,17 @@ def _frame(table: DHTable, k: int, poses: Array) -> Array:
     return table.placements(poses[:, order])[:, k - 1]
 
 
-def _is_of(robot: Drawn, plant: object) -> bool:
+def _is_full(robot: Drawn, plant: object) -> bool:
     """Return whether the representation follows all coordinates, not only the body."""
-    return robot is plant or isinstance(robot, Drawing)
+    return robot is plant or isinstance(robot, motion.Drawing)
 
 
-def ridden(path: str, robot: Drawn, configurations: Array) -> list[Channel]:
+def robot_channels(path: str, robot: Drawn, configurations: Array) -> list[Channel]:
     """Return the channels of the body and the links of a robot."""
-    return [*along(path, configurations), *links(path, robot, configurations)]
+    return [*pose_channels(path, configurations), *motion.links(path, robot, configurations)]
 
 
-def _shown(path: str, plant: object, times: Array) -> list[Channel]:
+def _time_channels(path: str, plant: object, times: Array) -> list[Channel]:
     """Return the channels of the objects of a robot that exist at some times only."""
-    known = timed.shown(times) if (timed := able(plant, TimeVarying)) else {}
-    return [Channel(f"{path}/visuals/{name}", "visible", x[:, None]) for name, x in known.items()]
+    visible = timed.shown(times) if (timed := able(plant, TimeVarying)) else {}
+    return [Channel(f"{path}/visuals/{name}", "visible", x[:, None]) for name, x in visible.items()]

@@ -16,16 +16,16 @@ from pinmobile.parts import array, by_value, child, number, option, part
 from pinmobile.robot import BODY
 from pinmobile.viewer.motion import Channel, Drawn
 from pinmobile.viewer.pages import Content, Visualizer
-from pinmobile.viewer.shapes import Shape, coarse, shadows
+from pinmobile.viewer.shapes import Shape, shadow_ground, simplify
 
 _STAGE = "meshcat/stage"
 _TOP, _BOTTOM = (0.90, 0.92, 0.93), (0.975, 0.975, 0.965)
 _FOV, _ASPECT = np.deg2rad(35.0), 1.5
 _AZIMUTH, _ELEVATION = np.deg2rad(-86.0), np.deg2rad(50.0)
-_LOW = np.deg2rad(32.0)  # elevation that shows the motion of an arm
-_ABOVE, _BELOW = 0.92, 0.82  # used shares of half the window height; the player is below
+_LOW_ELEVATION = np.deg2rad(32.0)  # elevation that shows the motion of an arm
+_UPPER, _LOWER = 0.92, 0.82  # used shares of half the window height; the player is below
 _GHOST_SCALE = (1.07, 1.10, 1.08)  # a ghost is a little larger, so that its rim shows around a solid robot
-_MOST, _MOST_OF_GHOST = 60_000, 30_000  # largest number of triangles; more are not visible
+_MAX_TRIANGLES, _MAX_GHOST_TRIANGLES = 60_000, 30_000  # largest number of triangles; more are not visible
 _GHOST_LINK = 1.06  # scale of a link about its own origin: a scale about the body would displace arms
 
 
@@ -267,15 +267,15 @@ class Extent(NamedTuple):
         return float(next(power * factor for factor in (1, 2, 5, 10) if power * factor >= span / 14))
 
     @property
-    def tall(self) -> float:
+    def font(self) -> float:
         """Height of text on the ground [m]."""
         return 0.05 * float((self.high - self.low).max() + 3 * self.unit)
 
     def lines(self, axis: int) -> Array:
         """Return the positions of the grid lines along an axis, shape (n,) [m]."""
-        room = 0.8 * self.unit
-        first = np.floor((self.low[axis] - room) / self.step)
-        last = np.ceil((self.high[axis] + room) / self.step)
+        margin = 0.8 * self.unit
+        first = np.floor((self.low[axis] - margin) / self.step)
+        last = np.ceil((self.high[axis] + margin) / self.step)
         return np.asarray(self.step * np.arange(first, last + 1))
 
 
@@ -300,7 +300,7 @@ class Stage:
         """Set a property of a node."""
         self.window.send(Content({"type": "set_property", "path": path, "property": name, "value": value}))
 
-    def tell(self, name: str, value: object) -> None:
+    def publish(self, name: str, value: object) -> None:
         """Set a property of the stage. The page reads these properties."""
         self.set(_STAGE, name, value)
 
@@ -313,7 +313,7 @@ class Stage:
         for channel in channels:
             self.set(channel.path, channel.name, channel.at(frame))
 
-    def furnish(self, extent: Extent, view: View) -> None:
+    def set_up(self, extent: Extent, view: View) -> None:
         """Set up the empty stage: background, soft light, ground, camera."""
         for name in ("Grid", "Axes", "Lights/PointLightNegativeX", "Lights/PointLightPositiveX"):
             self.set(name, "visible", False)
@@ -321,15 +321,15 @@ class Stage:
         self.set("Background", "bottom_color", list(_BOTTOM))
         self.set("Lights/AmbientLight/<object>", "intensity", 0.62)
         self.set("Lights/FillLight/<object>", "intensity", 0.2)
-        lit = 2.0 * float(np.linalg.norm(extent.size))
-        self.put("meshcat/ground", shadows(2.0 * lit))  # the ground moves with the light
+        light_size = 2.0 * float(np.linalg.norm(extent.size))
+        self.put("meshcat/ground", shadow_ground(2.0 * light_size))  # the ground moves with the light
         self.set("meshcat/focus", "position", [0.0, 0.0, 0.0])
-        self.tell("lit", lit)
-        self.tell("aspect", _ASPECT)
-        self.tell("caption", "")
-        self.tell("legend", [])
-        self.tell("eye", view.eye.tolist())
-        self.tell("target", view.target.tolist())
+        self.publish("lit", light_size)
+        self.publish("aspect", _ASPECT)
+        self.publish("caption", "")
+        self.publish("legend", [])
+        self.publish("eye", view.eye.tolist())
+        self.publish("target", view.target.tolist())
 
     def robot(self, path: str, robot: Drawn, colour: str | None, *, ghost: bool = False) -> None:
         """Load the visual geometry of a robot below a node. The pose of the node is the pose of the robot.
@@ -345,27 +345,27 @@ class Stage:
         ghost : bool
             Whether to draw a translucent and slightly larger robot.
         """
-        shown, items = pin.GeometryModel(), robot.visual_model.geometryObjects
+        model, items = pin.GeometryModel(), robot.visual_model.geometryObjects
         triangles = sum(getattr(item.geometry, "num_tris", 0) for item in items)
-        share = (_MOST_OF_GHOST if ghost else _MOST) / max(triangles, 1)
+        share = (_MAX_GHOST_TRIANGLES if ghost else _MAX_TRIANGLES) / max(triangles, 1)
         for item in items:
             copy = item.copy()
-            copy.geometry = coarse(item.geometry, share)
+            copy.geometry = simplify(item.geometry, share)
             if colour is not None and (ghost or item.name == BODY):
                 copy.meshColor = np.array([*_rgb(colour), 1.0])
             if ghost:
                 copy.meshColor = np.array([*copy.meshColor[:3], 0.45])
-            shown.addGeometryObject(copy)
-        visualizer = MeshcatVisualizer(robot.model, pin.GeometryModel(), shown)
+            model.addGeometryObject(copy)
+        visualizer = MeshcatVisualizer(robot.model, pin.GeometryModel(), model)
         visualizer.initViewer(viewer=Visualizer(window=self.window))
         visualizer.loadViewerModel(path.removeprefix("meshcat/"))
         # The body is at the origin of the node; the pose of the node moves it.
         visualizer.display(pin.neutral(robot.model))
         self.set(path, "scale", list(_GHOST_SCALE) if ghost and not robot.mounts else [1.0, 1.0, 1.0])
         if ghost and robot.mounts:
-            for item in shown.geometryObjects:
-                larger = _GHOST_SCALE if item.name == BODY else (_GHOST_LINK,) * 3
-                self.set(f"{path}/visuals/{item.name}", "scale", list(larger))
+            for item in model.geometryObjects:
+                scale = _GHOST_SCALE if item.name == BODY else (_GHOST_LINK,) * 3
+                self.set(f"{path}/visuals/{item.name}", "scale", list(scale))
 
 
 def overview(extent: Extent, height: float, *, low: bool = False) -> View:
@@ -380,25 +380,25 @@ def overview(extent: Extent, height: float, *, low: bool = False) -> View:
     low : bool
         Whether to look from a lower elevation.
     """
-    elevation = _LOW if low else _ELEVATION
+    elevation = _LOW_ELEVATION if low else _ELEVATION
     level = np.cos(elevation)
     forward = -np.array([level * np.cos(_AZIMUTH), level * np.sin(_AZIMUTH), np.sin(elevation)])
     right = np.cross(forward, (0, 0, 1))
     right /= np.linalg.norm(right)
     up = np.cross(right, forward)
     (low_x, *_, high_x), (low_y, *_, high_y) = extent.lines(0), extent.lines(1)
-    xs, ys = (low_x - 2.2 * extent.tall, high_x + 2.6 * extent.tall), (low_y - 1.4 * extent.tall, high_y)
+    xs, ys = (low_x - 2.2 * extent.font, high_x + 2.6 * extent.font), (low_y - 1.4 * extent.font, high_y)
     corners = np.array([[x, y, z] for x in xs for y in ys for z in (0, height)])
     target = np.append(extent.centre, 0.0)
     tangent = np.tan(_FOV / 2)
     for _ in range(10):
         a, b, c = np.stack([right, up, forward]) @ (corners - target).T
-        wide = (np.abs(a) / (0.97 * _ASPECT * tangent) - c).max()
-        tall = np.maximum(b / (_ABOVE * tangent) - c, -b / (_BELOW * tangent) - c).max()
-        distance = max(wide, tall)
-        rise, aside = b / (distance + c), a / (distance + c)
-        target = target + up * distance * (rise.max() + rise.min() - (_ABOVE - _BELOW) * tangent) / 2
-        target = target + right * distance * (aside.max() + aside.min()) / 2
+        width = (np.abs(a) / (0.97 * _ASPECT * tangent) - c).max()
+        depth = np.maximum(b / (_UPPER * tangent) - c, -b / (_LOWER * tangent) - c).max()
+        distance = max(width, depth)
+        rise, shift = b / (distance + c), a / (distance + c)
+        target = target + up * distance * (rise.max() + rise.min() - (_UPPER - _LOWER) * tangent) / 2
+        target = target + right * distance * (shift.max() + shift.min()) / 2
         target = target - forward * target[2] / forward[2]  # projected onto the ground
     return View(target - distance * forward, target)
 

@@ -24,10 +24,10 @@ from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
 from pinmobile.arrays import text
 from pinmobile.errors import InvalidArgument, ViewerError, format_value
-from pinmobile.viewer.pages import Backlog, packed_command
+from pinmobile.viewer.pages import Backlog, pack_content
 
 _LOOPBACK = ("127.0.0.1", "::1", "localhost")
-_EVERYWHERE = ("0.0.0.0", "::")
+_ALL_HOSTS = ("0.0.0.0", "::")
 _TOKEN = re.compile(r"[A-Za-z0-9._~-]+")
 
 
@@ -49,7 +49,7 @@ class Access:
     @property
     def name(self) -> str:
         """Host name in the address of the page; for all addresses, the name of the machine."""
-        if self.host in _EVERYWHERE:
+        if self.host in _ALL_HOSTS:
             return socket.gethostname()
         return f"[{self.host}]" if ":" in self.host else self.host
 
@@ -89,7 +89,7 @@ class Access:
             name = urlsplit(f"//{netloc}").hostname
         except ValueError:
             return False
-        if self.host in _EVERYWHERE:
+        if self.host in _ALL_HOSTS:
             return bool(name)  # any name may lead to the server; requests need the token anyway
         return name in (*_LOOPBACK, self.host.lower())
 
@@ -112,9 +112,9 @@ def access_for(host: str, token: str | None) -> Access:
     if token is not None and not (isinstance(token, str) and _TOKEN.fullmatch(token)):
         raise InvalidArgument("token is empty or not made of letters, digits, '-', '.', '_' and '~'")
     given, host = host, text("host", host).strip()
-    bracketed = host.startswith("[") and host.endswith("]")
-    host = host[1:-1] if bracketed else host
-    if not host or set("[]/@?# ") & set(host) or (bracketed and ":" not in host):
+    is_bracketed = host.startswith("[") and host.endswith("]")
+    host = host[1:-1] if is_bracketed else host
+    if not host or set("[]/@?# ") & set(host) or (is_bracketed and ":" not in host):
         raise InvalidArgument(
             f"host is {format_value(given)}, expected a name or an address such as '127.0.0.1', '::1'"
         )
@@ -130,9 +130,9 @@ def access_for(host: str, token: str | None) -> Access:
 
 
 _LOG = logging.getLogger(__name__)
-_MOST_BROWSERS = 64
-_MOST_UNANSWERED = 4  # batches on their way to a browser; more would only add delay
-_LARGEST_PICTURE = 64 << 20  # [byte]
+_MAX_BROWSERS = 64
+_MAX_UNANSWERED = 4  # batches on their way to a browser; more would only add delay
+_MAX_PICTURE = 64 << 20  # [byte]
 # No JSON parser: a message may be nested deeply, and its tree may take a hundred times its size.
 _PICTURE = re.compile(r'"data" *: *"(data:image/png;base64,[A-Za-z0-9+/=]*)"')
 _POLICY = (
@@ -140,14 +140,14 @@ _POLICY = (
     "img-src 'self' data: blob:; worker-src blob:; connect-src 'self' data: blob: ws://{0} wss://{0}"
 )
 _PERIOD = 1 / 75  # [s] between two batches: none of a source with 60 Hz is skipped
-_LONGEST_TEXT = 200  # letters of a message that is not a picture
-_GATHER = 0.003  # [s], time to collect the commands of one pose
-_LOOK = 0.5  # [s], period of checks without a notification
-_FAREWELL = 0.2  # [s], time for browsers to acknowledge the end
-_PATIENCE = 10.0  # [s], time for the thread to start or end, and for a request
+_MAX_TEXT = 200  # letters of a message that is not a picture
+_COLLECT_TIME = 0.003  # [s], time to collect the commands of one pose
+_CHECK_PERIOD = 0.5  # [s], period of checks without a notification
+_CLOSE_TIMEOUT = 0.2  # [s], time for browsers to acknowledge the end
+_TIMEOUT = 10.0  # [s], time for the thread to start or end, and for a request
 
 
-class _Answer(RequestHandler):
+class _Handler(RequestHandler):
     """Request handler that first checks the access rule."""
 
     server: Server
@@ -179,7 +179,7 @@ class _Answer(RequestHandler):
             _LOG.error("the viewer failed at %s", self.request.path, exc_info=error)
 
 
-class _Page(_Answer):
+class _Page(_Handler):
     def get(self) -> None:
         self.set_header("Content-Security-Policy", _POLICY.format(self.request.headers["Host"]))
         self.finish(self.server.page)
@@ -187,7 +187,7 @@ class _Page(_Answer):
     head = get
 
 
-class _Script(_Answer):
+class _Script(_Handler):
     def get(self) -> None:
         self.set_header("Content-Type", "text/javascript; charset=utf-8")
         self.finish(self.server.script)
@@ -195,14 +195,14 @@ class _Script(_Answer):
     head = get
 
 
-class _Nothing(_Answer):
+class _NotFound(_Handler):
     def prepare(self) -> None:
         super().prepare()
         if not self._finished:
             self.refuse(404, "there is no such page here")
 
 
-class Browser(_Answer, WebSocketHandler):
+class Browser(_Handler, WebSocketHandler):
     """Browser that shows the page.
 
     The server sends batches of commands, and the browser answers each batch with a pong. A slow browser gets
@@ -211,16 +211,16 @@ class Browser(_Answer, WebSocketHandler):
 
     Attributes
     ----------
-    seen, taken : int
+    sent, received : int
         Numbers of the newest command sent to the browser, and of the newest command it received.
     """
 
-    seen = taken = 0
+    sent = received = 0
 
     def prepare(self) -> None:
         """Reject the browser if too many browsers are connected."""
         super().prepare()
-        if not self._finished and len(self.server.browsers) >= _MOST_BROWSERS:
+        if not self._finished and len(self.server.browsers) >= _MAX_BROWSERS:
             self.refuse(503, f"{len(self.server.browsers)} browsers are connected")
 
     def check_origin(self, origin: str) -> bool:
@@ -235,7 +235,7 @@ class Browser(_Answer, WebSocketHandler):
         self.set_nodelay(True)
         self.stream = cast(Any, self.ws_connection).stream
         self.server.browsers.append(self)
-        self.server.news()
+        self.server.notify()
 
     def on_close(self) -> None:
         """Cancel pending pictures and remove the browser."""
@@ -243,40 +243,40 @@ class Browser(_Answer, WebSocketHandler):
             if not capture.done():
                 capture.set_exception(ViewerError("the browser was closed"))
         self.server.browsers.remove(self)
-        self.server.heard(self, "")
-        self.server.news()
+        self.server.on_text(self, "")
+        self.server.notify()
 
     def on_pong(self, data: bytes) -> None:
         """Accept the answer to a batch; ignore other pongs."""
         if self._unanswered and data == b"%d" % self._unanswered[0]:
-            self.taken = self._unanswered.popleft()
-            self.server.news()
+            self.received = self._unanswered.popleft()
+            self.server.notify()
 
     def on_message(self, message: str | bytes) -> None:
         """Accept a requested picture, and pass on short texts; ignore other messages."""
-        if isinstance(message, str) and len(message) <= _LONGEST_TEXT:
-            self.server.heard(self, message)
+        if isinstance(message, str) and len(message) <= _MAX_TEXT:
+            self.server.on_text(self, message)
         if self._captures and isinstance(message, str) and (picture := _PICTURE.search(message)):
             capture = self._captures.popleft()
             if not capture.done():
                 capture.set_result(picture[1])
 
     @property
-    def ready(self) -> bool:
+    def is_ready(self) -> bool:
         """Whether the browser can take a batch."""
-        return not self._writing and len(self._unanswered) < _MOST_UNANSWERED
+        return not self._writing and len(self._unanswered) < _MAX_UNANSWERED
 
     async def feed(self) -> None:
         """Send all commands that the browser has not received."""
-        if not self.ready:
+        if not self.is_ready:
             return
-        commands, latest = self.server.backlog.since(self.seen)
-        self.seen = latest
+        commands, latest = self.server.backlog.commands_after(self.sent)
+        self.sent = latest
         if not commands:
             # All later commands have been deleted.
-            if not self._unanswered and self.taken < latest:
-                self.taken = latest
-                self.server.news()
+            if not self._unanswered and self.received < latest:
+                self.received = latest
+                self.server.notify()
             return
         self._writing = True
         try:
@@ -288,21 +288,21 @@ class Browser(_Answer, WebSocketHandler):
             pass
         finally:
             self._writing = False
-            self.server.news()
+            self.server.notify()
 
     async def capture(self) -> str:
         """Return a picture of the present scene as a data URL."""
         latest = self.server.backlog.latest
-        while self.seen < latest or self._writing:
+        while self.sent < latest or self._writing:
             await asyncio.sleep(0.01)
         picture = asyncio.get_running_loop().create_future()
         # A cancelled request stays in the queue: its answer may still come before the next one.
         self._captures.append(picture)
-        await self.write_message(packed_command({"type": "capture_image"}), binary=True)
+        await self.write_message(pack_content({"type": "capture_image"}), binary=True)
         return str(await picture)
 
 
-def listening(host: str, port: int | None) -> socket.socket:
+def open_socket(host: str, port: int | None) -> socket.socket:
     """Return a socket that listens at an address.
 
     Raises
@@ -316,8 +316,8 @@ def listening(host: str, port: int | None) -> socket.socket:
         family, *_, address = socket.getaddrinfo(name, port or 0, type=socket.SOCK_STREAM)[0]
         server = socket.create_server(address[:2], family=family, backlog=128)
     except (OSError, UnicodeError) as error:
-        where = "a free port" if port is None else f"port {port}"
-        raise ViewerError(f"cannot listen on {where} of {host}: {error}") from error
+        place = "a free port" if port is None else f"port {port}"
+        raise ViewerError(f"cannot listen on {place} of {host}: {error}") from error
     server.setblocking(False)
     return server
 
@@ -340,7 +340,7 @@ class Server:
         Commands of the scene.
     browsers : list of Browser
         Browsers in the order of their connection. Only the thread of the server changes the list.
-    heard : callable
+    on_text : callable
         Function of a browser and its text, "" when it leaves; the thread of the server calls it.
     """
 
@@ -348,15 +348,15 @@ class Server:
         self.access, self.page, self.script = access, page, script
         self.backlog = Backlog()
         self.browsers: list[Browser] = []
-        self.heard: Callable[[object, str], object] = lambda browser, text: None
+        self.on_text: Callable[[object, str], object] = lambda browser, text: None
         self._stopped, self._process = False, os.getpid()
         self._changed, self._started = threading.Condition(), threading.Event()
-        self._told = False  # that there is something to send, and the loop has not looked yet
+        self._is_notified = False  # that there is something to send, and the loop has not looked yet
         self._thread = threading.Thread(
             target=lambda: asyncio.run(self._serve(listener)), name="pinmobile-viewer", daemon=True
         )
         self._thread.start()
-        if not self._started.wait(_PATIENCE):
+        if not self._started.wait(_TIMEOUT):
             raise ViewerError("the viewer's server did not start")
 
     @property
@@ -364,19 +364,19 @@ class Server:
         """Whether the server was stopped, or this process is a forked child without the thread."""
         return self._stopped or os.getpid() != self._process
 
-    def news(self) -> None:
+    def notify(self) -> None:
         """Check for commands to send, and wake waiting threads; call it in the thread of the server."""
         self._work.set()
         with self._changed:
             self._changed.notify_all()
 
-    def tell(self) -> None:
+    def wake(self) -> None:
         """Notify the server of new commands, from any thread."""
         latest = self.backlog.latest  # before the check for browsers: a browser that comes now gets it
         if not self.browsers:
-            self.backlog.forget_deletions(latest)
-        elif not self._told:
-            self._told = True
+            self.backlog.drop_deletions(latest)
+        elif not self._is_notified:
+            self._is_notified = True
             with suppress(RuntimeError):  # the loop has just ended
                 self._loop.call_soon_threadsafe(self._work.set)
 
@@ -390,12 +390,12 @@ class Server:
         if not self.browsers:
             raise ViewerError("no browser shows the page: open its address to draw a picture")
         browser = self.browsers[-1]
-        waiting = asyncio.run_coroutine_threadsafe(asyncio.wait_for(browser.capture(), timeout), self._loop)
+        future = asyncio.run_coroutine_threadsafe(asyncio.wait_for(browser.capture(), timeout), self._loop)
         try:
             # The loop may end meanwhile, and the future then never would.
-            return waiting.result(timeout + 1)
+            return future.result(timeout + 1)
         except TimeoutError:
-            waiting.cancel()
+            future.cancel()
             raise ViewerError(f"the browser has sent no picture within {timeout:g} s") from None
         except CancelledError:
             raise ViewerError("the window is closed") from None
@@ -410,7 +410,7 @@ class Server:
         with self._changed:
             self._changed.notify_all()
         if self._thread is not threading.current_thread():
-            self._thread.join(_PATIENCE)
+            self._thread.join(_TIMEOUT)
 
     async def _serve(self, listener: socket.socket) -> None:
         self._loop = asyncio.get_running_loop()
@@ -418,12 +418,12 @@ class Server:
         own = {"server": self}
         application = Application(
             [(r"/", _Page, own), (r"/main\.min\.js", _Script, own), (r"/socket", Browser, own)],
-            default_handler_class=_Nothing,
+            default_handler_class=_NotFound,
             default_handler_args=own,
             log_function=lambda _: None,
-            websocket_max_message_size=_LARGEST_PICTURE,
+            websocket_max_message_size=_MAX_PICTURE,
         )
-        http = HTTPServer(application, idle_connection_timeout=_PATIENCE, body_timeout=_PATIENCE)
+        http = HTTPServer(application, idle_connection_timeout=_TIMEOUT, body_timeout=_TIMEOUT)
         http.add_socket(listener)
         self._started.set()
         pump = asyncio.create_task(self._pump())
@@ -433,30 +433,30 @@ class Server:
         for browser in self.browsers:
             browser.close(1001, "the viewer was closed")
         with suppress(TimeoutError):
-            async with asyncio.timeout(_FAREWELL):
+            async with asyncio.timeout(_CLOSE_TIMEOUT):
                 while self.browsers:
                     await asyncio.sleep(0.01)
         for browser in self.browsers:  # that do not read
             browser.stream.close()
         with suppress(TimeoutError):
-            await asyncio.wait_for(http.close_all_connections(), _FAREWELL)
+            await asyncio.wait_for(http.close_all_connections(), _CLOSE_TIMEOUT)
 
     async def _pump(self) -> None:
         """Send new commands to each browser, at most 75 times per second."""
-        feeding: set[asyncio.Task[None]] = set()
+        tasks: set[asyncio.Task[None]] = set()
         while True:
-            # Also check without a notification: an interrupt in `tell` may have prevented it.
+            # Also check without a notification: an interrupt in `wake` may have prevented it.
             with suppress(TimeoutError):
-                async with asyncio.timeout(_LOOK if self.browsers else None):
+                async with asyncio.timeout(_CHECK_PERIOD if self.browsers else None):
                     await self._work.wait()
-            await asyncio.sleep(_GATHER)
+            await asyncio.sleep(_COLLECT_TIME)
             self._work.clear()
-            self._told = False  # before the check: later commands notify again
+            self._is_notified = False  # before the check: later commands notify again
             for browser in self.browsers:
-                if browser.ready:
+                if browser.is_ready:
                     task = asyncio.create_task(browser.feed())
-                    feeding.add(task)
-                    task.add_done_callback(feeding.discard)
-            seen = (browser.seen for browser in self.browsers)
-            self.backlog.forget_deletions(min(seen, default=self.backlog.latest))
-            await asyncio.sleep(_PERIOD - _GATHER)
+                    tasks.add(task)
+                    task.add_done_callback(tasks.discard)
+            numbers = (browser.sent for browser in self.browsers)
+            self.backlog.drop_deletions(min(numbers, default=self.backlog.latest))
+            await asyncio.sleep(_PERIOD - _COLLECT_TIME)

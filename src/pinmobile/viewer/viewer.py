@@ -16,7 +16,7 @@ from pinmobile.loop import Rollout, at_samples
 from pinmobile.plant import robot_at
 from pinmobile.viewer.motion import figure, frame_times, row_of, tracks
 from pinmobile.viewer.pages import OfflineWindow
-from pinmobile.viewer.recording import Recording, picture_of, recorded_page
+from pinmobile.viewer.recording import Recording, recording_page, take_picture
 from pinmobile.viewer.scene import Scene
 from pinmobile.viewer.scene_tree import Overlays, Stage
 
@@ -25,9 +25,9 @@ if TYPE_CHECKING:
 
 Rollouts: TypeAlias = Rollout | Mapping[str, Rollout]
 
-_FARTHEST = 1e9  # [m]; nothing is visible beyond
+_MAX_DISTANCE = 1e9  # [m]; nothing is visible beyond
 _LIVE_FPS = 50.0
-_HELD = 1.0  # [s] pause at the end of a recording before it repeats
+_PAUSE = 1.0  # [s] pause at the end of a recording before it repeats
 
 
 class Viewer:
@@ -89,7 +89,7 @@ class Viewer:
         overlays: Overlays | None = None,
     ) -> None:
         instance("live", live, bool, "True or False")
-        self.plant, self.overlays = robot_at(plant, 0.0), _checked_overlays(overlays, Overlays())
+        self.plant, self.overlays = robot_at(plant, 0.0), _check_overlays(overlays, Overlays())
         self._figure = figure(self.plant)
         self._lock, self._closed = RLock(), False
         self._scene: Scene | None = None
@@ -114,7 +114,7 @@ class Viewer:
     @property
     def url(self) -> str:
         """Address of the live page; `ViewerError` if the viewer is not live."""
-        return str(self._live("url").url)
+        return str(self._live_window("url").url)
 
     def wait(self, timeout: float = 60.0) -> None:
         """Wait until a browser shows the live page.
@@ -129,7 +129,7 @@ class Viewer:
         ViewerError
             If no browser opens the page in time, or the viewer is not live.
         """
-        self._live("wait").wait(timeout)
+        self._live_window("wait").wait(timeout)
 
     def display(self, q: ArrayLike) -> None:
         """Show the robot at a configuration.
@@ -147,13 +147,13 @@ class Viewer:
             If the viewer is closed.
         """
         pose = row_of(self._figure, self.plant, shaped("q", finite("q", q), (self.plant.nq,)))
-        if abs(pose[:2]).max() > _FARTHEST:
-            raise InvalidArgument(f"q is {pose.tolist()}, expected x and y within {_FARTHEST:g} m")
+        if abs(pose[:2]).max() > _MAX_DISTANCE:
+            raise InvalidArgument(f"q is {pose.tolist()}, expected x and y within {_MAX_DISTANCE:g} m")
         with self._lock:
             self._check_open()
             if self._scene is None:
                 scene = self._new_scene(self.overlays)
-                scene.alone(pose)
+                scene.draw_robot(pose)
                 self._scene = scene  # only when the scene is complete
             self._scene.move(pose)
 
@@ -183,11 +183,11 @@ class Viewer:
         ViewerError
             If the viewer is closed or not live.
         """
-        self._live("play")
-        runs, pace = _checked_runs(rollout), positive("speed", speed)
+        self._live_window("play")
+        runs, pace = _check_runs(rollout), positive("speed", speed)
         times = frame_times(runs, _LIVE_FPS, pace)
         with self._lock:
-            scene = self._scene = self._new_scene(_checked_overlays(overlays, self.overlays))
+            scene = self._scene = self._new_scene(_check_overlays(overlays, self.overlays))
             scene.play(runs, times)
         done = 0
         while done < repeat:
@@ -200,7 +200,7 @@ class Viewer:
                     scene.show(min(frame, len(times) - 1))
                 sleep(max(begin + (frame + 1) / _LIVE_FPS - monotonic(), 0.0))
             if done < repeat:
-                sleep(_HELD)
+                sleep(_PAUSE)
 
     def record(
         self,
@@ -239,18 +239,18 @@ class Viewer:
             If the viewer is closed.
         """
         title = text("title", title)
-        runs, rate, pace = _checked_runs(rollout), positive("fps", fps, "1/s"), positive("speed", speed)
+        runs, rate, pace = _check_runs(rollout), positive("fps", fps, "1/s"), positive("speed", speed)
         times = frame_times(runs, rate, pace)
         with self._lock:
             self._check_open()
             window = OfflineWindow()
-            scene = Scene(Stage(window), self._figure, _checked_overlays(overlays, self.overlays))
+            scene = Scene(Stage(window), self._figure, _check_overlays(overlays, self.overlays))
             scene.play(runs, times)
             scene.show(0)
-            since = times - times[0]
-            moving = tracks(scene.channels, since, float(since[-1]) + _HELD * pace)
+            elapsed = times - times[0]
+            animations = tracks(scene.channels, elapsed, float(elapsed[-1]) + _PAUSE * pace)
             self._recording = Recording(
-                window.commands(), moving, duration=float(since[-1]), fps=rate, speed=pace, title=title
+                window.commands(), animations, duration=float(elapsed[-1]), fps=rate, speed=pace, title=title
             )
             return self._recording
 
@@ -288,7 +288,7 @@ class Viewer:
                 raise ViewerError("t needs a recording: call record first")
             return self._recording.screenshot(path, t=t, size=size)
         page = self.static_html()
-        return write_file(path, ".png", lambda: picture_of(page, size, 0.0))
+        return write_file(path, ".png", lambda: take_picture(page, size, 0.0))
 
     def static_html(self, title: str = "pinmobile") -> str:
         """Return a self-contained page of the present scene as HTML, for example for a notebook.
@@ -307,18 +307,18 @@ class Viewer:
             self._check_open()
             if self._scene is None:
                 raise ViewerError("there is nothing to draw yet: call display or play first")
-            still = {"tracks": [], "speed": 1, "end": 0}
-            return recorded_page(text("title", title), self._window.commands(), still)
+            animation = {"tracks": [], "speed": 1, "end": 0}
+            return recording_page(text("title", title), self._window.commands(), animation)
 
     def _new_scene(self, overlays: Overlays) -> Scene:
         stage = Stage(self._window)
         stage.remove("meshcat")
         return Scene(stage, self._figure, overlays)
 
-    def _live(self, what: str) -> LiveWindow:
+    def _live_window(self, name: str) -> LiveWindow:
         self._check_open()
         if isinstance(self._window, OfflineWindow):
-            raise ViewerError(f"{what} needs a live viewer: Viewer(plant, live=True)")
+            raise ViewerError(f"{name} needs a live viewer: Viewer(plant, live=True)")
         return self._window
 
     def _check_open(self) -> None:
@@ -326,12 +326,12 @@ class Viewer:
             raise ViewerError("the viewer is closed")
 
 
-def _checked_overlays(overlays: Overlays | None, default: Overlays) -> Overlays:
-    found: Overlays = instance("overlays", default if overlays is None else overlays, Overlays, "Overlays")
-    return found
+def _check_overlays(overlays: Overlays | None, default: Overlays) -> Overlays:
+    checked: Overlays = instance("overlays", default if overlays is None else overlays, Overlays, "Overlays")
+    return checked
 
 
-def _checked_runs(rollouts: object) -> dict[str, Rollout]:
+def _check_runs(rollouts: object) -> dict[str, Rollout]:
     """Return the rollouts by label; a single rollout has the label "".
 
     Raises
@@ -344,6 +344,6 @@ def _checked_runs(rollouts: object) -> dict[str, Rollout]:
         try:
             _ = run.poses, run.reference_poses
         except InvalidArgument as error:
-            where = f"rollout[{label!r}]" if label else "rollout"
-            raise InvalidArgument(f"{where}.{error}") from None
+            name = f"rollout[{label!r}]" if label else "rollout"
+            raise InvalidArgument(f"{name}.{error}") from None
     return runs

@@ -11,8 +11,8 @@ from PIL import Image, ImageOps
 
 from pinmobile.arrays import check_integer, non_negative
 from pinmobile.errors import ViewerError
-from pinmobile.viewer.pages import ENGINE, Command, SceneWindow, part_of_page, stage_page
-from pinmobile.viewer.server import Server, access_for, listening
+from pinmobile.viewer.pages import ENGINE, Command, SceneWindow, page_part, stage_page
+from pinmobile.viewer.server import Server, access_for, open_socket
 
 _CAPTURE = 20.0  # [s], longest time for a browser to draw a picture
 _ENGINE = '<script src="main.min.js{query}"></script>'
@@ -60,11 +60,11 @@ class LiveWindow(SceneWindow):
     """
 
     def __init__(self, host: str = "127.0.0.1", port: int | None = None, token: str | None = None) -> None:
-        wanted = None if port is None else check_integer("port", port, most=65535)
+        number = None if port is None else check_integer("port", port, most=65535)
         access = access_for(host, token)
         engine, connect = _ENGINE.format(query=access.query), _CONNECT.format(query=access.query)
-        html = stage_page("pinmobile", engine, connect + part_of_page("play.html"))
-        listener = listening(access.host, wanted)
+        html = stage_page("pinmobile", engine, connect + page_part("play.html"))
+        listener = open_socket(access.host, number)
         self._port = int(listener.getsockname()[1])
         self._server = Server(listener, access, html.encode(), ENGINE.read_bytes())
         super().__init__(self._server.backlog)
@@ -110,7 +110,7 @@ class LiveWindow(SceneWindow):
         """
         self._check_open()
         self._backlog.put(command)
-        self._server.tell()
+        self._server.wake()
 
     def wait(self, timeout: float = 60.0) -> bool:
         """Wait until a browser shows the page, and return True.
@@ -130,8 +130,8 @@ class LiveWindow(SceneWindow):
         self._server.wait(lambda: bool(self._server.browsers), limit)
         self._check_open()
         if not self._server.browsers:
-            where = self._server.access.address(self.port)
-            raise ViewerError(f"no browser has opened {where} within {limit:g} s")
+            address = self._server.access.address(self.port)
+            raise ViewerError(f"no browser has opened {address} within {limit:g} s")
         return True
 
     def flush(self, timeout: float = 5.0) -> bool:
@@ -150,12 +150,12 @@ class LiveWindow(SceneWindow):
         self._check_open()
         server, latest = self._server, self._server.backlog.latest
 
-        def all_have() -> bool:
-            return all(browser.taken >= latest for browser in tuple(server.browsers))
+        def is_flushed() -> bool:
+            return all(browser.received >= latest for browser in tuple(server.browsers))
 
-        server.wait(all_have, non_negative("timeout", timeout, "s"))
+        server.wait(is_flushed, non_negative("timeout", timeout, "s"))
         self._check_open()
-        return all_have()
+        return is_flushed()
 
     def get_image(self, w: int | None = None, h: int | None = None) -> Image.Image:
         """Return an RGBA picture of the scene from the browser that connected last.
@@ -181,13 +181,13 @@ class LiveWindow(SceneWindow):
         if sizes == [None, None]:
             return picture
         width, height = picture.size
-        wide = sizes[0] or round(width * (sizes[1] or height) / height) or 1
-        tall = sizes[1] or round(height * wide / width) or 1
-        return ImageOps.fit(picture, (wide, tall))
+        new_width = sizes[0] or round(width * (sizes[1] or height) / height) or 1
+        new_height = sizes[1] or round(height * new_width / width) or 1
+        return ImageOps.fit(picture, (new_width, new_height))
 
-    def listen(self, heard: Callable[[object, str], object]) -> None:
-        """Call ``heard(browser, text)`` for each short text of a browser; the text is "" when it leaves."""
-        self._server.heard = heard
+    def listen(self, function: Callable[[object, str], object]) -> None:
+        """Call ``function(browser, text)`` for each short text of a browser, and "" when it leaves."""
+        self._server.on_text = function
 
     def close(self) -> None:
         """Stop serving, and free the thread and the port. A closed window accepts no commands."""
