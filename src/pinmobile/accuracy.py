@@ -432,13 +432,13 @@ def hold_errors(
     dt = np.asarray(steps)
     run, step = partial(_run, robot, duration), guard(integrator)
     fine = run(steps[0], _exact_integrator(), 1)
-    inner = [_distance(run(steps[0], step, round(steps[0] / h)), fine) for h in steps]
-    outer = [_continuous_error(run(h, step, 1)) for h in steps]
+    substep_errors = [_distance(run(steps[0], step, round(steps[0] / h)), fine) for h in steps]
+    sampling_errors = [_continuous_error(run(h, step, 1)) for h in steps]
     size = _RADIUS + duration
     rounding = size * np.full(len(dt), 10 * _TOLERANCE), size * 64 * EPS * np.sqrt(duration / dt)
     return (
-        Convergence("position, step h", "m", dt, np.array(inner), rounding[0]),
-        Convergence("position, force held for h", "m", dt, np.array(outer), rounding[1]),
+        Convergence("position, step h", "m", dt, np.array(substep_errors), rounding[0]),
+        Convergence("position, force held for h", "m", dt, np.array(sampling_errors), rounding[1]),
         _continuous_error(fine),
     )
 
@@ -668,12 +668,12 @@ def _check_steps(steps: Sequence[float], duration: float) -> list[float]:
             f"duration is {duration} s, which gives {duration / ladder[-1]:.3g} of the shortest step, "
             f"expected at most {_MAX_STEPS:g}: use a longer step"
         )
-    for name, whole, part in (
+    for name, total, part in (
         ("duration", duration, ladder[0]),
         *(("steps[0]", ladder[0], h) for h in ladder),
     ):
-        if not isfinite(whole / part) or abs(whole / part - round(whole / part)) > _RATIO * whole / part:
-            raise InvalidArgument(f"{name} is {whole} s, expected a whole multiple of the step {part} s")
+        if not isfinite(total / part) or abs(total / part - round(total / part)) > _RATIO * total / part:
+            raise InvalidArgument(f"{name} is {total} s, expected a whole multiple of the step {part} s")
     return ladder
 
 

@@ -17,9 +17,9 @@ Numbers: TypeAlias = Array | float
 _SIZES = {"q": 3, "v": 3, "a": 3, "tau": 3, "twist": 3, "nu": 2, "com": 2}
 _COMPONENTS = "twist", "nu", "com"  # the formulas take the numbers of these one by one
 _POSITIVE = "mass", "yaw_inertia", "wheelbase", "radius"
-_NOT_NEGATIVE = "track", "spin_inertia", "steered_inertia"
-_ACUTE = "steering", "roller"
-_quietly = np.errstate(over="ignore", invalid="ignore", divide="ignore")  # for functions that check results
+_NON_NEGATIVE = "track", "spin_inertia", "steered_inertia"
+_ACUTE_ANGLES = "steering", "roller"
+_no_warnings = np.errstate(over="ignore", invalid="ignore", divide="ignore")  # functions check results
 
 
 def _arguments(**given: ArrayLike) -> tuple[list[Array], Callable[[Array], Array]]:
@@ -37,17 +37,17 @@ def _arguments(**given: ArrayLike) -> tuple[list[Array], Callable[[Array], Array
         x = vector(name, value, _SIZES[name]) if name in _SIZES else finite(name, value)
         if name in _POSITIVE:
             bounded(name, x, above=0)
-        elif name in _NOT_NEGATIVE:
+        elif name in _NON_NEGATIVE:
             bounded(name, x, least=0)
-        elif name in _ACUTE:
+        elif name in _ACUTE_ANGLES:
             bounded(name, x, above=-np.pi / 2, below=np.pi / 2, unit="rad")
         checked[name] = x
         shapes[name] = x.shape[:-1] if name in _SIZES else x.shape
-    lead = _broadcast(shapes)
+    shape = _broadcast(shapes)
     for name, x in checked.items():
         numbers = np.moveaxis(x, -1, 0) if name in _COMPONENTS else [x]
-        states = name in _SIZES and name not in _COMPONENTS
-        parts += [x] if states else [np.array(np.broadcast_to(each, lead)) for each in numbers]
+        is_state = name in _SIZES and name not in _COMPONENTS
+        parts += [x] if is_state else [np.array(np.broadcast_to(each, shape)) for each in numbers]
     return parts, partial(finite_answer, **checked)
 
 
@@ -55,22 +55,22 @@ def _broadcast(shapes: dict[str, tuple[int, ...]]) -> tuple[int, ...]:
     try:
         return np.broadcast_shapes(*shapes.values())
     except ValueError:
-        listed = ", ".join(f"{name} {shape}" for name, shape in shapes.items())
-        raise InvalidArgument(f"leading shapes are {listed}, expected shapes that broadcast") from None
+        texts = ", ".join(f"{name} {shape}" for name, shape in shapes.items())
+        raise InvalidArgument(f"leading shapes are {texts}, expected shapes that broadcast") from None
 
 
-def _turned(q: Array, x: Numbers, y: Numbers) -> tuple[Array, Array]:
+def _rotate_com(q: Array, x: Numbers, y: Numbers) -> tuple[Array, Array]:
     """Return d, the vector (x, y) of the body frame along the inertial axes, each entry of shape (...)."""
     c, s = np.cos(q[..., 2]), np.sin(q[..., 2])
     return x * c - y * s, x * s + y * c
 
 
-def _stacked(*columns: ArrayLike) -> Array:
+def _stack(*columns: ArrayLike) -> Array:
     """Return columns of shape (...), broadcast, as one array of shape (..., columns)."""
     return np.stack(np.broadcast_arrays(*map(np.asarray, columns)), axis=-1)
 
 
-@_quietly
+@_no_warnings
 def mass_matrix(q: ArrayLike, *, mass: ArrayLike, yaw_inertia: ArrayLike, com: ArrayLike = (0, 0)) -> Array:
     """Return the mass matrix M(q) of the lecture's body.
 
@@ -139,7 +139,7 @@ def unchecked_mass_matrix(
     >>> unchecked_mass_matrix(np.zeros(3), 20.0, 0.5, 0.1, 0.0)[2, 2]
     np.float64(0.7)
     """
-    dx, dy = _turned(q, com_x, com_y)
+    dx, dy = _rotate_com(q, com_x, com_y)
     M = np.zeros((*dx.shape, 3, 3))
     M[..., 0, 0] = M[..., 1, 1] = mass
     M[..., 0, 2] = M[..., 2, 0] = -mass * dy
@@ -148,7 +148,7 @@ def unchecked_mass_matrix(
     return M
 
 
-@_quietly
+@_no_warnings
 def coriolis_matrix(q: ArrayLike, v: ArrayLike, *, mass: ArrayLike, com: ArrayLike = (0, 0)) -> Array:
     """Return the matrix C(q, v) of Christoffel symbols: C v = n, and dM/dt - 2 C is skew-symmetric.
 
@@ -216,7 +216,7 @@ def unchecked_coriolis_matrix(q: Array, v: Array, mass: Numbers, com_x: Numbers,
     >>> unchecked_coriolis_matrix(np.zeros(3), v, 20.0, 0.1, 0.0)[0, 2]
     np.float64(-4.0)
     """
-    dx, dy = _turned(q, com_x, com_y)
+    dx, dy = _rotate_com(q, com_x, com_y)
     rate = v[..., 2]
     C = np.zeros((*np.broadcast_shapes(dx.shape, rate.shape), 3, 3))
     C[..., 0, 2] = -mass * dx * rate
@@ -224,7 +224,7 @@ def unchecked_coriolis_matrix(q: Array, v: Array, mass: Numbers, com_x: Numbers,
     return C
 
 
-@_quietly
+@_no_warnings
 def nonlinear_effects(q: ArrayLike, v: ArrayLike, *, mass: ArrayLike, com: ArrayLike = (0, 0)) -> Array:
     """Return the nonlinear effects n(q, v), which are the centrifugal force since the ground is level.
 
@@ -263,12 +263,12 @@ def nonlinear_effects(q: ArrayLike, v: ArrayLike, *, mass: ArrayLike, com: Array
     (np.float64(-8.0), -8.0)
     """
     (q, v, m, x, y), answer = _arguments(q=q, v=v, mass=mass, com=com)
-    dx, dy = _turned(q, x, y)
-    pull = -m * v[..., 2] ** 2
-    return answer(_stacked(pull * dx, pull * dy, 0.0))
+    dx, dy = _rotate_com(q, x, y)
+    factor = -m * v[..., 2] ** 2
+    return answer(_stack(factor * dx, factor * dy, 0.0))
 
 
-@_quietly
+@_no_warnings
 def inverse_dynamics(
     q: ArrayLike,
     v: ArrayLike,
@@ -318,7 +318,7 @@ def inverse_dynamics(
     return answer(unchecked_inverse_dynamics(*numbers))
 
 
-@_quietly
+@_no_warnings
 def forward_dynamics(
     q: ArrayLike,
     v: ArrayLike,
@@ -402,12 +402,12 @@ def unchecked_inverse_dynamics(
     >>> unchecked_inverse_dynamics(rest, rest, a, 20.0, 0.5, 0.1, 0.0)
     array([20., 0., 0.])
     """
-    dx, dy = _turned(q, com_x, com_y)
+    dx, dy = _rotate_com(q, com_x, com_y)
     rate2, spin = v[..., 2] ** 2, a[..., 2]
     fx = mass * (a[..., 0] - dy * spin - dx * rate2)
     fy = mass * (a[..., 1] + dx * spin - dy * rate2)
     moment = yaw_inertia * spin + mass * (dx * (a[..., 1] + dx * spin) - dy * (a[..., 0] - dy * spin))
-    return _stacked(fx, fy, moment)
+    return _stack(fx, fy, moment)
 
 
 def unchecked_forward_dynamics(
@@ -439,10 +439,10 @@ def unchecked_forward_dynamics(
     >>> unchecked_forward_dynamics(rest, rest, tau, 20.0, 0.5, 0.1, 0.0)
     array([1., 0., 0.])
     """
-    dx, dy = _turned(q, com_x, com_y)
+    dx, dy = _rotate_com(q, com_x, com_y)
     rate2, fx, fy = v[..., 2] ** 2, tau[..., 0], tau[..., 1]
     spin = (tau[..., 2] - (dx * fy - dy * fx)) / yaw_inertia
-    return _stacked(fx / mass + dy * spin + dx * rate2, fy / mass - dx * spin + dy * rate2, spin)
+    return _stack(fx / mass + dy * spin + dx * rate2, fy / mass - dx * spin + dy * rate2, spin)
 
 
 class ReducedModel(NamedTuple):
@@ -477,7 +477,7 @@ class ReducedModel(NamedTuple):
     B: Array
 
 
-@_quietly
+@_no_warnings
 def differential_drive(
     nu: ArrayLike,
     *,
@@ -548,16 +548,16 @@ def differential_drive(
     """
     body = {"mass": mass, "yaw_inertia": yaw_inertia, "com": com, "track": track, "radius": radius}
     numbers, answer = _arguments(**body, spin_inertia=spin_inertia, axle=axle, nu=nu)
-    m, inertia, dx, dy, track, r, spin, at, v, w = numbers
-    b, dx = bounded("track", track, above=0) / 2, dx - at
+    m, inertia, dx, dy, track, r, spin, position, v, w = numbers
+    b, dx = bounded("track", track, above=0) / 2, dx - position
     M = _matrix(
         [m + 2 * spin / r**2, -m * dy], [-m * dy, inertia + m * (dx**2 + dy**2) + 2 * spin * (b / r) ** 2]
     )
     B = _matrix([1 / r, 1 / r], [-b / r, b / r])
-    return ReducedModel(*map(answer, (M, _stacked(-m * dx * w**2, m * dx * v * w), B)))
+    return ReducedModel(*map(answer, (M, _stack(-m * dx * w**2, m * dx * v * w), B)))
 
 
-@_quietly
+@_no_warnings
 def roller_drive(
     twist: ArrayLike,
     *,
@@ -631,20 +631,20 @@ def roller_drive(
     """
     body = {"mass": mass, "yaw_inertia": yaw_inertia, "com": com, "twist": twist}
     wheels = {"x": x, "y": y, "angle": angle, "roller": roller, "radius": radius}
-    (m, inertia, xc, yc, vx, vy, w), of_body = _arguments(**body)
-    (px, py, delta, gamma, r, spin), of_wheels = _arguments(**wheels, spin_inertia=spin_inertia)
+    (m, inertia, xc, yc, vx, vy, w), check_body = _arguments(**body)
+    (px, py, delta, gamma, r, spin), check_wheels = _arguments(**wheels, spin_inertia=spin_inertia)
     shaped("x", px, ("...", "k"), words=", one number for each wheel")
     _broadcast({"twist": m.shape, "x": px.shape[:-1]})
     c, s = np.cos(delta + gamma), np.sin(delta + gamma)
     J = np.stack([c, s, px * s - py * c], axis=-1) / (r * np.cos(gamma))[..., None]
     zero = np.zeros_like(m)
     M = _matrix([m, zero, -m * yc], [zero, m, m * xc], [-m * yc, m * xc, inertia + m * (xc**2 + yc**2)])
-    spun = np.einsum("...ki,...k,...kj->...ij", J, spin, J)
+    spin_matrix = np.einsum("...ki,...k,...kj->...ij", J, spin, J)
     n = (m * w)[..., None] * np.stack([-vy - xc * w, vx - yc * w, xc * vx + yc * vy], axis=-1)
-    return ReducedModel(of_wheels(M + spun), of_body(n), of_wheels(np.swapaxes(J, -1, -2)))
+    return ReducedModel(check_wheels(M + spin_matrix), check_body(n), check_wheels(np.swapaxes(J, -1, -2)))
 
 
-@_quietly
+@_no_warnings
 def car(
     nu: ArrayLike,
     steering: ArrayLike,
@@ -725,26 +725,26 @@ def car(
     body = {"mass": mass, "yaw_inertia": yaw_inertia, "com": com, "wheelbase": wheelbase, "radius": radius}
     wheels = {"track": track, "spin_inertia": spin_inertia, "steered_inertia": steered_inertia}
     numbers, answer = _arguments(**body, **wheels, steering=steering, nu=nu)
-    m, inertia, xc, yc, L, r, track, spin, turned, delta, v, rate = numbers
+    m, inertia, xc, yc, L, r, track, spin, steered, delta, v, rate = numbers
     b, c, s = track / 2, np.cos(delta), np.sin(delta)
     T, turn = s / (c * L), 1 / (L * c * c)  # w = T v, and d T / d delta
     J = inertia + m * (xc**2 + yc**2)
-    ratio, tilt, driven = np.zeros((2, *m.shape)), np.zeros((2, *m.shape)), np.zeros((2, *m.shape))
+    ratio, slope, factors = np.zeros((2, *m.shape)), np.zeros((2, *m.shape)), np.zeros((2, *m.shape))
     for k, y in enumerate((b, -b)):
-        aside = c - y * s / L
-        ratio[k] = 1 / (s**2 + aside**2)
-        tilt[k] = -2 * (s * c - aside * (s + y * c / L)) * ratio[k] ** 2
-        driven[k] = np.hypot(1 - y * T, T * L)
+        lateral = c - y * s / L
+        ratio[k] = 1 / (s**2 + lateral**2)
+        slope[k] = -2 * (s * c - lateral * (s + y * c / L)) * ratio[k] ** 2
+        factors[k] = np.hypot(1 - y * T, T * L)
     M11 = m * (1 - 2 * yc * T) + J * T**2 + 2 * spin / r**2 * (1 + 1 / c**2 + 2 * (b * T) ** 2)
-    M12 = turned * T * ratio.sum(0)
+    M12 = steered * T * ratio.sum(0)
     half = (-m * yc + J * T + 2 * spin / r**2 * (L**2 + 2 * b**2) * T) * turn  # half the derivative of M11
-    n = _stacked(
-        half * v * rate + turned * T * tilt.sum(0) * rate**2,
-        turned * (turn * ratio.sum(0) * v * rate + (ratio * tilt).sum(0) * rate**2),
+    n = _stack(
+        half * v * rate + steered * T * slope.sum(0) * rate**2,
+        steered * (turn * ratio.sum(0) * v * rate + (ratio * slope).sum(0) * rate**2),
     )
     zero, one = np.zeros_like(m), np.ones_like(m)
-    M = _matrix([M11, M12], [M12, turned * (ratio**2).sum(0)])
-    B = _matrix([1 / r, driven.sum(0) / (2 * r), zero], [zero, zero, one])
+    M = _matrix([M11, M12], [M12, steered * (ratio**2).sum(0)])
+    B = _matrix([1 / r, factors.sum(0) / (2 * r), zero], [zero, zero, one])
     return ReducedModel(*map(answer, (M, n, B)))
 
 

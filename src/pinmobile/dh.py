@@ -91,12 +91,12 @@ class DHRow:
         for name in ("alpha", "a", "theta", "d"):
             value = getattr(self, name)
             if isinstance(value, str):
-                value = _read(name, value)
+                value = _parse_number(name, value)
             elif getattr(value, "is_number", False) is True:  # a number of sympy, such as pi / 2
                 value = float(value)
             value = scalar(name, value)
-            if name in ("alpha", "theta") and abs(value) > _TURN:
-                _refuse_degrees(name, f"{value:g}", value)
+            if name in ("alpha", "theta") and abs(value) > _MAX_ANGLE:
+                _reject_degrees(name, f"{value:g}", value)
             object.__setattr__(self, name, value)
         if isinstance(self.joint, str):
             kinds = {one.value: one for one in JointType}
@@ -106,7 +106,7 @@ class DHRow:
             raise InvalidArgument(f"variable is {format_value(self.variable)}, expected a name")
 
 
-_TURN = 2 * pi + 1e-9  # [rad], largest angle of a row
+_MAX_ANGLE = 2 * pi + 1e-9  # [rad], largest angle of a row
 _DEGREES = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+))\s*(deg|degree|degrees|°)\s*")
 _OPERATIONS: dict[type, Any] = {
     **{ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv},
@@ -114,34 +114,34 @@ _OPERATIONS: dict[type, Any] = {
 }
 
 
-def _read(name: str, text: str) -> float:
+def _parse_number(name: str, text: str) -> float:
     """Return the number of text such as ``3*pi/2``; text in degrees is refused with the number to type."""
-    if found := _DEGREES.fullmatch(text):
-        _refuse_degrees(name, repr(text), found[1])
+    if match := _DEGREES.fullmatch(text):
+        _reject_degrees(name, repr(text), match[1])
     try:
-        return float(_computed(ast.parse(text.strip(), mode="eval").body))
+        return float(_evaluate(ast.parse(text.strip(), mode="eval").body))
     except (SyntaxError, ValueError, TypeError, LookupError, ArithmeticError, RecursionError):
         raise InvalidArgument(f"{name} is {format_value(text)}, expected a number, such as 'pi/2'") from None
 
 
-def _refuse_degrees(name: str, given: str, degrees: Any) -> None:
+def _reject_degrees(name: str, value: str, degrees: Any) -> None:
     """Raise `InvalidArgument` for an angle in degrees, with the number in rad to type."""
     turns = Fraction(degrees) / 180
-    top = {1: "pi", -1: "-pi"}.get(turns.numerator, f"{turns.numerator}*pi")
-    typed = "0" if turns == 0 else top if turns.denominator == 1 else f"{top}/{turns.denominator}"
+    num = {1: "pi", -1: "-pi"}.get(turns.numerator, f"{turns.numerator}*pi")
+    fraction = "0" if turns == 0 else num if turns.denominator == 1 else f"{num}/{turns.denominator}"
     number = f"{float(turns) * pi:.10g}"
-    exact = f"{typed}, or {number}" if turns.denominator < 10**4 else number
-    raise InvalidArgument(f"{name} is {given}, expected a number in rad, at most 2 pi in size: {exact}")
+    exact = f"{fraction}, or {number}" if turns.denominator < 10**4 else number
+    raise InvalidArgument(f"{name} is {value}, expected a number in rad, at most 2 pi in size: {exact}")
 
 
-def _computed(node: Any) -> Any:
+def _evaluate(node: Any) -> Any:
     """Return the value of numbers, pi and the four operations."""
     if isinstance(node, ast.Name):
         return {"pi": pi}[node.id]
     if isinstance(node, ast.UnaryOp):
-        return _OPERATIONS[type(node.op)](_computed(node.operand))
+        return _OPERATIONS[type(node.op)](_evaluate(node.operand))
     if isinstance(node, ast.BinOp):
-        return _OPERATIONS[type(node.op)](_computed(node.left), _computed(node.right))
+        return _OPERATIONS[type(node.op)](_evaluate(node.left), _evaluate(node.right))
     if not isinstance(node, ast.Constant) or type(node.value) not in (int, float):
         raise ValueError
     return node.value
@@ -182,15 +182,15 @@ class DHTable:
     rows: tuple[DHRow, ...]
 
     def __post_init__(self) -> None:
-        made, wrong = [], []
+        rows, messages = [], []
         for k, row in enumerate(sequence("rows", self.rows, "a sequence of DHRow")):
             try:
-                made.append(_row(row))
+                rows.append(_check_row(row))
             except PinmobileError as error:
-                wrong.append(f"rows[{k}]: {error}")
-        if wrong:
-            raise InvalidArgument("; ".join(wrong), "rows")
-        object.__setattr__(self, "rows", tuple(made))
+                messages.append(f"rows[{k}]: {error}")
+        if messages:
+            raise InvalidArgument("; ".join(messages), "rows")
+        object.__setattr__(self, "rows", tuple(rows))
         if not self.rows:
             raise InvalidArgument("rows is empty, expected one DHRow or more")
         if len(set(self.variables)) != len(self.rows):
@@ -258,7 +258,7 @@ class DHTable:
         return placements
 
 
-def _row(row: Any) -> DHRow:
+def _check_row(row: Any) -> DHRow:
     """Return a row of a table from a mapping or a sequence of its entries."""
     names = ", ".join(each.name for each in fields(DHRow))
     try:
@@ -327,7 +327,7 @@ def transform(alpha: float, a: float, theta: ArrayLike, d: ArrayLike) -> Array:
     broadcast(theta=theta[..., None], d=d[..., None])
     theta, d = np.broadcast_arrays(theta, d)
     alpha, a = scalar("alpha", alpha), scalar("a", a)
-    c, s, ca, sa = (_exact(value) for value in (np.cos(theta), np.sin(theta), cos(alpha), sin(alpha)))
+    c, s, ca, sa = (_round_zeros(value) for value in (np.cos(theta), np.sin(theta), cos(alpha), sin(alpha)))
     T = np.zeros((*theta.shape, 4, 4))
     T[..., 0, 0], T[..., 0, 1], T[..., 0, 3] = c, -s, a
     T[..., 1, 0], T[..., 1, 1], T[..., 1, 2], T[..., 1, 3] = s * ca, c * ca, -sa, -d * sa
@@ -336,13 +336,13 @@ def transform(alpha: float, a: float, theta: ArrayLike, d: ArrayLike) -> Array:
     return T
 
 
-def _exact(value: ArrayLike) -> Array:
+def _round_zeros(value: ArrayLike) -> Array:
     """Return the value with rounded zeros, such as cos(pi / 2) = 6e-17, replaced by exact zeros."""
     value = np.asarray(value)
-    return np.where(np.abs(value) < _ROUNDED_ZERO, 0.0, value)
+    return np.where(np.abs(value) < _ZERO_TOLERANCE, 0.0, value)
 
 
-_ROUNDED_ZERO = 2 * np.finfo(np.float64).eps
+_ZERO_TOLERANCE = 2 * np.finfo(np.float64).eps
 
 
 def _planar(*angles: tuple[float, float]) -> DHTable:

@@ -19,26 +19,26 @@ from pinmobile.robot import Solid, Solids
 GROUND = "ground"
 """Name of the ground in pairs of links."""
 
-_TOUCH = 1e-6  # [m]: largest distance that counts as contact
-_EXACT, _DEEP = 1e-10, 1e-8  # [m]: tolerances of the distance and of the penetration depth
-_ITERATIONS, _DEEP_ITERATIONS = 1000, 255
+_TOUCH_TOLERANCE = 1e-6  # [m]: largest distance that counts as contact
+_TOLERANCE, _DEPTH_TOLERANCE = 1e-10, 1e-8  # [m]: tolerances of the distance and of the penetration depth
+_ITERATIONS, _DEPTH_ITERATIONS = 1000, 255
 _GUESS = np.array([1.0, 0.0, 0.0]), np.zeros(2, np.int32)  # default initial guess of coal
-_FAILED = -1e6  # [m]: coal returns less if its depth computation fails
+_MIN_DEPTH = -1e6  # [m]: coal returns less if its depth computation fails
 _GRID = 25  # grid values of each joint in the search for a contact of two links
-_FINER = 4  # refinements of this search, each half as wide
-_NEAR = 2  # largest number of joints between two links of this search
-_RIGID = "at a constant distance"
-_JOINED = "joined by a joint"
-_AT_REST = "touch at rest"
-_APART = "never touch in any position of the joints between them"
-_STANDS = "stands on the ground"
+_REFINEMENTS = 4  # refinements of this search, each half as wide
+_MAX_JOINTS = 2  # largest number of joints between two links of this search
+_RIGID_REASON = "at a constant distance"
+_JOINT_REASON = "joined by a joint"
+_REST_REASON = "touch at rest"
+_APART_REASON = "never touch in any position of the joints between them"
+_GROUND_REASON = "stands on the ground"
 
 _NO_PAIRS = (
     "no pairs, since no part of the robot moves relative to another part or the ground: expected a robot "
     "with an arm, see robot.mount(...), whose URDF has <collision> shapes"
 )
 _STARTS = 5  # start points of the search for a contact of two links
-_INSIDE = 0.5
+_WINDING_LIMIT = 0.5
 
 Pair = tuple[str, str]
 _Numbers = tuple[int, int]
@@ -120,9 +120,9 @@ class Clearance:
         lines = [f"smallest clearance {self.told}; {len(self.pairs)} pairs" if self.pairs else self.told]
         reasons = dict.fromkeys(self.left_out.values())
         for reason in reasons:
-            pairs = [" - ".join(pair) for pair, why in self.left_out.items() if why == reason]
-            lines.append(f"left out, {reason}: " + ("" if reason != _RIGID else f"{len(pairs)} pairs"))
-            lines[-1] += ", ".join(pairs) if reason != _RIGID else ""
+            pairs = [" - ".join(pair) for pair, text in self.left_out.items() if text == reason]
+            lines.append(f"left out, {reason}: " + ("" if reason != _RIGID_REASON else f"{len(pairs)} pairs"))
+            lines[-1] += ", ".join(pairs) if reason != _RIGID_REASON else ""
         return "\n".join(lines)
 
 
@@ -179,9 +179,9 @@ def clearance(robot: Any, q: ArrayLike) -> Clearance:
         )
     choice = _choice(robot)
     placements = np.asarray(robot.solid_placements(q))
-    found = choice.scene.distances(placements.reshape(-1, *placements.shape[-3:]), choice.pairs)
-    names = tuple(choice.scene.named(pair) for pair in choice.pairs)
-    return Clearance(found.reshape(*placements.shape[:-3], len(names)), names, dict(choice.left_out))
+    distances = choice.scene.distances(placements.reshape(-1, *placements.shape[-3:]), choice.pairs)
+    names = tuple(choice.scene.pair_names(pair) for pair in choice.pairs)
+    return Clearance(distances.reshape(*placements.shape[:-3], len(names)), names, dict(choice.left_out))
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,72 +196,72 @@ class _Choice:
 def _choice(robot: Any) -> _Choice:
     """Return the pairs of a robot's links that count, from a cache for each collision geometry."""
     solids = robot.solids  # the key, since equal robots may have different shapes
-    found = _choices.get(solids)
-    if found is None:
-        found = _choices[solids] = _chosen(robot)
-    return found
+    choice = _choices.get(solids)
+    if choice is None:
+        choice = _choices[solids] = _choose_pairs(robot)
+    return choice
 
 
 _choices: WeakKeyDictionary[Any, _Choice] = WeakKeyDictionary()
 
 
-def _chosen(robot: Any) -> _Choice:
+def _choose_pairs(robot: Any) -> _Choice:
     solids: Solids = robot.solids
     scene = _Scene(solids.shapes)
     left_out: dict[Pair, str] = {}
     pairs = []
     for pair in combinations(range(len(scene.links) + 1), 2):
-        reason = _why_not(solids, scene, pair)
+        reason = _exclusion_reason(solids, scene, pair)
         if reason:
-            left_out[scene.named(pair)] = reason
+            left_out[scene.pair_names(pair)] = reason
         else:
             pairs.append(pair)
-    at_rest = np.asarray(robot.solid_placements(robot.rest))
+    rest = np.asarray(robot.solid_placements(robot.rest))
     for pair in tuple(pairs):
-        if scene.exact(at_rest, pair) <= _TOUCH:
-            left_out[scene.named(pair)] = _AT_REST
+        if scene.exact_distance(rest, pair) <= _TOUCH_TOLERANCE:
+            left_out[scene.pair_names(pair)] = _REST_REASON
             pairs.remove(pair)
-    for joints, near in _by_joints(solids, scene, pairs).items():
-        for pair, touches in zip(near, _can_touch(robot, solids, scene, joints, near), strict=True):
+    for joints, group in _group_by_joints(solids, scene, pairs).items():
+        for pair, touches in zip(group, _can_touch(robot, solids, scene, joints, group), strict=True):
             if not touches:
-                left_out[scene.named(pair)] = _APART
-    counted = tuple(pair for pair in pairs if scene.named(pair) not in left_out)
-    return _Choice(scene, counted, left_out)
+                left_out[scene.pair_names(pair)] = _APART_REASON
+    remaining = tuple(pair for pair in pairs if scene.pair_names(pair) not in left_out)
+    return _Choice(scene, remaining, left_out)
 
 
-def _why_not(solids: Solids, scene: _Scene, pair: _Numbers) -> str:
+def _exclusion_reason(solids: Solids, scene: _Scene, pair: _Numbers) -> str:
     """Return the reason why a pair never counts; an empty text if there is none."""
     a, b = (scene.part(k) for k in pair)
     if a == b:
         link = scene.links[pair[0]] if scene.is_ground(pair[1]) else ""
-        return _STANDS if link in solids.standing else _RIGID
-    between = _between(solids, a, b)
-    return _JOINED if len(between) == 1 and not scene.is_ground(pair[1]) else ""
+        return _GROUND_REASON if link in solids.standing else _RIGID_REASON
+    joints = _joints_between(solids, a, b)
+    return _JOINT_REASON if len(joints) == 1 and not scene.is_ground(pair[1]) else ""
 
 
-def _between(solids: Solids, a: int, b: int) -> tuple[int, ...]:
+def _joints_between(solids: Solids, a: int, b: int) -> tuple[int, ...]:
     """Return the parts whose joints lie between two parts."""
-    ways: list[list[int]] = []
+    branches: list[list[int]] = []
     for part in (a, b):
-        way = []
+        branch = []
         while part > 0:
-            way.append(part)
+            branch.append(part)
             part = solids.parents[part]
-        ways.append(way)
-    return tuple(sorted(set(ways[0]) ^ set(ways[1])))
+        branches.append(branch)
+    return tuple(sorted(set(branches[0]) ^ set(branches[1])))
 
 
-def _by_joints(
+def _group_by_joints(
     solids: Solids, scene: _Scene, pairs: Sequence[_Numbers]
 ) -> dict[tuple[int, ...], list[_Numbers]]:
     """Return the pairs with at most two joints between them, grouped by these joints."""
-    found: dict[tuple[int, ...], list[_Numbers]] = {}
+    groups: dict[tuple[int, ...], list[_Numbers]] = {}
     for pair in pairs:
-        between = _between(solids, scene.part(pair[0]), scene.part(pair[1]))
-        single = all(solids.moves[k].stop - solids.moves[k].start == 1 for k in between)
-        if len(between) <= _NEAR and single:
-            found.setdefault(between, []).append(pair)
-    return found
+        joints = _joints_between(solids, scene.part(pair[0]), scene.part(pair[1]))
+        is_simple = all(solids.moves[k].stop - solids.moves[k].start == 1 for k in joints)
+        if len(joints) <= _MAX_JOINTS and is_simple:
+            groups.setdefault(joints, []).append(pair)
+    return groups
 
 
 def _can_touch(
@@ -270,33 +270,33 @@ def _can_touch(
     """Return for each pair whether it touches in some position of the joints between its links."""
     columns = [solids.moves[k].start for k in joints]
     rest = np.asarray(robot.rest)
-    low, high = np.transpose([_span(robot, rest, column) for column in columns])
+    low, high = np.transpose([_joint_range(robot, rest, column) for column in columns])
 
-    def placed(values: Array) -> Array:
+    def place(values: Array) -> Array:
         """Return the placements at displacements of the joints, shape (n, joints)."""
-        moved = np.zeros((len(values), robot.nv))
-        moved[:, columns] = values
-        return np.asarray(robot.solid_placements(robot.integrate(rest, moved)))
+        displacements = np.zeros((len(values), robot.nv))
+        displacements[:, columns] = values
+        return np.asarray(robot.solid_placements(robot.integrate(rest, displacements)))
 
-    tried = _lattice([np.linspace(a, b, _GRID) for a, b in zip(low, high, strict=True)])
-    width, around = (high - low) / (_GRID - 1), _lattice([np.linspace(-1, 1, 5)] * len(columns))
-    placements = placed(tried)
+    positions = _lattice([np.linspace(a, b, _GRID) for a, b in zip(low, high, strict=True)])
+    width, offsets = (high - low) / (_GRID - 1), _lattice([np.linspace(-1, 1, 5)] * len(columns))
+    placements = place(positions)
     bounds = scene.bounds(placements, pairs)
-    found = []
+    results = []
     for pair, bound in zip(pairs, bounds.T, strict=True):
         order = np.argsort(bound)
-        deep = [k for k in order if bound[k] <= _TOUCH]
-        if any(scene.overlaps(placements[k], pair) for k in deep):
-            found.append(True)
+        candidates = [k for k in order if bound[k] <= _TOUCH_TOLERANCE]
+        if any(scene.overlaps(placements[k], pair) for k in candidates):
+            results.append(True)
             continue
-        least = [scene.exact(placements[k], pair) for k in order[:_STARTS]]
-        centre, nearest = tried[order[int(np.argmin(least))]], min(least)
-        for finer in range(_FINER):
-            near = np.clip(centre + width * 0.5**finer * around, low, high)
-            here = [scene.exact(each, pair) for each in placed(near)]
-            centre, nearest = near[int(np.argmin(here))], min(nearest, *here)
-        found.append(nearest <= _TOUCH)
-    return found
+        distances = [scene.exact_distance(placements[k], pair) for k in order[:_STARTS]]
+        centre, nearest = positions[order[int(np.argmin(distances))]], min(distances)
+        for level in range(_REFINEMENTS):
+            points = np.clip(centre + width * 0.5**level * offsets, low, high)
+            trials = [scene.exact_distance(each, pair) for each in place(points)]
+            centre, nearest = points[int(np.argmin(trials))], min(nearest, *trials)
+        results.append(nearest <= _TOUCH_TOLERANCE)
+    return results
 
 
 def _lattice(values: Sequence[Array]) -> Array:
@@ -304,13 +304,13 @@ def _lattice(values: Sequence[Array]) -> Array:
     return np.stack(np.meshgrid(*values, indexing="ij"), axis=-1).reshape(-1, len(values))
 
 
-def _span(robot: Any, rest: Array, column: int) -> tuple[float, float]:
+def _joint_range(robot: Any, rest: Array, column: int) -> tuple[float, float]:
     """Return the range of a joint's displacement from rest; a full turn is the maximum."""
     one = robot.coordinates[column]
     low, high = one.lower - rest[column], one.upper - rest[column]
-    far = np.pi if one.unit == "rad" else 1.0
-    if high - low > 2 * far:
-        return -far, far
+    limit = np.pi if one.unit == "rad" else 1.0
+    if high - low > 2 * limit:
+        return -limit, limit
     return float(low), float(high)
 
 
@@ -328,8 +328,8 @@ class _Scene:
 
         self.links = tuple(dict.fromkeys(shape.link for shape in shapes))
         self._parts = {shape.link: shape.part for shape in shapes}
-        self._of = [[k for k, shape in enumerate(shapes) if shape.link == link] for link in self.links]
-        self._of.append([len(shapes)])
+        self._shapes_of = [[k for k, shape in enumerate(shapes) if shape.link == link] for link in self.links]
+        self._shapes_of.append([len(shapes)])
         plane = coal.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0)
         self._convex = [*(shape.geometry for shape in shapes), plane]
         self._meshes = [*(shape.mesh for shape in shapes), None]
@@ -345,7 +345,7 @@ class _Scene:
         """Return the moving part of a link; the level ground belongs to the body."""
         return 0 if self.is_ground(k) else self._parts[self.links[k]]
 
-    def named(self, pair: _Numbers) -> Pair:
+    def pair_names(self, pair: _Numbers) -> Pair:
         """Return the names of two links."""
         a, b = (GROUND if self.is_ground(k) else self.links[k] for k in pair)
         return a, b
@@ -370,28 +370,28 @@ class _Scene:
         data = model.createData()
         requests, results = list(data.distanceRequests), list(data.distanceResults)
         for request in requests:
-            _make_exact(request)
+            _set_tolerances(request)
         data.oMg[len(self._convex) - 1] = pin.SE3.Identity()
-        found = np.empty((len(placements), len(model.collisionPairs)))
-        for row, out in zip(placements, found, strict=True):
+        minima = np.empty((len(placements), len(model.collisionPairs)))
+        for row, row_minima in zip(placements, minima, strict=True):
             for k, placement in enumerate(row):
                 data.oMg[k] = pin.SE3(placement)
             for request in requests:  # reset the guess: last digits must not depend on earlier calls
                 request.cached_gjk_guess, request.cached_support_func_guess = _GUESS
             pin.computeDistances(model, data)
-            out[:] = [result.min_distance for result in results]
-        found[found < _FAILED] = -_TOUCH  # they overlap
-        return np.asarray(np.minimum.reduceat(found, starts, axis=1))
+            row_minima[:] = [result.min_distance for result in results]
+        minima[minima < _MIN_DEPTH] = -_TOUCH_TOLERANCE  # they overlap
+        return np.asarray(np.minimum.reduceat(minima, starts, axis=1))
 
     def _shapes(self, pair: _Numbers) -> list[_Numbers]:
-        return [(i, j) for i in self._of[pair[0]] for j in self._of[pair[1]]]
+        return [(i, j) for i in self._shapes_of[pair[0]] for j in self._shapes_of[pair[1]]]
 
     def has_mesh(self, pair: _Numbers) -> bool:
         """Return whether the distance of two links may exceed the distance of their convex hulls.
 
         For a hull and the ground, both distances are equal.
         """
-        meshes = (self._meshes[k] for one in pair for k in self._of[one])
+        meshes = (self._meshes[k] for one in pair for k in self._shapes_of[one])
         return not self.is_ground(pair[1]) and any(mesh is not None for mesh in meshes)
 
     def distances(self, placements: Array, pairs: Sequence[_Numbers]) -> Array:
@@ -399,39 +399,39 @@ class _Scene:
 
         For other pairs with meshes, the value is the lower bound from `bounds`.
         """
-        found = self.bounds(placements, pairs)
+        values = self.bounds(placements, pairs)
         meshes = [self.has_mesh(pair) for pair in pairs]
         if not any(meshes):
-            return found
-        for row, out in zip(placements, found, strict=True):
+            return values
+        for row, row_values in zip(placements, values, strict=True):
             nearest = np.inf
-            for k in np.argsort(out):
-                if out[k] >= nearest:
+            for k in np.argsort(row_values):
+                if row_values[k] >= nearest:
                     break
-                out[k] = self.exact(row, pairs[k]) if meshes[k] else out[k]
-                nearest = min(nearest, out[k])
-        return found
+                row_values[k] = self.exact_distance(row, pairs[k]) if meshes[k] else row_values[k]
+                nearest = min(nearest, row_values[k])
+        return values
 
-    def exact(self, placements: Array, pair: _Numbers) -> float:
+    def exact_distance(self, placements: Array, pair: _Numbers) -> float:
         """Return the distance of two links [m] for placements of the shapes, shape (shapes, 4, 4).
 
         If meshes overlap, this is the (negative) distance of their convex hulls.
         """
-        return min(self._exact(i, j, placements) for i, j in self._shapes(pair))
+        return min(self._shape_distance(i, j, placements) for i, j in self._shapes(pair))
 
-    def _exact(self, i: int, j: int, placements: Array) -> float:
+    def _shape_distance(self, i: int, j: int, placements: Array) -> float:
         import coal
 
-        places = [self._place(k, placements) for k in (i, j)]
+        poses = [self._place(k, placements) for k in (i, j)]
         request, result = coal.DistanceRequest(), coal.DistanceResult()
-        _make_exact(request)
-        hulls = float(coal.distance(self._convex[i], places[0], self._convex[j], places[1], request, result))
-        hulls = hulls if hulls > _FAILED else -_TOUCH
+        _set_tolerances(request)
+        hulls = float(coal.distance(self._convex[i], poses[0], self._convex[j], poses[1], request, result))
+        hulls = hulls if hulls > _MIN_DEPTH else -_TOUCH_TOLERANCE
         if j == len(self._convex) - 1 or (self._meshes[i] is None and self._meshes[j] is None):
             return hulls
         result = coal.DistanceResult()
-        solid = float(coal.distance(self._solid(i), places[0], self._solid(j), places[1], request, result))
-        if solid <= _TOUCH or (hulls < 0 and self._encloses(i, j, placements)):
+        solid = float(coal.distance(self._solid(i), poses[0], self._solid(j), poses[1], request, result))
+        if solid <= _TOUCH_TOLERANCE or (hulls < 0 and self._encloses(i, j, placements)):
             return min(hulls, solid)
         return solid
 
@@ -440,9 +440,9 @@ class _Scene:
         import coal
 
         for i, j in self._shapes(pair):
-            places = [self._place(k, placements) for k in (i, j)]
+            poses = [self._place(k, placements) for k in (i, j)]
             request, result = coal.CollisionRequest(), coal.CollisionResult()
-            if coal.collide(self._solid(i), places[0], self._solid(j), places[1], request, result):
+            if coal.collide(self._solid(i), poses[0], self._solid(j), poses[1], request, result):
                 return True
         return False
 
@@ -462,25 +462,25 @@ class _Scene:
             mesh = self._meshes[outer]
             if mesh is None:
                 continue  # a primitive is solid: a shape inside overlaps
-            point = _point_of(self._solid(inner))
-            there = placements[inner] @ np.append(point, 1.0)
-            local = np.linalg.solve(placements[outer], there)[:3]
-            if _winding(mesh, local) > _INSIDE:
+            point = _inner_point(self._solid(inner))
+            world = placements[inner] @ np.append(point, 1.0)
+            position = np.linalg.solve(placements[outer], world)[:3]
+            if _winding_number(mesh, position) > _WINDING_LIMIT:
                 return True
         return False
 
 
-def _make_exact(request: Any) -> None:
-    request.gjk_tolerance, request.gjk_max_iterations = _EXACT, _ITERATIONS
-    request.epa_tolerance, request.epa_max_iterations = _DEEP, _DEEP_ITERATIONS
+def _set_tolerances(request: Any) -> None:
+    request.gjk_tolerance, request.gjk_max_iterations = _TOLERANCE, _ITERATIONS
+    request.epa_tolerance, request.epa_max_iterations = _DEPTH_TOLERANCE, _DEPTH_ITERATIONS
 
 
-def _point_of(geometry: Any) -> Array:
+def _inner_point(geometry: Any) -> Array:
     """Return a point of a shape: a vertex of a mesh, the centre of any other shape."""
     return np.array(geometry.vertices()[0]) if hasattr(geometry, "num_tris") else np.zeros(3)
 
 
-def _winding(mesh: Any, point: Array) -> float:
+def _winding_number(mesh: Any, point: Array) -> float:
     """Return the winding number of a mesh: one inside, zero outside (van Oosterom, Strackee, 1983)."""
     triangles = (mesh.tri_indices(k) for k in range(mesh.num_tris))
     faces = np.array([[triangle[0], triangle[1], triangle[2]] for triangle in triangles])

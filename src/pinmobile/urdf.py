@@ -27,9 +27,9 @@ from pinmobile.arrays import (
 from pinmobile.dh import DHTable, JointType, transform
 from pinmobile.errors import InvalidArgument, format_value
 
-_INERTIA_ROUNDING = 1e-9  # tolerance of the triangle inequality: files have about eight digits
+_INERTIA_TOLERANCE = 1e-9  # tolerance of the triangle inequality: files have about eight digits
 # Dynamics about B's origin subtract m |com|^2 from the yaw inertia: six digits of the difference must remain.
-_DIGITS = 1e-9
+_OFFSET_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,26 +77,26 @@ class Body:
             raise InvalidArgument(
                 f"com and inertia have shapes {com.shape} and {inertia.shape}, expected (3,) and (3, 3)"
             )
-        slack = _INERTIA_ROUNDING * np.abs(inertia).max()
-        if np.abs(inertia - inertia.T).max() > slack:
+        tolerance = _INERTIA_TOLERANCE * np.abs(inertia).max()
+        if np.abs(inertia - inertia.T).max() > tolerance:
             raise InvalidArgument(f"inertia is not symmetric: {inertia.tolist()}")
         # Scaled, since sums of the moments may overflow.
         unit = np.abs(inertia).max() or 1.0
         moments = np.linalg.eigvalsh(inertia / unit)
-        slack = _INERTIA_ROUNDING
-        if moments[0] < -slack or moments[2] > moments[0] + moments[1] + slack or inertia[2, 2] <= 0:
-            listed = ", ".join(f"{unit * moment:.6g}" for moment in moments)
+        tolerance = _INERTIA_TOLERANCE
+        if moments[0] < -tolerance or moments[2] > moments[0] + moments[1] + tolerance or inertia[2, 2] <= 0:
+            texts = ", ".join(f"{unit * moment:.6g}" for moment in moments)
             raise InvalidArgument(
-                f"inertia has principal moments ({listed}) kg m^2, which no rigid body has: expected each "
+                f"inertia has principal moments ({texts}) kg m^2, which no rigid body has: expected each "
                 ">= 0, none above the sum of the other two, and the yaw inertia > 0"
             )
         with np.errstate(over="ignore"):
             squares = self.mass * np.square(com)
         offset = float(squares[:2].sum()) if np.isfinite(squares.sum()) else np.inf
-        if inertia[2, 2] < _DIGITS * offset:
+        if inertia[2, 2] < _OFFSET_TOLERANCE * offset:
             raise InvalidArgument(
                 f"com is {com.tolist()} m with mass {self.mass:g} kg, so rounding loses the yaw inertia, "
-                f"{inertia[2, 2]:g} kg m^2, expected a yaw inertia of at least {_DIGITS:g} of "
+                f"{inertia[2, 2]:g} kg m^2, expected a yaw inertia of at least {_OFFSET_TOLERANCE:g} of "
                 f"m |com|^2 = {offset:g} kg m^2"
             )
         object.__setattr__(self, "com", frozen(com))
@@ -145,7 +145,7 @@ def box_inertia(mass: float, size: ArrayLike) -> Array:
     return np.diag(check_overflow("the inertia of the box", moments))
 
 
-def _quoted(text: str) -> str:
+def _quote(text: str) -> str:
     return f'"{escape(text)}"'
 
 
@@ -208,22 +208,22 @@ def write(
     bodies = [body, *(instance("links", one, Body, "bodies") for one in sequence("links", links, "bodies"))]
     if len(bodies) > len(table):
         raise InvalidArgument(f"links has {len(links)} bodies, expected fewer than the {len(table)} rows")
-    after = [f"{variable}_link" for variable in table.variables[len(table) - len(bodies) + 1 :]]
-    named = ["ground", *(f"virtual_{k}" for k in range(1, len(table) - len(after))), "base_link", *after]
-    lines = ['<?xml version="1.0"?>', f"<robot name={_quoted(text('name', name))}>"]
-    lines += [f'  <link name="{link}"/>' for link in named[: -len(bodies)]]
-    for link, one in zip(named[-len(bodies) :], bodies, strict=True):
+    arms = [f"{variable}_link" for variable in table.variables[len(table) - len(bodies) + 1 :]]
+    names = ["ground", *(f"virtual_{k}" for k in range(1, len(table) - len(arms))), "base_link", *arms]
+    lines = ['<?xml version="1.0"?>', f"<robot name={_quote(text('name', name))}>"]
+    lines += [f'  <link name="{link}"/>' for link in names[: -len(bodies)]]
+    for link, one in zip(names[-len(bodies) :], bodies, strict=True):
         lines += _body_lines(link, one, lengths(size) if one is body else None)
-    for row, parent, child in zip(table, named, named[1:], strict=False):
+    for row, parent, child in zip(table, names, names[1:], strict=False):
         # RotZ and TransZ commute, so the variable of either may come last.
         T = transform(row.alpha, row.a, row.theta, row.d)
         lines += [
             f'  <joint name="{row.variable}" type="{_URDF_TYPE[row.joint]}">',
             f'    <parent link="{parent}"/>',
             f'    <child link="{child}"/>',
-            f'    <origin xyz="{_text(T[:3, 3])}" rpy="{_text(_roll_pitch_yaw(T[:3, :3]))}"/>',
+            f'    <origin xyz="{_format(T[:3, 3])}" rpy="{_format(_roll_pitch_yaw(T[:3, :3]))}"/>',
             '    <axis xyz="0 0 1"/>',
-            f'    <limit lower="-{_FAR}" upper="{_FAR}" effort="{_FAR}" velocity="{_FAR}"/>',
+            f'    <limit lower="-{_LIMIT}" upper="{_LIMIT}" effort="{_LIMIT}" velocity="{_LIMIT}"/>',
             "  </joint>",
         ]
     if stance is not None:
@@ -232,7 +232,7 @@ def write(
                 f"stance is {format_value(stance)}, expected a mapping with XML names as keys"
             )
         words = {key: text(f"stance[{key!r}]", value) for key, value in stance.items()}
-        attributes = [f"{key}={_quoted(value)}" for key, value in words.items()]
+        attributes = [f"{key}={_quote(value)}" for key, value in words.items()]
         lines.append(f"  <{' '.join(['pinmobile', *attributes])}/>")
     return "\n".join([*lines, "</robot>", ""])
 
@@ -272,14 +272,14 @@ def shipped_urdf(name: str) -> Path:
     """
     package = Path(__file__).parent
     # The folder is in the package in a wheel, and at the top in a checkout.
-    homes = (package / "models" / "urdf", package.parents[1] / "models" / "urdf")
-    available = {path.stem: path for home in homes for path in sorted(home.glob("*.urdf"))}
+    folders = (package / "models" / "urdf", package.parents[1] / "models" / "urdf")
+    available = {path.stem: path for home in folders for path in sorted(home.glob("*.urdf"))}
     return available[one_of("shipped URDF", name, available)]
 
 
 # Pinocchio would represent a continuous joint by (cos, sin); psi must stay one angle.
 _URDF_TYPE = {JointType.PRISMATIC: "prismatic", JointType.REVOLUTE: "revolute"}
-_FAR = "1e9"
+_LIMIT = "1e9"
 
 
 def _body_lines(link: str, body: Body, size: Array | None) -> list[str]:
@@ -289,8 +289,8 @@ def _body_lines(link: str, body: Body, size: Array | None) -> list[str]:
         if size is None
         else [
             "    <visual>",
-            f'      <origin xyz="{_text([0, 0, size[2] / 2])}"/>',
-            f'      <geometry><box size="{_text(size)}"/></geometry>',
+            f'      <origin xyz="{_format([0, 0, size[2] / 2])}"/>',
+            f'      <geometry><box size="{_format(size)}"/></geometry>',
             '      <material name="body"><color rgba="0.90 0.62 0.00 1"/></material>',
             "    </visual>",
         ]
@@ -298,28 +298,28 @@ def _body_lines(link: str, body: Body, size: Array | None) -> list[str]:
     return [
         f'  <link name="{link}">',
         "    <inertial>",
-        f'      <origin xyz="{_text(body.com)}"/>',
+        f'      <origin xyz="{_format(body.com)}"/>',
         f'      <mass value="{body.mass!r}"/>',
-        f'      <inertia ixx="{_number(i[0, 0])}" ixy="{_number(i[0, 1])}" ixz="{_number(i[0, 2])}"'
-        f' iyy="{_number(i[1, 1])}" iyz="{_number(i[1, 2])}" izz="{_number(i[2, 2])}"/>',
+        f'      <inertia ixx="{_digits(i[0, 0])}" ixy="{_digits(i[0, 1])}" ixz="{_digits(i[0, 2])}"'
+        f' iyy="{_digits(i[1, 1])}" iyz="{_digits(i[1, 2])}" izz="{_digits(i[2, 2])}"/>',
         "    </inertial>",
         *box,
         "  </link>",
     ]
 
 
-def _number(value: float) -> str:
+def _digits(value: float) -> str:
     return repr(float(value) + 0.0)  # + 0.0 turns -0.0 into 0.0
 
 
-def _text(values: ArrayLike) -> str:
-    return " ".join(_number(value) for value in np.asarray(values, np.float64))
+def _format(values: ArrayLike) -> str:
+    return " ".join(_digits(value) for value in np.asarray(values, np.float64))
 
 
 def _roll_pitch_yaw(R: Array) -> tuple[float, float, float]:
     """Return the angles of RotZ(yaw) RotY(pitch) RotX(roll); for a pitch of +-pi/2, the yaw is 0."""
-    level = hypot(R[0, 0], R[1, 0])
-    pitch = atan2(-R[2, 0], level)
-    if level < 1e-12:
+    cosine = hypot(R[0, 0], R[1, 0])
+    pitch = atan2(-R[2, 0], cosine)
+    if cosine < 1e-12:
         return atan2(-R[1, 2], R[1, 1]), pitch, 0.0
     return atan2(R[2, 1], R[2, 2]), pitch, atan2(R[1, 0], R[0, 0])
