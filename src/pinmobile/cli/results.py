@@ -247,8 +247,8 @@ def _sweep_figures(sweep: Sweep, folder: Path) -> list[Picture]:
     numeric = [name for name in varied if bounds[name].dtype.kind in "fiu"]
     labels = [name for name in varied if name not in numeric]
     is_curve = len(numeric) == 1
-    shown = [*labels[-1:], *numeric] if is_curve else (numeric if len(numeric) > 1 else varied)[-2:]
-    if not shown or (not is_curve and len(shown) < 2):
+    plane = [*labels[-1:], *numeric] if is_curve else (numeric if len(numeric) > 1 else varied)[-2:]
+    if not plane or (not is_curve and len(plane) < 2):
         return []
     values = bounds.isel({name: 0 for name in sweep.axes if name not in varied})
     unit, size = _unit(values.values)
@@ -256,21 +256,21 @@ def _sweep_figures(sweep: Sweep, folder: Path) -> list[Picture]:
     limits = (float(finite.min()), float(finite.max())) if finite.size else None
     label = f"99 % stay within [{unit}]"
     pictures = []
-    for k, (title, part) in enumerate(_slices(values / size, [name for name in varied if name not in shown])):
+    for k, (title, part) in enumerate(_slices(values / size, [name for name in varied if name not in plane])):
         if k == _MAX_FIGURES:
             break
-        columns = [(name, sweep.axes[name].unit, list(sweep.axes[name].values)) for name in shown]
-        part = part.transpose(*shown)
+        columns = [(name, sweep.axes[name].unit, list(sweep.axes[name].values)) for name in plane]
+        part = part.transpose(*plane)
         figure: Figure
         if is_curve:
-            names = [str(one) for one in columns[0][2]] if len(shown) > 1 else [""]
+            names = [str(one) for one in columns[0][2]] if len(plane) > 1 else [""]
             rows = dict(zip(names, np.reshape(part.values, (len(names), -1)), strict=True))
             figure = plots.curves(rows, x=columns[-1], label=label, title=title or None)
         else:
             y, x = columns
             figure = plots.heatmap(part.values, x=x, y=y, title=title or label, label=label, limits=limits)
         save_figure(figure, folder / f"within-{k}.png")
-        caption = f"{title}{title and ': '}{label}, over {' and '.join(shown[::-1])}."
+        caption = f"{title}{title and ': '}{label}, over {' and '.join(plane[::-1])}."
         pictures.append(Picture(f"within-{k}.png", caption))
     return pictures
 

@@ -237,11 +237,11 @@ def _lines(symbol: str, expression: Expr | ImmutableMatrix) -> list[str]:
         widths = [max(_width(_latex(entries[i, j])) + 2.0 for i in range(rows)) for j in range(columns)]
         if sum(widths) + _width(symbol) <= _A4_WIDTH:
             return [f"{symbol} &= {formula}"]
-        found = []
+        equations = []
         for (i, j), entry in entries.items():
             index = f"{i + 1},{j + 1}" if columns > 1 else f"{i + 1}"
-            found += _lines(rf"\left[{symbol}\right]_{{{index}}}", entry) if entry != 0 else []
-        return found
+            equations += _lines(rf"\left[{symbol}\right]_{{{index}}}", entry) if entry != 0 else []
+        return equations
     if _width(symbol) + _width(formula) <= _A4_WIDTH:
         return [f"{symbol} &= {formula}"]
     terms = expression.as_ordered_terms()

@@ -446,9 +446,9 @@ class RestToRest(PiecewisePath):
     def _curve(self) -> PiecewisePolynomial:
         T = check_duration("duration", self.duration)
         with np.errstate(all="ignore"):  # PiecewisePolynomial checks the result
-            way = self.end - self.start
-            still = np.zeros_like(way)
-            rows = [self.start, still, still, 10 * way / T**3, -15 * way / T**4, 6 * way / T**5]
+            line = self.end - self.start
+            zero = np.zeros_like(line)
+            rows = [self.start, zero, zero, 10 * line / T**3, -15 * line / T**4, 6 * line / T**5]
         return PiecewisePolynomial(np.array([0.0, T]), np.array([rows]))
 
 

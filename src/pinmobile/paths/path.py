@@ -503,17 +503,17 @@ class TransformedPath(Curve):
 
     def _transform(self, vectors: Array, order: int) -> Array:
         """Return positions or derivatives after rotation and translation."""
-        moved = rotate(vectors, self.angle) if self.angle else np.array(vectors, np.float64)
+        result = rotate(vectors, self.angle) if self.angle else np.array(vectors, np.float64)
         if not order:
-            moved[..., :2] += self.x, self.y
-        return moved
+            result[..., :2] += self.x, self.y
+        return result
 
 
 @dataclass(frozen=True)
 class _TransformedPiece:
     """Transformed piece of a path."""
 
-    whole: TransformedPath
+    path: TransformedPath
     piece: Piece
 
     @property
@@ -525,7 +525,7 @@ class _TransformedPiece:
         return self.piece.end
 
     def derivative(self, t: ArrayLike, order: int) -> Array:
-        return self.whole._transform(self.piece.derivative(t, order), order)
+        return self.path._transform(self.piece.derivative(t, order), order)
 
 
 @dataclass(frozen=True, eq=False)

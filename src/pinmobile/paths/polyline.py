@@ -74,8 +74,8 @@ class CompositePath(Curve):
             if len(shape) != 1 or shape != shapes[0]:
                 expected = shapes[0] if len(shapes[0]) == 1 else "(n,)"
                 raise InvalidArgument(f"paths[{k}] has points of shape {shape}, expected {expected}")
-        for k, (before, after) in enumerate(pairwise(self.paths)):
-            _check_joint(k, before, after, self._starts[k + 1])
+        for k, (before, next_path) in enumerate(pairwise(self.paths)):
+            _check_joint(k, before, next_path, self._starts[k + 1])
 
     @cached_property
     def _starts(self) -> Array:
@@ -131,9 +131,9 @@ class _ShiftedPiece(NamedTuple):
         return self.piece.derivative(np.clip(times, self.piece.start, self.piece.end), order)
 
 
-def _check_joint(k: int, before: Path, after: Path, t: float) -> None:
+def _check_joint(k: int, path: Path, next_path: Path, t: float) -> None:
     """Check that a path starts where path number `k` ends at `t` [s], with its velocity."""
-    last, first = pieces_of(before)[-1], pieces_of(after)[0]
+    last, first = pieces_of(path)[-1], pieces_of(next_path)[0]
     ends = [(last.derivative(last.end, order), first.derivative(first.start, order)) for order in (0, 1)]
     (end, start), (left, right) = ends
     if jumps(end, start, _JOINT_TOLERANCE):

@@ -141,7 +141,7 @@ def heatmap(
     label = text("label", label)
     shape, words = (len(rows), len(columns)), ": a row for each of y, a column for each of x"
     numbers = bounded("values", shaped("values", real("values", values), shape, words=words), above=-np.inf)
-    size = [min(count * cell, most) for count, cell, most in zip(
+    size = [min(count * cell, limit) for count, cell, limit in zip(
         (len(columns), len(rows)), _MAX_CELL_SIZE, _MAX_MAP_SIZE, strict=True)]  # fmt: skip
     sheet = Sheet(max(size[0], 3.2) + 2.2, **layout)
     (axes,) = sheet.axes([(0, 0)], [max(size[1], 1.6)])

@@ -198,8 +198,8 @@ def path(rollouts: Rollouts, *, times: ArrayLike | None = None, **layout: Unpack
     if times is not None:
         given = shaped("times", np.atleast_1d(finite("times", times)), ("n",))
         for label, run in runs.items():
-            least, most = float(run.t[0]), float(run.t[-1])
-            instants[label] = bounded("times", given, least=least, most=most, unit="s")
+            first, last = float(run.t[0]), float(run.t[-1])
+            instants[label] = bounded("times", given, least=first, most=last, unit="s")
     figure, axes = make_panels(runs, "Desired and travelled path", **layout)
     arrow_length = _arrow_length(axes[0])
     for index, (label, run) in enumerate(runs.items()):
@@ -359,11 +359,11 @@ def _drawing_times(run: Rollout) -> Array:
     arc_length = np.append(0.0, np.cumsum(np.hypot(*np.diff(xy, axis=0).T)))
     count = int(min(_MAX_BOXES - 1, arc_length[-1] / (1.5 * robot))) if robot else 0
     candidates = np.searchsorted(arc_length, np.linspace(0.0, arc_length[-1], count + 1)[1:-1])
-    chosen: list[int] = []
+    indices: list[int] = []
     for k in (0, len(xy) - 1, *candidates):
-        if all(np.hypot(*(xy[k] - xy[other])) > robot for other in chosen):
-            chosen.append(int(k))
-    return np.asarray(run.t[sorted(chosen)])
+        if all(np.hypot(*(xy[k] - xy[other])) > robot for other in indices):
+            indices.append(int(k))
+    return np.asarray(run.t[sorted(indices)])
 
 
 _DEFAULT_DURATION = 10.0  # [s], default duration of the GIF of a longer run

@@ -240,8 +240,8 @@ def _shades(base: str, count: int) -> list[tuple[float, float, float]]:
 
 def _bounds(sheet: Sheet, column: NDArray[Any], rows: Sequence[Metric], one: Ensemble, level: float) -> float:
     """Write the bound of a share above each axes of a column; return the height of the first title [pt]."""
-    after, bounds = one.scenario.after, one.error_quantile(level)
-    period = f"from {after:g} s on" if after else "throughout"
+    begin, bounds = one.scenario.after, one.error_quantile(level)
+    period = f"from {begin:g} s on" if begin else "throughout"
     for axes, channel in zip(column, rows, strict=True):
         size = bounds[channel.name]
         verb = "have at least" if channel.is_margin else "stay within"
@@ -250,8 +250,8 @@ def _bounds(sheet: Sheet, column: NDArray[Any], rows: Sequence[Metric], one: Ens
             size = float(digit * np.floor(size / digit + 1e-9))  # a margin is never rounded up
         bound = f"{_format_size(size, channel.unit)} {period}" if np.isfinite(size) else "no bound"
         sheet.write_above(axes, f"{format_percent(level)} {verb} {bound}", loc="left")
-        if after:
-            axes.axvline(after, color=_GREY, linewidth=1.0, linestyle=":", zorder=1)
+        if begin:
+            axes.axvline(begin, color=_GREY, linewidth=1.0, linestyle=":", zorder=1)
     return title_offset(column[0].get_title(loc="left").count("\n") + 1)
 
 

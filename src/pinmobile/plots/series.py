@@ -152,14 +152,14 @@ def errors(rollouts: Rollouts, **layout: Unpack[Layout]) -> Figure:
     runs = label_rollouts(rollouts)
     names = _panel_names((run.plant, run.labels) for run in runs.values())
     note = "; each panel has its own scale" if len(runs) > 1 else ""
-    many = len(names) > _MAX_ROWS
-    sheet = Sheet(max(9.0, (4.2 if many else 3.2) * len(runs)), **layout)
-    grid = _stack(sheet, names if many else [(f"error in {name}", unit) for name, unit in names], len(runs))
+    dense = len(names) > _MAX_ROWS
+    sheet = Sheet(max(9.0, (4.2 if dense else 3.2) * len(runs)), **layout)
+    grid = _stack(sheet, names if dense else [(f"error in {name}", unit) for name, unit in names], len(runs))
     for index, (label, run) in enumerate(runs.items()):
         column = grid[:, index]
         draw(column, run.t, run.error, **line_style(0, 1) | {"color": colour(index)})
         mark_events(column, run, colour(index))
-        room = sheet.room() / (1 + many)
+        room = sheet.room() / (1 + dense)
         for axes, (_, unit), values in zip(column, names, run.error.T, strict=False):
             largest = f"largest {_format_power(float(np.abs(values).max()))} {unit}"
             axes.set_title(wrap_text(largest, font_size(0.95), room), fontsize=font_size(0.95), loc="right")
@@ -305,9 +305,9 @@ def mark_events(panels: Iterable[Axes], run: Rollout, color: Any) -> None:
         for t, kinds in times.items():
             axes.axvline(t, color=color, linewidth=1.0, linestyle=":", zorder=2)
             if row == 0:
-                late = t > run.t[-1] / 2
-                style: Any = {"ha": "right" if late else "left", "va": "top", "textcoords": "offset points"}
-                style |= {"xytext": (-3 if late else 3, -2), "xycoords": ("data", "axes fraction")}
+                flips = t > run.t[-1] / 2
+                style: Any = {"ha": "right" if flips else "left", "va": "top", "textcoords": "offset points"}
+                style |= {"xytext": (-3 if flips else 3, -2), "xycoords": ("data", "axes fraction")}
                 axes.annotate(", ".join(kinds), (t, 1), fontsize=font_size(0.85), color=color, **style)
 
 
@@ -329,11 +329,11 @@ def _make_panels(names: Sequence[tuple[str, str]], layout: Layout) -> tuple[Shee
 
 def _stack(sheet: Sheet, names: Sequence[tuple[str, str]], columns: int) -> NDArray[Any]:
     """Return axes, shape (rows, columns), one row for each name; many rows have labels above the axes."""
-    many = len(names) > _MAX_ROWS
-    grid = sheet.grid(len(names), columns, [1.2 if many else 1.75] * len(names))
+    dense = len(names) > _MAX_ROWS
+    grid = sheet.grid(len(names), columns, [1.2 if dense else 1.75] * len(names))
     for row, (name, unit) in zip(grid, names, strict=True):
         row[0].set_ylabel(f"{name} [{unit}]" if unit else name)
-        for axes in row if many else ():
+        for axes in row if dense else ():
             _label_axes(sheet, axes, (name, unit), 2)  # beside the largest error
     return _style_time_axes(sheet, grid)
 

@@ -202,9 +202,9 @@ class Sheet:
         """Whole figure, the result of a plot."""
         return self.parent.figure
 
-    def columns(self, most: int, least: float) -> int:
-        """Return the number of columns, each at least `least` inches wide at a font size of 10 points."""
-        return most if self._user_axes else int(np.clip(self.width / (least * font_size() / 10), 1, most))
+    def columns(self, limit: int, width: float) -> int:
+        """Return the number of columns, each at least `width` inches wide at a font size of 10 points."""
+        return limit if self._user_axes else int(np.clip(self.width / (width * font_size() / 10), 1, limit))
 
     def room(self, parts: int = 1) -> float:
         """Return the largest width of each of several texts side by side above a panel [in]."""

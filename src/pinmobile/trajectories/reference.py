@@ -311,8 +311,8 @@ def _follow(path: Path, t: Array) -> Reference:
 def _clamp_motion(motion: Callable[[Array], Reference], end: float, t: Array) -> Reference:
     """Return a motion at times `t`; after its end it stays at rest."""
     q, v, a = motion(np.minimum(t, end))
-    over = (t > end * (1 + _TIME_TOLERANCE))[..., None]
-    return Reference(q, *(np.where(over, 0.0, rate) for rate in (v, a))) if over.any() else Reference(q, v, a)
+    rest = (t > end * (1 + _TIME_TOLERANCE))[..., None]
+    return Reference(q, *(np.where(rest, 0.0, rate) for rate in (v, a))) if rest.any() else Reference(q, v, a)
 
 
 def _check_robot(robot: Any) -> None:
@@ -460,7 +460,7 @@ def _derivatives(limit: DirectionLimit, psi: float) -> Array:
 
 def _jump_tolerance(hodograph: Hodograph) -> Array:
     """Return the tolerance of the heading's jump at each end of a leg, shape (L - 1,) [rad]."""
-    limits = ((before.end, after.start) for before, after in pairwise(hodograph.legs))
+    limits = ((leg.end, next_leg.start) for leg, next_leg in pairwise(hodograph.legs))
     speeds = [min(limit.speed or hodograph.max_speed for limit in pair) for pair in limits]
     return np.asarray(_ANGLE_TOLERANCE + _ROUNDING * hodograph.max_speed / np.array(speeds))
 
@@ -702,10 +702,10 @@ class _TurnsOnTheSpot:
         return reference
 
 
-def _quintic(before: Array, after: Array, duration: float) -> Array:
+def _quintic(start: Array, end: Array, duration: float) -> Array:
     """Return the quintic between two triples of heading and derivatives, by the elapsed fraction."""
     scale = np.array([1.0, duration, duration**2])
-    (p, v, a), (p1, v1, a1) = before * scale, after * scale
+    (p, v, a), (p1, v1, a1) = start * scale, end * scale
     d = p1 - p
     return np.array(
         [
@@ -827,27 +827,27 @@ class Tangent(Value):
 
 def _check_jump(jump: _Jump, turn_time: float | None) -> None:
     """Check that a jump of the heading is at a rest, and that there is a time for it."""
-    before, after = np.degrees([jump.left[0], jump.right[0]])
+    left, right = np.degrees([jump.left[0], jump.right[0]])
     if jump.speed:
         raise InvalidArgument(
-            f"path has a corner at t = {jump.time} s, from {before:.6g} deg to {after:.6g} deg, passed at "
+            f"path has a corner at t = {jump.time} s, from {left:.6g} deg to {right:.6g} deg, passed at "
             f"{jump.speed:.6g} m/s; expected no corner, or a rest at the corner"
         )
     if turn_time is None:
         raise InvalidArgument(
             f"turn_time is None, expected > 0 s: the path rests at t = {jump.time} s and its direction "
-            f"jumps there, from {before:.6g} deg to {after:.6g} deg"
+            f"jumps there, from {left:.6g} deg to {right:.6g} deg"
         )
 
 
 def _report_rates(direction: Hodograph, turns: set[float]) -> None:
     """Warn about the first rest, except for turns on the spot, at which the turn rate jumps."""
-    for before, after in pairwise(direction.legs):
-        left, right = (float(_derivatives(limit, 0.0)[1]) + 0.0 for limit in (before.end, after.start))
-        is_rest = not min(before.end.speed, after.start.speed) and after.start.time not in turns
+    for leg, next_leg in pairwise(direction.legs):
+        left, right = (float(_derivatives(limit, 0.0)[1]) + 0.0 for limit in (leg.end, next_leg.start))
+        is_rest = not min(leg.end.speed, next_leg.start.speed) and next_leg.start.time not in turns
         if is_rest and abs(right - left) > _RATE_TOLERANCE:
             warn(
-                f"the turn rate jumps from {left:.4g} to {right:.4g} rad/s at t = {after.start.time:g} s, "
+                f"the turn rate jumps from {left:.4g} to {right:.4g} rad/s at t = {next_leg.start.time:g} s, "
                 "where the path rests; this would need an infinite moment: use a path with a straight end",
                 LimitWarning,
                 stacklevel=5,

@@ -92,11 +92,11 @@ class Parts:
     def _mount(self, mount: Mount, q: Array) -> None:
         """Add the links of an arm as read from its file; a locked joint has no coordinates."""
         arm, base = mount.arm, BODY_JOINT - 1
-        model, reference, locked, rest = arm.file_model, arm.whole, arm.held, arm.rest
+        model, reference, locked, posture = arm.file_model, arm.whole, arm.held, arm.rest
         if mount.is_changed:  # to numbers which are those of what moves
-            model, reference, locked, rest = mount.model, mount.model, [], arm.posture
+            model, reference, locked, posture = mount.model, mount.model, [], arm.posture
         free = [joint for joint in range(1, model.njoints) if joint not in locked]
-        arm_q = np.array(np.broadcast_to(rest, (self.count, len(rest))))
+        arm_q = np.array(np.broadcast_to(posture, (self.count, len(posture))))
         arm_q[:, [reference.idx_qs[joint] for joint in free]] = q[:, mount.q]
         arm_q = _file_configurations(model, arm_q)
         columns = {joint: [k] for k, joint in enumerate(free, mount.v.start)}

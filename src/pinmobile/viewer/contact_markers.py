@@ -178,8 +178,8 @@ def contacts_at(run: Rollout, times: Array, poses: Array) -> Contacts:
     turn = poses[:, 2] - origins[:, 2]
     c, s = np.cos(turn)[:, None], np.sin(turn)[:, None]
     p = points.places - origins[:, None, :2]
-    moved = np.stack([c * p[..., 0] - s * p[..., 1], s * p[..., 0] + c * p[..., 1]], axis=-1)
-    return points._replace(places=poses[:, None, :2] + moved, directions=points.directions + turn[:, None])
+    places = np.stack([c * p[..., 0] - s * p[..., 1], s * p[..., 0] + c * p[..., 1]], axis=-1)
+    return points._replace(places=poses[:, None, :2] + places, directions=points.directions + turn[:, None])
 
 
 def draw_contacts(
@@ -209,8 +209,8 @@ def draw_contacts(
         width = np.maximum(reach, _MIN_ASPECT * reach.max(axis=1, keepdims=True))
         slides = contacts.slides[:, k]
         color = QUIET if is_shared[k] else GRIPS
-        for name, paint, shown in (("grips", color, ~slides), ("slides", SLIDES, slides)):
-            if is_whole and not shown.any():
+        for name, paint, active in (("grips", color, ~slides), ("slides", SLIDES, slides)):
+            if is_whole and not active.any():
                 continue
             used[paint] = True
             path = f"{root}/contacts/{k}/{name}"
@@ -218,11 +218,11 @@ def draw_contacts(
                 stage.put(f"{path}/{part}", shape)
                 channels += pose_channels(f"{path}/{part}", np.column_stack([position, angle]))
                 size = np.column_stack([width, np.ones(len(width))])
-                channels.append(Channel(f"{path}/{part}", "scale", np.where(shown[:, None], size, _HIDDEN)))
+                channels.append(Channel(f"{path}/{part}", "scale", np.where(active[:, None], size, _HIDDEN)))
             stage.put(f"{path}/force", shapes.overlay(shapes.arrow(0.09), paint, order=ABOVE - 6))
             channels += pose_channels(f"{path}/force", np.column_stack([position, turn]), 0.012 * extent.unit)
-            length = np.where(shown, np.maximum(scale * sizes[:, k], _HIDDEN), _HIDDEN)
-            thick = np.where(shown, np.clip(length / (0.05 * extent.unit), _HIDDEN, 1.0), _HIDDEN)
+            length = np.where(active, np.maximum(scale * sizes[:, k], _HIDDEN), _HIDDEN)
+            thick = np.where(active, np.clip(length / (0.05 * extent.unit), _HIDDEN, 1.0), _HIDDEN)
             thick *= _MAX_SIZE * extent.unit
             channels.append(Channel(f"{path}/force", "scale", np.column_stack([length, thick, thick])))
     entries = [(label, paint) for paint, label in paints.items() if used[paint]]

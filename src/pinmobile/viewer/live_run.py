@@ -490,7 +490,7 @@ class LiveRun:
         self._draw_trail(row[:2])
         self._send_plots()
         if self._frames % _CONTACT_STEP == 0:
-            texts = [text for text, until in self._events.values() if until > self._time]
+            texts = [text for text, end in self._events.values() if end > self._time]
             self._stage.publish("events", texts)
             pace = f", {self._pace:.1f} times real time" if self._pace < _SLOW_PACE else ""
             mode = ", driven" if self._is_driven else ""

@@ -112,7 +112,7 @@ class Browser:
     """
 
     def __init__(self, size: tuple[int, int] = (1200, 800), *, timeout: float = 60.0) -> None:
-        self.timeout, self._rest, self._last = timeout, b"", 0
+        self.timeout, self._buffer, self._last = timeout, b"", 0
         self.events: list[dict[str, Any]] = []
         program = find_chromium()
         self._profile = tempfile.TemporaryDirectory(prefix="pinmobile-", ignore_cleanup_errors=True)
@@ -255,7 +255,7 @@ class Browser:
             data = data[os.write(self._to, data[:4096]) :]
 
     def _read(self, end: float) -> dict[str, Any]:
-        pieces = [self._rest]
+        pieces = [self._buffer]
         while b"\0" not in pieces[-1]:
             ready, _, _ = select.select([self._from], [], [], max(end - monotonic(), 0))
             if not ready:
@@ -264,7 +264,7 @@ class Browser:
             if not piece:
                 raise BrokenPipeError(32, "its pipe is closed")
             pieces.append(piece)
-        text, _, self._rest = b"".join(pieces).partition(b"\0")
+        text, _, self._buffer = b"".join(pieces).partition(b"\0")
         return dict(json.loads(text))
 
 

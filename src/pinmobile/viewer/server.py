@@ -415,11 +415,11 @@ class Server:
     async def _serve(self, listener: socket.socket) -> None:
         self._loop = asyncio.get_running_loop()
         self._work, self._end = asyncio.Event(), asyncio.Event()
-        own = {"server": self}
+        options = {"server": self}
         application = Application(
-            [(r"/", _Page, own), (r"/main\.min\.js", _Script, own), (r"/socket", Browser, own)],
+            [(r"/", _Page, options), (r"/main\.min\.js", _Script, options), (r"/socket", Browser, options)],
             default_handler_class=_NotFound,
-            default_handler_args=own,
+            default_handler_args=options,
             log_function=lambda _: None,
             websocket_max_message_size=_MAX_PICTURE,
         )
