@@ -123,7 +123,11 @@ def show_run(words: Sequence[str], out: Path, film: Path | None, *, allow_code: 
 
 def _source(opened: Opened) -> Section:
     """Return the section that repeats the results: the whole scenario and the version of pinmobile."""
-    return Section("Scenario", f"# pinmobile {__version__}\n{opened.written()}")
+    try:
+        scenario = opened.written()
+    except InvalidArgument:  # a part of the user's own code
+        scenario = "\n".join([opened.text, *opened.words])
+    return Section("Scenario", f"# pinmobile {__version__}\n{scenario}")
 
 
 def _metrics(run: Rollout) -> list[str]:
