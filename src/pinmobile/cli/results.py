@@ -1,13 +1,11 @@
 """Output of run, ensemble, sweep, view and play: text, figures and files."""
 
 import math
-import signal
 import socket
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 import numpy as np
@@ -411,14 +409,7 @@ def _loaded(path: Path) -> Rollout:
 @contextmanager
 def _until_ended() -> Iterator[None]:
     """End a ``with`` block in order after Ctrl-C or SIGTERM."""
-
-    def end(number: int, frame: FrameType | None) -> None:
-        raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGTERM, end)
     try:
         yield
     except KeyboardInterrupt:
         console.print("\nended", markup=False)
-    finally:
-        signal.signal(signal.SIGTERM, before)
