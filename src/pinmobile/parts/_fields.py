@@ -799,8 +799,8 @@ def fields_of(part: Any) -> list[tuple[str, Field, Any]]:
     The fields of a user's plain frozen dataclass have the kind of their values: floats and arrays are
     numbers.
     """
-    values = ((name, declared, getattr(part, name)) for name, declared in declarations(type(part)))  # type: ignore[arg-type]
-    return [(name, declared or _infer_field(value), value) for name, declared, value in values]
+    values = ((name, field, getattr(part, name)) for name, field in declarations(type(part)))  # type: ignore[arg-type]
+    return [(name, field or _infer_field(value), value) for name, field, value in values]
 
 
 def _infer_field(value: Any) -> Field:

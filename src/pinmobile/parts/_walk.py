@@ -80,36 +80,36 @@ def walk(part: Any) -> tuple[Leaf, ...]:
     if leaves is not None:
         return leaves
     rows: list[Leaf] = []
-    for name, declared, value in fields_of(part):
-        for path, item in _inner_values(name, declared, value):
-            if _is_inner(declared, item):
+    for name, field, value in fields_of(part):
+        for path, item in _inner_values(name, field, value):
+            if _is_inner(field, item):
                 rows += [Leaf(f"{path}.{inner}", *others) for inner, *others in walk(item)]
             else:
-                rows.append(Leaf(path, part, declared, item))
+                rows.append(Leaf(path, part, field, item))
     leaves = tuple(rows)
     if attrs.has(type(part)):
         object.__setattr__(part, "_leaves", leaves)
     return leaves
 
 
-def _inner_values(path: str, declared: Field, value: Any) -> list[tuple[str, Any]]:
+def _inner_values(path: str, field: Field, value: Any) -> list[tuple[str, Any]]:
     """Return the values in a field with their paths: one value, or those of a field of several parts."""
-    if isinstance(declared, Child) and declared.many:
+    if isinstance(field, Child) and field.many:
         return [(f"{path}.{key}", item) for key, item in entries_of(value)]
     return [(path, value)]
 
 
-def _is_inner(declared: Field, value: Any) -> bool:
+def _is_inner(field: Field, value: Any) -> bool:
     """Return whether a value is an inner part; the value of an option is not."""
-    return is_part(value) and not isinstance(declared, _Option)
+    return is_part(value) and not isinstance(field, _Option)
 
 
 def parts_of(part: Any, path: str = "") -> Iterator[tuple[str, Any]]:
     """Yield a part and all inner parts with their paths, the outer ones first."""
     yield path, part
-    for name, declared, value in fields_of(part):
-        for item_path, item in _inner_values(f"{path}.{name}" if path else name, declared, value):
-            if _is_inner(declared, item):
+    for name, field, value in fields_of(part):
+        for item_path, item in _inner_values(f"{path}.{name}" if path else name, field, value):
+            if _is_inner(field, item):
                 yield from parts_of(item, item_path)
 
 
@@ -168,17 +168,17 @@ def replace(part: _T, values: Mapping[str, Any], *, nominal: bool = False) -> _T
 
 def _replace(part: Any, path: str, values: Mapping[str, Any], nominal: bool, used_paths: set[str]) -> Any:
     changes: dict[str, Any] = {}
-    for name, declared, value in fields_of(part):
+    for name, field, value in fields_of(part):
         field_path = f"{path}.{name}" if path else name
         if field_path in values:
             changes[name] = values[field_path]
             used_paths.add(field_path)
-        elif not isinstance(declared, _Option) and any(key.startswith(f"{field_path}.") for key in values):
+        elif not isinstance(field, _Option) and any(key.startswith(f"{field_path}.") for key in values):
             items = {
                 item_path: _replace(item, item_path, values, nominal, used_paths) if is_part(item) else item
-                for item_path, item in _inner_values(field_path, declared, value)
+                for item_path, item in _inner_values(field_path, field, value)
             }
-            if not (isinstance(declared, Child) and declared.many):
+            if not (isinstance(field, Child) and field.many):
                 changes[name] = items[field_path]
             elif isinstance(value, Mapping):
                 changes[name] = dict(zip(value, items.values(), strict=True))
