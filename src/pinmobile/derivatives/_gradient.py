@@ -17,7 +17,7 @@ from pinmobile.forces import Force
 from pinmobile.integrators import Integrator
 from pinmobile.loop import Sample, Source
 from pinmobile.metrics import Metric, format_si
-from pinmobile.parts import OnCoordinates, refs_of
+from pinmobile.parts import OnCoordinates, named
 from pinmobile.plant import Plant
 from pinmobile.trajectories import Trajectory
 
@@ -234,7 +234,7 @@ def _fit_slopes(problem: Problem, share: float) -> Gradient:
     scenario = problem.scenario
     if scenario.n > 1:
         raise InvalidArgument("smooth is for one robot, expected n=1")
-    refs = refs_of(scenario.given)
+    refs = named(scenario.given)
     entries, indices = dict[str, float](), list[tuple[str, Any]]()
     for path, one in problem.numbers.items():
         is_array = one.entry is None and np.ndim(one.leaf.value) > 0

@@ -43,7 +43,7 @@ from pinmobile.loop import (
     start_of,
     traced_numbers,
 )
-from pinmobile.parts import evolved, match_refs, refs_of, replace
+from pinmobile.parts import evolved, match_refs, named, replace
 from pinmobile.trajectories import Reference
 
 _FORWARD = 8  # numbers for which forward mode is selected
@@ -176,7 +176,7 @@ class Problem:
         self.draws = scenario.draws() if is_ensemble else {}
         self.values = scenario.values(self.draws, 0, self.n) if is_ensemble else {}
         self.loop = evolved(scenario.loop, {"recorder": recorder})
-        refs = refs_of(scenario.given)
+        refs = named(scenario.given)
         self.refs_by_name = {name: match_refs(scenario.given, name, refs, "by") for name in by}
         self.numbers = {ref.path: ref for group in self.refs_by_name.values() for ref in group}
         numbers = traced_numbers(self.loop)
@@ -550,7 +550,7 @@ def problem_of(
 
 def _expand_gains(scenario: Scenario, by: Sequence[str]) -> Scenario:
     """Return the scenario with a number for each coordinate where `by` names one of a gain."""
-    refs, gains = refs_of(scenario.given), dict[str, Any]()
+    refs, gains = named(scenario.given), dict[str, Any]()
     for ref in (match for name in by for match in match_refs(scenario.given, name, refs, "by")):
         if ref.entry is not None and np.ndim(ref.leaf.value) < len(ref.entry):
             size = 1 + max(entry[-1] for entry in ref.leaf.entries.values())

@@ -48,9 +48,9 @@ from pinmobile.parts import (
     Whole,
     able,
     find,
+    named,
     numbers,
     parts_of,
-    refs_of,
     replace as replaced,
     spread_entries,
     spread_values,
@@ -264,7 +264,7 @@ class Scenario(RecordGrid):
 
     @cached_property
     def _named_numbers(self) -> dict[str, NumberRef]:
-        return refs_of(self.given)
+        return named(self.given)
 
     def _check_shared(self, name: str) -> None:
         """Reject a spread of a whole number, such as the samples of a delay: all robots share it."""

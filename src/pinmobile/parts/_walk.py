@@ -243,7 +243,7 @@ class NumberRef(NamedTuple):
         return f"{doc}, {self.label}" if self.label else doc
 
 
-def refs_of(part: Any) -> dict[str, NumberRef]:
+def named(part: Any) -> dict[str, NumberRef]:
     """Return all numbers that may differ, and their entries, by full path."""
     numbers: dict[str, NumberRef] = {}
     for leaf in walk(part):
@@ -307,7 +307,7 @@ def find(part: Any, name: str, known: Mapping[str, NumberRef] | None = None, pla
     InvalidArgument
         If several paths are equally near.
     """
-    known = refs_of(part) if known is None else known
+    known = named(part) if known is None else known
     if name in known:
         return known[name]
     first, _, rest = name.partition(".") if isinstance(name, str) else ("", "", "")

@@ -37,8 +37,8 @@ from pinmobile.parts import (
     NumberRef,
     entries_of,
     find,
+    named,
     parts_of,
-    refs_of,
     replace as replaced,
     walk,
 )
@@ -237,7 +237,7 @@ def _named_refs(loop: Loop) -> dict[str, NumberRef]:
     """Return everything that has a path in a loop: parts, fields, and entries of numbers."""
     refs = {leaf.path: NumberRef(leaf) for leaf in walk(loop) if "._" not in leaf.path}
     refs |= {path: NumberRef(Leaf(path, loop, Field(), part)) for path, part in parts_of(loop) if path}
-    return refs | refs_of(loop)
+    return refs | named(loop)
 
 
 def _unit(scenario: Scenario, path: str) -> str:
