@@ -782,7 +782,7 @@ class JointFriction:
         missing = [name for name in attributes if not hasattr(robot, name)]
         if isinstance(robot, type) or missing:
             raise InvalidArgument(f"robot is {format_value(robot)}, expected a MobileRobot")
-        names = [one.name for one in coordinates_of(robot)]
+        names = [coordinate.name for coordinate in coordinates_of(robot)]
         return cls(robot.joint_damping, robot.joint_friction, speed, names)
 
     @property

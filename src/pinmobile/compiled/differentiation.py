@@ -158,7 +158,7 @@ class Copy:
             tape=self.tape,
             states=[(new[node], new[next_node]) for node, next_node in loop.states],
             kept={name: (shape, [new[x] for x in nodes]) for name, (shape, nodes) in loop.kept.items()},
-            rings=[Ring(new[one.node], new[one.source], one.samples) for one in loop.rings],
+            rings=[Ring(new[ring.node], new[ring.source], ring.samples) for ring in loop.rings],
             counted=[],
         )
 
@@ -221,7 +221,7 @@ def _append_rounds(
     def law(carried: list[Any]) -> tuple[list[Any], Any]:
         inner: dict[int, int] = {}
         inner_rounds: dict[int, tuple[list[Node], list[list[Node]]]] = {}
-        tangent_maps = [dict(each) for each in directions]
+        tangent_maps = [dict(direction) for direction in directions]
 
         def node_of(x: int) -> int:
             return inner[x] if x in inner else new(x)

@@ -95,9 +95,9 @@ class Direction(NamedTuple):
 
 def _varied_inputs(directions: Sequence[Direction]) -> tuple[list[_Input], list[_Input]]:
     """Return the inputs of a run, and those of each sample, that depend on some numbers."""
-    run: list[_Input] = [("row", one.row) for one in directions if one.row >= 0]
+    run: list[_Input] = [("row", direction.row) for direction in directions if direction.row >= 0]
     samples: list[_Input] = []
-    for other in (one.other for one in directions if one.other is not None):
+    for other in (direction.other for direction in directions if direction.other is not None):
         rows, series = (other.rows, other.uniforms), (other.samples.T, other.tracks.swapaxes(0, 1))
         for group, kinds, arrays in ((run, _RUN, rows), (samples, _SERIES, series)):
             for kind, x in zip(kinds, arrays, strict=True):

@@ -261,7 +261,7 @@ class Outline(RecordGrid):
     def spread_in_words(self) -> str:
         """Names of the spread with distributions and units, "" if nothing is spread."""
         sources = (self._source_text(source) for source in self.spread.values())
-        units = (one.unit for one in self.parameters.values())
+        units = (parameter.unit for parameter in self.parameters.values())
         triples = zip(self.spread, sources, units, strict=True)
         rows = ((name, x, "" if x.startswith("Relative(") else unit) for name, x, unit in triples)
         return ", ".join(f"{name} {words} {unit}".rstrip() for name, words, unit in rows)
@@ -283,7 +283,7 @@ class Outline(RecordGrid):
         for name, source in self.spread.items():
             texts[f"spread[{name!r}]"] = self._source_text(source)
         if self.recorded_metrics:
-            texts["metrics"] = ", ".join(one.name for one in self.recorded_metrics)
+            texts["metrics"] = ", ".join(metric.name for metric in self.recorded_metrics)
         return texts | {name: f"{getattr(self, name)!r}" for name in _NUMBERS}
 
 

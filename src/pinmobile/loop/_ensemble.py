@@ -314,7 +314,7 @@ class Ensemble:
     def _badness(self, by: str) -> Array:
         """Return a number that is larger for a worse robot, shape (n,); infinity for a diverged robot."""
         values = self.largest(by)
-        margins = [one.name for one in self.scenario.recorded_metrics if one.is_margin]
+        margins = [metric.name for metric in self.scenario.recorded_metrics if metric.is_margin]
         return np.where(self.diverged, np.inf, -values if by in margins else values)
 
     def bands(self, levels: ArrayLike = (0.5, 0.9, 0.99)) -> Bands:

@@ -108,7 +108,7 @@ class Part(NamedTuple):
             signal.values[is_over] = np.nan
         count = np.maximum(lived - scenario.begin, 1)[:, None]
         empty = np.zeros((len(lived), 0))
-        signs = np.array([-1.0 if one.is_margin else 1.0 for one in scenario.recorded_metrics])
+        signs = np.array([-1.0 if metric.is_margin else 1.0 for metric in scenario.recorded_metrics])
         return cls(
             lived,
             record["largest"].copy(),  # a copy, so that the whole record can be freed
@@ -398,7 +398,7 @@ def sum_vars(channels: Sequence[Metric]) -> dict[str, Variable]:
     """
     counts = "number of robots with this size; diverged robots are in the last bin, for margins in the first"
     quantile = "largest error, or smallest margin, of the share `level` of the robots"
-    units = ", ".join(one.unit or "1" for one in channels)
+    units = ", ".join(channel.unit or "1" for channel in channels)
     return {
         "counts": Variable(("time", "channel", "bin"), "1", counts),
         "quantiles": Variable(("channel", "level", "time"), units, quantile),
@@ -413,8 +413,8 @@ def draw_name(parameter: str) -> str:
 def draw_vars(parameters: Mapping[str, Parameter]) -> dict[str, Variable]:
     """Return the variables of the draws."""
     return {
-        draw_name(name): Variable(_ROBOT, one.unit or "1", f"drawn {one.meaning}; NaN if not in the spread")
-        for name, one in parameters.items()
+        draw_name(name): Variable(_ROBOT, x.unit or "1", f"drawn {x.meaning}; NaN if not in the spread")
+        for name, x in parameters.items()
     }
 
 
@@ -431,8 +431,8 @@ def quantiles_of(counts: NDArray[np.int32], levels: Array, channels: Sequence[Me
         Counted quantities.
     """
     return {
-        one.name: quantiles(counts[:, k].astype(np.int64), levels, margins=one.is_margin)
-        for k, one in enumerate(channels)
+        channel.name: quantiles(counts[:, k].astype(np.int64), levels, margins=channel.is_margin)
+        for k, channel in enumerate(channels)
     }
 
 
