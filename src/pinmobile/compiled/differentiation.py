@@ -349,8 +349,8 @@ def expand_delays(loop: LoopTape) -> LoopTape:
             indices = range(first_states[i], first_states[i] + operation[2])
             inputs = [tape.input("state", place) for place in indices]
             values = [tape.apply("select", begins, source, x) for x in inputs]
-            ends = [one.index for one in (*values[1:], source)]
-            states.extend(zip([one.index for one in inputs], ends, strict=True))
+            ends = [node.index for node in (*values[1:], source)]
+            states.extend(zip([node.index for node in inputs], ends, strict=True))
             return values[0].index
 
     copy = WithStates(loop)
@@ -398,10 +398,10 @@ def adjoint(loop: LoopTape, params: Sequence[_Input], columns: int, samples: Seq
     tape, end = copy.tape, len(copy.tape)
     indices = {operation: i for i, operation in enumerate(tape.operations[:end])}
 
-    def place(one: _Input) -> int:
+    def place(operation: _Input) -> int:
         """Return the node of an input of the loop, or -1."""
-        shift = n if one[0] == "track" else 0
-        return indices.get((one[0], one[1] + shift), -1)
+        shift = n if operation[0] == "track" else 0
+        return indices.get((operation[0], operation[1] + shift), -1)
 
     state_nodes = [indices.get(("track", i), -1) for i in range(n)]
     ends = {*state_nodes, *map(place, (*params, *samples))} - {-1}

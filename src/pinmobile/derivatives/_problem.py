@@ -633,7 +633,7 @@ def evaluate_losses(problem: Problem, changes: Mapping[str, Any], mode: str | No
             final, slopes = problem.adjoints(inputs, directions, indices)
         else:
             final, slopes = problem.plain(inputs), np.zeros((len(indices), problem.n, 0))
-        pairs = [one.finish(final[i], len(inputs.samples)) for one, i in zip(losses, indices, strict=True)]
+        pairs = [loss.finish(final[i], len(inputs.samples)) for loss, i in zip(losses, indices, strict=True)]
         values = np.array([value for value, _ in pairs])
         slopes = slopes * np.array([slope for _, slope in pairs])[:, :, None]
     return Evaluation(values, slopes, directions, inputs)

@@ -455,7 +455,7 @@ def tune(
     bounds = tuple(instance("constraints", one, Constraint, "derivatives.Constraint") for one in items)
 
     def losses(scenario: Scenario) -> Losses:
-        limits = [one.read(scenario) for one in bounds]
+        limits = [limit.read(scenario) for limit in bounds]
         return Losses((Loss.read(loss, reduction, scenario), *limits))
 
     options: dict[str, Any] = {"dt": dt, "duration": duration, "integrator": integrator, "substeps": substeps}

@@ -603,8 +603,8 @@ class Ensemble:
         """Return a line with the numbers of the spread that the worst robots share."""
         if len(self) < _MIN_ROBOTS or not any(np.ptp(values) > 0 for values in self.draws.values()):
             return []
-        visible = [one for one in causes(self, worst_share(self, _SHARE)) if one.visible]
-        words = ", ".join(f"{one.name} {one.place}" for one in visible[:_MAX_CAUSES])
+        visible = [cause for cause in causes(self, worst_share(self, _SHARE)) if cause.visible]
+        words = ", ".join(f"{cause.name} {cause.place}" for cause in visible[:_MAX_CAUSES])
         return [f"the worst {_SHARE * 100:g} % by distance have {words or 'nothing of the spread in common'}"]
 
     def _format_result(self) -> str:

@@ -63,7 +63,7 @@ def events_of(run: Any, *, with_metrics: bool = True) -> tuple[Event, ...]:
     values = run.metrics() if metrics else {}
     for x in metrics:
         event = _metric_event(x, run.t, values[x.name].values)
-        if event is not None and all(event.kind != each.kind for each in events):
+        if event is not None and all(event.kind != known_event.kind for known_event in events):
             events.append(event)
     return tuple(events)
 

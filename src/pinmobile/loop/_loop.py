@@ -208,14 +208,14 @@ class Loop:
     def is_measured(self) -> bool:
         """Whether the recorder reads the plant's metrics."""
         metrics = getattr(self.recorder, "metrics", ())
-        return any(isinstance(one, int) for one, _ in metrics) and able(self.plant, Measuring) is not None
+        return any(isinstance(index, int) for index, _ in metrics) and able(self.plant, Measuring) is not None
 
     @cached_property
     def signals(self) -> bool:
         """Whether the recorder keeps signals and a part has some."""
         parts = self.law, self.controller, *self.all_forces
         is_kept = stated(self.recorder, "signals")
-        return is_kept and any(able(each, Signalling) for each in parts)
+        return is_kept and any(able(part, Signalling) for part in parts)
 
 
 def named_forces(forces: Any) -> dict[str, Any]:

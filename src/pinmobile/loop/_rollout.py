@@ -307,7 +307,7 @@ class Rollout:
     def __str__(self) -> str:
         step = f" at dt = {self.t[1]:g} s" if len(self) > 1 else ""
         pairs = zip(self.inputs, self.max_input(), strict=True)
-        inputs = [f"{one.name} {format_si(value)} {one.unit}".rstrip() for one, value in pairs]
+        inputs = [f"{entry.name} {format_si(value)} {entry.unit}".rstrip() for entry, value in pairs]
         lines = [
             f"{len(self)} samples over {self.t[-1]:g} s{step}",
             self._format_errors("largest", self.max_error()),

@@ -201,7 +201,7 @@ def _affects_start(scenario: Scenario, path: str) -> bool:
     value = np.asarray(scenario.find(path).leaf.value, np.float64)
     loops = scenario.loop, replaced(scenario.loop, {path: value * 1.001 + 1e-6})
     nominal, changed = (arrays_of(initial_memory(loop, scenario.context)) for loop in loops)
-    return any(not np.array_equal(one, other) for one, other in zip(nominal, changed, strict=True))
+    return any(not np.array_equal(x, y) for x, y in zip(nominal, changed, strict=True))
 
 
 def compile_loop(

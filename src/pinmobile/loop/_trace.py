@@ -187,12 +187,12 @@ class Trace:
     def _tape(self, place: Callable[[], str] | None = None) -> LoopTape:
         return _SymbolicRun(self, Tape(locate=place)).loop_tape()
 
-    def _compare_tapes(self, one: LoopTape, two: LoopTape) -> None:
-        if one.tape.operations == two.tape.operations and one.outputs == two.outputs:
+    def _compare_tapes(self, first: LoopTape, second: LoopTape) -> None:
+        if first.tape.operations == second.tape.operations and first.outputs == second.outputs:
             return
         placed = self._tape(law_place)
         ends = [len(placed.tape) - 1]
-        for other in (one, two):  # a law with alternating results differs from one of the tapes
+        for other in (first, second):  # a law with alternating results differs from one of the tapes
             pairs = zip(other.tape.operations, placed.tape.operations, strict=False)
             ends += [i for i, (a, b) in enumerate(pairs) if a != b][:1]
         reason = "it counts, draws random numbers or keeps memory outside its state"
@@ -311,7 +311,7 @@ class _SymbolicRun:
             self.parameters[path] = Leaf("parameter", path, value.shape, self.next[kind], kind)
             nodes = entries(self._new(kind, value.shape)).reshape(-1)
             mask = (value == neutral) if varies is None else (value == neutral) & ~varies
-            mixed = [neutral if one else node for one, node in zip(mask.reshape(-1), nodes, strict=True)]
+            mixed = [neutral if flag else node for flag, node in zip(mask.reshape(-1), nodes, strict=True)]
             values[path] = symbols(mixed, value.shape)
         return values
 

@@ -368,7 +368,7 @@ def robot_vars(scenario: Scenario | Outline) -> dict[str, Variable]:
         Scenario of the robots.
     """
     groups = scenario.coordinates, scenario.inputs, scenario.recorded_metrics
-    errors, sizes, units = (", ".join(one.unit or "1" for one in group) for group in groups)
+    errors, sizes, units = (", ".join(entry.unit or "1" for entry in group) for group in groups)
     variables = {
         "max_error": Variable(_COORDINATE, errors, f"largest |error|, {_SINCE}"),
         "rms_error": Variable(_COORDINATE, errors, f"root mean square error, {_SINCE}"),
@@ -378,7 +378,7 @@ def robot_vars(scenario: Scenario | Outline) -> dict[str, Variable]:
     }
     if scenario.recorded_metrics:
         worst = f"largest size, or smallest margin, of each metric, {_SINCE}"
-        group = ", ".join(one.worst for one in scenario.recorded_metrics)
+        group = ", ".join(entry.worst for entry in scenario.recorded_metrics)
         variables["worst_metric"] = Variable(_METRIC, units, worst, group)
         variables["rms_metric"] = Variable(_METRIC, units, f"root mean square of each metric, {_SINCE}")
     return variables
@@ -451,15 +451,15 @@ def coordinates(scenario: Scenario | Outline) -> list[tuple[str, Sequence[Any], 
         Scenario of the robots.
     """
     groups = scenario.coordinates, scenario.inputs, scenario.recorded_metrics
-    names, inputs, metrics = ([one.name for one in group] for group in groups)
-    channels = ", ".join(f"{one.meaning} [{one.unit or '1'}]" for one in scenario.channels)
-    meanings = ", ".join(one.meaning for one in scenario.recorded_metrics)
+    names, inputs, metrics = ([entry.name for entry in group] for group in groups)
+    channels = ", ".join(f"{entry.meaning} [{entry.unit or '1'}]" for entry in scenario.channels)
+    meanings = ", ".join(entry.meaning for entry in scenario.recorded_metrics)
     edge = "lower edge, also upper edge of the previous bin; for a margin m: of m + sqrt(m^2 + 2^-24)"
     return [
         ("time", scenario.grid.tolist(), "s", "time"),
         ("coordinate", names, "1", "coordinate"),
         ("input", inputs, "1", "input"),
-        ("channel", [one.name for one in scenario.channels], "1", channels),
+        ("channel", [entry.name for entry in scenario.channels], "1", channels),
         ("level", list(LEVELS), "1", "share of the robots"),
         ("bin", edges()[:-1].tolist(), "unit of the channel", edge),
         *([("metric", metrics, "1", meanings)] if metrics else []),
@@ -510,9 +510,9 @@ def columns_of(ensemble: Any) -> tuple[list[str], list[Array]]:
         "input": ensemble.scenario.inputs,
         "metric": ensemble.scenario.recorded_metrics,
     }
-    for name, one, array in _arrays(ensemble):
-        titles = [(f"{name}_{part.name}", part.unit) for part in parts.get(one.dimensions[-1], ())]
-        pairs = titles or [(name, one.units)]
+    for name, variable, array in _arrays(ensemble):
+        titles = [(f"{name}_{part.name}", part.unit) for part in parts.get(variable.dimensions[-1], ())]
+        pairs = titles or [(name, variable.units)]
         header += [f"{title} [{unit}]" if unit not in ("", "1") else title for title, unit in pairs]
         columns.append(array)
     return header, columns
@@ -525,8 +525,8 @@ def _robot_variables(ensemble: Any) -> dict[str, Variable]:
 
 def _arrays(ensemble: Any) -> Iterator[tuple[str, Variable, Array]]:
     draws = {draw_name(name): values for name, values in ensemble.draws.items()}
-    for name, one in _robot_variables(ensemble).items():
-        yield name, one, getattr(ensemble, name) if name in ROBOT_ARRAYS else draws[name]
+    for name, variable in _robot_variables(ensemble).items():
+        yield name, variable, getattr(ensemble, name) if name in ROBOT_ARRAYS else draws[name]
 
 
 def content_of(ensemble: Any) -> dict[str, Any]:

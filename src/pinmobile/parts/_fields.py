@@ -242,7 +242,7 @@ class Number(Field):
         if any(length != n for length in shape):
             words = format_shapes(self.shapes).replace("n", str(n))
             raise InvalidArgument(f"{name} has shape {shape}, expected {words}")
-        return value if shape or any(len(each) > 1 for each in self.shapes) else frozen(np.full(n, value))
+        return value if shape or any(len(x) > 1 for x in self.shapes) else frozen(np.full(n, value))
 
     def outside_bounds(self, values: Any) -> Any:
         """Return which values are out of bounds, as an array of booleans."""
@@ -314,7 +314,7 @@ class Child(Field):
 def _matches(value: Any, kind: Any) -> bool:
     """Return whether a value matches a class, a protocol, or one of several kinds."""
     if isinstance(kind, tuple):
-        return any(_matches(value, each) for each in kind)
+        return any(_matches(value, option) for option in kind)
     return offers(value, kind) if is_protocol(kind) else isinstance(value, kind)
 
 

@@ -116,7 +116,7 @@ class Reader:
         if argument.name != "robot" or not isinstance(argument.declared, Child) or not is_part(robot):
             return self._defaults.get(argument.name)
         inner = [value for _, field, value in fields_of(robot) if isinstance(field, Child)]
-        return next((one for one in (robot, *inner) if fits(argument.declared.kind, one)), robot)
+        return next((part for part in (robot, *inner) if fits(argument.declared.kind, part)), robot)
 
     def _raise(self) -> None:
         if self.problems:
@@ -272,7 +272,7 @@ class Reader:
             message = f"{path} is {format_value(tree)}, expected {requirement(field)}"
             return self._fail(path, message)
         if isinstance(field, Values) and isinstance(tree, Mapping):
-            values = {key: self._generic(one, f"{path}.{key}") for key, one in flatten(tree).items()}
+            values = {key: self._generic(item, f"{path}.{key}") for key, item in flatten(tree).items()}
             return self._check_all({**(base or {}), **values})
         if field is None or (isinstance(tree, Mapping) and "type" in tree):
             return self._generic(tree, path)
