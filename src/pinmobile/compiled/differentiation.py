@@ -132,9 +132,9 @@ class Copy:
         for i in ancestors(self.old, self._needed_nodes(loop)):
             operation = self.old.operations[i]
             self.new[i] = swaps[operation](self.tape).index if operation in swaps else self._copy_node(i)
-        for i, (name, of) in self.old.marks.items():
-            if i in self.new and all(x in self.new for x in of):
-                self.tape.marks.setdefault(self.new[i], (name, tuple(self.new[x] for x in of)))
+        for i, (name, args) in self.old.marks.items():
+            if i in self.new and all(x in self.new for x in args):
+                self.tape.marks.setdefault(self.new[i], (name, tuple(self.new[x] for x in args)))
 
     def _needed_nodes(self, loop: LoopTape) -> set[int]:
         """Return the outputs of the loop, and the operands of functions, which may be constants."""

@@ -465,10 +465,10 @@ class Problem:
         return final[:S, :, 0], final[S:], {name: np.concatenate(x) for name, x in kept.items()}
 
     def adjoints(
-        self, inputs: Inputs, directions: Sequence[Direction], at: Sequence[int]
+        self, inputs: Inputs, directions: Sequence[Direction], loss_states: Sequence[int]
     ) -> tuple[Array, Array]:
         """Return final states (S, n), and the slopes of L of them by each direction, shape (L, n, P)."""
-        machine, n, L = self.machine, self.n, len(at)
+        machine, n, L = self.machine, self.n, len(loss_states)
         params, series_inputs = _varied_inputs(directions)
         columns, S = inputs.samples.shape[1], len(machine.tape.states)
         record = machine.of("recording", machine.state_recorder, n > 1)
@@ -486,7 +486,7 @@ class Problem:
                 states = record[1].kept_samples(kept, m)["state"]
                 tracks = np.concatenate([np.moveaxis(states, 0, 2)[::-1], tracks], axis=1)
             seed = np.zeros((S + len(params), m, L))
-            seed[at, :, range(L)] = 1.0
+            seed[loss_states, :, range(L)] = 1.0
             arguments = part._replace(
                 states=seed.reshape(len(seed), -1),
                 rows=np.repeat(part.rows, L, axis=1),

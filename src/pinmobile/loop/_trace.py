@@ -521,7 +521,7 @@ def initial_memories(
     """
     try:
         with tracing(identity.namespaces.values(), identity.cells):
-            return _evaluate_symbols(lambda own: arrays_of(initial_memory(own, context)), loop, spread, n)
+            return _evaluate_symbols(lambda x: arrays_of(initial_memory(x, context)), loop, spread, n)
     except NotTraceable:
         rows = []
         for i in range(n):
@@ -554,7 +554,7 @@ def initial_velocities(loop: Loop, spread: Mapping[str, Array], q: Array, v: Arr
     ends = np.array([project(0), project(n - 1)])
     try:
         with tracing():
-            (rows,) = _evaluate_symbols(lambda own, q, v: [own.law.project(q, v)], loop, spread, n, q, v)
+            (rows,) = _evaluate_symbols(lambda x, q, v: [x.law.project(q, v)], loop, spread, n, q, v)
     except NotTraceable:
         rows = np.zeros(0)
     if rows.shape == v.shape and np.allclose(rows[[0, -1]], ends, rtol=1e-9, atol=1e-9):

@@ -292,7 +292,7 @@ def _nearness(path: str) -> tuple[bool, int]:
     return not path.startswith("plant."), path.count(".")
 
 
-def find(part: Any, name: str, known: Mapping[str, NumberRef] | None = None, place: str = "") -> NumberRef:
+def find(part: Any, name: str, refs: Mapping[str, NumberRef] | None = None, place: str = "") -> NumberRef:
     """Return the number that a name means.
 
     A name is a full path, the end of a path, or a word of a path and its end. Of several
@@ -307,23 +307,23 @@ def find(part: Any, name: str, known: Mapping[str, NumberRef] | None = None, pla
     InvalidArgument
         If several paths are equally near.
     """
-    known = named(part) if known is None else known
-    if name in known:
-        return known[name]
+    refs = named(part) if refs is None else refs
+    if name in refs:
+        return refs[name]
     first, _, rest = name.partition(".") if isinstance(name, str) else ("", "", "")
-    if first == "robot" and rest and any(path.startswith("plant.") for path in known):
-        return find(part, f"plant.{rest}", known, place)
+    if first == "robot" and rest and any(path.startswith("plant.") for path in refs):
+        return find(part, f"plant.{rest}", refs, place)
     ends = sorted(
         (*_nearness(path), path)
-        for path, number in known.items()
+        for path, number in refs.items()
         if not number.label or rest  # an entry has no name of one word
         if path.endswith(f".{name}") or (rest and f".{first}." in f".{path}" and path.endswith(f".{rest}"))
     )
     if not ends:
         from difflib import get_close_matches  # here, because only this error needs the module
 
-        matches = get_close_matches(name, known, cutoff=0.85) if rest else []
-        raise UnknownName(f"parameter{place and ' in ' + place}", name, [*matches, *short_names(known)])
+        matches = get_close_matches(name, refs, cutoff=0.85) if rest else []
+        raise UnknownName(f"parameter{place and ' in ' + place}", name, [*matches, *short_names(refs)])
     best = [path for *rank, path in ends if rank == list(ends[0][:2])]
     if len(best) > 1:
         options = [*best, f"{best[0].partition('.')[0]}.*.{name}"] if place in ("spread", "by") else best
@@ -331,10 +331,10 @@ def find(part: Any, name: str, known: Mapping[str, NumberRef] | None = None, pla
             f"{place or 'name'} has {name!r}, which {' and '.join(best)} have, expected one of them: "
             f"{' or '.join(map(repr, options))}{', which means all' * (options is not best)}"
         )
-    return known[best[0]]
+    return refs[best[0]]
 
 
-def match_refs(part: Any, name: str, known: Mapping[str, NumberRef], where: str = "") -> list[NumberRef]:
+def match_refs(part: Any, name: str, refs: Mapping[str, NumberRef], where: str = "") -> list[NumberRef]:
     """Return the numbers that a name, or a pattern such as ``"*.gear"``, means, see `find`.
 
     Raises
@@ -345,10 +345,10 @@ def match_refs(part: Any, name: str, known: Mapping[str, NumberRef], where: str 
         If several paths are equally near.
     """
     if not isinstance(name, str) or "*" not in name:
-        return [find(part, name, known, where)]
-    numbers = [x for path, x in known.items() if not x.label and fnmatchcase(f".{path}", f"*.{name}")]
+        return [find(part, name, refs, where)]
+    numbers = [x for path, x in refs.items() if not x.label and fnmatchcase(f".{path}", f"*.{name}")]
     if not numbers:
-        raise UnknownName(f"parameter{where and ' in ' + where}", name, short_names(known))
+        raise UnknownName(f"parameter{where and ' in ' + where}", name, short_names(refs))
     return numbers
 
 
