@@ -17,7 +17,7 @@ from pinmobile.identification._planar_model import PlanarModel, PlanarProblem
 from pinmobile.identification._plant import _segments as of_plant
 from pinmobile.identification._simulation import Segments, linearize, simulate
 from pinmobile.identification._velocity_model import CarModel, VelocityModel
-from pinmobile.parts import find, refs_of, replace
+from pinmobile.parts import find, named, replace
 
 NO_LIMIT = dict.fromkeys(VelocityModel.limits(), np.inf)
 
@@ -119,7 +119,7 @@ LINKS = ["*_link.mass", "*_link.com"]
 def arm_log(seed: int = 0, noise: float = 1e-4) -> tuple[pm.Log, Any]:
     """Return four seconds of an arm on a box at 2 ms, and the arm, whose links differ from those of `ARM`."""
     rng, changes = np.random.default_rng(seed), dict[str, Any]()
-    for path, one in refs_of(ARM).items():
+    for path, one in named(ARM).items():
         if path.endswith("_link.mass"):
             changes[path] = float(one.value * (1 + 0.1 * rng.standard_normal()))
         if path.endswith("_link.com"):

@@ -668,12 +668,12 @@ def _check_steps(steps: Sequence[float], duration: float) -> list[float]:
             f"duration is {duration} s, which gives {duration / ladder[-1]:.3g} of the shortest step, "
             f"expected at most {_MAX_STEPS:g}: use a longer step"
         )
-    for name, whole, part in (
+    for name, total, part in (
         ("duration", duration, ladder[0]),
         *(("steps[0]", ladder[0], h) for h in ladder),
     ):
-        if not isfinite(whole / part) or abs(whole / part - round(whole / part)) > _RATIO * whole / part:
-            raise InvalidArgument(f"{name} is {whole} s, expected a whole multiple of the step {part} s")
+        if not isfinite(total / part) or abs(total / part - round(total / part)) > _RATIO * total / part:
+            raise InvalidArgument(f"{name} is {total} s, expected a whole multiple of the step {part} s")
     return ladder
 
 

@@ -32,6 +32,7 @@ from pinmobile.parts import (
     locate_errors,
     makes_part,
     match_refs,
+    named,
     number,
     option,
     parameters,
@@ -39,7 +40,6 @@ from pinmobile.parts import (
     public_names,
     read_entries,
     read_file,
-    refs_of,
     requirement,
     resolve,
     suggest_name,
@@ -199,7 +199,7 @@ class Opened:
         bare, problems = evolved(plain, spread={}).scenario(), {}
         for path in self.content.spread:
             try:
-                match_refs(bare.given, path, refs_of(bare.given), "spread")
+                match_refs(bare.given, path, named(bare.given), "spread")
             except (UnknownName, InvalidArgument) as error:
                 problems[f"spread.{path}"] = str(error)
         self._refuse(problems)

@@ -40,7 +40,7 @@ from pinmobile.identification._simulation import Quantity, Same, Segments, simul
 from pinmobile.identification._velocity import TRAINED
 from pinmobile.integrators import RungeKuttaNystrom
 from pinmobile.loop import Loop, Trace, arrays_of, initial_memory, traced_numbers
-from pinmobile.parts import NumberRef, Stepping, match_refs, numbers, offers, part, refs_of, replace, shorten
+from pinmobile.parts import NumberRef, Stepping, match_refs, named, numbers, offers, part, replace, shorten
 from pinmobile.plant import Context, Plant, coordinates_of, stated
 from pinmobile.trajectories import Reference
 
@@ -283,7 +283,7 @@ class PlantProblem:
 
 def _numbers_of(plant: Any, by: Any) -> tuple[NumberRef, ...]:
     """Return the numbers that names or patterns mean; an array means its entries."""
-    known, found = refs_of(plant), dict[str, NumberRef]()
+    known, found = named(plant), dict[str, NumberRef]()
     for name in sequence(
         "by", [by] if isinstance(by, str) else by, "names of numbers, such as '*_link.mass'"
     ):
