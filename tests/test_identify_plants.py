@@ -169,7 +169,7 @@ def test_the_tangents_of_a_plant_are_those_of_differences() -> None:
     log, _ = arm_log(0)
     found = pm.identify(log.between(0.0, 2.0), ARM, by=["upper_arm_link.mass", "forearm_link.com"])
     problem: Any = replaced(found.model, base=found.phi, basis=np.diag([1.0, 0.1, 0.1, 0.1]))
-    segments = of_plant([log], problem, 0.1).some(slice(2))
+    segments = of_plant([log], problem, 0.1).select(slice(2))
     p, starts = np.zeros(4), segments.start
     _, slopes = linearize(problem, segments, p, starts, np.arange(4))
 

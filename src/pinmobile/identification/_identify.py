@@ -12,7 +12,7 @@ import numpy as np
 from pinmobile.arrays import Array, bounded, instance, one_of, scalar, sequence
 from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.identification._clocks import clock_hint
-from pinmobile.identification._estimates import Identification, in_words
+from pinmobile.identification._estimates import Identification, format_directions
 from pinmobile.identification._estimator import (
     Fit,
     Linear,
@@ -22,7 +22,7 @@ from pinmobile.identification._estimator import (
     jackknife,
     r_squared,
     solve,
-    unexplained,
+    unexplained_error,
 )
 from pinmobile.identification._log import Log, continuous, logs_of, lost_rows, unused
 from pinmobile.identification._planar_model import PlanarModel, PlanarProblem
@@ -241,7 +241,7 @@ def _identified(
         seen, unseen = form.directions(scales)
         if not unseen.size:
             break
-    model, told = form.model, in_words([one.name for one in form.model.quantities], unseen)
+    model, told = form.model, format_directions([one.name for one in form.model.quantities], unseen)
     if prior is not None and model.offset:
         prior = np.insert(prior, model.dry.stop, np.zeros(model.nu))
     if told and prior is None:
@@ -257,7 +257,7 @@ def _identified(
     each = [one.segments(model, fit.delay, seconds, rates) for one in runs]
     ends = (TRAINED * len(one.q) * one.dt for one in runs)
     early = np.concatenate([part.t[:, 0] < end for part, end in zip(each, ends, strict=True)])
-    segments = Segments.joined(each)
+    segments = Segments.join(each)
     kept = len(segments.start)
     if kept < _LEAST_SEGMENTS // 2:
         raise InvalidArgument(
@@ -272,14 +272,14 @@ def _identified(
         method, estimate = METHODS[1], _output_error(problem, segments, False)
     if method == METHODS[0]:
         freedom, p = kept - 1, estimate.fit.p
-        free, _ = jackknife(estimate.fit.near, estimate.gradient)
+        free, _ = jackknife(estimate.fit.linear, estimate.gradient)
         phi, samples = problem.values(p)
         late, error = float(samples), float(np.sqrt(free[-1, -1])) if problem.free else np.nan
         if problem.free and late < 0:
             phi, _ = problem.values(p - free[:, -1] / free[-1, -1] * late)  # the estimate for no delay
         covariance = basis @ free[: basis.shape[1], : basis.shape[1]] @ basis.T
         _check(model, fit._replace(phi=phi), prior)
-        step = estimate.fit.near.step(early)
+        step = estimate.fit.linear.step(early)
     else:
         phi, covariance, late, error = fit.phi, fit.covariance, fit.delay, fit.delay_error
         freedom = max(5, round(sum(len(one.q) * one.dt for one in runs) / WINDOW) - len(phi))
@@ -292,7 +292,7 @@ def _identified(
             remarks.append(f"the delay is taken as zero: its estimate is {1e3 * late * dt:.3g} ms")
         late = max(late, 0.0)
     measured = segments.good[..., None] & np.isfinite(segments.noise)[:, None]
-    residual = np.where(measured, estimate.plain.near.residual, 0.0)
+    residual = np.where(measured, estimate.plain.linear.residual, 0.0)
     count = max(1, int(measured.sum()) - basis.shape[1] - segments.start.size)
     outliers, whole = sum(one.outliers for one in runs), [one for one in runs if np.isfinite(one.noise).all()]
     return Identification(
@@ -315,7 +315,7 @@ def _identified(
         seconds=seconds,
         noise=[*whole, *runs][0].reported_noise,
         residual=np.sqrt((residual[..., model.columns] ** 2).sum(axis=(0, 1)) / segments.good.sum()),
-        chi2=float((segments.weighed(residual) ** 2).sum()) / count,
+        chi2=float((segments.weigh(residual) ** 2).sum()) / count,
         whiteness=_whiteness_of(estimate.plain, segments),
         is_noise=estimate.is_noise,
         explained=fit.explained,
@@ -375,7 +375,7 @@ def _first_delay(form: WeakForm, base: Array, basis: Array) -> float:
     delays = np.arange(-max(2, round(_EARLIEST / dt)), max(4, round(_LATEST / dt)) + 0.25, 0.5)
     k, late, explained = form.first_delay(delays, base, basis)
     if explained < _EXPLAINED:
-        raise unexplained(explained)
+        raise unexplained_error(explained)
     if k == 0:
         _check_late(late, 0.0, dt)
     if k == len(delays) - 1:
@@ -389,7 +389,7 @@ def _first_delay(form: WeakForm, base: Array, basis: Array) -> float:
 def _check(model: PlanarModel, fit: WeakFit, prior: Array | None) -> None:
     """Reject estimates that no robot can have, or that differ too much from the prior."""
     if fit.explained < _EXPLAINED:
-        raise unexplained(fit.explained)
+        raise unexplained_error(fit.explained)
     phi, mass = fit.phi, float(fit.phi[0])
     wrong, ratio = f"a mass of {mass:.3g} kg", 1.0 if prior is None else mass / prior[0]
     is_so = not _MASSES[0] < mass < _MASSES[1]
@@ -435,7 +435,7 @@ def _output_error(problem: PlanarProblem, segments: Segments, moves: bool) -> _E
     fit = plain = solve(problem, segments, problem.start, moves=moves)
     if problem.free:
         late = np.arange(len(fit.p)) == len(fit.p) - 1
-        given = fit.near if moves else Linear.of(problem, segments, fit.p, fit.starts, lambda r, _: r, late)
+        given = fit.linear if moves else Linear.of(problem, segments, fit.p, fit.starts, lambda r, _: r, late)
         _check_drift(given)
     gradient, bias = np.zeros(len(fit.p)), 0.0
     noise = None if _whiteness_of(fit, segments).is_white or not moves else _noise(problem, segments, fit)
@@ -459,14 +459,14 @@ def _output_error(problem: PlanarProblem, segments: Segments, moves: bool) -> _E
 
 
 def _noise(problem: PlanarProblem, segments: Segments, fit: Fit) -> ResidualNoise:
-    answers = problem.responses(segments.some(segments.few), fit.p, fit.starts[segments.few])
-    left = segments.weighed(fit.near.residual)
+    answers = problem.responses(segments.select(segments.few), fit.p, fit.starts[segments.few])
+    left = segments.weigh(fit.linear.residual)
     return ResidualNoise.of(left, segments.good, float(segments.dt[0]), answers)
 
 
 def _whiteness_of(fit: Fit, segments: Segments) -> Whiteness:
     """Return the autocorrelation of the residuals of a fit."""
-    return Whiteness.of(segments.weighed(fit.near.residual), segments.good)
+    return Whiteness.of(segments.weigh(fit.linear.residual), segments.good)
 
 
 def _check_drift(near: Linear) -> None:

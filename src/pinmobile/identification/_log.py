@@ -132,7 +132,7 @@ class Samples(NamedTuple):
 
     dt: float
     t: Array
-    seen: NDArray[np.bool_]
+    is_valid: NDArray[np.bool_]
     u: Array
     q: Array | None = None
     twist: Array | None = None

@@ -195,7 +195,7 @@ class PlanarModel:
     offset: bool = False
     blind: bool = False
 
-    told_first: ClassVar[int] = 4
+    summary_size: ClassVar[int] = 4
 
     @classmethod
     def of(cls, robot: Any, speed: float | None = None, scaled: bool = False) -> PlanarModel:
@@ -356,7 +356,7 @@ class PlanarModel:
         """
         from scipy.optimize import minimize  # slow to load
 
-        friction = [k for k, one in enumerate(self.quantities) if one.bounded and k > 3]
+        friction = [k for k, one in enumerate(self.quantities) if one.nonnegative and k > 3]
 
         def slack(p: Array) -> Array:
             return np.concatenate([[p[0] - _LIGHTEST, _inertia_left(p)], p[friction]])
@@ -439,7 +439,7 @@ class PlanarModel:
         ahead = bounded("seconds", length, least=10 * run.dt, most=longest, unit="s")
         segments = run.segments(self, late, ahead, run.rates is not None)
         search = PlanarProblem(self, found.phi, np.zeros((len(found.phi), 0)), late)
-        left = solve(search, segments, search.start).near.residual
+        left = solve(search, segments, search.start).linear.residual
         return segments, left, segments.good, run.reported_noise
 
     def rows(self, a_u: Array, a_w: Array, turn: Array, square: Array, rates: Array, dry: Array) -> Array:

@@ -24,13 +24,13 @@ from pinmobile.compiled import (
     tangent,
 )
 from pinmobile.errors import InvalidArgument, format_value
-from pinmobile.identification._estimates import Identification, in_words
+from pinmobile.identification._estimates import Identification, format_directions
 from pinmobile.identification._estimator import (
     NORMAL,
     Fit,
     Linear,
     Whiteness,
-    alone,
+    isolated,
     jackknife,
     r_squared,
     solve,
@@ -120,7 +120,7 @@ class PlantProblem:
     delay: int
     columns_of_state: tuple[int, ...]
 
-    told_first: ClassVar[int] = 4
+    summary_size: ClassVar[int] = 4
     columns: ClassVar[slice] = slice(None)
     shifted: ClassVar[int | None] = None
 
@@ -278,7 +278,7 @@ class PlantProblem:
         """Return segments of a log, residuals, mask of good samples, and the noise of the sensors."""
         known: Any = replaced(self, base=found.phi, basis=np.zeros((len(self.base), 0)))
         segments = _segments([log], known, found.seconds if seconds is None else seconds)
-        return segments, solve(known, segments, np.zeros(0)).near.residual, segments.good, segments.noise[0]
+        return segments, solve(known, segments, np.zeros(0)).linear.residual, segments.good, segments.noise[0]
 
 
 def _numbers_of(plant: Any, by: Any) -> tuple[Found, ...]:
@@ -317,8 +317,8 @@ def _segments(logs: Sequence[Log], problem: PlantProblem, seconds: float) -> Seg
             noise = NORMAL * np.median(np.abs(np.diff(y, 4, axis=0)), axis=0) / np.sqrt(70.0)  # 1+16+36+16+1
             noise = np.maximum(noise, _LEAST_NOISE * y.std(axis=0) + np.finfo(float).tiny)
             span = 0, len(y), round(seconds / made.dt), problem.delay, 0
-            parts.append(Segments.cut(made.dt, (y, made.seen, states, made.u, noise), span, 0.0, 0.5))
-    whole = Segments.joined(parts)
+            parts.append(Segments.cut(made.dt, (y, made.is_valid, states, made.u, noise), span, 0.0, 0.5))
+    whole = Segments.join(parts)
     if len(whole.y) < _SEGMENTS // 2:
         raise InvalidArgument(
             f"log has {len(whole.y)} segments of {seconds:g} s, expected at least {_SEGMENTS // 2}: "
@@ -366,23 +366,23 @@ def identify_plant(logs: Sequence[Log], plant: Any, by: Any, delay: float | None
         )
     problem = replaced(first, basis=sizes[:, None] * seen)
     fit = _without_outliers(problem, segments, segments.start + near.starts(0 * base))
-    left = np.where(fit.good[..., None], fit.near.residual, 0.0)
+    left = np.where(fit.good[..., None], fit.linear.residual, 0.0)
     moved = segments.y - segments.y[:, :1]
     line = np.linalg.qr(np.vander(np.arange(left.shape[1]), 2))[0]  # what initial states explain
     bent = segments.y - line @ (line.T @ segments.y)
-    explained = 1 - float((segments.weighed(left) ** 2).sum() / (segments.weighed(bent) ** 2).sum())
+    explained = 1 - float((segments.weigh(left) ** 2).sum() / (segments.weigh(bent) ** 2).sum())
     if explained < _EXPLAINED:
         raise InvalidArgument(
             f"the given robot explains {max(explained, 0.0):.0%} of the motion over {seconds:.3g} s, "
             "expected most of it: name more wrong numbers in by, or correct sign, unit or order of inputs"
         )
-    covariance, blocks = jackknife(fit.near)
-    whiteness = Whiteness.of(segments.weighed(left), fit.good)
-    states = int(fit.near.back.any(axis=(0, 2)).sum()) * len(left)
+    covariance, blocks = jackknife(fit.linear)
+    whiteness = Whiteness.of(segments.weigh(left), fit.good)
+    states = int(fit.linear.start_change.any(axis=(0, 2)).sum()) * len(left)
     count = max(1, int(fit.good.sum()) * left.shape[-1] - seen.shape[1] - states)
     early = np.arange(len(left)) < TRAINED * len(left)
-    held = segments.some(~early)
-    p = fit.p + fit.near.step(early[:, None] & np.ones(fit.near.normal.shape[1], bool))
+    held = segments.select(~early)
+    p = fit.p + fit.linear.step(early[:, None] & np.ones(fit.linear.normal.shape[1], bool))
     ahead = held.y - simulate(problem, held, p[None], fit.starts[None, ~early])[0]
     runs = [
         r_squared(x[good], e[good])
@@ -396,7 +396,7 @@ def identify_plant(logs: Sequence[Log], plant: Any, by: Any, delay: float | None
         covariance_of_phi=problem.basis @ covariance @ problem.basis.T,
         freedom=blocks - 1,
         rank=seen.shape[1],
-        unseen=in_words([one.name for one in problem.quantities], unseen),
+        unseen=format_directions([one.name for one in problem.quantities], unseen),
         hidden=(unseen**2).sum(axis=1),
         unknown=sizes[:, None] * unseen,
         delay=late * dt,
@@ -412,7 +412,7 @@ def identify_plant(logs: Sequence[Log], plant: Any, by: Any, delay: float | None
         whiteness=whiteness,
         is_noise=bool(np.abs(whiteness.correlation).max() <= _COLOURED * whiteness.bound),
         explained=explained,
-        chi2=float((segments.weighed(left) ** 2).sum()) / count,
+        chi2=float((segments.weigh(left) ** 2).sum()) / count,
         prior=plant,
         free_run=dict(zip([name for name, _ in problem.measured], pairs, strict=True)),
     )
@@ -431,9 +431,9 @@ def _without_outliers(problem: Any, segments: Segments, starts: Array) -> Fit:
     good, p = segments.good, np.zeros(problem.basis.shape[1])
     for _ in range(_ROUNDS):
         fit = solve(problem, segments._replace(good=good), p, starts=starts, passes=0)
-        deviation = NORMAL * np.median(np.abs(fit.near.residual[good]), axis=0) + 1e-300
-        far = np.asarray((np.abs(fit.near.residual) > _OUTLIER * deviation).any(axis=-1))
-        before, good, p, starts = good, segments.good & ~alone(far, segments.good), fit.p, fit.starts
-        if (good == before).all():
+        deviation = NORMAL * np.median(np.abs(fit.linear.residual[good]), axis=0) + 1e-300
+        outliers = np.asarray((np.abs(fit.linear.residual) > _OUTLIER * deviation).any(axis=-1))
+        last, good, p, starts = good, segments.good & ~isolated(outliers, segments.good), fit.p, fit.starts
+        if (good == last).all():
             break
-    return fit._replace(good=before)
+    return fit._replace(good=last)

@@ -15,10 +15,10 @@ from pinmobile.identification._filters import (
     FINEST,
     LEAST_ROWS,
     WINDOW,
-    filtered,
+    low_pass,
     quantisation,
+    remove_outliers,
     twist_of,
-    without_outliers,
 )
 from pinmobile.identification._log import Log, check_units, held_integrals
 from pinmobile.identification._replay import odometry
@@ -94,18 +94,18 @@ class PreprocessedLog:
         if len(even.t) < max(LEAST_ROWS, 4 * WINDOW / even.dt):
             raise InvalidArgument(f"{name} is {even.t[-1]:.3g} s long, too short, expected 20 s or more")
         rates = even.wheel_rates if model.wheels else None
-        good, rates_noise = even.seen, np.zeros(0)
+        good, rates_noise = even.is_valid, np.zeros(0)
         if rates is not None:
             shaped(f"{name} has wheel_rates, which", rates, (len(rates), len(model.A)))
-            grain = quantisation(rates[even.seen])
-            rates, good, rates_noise = without_outliers(rates, even.seen, even.dt, _FINEST_RATE, grain)
+            grain = quantisation(rates[even.is_valid])
+            rates, good, rates_noise = remove_outliers(rates, even.is_valid, even.dt, _FINEST_RATE, grain)
         if even.q is not None:
-            grain = quantisation(even.q[even.seen])
-            q, usual, noise = without_outliers(even.q, even.seen, even.dt, FINEST, grain)
+            grain = quantisation(even.q[even.is_valid])
+            q, usual, noise = remove_outliers(even.q, even.is_valid, even.dt, FINEST, grain)
             good = good & usual
         else:  # the start of the odometry, and its drift, are arbitrary
             q, noise = odometry(rates @ np.linalg.pinv(model.A).T @ model.S.T, even.dt), np.full(3, np.inf)
-        lost = int((even.seen & ~good).sum())
+        lost = int((even.is_valid & ~good).sum())
         return cls(even.dt, q, good, even.u, rates, noise, rates_noise, lost, load)
 
     @property
@@ -128,7 +128,7 @@ class PreprocessedLog:
     def free_velocities(self, model: Any) -> Array:
         """Return the independent velocities at all samples, shape (N, k), from encoders if there are any."""
         if self.rates is not None:
-            return np.asarray(filtered(self.rates, self.dt) @ np.linalg.pinv(model.A).T)
+            return np.asarray(low_pass(self.rates, self.dt) @ np.linalg.pinv(model.A).T)
         return np.asarray(self.twist @ np.linalg.pinv(model.S).T)
 
     def shaken(self, generator: np.random.Generator, level: float) -> PreprocessedLog:

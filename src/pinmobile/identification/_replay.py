@@ -9,7 +9,7 @@ import numpy as np
 
 from pinmobile.arrays import Array, bounded, scalar
 from pinmobile.errors import InvalidArgument, format_value
-from pinmobile.identification._filters import FINEST, LEAST_ROWS, filtered, without_outliers
+from pinmobile.identification._filters import FINEST, LEAST_ROWS, low_pass, remove_outliers
 from pinmobile.integrators import rk4
 from pinmobile.loop import Rollout
 from pinmobile.plant import coordinates_of, inputs_of
@@ -34,7 +34,7 @@ class MeasuredMotion:
     def __init__(self, t: Array, q: Array, is_noisy: bool) -> None:
         from scipy.interpolate import CubicSpline  # slow to load
 
-        smooth = filtered(q, float(t[1] - t[0])) if is_noisy else q
+        smooth = low_pass(q, float(t[1] - t[0])) if is_noisy else q
         self.duration, self._q, self._smooth = float(t[-1]), CubicSpline(t, q), CubicSpline(t, smooth)
 
     def __call__(self, t: Any) -> Reference:
@@ -68,7 +68,7 @@ def rollout_of(log: Any, robot: Any, delay: float = 0.0, **options: Any) -> Roll
     if run.q is None:
         measured, noise = odometry(np.asarray(run.twist), run.dt), np.zeros(3)
     else:
-        measured, _, noise = without_outliers(run.q, run.seen, run.dt, FINEST)
+        measured, _, noise = remove_outliers(run.q, run.measured_rows, run.dt, FINEST)
     u = run.u[np.clip(np.arange(len(run.t)) - round(late / run.dt), 0, None)]
     motion = MeasuredMotion(run.t, measured, bool((noise > 2 * FINEST).any()))
     command = law(lambda t, q, v, reference: u[min(round(t / run.dt), len(u) - 1)])

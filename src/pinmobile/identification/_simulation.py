@@ -101,7 +101,7 @@ class Segments(NamedTuple):
         return cls(times, at * dt, y[at], good[at], sigma, start, u, near, lead, known)
 
     @classmethod
-    def joined(cls, parts: list[Segments]) -> Segments:
+    def join(cls, parts: list[Segments]) -> Segments:
         """Return the segments of several logs together."""
         before = np.cumsum([0, *(len(part.inputs) for part in parts)])
         moved = [part._replace(at=part.at + n) for part, n in zip(parts, before, strict=False)]
@@ -110,7 +110,7 @@ class Segments(NamedTuple):
         }
         return cls(inputs=np.concatenate([x.inputs for x in parts]), lead=parts[0].lead, **joined)
 
-    def some(self, rows: Any) -> Self:
+    def select(self, rows: Any) -> Self:
         """Return some of the segments."""
         return self._replace(**{n: getattr(self, n)[rows] for n in self._fields if n not in _SHARED})
 
@@ -125,7 +125,7 @@ class Segments(NamedTuple):
         sizes = self.inputs[self.at.min() : self.at.max() + 1].std(axis=0)
         return np.asarray(np.maximum(sizes, _LEAST_SIZE * sizes.max() + np.finfo(float).tiny))
 
-    def weighed(self, residuals: Array) -> Array:
+    def weigh(self, residuals: Array) -> Array:
         """Return residuals, shape (V, S, L, m), divided by the noise; zero without a measurement."""
         return np.asarray(residuals * self.good[..., None] / self.noise[:, None])
 
@@ -150,7 +150,7 @@ class Quantity(NamedTuple):
 
     name: str
     unit: str
-    bounded: bool
+    nonnegative: bool
     path: str = ""
 
 
@@ -329,9 +329,9 @@ def by_groups(
     """
     size = _LANES * max(1, round(_AT_ONCE / (_LANES * variants * segments.y.shape[1])))
     cuts = [slice(k, k + size) for k in range(0, len(segments.y), size)]
-    found = [function(segments.some(cuts[0]), cuts[0])]  # compiles the model
+    found = [function(segments.select(cuts[0]), cuts[0])]  # compiles the model
     with ThreadPoolExecutor(processors()) as pool:
-        found += pool.map(lambda rows: function(segments.some(rows), rows), cuts[1:])
+        found += pool.map(lambda rows: function(segments.select(rows), rows), cuts[1:])
     return [np.concatenate(each) for each in zip(*found, strict=True)]
 
 

@@ -24,7 +24,7 @@ from pinmobile.errors import InvalidArgument
 from pinmobile.forces import JointFriction
 from pinmobile.identification._commands import LEAST_BLOCKS, Part, Run, lead_of, parts_of
 from pinmobile.identification._estimates import Identification, check_identifiable
-from pinmobile.identification._estimator import unexplained
+from pinmobile.identification._estimator import unexplained_error
 from pinmobile.identification._log import Log, unused
 from pinmobile.identification._planar_model import inertia_of, pose_rate, torques_of, units_of, with_inertia
 from pinmobile.identification._simulation import Segments
@@ -135,7 +135,7 @@ class TorqueCar(VelocityModel):
     typical: tuple[float, float] = (1.0, 1.0)
     stiffness: tuple[float, ...] = ()
 
-    told_first: ClassVar[int] = 2
+    summary_size: ClassVar[int] = 2
     neutral: ClassVar[Mapping[str, float]] = {}
     limited: ClassVar[tuple[Sized, ...]] = ()
     ranges: ClassVar[dict[int, tuple[float, float, str]]] = {}
@@ -356,7 +356,7 @@ def _start(model: TorqueCar, runs: Sequence[Run], delays: Sequence[float], is_al
     for n in wheels.names:
         told |= {f"joint_viscous_{n}": viscous, f"joint_coulomb_{n}": dry}
     if told["mass"] <= 0:
-        raise unexplained(0.0)
+        raise unexplained_error(0.0)
     if is_alone:
         told["yaw_inertia"] = mass * ((wheels.front - wheels.rear) / 2) ** 2
     priors = [*((one.quantity.name, one.prior) for one in model.first), *((n, 0.0) for n in model.free)]

@@ -134,12 +134,12 @@ def validate(log: Log | Sequence[Log], **options: Any) -> Validation:
     model = found.model
     trained, held = (model.runs(part) for part in (first, last))
     lags = [each.lag(model.lead) for each in channels_of(explained_parts(trained, model.lags(found.phi)))]
-    parts = explained_parts(held, model.lags(found.phi), least=-np.inf)  # also of a poor model
+    parts = explained_parts(held, model.lags(found.phi), minimum=-np.inf)  # also of a poor model
     dt = held[0].dt
     quick = Lag(1.0, _AT_ONCE * dt, 0, np.inf)
     models = {"kinematics": model.of_lags([quick, quick]), "lag": model.of_lags(lags)}
     models["identified"] = model, found.phi
-    every = round(1 / float(held[0].seen.mean()))
+    every = round(1 / float(held[0].is_valid.mean()))
     horizons = np.maximum(every, np.rint(np.array(_HORIZONS) / dt)).astype(int)
     shifts = np.unique(np.linspace(0, horizons[-1], _STARTS, endpoint=False).astype(int)).tolist()
     shifted = [part._replace(start=part.start + more) for part in parts for more in shifts]
@@ -166,7 +166,7 @@ def _squares(
 ) -> Array:
     """Return the squared errors of segments at the last measurement before each horizon, shape (S, H, m)."""
     parts = model.started(parts, p)
-    segments, _ = segments_of(parts, model.lead, (int(horizons[-1]) + 1) * model.dt, filled=False)
+    segments, _ = segments_of(parts, model.lead, (int(horizons[-1]) + 1) * model.dt, fill=False)
     starts = segments.start.copy()
     if at_once:
         starts[:, :2] = segments.applied(0, 1)[0, :, 0]

@@ -20,8 +20,8 @@ from pinmobile.identification._commands import (
     CAR_COMMANDS,
     CHANNELS,
     LARGEST,
-    LEAST,
     LEAST_BLOCKS,
+    MIN_SHARE,
     Lag,
     Part,
     Run,
@@ -44,7 +44,7 @@ from pinmobile.identification._estimator import (
     jackknife,
     r_squared,
     solve_robustly,
-    unexplained,
+    unexplained_error,
 )
 from pinmobile.identification._log import Log, logs_of, unused
 from pinmobile.identification._simulation import MANY, Segments, pieces, simulate
@@ -169,17 +169,17 @@ def identify_velocity(
     for _ in range(_ROUNDS):  # what other drivers did hides the limits
         lags = [each.lag(lead, fixed) for each in channels_of(_few_of(parts))]
         parts = explained_parts(runs, lags)
-    sought, seen = {"delay": delay is None, "ahead": ahead is None}, model.limits_of(lags)
+    sought, bounds = {"delay": delay is None, "ahead": ahead is None}, model.limits_of(lags)
     for name, known in zip(model.limits(), (accelerations, accelerations, limits, limits), strict=True):
-        sought[name] = known is None and np.isfinite(seen[name])
-    order = [name for name, is_sought in sought.items() if is_sought]
-    guess = {"delay": dt * float(np.mean([lag.late for lag in lags if lag.gain] or [0])), "ahead": 0.0} | seen
+        sought[name] = known is None and np.isfinite(bounds[name])
+    order, delays = [n for n, free in sought.items() if free], [x.delay for x in lags if x.gain] or [0]
+    guess = {"delay": dt * float(np.mean(delays)), "ahead": 0.0} | bounds
     start = np.append(model.start(lags), [guess[name] for name in order])
     model = replace(model, free=tuple(order))
     left_out, parts = format_left_out(runs, parts), model.started(parts, start)
     unknown = [] if accelerations is not None else [n for n in model.limits()[:2] if n not in order]
     columns = ([run.u[:, k] for run in runs] for k in (0, 1))
-    tops = [lag._replace(steepest=_HARD * lag.top(u)) for lag, u in zip(lags, columns, strict=True)]
+    tops = [lag._replace(rate_limit=_HARD * lag.top(u)) for lag, u in zip(lags, columns, strict=True)]
     guesses = {n: model.limits_of(tops)[n] for n in unknown}
     found = searched(model, parts, start, guesses, lags, left_out)
     return replace(found, dropped=sum(one.dropped + unused(one, sensor) for one in logs))
@@ -269,16 +269,16 @@ def searched(
     free_run = _free_run(model, parts, best)
     if lags:
         check_explained({name: free_run.get(name, (None,))[0] for name in CHANNELS}, lags, dt)
-    elif (share := min(each for each, _ in free_run.values())) < LEAST:
-        raise unexplained(share)
+    elif (share := min(each for each, _ in free_run.values())) < MIN_SHARE:
+        raise unexplained_error(share)
     poor = [name for name, (_, after) in free_run.items() if after < _POOR]
     if poor:
         named = " and the ".join(poor)
         remarks.append(f"the model does not predict the {named} of the hold-out: do not use it elsewhere")
     model.check(p, lost)
     listed = ", ".join(one.name for one, is_so in zip(model.quantities, lost, strict=True) if is_so)
-    good, square = found.good, (found.near.residual[found.good] ** 2).mean(axis=0)
-    rank, white = int((~lost).sum()), Whiteness.of(found.near.residual * good[..., None], good)
+    good, square = found.good, (found.linear.residual[found.good] ** 2).mean(axis=0)
+    rank, white = int((~lost).sum()), Whiteness.of(found.linear.residual * good[..., None], good)
     return Identification(
         model=model,
         phi=p,
@@ -295,7 +295,7 @@ def searched(
         outliers=int((best.segments.good & ~good).sum()),
         samples=int(good.sum()),
         segments=len(good),
-        noise=_noise_of(found.near.residual, good),
+        noise=_noise_of(found.linear.residual, good),
         residual=np.sqrt(square),
         whiteness=white,
         is_noise=bool(np.abs(white.correlation).max() <= _TOGETHER) and not differ,
@@ -320,7 +320,7 @@ def _by_speeds(
         found, lost = solve_robustly(model, segments, p, calm=calm, natural=model.natural)
         free = zip(model.free, lost[len(model.first) :], strict=True)
         less, kept = model.without([name for name, is_lost in free if is_lost and name in model.limits()])
-        left, whiteness = found.near.residual, Whiteness.of(found.near.residual, found.good)
+        left, whiteness = found.linear.residual, Whiteness.of(found.linear.residual, found.good)
         cost = float(np.log(left[found.good].var(axis=0)).sum())
         return less, np.where(lost, p, found.p)[kept], cost, whiteness.is_white
 
@@ -374,9 +374,9 @@ class _Tried(NamedTuple):
         """Return the estimates from segments of a length [s], a multiple of a block, or a few of them."""
         segments, calm = segments_of(parts, model.lead, seconds)
         kept = segments.few if few else slice(None, None, 1)
-        segments = segments.some(kept)._replace(blocks=max(1, segments.y.shape[1] // block_of(parts)))
+        segments = segments.select(kept)._replace(blocks=max(1, segments.y.shape[1] // block_of(parts)))
         fit, lost = solve_robustly(model, segments, p, calm=calm[kept], natural=model.natural)
-        covariance, blocks = jackknife(fit.near, kept=~lost)
+        covariance, blocks = jackknife(fit.linear, active=~lost)
         return cls(segments.y.shape[1] * model.dt, segments, fit, lost, covariance, blocks, kept.step > 1)
 
 
@@ -452,9 +452,9 @@ def _compared(model: VelocityModel, short: _Tried, long: _Tried) -> str:
 def _free_run(model: VelocityModel, parts: Sequence[Part], best: _Tried) -> dict[str, tuple[float, float]]:
     """Return R^2 of free runs by channel: of the log, and of its last third for a fit to the rest."""
     test = _without_first(parts, round(TRAINED * sum(b - a for _, a, b in parts)))
-    blocks = best.fit.near.normal.shape[:2]
+    blocks = best.fit.linear.normal.shape[:2]
     early = np.arange(np.prod(blocks)).reshape(blocks) < TRAINED * np.prod(blocks)
-    p, step = best.fit.p, best.fit.near.step(early)
+    p, step = best.fit.p, best.fit.linear.step(early)
     step = np.insert(step, [len(model.first)] * (len(p) - len(step)), 0.0)  # of a delay that is taken as zero
     before, after = _explained(model, p, parts), _explained(model, p + step, test)
     rows = zip(CHANNELS, before.tolist(), after.tolist(), channels_of(parts), strict=True)

@@ -98,7 +98,7 @@ class VelocityModel:
     is_pose: bool
     longest: float = np.inf
 
-    told_first: ClassVar[int] = 6
+    summary_size: ClassVar[int] = 6
     columns: ClassVar[slice] = slice(None)
     shifted: ClassVar[int | None] = None
     is_linear: ClassVar[bool] = True
@@ -178,7 +178,7 @@ class VelocityModel:
 
     def are_possible(self, p: Array) -> Any:
         """Return which numbers, shape (..., P), a robot can have; delay and losses may be below zero."""
-        above = [(one.quantity.bounded and one.prior > 0) or np.isinf(one.prior) for one in self._numbers]
+        above = [(one.quantity.nonnegative and one.prior > 0) or np.isinf(one.prior) for one in self._numbers]
         return (p[..., np.array(above)] > 0).all(axis=-1)
 
     def resolved(self, segments: Segments, p: Array) -> tuple[Array, Array, float]:
@@ -259,9 +259,9 @@ class VelocityModel:
         bounded("seconds", length, least=3 * runs[0].dt, unit="s")
         lead = max(lead_of(runs), int(np.ceil(max(found.delay, 0.0) / runs[0].dt)) + 1)
         model = replace(self, dt=runs[0].dt, lead=lead)
-        segments, calm = segments_of(model.explained(runs, found.phi), lead, length, filled=False)
+        segments, calm = segments_of(model.explained(runs, found.phi), lead, length, fill=False)
         left, _ = solve_robustly(model, segments, found.phi, calm=calm)
-        return segments, left.near.residual, left.good, found.noise
+        return segments, left.linear.residual, left.good, found.noise
 
     def runs(self, logs: list[Log]) -> list[Run]:
         """Return the checked logs at equal time steps."""
@@ -269,7 +269,7 @@ class VelocityModel:
 
     def explained(self, runs: Sequence[Run], p: Array) -> list[Part]:
         """Return the parts of runs that the commands explain, also by a poor model with numbers p."""
-        return self.started(explained_parts(runs, self.lags(p), least=-np.inf), p)
+        return self.started(explained_parts(runs, self.lags(p), minimum=-np.inf), p)
 
     def lags(self, p: Array) -> list[Lag]:
         """Return the lags of both channels without coupling."""
@@ -297,13 +297,13 @@ class VelocityModel:
 
     def of_lags(self, lags: Sequence[Lag]) -> tuple[VelocityModel, Array]:
         """Return the model of lags without coupling, and its numbers."""
-        given = {"ahead": 0.0, "delay": self.dt * float(np.mean([lag.late for lag in lags]))}
+        given = {"ahead": 0.0, "delay": self.dt * float(np.mean([lag.delay for lag in lags]))}
         bare = replace(self, free=(), given=self.given | given | self.limits_of(lags))
         return bare, bare.start([lag if lag.gain > 0 else lag._replace(gain=1.0) for lag in lags])
 
     def limits_of(self, lags: Sequence[Lag]) -> dict[str, float]:
         """Return the limits that lags have, by name."""
-        values = [*(lag.steepest for lag in lags), *(lag.limit for lag in lags)]
+        values = [*(lag.rate_limit for lag in lags), *(lag.limit for lag in lags)]
         return dict(zip(self.limits(), values, strict=True))
 
     @property
@@ -406,9 +406,9 @@ class CarModel(VelocityModel):
 
     def _turned(self, run: Run, p: Array) -> Run:
         count, free = len(run.u), _Steering(self.free, self.given, self.lead, self.dt, False)
-        plain = run._replace(y=run.nu, calm=run.nu, seen=np.ones(count, bool))
+        plain = run._replace(y=run.nu, calm=run.nu, is_valid=np.ones(count, bool))
         length = self.dt * (count - self.lead)
-        segments, _ = segments_of([Part(plain, 0, count)], self.lead, length, filled=False)
+        segments, _ = segments_of([Part(plain, 0, count)], self.lead, length, fill=False)
         segments.start[:, 1] = self._by_steering(p)[0] * segments.applied(0, 1)[0, :, 0, 1] + p[3]
         states = simulate(free, segments, p[None], segments.start[None])[0, 0]
         states = np.concatenate([np.repeat(states[:1], count - len(states), axis=0), states])
@@ -462,7 +462,7 @@ class CarModel(VelocityModel):
         speed, curvature = lags
         wheelbase = self.given.get("wheelbase", 1 / (curvature.gain or 1.0))
         limit = np.inf if np.isinf(curvature.limit) else float(np.arctan(curvature.limit))
-        turns = curvature._replace(steepest=curvature.steepest * abs(wheelbase), limit=limit)
+        turns = curvature._replace(rate_limit=curvature.rate_limit * abs(wheelbase), limit=limit)
         return super().limits_of([speed, turns])
 
     @property
