@@ -714,7 +714,10 @@ PAIR = pm.WheelTable.differential(0.5, 0.1, supports=[(0.25, 0), (-0.25, 0)], **
     [
         (lambda: on(PAIR, ground=pm.Coulomb()), f"with wheels that steer or slip, .*{ROLLING}"),
         (lambda: on(PAIR).mount("ur5"), f"or arms, {ROLLING}"),
-        (lambda: pm.MobileRobot.box().mount("ur5"), r"without arms \(robot.lumped\(\) has them locked\), .*"),
+        (
+            lambda: pm.MobileRobot.box().mount("ur5"),
+            r"without arms \(robot.with_locked_arms\(\) has them locked\), .*",
+        ),
         (lambda: pm.VelocityRobot([0.3, 0.3, 0, 1, 0, 1]), "use identify_velocity$"),
     ],
 )
