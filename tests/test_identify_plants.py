@@ -72,7 +72,7 @@ def test_slopes_of_a_simulated_log_are_those_of_differences(case: str) -> None:
         return np.asarray((pair[0] - pair[1]) / (2 * h))
 
     for j, slope in enumerate(slopes):
-        if j == model.shifted:  # the difference over whole samples itself
+        if j == model.delay_index:  # the difference over whole samples itself
             assert np.abs(slope - change(j, 1.0)).max() == 0
             continue
         coarse, fine = change(j, 2e-4), change(j, 1e-4)

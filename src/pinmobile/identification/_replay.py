@@ -68,7 +68,7 @@ def rollout_of(log: Any, robot: Any, delay: float = 0.0, **options: Any) -> Roll
     if run.q is None:
         measured, noise = odometry(np.asarray(run.twist), run.dt), np.zeros(3)
     else:
-        measured, _, noise = remove_outliers(run.q, run.measured_rows, run.dt, FINEST)
+        measured, _, noise = remove_outliers(run.q, run.is_valid, run.dt, FINEST)
     u = run.u[np.clip(np.arange(len(run.t)) - round(lag / run.dt), 0, None)]
     motion = MeasuredMotion(run.t, measured, bool((noise > 2 * FINEST).any()))
     command = law(lambda t, q, v, reference: u[min(round(t / run.dt), len(u) - 1)])
