@@ -20,7 +20,7 @@ from functools import cached_property, reduce
 from typing import Any, NamedTuple
 
 from pinmobile.compiled import choose, repeated, scalar_max, square_root
-from pinmobile.robot import ONE, ZERO, Matrix, Vector, dot, factored, number
+from pinmobile.robot import ONE, ZERO, Matrix, Vector, dot, factor, number
 
 _SOON = 24  # Gauss-Seidel iterations before Newton's method
 _FIRST_SMOOTHING = 0.1  # initial smoothing of friction, relative to the slip per impulse of the wheel
@@ -505,7 +505,7 @@ def newton_impulses(
                 error = error + size * ((x - y) * (x - y))
         error = number(error) * smoothing
         curve = number(dot(way, [number(dot(row, way)) for row in H]))
-        next_way = [-number(x) for x in factored(H)[0](g)]
+        next_way = [-number(x) for x in factor(H)[0](g)]
         fall, uphill = number(dot(g, next_way)), number(dot(g, way))
         rises = uphill > 0.0
         level = abs(uphill) <= -_LEVEL * slope

@@ -24,12 +24,12 @@ from pinmobile.robot import (
     Vector,
     dot,
     exact,
-    factored,
+    factor,
     number,
     scalar_of,
     scalars,
     single,
-    transposed,
+    transpose,
     vector_of as stacked,
 )
 from pinmobile.wheels._contact import Bounds, Impulses, WheelContact, impulses, iterate
@@ -255,8 +255,8 @@ class SlippingDynamics(WheeledDynamics):
             for i, a in enumerate(actuator.column, self.of_body):
                 for j, b in enumerate(actuator.column, self.of_body):
                     M[i][j] = M[i][j] + exact(a * b) * rotor
-        half = transposed([self._to_free(row) for row in M])
-        inertias = transposed([self._to_free(column) for column in half])
+        half = transpose([self._to_free(row) for row in M])
+        inertias = transpose([self._to_free(column) for column in half])
         rows = self.kinematics.rows(state.steering, [ZERO] * _BASE, [ZERO] * self.joints, across=True)
         pairs: list[list[Vector]] = [[] for _ in self.table.wheels]
         for row in rows:
@@ -266,7 +266,7 @@ class SlippingDynamics(WheeledDynamics):
         spins = [self._leading.index(self._leaders[first + row][0]) for row in range(len(self.table))]
         rub = [k for k in range(n) if k in spins or any(row[k] is not ZERO for pair in pairs for row in pair)]
         rest = [k for k in range(n) if k not in rub]
-        solve, inertia = factored(inertias, rest)
+        solve, inertia = factor(inertias, rest)
         columns = [solve(row) for pair in pairs for row in pair]
         units = {i_s: solve([ONE if k == i_s else ZERO for k in range(n)]) for i_s in dict.fromkeys(spins)}
 

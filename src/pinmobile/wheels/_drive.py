@@ -17,7 +17,7 @@ from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.integrators import rk4
 from pinmobile.parts import by_value, child, evolved, part, structure, takes
 from pinmobile.plant import ContactLoads, Contacts, Coordinate, Input, SlipMargins
-from pinmobile.robot import BODY_JOINT, LOCKED, Linearization, MobileRobot, PayloadBody, described, number
+from pinmobile.robot import BODY_JOINT, LOCKED, Linearization, MobileRobot, PayloadBody, describe, number
 from pinmobile.wheels._coulomb import Coulomb
 from pinmobile.wheels._dynamics import PlantOnWheels, of_ground
 from pinmobile.wheels._loads import (
@@ -143,7 +143,7 @@ class WheeledRobot(PlantOnWheels):
         >>> print(robot.describe().splitlines()[-4])
           left   6 N m         48 rad/s, 4.8 m/s  24 V     none     given
         """
-        return described(self.robot, self)
+        return describe(self.robot, self)
 
     @classmethod
     def from_urdf(

@@ -26,12 +26,12 @@ from pinmobile.robot import (
     cross,
     dot,
     exact,
-    factored,
+    factor,
     matrix_of,
     number,
     scalars,
     sine_and_cosine,
-    transposed,
+    transpose,
     vector_of as stacked,
 )
 from pinmobile.wheels._kinematics import Kinematics, NullSpaceBasis, Row, RowSelection, solve_null_space
@@ -93,7 +93,7 @@ class State(NamedTuple):
 
 def mass_columns(M: Matrix, S: Matrix) -> Matrix:
     """Return S' M for a symmetric M."""
-    return [applied(M, column) for column in transposed(S)]
+    return [applied(M, column) for column in transpose(S)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -291,8 +291,8 @@ class WheeledDynamics:
     def mass_matrix(self, q: Any) -> Any:
         """Return M(q), shape (..., nv, nv), rotors included."""
         state = self.state(q, stacked([ZERO] * self.nv, q))
-        half = transposed([state.outward(row) for row in self.inertia(state, q)])
-        return matrix_of(transposed([state.outward(row) for row in half]), q)
+        half = transpose([state.outward(row) for row in self.inertia(state, q)])
+        return matrix_of(transpose([state.outward(row) for row in half]), q)
 
     def nonlinear_effects(self, q: Any, v: Any) -> Any:
         """Return n(q, v), shape (..., nv)."""
@@ -422,7 +422,7 @@ class WheeledDynamics:
         """Return the dynamics of the independent velocities: M dnu/dt + n = B u, see `Reduced`."""
         state = self.state(q, v)
         M, (S, gamma) = self.inertia(state, q), self.null_space(state)
-        columns, MS = transposed(S), mass_columns(M, S)
+        columns, MS = transpose(S), mass_columns(M, S)
         bias = self.proper_acceleration(state, self.bias_acceleration(state, S, gamma))
         rest = [n + dot(row, bias) for n, row in zip(self.effects(state, q), M, strict=True)]
         B = self.input_columns(state, columns)
@@ -462,11 +462,11 @@ class WheeledDynamics:
 
     def _least_norm(self, state: State, S: Matrix, force: Vector) -> Vector:
         """Return the input of least norm with the effect of a generalised force along the body's axes."""
-        columns = transposed(S)
+        columns = transpose(S)
         right = [dot(column, force) for column in columns]
         B = self.input_columns(state, columns)
         square = [[dot(x, y) for y in B] for x in B]
-        solution = factored(square, range(len(right)))[0](right)
+        solution = factor(square, range(len(right)))[0](right)
         return [dot(column, solution) for column in zip(*B, strict=True)]
 
     def allocate_scaled(self, q: Any, tau: Any) -> tuple[Any, Any]:

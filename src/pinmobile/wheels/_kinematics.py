@@ -15,7 +15,7 @@ import numpy as np
 
 from pinmobile.arrays import Array
 from pinmobile.errors import InvalidArgument
-from pinmobile.robot import ZERO, Matrix, Vector, cross, dot, exact, factored, number, sine_and_cosine, single
+from pinmobile.robot import ZERO, Matrix, Vector, cross, dot, exact, factor, number, sine_and_cosine, single
 
 
 class Row(NamedTuple):
@@ -205,7 +205,7 @@ class Kinematics:
         columns = [[row.base[k] for row in rows] for k in range(3)]
         right = [-dot(row.joints, joints) for row in rows]
         square = [[dot(a, b) for b in columns] for a in columns]
-        return factored(square)[0]([dot(column, right) for column in columns])
+        return factor(square)[0]([dot(column, right) for column in columns])
 
 
 class RowSelection(NamedTuple):

@@ -411,7 +411,7 @@ def evaluate_metrics(body: Any, q: Any, v: Any, a: Any, u: Any, desired: Any) ->
     """
     state, values, arms = body.state(q, v), [], arms_of(body)
     if arms is not None and arms.tips:
-        values += scalars(arms.apart(body.robot, q[..., : int(body.robot.nq)], desired))
+        values += scalars(arms.pose_errors(body.robot, q[..., : int(body.robot.nq)], desired))
     limits = limits_of(body)
     if limits:
         inputs, effort = scalars(u), 0.0

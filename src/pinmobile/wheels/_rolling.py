@@ -14,7 +14,7 @@ from pinmobile.arrays import Array, bounded, frozen, scalar
 from pinmobile.compiled import choose
 from pinmobile.errors import InvalidArgument
 from pinmobile.parts import by_value, child, number as declared, part
-from pinmobile.robot import ZERO, Matrix, Vector, applied, dot, factored, number, transposed
+from pinmobile.robot import ZERO, Matrix, Vector, applied, dot, factor, number, transpose
 from pinmobile.wheels._dynamics import State, WheeledDynamics, mass_columns
 from pinmobile.wheels._loads import AxleGroup, groups_of
 
@@ -198,7 +198,7 @@ class RollingDynamics(WheeledDynamics):
         proper_a = self.proper_acceleration(state, gamma)
         rest = [t - n - dot(row, proper_a) for t, n, row in zip(force, effects, M, strict=True)]
         solve, first = _solver(mass_columns(M, S), S), self.of_body
-        rates = solve(applied(transposed(S), rest))
+        rates = solve(applied(transpose(S), rest))
         for k, limit in self.stops:
             outward = stop_of(state.steering[k], limit, state.rates[k])
             change = dot(S[first + k], rates) + gamma[first + k]
@@ -275,4 +275,4 @@ def stop_axis(values: Vector, outward: Any, rate: Any, row: Vector, response: Ve
 
 def _solver(MS: Matrix, S: Matrix) -> Callable[[Vector], Vector]:
     """Return the solver of S' M S x = right, given S' M."""
-    return factored([applied(MS, column) for column in transposed(S)])[0]
+    return factor([applied(MS, column) for column in transpose(S)])[0]

@@ -24,11 +24,11 @@ from pinmobile.robot import (
     Matrix,
     Vector,
     dot,
-    factored,
+    factor,
     number,
     scalars,
     single,
-    transposed,
+    transpose,
     vector_of as stacked,
 )
 from pinmobile.wheels._contact import iterate, moved_by, within
@@ -215,10 +215,10 @@ class VoltageDynamics:
         start, middle = body.state(q, v), body.state(q_middle, v)
         nu = [number(x) for x in body.velocities(start)]
         M, (S, _) = body.inertia(middle, q), body.null_space(middle)
-        columns, MS = transposed(S), mass_columns(M, S)
+        columns, MS = transpose(S), mass_columns(M, S)
         reduced_M = [[dot(a, b) for b in MS] for a in columns]
-        B = transposed(body.input_columns(middle, columns))[body.na :]
-        solve, _ = factored(reduced_M)
+        B = transpose(body.input_columns(middle, columns))[body.na :]
+        solve, _ = factor(reduced_M)
         freedom = [number(dot(b, solve(b))) for b in B]
         start_rates = [number(dot(b, nu)) for b in B]
         psi, na = scalars(q)[2], body.na
@@ -244,7 +244,7 @@ class VoltageDynamics:
                 for i, x in enumerate(b):
                     for j, y in enumerate(b):
                         heavy[i][j] = heavy[i][j] + (h * share * push.slope) * (x * y)
-            solve, _ = factored(heavy)
+            solve, _ = factor(heavy)
             change = solve([h * number(dot(column, rest)) for column in columns])
             end_nu = [number(x + y) for x, y in zip(nu, change, strict=True)]
             end_nu, impulses = self._hold_rates(end_nu, B, solve, pushes, impulses, h)
