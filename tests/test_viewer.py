@@ -767,7 +767,7 @@ def test_a_page_of_a_robot_with_hundreds_of_thousands_of_triangles_stays_small()
 
 def test_bands_along_many_lines_are_the_ribbon_of_each() -> None:
     lines = np.random.default_rng(0).normal(size=(5, 2, 2))
-    vertices, faces = shapes.joined([shapes.ribbon(line, 0.01) for line in lines])
+    vertices, faces = shapes.merge([shapes.ribbon(line, 0.01) for line in lines])
     found = shapes.bands(lines, 0.01)
     np.testing.assert_array_equal(found[0], vertices)
     np.testing.assert_array_equal(found[1], faces)

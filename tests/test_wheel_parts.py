@@ -175,7 +175,7 @@ class ViscousDynamics(WheeledDynamics):
     def forward_dynamics(self, q: Any, v: Any, u: Any, f: Any = 0.0) -> Any:
         """Return the acceleration, shape (nv,)."""
         state = self.state(q, v)
-        force = self.generalised(state, u, f)
+        force = self.input_force(state, u, f)
         for row in self._rows(state):
             pull = -self.c * row.slip(state)
             for i, x in enumerate([*row.base, *row.joints]):

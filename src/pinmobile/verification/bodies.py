@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from pinmobile.arrays import Array
 from pinmobile.dh import JointType
-from pinmobile.robot import BODY_JOINT, MobileRobot, Mount, joints_of, named_frames, number, prefixed
+from pinmobile.robot import BODY_JOINT, MobileRobot, Mount, add_scope, joints_of, named_frames, number
 from pinmobile.wheels import Kinematics, Wheel, WheeledRobot
 
 _DOWN = np.array([0, 0, -9.81])  # [m/s^2]
@@ -92,7 +92,7 @@ class Parts:
     def _mount(self, mount: Mount, q: Array) -> None:
         """Add the links of an arm as read from its file; a locked joint has no coordinates."""
         arm, on_base = mount.arm, BODY_JOINT - 1
-        whole, built, held, rest = arm.file_model, arm.whole, arm.held, arm.rest
+        whole, built, held, rest = arm.file_model, arm.whole, arm.fixed_joints, arm.rest
         if mount.is_changed:  # to numbers which are those of what moves
             whole, built, held, rest = mount.model, mount.model, [], arm.posture
         free = [joint for joint in range(1, whole.njoints) if joint not in held]
@@ -110,7 +110,7 @@ class Parts:
             link = _Link(first + above if above else on_base, T, S[..., : len(mine)], mine, rotors)
             link.add(whole.inertias[joint], pin.SE3.Identity())
             self.links.append(link)
-        own = prefixed(mount.model, mount.name)
+        own = add_scope(mount.model, mount.name)
         for name, k in named_frames(own).items():
             frame = own.frames[k]
             on_arm = first + free[frame.parentJoint - 1] if frame.parentJoint else on_base

@@ -17,14 +17,14 @@ from pinmobile.palette import GRIPS, INK, QUIET, SLIDES, colour
 from pinmobile.parts import Touching, able
 from pinmobile.plant import Contacts, robot_at, stated
 from pinmobile.signals import Signal
-from pinmobile.viewer.motion import Channel, along, samples_before
+from pinmobile.viewer.motion import Channel, planar, samples_before
 from pinmobile.viewer.scene_tree import Extent, Stage, View
 
 _ORDER = 20  # over what lies on the ground, under what shows through everything
 _SIDES = 6
 _SPREAD = 2500  # points of a trail at most
 _TRAVELLED, _TARGET = 0.034, 0.022  # thickness, in lengths of the robot
-_STILL = 1e-6  # [m]: what moves less than that has no path
+_MIN_MOTION = 1e-6  # [m]: what moves less than that has no path
 
 
 def hand_of(run: Rollout) -> EndEffector | None:
@@ -63,7 +63,7 @@ def draw_hand(
         bands = shapes.dashes(points, extent.dash, lambda part: tube(part, _TARGET * extent.unit))
         if bands is not None:
             stage.put(f"{node}/target", shapes.flat(bands, INK, order=_ORDER + 5))
-    if not trail or float(np.ptp(hand.position, axis=0).max()) < _STILL:
+    if not trail or float(np.ptp(hand.position, axis=0).max()) < _MIN_MOTION:
         return []
     band = partial(tube, thickness=_TRAVELLED * extent.unit)
     motion, path_of = (hand.t, hand.position), f"{node}/trail"
@@ -100,12 +100,12 @@ def draw_trail(
         Order of painting.
     """
     t, points = motion
-    kept = np.unique(np.append(np.arange(0, len(t), -(-len(t) // _SPREAD)), len(t) - 1))
-    triangles = band(points[kept])
+    rows = np.unique(np.append(np.arange(0, len(t), -(-len(t) // _SPREAD)), len(t) - 1))
+    triangles = band(points[rows])
     stage.put(path, shapes.flat(triangles, paint, order=order, trail=True))
-    each = 3 * len(triangles[1]) // max(len(kept) - 1, 1)
-    drawn = each * np.interp(times, t[kept], np.arange(len(kept)))
-    return [Channel(f"{path}/<object>", "drawn", drawn[:, None])]
+    each = 3 * len(triangles[1]) // max(len(rows) - 1, 1)
+    shares = each * np.interp(times, t[rows], np.arange(len(rows)))
+    return [Channel(f"{path}/<object>", "drawn", shares[:, None])]
 
 
 def hand_errors(hand: EndEffector | None) -> list[Array]:
@@ -125,7 +125,7 @@ def tube(points: Array, thickness: float) -> shapes.Triangles:
     thickness : float
         Its diameter [m].
     """
-    first, second = _across(shapes.directions(points))
+    first, second = _side_vectors(shapes.directions(points))
     angle = 2 * np.pi * np.arange(_SIDES) / _SIDES
     rings = np.cos(angle)[:, None] * first[:, None] + np.sin(angle)[:, None] * second[:, None]
     vertices = (points[:, None] + thickness / 2 * rings).reshape(-1, 3)
@@ -135,16 +135,16 @@ def tube(points: Array, thickness: float) -> shapes.Triangles:
     return vertices, faces.astype(np.uint32)
 
 
-def _across(along: Array) -> tuple[Array, Array]:
+def _side_vectors(tangents: Array) -> tuple[Array, Array]:
     """Return two directions across each of a curve's, shape (n, 3) each, that turn no more than it does."""
-    first = np.empty_like(along)
-    side = np.eye(3)[int(np.abs(along[0]).argmin())]
-    for k, way in enumerate(along):
+    first = np.empty_like(tangents)
+    side = np.eye(3)[int(np.abs(tangents[0]).argmin())]
+    for k, way in enumerate(tangents):
         side = side - (side @ way) * way
         size = float(np.linalg.norm(side))
         side = side / size if size > 1e-9 else np.eye(3)[int(np.abs(way).argmin())]
         first[k] = side
-    return first, np.cross(along, first)
+    return first, np.cross(tangents, first)
 
 
 TRAIL, ABOVE = 2, 40
@@ -153,7 +153,7 @@ _DISCS = 12  # over trails, path and words
 _NOTHING = 1e-4  # of a scale: not to be seen
 _LARGEST = 0.4  # radius of the largest disc, or length of the largest arrow, in lengths of the robot
 _THIN = 0.12  # of a disc: an ellipse that is narrower is drawn so wide
-_FAR = 4.0  # radii of the scene, beyond which no centre is drawn
+_CENTRE_RADII = 4.0  # radii of the scene, beyond which no centre is drawn
 _NO_FORCE = 1e-9  # [N]
 
 
@@ -165,25 +165,25 @@ def contacts_at(run: Rollout, times: Array, poses: Array) -> Contacts:
     InvalidArgument
         If the plant has no contacts.
     """
-    held = samples_before(run.t, times)
-    plant = able(robot_at(run.plant, run.t[held]), Touching)
+    rows = samples_before(run.t, times)
+    plant = able(robot_at(run.plant, run.t[rows]), Touching)
     if plant is None:
         raise InvalidArgument(
             f"overlays has contacts or centre, but the plant {format_value(run.plant)} has no contacts, "
             "expected a plant with contacts(q, v, a, u, signals), such as a WheeledRobot"
         )
-    signals = {name: Signal(unit, values[held]) for name, (unit, values) in run.signals.items()}
-    found: Contacts = plant.contacts(run.q[held], run.v[held], run.a[held], run.u[held], signals)
-    at = run.poses[held]
-    turn = poses[:, 2] - at[:, 2]
-    c, s = np.cos(turn)[:, None], np.sin(turn)[:, None]
-    away = found.places - at[:, None, :2]
-    moved = np.stack([c * away[..., 0] - s * away[..., 1], s * away[..., 0] + c * away[..., 1]], axis=-1)
-    return found._replace(places=poses[:, None, :2] + moved, directions=found.directions + turn[:, None])
+    signals = {name: Signal(unit, values[rows]) for name, (unit, values) in run.signals.items()}
+    contacts: Contacts = plant.contacts(run.q[rows], run.v[rows], run.a[rows], run.u[rows], signals)
+    base = run.poses[rows]
+    yaw = poses[:, 2] - base[:, 2]
+    c, s = np.cos(yaw)[:, None], np.sin(yaw)[:, None]
+    d = contacts.places - base[:, None, :2]
+    local = np.stack([c * d[..., 0] - s * d[..., 1], s * d[..., 0] + c * d[..., 1]], axis=-1)
+    return contacts._replace(places=poses[:, None, :2] + local, directions=contacts.directions + yaw[:, None])
 
 
 def draw_contacts(
-    stage: Stage, found: Contacts, extent: Extent, scale: float | None = None, root: str = "meshcat"
+    stage: Stage, contacts: Contacts, extent: Extent, scale: float | None = None, root: str = "meshcat"
 ) -> tuple[list[Channel], list[list[object]]]:
     """Draw forces and friction discs, and return their channels and legend entries.
 
@@ -192,43 +192,43 @@ def draw_contacts(
     """
     channels: list[Channel] = []
     legend: list[list[object]] = []
-    sizes = np.linalg.norm(found.forces, axis=-1)
-    limits = np.nan_to_num(found.limits)
+    sizes = np.linalg.norm(contacts.forces, axis=-1)
+    limits = np.nan_to_num(contacts.limits)
     largest = max(float(limits.max(initial=0.0)), 0.0) or float(sizes.max(initial=0.0))
     if not largest > _NO_FORCE:
         return channels, legend
     is_whole = scale is None
     scale = _LARGEST * extent.unit / largest if scale is None else scale
-    shared = np.logical_not(np.asarray(found.determined.all(axis=1)))
+    is_shared = np.logical_not(np.asarray(contacts.determined.all(axis=1)))
     paints = {GRIPS: "force of the ground", SLIDES: "sliding contact", QUIET: "force, share of a sum"}
-    used = dict.fromkeys(paints, False)
-    for k in range(len(found.names)):
-        place, turned = found.places[:, k], found.directions[:, k]
-        ahead = np.unwrap(turned + np.arctan2(found.forces[:, k, 1], found.forces[:, k, 0]))
+    in_use = dict.fromkeys(paints, False)
+    for k in range(len(contacts.names)):
+        place, angle = contacts.places[:, k], contacts.directions[:, k]
+        heading = np.unwrap(angle + np.arctan2(contacts.forces[:, k, 1], contacts.forces[:, k, 0]))
         reach = scale * limits[:, k]
         wide = np.maximum(reach, _THIN * reach.max(axis=1, keepdims=True))
-        slides = found.slides[:, k]
-        still = QUIET if shared[k] else GRIPS
-        for name, paint, shows in (("grips", still, ~slides), ("slides", SLIDES, slides)):
+        slides = contacts.slides[:, k]
+        colour = QUIET if is_shared[k] else GRIPS
+        for name, paint, shows in (("grips", colour, ~slides), ("slides", SLIDES, slides)):
             if is_whole and not shows.any():
                 continue
-            used[paint] = True
+            in_use[paint] = True
             path = f"{root}/contacts/{k}/{name}"
             for part, shape in _disc(GRIPS if name == "grips" else SLIDES).items():
                 stage.put(f"{path}/{part}", shape)
-                channels += along(f"{path}/{part}", np.column_stack([place, turned]))
+                channels += planar(f"{path}/{part}", np.column_stack([place, angle]))
                 size = np.column_stack([wide, np.ones(len(wide))])
                 channels.append(Channel(f"{path}/{part}", "scale", np.where(shows[:, None], size, _NOTHING)))
-            stage.put(f"{path}/force", shapes.over(shapes.arrow(0.09), paint, order=ABOVE - 6))
-            channels += along(f"{path}/force", np.column_stack([place, ahead]), 0.012 * extent.unit)
+            stage.put(f"{path}/force", shapes.overlay(shapes.arrow(0.09), paint, order=ABOVE - 6))
+            channels += planar(f"{path}/force", np.column_stack([place, heading]), 0.012 * extent.unit)
             long = np.where(shows, np.maximum(scale * sizes[:, k], _NOTHING), _NOTHING)
             thick = np.where(shows, np.clip(long / (0.05 * extent.unit), _NOTHING, 1.0), _NOTHING)
             thick *= _LARGEST * extent.unit
             channels.append(Channel(f"{path}/force", "scale", np.column_stack([long, thick, thick])))
-    told = [(label, paint) for paint, label in paints.items() if used[paint]]
-    for k, (label, paint) in enumerate(told):
+    entries = [(label, paint) for paint, label in paints.items() if in_use[paint]]
+    for k, (label, paint) in enumerate(entries):
         legend.append([f"{label}, 1 m = {1 / scale:.2g} N" if k == 0 else label, paint, "", 0.0])
-    if np.isfinite(found.limits).any():
+    if np.isfinite(contacts.limits).any():
         legend.append(["disc: largest friction, mu N", GRIPS, "", 0.3])
     return channels, legend
 
@@ -245,24 +245,24 @@ def draw_centre(
 ) -> tuple[list[Channel], list[list[object]]]:
     """Draw the instantaneous centre of rotation, and return its channels and legend entries."""
     with np.errstate(invalid="ignore"):
-        away = np.where(np.isfinite(centre), centre - poses[:, :2], 0.0)
-        far = np.hypot(*np.where(np.isfinite(centre), centre - extent.centre, np.inf).T)
-    near = far < _FAR * extent.radius
-    place = np.where(near[:, None], np.where(np.isfinite(centre), centre, 0.0), poses[:, :2])
+        offset = np.where(np.isfinite(centre), centre - poses[:, :2], 0.0)
+        distance = np.hypot(*np.where(np.isfinite(centre), centre - extent.centre, np.inf).T)
+    visible = distance < _CENTRE_RADII * extent.radius
+    place = np.where(visible[:, None], np.where(np.isfinite(centre), centre, 0.0), poses[:, :2])
     path, unit = "meshcat/centre", extent.unit
-    length = np.where(near, np.maximum(np.hypot(*away.T), _NOTHING), _NOTHING)
-    angle = np.unwrap(np.arctan2(away[:, 1], away[:, 0]))
+    length = np.where(visible, np.maximum(np.hypot(*offset.T), _NOTHING), _NOTHING)
+    angle = np.unwrap(np.arctan2(offset[:, 1], offset[:, 0]))
     band = shapes.ribbon(np.array([[0.0, 0.0], [1.0, 0.0]]), 0.02 * unit)
     stage.put(f"{path}/way", shapes.flat(band, INK, order=_DISCS + 2, opacity=0.6))
-    channels = along(f"{path}/way", np.column_stack([poses[:, :2], angle]))
-    shown_at = np.where(near[:, None], [1.0, 1.0, 1.0], _NOTHING)
+    channels = planar(f"{path}/way", np.column_stack([poses[:, :2], angle]))
+    shown_at = np.where(visible[:, None], [1.0, 1.0, 1.0], _NOTHING)
     channels.append(Channel(f"{path}/way", "scale", np.column_stack([length, shown_at[:, 1:]])))
     ring = shapes.disc(0.6)
     stage.put(f"{path}/point", shapes.flat((0.1 * unit * ring[0], ring[1]), INK, order=_DISCS + 3))
     stage.put(f"{path}/name", shapes.word("ICR", INK, 0.3 * unit, lying=False, order=ABOVE + 5))
     ground = np.zeros(len(place))
-    for name, aside in (("point", np.zeros(3)), ("name", unit * np.array([0.25, 0.25, 0.0]))):
-        channels.append(Channel(f"{path}/{name}", "position", np.column_stack([place, ground]) + aside))
+    for name, shift in (("point", np.zeros(3)), ("name", unit * np.array([0.25, 0.25, 0.0]))):
+        channels.append(Channel(f"{path}/{name}", "position", np.column_stack([place, ground]) + shift))
         channels.append(Channel(f"{path}/{name}", "scale", shown_at))
     return channels, [["line to the instantaneous centre of rotation", INK, "", 0.6]]
 
@@ -277,7 +277,7 @@ def ramp_of(robot: Any) -> Any:
     return stated(stated(plant, "ground"), "ramp")
 
 
-def inclined(ramp: Any) -> Array:
+def slope_rotation(ramp: Any) -> Array:
     """Return the rotation matrix from the axes of the plane to those of level ground, shape (3, 3)."""
     axis = np.array([np.sin(ramp.direction), -np.cos(ramp.direction), 0.0])
     return np.asarray(pin.AngleAxis(float(ramp.angle), axis).toRotationMatrix())
@@ -299,7 +299,7 @@ def draw_ramp(stage: Stage, ramp: Any, extent: Extent, view: View) -> View:
     view : View
         View of level ground.
     """
-    R = inclined(ramp)
+    R = slope_rotation(ramp)
     stage.set("meshcat", "quaternion", pin.Quaternion(R).coeffs().tolist())
     (x0, *_, x1), (y0, *_, y1) = extent.lines(0), extent.lines(1)
     top = np.array([[x0, y0, 0.0], [x1, y0, 0.0], [x1, y1, 0.0], [x0, y1, 0.0]])
@@ -313,12 +313,12 @@ def draw_ramp(stage: Stage, ramp: Any, extent: Extent, view: View) -> View:
     upper = np.array([[0, 1, 2], [0, 2, 3]], np.uint32)
     stage.put("meshcat/ramp/top", shapes.flat((top, upper), _TOP, order=_BELOW + 1))  # over the rear sides
     place = np.array([x1, (y0 + y1) / 2, 0.0]) + R.T @ np.array([0.0, 0.0, 1.3 * _LONG * extent.unit])
-    down = pin.Quaternion.FromTwoVectors(np.array([1.0, 0.0, 0.0]), R.T @ np.array([0.0, 0.0, -1.0]))
+    rotation = pin.Quaternion.FromTwoVectors(np.array([1.0, 0.0, 0.0]), R.T @ np.array([0.0, 0.0, -1.0]))
     vertices, triangles = shapes.arrow(0.06)
     arrow = _LONG * extent.unit * vertices, triangles
-    stage.put("meshcat/gravity", shapes.over(arrow, INK, order=45))
+    stage.put("meshcat/gravity", shapes.overlay(arrow, INK, order=45))
     stage.set("meshcat/gravity", "position", place.tolist())
-    stage.set("meshcat/gravity", "quaternion", down.coeffs().tolist())
+    stage.set("meshcat/gravity", "quaternion", rotation.coeffs().tolist())
     stage.put("meshcat/gravityname", shapes.word("g", INK, 0.42 * extent.unit, lying=False, order=46))
     stage.set("meshcat/gravityname", "position", (place + R.T @ [0, 0, 0.3 * extent.unit]).tolist())
     target = R @ view.target

@@ -25,7 +25,7 @@ from pinmobile.robot import MobileRobot
 from pinmobile.signals import Signal
 from pinmobile.trajectories import Reference, Trajectory
 from pinmobile.viewer.contact_markers import ABOVE, TRAIL, draw_contacts
-from pinmobile.viewer.motion import Channel, along, figure, row_of
+from pinmobile.viewer.motion import Channel, figure, planar, row_of
 from pinmobile.viewer.scene import Scene, draw_path
 from pinmobile.viewer.scene_tree import Extent, Follow, Overlays, Stage
 from pinmobile.viewer.window import LiveWindow
@@ -33,11 +33,11 @@ from pinmobile.viewer.window import LiveWindow
 _FPS = 60
 _SELDOM = 4  # frames between two looks at contacts, which take long
 _BLOCK, _BLOCKS = 15, 41  # frames that the page receives as a whole; they last more than 10 s
-_SHOWN = 6  # series of a plot
+_SERIES = 6  # series of a plot
 _SLOW = 0.95  # of real time; the page states less
 _LONGEST = 0.5  # [s] of real time that a frame makes up for
 _SLOWEST = 0.1  # [s] of the run that one frame computes at most
-_STILL = 1e-3  # [m] that a trail is at least long
+_MIN_TRAIL = 1e-3  # [m] that a trail is at least long
 _GROUND = 5.0  # [m] of the floor around the robot
 _TRACE, _TRACES = 3, 200  # frames between two points of the trail, and points: 10 s
 _PULSE, _HELD = 0.25, 0.6  # [s] duration of a push, and for which an event is shown
@@ -74,8 +74,8 @@ class _Drive:
         rates = reference.v
         speed = float(np.hypot(rates[:, 0], rates[:, 1]).max()) or 0.5
         turn = float(np.abs(rates[:, 2]).max()) or 1.0
-        own = stated(plant, "mobility")
-        kind = (2, 0) if own is None else (own.mobility, own.steerability)
+        mobility = stated(plant, "mobility")
+        kind = (2, 0) if mobility is None else (mobility.mobility, mobility.steerability)
         self.curves = kind == (1, 1) or stated(plant, "wheelbase") is not None  # it turns only while it moves
         self.scale = np.array([speed, speed if sum(kind) > 2 and kind != (2, 1) else 0.0, turn])
         self.twist, self.q = np.zeros(3), np.zeros(0)
@@ -84,7 +84,7 @@ class _Drive:
         """Begin at the pose of the body, shape (3,), with its rate; arms keep their reference."""
         self.q = reference.q[0].copy()
         self.q[:3] = pose
-        self.twist = _turned(-pose[2], rate) * (self.scale > 0)
+        self.twist = _rotate(-pose[2], rate) * (self.scale > 0)
 
     def ahead(self, keys: Array, count: int, dt: float) -> Reference:
         """Return the reference of the next samples for keys (ahead, turn, aside) from -1 to 1."""
@@ -95,14 +95,14 @@ class _Drive:
         for _ in range(count):
             change = np.clip(goal - self.twist, *(self.scale * dt / _REACH * np.array([[-1.0], [1.0]])))
             v, a = np.zeros((2, len(self.q)))
-            v[:3] = _turned(self.q[2], self.twist)
-            a[:3] = _turned(self.q[2], change / dt) + self.twist[2] * np.array([-v[1], v[0], 0.0])
+            v[:3] = _rotate(self.q[2], self.twist)
+            a[:3] = _rotate(self.q[2], change / dt) + self.twist[2] * np.array([-v[1], v[0], 0.0])
             rows.append((self.q, v, a))
             self.q, self.twist = self.q + dt * v + dt**2 / 2 * a, self.twist + change
         return Reference(*map(np.array, zip(*rows, strict=True)))
 
 
-def _turned(angle: float, twist: Array) -> Array:
+def _rotate(angle: float, twist: Array) -> Array:
     """Return a twist with its first two entries rotated."""
     c, s = np.cos(angle), np.sin(angle)
     return np.array([c * twist[0] - s * twist[1], s * twist[0] + c * twist[1], twist[2]])
@@ -174,9 +174,9 @@ class LiveRun:
             forces = {**dict(entries_of(forces)), "hand": _Hand()}
         bare = replace(scenario, n=1, spread={}, forces=forces)
         names = sequence("sliders", sliders, 'names of numbers, such as ["controller.kp"]')
-        found = {one.path: (name, one) for name in names for one in [scenario.find(name, "sliders")]}
-        spread = {path: float(one.value) for path, (_, one) in found.items()}
-        self._sliders, self._values = found, dict(spread)
+        entries = {item.path: (name, item) for name in names for item in [scenario.find(name, "sliders")]}
+        spread = {path: float(item.value) for path, (_, item) in entries.items()}
+        self._sliders, self._values = entries, dict(spread)
         spread |= {f"{_FORCE}{axis}": 0.0 for axis in (_AXES if self._has_hand else ())}
         self._stepper = LoopStepper(replace(bare, spread=spread))
         self._can_drive = self._stepper.follows and any(able(plant, x) for x in (Tabled, Driven))
@@ -260,16 +260,16 @@ class LiveRun:
 
     def _frame(self, period: float) -> None:
         """Advance the run by a period [s], or less if the loop is slow, and show it."""
-        before, self._due = self._due, self._due + period
+        old_due, self._due = self._due, self._due + period
         self._advance()
-        self._pace += (self._due - before) - period * self._pace  # mean of a second
+        self._pace += (self._due - old_due) - period * self._pace  # mean of a second
         self._show()
 
     def _listen(self) -> None:
         """Do what the driver's page has asked for."""
         while self._heard:
             browser, text = self._heard.popleft()
-            own, word, *numbers = [*text.split(), "", ""][: max(2, len(text.split()))]
+            key, word, *numbers = [*text.split(), "", ""][: max(2, len(text.split()))]
             if not text:
                 if browser is self._driver:
                     self._driver, self._keys = None, np.zeros(3)
@@ -277,7 +277,7 @@ class LiveRun:
                 continue
             if self._driver is None:
                 self._driver = browser
-                self._stage.tell("driver", own)
+                self._stage.tell("driver", key)
             if browser is self._driver:
                 with suppress(ValueError, IndexError):  # another program's words
                     self._obey(word, list(map(float, numbers)))
@@ -306,20 +306,20 @@ class LiveRun:
         if not name:
             self._push = value
         else:
-            told, before = "", self._values
-            self._values = before | {name: value}
+            message, old_values = "", self._values
+            self._values = old_values | {name: value}
             try:
                 self._stepper.change(self._stepper.values | self._values)
             except PinmobileError as error:
-                self._values, told = before, str(error)
-            self._stage.tell("message", told)
+                self._values, message = old_values, str(error)
+            self._stage.tell("message", message)
             self._path()
         self._stage.tell("values", [*self._values.values(), self._push])
 
-    def _pause(self, paused: bool, why: str = "") -> None:
-        self._paused = paused
-        self._stage.tell("paused", paused)
-        self._stage.tell("message", why)
+    def _pause(self, pause: bool, reason: str = "") -> None:
+        self._paused = pause
+        self._stage.tell("paused", pause)
+        self._stage.tell("message", reason)
 
     def _force(self, force: Array) -> dict[str, float]:
         names = (f"{_FORCE}{axis}" for axis in _AXES)
@@ -329,47 +329,47 @@ class LiveRun:
         """Compute the samples until the present, with the present keys."""
         stepper, dt = self._stepper, self._stepper.scenario.dt
         count = int(np.ceil(self._due / dt - 1e-6)) + 1 - stepper.k
-        most = int(np.ceil(_SLOWEST / dt))
-        if count > most:  # slower than real time
-            count = most
+        limit = int(np.ceil(_SLOWEST / dt))
+        if count > limit:  # slower than real time
+            count = limit
             self._due = (stepper.k + count - 1) * dt
         if count < 1:
             return
         push = np.zeros(3) if self._can_drive else self._push * self._keys * (1, 1, self._arm)
         if self._due < self._pulse:
             push[1] += self._push
-        self._pushes = _turned(float(self._plant.pose(self._last["q"])[2]), push)
+        self._pushes = _rotate(float(self._plant.pose(self._last["q"])[2]), push)
         force = self._force(self._pushes)
         if any(stepper.values[name] != x for name, x in force.items()):
             stepper.change(stepper.values | force)
         reference = self._drive.ahead(self._keys, count, dt) if self._drives else stepper.ahead(count)
-        found = stepper.advance(count, reference)
-        whole = np.hstack([found[name] for name in ("q", "v", "a", "u", "error")])
-        if not (np.abs(found["error"]) <= stepper.scenario.limit).all() or not np.isfinite(whole).all():
+        samples = stepper.advance(count, reference)
+        values = np.hstack([samples[name] for name in ("q", "v", "a", "u", "error")])
+        if not (np.abs(samples["error"]) <= stepper.scenario.limit).all() or not np.isfinite(values).all():
             self._pause(True, "the loop has diverged: reset begins again")
             return
-        rows = [self._last, *({name: x[k] for name, x in found.items()} for k in range(count))]
+        rows = [self._last, *({name: x[k] for name, x in samples.items()} for k in range(count))]
         self._before, self._last = rows[-2:]
         self._desired = reference.q[-1]
-        self._watch(found)
+        self._watch(samples)
 
-    def _watch(self, found: Mapping[str, Array]) -> None:
+    def _watch(self, samples: Mapping[str, Array]) -> None:
         """Remember the events of the newest samples: margins below zero, sliding wheels, tipping over."""
-        events, slides = {}, found.get("signal slides")
-        if np.any(found.get("signal tips", 0.0)):
+        events, slides = {}, samples.get("signal slides")
+        if np.any(samples.get("signal tips", 0.0)):
             events["tip over"] = "tip over"
-        columns = found.get("measured", np.zeros((0, 0))).T
-        for one, column in zip(self._stepper.scenario.recorded_metrics, columns, strict=False):
-            if one.is_margin and column.min() < 0:
-                size = f" {column.min():.2g} {one.unit}" if np.isfinite(column.min()) else ""
-                events[one.name] = f"{one.name}{size}"
-            elif one.worst == "ever" and column.max() > 0:
-                events[one.name] = one.name
+        columns = samples.get("measured", np.zeros((0, 0))).T
+        for metric, column in zip(self._stepper.scenario.recorded_metrics, columns, strict=False):
+            if metric.is_margin and column.min() < 0:
+                size = f" {column.min():.2g} {metric.unit}" if np.isfinite(column.min()) else ""
+                events[metric.name] = f"{metric.name}{size}"
+            elif metric.worst == "ever" and column.max() > 0:
+                events[metric.name] = metric.name
         if self._frames % _SELDOM == 0:
             self._touching = self._contacts()
         if self._touching is not None and slides is not None:
             pairs = zip(self._touching.names, slides.max(axis=0).tolist(), strict=True)
-            events |= {name: f"{name} slides" for name, one in pairs if one}
+            events |= {name: f"{name} slides" for name, metric in pairs if metric}
         self._happens = bool(events)
         self._events |= {name: (text, self._due + _HELD) for name, text in events.items()}
 
@@ -381,8 +381,8 @@ class LiveRun:
         states = (self._last[name][None] for name in "qvau")
         signals = {name: Signal(unit, self._last[f"signal {name}"][None]) for name, unit in units.items()}
         with suppress(PinmobileError):  # a gear train, for instance, has no force of each wheel
-            found: Contacts = plant.contacts(*states, signals)
-            return found
+            contacts: Contacts = plant.contacts(*states, signals)
+            return contacts
         return None
 
     # The page
@@ -394,55 +394,55 @@ class LiveRun:
         overlays = Overlays(camera=Follow(distance=4.5 * max(self._figure.size[:2])))
         self._scene = scene = Scene(self._stage, self._figure, overlays)
         pose = row_of(self._figure, self._plant, q)
-        scene.alone(pose, _GROUND)
+        scene.draw_robot(pose, _GROUND)
         self._extent = Extent(pose[:2] - _GROUND, pose[:2] + _GROUND, self._figure.size)
         self._stage.set("meshcat/scale", "visible", False)  # the grid goes along with the robot
         self._stage.robot("meshcat/desired", MobileRobot.box(size=self._figure.size), QUIET, ghost=True)
-        self._stage.put("meshcat/push", shapes.over(shapes.arrow(0.09), colour(3), order=ABOVE))
+        self._stage.put("meshcat/push", shapes.overlay(shapes.arrow(0.09), colour(3), order=ABOVE))
         self._path()
         self._watch({})
         contacts = self._touching
         legend = [["travelled", colour(0), "", 0.0], ["desired pose", QUIET, "", 0.5]]
         if contacts is not None:
-            legend += self._marked(contacts)[1]
+            legend += self._contact_channels(contacts)[1]
         self._stage.tell("legend", [*legend, [f"grid {self._extent.step:g} m", "#c9cdd1", "", 0.0]])
-        listed: dict[str, Any] = {"error": scenario.coordinates[:_SHOWN], "input": scenario.inputs[:_SHOWN]}
-        series = {title: [(one.name, one.unit) for one in each] for title, each in listed.items()}
+        panels: dict[str, Any] = {"error": scenario.coordinates[:_SERIES], "input": scenario.inputs[:_SERIES]}
+        series = {title: [(item.name, item.unit) for item in each] for title, each in panels.items()}
         self._has_loads = contacts is not None and bool(np.isfinite(contacts.loads).all())
         if contacts is not None and self._has_loads:
-            series["wheel load"] = [(name, "N") for name in contacts.names[:_SHOWN]]
+            series["wheel load"] = [(name, "N") for name in contacts.names[:_SERIES]]
         plots = []
         for title, each in series.items():
             units = list(dict.fromkeys(unit for _, unit in each if unit))
             names = [f"{name} [{unit}]" if len(units) > 1 else name for name, unit in each]
             lines = [[name, colour(i)] for i, name in enumerate(names)]
             plots.append({"title": f"{title} [{', '.join(units)}]", "series": lines})
-        told = [self._told(name, one) for name, one in self._sliders.values()]
+        sliders = [self._slider_row(name, item) for name, item in self._sliders.values()]
         if self._has_hand:
-            told.append(["push", "N", "force of a push", 0.0, 9.81 * self._mass])
-        self._ranges = [(low, high) for *_, low, high in told]
-        panel = {"sliders": told, "plots": plots, "keys": self._help(), "push": self._has_hand}
+            sliders.append(["push", "N", "force of a push", 0.0, 9.81 * self._mass])
+        self._ranges = [(low, high) for *_, low, high in sliders]
+        panel = {"sliders": sliders, "plots": plots, "keys": self._help(), "push": self._has_hand}
         width = 2 + sum(len(each["series"]) for each in plots)
         self._stage.tell("panel", panel | {"blocks": _BLOCKS, "size": width})
         self._stage.tell("driver", "")
         self._clear()
 
-    def _told(self, name: str, found: NumberRef) -> list[Any]:
+    def _slider_row(self, name: str, entry: NumberRef) -> list[Any]:
         """Return name, unit, meaning and range of a number: its bounds, else up to three times its value."""
-        one: Any = found.leaf.declared
-        low, high = sorted((0.0, 3 * float(found.value))) if found.value else (-1.0, 1.0)
-        high = high if one.upper is None else float(one.upper)
-        if one.above is not None:
-            low = one.above + 1e-3 * (high - one.above)
-        return [name, found.unit, found.meaning, low if one.lower is None else float(one.lower), high]
+        field: Any = entry.leaf.declared
+        low, high = sorted((0.0, 3 * float(entry.value))) if entry.value else (-1.0, 1.0)
+        high = high if field.upper is None else float(field.upper)
+        if field.above is not None:
+            low = field.above + 1e-3 * (high - field.above)
+        return [name, entry.unit, entry.meaning, low if field.lower is None else float(field.lower), high]
 
     def _help(self) -> list[list[str]]:
         """Return the keys and their meanings."""
-        speed, aside, turn = self._drive.scale
-        driven = {"W S": f"drive at {speed:.2g} m/s", "A D": f"turn at {turn:.2g} rad/s"}
-        driven |= {"Q E": f"move aside at {aside:.2g} m/s"} if aside else {}
-        pushed = {"W S": "push ahead, back", "A D": "push left, right", "Q E": "turn"}
-        keys = driven if self._can_drive else pushed if self._has_hand else {}
+        speed, lateral, turn = self._drive.scale
+        drive_keys = {"W S": f"drive at {speed:.2g} m/s", "A D": f"turn at {turn:.2g} rad/s"}
+        drive_keys |= {"Q E": f"move aside at {lateral:.2g} m/s"} if lateral else {}
+        push_keys = {"W S": "push ahead, back", "A D": "push left, right", "Q E": "turn"}
+        keys = drive_keys if self._can_drive else push_keys if self._has_hand else {}
         keys = keys | ({"space": "push to the left"} if self._has_hand else {})
         return [list(each) for each in (keys | {"P": "pause", "R": "reset"}).items()]
 
@@ -460,41 +460,41 @@ class LiveRun:
         self._pause(False)
         self._show()
 
-    def _marked(self, contacts: Contacts) -> tuple[list[Channel], list[list[object]]]:
+    def _contact_channels(self, contacts: Contacts) -> tuple[list[Channel], list[list[object]]]:
         """Return channels and legend of the contacts; their shapes are sent once."""
-        sent = self._stage if self._frames == 0 else _Silent(self._stage.window)
+        stage = self._stage if self._frames == 0 else _Silent(self._stage.window)
         scale = 1.5 * self._extent.unit / (9.81 * self._mass)
         x, y, psi = np.asarray(self._plant.pose(self._last["q"]))
-        away = contacts.places - (x, y)
-        seen = away @ np.array([[np.cos(psi), -np.sin(psi)], [np.sin(psi), np.cos(psi)]])
-        seen_from_body = contacts._replace(places=seen, directions=contacts.directions - psi)
-        return draw_contacts(sent, seen_from_body, self._extent, scale, "meshcat/robot0")
+        offsets = contacts.places - (x, y)
+        places = offsets @ np.array([[np.cos(psi), -np.sin(psi)], [np.sin(psi), np.cos(psi)]])
+        seen_from_body = contacts._replace(places=places, directions=contacts.directions - psi)
+        return draw_contacts(stage, seen_from_body, self._extent, scale, "meshcat/robot0")
 
     def _show(self) -> None:
         """Send the present frame: poses, a row of the plots, the trail and the events."""
         plant, last, dt = self._plant, self._last, self._stepper.scenario.dt
         share = np.clip(1 + self._due / dt - (self._stepper.k - 1), 0.0, 1.0)
-        before = self._before["q"]
-        q = np.asarray(plant.integrate(before, share * np.asarray(plant.difference(before, last["q"]))))
+        q_0 = self._before["q"]
+        q = np.asarray(plant.integrate(q_0, share * np.asarray(plant.difference(q_0, last["q"]))))
         row = row_of(self._figure, plant, q)
-        channels = [one for rider in self._scene.riders for one in rider(row[None])]
-        channels += along("meshcat/desired", self._desired[None, :3])
+        channels = [channel for rider in self._scene.riders for channel in rider(row[None])]
+        channels += planar("meshcat/desired", self._desired[None, :3])
         if self._frames % _SELDOM == 0 and self._touching is not None:
-            self._marks = self._marked(self._touching)[0]
+            self._marks = self._contact_channels(self._touching)[0]
         channels += self._marks + self._arrow(row)
         cell = self._extent.step
         floor = np.append(cell * np.round((row[:2] - self._extent.centre) / cell), 0.0)
         channels.append(Channel("meshcat/grid", "position", floor[None]))
-        moves = [[one.path, one.name, one.at(0)] for one in channels]
+        moves = [[channel.path, channel.name, channel.at(0)] for channel in channels]
         self._stage.tell("moves", json.dumps(moves))  # packed much faster than its numbers
         self._trail(row[:2])
         self._plot()
         if self._frames % _SELDOM == 0:
-            live = [text for text, until in self._events.values() if until > self._due]
+            live = [text for text, expiry in self._events.values() if expiry > self._due]
             self._stage.tell("events", live)
             pace = f", {self._pace:.1f} times real time" if self._pace < _SLOW else ""
-            driven = ", driven" if self._drives else ""
-            self._stage.tell("caption", f"t = {self._due:.1f} s{driven}{pace}")
+            mode = ", driven" if self._drives else ""
+            self._stage.tell("caption", f"t = {self._due:.1f} s{mode}{pace}")
         self._frames += 1
 
     def _arrow(self, row: Array) -> list[Channel]:
@@ -504,12 +504,12 @@ class LiveRun:
         long = max(1.2 * self._extent.unit * min(size / (_STRONG * self._mass), 2.0), 1e-4)
         tail = np.array([row[0] - long * np.cos(angle), row[1] - long * np.sin(angle), angle])
         scale = Channel("meshcat/push", "scale", np.full((1, 3), long))
-        return [*along("meshcat/push", tail[None], self._figure.size[2]), scale]
+        return [*planar("meshcat/push", tail[None], self._figure.size[2]), scale]
 
     def _trail(self, point: Array) -> None:
         if self._frames % _TRACE == 0:
             self._points.append(point)
-        if self._frames % (_SELDOM * _TRACE) == 0 and np.ptp(self._points, axis=0).max() > _STILL:
+        if self._frames % (_SELDOM * _TRACE) == 0 and np.ptp(self._points, axis=0).max() > _MIN_TRAIL:
             band = shapes.ribbon(np.array(self._points), 0.05 * self._extent.unit)
             self._stage.put("meshcat/trail", shapes.flat(band, colour(0), order=TRAIL))
 
@@ -517,9 +517,9 @@ class LiveRun:
         """Send the row of this frame with those of its block."""
         if self._frames % _BLOCK == 0:
             self._rows = []
-        row = [self._last["error"][:_SHOWN], self._last["u"][:_SHOWN]]
+        row = [self._last["error"][:_SERIES], self._last["u"][:_SERIES]]
         if self._has_loads and self._touching is not None:
-            row.append(np.nan_to_num(self._touching.loads[0, :_SHOWN]))
+            row.append(np.nan_to_num(self._touching.loads[0, :_SERIES]))
         self._rows += [self._due, *np.concatenate(row).tolist(), float(self._happens)]
         self._stage.tell(f"rows{self._frames // _BLOCK % _BLOCKS}", json.dumps(self._rows))
 

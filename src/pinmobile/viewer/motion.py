@@ -75,7 +75,7 @@ def frame_times(runs: Mapping[str, Rollout], fps: float, speed: float) -> Array:
     return np.append(start + np.arange(int(np.ceil(count - 1e-6))) * speed / fps, end)
 
 
-def along(path: str, poses: Array, height: float = 0.0) -> list[Channel]:
+def planar(path: str, poses: Array, height: float = 0.0) -> list[Channel]:
     """Return the channels of a node that follows poses (x, y, psi), shape (n, 3) [m, m, rad]."""
     zero = np.zeros(len(poses))
     position = np.column_stack([poses[:, :2], zero + height])
@@ -90,15 +90,15 @@ def poses_of(path: str, placements: Array) -> list[Channel]:
     return [Channel(path, "position", placements[:, :3, 3]), Channel(path, "quaternion", turning)]
 
 
-def sampled(times: Array, t: Array, values: Array) -> Array:
+def sample(times: Array, t: Array, values: Array) -> Array:
     """Return values, shape (N, k), at other times, shape (n,), by linear interpolation."""
     return np.stack([np.interp(times, t, column) for column in values.T], axis=-1)
 
 
 def samples_before(t: Array, times: Array) -> NDArray[np.intp]:
     """Return the index of the sample of t, shape (N,), at or before each of the times, shape (n,)."""
-    now = times + 1e-9 * max(abs(times[-1]), 1.0)  # a frame at a sample is not before it
-    return np.asarray(np.clip(np.searchsorted(t, now, side="right") - 1, 0, len(t) - 1), np.intp)
+    limits = times + 1e-9 * max(abs(times[-1]), 1.0)  # a frame at a sample is not before it
+    return np.asarray(np.clip(np.searchsorted(t, limits, side="right") - 1, 0, len(t) - 1), np.intp)
 
 
 def tracks(channels: Iterable[Channel], times: Array, end: float) -> list[dict[str, Any]]:
@@ -124,19 +124,19 @@ def _track(channel: Channel, times: Array) -> dict[str, Any]:
     if channel.name in _DIGITS:
         values = np.round(np.asarray(channel.values, np.float64), _DIGITS[channel.name]) + 0.0
         new = np.any(values[1:] != values[:-1], axis=1)
-        kept = np.concatenate([[True], new]) | np.concatenate([new, [False]])
-        kept[-1] |= bool(new.any())
-        listed: list[float | str] = [int(x) if x == int(x) else x for x in values[kept].ravel().tolist()]
+        rows = np.concatenate([[True], new]) | np.concatenate([new, [False]])
+        rows[-1] |= bool(new.any())
+        numbers: list[float | str] = [int(x) if x == int(x) else x for x in values[rows].ravel().tolist()]
         kind = _KINDS.get(channel.name, "number")
         if kind == "bool":  # three.js hides an object only if the value is false, not 0
-            listed = [bool(x) for x in listed]
+            numbers = [bool(x) for x in numbers]
     else:
-        listed = list(channel.values)
-        kept = np.array([True, *(a != b for a, b in pairwise(listed))])
-        listed = [text for text, keep in zip(listed, kept, strict=True) if keep]
+        numbers = list(channel.values)
+        rows = np.array([True, *(a != b for a, b in pairwise(numbers))])
+        numbers = [text for text, keep in zip(numbers, rows, strict=True) if keep]
         kind = "string"
-    at = np.round(times[kept], 4).tolist()
-    return {"name": f".{channel.name}", "type": kind, "times": at, "values": listed}
+    seconds = np.round(times[rows], 4).tolist()
+    return {"name": f".{channel.name}", "type": kind, "times": seconds, "values": numbers}
 
 
 def _quaternions(R: Array) -> Array:
@@ -205,15 +205,15 @@ class Drawing:
         """
         answer, count = self.plant.drawing(q.copy()), self.visual_model.ngeoms
         try:
-            found = np.asarray([getattr(each, "homogeneous", each) for each in answer], np.float64)
+            placements = np.asarray([getattr(each, "homogeneous", each) for each in answer], np.float64)
         except (TypeError, ValueError):
-            found = np.empty(0)
-        if found.shape != (count, 4, 4):
+            placements = np.empty(0)
+        if placements.shape != (count, 4, 4):
             raise InvalidArgument(
                 f"plant.drawing(q) returned {format_value(answer)}, expected the placements of its {count} "
                 f"objects, shape ({count}, 4, 4)"
             )
-        return finite("plant.drawing(q)", found)
+        return finite("plant.drawing(q)", placements)
 
     def row(self, q: Array) -> Array:
         """Return the row (x, y, psi, q), shape (3 + nq,), of a configuration of the plant, shape (nq,)."""
@@ -223,13 +223,13 @@ class Drawing:
         """Return rows at other times, shape (n, 3 + nq), interpolated between samples at t, shape (N,)."""
         shaped("rollout.q", q, ("N", self.plant.nq), words=", as the plant has")
         poses = all_samples(self.plant, "pose", q)
-        base = sampled(times, t, np.column_stack([poses[:, :2], np.unwrap(poses[:, 2])]))
-        before = np.clip(np.searchsorted(t, times, side="right") - 1, 0, max(len(t) - 2, 0))
-        after = np.minimum(before + 1, len(t) - 1)
-        span = np.where(after > before, t[after] - t[before], 1.0)
-        share = np.clip((times - t[before]) / span, 0, 1)[:, None]
-        ways = all_samples(self.plant, "difference", q[before], q[after])
-        return np.hstack([base, all_samples(self.plant, "integrate", q[before], share * ways)])
+        base = sample(times, t, np.column_stack([poses[:, :2], np.unwrap(poses[:, 2])]))
+        left = np.clip(np.searchsorted(t, times, side="right") - 1, 0, max(len(t) - 2, 0))
+        right = np.minimum(left + 1, len(t) - 1)
+        span = np.where(right > left, t[right] - t[left], 1.0)
+        share = np.clip((times - t[left]) / span, 0, 1)[:, None]
+        ways = all_samples(self.plant, "difference", q[left], q[right])
+        return np.hstack([base, all_samples(self.plant, "integrate", q[left], share * ways)])
 
     def seen_from_body(self, rows: Array) -> Array:
         """Return the placements of the objects below the body's node, shape (n, k, 4, 4)."""
@@ -292,12 +292,12 @@ def configurations(robot: Drawn, t: Array, q: Array, times: Array) -> Array:
     """
     if isinstance(robot, Drawing):
         return robot.rows(t, q, times)
-    base = sampled(times, t, np.column_stack([q[:, :2], np.unwrap(q[:, 2])]))
+    base = sample(times, t, np.column_stack([q[:, :2], np.unwrap(q[:, 2])]))
     if robot.nq == len(base.T):
         return base
     if robot.nq != q.shape[1]:
         return np.hstack([base, np.broadcast_to(robot.rest[3:], (len(times), robot.nq - 3))])
-    return np.hstack([base, sampled(times, t, q[:, 3:])])
+    return np.hstack([base, sample(times, t, q[:, 3:])])
 
 
 def links(path: str, robot: Drawn, q: Array) -> list[Channel]:
@@ -314,13 +314,13 @@ def links(path: str, robot: Drawn, q: Array) -> list[Channel]:
     """
     items = list(robot.visual_model.geometryObjects)
     if isinstance(robot, Drawing):
-        placed = list(np.moveaxis(robot.seen_from_body(q), 1, 0))
+        placements = list(np.moveaxis(robot.seen_from_body(q), 1, 0))
     else:
         items = [item for item in items if item.parentJoint > BODY_JOINT]
         frames = _seen_from_body(robot, q) if items else q
-        placed = [frames[:, item.parentJoint - 1] @ item.placement.homogeneous for item in items]
-    at = zip(items, placed, strict=True)
-    return [channel for item, T in at for channel in poses_of(f"{path}/visuals/{item.name}", T)]
+        placements = [frames[:, item.parentJoint - 1] @ item.placement.homogeneous for item in items]
+    pairs = zip(items, placements, strict=True)
+    return [channel for item, T in pairs for channel in poses_of(f"{path}/visuals/{item.name}", T)]
 
 
 def envelope(robot: Drawn, q: Array) -> tuple[float, float]:
@@ -341,8 +341,8 @@ def envelope(robot: Drawn, q: Array) -> tuple[float, float]:
         origins = robot.seen_from_body(q[:: -(-len(q) // _POSTURES)])[:, :, :3, 3]
     else:
         origins = _seen_from_body(robot, q)[:, :, :3, 3]
-    aside = float(np.hypot(origins[..., 0], origins[..., 1]).max())
-    return max(length, aside + _THICK), max(height, float(origins[..., 2].max()) + _THICK)
+    reach = float(np.hypot(origins[..., 0], origins[..., 1]).max())
+    return max(length, reach + _THICK), max(height, float(origins[..., 2].max()) + _THICK)
 
 
 def _seen_from_body(robot: MobileRobot, q: Array) -> Array:

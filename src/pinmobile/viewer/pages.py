@@ -53,7 +53,7 @@ def loading(commands: Iterable[bytes]) -> str:
     )
 
 
-def sealed(page: str) -> str:
+def add_policy(page: str) -> str:
     """Return a self-contained page with a content security policy: only its scripts run, without requests.
 
     Parameters
@@ -123,7 +123,7 @@ class Key(NamedTuple):
     name: str = ""
 
 
-def packed(command: Command) -> tuple[Key, bytes]:
+def pack(command: Command) -> tuple[Key, bytes]:
     """Return a command as sent to browsers.
 
     Parameters
@@ -179,7 +179,7 @@ def _check(name: str, value: object) -> None:
 _LIGHTS = ("SpotLight", "PointLightNegativeX", "PointLightPositiveX", "AmbientLight", "FillLight")
 _CAMERAS = ("Cameras", "Cameras/default", "Cameras/default/rotated")
 _GIVEN = ("Background", "Grid", "Axes", "Lights", *(f"Lights/{name}" for name in _LIGHTS), *_CAMERAS)
-_REMEMBERED = {*_GIVEN, *(f"{path}/<object>" for path in _GIVEN)}
+_LATEST_ONLY = {*_GIVEN, *(f"{path}/<object>" for path in _GIVEN)}
 
 
 class Backlog:
@@ -215,7 +215,7 @@ class Backlog:
         InvalidArgument
             If `command` is not a meshcat command, or contains a number that is not finite.
         """
-        key, data = packed(command)
+        key, data = pack(command)
         kind, path, _ = key
         with self.lock:
             if kind != "delete":
@@ -227,7 +227,7 @@ class Backlog:
             else:
                 # The page of meshcat cannot delete the root, only all nodes below it.
                 for name in [path for path in self._below if path and "/" not in path]:
-                    self._delete(*packed(Content({"type": "delete", "path": name})))
+                    self._delete(*pack(Content({"type": "delete", "path": name})))
                 self._entries.pop(Key("set_animation", ""), None)
 
     def since(self, number: int) -> tuple[list[bytes], int]:
@@ -238,8 +238,8 @@ class Backlog:
         newer: list[bytes] = []
         animation: list[bytes] = []
         with self.lock:
-            for key, (own, data) in reversed(self._entries.items()):
-                if own <= number:
+            for key, (count, data) in reversed(self._entries.items()):
+                if count <= number:
                     break
                 (animation if key.kind == "set_animation" else newer).append(data)
             return newer[::-1] + animation, self._latest
@@ -257,7 +257,7 @@ class Backlog:
 
     def _append(self, key: Key, data: bytes) -> None:
         if key not in self._entries:
-            for path in _up(key.path):
+            for path in _ancestors(key.path):
                 self._below.setdefault(path, set()).add(key)
         # The order matters: a new key that is not yet last is only sent later.
         self._entries[key] = self._latest + 1, data
@@ -267,7 +267,7 @@ class Backlog:
     def _delete(self, key: Key, data: bytes) -> None:
         self._drop(key.path)
         self._append(key, data)
-        if key.path not in _REMEMBERED:
+        if key.path not in _LATEST_ONLY:
             self._deletions.add(key)
 
     def _drop(self, path: str) -> None:
@@ -277,14 +277,14 @@ class Backlog:
     def _forget(self, key: Key) -> None:
         self._entries.pop(key, None)
         self._deletions.discard(key)
-        for path in _up(key.path):
+        for path in _ancestors(key.path):
             keys = self._below.get(path, set())
             keys.discard(key)
             if not keys:
                 self._below.pop(path, None)
 
 
-def _up(path: str) -> list[str]:
+def _ancestors(path: str) -> list[str]:
     """Return a path and all its parent paths."""
     names = path.split("/")
     return ["/".join(names[:k]) for k in range(1, len(names) + 1)]
@@ -384,4 +384,4 @@ def static_page(commands: list[bytes]) -> str:
         raise ViewerError(f"the installed meshcat has another page: {ENGINE.with_name('index.html')}")
     head, _, rest = page.partition(_SCRIPT)
     body = rest.replace(_CONNECTING, loading(commands))
-    return sealed(f"{head}<script>\n{engine()}\n{body}")
+    return add_policy(f"{head}<script>\n{engine()}\n{body}")

@@ -33,7 +33,7 @@ from pinmobile.arrays import bounded, check_integer, positive, scalar, sequence,
 from pinmobile.compiled import processors
 from pinmobile.errors import InvalidArgument, ViewerError, install_command
 from pinmobile.files import write, write_file
-from pinmobile.viewer.pages import engine, loading, sealed, stage_page
+from pinmobile.viewer.pages import add_policy, engine, loading, stage_page
 
 _NAMES = (
     "chromium",
@@ -77,14 +77,14 @@ def find_chromium() -> str:
     ViewerError
         If there is no Chromium.
     """
-    chosen = os.environ.get("PINMOBILE_CHROMIUM")
-    for name in (chosen,) if chosen else _NAMES:
-        found = shutil.which(name)
-        if found is not None:
-            return found
+    program = os.environ.get("PINMOBILE_CHROMIUM")
+    for name in (program,) if program else _NAMES:
+        path = shutil.which(name)
+        if path is not None:
+            return path
     raise ViewerError(
-        f"PINMOBILE_CHROMIUM is {chosen!r}, expected a program"
-        if chosen
+        f"PINMOBILE_CHROMIUM is {program!r}, expected a program"
+        if program
         else "no Chromium was found, which draws pictures without a screen: install the package 'chromium' "
         "(or Chrome), or set the environment variable PINMOBILE_CHROMIUM to its program"
     )
@@ -121,12 +121,12 @@ class Browser:
         words = [sys.executable, "-I", "-S", "-c", _START, str(inner), str(outer), program, *_FLAGS]
         words += [_NO_SANDBOX] if os.geteuid() == 0 else []  # Chromium has no sandbox for root
         words += [f"--user-data-dir={self._profile.name}", f"--window-size={size[0]},{size[1]}"]
-        off = subprocess.DEVNULL
+        nul = subprocess.DEVNULL
         try:
             # A new session: Ctrl-C then reaches this process only, which ends the browser in order.
             with self._log.open("wb") as log:
                 self._process = subprocess.Popen(
-                    words, pass_fds=(inner, outer), stdin=off, stdout=off, stderr=log, start_new_session=True
+                    words, pass_fds=(inner, outer), stdin=nul, stdout=nul, stderr=log, start_new_session=True
                 )
         finally:
             os.close(inner)
@@ -182,8 +182,8 @@ class Browser:
         answer = self.call("Runtime.evaluate", expression=expression, awaitPromise=True, returnByValue=True)
         if "exceptionDetails" in answer:
             details = answer["exceptionDetails"]
-            told = details.get("exception", {}).get("description", details.get("text", ""))
-            raise ViewerError(f"the page failed at {expression[:60]!r}: {told}")
+            message = details.get("exception", {}).get("description", details.get("text", ""))
+            raise ViewerError(f"the page failed at {expression[:60]!r}: {message}")
         return answer["result"].get("value")
 
     def wait_for(self, expression: str) -> None:
@@ -288,16 +288,16 @@ def recorded_page(title: str, commands: Iterable[bytes], animation: dict[str, ob
     animation : dict
         Meshcat animations ``tracks``, initial ``speed``, and last time ``end`` [s].
     """
-    packed = json.dumps(animation, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
-    scene = Template(_LOAD).substitute(animation=packed, loading=loading(commands))
-    return sealed(stage_page(title, f"<script>\n{engine()}\n</script>", scene))
+    data = json.dumps(animation, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+    scene = Template(_LOAD).substitute(animation=data, loading=loading(commands))
+    return add_policy(stage_page(title, f"<script>\n{engine()}\n</script>", scene))
 
 
 _BATCH = 8  # frames that a browser draws at a time
 _BROWSERS = 4  # largest number of browsers; each draws by software on one processor
-_HELD = 1.0  # [s], duration of the last frame
+_LAST_FRAME = 1.0  # [s], duration of the last frame
 _COLOURS = 128
-_SAMPLED = 8  # frames that determine the palette of a GIF
+_PALETTE_FRAMES = 8  # frames that determine the palette of a GIF
 
 
 def gif(frames: Iterator[Image.Image], rate: float) -> bytes:
@@ -311,16 +311,16 @@ def gif(frames: Iterator[Image.Image], rate: float) -> bytes:
         Frames per second.
     """
     pictures = list(frames)  # not decoded yet: about ten kilobytes each
-    sampled = [pictures[k] for k in np.unique(np.linspace(0, len(pictures) - 1, _SAMPLED).astype(int))]
+    samples = [pictures[k] for k in np.unique(np.linspace(0, len(pictures) - 1, _PALETTE_FRAMES).astype(int))]
     width, height = pictures[0].size
-    mosaic = Image.new("RGB", (width, height * len(sampled)))
-    for k, picture in enumerate(sampled):
+    mosaic = Image.new("RGB", (width, height * len(samples)))
+    for k, picture in enumerate(samples):
         mosaic.paste(picture.convert("RGB"), (0, height * k))
     palette = mosaic.quantize(_COLOURS, dither=Image.Dither.NONE)
     images = [p.convert("RGB").quantize(palette=palette, dither=Image.Dither.NONE) for p in pictures]
     ticks = np.round(100 * np.arange(len(images) + 1) / rate).astype(int)
     durations = [int(10 * tick) for tick in np.diff(ticks)]
-    durations[-1] = round(1000 * _HELD)
+    durations[-1] = round(1000 * _LAST_FRAME)
     buffer = BytesIO()
     images[0].save(buffer, "GIF", save_all=True, append_images=images[1:], duration=durations, loop=0)
     return buffer.getvalue()
@@ -413,7 +413,7 @@ def picture_of(html: str, size: tuple[int, int], time: float) -> bytes:
     ViewerError
         If Chromium is missing or fails.
     """
-    with _opened(html, size) as browser:
+    with _open_browser(html, size) as browser:
         return _picture(browser, time)
 
 
@@ -436,26 +436,26 @@ def _pictures_of(
     batches = [times[k : k + _BATCH] for k in range(0, len(times), _BATCH)]
     count = max(1, min(_BROWSERS, processors(), len(batches) // 2))
     idle: SimpleQueue[Browser] = SimpleQueue()
-    ended = Event()
+    stop = Event()
 
-    def taken(batch: Sequence[float]) -> list[bytes]:
+    def take(batch: Sequence[float]) -> list[bytes]:
         browser = idle.get()
         try:
-            return [_picture(browser, time, fast=True) for time in batch if not ended.is_set()]
+            return [_picture(browser, time, fast=True) for time in batch if not stop.is_set()]
         finally:
             idle.put(browser)
 
-    with ExitStack() as opened, ThreadPoolExecutor(count) as pool:
+    with ExitStack() as stack, ThreadPoolExecutor(count) as pool:
         try:
-            for browser in pool.map(lambda _: opened.enter_context(_opened(html, size)), range(count)):
+            for browser in pool.map(lambda _: stack.enter_context(_open_browser(html, size)), range(count)):
                 idle.put(browser)
-            frames = (data for batch in pool.map(taken, batches) for data in batch)
-            for done, data in enumerate(frames, 1):
+            frames = (data for batch in pool.map(take, batches) for data in batch)
+            for number, data in enumerate(frames, 1):
                 yield Image.open(BytesIO(data))
                 if progress is not None:
-                    progress(done, len(times))
+                    progress(number, len(times))
         finally:
-            ended.set()
+            stop.set()
 
 
 def _picture(browser: Browser, time: float, *, fast: bool = False) -> bytes:
@@ -464,7 +464,7 @@ def _picture(browser: Browser, time: float, *, fast: bool = False) -> bytes:
 
 
 @contextmanager
-def _opened(html: str, size: tuple[int, int]) -> Iterator[Browser]:
+def _open_browser(html: str, size: tuple[int, int]) -> Iterator[Browser]:
     with tempfile.TemporaryDirectory(prefix="pinmobile-") as folder:
         page = Path(folder) / "page.html"
         write(page, html.encode("utf-8"), name="page")

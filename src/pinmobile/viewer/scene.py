@@ -19,7 +19,7 @@ from pinmobile.loop import EndEffector, Rollout
 from pinmobile.palette import AXES, INK, QUIET, colour
 from pinmobile.parts import TimeVarying, able
 from pinmobile.plant import full_configurations
-from pinmobile.viewer.motion import Channel, Drawing, Drawn, along, links, poses_of, sampled, samples_before
+from pinmobile.viewer.motion import Channel, Drawing, Drawn, links, planar, poses_of, sample, samples_before
 from pinmobile.viewer.scene_tree import Arrows, Extent, Follow, Overlays, Stage, View, overview
 
 _POSE = ("x", "y", "psi")
@@ -44,38 +44,38 @@ def _captions(
     """
     ticks = np.floor(10 * (times - times[0]) + 1e-6)
     first = np.searchsorted(ticks, ticks)  # the frame in which the tick began
-    at = times[first]
+    t_new = times[first]
     heads = {label: f"{label}  " if label else "" for label in runs}
 
     def rows(columns: Mapping[str, list[Array]]) -> dict[str, Array]:
-        known = {label: each for label, each in columns.items() if each}
-        return {heads[x]: sampled(at, runs[x].t, np.column_stack(each)) for x, each in known.items()}
+        items = {label: each for label, each in columns.items() if each}
+        return {heads[x]: sample(t_new, runs[x].t, np.column_stack(each)) for x, each in items.items()}
 
     straying = rows({label: _sizes(run) for label, run in runs.items()})
     reaching = rows({label: markers.hand_errors(hands.get(label)) for label in runs})
     events = {label: {e.kind: e.t for e in reversed(run.events)} for label, run in runs.items()}
-    written: dict[int, str] = {}
+    texts: dict[int, str] = {}
     for k in np.unique(first):
-        lines = [f"t = {times[k]:.1f} s", "position error", *_told(straying, int(k), ", joint ")]
-        lines += [f"end effector {words}" for words in _told(reaching, int(k), ", ")]
+        lines = [f"t = {times[k]:.1f} s", "position error", *_format_errors(straying, int(k), ", joint ")]
+        lines += [f"end effector {words}" for words in _format_errors(reaching, int(k), ", ")]
         for label, kinds in events.items():
             happened = ", ".join(kind for kind, t in kinds.items() if t <= times[k])
             lines += [f"{heads[label]}{happened}"] if happened else []
-        written[int(k)] = "\n".join(lines)
-    return [written[int(k)] for k in first]
+        texts[int(k)] = "\n".join(lines)
+    return [texts[int(k)] for k in first]
 
 
-def _told(rows: Mapping[str, Array], k: int, between: str) -> list[str]:
+def _format_errors(rows: Mapping[str, Array], k: int, separator: str) -> list[str]:
     """Return the errors of each run at a frame, as text."""
     return [
-        label + between.join(_short(*pair) for pair in zip(values[k].tolist(), ("m", "rad"), strict=False))
+        label + separator.join(_short(*pair) for pair in zip(values[k].tolist(), ("m", "rad"), strict=False))
         for label, values in rows.items()
     ]
 
 
 def _sizes(run: Rollout) -> list[Array]:
     """Return the position error [m] and, if there is a revolute joint, the largest joint error [rad]."""
-    turning = [k for k, one in enumerate(run.coordinates) if one.name not in _POSE and one.unit == "rad"]
+    turning = [k for k, axis in enumerate(run.coordinates) if axis.name not in _POSE and axis.unit == "rad"]
     return [run.distance, *([np.abs(run.error[:, turning]).max(axis=1)] if turning else [])]
 
 
@@ -90,7 +90,7 @@ def _short(value: float, unit: str) -> str:
 _GRID, _PATH, _WORDS = 1, 8, 9
 
 # Where the name of frame k stands, in lengths of the robot: frames 2 and 3 have one origin.
-_AWAY = np.array([[-0.45, -0.35, 0.0], [-0.45, -0.35, 0.0], [-1.1, -0.6, 0.0], [1.2, 0.5, 0.0]])
+_LABEL_OFFSETS = np.array([[-0.45, -0.35, 0.0], [-0.45, -0.35, 0.0], [-1.1, -0.6, 0.0], [1.2, 0.5, 0.0]])
 _TO_AXIS = (
     np.eye(3),
     np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]),
@@ -107,8 +107,8 @@ def _draw_grid(stage: Stage, extent: Extent) -> None:
     stage.put("meshcat/grid", shapes.flat(shapes.bands(lines, 0.04 * tall), "#c9cdd1", order=_GRID))
     words = [("x [m]", (xs[-1] + 1.6 * tall, ys[0])), ("y [m]", (xs[0] + 1.4 * tall, ys[-1] + 0.7 * tall))]
     longest = max(len(f"{x:g}") for x in xs)
-    apart = int(np.ceil(0.7 * tall * longest / extent.step))  # lines from one word to the next
-    words += [(f"{x:g}", (x, ys[0] - 0.75 * tall)) for x in xs if round(x / extent.step) % apart == 0]
+    stride = int(np.ceil(0.7 * tall * longest / extent.step))  # lines from one word to the next
+    words += [(f"{x:g}", (x, ys[0] - 0.75 * tall)) for x in xs if round(x / extent.step) % stride == 0]
     words += [(f"{y:g}", (xs[0] - (0.4 + 0.25 * len(f"{y:g}")) * tall, y)) for y in ys]
     for k, (text, (x, y)) in enumerate(words):
         stage.put(f"meshcat/scale/{k}", shapes.word(text, QUIET, tall, lying=True, order=_WORDS))
@@ -126,13 +126,13 @@ def draw_path(stage: Stage, points: Array, extent: Extent) -> None:
 def _draw_axes(stage: Stage, path: str, length: float, thickness: float) -> None:
     """Draw arrows of a length [m] along the axes of a node."""
     vertices, faces = shapes.arrow(thickness)
-    for axis, turned in enumerate(_TO_AXIS):
-        arrow = length * vertices @ turned.T, faces
-        stage.put(f"{path}/{'xyz'[axis]}", shapes.over(arrow, AXES[axis], order=markers.ABOVE + axis))
+    for axis, rotation in enumerate(_TO_AXIS):
+        arrow = length * vertices @ rotation.T, faces
+        stage.put(f"{path}/{'xyz'[axis]}", shapes.overlay(arrow, AXES[axis], order=markers.ABOVE + axis))
 
 
 _Rider = Callable[[Array], list[Channel]]
-Where = Callable[[Array], Array]  # from poses (n, 3) to placements (n, 4, 4)
+FrameFunction = Callable[[Array], Array]  # from poses (n, 3) to placements (n, 4, 4)
 
 
 _BASE_FORCES = ("Fx", "Fy", "Mz")
@@ -168,11 +168,11 @@ class Scene:
     riders: list[_Rider] = field(default_factory=list)
     legend: list[list[object]] = field(default_factory=list)
 
-    def alone(self, pose: Array, around: float = 0.0) -> None:
+    def draw_robot(self, pose: Array, margin: float = 0.0) -> None:
         """Draw the robot alone at a configuration, shape (nq,), with some ground around it [m]."""
         poses = pose[None]
         reach, height = motion.envelope(self.robot, poses)
-        room = max(0.8 * max(self.robot.size), 0.75 * reach if self.robot.mounts else 0.0, around)
+        room = max(0.8 * max(self.robot.size), 0.75 * reach if self.robot.mounts else 0.0, margin)
         extent = Extent(pose[:2] - room, pose[:2] + room, (*self.robot.size[:2], height))
         self._furnish(extent, poses)
         self.stage.robot("meshcat/robot0", self.robot, colour(0))
@@ -220,7 +220,7 @@ class Scene:
         for index, (label, run) in enumerate(runs.items()):
             path = f"meshcat/robot{index}"
             self.stage.robot(path, robots[index], colour(index), ghost=index > 0)
-            self.channels += _shown(path, run.plant, times)
+            self.channels += _visibility(path, run.plant, times)
             if index == 0:
                 self._rides(partial(ridden, path, robots[0]), poses[0])
             else:
@@ -231,10 +231,16 @@ class Scene:
                     self.stage, f"meshcat/trail{index}", (run.t, run.poses[:, :2]), times,
                     partial(shapes.ribbon, width=width), paint=colour(index), order=markers.TRAIL + index,
                 )  # fmt: skip
-            hand, shown = hands.get(label), self.overlays
+            hand, overlays = hands.get(label), self.overlays
             if hand is not None:
                 self.channels += markers.draw_hand(
-                    self.stage, index, hand, times, extent, path=shown.path and not index, trail=shown.trail
+                    self.stage,
+                    index,
+                    hand,
+                    times,
+                    extent,
+                    path=overlays.path and not index,
+                    trail=overlays.trail,
                 )
                 if index == 0:
                     _draw_axes(self.stage, "meshcat/tool", 0.3 * extent.unit, 0.08)
@@ -243,24 +249,24 @@ class Scene:
         if self.overlays.desired:
             ghost = robots[0]
             self.stage.robot("meshcat/desired", ghost, QUIET, ghost=True)
-            self.channels += _shown("meshcat/desired", main.plant, times)
-            whole = _is_of(ghost, main.plant) and main.reference.q.shape == main.q.shape
-            wanted = main.reference.q if whole else main.reference_poses
+            self.channels += _visibility("meshcat/desired", main.plant, times)
+            is_full = _is_of(ghost, main.plant) and main.reference.q.shape == main.q.shape
+            desired_q = main.reference.q if is_full else main.reference_poses
             if isinstance(ghost, Drawing):  # what has no reference is drawn as it is
-                wanted = full_configurations(ghost.plant, main.q, main.reference.q)
-            desired = motion.configurations(ghost, main.t, wanted, times)
+                desired_q = full_configurations(ghost.plant, main.q, main.reference.q)
+            desired = motion.configurations(ghost, main.t, desired_q, times)
             self.channels += ridden("meshcat/desired", ghost, desired)
             self.legend.append(["desired pose", QUIET, "", 0.5])
         if self.overlays.arrows is not None:
             self._arrows(main, times, poses[0], extent, self.overlays.arrows)
         if self.overlays.contacts or self.overlays.centre:
-            found = markers.contacts_at(main, times, poses[0])
-            drawn = [markers.draw_contacts(self.stage, found, extent)] if self.overlays.contacts else []
+            contacts = markers.contacts_at(main, times, poses[0])
+            markings = [markers.draw_contacts(self.stage, contacts, extent)] if self.overlays.contacts else []
             if self.overlays.centre:
-                drawn.append(markers.draw_centre(self.stage, found.centre, poses[0], extent))
-            for channels, told in drawn:
+                markings.append(markers.draw_centre(self.stage, contacts.centre, poses[0], extent))
+            for channels, entries in markings:
                 self.channels += channels
-                self.legend += told
+                self.legend += entries
         self._tables(poses[0], extent)
         if self.overlays.caption:
             self.channels.append(Channel("meshcat/stage", "caption", _captions(runs, times, hands)))
@@ -272,11 +278,11 @@ class Scene:
         if ramp is not None:
             view = markers.draw_ramp(self.stage, ramp, extent, view)
         if isinstance(camera, Follow):
-            toward = (view.eye - view.target) / np.linalg.norm(view.eye - view.target)
-            view = View(camera.distance * toward, np.zeros(3))
+            direction = (view.eye - view.target) / np.linalg.norm(view.eye - view.target)
+            view = View(camera.distance * direction, np.zeros(3))
         else:
-            chosen = zip((camera.eye, camera.target), view, strict=True)
-            view = View(*(default if own is None else np.asarray(own) for own, default in chosen))
+            pairs = zip((camera.eye, camera.target), view, strict=True)
+            view = View(*(default if given is None else np.asarray(given) for given, default in pairs))
         self.stage.furnish(extent, view)
         if isinstance(camera, Follow):
             self._rides(_focus, poses)
@@ -284,38 +290,44 @@ class Scene:
             _draw_grid(self.stage, extent)
 
     def _tables(self, poses: Array, extent: Extent) -> None:
-        drawn: list[Array] = []
+        frames: list[Array] = []
         for number, table in enumerate(self.overlays.frames):
             for k in range(len(table) + 1):
                 placements = _frame(table, k, poses)
-                if any(np.allclose(placements, other) for other in drawn):
+                if any(np.allclose(placements, other) for other in frames):
                     continue  # two tables share some of their frames
-                drawn.append(placements)
-                shared = all(np.allclose(_frame(t, k, poses), placements) for t in self.overlays.frames)
-                name = "" if shared else f" {_NAMES.get(table, f'table {number + 1}')}"
-                where = partial(_frame, table, k)
-                self._triad(f"meshcat/table{number}/{k}", f"{{{k}}}{name}", extent, (number, k), where, poses)
+                frames.append(placements)
+                is_shared = all(np.allclose(_frame(t, k, poses), placements) for t in self.overlays.frames)
+                name = "" if is_shared else f" {_NAMES.get(table, f'table {number + 1}')}"
+                frame = partial(_frame, table, k)
+                self._triad(f"meshcat/table{number}/{k}", f"{{{k}}}{name}", extent, (number, k), frame, poses)
         if self.overlays.body_frame:
             self._triad("meshcat/body", "B", extent, (0, 0), partial(_frame, LECTURE_TABLE, 3), poses)
 
     def _triad(
-        self, path: str, label: str, extent: Extent, place: tuple[int, int], where: Where, poses: Array
+        self,
+        path: str,
+        label: str,
+        extent: Extent,
+        place: tuple[int, int],
+        frame: FrameFunction,
+        poses: Array,
     ) -> None:
         """Draw the axes of a frame, and its name beside; `place` is the numbers of table and frame."""
         number, k = place
         _draw_axes(self.stage, path, (0.9 + 0.3 * number) * extent.unit, 0.07 - 0.02 * min(number, 2))
         name = shapes.word(label, INK, 0.42 * extent.unit, lying=False, order=markers.ABOVE + 5)
         self.stage.put(f"{path}name", name)
-        away = extent.unit * (_AWAY[min(k, 3)] + np.array([0, -0.5 * number, 0]))
-        self._rides(lambda poses: poses_of(path, where(poses)), poses)
-        self._rides(lambda poses: [Channel(f"{path}name", "position", where(poses)[:, :3, 3] + away)], poses)
+        shift = extent.unit * (_LABEL_OFFSETS[min(k, 3)] + np.array([0, -0.5 * number, 0]))
+        self._rides(lambda poses: poses_of(path, frame(poses)), poses)
+        self._rides(lambda poses: [Channel(f"{path}name", "position", frame(poses)[:, :3, 3] + shift)], poses)
 
     def _arrows(self, run: Rollout, times: Array, poses: Array, extent: Extent, arrows: Arrows) -> None:
         fx, fy, moment = run.u[samples_before(run.t, times)][:, _pushing(run)].T
         heading = np.column_stack([poses[:, :2], np.unwrap(np.arctan2(fy, fx))])
         flat = poses[:, :3] * (1, 1, 0)
         unit = extent.unit
-        for name, symbol, shape, paint, size, per, turned in (
+        for name, symbol, shape, paint, size, per, axes in (
             ("force", "N", shapes.arrow(0.06), colour(3), np.hypot(fx, fy), arrows.force, heading),
             ("moment", "N m", shapes.arc_arrow(), colour(4), moment, arrows.moment, flat),
         ):
@@ -324,10 +336,10 @@ class Scene:
                 continue
             scale = per or (1.6 if name == "force" else 0.8) * unit / largest
             path = f"meshcat/{name}"
-            self.stage.put(path, shapes.over(shape, paint, order=markers.ABOVE - 5))
+            self.stage.put(path, shapes.overlay(shape, paint, order=markers.ABOVE - 5))
             lengths = np.maximum(scale * np.abs(size), 1e-4)[:, None] * np.ones(3)
             lengths[:, 1] *= np.where(size < 0, -1, 1)  # in a mirror the arc turns the other way
-            self.channels += along(path, turned, 1.6 * (self.robot.top or self.robot.size[2]))
+            self.channels += planar(path, axes, 1.6 * (self.robot.top or self.robot.size[2]))
             self.channels.append(Channel(path, "scale", lengths))
             self.legend.append([f"{name}, 1 m = {1 / scale:.2g} {symbol}", paint, "", 0.0])
 
@@ -340,7 +352,7 @@ def _pushing(run: Rollout) -> list[int]:
     InvalidArgument
         If the plant has no such inputs.
     """
-    names = [one.name for one in run.inputs]
+    names = [item.name for item in run.inputs]
     missing = [name for name in _BASE_FORCES if name not in names]
     if missing:
         raise InvalidArgument(
@@ -370,10 +382,10 @@ def _is_of(robot: Drawn, plant: object) -> bool:
 
 def ridden(path: str, robot: Drawn, configurations: Array) -> list[Channel]:
     """Return the channels of the body and the links of a robot."""
-    return [*along(path, configurations), *links(path, robot, configurations)]
+    return [*planar(path, configurations), *links(path, robot, configurations)]
 
 
-def _shown(path: str, plant: object, times: Array) -> list[Channel]:
+def _visibility(path: str, plant: object, times: Array) -> list[Channel]:
     """Return the channels of the objects of a robot that exist at some times only."""
-    known = timed.shown(times) if (timed := able(plant, TimeVarying)) else {}
-    return [Channel(f"{path}/visuals/{name}", "visible", x[:, None]) for name, x in known.items()]
+    visible = timed.shown(times) if (timed := able(plant, TimeVarying)) else {}
+    return [Channel(f"{path}/visuals/{name}", "visible", x[:, None]) for name, x in visible.items()]

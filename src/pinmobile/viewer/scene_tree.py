@@ -345,7 +345,7 @@ class Stage:
         ghost : bool
             Whether to draw a translucent and slightly larger robot.
         """
-        shown, items = pin.GeometryModel(), robot.visual_model.geometryObjects
+        geometry, items = pin.GeometryModel(), robot.visual_model.geometryObjects
         triangles = sum(getattr(item.geometry, "num_tris", 0) for item in items)
         share = (_MOST_OF_GHOST if ghost else _MOST) / max(triangles, 1)
         for item in items:
@@ -355,15 +355,15 @@ class Stage:
                 copy.meshColor = np.array([*_rgb(colour), 1.0])
             if ghost:
                 copy.meshColor = np.array([*copy.meshColor[:3], 0.45])
-            shown.addGeometryObject(copy)
-        visualizer = MeshcatVisualizer(robot.model, pin.GeometryModel(), shown)
+            geometry.addGeometryObject(copy)
+        visualizer = MeshcatVisualizer(robot.model, pin.GeometryModel(), geometry)
         visualizer.initViewer(viewer=Visualizer(window=self.window))
         visualizer.loadViewerModel(path.removeprefix("meshcat/"))
         # The body is at the origin of the node; the pose of the node moves it.
         visualizer.display(pin.neutral(robot.model))
         self.set(path, "scale", list(_GHOST_SCALE) if ghost and not robot.mounts else [1.0, 1.0, 1.0])
         if ghost and robot.mounts:
-            for item in shown.geometryObjects:
+            for item in geometry.geometryObjects:
                 larger = _GHOST_SCALE if item.name == BODY else (_GHOST_LINK,) * 3
                 self.set(f"{path}/visuals/{item.name}", "scale", list(larger))
 
@@ -385,20 +385,20 @@ def overview(extent: Extent, height: float, *, low: bool = False) -> View:
     forward = -np.array([level * np.cos(_AZIMUTH), level * np.sin(_AZIMUTH), np.sin(elevation)])
     right = np.cross(forward, (0, 0, 1))
     right /= np.linalg.norm(right)
-    up = np.cross(right, forward)
+    vertical = np.cross(right, forward)
     (low_x, *_, high_x), (low_y, *_, high_y) = extent.lines(0), extent.lines(1)
     xs, ys = (low_x - 2.2 * extent.tall, high_x + 2.6 * extent.tall), (low_y - 1.4 * extent.tall, high_y)
     corners = np.array([[x, y, z] for x in xs for y in ys for z in (0, height)])
     target = np.append(extent.centre, 0.0)
     tangent = np.tan(_FOV / 2)
     for _ in range(10):
-        a, b, c = np.stack([right, up, forward]) @ (corners - target).T
+        a, b, c = np.stack([right, vertical, forward]) @ (corners - target).T
         wide = (np.abs(a) / (0.97 * _ASPECT * tangent) - c).max()
         tall = np.maximum(b / (_ABOVE * tangent) - c, -b / (_BELOW * tangent) - c).max()
         distance = max(wide, tall)
-        rise, aside = b / (distance + c), a / (distance + c)
-        target = target + up * distance * (rise.max() + rise.min() - (_ABOVE - _BELOW) * tangent) / 2
-        target = target + right * distance * (aside.max() + aside.min()) / 2
+        rise, lateral = b / (distance + c), a / (distance + c)
+        target = target + vertical * distance * (rise.max() + rise.min() - (_ABOVE - _BELOW) * tangent) / 2
+        target = target + right * distance * (lateral.max() + lateral.min()) / 2
         target = target - forward * target[2] / forward[2]  # projected onto the ground
     return View(target - distance * forward, target)
 

@@ -27,7 +27,7 @@ from pinmobile.errors import InvalidArgument, ViewerError, format_value
 from pinmobile.viewer.pages import Backlog, packed_command
 
 _LOOPBACK = ("127.0.0.1", "::1", "localhost")
-_EVERYWHERE = ("0.0.0.0", "::")
+_ANY_ADDRESS = ("0.0.0.0", "::")
 _TOKEN = re.compile(r"[A-Za-z0-9._~-]+")
 
 
@@ -49,7 +49,7 @@ class Access:
     @property
     def name(self) -> str:
         """Host name in the address of the page; for all addresses, the name of the machine."""
-        if self.host in _EVERYWHERE:
+        if self.host in _ANY_ADDRESS:
             return socket.gethostname()
         return f"[{self.host}]" if ":" in self.host else self.host
 
@@ -74,7 +74,7 @@ class Access:
             Tokens of the request.
         """
         host, origin = headers.get("Host", ""), headers.get("Origin")
-        if not self._is_own(host):
+        if not self._is_allowed(host):
             return f"this server is not {host[:80]!r}"
         if self.token is not None and not (
             len(tokens) == 1 and secrets.compare_digest(tokens[0], self.token.encode())
@@ -84,12 +84,12 @@ class Access:
             return f"requests from pages of {origin[:80]!r} are rejected"
         return None
 
-    def _is_own(self, netloc: str) -> bool:
+    def _is_allowed(self, netloc: str) -> bool:
         try:
             name = urlsplit(f"//{netloc}").hostname
         except ValueError:
             return False
-        if self.host in _EVERYWHERE:
+        if self.host in _ANY_ADDRESS:
             return bool(name)  # any name may lead to the server; requests need the token anyway
         return name in (*_LOOPBACK, self.host.lower())
 
@@ -112,9 +112,9 @@ def access_for(host: str, token: str | None) -> Access:
     if token is not None and not (isinstance(token, str) and _TOKEN.fullmatch(token)):
         raise InvalidArgument("token is empty or not made of letters, digits, '-', '.', '_' and '~'")
     given, host = host, text("host", host).strip()
-    bracketed = host.startswith("[") and host.endswith("]")
-    host = host[1:-1] if bracketed else host
-    if not host or set("[]/@?# ") & set(host) or (bracketed and ":" not in host):
+    has_brackets = host.startswith("[") and host.endswith("]")
+    host = host[1:-1] if has_brackets else host
+    if not host or set("[]/@?# ") & set(host) or (has_brackets and ":" not in host):
         raise InvalidArgument(
             f"host is {format_value(given)}, expected a name or an address such as '127.0.0.1', '::1'"
         )
@@ -131,7 +131,7 @@ def access_for(host: str, token: str | None) -> Access:
 
 _LOG = logging.getLogger(__name__)
 _MOST_BROWSERS = 64
-_MOST_UNANSWERED = 4  # batches on their way to a browser; more would only add delay
+_MAX_PENDING = 4  # batches on their way to a browser; more would only add delay
 _LARGEST_PICTURE = 64 << 20  # [byte]
 # No JSON parser: a message may be nested deeply, and its tree may take a hundred times its size.
 _PICTURE = re.compile(r'"data" *: *"(data:image/png;base64,[A-Za-z0-9+/=]*)"')
@@ -211,11 +211,11 @@ class Browser(_Answer, WebSocketHandler):
 
     Attributes
     ----------
-    seen, taken : int
+    sent_number, received : int
         Numbers of the newest command sent to the browser, and of the newest command it received.
     """
 
-    seen = taken = 0
+    sent_number = received = 0
 
     def prepare(self) -> None:
         """Reject the browser if too many browsers are connected."""
@@ -249,7 +249,7 @@ class Browser(_Answer, WebSocketHandler):
     def on_pong(self, data: bytes) -> None:
         """Accept the answer to a batch; ignore other pongs."""
         if self._unanswered and data == b"%d" % self._unanswered[0]:
-            self.taken = self._unanswered.popleft()
+            self.received = self._unanswered.popleft()
             self.server.news()
 
     def on_message(self, message: str | bytes) -> None:
@@ -264,18 +264,18 @@ class Browser(_Answer, WebSocketHandler):
     @property
     def ready(self) -> bool:
         """Whether the browser can take a batch."""
-        return not self._writing and len(self._unanswered) < _MOST_UNANSWERED
+        return not self._writing and len(self._unanswered) < _MAX_PENDING
 
     async def feed(self) -> None:
         """Send all commands that the browser has not received."""
         if not self.ready:
             return
-        commands, latest = self.server.backlog.since(self.seen)
-        self.seen = latest
+        commands, latest = self.server.backlog.since(self.sent_number)
+        self.sent_number = latest
         if not commands:
             # All later commands have been deleted.
-            if not self._unanswered and self.taken < latest:
-                self.taken = latest
+            if not self._unanswered and self.received < latest:
+                self.received = latest
                 self.server.news()
             return
         self._writing = True
@@ -293,7 +293,7 @@ class Browser(_Answer, WebSocketHandler):
     async def capture(self) -> str:
         """Return a picture of the present scene as a data URL."""
         latest = self.server.backlog.latest
-        while self.seen < latest or self._writing:
+        while self.sent_number < latest or self._writing:
             await asyncio.sleep(0.01)
         picture = asyncio.get_running_loop().create_future()
         # A cancelled request stays in the queue: its answer may still come before the next one.
@@ -316,8 +316,8 @@ def listening(host: str, port: int | None) -> socket.socket:
         family, *_, address = socket.getaddrinfo(name, port or 0, type=socket.SOCK_STREAM)[0]
         server = socket.create_server(address[:2], family=family, backlog=128)
     except (OSError, UnicodeError) as error:
-        where = "a free port" if port is None else f"port {port}"
-        raise ViewerError(f"cannot listen on {where} of {host}: {error}") from error
+        place = "a free port" if port is None else f"port {port}"
+        raise ViewerError(f"cannot listen on {place} of {host}: {error}") from error
     server.setblocking(False)
     return server
 
@@ -415,11 +415,11 @@ class Server:
     async def _serve(self, listener: socket.socket) -> None:
         self._loop = asyncio.get_running_loop()
         self._work, self._end = asyncio.Event(), asyncio.Event()
-        own = {"server": self}
+        options = {"server": self}
         application = Application(
-            [(r"/", _Page, own), (r"/main\.min\.js", _Script, own), (r"/socket", Browser, own)],
+            [(r"/", _Page, options), (r"/main\.min\.js", _Script, options), (r"/socket", Browser, options)],
             default_handler_class=_Nothing,
-            default_handler_args=own,
+            default_handler_args=options,
             log_function=lambda _: None,
             websocket_max_message_size=_LARGEST_PICTURE,
         )
@@ -457,6 +457,6 @@ class Server:
                     task = asyncio.create_task(browser.feed())
                     feeding.add(task)
                     task.add_done_callback(feeding.discard)
-            seen = (browser.seen for browser in self.browsers)
-            self.backlog.forget_deletions(min(seen, default=self.backlog.latest))
+            numbers = (browser.sent_number for browser in self.browsers)
+            self.backlog.forget_deletions(min(numbers, default=self.backlog.latest))
             await asyncio.sleep(_PERIOD - _GATHER)

@@ -19,7 +19,7 @@ Shape = dict[str, Any]
 Triangles = tuple[Array, NDArray[np.uint32]]  # vertices (n, 3) [m], faces (m, 3)
 
 _TEXT_HEIGHT = 64  # [px]
-_STILL = 1e-6  # [m]: a shorter motion has no path
+_MIN_LENGTH = 1e-6  # [m]: a shorter motion has no path
 _FEW = 300  # smallest number of triangles: simplification would destroy small meshes
 
 
@@ -34,7 +34,7 @@ def flat(
     return _mesh(triangles, material, {"flat": True, "trail": trail}, order)
 
 
-def over(triangles: Triangles, colour: str, *, order: int) -> Shape:
+def overlay(triangles: Triangles, colour: str, *, order: int) -> Shape:
     """Return an unlit mesh that is visible through objects in front of it."""
     return _mesh(triangles, _unlit(colour) | {"depthTest": False}, {"flat": True}, order)
 
@@ -62,8 +62,8 @@ def ribbon(points: ArrayLike, width: float) -> Triangles:
         Width of the band [m].
     """
     points = np.asarray(points, np.float64)
-    along = directions(points)
-    side = width / 2 * np.stack([-along[:, 1], along[:, 0]], axis=-1)
+    tangents = directions(points)
+    side = width / 2 * np.stack([-tangents[:, 1], tangents[:, 0]], axis=-1)
     edges = np.stack([points + side, points - side], axis=1).reshape(-1, 2)
     vertices = np.column_stack([edges, np.zeros(len(edges))])
     first = 2 * np.arange(max(len(points) - 1, 0), dtype=np.uint32)[:, None]
@@ -73,11 +73,11 @@ def ribbon(points: ArrayLike, width: float) -> Triangles:
 
 def directions(points: Array) -> Array:
     """Return the unit directions of a curve at its points, (n, k); where points coincide, the last one."""
-    along = np.gradient(points, axis=0) if len(points) > 1 else np.zeros_like(points)
-    length = np.hypot.reduce(along, axis=1)
+    tangents = np.gradient(points, axis=0) if len(points) > 1 else np.zeros_like(points)
+    length = np.hypot.reduce(tangents, axis=1)
     moving = length > 1e-9 * length.max(initial=1e-300)
     latest = np.maximum.accumulate(np.where(moving, np.arange(len(points)), 0))
-    return np.asarray(along[latest] / np.maximum(length[latest], 1e-300)[:, None])
+    return np.asarray(tangents[latest] / np.maximum(length[latest], 1e-300)[:, None])
 
 
 def bands(lines: ArrayLike, width: float) -> Triangles:
@@ -91,9 +91,9 @@ def bands(lines: ArrayLike, width: float) -> Triangles:
         Of the bands [m].
     """
     lines = np.asarray(lines, np.float64)
-    along = lines[:, 1] - lines[:, 0]
-    along = along / np.hypot(*along.T)[:, None]
-    side = width / 2 * np.stack([-along[:, 1], along[:, 0]], axis=-1)[:, None]
+    tangents = lines[:, 1] - lines[:, 0]
+    tangents = tangents / np.hypot(*tangents.T)[:, None]
+    side = width / 2 * np.stack([-tangents[:, 1], tangents[:, 0]], axis=-1)[:, None]
     edges = np.stack([lines + side, lines - side], axis=2).reshape(-1, 2)
     first = 4 * np.arange(len(lines), dtype=np.uint32)[:, None, None]
     faces = (first + np.array([[0, 1, 2], [1, 3, 2]], np.uint32)).reshape(-1, 3)
@@ -112,19 +112,19 @@ def dashes(points: Array, dash: float, band: Callable[[Array], Triangles]) -> Tr
     band : callable
         Gives the triangles of a band along a part of the curve, shape (m, k).
     """
-    travelled = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
-    if travelled[-1] < _STILL:
+    lengths = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
+    if lengths[-1] < _MIN_LENGTH:
         return None
     parts = []
-    for start in np.arange(0.0, max(travelled[-1] - dash / 3, dash / 10), 1.8 * dash):
-        end = min(start + dash, travelled[-1])
-        inside = travelled[(travelled > start) & (travelled < end)]
-        at = np.concatenate([[start], inside[:: max(len(inside) // 8, 1)], [end]])
-        parts.append(band(np.stack([np.interp(at, travelled, c) for c in points.T], axis=-1)))
-    return joined(parts)
+    for start in np.arange(0.0, max(lengths[-1] - dash / 3, dash / 10), 1.8 * dash):
+        end = min(start + dash, lengths[-1])
+        inner = lengths[(lengths > start) & (lengths < end)]
+        marks = np.concatenate([[start], inner[:: max(len(inner) // 8, 1)], [end]])
+        parts.append(band(np.stack([np.interp(marks, lengths, c) for c in points.T], axis=-1)))
+    return merge(parts)
 
 
-def joined(parts: Sequence[Triangles]) -> Triangles:
+def merge(parts: Sequence[Triangles]) -> Triangles:
     """Return several sets of triangles as one."""
     offsets = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
     faces = [faces + offset for (_, faces), offset in zip(parts, offsets, strict=False)]
@@ -138,11 +138,11 @@ def arrow(thickness: float = 0.05, sides: int = 20) -> Triangles:
     circle = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     rings = [np.column_stack([np.full(sides, x), r * circle]) for x, r in profile]
     k = np.arange(sides)
-    across = (k + 1) % sides
+    second = (k + 1) % sides
     faces = []
     for ring in range(len(rings) - 1):
         a, b = ring * sides, (ring + 1) * sides
-        faces += [np.stack([a + k, a + across, b + k], -1), np.stack([a + across, b + across, b + k], -1)]
+        faces += [np.stack([a + k, a + second, b + k], -1), np.stack([a + second, b + second, b + k], -1)]
     return np.concatenate(rings), np.concatenate(faces).astype(np.uint32)
 
 
@@ -151,10 +151,10 @@ def arc_arrow(thickness: float = 0.06) -> Triangles:
     angle = np.linspace(0, 1.4 * np.pi, 40)
     ring = ribbon(np.stack([np.cos(angle), np.sin(angle)], axis=-1), 2 * thickness)
     end = np.array([np.cos(angle[-1]), np.sin(angle[-1])])
-    ahead = np.array([-end[1], end[0]])
-    tip = np.stack([end + 3 * thickness * end, end - 3 * thickness * end, end + 7 * thickness * ahead])
+    tangent = np.array([-end[1], end[0]])
+    tip = np.stack([end + 3 * thickness * end, end - 3 * thickness * end, end + 7 * thickness * tangent])
     head = np.column_stack([tip, np.zeros(3)]), np.array([[0, 1, 2]], np.uint32)
-    return joined([ring, head])
+    return merge([ring, head])
 
 
 def disc(inner: float = 0.0, sides: int = 48) -> Triangles:
@@ -247,20 +247,20 @@ def coarse(shape: Any, share: float) -> Any:
     a, b, c = np.moveaxis(vertices[faces], 1, 0)
     area = float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()) / 2
     size = np.sqrt(3 * area / max(share * count, _FEW))  # a surface crosses 1.5 cells per size^2
-    return _standing(*_clustered(vertices, faces, max(float(size), 1e-9)))
+    return _standing(*_cluster(vertices, faces, max(float(size), 1e-9)))
 
 
-def _clustered(vertices: Array, faces: NDArray[np.int64], cell: float) -> tuple[Array, NDArray[np.int64]]:
+def _cluster(vertices: Array, faces: NDArray[np.int64], cell: float) -> tuple[Array, NDArray[np.int64]]:
     keys = np.floor((vertices - vertices.min(axis=0)) / cell).astype(np.int64)
     _, cluster = np.unique(keys, axis=0, return_inverse=True)
     cluster = cluster.ravel()
     number = np.bincount(cluster)
     means = np.column_stack([np.bincount(cluster, column) / number for column in vertices.T])
-    merged = cluster[faces]
-    a, b, c = merged.T
-    merged = merged[(a != b) & (b != c) & (c != a)]
+    triangles = cluster[faces]
+    a, b, c = triangles.T
+    triangles = triangles[(a != b) & (b != c) & (c != a)]
     # The same three corners in the same sense are one triangle.
-    first = np.take_along_axis(merged, (merged.argmin(axis=1)[:, None] + np.arange(3)) % 3, axis=1)
+    first = np.take_along_axis(triangles, (triangles.argmin(axis=1)[:, None] + np.arange(3)) % 3, axis=1)
     return means, np.unique(first, axis=0)
 
 

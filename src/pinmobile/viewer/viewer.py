@@ -27,7 +27,7 @@ Rollouts: TypeAlias = Rollout | Mapping[str, Rollout]
 
 _FARTHEST = 1e9  # [m]; nothing is visible beyond
 _LIVE_FPS = 50.0
-_HELD = 1.0  # [s] pause at the end of a recording before it repeats
+_LAST_FRAME = 1.0  # [s] pause at the end of a recording before it repeats
 
 
 class Viewer:
@@ -89,7 +89,7 @@ class Viewer:
         overlays: Overlays | None = None,
     ) -> None:
         instance("live", live, bool, "True or False")
-        self.plant, self.overlays = robot_at(plant, 0.0), _checked_overlays(overlays, Overlays())
+        self.plant, self.overlays = robot_at(plant, 0.0), _check_overlays(overlays, Overlays())
         self._figure = figure(self.plant)
         self._lock, self._closed = RLock(), False
         self._scene: Scene | None = None
@@ -153,7 +153,7 @@ class Viewer:
             self._check_open()
             if self._scene is None:
                 scene = self._new_scene(self.overlays)
-                scene.alone(pose)
+                scene.draw_robot(pose)
                 self._scene = scene  # only when the scene is complete
             self._scene.move(pose)
 
@@ -184,14 +184,14 @@ class Viewer:
             If the viewer is closed or not live.
         """
         self._live("play")
-        runs, pace = _checked_runs(rollout), positive("speed", speed)
+        runs, pace = _check_runs(rollout), positive("speed", speed)
         times = frame_times(runs, _LIVE_FPS, pace)
         with self._lock:
-            scene = self._scene = self._new_scene(_checked_overlays(overlays, self.overlays))
+            scene = self._scene = self._new_scene(_check_overlays(overlays, self.overlays))
             scene.play(runs, times)
-        done = 0
-        while done < repeat:
-            done += 1
+        count = 0
+        while count < repeat:
+            count += 1
             begin, frame = monotonic(), -1
             while frame < len(times) - 1:
                 frame = max(frame + 1, int((monotonic() - begin) * _LIVE_FPS))
@@ -199,8 +199,8 @@ class Viewer:
                     self._check_open()
                     scene.show(min(frame, len(times) - 1))
                 sleep(max(begin + (frame + 1) / _LIVE_FPS - monotonic(), 0.0))
-            if done < repeat:
-                sleep(_HELD)
+            if count < repeat:
+                sleep(_LAST_FRAME)
 
     def record(
         self,
@@ -239,18 +239,18 @@ class Viewer:
             If the viewer is closed.
         """
         title = text("title", title)
-        runs, rate, pace = _checked_runs(rollout), positive("fps", fps, "1/s"), positive("speed", speed)
+        runs, rate, pace = _check_runs(rollout), positive("fps", fps, "1/s"), positive("speed", speed)
         times = frame_times(runs, rate, pace)
         with self._lock:
             self._check_open()
             window = OfflineWindow()
-            scene = Scene(Stage(window), self._figure, _checked_overlays(overlays, self.overlays))
+            scene = Scene(Stage(window), self._figure, _check_overlays(overlays, self.overlays))
             scene.play(runs, times)
             scene.show(0)
-            since = times - times[0]
-            moving = tracks(scene.channels, since, float(since[-1]) + _HELD * pace)
+            seconds = times - times[0]
+            moving = tracks(scene.channels, seconds, float(seconds[-1]) + _LAST_FRAME * pace)
             self._recording = Recording(
-                window.commands(), moving, duration=float(since[-1]), fps=rate, speed=pace, title=title
+                window.commands(), moving, duration=float(seconds[-1]), fps=rate, speed=pace, title=title
             )
             return self._recording
 
@@ -307,18 +307,18 @@ class Viewer:
             self._check_open()
             if self._scene is None:
                 raise ViewerError("there is nothing to draw yet: call display or play first")
-            still = {"tracks": [], "speed": 1, "end": 0}
-            return recorded_page(text("title", title), self._window.commands(), still)
+            animation = {"tracks": [], "speed": 1, "end": 0}
+            return recorded_page(text("title", title), self._window.commands(), animation)
 
     def _new_scene(self, overlays: Overlays) -> Scene:
         stage = Stage(self._window)
         stage.remove("meshcat")
         return Scene(stage, self._figure, overlays)
 
-    def _live(self, what: str) -> LiveWindow:
+    def _live(self, method: str) -> LiveWindow:
         self._check_open()
         if isinstance(self._window, OfflineWindow):
-            raise ViewerError(f"{what} needs a live viewer: Viewer(plant, live=True)")
+            raise ViewerError(f"{method} needs a live viewer: Viewer(plant, live=True)")
         return self._window
 
     def _check_open(self) -> None:
@@ -326,12 +326,12 @@ class Viewer:
             raise ViewerError("the viewer is closed")
 
 
-def _checked_overlays(overlays: Overlays | None, default: Overlays) -> Overlays:
-    found: Overlays = instance("overlays", default if overlays is None else overlays, Overlays, "Overlays")
-    return found
+def _check_overlays(overlays: Overlays | None, default: Overlays) -> Overlays:
+    result: Overlays = instance("overlays", default if overlays is None else overlays, Overlays, "Overlays")
+    return result
 
 
-def _checked_runs(rollouts: object) -> dict[str, Rollout]:
+def _check_runs(rollouts: object) -> dict[str, Rollout]:
     """Return the rollouts by label; a single rollout has the label "".
 
     Raises
@@ -344,6 +344,6 @@ def _checked_runs(rollouts: object) -> dict[str, Rollout]:
         try:
             _ = run.poses, run.reference_poses
         except InvalidArgument as error:
-            where = f"rollout[{label!r}]" if label else "rollout"
-            raise InvalidArgument(f"{where}.{error}") from None
+            label_text = f"rollout[{label!r}]" if label else "rollout"
+            raise InvalidArgument(f"{label_text}.{error}") from None
     return runs

@@ -60,11 +60,11 @@ class LiveWindow(SceneWindow):
     """
 
     def __init__(self, host: str = "127.0.0.1", port: int | None = None, token: str | None = None) -> None:
-        wanted = None if port is None else check_integer("port", port, most=65535)
+        number = None if port is None else check_integer("port", port, most=65535)
         access = access_for(host, token)
         engine, connect = _ENGINE.format(query=access.query), _CONNECT.format(query=access.query)
         html = stage_page("pinmobile", engine, connect + part_of_page("play.html"))
-        listener = listening(access.host, wanted)
+        listener = listening(access.host, number)
         self._port = int(listener.getsockname()[1])
         self._server = Server(listener, access, html.encode(), ENGINE.read_bytes())
         super().__init__(self._server.backlog)
@@ -130,8 +130,8 @@ class LiveWindow(SceneWindow):
         self._server.wait(lambda: bool(self._server.browsers), limit)
         self._check_open()
         if not self._server.browsers:
-            where = self._server.access.address(self.port)
-            raise ViewerError(f"no browser has opened {where} within {limit:g} s")
+            address = self._server.access.address(self.port)
+            raise ViewerError(f"no browser has opened {address} within {limit:g} s")
         return True
 
     def flush(self, timeout: float = 5.0) -> bool:
@@ -151,7 +151,7 @@ class LiveWindow(SceneWindow):
         server, latest = self._server, self._server.backlog.latest
 
         def all_have() -> bool:
-            return all(browser.taken >= latest for browser in tuple(server.browsers))
+            return all(browser.received >= latest for browser in tuple(server.browsers))
 
         server.wait(all_have, non_negative("timeout", timeout, "s"))
         self._check_open()
