@@ -73,7 +73,7 @@ def listing(pages: list[str], hidden: bool = False) -> list[str]:
 def tables(source: Path) -> None:
     """Write what the code states: controllers with their numbers, drives, what can be mounted, scenarios."""
     import pinmobile
-    from pinmobile.cli.scenario_file import shipped
+    from pinmobile.cli.scenario_file import shipped_names
     from pinmobile.parts import names_of, parameters
 
     def numbers(kind: type) -> str:
@@ -99,15 +99,15 @@ def tables(source: Path) -> None:
         "`pinmobile run NAME` runs one, `pinmobile write NAME` prints it.",
         "",
     ]
-    lines += [f"- `{name}`" for name in shipped()]
+    lines += [f"- `{name}`" for name in shipped_names()]
     write(source / "reference" / "tables.md", *lines)
 
 
 def scenario_keys(source: Path) -> None:
     """Write the keys of scenario files, with meaning and unit: those of the scenario, and of each part."""
-    from pinmobile.cli.scenario_file import described, listed
+    from pinmobile.cli.scenario_file import describe_part, list_parts
 
-    rows = [line.split() for line in listed().splitlines() if line.startswith("  ")]
+    rows = [line.split() for line in list_parts().splitlines() if line.startswith("  ")]
     lines = [
         "# Keys of scenario files",
         "",
@@ -115,7 +115,7 @@ def scenario_keys(source: Path) -> None:
         "",
     ]
     for name in ("scenario", *(row[0] for row in rows)):
-        lines += [f"## {name}", "", "```text", described(name), "```", ""]
+        lines += [f"## {name}", "", "```text", describe_part(name), "```", ""]
     write(source / "reference" / "scenario-keys.md", *lines)
 
 

@@ -386,7 +386,7 @@ def test_films_are_refused_before_anything_runs_and_told_frame_by_frame(
     assert typed(*words)[0] == 0
     assert (tmp_path / "film.mp4").read_bytes() == b"film"
     monkeypatch.setenv("PINMOBILE_CHROMIUM", "no-such-program")
-    monkeypatch.setattr("pinmobile.cli.results.Opened", None)
+    monkeypatch.setattr("pinmobile.cli.results.LoadedFile", None)
     code, _, err = typed(*words)
     assert (code, err) == (2, "pinmobile: PINMOBILE_CHROMIUM is 'no-such-program', expected a program\n")
 

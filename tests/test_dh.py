@@ -11,7 +11,7 @@ from hypothesis import given, strategies as st
 import pinmobile as pm
 from pinmobile import InvalidArgument
 from pinmobile.derivation import Link, derive, lecture
-from pinmobile.derivation.steps import _WIDEST, _width
+from pinmobile.derivation.steps import _A4_WIDTH, _width
 from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE, DHRow, DHTable, JointType, transform
 from pinmobile.urdf import Body
 from tests.refusals import refused
@@ -207,7 +207,7 @@ def test_a_derivation_is_a_document_whose_lines_fit_the_page() -> None:
         assert text.endswith("\\end{document}\n")
         lines = text.split(r"\begin{align*}")[1].split("\\\\\n")
         widths = [_width(line) for line in lines if "matrix" not in line]
-        assert max(widths) < 1.5 * _WIDEST  # of a term that cannot be broken; a line of A4 has room for 100
+        assert max(widths) < 1.5 * _A4_WIDTH  # of a term that cannot be broken; a line of A4 has room for 100
         assert any(r"&\quad" in line for line in lines)
 
 

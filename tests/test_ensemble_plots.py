@@ -16,7 +16,7 @@ import pinmobile as pm
 from pinmobile import plots
 from pinmobile.errors import UnknownName
 from pinmobile.loop import Engine, causes, worst_share
-from pinmobile.plots.style import percent
+from pinmobile.plots.style import format_percent
 
 pytestmark = pytest.mark.once
 
@@ -333,7 +333,7 @@ class TestDrivers:
             assert (first.name, first.outside, first.visible) == ("mass", outside, True)
             bad, good = (first.holds(made.draws["mass"][chosen]).mean() for chosen in (worst, ~worst))
             assert bad - good == pytest.approx(first.difference, abs=0.1)
-            shares = [percent(round(float(share), 2)) for share in (bad, good)]
+            shares = [format_percent(round(float(share), 2)) for share in (bad, good)]
             title = plots.drivers(made, share=0.1).axes[0].get_title(loc="left")
             assert title == f"{first.place}:\n{shares[0]} of the worst, {shares[1]} of the others"
         assert first.place == f"above {first.low:.3g} kg"

@@ -44,7 +44,7 @@ def test_at_one_column_of_a_paper_no_word_is_cut_or_meets_another(name: str) -> 
     with rc_context(page.LETTERS):
         figure = page.FIGURES[name](width=3.5)  # which would be refused
         assert figure.get_figwidth() == 3.5
-        assert not style.crowded(figure, figure.axes)
+        assert not style.layout_problem(figure, figure.axes)
         assert {text.get_fontsize() for text in figure.findobj(Text) if text.get_text()} >= {8.0}
 
 
@@ -53,7 +53,7 @@ def test_at_one_column_of_a_paper_no_word_is_cut_or_meets_another(name: str) -> 
 def test_at_both_columns_too(name: str) -> None:
     figure = page.FIGURES[name](width=7)
     assert figure.get_figwidth() == 7.0
-    assert not style.crowded(figure, figure.axes)
+    assert not style.layout_problem(figure, figure.axes)
 
 
 def test_a_figure_too_narrow_for_its_words_is_refused() -> None:

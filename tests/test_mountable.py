@@ -93,7 +93,7 @@ def test_each_mounts_drives_and_draws(name: str, monkeypatch: pytest.MonkeyPatch
     assert all(joint.startswith(f"{name}/") for joint in list(robot.model.names)[BODY_JOINT + 1 :])
     # Building machine code of all takes minutes; test_linkage has it of some.
     refused = mock.Mock(side_effect=NotTraceable("not", "asked for"))
-    monkeypatch.setattr(verification, "by_machine_code", refused)
+    monkeypatch.setattr(verification, "compiled_dynamics", refused)
     assert pm.verify(robot, states=2).passed
     if robot.nv > 3:
         assert_agrees(robot)

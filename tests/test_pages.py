@@ -9,7 +9,7 @@ import matplotlib
 import numpy as np
 import pytest
 
-from pinmobile.cli.scenario_file import Opened
+from pinmobile.cli.scenario_file import LoadedFile
 
 SITE = Path(__file__).parents[1] / "docs" / "site"
 PAGES = {
@@ -61,4 +61,4 @@ def test_a_scenario_on_a_page_is_one(page: str, tmp_path: Path) -> None:
             continue
         file = tmp_path / f"{k}.toml"
         file.write_text(text)
-        assert Opened([str(file)]).written()
+        assert LoadedFile([str(file)]).to_toml()

@@ -31,7 +31,7 @@ from pinmobile import (
     law,
     simulate,
 )
-from pinmobile.cli.scenario_file import Opened
+from pinmobile.cli.scenario_file import LoadedFile
 from pinmobile.errors import UnknownName
 from pinmobile.loop import LoopStepper
 from pinmobile.parts import evolved
@@ -53,7 +53,7 @@ def scenario(controller: Any = None, trajectory: Any = CIRCLE, **options: Any) -
 
 
 def shipped(name: str, *words: str) -> Scenario:
-    return evolved(Opened([name, *words]).content, n=1, spread={}, grid={}, cases={}).scenario()  # type: ignore[no-any-return]
+    return evolved(LoadedFile([name, *words]).content, n=1, spread={}, grid={}, cases={}).scenario()  # type: ignore[no-any-return]
 
 
 NOISY = MeasurementNoise(

@@ -25,7 +25,7 @@ from pinmobile.controllers import PD, ComputedTorque, law
 from pinmobile.errors import InvalidArgument, UnknownName
 from pinmobile.loop import Rollout, simulate
 from pinmobile.paths import Circle, CubicVia, Hold
-from pinmobile.plots.style import si
+from pinmobile.plots.style import format_si
 from pinmobile.robot import MobileRobot
 from pinmobile.trajectories import FixedHeading, Reference, Tangent, Trajectory
 from pinmobile.wheels import Coulomb, WheeledRobot, WheelTable
@@ -335,7 +335,7 @@ class TestFigures:
          (9.96e-6, "10 µm"), (3.5e-9, "3.5 nm"), (3.6e-11, "3.6e-11 m"), (3.55e-15, "0 m, within rounding")],
     )  # fmt: skip
     def test_sizes_are_written_with_two_digits(self, value: float, text: str) -> None:
-        assert si(value, "m") == text
+        assert format_si(value, "m") == text
 
 
 def gif(path: Path) -> tuple[list[Image.Image], list[int]]:

@@ -14,7 +14,7 @@ import pytest
 
 import pinmobile as pm
 from pinmobile.cli.identify import IdentifyPaths
-from pinmobile.cli.scenario_file import Opened, ScenarioFile, shipped
+from pinmobile.cli.scenario_file import LoadedFile, ScenarioFile, shipped_names
 from pinmobile.parts import Child, InvalidEntries, Reader, schema_of, write_text
 from pinmobile.wheels import MOTORS
 from tests.drawing import APART, PARTS, drawn
@@ -51,13 +51,13 @@ def test_a_part_is_the_same_after_toml_bit_for_bit(name: str) -> None:
     assert found
 
 
-@pytest.mark.parametrize("name", shipped())
+@pytest.mark.parametrize("name", shipped_names())
 def test_shipped_scenarios_run_and_are_the_same_after_they_are_written(name: str, tmp_path: Path) -> None:
-    opened = Opened([name])
+    opened = LoadedFile([name])
     file = tmp_path / "again.toml"
-    file.write_text(opened.written())
-    again = Opened([str(file)])
-    assert again.written() == opened.written()
+    file.write_text(opened.to_toml())
+    again = LoadedFile([str(file)])
+    assert again.to_toml() == opened.to_toml()
     short = {"duration": 3 * opened.content.dt}
     runs = [attrs.evolve(one.content, **short).simulate() for one in (opened, again)]
     assert runs[0].q.tobytes() == runs[1].q.tobytes()
@@ -83,7 +83,7 @@ amplitude = [1, 0,
 
 def problems(*words: str) -> str:
     with pytest.raises(pm.InvalidArgument) as caught:
-        Opened(words).points()
+        LoadedFile(words).points()
     return str(caught.value)
 
 
@@ -191,7 +191,7 @@ def tables(tree: Any) -> Iterator[dict[str, Any]]:
 def test_wrong_trees_are_refused_as_wrong_entries_and_nothing_else() -> None:
     rng, refused = random.Random(0), 0
     files = ["lecture", "rivals", "mecanum", "velocity", "ensemble", "differential"]
-    texts = [tomllib.loads(Opened([name]).written()) for name in files]
+    texts = [tomllib.loads(LoadedFile([name]).to_toml()) for name in files]
     for _ in range(250):
         try:
             Reader().root(ScenarioFile, mutated(rng.choice(texts), rng))
@@ -201,10 +201,10 @@ def test_wrong_trees_are_refused_as_wrong_entries_and_nothing_else() -> None:
 
 
 def test_paths_change_what_stands_there_and_names_what_is_new() -> None:
-    one = Opened(["controller.kp=9", "controller.robot.mass=25", "robot.com.x=0.1"]).content
+    one = LoadedFile(["controller.kp=9", "controller.robot.mass=25", "robot.com.x=0.1"]).content
     assert (one.controller.kp, one.controller.kd, one.robot.com[0]) == (9.0, 4.0, 0.1)
     assert one.controller.robot == attrs.evolve(one.robot, mass=25.0)  # believes in 25 kg, the rest is so
-    other = Opened(
+    other = LoadedFile(
         [
             "controller=InputSaturation(PD((1, 2, 3), kd=4), [20, inf, 5])",
             "forces.wind=ConstantForce((1, 0, 0))",
@@ -216,12 +216,12 @@ def test_paths_change_what_stands_there_and_names_what_is_new() -> None:
 
 
 def test_the_robot_of_the_file_stands_for_models_that_are_not_given() -> None:
-    one = Opened(["differential", "robot.table.wheels.left.radius=0.11", "robot.robot.mass=20"]).content
+    one = LoadedFile(["differential", "robot.table.wheels.left.radius=0.11", "robot.robot.mass=20"]).content
     assert isinstance(one.controller, pm.Backstepping)
     assert one.controller.robot is one.robot
     assert [wheel.radius for wheel in one.robot.table.wheels] == [0.11, 0.1]
     assert one.robot.robot.mass == 20
-    by = Opened(
+    by = LoadedFile(
         ["differential", "controller=OdometryFeedback(Backstepping(UnicycleTracking()), ticks=1024)"]
     ).content
     assert by.controller.table is by.robot.table
@@ -234,21 +234,21 @@ def test_robots_of_files_and_lists_of_parts_are_stated(tmp_path: Path) -> None:
         "controller=WheelSpeed(UnicycleTracking(), kp=1)",
         "forces=[ConstantForce((1, 0, 0)), PayloadForce(3, (0, 0), 0)]",
     )
-    opened = Opened([f"robot={text}", "robot.table.wheels.wheel_0.radius=0.2", *laws])
+    opened = LoadedFile([f"robot={text}", "robot.table.wheels.wheel_0.radius=0.2", *laws])
     assert opened.content.robot.ground.slips
     assert [wheel.radius for wheel in opened.content.robot.table.wheels][:2] == [0.2, 0.1651]
     assert opened.content.forces[1].mass == 3
-    (tmp_path / "again.toml").write_text(opened.written())
-    again = Opened([str(tmp_path / "again.toml")])
-    assert (again.written(), again.content.robot) == (opened.written(), opened.content.robot)
+    (tmp_path / "again.toml").write_text(opened.to_toml())
+    again = LoadedFile([str(tmp_path / "again.toml")])
+    assert (again.to_toml(), again.content.robot) == (opened.to_toml(), opened.content.robot)
 
 
 def test_grids_and_cases_change_what_they_name_and_no_model() -> None:
     with pytest.raises(
         pm.InvalidArgument, match=r"robot\.mass is an axis of the grid too, expected one of them"
     ):
-        Opened(["rivals", "grid.mass=[30, 40]"]).points()
-    points = Opened(
+        LoadedFile(["rivals", "grid.mass=[30, 40]"]).points()
+    points = LoadedFile(
         [
             "rivals",
             "grid.mass=[30, 40]",
@@ -269,14 +269,14 @@ def test_grids_and_cases_change_what_they_name_and_no_model() -> None:
 def test_text_makes_what_python_makes() -> None:
     table = "WheelTable.mecanum(0.4, 0.5, radius=0.1, motor=wheels.MOTORS['pololu_37d_50_12v'])"
     text = f"WheeledRobot(MobileRobot(30, 1.3), {table})"
-    made = Opened([f"robot={text}", "controller.kp=25"]).content.robot
-    volts = Opened([f"robot={text}.by_voltage()", "controller=TorqueToVoltage(ComputedTorque())"]).content
+    made = LoadedFile([f"robot={text}", "controller.kp=25"]).content.robot
+    volts = LoadedFile([f"robot={text}.by_voltage()", "controller=TorqueToVoltage(ComputedTorque())"]).content
     assert isinstance(made, pm.WheeledRobot)
     assert made.table.source == pm.WheelTable.mecanum(0.4, 0.5, 0.1).source
     assert made.table.wheels[0].motor == MOTORS["pololu_37d_50_12v"]
     assert volts.robot == made.by_voltage()
     assert volts.controller.controller.robot == made
-    alone = Opened(["robot=WheelTable.differential(0.5, 0.1)"], kind=IdentifyPaths)
+    alone = LoadedFile(["robot=WheelTable.differential(0.5, 0.1)"], kind=IdentifyPaths)
     assert alone.content.robot == pm.WheelTable.differential(0.5, 0.1)
 
 
@@ -328,16 +328,16 @@ def test_users_parts_run_where_they_are_allowed(tmp_path: Path) -> None:
     )
     file.write_text(lines)
     assert "runs only with --allow-code" in problems(str(file))
-    opened = Opened([str(file), "controller.gain=16"], allow_code=True)
+    opened = LoadedFile([str(file), "controller.gain=16"], allow_code=True)
     assert opened.content.controller.gain == 16
     assert opened.content.simulate().max_error()[0] < 0.1
     around = "controller=parts_of_mine:Slow(parts_of_mine:Pull(9), share=0.8)"
     for one in (
         opened,
-        Opened([str(file), around.replace("parts_of_mine:Pull(9)", "PD(9, 9)")], allow_code=True),
+        LoadedFile([str(file), around.replace("parts_of_mine:Pull(9)", "PD(9, 9)")], allow_code=True),
     ):
-        (tmp_path / "again.toml").write_text(one.written())
-        assert Opened([str(tmp_path / "again.toml")], allow_code=True).written() == one.written()
+        (tmp_path / "again.toml").write_text(one.to_toml())
+        assert LoadedFile([str(tmp_path / "again.toml")], allow_code=True).to_toml() == one.to_toml()
         assert one.content.simulate().max_error()[0] < 0.3
     for old, new, said in (
         ("gain = 9", "gain = -9", "controller.gain is -9, expected a number > 0 [N/m]"),
@@ -348,7 +348,7 @@ def test_users_parts_run_where_they_are_allowed(tmp_path: Path) -> None:
     ):
         file.write_text(lines.replace(old, new))
         with pytest.raises(pm.InvalidArgument, match=r".") as caught:
-            Opened([str(file)], allow_code=True)
+            LoadedFile([str(file)], allow_code=True)
         assert said in str(caught.value)
 
 

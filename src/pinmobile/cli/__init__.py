@@ -47,7 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # _run imports its modules itself, so that an interrupt during an import ends quietly.
         return _run(arguments)
     except KeyboardInterrupt:
-        return _refuse("interrupted", _INTERRUPTED)
+        return _print_error("interrupted", _INTERRUPTED)
     finally:
         if is_main:
             signal.signal(signal.SIGTERM, before or signal.SIG_DFL)
@@ -62,47 +62,47 @@ def _run(arguments: Sequence[str] | None) -> int:
     words = list(sys.argv[1:] if arguments is None else arguments) or ["--help"]
     pages = {verb: page for verbs in TASKS.values() for verb, page in verbs.items()}
 
-    def wrong(text: str) -> int:
+    def reject(text: str) -> int:
         """Print what is wrong, a line each, and the page of the verb."""
         page = pages.get(words[0], "howto/headless")
-        return max(map(_refuse, [*text.splitlines(), f"page of the documentation: {page}"]))
+        return max(map(_print_error, [*text.splitlines(), f"page of the documentation: {page}"]))
 
     try:
         with warnings.catch_warnings():
-            warnings.showwarning = _note
+            warnings.showwarning = _print_warning
             code = app(args=words, prog_name="pinmobile", standalone_mode=False)
         sys.stdout.flush()
     except typer.TyperException as error:
-        return wrong(f"{error.format_message()} (see 'pinmobile --help' or 'pinmobile COMMAND --help')")
+        return reject(f"{error.format_message()} (see 'pinmobile --help' or 'pinmobile COMMAND --help')")
     except (Diverged, FileError, SchedulerError) as error:
-        return _refuse(str(error), 1)
+        return _print_error(str(error), 1)
     except PinmobileError as error:
         text = str(error)
-        return _refuse(text, _INTERRUPTED) if text.startswith("interrupted") else wrong(text)
+        return _print_error(text, _INTERRUPTED) if text.startswith("interrupted") else reject(text)
     except typer.Abort:
-        return _refuse("interrupted", _INTERRUPTED)
+        return _print_error("interrupted", _INTERRUPTED)
     except BrokenPipeError:
         # The reader has closed the pipe, for example `| head`.
-        _silence()
+        _discard_output()
         return 0
     except OSError as error:
         # Errors of files are FileError: this one is about the console, such as a full disk behind `>`.
-        _silence()
-        return _refuse(f"the output cannot be written: {error}", 1)
-    return _refuse("interrupted", _INTERRUPTED) if code == _INTERRUPTED else int(code or 0)
+        _discard_output()
+        return _print_error(f"the output cannot be written: {error}", 1)
+    return _print_error("interrupted", _INTERRUPTED) if code == _INTERRUPTED else int(code or 0)
 
 
-def _silence() -> None:
+def _discard_output() -> None:
     """Discard the remaining output, so that Python does not fail at its end."""
     with suppress(UnsupportedOperation):  # the output is not a file
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def _note(message: Warning | str, *where: object, **more: object) -> None:
+def _print_warning(message: Warning | str, *_args: object, **_options: object) -> None:
     """Print a warning as one line, without its place in the library."""
     print(f"pinmobile: {' '.join(str(message).split())}", file=sys.stderr)
 
 
-def _refuse(message: str, code: int = 2) -> int:
+def _print_error(message: str, code: int = 2) -> int:
     print(f"pinmobile: {' '.join(message.split())}", file=sys.stderr)
     return code

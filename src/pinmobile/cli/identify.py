@@ -11,23 +11,23 @@ import attrs
 
 from pinmobile import InvalidArgument, Log, identify, identify_velocity, plots
 from pinmobile.cli.output import begin, console, output_folder, progress, save_figure
-from pinmobile.cli.scenario_file import Opened
+from pinmobile.cli.scenario_file import LoadedFile
 from pinmobile.identification import METHODS
 from pinmobile.parts import child, number, option, parameters, part
 
-_COMMANDS = 2  # number of inputs of a robot with velocity inputs
+_COMMAND_COUNT = 2  # number of inputs of a robot with velocity inputs
 
 
-def _names(name: str, value: Any) -> dict[str, Any]:
+def _roles(name: str, value: Any) -> dict[str, Any]:
     """Return names by role; several names are a list, or text with commas."""
     if not isinstance(value, Mapping):
         raise InvalidArgument(
             f"{name} is {value!r}, expected {name}.ROLE=NAME,NAME, such as {name}.q=px,py,angle"
         )
-    return {role: _listed(names) for role, names in value.items()}
+    return {role: _split_names(names) for role, names in value.items()}
 
 
-def _listed(names: Any) -> Any:
+def _split_names(names: Any) -> Any:
     return names.split(",") if isinstance(names, str) and "," in names else names
 
 
@@ -57,7 +57,7 @@ class IdentifyPaths:
 
     robot: Any = child(object, optional=True, doc="robot, or its wheels alone", expected="a robot or wheels")
     loads: Any = attrs.field(default=None)
-    by: Any = option(default=(), check=lambda _, x: _listed(x), doc="numbers to estimate: NAME,NAME")
+    by: Any = option(default=(), check=lambda _, x: _split_names(x), doc="numbers to estimate: NAME,NAME")
     method: str = option(default=METHODS[0], doc=f"method: {' or '.join(METHODS)}")
     delay: Any = number(default=None, optional=True, unit="s", doc="delay of poses relative to inputs")
     wheelbase: Any = number(default=None, optional=True, unit="m", doc="distance between the axles of a car")
@@ -67,9 +67,9 @@ class IdentifyPaths:
         doc="speed at which dry friction has 71 % of its size",
     )
     columns: Any = option(
-        default=None, check=_names, doc="columns of a CSV file by role: t, q, u, twist, wheel_rates, joints"
+        default=None, check=_roles, doc="columns of a CSV file by role: t, q, u, twist, wheel_rates, joints"
     )
-    topics: Any = option(default=None, check=_names, doc="topics of a bag or MCAP file by role")
+    topics: Any = option(default=None, check=_roles, doc="topics of a bag or MCAP file by role")
 
 
 def show_identification(words: Sequence[str], out: Path) -> int:
@@ -85,40 +85,40 @@ def show_identification(words: Sequence[str], out: Path) -> int:
     paths = [Path(word) for word in words if "=" not in word]
     if not paths:
         raise InvalidArgument("LOG is missing, expected at least one file, such as run.csv")
-    known = Opened([word for word in words if "=" in word], kind=IdentifyPaths).content
+    given = LoadedFile([word for word in words if "=" in word], kind=IdentifyPaths).content
     folder = output_folder(out)
-    logs = [_read(path, known) for path in paths]
+    logs = [_load_log(path, given) for path in paths]
     log, path = max(zip(logs, paths, strict=True), key=lambda each: len(each[0]))
-    are_commands = log.u.shape[1] == _COMMANDS and known.robot is None
-    loads = known.loads and [None if each == "none" else each for each in known.loads]
-    with progress(2) as bar, _named(paths):
+    are_commands = log.u.shape[1] == _COMMAND_COUNT and given.robot is None
+    loads = given.loads and [None if each == "none" else each for each in given.loads]
+    with progress(2) as bar, _name_files(paths):
         begin(bar, "identifying")
         if are_commands:
             for name in ("by", "loads", "rolling_speed"):
-                if getattr(known, name) not in (None, ()):
+                if getattr(given, name) not in (None, ()):
                     raise InvalidArgument(f"{name} does not apply to a log of commands of speed and yaw rate")
-            found: Any = identify_velocity(logs, delay=known.delay, wheelbase=known.wheelbase)
+            result: Any = identify_velocity(logs, delay=given.delay, wheelbase=given.wheelbase)
         else:
-            own = {name: getattr(known, name) for name in ("by", "method", "delay", "rolling_speed")}
-            found = identify(logs, known.robot, loads=loads, **own)
+            numbers = {name: getattr(given, name) for name in ("by", "method", "delay", "rolling_speed")}
+            result = identify(logs, given.robot, loads=loads, **numbers)
         begin(bar, "drawing")
-        prediction, figure = found.predict(log), folder / f"{path.stem}.png"
+        prediction, figure = result.predict(log), folder / f"{path.stem}.png"
         save_figure(plots.prediction(prediction, title=f"{path.name}: measured and predicted"), figure)
-    for text in ([] if known.robot is None else [f"robot: {known.robot!r}"]) + [str(found), str(prediction)]:
+    for text in ([] if given.robot is None else [f"robot: {given.robot!r}"]) + [str(result), str(prediction)]:
         console.print(text, markup=False)
     console.print(f"measured and predicted: open {figure}", markup=False)
     return 0
 
 
-def _read(path: Path, known: IdentifyPaths) -> Log:
-    with _named([path]):
-        if known.topics or path.suffix == ".mcap":
-            return Log.from_bag(path, known.topics or None)
-        return Log.from_csv(path, known.columns)
+def _load_log(path: Path, given: IdentifyPaths) -> Log:
+    with _name_files([path]):
+        if given.topics or path.suffix == ".mcap":
+            return Log.from_bag(path, given.topics or None)
+        return Log.from_csv(path, given.columns)
 
 
 @contextmanager
-def _named(paths: Sequence[Path]) -> Iterator[None]:
+def _name_files(paths: Sequence[Path]) -> Iterator[None]:
     """Replace the names of logs in errors by the names of their files."""
     try:
         yield
@@ -130,5 +130,5 @@ def _named(paths: Sequence[Path]) -> Iterator[None]:
         for k, path in enumerate(paths):
             text = text.replace(f"log[{k}]", "log" if index == str(k) else repr(str(path)))
         files = ", ".join(repr(str(path)) for path in ([paths[int(index)]] if index.isdigit() else paths))
-        told = text.removeprefix("path is ").removeprefix(files) if name == "path" else f": {text}"
-        raise InvalidArgument(f"LOG is {files}{told}", argument="LOG") from error
+        ending = text.removeprefix("path is ").removeprefix(files) if name == "path" else f": {text}"
+        raise InvalidArgument(f"LOG is {files}{ending}", argument="LOG") from error

@@ -38,7 +38,7 @@ from pinmobile.cli.output import (
     save_figure,
 )
 from pinmobile.cli.results import FIGURES, check_film, draw, save_film
-from pinmobile.cli.scenario_file import Opened
+from pinmobile.cli.scenario_file import LoadedFile
 from pinmobile.controllers import plain_difference, planar_difference
 from pinmobile.files import write
 from pinmobile.integrators import constant_acceleration
@@ -67,12 +67,12 @@ _PATHS: dict[str, Any] = {
 }
 _LABELS = "PD", "computed torque"
 _GAINS = (120.0, 120.0, 0.4)
-_TURN_TIME, _OFF, _OFFSET = 2.0, 0.3, (0.1, 0.05)  # [s], [m], [m]
+_TURN_TIME, _OFFSET, _COM_OFFSET = 2.0, 0.3, (0.1, 0.05)  # [s], [m], [m]
 _STEPS = Picture("derivation.txt", "Every step of the derivation.")
 _WHEELS = Picture(
     "wheels.png",
-    f"{_OFF:g} m beside the path at the start: the free body slides back; on wheels PD does not come back, "
-    "for no wheel pushes sideways, and backstepping steers back.",
+    f"{_OFFSET:g} m beside the path at the start: the free body slides back; on wheels PD does not come "
+    "back, for no wheel pushes sideways, and backstepping steers back.",
 )
 Runs = dict[tuple[str, str], Rollout]
 
@@ -97,10 +97,10 @@ def show_verification(words: Sequence[str], states: int, *, allow_code: bool) ->
     from pinmobile import verify
 
     # Away from the lecture's com = (0, 0), where half of the terms vanish.
-    opened = Opened(words or [f"robot=MobileRobot(10, 1.2, {(0.15, 0.05)})"], allow_code=allow_code)
+    file = LoadedFile(words or [f"robot=MobileRobot(10, 1.2, {(0.15, 0.05)})"], allow_code=allow_code)
     with progress(1, "deriving and comparing"):
-        verification = verify(opened.content.robot, states=states)
-    console.print(f"{opened.content.robot}\n{verification}", markup=False)
+        verification = verify(file.content.robot, states=states)
+    console.print(f"{file.content.robot}\n{verification}", markup=False)
     console.print(
         "all methods agree" if verification.passed else "verification failed: see the rows marked DIFFERS"
     )
@@ -111,37 +111,37 @@ def show_derivation(words: Sequence[str], *, latex: bool, allow_code: bool) -> i
     """Print the derivation of the robot's DH table, or of wheels with its mobility."""
     from pinmobile import derivation
 
-    robot = Opened(words, allow_code=allow_code).content.robot
+    robot = LoadedFile(words, allow_code=allow_code).content.robot
     with progress(1, "deriving"):
         if isinstance(robot, WheeledRobot):
             kind = robot.mobility.mobility, robot.mobility.steerability
-            known = {
+            by_type = {
                 (2, 0): derivation.differential_drive,
                 (3, 0): derivation.roller_drive,
                 (1, 1): derivation.car,
             }
-            if kind not in known:
+            if kind not in by_type:
                 raise InvalidArgument(
-                    f"robot has wheels of type {kind}, expected {', '.join(map(str, known))}: a differential "
-                    "drive, wheels with rollers, or a car"
+                    f"robot has wheels of type {kind}, expected {', '.join(map(str, by_type))}: a "
+                    "differential drive, wheels with rollers, or a car"
                 )
-            found: Any = known[kind]()
+            result: Any = by_type[kind]()
         elif robot.mounts:
-            found = _derived(robot)
+            result = _derive_chain(robot)
         else:
-            found = derivation.lecture(robot.dh)
+            result = derivation.lecture(robot.dh)
     # Not by the console, which would break the lines of LaTeX.
-    print(found.document() if latex else found)
+    print(result.document() if latex else result)
     return 0
 
 
-def _derived(robot: Any) -> "Derivation":
+def _derive_chain(robot: Any) -> "Derivation":
     """Return the derivation of a chain of base and arm, with symbols for the bodies' numbers but zeros."""
     import sympy
 
     from pinmobile.derivation import Link, derive
 
-    def named(values: Any, names: Sequence[str]) -> list[Any]:
+    def symbols(values: Any, names: Sequence[str]) -> list[Any]:
         return [sympy.Symbol(name) if value else 0 for name, value in zip(names, values, strict=True)]
 
     table = robot.chain
@@ -155,12 +155,12 @@ def _derived(robot: Any) -> "Derivation":
     links: list[Any] = [None, None]
     for k, (mass, com, inertia) in enumerate(solids, start=3):
         upper = [(i, j) for i in range(3) for j in range(i, 3)]
-        moments = named([inertia[at] for at in upper], [f"I_{'xyz'[i]}{'xyz'[j]}{k}" for i, j in upper])
-        full = sympy.zeros(3)
+        moments = symbols([inertia[ij] for ij in upper], [f"I_{'xyz'[i]}{'xyz'[j]}{k}" for i, j in upper])
+        tensor = sympy.zeros(3)
         for (i, j), moment in zip(upper, moments, strict=True):
-            full[i, j] = full[j, i] = moment
-        place = named(com, [f"{axis}_c{k}" for axis in "xyz"])
-        links.append(Link(sympy.Symbol(f"m{k}") if mass else 0, place, full))
+            tensor[i, j] = tensor[j, i] = moment
+        center = symbols(com, [f"{axis}_c{k}" for axis in "xyz"])
+        links.append(Link(sympy.Symbol(f"m{k}") if mass else 0, center, tensor))
     gravity = (0, 0, -sympy.Symbol("g"))
     return derive(table, links, order=("x", "y", "psi", *table.variables[3:]), gravity=gravity)
 
@@ -174,94 +174,94 @@ def show_lecture(out: Path, *, gif: bool, mp4: bool) -> int:
         check_film(folder / "film.mp4")
     with progress(6 + len(_PATHS) * (len(FIGURES) + 1 + gif + mp4)) as bar:
         begin(bar, "deriving")
-        derived = derivation.lecture()
+        result = derivation.lecture()
         console.print("[bold]1  Derivation[/bold], from the DH table by recursive Newton-Euler")
-        console.print(_equations(derived), markup=False)
+        console.print(_format_equations(result), markup=False)
         begin(bar, "verifying")
         # Away from the lecture's com = (0, 0), where half of the terms vanish.
-        verification = verify(MobileRobot(robot.mass, robot.yaw_inertia, com=_OFFSET))
-        console.print(f"\n[bold]2  Verification[/bold], with the centre of mass at {_OFFSET} m")
+        verification = verify(MobileRobot(robot.mass, robot.yaw_inertia, com=_COM_OFFSET))
+        console.print(f"\n[bold]2  Verification[/bold], with the centre of mass at {_COM_OFFSET} m")
         console.print(str(verification), markup=False)
         begin(bar, "simulating")
         keys = [(path, label) for path in _PATHS for label in _LABELS]
-        lecture_runs, right_runs = (
+        lecture_runs, corrected_runs = (
             {key: simulate(**_loop(*key, corrected=corrected)) for key in keys} for corrected in (False, True)
         )
         console.print("\n[bold]3  Six closed loops[/bold], m = 30 kg, Icz = 0.1 kg m^2, dt = 0.1 s, 60 s")
-        table, same = _table(lecture_runs, right_runs)
+        table, agree = _format_errors(lecture_runs, corrected_runs)
         console.print(table, markup=False)
         begin(bar, "rolling")
-        rolled, beside = _on_wheels()
+        wheel_text, shifted = _compare_wheels()
         console.print("\n[bold]4  On wheels[/bold], those of a differential drive")
-        console.print(rolled, markup=False)
+        console.print(wheel_text, markup=False)
         begin(bar, "drawing")
-        sections = _sections(folder, lecture_runs, right_runs, bar, gif=gif, mp4=mp4)
+        sections = _write_sections(folder, lecture_runs, corrected_runs, bar, gif=gif, mp4=mp4)
         begin(bar, "drawing wheels")
         save_figure(
-            plots.path(beside, title=f"{_OFF:g} m beside the path at the start"), folder / _WHEELS.file
+            plots.path(shifted, title=f"{_OFFSET:g} m beside the path at the start"), folder / _WHEELS.file
         )
-    write(folder / "derivation.txt", str(derived).encode("utf-8"))
+    write(folder / "derivation.txt", str(result).encode("utf-8"))
     texts = [
-        Section("1  Derivation: M(q) and n(q, v)", _equations(derived), pages=[_STEPS]),
-        Section(f"2  Verification, with the centre of mass at {_OFFSET} m", str(verification)),
+        Section("1  Derivation: M(q) and n(q, v)", _format_equations(result), pages=[_STEPS]),
+        Section(f"2  Verification, with the centre of mass at {_COM_OFFSET} m", str(verification)),
         Section("3  Six closed loops", table),
-        Section("4  On wheels: what they change", rolled, [_WHEELS]),
+        Section("4  On wheels: what they change", wheel_text, [_WHEELS]),
     ]
     page = index_page(folder, "The lecture: a mobile robot as a DH chain", [*texts, *sections])
-    console.print(f"\n{_summary(verification, same)}", markup=False)
+    console.print(f"\n{_summary(verification, agree)}", markup=False)
     console.print(f"every step of the derivation: {folder / 'derivation.txt'}", markup=False)
     console.print(f"figures: open {page}\nsee it move: open {folder / 'circle.html'}", markup=False)
-    return 0 if same and verification.passed else 1
+    return 0 if agree and verification.passed else 1
 
 
-def _equations(derived: "Derivation") -> str:
+def _format_equations(derivation: "Derivation") -> str:
     """Return the distinct entries of M(q) and n(q, v), one line each."""
     import sympy
 
-    M, n = derived.mass_matrix, derived.nonlinear_effects
+    M, n = derivation.mass_matrix, derivation.nonlinear_effects
     names = ("x", "y", "psi")
     entries = {f"M[{names[i]}, {names[j]}]": M[i, j] for i in range(3) for j in range(i, 3)}
     entries |= {f"n[{name}]": entry for name, entry in zip(names, n, strict=True)}
     return "\n".join(f"  {name:11} = {sympy.sstr(entry)}" for name, entry in entries.items())
 
 
-def _table(lecture: Runs, right: Runs) -> tuple[str, bool]:
+def _format_errors(lecture: Runs, corrected: Runs) -> tuple[str, bool]:
     """Return a table of the largest errors beside those of the lecture, and whether all agree."""
-    found = {key: tuple(map(error_text, run.max_error())) for key, run in lecture.items()}
-    same = all(found[key][:2] == expected for key, expected in EXPECTED.items())
+    texts = {key: tuple(map(error_text, run.max_error())) for key, run in lecture.items()}
+    agree = all(texts[key][:2] == expected for key, expected in EXPECTED.items())
     head = ("trajectory", "controller", "x [m]", "lecture", "y [m]", "lecture")
     lines = ["largest |error|", "{:10} {:15} {:>12} {:>12} {:>13} {:>12}".format(*head)]
     for key, (x, y) in EXPECTED.items():
-        mark = "" if found[key][:2] == (x, y) else "  DIFFERS"
-        lines.append(f"{key[0]:10} {key[1]:15} {found[key][0]:>12} {x:>12} {found[key][1]:>13} {y:>12}{mark}")
+        mark = "" if texts[key][:2] == (x, y) else "  DIFFERS"
+        lines.append(f"{key[0]:10} {key[1]:15} {texts[key][0]:>12} {x:>12} {texts[key][1]:>13} {y:>12}{mark}")
     lines += [
         "",
         "with the lecture's heading, and with that put right, which the figures show:",
         f"{'trajectory':10} {_HEAD}",
     ]
-    lines += [f"{path:10} {row}" for path in _PATHS for row in _both(path, lecture, right)]
+    lines += [f"{path:10} {row}" for path in _PATHS for row in _error_rows(path, lecture, corrected)]
     lines += [
         "the lecture's heading jumps where the robot rests; put right, it follows the",
         f"tangent's limits, and turns on the spot for {_TURN_TIME:g} s where the path bends at rest",
     ]
-    return "\n".join(lines), same
+    return "\n".join(lines), agree
 
 
 _ROW = "{:15} {:9} {:>4} {:>12} {:>12} {:>12}"
 _HEAD = _ROW.format("controller", "heading", "time", "x [m]", "y [m]", "psi [rad]")
 
 
-def _both(path: str, lecture: Runs, right: Runs) -> list[str]:
+def _error_rows(path: str, lecture: Runs, corrected: Runs) -> list[str]:
     """Return the largest errors on a path with the heading of the lecture and the corrected one, as rows."""
     return [
         _ROW.format(label, heading, f"{runs[path, label].t[-1]:g} s", *map(error_text, errors))
         for label in _LABELS
-        for heading, runs in (("lecture's", lecture), ("put right", right))
+        for heading, runs in (("lecture's", lecture), ("put right", corrected))
         for errors in [runs[path, label].max_error()]
     ]
 
 
-def _on_wheels() -> tuple[str, dict[str, Rollout]]:
+def _compare_wheels() -> tuple[str, dict[str, Rollout]]:
     """Return a comparison with a differential drive as text, and runs that start beside a path."""
     table = WheelTable.differential(
         0.3, 0.1, supports=[(0.2, 0), (-0.2, 0)], mass=0.5, spin_inertia=2.5e-3, yaw_inertia=1.3e-3
@@ -271,52 +271,52 @@ def _on_wheels() -> tuple[str, dict[str, Rollout]]:
     columns = f"{'on path':>10} {'beside':>10}"
     lines = [
         "heading along the tangent; track 0.3 m, radius 0.1 m; distance from path [m]:",
-        f"the largest, and what is left at the end of a start {_OFF:g} m beside it",
+        f"the largest, and what is left at the end of a start {_OFFSET:g} m beside it",
         head,
         f"{'trajectory':10} {'controller':23} {columns}   {columns}",
     ]
-    shown: dict[str, Rollout] = {}
+    runs: dict[str, Rollout] = {}
     for path in _PATHS:
         for label in _LABELS:
-            loop, pd = _loop(path, label, corrected=True), label == "PD"
+            loop, is_pd = _loop(path, label, corrected=True), label == "PD"
             law: Any = (
                 ControlAllocation(loop["controller"], wheeled)
-                if pd
+                if is_pd
                 else Backstepping(UnicycleTracking(), wheeled, k=4)
             )
-            rolled = loop | {
+            wheel_loop = loop | {
                 "plant": wheeled,
                 "controller": law,
                 "integrator": None,
                 "engine": Engine.COMPILED,
             }
-            found, beside = zip(*(_on_and_beside(one) for one in (loop, rolled)), strict=True)
-            numbers = (f"{on:10.1e} {off:10.1e}" for on, off in found)
-            lines.append(f"{path:10} {label if pd else f'{label}*':23} {'   '.join(numbers)}")
+            errors, offset = zip(*(_path_errors(one) for one in (loop, wheel_loop)), strict=True)
+            numbers = (f"{largest:10.1e} {final:10.1e}" for largest, final in errors)
+            lines.append(f"{path:10} {label if is_pd else f'{label}*':23} {'   '.join(numbers)}")
             if path == "via stop":
-                shown |= {"PD, on wheels": beside[1]} if pd else {"computed torque, free": beside[0]}
-                shown |= {} if pd else {"backstepping, on wheels": beside[1]}
+                runs |= {"PD, on wheels": offset[1]} if is_pd else {"computed torque, free": offset[0]}
+                runs |= {} if is_pd else {"backstepping, on wheels": offset[1]}
     lines += ["* on wheels: backstepping with k = 4 1/s, for no torques are the inverse dynamics", ""]
     lines += [
         "Wheels carry the force across the axle that PD lacks on a curve, and give none",
         "to come back; backstepping steers back. What wheels cannot follow is refused:",
-        *textwrap.wrap(_refused(wheeled), 79),
+        *textwrap.wrap(_heading_error(wheeled), 79),
     ]
-    return "\n".join(lines), shown
+    return "\n".join(lines), runs
 
 
-def _on_and_beside(loop: dict[str, Any]) -> tuple[tuple[float, float], Rollout]:
+def _path_errors(loop: dict[str, Any]) -> tuple[tuple[float, float], Rollout]:
     """Return the largest distance from the path, the final distance after a start beside it, and this run."""
     run = simulate(**loop)
     x, y, psi = run.q[0, :3]
     q0 = run.q[0].copy()
-    q0[:2] = x - _OFF * math.sin(psi), y + _OFF * math.cos(psi)
-    beside = simulate(**loop, q0=q0, v0=run.v[0])
-    far, left = (np.hypot(*(one.reference.q - one.q[:, :3])[:, :2].T) for one in (run, beside))
-    return (float(far.max()), float(left[-1])), beside
+    q0[:2] = x - _OFFSET * math.sin(psi), y + _OFFSET * math.cos(psi)
+    offset = simulate(**loop, q0=q0, v0=run.v[0])
+    nominal, final = (np.hypot(*(one.reference.q - one.q[:, :3])[:, :2].T) for one in (run, offset))
+    return (float(nominal.max()), float(final[-1])), offset
 
 
-def _refused(wheeled: WheeledRobot) -> str:
+def _heading_error(wheeled: WheeledRobot) -> str:
     """Return the error for the heading of the lecture, which jumps at the start of the path."""
     try:
         simulate(
@@ -327,21 +327,21 @@ def _refused(wheeled: WheeledRobot) -> str:
     return ""
 
 
-def _summary(verification: "Verification", same: bool) -> str:
+def _summary(verification: "Verification", agree: bool) -> str:
     largest = ", ".join(f"{name} {value:.0e}" for name, value in verification.largest.items())
     methods = f"the methods {'' if verification.passed else 'do NOT '}agree; largest differences: {largest}"
-    if same:
+    if agree:
         return f"{methods}\nall twelve numbers are the lecture's, to every digit"
     return f"{methods}\nsome numbers are NOT the lecture's: see the rows marked DIFFERS"
 
 
-def _sections(
-    folder: Path, lecture: Runs, right: Runs, bar: Progress, *, gif: bool, mp4: bool
+def _write_sections(
+    folder: Path, lecture: Runs, corrected: Runs, bar: Progress, *, gif: bool, mp4: bool
 ) -> list[Section]:
     sections = []
     for number, trajectory in enumerate(_PATHS, start=5):
         name = trajectory.replace(" ", "-")
-        rollouts = {label: right[trajectory, label] for label in _LABELS}
+        rollouts = {label: corrected[trajectory, label] for label in _LABELS}
         pictures = draw(rollouts, folder, f"{name}-", bar)
         films = {"animation.gif": "The robot as it moves: PD, computed torque."} if gif else {}
         films |= {"film.mp4": "The robot in its scene as it moves."} if mp4 else {}
@@ -354,7 +354,7 @@ def _sections(
         save_film(rollouts, page, f"{trajectory.capitalize()}: PD and computed torque", bar, speed=4)
         title = f"{number}  {trajectory.capitalize()}: PD beside computed torque"
         pages = [Picture(page.name, "See it move: both robots in one scene.")]
-        rows = _both(trajectory, lecture, right)
+        rows = _error_rows(trajectory, lecture, corrected)
         text = "\n".join(["largest |error|; the figures show the heading that is put right", _HEAD, *rows])
         sections.append(Section(title, text, pictures, pages))
     return sections

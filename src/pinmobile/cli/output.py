@@ -42,15 +42,15 @@ class Section:
 
 
 @contextmanager
-def progress(total: int, what: str = "running") -> Iterator[Progress]:
+def progress(total: int, name: str = "running") -> Iterator[Progress]:
     """Show a progress bar with one task of `total` steps; without a terminal, write a line per minute."""
     columns = SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn()
     with Progress(*columns, console=console, transient=True) as bar:
-        bar.add_task(what, total=total)
-        task, ended = bar.tasks[0], Event()
+        bar.add_task(name, total=total)
+        task, stop = bar.tasks[0], Event()
 
         def write_lines() -> None:
-            while not ended.wait(_MINUTE):
+            while not stop.wait(_MINUTE):
                 share = f"{task.completed:,.0f} of {task.total or 0:,.0f}"
                 with suppress(OSError, ValueError):  # nobody reads
                     typer.echo(f"{task.description}: {share}, {task.elapsed or 0:.0f} s", err=True)
@@ -60,12 +60,12 @@ def progress(total: int, what: str = "running") -> Iterator[Progress]:
         try:
             yield bar
         finally:
-            ended.set()
+            stop.set()
 
 
-def begin(bar: Progress, what: str) -> None:
+def begin(bar: Progress, name: str) -> None:
     """Advance a progress bar by one step, and show the name of the next step."""
-    bar.update(bar.task_ids[0], description=what, advance=1)
+    bar.update(bar.task_ids[0], description=name, advance=1)
 
 
 def output_folder(path: Path, option: str = "--out", given: Path | None = None) -> Path:
@@ -107,14 +107,14 @@ def index_page(folder: Path, title: str, sections: Sequence[Section]) -> Path:
         body.append(f"<h2>{escape(section.title)}</h2>")
         if section.text:
             body.append(f"<pre>{escape(section.text)}</pre>")
-        for linked in section.pages:
-            body.append(f'<p><a href="{escape(linked.file)}">{escape(linked.caption)}</a></p>')
+        for link in section.pages:
+            body.append(f'<p><a href="{escape(link.file)}">{escape(link.caption)}</a></p>')
         for picture in section.pictures:
             file, caption = escape(picture.file), escape(picture.caption)
-            shown = f'<a href="{file}"><img src="{file}" alt="{caption}" loading="lazy"></a>'
+            element = f'<a href="{file}"><img src="{file}" alt="{caption}" loading="lazy"></a>'
             if picture.file.endswith(".mp4"):
-                shown = f'<video src="{file}" controls loop muted preload="metadata"></video>'
-            body.append(f"<figure>{shown}<figcaption>{caption}</figcaption></figure>")
+                element = f'<video src="{file}" controls loop muted preload="metadata"></video>'
+            body.append(f"<figure>{element}<figcaption>{caption}</figcaption></figure>")
     page = folder / "index.html"
     write(page, _PAGE.format(title=escape(title), body="\n".join(body)).encode("utf-8"))
     return page

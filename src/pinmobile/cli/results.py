@@ -34,15 +34,15 @@ from pinmobile.cli.output import (
     progress,
     save_figure,
 )
-from pinmobile.cli.scenario_file import Opened
+from pinmobile.cli.scenario_file import LoadedFile
 from pinmobile.loop import run_scenario
 from pinmobile.metrics import format_si, metrics_of
 from pinmobile.parts import evolved
 from pinmobile.plant import PlantDescription
 from pinmobile.sweeps import connect, run_points
 
-_FILM = 10.0  # [s] that a film lasts at most
-_MOST, _SHORT = 12, 160  # figures of a sweep, and letters of a robot
+_FILM_DURATION = 10.0  # [s] that a film lasts at most
+_MAX_FIGURES, _LIMIT = 12, 160  # figures of a sweep, and letters of a robot
 _UNITS = (("m", 1.0), ("mm", 1e-3), ("µm", 1e-6))
 
 FIGURES = {
@@ -51,7 +51,7 @@ FIGURES = {
     "errors": "Desired minus actual {} over time, angles on the circle.",
     "forces": "The inputs, constant between samples.",
 }
-_OTHERS = {
+_EXTRA_FIGURES = {
     "balance": "Tip-over margin, required friction, and the zero-moment point.",
     "reaction": "Force and moment of the arm on the base, at its mount.",
     "wheel_torques": "Torques of the wheels, and of the steering axes.",
@@ -64,19 +64,19 @@ _OTHERS = {
 
 def draw(rollouts: dict[str, Rollout], folder: Path, prefix: str, bar: Progress) -> list[Picture]:
     """Write the four figures of some rollouts, one step of the progress bar each."""
-    arms = any(len(run.labels) > 3 for run in rollouts.values())
-    drawn = "x, y, psi and each joint" if arms else "x, y and psi"
+    has_arms = any(len(run.labels) > 3 for run in rollouts.values())
+    coordinates = "x, y, psi and each joint" if has_arms else "x, y and psi"
     pictures = []
     for name, caption in FIGURES.items():
         begin(bar, f"drawing {prefix}{name}")
         save_figure(getattr(plots, name)(rollouts), folder / f"{prefix}{name}.png")
-        pictures.append(Picture(f"{prefix}{name}.png", caption.format(drawn)))
+        pictures.append(Picture(f"{prefix}{name}.png", caption.format(coordinates)))
     return pictures
 
 
-def _draw_others(run: Rollout, folder: Path, bar: Progress) -> list[Picture]:
+def _draw_extras(run: Rollout, folder: Path, bar: Progress) -> list[Picture]:
     pictures = []
-    for name, caption in _OTHERS.items():
+    for name, caption in _EXTRA_FIGURES.items():
         begin(bar, f"drawing {name}")
         with suppress(InvalidArgument):
             save_figure(getattr(plots, name)(run), folder / f"{name}.png")
@@ -87,13 +87,13 @@ def _draw_others(run: Rollout, folder: Path, bar: Progress) -> list[Picture]:
 def show_run(words: Sequence[str], out: Path, film: Path | None, *, allow_code: bool) -> int:
     """Run a loop, print its result, and write records, figures and their index, also for a diverged run."""
     check_film(film)
-    opened = Opened(words, allow_code=allow_code, unused=("spread", "grid", "cases"))
+    file = LoadedFile(words, allow_code=allow_code, unused=("spread", "grid", "cases"))
     folder = output_folder(out)
     diverged: Diverged | None = None
-    with progress(3 + len(FIGURES) + len(_OTHERS)) as bar:
+    with progress(3 + len(FIGURES) + len(_EXTRA_FIGURES)) as bar:
         begin(bar, "simulating")
         try:
-            rollout = opened.content.simulate()
+            rollout = file.content.simulate()
         except Diverged as error:
             if error.rollout is None:
                 raise
@@ -101,39 +101,39 @@ def show_run(words: Sequence[str], out: Path, film: Path | None, *, allow_code: 
         begin(bar, "recording")
         rollout.save(folder / "rollout.npz")
         rollout.to_csv(folder / "rollout.csv")
-        pictures = draw({opened.title: rollout}, folder, "", bar) + _draw_others(rollout, folder, bar)
+        pictures = draw({file.title: rollout}, folder, "", bar) + _draw_extras(rollout, folder, bar)
         if film is not None:
             begin(bar, "filming")
-            save_film({opened.title: rollout}, film, opened.title, bar)
+            save_film({file.title: rollout}, film, file.title, bar)
     text = "\n".join([str(rollout), *_metrics(rollout)])
     if diverged is not None:
         text = f"{diverged}\n\nup to there:\n{text}"
-    robot = str(opened.content.robot)
-    console.print(f"robot: {robot if len(robot) < _SHORT else f'{robot[:_SHORT]}...'}\n{text}", markup=False)
-    page = index_page(folder, opened.title, [Section("Results", text, pictures), _source(opened)])
+    robot = str(file.content.robot)
+    console.print(f"robot: {robot if len(robot) < _LIMIT else f'{robot[:_LIMIT]}...'}\n{text}", markup=False)
+    page = index_page(folder, file.title, [Section("Results", text, pictures), _source_section(file)])
     console.print(f"wrote {folder / 'rollout.npz'}, rollout.csv and figures: open {page}", markup=False)
-    seen = f"open {film}" if film is not None else f"pinmobile view {folder / 'rollout.npz'}"
-    console.print(f"see it move: {seen}", markup=False)
+    command = f"open {film}" if film is not None else f"pinmobile view {folder / 'rollout.npz'}"
+    console.print(f"see it move: {command}", markup=False)
     if diverged is not None:
         raise diverged
     return 0
 
 
-def _source(opened: Opened) -> Section:
+def _source_section(file: LoadedFile) -> Section:
     """Return the section that repeats the results: the whole scenario and the version of pinmobile."""
     try:
-        scenario = opened.written()
+        scenario = file.to_toml()
     except InvalidArgument:  # a part of the user's own code
-        scenario = "\n".join([opened.text, *opened.words])
+        scenario = "\n".join([file.text, *file.words])
     return Section("Scenario", f"# pinmobile {__version__}\n{scenario}")
 
 
 def _metrics(run: Rollout) -> list[str]:
     """Return a line for each metric of the plant: its worst value."""
-    found = run.metrics() if run.plant is not None else {}
+    signals = run.metrics() if run.plant is not None else {}
     lines = []
-    for each in metrics_of(run.plant) if found else ():
-        values = found[each.name].values
+    for each in metrics_of(run.plant) if signals else ():
+        values = signals[each.name].values
         worst = np.nanmin(values) if each.is_margin else np.nanmax(np.abs(values))
         lines.append(f"{each.worst} {each.title}: {format_si(float(worst))}")
     return lines
@@ -167,7 +167,7 @@ def save_film(
     with Viewer(plant_of(rollouts), overlays=Overlays(contacts=wheels, centre=wheels)) as viewer:
         if path.suffix == ".mp4":
             longest = max(float(each.t[-1] - each.t[0]) for each in rollouts.values())
-            viewer.record(rollouts, speed=max(1.0, longest / _FILM)).save_mp4(
+            viewer.record(rollouts, speed=max(1.0, longest / _FILM_DURATION)).save_mp4(
                 path, progress=lambda done, total: bar.update(task, completed=done, total=total)
             )
         elif path.suffix == ".png":
@@ -186,43 +186,43 @@ def plant_of(rollouts: Mapping[str, Rollout]) -> Any:
 
 def show_ensemble(words: Sequence[str], out: Path, *, allow_code: bool) -> int:
     """Run an ensemble, print it and draw it."""
-    opened = Opened(words, allow_code=allow_code, unused=("grid", "cases"))
-    scenario = opened.scenario()
+    file = LoadedFile(words, allow_code=allow_code, unused=("grid", "cases"))
+    scenario = file.scenario()
     folder = output_folder(out)
-    if not opened.content.spread and scenario.n > 1:
+    if not file.content.spread and scenario.n > 1:
         console.print("spread is empty: all robots are equal", markup=False)
     with progress(scenario.n) as bar:
-        found = run_scenario(scenario, progress=lambda done, _: bar.update(bar.task_ids[0], completed=done))
-    console.print(str(found), markup=False)
-    pictures = _ensemble_figures(found, folder)
-    page = index_page(folder, opened.title, [Section("Results", str(found), pictures), _source(opened)])
+        runs = run_scenario(scenario, progress=lambda done, _: bar.update(bar.task_ids[0], completed=done))
+    console.print(str(runs), markup=False)
+    pictures = _ensemble_figures(runs, folder)
+    page = index_page(folder, file.title, [Section("Results", str(runs), pictures), _source_section(file)])
     console.print(
         f"figures: open {page}\ncompare values or controllers: pinmobile sweep --help", markup=False
     )
     return 0
 
 
-def _ensemble_figures(found: Ensemble, folder: Path) -> list[Picture]:
-    save_figure(plots.bands(found), folder / "bands.png")
+def _ensemble_figures(runs: Ensemble, folder: Path) -> list[Picture]:
+    save_figure(plots.bands(runs), folder / "bands.png")
     pictures = [Picture("bands.png", "Errors over time: bounds for half, 90 % and 99 % of the robots.")]
     with suppress(InvalidArgument):  # the robots are equal, or too few
-        save_figure(plots.drivers(found, share=max(0.05, 1 / len(found))), folder / "drivers.png")
+        save_figure(plots.drivers(runs, share=max(0.05, 1 / len(runs))), folder / "drivers.png")
         pictures.append(Picture("drivers.png", "Parameters that the robots with the largest errors share."))
     return pictures
 
 
 def show_sweep(words: Sequence[str], out: Path | None, scheduler: str | None, *, allow_code: bool) -> int:
     """Run the ensembles at all points, print their table and the answer, and draw them."""
-    opened = Opened(words, allow_code=allow_code)
-    points = opened.points()
-    folder = output_folder(Path("out") / opened.title if out is None else out)
+    file = LoadedFile(words, allow_code=allow_code)
+    points = file.points()
+    folder = output_folder(Path("out") / file.title if out is None else out)
     client = None if scheduler is None else connect(scheduler)
     store = folder / "sweep.zarr"
     if store.exists():
         console.print(f"{store} is there: only what it lacks is run", markup=False)
     try:
         with progress(len(points.scenarios) * points.n, "sweeping") as bar:
-            found = run_points(
+            sweep = run_points(
                 points,
                 store,
                 client=client,
@@ -233,46 +233,46 @@ def show_sweep(words: Sequence[str], out: Path | None, scheduler: str | None, *,
     finally:
         if client is not None:
             client.close()
-    console.print(f"{found.table()}\n\n{found.answer()}", markup=False)
-    section = Section("Results", found.table(most=1000), _sweep_figures(found, folder))
-    page = index_page(folder, found.answer(), [section, _source(opened)])
+    console.print(f"{sweep.table()}\n\n{sweep.answer()}", markup=False)
+    section = Section("Results", sweep.table(most=1000), _sweep_figures(sweep, folder))
+    page = index_page(folder, sweep.answer(), [section, _source_section(file)])
     console.print(
         f"wrote {store}: xarray.open_zarr reads it, and pinmobile.Sweep.open\nopen {page}", markup=False
     )
     return 0
 
 
-def _sweep_figures(found: Sweep, folder: Path) -> list[Picture]:
+def _sweep_figures(sweep: Sweep, folder: Path) -> list[Picture]:
     """Draw the distance within which 99 % of the robots stay: curves over one axis, or maps of two axes."""
-    within = found.error_quantile()
-    long = [name for name, axis in found.axes.items() if len(axis.values) > 1]
-    numeric = [name for name in long if within[name].dtype.kind in "fiu"]
-    named = [name for name in long if name not in numeric]
-    curved = len(numeric) == 1
-    drawn = [*named[-1:], *numeric] if curved else (numeric if len(numeric) > 1 else long)[-2:]
-    if not drawn or (not curved and len(drawn) < 2):
+    bounds = sweep.error_quantile()
+    varied = [name for name, axis in sweep.axes.items() if len(axis.values) > 1]
+    numeric = [name for name in varied if bounds[name].dtype.kind in "fiu"]
+    labels = [name for name in varied if name not in numeric]
+    is_curve = len(numeric) == 1
+    shown = [*labels[-1:], *numeric] if is_curve else (numeric if len(numeric) > 1 else varied)[-2:]
+    if not shown or (not is_curve and len(shown) < 2):
         return []
-    values = within.isel({name: 0 for name in found.axes if name not in long})
+    values = bounds.isel({name: 0 for name in sweep.axes if name not in varied})
     unit, size = _unit(values.values)
-    known = values.values[np.isfinite(values.values)] / size
-    limits = (float(known.min()), float(known.max())) if known.size else None
+    finite = values.values[np.isfinite(values.values)] / size
+    limits = (float(finite.min()), float(finite.max())) if finite.size else None
     label = f"99 % stay within [{unit}]"
     pictures = []
-    for k, (where, part) in enumerate(_slices(values / size, [name for name in long if name not in drawn])):
-        if k == _MOST:
+    for k, (title, part) in enumerate(_slices(values / size, [name for name in varied if name not in shown])):
+        if k == _MAX_FIGURES:
             break
-        columns = [(name, found.axes[name].unit, list(found.axes[name].values)) for name in drawn]
-        part = part.transpose(*drawn)
+        columns = [(name, sweep.axes[name].unit, list(sweep.axes[name].values)) for name in shown]
+        part = part.transpose(*shown)
         figure: Figure
-        if curved:
-            names = [str(one) for one in columns[0][2]] if len(drawn) > 1 else [""]
+        if is_curve:
+            names = [str(one) for one in columns[0][2]] if len(shown) > 1 else [""]
             rows = dict(zip(names, np.reshape(part.values, (len(names), -1)), strict=True))
-            figure = plots.curves(rows, x=columns[-1], label=label, title=where or None)
+            figure = plots.curves(rows, x=columns[-1], label=label, title=title or None)
         else:
             y, x = columns
-            figure = plots.heatmap(part.values, x=x, y=y, title=where or label, label=label, limits=limits)
+            figure = plots.heatmap(part.values, x=x, y=y, title=title or label, label=label, limits=limits)
         save_figure(figure, folder / f"within-{k}.png")
-        caption = f"{where}{where and ': '}{label}, over {' and '.join(drawn[::-1])}."
+        caption = f"{title}{title and ': '}{label}, over {' and '.join(shown[::-1])}."
         pictures.append(Picture(f"within-{k}.png", caption))
     return pictures
 
@@ -280,34 +280,34 @@ def _sweep_figures(found: Sweep, folder: Path) -> list[Picture]:
 def _slices(values: Any, names: list[str]) -> Iterator[tuple[str, Any]]:
     """Yield a description and the part of the values for each combination of values of some axes."""
     for index in np.ndindex(*(values.sizes[name] for name in names)):
-        where = dict(zip(names, index, strict=True))
-        at = [(name, np.asarray(values[name])[i]) for name, i in where.items()]
-        words = [str(value) if isinstance(value, str) else f"{name} = {value:g}" for name, value in at]
-        yield ", ".join(words), values.isel(where)
+        indices = dict(zip(names, index, strict=True))
+        pairs = [(name, np.asarray(values[name])[i]) for name, i in indices.items()]
+        words = [str(value) if isinstance(value, str) else f"{name} = {value:g}" for name, value in pairs]
+        yield ", ".join(words), values.isel(indices)
 
 
 def _unit(values: Array) -> tuple[str, float]:
     """Return the unit in which the largest finite number reads best, and its size [m]."""
-    known = values[np.isfinite(values)]
-    largest = float(known.max()) if known.size else 1.0
+    finite = values[np.isfinite(values)]
+    largest = float(finite.max()) if finite.size else 1.0
     return next(((unit, size) for unit, size in _UNITS if largest >= size), _UNITS[-1])
 
 
 def show_live(words: Sequence[str], *, host: str, port: int | None, allow_code: bool) -> int:
     """Serve a run, or saved rollouts, until Ctrl-C or SIGTERM."""
-    saved = [Path(word) for word in words if word.endswith(".npz")]
-    if saved and len(saved) < len(words):
+    paths = [Path(word) for word in words if word.endswith(".npz")]
+    if paths and len(paths) < len(words):
         others = [word for word in words if not word.endswith(".npz")]
         raise InvalidArgument(f"{others[0]!r} is beside saved rollouts, expected .npz files only")
-    if saved:
-        names = [path.stem if len({p.stem for p in saved}) == len(saved) else str(path) for path in saved]
-        rollouts = {name: _loaded(path) for name, path in zip(names, saved, strict=True)}
+    if paths:
+        names = [path.stem if len({p.stem for p in paths}) == len(paths) else str(path) for path in paths]
+        rollouts = {name: _load_run(path) for name, path in zip(names, paths, strict=True)}
     else:
-        opened = Opened(words, allow_code=allow_code, unused=("spread", "grid", "cases"))
-        rollouts = {opened.title: opened.content.simulate()}
+        file = LoadedFile(words, allow_code=allow_code, unused=("spread", "grid", "cases"))
+        rollouts = {file.title: file.content.simulate()}
     from pinmobile.viewer import Viewer
 
-    with _until_ended(), Viewer(plant_of(rollouts), live=True, host=host, port=port) as viewer:
+    with _until_interrupt(), Viewer(plant_of(rollouts), live=True, host=host, port=port) as viewer:
         _print_address(viewer.url, host)
         viewer.play(rollouts, speed=4.0, repeat=math.inf)
     return 0
@@ -325,13 +325,13 @@ def show_play(
     """Run a loop in real time on a page until Ctrl-C or SIGTERM, and print its result and what is next."""
     if out is not None and out.suffix != ".npz":
         raise InvalidArgument(f"--out is {str(out)!r}, expected a file .npz")
-    opened = Opened(words, allow_code=allow_code, unused=("spread", "grid", "cases", "n"))
+    file = LoadedFile(words, allow_code=allow_code, unused=("spread", "grid", "cases", "n"))
     from pinmobile.viewer import LiveRun
 
     if out is not None:
         output_folder(out.parent, "--out", out)
-    scenario = evolved(opened.content, spread={}, grid={}, cases={}, n=1).scenario()
-    with LiveRun(scenario, sliders, host=host, port=port) as run, _until_ended():
+    scenario = evolved(file.content, spread={}, grid={}, cases={}, n=1).scenario()
+    with LiveRun(scenario, sliders, host=host, port=port) as run, _until_interrupt():
         _print_address(run.url, host)
         threading.Event().wait()
     rollout = run.rollout()
@@ -355,29 +355,29 @@ def show_export(
     allow_code: bool,
 ) -> int:
     """Write the controller or the plant of a scenario as C, and print the files and what is next."""
-    opened = Opened(words, allow_code=allow_code, unused=("spread", "grid", "cases", "n"))
+    file = LoadedFile(words, allow_code=allow_code, unused=("spread", "grid", "cases", "n"))
     from pinmobile.export import export_c
 
     output_folder(out, "--out")
-    one = evolved(opened.content, spread={}, grid={}, cases={}, n=1).scenario()
-    own = {"forces": one.forces, "integrator": one.integrator, "substeps": one.substeps} if plant else {}
+    scenario = evolved(file.content, spread={}, grid={}, cases={}, n=1).scenario()
+    options = {key: getattr(scenario, key) for key in ("forces", "integrator", "substeps") if plant}
     folder = export_c(
-        None if plant else one.controller,
-        one.robot,
+        None if plant else scenario.controller,
+        scenario.robot,
         out,
-        dt=one.dt,
-        trajectory=one.trajectory,
+        dt=scenario.dt,
+        trajectory=scenario.trajectory,
         name=name,
         precision=precision,
         tunable=tunable,
-        **own,
+        **options,
     )
-    facts = [line for line in (folder / "README.md").read_text().splitlines() if line.startswith("| ")]
+    rows = [row for row in (folder / "README.md").read_text().splitlines() if row.startswith("| ")]
     files = ", ".join(sorted(each.name for each in folder.glob(f"{name}*.[ch]")))
     console.print(f"wrote {folder}: {files}, CMakeLists.txt, README.md", markup=False)
-    for line in facts[1:]:
-        what, _, value = line.strip("| ").partition(" | ")
-        console.print(f"  {what:22} {value}", markup=False, highlight=False)
+    for row in rows[1:]:
+        label, _, value = row.strip("| ").partition(" | ")
+        console.print(f"  {label:22} {value}", markup=False, highlight=False)
     build = f"cc -std=c99 -O2 -ffp-contract=off {name}.c {name}_test.c -lm -o {name}_test"
     console.print(f"test it: cd {folder} && {build} && ./{name}_test", markup=False, soft_wrap=True)
     return 0
@@ -385,17 +385,17 @@ def show_export(
 
 def _print_address(url: str, host: str) -> None:
     """Print the address of a page, and how another machine opens it."""
-    served = url.split("://")[1].split("/")[0].rpartition(":")[2]
+    number = url.split("://")[1].split("/")[0].rpartition(":")[2]
     console.print(
         f"open {url}\n"
-        f"from another machine: ssh -L {served}:{host}:{served} {socket.gethostname()}\n"
+        f"from another machine: ssh -L {number}:{host}:{number} {socket.gethostname()}\n"
         "and open the same address on that machine, with the host 127.0.0.1; Ctrl-C ends the server",
         markup=False,
     )
     console.file.flush()
 
 
-def _loaded(path: Path) -> Rollout:
+def _load_run(path: Path) -> Rollout:
     """Return a saved run; reject a run without its robot."""
     run = Rollout.load(path)
     if isinstance(run.plant, PlantDescription) and run.plant.reason:
@@ -407,7 +407,7 @@ def _loaded(path: Path) -> Rollout:
 
 
 @contextmanager
-def _until_ended() -> Iterator[None]:
+def _until_interrupt() -> Iterator[None]:
     """End a ``with`` block in order after Ctrl-C or SIGTERM."""
     try:
         yield

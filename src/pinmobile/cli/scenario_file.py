@@ -32,7 +32,6 @@ from pinmobile.parts import (
     locate_errors,
     makes_part,
     match_refs,
-    named,
     number,
     option,
     parameters,
@@ -49,7 +48,6 @@ from pinmobile.plant import Plant
 from pinmobile.sweeps import Points
 from pinmobile.trajectories import Trajectory
 
-_LONGEST = 60  # letters of a default
 _SHIPPED = files("pinmobile") / "scenarios"
 
 
@@ -61,18 +59,18 @@ def _paths(name: str, value: Any) -> dict[str, Any]:
 
 def _grid(name: str, value: Any) -> dict[str, Any]:
     """Return the values by path: lists, or tables of values by label."""
-    found: dict[str, Any] = {}
+    values_of: dict[str, Any] = {}
     for path, values in _paths(name, value).items():
-        where, _, label = path.rpartition(".")
+        parent, _, label = path.rpartition(".")
         if isinstance(values, list | tuple):
-            found[path] = list(values)
-        elif where:
-            found.setdefault(where, {})[label] = values
+            values_of[path] = list(values)
+        elif parent:
+            values_of.setdefault(parent, {})[label] = values
         else:
             raise InvalidArgument(
                 f"{name}.{path} is {values!r}, expected a list of values, or a table by label"
             )
-    return found
+    return values_of
 
 
 def _cases(name: str, value: Any) -> dict[str, dict[str, Any]]:
@@ -117,16 +115,16 @@ class ScenarioFile:
 
     def simulate(self) -> Rollout:
         """Return the run of the loop, without spread, grid and cases."""
-        own = "controller trajectory forces integrator dt substeps duration limit seed"
-        return simulate(self.robot, **{name: getattr(self, name) for name in own.split()})
+        names = "controller trajectory forces integrator dt substeps duration limit seed"
+        return simulate(self.robot, **{name: getattr(self, name) for name in names.split()})
 
     def scenario(self) -> Scenario:
         """Return the scenario of its ensemble, without grid and cases."""
-        own = "robot controller trajectory forces integrator dt substeps duration limit n seed after spread"
-        return Scenario(**{name: getattr(self, name) for name in own.split()})
+        names = "robot controller trajectory forces integrator dt substeps duration limit n seed after spread"
+        return Scenario(**{name: getattr(self, name) for name in names.split()})
 
 
-class Opened:
+class LoadedFile:
     """A scenario file that has been read, with the words that change it.
 
     Parameters
@@ -155,12 +153,12 @@ class Opened:
         kind: type = ScenarioFile,
     ) -> None:
         self.words = [word for word in words if "=" in word]
-        named = [word for word in words if "=" not in word]
-        if len(named) > 1:
-            raise InvalidArgument(f"{named[1]!r} is a second FILE beside {named[0]!r}, expected PATH=VALUE")
-        self.name = named[0] if named else ""
-        self.text = _text_of(self.name) if named else ""
-        folder = (Path(self.name).absolute().parent if named else Path.cwd()) if allow_code else None
+        names = [word for word in words if "=" not in word]
+        if len(names) > 1:
+            raise InvalidArgument(f"{names[1]!r} is a second FILE beside {names[0]!r}, expected PATH=VALUE")
+        self.name = names[0] if names else ""
+        self.text = _load_text(self.name) if names else ""
+        folder = (Path(self.name).absolute().parent if names else Path.cwd()) if allow_code else None
         self.content, self.reader = read_entries(
             kind, self.words, name=self.name, text=self.text, folder=folder, unused=unused
         )
@@ -170,7 +168,7 @@ class Opened:
         """Name of the file without its ending, or of its robot."""
         return Path(self.name).stem or "lecture"
 
-    def written(self) -> str:
+    def to_toml(self) -> str:
         """Return the whole scenario as TOML."""
         return write_text(type(self.content), self.reader.tree(self.content))
 
@@ -181,8 +179,8 @@ class Opened:
             is_numeric = isinstance(values, list) and all(
                 isinstance(each, int | float) and not isinstance(each, bool) for each in values
             )
-            listed = isinstance(values, list) and not is_numeric
-            axes[path] = {_label(each): each for each in values} if listed else values
+            is_list = isinstance(values, list) and not is_numeric
+            axes[path] = {_label(each): each for each in values} if is_list else values
         if self.content.cases:
             axes["case"] = {name: name for name in self.content.cases}
         return axes
@@ -196,16 +194,16 @@ class Opened:
             If the spread names no number of the loop.
         """
         plain: ScenarioFile = evolved(self.content, grid={}, cases={})
-        bare, problems = evolved(plain, spread={}).scenario(), {}
+        nominal, problems = evolved(plain, spread={}).scenario(), {}
         for path in self.content.spread:
             try:
-                match_refs(bare.given, path, named(bare.given), "spread")
+                match_refs(nominal.given, path, refs_of(nominal.given), "spread")
             except (UnknownName, InvalidArgument) as error:
                 problems[f"spread.{path}"] = str(error)
-        self._refuse(problems)
+        self._raise_problems(problems)
         return plain.scenario()
 
-    def _refuse(self, problems: Mapping[str, str]) -> None:
+    def _raise_problems(self, problems: Mapping[str, str]) -> None:
         if problems:
             sets = dict(word.split("=", 1) for word in self.words)
             raise locate_errors(InvalidEntries(problems), sets, self.name, self.text)
@@ -219,37 +217,37 @@ class Opened:
             If values are invalid; the message has a line for each path.
         """
         plain, nominal = evolved(self.content, grid={}, cases={}), self.scenario()
-        varied = {_full(nominal, path) for path in self.content.grid}
+        grid_paths = {_full_path(nominal, path) for path in self.content.grid}
         problems: dict[str, str] = {
             f"cases.{case}.{path}": f"{path} is an axis of the grid too, expected one of them"
             for case, changes in self.content.cases.items()
             for path in changes
-            if _full(nominal, path) in varied
+            if _full_path(nominal, path) in grid_paths
         }
 
-        def made(values: dict[str, Any]) -> Scenario:
+        def make_scenario(values: dict[str, Any]) -> Scenario:
             case = values.pop("case", "")
-            own = {f"cases.{case}.{path}": (path, x) for path, x in self.content.cases.get(case, {}).items()}
-            own |= {f"grid.{path}": (path, x) for path, x in values.items()}
-            paths = {at: _full(nominal, path) for at, (path, _) in own.items()}
+            rows = {f"cases.{case}.{path}": (path, x) for path, x in self.content.cases.get(case, {}).items()}
+            rows |= {f"grid.{path}": (path, x) for path, x in values.items()}
+            paths = {entry: _full_path(nominal, path) for entry, (path, _) in rows.items()}
             try:
-                changed = self.reader.change(plain, {paths[at]: x for at, (_, x) in own.items()})
+                changed = self.reader.change(plain, {paths[entry]: x for entry, (_, x) in rows.items()})
                 return changed.scenario()  # type: ignore[no-any-return]
             except InvalidEntries as error:
                 self.reader.problems.clear()
                 for path, message in error.problems.items():
-                    problems.update({at: message for at in paths if are_nested(paths[at], path)})
+                    problems.update({entry: message for entry in paths if are_nested(paths[entry], path)})
                 return nominal
 
-        points = Points.product(self.axes() or {"case": {"all": ""}}, made)
-        self._refuse(problems)
+        points = Points.product(self.axes() or {"case": {"all": ""}}, make_scenario)
+        self._raise_problems(problems)
         return points
 
 
-def _full(nominal: Scenario, path: str) -> str:
+def _full_path(nominal: Scenario, path: str) -> str:
     """Return the full path of a number in the file for the end of a path."""
-    own = {*parameters(ScenarioFile)} - {"robot"}
-    if path.split(".")[0] not in own:
+    fields = {*parameters(ScenarioFile)} - {"robot"}
+    if path.split(".")[0] not in fields:
         with suppress(UnknownName, InvalidArgument):
             path = nominal.find(path).path
     return f"robot.{path.removeprefix('plant.')}" if path.startswith("plant.") else path
@@ -263,7 +261,7 @@ def _label(value: object) -> str:
     return ",".join(map(_label, value)) if isinstance(value, list | tuple) else str(value)
 
 
-def _text_of(name: str) -> str:
+def _load_text(name: str) -> str:
     """Return the text of a file, or of a shipped scenario for a name without suffix."""
     path = Path(name)
     if path.suffix in (".csv", ".npz"):
@@ -272,47 +270,47 @@ def _text_of(name: str) -> str:
         )
     if path.suffix or path.exists():
         return read_file(path)
-    if name not in shipped():
-        told = f"neither a file nor a shipped scenario, {suggest_name(name, shipped())}"
-        raise InvalidArgument(f"FILE is {name!r}, {told}")
+    if name not in shipped_names():
+        reason = f"neither a file nor a shipped scenario, {suggest_name(name, shipped_names())}"
+        raise InvalidArgument(f"FILE is {name!r}, {reason}")
     return (_SHIPPED / f"{name}.toml").read_text("utf-8")
 
 
-def shipped() -> list[str]:
+def shipped_names() -> list[str]:
     """Return the names of the shipped scenarios."""
     return sorted(each.name.removesuffix(".toml") for each in _SHIPPED.iterdir())
 
 
-def listed() -> str:
+def list_parts() -> str:
     """Return the public parts by package, each with the first line of its docstring."""
-    found: dict[str, list[str]] = {}
+    table: dict[str, list[str]] = {}
     for name, one in public_names().items():
         if is_part_class(one):
             package = one.__module__.split(".")[1]
-            found.setdefault(package, []).append(f"  {name:20} {(inspect.getdoc(one) or '').splitlines()[0]}")
-    lines = [line for package, rows in found.items() for line in (package, *rows)]
+            table.setdefault(package, []).append(f"  {name:20} {(inspect.getdoc(one) or '').splitlines()[0]}")
+    lines = [line for package, rows in table.items() for line in (package, *rows)]
     lines += ["fields of one: pinmobile parts NAME, such as scenario, PD or WheelTable.differential"]
-    return "\n".join([*lines, f"shipped scenarios: {', '.join(shipped())}"])
+    return "\n".join([*lines, f"shipped scenarios: {', '.join(shipped_names())}"])
 
 
-def described(name: str) -> str:
+def describe_part(name: str) -> str:
     """Return the fields of a part, or the arguments of its constructor, with meaning, unit and default."""
     make = ScenarioFile if name == "scenario" else resolve(name)
     if not (is_part_class(make) or makes_part(make)):
-        known = [each for each, one in public_names().items() if is_part_class(one)]
-        raise InvalidArgument(f"NAME is {name!r}, expected a part, {suggest_name(name, known)}")
+        names = [each for each, one in public_names().items() if is_part_class(one)]
+        raise InvalidArgument(f"NAME is {name!r}, expected a part, {suggest_name(name, names)}")
     lines = [f"{name}: {(inspect.getdoc(make) or '').splitlines()[0]}"]
     for key, each in parameters(make).items():
-        wanted = requirement(each.declared).replace("a value", "")
+        expected = requirement(each.declared).replace("a value", "")
         is_stated = not (
             each.is_required
             or each.default is None
             or each.default is attrs.NOTHING
             or "Factory(" in (text := repr(each.default))
         )
-        usual = f"default {text}" if is_stated and len(text) < 60 else ""
-        lines.append(f"  {key:16} {'; '.join(filter(None, [each.doc, wanted, usual]))}".rstrip())
+        default = f"default {text}" if is_stated and len(text) < 60 else ""
+        lines.append(f"  {key:16} {'; '.join(filter(None, [each.doc, expected, default]))}".rstrip())
     if is_part_class(make):
-        made = [each for each in dir(make) if each[:1] != "_" and resolve(f"{name}.{each}") is not None]
-        lines += [f"made by: {', '.join(f'{name}.{each}' for each in made)}"] if made else []
+        makers = [each for each in dir(make) if each[:1] != "_" and resolve(f"{name}.{each}") is not None]
+        lines += [f"made by: {', '.join(f'{name}.{each}' for each in makers)}"] if makers else []
     return "\n".join(lines)

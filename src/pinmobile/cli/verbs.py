@@ -59,9 +59,9 @@ def complete(incomplete: str) -> list[str]:
     from pinmobile.parts import Child, names_of, parameters
 
     path, equals, start = incomplete.partition("=")
-    *way, last = path.split(".")
-    part: Any = scenarios.Opened([]).content
-    for key in way:
+    *parents, last = path.split(".")
+    part: Any = scenarios.LoadedFile([]).content
+    for key in parents:
         part = vars(part).get(key) if part is not None else None
     kind: Any = type(part)
     fields = parameters(kind) if part is not None else {}
@@ -69,11 +69,11 @@ def complete(incomplete: str) -> list[str]:
     if equals:
         names = names_of(declared.kind) if isinstance(declared, Child) else ()
         return [f"{path}={name}" for name in names if name.startswith(start)]
-    before = path.removesuffix(last)
-    shipped = [] if way else [name for name in scenarios.shipped() if name.startswith(last)]
-    found = [(name, each.declared) for name, each in fields.items() if name.startswith(last)]
-    ends = [(name, end) for name, each in found for end in ("=", ".")[: 1 + isinstance(each, Child)]]
-    return [*shipped, *(f"{before}{name}{end}" for name, end in ends)]
+    prefix = path.removesuffix(last)
+    shipped = [] if parents else [name for name in scenarios.shipped_names() if name.startswith(last)]
+    matches = [(name, each.declared) for name, each in fields.items() if name.startswith(last)]
+    ends = [(name, end) for name, each in matches for end in ("=", ".")[: 1 + isinstance(each, Child)]]
+    return [*shipped, *(f"{prefix}{name}{end}" for name, end in ends)]
 
 
 Words = Annotated[
@@ -97,8 +97,8 @@ def _folder(default: str) -> Any:
     return typer.Option(help=f"Folder for records and figures; default: {default}.", show_default=False)
 
 
-def _print_version(wanted: bool) -> None:
-    if wanted:
+def _print_version(is_given: bool) -> None:
+    if is_given:
         typer.echo(f"pinmobile {__version__}")
         raise typer.Exit
 
@@ -244,9 +244,9 @@ def write(words: Words = None, allow_code: Code = False) -> int:
 
     Example: pinmobile write mecanum controller.kp=9 > mine.toml
     """
-    from pinmobile.cli.scenario_file import Opened
+    from pinmobile.cli.scenario_file import LoadedFile
 
-    typer.echo(Opened(words or [], allow_code=allow_code).written(), nl=False)
+    typer.echo(LoadedFile(words or [], allow_code=allow_code).to_toml(), nl=False)
     return 0
 
 
@@ -270,7 +270,7 @@ def parts(
 
         typer.echo(json.dumps(schema_of(scenario_file.ScenarioFile), indent=1))
     else:
-        typer.echo(scenario_file.described(name) if name else scenario_file.listed())
+        typer.echo(scenario_file.describe_part(name) if name else scenario_file.list_parts())
     return 0
 
 

@@ -21,7 +21,7 @@ from pinmobile.dh import DHTable, table_of
 from pinmobile.errors import InvalidArgument, format_value
 
 
-def exact(name: str, value: object) -> Expr:
+def exact_value(name: str, value: object) -> Expr:
     """Return `value` as an expression without floating-point numbers.
 
     A float becomes the fraction of its shortest decimal form (0.3 becomes 3/10), which evaluates to the same
@@ -69,15 +69,15 @@ def exact_matrix(name: str, value: Any, shape: tuple[int, int]) -> ImmutableMatr
         If the value has another shape, or an entry is neither a finite real number nor an expression.
     """
     rows = value.tolist() if isinstance(value, sympy.MatrixBase | np.ndarray) else value
-    flat = shape[1] == 1 and isinstance(rows, list | tuple) and not any(map(_is_row, rows))
-    rows = [[row] for row in rows] if flat else rows
+    is_flat = shape[1] == 1 and isinstance(rows, list | tuple) and not any(map(_is_row, rows))
+    rows = [[row] for row in rows] if is_flat else rows
     fits = isinstance(rows, list | tuple) and len(rows) == shape[0]
     if isinstance(value, np.ma.MaskedArray) or not fits or not all(map(_is_row, rows)):
         rows = ((),)
     if any(len(row) != shape[1] for row in rows):
-        wanted = f"{shape[0]} entries" if shape[1] == 1 else f"shape {shape}"
-        raise InvalidArgument(f"{name} is {format_value(value)}, expected {wanted}")
-    return ImmutableMatrix(*shape, [exact(name, entry) for row in rows for entry in row])
+        expected = f"{shape[0]} entries" if shape[1] == 1 else f"shape {shape}"
+        raise InvalidArgument(f"{name} is {format_value(value)}, expected {expected}")
+    return ImmutableMatrix(*shape, [exact_value(name, entry) for row in rows for entry in row])
 
 
 def _is_row(value: object) -> bool:
@@ -85,7 +85,7 @@ def _is_row(value: object) -> bool:
 
 
 def exact_angle(name: str, value: float) -> Expr:
-    """Return a multiple of pi/12 [rad] exactly, and any other angle like `exact`.
+    """Return a multiple of pi/12 [rad] exactly, and any other angle like `exact_value`.
 
     Sines and cosines of these multiples are sums of square roots, which sympy cancels.
 
@@ -104,15 +104,15 @@ def exact_angle(name: str, value: float) -> Expr:
     twelfths = round(value * 12 / pi)
     if isclose(value, twelfths * pi / 12, rel_tol=1e-14, abs_tol=1e-15):
         return sympy.Rational(twelfths, 12) * sympy.pi
-    return exact(name, value)
+    return exact_value(name, value)
 
 
-_READABLE = 8  # largest number of terms in a search for cos(q1 + q2), which takes seconds for more
+_MAX_TERMS = 8  # largest number of terms in a search for cos(q1 + q2), which takes seconds for more
 
 _Powers = tuple[int, ...]
 
 
-def normal(expression: Expr) -> Expr:
+def normal_form(expression: Expr) -> Expr:
     """Return the normal form, without powers of cosines above the first; the normal form of zero is 0.
 
     Parameters
@@ -122,11 +122,11 @@ def normal(expression: Expr) -> Expr:
     """
     polynomial, pairs = _polynomial(sympy.expand_trig(expression))
     for cosine, sine in pairs:
-        polynomial = _traded(polynomial, cosine, sine)
+        polynomial = _swap_square(polynomial, cosine, sine)
     return polynomial.as_expr()
 
 
-def reduced(expression: Expr) -> Expr:
+def reduce_terms(expression: Expr) -> Expr:
     """Return the expanded expression, with cos^2 + sin^2 = 1 applied if this leaves fewer terms.
 
     Parameters
@@ -136,12 +136,12 @@ def reduced(expression: Expr) -> Expr:
     """
     shortest, pairs = _polynomial(expression)
     for cosine, sine in pairs:
-        candidates = [shortest, _traded(shortest, cosine, sine), _traded(shortest, sine, cosine)]
+        candidates = [shortest, _swap_square(shortest, cosine, sine), _swap_square(shortest, sine, cosine)]
         shortest = min(candidates, key=len)
     return shortest.as_expr()
 
 
-def grouped(expression: Expr, levels: Sequence[Sequence[Symbol]]) -> Expr:
+def group_terms(expression: Expr, levels: Sequence[Sequence[Symbol]]) -> Expr:
     """Return an expression with brackets, as a person writes: terms grouped by the symbols of each level.
 
     Parameters
@@ -153,15 +153,15 @@ def grouped(expression: Expr, levels: Sequence[Sequence[Symbol]]) -> Expr:
         bracket. The second level groups the terms in each bracket, and so on.
     """
     polynomial, _ = _polynomial(expression)
-    places = {generator: i for i, generator in enumerate(polynomial.ring.symbols)}
-    return _gathered(
-        polynomial, [{places[symbol] for symbol in level if symbol in places} for level in levels]
+    indices = {generator: i for i, generator in enumerate(polynomial.ring.symbols)}
+    return _add_brackets(
+        polynomial, [{indices[symbol] for symbol in level if symbol in indices} for level in levels]
     )
 
 
-def _gathered(polynomial: PolyElement, levels: Sequence[set[int]]) -> Expr:
+def _add_brackets(polynomial: PolyElement, levels: Sequence[set[int]]) -> Expr:
     if not levels:
-        return _bracket(polynomial)
+        return _factor_out(polynomial)
     brackets: dict[_Powers, dict[_Powers, Any]] = defaultdict(dict)
     for powers, coefficient in polynomial.items():
         common = tuple(power if i in levels[0] else 0 for i, power in enumerate(powers))
@@ -169,37 +169,37 @@ def _gathered(polynomial: PolyElement, levels: Sequence[set[int]]) -> Expr:
     ring, products = polynomial.ring, []
     for common, terms in brackets.items():
         factor = ring.term_new(common, ring.domain.one)
-        products.append(_times(factor.as_expr(), _gathered(ring.from_dict(terms), levels[1:])))
+        products.append(_multiply(factor.as_expr(), _add_brackets(ring.from_dict(terms), levels[1:])))
     return sympy.Add(*products)
 
 
-def _bracket(polynomial: PolyElement) -> Expr:
+def _factor_out(polynomial: PolyElement) -> Expr:
     """Return `polynomial` with the common factors of all terms before a bracket."""
-    if 1 < len(polynomial) <= _READABLE:
+    if 1 < len(polynomial) <= _MAX_TERMS:
         polynomial, _ = _polynomial(TR10i(polynomial.as_expr()))
     if len(polynomial) < 2:
         return polynomial.as_expr()
     ring = polynomial.ring
-    shared = tuple(map(min, zip(*polynomial, strict=True)))
-    over, under = zip(*((int(c.numerator), int(c.denominator)) for c in polynomial.values()), strict=True)
-    factor = ring.term_new(shared, ring.domain(gcd(*over), gcd(*under)))
-    return _times(factor.as_expr(), polynomial.exquo(factor).as_expr())
+    powers = tuple(map(min, zip(*polynomial, strict=True)))
+    num, den = zip(*((int(c.numerator), int(c.denominator)) for c in polynomial.values()), strict=True)
+    factor = ring.term_new(powers, ring.domain(gcd(*num), gcd(*den)))
+    return _multiply(factor.as_expr(), polynomial.exquo(factor).as_expr())
 
 
-def _times(factor: Expr, bracket: Expr) -> Expr:
+def _multiply(factor: Expr, bracket: Expr) -> Expr:
     """Return the product, with the sign of the bracket's first term moved before the bracket."""
     if factor == 1:
         return bracket
-    content, rest = bracket.as_coeff_Mul()
-    factors = list(sympy.Mul.make_args(rest))
+    content, product = bracket.as_coeff_Mul()
+    factors = list(sympy.Mul.make_args(product))
     for i, part in enumerate(factors):
-        few = part.is_Add and len(part.args) <= _READABLE
-        if few and part.as_ordered_terms()[0].could_extract_minus_sign():
+        is_short = part.is_Add and len(part.args) <= _MAX_TERMS
+        if is_short and part.as_ordered_terms()[0].could_extract_minus_sign():
             factors[i], content = -part, -content
     content *= factor
     # sympy would multiply a number into a sum
-    distributes = content.is_Number and len(factors) == 1 and factors[0].is_Add
-    return sympy.Mul(content, *factors, evaluate=not distributes)
+    is_sum = content.is_Number and len(factors) == 1 and factors[0].is_Add
+    return sympy.Mul(content, *factors, evaluate=not is_sum)
 
 
 def _polynomial(expression: Expr) -> tuple[PolyElement, list[tuple[int, int]]]:
@@ -218,27 +218,27 @@ def _polynomial(expression: Expr) -> tuple[PolyElement, list[tuple[int, int]]]:
 
 def _generators(expression: Expr) -> list[Expr]:
     """Return the generators of `expression` as a polynomial with rational coefficients."""
-    found, rest = set[Expr](), [expression]
-    while rest:
-        part = rest.pop()
+    generators, parts = set[Expr](), [expression]
+    while parts:
+        part = parts.pop()
         if part.is_Add or part.is_Mul:
-            rest += part.args
+            parts += part.args
         elif part.is_Pow and part.exp.is_Integer and part.exp > 0:
-            rest.append(part.base)
+            parts.append(part.base)
         elif not part.is_Rational:
-            found.add(part)
-    return sorted(found, key=sympy.default_sort_key)
+            generators.add(part)
+    return sorted(generators, key=sympy.default_sort_key)
 
 
-def _traded(polynomial: PolyElement, out: int, into: int) -> PolyElement:
-    """Return `polynomial` with each square of generator `out` replaced by 1 minus the square of `into`."""
+def _swap_square(polynomial: PolyElement, old: int, new: int) -> PolyElement:
+    """Return `polynomial` with each square of generator `old` replaced by 1 minus the square of `new`."""
     squares: dict[int, dict[_Powers, Any]] = defaultdict(dict)
     for powers, coefficient in polynomial.items():
-        count, rest = divmod(powers[out], 2)
-        squares[count][(*powers[:out], rest, *powers[out + 1 :])] = coefficient
+        count, remainder = divmod(powers[old], 2)
+        squares[count][(*powers[:old], remainder, *powers[old + 1 :])] = coefficient
     ring, result = polynomial.ring, polynomial.ring.from_dict(squares.pop(0, {}))
     for count, terms in squares.items():
-        result += ring.from_dict(terms) * (1 - ring.gens[into] ** 2) ** count
+        result += ring.from_dict(terms) * (1 - ring.gens[new] ** 2) ** count
     return result
 
 
@@ -281,7 +281,7 @@ class Link:
     inertia: ImmutableMatrix
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "mass", exact("mass", self.mass))
+        object.__setattr__(self, "mass", exact_value("mass", self.mass))
         object.__setattr__(self, "com", exact_matrix("com", self.com, (3, 1)))
         object.__setattr__(self, "inertia", exact_matrix("inertia", self.inertia, (3, 3)))
         if self.mass.is_negative:
@@ -379,8 +379,8 @@ class Chain:
                 f"order is {format_value(self.order)}, expected a permutation of {variables}"
             )
         names = Counter(symbol.name for symbol in (*self.q, *self.v, *self.a, *self.parameters))
-        if twice := [name for name, count in names.items() if count > 1]:
-            raise InvalidArgument(f"links and table give {twice} two meanings, expected distinct names")
+        if duplicates := [name for name, count in names.items() if count > 1]:
+            raise InvalidArgument(f"links and table give {duplicates} two meanings, expected distinct names")
 
     def __len__(self) -> int:
         return len(self.table)
@@ -393,18 +393,18 @@ class Chain:
     @cached_property
     def v(self) -> tuple[Symbol, ...]:
         """Rates of the joint variables [m/s or rad/s], named psidot, qdot1, ..."""
-        return self._dotted("dot")
+        return self._rate_symbols("dot")
 
     @cached_property
     def a(self) -> tuple[Symbol, ...]:
         """Accelerations of the joint variables [m/s^2 or rad/s^2], named psiddot, qddot1, ..."""
-        return self._dotted("ddot")
+        return self._rate_symbols("ddot")
 
     @cached_property
     def parameters(self) -> tuple[Symbol, ...]:
         """Symbols in links and gravity, from the ground outwards."""
-        found = [symbol for link in self.links if link for symbol in link.parameters]
-        return tuple(dict.fromkeys([*found, *_symbols(self.gravity)]))
+        symbols = [symbol for link in self.links if link for symbol in link.parameters]
+        return tuple(dict.fromkeys([*symbols, *_symbols(self.gravity)]))
 
     @cached_property
     def masses(self) -> tuple[Symbol, ...]:
@@ -429,11 +429,11 @@ class Chain:
             raise InvalidArgument(f"per_row has {len(per_row)} entries, expected {len(self)}")
         return tuple(per_row[self.table.variables.index(name)] for name in self.order)
 
-    def _dotted(self, dots: str) -> tuple[Symbol, ...]:
+    def _rate_symbols(self, dots: str) -> tuple[Symbol, ...]:
         # sympy typesets xdot, qdot1 and qdot_a with a dot above the letter, but not q1dot
         return tuple(Symbol(re.sub(r"^[^\W\d_]*", rf"\g<0>{dots}", name)) for name in self.table.variables)
 
 
 def _symbols(expressions: Sequence[Expr]) -> tuple[Symbol, ...]:
-    found = (sorted(expression.free_symbols, key=str) for expression in expressions)
-    return tuple(dict.fromkeys(symbol for symbols in found for symbol in symbols))
+    lists = (sorted(expression.free_symbols, key=str) for expression in expressions)
+    return tuple(dict.fromkeys(symbol for symbols in lists for symbol in symbols))

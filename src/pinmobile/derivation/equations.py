@@ -14,14 +14,14 @@ from sympy import Expr, ImmutableMatrix, Symbol
 
 import pinmobile.derivation.steps as say
 from pinmobile.arrays import Array
-from pinmobile.derivation.chain import Chain, Link, exact, exact_angle, normal
+from pinmobile.derivation.chain import Chain, Link, exact_angle, exact_value, normal_form
 from pinmobile.derivation.steps import SIMPLIFIED_JOINTS, Derivation, Record, Wording
 from pinmobile.dh import LECTURE_TABLE, DHTable, JointType
 from pinmobile.errors import InvalidArgument, format_value
 
 ZERO = ImmutableMatrix([0, 0, 0])
 _Z = ImmutableMatrix([0, 0, 1])
-_FOUR_DECIMALS = 5e-5  # [rad]: rounding of a right angle in four decimals
+_ANGLE_TOLERANCE = 5e-5  # [rad]: rounding of a right angle in four decimals
 
 
 @dataclass(frozen=True)
@@ -32,13 +32,13 @@ class Joint:
     ----------
     T : sympy.ImmutableMatrix, shape (4, 4)
         Pose of frame k in frame k - 1.
-    turn, slide : sympy.ImmutableMatrix, shape (3, 1)
+    angular, linear : sympy.ImmutableMatrix, shape (3, 1)
         z_k and zero for a revolute joint, zero and z_k for a prismatic one.
     """
 
     T: ImmutableMatrix
-    turn: ImmutableMatrix
-    slide: ImmutableMatrix
+    angular: ImmutableMatrix
+    linear: ImmutableMatrix
 
     @property
     def R(self) -> ImmutableMatrix:
@@ -53,27 +53,27 @@ class Joint:
 
 def joints(record: Record) -> tuple[Joint, ...]:
     """Return the joints of the chain, from the ground outwards."""
-    chain, found = record.chain, []
+    chain, links = record.chain, []
     for k, (row, q) in enumerate(zip(chain.table, chain.q, strict=True), 1):
-        revolute = row.joint is JointType.REVOLUTE
-        alpha, a = _table_angle("alpha", row.alpha, k), exact("a", row.a)
-        theta = _table_angle("theta", row.theta, k) + (q if revolute else 0)
-        d = exact("d", row.d) + (0 if revolute else q)
+        is_revolute = row.joint is JointType.REVOLUTE
+        alpha, a = _table_angle("alpha", row.alpha, k), exact_value("a", row.a)
+        theta = _table_angle("theta", row.theta, k) + (q if is_revolute else 0)
+        d = exact_value("d", row.d) + (0 if is_revolute else q)
         ca, sa = sympy.cos(alpha), sympy.sin(alpha)
-        c, s = record.named(f"c_{k}", sympy.cos(theta)), record.named(f"s_{k}", sympy.sin(theta))
+        c, s = record.short(f"c_{k}", sympy.cos(theta)), record.short(f"s_{k}", sympy.sin(theta))
         T = [[c, -s, 0, a], [s * ca, c * ca, -sa, -d * sa], [s * sa, c * sa, ca, d * ca], [0, 0, 0, 1]]
-        axes = (_Z, ZERO) if revolute else (ZERO, _Z)
-        found.append(Joint(record.matrix(say.LOCAL, ImmutableMatrix(T), k), *axes))
-    return tuple(found)
+        axes = (_Z, ZERO) if is_revolute else (ZERO, _Z)
+        links.append(Joint(record.matrix(say.LOCAL, ImmutableMatrix(T), k), *axes))
+    return tuple(links)
 
 
 def _table_angle(name: str, value: float, k: int) -> Expr:
     """Return an angle of row `k` of a table; a right angle that is rounded to four decimals becomes exact."""
-    angle, right = exact_angle(name, value), sympy.Rational(round(2 * value / pi), 2) * sympy.pi
-    if angle == right or not right or abs(value - float(right)) > _FOUR_DECIMALS:
+    angle, exact = exact_angle(name, value), sympy.Rational(round(2 * value / pi), 2) * sympy.pi
+    if angle == exact or not exact or abs(value - float(exact)) > _ANGLE_TOLERANCE:
         return angle
-    warn(f"{name} of row {k} is {value:.12g} rad; the derivation uses {right}", stacklevel=5)
-    return right
+    warn(f"{name} of row {k} is {value:.12g} rad; the derivation uses {exact}", stacklevel=5)
+    return exact
 
 
 def placements(links: tuple[Joint, ...], record: Record) -> list[ImmutableMatrix]:
@@ -115,7 +115,7 @@ class _Recursion:
         """Return the angular velocities omega [rad/s]."""
         omega = [ZERO]
         for k, joint in enumerate(self.joints):
-            result = joint.R.T * omega[k] + joint.turn * self.v[k]
+            result = joint.R.T * omega[k] + joint.angular * self.v[k]
             omega.append(self.record.matrix(say.OMEGA, result, k + 1))
         return omega
 
@@ -123,7 +123,7 @@ class _Recursion:
         """Return the velocities of the frames' origins [m/s]."""
         velocity = [ZERO]
         for k, joint in enumerate(self.joints):
-            result = joint.R.T * (velocity[k] + omega[k].cross(joint.P)) + joint.slide * self.v[k]
+            result = joint.R.T * (velocity[k] + omega[k].cross(joint.P)) + joint.linear * self.v[k]
             velocity.append(self.record.matrix(say.VELOCITY, result, k + 1))
         return velocity
 
@@ -131,8 +131,8 @@ class _Recursion:
         """Return the angular accelerations alpha [rad/s^2]."""
         alpha = [ZERO]
         for k, joint in enumerate(self.joints):
-            gyroscopic = (joint.R.T * omega[k]).cross(joint.turn * self.v[k])
-            result = joint.R.T * alpha[k] + gyroscopic + joint.turn * self.a[k]
+            gyroscopic = (joint.R.T * omega[k]).cross(joint.angular * self.v[k])
+            result = joint.R.T * alpha[k] + gyroscopic + joint.angular * self.a[k]
             alpha.append(self.record.matrix(say.ALPHA, result, k + 1))
         return alpha
 
@@ -140,24 +140,24 @@ class _Recursion:
         """Return the accelerations of the frames' origins [m/s^2]."""
         a = [self.base]
         for k, joint in enumerate(self.joints):
-            carried = joint.R.T * (a[k] + _lever(alpha[k], omega[k], joint.P))
-            coriolis = 2 * omega[k + 1].cross(joint.slide * self.v[k])
+            transport = joint.R.T * (a[k] + _rigid_term(alpha[k], omega[k], joint.P))
+            coriolis = 2 * omega[k + 1].cross(joint.linear * self.v[k])
             a.append(
-                self.record.matrix(say.ACCELERATION, carried + coriolis + joint.slide * self.a[k], k + 1)
+                self.record.matrix(say.ACCELERATION, transport + coriolis + joint.linear * self.a[k], k + 1)
             )
         return a
 
-    def inertial(self, omega: Vectors, alpha: Vectors, a: Vectors) -> tuple[Vectors, Vectors]:
+    def inertial_forces(self, omega: Vectors, alpha: Vectors, a: Vectors) -> tuple[Vectors, Vectors]:
         """Return inertial forces F [N], and inertial moments N about the centres of mass [N m]."""
-        heavy = {k: link for k, link in enumerate(self.record.chain.links, 1) if link}
+        masses = {k: link for k, link in enumerate(self.record.chain.links, 1) if link}
         F, N = [ZERO] * len(a), [ZERO] * len(a)
         a_c = {
-            k: self.record.matrix(say.ACCELERATION_COM, a[k] + _lever(alpha[k], omega[k], link.com), k)
-            for k, link in heavy.items()
+            k: self.record.matrix(say.ACCELERATION_COM, a[k] + _rigid_term(alpha[k], omega[k], link.com), k)
+            for k, link in masses.items()
         }
-        for k, link in heavy.items():
+        for k, link in masses.items():
             F[k] = self.record.matrix(say.INERTIAL_FORCE, link.mass * a_c[k], k)
-        for k, link in heavy.items():
+        for k, link in masses.items():
             moment = link.inertia * alpha[k] + omega[k].cross(link.inertia * omega[k])
             N[k] = self.record.matrix(say.INERTIAL_MOMENT, moment, k)
         return F, N
@@ -167,34 +167,34 @@ class _Recursion:
         f = [ZERO, *F[1:]]
         f[-1] = self.record.matrix(say.FORCE, F[-1], len(F) - 1)
         for k in range(len(F) - 2, -1, -1):
-            words = say.FORCE if k else say.SHAKING_FORCE
-            f[k] = self.record.matrix(words, self.joints[k].R * f[k + 1] + F[k], k)
+            wording = say.FORCE if k else say.SHAKING_FORCE
+            f[k] = self.record.matrix(wording, self.joints[k].R * f[k + 1] + F[k], k)
         return f
 
     def moments(self, F: Vectors, N: Vectors, f: Vectors) -> Vectors:
         """Return n [N m], the moments that belong to `f`, each about the origin of its frame."""
         com = [ZERO, *(link.com if link else ZERO for link in self.record.chain.links)]
-        own = [N[k] + com[k].cross(F[k]) for k in range(len(N))]
-        own[-1] = self.record.matrix(say.MOMENT, own[-1], len(N) - 1)
+        moments = [N[k] + com[k].cross(F[k]) for k in range(len(N))]
+        moments[-1] = self.record.matrix(say.MOMENT, moments[-1], len(N) - 1)
         for k in range(len(N) - 2, -1, -1):
-            joint, words = self.joints[k], say.MOMENT if k else say.SHAKING_MOMENT
-            passed_on = joint.R * own[k + 1] + joint.P.cross(joint.R * f[k + 1])
-            own[k] = self.record.matrix(words, own[k] + passed_on, k)
-        return own
+            joint, wording = self.joints[k], say.MOMENT if k else say.SHAKING_MOMENT
+            next_link = joint.R * moments[k + 1] + joint.P.cross(joint.R * f[k + 1])
+            moments[k] = self.record.matrix(wording, moments[k] + next_link, k)
+        return moments
 
     def inputs(self, omega: Vectors, alpha: Vectors, a: Vectors) -> tuple[Expr, ...]:
         """Return the inputs tau [N or N m] for a motion of the frames, in the order of the rows."""
-        F, N = self.inertial(omega, alpha, a)
+        F, N = self.inertial_forces(omega, alpha, a)
         f = self.forces(F)
         n = self.moments(F, N, f)
         tau = []
         for k, joint in enumerate(self.joints, 1):
-            component = joint.slide.dot(f[k]) + joint.turn.dot(n[k])
+            component = joint.linear.dot(f[k]) + joint.angular.dot(n[k])
             tau.append(self.record.scalar(say.INPUT, component, k))
         return tuple(tau)
 
 
-def _lever(alpha: ImmutableMatrix, omega: ImmutableMatrix, arm: ImmutableMatrix) -> ImmutableMatrix:
+def _rigid_term(alpha: ImmutableMatrix, omega: ImmutableMatrix, arm: ImmutableMatrix) -> ImmutableMatrix:
     """Return the acceleration of a point at `arm` relative to the frame's origin."""
     return alpha.cross(arm) + omega.cross(omega.cross(arm))
 
@@ -258,7 +258,7 @@ def derive(
     g*l*m*cos(q) + l**2*m*qddot
     """
     record = Record(Chain(table, links, order, gravity))
-    recursion, tau = _told(record)
+    recursion, tau = _record_steps(record)
     return _coefficients(record, tau) if len(recursion.joints) <= SIMPLIFIED_JOINTS else _columns(recursion)
 
 
@@ -312,24 +312,24 @@ def _lecture(table: DHTable) -> Derivation:
 def _coefficients(record: Record, tau: Sequence[Expr]) -> Derivation:
     """Return the derivation with M as in the lecture: the coefficients of the accelerations in the inputs."""
     a = record.chain.a
-    rest = dict.fromkeys(a, sympy.S.Zero)
-    return record.finished(
+    zeros = dict.fromkeys(a, sympy.S.Zero)
+    return record.derivation(
         [[component.diff(acceleration) for acceleration in a] for component in tau],
-        [component.xreplace(rest) for component in tau],
+        [component.xreplace(zeros) for component in tau],
     )
 
 
-def _columns(told: _Recursion) -> Derivation:
+def _columns(recursion: _Recursion) -> Derivation:
     """Return the derivation with column k of M from the inputs for a unit acceleration of joint k alone.
 
     The motion is at rest and without gravity. Coefficients would require fully expanded inputs.
     """
-    size = range(len(told.joints))
+    size = range(len(recursion.joints))
     zeros = (sympy.S.Zero,) * len(size)
     units = [tuple(sympy.S(int(i == k)) for i in size) for k in size]
 
     def inputs(tag: str, **motion: Any) -> tuple[Expr, ...]:
-        other = replace(told, record=told.record.aside(tag), **motion)
+        other = replace(recursion, record=recursion.record.branch(tag), **motion)
         omega = other.angular_velocities()
         alpha = other.angular_accelerations(omega)
         return other.inputs(omega, alpha, other.linear_accelerations(omega, alpha))
@@ -337,25 +337,25 @@ def _columns(told: _Recursion) -> Derivation:
     columns = [inputs(f"M{k + 1}", v=zeros, a=unit, base=ZERO) for k, unit in enumerate(units)]
     # this half of M does not contain the joints beyond k
     M = [[columns[max(i, k)][min(i, k)] for k in size] for i in size]
-    return told.record.finished(M, inputs("n", a=zeros))
+    return recursion.record.derivation(M, inputs("n", a=zeros))
 
 
-def _told(record: Record) -> tuple[_Recursion, tuple[Expr, ...]]:
+def _record_steps(record: Record) -> tuple[_Recursion, tuple[Expr, ...]]:
     """Record all steps up to the inputs in the lecture's order; return the inputs in the rows' order."""
     chain, links = record.chain, joints(record)
     pose = placements(links, record)[-1]
-    for words, column in ((say.POSITION, 3), (say.NORMAL, 0), (say.SLIDING, 1), (say.APPROACH, 2)):
-        record.matrix(words, pose[:3, column])
+    for wording, column in ((say.POSITION, 3), (say.NORMAL, 0), (say.SLIDING, 1), (say.APPROACH, 2)):
+        record.matrix(wording, pose[:3, column])
     recursion = _Recursion(links, chain.v, chain.a, -chain.gravity, record)
 
-    def in_base(words: Wording, vectors: Vectors) -> Vectors:
-        record.matrix(words, pose[:3, :3] * vectors[-1])
+    def rotate_to_base(wording: Wording, vectors: Vectors) -> Vectors:
+        record.matrix(wording, pose[:3, :3] * vectors[-1])
         return vectors
 
-    omega = in_base(say.OMEGA_BASE, recursion.angular_velocities())
-    in_base(say.VELOCITY_BASE, recursion.linear_velocities(omega))
-    alpha = in_base(say.ALPHA_BASE, recursion.angular_accelerations(omega))
-    a = in_base(say.ACCELERATION_BASE, recursion.linear_accelerations(omega, alpha))
+    omega = rotate_to_base(say.OMEGA_BASE, recursion.angular_velocities())
+    rotate_to_base(say.VELOCITY_BASE, recursion.linear_velocities(omega))
+    alpha = rotate_to_base(say.ALPHA_BASE, recursion.angular_accelerations(omega))
+    a = rotate_to_base(say.ACCELERATION_BASE, recursion.linear_accelerations(omega, alpha))
     return recursion, recursion.inputs(omega, alpha, a)
 
 
@@ -394,19 +394,19 @@ def lagrange(derivation: Derivation) -> Derivation:
     """
     record = Record(derivation.chain)
     chain = record.chain
-    in_time = _Slope(dict(zip(chain.q, chain.v, strict=True)), "t", record)
-    K, V = _energies(record, in_time)
-    to_v = [_Slope({v: sympy.S.One}, str(v), record) for v in chain.v]
-    momenta = [record.scalar(say.MOMENTUM, slope(K), k) for k, slope in enumerate(to_v, 1)]
-    M = [[slope(momentum) for slope in to_v] for momentum in momenta]
+    time_slope = _Derivative(dict(zip(chain.q, chain.v, strict=True)), "t", record)
+    K, V = _energies(record, time_slope)
+    slopes = [_Derivative({v: sympy.S.One}, str(v), record) for v in chain.v]
+    momenta = [record.scalar(say.MOMENTUM, slope(K), k) for k, slope in enumerate(slopes, 1)]
+    M = [[slope(momentum) for slope in slopes] for momentum in momenta]
     n = [
-        in_time(momentum) - _Slope({q: sympy.S.One}, str(q), record)(K - V)
+        time_slope(momentum) - _Derivative({q: sympy.S.One}, str(q), record)(K - V)
         for momentum, q in zip(momenta, chain.q, strict=True)
     ]
-    for k, (row, rest) in enumerate(zip(M, n, strict=True), 1):
+    for k, (row, effects) in enumerate(zip(M, n, strict=True), 1):
         inertial = sum(m * a for m, a in zip(row, chain.a, strict=True))
-        record.scalar(say.LAGRANGE, inertial + rest, k)
-    return record.finished(M, n)
+        record.scalar(say.LAGRANGE, inertial + effects, k)
+    return record.derivation(M, n)
 
 
 def difference(first: Derivation, second: Derivation) -> ImmutableMatrix:
@@ -448,10 +448,10 @@ def difference(first: Derivation, second: Derivation) -> ImmutableMatrix:
             f"first and second have {len(first.q)} joints, expected at most {SIMPLIFIED_JOINTS}: compare "
             "numeric() of both at random states, or simplify the difference of entries of written_out()"
         )
-    return (first.inputs - second.inputs).applyfunc(normal)
+    return (first.inputs - second.inputs).applyfunc(normal_form)
 
 
-def _energies(record: Record, in_time: _Slope) -> tuple[Expr, Expr]:
+def _energies(record: Record, time_slope: _Derivative) -> tuple[Expr, Expr]:
     """Return kinetic and potential energy [J]."""
     chain, T = record.chain, placements(joints(record), record)
     kinetic = potential = sympy.S.Zero
@@ -459,17 +459,17 @@ def _energies(record: Record, in_time: _Slope) -> tuple[Expr, Expr]:
         if link:
             R = T[k][:3, :3]
             p = record.matrix(say.POSITION_COM, R * link.com + T[k][:3, 3], k)
-            v = record.matrix(say.VELOCITY_COM, p.applyfunc(in_time), k)
-            skew = R.applyfunc(in_time) * R.T
+            v = record.matrix(say.VELOCITY_COM, p.applyfunc(time_slope), k)
+            skew = R.applyfunc(time_slope) * R.T
             omega = record.matrix(say.OMEGA_SKEW, ImmutableMatrix([skew[2, 1], skew[0, 2], skew[1, 0]]), k)
-            own_v = record.matrix(say.VELOCITY_OWN, R.T * v, k)
-            own_omega = record.matrix(say.OMEGA_OWN, R.T * omega, k)
-            kinetic += link.mass * own_v.dot(own_v) / 2 + own_omega.dot(link.inertia * own_omega) / 2
+            body_v = record.matrix(say.VELOCITY_OWN, R.T * v, k)
+            body_omega = record.matrix(say.OMEGA_OWN, R.T * omega, k)
+            kinetic += link.mass * body_v.dot(body_v) / 2 + body_omega.dot(link.inertia * body_omega) / 2
             potential -= link.mass * chain.gravity.dot(p)
     return record.scalar(say.KINETIC, kinetic), record.scalar(say.POTENTIAL, potential)
 
 
-class _Slope:
+class _Derivative:
     """Directional derivative that includes named intermediate results.
 
     Parameters
@@ -483,15 +483,15 @@ class _Slope:
     """
 
     def __init__(self, direction: dict[Symbol, Expr], label: str, record: Record) -> None:
-        self._known, self._label, self._record = direction, label, record
+        self._slopes, self._label, self._record = direction, label, record
 
     def __call__(self, expression: Expr) -> Expr:
-        slopes = {symbol: self._of(symbol) for symbol in sorted(expression.free_symbols, key=str)}
+        slopes = {symbol: self._slope_of(symbol) for symbol in sorted(expression.free_symbols, key=str)}
         return sympy.Add(*(expression.diff(symbol) * slope for symbol, slope in slopes.items() if slope))
 
-    def _of(self, symbol: Symbol) -> Expr:
-        if symbol not in self._known:
+    def _slope_of(self, symbol: Symbol) -> Expr:
+        if symbol not in self._slopes:
             meaning = self._record.treatment.meanings.get(symbol)
             slope = self(meaning) if meaning is not None else sympy.S.Zero
-            self._known[symbol] = self._record.named(f"{symbol.name}_d{self._label}", slope)
-        return self._known[symbol]
+            self._slopes[symbol] = self._record.short(f"{symbol.name}_d{self._label}", slope)
+        return self._slopes[symbol]

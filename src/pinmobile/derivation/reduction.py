@@ -13,23 +13,23 @@ from sympy import Expr, Function, ImmutableMatrix, Symbol
 from sympy.polys.matrices import DomainMatrix
 
 from pinmobile.arrays import check_integer, instance, sequence, shaped
-from pinmobile.derivation.chain import exact, exact_angle, grouped, reduced
+from pinmobile.derivation.chain import exact_angle, exact_value, group_terms, reduce_terms
 from pinmobile.derivation.equations import lecture
-from pinmobile.derivation.steps import Assignments, Step, Told
+from pinmobile.derivation.steps import Assignments, Step, StepList
 from pinmobile.errors import InvalidArgument, format_value
 
 _BODY = _, _, _PSI = sympy.symbols("x y psi")
 _TWIST = _VX, _VY, _OMEGA = sympy.symbols("v_x v_y omega")
-_DELTA, _TURNING = sympy.symbols("delta deltadot")
+_DELTA, _DELTA_RATE = sympy.symbols("delta deltadot")
 _R, _IW = sympy.symbols("r Iw")
 
-_MANY_TURNS = 1000  # [rad]: larger angles are not replaced by multiples of 15 degrees
-_FREE = (
+_MAX_ANGLE = 1000  # [rad]: larger angles are not replaced by multiples of 15 degrees
+_MASS_TEXT = (
     "The coefficients of nu' in S' (M a + n - B tau), a = S nu' + S_dot nu: constraint forces of rolling "
     "wheels do no work on rolling motions."
 )
-_REST = "The remaining terms, for nu' = 0 and without torques."
-_PUSHED = "The generalised forces along nu for unit torques."
+_EFFECTS_TEXT = "The remaining terms, for nu' = 0 and without torques."
+_INPUT_TEXT = "The generalised forces along nu for unit torques."
 
 
 @dataclass(frozen=True)
@@ -75,11 +75,11 @@ class RollerWheel:
 
     def __post_init__(self) -> None:
         for name in ("x", "y", "radius", "spin_inertia"):
-            object.__setattr__(self, name, exact(name, getattr(self, name)))
+            object.__setattr__(self, name, exact_value(name, getattr(self, name)))
         for name in ("angle", "roller"):
-            value = exact(name, getattr(self, name))
-            plain = value.is_Rational and abs(value) < _MANY_TURNS
-            object.__setattr__(self, name, exact_angle(name, float(value)) if plain else value)
+            value = exact_value(name, getattr(self, name))
+            is_number = value.is_Rational and abs(value) < _MAX_ANGLE
+            object.__setattr__(self, name, exact_angle(name, float(value)) if is_number else value)
         if (abs(self.roller) - sympy.pi / 2).is_nonnegative:
             raise InvalidArgument(f"roller is {format_value(self.roller)} rad, expected less than pi/2")
         if self.radius.is_nonpositive:
@@ -101,7 +101,7 @@ class RollerWheel:
 
 
 @dataclass(frozen=True)
-class ReducedDerivation(Told):
+class ReducedDerivation(StepList):
     """Equations M nu' + n = B tau in independent velocities nu, and the steps of their derivation.
 
     ``derivation["S"]`` is the step with the name S. In the derivation of a car, some quantities of the front
@@ -148,18 +148,18 @@ class ReducedDerivation(Told):
 
 
 class _Wheel(NamedTuple):
-    """Wheel under the body: name, description and position; `across` is None for a wheel with rollers.
+    """Wheel under the body: name, description and position; `lateral` is None for a wheel with rollers.
 
-    `along` is the rolling direction and `across` the direction without slip, as unit vectors in the body
-    frame. `rolled` is the ground speed along `along` for a unit rate of the wheel.
+    `forward` is the rolling direction and `lateral` the direction without slip, as unit vectors in the body
+    frame. `speed` is the ground speed along `forward` for a unit rate of the wheel.
     """
 
     name: str
     words: str
-    place: tuple[Expr, Expr]
-    along: ImmutableMatrix
-    across: ImmutableMatrix | None
-    rolled: Expr
+    position: tuple[Expr, Expr]
+    forward: ImmutableMatrix
+    lateral: ImmutableMatrix | None
+    speed: Expr
     spin_inertia: Expr
 
     @property
@@ -195,8 +195,8 @@ def differential_drive() -> ReducedDerivation:
 @lru_cache
 def _differential_drive() -> ReducedDerivation:
     axle, b, speed = sympy.symbols("l b v")
-    told = _Steps(_BODY, {_VX: speed, _OMEGA: _OMEGA})
-    return told.derivation([_tyre(name, words, (axle, side)) for name, words, side in _sides(b)])
+    steps = _Steps(_BODY, {_VX: speed, _OMEGA: _OMEGA})
+    return steps.derivation([_tyre(name, words, (axle, side)) for name, words, side in _sides(b)])
 
 
 def roller_drive(wheels: Sequence[RollerWheel] | None = None) -> ReducedDerivation:
@@ -235,11 +235,11 @@ def roller_drive(wheels: Sequence[RollerWheel] | None = None) -> ReducedDerivati
     table = shaped("wheels", sequence("wheels", given, "a sequence of RollerWheel"), ("n>=1",))
     for k, row in enumerate(table):
         instance(f"wheels[{k}]", row, RollerWheel, "a RollerWheel")
-    known = {symbol for row in table for value in vars(row).values() for symbol in value.free_symbols}
+    symbols = {symbol for row in table for value in vars(row).values() for symbol in value.free_symbols}
     angles = [Symbol(f"phi_{k}") for k in range(1, len(table) + 1)]
-    moving = {*_BODY, *angles, *map(_rate, (*_BODY, *angles)), *_TWIST, *lecture().parameters}
-    if twice := sorted(map(str, known & moving)):
-        raise InvalidArgument(f"wheels gives {twice} two meanings, expected distinct names")
+    motion = {*_BODY, *angles, *map(_rate, (*_BODY, *angles)), *_TWIST, *lecture().parameters}
+    if duplicates := sorted(map(str, symbols & motion)):
+        raise InvalidArgument(f"wheels gives {duplicates} two meanings, expected distinct names")
     return _roller_drive(table)
 
 
@@ -247,9 +247,9 @@ def roller_drive(wheels: Sequence[RollerWheel] | None = None) -> ReducedDerivati
 def _roller_drive(table: tuple[RollerWheel, ...]) -> ReducedDerivation:
     wheels = []
     for k, row in enumerate(table, 1):
-        angle, rolled = row.angle + row.roller, row.radius * sympy.cos(row.roller)
+        angle, speed = row.angle + row.roller, row.radius * sympy.cos(row.roller)
         axis = ImmutableMatrix([sympy.cos(angle), sympy.sin(angle)])
-        wheels.append(_Wheel(str(k), f"wheel {k}", (row.x, row.y), axis, None, rolled, row.spin_inertia))
+        wheels.append(_Wheel(str(k), f"wheel {k}", (row.x, row.y), axis, None, speed, row.spin_inertia))
     return _Steps(_BODY, {each: each for each in _TWIST}).derivation(wheels)
 
 
@@ -284,9 +284,9 @@ def car() -> ReducedDerivation:
 @lru_cache
 def _car() -> ReducedDerivation:
     wheelbase, b, Iz, speed = sympy.symbols("L b Iz v")
-    told = _Steps((*_BODY, _DELTA), {_VX: speed, _TURNING: _TURNING})
+    steps = _Steps((*_BODY, _DELTA), {_VX: speed, _DELTA_RATE: _DELTA_RATE})
     rear = [_tyre(f"r{side}", f"rear {words}", (sympy.S.Zero, y)) for side, words, y in _sides(b)]
-    front = [told.steered(f"f{side}", f"front {words}", (wheelbase, y)) for side, words, y in _sides(b)]
+    front = [steps.add_steering(f"f{side}", f"front {words}", (wheelbase, y)) for side, words, y in _sides(b)]
     wheels = [*rear, *(wheel for wheel, _ in front)]
     ratios = [ratio for _, ratio in front]
     M = sympy.zeros(4, 4)
@@ -294,16 +294,16 @@ def _car() -> ReducedDerivation:
     M[3, 3] = Iz * sympy.Add(*(ratio**2 for ratio in ratios))
     half = sympy.Rational(1, 2)
     torques = [{wheel.angle: half for wheel in axle} for axle in (wheels[:2], wheels[2:])]
-    return told.derivation(wheels, M, [*torques, {_DELTA: sympy.S.One}])
+    return steps.derivation(wheels, M, [*torques, {_DELTA: sympy.S.One}])
 
 
 def _sides(b: Expr) -> tuple[tuple[str, str, Expr], ...]:
     return ("l", "left wheel", b), ("r", "right wheel", -b)
 
 
-def _tyre(name: str, words: str, place: tuple[Expr, Expr]) -> _Wheel:
+def _tyre(name: str, words: str, position: tuple[Expr, Expr]) -> _Wheel:
     forward, left = ImmutableMatrix([1, 0]), ImmutableMatrix([0, 1])
-    return _Wheel(name, words, place, forward, left, _R, _IW)
+    return _Wheel(name, words, position, forward, left, _R, _IW)
 
 
 class _Steps:
@@ -311,66 +311,66 @@ class _Steps:
 
     Parameters
     ----------
-    moving : tuple of sympy.Symbol
+    coordinates : tuple of sympy.Symbol
         Coordinates of body and steering.
-    free : dict of sympy.Symbol to sympy.Symbol
+    velocities : dict of sympy.Symbol to sympy.Symbol
         Independent velocities of body and steering, and their names.
     """
 
-    def __init__(self, moving: tuple[Symbol, ...], free: dict[Symbol, Symbol]) -> None:
-        self._moving, self._free = moving, free
+    def __init__(self, coordinates: tuple[Symbol, ...], velocities: dict[Symbol, Symbol]) -> None:
+        self._coordinates, self._velocities = coordinates, velocities
         self._steps: list[Step] = []
         self._names: dict[Expr, Expr] = {}
         self._meanings: list[tuple[Symbol, Expr]] = []
         self._lengths: dict[Symbol, Expr] = {}
         c, s, (xdot, ydot, turn) = sympy.cos(_PSI), sympy.sin(_PSI), map(_rate, _BODY)
         self._twist = ImmutableMatrix([c * xdot + s * ydot, c * ydot - s * xdot, turn])
-        why = "(v_x, v_y, omega): the rates of x and y, rotated into the body frame, and the yaw rate."
-        self._tell("u", "Velocity of the body", why, "u", self._twist)
+        doc = "(v_x, v_y, omega): the rates of x and y, rotated into the body frame, and the yaw rate."
+        self._add("u", "Velocity of the body", doc, "u", self._twist)
 
-    def _tell(self, name: str, title: str, why: str, symbol: str, result: Any) -> Any:
-        told = result.xreplace(self._names)
-        self._steps.append(Step(name, title, why, symbol, told))
-        return told
+    def _add(self, name: str, title: str, doc: str, symbol: str, result: Any) -> Any:
+        expression = result.xreplace(self._names)
+        self._steps.append(Step(name, title, doc, symbol, expression))
+        return expression
 
-    def _short(
-        self, name: str, title: str, why: str, symbol: str, result: ImmutableMatrix
+    def _add_short(
+        self, name: str, title: str, doc: str, symbol: str, result: ImmutableMatrix
     ) -> ImmutableMatrix:
         """Record a result with few terms, grouped by motion, then by mass."""
-        few = result.applyfunc(reduced).xreplace(self._names)
-        motion = [*self._free.values(), *map(_rate, self._moving)]
-        masses = [each for each in few.free_symbols if re.match(r"m$|I\w", each.name)]
-        grown: ImmutableMatrix = few.applyfunc(lambda entry: grouped(entry, (motion, masses)))
-        self._tell(name, title, why, symbol, grown)
-        return grown
+        short = result.applyfunc(reduce_terms).xreplace(self._names)
+        motion = [*self._velocities.values(), *map(_rate, self._coordinates)]
+        masses = [each for each in short.free_symbols if re.match(r"m$|I\w", each.name)]
+        terms: ImmutableMatrix = short.applyfunc(lambda entry: group_terms(entry, (motion, masses)))
+        self._add(name, title, doc, symbol, terms)
+        return terms
 
-    def steered(self, name: str, words: str, place: tuple[Expr, Expr]) -> tuple[_Wheel, Expr]:
+    def add_steering(self, name: str, words: str, position: tuple[Expr, Expr]) -> tuple[_Wheel, Expr]:
         """Record how Ackermann's law turns a wheel; return the wheel and the ratio of its rate to delta's."""
-        (L, y), T = place, sympy.tan(_DELTA)
-        towards = ImmutableMatrix([1 - y * T / L, T])
-        square, change = towards.dot(towards), towards.diff(_DELTA)
+        (L, y), T = position, sympy.tan(_DELTA)
+        direction = ImmutableMatrix([1 - y * T / L, T])
+        square, change = direction.dot(direction), direction.diff(_DELTA)
         root = sympy.sqrt(square)
-        along, across = towards / root, ImmutableMatrix([-T, towards[0]]) / root
+        forward, lateral = direction / root, ImmutableMatrix([-T, direction[0]]) / root
         k, g, slope = (Symbol(f"{letter}_{name}") for letter in ("k", "g", "gprime"))
         ratio = Function(g.name)(_DELTA)
-        why = (
+        doc = (
             "Ackermann's law: all axles intersect at L / tan(delta) to the left of the rear midpoint, so the "
             "wheel's direction is (1 - y tan(delta) / L, tan(delta)), a vector of this length."
         )
-        length = self._tell(k.name, f"Length, {words}", why, sympy.latex(k), root)
+        length = self._add(k.name, f"Length, {words}", doc, sympy.latex(k), root)
         self._names |= {square: k**2, root: k, 1 / root: 1 / k, T**2 + 1: sympy.cos(_DELTA) ** -2}
-        why = "This vector, scaled to length one."
-        self._tell(f"e_{name}", f"Direction, {words}", why, f"e_{{{name}}}", along)
-        turned = sympy.factor(sympy.expand(towards[0] * change[1] - towards[1] * change[0]))
-        why = "The derivative of the wheel's angle by delta: the lateral part of the direction's derivative."
-        first = self._tell(g.name, f"Steering ratio, {words}", why, sympy.latex(g), turned / square)
-        steeper = sympy.factor(sympy.expand(turned.diff(_DELTA) * square - turned * square.diff(_DELTA)))
-        title, why = f"Slope of the steering ratio, {words}", "The derivative of the ratio by delta."
-        second = self._tell(slope.name, title, why, sympy.latex(slope), steeper / square**2)
+        doc = "This vector, scaled to length one."
+        self._add(f"e_{name}", f"Direction, {words}", doc, f"e_{{{name}}}", forward)
+        cross = sympy.factor(sympy.expand(direction[0] * change[1] - direction[1] * change[0]))
+        doc = "The derivative of the wheel's angle by delta: the lateral part of the direction's derivative."
+        first = self._add(g.name, f"Steering ratio, {words}", doc, sympy.latex(g), cross / square)
+        slope_cross = sympy.factor(sympy.expand(cross.diff(_DELTA) * square - cross * square.diff(_DELTA)))
+        title, doc = f"Slope of the steering ratio, {words}", "The derivative of the ratio by delta."
+        second = self._add(slope.name, title, doc, sympy.latex(slope), slope_cross / square**2)
         self._names |= {ratio: g, ratio.diff(_DELTA): slope}
         self._meanings += [(k, length), (g, first), (slope, second)]
         self._lengths[k] = square
-        return _Wheel(name, words, place, along, across, _R, _IW), ratio
+        return _Wheel(name, words, position, forward, lateral, _R, _IW), ratio
 
     def derivation(
         self,
@@ -389,49 +389,49 @@ class _Steps:
         torques : sequence of dict, optional
             Coordinates that each torque drives, with their shares; by default, one torque per wheel.
         """
-        q = (*self._moving, *(wheel.angle for wheel in wheels))
+        q = (*self._coordinates, *(wheel.angle for wheel in wheels))
         rates = ImmutableMatrix([_rate(each) for each in q])
-        nu = ImmutableMatrix(list(self._free.values()))
+        nu = ImmutableMatrix(list(self._velocities.values()))
         S = self._null_space(self._slips(wheels, rates), rates, nu)
         motion = dict(zip(rates, S * nu, strict=True))
 
-        def in_time(matrix: ImmutableMatrix) -> ImmutableMatrix:
-            slopes = (_slope(matrix, x) * _rate(x) for x in self._moving)
+        def time_rate(matrix: ImmutableMatrix) -> ImmutableMatrix:
+            slopes = (_slope(matrix, x) * _rate(x) for x in self._coordinates)
             return sum(slopes, sympy.zeros(*matrix.shape))
 
         M = self._mass_matrix(wheels, steering)
         energy = (rates.T * M * rates)[0] / 2
-        n = in_time(M) * rates - ImmutableMatrix([_slope(energy, x) for x in q])
-        why = "Lagrange: the time derivative of M, times the rates, minus the derivatives of the energy by q."
-        self._short("n", "Nonlinear effects", why, r"n(q, \dot{q})", n)
+        n = time_rate(M) * rates - ImmutableMatrix([_slope(energy, x) for x in q])
+        doc = "Lagrange: the time derivative of M, times the rates, minus the derivatives of the energy by q."
+        self._add_short("n", "Nonlinear effects", doc, r"n(q, \dot{q})", n)
         shares = [{wheel.angle: sympy.S.One} for wheel in wheels] if torques is None else torques
         B = ImmutableMatrix([[share.get(x, 0) for share in shares] for x in q])
-        self._tell("B", "Input matrix", "The generalised force of each torque.", "B", B)
-        S_dot = in_time(S).xreplace(motion)
-        why = "The time derivative of S along rolling motions."
-        self._tell("S_dot", "Rate of the null space", why, r"\dot{S}", S_dot)
-        rest = M * S_dot * nu + n.xreplace(motion)
-        M_nu = self._short("M_nu", "Reduced mass matrix", _FREE, "S^T M S", S.T * M * S)
+        self._add("B", "Input matrix", "The generalised force of each torque.", "B", B)
+        S_dot = time_rate(S).xreplace(motion)
+        doc = "The time derivative of S along rolling motions."
+        self._add("S_dot", "Rate of the null space", doc, r"\dot{S}", S_dot)
+        forces = M * S_dot * nu + n.xreplace(motion)
+        M_nu = self._add_short("M_nu", "Reduced mass matrix", _MASS_TEXT, "S^T M S", S.T * M * S)
         title, symbol = "Reduced nonlinear effects", r"S^T (M \dot{S} \nu + n)"
-        n_nu = self._short("n_nu", title, _REST, symbol, S.T * rest)
-        B_nu = self._short("B_nu", "Reduced input matrix", _PUSHED, "S^T B", S.T * B)
+        n_nu = self._add_short("n_nu", title, _EFFECTS_TEXT, symbol, S.T * forces)
+        B_nu = self._add_short("B_nu", "Reduced input matrix", _INPUT_TEXT, "S^T B", S.T * B)
         return ReducedDerivation(tuple(self._steps), q, tuple(nu), M_nu, n_nu, B_nu, tuple(self._meanings))
 
     def _slips(self, wheels: Sequence[_Wheel], rates: ImmutableMatrix) -> ImmutableMatrix:
         """Record the velocity of each wheel at the ground; return all in terms of the body's velocity."""
         slips = []
         for wheel in wheels:
-            x, y = wheel.place
+            x, y = wheel.position
             centre = ImmutableMatrix([_VX - y * _OMEGA, _VY + x * _OMEGA])
-            held = [wheel.along.dot(centre) - wheel.rolled * _rate(wheel.angle)]
-            why = "Along the axis of the roller at the ground (the roller turns freely about this axis): "
-            if wheel.across is not None:
-                held.append(wheel.across.dot(centre))
-                why = "Along the wheel and across the wheel: "
-            why += "the velocity of the wheel's centre minus the rolling speed. It must vanish."
+            rows = [wheel.forward.dot(centre) - wheel.speed * _rate(wheel.angle)]
+            doc = "Along the axis of the roller at the ground (the roller turns freely about this axis): "
+            if wheel.lateral is not None:
+                rows.append(wheel.lateral.dot(centre))
+                doc = "Along the wheel and across the wheel: "
+            doc += "the velocity of the wheel's centre minus the rolling speed. It must vanish."
             title, symbol = f"Velocity at the ground, {wheel.words}", f"s_{{{wheel.name}}}"
-            self._tell(f"s_{wheel.name}", title, why, symbol, ImmutableMatrix(held) if held[1:] else held[0])
-            slips += held
+            self._add(f"s_{wheel.name}", title, doc, symbol, ImmutableMatrix(rows) if rows[1:] else rows[0])
+            slips += rows
         return ImmutableMatrix(slips)
 
     def _null_space(
@@ -440,39 +440,39 @@ class _Steps:
         """Record A and S; elimination with the independent velocities last gives the columns of S."""
         twist = dict(zip(_TWIST, self._twist, strict=True))
         A = slips.xreplace(twist).jacobian(rates)
-        why = "The coefficients of the rates in the velocities at the ground: A times the rates is zero."
-        self._tell("A", "Constraint matrix", why, "A(q)", A)
+        doc = "The coefficients of the rates in the velocities at the ground: A times the rates is zero."
+        self._add("A", "Constraint matrix", doc, "A(q)", A)
         velocities = [*_TWIST, *rates[3:]]
-        free = list(self._free)
-        ordered = [*(each for each in velocities if each not in free), *free]
-        rows = slips.xreplace(self._names).jacobian(ordered)
-        found = DomainMatrix.from_Matrix(rows).to_field().rref()[0]
-        bound = len(ordered) - len(free)
-        solved = -found.to_Matrix()[:bound, bound:]
+        independent = list(self._velocities)
+        columns = [*(each for each in velocities if each not in independent), *independent]
+        rows = slips.xreplace(self._names).jacobian(columns)
+        echelon = DomainMatrix.from_Matrix(rows).to_field().rref()[0]
+        count = len(columns) - len(independent)
+        ratios = -echelon.to_Matrix()[:count, count:]
         for k, square in self._lengths.items():
-            solved = solved.applyfunc(partial(_shorter, k=k, square=square)).xreplace({k: sympy.sqrt(square)})
-        by_nu = dict(zip(ordered, [*(solved * nu), *nu], strict=True))
+            ratios = ratios.applyfunc(partial(_shorten, k=k, square=square)).xreplace({k: sympy.sqrt(square)})
+        values = dict(zip(columns, [*(ratios * nu), *nu], strict=True))
         c, s = sympy.cos(_PSI), sympy.sin(_PSI)
-        vx, vy = by_nu[_VX], by_nu[_VY]
-        rolling = [c * vx - s * vy, s * vx + c * vy, *(by_nu[each] for each in velocities[2:])]
+        vx, vy = values[_VX], values[_VY]
+        rolling = [c * vx - s * vy, s * vx + c * vy, *(values[each] for each in velocities[2:])]
         S = ImmutableMatrix([sympy.expand(each, deep=False) for each in rolling]).jacobian(nu)
-        told = ", ".join(map(str, nu))
-        why = f"The rates are S nu with nu = ({told}): each column is a rolling motion, A S = 0."
-        self._tell("S", "Null space", why, "S(q)", S)
+        names = ", ".join(map(str, nu))
+        doc = f"The rates are S nu with nu = ({names}): each column is a rolling motion, A S = 0."
+        self._add("S", "Null space", doc, "S(q)", S)
         return S
 
     def _mass_matrix(self, wheels: Sequence[_Wheel], steering: sympy.Matrix | None) -> ImmutableMatrix:
-        body = sympy.zeros(len(self._moving))
+        body = sympy.zeros(len(self._coordinates))
         body[:3, :3] = lecture().mass_matrix
-        why = (
+        doc = (
             "The lecture's mass matrix for the whole robot with locked wheels; a wheel adds its inertia "
             "about the axle; a spinning wheel, a solid of revolution, moves no mass"
         )
         if steering is not None:
             body += steering
-            why += "; a steered wheel adds Iz ((omega + g deltadot)^2 - omega^2) / 2 to the energy"
+            doc += "; a steered wheel adds Iz ((omega + g deltadot)^2 - omega^2) / 2 to the energy"
         M = ImmutableMatrix(sympy.diag(body, *(wheel.spin_inertia for wheel in wheels)))
-        self._tell("M", "Mass matrix, wheels included", f"{why}.", "M(q)", M)
+        self._add("M", "Mass matrix, wheels included", f"{doc}.", "M(q)", M)
         return M
 
 
@@ -488,6 +488,6 @@ def _slope(expression: Any, x: Symbol) -> Any:
     return slope.xreplace({T.diff(_DELTA): sympy.cos(_DELTA) ** -2}).xreplace({T: tangent})
 
 
-def _shorter(entry: Expr, k: Symbol, square: Expr) -> Expr:
+def _shorten(entry: Expr, k: Symbol, square: Expr) -> Expr:
     """Return `entry` with k in place of k^2 / k for a written-out k^2, if this is shorter."""
     return min(entry, sympy.cancel(entry * k / square) * k, key=sympy.count_ops)

@@ -16,7 +16,7 @@ import sympy
 from sympy import Expr, ImmutableMatrix, Symbol
 
 from pinmobile.arrays import Array, ArrayLike, check_overflow, finite, instance, one_of, vector
-from pinmobile.derivation.chain import Chain, grouped, reduced
+from pinmobile.derivation.chain import Chain, group_terms, reduce_terms
 from pinmobile.dh import DHRow, JointType
 from pinmobile.errors import InvalidArgument, UnknownName, format_value
 
@@ -149,7 +149,7 @@ class Numeric:
             # dummify: a joint may have the name sin, or x0 like the first common subexpression
             self._functions[name] = sympy.lambdify(
                 [*arguments, *derivation.parameters],
-                [_rounded(entry) for entry in matrix],
+                [_round_constants(entry) for entry in matrix],
                 modules="numpy",
                 dummify=True,
                 docstring_limit=0,
@@ -162,13 +162,13 @@ class Numeric:
         arrays = [vector(name, value, size) for name, value in state.items()]
         arguments = [array[..., i] for array in arrays for i in range(size)] + self._values(params)
         try:
-            leading = np.broadcast_shapes(*(argument.shape for argument in arguments))
+            shape = np.broadcast_shapes(*(argument.shape for argument in arguments))
         except ValueError:
             shapes = ", ".join(f"{name} {np.shape(value)}" for name, value in {**state, **params}.items())
             raise InvalidArgument(f"shapes are {shapes}, expected leading axes that broadcast") from None
         with np.errstate(all="ignore"):
             entries = self._function(name, state)(*arguments)
-        result = np.empty((*leading, len(entries)))
+        result = np.empty((*shape, len(entries)))
         for i, entry in enumerate(entries):
             result[..., i] = entry
         return check_overflow("an entry of the result", result)
@@ -194,11 +194,11 @@ def _program(
     for symbol, value in reversed(assignments):
         if symbol in needed:
             needed |= value.free_symbols
-            program.append((symbol, _rounded(value)))
+            program.append((symbol, _round_constants(value)))
     return program[::-1]
 
 
-def _rounded(expression: Expr) -> Expr:
+def _round_constants(expression: Expr) -> Expr:
     """Return `expression` with constants such as sqrt(2) as floats."""
     constants = expression.atoms(sympy.Pow, sympy.Function, sympy.NumberSymbol)
     return expression.xreplace({c: c.evalf(17) for c in constants if c.is_number})
@@ -216,41 +216,41 @@ def _latex(expression: Expr | ImmutableMatrix) -> str:
     return str(sympy.latex(expression, symbol_names=names))
 
 
-_WIDEST = 62.0  # letters of a formula on a line of A4
+_A4_WIDTH = 62.0  # letters of a formula on a line of A4
 _COMMAND = re.compile(r"\\[a-zA-Z]+|\\.")
 _LETTERS = {"sin": 3.0, "cos": 3.0, "tan": 3.0, "left": 0.5, "right": 0.5, "dot": 0.0, "ddot": 0.0}
 
 
 def _width(latex: str) -> float:
     """Return the approximate width of a formula in letters; a fraction is as wide as both of its parts."""
-    rest, spaced = _COMMAND.sub("", latex), len(re.findall(r" [-+=] ", latex))
-    named = sum(_LETTERS.get(each[1:], 1.0) for each in _COMMAND.findall(latex))
-    return named + 1.5 * spaced + len(re.sub(r"[{}^_\s&]", "", rest))
+    letters, operators = _COMMAND.sub("", latex), len(re.findall(r" [-+=] ", latex))
+    commands = sum(_LETTERS.get(each[1:], 1.0) for each in _COMMAND.findall(latex))
+    return commands + 1.5 * operators + len(re.sub(r"[{}^_\s&]", "", letters))
 
 
 def _lines(symbol: str, expression: Expr | ImmutableMatrix) -> list[str]:
     """Return an equation as lines of an environment align*, none wider than a page of A4."""
-    whole = _latex(expression)
+    formula = _latex(expression)
     if isinstance(expression, ImmutableMatrix):
         rows, columns = expression.shape
         entries = {(i, j): expression[i, j] for i in range(rows) for j in range(columns)}
         widths = [max(_width(_latex(entries[i, j])) + 2.0 for i in range(rows)) for j in range(columns)]
-        if sum(widths) + _width(symbol) <= _WIDEST:
-            return [f"{symbol} &= {whole}"]
+        if sum(widths) + _width(symbol) <= _A4_WIDTH:
+            return [f"{symbol} &= {formula}"]
         found = []
         for (i, j), entry in entries.items():
-            place = f"{i + 1},{j + 1}" if columns > 1 else f"{i + 1}"
-            found += _lines(rf"\left[{symbol}\right]_{{{place}}}", entry) if entry != 0 else []
+            index = f"{i + 1},{j + 1}" if columns > 1 else f"{i + 1}"
+            found += _lines(rf"\left[{symbol}\right]_{{{index}}}", entry) if entry != 0 else []
         return found
-    if _width(symbol) + _width(whole) <= _WIDEST:
-        return [f"{symbol} &= {whole}"]
+    if _width(symbol) + _width(formula) <= _A4_WIDTH:
+        return [f"{symbol} &= {formula}"]
     terms = expression.as_ordered_terms()
     terms = terms if len(terms) > 1 else sympy.expand(expression).as_ordered_terms()
     pieces = [_latex(each) for each in terms]
     pieces = [each if each.startswith("-") or k == 0 else f"+ {each}" for k, each in enumerate(pieces)]
     lines = [f"{symbol} &= {pieces[0]}"]
     for piece in pieces[1:]:
-        if _width(f"{lines[-1]} {piece}") <= _WIDEST:
+        if _width(f"{lines[-1]} {piece}") <= _A4_WIDTH:
             lines[-1] += f" {piece}"
         else:
             lines.append(rf"&\quad {piece}")
@@ -258,18 +258,18 @@ def _lines(symbol: str, expression: Expr | ImmutableMatrix) -> list[str]:
 
 
 def _text(expression: Expr | ImmutableMatrix) -> str:
-    picture = str(sympy.pretty(expression, wrap_line=False))
-    if max(map(len, picture.splitlines())) <= get_terminal_size().columns:
-        return picture
+    text = str(sympy.pretty(expression, wrap_line=False))
+    if max(map(len, text.splitlines())) <= get_terminal_size().columns:
+        return text
     # too wide for the terminal: line by line
     if not isinstance(expression, ImmutableMatrix):
         return str(expression)
     rows, columns = expression.shape
-    places = [
+    indices = [
         f"{i}, {j}" if columns > 1 else str(i) for i in range(1, rows + 1) for j in range(1, columns + 1)
     ]
-    lines = [f"  [{place}] = {entry}" for place, entry in zip(places, expression, strict=True) if entry]
-    return "\n".join([*lines, "  all others = 0"] if len(lines) < len(places) else lines)
+    lines = [f"  [{index}] = {entry}" for index, entry in zip(indices, expression, strict=True) if entry]
+    return "\n".join([*lines, "  all others = 0"] if len(lines) < len(indices) else lines)
 
 
 @dataclass(frozen=True)
@@ -320,7 +320,7 @@ class Step:
         return f"{self.title}\n  {self.explanation}\n{self.name} =\n{_text(self.expression)}"
 
 
-class Told:
+class StepList:
     """Base class of derivations: steps that users look up by name or print in order."""
 
     steps: tuple[Step, ...]
@@ -348,10 +348,10 @@ class Told:
             If `expression` has another type.
         """
         instance("expression", expression, Expr | ImmutableMatrix, "a sympy expression or matrix")
-        full: dict[Symbol, Expr] = {}
+        values: dict[Symbol, Expr] = {}
         for symbol, value in self.assignments:
-            full[symbol] = value.xreplace(full)
-        return expression.xreplace(full)
+            values[symbol] = value.xreplace(values)
+        return expression.xreplace(values)
 
     def latex(self) -> str:
         """Return all steps as one LaTeX environment, in which no line is wider than a page of A4."""
@@ -374,7 +374,7 @@ class Told:
 
 
 @dataclass(frozen=True)
-class Derivation(Told):
+class Derivation(StepList):
     """Equations of motion M(q) a + n(q, v) = inputs, and the steps of their derivation.
 
     ``derivation["M"]`` is the step with the name M. Up to three joints, every expression is simplified. For
@@ -472,7 +472,7 @@ class Wording:
     prismatic: str = ""
     revolute: str = ""
 
-    def at(self, k: int, last: int, row: DHRow, **texts: str) -> tuple[str, str, str, str]:
+    def fill(self, k: int, last: int, row: DHRow, **texts: str) -> tuple[str, str, str, str]:
         """Return name, title, explanation and symbol for index `k` with the table's `row`."""
         extra = self.revolute if row.joint is JointType.REVOLUTE else self.prismatic
         values = {"k": k, "j": k - 1, "n": last, "joint": row.joint.value, "variable": row.variable, **texts}
@@ -654,11 +654,11 @@ class _Treatment(Protocol):
     def meanings(self) -> Mapping[Symbol, Expr]:
         """Symbols of intermediate results with their expressions, in the order of their creation."""
 
-    def take(self, name: str, result: ImmutableMatrix) -> _Matrices:
+    def apply(self, name: str, result: ImmutableMatrix) -> _Matrices:
         """Return the form of `result` for later steps, and the form for the reader."""
 
 
-class _Simplified:
+class _Simplifier:
     """Treatment that simplifies each result; the reader sees terms grouped by motion, then by mass."""
 
     meanings: Mapping[Symbol, Expr] = MappingProxyType({})
@@ -666,13 +666,13 @@ class _Simplified:
     def __init__(self, chain: Chain) -> None:
         self._levels = (chain.v + chain.a, chain.masses)
 
-    def take(self, name: str, result: ImmutableMatrix) -> _Matrices:
+    def apply(self, name: str, result: ImmutableMatrix) -> _Matrices:
         """Return `result` expanded, and with common factors before brackets."""
-        few = result.applyfunc(reduced)
-        return few, few.applyfunc(lambda entry: grouped(entry, self._levels))
+        terms = result.applyfunc(reduce_terms)
+        return terms, terms.applyfunc(lambda entry: group_terms(entry, self._levels))
 
 
-class Named:
+class Namer:
     """Treatment that names every entry of a result except symbols, for use in later steps.
 
     The size of the expressions then grows linearly with the number of joints. Without names, it grows
@@ -686,29 +686,29 @@ class Named:
 
     def __init__(self, chain: Chain) -> None:
         self.meanings: dict[Symbol, Expr] = {}
-        self._taken = {symbol.name for symbol in (*chain.q, *chain.v, *chain.a, *chain.parameters)}
-        self._known: dict[Expr, Expr] = {}
+        self._names = {symbol.name for symbol in (*chain.q, *chain.v, *chain.a, *chain.parameters)}
+        self._symbols: dict[Expr, Expr] = {}
 
-    def take(self, name: str, result: ImmutableMatrix) -> _Matrices:
+    def apply(self, name: str, result: ImmutableMatrix) -> _Matrices:
         """Return names for the entries of `result`, and `result`."""
         rows, columns = result.shape
         if columns == 1:
-            places = {1: [""], 3: list("xyz")}.get(rows, [f"_{i}" for i in range(1, rows + 1)])
+            suffixes = {1: [""], 3: list("xyz")}.get(rows, [f"_{i}" for i in range(1, rows + 1)])
         else:
-            places = [f"_{i}{j}" for i in range(1, rows + 1) for j in range(1, columns + 1)]
-        entries = [self._named(name + place, entry) for place, entry in zip(places, result, strict=True)]
+            suffixes = [f"_{i}{j}" for i in range(1, rows + 1) for j in range(1, columns + 1)]
+        entries = [self._name(name + suffix, entry) for suffix, entry in zip(suffixes, result, strict=True)]
         return ImmutableMatrix(rows, columns, entries), result
 
-    def _named(self, name: str, entry: Expr) -> Expr:
+    def _name(self, name: str, entry: Expr) -> Expr:
         if entry.is_Atom or (-entry).is_Atom:
             return entry
-        if entry not in self._known:
-            while name in self._taken:
+        if entry not in self._symbols:
+            while name in self._names:
                 name += "_"
-            self._taken.add(name)
+            self._names.add(name)
             self.meanings[Symbol(name)] = entry
-            self._known |= {entry: Symbol(name), -entry: -Symbol(name)}
-        return self._known[entry]
+            self._symbols |= {entry: Symbol(name), -entry: -Symbol(name)}
+        return self._symbols[entry]
 
 
 SIMPLIFIED_JOINTS = 3
@@ -734,9 +734,9 @@ class Record:
     def __init__(self, chain: Chain) -> None:
         self.chain, self._tag = chain, ""
         self.steps: list[Step] = []
-        self.treatment: _Treatment = _Simplified(chain) if len(chain) <= SIMPLIFIED_JOINTS else Named(chain)
+        self.treatment: _Treatment = _Simplifier(chain) if len(chain) <= SIMPLIFIED_JOINTS else Namer(chain)
 
-    def aside(self, tag: str) -> Record:
+    def branch(self, tag: str) -> Record:
         """Return an empty record with the same names, for results that are not steps of this derivation.
 
         New names contain `tag`, since this record has the same quantities.
@@ -748,22 +748,22 @@ class Record:
     def matrix(self, wording: Wording, result: ImmutableMatrix, k: int = 0, **texts: str) -> ImmutableMatrix:
         """Record the step of `wording` for index `k`, and return the form of `result` for later steps."""
         row = self.chain.table.rows[max(k - 1, 0)]
-        name, title, explanation, symbol = wording.at(k, len(self.chain), row, **texts)
-        kept, shown = self.treatment.take(self._tagged(name), ImmutableMatrix(result))
-        self.steps.append(Step(name, title, explanation, symbol, shown))
-        return kept
+        name, title, explanation, symbol = wording.fill(k, len(self.chain), row, **texts)
+        form, text = self.treatment.apply(self._add_tag(name), ImmutableMatrix(result))
+        self.steps.append(Step(name, title, explanation, symbol, text))
+        return form
 
     def scalar(self, wording: Wording, result: Expr, k: int = 0, **texts: str) -> Expr:
         """Record a step with a single expression as its result; see `matrix`."""
-        kept = self.matrix(wording, ImmutableMatrix([[result]]), k, **texts)
+        form = self.matrix(wording, ImmutableMatrix([[result]]), k, **texts)
         self.steps[-1] = replace(self.steps[-1], expression=self.steps[-1].expression[0])
-        return kept[0]
+        return form[0]
 
-    def named(self, name: str, result: Expr) -> Expr:
+    def short(self, name: str, result: Expr) -> Expr:
         """Return the form of `result` for later steps, without recording a step."""
-        return self.treatment.take(self._tagged(name), ImmutableMatrix([[result]]))[0][0]
+        return self.treatment.apply(self._add_tag(name), ImmutableMatrix([[result]]))[0][0]
 
-    def finished(self, M: Sequence[Sequence[Expr]], n: Sequence[Expr]) -> Derivation:
+    def derivation(self, M: Sequence[Sequence[Expr]], n: Sequence[Expr]) -> Derivation:
         """Record M and n, given in the order of the rows, and return the derivation."""
         order, variables = self.chain.order, self.chain.table.variables
         names = [f"tau_{variables.index(name) + 1}" for name in order]
@@ -771,11 +771,11 @@ class Record:
         rows = self.chain.ordered([self.chain.ordered(row) for row in M])
         self.matrix(MASS_MATRIX, ImmutableMatrix(rows), 0, **texts)
         self.matrix(NONLINEAR_EFFECTS, ImmutableMatrix(self.chain.ordered(n)), 0, **texts)
-        shown = {step.name: step.expression for step in self.steps}
-        inputs = ImmutableMatrix([shown[name] for name in names])
+        steps = {step.name: step.expression for step in self.steps}
+        inputs = ImmutableMatrix([steps[name] for name in names])
         meanings = tuple(self.treatment.meanings.items())
-        return Derivation(self.chain, tuple(self.steps), inputs, shown["M"], shown["n_v"], meanings)
+        return Derivation(self.chain, tuple(self.steps), inputs, steps["M"], steps["n_v"], meanings)
 
-    def _tagged(self, name: str) -> str:
+    def _add_tag(self, name: str) -> str:
         # in names of sympy, __ begins a superscript and _ a subscript
         return name.replace("_", f"__{self._tag}_", 1) if self._tag else name

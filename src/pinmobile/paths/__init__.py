@@ -7,7 +7,7 @@ from pinmobile.paths.path import (
     TransformedPath,
     Value as Value,
     Whole,
-    checked_path as checked_path,
+    check_path as check_path,
     pieces_of,
     within,
 )

@@ -17,10 +17,10 @@ from pinmobile.paths.path import (
     PiecewisePolynomial,
     Whole,
     axes_of,
+    check_duration,
     check_sizes,
     hermite,
-    stretch,
-    turned,
+    rotate,
 )
 
 
@@ -32,7 +32,7 @@ class _Figure(Curve):
         """Amplitudes along x and y [m], and rates [rad/s]."""
         raise NotImplementedError
 
-    def _place(self, curve: Array, order: int) -> Array:
+    def _move(self, curve: Array, order: int) -> Array:
         """Return derivatives of (rx sin(wx t), -ry cos(wy t)), shape (..., 2), at the figure's position."""
         raise NotImplementedError
 
@@ -47,7 +47,7 @@ class _Figure(Curve):
         with np.errstate(all="ignore"):
             x = rx * wx**order * _sine(wx * t, order)
             y = -ry * wy**order * _sine(wy * t, order + 1)
-            curve = self._place(np.stack([x, y], axis=-1), order)
+            curve = self._move(np.stack([x, y], axis=-1), order)
         return check_overflow("a point or derivative of the figure", curve)
 
 
@@ -102,7 +102,7 @@ class Lissajous(_Figure):
     def _axes(self) -> tuple[float, float, float, float]:
         return self.rx, self.ry, self.wx, self.wy
 
-    def _place(self, curve: Array, order: int) -> Array:
+    def _move(self, curve: Array, order: int) -> Array:
         if not order:
             curve[..., 1] += self.ry
         return curve
@@ -185,10 +185,10 @@ class Circle(_Figure):
             return self.heading if self.rate >= 0 else self.heading - np.pi
         return 0.0 if self.phase is None else self.phase + np.pi / 2
 
-    def _place(self, curve: Array, order: int) -> Array:
+    def _move(self, curve: Array, order: int) -> Array:
         centre = np.array([0.0, self.radius])
         if self._turn:
-            curve, centre = (turned(each, self._turn) for each in (curve, centre))
+            curve, centre = (rotate(each, self._turn) for each in (curve, centre))
         if not order:
             curve += centre if self.centre is None else np.asarray(self.centre)
         return curve
@@ -200,8 +200,8 @@ def _sine(angle: Array, quarter_turns: int) -> Array:
 
 
 def _velocity(doc: str) -> Any:
-    at_rest = attrs.Factory(lambda path: np.zeros(len(axes_of(path))), takes_self=True)
-    return array(default=at_rest, unit="m/s", labels=axes_of, doc=doc)
+    zeros = attrs.Factory(lambda path: np.zeros(len(axes_of(path))), takes_self=True)
+    return array(default=zeros, unit="m/s", labels=axes_of, doc=doc)
 
 
 @part
@@ -264,8 +264,8 @@ class CubicVia(PiecewisePath):
         check_sizes(self, "via", "end", "via_velocity", "start_velocity", "end_velocity")
         if not self.t_via < self.t_end:
             raise InvalidArgument(f"t_via is {self.t_via} s, expected 0 < t_via < t_end = {self.t_end} s")
-        stretch("t_via", self.t_via)
-        stretch("t_end - t_via", self.t_end - self.t_via)
+        check_duration("t_via", self.t_via)
+        check_duration("t_end - t_via", self.t_end - self.t_via)
         super().check()
 
     @property
@@ -276,9 +276,9 @@ class CubicVia(PiecewisePath):
     @cached_property
     def _curve(self) -> PiecewisePolynomial:
         velocity = self._free_velocity() if self.via_velocity is None else self.via_velocity
-        before = hermite(self.t_via, self.start, self.via, self.start_velocity, velocity)
-        after = hermite(self.t_end - self.t_via, self.via, self.end, velocity, self.end_velocity)
-        return PiecewisePolynomial(np.array([0.0, self.t_via, self.t_end]), np.array([before, after]))
+        first = hermite(self.t_via, self.start, self.via, self.start_velocity, velocity)
+        second = hermite(self.t_end - self.t_via, self.via, self.end, velocity, self.end_velocity)
+        return PiecewisePolynomial(np.array([0.0, self.t_via, self.t_end]), np.array([first, second]))
 
     def _free_velocity(self) -> Array:
         # This is the lecture's 8 x 8 system in closed form, for each coordinate. With the mean velocities of
@@ -287,9 +287,9 @@ class CubicVia(PiecewisePath):
         # the lecture's via point, exactly zero here, would not be zero everywhere.
         """Return the velocity at the via point for a continuous acceleration, shape (n,) [m/s]."""
         t, s = self.t_via, self.t_end - self.t_via
-        before = 3 * ((self.via - self.start) / t) - self.start_velocity
-        after = 3 * ((self.end - self.via) / s) - self.end_velocity
-        return np.asarray((before * (s / self.t_end) + after * (t / self.t_end)) / 2)
+        first = 3 * ((self.via - self.start) / t) - self.start_velocity
+        second = 3 * ((self.end - self.via) / s) - self.end_velocity
+        return np.asarray((first * (s / self.t_end) + second * (t / self.t_end)) / 2)
 
 
 @part
@@ -339,7 +339,7 @@ class Spline(PiecewisePath):
         bounded("times[0]", times[0], least=0, most=0, unit="s")
         increasing("times", times)
         for k, step in enumerate(np.diff(times), 1):
-            stretch(f"times[{k}] - times[{k - 1}]", step)
+            check_duration(f"times[{k}] - times[{k - 1}]", step)
         super().check()
 
     @property
@@ -355,10 +355,10 @@ class Spline(PiecewisePath):
         ends = ((1, self.start_velocity), (1, self.end_velocity))
         try:
             with np.errstate(all="ignore"):  # PiecewisePolynomial checks the result
-                highest_first = CubicSpline(self.times, self.waypoints, bc_type=ends).c  # (4, k - 1, n)
+                coefficients = CubicSpline(self.times, self.waypoints, bc_type=ends).c  # (4, k - 1, n)
         except (ValueError, np.linalg.LinAlgError):  # a slope overflows, or steps differ too much
-            highest_first = np.full((4, len(self.times) - 1, self.waypoints.shape[1]), np.nan)
-        return PiecewisePolynomial(self.times, np.moveaxis(highest_first[::-1], 0, 1))
+            coefficients = np.full((4, len(self.times) - 1, self.waypoints.shape[1]), np.nan)
+        return PiecewisePolynomial(self.times, np.moveaxis(coefficients[::-1], 0, 1))
 
 
 @part
@@ -444,7 +444,7 @@ class RestToRest(PiecewisePath):
 
     @cached_property
     def _curve(self) -> PiecewisePolynomial:
-        T = stretch("duration", self.duration)
+        T = check_duration("duration", self.duration)
         with np.errstate(all="ignore"):  # PiecewisePolynomial checks the result
             way = self.end - self.start
             still = np.zeros_like(way)
@@ -492,7 +492,7 @@ class Line(PiecewisePath):
 
     @cached_property
     def _curve(self) -> PiecewisePolynomial:
-        T = stretch("duration", self.duration)
+        T = check_duration("duration", self.duration)
         with np.errstate(all="ignore"):  # PiecewisePolynomial checks the result
             rows = np.array([[self.start, (self.end - self.start) / T]])
         return PiecewisePolynomial(np.array([0.0, T]), rows)

@@ -221,7 +221,7 @@ def pieces_of(path: Path) -> tuple[Piece, ...]:
     return tuple(getattr(path, "pieces", ())) or (Whole(path),)
 
 
-def checked_path(path: object, size: int) -> Path:
+def check_path(path: object, size: int) -> Path:
     """Return a path after a check of its points' shape and of its pieces.
 
     Raises
@@ -229,35 +229,35 @@ def checked_path(path: object, size: int) -> Path:
     InvalidArgument
         If it is not a path, its points have another shape, or two pieces do not meet.
     """
-    found: Any = require("path", path, Path)
-    shape = np.shape(found(0.0))
+    checked: Any = require("path", path, Path)
+    shape = np.shape(checked(0.0))
     if shape != (size,):
-        where = "the plane" if size == 2 else "space"
-        raise InvalidArgument(f"path has points of shape {shape}, expected ({size},), a path in {where}")
-    for before, after in pairwise(pieces_of(found)):
-        ends = before.derivative(before.end, 0), after.derivative(after.start, 0)
-        if jumps(*ends, _JUMP):
-            here, there = map(told, ends)
+        region = "the plane" if size == 2 else "space"
+        raise InvalidArgument(f"path has points of shape {shape}, expected ({size},), a path in {region}")
+    for left, right in pairwise(pieces_of(checked)):
+        ends = left.derivative(left.end, 0), right.derivative(right.start, 0)
+        if jumps(*ends, _JUMP_TOLERANCE):
+            end, start = map(format_point, ends)
             raise InvalidArgument(
-                f"path jumps from {here} m to {there} m at t = {after.start:g} s, expected pieces that meet"
+                f"path jumps from {end} m to {start} m at t = {right.start:g} s, expected pieces that meet"
             )
-    return found  # type: ignore[no-any-return]
+    return checked  # type: ignore[no-any-return]
 
 
-_JUMP = 1e-6  # [m], and relative to the coordinates: above the rounding error of any curve
+_JUMP_TOLERANCE = 1e-6  # [m], and relative to the coordinates: above the rounding error of any curve
 
 
-def jumps(one: Array, other: Array, slack: float) -> bool:
-    """Return whether two points differ by more than `slack` [m], relative to coordinates beyond 1 m."""
-    return not bool((np.abs(other - one) <= slack * (1 + np.abs(one).max(initial=0.0))).all())
+def jumps(one: Array, other: Array, tolerance: float) -> bool:
+    """Return whether two points differ by more than `tolerance` [m], relative to coordinates beyond 1 m."""
+    return not bool((np.abs(other - one) <= tolerance * (1 + np.abs(one).max(initial=0.0))).all())
 
 
-def told(point: Array) -> str:
+def format_point(point: Array) -> str:
     """Return a point as text, with rounding errors of zeros removed."""
     return f"({', '.join(f'{each:.6g}' for each in np.round(point, 9) + 0.0)})"
 
 
-def checked_order(order: ArrayLike) -> int:
+def check_order(order: ArrayLike) -> int:
     """Return the order of a derivative after a check.
 
     Raises
@@ -265,10 +265,10 @@ def checked_order(order: ArrayLike) -> int:
     InvalidArgument
         If it is not a whole number from 0 to 1000.
     """
-    return check_integer("order", order, least=0, most=_HIGHEST)
+    return check_integer("order", order, least=0, most=_MAX_ORDER)
 
 
-_HIGHEST = 1000  # order of a derivative: beyond it, powers of a figure's rates overflow
+_MAX_ORDER = 1000  # order of a derivative: beyond it, powers of a figure's rates overflow
 
 
 def within(name: str, t: ArrayLike, duration: float) -> Array:
@@ -306,9 +306,9 @@ def within(name: str, t: ArrayLike, duration: float) -> Array:
     array([0., 1.])
     """
     times = finite(name, t)
-    inside = np.minimum(np.maximum(times, 0.0), duration)
-    close = np.abs(times - inside) <= _ROUNDING * duration
-    return bounded(name, np.where(close, inside, times), least=0, most=duration, unit="s")
+    clipped = np.minimum(np.maximum(times, 0.0), duration)
+    is_close = np.abs(times - clipped) <= _ROUNDING * duration
+    return bounded(name, np.where(is_close, clipped, times), least=0, most=duration, unit="s")
 
 
 def axes_of(path: Any) -> tuple[str, ...]:
@@ -336,8 +336,8 @@ class Value:
     """Abstract base of parts with equality, hash and repr by their fields, arrays as tuples."""
 
     def _values(self) -> dict[str, object]:
-        named = {name: value for name, _, value in fields_of(self)}
-        return {name: _plain(v.tolist()) if isinstance(v, np.ndarray) else v for name, v in named.items()}
+        values = {name: value for name, _, value in fields_of(self)}
+        return {name: _tuples(v.tolist()) if isinstance(v, np.ndarray) else v for name, v in values.items()}
 
     def __eq__(self, other: object) -> bool:
         if type(other) is not type(self):
@@ -348,8 +348,8 @@ class Value:
         return hash((type(self), *self._values().values()))
 
     def __repr__(self) -> str:
-        inside = ", ".join(f"{name}={value!r}" for name, value in self._values().items())
-        return f"{type(self).__name__}({inside})"
+        fields = ", ".join(f"{name}={value!r}" for name, value in self._values().items())
+        return f"{type(self).__name__}({fields})"
 
 
 class Curve(Value):
@@ -405,7 +405,7 @@ class Curve(Value):
         InvalidArgument
             If a time lies outside, or `order` is not a whole number >= 0.
         """
-        return self._at(within("t", t, self.duration), checked_order(order))
+        return self._at(within("t", t, self.duration), check_order(order))
 
     def moved(self, x: float = 0.0, y: float = 0.0, angle: float = 0.0) -> TransformedPath:
         """Return the path, rotated about the origin and then translated.
@@ -430,17 +430,17 @@ class Curve(Value):
         return TransformedPath(self, x, y, angle)
 
 
-def _plain(value: object) -> object:
+def _tuples(value: object) -> object:
     """Return nested lists as nested tuples."""
-    return tuple(map(_plain, value)) if isinstance(value, list) else value
+    return tuple(map(_tuples, value)) if isinstance(value, list) else value
 
 
-def turned(vectors: Array, angle: float) -> Array:
+def rotate(vectors: Array, angle: float) -> Array:
     """Return vectors rotated about the z axis by an angle [rad], shape (..., n) with n >= 2."""
-    found = np.array(vectors, np.float64)
+    rotated = np.array(vectors, np.float64)
     c, s, x, y = np.cos(angle), np.sin(angle), vectors[..., 0], vectors[..., 1]
-    found[..., 0], found[..., 1] = c * x - s * y, s * x + c * y
-    return found
+    rotated[..., 0], rotated[..., 1] = c * x - s * y, s * x + c * y
+    return rotated
 
 
 @final
@@ -496,21 +496,21 @@ class TransformedPath(Curve):
     @property
     def pieces(self) -> tuple[Piece, ...]:
         """Pieces of the path, transformed."""
-        return tuple(_MovedPiece(self, piece) for piece in pieces_of(self.path))
+        return tuple(_TransformedPiece(self, piece) for piece in pieces_of(self.path))
 
     def _at(self, t: Array, order: int) -> Array:
-        return self._placed(self.path.derivative(t, order), order)
+        return self._transform(self.path.derivative(t, order), order)
 
-    def _placed(self, vectors: Array, order: int) -> Array:
+    def _transform(self, vectors: Array, order: int) -> Array:
         """Return positions or derivatives after rotation and translation."""
-        found = turned(vectors, self.angle) if self.angle else np.array(vectors, np.float64)
+        moved = rotate(vectors, self.angle) if self.angle else np.array(vectors, np.float64)
         if not order:
-            found[..., :2] += self.x, self.y
-        return found
+            moved[..., :2] += self.x, self.y
+        return moved
 
 
 @dataclass(frozen=True)
-class _MovedPiece:
+class _TransformedPiece:
     """Transformed piece of a path."""
 
     whole: TransformedPath
@@ -525,7 +525,7 @@ class _MovedPiece:
         return self.piece.end
 
     def derivative(self, t: ArrayLike, order: int) -> Array:
-        return self.whole._placed(self.piece.derivative(t, order), order)
+        return self.whole._transform(self.piece.derivative(t, order), order)
 
 
 @dataclass(frozen=True, eq=False)
@@ -607,7 +607,7 @@ def hermite(step: float, left: Array, right: Array, left_velocity: Array, right_
         return np.array([left, left_velocity, quadratic, cubic])
 
 
-def stretch(name: str, value: ArrayLike) -> float:
+def check_duration(name: str, value: ArrayLike) -> float:
     """Return a duration between two points [s] after a check that its fifth power is representable.
 
     Raises
@@ -615,24 +615,24 @@ def stretch(name: str, value: ArrayLike) -> float:
     InvalidArgument
         If it is not above zero, or too short or too long.
     """
-    return bounded(name, positive(name, value, "s"), least=_SHORTEST, most=_FARTHEST, unit="s")
+    return bounded(name, positive(name, value, "s"), least=_MIN_DURATION, most=_MAX_DURATION, unit="s")
 
 
-_SHORTEST, _FARTHEST = 1e-50, 1e50  # [s]
+_MIN_DURATION, _MAX_DURATION = 1e-50, 1e50  # [s]
 
 
 def _horner(coefficients: Array, s: Array, order: int) -> Array:
     """Return a derivative of a polynomial by Horner's method, shape (..., n)."""
     terms, n = coefficients.shape[:2]
-    out = np.zeros((*s.shape, n))
+    result = np.zeros((*s.shape, n))
     # The loop runs over coordinates, because NumPy is slow along a last axis of two.
     for j in range(n if order < terms else 0):
         # The derivative of the k-th power has the factor k (k - 1) ... (k - order + 1) = perm(k, order).
         value = perm(terms - 1, order) * coefficients[-1, j]
         for k in range(terms - 2, order - 1, -1):
             value = value * s + perm(k, order) * coefficients[k, j]
-        out[..., j] = value
-    return out
+        result[..., j] = value
+    return result
 
 
 class PiecewisePath(Curve):

@@ -15,9 +15,19 @@ from numpy.typing import NDArray
 from pinmobile.arrays import Array, ArrayLike, check_overflow, frozen, positive, shaped
 from pinmobile.errors import InvalidArgument
 from pinmobile.parts import array, children, number, part
-from pinmobile.paths.path import Curve, Path, Piece, Polynomial, axes_of, jumps, pieces_of, stretch, told
+from pinmobile.paths.path import (
+    Curve,
+    Path,
+    Piece,
+    Polynomial,
+    axes_of,
+    check_duration,
+    format_point,
+    jumps,
+    pieces_of,
+)
 
-_SLACK = 1e-9  # [m, m/s], and relative to their size: tolerance for rounding errors
+_JOINT_TOLERANCE = 1e-9  # [m, m/s], and relative to their size: tolerance for rounding errors
 
 
 @final
@@ -81,20 +91,20 @@ class CompositePath(Curve):
     @property
     def pieces(self) -> tuple[Piece, ...]:
         """Pieces of all paths, in order."""
-        each = zip(self._starts.tolist(), self.paths, strict=False)
-        return tuple(_Later(start, piece) for start, path in each for piece in pieces_of(path))
+        pairs = zip(self._starts.tolist(), self.paths, strict=False)
+        return tuple(_ShiftedPiece(start, piece) for start, path in pairs for piece in pieces_of(path))
 
     def _at(self, t: Array, order: int) -> Array:
-        which = np.searchsorted(self._starts[1:-1], t, side="right")
-        found = np.empty((*t.shape, np.size(self.paths[0](0.0))))
-        for k in np.unique(which):
-            mine, path = which == k, self.paths[k]
-            own = np.minimum(t[mine] - self._starts[k], path.duration)
-            found[mine] = path.derivative(own, order)
-        return found
+        indices = np.searchsorted(self._starts[1:-1], t, side="right")
+        values = np.empty((*t.shape, np.size(self.paths[0](0.0))))
+        for k in np.unique(indices):
+            mask, path = indices == k, self.paths[k]
+            times = np.minimum(t[mask] - self._starts[k], path.duration)
+            values[mask] = path.derivative(times, order)
+        return values
 
 
-class _Later(NamedTuple):
+class _ShiftedPiece(NamedTuple):
     """Piece of a path that starts later.
 
     Attributes
@@ -105,52 +115,54 @@ class _Later(NamedTuple):
         The piece, in the time of its path.
     """
 
-    since: float
+    offset: float
     piece: Piece
 
     @property
     def start(self) -> float:
-        return self.since + float(self.piece.start)
+        return self.offset + float(self.piece.start)
 
     @property
     def end(self) -> float:
-        return self.since + float(self.piece.end)
+        return self.offset + float(self.piece.end)
 
     def derivative(self, t: ArrayLike, order: int) -> Array:
-        own = np.asarray(t, np.float64) - self.since
-        return self.piece.derivative(np.clip(own, self.piece.start, self.piece.end), order)
+        times = np.asarray(t, np.float64) - self.offset
+        return self.piece.derivative(np.clip(times, self.piece.start, self.piece.end), order)
 
 
 def _check_joint(k: int, before: Path, after: Path, t: float) -> None:
     """Check that a path starts where path number `k` ends at `t` [s], with its velocity."""
     last, first = pieces_of(before)[-1], pieces_of(after)[0]
     ends = [(last.derivative(last.end, order), first.derivative(first.start, order)) for order in (0, 1)]
-    (here, there), (left, right) = ends
-    if jumps(here, there, _SLACK):
+    (end, start), (left, right) = ends
+    if jumps(end, start, _JOINT_TOLERANCE):
         raise InvalidArgument(
-            f"paths[{k + 1}] starts at {told(there)} m, {_size(there - here)} m from {told(here)} m, where "
-            f"paths[{k}] ends at t = {t:g} s, expected one point; use paths[{k + 1}].moved(x, y, angle)"
+            f"paths[{k + 1}] starts at {format_point(start)} m, {_format_size(start - end)} m from "
+            f"{format_point(end)} m, where paths[{k}] ends at t = {t:g} s, expected one point; use "
+            f"paths[{k + 1}].moved(x, y, angle)"
         )
-    if jumps(left, right, _SLACK):
+    if jumps(left, right, _JOINT_TOLERANCE):
         raise InvalidArgument(
-            f"paths[{k + 1}] starts with the velocity {told(right)} m/s, {_size(right - left)} m/s from "
-            f"{told(left)} m/s, with which paths[{k}] ends at t = {t:g} s, expected one velocity: round the "
-            "corner with a Polyline, or use paths that rest there"
+            f"paths[{k + 1}] starts with the velocity {format_point(right)} m/s, "
+            f"{_format_size(right - left)} m/s from {format_point(left)} m/s, with which paths[{k}] ends at "
+            f"t = {t:g} s, expected one velocity: round the corner with a Polyline, or use paths that rest "
+            "there"
         )
 
 
-def _size(vector: Array) -> str:
+def _format_size(vector: Array) -> str:
     """Return the length of a vector as text."""
     return f"{np.linalg.norm(vector):.3g}"
 
 
 # h(s) = 10 s^3 - 15 s^4 + 6 s^5: completed fraction of a turn or speed change at the fraction s of its time.
 _SMOOTH = np.polynomial.Polynomial([0.0, 0.0, 0.0, 10.0, -15.0, 6.0])
-_STEEPEST = 15 / 8  # largest slope of h, at s = 1/2
-_STRAIGHT = 1e-9  # [rad]: a smaller corner counts as a rounding error
-_BACK = 3.1  # [rad]: a larger corner would cut more than eighty radii off its lines
+_MAX_SLOPE = 15 / 8  # largest slope of h, at s = 1/2
+_ANGLE_TOLERANCE = 1e-9  # [rad]: a smaller corner counts as a rounding error
+_MAX_ANGLE = 3.1  # [rad]: a larger corner would cut more than eighty radii off its lines
 _ROUNDING = 1e-12  # relative to a length
-_SHORTEST = 1e-150  # [m]: its square does not underflow
+_MIN_LENGTH = 1e-150  # [m]: its square does not underflow
 _NODES = 40  # of the quadrature: enough for rounding accuracy at the largest corner
 
 
@@ -261,17 +273,17 @@ class Polyline(Curve):
     def check(self) -> None:
         """Raise `InvalidArgument` if length or time is too short; the message states how much is needed."""
         shaped("waypoints", self.waypoints, ("k>=2", "n>=2"))
-        stretch("duration", self.duration)
+        check_duration("duration", self.duration)
         self.pieces  # noqa: B018
 
     @cached_property
-    def _way(self) -> _PolylinePath:
-        return self._rounded(self.waypoints)
+    def _line_path(self) -> _PolylinePath:
+        return self._round_corners(self.waypoints)
 
     @property
     def length(self) -> float:
         """Length of the path with rounded corners [m]."""
-        return self._way.length
+        return self._line_path.length
 
     @cached_property
     def speed(self) -> float:
@@ -281,7 +293,7 @@ class Polyline(Curve):
     @cached_property
     def pieces(self) -> tuple[Piece, ...]:
         """Lines, and the corners between them."""
-        *others, last = self._made(self._way)
+        *others, last = self._make_pieces(self._line_path)
         return (*others, replace(last, end=self.duration))
 
     @cached_property
@@ -289,46 +301,46 @@ class Polyline(Curve):
         return frozen([piece.start for piece in self.pieces])
 
     def _at(self, t: Array, order: int) -> Array:
-        which = np.searchsorted(self._starts[1:], t, side="right")
-        found = np.empty((*t.shape, self.waypoints.shape[1]))
-        for k in np.unique(which):
-            mine = which == k
-            found[mine] = self.pieces[k].derivative(t[mine], order)
-        return found
+        indices = np.searchsorted(self._starts[1:], t, side="right")
+        values = np.empty((*t.shape, self.waypoints.shape[1]))
+        for k in np.unique(indices):
+            mask = indices == k
+            values[mask] = self.pieces[k].derivative(t[mask], order)
+        return values
 
-    def _rounded(self, points: Array) -> _PolylinePath:
+    def _round_corners(self, points: Array) -> _PolylinePath:
         """Return the lines between points, and the corners between them."""
-        ways = np.diff(points, axis=0)
-        lengths = check_overflow("the distance of two waypoints", np.linalg.norm(ways, axis=-1))
-        for k in np.flatnonzero(lengths < _SHORTEST)[:1]:
+        lines = np.diff(points, axis=0)
+        lengths = check_overflow("the distance of two waypoints", np.linalg.norm(lines, axis=-1))
+        for k in np.flatnonzero(lengths < _MIN_LENGTH)[:1]:
             raise InvalidArgument(f"waypoints[{k + 1}] is equal to waypoints[{k}], expected another point")
-        directions = ways / lengths[:, None]
-        turns = (self._corner(k, *directions[k - 1 : k + 1]) for k in range(1, len(ways)))
-        way = _PolylinePath(points, directions, lengths, (_NONE, *turns, _NONE))
-        self._check_room(way.cuts, lengths, "the corners take")
-        return way
+        directions = lines / lengths[:, None]
+        turns = (self._make_corner(k, *directions[k - 1 : k + 1]) for k in range(1, len(lines)))
+        path = _PolylinePath(points, directions, lengths, (_NONE, *turns, _NONE))
+        self._check_lengths(path.cuts, lengths, "the corners take")
+        return path
 
-    def _made(self, way: _PolylinePath) -> Iterator[Polynomial | _Turn]:
+    def _make_pieces(self, path: _PolylinePath) -> Iterator[Polynomial | _Turn]:
         """Yield the pieces in order: lines, and the corners between them."""
-        gain = np.zeros(len(way.points))  # distance of speeding up, and of slowing down [m]
+        distances = np.zeros(len(path.points))  # distance of speeding up, and of slowing down [m]
         if self.acceleration is not None:
-            gain[[0, -1]] = _STEEPEST * self.speed**2 / self.acceleration / 2
-        apart = way.cuts + gain
-        self._check_room(apart, way.lengths, "the corners, starting and stopping take")
+            distances[[0, -1]] = _MAX_SLOPE * self.speed**2 / self.acceleration / 2
+        margins = path.cuts + distances
+        self._check_lengths(margins, path.lengths, "the corners, starting and stopping take")
         t = 0.0
-        for k, (direction, length) in enumerate(zip(way.directions, way.lengths, strict=True)):
-            rest = length - apart[k] - apart[k + 1]
+        for k, (direction, length) in enumerate(zip(path.directions, path.lengths, strict=True)):
+            middle = length - margins[k] - margins[k + 1]
             for share, start, shares in (
-                (2 * gain[k], way.points[k], _GAINED),
-                (rest * (rest > _ROUNDING * length), way.points[k] + apart[k] * direction, _KEPT),
-                (2 * gain[k + 1], way.points[k + 1] - gain[k + 1] * direction, _LOST),
+                (2 * distances[k], path.points[k], _SPEEDING_UP),
+                (middle * (middle > _ROUNDING * length), path.points[k] + margins[k] * direction, _CRUISING),
+                (2 * distances[k + 1], path.points[k + 1] - distances[k + 1] * direction, _SLOWING_DOWN),
             ):
                 if share:
-                    yield self._straight(t, share, start, direction, shares)
+                    yield self._make_line(t, share, start, direction, shares)
                     t += float(share / self.speed)
-            if (corner := way.corners[k + 1]).length:
-                T = stretch("the time of a corner", corner.length / self.speed)
-                start = way.points[k + 1] - corner.cut * direction
+            if (corner := path.corners[k + 1]).length:
+                T = check_duration("the time of a corner", corner.length / self.speed)
+                start = path.points[k + 1] - corner.cut * direction
                 yield _Turn(t, t + T, start, self.speed * corner.axes, corner.angle)
                 t += T
 
@@ -337,59 +349,59 @@ class Polyline(Curve):
         if self.acceleration is None:
             return self.length / self.duration
         # Speeding up and slowing down take twice as long as at full speed, together 15/8 speed / a more.
-        least = 2 * np.sqrt(_STEEPEST * self.length / self.acceleration)
-        if not self.duration >= least:
+        shortest = 2 * np.sqrt(_MAX_SLOPE * self.length / self.acceleration)
+        if not self.duration >= shortest:
             raise InvalidArgument(
-                f"duration is {self.duration:g} s, expected at least {least:.6g} s for {self.length:.6g} m "
-                f"with acceleration = {self.acceleration:g} m/s^2"
+                f"duration is {self.duration:g} s, expected at least {shortest:.6g} s for {self.length:.6g} "
+                f"m with acceleration = {self.acceleration:g} m/s^2"
             )
         # This is the smaller root of 15/8 speed^2 / a - duration speed + length = 0, without cancellation.
-        share = np.sqrt((1 - least / self.duration) * (1 + least / self.duration))
+        share = np.sqrt((1 - shortest / self.duration) * (1 + shortest / self.duration))
         return float(2 * self.length / self.duration / (1 + share))
 
-    def _straight(self, t: float, way: float, start: Array, direction: Array, shares: Array) -> Polynomial:
+    def _make_line(self, t: float, length: float, start: Array, direction: Array, terms: Array) -> Polynomial:
         """Return a straight piece from time `t` on, of the duration that its length takes at the speed."""
         with np.errstate(all="ignore"):
-            T = stretch("the time of a piece", way / self.speed)
-            powers = (shares * T ** -np.arange(len(shares)))[:, None] * self.speed * direction
+            T = check_duration("the time of a piece", length / self.speed)
+            powers = (terms * T ** -np.arange(len(terms)))[:, None] * self.speed * direction
         coefficients = check_overflow("a coefficient of the path", np.array([start, *powers]))
         return Polynomial(t, t + T, coefficients)
 
-    def _corner(self, k: int, before: Array, after: Array) -> _Corner:
+    def _make_corner(self, k: int, first: Array, second: Array) -> _Corner:
         """Return the rounding of the corner at a waypoint, from the directions on both sides."""
-        aside = after - (after @ before) * before
-        sine = float(np.linalg.norm(aside))
-        angle = float(np.arctan2(sine, after @ before))
-        if angle < _STRAIGHT:
+        normal = second - (second @ first) * first
+        sine = float(np.linalg.norm(normal))
+        angle = float(np.arctan2(sine, second @ first))
+        if angle < _ANGLE_TOLERANCE:
             return _NONE
-        if angle > _BACK:
+        if angle > _MAX_ANGLE:
             raise InvalidArgument(
                 f"waypoints[{k}] has a turn of {np.degrees(angle):.4g} degrees, expected at most "
-                f"{np.degrees(_BACK):.4g}: use two paths, and a rest between them"
+                f"{np.degrees(_MAX_ANGLE):.4g}: use two paths, and a rest between them"
             )
-        length = _STEEPEST * angle * self.corner_radius
+        length = _MAX_SLOPE * angle * self.corner_radius
         # Both halves of the turn are mirror images: its chord is parallel to its middle direction.
         nodes, weights = _quadrature()
         chord = length * float((weights * np.cos(angle * (_SMOOTH(nodes) - 0.5))).sum())
-        axes = np.array([before, aside / sine])
+        axes = np.array([first, normal / sine])
         return _Corner(angle, chord / (2 * np.cos(angle / 2)), length, axes)
 
-    def _check_room(self, apart: Array, lengths: Array, what: str) -> None:
+    def _check_lengths(self, margins: Array, lengths: Array, words: str) -> None:
         """Check that the lines are longer than the lengths that corners and ends need."""
-        needed = apart[:-1] + apart[1:]
+        needed = margins[:-1] + margins[1:]
         for k in np.flatnonzero(needed > lengths * (1 + _ROUNDING))[:1]:
             raise InvalidArgument(
                 f"waypoints[{k}] and waypoints[{k + 1}] are {lengths[k]:.6g} m apart, expected at least "
-                f"{needed[k]:.6g} m, which {what}: use a corner_radius smaller than "
+                f"{needed[k]:.6g} m, which {words}: use a corner_radius smaller than "
                 f"{self.corner_radius:g} m"
             )
 
 
 # Distance of a straight piece, as a fraction of speed times time, in powers of the fraction of its time, the
 # first power first: the integral of h, of one, and of 1 - h.
-_GAINED = np.array([0.0, 0.0, 0.0, 2.5, -3.0, 1.0])
-_KEPT = np.array([1.0])
-_LOST = np.array([1.0, 0.0, 0.0, -2.5, 3.0, -1.0])
+_SPEEDING_UP = np.array([0.0, 0.0, 0.0, 2.5, -3.0, 1.0])
+_CRUISING = np.array([1.0])
+_SLOWING_DOWN = np.array([1.0, 0.0, 0.0, -2.5, 3.0, -1.0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -428,19 +440,19 @@ class _Turn:
             else:
                 nodes, weights = _quadrature()
                 z = T * s * (weights * self._direction(s[..., None] * nodes, 0)).sum(axis=-1)
-            found = z.real[..., None] * self.axes[0] + z.imag[..., None] * self.axes[1]
-        return check_overflow("a derivative of the path", found) if order else self.point + found
+            offset = z.real[..., None] * self.axes[0] + z.imag[..., None] * self.axes[1]
+        return check_overflow("a derivative of the path", offset) if order else self.point + offset
 
     def _direction(self, s: Array, order: int) -> NDArray[np.complex128]:
         """Return a derivative by s of z = exp(i theta h(s)), with Leibniz' rule for z' = i theta h' z."""
         psi = self.angle * _SMOOTH(s)
-        found = [np.cos(psi) + 1j * np.sin(psi)]
+        terms = [np.cos(psi) + 1j * np.sin(psi)]
         rates = [1j * self.angle * _SMOOTH.deriv(k + 1)(s) for k in range(min(order, _SMOOTH.degree()))]
         for m in range(order):
-            found.append(np.zeros_like(found[0]))
+            terms.append(np.zeros_like(terms[0]))
             for k, rate in enumerate(rates[: m + 1]):
-                found[-1] += comb(m, k) * rate * found[m - k]
-        return found[order]
+                terms[-1] += comb(m, k) * rate * terms[m - k]
+        return terms[order]
 
 
 @cache

@@ -13,12 +13,12 @@ from pinmobile.arrays import ArrayLike, instance, label_items
 from pinmobile.derivatives import Poles, Sensitivities
 from pinmobile.palette import QUIET
 from pinmobile.plots.series import errors
-from pinmobile.plots.style import Layout, Sheet, Style, colour, letters, tint
+from pinmobile.plots.style import Layout, Sheet, Style, colour, font_size, tint
 
 _MARKS = "x+1234"
-_RATIOS = 0.2, 0.4, 0.6, 0.8  # damping ratios with a curve
-_WORDS = 70  # point of a curve at which its ratio is written
-_BAND = 2.0  # standard deviations
+_DAMPING_RATIOS = 0.2, 0.4, 0.6, 0.8  # damping ratios with a curve
+_LABEL = 70  # point of a curve at which its ratio is written
+_DEVIATIONS = 2.0  # standard deviations
 
 
 def poles(found: Poles | Mapping[str, Poles], **layout: Unpack[Layout]) -> Figure:
@@ -58,31 +58,31 @@ def poles(found: Poles | Mapping[str, Poles], **layout: Unpack[Layout]) -> Figur
     >>> figure.axes[0].get_xlabel()
     'real part of z'
     """
-    known: dict[str, Poles] = label_items("found", found, Poles)
+    table: dict[str, Poles] = label_items("found", found, Poles)
     sheet = Sheet(6.0, **layout)
     (axes,) = sheet.axes([(0, 0)], [5.2], share="")
-    turn = np.exp(1j * np.linspace(0.0, 2 * np.pi, 361))
-    axes.plot(turn.real, turn.imag, color=QUIET, linewidth=1.2)
+    circle = np.exp(1j * np.linspace(0.0, 2 * np.pi, 361))
+    axes.plot(circle.real, circle.imag, color=QUIET, linewidth=1.2)
     angle = np.linspace(0.0, np.pi, 181)
-    for ratio in _RATIOS:
+    for ratio in _DAMPING_RATIOS:
         z = np.exp((-ratio / np.sqrt(1 - ratio**2) + 1j) * angle)
         for side in (1, -1):
             axes.plot(z.real, side * z.imag, color=QUIET, linewidth=0.6, linestyle=":")
         axes.annotate(
-            f"{ratio:g}", (z[_WORDS].real, z[_WORDS].imag), color=QUIET, fontsize=letters(0.8), ha="center"
+            f"{ratio:g}", (z[_LABEL].real, z[_LABEL].imag), color=QUIET, fontsize=font_size(0.8), ha="center"
         )
     keys = []
-    for k, (label, one) in enumerate(known.items()):
+    for k, (label, one) in enumerate(table.items()):
         mark: Style = {"marker": _MARKS[k % len(_MARKS)], "color": colour(k), "linestyle": ""}
         mark |= {"markeredgewidth": 1.8}
-        axes.plot(one.values.real, one.values.imag, markersize=letters(0.8), **mark)
+        axes.plot(one.values.real, one.values.imag, markersize=font_size(0.8), **mark)
         keys.append(Line2D([], [], label=label or "poles", **mark))
-    size = max(1.15, *(1.05 * float(np.abs(one.values).max()) for one in known.values()))
+    size = max(1.15, *(1.05 * float(np.abs(one.values).max()) for one in table.values()))
     axes.set(xlim=(-size, size), ylim=(-size, size), aspect="equal")
     axes.set(xlabel="real part of z", ylabel="imaginary part of z")
     keys.append(Line2D([], [], color=QUIET, linewidth=1.2, label="stability limit"))
     keys.append(Line2D([], [], color=QUIET, linewidth=0.6, linestyle=":", label="damping ratio"))
-    one = next(iter(known.values()))
+    one = next(iter(table.values()))
     return sheet.finish(f"Poles near t = {one.t:g} s, dt = {1e3 * one.dt:g} ms", keys)
 
 
@@ -129,11 +129,11 @@ def sensitivities(
     """
     instance("found", found, Sensitivities, "derivatives.Sensitivities")
     run = found.rollout
-    wide = _BAND * found.deviation(deviations)[:, : run.error.shape[1]]
+    band = _DEVIATIONS * found.deviation(deviations)[:, : run.error.shape[1]]
     words = "Error, and a band of two standard deviations of " + ", ".join(deviations)
     figure = errors(run, **({"title": words} | layout))
     given = layout.get("ax")
     panels = figure.axes if given is None or isinstance(given, Figure | SubFigure) else np.ravel(given)  # type: ignore[arg-type]
-    for axes, error, size in zip(panels, run.error.T, wide.T, strict=False):
+    for axes, error, size in zip(panels, run.error.T, band.T, strict=False):
         axes.fill_between(run.t, error - size, error + size, color=tint(colour(0), 0.3), linewidth=0)
     return figure

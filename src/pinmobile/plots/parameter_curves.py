@@ -29,9 +29,9 @@ from pinmobile.arrays import (
 )
 from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.palette import INK
-from pinmobile.plots.style import Layout, Sheet, Style, colour, dress, ink, letters, line_style
+from pinmobile.plots.style import Layout, Sheet, Style, colour, dress, font_size, ink, line_style
 
-_SHARE = 0.11  # height of the strip as a share of the axes below it
+_STRIP = 0.11  # height of the strip as a share of the axes below it
 _GREY = "#f1f1f1"
 
 
@@ -55,28 +55,28 @@ def strip_above(axes: Axes, word: str, *, numbers: bool = True) -> float:
         axes.set_yticks([0.5], [word])
         return 0.5
     low, high = axes.get_ylim()
-    up = axes.transScale.transform  # to coordinates in which heights are linear
-    down = axes.transScale.inverted().transform
-    bottom, top = (float(up((1.0, y))[1]) for y in (low, high))
-    middle, end = (float(down((1.0, top + share * (top - bottom)))[1]) for share in (_SHARE / 2, _SHARE))
+    scale = axes.transScale.transform  # to coordinates in which heights are linear
+    inverse = axes.transScale.inverted().transform
+    bottom, top = (float(scale((1.0, y))[1]) for y in (low, high))
+    middle, end = (float(inverse((1.0, top + share * (top - bottom)))[1]) for share in (_STRIP / 2, _STRIP))
     axis = axes.yaxis
-    places = axis.get_majorticklocs(), axis.get_minorticklocs()
-    large, small = ([y for y in ticks if low <= y <= high] for ticks in places)
+    tick_sets = axis.get_majorticklocs(), axis.get_minorticklocs()
+    large, small = ([y for y in ticks if low <= y <= high] for ticks in tick_sets)
     labels, factor = axis.get_major_formatter().format_ticks(large), axis.get_major_formatter().get_offset()
     axes.axhspan(high, end, color=_GREY, linewidth=0, zorder=0)
     axes.set_yticks([*large, middle], [*labels, word])
-    fixed: Any = axis.get_major_formatter()
-    fixed.set_offset_string(factor)  # the power of ten above the axis
+    formatter: Any = axis.get_major_formatter()
+    formatter.set_offset_string(factor)  # the power of ten above the axis
     axes.set_yticks(small, ["" for _ in small], minor=True)
     axes.set_ylim(low, end)
     return middle
 
 
 _MAP = "cividis"  # Nunez, Anderton and Renslow 2018: similar with a deficiency of colour vision
-_LOGARITHMIC = 20.0  # ratio of the largest and the smallest number above which the scale is logarithmic
-_LARGEST = 11.0, 8.0  # [in], largest size of all cells
-_CELL = 0.85, 0.55  # [in], largest size of a cell
-_LEAST = 5.0  # [pt], smallest readable font size
+_MAX_LINEAR_RATIO = 20.0  # ratio of the largest and the smallest number above which the scale is logarithmic
+_MAX_MAP_SIZE = 11.0, 8.0  # [in], largest size of all cells
+_MAX_CELL_SIZE = 0.85, 0.55  # [in], largest size of a cell
+_MIN_FONT_SIZE = 5.0  # [pt], smallest readable font size
 
 _Axis = tuple[str, str, Sequence[object] | Array]
 
@@ -136,77 +136,77 @@ def heatmap(
     >>> [text.get_text() for text in figure.axes[0].texts]
     ['4.10', '2.00', '9.30', 'diverges']
     """
-    across, columns = _axis("x", x, words=True)
-    up, rows = _axis("y", y, words=True)
+    x_label, columns = _check_axis("x", x, words=True)
+    y_label, rows = _check_axis("y", y, words=True)
     label = text("label", label)
     shape, words = (len(rows), len(columns)), ": a row for each of y, a column for each of x"
     numbers = bounded("values", shaped("values", real("values", values), shape, words=words), above=-np.inf)
     size = [min(count * cell, most) for count, cell, most in zip(
-        (len(columns), len(rows)), _CELL, _LARGEST, strict=True)]  # fmt: skip
+        (len(columns), len(rows)), _MAX_CELL_SIZE, _MAX_MAP_SIZE, strict=True)]  # fmt: skip
     sheet = Sheet(max(size[0], 3.2) + 2.2, **layout)
     (axes,) = sheet.axes([(0, 0)], [max(size[1], 1.6)])
     low, high = _range(numbers)
     if limits is not None:
         low, high = shaped("limits", finite("limits", limits), (2,), words=": smallest, largest").tolist()
         bounded("values", numbers[np.isfinite(numbers)], least=low, most=high)
-    norm = LogNorm(low, high) if 0 < _LOGARITHMIC * low < high else Normalize(low, high)
+    norm = LogNorm(low, high) if 0 < _MAX_LINEAR_RATIO * low < high else Normalize(low, high)
     image = axes.imshow(np.ma.masked_invalid(numbers), cmap=_MAP, norm=norm, origin="lower", aspect="auto")
     axes.figure.colorbar(image, ax=axes, pad=0.02).set_label(label)
-    long = max(map(len, columns)) > 6
-    axes.set_xticks(range(len(columns)), columns, rotation=30 * long, ha="right" if long else "center")
+    is_long = max(map(len, columns)) > 6
+    axes.set_xticks(range(len(columns)), columns, rotation=30 * is_long, ha="right" if is_long else "center")
     axes.set_yticks(range(len(rows)), rows)
     axes.tick_params(length=0)
-    axes.set(xlabel=across, ylabel=up)
+    axes.set(xlabel=x_label, ylabel=y_label)
     axes.spines[:].set_visible(False)
-    wide = min(size[0], max(sheet.width - 2.2 * letters() / 10, 0.1))
-    room = min(72 * wide / len(columns) / 3.6, 72 * size[1] / len(rows) / 1.6)  # [pt] for five digits
-    _write(axes, numbers, norm, min(room, letters()))
+    width = min(size[0], max(sheet.width - 2.2 * font_size() / 10, 0.1))
+    room = min(72 * width / len(columns) / 3.6, 72 * size[1] / len(rows) / 1.6)  # [pt] for five digits
+    _write_numbers(axes, numbers, norm, min(room, font_size()))
     return sheet.finish(f"{label} over {x[0]} and {y[0]}")
 
 
-def _axis(name: str, axis: Any, *, words: bool = False) -> tuple[str, Any]:
+def _check_axis(name: str, axis: Any, *, words: bool = False) -> tuple[str, Any]:
     """Return label and values of (name, unit, values); with `words`, the values as text."""
     if len(sequence(name, axis, "(name, unit, values)")) != 3:
         raise InvalidArgument(f"{name} is {format_value(axis)}, expected (name, unit, values)")
-    what, unit = text(f"{name}[0]", axis[0]), text(f"{name}[1]", axis[1])
-    label = what if unit in ("", "1") else f"{what} [{unit}]"
+    title, unit = text(f"{name}[0]", axis[0]), text(f"{name}[1]", axis[1])
+    label = title if unit in ("", "1") else f"{title} [{unit}]"
     if words:
         values = sequence(f"{name}[2]", axis[2], "a sequence of numbers or text")
         if all(isinstance(one, str) for one in values):
             return label, [text(f"{name}[2]", one) for one in values]
-    places = shaped(f"{name}[2]", finite(f"{name}[2]", axis[2]), ("n>=1",))
-    return label, [f"{one:.4g}" for one in places] if words else places
+    numbers = shaped(f"{name}[2]", finite(f"{name}[2]", axis[2]), ("n>=1",))
+    return label, [f"{one:.4g}" for one in numbers] if words else numbers
 
 
 def _range(numbers: Array) -> tuple[float, float]:
     """Return the smallest and the largest finite number."""
-    known = numbers[np.isfinite(numbers)]
-    return (float(known.min()), float(known.max())) if len(known) else (0.0, 1.0)
+    values = numbers[np.isfinite(numbers)]
+    return (float(values.min()), float(values.max())) if len(values) else (0.0, 1.0)
 
 
-def _write(axes: Axes, numbers: Array, norm: Normalize, size: float) -> None:
+def _write_numbers(axes: Axes, numbers: Array, norm: Normalize, size: float) -> None:
     """Write each number in its cell if there is room, in white on dark colours."""
     finite = numbers[np.isfinite(numbers)]
-    whole = bool((finite == np.round(finite)).all())
+    is_whole = bool((finite == np.round(finite)).all())
     shades = colormaps[_MAP](norm(np.where(np.isfinite(numbers), numbers, 0.0)))
     for (i, k), number in np.ndenumerate(numbers):
         if np.isinf(number):
             cell = Rectangle((k - 0.5, i - 0.5), 1, 1, facecolor="white", edgecolor="#999999", hatch="////")
             cell.set_linewidth(0.0)
             axes.add_patch(cell)
-        if size < _LEAST:
+        if size < _MIN_FONT_SIZE:
             continue
-        dark = np.isfinite(number) and float(shades[i, k, :3] @ (0.299, 0.587, 0.114)) < 0.5
+        is_dark = np.isfinite(number) and float(shades[i, k, :3] @ (0.299, 0.587, 0.114)) < 0.5
         # Three digits, without a power of ten if there is room.
         if np.isinf(number):
             words = "diverges"
-        elif whole or abs(number) >= 100:
+        elif is_whole or abs(number) >= 100:
             words = f"{number:.0f}" if abs(number) < 1e5 else f"{number:.2g}"
         else:
             words = f"{number:#.3g}" if abs(number) >= 1e-3 else f"{number:.2g}"
         text = axes.text(
             k, i, words, ha="center", va="center",
-            fontsize=0.8 * size if np.isinf(number) else size, color="white" if dark else INK,
+            fontsize=0.8 * size if np.isinf(number) else size, color="white" if is_dark else INK,
         )  # fmt: skip
         if np.isinf(number):
             text.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 1.0})
@@ -256,29 +256,29 @@ def curves(values: Mapping[str, ArrayLike], *, x: _Axis, label: str, **layout: U
     >>> figure.axes[0].get_xlabel(), figure.axes[0].get_ylabel()
     ('kp [1/s^2]', 'error [mm]')
     """
-    (across, places), label = _axis("x", x), text("label", label)
+    (x_label, numbers), label = _check_axis("x", x), text("label", label)
     rows: dict[str, Array] = {}
     for name, row in mapping("values", values, "a mapping of names to numbers").items():
-        called = f"values[{text('values', name)!r}]"
-        rows[name] = bounded(called, shaped(called, real(called, row), (len(places),)), above=-np.inf)
+        entry = f"values[{text('values', name)!r}]"
+        rows[name] = bounded(entry, shaped(entry, real(entry, row), (len(numbers),)), above=-np.inf)
     sheet = Sheet(8.0, **layout)
     (axes,) = sheet.axes([(0, 0)], [3.8])
     dress(axes)
-    order = np.argsort(places, kind="stable")
-    top = _scale(axes, np.concatenate(list(rows.values())))
+    order = np.argsort(numbers, kind="stable")
+    top = _set_scale(axes, np.concatenate(list(rows.values())))
     for k, row in enumerate(rows.values()):
-        _curve(axes, places[order], row[order], top, k, len(rows))
-    axes.set(xlabel=across, ylabel=label)
-    keys = [Line2D([], [], label=name, **_look(k)) for k, name in enumerate(rows) if name]
+        _draw_curve(axes, numbers[order], row[order], top, k, len(rows))
+    axes.set(xlabel=x_label, ylabel=label)
+    keys = [Line2D([], [], label=name, **_marker_style(k)) for k, name in enumerate(rows) if name]
     if any(np.isinf(row).any() for row in rows.values()):
         keys.append(Line2D([], [], color=ink(), marker="x", linestyle="", label="diverges"))
     return sheet.finish(f"{label} over {x[0]}", keys)
 
 
-def _scale(axes: Axes, numbers: Array) -> float:
+def _set_scale(axes: Axes, numbers: Array) -> float:
     """Set the scale of y, and return the y of marks of infinite numbers."""
     low, high = _range(numbers)
-    if 0 < _LOGARITHMIC * low < high:
+    if 0 < _MAX_LINEAR_RATIO * low < high:
         axes.set_yscale("log")
         room = (high / low) ** 0.05
         axes.set_ylim(low / room, high * room)
@@ -289,18 +289,18 @@ def _scale(axes: Axes, numbers: Array) -> float:
     return high if finite.all() else strip_above(axes, "diverges", numbers=bool(finite.any()))
 
 
-def _curve(axes: Axes, x: Array, row: Array, top: float, index: int, count: int) -> None:
-    known = np.isfinite(row)
+def _draw_curve(axes: Axes, x: Array, row: Array, top: float, index: int, count: int) -> None:
+    is_finite = np.isfinite(row)
     # Lower curves are wider, with larger markers, so that they show below the others.
     extra = 3.0 * (count - 1 - index) / max(count - 1, 1)
-    thick, large = (float(rcParams["lines.linewidth"]), float(rcParams["lines.markersize"]))
-    axes.plot(x, np.where(known, row, np.nan), zorder=3, linewidth=1.2 * thick + extra / 2,
-              markersize=large + extra, **_look(index))  # fmt: skip
-    axes.plot(x[~known], np.full(np.count_nonzero(~known), top), linestyle="", marker="x",
+    width, size = (float(rcParams["lines.linewidth"]), float(rcParams["lines.markersize"]))
+    axes.plot(x, np.where(is_finite, row, np.nan), zorder=3, linewidth=1.2 * width + extra / 2,
+              markersize=size + extra, **_marker_style(index))  # fmt: skip
+    axes.plot(x[~is_finite], np.full(np.count_nonzero(~is_finite), top), linestyle="", marker="x",
               markersize=8 + 2 * extra, markeredgewidth=2, color=colour(index), zorder=4)  # fmt: skip
 
 
-def _look(index: int) -> Style:
+def _marker_style(index: int) -> Style:
     return {"color": colour(index), "marker": _MARKERS[index % len(_MARKERS)]}
 
 
@@ -312,12 +312,12 @@ _PANELS = (
     ("angular_momentum", "Free body: angular momentum"),
     ("sampling", "Loop: force held for h"),
 )
-_DOTS: Style = {"markersize": 5, "marker": "o"}
+_DOT_STYLE: Style = {"markersize": 5, "marker": "o"}
 _FLOOR = 1e-17  # value at which zero is drawn
 _TICKS = 6  # largest number of ticks of the steps
-_LONGEST = 22  # longest label above a panel [letters]; the legend has the whole label
+_MAX_LABEL = 22  # longest label above a panel [letters]; the legend has the whole label
 _ROUNDING = "#dddddd"
-_GUIDE: Style = {"color": "#999999", "linestyle": (0, (4, 3)), "linewidth": 1.0, "zorder": 2}
+_GUIDE_STYLE: Style = {"color": "#999999", "linestyle": (0, (4, 3)), "linewidth": 1.0, "zorder": 2}
 
 
 def integrator(
@@ -359,25 +359,25 @@ def integrator(
     >>> figure.axes[0].get_ylabel(), round(report.position.order)
     ('error [m]', 4)
     """
-    known: dict[str, IntegratorReport] = label_items("reports", reports, IntegratorReport)
+    table: dict[str, IntegratorReport] = label_items("reports", reports, IntegratorReport)
     sheet = Sheet(9.0, **layout)
     columns = sheet.columns(3, 2.6)
-    found = sheet.axes([divmod(k, columns) for k in range(6)], [1.7] * (len(_PANELS) // columns))
-    for k, (axes, (attribute, heading)) in enumerate(zip(found, _PANELS, strict=True)):
-        kinds = [getattr(report, attribute) for report in known.values()]
-        _panel(axes, kinds, list(known), lowest=k + columns >= len(found), ticks=6 if columns == 3 else 4)
-        pad = 4 + 1.3 * letters(0.9) * len(known)
-        sheet.write_above(axes, heading.format(1e3 * kinds[0].steps[0]), 0.95, pad=pad, loc="left")
-    whose = f" of {next(iter(known.values())).integrator}" if "" in known else ""
+    panels = sheet.axes([divmod(k, columns) for k in range(6)], [1.7] * (len(_PANELS) // columns))
+    for k, (axes, (attribute, heading)) in enumerate(zip(panels, _PANELS, strict=True)):
+        rows = [getattr(report, attribute) for report in table.values()]
+        _draw_axes(axes, rows, list(table), lowest=k + columns >= len(panels), ticks=6 if columns == 3 else 4)
+        pad = 4 + 1.3 * font_size(0.9) * len(table)
+        sheet.write_above(axes, heading.format(1e3 * rows[0].steps[0]), 0.95, pad=pad, loc="left")
+    source = f" of {next(iter(table.values())).integrator}" if "" in table else ""
     keys = [
-        *(Line2D([], [], label=label, **line_style(k, len(known))) for k, label in enumerate(known) if label),
-        Line2D([], [], label="whole order", **_GUIDE),
+        *(Line2D([], [], label=label, **line_style(k, len(table))) for k, label in enumerate(table) if label),
+        Line2D([], [], label="whole order", **_GUIDE_STYLE),
         Patch(facecolor=_ROUNDING, label="rounding"),
     ]
-    return sheet.finish(f"Accuracy{whose}: error over the step", keys)
+    return sheet.finish(f"Accuracy{source}: error over the step", keys)
 
 
-def _panel(
+def _draw_axes(
     axes: Axes, rows: Sequence[Convergence], labels: Sequence[str], *, lowest: bool, ticks: int
 ) -> None:
     dress(axes)
@@ -385,21 +385,21 @@ def _panel(
     axes.set_yscale("log")
     for index, (label, row) in enumerate(zip(labels, rows, strict=True)):
         errors = np.where(np.isfinite(row.errors), np.maximum(row.errors, _FLOOR), np.nan)
-        axes.plot(1e3 * row.steps, errors, **_DOTS | line_style(index, len(rows)))
-        name = label if len(label) <= _LONGEST else f"{label[: _LONGEST - 1]}…"
+        axes.plot(1e3 * row.steps, errors, **_DOT_STYLE | line_style(index, len(rows)))
+        name = label if len(label) <= _MAX_LABEL else f"{label[: _MAX_LABEL - 1]}…"
         note = f"{name}: {row}" if name else str(row)
-        above = 4 + 1.3 * letters(0.9) * (len(rows) - 1 - index)
+        offset = 4 + 1.3 * font_size(0.9) * (len(rows) - 1 - index)
         axes.annotate(
-            note, (0, 1), (0, above), xycoords="axes fraction", textcoords="offset points",
-            fontsize=letters(0.9), color=colour(index),
+            note, (0, 1), (0, offset), xycoords="axes fraction", textcoords="offset points",
+            fontsize=font_size(0.9), color=colour(index),
         )  # fmt: skip
-    _guides(axes, rows)
+    _draw_guides(axes, rows)
     low, high = axes.get_ylim()
     for row in rows:
         axes.fill_between(1e3 * row.steps, _FLOOR / 10, row.rounding, color=_ROUNDING, linewidth=0, zorder=1)
     axes.set_ylim(low / 2, high * 2)
-    shown = rows[0].steps[:: -(-len(rows[0].steps) // _TICKS)]
-    axes.xaxis.set_major_locator(FixedLocator((1e3 * shown).tolist()))
+    tick_steps = rows[0].steps[:: -(-len(rows[0].steps) // _TICKS)]
+    axes.xaxis.set_major_locator(FixedLocator((1e3 * tick_steps).tolist()))
     axes.xaxis.set_minor_locator(NullLocator())
     axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
     axes.yaxis.set_major_locator(LogLocator(numticks=ticks))
@@ -409,7 +409,7 @@ def _panel(
     axes.set_ylabel(f"error [{unit}]" if unit else "relative drift")
 
 
-def _guides(axes: Axes, rows: Sequence[Convergence]) -> None:
+def _draw_guides(axes: Axes, rows: Sequence[Convergence]) -> None:
     """Draw a line for each measured whole order, above the largest error of this order."""
     tops: dict[int, Convergence] = {}
     for row in rows:
@@ -417,12 +417,12 @@ def _guides(axes: Axes, rows: Sequence[Convergence]) -> None:
             p = round(row.order)
             tops[p] = max(tops.get(p, row), row, key=lambda one: float(one.errors[0]))
     for p, row in tops.items():
-        known = row.errors[np.isfinite(row.errors)]
-        ends = row.steps[len(row.steps) - len(known)], row.steps[-1]
-        start = 3 * known[0]
+        errors = row.errors[np.isfinite(row.errors)]
+        ends = row.steps[len(row.steps) - len(errors)], row.steps[-1]
+        start = 3 * errors[0]
         line = [start, start * (ends[1] / ends[0]) ** p]
-        axes.plot([1e3 * ends[0], 1e3 * ends[1]], line, **_GUIDE)
+        axes.plot([1e3 * ends[0], 1e3 * ends[1]], line, **_GUIDE_STYLE)
         axes.annotate(
             f"$h^{p}$" if p > 1 else "$h$", (1e3 * ends[0], start), (2, 2), textcoords="offset points",
-            fontsize=letters(), color="#777777", annotation_clip=False,
+            fontsize=font_size(), color="#777777", annotation_clip=False,
         )  # fmt: skip

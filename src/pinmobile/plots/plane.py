@@ -30,30 +30,30 @@ from pinmobile.plots.style import (
     Sheet,
     Spot,
     Style,
-    checked_title,
+    check_title,
     colour,
-    curve,
-    desired,
+    draw_curve,
     dress,
     dress_time,
-    heading,
+    evaluate_each,
+    font_size,
+    format_si,
     ink,
-    keys_of,
-    labelled,
-    letters,
+    label_rollouts,
+    label_style,
+    legend_entries,
     line_style,
-    of_each,
-    over,
-    same_references,
-    si,
-    thinned,
-    wrapped,
+    reference_groups,
+    reference_style,
+    thin_samples,
+    title_offset,
+    wrap_text,
 )
 
-_POSTURES = 100  # of an arm, which the window shows
+_MAX_POSTURES = 100  # of an arm, which the window shows
 _EDGE = withStroke(linewidth=4.4, foreground="white")
-_ARMS: Style = {"color": "#222222", "linewidth": 2.2, "solid_capstyle": "round", "path_effects": [_EDGE]}
-_ARROW = 0.06  # length of the arrowhead of a plant without size, as a share of the axes
+_ARM_STYLE: Style = {"color": "#222222", "linewidth": 2.2, "solid_capstyle": "round", "path_effects": [_EDGE]}
+_ARROW_SHARE = 0.06  # length of the arrowhead of a plant without size, as a share of the axes
 
 #         ______________
 #        |    |\        |
@@ -65,7 +65,7 @@ _BOX = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
 _DART = np.array([[0.6, 0.0], [-0.4, 0.35], [-0.2, 0.0], [-0.4, -0.35]])
 
 
-class Body:
+class RobotPatches:
     """Patches of a robot in axes: its outline with length along x_B, and a nose at its front.
 
     A plant without size is drawn as an arrowhead.
@@ -78,7 +78,7 @@ class Body:
         Plant; its ``size`` gives length and width [m].
     colour : str
         Colour of outline and nose.
-    otherwise : float
+    default_size : float
         Length of the arrowhead of a plant without size [m].
     **style
         Properties of all patches, such as ``zorder``.
@@ -89,9 +89,9 @@ class Body:
         Patches; the outline comes first.
     """
 
-    def __init__(self, axes: Axes, plant: object, colour: str, otherwise: float, **style: Any) -> None:
+    def __init__(self, axes: Axes, plant: object, colour: str, default_size: float, **style: Any) -> None:
         size = _size(plant)
-        self._shapes = [_BOX * size, _NOSE * size] if size is not None else [_DART * otherwise]
+        self._shapes = [_BOX * size, _NOSE * size] if size is not None else [_DART * default_size]
         fills = [to_rgba(colour, 0.25), colour] if size is not None else [colour]
         self.patches = [
             Polygon(shape, closed=True, facecolor=fill, edgecolor=colour, linewidth=1.2, **style)
@@ -118,18 +118,18 @@ def arm_links(run: Rollout, times: Array) -> Array:
     joints, model = np.moveaxis(robot.frame_placements(q)[..., :2, 3], 1, 0), robot.model
     lines = []
     for mount in mounts:
-        own = range(mount.joints.start, mount.joints.stop)
-        lines += [(joints[model.parents[k] - 1], joints[k - 1]) for k in own if model.parents[k] in own]
-        hand = model.frames[model.getFrameId(mount.tip)].parentJoint
-        lines.append((joints[hand - 1], robot.frame_pose(q, mount.tip)[:, :2, 3]))
+        chain = range(mount.joints.start, mount.joints.stop)
+        lines += [(joints[model.parents[k] - 1], joints[k - 1]) for k in chain if model.parents[k] in chain]
+        tip_joint = model.frames[model.getFrameId(mount.tip)].parentJoint
+        lines.append((joints[tip_joint - 1], robot.frame_pose(q, mount.tip)[:, :2, 3]))
     gap = np.full((len(times), 2), np.nan)
     return np.stack([point for start, end in lines for point in (start, end, gap)], axis=1)
 
 
-def diagonal(plant: object, otherwise: float) -> float:
-    """Return the diagonal of the plant's outline [m], or `otherwise` if the plant has no size."""
+def diagonal(plant: object, default_size: float) -> float:
+    """Return the diagonal of the plant's outline [m], or `default_size` if the plant has no size."""
     size = _size(plant)
-    return otherwise if size is None else float(np.hypot(*size))
+    return default_size if size is None else float(np.hypot(*size))
 
 
 def _size(plant: object) -> Array | None:
@@ -141,10 +141,10 @@ def _size(plant: object) -> Array | None:
     return size[:2] if size.ndim == 1 and len(size) >= 2 and (size[:2] > 0).all() else None
 
 
-_BOXES = 8
+_MAX_BOXES = 8
 
 
-def _travelled() -> Style:
+def _path_style() -> Style:
     """Return the style of a travelled path: wider than the desired path above it, so that both show."""
     return {"linewidth": 1.9 * float(rcParams["lines.linewidth"]), "zorder": 3}
 
@@ -190,33 +190,33 @@ def path(rollouts: Rollouts, *, times: ArrayLike | None = None, **layout: Unpack
     >>> figure.axes[0].get_title()
     'position error at most 200 mm'
     """
-    runs = labelled(rollouts)
-    of_each(runs, lambda run: run.poses)
+    runs = label_rollouts(rollouts)
+    evaluate_each(runs, lambda run: run.poses)
     instants: dict[str, Array] = {}
-    for labels in same_references(runs).values():  # equal references have equal times, for comparison
-        instants |= dict.fromkeys(labels, _spread(runs[labels[0]]))
+    for labels in reference_groups(runs).values():  # equal references have equal times, for comparison
+        instants |= dict.fromkeys(labels, _drawing_times(runs[labels[0]]))
     if times is not None:
         given = shaped("times", np.atleast_1d(finite("times", times)), ("n",))
         for label, run in runs.items():
             least, most = float(run.t[0]), float(run.t[-1])
             instants[label] = bounded("times", given, least=least, most=most, unit="s")
-    figure, axes = panels(runs, "Desired and travelled path", **layout)
-    otherwise = _arrowhead(axes[0])
+    figure, axes = make_panels(runs, "Desired and travelled path", **layout)
+    arrow_length = _arrow_length(axes[0])
     for index, (label, run) in enumerate(runs.items()):
-        curve(axes[index], *run.poses[:, :2].T, color=colour(index), label="travelled", **_travelled())
-        drawn = zip(
+        draw_curve(axes[index], *run.poses[:, :2].T, color=colour(index), label="travelled", **_path_style())
+        drawings = zip(
             instants[label], poses(run, instants[label]), arm_links(run, instants[label]), strict=True
         )
-        for t, pose, arms in drawn:
-            Body(axes[index], run.plant, colour(index), otherwise, zorder=5).move(pose)
+        for t, pose, arms in drawings:
+            RobotPatches(axes[index], run.plant, colour(index), arrow_length, zorder=5).move(pose)
             if len(arms):
-                axes[index].plot(*arms.T, **_ARMS, zorder=5.5)
-            _write_time(axes[index], t, pose, 0.5 * diagonal(run.plant, otherwise))
+                axes[index].plot(*arms.T, **_ARM_STYLE, zorder=5.5)
+            _write_time(axes[index], t, pose, 0.5 * diagonal(run.plant, arrow_length))
     return figure
 
 
-def panels(
-    runs: Mapping[str, Rollout], default: str, *, known: bool = True, **layout: Unpack[Layout]
+def make_panels(
+    runs: Mapping[str, Rollout], default: str, *, register: bool = True, **layout: Unpack[Layout]
 ) -> tuple[Figure, list[Axes]]:
     """Return a figure with a panel for each rollout, with its desired path, and a legend below.
 
@@ -226,29 +226,29 @@ def panels(
         Rollouts by label.
     default : str
         Default heading.
-    known : bool
+    register : bool
         See `Sheet`.
     **layout
         See `Sheet`.
     """
-    most = min(len(runs), 3)
-    largest = (8.6 / most - 0.4, 4.8) if most > 1 else (7.0, 5.6)  # [in]
-    shape = _shape(_window(runs, largest[0]))
+    max_columns = min(len(runs), 3)
+    largest = (8.6 / max_columns - 0.4, 4.8) if max_columns > 1 else (7.0, 5.6)  # [in]
+    shape = _window_sides(_window(runs, largest[0]))
     size = min(largest[0] / shape[0], largest[1] / shape[1])
-    sheet = Sheet(0.85 + most * (shape[0] * size + 0.3) - 0.3, known=known, **layout)
-    columns, keys = sheet.columns(most, 1.7), list(_keys(runs))
+    sheet = Sheet(0.85 + max_columns * (shape[0] * size + 0.3) - 0.3, register=register, **layout)
+    columns, keys = sheet.columns(max_columns, 1.7), list(_path_keys(runs))
     window = _window(runs, sheet.width / columns)
-    shape = _shape(window)
-    room = (sheet.width - 5.5 * letters() / 72) / columns
-    off = [si(float(run.distance.max()), "m") for run in runs.values()]
-    notes = [wrapped(f"position error at most {each}", letters(0.95), room) for each in off]
-    labels = [wrapped(label, letters(1.2), room, weight="bold") for label in runs]
+    shape = _window_sides(window)
+    room = (sheet.width - 5.5 * font_size() / 72) / columns
+    max_errors = [format_si(float(run.distance.max()), "m") for run in runs.values()]
+    notes = [wrap_text(f"position error at most {each}", font_size(0.95), room) for each in max_errors]
+    labels = [wrap_text(label, font_size(1.2), room, weight="bold") for label in runs]
     height, spots = 0.0, [divmod(k, columns) for k in range(len(runs))]
-    if sheet.new:
+    if sheet.is_new:
         sizes = zip([1 + note.count("\n") for note in notes], labels, strict=True)
-        above = max(lines + 1.5 * bool(label) * (label.count("\n") + 1) for lines, label in sizes)
-        outside = sheet.below(keys), sheet.heading(default)
-        height, grid = _placed(sheet, spots, shape, 1.3 * above + 0.8, *outside)
+        title_lines = max(lines + 1.5 * bool(label) * (label.count("\n") + 1) for lines, label in sizes)
+        margins = sheet.legend_height(keys), sheet.heading_height(default)
+        height, grid = _place_axes(sheet, spots, shape, 1.3 * title_lines + 0.8, *margins)
     else:
         grid = sheet.axes(spots, [3.0] * -(-len(runs) // columns), share="")
     for index, (axes, run) in enumerate(zip(grid, runs.values(), strict=True)):
@@ -258,14 +258,14 @@ def panels(
         axes.set(xlim=window[:, 0], ylim=window[:, 1])
         axes.set(xlabel="x [m]" if lowest else "", ylabel="y [m]" if left else "")
         axes.tick_params(labelleft=left, labelbottom=lowest)
-        axes.set_title(notes[index], fontsize=letters(0.95))
-        offset = 0, over(notes[index].count("\n") + 1)
-        axes.annotate(labels[index], (0.5, 1), offset, ha="center", **heading(index))
-        curve(axes, *run.reference_poses[:, :2].T, label="desired", **desired())
+        axes.set_title(notes[index], fontsize=font_size(0.95))
+        offset = 0, title_offset(notes[index].count("\n") + 1)
+        axes.annotate(labels[index], (0.5, 1), offset, ha="center", **label_style(index))
+        draw_curve(axes, *run.reference_poses[:, :2].T, label="desired", **reference_style())
     return sheet.finish(default, keys, height=height), grid
 
 
-def _placed(
+def _place_axes(
     sheet: Sheet, spots: Sequence[tuple[int, int]], shape: Array, titles: float, keys: float, heading: float
 ) -> tuple[float, list[Axes]]:
     """Return the height of a figure [in] and its axes, placed without a layout engine.
@@ -285,22 +285,22 @@ def _placed(
     keys, heading : float
         Heights of legend and heading [in].
     """
-    em = letters() / 72
-    rows, columns = (1 + max(place) for place in zip(*spots, strict=True))
-    left, right, beside = 4.7 * em, 1.4 * em, 2.2 * em
-    below, between, above = keys + 3.4 * em, (titles + 1.8) * em, titles * em + heading
-    wide = (sheet.width - left - right - beside * (columns - 1)) / columns
-    tall = max(wide, em) * shape[1] / shape[0]
-    height = below + rows * tall + (rows - 1) * between + above
+    em = font_size() / 72
+    rows, columns = (1 + max(rectangle) for rectangle in zip(*spots, strict=True))
+    left, right, gap = 4.7 * em, 1.4 * em, 2.2 * em
+    bottom, row_gap, top = keys + 3.4 * em, (titles + 1.8) * em, titles * em + heading
+    width = (sheet.width - left - right - gap * (columns - 1)) / columns
+    span = max(width, em) * shape[1] / shape[0]
+    height = bottom + rows * span + (rows - 1) * row_gap + top
     figure = sheet.figure
     figure.set_layout_engine("none")
-    made: list[Axes] = []
+    panels: list[Axes] = []
     for row, column in spots:
-        corner = left + column * (wide + beside), below + (rows - 1 - row) * (tall + between)
-        place = corner[0] / sheet.width, corner[1] / height, max(wide, em) / sheet.width, tall / height
-        shared = made[0] if made else None
-        made.append(figure.add_axes(place, sharex=shared, sharey=shared))
-    return height, made
+        corner = left + column * (width + gap), bottom + (rows - 1 - row) * (span + row_gap)
+        rectangle = corner[0] / sheet.width, corner[1] / height, max(width, em) / sheet.width, span / height
+        shared = panels[0] if panels else None
+        panels.append(figure.add_axes(rectangle, sharex=shared, sharey=shared))
+    return height, panels
 
 
 def poses(run: Rollout, times: Array) -> Array:
@@ -309,66 +309,66 @@ def poses(run: Rollout, times: Array) -> Array:
     return np.stack([np.interp(times, run.t, column) for column in (x, y, np.unwrap(psi))], axis=-1)
 
 
-def _keys(runs: Mapping[str, Rollout]) -> Iterator[Patch | Line2D]:
+def _path_keys(runs: Mapping[str, Rollout]) -> Iterator[Patch | Line2D]:
     shade = colour(0) if len(runs) == 1 else "#777777"
-    yield Line2D([], [], label="desired", **desired())
-    yield Line2D([], [], label="travelled", color=shade, **_travelled())
+    yield Line2D([], [], label="desired", **reference_style())
+    yield Line2D([], [], label="travelled", color=shade, **_path_style())
     yield Patch(facecolor=(*(0.6,) * 3, 0.4), edgecolor=shade, label="robot")
     if any(arm_links(run, run.t[:1]).size for run in runs.values()):
-        yield Line2D([], [], label="arm", **_ARMS)
+        yield Line2D([], [], label="arm", **_ARM_STYLE)
 
 
-def _shape(window: Array) -> Array:
+def _window_sides(window: Array) -> Array:
     """Return the side lengths of a window; the longer side is 1."""
     sides = window[1] - window[0]
     return np.asarray(sides / sides.max())
 
 
-def _arrowhead(axes: Axes) -> float:
+def _arrow_length(axes: Axes) -> float:
     """Return the length of the arrowhead of a robot without size [m]."""
-    return _ARROW * float(np.max(np.diff([axes.get_xlim(), axes.get_ylim()])))
+    return _ARROW_SHARE * float(np.max(np.diff([axes.get_xlim(), axes.get_ylim()])))
 
 
-def _window(runs: Mapping[str, Rollout], wide: float) -> Array:
+def _window(runs: Mapping[str, Rollout], width: float) -> Array:
     """Return the corners of the window of panels of a width [in], shape (2, 2) [m], with room for labels."""
-    both = [part[:, :2] for run in runs.values() for part in (run.poses, run.reference_poses)]
-    both += [arm_links(run, run.t[:: -(-len(run) // _POSTURES)]).reshape(-1, 2) for run in runs.values()]
-    points = np.concatenate(both)
+    parts = [part[:, :2] for run in runs.values() for part in (run.poses, run.reference_poses)]
+    parts += [arm_links(run, run.t[:: -(-len(run) // _MAX_POSTURES)]).reshape(-1, 2) for run in runs.values()]
+    points = np.concatenate(parts)
     low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
     extent = float((high - low).max())
-    robot = max(diagonal(run.plant, _ARROW * extent) for run in runs.values())
-    words = min(2.6 * letters() / 72 / wide, 0.25)
-    margin = 0.5 * robot + max(0.12, words / (1 - 2 * words)) * max(extent, robot) or 1.0
+    robot = max(diagonal(run.plant, _ARROW_SHARE * extent) for run in runs.values())
+    text_share = min(2.6 * font_size() / 72 / width, 0.25)
+    margin = 0.5 * robot + max(0.12, text_share / (1 - 2 * text_share)) * max(extent, robot) or 1.0
     room = np.maximum(0.25 * extent - 0.5 * (high - low), 0.0)  # a straight line needs some height too
     return np.stack([low - margin - room, high + margin + room])
 
 
-def _write_time(axes: Axes, t: float, pose: Array, beside: float) -> None:
+def _write_time(axes: Axes, t: float, pose: Array, distance: float) -> None:
     """Write the time to the right of the robot."""
     right = float(np.sin(pose[2])), float(-np.cos(pose[2]))
-    spot = pose[0] + beside * right[0], pose[1] + beside * right[1]
-    offset = letters(1.8) * right[0], letters(0.9) * right[1]  # text is wider than high
-    text: Style = {"ha": "center", "va": "center", "fontsize": letters(0.9), "color": ink(), "zorder": 6}
+    spot = pose[0] + distance * right[0], pose[1] + distance * right[1]
+    offset = font_size(1.8) * right[0], font_size(0.9) * right[1]  # text is wider than high
+    text: Style = {"ha": "center", "va": "center", "fontsize": font_size(0.9), "color": ink(), "zorder": 6}
     axes.annotate(f"{t:.3g} s", spot, offset, textcoords="offset points", **text)
 
 
-def _spread(run: Rollout) -> Array:
+def _drawing_times(run: Rollout) -> Array:
     """Return times at which drawings of the robot do not overlap, shape (n,) [s]."""
     xy = run.poses[:, :2]
-    robot = diagonal(run.plant, _ARROW * float(np.ptp(xy, axis=0).max()))
-    travelled = np.append(0.0, np.cumsum(np.hypot(*np.diff(xy, axis=0).T)))
-    count = int(min(_BOXES - 1, travelled[-1] / (1.5 * robot))) if robot else 0
-    between = np.searchsorted(travelled, np.linspace(0.0, travelled[-1], count + 1)[1:-1])
-    kept: list[int] = []
-    for k in (0, len(xy) - 1, *between):
-        if all(np.hypot(*(xy[k] - xy[other])) > robot for other in kept):
-            kept.append(int(k))
-    return np.asarray(run.t[sorted(kept)])
+    robot = diagonal(run.plant, _ARROW_SHARE * float(np.ptp(xy, axis=0).max()))
+    arc_length = np.append(0.0, np.cumsum(np.hypot(*np.diff(xy, axis=0).T)))
+    count = int(min(_MAX_BOXES - 1, arc_length[-1] / (1.5 * robot))) if robot else 0
+    candidates = np.searchsorted(arc_length, np.linspace(0.0, arc_length[-1], count + 1)[1:-1])
+    chosen: list[int] = []
+    for k in (0, len(xy) - 1, *candidates):
+        if all(np.hypot(*(xy[k] - xy[other])) > robot for other in chosen):
+            chosen.append(int(k))
+    return np.asarray(run.t[sorted(chosen)])
 
 
-_LASTS = 10.0  # [s], default duration of the GIF of a longer run
-_HELD = 1.0  # [s], duration of the last frame
-_FASTEST = 50.0  # [1/s]; browsers slow down faster GIFs
+_DEFAULT_DURATION = 10.0  # [s], default duration of the GIF of a longer run
+_LAST_DURATION = 1.0  # [s], duration of the last frame
+_MAX_RATE = 50.0  # [1/s]; browsers slow down faster GIFs
 _DPI = 80
 _COLOURS = 48
 
@@ -430,21 +430,21 @@ def animate(
     ...     plots.animate(run, f"{folder}/run.gif", fps=2).name
     'run.gif'
     """
-    runs = labelled(rollouts)
-    of_each(runs, lambda run: run.poses)
-    rate = bounded("fps", scalar("fps", fps), above=0, most=_FASTEST, unit="1/s")
+    runs = label_rollouts(rollouts)
+    evaluate_each(runs, lambda run: run.poses)
+    rate = bounded("fps", scalar("fps", fps), above=0, most=_MAX_RATE, unit="1/s")
     start, end = min(run.t[0] for run in runs.values()), max(run.t[-1] for run in runs.values())
-    pace = max((end - start) / _LASTS, 1.0) if speed is None else positive("speed", speed)
+    pace = max((end - start) / _DEFAULT_DURATION, 1.0) if speed is None else positive("speed", speed)
     times = np.append(np.arange(start, end - 1e-9 * pace, pace / rate), end)
     if progress is not None:
         callable_as("progress(done, total)", progress)
-    frames = _frames(_Scene(runs, times, checked_title(title) or "", pace), progress)
+    frames = _frames(_Animation(runs, times, check_title(title) or "", pace), progress)
     ticks = np.round(100 * np.arange(len(times) + 1) / rate)  # of a GIF's hundredths of a second
-    stand = [*(10 * np.diff(ticks[:-1])).astype(int).tolist(), round(1000 * _HELD)]  # [ms]
+    durations = [*(10 * np.diff(ticks[:-1])).astype(int).tolist(), round(1000 * _LAST_DURATION)]  # [ms]
 
     def gif() -> bytes:
         buffer = BytesIO()
-        next(frames).save(buffer, "GIF", save_all=True, append_images=frames, duration=stand, loop=0)
+        next(frames).save(buffer, "GIF", save_all=True, append_images=frames, duration=durations, loop=0)
         return buffer.getvalue()
 
     return write_file(path, ".gif", gif)
@@ -455,63 +455,63 @@ def _agg(figure: Figure) -> Any:
     return FigureCanvasAgg(figure)
 
 
-class _Scene:
+class _Animation:
     """Figure of an animation; its static parts are drawn once."""
 
     def __init__(self, runs: Mapping[str, Rollout], times: Array, title: str, pace: float) -> None:
-        figure, panes = panels(runs, "", known=False)
+        figure, panel_axes = make_panels(runs, "", register=False)
         figure.set_dpi(_DPI)
         self.figure, self.times = figure, times
         self.canvas = _agg(figure)
         words = title if pace == 1 else f"{title} ({pace:.3g} times as fast)".lstrip()
-        size, left, right = letters(1.2), panes[0].get_position().x0, panes[-1].get_position().x1
-        high = 1 - size / 144 / figure.get_figheight()
-        figure.text(left, high, words, va="top", fontsize=size)
+        size, left, right = font_size(1.2), panel_axes[0].get_position().x0, panel_axes[-1].get_position().x1
+        height = 1 - size / 144 / figure.get_figheight()
+        figure.text(left, height, words, va="top", fontsize=size)
         # Text is slow to draw: each frame draws only the time of the caption.
         clock: Style = {"ha": "right", "va": "top", "fontsize": size, "animated": True}
-        self.clock = figure.text(right, high, "", **clock)
-        self.movers = [
-            _Mover(run, times, axes, colour(index))
-            for index, (run, axes) in enumerate(zip(runs.values(), panes, strict=True))
+        self.clock = figure.text(right, height, "", **clock)
+        self.robots = [
+            _MovingRobot(run, times, axes, colour(index))
+            for index, (run, axes) in enumerate(zip(runs.values(), panel_axes, strict=True))
         ]
         self.canvas.draw()
-        self.still = self.canvas.copy_from_bbox(figure.bbox)
+        self.background = self.canvas.copy_from_bbox(figure.bbox)
 
     def frame(self, index: int) -> Image.Image:
         """Return the frame of an index in full colour."""
-        self.canvas.restore_region(self.still)
+        self.canvas.restore_region(self.background)
         self.clock.set_text(f"t = {self.times[index]:.1f} s")
         self.figure.draw_artist(self.clock)
-        for mover in self.movers:
+        for mover in self.robots:
             mover.draw(index)
         size = self.canvas.get_width_height(physical=True)
         return Image.frombytes("RGB", size, self.canvas.buffer_rgba(), "raw", "RGBX")
 
 
-class _Mover:
+class _MovingRobot:
     """Moving robot in its panel, with the line of its travelled path."""
 
-    def __init__(self, run: Rollout, times: Array, axes: Axes, shade: str) -> None:
+    def __init__(self, run: Rollout, times: Array, axes: Axes, color: str) -> None:
         xy = run.poses[:, :2]
-        kept = thinned(*xy.T)
-        self.xy, self.reached = xy[kept], np.searchsorted(run.t[kept], times)
+        samples = thin_samples(*xy.T)
+        self.xy, self.counts = xy[samples], np.searchsorted(run.t[samples], times)
         self.poses, self.arms, self.axes = poses(run, times), arm_links(run, times), axes
-        self.body = Body(axes, run.plant, shade, _arrowhead(axes), animated=True)
-        (self.desired,) = axes.lines  # drawn again, above the travelled path
-        (self.line,) = axes.plot([], [], color=shade, animated=True, **_travelled())
-        (self.links,) = axes.plot([], [], animated=True, **_ARMS)
+        self.body = RobotPatches(axes, run.plant, color, _arrow_length(axes), animated=True)
+        (self.reference,) = axes.lines  # drawn again, above the travelled path
+        (self.line,) = axes.plot([], [], color=color, animated=True, **_path_style())
+        (self.links,) = axes.plot([], [], animated=True, **_ARM_STYLE)
 
     def draw(self, index: int) -> None:
         """Draw robot and line in the frame of an index."""
         pose = self.poses[index]
-        self.line.set_data(*np.vstack([self.xy[: self.reached[index]], pose[:2]]).T)
+        self.line.set_data(*np.vstack([self.xy[: self.counts[index]], pose[:2]]).T)
         self.links.set_data(*self.arms[index].T)
         self.body.move(pose)
-        for artist in (self.line, self.desired, *self.body.patches, self.links):
+        for artist in (self.line, self.reference, *self.body.patches, self.links):
             self.axes.draw_artist(artist)
 
 
-def _frames(scene: _Scene, progress: Callable[[int, int], object] | None) -> Iterator[Image.Image]:
+def _frames(scene: _Animation, progress: Callable[[int, int], object] | None) -> Iterator[Image.Image]:
     """Yield the frames with the palette of the last frame, on white."""
     total = len(scene.times)
     palette = scene.frame(total - 1).quantize(_COLOURS, dither=Image.Dither.NONE)
@@ -524,9 +524,9 @@ def _frames(scene: _Scene, progress: Callable[[int, int], object] | None) -> Ite
             progress(index + 1, total)
 
 
-_WIDE, _TALL = (1.4, 1.4, 1.4), (2.8, 1.2, 1.2, 1.2)  # [in]: heights of rows
+_WIDE_HEIGHTS, _TALL_HEIGHTS = (1.4, 1.4, 1.4), (2.8, 1.2, 1.2, 1.2)  # [in]: heights of rows
 _NO_TARGET, _NO_ORIENTATION = "there is no target", "the target has no orientation"
-_PLACES = (("x [m]", "y [m]"), ("", "z [m]"), ("", "distance [m]"), ("t [s]", "angle [rad]"))
+_AXIS_LABELS = (("x [m]", "y [m]"), ("", "z [m]"), ("", "distance [m]"), ("t [s]", "angle [rad]"))
 """Labels of the axes of path, height, distance and angle."""
 
 
@@ -576,43 +576,43 @@ def end_effector(rollouts: Rollouts, *, frame: str | None = None, **layout: Unpa
     >>> [axes.get_ylabel() for axes in figure.axes]
     ['y [m]', 'z [m]', 'distance [m]', 'angle [rad]']
     """
-    hands = of_each(labelled(rollouts), lambda run: run.end_effector(frame))
+    tips = evaluate_each(label_rollouts(rollouts), lambda run: run.end_effector(frame))
     sheet = Sheet(9.0, **layout)
-    above, height, way, turn = _panels(sheet)
-    for index, (label, hand) in enumerate(hands.items()):
-        style = line_style(index, len(hands)) | {"label": label or "travelled"}
-        curve(above, *hand.position[:, :2].T, **style)
-        curve(height, hand.t, hand.position[:, 2], **style)
-        if hand.target is not None:
-            curve(way, hand.t, hand.distance, **style)
-            if hand.is_oriented:
-                curve(turn, hand.t, hand.angle, **style)
-    aimed = [(hand.t, hand.target) for hand in hands.values() if hand.target is not None]
-    for t, target in {t.tobytes() + target.tobytes(): (t, target) for t, target in aimed}.values():
-        curve(above, *target[:, :2, 3].T, **desired())
-        curve(height, t, target[:, 2, 3], **desired())
-    for axes, none in ((way, _NO_TARGET), (turn, _NO_ORIENTATION if way.lines else _NO_TARGET)):
+    plane, heights, offsets, angles = _pose_panels(sheet)
+    for index, (label, tip) in enumerate(tips.items()):
+        style = line_style(index, len(tips)) | {"label": label or "travelled"}
+        draw_curve(plane, *tip.position[:, :2].T, **style)
+        draw_curve(heights, tip.t, tip.position[:, 2], **style)
+        if tip.target is not None:
+            draw_curve(offsets, tip.t, tip.distance, **style)
+            if tip.is_oriented:
+                draw_curve(angles, tip.t, tip.angle, **style)
+    targets = [(tip.t, tip.target) for tip in tips.values() if tip.target is not None]
+    for t, target in {t.tobytes() + target.tobytes(): (t, target) for t, target in targets}.values():
+        draw_curve(plane, *target[:, :2, 3].T, **reference_style())
+        draw_curve(heights, t, target[:, 2, 3], **reference_style())
+    for axes, reason in ((offsets, _NO_TARGET), (angles, _NO_ORIENTATION if offsets.lines else _NO_TARGET)):
         axes.set_ylim(bottom=0.0)
         if not axes.lines:
-            axes.text(0.5, 0.5, none, ha="center", va="center", transform=axes.transAxes)
-    names = ", ".join(dict.fromkeys(hand.frame for hand in hands.values()))
-    keys = [Line2D([], [], label="target", **desired())] if way.lines else []
-    return sheet.finish(f"End effector {names}", [*keys, *keys_of(hands, "travelled")])
+            axes.text(0.5, 0.5, reason, ha="center", va="center", transform=axes.transAxes)
+    names = ", ".join(dict.fromkeys(tip.frame for tip in tips.values()))
+    keys = [Line2D([], [], label="target", **reference_style())] if offsets.lines else []
+    return sheet.finish(f"End effector {names}", [*keys, *legend_entries(tips, "travelled")])
 
 
-def _panels(sheet: Sheet) -> list[Axes]:
+def _pose_panels(sheet: Sheet) -> list[Axes]:
     """Return the axes: one above the other, or the path beside the axes over time."""
     if sheet.columns(2, 3.2) == 1:
         spots: list[Spot] = [(k, 0) for k in range(4)]
-        above, *later = sheet.axes(spots, _TALL, share="")
+        plane, *time_axes = sheet.axes(spots, _TALL_HEIGHTS, share="")
     else:
         spots = [(slice(None), 0), (0, 1), (1, 1), (2, 1)]
-        above, *later = sheet.axes(spots, _WIDE, ratios=(1.2, 1))
-    panels = [above, *later]
-    for axes, (x, y) in zip(panels, _PLACES, strict=True):
+        plane, *time_axes = sheet.axes(spots, _WIDE_HEIGHTS, ratios=(1.2, 1))
+    panels = [plane, *time_axes]
+    for axes, (x, y) in zip(panels, _AXIS_LABELS, strict=True):
         dress_time(axes)
         axes.set(xlabel=x, ylabel=y)
         axes.ticklabel_format(axis="y", scilimits=(-3, 4), useMathText=True)
-    above.set_aspect("equal", adjustable="datalim")
-    above.margins(0.1)
+    plane.set_aspect("equal", adjustable="datalim")
+    plane.margins(0.1)
     return panels

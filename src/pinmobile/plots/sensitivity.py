@@ -28,22 +28,22 @@ from pinmobile.plots.style import (
     Style,
     colour,
     dress,
-    heading,
+    font_size,
+    format_percent,
+    format_si,
     ink,
-    letters,
-    over,
-    percent,
-    shortened,
-    si,
+    label_style,
     tint,
-    wrapped,
+    title_offset,
+    wrap_label,
+    wrap_text,
 )
 
-_ALWAYS = "distance", "heading"
-_LINEAR_BANDS = 40.0  # largest ratio of the largest value and the smallest median on a linear axis
+_DEFAULT_METRICS = "distance", "heading"
+_MAX_BAND_RATIO = 40.0  # largest ratio of the largest value and the smallest median on a linear axis
 _ROUNDING = 1e-9  # smallest value on a logarithmic axis, as a share of the largest
 _GREY = "#777777"
-_PLAIN: Style = {"color": INK, "fontweight": "normal"}
+_PLAIN_STYLE: Style = {"color": INK, "fontweight": "normal"}
 
 
 class _Scale(NamedTuple):
@@ -113,35 +113,35 @@ def bands(
     >>> figure.axes[0].get_title(loc="left")
     '99 % stay within 41 mm throughout'
     """
-    known: dict[str, Ensemble] = label_items("ensembles", ensembles, Ensemble)
+    runs: dict[str, Ensemble] = label_items("ensembles", ensembles, Ensemble)
     shares = shaped("levels", np.unique(finite("levels", levels)), ("n>=1",))
-    rows = _rows(list(known.values()), by)
-    drawn = [_drawn(one, shares, [row.name for row in rows]) for one in known.values()]
-    sheet = Sheet(max(7.5, 3.6 * len(known)), **layout)
-    grid = sheet.grid(len(rows), len(known), [max(2.0, 4.4 / len(rows))] * len(rows), share="xy")
+    rows = _row_metrics(list(runs.values()), by)
+    limits = [_band_quantiles(one, shares, [row.name for row in rows]) for one in runs.values()]
+    sheet = Sheet(max(7.5, 3.6 * len(runs)), **layout)
+    grid = sheet.grid(len(rows), len(runs), [max(2.0, 4.4 / len(rows))] * len(rows), share="xy")
     for row, channel in zip(grid, rows, strict=True):
-        quantiles = [one[channel.name] for one in drawn]
+        quantiles = [one[channel.name] for one in limits]
         scale = _scale(quantiles, channel)
-        words = f"{_words(channel)} [{scale.unit}]" if scale.unit else _words(channel)
+        words = f"{_axis_label(channel)} [{scale.unit}]" if scale.unit else _axis_label(channel)
         row[0].set_ylabel(f"{words}\nlogarithmic" if scale.logarithmic else words)
         for index, (axes, values) in enumerate(zip(row, quantiles, strict=True)):
-            _panel(axes, drawn[index].t, values, scale, index, is_margin=channel.is_margin)
-    for index, (label, one) in enumerate(known.items()):
-        above = _bounds(sheet, grid[:, index], rows, one, float(shares[-1]))
+            _draw_band(axes, limits[index].t, values, scale, index, is_margin=channel.is_margin)
+    for index, (label, one) in enumerate(runs.items()):
+        height = _bounds(sheet, grid[:, index], rows, one, float(shares[-1]))
         count = int(one.diverged.sum())
-        fate = f"{count:,} of {len(one):,} diverged" if count else f"none of {len(one):,} diverged"
-        fate = wrapped(fate, letters(), sheet.room())
-        first, look = grid[0, index], heading(index)
-        first.annotate(fate, (0, 1), (0, above), **look | _PLAIN | {"fontsize": letters()})
-        above += letters(1.4) * (fate.count("\n") + 1)
-        first.annotate(shortened(sheet, label), (0, 1), (0, above), **look)
+        count_text = f"{count:,} of {len(one):,} diverged" if count else f"none of {len(one):,} diverged"
+        count_text = wrap_text(count_text, font_size(), sheet.room())
+        first, style = grid[0, index], label_style(index)
+        first.annotate(count_text, (0, 1), (0, height), **style | _PLAIN_STYLE | {"fontsize": font_size()})
+        height += font_size(1.4) * (count_text.count("\n") + 1)
+        first.annotate(wrap_label(sheet, label), (0, 1), (0, height), **style)
         grid[-1, index].set_xlabel("t [s]")
-    if sheet.new:
+    if sheet.is_new:
         sheet.figure.align_ylabels(grid[:, 0])
-    return sheet.finish("How far the robots stray", list(_keys(drawn[0], list(known.values()))))
+    return sheet.finish("How far the robots stray", list(_patches(limits[0], list(runs.values()))))
 
 
-def _rows(ensembles: Sequence[Ensemble], by: str | Sequence[str] | None) -> list[Metric]:
+def _row_metrics(ensembles: Sequence[Ensemble], by: str | Sequence[str] | None) -> list[Metric]:
     """Return the quantities of the rows.
 
     Raises
@@ -149,23 +149,23 @@ def _rows(ensembles: Sequence[Ensemble], by: str | Sequence[str] | None) -> list
     InvalidArgument, UnknownName
         If `by` is not a sequence or is empty, or an ensemble has no quantity of a name.
     """
-    known = [{each.name: each for each in one.scenario.channels} for one in ensembles]
+    metrics = [{each.name: each for each in one.scenario.channels} for one in ensembles]
     if by is None:
         recorded = ensembles[0].scenario.recorded_metrics
-        judged = [each.name for each in recorded if each.worst != "ever"]
-        names = [*_ALWAYS, *(name for name in judged if all(name in each for each in known))]
+        metric_names = [each.name for each in recorded if each.worst != "ever"]
+        names = [*_DEFAULT_METRICS, *(name for name in metric_names if all(name in each for each in metrics))]
     else:
         one = [by] if isinstance(by, str) else by
         names = list(sequence("by", one, "a sequence of names, such as ['distance']"))
     if not names:
         raise InvalidArgument("by is empty, expected at least one name, such as 'distance'")
-    for each in known:
+    for each in metrics:
         for name in names:
             one_of("band", name, each)
-    return [known[0][name] for name in names]
+    return [metrics[0][name] for name in names]
 
 
-def _words(channel: Metric) -> str:
+def _axis_label(channel: Metric) -> str:
     """Return the label of the axes of a row."""
     if channel.name == "distance":
         return "distance from\ndesired position"
@@ -174,28 +174,28 @@ def _words(channel: Metric) -> str:
     return channel.name.replace(" of ", "\nof ")
 
 
-def _drawn(ensemble: Ensemble, levels: Array, names: Sequence[str]) -> Bands:
+def _band_quantiles(ensemble: Ensemble, levels: Array, names: Sequence[str]) -> Bands:
     """Return the drawn quantiles, limited by the exact bound of `Ensemble.error_quantile`.
 
     The limit applies from `Scenario.after` on. The quantiles come from counts in bins, so their resolution is
     the width of a bin. Values in the first bin count as zero.
     """
-    found = ensemble.bands(levels)
-    most = [ensemble.error_quantile(level) for level in levels]
-    begun = found.t >= ensemble.scenario.t[ensemble.scenario.begin]
-    drawn = {}
+    bands = ensemble.bands(levels)
+    bounds = [ensemble.error_quantile(level) for level in levels]
+    is_recorded = bands.t >= ensemble.scenario.t[ensemble.scenario.begin]
+    quantiles = {}
     for name in names:
-        one, bound = found[name], np.array([each[name] for each in most])[:, None]
+        one, bound = bands[name], np.array([each[name] for each in bounds])[:, None]
         is_margin = any(each.is_margin for each in ensemble.scenario.channels if each.name == name)
-        held = np.where(begun, (np.maximum if is_margin else np.minimum)(one, bound), one)
-        drawn[name] = held if is_margin else np.where(one < edges()[1], 0.0, held)
-    return Bands(found.t, found.levels, drawn)
+        limited = np.where(is_recorded, (np.maximum if is_margin else np.minimum)(one, bound), one)
+        quantiles[name] = limited if is_margin else np.where(one < edges()[1], 0.0, limited)
+    return Bands(bands.t, bands.levels, quantiles)
 
 
 def _scale(quantiles: Sequence[Array], channel: Metric) -> _Scale:
     """Return a scale for all finite quantiles, shape (L, G) each; for a margin, linear and with zero."""
-    known = np.concatenate([one[np.isfinite(one)] for one in quantiles])
-    lowest, highest = float(known.min(initial=0.0)), float(known.max(initial=0.0))
+    values = np.concatenate([one[np.isfinite(one)] for one in quantiles])
+    lowest, highest = float(values.min(initial=0.0)), float(values.max(initial=0.0))
     logarithmic = False
     if channel.is_margin:
         room = 0.08 * ((highest - lowest) or 1e-3)
@@ -204,14 +204,14 @@ def _scale(quantiles: Sequence[Array], channel: Metric) -> _Scale:
     else:
         top = highest or 1e-3
         medians = [float(np.max(one[0], initial=0.0, where=np.isfinite(one[0]))) for one in quantiles]
-        logarithmic = top > _LINEAR_BANDS * min((value for value in medians if value > 0), default=top)
-        least = max(float(known[known > 0].min(initial=top)), _ROUNDING * top)
+        logarithmic = top > _MAX_BAND_RATIO * min((value for value in medians if value > 0), default=top)
+        least = max(float(values[values > 0].min(initial=top)), _ROUNDING * top)
         low, high = (least / 2, 2 * top) if logarithmic else (0.0, 1.08 * top)
     prefix, per_si = ("", 1.0) if not channel.unit or top >= 1 else ("m", 1e3) if top >= 1e-3 else ("µ", 1e6)
     return _Scale(f"{prefix}{channel.unit}", per_si, low * per_si, high * per_si, logarithmic)
 
 
-def _panel(axes: Axes, t: Array, quantiles: Array, scale: _Scale, index: int, *, is_margin: bool) -> None:
+def _draw_band(axes: Axes, t: Array, quantiles: Array, scale: _Scale, index: int, *, is_margin: bool) -> None:
     """Draw quantiles, shape (L, G), with the strongest colour for the narrowest band."""
     dress(axes)
     axes.margins(x=0.0)
@@ -219,8 +219,8 @@ def _panel(axes: Axes, t: Array, quantiles: Array, scale: _Scale, index: int, *,
         axes.set_yscale("log")
     axes.set_ylim(scale.low, scale.high)
     size = scale.high - scale.low
-    beyond = scale.low - 10 * size if is_margin else 10 * scale.high  # infinite: outside the axes
-    lines = np.where(np.isfinite(quantiles), quantiles * scale.per_si, beyond)
+    outside = scale.low - 10 * size if is_margin else 10 * scale.high  # infinite: outside the axes
+    lines = np.where(np.isfinite(quantiles), quantiles * scale.per_si, outside)
     edge = np.full(len(t), scale.high if is_margin else scale.low)
     for shade, line in zip(_shades(colour(index), len(lines)), lines, strict=True):
         end = np.clip(line, scale.low, None)
@@ -228,9 +228,9 @@ def _panel(axes: Axes, t: Array, quantiles: Array, scale: _Scale, index: int, *,
         edge = end
     if is_margin:
         axes.axhline(0.0, color=_GREY, linewidth=1.0, linestyle=":", zorder=1)
-    thick = float(rcParams["lines.linewidth"])
+    width = float(rcParams["lines.linewidth"])
     for k, line in enumerate(lines):
-        axes.plot(t, line, color=colour(index), linewidth=thick * (1.2 if k == 0 else 0.6), zorder=3)
+        axes.plot(t, line, color=colour(index), linewidth=width * (1.2 if k == 0 else 0.6), zorder=3)
 
 
 def _shades(base: str, count: int) -> list[tuple[float, float, float]]:
@@ -240,51 +240,51 @@ def _shades(base: str, count: int) -> list[tuple[float, float, float]]:
 
 def _bounds(sheet: Sheet, column: NDArray[Any], rows: Sequence[Metric], one: Ensemble, level: float) -> float:
     """Write the bound of a share above each axes of a column; return the height of the first title [pt]."""
-    after, within = one.scenario.after, one.error_quantile(level)
-    when = f"from {after:g} s on" if after else "throughout"
+    after, bounds = one.scenario.after, one.error_quantile(level)
+    period = f"from {after:g} s on" if after else "throughout"
     for axes, channel in zip(column, rows, strict=True):
-        size = within[channel.name]
-        stay = "have at least" if channel.is_margin else "stay within"
+        size = bounds[channel.name]
+        verb = "have at least" if channel.is_margin else "stay within"
         if channel.is_margin and np.isfinite(size) and size:
             digit = 10.0 ** (np.floor(np.log10(abs(size))) - 1)
             size = float(digit * np.floor(size / digit + 1e-9))  # a margin is never rounded up
-        bound = f"{_size(size, channel.unit)} {when}" if np.isfinite(size) else "no bound"
-        sheet.write_above(axes, f"{percent(level)} {stay} {bound}", loc="left")
+        bound = f"{_format_size(size, channel.unit)} {period}" if np.isfinite(size) else "no bound"
+        sheet.write_above(axes, f"{format_percent(level)} {verb} {bound}", loc="left")
         if after:
             axes.axvline(after, color=_GREY, linewidth=1.0, linestyle=":", zorder=1)
-    return over(column[0].get_title(loc="left").count("\n") + 1)
+    return title_offset(column[0].get_title(loc="left").count("\n") + 1)
 
 
-def _size(value: float, unit: str) -> str:
+def _format_size(value: float, unit: str) -> str:
     """Return a number with two digits and its sign as text."""
     if not unit:
         return f"{value:.2g}"
-    return f"-{si(-value, unit)}" if value < 0 else si(value, unit)
+    return f"-{format_si(-value, unit)}" if value < 0 else format_si(value, unit)
 
 
-def _keys(drawn: Bands, ensembles: Sequence[Ensemble]) -> Iterator[Artist]:
+def _patches(bands: Bands, ensembles: Sequence[Ensemble]) -> Iterator[Artist]:
     sizes = {len(one) for one in ensembles}
-    whose = f"of {sizes.pop():,} robots" if len(sizes) == 1 else "of the robots"
+    population = f"of {sizes.pop():,} robots" if len(sizes) == 1 else "of the robots"
     style: Style = {"edgecolor": _GREY, "linewidth": 0.8}
-    labels = [percent(level) for level in drawn.levels]
-    labels[-1] = f"{labels[-1]} {whose}"
+    labels = [format_percent(level) for level in bands.levels]
+    labels[-1] = f"{labels[-1]} {population}"
     for shade, label in zip(_shades(_GREY, len(labels)), labels, strict=True):
         yield Patch(facecolor=shade, label=label, **style)
 
 
-_MOST = 6  # largest number of drawn parameters
-_DOTS = 4000  # largest number of drawn robots, for the worst and for the others
+_MAX_PARAMETERS = 6  # largest number of drawn parameters
+_MAX_DOTS = 4000  # largest number of drawn robots, for the worst and for the others
 _BINS = 40
-_LINEAR = 50.0  # largest ratio of the largest error and the median on a linear axis
+_MAX_ERROR_RATIO = 50.0  # largest ratio of the largest error and the median on a linear axis
 _ERRORS = {"distance": "distance from the desired position", "heading": "error of the heading"}
-_OTHERS: Style = {"color": "#9a9a9a", "alpha": 0.55}
+_OTHERS_STYLE: Style = {"color": "#9a9a9a", "alpha": 0.55}
 
 
-def _worst() -> Style:
+def _outline() -> Style:
     return {"color": colour(1), "linewidth": 1.3 * float(rcParams["lines.linewidth"])}
 
 
-def _where() -> Style:
+def _range_style() -> Style:
     return {"color": colour(1), "alpha": 0.12, "linewidth": 0}
 
 
@@ -350,121 +350,121 @@ def drivers(
     if not isinstance(ensemble, Ensemble):
         raise InvalidArgument(f"ensemble is a {type(ensemble).__name__}, expected an Ensemble")
     worst = worst_share(ensemble, share, by)
-    found = causes(ensemble, worst)
-    shown = found[:_MOST]
-    sheet = Sheet(7.6 if len(shown) <= 3 else 9.0, **layout)
-    columns = sheet.columns(2 if len(shown) <= 3 else 3, 2.9)
-    *panels, scatter = _axes(sheet, len(shown), columns)
-    for axes, one in zip(panels, shown, strict=True):
-        _distribution(sheet, axes, one, worst)
-    _scatter(sheet, scatter, ensemble, found[0], worst, by)
+    ranking = causes(ensemble, worst)
+    drawn_causes = ranking[:_MAX_PARAMETERS]
+    sheet = Sheet(7.6 if len(drawn_causes) <= 3 else 9.0, **layout)
+    columns = sheet.columns(2 if len(drawn_causes) <= 3 else 3, 2.9)
+    *panels, scatter = _make_axes(sheet, len(drawn_causes), columns)
+    for axes, one in zip(panels, drawn_causes, strict=True):
+        _draw_distribution(sheet, axes, one, worst)
+    _draw_scatter(sheet, scatter, ensemble, ranking[0], worst, by)
     keys: list[Artist] = [
-        Line2D([], [], label=f"the worst {percent(share)}: {worst.sum():,} robots", **_worst()),
-        Patch(label="the others", **_OTHERS),
-        Patch(label="where the worst are", **_where()),
+        Line2D([], [], label=f"the worst {format_percent(share)}: {worst.sum():,} robots", **_outline()),
+        Patch(label="the others", **_OTHERS_STYLE),
+        Patch(label="where the worst are", **_range_style()),
     ]
-    if _lost(ensemble, by).any():
-        keys.append(Line2D([], [], color=ink(), marker="x", linestyle="", label=_fate(ensemble, by)))
-    return sheet.finish(_answer(found, share, by), keys)
+    if _lost_robots(ensemble, by).any():
+        keys.append(Line2D([], [], color=ink(), marker="x", linestyle="", label=_lost_label(ensemble, by)))
+    return sheet.finish(_format_causes(ranking, share, by), keys)
 
 
-def _axes(sheet: Sheet, count: int, columns: int) -> list[Axes]:
+def _make_axes(sheet: Sheet, count: int, columns: int) -> list[Axes]:
     """Return axes for each parameter, and axes of the scatter plot in a separate column or row."""
-    beside = max(columns - 1, 1)
-    rows = -(-count // beside)
-    spots: list[Spot] = [divmod(k, beside) for k in range(count)]
+    panels = max(columns - 1, 1)
+    rows = -(-count // panels)
+    spots: list[Spot] = [divmod(k, panels) for k in range(count)]
     if columns == 1:
         return sheet.axes([*spots, (rows, 0)], [*[1.6] * rows, 3.2], share="")
-    tall = [max(1.7, 3.4 / rows)] * rows
-    return sheet.axes([*spots, (slice(0, rows), beside)], tall, share="", ratios=[1.0] * beside + [1.2])
+    heights = [max(1.7, 3.4 / rows)] * rows
+    return sheet.axes([*spots, (slice(0, rows), panels)], heights, share="", ratios=[1.0] * panels + [1.2])
 
 
-def _answer(found: Sequence[Cause], share: float, by: str) -> str:
+def _format_causes(ranking: Sequence[Cause], share: float, by: str) -> str:
     """Return the most important parameters in words."""
-    names = [one.name for one in found if one.visible]
-    of = {"distance": "", "heading": " of headings"}.get(by, f" by {by}")
-    worst = f"the worst {percent(share)}{of}"
+    names = [one.name for one in ranking if one.visible]
+    criterion = {"distance": "", "heading": " of headings"}.get(by, f" by {by}")
+    worst = f"the worst {format_percent(share)}{criterion}"
     if not names:
         return f"Nothing that was spread drives {worst}"
     return ", then ".join([f"{names[0]} drives {worst} most", *names[1:3]])
 
 
-def _distribution(sheet: Sheet, axes: Axes, one: Cause, worst: NDArray[np.bool_]) -> None:
+def _draw_distribution(sheet: Sheet, axes: Axes, one: Cause, worst: NDArray[np.bool_]) -> None:
     """Draw the distribution of a parameter among the worst robots and among the others."""
     dress(axes)
     bins = np.linspace(one.values.min(), one.values.max(), _BINS + 1).tolist()
     bad, good = one.values[worst], one.values[~worst]
-    axes.hist(good, bins, weights=np.full(len(good), 100 / len(good)), zorder=2, **_OTHERS)
-    axes.hist(bad, bins, weights=np.full(len(bad), 100 / len(bad)), histtype="step", zorder=3, **_worst())
+    axes.hist(good, bins, weights=np.full(len(good), 100 / len(good)), zorder=2, **_OTHERS_STYLE)
+    axes.hist(bad, bins, weights=np.full(len(bad), 100 / len(bad)), histtype="step", zorder=3, **_outline())
     text, shade = "plays no part", "#777777"
     if one.visible:
         spans = [(bins[0], one.low), (one.high, bins[-1])] if one.outside else [(one.low, one.high)]
         for low, high in spans:
-            axes.axvspan(max(low, bins[0]), min(high, bins[-1]), zorder=1, **_where())
-        many, few = (percent(round(float(one.holds(values).mean()), 2)) for values in (bad, good))
-        text, shade = f"{one.place}:\n{many} of the worst, {few} of the others", ink()
+            axes.axvspan(max(low, bins[0]), min(high, bins[-1]), zorder=1, **_range_style())
+        share, rest = (format_percent(round(float(one.holds(values).mean()), 2)) for values in (bad, good))
+        text, shade = f"{one.place}:\n{share} of the worst, {rest} of the others", ink()
     sheet.write_above(axes, text, 0.95, color=shade, loc="left")
     axes.margins(x=0)
     axes.set_ylim(0, None)
     axes.xaxis.set_major_locator(MaxNLocator(5))
-    axes.set_xlabel(_in_lines(sheet, one.label))
+    axes.set_xlabel(_wrap_path(sheet, one.label))
     axes.set_ylabel("per bar [%]")
 
 
-def _in_lines(sheet: Sheet, label: str) -> str:
+def _wrap_path(sheet: Sheet, label: str) -> str:
     """Return a label in lines that fit below a panel; a path may end a line after a dot."""
-    return wrapped(label.replace(".", ". "), letters(), sheet.room()).replace(". ", ".")
+    return wrap_text(label.replace(".", ". "), font_size(), sheet.room()).replace(". ", ".")
 
 
-def _scatter(
+def _draw_scatter(
     sheet: Sheet, axes: Axes, ensemble: Ensemble, one: Cause, worst: NDArray[np.bool_], by: str
 ) -> None:
     """Draw the largest error of each robot over the first parameter; diverged robots in a separate strip."""
     dress(axes)
-    judged, errors = _judged(ensemble, by), ensemble.largest(by)
-    lost = _lost(ensemble, by)
+    metric, errors = _ranking_metric(ensemble, by), ensemble.largest(by)
+    is_lost = _lost_robots(ensemble, by)
     # Different markers distinguish the groups in grey.
-    marked = (~worst, _OTHERS["color"], "."), (worst, colour(1), "^")
-    kept = errors[~lost]
-    farthest, median = (float(np.abs(kept).max()), float(np.median(kept))) if len(kept) else (0.0, 0.0)
-    small = judged.unit == "m" and 0 < farthest < 1
-    scale, unit = (1e3, "mm") if small else (1.0, judged.unit)
-    if 0 < _LINEAR * median < farthest and not judged.is_margin:
+    groups = (~worst, _OTHERS_STYLE["color"], "."), (worst, colour(1), "^")
+    finite = errors[~is_lost]
+    largest, median = (float(np.abs(finite).max()), float(np.median(finite))) if len(finite) else (0.0, 0.0)
+    is_small = metric.unit == "m" and 0 < largest < 1
+    scale, unit = (1e3, "mm") if is_small else (1.0, metric.unit)
+    if 0 < _MAX_ERROR_RATIO * median < largest and not metric.is_margin:
         axes.set_yscale("log")
-    for mine, paint, marker in marked:
-        chosen = _dots(mine & ~lost)
-        axes.plot(one.values[chosen], errors[chosen] * scale, marker, markersize=4, zorder=3, color=paint)
-    if lost.any():
-        height = strip_above(axes, _fate(ensemble, by), numbers=bool(len(kept)))
-        for mine, paint, _ in marked:
-            x = one.values[_dots(mine & lost)]
-            axes.plot(x, np.full(len(x), height), "x", markersize=4, zorder=3, color=paint)
+    for group, color, marker in groups:
+        indices = _thin_indices(group & ~is_lost)
+        axes.plot(one.values[indices], errors[indices] * scale, marker, markersize=4, zorder=3, color=color)
+    if is_lost.any():
+        height = strip_above(axes, _lost_label(ensemble, by), numbers=bool(len(finite)))
+        for group, color, _ in groups:
+            x = one.values[_thin_indices(group & is_lost)]
+            axes.plot(x, np.full(len(x), height), "x", markersize=4, zorder=3, color=color)
     titles = {"distance": "How far each robot strays", "heading": "How far each robot turns away"}
-    sheet.write_above(axes, titles.get(by, f"The {judged.worst} {by} of each robot"), loc="left")
+    sheet.write_above(axes, titles.get(by, f"The {metric.worst} {by} of each robot"), loc="left")
     axes.xaxis.set_major_locator(MaxNLocator(5))
-    axes.set_xlabel(_in_lines(sheet, one.label))
+    axes.set_xlabel(_wrap_path(sheet, one.label))
     words = _ERRORS.get(by, by)
-    axes.set_ylabel(f"{judged.worst} {words} [{unit}]" if unit else f"{judged.worst} {words}")
+    axes.set_ylabel(f"{metric.worst} {words} [{unit}]" if unit else f"{metric.worst} {words}")
 
 
-def _lost(ensemble: Ensemble, by: str) -> NDArray[np.bool_]:
+def _lost_robots(ensemble: Ensemble, by: str) -> NDArray[np.bool_]:
     """Return which robots have no finite error, shape (n,)."""
     return ensemble.diverged | ~np.isfinite(ensemble.largest(by))
 
 
-def _fate(ensemble: Ensemble, by: str) -> str:
+def _lost_label(ensemble: Ensemble, by: str) -> str:
     """Return the label of robots without a finite error: a lifted robot has an infinite margin."""
-    return "diverged" if ensemble.diverged[_lost(ensemble, by)].all() else "no bound"
+    return "diverged" if ensemble.diverged[_lost_robots(ensemble, by)].all() else "no bound"
 
 
-def _judged(ensemble: Ensemble, by: str) -> Metric:
+def _ranking_metric(ensemble: Ensemble, by: str) -> Metric:
     """Return the metric of a name of `Ensemble.largest`."""
-    known = {one.name: Metric(one.name, one.unit, "") for one in ensemble.scenario.coordinates}
-    known |= {one.name: one for one in ensemble.scenario.channels}
-    return known[by]
+    metrics = {one.name: Metric(one.name, one.unit, "") for one in ensemble.scenario.coordinates}
+    metrics |= {one.name: one for one in ensemble.scenario.channels}
+    return metrics[by]
 
 
-def _dots(chosen: NDArray[np.bool_]) -> NDArray[np.intp]:
+def _thin_indices(mask: NDArray[np.bool_]) -> NDArray[np.intp]:
     """Return the indices of the drawn robots among the chosen ones."""
-    indices = np.flatnonzero(chosen)
-    return indices[:: max(1, -(-len(indices) // _DOTS))]
+    indices = np.flatnonzero(mask)
+    return indices[:: max(1, -(-len(indices) // _MAX_DOTS))]

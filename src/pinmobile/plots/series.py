@@ -32,29 +32,29 @@ from pinmobile.plots.style import (
     Sheet,
     Spot,
     Style,
-    called,
+    check_plants,
     colour,
-    curve,
-    desired,
+    draw_curve,
+    draw_line,
     dress,
     dress_time,
-    heading,
+    font_size,
     ink,
-    keys_of,
-    labelled,
-    letters,
-    line,
+    label_rollouts,
+    label_style,
+    legend_entries,
     line_style,
-    over_titles,
-    same_references,
-    shade,
-    shortened,
+    name_of,
+    reference_groups,
+    reference_style,
+    shade_steps,
     tint,
-    with_plants,
-    wrapped,
+    wrap_label,
+    wrap_text,
+    write_over_titles,
 )
 
-GROUNDED = Grounded, "a MobileRobot, or a plant with ground_wrench(q, v, a)"
+_GROUND_REACTION = Grounded, "a MobileRobot, or a plant with ground_wrench(q, v, a)"
 _SYMBOLS = {**{"x": "$x$", "y": "$y$", "psi": r"$\psi$"}, **{"Fx": "$F_x$", "Fy": "$F_y$", "Mz": "$M_z$"}}
 _ROUNDING = 1e-12  # smaller values count as rounding errors
 
@@ -100,13 +100,13 @@ def states(rollouts: Rollouts, **layout: Unpack[Layout]) -> Figure:
     >>> [axes.get_ylabel() for axes in figure.axes]
     ['$x$ [m]', '$y$ [m]', '$\\psi$ [rad]']
     """
-    runs = labelled(rollouts)
-    names = _names((run.plant, _named(run.plant, run.q.shape[1])) for run in runs.values())
-    sheet, panels = _over_each_other(runs, names, lambda run: run.q, layout)
-    for labels in same_references(runs).values():
+    runs = label_rollouts(rollouts)
+    names = _panel_names((run.plant, _coordinate_names(run.plant, run.q.shape[1])) for run in runs.values())
+    sheet, panels = _draw_runs(runs, names, lambda run: run.q, layout)
+    for labels in reference_groups(runs).values():
         run = runs[labels[0]]
-        draw(panels, run.t, run.reference.q, label="desired", **desired())
-    keys = [Line2D([], [], label="desired", **desired()), *keys_of(runs, "actual")]
+        draw(panels, run.t, run.reference.q, label="desired", **reference_style())
+    keys = [Line2D([], [], label="desired", **reference_style()), *legend_entries(runs, "actual")]
     return sheet.finish("Desired and actual pose", keys)
 
 
@@ -149,21 +149,21 @@ def errors(rollouts: Rollouts, **layout: Unpack[Layout]) -> Figure:
     >>> figure.axes[0].get_title(loc="right")
     'largest 0.187 m'
     """
-    runs = labelled(rollouts)
-    names = _names((run.plant, run.labels) for run in runs.values())
+    runs = label_rollouts(rollouts)
+    names = _panel_names((run.plant, run.labels) for run in runs.values())
     note = "; each panel has its own scale" if len(runs) > 1 else ""
-    many = len(names) > _MOST
+    many = len(names) > _MAX_ROWS
     sheet = Sheet(max(9.0, (4.2 if many else 3.2) * len(runs)), **layout)
-    grid = _stacked(sheet, names if many else [(f"error in {name}", unit) for name, unit in names], len(runs))
+    grid = _stack(sheet, names if many else [(f"error in {name}", unit) for name, unit in names], len(runs))
     for index, (label, run) in enumerate(runs.items()):
         column = grid[:, index]
         draw(column, run.t, run.error, **line_style(0, 1) | {"color": colour(index)})
         mark_events(column, run, colour(index))
         room = sheet.room() / (1 + many)
         for axes, (_, unit), values in zip(column, names, run.error.T, strict=False):
-            largest = f"largest {_power(float(np.abs(values).max()))} {unit}"
-            axes.set_title(wrapped(largest, letters(0.95), room), fontsize=letters(0.95), loc="right")
-        over_titles(column[0], shortened(sheet, label), **heading(index))
+            largest = f"largest {_format_power(float(np.abs(values).max()))} {unit}"
+            axes.set_title(wrap_text(largest, font_size(0.95), room), fontsize=font_size(0.95), loc="right")
+        write_over_titles(column[0], wrap_label(sheet, label), **label_style(index))
     return sheet.finish(f"Error: desired minus actual{note}")
 
 
@@ -205,10 +205,10 @@ def forces(rollouts: Rollouts, **layout: Unpack[Layout]) -> Figure:
     >>> [axes.get_ylabel() for axes in figure.axes]
     ['$F_x$ [N]', '$F_y$ [N]', '$M_z$ [N m]']
     """
-    runs = labelled(rollouts)
-    names = _names((run.plant, [(one.name, one.unit) for one in run.inputs]) for run in runs.values())
-    sheet, _ = _over_each_other(runs, names, lambda run: run.u, layout, drawstyle="steps-post")
-    return sheet.finish("Input, held from one sample to the next", keys_of(runs))
+    runs = label_rollouts(rollouts)
+    names = _panel_names((run.plant, [(one.name, one.unit) for one in run.inputs]) for run in runs.values())
+    sheet, _ = _draw_runs(runs, names, lambda run: run.u, layout, drawstyle="steps-post")
+    return sheet.finish("Input, held from one sample to the next", legend_entries(runs))
 
 
 def signals(rollouts: Rollouts, **layout: Unpack[Layout]) -> Figure:
@@ -249,16 +249,16 @@ def signals(rollouts: Rollouts, **layout: Unpack[Layout]) -> Figure:
     >>> [axes.get_ylabel() for axes in figure.axes]
     ['disturbance [N, N m]']
     """
-    runs = labelled(rollouts)
+    runs = label_rollouts(rollouts)
     units = {name: unit for run in runs.values() for name, (unit, _) in run.signals.items()}
     if not units:
         raise InvalidArgument("rollouts have no signals, expected at least one: see Rollout.signals")
-    sheet, panels = _rows([(_symbol(name), unit) for name, unit in units.items()], layout)
-    most = max(values[0].size for run in runs.values() for _, values in run.signals.values())
+    sheet, panels = _make_panels([(_symbol(name), unit) for name, unit in units.items()], layout)
+    max_size = max(values[0].size for run in runs.values() for _, values in run.signals.values())
 
     def style(index: int, k: int, count: int) -> Style:
         """Return a style: dashes distinguish runs, and colours distinguish entries of a signal."""
-        if most == 1:
+        if max_size == 1:
             return line_style(index, len(runs))
         return {**line_style(index, len(runs)), "color": colour(k) if count > 1 else ink()}
 
@@ -268,18 +268,18 @@ def signals(rollouts: Rollouts, **layout: Unpack[Layout]) -> Figure:
                 values = run.signals[name].values.reshape(len(run), -1)
                 for k, column in enumerate(values.T):
                     draw([axes], run.t, column[:, None], **style(index, k, values.shape[1]))
-    named = enumerate(runs) if len(runs) > 1 else ()
-    keys = [Line2D([], [], label=label, **style(index, 0, 1)) for index, label in named]
-    if most > 1:
-        keys += [Line2D([], [], label=f"[{k}]", color=colour(k), linewidth=3.0) for k in range(most)]
+    labels = enumerate(runs) if len(runs) > 1 else ()
+    keys = [Line2D([], [], label=label, **style(index, 0, 1)) for index, label in labels]
+    if max_size > 1:
+        keys += [Line2D([], [], label=f"[{k}]", color=colour(k), linewidth=3.0) for k in range(max_size)]
     return sheet.finish("Signals", keys)
 
 
-_NEAR = 0.1  # share of the duration within which events have one mark
-_MOST = 6  # largest number of rows with labels beside the axes; more rows have labels above the axes
+_EVENT_TOLERANCE = 0.1  # share of the duration within which events have one mark
+_MAX_ROWS = 6  # largest number of rows with labels beside the axes; more rows have labels above the axes
 
 
-def _over_each_other(
+def _draw_runs(
     runs: Mapping[str, Rollout],
     names: Sequence[tuple[str, str]],
     values: Callable[[Rollout], Array],
@@ -287,76 +287,76 @@ def _over_each_other(
     **style: Any,
 ) -> tuple[Sheet, list[Axes]]:
     """Draw a line of each rollout in the axes of each name, and return the sheet and the axes."""
-    sheet, panels = _rows(names, layout)
+    sheet, panels = _make_panels(names, layout)
     for index, run in enumerate(runs.values()):
         draw(panels, run.t, values(run), **style, **line_style(index, len(runs)))
         mark_events(panels, run, line_style(index, len(runs))["color"])
     return sheet, panels
 
 
-def mark_events(panels: Iterable[Axes], run: Rollout, paint: Any) -> None:
+def mark_events(panels: Iterable[Axes], run: Rollout, color: Any) -> None:
     """Draw a line at the first sample of each kind of event, with its name in the first panel."""
-    begun = {event.kind: event.t for event in reversed(run.events)}
+    first_times = {event.kind: event.t for event in reversed(run.events)}
     times: dict[float, list[str]] = {}
-    for kind, t in sorted(begun.items(), key=lambda pair: pair[1]):
-        near = next((each for each in times if t - each < _NEAR * run.t[-1]), t)
-        times.setdefault(near, []).append(kind)
+    for kind, t in sorted(first_times.items(), key=lambda pair: pair[1]):
+        mark = next((each for each in times if t - each < _EVENT_TOLERANCE * run.t[-1]), t)
+        times.setdefault(mark, []).append(kind)
     for row, axes in enumerate(panels):
         for t, kinds in times.items():
-            axes.axvline(t, color=paint, linewidth=1.0, linestyle=":", zorder=2)
+            axes.axvline(t, color=color, linewidth=1.0, linestyle=":", zorder=2)
             if row == 0:
                 late = t > run.t[-1] / 2
-                place: Any = {"ha": "right" if late else "left", "va": "top", "textcoords": "offset points"}
-                place |= {"xytext": (-3 if late else 3, -2), "xycoords": ("data", "axes fraction")}
-                axes.annotate(", ".join(kinds), (t, 1), fontsize=letters(0.85), color=paint, **place)
+                style: Any = {"ha": "right" if late else "left", "va": "top", "textcoords": "offset points"}
+                style |= {"xytext": (-3 if late else 3, -2), "xycoords": ("data", "axes fraction")}
+                axes.annotate(", ".join(kinds), (t, 1), fontsize=font_size(0.85), color=color, **style)
 
 
-def _rows(names: Sequence[tuple[str, str]], layout: Layout) -> tuple[Sheet, list[Axes]]:
+def _make_panels(names: Sequence[tuple[str, str]], layout: Layout) -> tuple[Sheet, list[Axes]]:
     """Return a sheet with axes for each name and unit: one column, or up to three columns for many names."""
     count = len(names)
-    sheet = Sheet(9.0 if count <= _MOST else 12.0, **layout)
-    if count <= _MOST:
-        panels = list(_stacked(sheet, names, 1)[:, 0])
+    sheet = Sheet(9.0 if count <= _MAX_ROWS else 12.0, **layout)
+    if count <= _MAX_ROWS:
+        panels = list(_stack(sheet, names, 1)[:, 0])
     else:
         columns = sheet.columns(3, 2.4)
         panels = sheet.axes([divmod(k, columns) for k in range(count)], [1.75] * -(-count // columns))
-        _over_time(sheet, np.array([panels]))
+        _style_time_axes(sheet, np.array([panels]))
         for k, (axes, name) in enumerate(zip(panels, names, strict=True)):
-            _name(sheet, axes, name)
+            _label_axes(sheet, axes, name)
             axes.set_xlabel("t [s]" if k + columns >= count else "")
     return sheet, panels
 
 
-def _stacked(sheet: Sheet, names: Sequence[tuple[str, str]], columns: int) -> NDArray[Any]:
+def _stack(sheet: Sheet, names: Sequence[tuple[str, str]], columns: int) -> NDArray[Any]:
     """Return axes, shape (rows, columns), one row for each name; many rows have labels above the axes."""
-    many = len(names) > _MOST
+    many = len(names) > _MAX_ROWS
     grid = sheet.grid(len(names), columns, [1.2 if many else 1.75] * len(names))
     for row, (name, unit) in zip(grid, names, strict=True):
         row[0].set_ylabel(f"{name} [{unit}]" if unit else name)
         for axes in row if many else ():
-            _name(sheet, axes, (name, unit), 2)  # beside the largest error
-    return _over_time(sheet, grid)
+            _label_axes(sheet, axes, (name, unit), 2)  # beside the largest error
+    return _style_time_axes(sheet, grid)
 
 
-def _name(sheet: Sheet, axes: Axes, name: tuple[str, str], parts: int = 1) -> None:
-    axes.set_title(wrapped(name[0], letters(), sheet.room(parts)), fontsize=letters(), loc="left")
+def _label_axes(sheet: Sheet, axes: Axes, name: tuple[str, str], parts: int = 1) -> None:
+    axes.set_title(wrap_text(name[0], font_size(), sheet.room(parts)), fontsize=font_size(), loc="left")
     axes.set_ylabel(f"[{name[1]}]" if name[1] else "")
 
 
-def _over_time(sheet: Sheet, grid: NDArray[Any]) -> NDArray[Any]:
+def _style_time_axes(sheet: Sheet, grid: NDArray[Any]) -> NDArray[Any]:
     for axes in grid.ravel():
         dress_time(axes)
         axes.ticklabel_format(axis="y", scilimits=(-3, 4), useMathText=True)
     for axes in grid[-1]:
         axes.set_xlabel("t [s]")
-    if sheet.new:
+    if sheet.is_new:
         sheet.figure.align_ylabels(grid[:, 0])
     return grid
 
 
-def _names(named: Iterable[tuple[object, Sequence[tuple[str, str]]]]) -> list[tuple[str, str]]:
+def _panel_names(candidates: Iterable[tuple[object, Sequence[tuple[str, str]]]]) -> list[tuple[str, str]]:
     """Return symbol and unit for each panel, from the first plant with the largest number of columns."""
-    plant, pairs = max(named, key=lambda one: len(one[1]))
+    plant, pairs = max(candidates, key=lambda one: len(one[1]))
     single = len(getattr(plant, "mounts", ())) == 1
     return [(_symbol(name.partition("/")[2] or name if single else name), unit) for name, unit in pairs]
 
@@ -366,7 +366,7 @@ def _symbol(name: str) -> str:
     return _SYMBOLS.get(name, name.removesuffix("_joint").replace("_", " ").replace("$", r"\$"))
 
 
-def _named(plant: Plant | None, count: int) -> list[tuple[str, str]]:
+def _coordinate_names(plant: Plant | None, count: int) -> list[tuple[str, str]]:
     """Return name and unit of each entry of q."""
     coordinates = coordinates_of(plant)
     if len(coordinates) == count:
@@ -379,12 +379,12 @@ def _named(plant: Plant | None, count: int) -> list[tuple[str, str]]:
 def draw(column: Iterable[Axes], t: Array, rows: Array, **style: Any) -> None:
     """Draw each column of `rows`, shape (N, n), in its axes."""
     for axes, values in zip(column, rows.T, strict=False):
-        line(axes, t, values, **style)
+        draw_line(axes, t, values, **style)
         if np.abs(axes.dataLim.intervaly).max() < _ROUNDING:
             axes.set_ylim(-_ROUNDING, _ROUNDING)
 
 
-def _power(value: float) -> str:
+def _format_power(value: float) -> str:
     if value == 0 or 0.01 <= value < 1000:
         return f"{value:.3g}"
     if value < _ROUNDING:
@@ -438,14 +438,14 @@ def reaction(rollouts: Rollouts, *, mount: str | None = None, **layout: Unpack[L
     >>> figure.axes[2].get_ylabel()
     '$f_z$ [N]'
     """
-    runs = with_plants(rollouts, *GROUNDED)
-    sheet, _ = _over_each_other(runs, _WRENCH, lambda run: reaction_wrench(run, mount), layout)
-    return sheet.finish("Force and moment of the arm on the base, at its mount", keys_of(runs))
+    runs = check_plants(rollouts, *_GROUND_REACTION)
+    sheet, _ = _draw_runs(runs, _WRENCH, lambda run: reaction_wrench(run, mount), layout)
+    return sheet.finish("Force and moment of the arm on the base, at its mount", legend_entries(runs))
 
 
-_MEASURED: Style = {"color": "#9a9a9a", "linewidth": 3.2, "solid_capstyle": "round"}
+_MEASURED_STYLE: Style = {"color": "#9a9a9a", "linewidth": 3.2, "solid_capstyle": "round"}
 _DEVIATIONS = 2.0  # standard deviations that contain 95 % of the differences
-_POINTS = 4000  # largest number of points of a line
+_MAX_POINTS = 4000  # largest number of points of a line
 
 
 def prediction(foretold: Prediction, **layout: Unpack[Layout]) -> Figure:
@@ -494,28 +494,28 @@ def prediction(foretold: Prediction, **layout: Unpack[Layout]) -> Figure:
     instance("foretold", foretold, Prediction, "a Prediction, the result of predict() of an Identification")
     sheet = Sheet(10.0, **layout)
     grid = sheet.grid(len(foretold.names), 2, [1.7] * len(foretold.names))
-    t = _broken(foretold.t)
-    kept = np.arange(0, t.size, max(1, t.size // _POINTS))
+    t = _join_segments(foretold.t)
+    samples = np.arange(0, t.size, max(1, t.size // _MAX_POINTS))
     for axes in grid.ravel():
         dress(axes)
     for k, (name, unit) in enumerate(zip(foretold.names, foretold.units, strict=True)):
         (values, differences), small = grid[k], f"m{unit}"
         measured, predicted = foretold.measured[..., k], foretold.predicted[..., k]
-        values.plot(t[kept], _broken(measured)[kept], **_MEASURED)
-        values.plot(t[kept], _broken(predicted)[kept], color=colour(0), linewidth=1.4)
+        values.plot(t[samples], _join_segments(measured)[samples], **_MEASURED_STYLE)
+        values.plot(t[samples], _join_segments(predicted)[samples], color=colour(0), linewidth=1.4)
         values.set_ylabel(f"{_SYMBOLS[name] if name == 'psi' else name} [{unit}]")
         noise = 1e3 * foretold.noise[k]
         band = _DEVIATIONS * noise
         differences.axhspan(-band, band, color=tint(ink(), 0.12), linewidth=0)
-        left = 1e3 * _broken(measured - predicted)
-        differences.plot(t[kept], left[kept], color=colour(0), linewidth=0.7)
+        residual = 1e3 * _join_segments(measured - predicted)
+        differences.plot(t[samples], residual[samples], color=colour(0), linewidth=0.7)
         differences.set_ylabel(f"difference [{small}]")
-        told = f"rms {1e3 * foretold.rms[k]:.2g} {small}, noise {noise:.2g} {small}"
-        sheet.write_above(differences, told, 0.95, loc="left")
+        summary = f"rms {1e3 * foretold.rms[k]:.2g} {small}, noise {noise:.2g} {small}"
+        sheet.write_above(differences, summary, 0.95, loc="left")
     for axes in grid[-1]:
         axes.set_xlabel("t [s]")
     keys = [
-        Line2D([], [], label="measured", **_MEASURED),
+        Line2D([], [], label="measured", **_MEASURED_STYLE),
         Line2D([], [], label="predicted", color=colour(0), linewidth=1.4),
         Patch(color=tint(ink(), 0.12), label="sensor noise, 95 %"),
     ]
@@ -523,17 +523,17 @@ def prediction(foretold: Prediction, **layout: Unpack[Layout]) -> Figure:
     return sheet.finish(f"Measured and predicted, {span:.3g} s ahead", keys)
 
 
-def _broken(segments: Array) -> Array:
+def _join_segments(segments: Array) -> Array:
     """Return segments as one line with gaps between them, shape (S (L + 1),)."""
     gap = np.full((len(segments), 1), np.nan)
     return np.asarray(np.concatenate([segments, gap], axis=1).ravel())
 
 
-_WHEELED = Touching, "a WheeledRobot, or a plant with contacts(q, v, a, u, signals)"
+_WHEEL_CONTACTS = Touching, "a WheeledRobot, or a plant with contacts(q, v, a, u, signals)"
 _WIDTH, _HEIGHT = 5.0, 2.2  # of axes [in]
-_LIMIT: Style = {"color": INK, "linestyle": (0, (4, 3)), "linewidth": 1.2, "zorder": 2}
-_SLIDES: Style = {"facecolor": SLIDES, "alpha": 0.15, "zorder": 1}
-_ZERO = 1e-9  # smaller values are drawn as zero
+_LIMIT_STYLE: Style = {"color": INK, "linestyle": (0, (4, 3)), "linewidth": 1.2, "zorder": 2}
+_SLIP_STYLE: Style = {"facecolor": SLIDES, "alpha": 0.15, "zorder": 1}
+_ZERO_TOLERANCE = 1e-9  # smaller values are drawn as zero
 
 
 def wheel_torques(rollouts: Rollouts, **layout: Unpack[Layout]) -> Figure:
@@ -578,14 +578,14 @@ def wheel_torques(rollouts: Rollouts, **layout: Unpack[Layout]) -> Figure:
     >>> [line.get_label() for line in figure.axes[0].lines]
     ['left', 'right']
     """
-    runs = with_plants(rollouts, *_WHEELED)
-    units = {one.unit for run in runs.values() for one in _driven(run)}
+    runs = check_plants(rollouts, *_WHEEL_CONTACTS)
+    units = {one.unit for run in runs.values() for one in _wheel_inputs(run)}
     name = f"torque [{units.pop()}]" if len(units) == 1 else "input"
-    sheet, grid = _axes(runs, [name], layout)
+    sheet, grid = _make_axes(runs, [name], layout)
     for run, axes in zip(runs.values(), grid[0], strict=True):
-        inputs = _driven(run)
+        inputs = _wheel_inputs(run)
         u = run.u[:, run.u.shape[1] - len(inputs) :]
-        _lines(sheet, axes, run.t, u, [one.name for one in inputs], drawstyle="steps-post")
+        _draw_lines(sheet, axes, run.t, u, [one.name for one in inputs], drawstyle="steps-post")
     return sheet.finish("Inputs of the wheels")
 
 
@@ -633,22 +633,22 @@ def friction(rollouts: Rollouts, **layout: Unpack[Layout]) -> Figure:
     >>> figure.axes[0].get_ylabel()
     'force / $\\mu N$ [-]'
     """
-    runs = with_plants(rollouts, *_WHEELED)
-    found = {label: _contacts(run) for label, run in runs.items()}
-    for label, contacts in found.items():
+    runs = check_plants(rollouts, *_WHEEL_CONTACTS)
+    all_contacts = {label: _contacts(run) for label, run in runs.items()}
+    for label, contacts in all_contacts.items():
         if not np.isfinite(contacts.limits).any():
             raise InvalidArgument(
-                f"{called(label)} has a robot with unknown loads, expected contacts at three or more points: "
-                "give supports=[(x, y), ...]"
+                f"{name_of(label)} has a robot with unknown loads, expected contacts at three or more "
+                "points: give supports=[(x, y), ...]"
             )
-    sheet, grid = _axes(runs, ["force / $\\mu N$ [-]"], layout)
-    for run, contacts, axes in zip(runs.values(), found.values(), grid[0], strict=True):
-        known = zip(contacts.names, np.asarray(contacts.determined.all(axis=1)), strict=True)
-        names = [name if sure else f"{name} (share)" for name, sure in known]
-        _lines(sheet, axes, run.t, share_of_friction(contacts), names)
-        axes.axhline(1.0, **_LIMIT)
-        _note(axes, "slides", (1.0, 1.0), "right", ("axes fraction", "data"))
-        shade([axes], run.t, np.asarray(contacts.slides.any(axis=1)), **_SLIDES)
+    sheet, grid = _make_axes(runs, ["force / $\\mu N$ [-]"], layout)
+    for run, contacts, axes in zip(runs.values(), all_contacts.values(), grid[0], strict=True):
+        pairs = zip(contacts.names, np.asarray(contacts.determined.all(axis=1)), strict=True)
+        names = [name if is_known else f"{name} (share)" for name, is_known in pairs]
+        _draw_lines(sheet, axes, run.t, share_of_friction(contacts), names)
+        axes.axhline(1.0, **_LIMIT_STYLE)
+        _write_note(axes, "slides", (1.0, 1.0), "right", ("axes fraction", "data"))
+        shade_steps([axes], run.t, np.asarray(contacts.slides.any(axis=1)), **_SLIP_STYLE)
         axes.set_ylim(0.0, max(1.12, axes.get_ylim()[1]))
     return sheet.finish("Share of friction used")
 
@@ -696,17 +696,17 @@ def slip(rollouts: Rollouts, **layout: Unpack[Layout]) -> Figure:
     >>> [axes.get_ylabel() for axes in figure.axes]
     ['slip along [m/s]', 'slip across [m/s]']
     """
-    runs = with_plants(rollouts, *_WHEELED)
-    sheet, grid = _axes(runs, ["slip along [m/s]", "slip across [m/s]"], layout)
+    runs = check_plants(rollouts, *_WHEEL_CONTACTS)
+    sheet, grid = _make_axes(runs, ["slip along [m/s]", "slip across [m/s]"], layout)
     for run, column in zip(runs.values(), grid.T, strict=True):
         contacts = _contacts(run)
         for k, axes in enumerate(column):
-            values = np.where(np.abs(contacts.slips[..., k]) < _ZERO, 0.0, contacts.slips[..., k])
-            _lines(sheet if k == 0 else None, axes, run.t, values, contacts.names)
-            shade([axes], run.t, np.asarray(contacts.slides.any(axis=1)), **_SLIDES)
+            values = np.where(np.abs(contacts.slips[..., k]) < _ZERO_TOLERANCE, 0.0, contacts.slips[..., k])
+            _draw_lines(sheet if k == 0 else None, axes, run.t, values, contacts.names)
+            shade_steps([axes], run.t, np.asarray(contacts.slides.any(axis=1)), **_SLIP_STYLE)
             if not values.any():
                 axes.set_ylim(-1.0, 1.0)
-                _note(axes, "none", (0.5, 0.62))
+                _write_note(axes, "none", (0.5, 0.62))
     return sheet.finish("Slip velocities")
 
 
@@ -750,13 +750,13 @@ def loads(rollouts: Rollouts, **layout: Unpack[Layout]) -> Figure:
     >>> round(figure.axes[0].lines[0].get_ydata()[0])  # [N]
     147
     """
-    runs = with_plants(rollouts, *_WHEELED)
-    sheet, grid = _axes(runs, ["load [N]"], layout)
+    runs = check_plants(rollouts, *_WHEEL_CONTACTS)
+    sheet, grid = _make_axes(runs, ["load [N]"], layout)
     for run, axes in zip(runs.values(), grid[0], strict=True):
         contacts = _contacts(run)
-        _lines(sheet, axes, run.t, contacts.loads, contacts.names)
+        _draw_lines(sheet, axes, run.t, contacts.loads, contacts.names)
         if not np.isfinite(contacts.loads).any():
-            _note(axes, "unknown", (0.5, 0.5))
+            _write_note(axes, "unknown", (0.5, 0.5))
         axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
     return sheet.finish("Loads of the wheels")
 
@@ -802,55 +802,55 @@ def odometry(rollouts: Rollouts, **layout: Unpack[Layout]) -> Figure:
     >>> [line.get_label() for line in figure.axes[0].lines]
     ['desired', 'true', 'believed']
     """
-    runs = labelled(rollouts)
+    runs = label_rollouts(rollouts)
     for label, run in runs.items():
         if "believed_pose" not in run.signals:
             expected = "a run with OdometryFeedback(controller, table)"
-            raise InvalidArgument(f"{called(label)} has no signal believed_pose, expected {expected}")
-    sheet, grid = _axes(runs, ["y [m]", "odometry off by [m]"], layout, 1.7)
-    for run, (above, below) in zip(runs.values(), grid.T, strict=True):
-        true, believed = run.poses, run.signals["believed_pose"].values
-        curve(above, *run.reference_poses[:, :2].T, label="desired", **desired())
-        for k, (label, way) in enumerate((("true", true), ("believed", believed))):
-            curve(above, *way[:, :2].T, label=label, **line_style(k, 2))
-        above.set_aspect("equal", adjustable="datalim")
-        above.set_xlabel("x [m]")
-        above.legend(frameon=False, loc="best")
-        off = np.hypot(*(believed - true)[:, :2].T)
-        line(below, run.t, off, **line_style(0, 1) | {"color": colour(1)})
-        below.set_ylim(bottom=0.0)
+            raise InvalidArgument(f"{name_of(label)} has no signal believed_pose, expected {expected}")
+    sheet, grid = _make_axes(runs, ["y [m]", "odometry off by [m]"], layout, 1.7)
+    for run, (plane, error_axes) in zip(runs.values(), grid.T, strict=True):
+        true, estimated = run.poses, run.signals["believed_pose"].values
+        draw_curve(plane, *run.reference_poses[:, :2].T, label="desired", **reference_style())
+        for k, (label, poses) in enumerate((("true", true), ("believed", estimated))):
+            draw_curve(plane, *poses[:, :2].T, label=label, **line_style(k, 2))
+        plane.set_aspect("equal", adjustable="datalim")
+        plane.set_xlabel("x [m]")
+        plane.legend(frameon=False, loc="best")
+        distances = np.hypot(*(estimated - true)[:, :2].T)
+        draw_line(error_axes, run.t, distances, **line_style(0, 1) | {"color": colour(1)})
+        error_axes.set_ylim(bottom=0.0)
     return sheet.finish("Odometry beside the truth")
 
 
-def share_of_friction(found: Contacts) -> Array:
+def share_of_friction(contacts: Contacts) -> Array:
     """Return the used share of the friction of each contact, shape (n, k); NaN if unknown.
 
     For a wheel with rollers, the share is along the axes of the rollers: the rollers roll across them.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
-        shares = np.where(found.forces == 0, 0.0, found.forces / found.limits)
-    rolls = found.limits[..., 0] != found.limits[..., 1]
+        shares = np.where(contacts.forces == 0, 0.0, contacts.forces / contacts.limits)
+    rolls = contacts.limits[..., 0] != contacts.limits[..., 1]
     return np.asarray(np.where(rolls, np.abs(shares[..., 0]), np.hypot(shares[..., 0], shares[..., 1])))
 
 
 def _contacts(run: Rollout) -> Contacts:
     plant: Any = run.plant
-    found: Contacts = plant.contacts(run.q, run.v, run.a, run.u, run.signals)
-    return found
+    contacts: Contacts = plant.contacts(run.q, run.v, run.a, run.u, run.signals)
+    return contacts
 
 
-def _driven(run: Rollout) -> Sequence[Any]:
+def _wheel_inputs(run: Rollout) -> Sequence[Any]:
     """Return the inputs after the inputs of the arms."""
     body: Any = getattr(run.plant, "robot", None)
     return run.inputs[max(len(coordinates_of(body)) - 3, 0) :]
 
 
-def _axes(
-    runs: dict[str, Rollout], rows: Sequence[str], layout: Layout, tall: float = 1.0
+def _make_axes(
+    runs: dict[str, Rollout], rows: Sequence[str], layout: Layout, height_ratio: float = 1.0
 ) -> tuple[Sheet, NDArray[Any]]:
     """Return a sheet with a column for each run, and the axes, shape (rows, runs)."""
     sheet = Sheet(_WIDTH * len(runs), **layout)
-    heights = [_HEIGHT * tall, *(_HEIGHT for _ in rows[1:])]
+    heights = [_HEIGHT * height_ratio, *(_HEIGHT for _ in rows[1:])]
     grid = sheet.grid(len(rows), len(runs), heights, share="")
     for row, name in zip(grid, rows, strict=True):
         row[0].set_ylabel(name)
@@ -860,31 +860,31 @@ def _axes(
         sheet.write_above(column[0], label)
         column[-1].set_xlabel("t [s]")
         if len(run) > 1:
-            for axes in column if tall == 1.0 else column[1:]:
+            for axes in column if height_ratio == 1.0 else column[1:]:
                 axes.set_xlim(run.t[0], run.t[-1])
     return sheet, grid
 
 
-def _lines(
-    sheet: Sheet | None, axes: Axes, t: Array, values: Array, names: Sequence[str], **own: Any
+def _draw_lines(
+    sheet: Sheet | None, axes: Axes, t: Array, values: Array, names: Sequence[str], **style: Any
 ) -> None:
     """Draw a line for each wheel and, with a sheet, a legend; the first line is the widest."""
-    for k, (name, each) in enumerate(zip(names, values.T, strict=True)):
-        line(axes, t, each, label=name.replace("_", " "), **line_style(k, len(names)) | own)
-    if float(np.nanmax(np.abs(values), initial=0.0)) < _ZERO:
+    for k, (name, column) in enumerate(zip(names, values.T, strict=True)):
+        draw_line(axes, t, column, label=name.replace("_", " "), **line_style(k, len(names)) | style)
+    if float(np.nanmax(np.abs(values), initial=0.0)) < _ZERO_TOLERANCE:
         axes.set_ylim(-1.0, 1.0)
     if sheet is not None:
-        sheet.legend_above(axes)
+        sheet.place_legend(axes)
 
 
-def _note(
-    axes: Axes, words: str, at: tuple[float, float], ha: str = "center", xycoords: Any = "axes fraction"
+def _write_note(
+    axes: Axes, words: str, position: tuple[float, float], ha: str = "center", xycoords: Any = "axes fraction"
 ) -> None:
-    style: Style = {"fontsize": letters(0.9), "color": QUIET}
-    axes.annotate(words, at, (0, 3), xycoords=xycoords, textcoords="offset points", ha=ha, **style)
+    style: Style = {"fontsize": font_size(0.9), "color": QUIET}
+    axes.annotate(words, position, (0, 3), xycoords=xycoords, textcoords="offset points", ha=ha, **style)
 
 
-_OUTLINE: Style = {"facecolor": "#f2f2f2", "edgecolor": "#777777", "linewidth": 1.4, "zorder": 1}
+_OUTLINE_STYLE: Style = {"facecolor": "#f2f2f2", "edgecolor": "#777777", "linewidth": 1.4, "zorder": 1}
 
 
 def balance(rollouts: Rollouts, *, footprint: ArrayLike | None = None, **layout: Unpack[Layout]) -> Figure:
@@ -927,49 +927,49 @@ def balance(rollouts: Rollouts, *, footprint: ArrayLike | None = None, **layout:
     >>> [axes.get_ylabel() for axes in figure.axes[:2]]
     ['tip-over margin [m]', 'required friction [-]']
     """
-    runs = with_plants(rollouts, *GROUNDED)
+    runs = check_plants(rollouts, *_GROUND_REACTION)
     sheet = Sheet(11.0, **layout)
     if sheet.columns(2, 3.2) == 1:
-        above, below, beside = sheet.axes([(0, 0), (1, 0), (2, slice(0, 1))], [2.2, 2.2, 4.4])
+        upper, lower, plane = sheet.axes([(0, 0), (1, 0), (2, slice(0, 1))], [2.2, 2.2, 4.4])
     else:
         spots: list[Spot] = [(0, 0), (1, 0), (slice(0, 2), 1)]
-        above, below, beside = sheet.axes(spots, [2.1, 2.1], ratios=(1.25, 1))
-    for axes, name in ((above, "tip-over margin [m]"), (below, "required friction [-]")):
+        upper, lower, plane = sheet.axes(spots, [2.1, 2.1], ratios=(1.25, 1))
+    for axes, name in ((upper, "tip-over margin [m]"), (lower, "required friction [-]")):
         dress_time(axes)
         axes.set_ylabel(name)
-    below.set_xlabel("t [s]")
+    lower.set_xlabel("t [s]")
     for index, (label, run) in enumerate(runs.items()):
         style = line_style(index, len(runs)) | {"label": label}
         margin = tip_over_margin(run, footprint)
-        line(above, run.t, margin, **style)
-        line(below, run.t, required_friction(run), **style)
-        lifted = np.isneginf(margin)
-        hatched: Style = {"facecolor": "none", "edgecolor": colour(index), "hatch": "///", "alpha": 0.5}
-        shade((above, below), run.t, lifted, **hatched)
-        if lifted.any():
-            sheet.write_above(above, "hatched: the ground does not carry the robot", 0.95)
+        draw_line(upper, run.t, margin, **style)
+        draw_line(lower, run.t, required_friction(run), **style)
+        is_lifted = np.isneginf(margin)
+        hatching: Style = {"facecolor": "none", "edgecolor": colour(index), "hatch": "///", "alpha": 0.5}
+        shade_steps((upper, lower), run.t, is_lifted, **hatching)
+        if is_lifted.any():
+            sheet.write_above(upper, "hatched: the ground does not carry the robot", 0.95)
     span = [float(f([f(run.t) for run in runs.values()])) for f in (np.min, np.max)]
     if span[0] < span[1]:
-        below.set_xlim(*span)
-    if above.dataLim.y0 <= 0:
-        above.axhline(0, **_LIMIT | {"color": _OUTLINE["edgecolor"]})
-    below.set_ylim(bottom=min(0.0, below.get_ylim()[0]))
-    _from_above(sheet, beside, runs, footprint)
-    return sheet.finish("Balance on the ground", keys_of(runs))
+        lower.set_xlim(*span)
+    if upper.dataLim.y0 <= 0:
+        upper.axhline(0, **_LIMIT_STYLE | {"color": _OUTLINE_STYLE["edgecolor"]})
+    lower.set_ylim(bottom=min(0.0, lower.get_ylim()[0]))
+    _draw_footprint(sheet, plane, runs, footprint)
+    return sheet.finish("Balance on the ground", legend_entries(runs))
 
 
-def _from_above(sheet: Sheet, axes: Axes, runs: dict[str, Rollout], footprint: ArrayLike | None) -> None:
+def _draw_footprint(sheet: Sheet, axes: Axes, runs: dict[str, Rollout], footprint: ArrayLike | None) -> None:
     """Draw the footprint and the zero-moment point in the body frame."""
     dress(axes)
     outlines = [footprint_of(run.plant, footprint) for run in runs.values()]
     for corners in {corners.tobytes(): corners for corners in outlines}.values():
-        axes.add_patch(Polygon(corners, closed=True, label="footprint", **_OUTLINE))
+        axes.add_patch(Polygon(corners, closed=True, label="footprint", **_OUTLINE_STYLE))
     for index, run in enumerate(runs.values()):
         point = body_zero_moment_point(run)
-        curve(axes, *point.T, **line_style(index, len(runs)))
-        carried = np.flatnonzero(np.isfinite(point[:, 0]))[:1]
+        draw_curve(axes, *point.T, **line_style(index, len(runs)))
+        first = np.flatnonzero(np.isfinite(point[:, 0]))[:1]
         dot: Style = {"color": colour(index), "markersize": 8, "markeredgecolor": "white", "zorder": 5}
-        axes.plot(*point[carried].T, "o", **dot)
+        axes.plot(*point[first].T, "o", **dot)
     axes.autoscale_view()
     axes.margins(0.08)
     axes.set_aspect("equal", adjustable="datalim")

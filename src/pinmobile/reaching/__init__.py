@@ -4,7 +4,7 @@ from pinmobile.reaching.poses import (
     FrameTask,
     PosePath,
     PoseTarget,
-    continuous as continuous,
+    align_signs as align_signs,
     error_sizes as error_sizes,
     pose_error,
     target_names as target_names,

@@ -24,12 +24,12 @@ from pinmobile.arrays import (
     shaped,
 )
 from pinmobile.errors import InvalidArgument
-from pinmobile.paths import Path, Spline, checked_path, within
+from pinmobile.paths import Path, Spline, check_path, within
 
 _HALF_TURN = 1e-6  # [rad]: closer to half a turn, rounding would decide the sense of rotation
 _SMALL_ANGLE = 1e-2  # [rad]: below, a series avoids cancellation
-_ROUNDS, _SETTLED = 200, 1e-13  # largest number and relative tolerance of iterations for the rates
-_WIDE = 5  # bands beside the diagonal of a block-tridiagonal matrix with blocks of three rows
+_ITERATIONS, _RATE_TOLERANCE = 200, 1e-13  # largest number of iterations, and tolerance
+_BANDS = 5  # bands beside the diagonal of a block-tridiagonal matrix with blocks of three rows
 
 
 class OrientationSample(NamedTuple):
@@ -111,13 +111,13 @@ class OrientationSpline:
         R, steps = self.rotations, np.diff(self.times)
         turns = np.array([pin.log3(a.T @ b) for a, b in pairwise(R)])
         k = int(np.argmax(np.linalg.norm(turns, axis=1)))
-        between = "add an orientation between them"
-        _check_sense(f"rotation[{k + 1}] is half a turn from rotation[{k}]", turns[k], between)
+        advice = "add an orientation between them"
+        _check_sense(f"rotation[{k + 1}] is half a turn from rotation[{k}]", turns[k], advice)
         rates = _rates(turns, steps)
-        after = np.einsum("nij,nj->ni", _right_jacobians_inverse(turns), rates[1:])
+        ends = np.einsum("nij,nj->ni", _right_jacobians_inverse(turns), rates[1:])
         h = steps[:, None]
-        quadratic = (3 * turns / h - 2 * rates[:-1] - after) / h
-        cubic = (rates[:-1] + after - 2 * turns / h) / h**2
+        quadratic = (3 * turns / h - 2 * rates[:-1] - ends) / h
+        cubic = (rates[:-1] + ends - 2 * turns / h) / h**2
         rows = np.stack([np.zeros_like(turns), rates[:-1], quadratic, cubic], axis=1)
         object.__setattr__(self, "_cubics", frozen(rows))
 
@@ -128,10 +128,10 @@ class OrientationSpline:
         phi = s * (c[1] + s * (c[2] + s * c[3]))
         rate = c[1] + s * (2 * c[2] + s * 3 * c[3])
         change = 2 * c[2] + 6 * s * c[3]
-        turned = self.rotations[k] @ rotations_of(phi)
-        own = (_body_rate(phi, rate), _body_rate(phi, change) + _body_drift(phi, rate))
-        seen = (np.einsum("...ij,...j->...i", turned, each) for each in own)
-        return OrientationSample(turned, *seen)
+        R = self.rotations[k] @ rotations_of(phi)
+        rates = (_body_rate(phi, rate), _body_rate(phi, change) + _body_drift(phi, rate))
+        columns = (np.einsum("...ij,...j->...i", R, each) for each in rates)
+        return OrientationSample(R, *columns)
 
 
 def rotations_of(turns: Array) -> Array:
@@ -148,12 +148,12 @@ def rotations_of(turns: Array) -> Array:
 
 
 def _check_sense(words: str, turn: Array, advice: str) -> None:
-    if half_turn_apart(float(np.linalg.norm(turn))):
+    if is_half_turn(float(np.linalg.norm(turn))):
         ambiguous = "expected less, since the sense of rotation is ambiguous"
         raise InvalidArgument(f"{words}, {ambiguous}: {advice}")
 
 
-def half_turn_apart(angle: float) -> bool:
+def is_half_turn(angle: float) -> bool:
     """Return whether the angle of a rotation vector [rad] is half a turn, up to rounding."""
     return angle > np.pi - _HALF_TURN
 
@@ -166,29 +166,29 @@ def _rates(turns: Array, steps: Array) -> Array:
     """
     from scipy.linalg import solve_banded
 
-    inner = len(turns) - 1
+    count = len(turns) - 1
     rates = np.zeros((len(turns) + 1, 3))
-    if not inner:
+    if not count:
         return rates
     J, inverse = _right_jacobians(turns), _right_jacobians_inverse(turns)
     h = steps[:, None]
-    pushes = 6 * (turns[:-1] / h[:-1] ** 2 + turns[1:] / h[1:] ** 2)
-    banded = np.zeros((2 * _WIDE + 1, 3 * inner))
-    for k in range(inner):
+    right = 6 * (turns[:-1] / h[:-1] ** 2 + turns[1:] / h[1:] ** 2)
+    matrix = np.zeros((2 * _BANDS + 1, 3 * count))
+    for k in range(count):
         blocks = {k: 4 * (1 / steps[k] + 1 / steps[k + 1]) * np.eye(3)}
         if k:
             blocks[k - 1] = 2 / steps[k] * J[k]
-        if k + 1 < inner:
+        if k + 1 < count:
             blocks[k + 1] = 2 / steps[k + 1] * inverse[k + 1]
         for column, block in blocks.items():
             for i, j in np.ndindex(3, 3):
                 row, col = 3 * k + i, 3 * column + j
-                banded[_WIDE + row - col, col] = block[i, j]
-    for _ in range(_ROUNDS):
+                matrix[_BANDS + row - col, col] = block[i, j]
+    for _ in range(_ITERATIONS):
         ends = np.einsum("nij,nj->ni", inverse[:-1], rates[1:-1])
-        found = solve_banded((_WIDE, _WIDE), banded, (pushes - _body_drift(turns[:-1], ends)).ravel())
-        before, rates[1:-1] = rates[1:-1].copy(), found.reshape(-1, 3)
-        if np.abs(rates[1:-1] - before).max() <= _SETTLED * np.abs(rates).max():
+        solution = solve_banded((_BANDS, _BANDS), matrix, (right - _body_drift(turns[:-1], ends)).ravel())
+        previous, rates[1:-1] = rates[1:-1].copy(), solution.reshape(-1, 3)
+        if np.abs(rates[1:-1] - previous).max() <= _RATE_TOLERANCE * np.abs(rates).max():
             return rates
     raise InvalidArgument(
         "rotation has steps too large for a smooth spline, expected smaller ones: add orientations between"
@@ -211,16 +211,16 @@ def _coefficients(phi: Array) -> tuple[Array, Array, Array, Array]:
 def _body_rate(phi: Array, rate: Array) -> Array:
     """Return J(phi) phi', the angular velocity along the rotated axes, shape (..., 3)."""
     a, b, _, _ = (each[..., None] for each in _coefficients(phi))
-    across = np.cross(phi, rate)
-    return np.asarray(rate - a * across + b * np.cross(phi, across))
+    product = np.cross(phi, rate)
+    return np.asarray(rate - a * product + b * np.cross(phi, product))
 
 
 def _body_drift(phi: Array, rate: Array) -> Array:
     """Return dJ/dt phi', the angular acceleration for phi'' = 0, shape (..., 3)."""
     _, b, da, db = (each[..., None] for each in _coefficients(phi))
-    across, along = np.cross(phi, rate), np.einsum("...i,...i->...", phi, rate)[..., None]
-    turned = np.cross(phi, across)
-    return np.asarray(along * (db * turned - da * across) + b * np.cross(rate, across))
+    product, projection = np.cross(phi, rate), np.einsum("...i,...i->...", phi, rate)[..., None]
+    double = np.cross(phi, product)
+    return np.asarray(projection * (db * double - da * product) + b * np.cross(rate, product))
 
 
 def _right_jacobians(phi: Array) -> Array:
@@ -245,10 +245,10 @@ def _quintic(x: Array) -> tuple[Array, Array, Array]:
     return x**3 * (10 - 15 * x + 6 * x**2), 30 * (x * (1 - x)) ** 2, 60 * x * (1 - x) * (1 - 2 * x)
 
 
-_ORTHOGONAL = 1e-6  # largest difference of R' R and the identity
+_ROTATION_TOLERANCE = 1e-6  # largest difference of R' R and the identity
 _POSITION = 3  # rows of a target without orientation
-_SAME_END = 1e-9  # relative
-_SMALL = 0.05  # share of the length of a rotation vector
+_END_TOLERANCE = 1e-9  # relative
+_SIGN_SHARE = 0.05  # share of the length of a rotation vector
 
 
 class PoseTarget(NamedTuple):
@@ -337,20 +337,20 @@ class PosePath:
     _orientation: Orientation | None = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        checked_path(self.path, 3)
+        check_path(self.path, 3)
         given = {name: getattr(self, name) is not None for name in ("final_rotation", "turn", "times")}
-        alone = [name for name, is_given in given.items() if is_given]
-        if alone and self.rotation is None:
-            raise InvalidArgument(f"{alone[0]} is given without rotation, expected both")
-        if len(alone) > 1:
-            raise InvalidArgument(f"{' and '.join(alone)} are given, expected one of them")
+        names = [name for name, is_given in given.items() if is_given]
+        if names and self.rotation is None:
+            raise InvalidArgument(f"{names[0]} is given without rotation, expected both")
+        if len(names) > 1:
+            raise InvalidArgument(f"{' and '.join(names)} are given, expected one of them")
         if self.rotation is None:
             object.__setattr__(self, "_orientation", None)
             return
-        own = finite("rotation", self.rotation)
-        several = own.ndim == 3 and self.final_rotation is None and self.turn is None
-        object.__setattr__(self, "rotation", _checked_rotations(own) if several else _checked_rotation(own))
-        object.__setattr__(self, "_orientation", self._several() if several else self._single())
+        R = finite("rotation", self.rotation)
+        many = R.ndim == 3 and self.final_rotation is None and self.turn is None
+        object.__setattr__(self, "rotation", _check_rotations(R) if many else _check_rotation(R))
+        object.__setattr__(self, "_orientation", self._make_spline() if many else self._make_turn())
 
     @classmethod
     def through(cls, poses: ArrayLike, times: ArrayLike | None = None) -> PosePath:
@@ -376,13 +376,13 @@ class PosePath:
             If an argument is not what is expected, times are missing, or two poses have the same time.
         """
         T = shaped("poses", finite("poses", poses), ("n>=2", 4, 4))
-        off = np.abs(T[:, 3] - [0, 0, 0, 1]).max()
-        if off > _ORTHOGONAL:
-            raise InvalidArgument(f"poses has last rows off by {off:.3g}, expected (0, 0, 0, 1)")
-        t = _checked_times(times, len(T))
+        error = np.abs(T[:, 3] - [0, 0, 0, 1]).max()
+        if error > _ROTATION_TOLERANCE:
+            raise InvalidArgument(f"poses has last rows off by {error:.3g}, expected (0, 0, 0, 1)")
+        t = _check_times(times, len(T))
         return cls(Spline(T[:, :3, 3], t), T[:, :3, :3], times=t)
 
-    def _single(self) -> Orientation:
+    def _make_turn(self) -> Orientation:
         if self.times is not None:
             raise InvalidArgument("times is given with one rotation, expected n of them, shape (n, 3, 3)")
         R, turn = np.asarray(self.rotation), np.zeros(3)
@@ -390,16 +390,16 @@ class PosePath:
             turn = shaped("turn", finite("turn", self.turn), (3,), words=": axis times angle")
             object.__setattr__(self, "turn", frozen(turn))
         if self.final_rotation is not None:
-            final = _checked_rotation(finite("final_rotation", self.final_rotation), "final_rotation")
+            final = _check_rotation(finite("final_rotation", self.final_rotation), "final_rotation")
             object.__setattr__(self, "final_rotation", final)
             turn = pin.log3(R.T @ final)
             _check_sense("final_rotation is half a turn from rotation", turn, "give turn= instead")
         return Turn(R, frozen(turn), self.duration)
 
-    def _several(self) -> Orientation:
+    def _make_spline(self) -> Orientation:
         R, end = np.asarray(self.rotation), self.duration
-        t = _checked_times(self.times, len(R))
-        if t[0] != 0 or abs(t[-1] - end) > _SAME_END * end:
+        t = _check_times(self.times, len(R))
+        if t[0] != 0 or abs(t[-1] - end) > _END_TOLERANCE * end:
             raise InvalidArgument(
                 f"times goes from {t[0]:g} to {t[-1]:g} s, expected from 0 to {end:g} s, like the path"
             )
@@ -445,7 +445,7 @@ class PosePath:
             pose[..., :3, :3], twist[..., 3:], rate[..., 3:] = self._orientation(times)
         return PoseTarget(pose, twist, rate)
 
-    def told(self, frame: str, t: Array) -> dict[str, tuple[str, Array]]:
+    def target_signals(self, frame: str, t: Array) -> dict[str, tuple[str, Array]]:
         """Return the signals of the target of a frame, by name.
 
         The signals are the position [m], shape (N + 1, 3), and the orientation (if the target has one) as a
@@ -459,12 +459,12 @@ class PosePath:
             Times [s].
         """
         pose = self(np.minimum(t, self.duration)).pose
-        (position, orientation), told = target_names(frame), dict[str, tuple[str, Array]]()
-        told[position] = "m", pose[:, :3, 3]
+        (position, orientation), signals = target_names(frame), dict[str, tuple[str, Array]]()
+        signals[position] = "m", pose[:, :3, 3]
         if self.rows > _POSITION:
             quaternions = np.array([pin.Quaternion(R).coeffs() for R in pose[:, :3, :3]])
-            told[orientation] = "", continuous(quaternions)
-        return told
+            signals[orientation] = "", align_signs(quaternions)
+        return signals
 
 
 @dataclass(frozen=True, eq=False)
@@ -520,17 +520,17 @@ class FrameTask:
 
     def __post_init__(self) -> None:
         instance("target", self.target, PosePath, "a PosePath")
-        own: dict[str, Any] = {"tolerance": positive_or_endless("tolerance", self.tolerance)}
+        values: dict[str, Any] = {"tolerance": positive_or_endless("tolerance", self.tolerance)}
         for name in ("position", "orientation"):
-            own[name] = bounded(name, non_negative(name, getattr(self, name)), most=1e6)
+            values[name] = bounded(name, non_negative(name, getattr(self, name)), most=1e6)
         if self.axis is not None:
             axis = shaped("axis", finite("axis", self.axis), (3,))
             length = float(np.linalg.norm(axis))
             if not length or self.target.rows == _POSITION:
                 words = "a target with an orientation, PosePath(path, rotation)" if length else "a direction"
                 raise InvalidArgument(f"axis is {axis.tolist()}, expected {words}")
-            own["axis"] = frozen(axis / length)
-        for name, value in own.items():
+            values["axis"] = frozen(axis / length)
+        for name, value in values.items():
             object.__setattr__(self, name, value)
         if not len(self.weights):
             raise InvalidArgument("position and orientation have weight 0, expected one > 0")
@@ -538,8 +538,8 @@ class FrameTask:
     @cached_property
     def rows(self) -> slice:
         """Entries of the pose error that the task reduces."""
-        turns = self.target.rows > _POSITION and self.orientation > 0
-        return slice(0 if self.position else _POSITION, 2 * _POSITION if turns else _POSITION)
+        has_turn = self.target.rows > _POSITION and self.orientation > 0
+        return slice(0 if self.position else _POSITION, 2 * _POSITION if has_turn else _POSITION)
 
     @cached_property
     def weights(self) -> Array:
@@ -574,26 +574,26 @@ class FrameTask:
         if self.axis is None:
             return _log(target @ R.T)
         axis = np.asarray(self.axis)
-        actual, wanted = R @ axis, target @ axis
-        across, along = np.cross(actual, wanted), float(actual @ wanted)
-        size = float(np.linalg.norm(across))
-        if not size and along < 0:  # any axis across serves
-            across = np.cross(actual, np.eye(3)[np.argmin(np.abs(actual))])
-        return np.asarray(across * (np.arctan2(size, along) / (np.linalg.norm(across) or 1.0)))
+        actual, desired = R @ axis, target @ axis
+        normal, cosine = np.cross(actual, desired), float(actual @ desired)
+        size = float(np.linalg.norm(normal))
+        if not size and cosine < 0:  # any axis across serves
+            normal = np.cross(actual, np.eye(3)[np.argmin(np.abs(actual))])
+        return np.asarray(normal * (np.arctan2(size, cosine) / (np.linalg.norm(normal) or 1.0)))
 
     def signals(self, t: Array) -> dict[str, tuple[str, Array]]:
-        """Return the signals of the target, see `PosePath.told`; of an axis, those of the position.
+        """Return the signals of the target, see `PosePath.target_signals`; of an axis, those of the position.
 
         Parameters
         ----------
         t : ndarray, shape (N + 1,)
             Times [s].
         """
-        whole = self.axis is None and self.rows.stop > _POSITION
-        return (self.target if whole else PosePath(self.target.path)).told(str(self.frame), t)
+        oriented = self.axis is None and self.rows.stop > _POSITION
+        return (self.target if oriented else PosePath(self.target.path)).target_signals(str(self.frame), t)
 
 
-def continuous(quaternions: Array) -> Array:
+def align_signs(quaternions: Array) -> Array:
     """Return the same rotations without changes of sign between successive quaternions, shape (n, 4)."""
     changes = np.sum(quaternions[1:] * quaternions[:-1], axis=1) < 0
     return quaternions * np.where(np.cumsum(np.append(False, changes)) % 2, -1.0, 1.0)[:, None]
@@ -635,10 +635,10 @@ def pose_error(target: Array, actual: Array) -> Array:
     >>> pose_error(target(2.0).pose, actual).round(3)[[0, 5]]
     array([ 0.1, -0.1])
     """
-    way = target[..., :3, 3] - actual[..., :3, 3]
+    displacement = target[..., :3, 3] - actual[..., :3, 3]
     turn = target[..., :3, :3] @ np.swapaxes(actual[..., :3, :3], -1, -2)
     turns = np.array([_log(R) for R in turn.reshape(-1, 3, 3)]).reshape((*turn.shape[:-2], 3))
-    return np.concatenate([way, turns], axis=-1)
+    return np.concatenate([displacement, turns], axis=-1)
 
 
 def _log(R: Array) -> Array:
@@ -649,8 +649,8 @@ def _log(R: Array) -> Array:
     """
     turn = pin.log3(R)
     angle = sqrt(turn @ turn)
-    if half_turn_apart(angle):
-        leading = turn[np.argmax(np.abs(turn) > _SMALL * angle)]
+    if is_half_turn(angle):
+        leading = turn[np.argmax(np.abs(turn) > _SIGN_SHARE * angle)]
         if leading < 0:
             turn = turn * (1 - 2 * np.pi / angle)  # the same rotation in the opposite sense
     return np.asarray(turn)
@@ -667,7 +667,7 @@ def error_sizes(error: Array) -> Array:
     return np.stack([np.linalg.norm(part, axis=-1) for part in (error[..., :3], error[..., 3:])], axis=-1)
 
 
-def _checked_times(times: ArrayLike | None, count: int) -> Array:
+def _check_times(times: ArrayLike | None, count: int) -> Array:
     """Return the times of `count` poses; raise `InvalidArgument` for anything else."""
     if times is None:
         raise InvalidArgument(f"times is not given, expected the time of each pose, shape ({count},) [s]")
@@ -676,17 +676,17 @@ def _checked_times(times: ArrayLike | None, count: int) -> Array:
     return t
 
 
-def _checked_rotations(R: Array) -> Array:
+def _check_rotations(R: Array) -> Array:
     shaped("rotation", R, (3, 3), ("n>=2", 3, 3))
-    return frozen([_checked_rotation(each, f"rotation[{k}]") for k, each in enumerate(R)])
+    return frozen([_check_rotation(each, f"rotation[{k}]") for k, each in enumerate(R)])
 
 
-def _checked_rotation(R: Array, name: str = "rotation") -> Array:
+def _check_rotation(R: Array, name: str = "rotation") -> Array:
     shaped(name, R, (3, 3))
-    off = float(np.abs(R.T @ R - np.eye(3)).max())
-    if off > _ORTHOGONAL or np.linalg.det(R) < 0:
+    error = float(np.abs(R.T @ R - np.eye(3)).max())
+    if error > _ROTATION_TOLERANCE or np.linalg.det(R) < 0:
         raise InvalidArgument(
-            f"{name} has R' R off by {round(off, 9):.3g} and det R = {np.linalg.det(R):.3g}, "
+            f"{name} has R' R off by {round(error, 9):.3g} and det R = {np.linalg.det(R):.3g}, "
             "expected a rotation matrix"
         )
     return frozen(R)

@@ -64,9 +64,9 @@ class Limits:
         a = self.acceleration
         root = (a * dt) ** 2 + 8 * a * self.room(q) - 4 * a * dt * np.stack([-v, v])
         stop = np.where(root >= 0, (np.sqrt(np.maximum(root, 0)) - a * dt) / 2, -np.inf)
-        most = np.clip((np.minimum(stop[1], self.velocity) - v) / dt, -a, a)
-        least = np.clip((-np.minimum(stop[0], self.velocity) - v) / dt, -a, a)
-        return np.minimum(least, most), most
+        upper = np.clip((np.minimum(stop[1], self.velocity) - v) / dt, -a, a)
+        lower = np.clip((-np.minimum(stop[0], self.velocity) - v) / dt, -a, a)
+        return np.minimum(lower, upper), upper
 
     def excess(self, q: Array, v: Array, dt: float) -> Array:
         """Return by how much an acceleration over `dt` was too low and too high, shape (2, nv), >= 0.
@@ -82,11 +82,11 @@ class Limits:
             Time step [s].
         """
         room = self.signed_room(q)
-        most = np.minimum(np.sqrt(2 * self.acceleration * np.maximum(room, 0)), self.velocity)
-        excess = np.maximum((np.stack([-v, v]) - most) / dt, -2 * room / dt**2)
+        speed = np.minimum(np.sqrt(2 * self.acceleration * np.maximum(room, 0)), self.velocity)
+        excess = np.maximum((np.stack([-v, v]) - speed) / dt, -2 * room / dt**2)
         return np.where(excess > _ROUNDING * self.acceleration, excess, 0)
 
-    def velocities(self, q: Array, dt: float, before: Array | None = None) -> Array:
+    def velocities(self, q: Array, dt: float, previous: Array | None = None) -> Array:
         """Return the lower and upper bound of a velocity that is constant over `dt`, shape (2, nv).
 
         After the step, a joint can still stop at its limit: v dt + v^2 / (2 a) <= d, with the distance d to
@@ -100,17 +100,17 @@ class Limits:
             Configuration.
         dt : float
             Time step [s].
-        before : ndarray, shape (nv,), optional
+        previous : ndarray, shape (nv,), optional
             Velocity before the step; by default, arbitrary.
         """
         a, change = self.acceleration, self.acceleration * dt
-        most = np.minimum(np.sqrt(change**2 + 2 * a * self.room(q)) - change, self.velocity)
-        if before is None:
-            return np.array([-most[0], most[1]])
-        return np.asarray(np.minimum(np.maximum(before + change * _SIDES, -most[0]), most[1]))
+        speed = np.minimum(np.sqrt(change**2 + 2 * a * self.room(q)) - change, self.velocity)
+        if previous is None:
+            return np.array([-speed[0], speed[1]])
+        return np.asarray(np.minimum(np.maximum(previous + change * _SIDES, -speed[0]), speed[1]))
 
 
-def bounded_least_squares(A: Array, b: Array, least: Array, most: Array) -> Array:
+def bounded_least_squares(A: Array, b: Array, lower: Array, upper: Array) -> Array:
     """Return the x that minimises the norm of A x - b with least <= x <= most, shape (n,).
 
     Parameters
@@ -119,21 +119,21 @@ def bounded_least_squares(A: Array, b: Array, least: Array, most: Array) -> Arra
         Matrix of rank n.
     b : ndarray, shape (m,)
         Right-hand side.
-    least, most : ndarray, shape (n,)
+    lower, upper : ndarray, shape (n,)
         Bounds, least <= most; infinite for no bound.
     """
     x: Array = np.asarray(np.linalg.lstsq(A, b)[0], dtype=np.float64)
-    if ((x >= least) & (x <= most)).all():
+    if ((x >= lower) & (x <= upper)).all():
         return x
     # Imported here: scipy loads slowly, and most steps do not need it.
     from scipy.optimize import lsq_linear
 
-    free = least < most
-    x = np.where(free, 0.0, least)
+    free = lower < upper
+    x = np.where(free, 0.0, lower)
     if free.any():
-        bounds = least[free], most[free]
+        bounds = lower[free], upper[free]
         x[free] = lsq_linear(A[:, free], b - A[:, ~free] @ x[~free], bounds, method="bvls").x
-    return np.asarray(np.clip(x, least, most), dtype=np.float64)
+    return np.asarray(np.clip(x, lower, upper), dtype=np.float64)
 
 
 def per_coordinate(name: str, value: ArrayLike, size: int, *, zero: bool = False) -> Array:
@@ -163,15 +163,15 @@ def per_coordinate(name: str, value: ArrayLike, size: int, *, zero: bool = False
 
 _BASE = 3
 _CATCH_UP = 10.0  # [1/s]: largest rate of reducing an error that limits caused
-_EXACT, _SETTLED = 1e-10, 1e-9  # [m, rad]: at the start, and in each step
+_START_TOLERANCE, _STEP_TOLERANCE = 1e-10, 1e-9  # [m, rad]: at the start, and in each step
 _STEPS = 4  # Newton iterations per step: without limits, an error of 1e-4 falls below rounding
-_STALE = 0.02  # reduction of the error by an iteration above which the next one renews the Jacobian
+_RENEWAL_RATIO = 0.02  # reduction of the error by an iteration above which the next one renews the Jacobian
 _SEARCH = 200  # Gauss-Newton iterations for the start
 _STRIDE = 0.2  # their largest displacement [m, rad]
-_REGULAR = 0.01  # largest share of the error that damping leaves in a regular configuration
-_UNDAMPED = 1e-10  # smaller weights of displacements have no effect beside rounding
+_DAMPING_SHARE = 0.01  # largest share of the error that damping leaves in a regular configuration
+_MIN_WEIGHT = 1e-10  # smaller weights of displacements have no effect beside rounding
 _TRIES = 8  # initial guesses for the start
-_AS_GOOD = 1e-6  # relative: remaining errors of the same local minimum differ by less
+_EQUAL_TOLERANCE = 1e-6  # relative: remaining errors of the same local minimum differ by less
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,7 +217,7 @@ class Solver:
     @cached_property
     def _reach(self) -> Array:
         """Displacement per weighted one, shape (nv,); zero for locked coordinates."""
-        return np.where(self.limits.velocity == 0, 0.0, 1 / np.maximum(self.weights, _UNDAMPED))
+        return np.where(self.limits.velocity == 0, 0.0, 1 / np.maximum(self.weights, _MIN_WEIGHT))
 
     @cached_property
     def _rows(self) -> list[slice]:
@@ -226,15 +226,15 @@ class Solver:
         return [slice(end - len(task.weights), end) for task, end in zip(self.tasks, ends, strict=True)]
 
     @cached_property
-    def _least(self) -> float:
+    def _min_acceleration(self) -> float:
         return float(self.limits.acceleration.min())
 
-    def errors(self, goals: Sequence[Any], seen: Sequence[Any]) -> Array:
+    def errors(self, goals: Sequence[Any], poses: Sequence[Any]) -> Array:
         """Return the errors of all tasks, one after the other, shape (rows,) [m, rad]."""
-        if len(seen) == 1:
-            return self.tasks[0].error_of(goals[0], seen[0])
-        each = zip(self.tasks, goals, seen, strict=True)
-        return np.concatenate([task.error_of(goal, found) for task, goal, found in each])
+        if len(poses) == 1:
+            return self.tasks[0].error_of(goals[0], poses[0])
+        triples = zip(self.tasks, goals, poses, strict=True)
+        return np.concatenate([task.error_of(goal, pose) for task, goal, pose in triples])
 
     def system(self, J: Array, reach: Array) -> tuple[Array, ...]:
         """Return the weighted Jacobian, that by weighted displacements, its square's factor, and `reach`.
@@ -253,11 +253,11 @@ class Solver:
         return A, B, self._lapack.dpotrf(square)[0], reach
 
     def correction(
-        self, system: tuple[Array, ...], error: Array, wish: Array, least: Array, most: Array
+        self, system: tuple[Array, ...], error: Array, preferred: Array, lower: Array, upper: Array
     ) -> Array:
         """Return the displacement within bounds that reduces the error, close to a preferred displacement.
 
-        It minimises |A x - b|^2 + |(x - wish) / reach|^2 with as many equations as there are rows.
+        It minimises |A x - b|^2 + |(x - preferred) / reach|^2 with as many equations as there are rows.
 
         Parameters
         ----------
@@ -265,25 +265,25 @@ class Solver:
             Result of `system`.
         error : ndarray, shape (rows,)
             Error [m, rad].
-        wish, least, most : ndarray, shape (nv,)
+        preferred, lower, upper : ndarray, shape (nv,)
             Preferred displacement, lower bound and upper bound.
         """
         A, B, factor, reach = system
         b = self._importance * error
-        rest = b - A @ wish
-        y = self._lapack.dpotrs(factor, rest)[0]
+        residual = b - A @ preferred
+        y = self._lapack.dpotrs(factor, residual)[0]
         # y is also what damping leaves of the error. In a regular configuration, it is solved for again.
-        if y @ y <= _REGULAR**2 * (rest @ rest):
+        if y @ y <= _DAMPING_SHARE**2 * (residual @ residual):
             y += self._lapack.dpotrs(factor, y)[0]
-        x: Array = wish + reach * (y @ B)
-        if (np.minimum(np.maximum(x, least), most) == x).all():
+        x: Array = preferred + reach * (y @ B)
+        if (np.minimum(np.maximum(x, lower), upper) == x).all():
             return x
         free = reach > 0
-        inverse = 1 / reach[free]
-        b = np.append(b - A[:, ~free] @ wish[~free], inverse * wish[free])
-        x = wish.copy()
-        x[free] = bounded_least_squares(np.vstack([A[:, free], np.diag(inverse)]), b, least[free], most[free])
-        return np.clip(x, least, most)
+        inverse, bounds = 1 / reach[free], (lower[free], upper[free])
+        b = np.append(b - A[:, ~free] @ preferred[~free], inverse * preferred[free])
+        x = preferred.copy()
+        x[free] = bounded_least_squares(np.vstack([A[:, free], np.diag(inverse)]), b, *bounds)
+        return np.clip(x, lower, upper)
 
     def start(self, q0: ArrayLike | None) -> Array:
         """Return a configuration within limits for the start of the target, or with the smallest error found.
@@ -299,37 +299,37 @@ class Solver:
             If `q0` has another shape, is not finite, or is outside the limits.
         """
         robot, goals = self.robot, [goal[0] for goal in self.goals(np.zeros(1))]
-        first = robot.rest if q0 is None else checked_configuration(robot, "q0", q0)
+        first = robot.rest if q0 is None else check_configuration(robot, "q0", q0)
         generator, best = np.random.default_rng(0), (np.inf, first)
         for attempt in range(_TRIES if q0 is None else 1):
-            aside = generator.uniform(-1, 1, robot.nv) * (attempt > 0) * (np.arange(robot.nv) >= _BASE)
-            q = self.sought(goals, np.clip(robot.integrate(first, aside), robot.lower, robot.upper))
+            offset = generator.uniform(-1, 1, robot.nv) * (attempt > 0) * (np.arange(robot.nv) >= _BASE)
+            q = self.find_start(goals, np.clip(robot.integrate(first, offset), robot.lower, robot.upper))
             size = float(np.linalg.norm(self.errors(goals, self._frames[0](q))[: len(self.tasks[0].weights)]))
-            if size < best[0] * (1 - _AS_GOOD):  # take the first of equal minima, on every machine
+            if size < best[0] * (1 - _EQUAL_TOLERANCE):  # take the first of equal minima, on every machine
                 best = size, q
-            if best[0] <= _EXACT:
+            if best[0] <= _START_TOLERANCE:
                 break
         return best[1]
 
-    def sought(self, goals: Sequence[Any], q: Array) -> Array:
+    def find_start(self, goals: Sequence[Any], q: Array) -> Array:
         """Return the Gauss-Newton solution for the start of the tasks from an initial guess, shape (nq,)."""
         # The pose is linear in x and y, so their steps need no bound; locked coordinates do not move.
         robot, nv = self.robot, self.robot.nv
         stride = np.where(np.arange(nv) < 2, np.inf, _STRIDE)
-        reach, still = self._reach, np.zeros(nv)
+        reach, zero = self._reach, np.zeros(nv)
         if self.drive is not None:  # the start may be anywhere in the plane
             base = np.full(_BASE, reach[: self.drive.arms.start].max())
             reach = np.concatenate([base, reach[self.drive.arms]])
         stride[reach == 0] = 0
         for _ in range(_SEARCH):
-            seen = self._frames[0](q)
-            error = self.errors(goals, seen)
-            if error @ error <= _EXACT**2:
+            poses = self._frames[0](q)
+            error = self.errors(goals, poses)
+            if error @ error <= _START_TOLERANCE**2:
                 break
             bounds = np.maximum(robot.lower - q, -stride), np.minimum(robot.upper - q, stride)
-            step = self.correction(self.system(self.jacobian(seen), reach), error, still, *bounds)
+            step = self.correction(self.system(self.jacobian(poses), reach), error, zero, *bounds)
             q = np.clip(q + step, robot.lower, robot.upper)
-            if step @ step <= _EXACT**2:
+            if step @ step <= _START_TOLERANCE**2:
                 break
         return q
 
@@ -338,11 +338,11 @@ class Solver:
         poses = (task.target(t).pose for task in self.tasks)
         return [list(zip(T[:, :3, 3], T[:, :3, :3], strict=True)) for T in poses]
 
-    def jacobian(self, seen: Sequence[Any]) -> Array:
+    def jacobian(self, poses: Sequence[Any]) -> Array:
         """Return the Jacobian of all tasks, shape (rows, nv), for the last poses of the frames."""
-        own = zip(self.tasks, seen, self._frames[1](), strict=True)
-        each = [task.rows_of(pose, J) for task, pose, J in own]
-        return each[0] if len(each) == 1 else np.concatenate(each)
+        triples = zip(self.tasks, poses, self._frames[1](), strict=True)
+        blocks = [task.rows_of(pose, J) for task, pose, J in triples]
+        return blocks[0] if len(blocks) == 1 else np.concatenate(blocks)
 
     def steps(self, start: Array, posture: Array, gain: float, count: int) -> Array:
         """Return the displacements of the control points from the start, shape (count + 3, nv).
@@ -364,84 +364,84 @@ class Solver:
         goals = list(zip(*self.goals(np.linspace(0, self.tasks[0].target.duration, count + 1)), strict=True))
         q, v, arms = start, None, slice(_BASE, None) if drive is None else drive.arms
         origin = y = start if drive is None else drive.origin(start)
-        controls, wish, still = np.zeros((count + 1, len(y))), np.zeros(len(y)), np.zeros(len(y))
-        wanted = dt * gain * (self._reach[arms] > 0)
-        pose, seen = start[:_BASE], self._frames[0](start)
-        left = self.errors(goals[0], seen)
+        controls, preferred, zero = np.zeros((count + 1, len(y))), np.zeros(len(y)), np.zeros(len(y))
+        rates = dt * gain * (self._reach[arms] > 0)
+        pose, poses = start[:_BASE], self._frames[0](start)
+        residual = self.errors(goals[0], poses)
         for k in range(count):
             if drive is not None and k >= 2:
-                first = self.beyond(controls[:3], origin, dt) if k == 2 else controls[k - 3]
-                four = np.vstack([first, controls[k - 2 : k + 1]])
-                pose = drive.first_pose(start, four[:3]) if k == 2 else pose
-                pose, q = drive.onward(pose, four, origin, y, dt)
-                seen = self._frames[0](q)
-            wish[arms] = wanted * self.robot.difference(q, posture)[_BASE:]
-            least, most = dt * self.limits.velocities(y, dt, v)
-            kept = self.kept(left, dt)
-            step, reach, bent = np.zeros(len(y)), self._reach, None
-            error = self.errors(goals[k + 1], seen) - kept
-            if drive is not None and drive.steers:
-                turn, reach = self._steered(q, y, seen, error, wish, dt), reach.copy()
-                step[-1] = least[-1] = most[-1] = np.clip(turn, least[-1], most[-1])
-                reach[-1], bent = 0.0, drive.curvature(y[-1] + step[-1] / 2)[0]
-            slope = None if drive is None else drive.moved(q, y, step)[1]
+                first = self.extrapolate(controls[:3], origin, dt) if k == 2 else controls[k - 3]
+                points = np.vstack([first, controls[k - 2 : k + 1]])
+                pose = drive.first_pose(start, points[:3]) if k == 2 else pose
+                pose, q = drive.advance(pose, points, origin, y, dt)
+                poses = self._frames[0](q)
+            preferred[arms] = rates * self.robot.difference(q, posture)[_BASE:]
+            lower, upper = dt * self.limits.velocities(y, dt, v)
+            allowed = self.allowed_error(residual, dt)
+            step, reach, curvature = np.zeros(len(y)), self._reach, None
+            error = self.errors(goals[k + 1], poses) - allowed
+            if drive is not None and drive.is_car:
+                turn, reach = self._steering_step(q, y, poses, error, preferred, dt), reach.copy()
+                step[-1] = lower[-1] = upper[-1] = np.clip(turn, lower[-1], upper[-1])
+                reach[-1], curvature = 0.0, drive.curvature(y[-1] + step[-1] / 2)[0]
+            slope = None if drive is None else drive.displace(q, y, step)[1]
             size = np.inf
-            for attempt in range(_STEPS):
-                former, size = size, sqrt(error @ error)
-                if attempt and size <= _SETTLED:
+            for i in range(_STEPS):
+                previous, size = size, sqrt(error @ error)
+                if i and size <= _STEP_TOLERANCE:
                     break
-                if attempt == 0 or size > _STALE * former:
-                    J = self.jacobian(seen)
-                    J = J if drive is None or slope is None else drive.jacobian(J, slope, bent)
+                if i == 0 or size > _RENEWAL_RATIO * previous:
+                    J = self.jacobian(poses)
+                    J = J if drive is None or slope is None else drive.jacobian(J, slope, curvature)
                     system = self.system(J, reach)
-                more = self.correction(system, error, still if attempt else wish, least - step, most - step)
-                step = step + more
-                at, slope = (q + step, None) if drive is None else drive.moved(q, y, step)
-                seen = self._frames[0](at)
-                error = self.errors(goals[k + 1], seen) - kept
-            controls[k + 1], q, y, v = controls[k] + step, at, y + step, step / dt
-            left = error + kept
-        ends = (self.beyond(three, origin, dt)[None] for three in (controls[:3], controls[:-4:-1]))
+                dx = self.correction(system, error, zero if i else preferred, lower - step, upper - step)
+                step = step + dx
+                trial, slope = (q + step, None) if drive is None else drive.displace(q, y, step)
+                poses = self._frames[0](trial)
+                error = self.errors(goals[k + 1], poses) - allowed
+            controls[k + 1], q, y, v = controls[k] + step, trial, y + step, step / dt
+            residual = error + allowed
+        ends = (self.extrapolate(nearest, origin, dt)[None] for nearest in (controls[:3], controls[:-4:-1]))
         return np.concatenate([next(ends), controls, next(ends)])
 
-    def _steered(
-        self, q: Array, y: Array, seen: Sequence[Any], error: Array, wish: Array, dt: float
+    def _steering_step(
+        self, q: Array, y: Array, poses: Sequence[Any], error: Array, preferred: Array, dt: float
     ) -> float:
         """Return by how much a car steers [rad]: toward the yaw rate that it would have without an axle."""
         drive: Any = self.drive
-        J = drive.jacobian(self.jacobian(seen), drive.moved(q, y, 0 * y)[1], None)
-        free = np.full(len(y), np.inf)
-        wanted = self.correction(self.system(J, self._reach), error, wish, -free, free)
-        return float(drive.steering(wanted, dt, y[-1]) - y[-1])
+        J = drive.jacobian(self.jacobian(poses), drive.displace(q, y, 0 * y)[1], None)
+        infinite = np.full(len(y), np.inf)
+        step = self.correction(self.system(J, self._reach), error, preferred, -infinite, infinite)
+        return float(drive.steering(step, dt, y[-1]) - y[-1])
 
-    def kept(self, left: Array, dt: float) -> Array:
+    def allowed_error(self, residual: Array, dt: float) -> Array:
         """Return the part of remaining errors that a step may leave, shape (rows,), task by task.
 
         The approach has a speed of at most sqrt(a e), which requires half of the acceleration a. A faster
         approach could not brake in time.
         """
-        found = []
+        parts = []
         for rows in self._rows:
-            size = sqrt(left[rows] @ left[rows])
-            rate = min(_CATCH_UP, sqrt(self._least / size)) if size else _CATCH_UP
-            found.append(max(1 - rate * dt, 0.0) * left[rows])
-        return found[0] if len(found) == 1 else np.concatenate(found)
+            size = sqrt(residual[rows] @ residual[rows])
+            rate = min(_CATCH_UP, sqrt(self._min_acceleration / size)) if size else _CATCH_UP
+            parts.append(max(1 - rate * dt, 0.0) * residual[rows])
+        return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
-    def beyond(self, nearest: Array, start: Array, dt: float) -> Array:
+    def extrapolate(self, points: Array, origin: Array, dt: float) -> Array:
         """Return the control point beyond the end, shape (nv,), from the three nearest, shape (3, nv).
 
         The extrapolation continues their acceleration if it stays within the limits. Otherwise the
         extrapolation is linear; then the curve ends at the outermost of the three points and stays between
         them.
         """
-        line = 2 * nearest[0] - nearest[1]
-        bent = line + nearest[0] - 2 * nearest[1] + nearest[2]
-        below, above = self.limits.room(start)
-        fits = (bent >= -below) & (bent <= above) & (np.abs(nearest[0] - bent) <= dt * self.limits.velocity)
-        return np.asarray(np.where(fits, bent, line))
+        line = 2 * points[0] - points[1]
+        curve = line + points[0] - 2 * points[1] + points[2]
+        lower, upper = self.limits.room(origin)
+        fits = (curve >= -lower) & (curve <= upper) & (np.abs(points[0] - curve) <= dt * self.limits.velocity)
+        return np.asarray(np.where(fits, curve, line))
 
 
-def checked_configuration(robot: MobileRobot, name: str, value: ArrayLike) -> Array:
+def check_configuration(robot: MobileRobot, name: str, value: ArrayLike) -> Array:
     """Return a checked configuration within limits, shape (nq,).
 
     Raises

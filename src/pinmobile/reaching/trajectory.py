@@ -34,7 +34,7 @@ from pinmobile.reaching.solver import (
     Limits,
     Solver,
     bounded_least_squares,
-    checked_configuration,
+    check_configuration,
     per_coordinate,
 )
 from pinmobile.robot import MobileRobot
@@ -109,11 +109,11 @@ class InverseKinematicsTrajectory:
         metres, radians = self.max_error()
         turn = f", {radians:.3e} rad" if self.target.rows == 6 else ""
         try:
-            near = f", smallest clearance {self.clearance.told}"
+            clearance = f", smallest clearance {self.clearance.told}"
         except PinmobileError:  # without collision geometry, the clearance is unknown
-            near = ""
-        over = f"{self.frame} over {self.duration:g} s"
-        return f"<InverseKinematicsTrajectory: {over}, largest error {metres:.3e} m{turn}{near}>"
+            clearance = ""
+        motion = f"{self.frame} over {self.duration:g} s"
+        return f"<InverseKinematicsTrajectory: {motion}, largest error {metres:.3e} m{turn}{clearance}>"
 
     @property
     def target(self) -> PosePath:
@@ -166,8 +166,8 @@ class InverseKinematicsTrajectory:
         times = within("t", t, self.duration)
         if self.drive is not None:
             k = np.clip(np.floor_divide(times, self._dt), 0, len(self._poses) - 2).astype(int)
-            since = times - self._dt * k
-            q, v, a = self.drive.reference(self._poses[k], since, self._curve, times, self.start)
+            offset = times - self._dt * k
+            q, v, a = self.drive.reference(self._poses[k], offset, self._curve, times, self.start)
         else:
             displacement, v, a = (self._curve(times, order) for order in range(3))
             q = self.robot.integrate(self.start, displacement)
@@ -175,7 +175,7 @@ class InverseKinematicsTrajectory:
         return Reference(np.clip(q, self.robot.lower, self.robot.upper), v, a)
 
     def signals_at(self, t: Array) -> dict[str, tuple[str, Array]]:
-        """Return the target of the frame at the samples of a run, see `PosePath.told`.
+        """Return the target of the frame at the samples of a run, see `PosePath.target_signals`.
 
         Parameters
         ----------
@@ -201,13 +201,13 @@ class InverseKinematicsTrajectory:
         task : int
             Number of the task, in the order of `tasks`.
         """
-        own, rows = self.tasks[task], np.full((len(self.t), 6), np.nan)
-        goal, actual = own.target(self.t).pose, self.robot.frame_pose(self(self.t).q, own.frame)
+        entry, rows = self.tasks[task], np.full((len(self.t), 6), np.nan)
+        goal, actual = entry.target(self.t).pose, self.robot.frame_pose(self(self.t).q, entry.frame)
         rows[:, :_POSITION] = goal[:, :3, 3] - actual[:, :3, 3]
-        if own.rows.stop > _POSITION:
+        if entry.rows.stop > _POSITION:
             pairs = zip(goal[:, :3, :3], actual[:, :3, :3], strict=True)
-            rows[:, _POSITION:] = [own.turn(a, b) for a, b in pairs]
-        rows[:, : own.rows.start] = np.nan
+            rows[:, _POSITION:] = [entry.turn(a, b) for a, b in pairs]
+        rows[:, : entry.rows.start] = np.nan
         return rows
 
     @cached_property
@@ -223,11 +223,11 @@ class InverseKinematicsTrajectory:
 
     def max_error(self) -> tuple[float, float]:
         """Return the largest distance [m] and the largest angle [rad] from frame to target, see `error`."""
-        way, turn = error_sizes(self.error).max(axis=0)
-        return float(way), float(turn)
+        distance, angle = error_sizes(self.error).max(axis=0)
+        return float(distance), float(angle)
 
 
-_MOST_STEPS = 1_000_000  # more would take hours
+_MAX_STEPS = 1_000_000  # more would take hours
 
 
 def solve_inverse_kinematics(
@@ -314,7 +314,7 @@ def solve_inverse_kinematics(
         If the robot has no such frame.
     Unreachable
         If an error exceeds its tolerance, or a distance is below `clearance`. The message names the time, the
-        target's position, and the limit that holds the robot back. The attribute ``resolved`` of the error
+        target's position, and the limit that holds the robot back. The attribute ``trajectory`` of the error
         holds the trajectory.
 
     Warns
@@ -354,42 +354,42 @@ def solve_inverse_kinematics(
     if isinstance(robot, MobileRobot):
         body = robot
     else:
-        drive, body = Drive(instance("robot", robot, Wheeled, _ROBOTS)), robot.robot
-    room = None if clearance is None else non_negative("clearance", clearance, "m")
-    if room is not None:
+        drive, body = Drive(instance("robot", robot, Wheeled, _ROBOT_TYPES)), robot.robot
+    min_distance = None if clearance is None else non_negative("clearance", clearance, "m")
+    if min_distance is not None:
         _ = body.solids  # raises before the computation, not after it
-    tasks = _checked_tasks(body, target, frame)
-    given: Any = body if drive is None else drive
-    lower, upper = (np.array([getattr(one, end) for one in given.coordinates]) for end in ("lower", "upper"))
-    speed = given.velocity_limit if velocity_limit is None else velocity_limit
+    tasks = _check_tasks(body, target, frame)
+    model: Any = body if drive is None else drive
+    lower, upper = (np.array([getattr(one, end) for one in model.coordinates]) for end in ("lower", "upper"))
+    speed = model.velocity_limit if velocity_limit is None else velocity_limit
     speed = per_coordinate("velocity_limit", speed, len(lower), zero=True)
     limits = Limits(lower, upper, speed, per_coordinate("acceleration_limit", acceleration_limit, len(lower)))
     weights = positive("damping", damping) * per_coordinate("cost", cost, len(lower))
     tolerance = positive_or_endless("tolerance", tolerance)  # infinite accepts any error
     solver = Solver(body, tasks, limits, weights, drive)
     start = solver.start(q0)
-    tending = start if posture is None else _checked_posture(body, posture)
+    preferred = start if posture is None else _check_posture(body, posture)
     gain = bounded("posture_gain", non_negative("posture_gain", posture_gain, "1/s"), most=1e6, unit="1/s")
-    wanted = tasks[0].target.duration / positive("dt", dt, "s")
-    if not wanted <= _MOST_STEPS:
+    steps = tasks[0].target.duration / positive("dt", dt, "s")
+    if not steps <= _MAX_STEPS:
         raise InvalidArgument(
-            f"dt is {dt} s, which gives {wanted:.3g} steps, expected at most {_MOST_STEPS:,}: use a larger dt"
+            f"dt is {dt} s, which gives {steps:.3g} steps, expected at most {_MAX_STEPS:,}: use a larger dt"
         )
-    count = max(int(np.ceil(wanted - 1e-9)), 2)
-    controls = solver.steps(start, tending, gain, count)
-    resolved = InverseKinematicsTrajectory(body, tasks, start, controls, drive)
-    _judge(resolved, limits, tolerance, room)
-    way = resolved(resolved.t)
-    exceeded = limit_events(body, resolved.t, way.q, way.v, body.inverse_dynamics(*way))
-    if exceeded:
-        warn("; ".join(map(str, exceeded)), LimitWarning, stacklevel=2)
-    return resolved
+    count = max(int(np.ceil(steps - 1e-9)), 2)
+    controls = solver.steps(start, preferred, gain, count)
+    trajectory = InverseKinematicsTrajectory(body, tasks, start, controls, drive)
+    _check_errors(trajectory, limits, tolerance, min_distance)
+    motion = trajectory(trajectory.t)
+    events = limit_events(body, trajectory.t, motion.q, motion.v, body.inverse_dynamics(*motion))
+    if events:
+        warn("; ".join(map(str, events)), LimitWarning, stacklevel=2)
+    return trajectory
 
 
-_ROBOTS = "a MobileRobot or a WheeledRobot"
+_ROBOT_TYPES = "a MobileRobot or a WheeledRobot"
 
 
-def _checked_tasks(robot: MobileRobot, target: object, frame: str | None) -> tuple[FrameTask, ...]:
+def _check_tasks(robot: MobileRobot, target: object, frame: str | None) -> tuple[FrameTask, ...]:
     """Return the tasks of targets, with the names of their frames.
 
     Raises
@@ -401,20 +401,20 @@ def _checked_tasks(robot: MobileRobot, target: object, frame: str | None) -> tup
     """
     words = "a PosePath, a FrameTask or a sequence of them"
     given = target if isinstance(target, list | tuple) and target else [target]
-    found = []
+    tasks = []
     for k, each in enumerate(given):
         task = FrameTask(each, frame if k == 0 else None) if isinstance(each, PosePath) else each
         instance("target" if task is target else f"target[{k}]", task, FrameTask, words)
         if frame is not None and task is each:
             raise InvalidArgument(f"frame is {frame!r} beside a FrameTask, expected FrameTask(target, frame)")
-        found.append(replace(task, frame=robot.frame_name(task.frame)))
-    longest, shortest = (pick(one.target.duration for one in found) for pick in (max, min))
+        tasks.append(replace(task, frame=robot.frame_name(task.frame)))
+    longest, shortest = (pick(one.target.duration for one in tasks) for pick in (max, min))
     if longest > shortest * (1 + 1e-9):
         raise InvalidArgument(f"targets last {shortest:g} to {longest:g} s, expected the same duration")
-    return tuple(found)
+    return tuple(tasks)
 
 
-def _checked_posture(robot: MobileRobot, posture: ArrayLike) -> Array:
+def _check_posture(robot: MobileRobot, posture: ArrayLike) -> Array:
     """Return a configuration with the arms in a given posture, shape (nq,).
 
     Raises
@@ -423,60 +423,60 @@ def _checked_posture(robot: MobileRobot, posture: ArrayLike) -> Array:
         If the posture has another shape or is not finite.
     """
     arms = shaped("posture", finite("posture", posture), (robot.nq - 3,), words=", the arms' part of q")
-    return checked_configuration(robot, "posture", np.concatenate([np.zeros(3), arms]))
+    return check_configuration(robot, "posture", np.concatenate([np.zeros(3), arms]))
 
 
-def _judge(
-    resolved: InverseKinematicsTrajectory, limits: Limits, tolerance: float, room: float | None
+def _check_errors(
+    trajectory: InverseKinematicsTrajectory, limits: Limits, tolerance: float, min_distance: float | None
 ) -> None:
     """Raise `Unreachable` if a trajectory misses a target or links are too close to each other."""
-    t = resolved.t
-    for number, task in enumerate(resolved.tasks):
+    t = trajectory.t
+    for number, task in enumerate(trajectory.tasks):
         allowed = task.tolerance if number else min(task.tolerance, tolerance)
-        sizes = error_sizes(np.nan_to_num(resolved.error_of(number)))
-        beyond = sizes.max(axis=-1) > allowed
-        if beyond.any():
-            k, most = int(np.argmax(beyond)), sizes.max(axis=0)
-            way, turn = sizes[k]
+        sizes = error_sizes(np.nan_to_num(trajectory.error_of(number)))
+        exceeds = sizes.max(axis=-1) > allowed
+        if exceeds.any():
+            k, largest = int(np.argmax(exceeds)), sizes.max(axis=0)
+            distance, angle = sizes[k]
             x, y, z = task.target(t[k]).pose[:3, 3]
-            whose = f"target of {task.frame}" if len(resolved.tasks) > 1 else "target"
+            owner = f"target of {task.frame}" if len(trajectory.tasks) > 1 else "target"
             raise Unreachable(
-                f"{whose} is missed by {way:.3g} m and {turn:.3g} rad at t = {t[k]:g} s, expected at most "
-                f"{allowed:g}; the largest errors are {most[0]:.3g} m and {most[1]:.3g} rad; the target is "
-                f"at ({x:.4g}, {y:.4g}, {z:.4g}) m, {_limit_at(resolved, limits, k)}",
+                f"{owner} is missed by {distance:.3g} m and {angle:.3g} rad at t = {t[k]:g} s, expected at "
+                f"most {allowed:g}; the largest errors are {largest[0]:.3g} m and {largest[1]:.3g} rad; the "
+                f"target is at ({x:.4g}, {y:.4g}, {z:.4g}) m, {_limit_at(trajectory, limits, k)}",
                 time=float(t[k]),
-                resolved=resolved,
+                resolved=trajectory,
             )
-    if room is not None and resolved.clearance.smallest < room:
-        found = resolved.clearance
-        k = int(np.argmax(found.distance < room))
-        a, b = found.pairs[int(found.distances[k].argmin())]
+    if min_distance is not None and trajectory.clearance.smallest < min_distance:
+        clearance = trajectory.clearance
+        k = int(np.argmax(clearance.distance < min_distance))
+        a, b = clearance.pairs[int(clearance.distances[k].argmin())]
         raise Unreachable(
-            f"clearance is {found.distance[k]:.3g} m between {a} and {b} at t = {t[k]:g} s, "
-            f"expected at least {room:g} m; the smallest is {found.told}",
+            f"clearance is {clearance.distance[k]:.3g} m between {a} and {b} at t = {t[k]:g} s, "
+            f"expected at least {min_distance:g} m; the smallest is {clearance.told}",
             time=float(t[k]),
-            resolved=resolved,
+            resolved=trajectory,
         )
 
 
-def _limit_at(resolved: InverseKinematicsTrajectory, limits: Limits, k: int) -> str:
+def _limit_at(trajectory: InverseKinematicsTrajectory, limits: Limits, k: int) -> str:
     """Return which limit holds a coordinate back at a sample, or at the last one before, in words."""
-    drive, dt, start = resolved.drive, resolved._dt, resolved.start
-    names = (resolved.robot if drive is None else drive).coordinates
-    places = (start if drive is None else drive.origin(start)) + resolved.controls
-    rates, near = np.diff(resolved.controls, axis=0) / dt, 1e-6 * limits.acceleration * dt
+    drive, dt, start = trajectory.drive, trajectory._dt, trajectory.start
+    names = (trajectory.robot if drive is None else drive).coordinates
+    positions = (start if drive is None else drive.origin(start)) + trajectory.controls
+    rates, tolerance = np.diff(trajectory.controls, axis=0) / dt, 1e-6 * limits.acceleration * dt
     for i in range(k, 0, -1):
-        rate, stop = rates[i], limits.velocities(places[i], dt)
-        held = np.abs(limits.velocities(places[i], dt, rates[i - 1]) - rate).min(axis=0) <= near
-        for n in np.flatnonzero(held & (limits.velocity > 0)):
+        rate, stop = rates[i], limits.velocities(positions[i], dt)
+        is_limited = np.abs(limits.velocities(positions[i], dt, rates[i - 1]) - rate).min(axis=0) <= tolerance
+        for n in np.flatnonzero(is_limited & (limits.velocity > 0)):
             name, unit = names[n][:2]
-            which = f"acceleration limit, {limits.acceleration[n]:.4g} {unit}/s^2"
-            if limits.velocity[n] - abs(rate[n]) <= near[n]:
-                which = f"speed limit, {limits.velocity[n]:.4g} {unit}/s"
-            elif np.abs(stop[:, n] - rate[n]).min() <= near[n]:
-                which = f"position limit, {(limits.lower, limits.upper)[int(rate[n] >= 0)][n]:.4g} {unit}"
-            reached = f"where {name} reaches its {which}, at t = {resolved.t[i]:g} s"
-            return f"{reached}, or it is out of reach"
+            limit = f"acceleration limit, {limits.acceleration[n]:.4g} {unit}/s^2"
+            if limits.velocity[n] - abs(rate[n]) <= tolerance[n]:
+                limit = f"speed limit, {limits.velocity[n]:.4g} {unit}/s"
+            elif np.abs(stop[:, n] - rate[n]).min() <= tolerance[n]:
+                limit = f"position limit, {(limits.lower, limits.upper)[int(rate[n] >= 0)][n]:.4g} {unit}"
+            event = f"where {name} reaches its {limit}, at t = {trajectory.t[i]:g} s"
+            return f"{event}, or it is out of reach"
     return "and no limit is reached before: it is out of reach, or the targets contradict each other"
 
 
@@ -601,34 +601,34 @@ class EndEffectorTracking:
         instance("target", self.target, PosePath, "a PosePath")
         if isinstance(self.robot, Wheeled):
             self.robot.check_inverse_dynamics()
-        own = {name: non_negative(name, getattr(self, name)) for name in _GAINS}
-        own |= {name: positive(name, getattr(self, name)) for name in ("damping", "dt")}
+        values = {name: non_negative(name, getattr(self, name)) for name in _GAINS}
+        values |= {name: positive(name, getattr(self, name)) for name in ("damping", "dt")}
         check_integrator(self.integrator)
         nv = body.nv
         speed = body.velocity_limit if self.velocity_limit is None else self.velocity_limit
         speed = per_coordinate("velocity_limit", speed, nv, zero=True)
-        most = per_coordinate("acceleration_limit", self.acceleration_limit, nv)
+        acceleration = per_coordinate("acceleration_limit", self.acceleration_limit, nv)
         fixed = {"frame": body.frame_name(self.frame), "velocity_limit": speed, "_body": body}
-        limits = Limits(body.lower, body.upper, speed, most)
+        limits = Limits(body.lower, body.upper, speed, acceleration)
         # The bounds of `ramps` are exact if the integrator keeps the initial acceleration over a step.
-        held = [getattr(self.integrator, name, ()) for name in ("weights_q", "weights_v")] == [(0.5,), (1.0,)]
-        exact = held and not able(self.robot, Constrained)
-        object.__setattr__(self, "_corrections", 0 if exact else _CORRECTIONS)
-        for name, value in {**own, **fixed, "acceleration_limit": most, "_limits": limits}.items():
+        same = [getattr(self.integrator, name, ()) for name in ("weights_q", "weights_v")] == [(0.5,), (1.0,)]
+        is_exact = same and not able(self.robot, Constrained)
+        object.__setattr__(self, "_corrections", 0 if is_exact else _CORRECTIONS)
+        for name, value in {**values, **fixed, "acceleration_limit": acceleration, "_limits": limits}.items():
             object.__setattr__(self, name, value)
 
     def initial_state(self, context: Context) -> None:
         """Return None: the controller has no memory."""
 
     def signals_at(self, t: Array) -> dict[str, tuple[str, Array]]:
-        """Return the target of the frame at the samples of a run, see `PosePath.told`.
+        """Return the target of the frame at the samples of a run, see `PosePath.target_signals`.
 
         Parameters
         ----------
         t : ndarray, shape (N + 1,)
             Times [s].
         """
-        return self.target.told(str(self.frame), t)
+        return self.target.target_signals(str(self.frame), t)
 
     def __call__(self, t: float, q: Array, v: Array, reference: Reference, state: None) -> tuple[Array, None]:
         """Return the input, shape (nu,), and None.
@@ -669,31 +669,31 @@ class EndEffectorTracking:
                 f"reference has {count} coordinates, expected the {body.nv} of base and arms, such as a "
                 "trajectory by solve_inverse_kinematics(robot, target) or WholeBody(robot, base, *joints)"
             )
-        own_q, own_v = q[: body.nq], v[: body.nv]
+        body_q, body_v = q[: body.nq], v[: body.nv]
         target = self.target(t)
-        J = body.frame_jacobian(own_q, self.frame)
-        error = pose_error(target.pose, body.frame_pose(own_q, self.frame))
-        wanted = target.rate + self.kd * (target.twist - J @ own_v) + self.kp * error
-        wanted -= body.frame_bias_acceleration(own_q, own_v, self.frame)
-        posture = reference.a + self.posture_kd * (reference.v - own_v)
-        posture = posture + self.posture_kp * body.difference(own_q, reference.q)
+        J = body.frame_jacobian(body_q, self.frame)
+        error = pose_error(target.pose, body.frame_pose(body_q, self.frame))
+        desired = target.rate + self.kd * (target.twist - J @ body_v) + self.kp * error
+        desired -= body.frame_bias_acceleration(body_q, body_v, self.frame)
+        posture = reference.a + self.posture_kd * (reference.v - body_v)
+        posture = posture + self.posture_kp * body.difference(body_q, reference.q)
         A = np.vstack([J[:rows], self.damping * np.eye(body.nv)])
-        b = np.concatenate([wanted[:rows], self.damping * posture])
-        least, most = self._limits.ramps(own_q, own_v, self.dt)
-        a = bounded_least_squares(A, b, least, most)
+        b = np.concatenate([desired[:rows], self.damping * posture])
+        lower, upper = self._limits.ramps(body_q, body_v, self.dt)
+        a = bounded_least_squares(A, b, lower, upper)
         u = self.robot.inverse_dynamics(q, v, a)
         for _ in range(self._corrections):
-            low, high = self._limits.excess(*self._after(q, v, u), self.dt)
+            low, high = self._limits.excess(*self._next_state(q, v, u), self.dt)
             if not (low.any() or high.any()):
                 break
             # A bound that moves past the other one (as for a locked coordinate) moves both.
             up, down = np.where(low > 0, a + low, -np.inf), np.where(high > 0, a - high, np.inf)
-            least, most = np.clip(least, up, down), np.clip(most, up, down)
-            a = bounded_least_squares(A, b, least, most)
+            lower, upper = np.clip(lower, up, down), np.clip(upper, up, down)
+            a = bounded_least_squares(A, b, lower, upper)
             u = self.robot.inverse_dynamics(q, v, a)
         return a, u
 
-    def _after(self, q: Array, v: Array, u: Array) -> tuple[Array, Array]:
+    def _next_state(self, q: Array, v: Array, u: Array) -> tuple[Array, Array]:
         """Return the state of body and arms after a step with a constant input, by model and integrator."""
         robot, body = self.robot, self._body
 
@@ -701,8 +701,8 @@ class EndEffectorTracking:
             return robot.forward_dynamics(robot.integrate(q, displacement), w, u)
 
         displacement, w = self.integrator(acceleration, 0.0, np.zeros(robot.nv), v, self.dt)
-        after = robot.integrate(q, displacement)
+        end = robot.integrate(q, displacement)
         rolls = able(robot, Constrained)
         if rolls:
-            w = rolls.project(after, w)
-        return after[: body.nq], w[: body.nv]
+            w = rolls.project(end, w)
+        return end[: body.nq], w[: body.nv]

@@ -18,7 +18,7 @@ from pinmobile.paths import Path, Piece, pieces_of
 Field: TypeAlias = Callable[[Array], tuple[Array, Array, Array]]
 """Vectors and their first two derivatives, each of shape (m, 2), at times of shape (m,)."""
 
-_MOST = 2**22
+_MAX_CELLS = 2**22
 
 
 def halve(field: Field, cells: Array, levels: int) -> tuple[Array, Array]:
@@ -51,18 +51,18 @@ def halve(field: Field, cells: Array, levels: int) -> tuple[Array, Array]:
     for _ in range(levels):
         if not len(cells):
             break
-        good = _turns_little(field, cells)
-        done.append(cells[good])
-        cells = cells[~good]
+        is_done = _is_within_cone(field, cells)
+        done.append(cells[is_done])
+        cells = cells[~is_done]
         middle = cells.mean(axis=-1)
         cells = np.concatenate([[cells[:, 0], middle], [middle, cells[:, 1]]], axis=-1).T
-        if len(cells) > _MOST:
-            raise InvalidArgument(f"path turns more than {_MOST} times between t = 0 and its end")
+        if len(cells) > _MAX_CELLS:
+            raise InvalidArgument(f"path turns more than {_MAX_CELLS} times between t = 0 and its end")
     finished = np.concatenate(done)
     return finished[np.argsort(finished[:, 0])], cells[np.argsort(cells[:, 0])]
 
 
-def _turns_little(field: Field, cells: Array) -> NDArray[np.bool_]:
+def _is_within_cone(field: Field, cells: Array) -> NDArray[np.bool_]:
     """Return whether the field stays within the cone in each cell."""
     width = cells[:, 1] - cells[:, 0]
     u, du, ddu = (np.linalg.norm(vectors, axis=-1) for vectors in field(cells.mean(axis=-1)))
@@ -76,7 +76,7 @@ _SAMPLES = 64
 _EPS = float(np.finfo(np.float64).eps)
 
 
-def largest(path: Path, order: int) -> Array:
+def max_lengths(path: Path, order: int) -> Array:
     """Return the largest length of a derivative on each piece of a path, by samples.
 
     Parameters
@@ -102,8 +102,8 @@ def largest(path: Path, order: int) -> Array:
     times = ends[:, :1] + fractions * np.diff(ends)
     lengths = np.linalg.norm(path.derivative(times, order), axis=-1)  # (k, samples)
     if not np.isfinite(lengths).all():
-        late = times[~np.isfinite(lengths)][0]
-        raise InvalidArgument(f"path has no finite derivative of order {order} at t = {late} s")
+        first = times[~np.isfinite(lengths)][0]
+        raise InvalidArgument(f"path has no finite derivative of order {order} at t = {first} s")
     return np.asarray(lengths.max(axis=-1))
 
 
@@ -117,9 +117,9 @@ class _Scales:
 
     Attributes
     ----------
-    top : float
+    max_speed : float
         Largest speed on the path [m/s].
-    dwells : ndarray of bool, shape (k,)
+    is_constant : ndarray of bool, shape (k,)
         Whether the path stays in one place on a piece.
     """
 
@@ -127,9 +127,9 @@ class _Scales:
         self._path = path
         self._ends = np.array([piece.end for piece in pieces_of(path)])
         self._largest: dict[int, Array] = {}
-        speeds = largest(path, 1)
-        self.top = float(speeds.max())
-        self.dwells = speeds <= STANDSTILL * self.top
+        speeds = max_lengths(path, 1)
+        self.max_speed = float(speeds.max())
+        self.is_constant = speeds <= STANDSTILL * self.max_speed
 
     def tolerance(self, order: int) -> Array:
         """Return the length below which a derivative is a rounding error, shape (k,) [m/s^order]."""
@@ -140,16 +140,16 @@ class _Scales:
     def _scale(self, order: int) -> Array:
         if order not in self._largest:
             # A speed is compared with the path's, even on a slow piece; another derivative with its own.
-            of_path = np.full_like(self._ends, self.top)
-            self._largest[order] = of_path if order == 1 else largest(self._path, order)
+            speeds = np.full_like(self._ends, self.max_speed)
+            self._largest[order] = speeds if order == 1 else max_lengths(self._path, order)
         return self._largest[order]
 
 
 _CELLS = 8
 _LEVELS = 17  # an unfinished cell is a millionth of its piece
-_HIGHEST = 6
+_MAX_ORDER = 6
 _STEPS = 60
-_NOISE = 1e-13  # well above rounding errors, and below the limit of a standstill
+_SPEED_TOLERANCE = 1e-13  # well above rounding errors, and below the limit of a standstill
 
 
 def _rest_order(piece: Piece, t: float, scales: _Scales, index: int) -> int:
@@ -171,11 +171,11 @@ def _rest_order(piece: Piece, t: float, scales: _Scales, index: int) -> int:
     InvalidArgument
         If so many derivatives vanish that the direction is undefined.
     """
-    for order in range(_HIGHEST + 1):
+    for order in range(_MAX_ORDER + 1):
         if np.linalg.norm(piece.derivative(t, order + 1)) > scales.tolerance(order + 1)[index]:
             return order
     raise InvalidArgument(
-        f"path has no direction at t = {t} s: its first {_HIGHEST + 1} derivatives vanish there"
+        f"path has no direction at t = {t} s: its first {_MAX_ORDER + 1} derivatives vanish there"
     )
 
 
@@ -190,58 +190,55 @@ def _inner_rests(path: Path, scales: _Scales) -> list[list[float]]:
         Scales of the path.
     """
     pieces = pieces_of(path)
-    edges = [
-        np.linspace(p.start, p.end, _CELLS + 1)
-        for p, dwells in zip(pieces, scales.dwells, strict=True)
-        if not dwells
-    ]
+    moving = [piece for piece, constant in zip(pieces, scales.is_constant, strict=True) if not constant]
+    edges = [np.linspace(piece.start, piece.end, _CELLS + 1) for piece in moving]
     cells = np.concatenate([np.stack([e[:-1], e[1:]], axis=-1) for e in edges])
-    _, slow = halve(lambda t: _velocity(path, t, scales.top), cells, _LEVELS)
+    _, unfinished = halve(lambda t: _velocity(path, t, scales.max_speed), cells, _LEVELS)
     starts = np.array([piece.start for piece in pieces])
-    owners = np.searchsorted(starts, slow.mean(axis=-1), side="right") - 1
-    found: list[list[float]] = [[] for _ in pieces]
-    for first, last, owner in _clusters(slow, owners):
-        rest = _refined(pieces[owner], first, last, scales, owner)
+    owners = np.searchsorted(starts, unfinished.mean(axis=-1), side="right") - 1
+    rests: list[list[float]] = [[] for _ in pieces]
+    for first, last, owner in _clusters(unfinished, owners):
+        rest = _refine_rest(pieces[owner], first, last, scales, owner)
         if rest is not None:
-            found[owner].append(rest)
-    return found
+            rests[owner].append(rest)
+    return rests
 
 
-def _velocity(path: Path, t: Array, top: float) -> tuple[Array, Array, Array]:
+def _velocity(path: Path, t: Array, max_speed: float) -> tuple[Array, Array, Array]:
     """Return velocity and two derivatives at times, with rounding errors of the velocity set to zero."""
     v, a, jerk = (np.asarray(path.derivative(t, order)) for order in (1, 2, 3))
     # A rounding error has a direction, and would count as motion where the speed is flat around a rest.
-    still = np.linalg.norm(v, axis=-1, keepdims=True) < _NOISE * top
-    return np.where(still, 0.0, v), a, jerk
+    is_still = np.linalg.norm(v, axis=-1, keepdims=True) < _SPEED_TOLERANCE * max_speed
+    return np.where(is_still, 0.0, v), a, jerk
 
 
 def _clusters(cells: Array, owners: Array) -> list[tuple[float, float, int]]:
     """Return start, end and piece of each run of adjacent cells."""
     if not len(cells):
         return []
-    apart = (cells[1:, 0] > cells[:-1, 1]) | (owners[1:] != owners[:-1])
-    breaks = [0, *(np.flatnonzero(apart) + 1).tolist(), len(cells)]
+    is_break = (cells[1:, 0] > cells[:-1, 1]) | (owners[1:] != owners[:-1])
+    breaks = [0, *(np.flatnonzero(is_break) + 1).tolist(), len(cells)]
     return [(float(cells[i, 0]), float(cells[j - 1, 1]), int(owners[i])) for i, j in pairwise(breaks)]
 
 
-def _refined(piece: Piece, first: float, last: float, scales: _Scales, index: int) -> float | None:
+def _refine_rest(piece: Piece, first: float, last: float, scales: _Scales, index: int) -> float | None:
     # A rest at an end of the piece is known already.
     """Return the time of a rest between two times [s]; None if there is none inside the piece."""
     for end in (piece.start, piece.end):
         if first <= end <= last and _rest_order(piece, end, scales, index):
             return None
     # At a rest of order k the speed is too flat to locate the rest; the k-th derivative is not.
-    for order in range(_HIGHEST, 0, -1):
-        t = _zero(piece, order, first, last)
+    for order in range(_MAX_ORDER, 0, -1):
+        t = _find_zero(piece, order, first, last)
         if t is not None and _rest_order(piece, t, scales, index) >= order:
             return t
     return None
 
 
-def _zero(piece: Piece, order: int, first: float, last: float) -> float | None:
+def _find_zero(piece: Piece, order: int, first: float, last: float) -> float | None:
     # Gauss-Newton for derivative(t, order) = 0, two equations in one unknown.
     """Return a zero of a derivative between two times [s]; None without convergence."""
-    t, room = (first + last) / 2, last - first
+    t, width = (first + last) / 2, last - first
     for _ in range(_STEPS):
         value, slope = piece.derivative(t, order), piece.derivative(t, order + 1)
         square = float(slope @ slope)
@@ -249,7 +246,7 @@ def _zero(piece: Piece, order: int, first: float, last: float) -> float | None:
             return None
         step = float(value @ slope) / square
         t -= step
-        if not max(piece.start, first - room) < t < min(piece.end, last + room):
+        if not max(piece.start, first - width) < t < min(piece.end, last + width):
             return None
         if abs(step) <= np.spacing(t):
             break
@@ -287,8 +284,8 @@ class DirectionLimit:
 class Leg:
     """Part of a path between knots and rests."""
 
-    head: DirectionLimit
-    tail: DirectionLimit
+    start: DirectionLimit
+    end: DirectionLimit
 
 
 class Hodograph:
@@ -304,16 +301,16 @@ class Hodograph:
         The path.
     legs : sequence of Leg, length L
         Legs of the path, in order.
-    top : float
+    max_speed : float
         Largest speed on the path [m/s].
     """
 
-    def __init__(self, path: Path, legs: list[Leg], top: float) -> None:
+    def __init__(self, path: Path, legs: list[Leg], max_speed: float) -> None:
         self.path = path
         self.legs = tuple(legs)
-        self.top = top
-        self._starts = np.array([leg.head.time for leg in legs])
-        self._limits = [limit for leg in legs for limit in (leg.head, leg.tail)]
+        self.max_speed = max_speed
+        self._starts = np.array([leg.start.time for leg in legs])
+        self._limits = [limit for leg in legs for limit in (leg.start, leg.end)]
         self._times = np.array([limit.time for limit in self._limits])
         self._windows = np.array([limit.window for limit in self._limits])
         series = np.zeros((len(self._limits), _TERMS, 2))
@@ -324,21 +321,21 @@ class Hodograph:
 
     def __call__(self, t: Array) -> tuple[Array, Array, Array]:
         """Return u and its first two derivatives, each of shape (..., 2), at `t`, shape (...) [s]."""
-        return self.along(t, *(self.path.derivative(t, order) for order in (1, 2, 3)))
+        return self.from_derivatives(t, *(self.path.derivative(t, order) for order in (1, 2, 3)))
 
-    def along(self, t: Array, v: Array, a: Array, jerk: Array) -> tuple[Array, Array, Array]:
+    def from_derivatives(self, t: Array, v: Array, a: Array, jerk: Array) -> tuple[Array, Array, Array]:
         """Return the same as a call, from given velocity, acceleration and jerk."""
         head = 2 * (np.searchsorted(self._starts, t, side="right") - 1)
-        late = self._times[head + 1] - t < self._windows[head + 1]
-        limit = head + late
-        near = late | (t - self._times[head] < self._windows[head])
-        if not near.any():
+        is_late = self._times[head + 1] - t < self._windows[head + 1]
+        limit = head + is_late
+        is_near = is_late | (t - self._times[head] < self._windows[head])
+        if not is_near.any():
             return v, a, jerk
         u = np.stack([v, a, jerk])
-        u[:, near] = self._expanded(limit[near], t[near])
+        u[:, is_near] = self._evaluate_series(limit[is_near], t[is_near])
         return u[0], u[1], u[2]
 
-    def _expanded(self, limit: Array, t: Array) -> Array:
+    def _evaluate_series(self, limit: Array, t: Array) -> Array:
         tau = (t - self._times[limit])[..., None]
         series = self._series[limit]  # (..., terms, 2)
         u, du, half = np.zeros((3, *t.shape, 2))
@@ -375,7 +372,7 @@ def hodograph(path: Path) -> Hodograph:
         If the path never moves, or so many derivatives vanish at a rest that its direction is undefined.
     """
     scales = _Scales(path)
-    if not scales.top:
+    if not scales.max_speed:
         raise InvalidArgument(
             "path never moves, so it has no tangent; expected a path that moves, or FixedHeading"
         )
@@ -386,8 +383,8 @@ def hodograph(path: Path) -> Hodograph:
         times = [float(piece.start), *rests[index], float(piece.end)]
         for start, end in pairwise(times):
             spans.append((start, end))
-            legs.append(None if scales.dwells[index] else _leg(piece, start, end, scales, index))
-    return Hodograph(path, _with_dwells(legs, spans), scales.top)
+            legs.append(None if scales.is_constant[index] else _leg(piece, start, end, scales, index))
+    return Hodograph(path, _fill_legs(legs, spans), scales.max_speed)
 
 
 def _leg(piece: Piece, start: float, end: float, scales: _Scales, index: int) -> Leg:
@@ -396,7 +393,7 @@ def _leg(piece: Piece, start: float, end: float, scales: _Scales, index: int) ->
     return Leg(*(_limit(piece, t, side, half, scales, index) for t, side in ((start, 1), (end, -1))))
 
 
-def _limit(piece: Piece, t: float, side: int, room: float, scales: _Scales, index: int) -> DirectionLimit:
+def _limit(piece: Piece, t: float, side: int, width: float, scales: _Scales, index: int) -> DirectionLimit:
     """Return the direction at one end of a leg."""
     k = _rest_order(piece, t, scales, index)
     if not k:
@@ -405,31 +402,25 @@ def _limit(piece: Piece, t: float, side: int, room: float, scales: _Scales, inde
     orders = range(k, k + _TERMS)
     series = np.array([piece.derivative(t, m + 1) / factorial(m) for m in orders]) * side**k
     series = series / np.linalg.norm(series[0])
-    return DirectionLimit(t, series, min(room, _reach(series)), 0.0)
+    return DirectionLimit(t, series, min(width, _series_range(series)), 0.0)
 
 
-def _reach(series: Array) -> float:
+def _series_range(series: Array) -> float:
     # The last terms estimate the truncation error; three of them, because a series may be odd or even.
     """Return the distance up to which a truncated series is accurate [s]."""
     powers = np.arange(len(series))[-3:]
     sizes = np.linalg.norm(series[-3:], axis=-1)
-    return min(
-        (
-            float((_TRUNCATION / size) ** (1 / power))
-            for size, power in zip(sizes, powers, strict=True)
-            if size
-        ),
-        default=inf,
-    )
+    ranges = (float((_TRUNCATION / size) ** (1 / k)) for size, k in zip(sizes, powers, strict=True) if size)
+    return min(ranges, default=inf)
 
 
-def _with_dwells(legs: list[Leg | None], spans: list[tuple[float, float]]) -> list[Leg]:
+def _fill_legs(legs: list[Leg | None], spans: list[tuple[float, float]]) -> list[Leg]:
     # Where the path stays in one place, the heading is the one before, or at the start the next one.
     """Return the legs, with constant directions where the path stays in one place."""
-    held = next(leg for leg in legs if leg is not None).head.series[:1]
-    whole: list[Leg] = []
+    series = next(leg for leg in legs if leg is not None).start.series[:1]
+    result: list[Leg] = []
     for leg, (start, end) in zip(legs, spans, strict=True):
-        filled = leg or Leg(DirectionLimit(start, held, inf, 0.0), DirectionLimit(end, held, -1.0, 0.0))
-        held = filled.tail.series[:1]
-        whole.append(filled)
-    return whole
+        full_leg = leg or Leg(DirectionLimit(start, series, inf, 0.0), DirectionLimit(end, series, -1.0, 0.0))
+        series = full_leg.end.series[:1]
+        result.append(full_leg)
+    return result

@@ -14,7 +14,7 @@ import numpy as np
 from pinmobile.arrays import LEAST_ANGLE, Array, ArrayLike, finite, frozen, instance, positive, shaped
 from pinmobile.errors import InvalidArgument, LimitWarning, format_value
 from pinmobile.parts import Following, child, children, number, option, part
-from pinmobile.paths import Hold, Path, Value, checked_path, pieces_of, within
+from pinmobile.paths import Hold, Path, Value, check_path, pieces_of, within
 from pinmobile.plant import refuse_path, stated
 from pinmobile.trajectories.direction import (
     STANDSTILL,
@@ -24,7 +24,7 @@ from pinmobile.trajectories.direction import (
     halve,
     heading,
     hodograph,
-    largest,
+    max_lengths,
 )
 
 
@@ -107,7 +107,7 @@ class Trajectory(Protocol):
         ...
 
 
-def joined(plane: Iterable[Array], headings: Iterable[Array]) -> Reference:
+def join_heading(plane: Iterable[Array], headings: Iterable[Array]) -> Reference:
     """Return the reference of a motion in the plane and a motion of the heading.
 
     Parameters
@@ -120,7 +120,7 @@ def joined(plane: Iterable[Array], headings: Iterable[Array]) -> Reference:
     return Reference(*(np.append(xy, psi[..., None], -1) for xy, psi in zip(plane, headings, strict=True)))
 
 
-def plane_path(path: object) -> Path:
+def check_plane_path(path: object) -> Path:
     """Return a path after a check that it has two coordinates and consecutive pieces.
 
     Raises
@@ -128,7 +128,7 @@ def plane_path(path: object) -> Path:
     InvalidArgument
         If it has not.
     """
-    plane = checked_path(path, 2)
+    plane = check_path(path, 2)
     duration = positive("path.duration", plane.duration, "s")
     ends = [(float(piece.start), float(piece.end)) for piece in pieces_of(plane)]
     times = [0.0, *(end for _, end in ends)]
@@ -139,7 +139,7 @@ def plane_path(path: object) -> Path:
     return plane
 
 
-_SLACK = 1e-9  # [m, rad], relative for velocities: tolerance of a path that ends at a limit
+_LIMIT_TOLERANCE = 1e-9  # [m, rad], relative for velocities: tolerance of a path that ends at a limit
 
 
 def check_limits(robot: Any, q: Array, v: Array, t: Array | None = None) -> None:
@@ -174,24 +174,24 @@ def check_limits(robot: Any, q: Array, v: Array, t: Array | None = None) -> None
     >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)  # no limits
     >>> check_limits(robot, np.array([9.0, 0, 0]), np.zeros(3))
     """
-    n, most = q.shape[-1], robot.velocity_limit[: v.shape[-1]]
-    places = "q0", "has", q, robot.lower[:n], robot.upper[:n], _SLACK, ""
-    rates = "v0", "moves", v, -most, most, _SLACK * most, "/s"
-    for start, verb, values, least, highest, slack, per in (places, rates):
-        outside = (values < least - slack) | (values > highest + slack)
+    n, speed = q.shape[-1], robot.velocity_limit[: v.shape[-1]]
+    positions = "q0", "has", q, robot.lower[:n], robot.upper[:n], _LIMIT_TOLERANCE, ""
+    rates = "v0", "moves", v, -speed, speed, _LIMIT_TOLERANCE * speed, "/s"
+    for start, verb, values, lower, upper, tolerance, rate_unit in (positions, rates):
+        outside = (values < lower - tolerance) | (values > upper + tolerance)
         if outside.any():
-            *where, k = (int(i) for i in np.argwhere(outside)[0])
+            *index, k = (int(i) for i in np.argwhere(outside)[0])
             name, unit = robot.coordinates[k][:2]
-            whose, when = (start, "") if t is None else ("reference", f" at t = {t[tuple(where)]:g} s")
-            room = f"at most {highest[k]:.9g}" if per else f"{least[k]:.9g} to {highest[k]:.9g}"
+            source, time = (start, "") if t is None else ("reference", f" at t = {t[tuple(index)]:g} s")
+            expected = f"at most {upper[k]:.9g}" if rate_unit else f"{lower[k]:.9g} to {upper[k]:.9g}"
             raise InvalidArgument(
-                f"{whose} {verb} joint {name!r} at {values[(*where, k)]:.9g} {unit}{per}{when}, "
-                f"expected {room} {unit}{per}"
+                f"{source} {verb} joint {name!r} at {values[(*index, k)]:.9g} {unit}{rate_unit}{time}, "
+                f"expected {expected} {unit}{rate_unit}"
             )
 
 
-_SAME = 1e-9  # relative tolerance for the equality of two durations
-_STANDSTILL = 1e-9  # [m/s, rad/s]: tolerance of an end at rest
+_TIME_TOLERANCE = 1e-9  # relative tolerance for the equality of two durations
+_REST_TOLERANCE = 1e-9  # [m/s, rad/s]: tolerance of an end at rest
 _PROBES = 33  # samples per analytic piece of a path, including its ends
 
 
@@ -245,8 +245,8 @@ class WholeBody(Value):
     joints: Any = children(Path, doc="paths of the arms")
 
     def __init__(self, robot: Any, base: Any, *paths: Path | None, joints: Sequence[Path] = ()) -> None:
-        below = stated(robot, "robot")
-        robot = robot if below is None else below
+        body = stated(robot, "robot")
+        robot = robot if body is None else body
         _check_robot(robot)
         _check_base(base)
         given = paths or joints
@@ -254,8 +254,8 @@ class WholeBody(Value):
             raise InvalidArgument(
                 f"joints has {len(given)} paths, expected {len(robot.mounts)}, one per arm of the robot"
             )
-        made = [_checked(robot, k, path, float(base.duration)) for k, path in enumerate(given)]
-        self.__attrs_init__(robot, base, made)  # type: ignore[attr-defined]
+        checked = [_check_arm_path(robot, k, path, float(base.duration)) for k, path in enumerate(given)]
+        self.__attrs_init__(robot, base, checked)  # type: ignore[attr-defined]
 
     def check(self) -> None:
         """Raise `InvalidArgument` if a part ends while it moves, or exceeds joint limits."""
@@ -292,26 +292,26 @@ class WholeBody(Value):
             If a time lies outside, or the reference exceeds a joint limit; the message names the joint.
         """
         times = within("t", t, self.duration)
-        parts = [_held(motion, end, times) for motion, end in self._parts().values()]
+        parts = [_clamp_motion(motion, end, times) for motion, end in self._parts().values()]
         q, v, a = (np.concatenate(arrays, axis=-1) for arrays in zip(*parts, strict=True))
         check_limits(self.robot, q, v, times)
         return Reference(q, v, a)
 
     def _parts(self) -> dict[str, tuple[Callable[[Array], Reference], float]]:
         """Return each part as a function of time, with its duration [s]."""
-        paths = {f"joints[{k}]": (partial(_along, p), float(p.duration)) for k, p in enumerate(self.joints)}
+        paths = {f"joints[{k}]": (partial(_follow, p), float(p.duration)) for k, p in enumerate(self.joints)}
         return {"base": (self.base, float(self.base.duration)), **paths}
 
 
-def _along(path: Path, t: Array) -> Reference:
+def _follow(path: Path, t: Array) -> Reference:
     """Return a path's position and derivatives at times as a reference."""
     return Reference(*(path.derivative(t, order) for order in range(3)))
 
 
-def _held(motion: Callable[[Array], Reference], end: float, t: Array) -> Reference:
+def _clamp_motion(motion: Callable[[Array], Reference], end: float, t: Array) -> Reference:
     """Return a motion at times `t`; after its end it stays at rest."""
     q, v, a = motion(np.minimum(t, end))
-    over = (t > end * (1 + _SAME))[..., None]
+    over = (t > end * (1 + _TIME_TOLERANCE))[..., None]
     return Reference(q, *(np.where(over, 0.0, rate) for rate in (v, a))) if over.any() else Reference(q, v, a)
 
 
@@ -324,8 +324,8 @@ def _check_robot(robot: Any) -> None:
 def _check_base(base: Trajectory) -> None:
     """Check that a base is a trajectory of x, y and psi."""
     refuse_path("base", base)
-    known = isinstance(base, Trajectory) and not isinstance(base, type)
-    start = base(0.0) if known else None
+    is_valid = isinstance(base, Trajectory) and not isinstance(base, type)
+    start = base(0.0) if is_valid else None
     if start is None or not hasattr(start, "q"):  # a path has a duration and can be called, too
         raise InvalidArgument(
             f"base is {format_value(base)}, expected a trajectory of x, y and psi, such as Tangent(path)"
@@ -334,7 +334,7 @@ def _check_base(base: Trajectory) -> None:
     shaped("base(0).q", start.q, (3,), words=": x, y and psi")
 
 
-def _checked(robot: Any, k: int, path: Path | None, duration: float) -> Path:
+def _check_arm_path(robot: Any, k: int, path: Path | None, duration: float) -> Path:
     """Return a path of an arm after a check; None becomes a constant posture."""
     mount = robot.mounts[k]
     size = mount.v.stop - mount.v.start
@@ -351,7 +351,7 @@ def _checked(robot: Any, k: int, path: Path | None, duration: float) -> Path:
 def _check_end(name: str, motion: Callable[[Array], Reference], end: float, longest: float) -> None:
     """Check that a part that ends before the others ends at rest."""
     speed = float(np.abs(motion(np.array(end)).v).max(initial=0.0))
-    if longest > end * (1 + _SAME) and not speed <= _STANDSTILL:
+    if longest > end * (1 + _TIME_TOLERANCE) and not speed <= _REST_TOLERANCE:
         raise InvalidArgument(
             f"{name} ends after {end:g} s of {longest:g} s while it moves at {speed:.3g}, expected an end "
             "at rest, or the same duration"
@@ -361,9 +361,9 @@ def _check_end(name: str, motion: Callable[[Array], Reference], end: float, long
 _CELLS = 4
 _LEVELS = 60
 # Tolerance of jumps of the heading: rounding errors of a direction [rad], and of the velocity, relative.
-_STRAIGHT = 1e-9
+_ANGLE_TOLERANCE = 1e-9
 _ROUNDING = 1e-14
-_LEAST_RATE = 1e-6  # [rad/s]: smallest jump of the turn rate that causes a warning
+_RATE_TOLERANCE = 1e-6  # [rad/s]: smallest jump of the turn rate that causes a warning
 
 
 @dataclass(frozen=True, eq=False)
@@ -374,15 +374,15 @@ class _Jump:
     ----------
     time : float
         Time of the jump [s].
-    before, after : ndarray, shape (3,)
-        Heading and its first two derivatives on both sides [rad, rad/s, rad/s^2].
+    left, right : ndarray, shape (3,)
+        Heading and its first two derivatives before and after the jump [rad, rad/s, rad/s^2].
     speed : float
         The smaller of the speeds on both sides [m/s].
     """
 
     time: float
-    before: Array
-    after: Array
+    left: Array
+    right: Array
     speed: float
 
 
@@ -402,24 +402,24 @@ class _Winding:
         legs = hodograph.legs
         nodes = _nodes(hodograph)
         u, _, _ = hodograph(nodes)
-        first = np.searchsorted(nodes, [leg.head.time for leg in legs])
-        ends = np.array([leg.tail.series[0] for leg in legs])  # (L, 2)
+        first = np.searchsorted(nodes, [leg.start.time for leg in legs])
+        ends = np.array([leg.end.series[0] for leg in legs])  # (L, 2)
         # The table contains the end of a leg and the start of the next one, at the same time.
-        behind = np.append(first[1:], len(nodes))
-        times = np.insert(nodes, behind, [leg.tail.time for leg in legs])
-        angles = np.insert(_angle(u), behind, _angle(ends))
-        joints = behind[:-1] + np.arange(len(legs) - 1)  # all ends except the last
+        indices = np.append(first[1:], len(nodes))
+        times = np.insert(nodes, indices, [leg.end.time for leg in legs])
+        angles = np.insert(_angle(u), indices, _angle(ends))
+        joints = indices[:-1] + np.arange(len(legs) - 1)  # all ends except the last
         steps = -np.round(np.diff(angles) / (2 * np.pi))
         jumps = np.diff(angles)[joints] + 2 * np.pi * steps[joints]
         # A half turn goes to the left, even if rounding errors turn it to the right.
-        to_the_right = jumps < _STRAIGHT - np.pi
-        steps[joints[to_the_right]] += 1
-        jumps[to_the_right] += 2 * np.pi
-        rounds = np.cumsum(np.append(float(angles[0] <= LEAST_ANGLE), steps))
-        self._times, self._psi = times, angles + 2 * np.pi * rounds
+        is_right = jumps < _ANGLE_TOLERANCE - np.pi
+        steps[joints[is_right]] += 1
+        jumps[is_right] += 2 * np.pi
+        turns = np.cumsum(np.append(float(angles[0] <= LEAST_ANGLE), steps))
+        self._times, self._psi = times, angles + 2 * np.pi * turns
         self.jumps = tuple(
             _jump(legs[i], legs[i + 1], self._psi[joints[i]], self._psi[joints[i] + 1])
-            for i in np.flatnonzero(np.abs(jumps) > _slack(hodograph))
+            for i in np.flatnonzero(np.abs(jumps) > _jump_tolerance(hodograph))
         )
 
     def unwrap(self, t: Array, angle: Array) -> Array:
@@ -437,23 +437,18 @@ def _nodes(hodograph: Hodograph) -> Array:
 
 def _first_cells(leg: Leg) -> Array:
     """Return the cells of a leg before they are halved, shape (m, 2) [s]."""
-    start, end = leg.head.time, leg.tail.time
+    start, end = leg.start.time, leg.end.time
     # A series has another scale of u: cells end where it begins.
-    first = min(start + max(leg.head.window, 0.0), end)
-    last = max(end - max(leg.tail.window, 0.0), first)
+    first = min(start + max(leg.start.window, 0.0), end)
+    last = max(end - max(leg.end.window, 0.0), first)
     edges = np.unique([start, *np.linspace(first, last, _CELLS + 1), end])
     return np.stack([edges[:-1], edges[1:]], axis=-1)
 
 
-def _jump(before: Leg, after: Leg, psi_before: float, psi_after: float) -> _Jump:
+def _jump(leg: Leg, next_leg: Leg, psi_left: float, psi_right: float) -> _Jump:
     """Return the jump between two legs."""
-    left, right = before.tail, after.head
-    return _Jump(
-        right.time,
-        _derivatives(left, psi_before),
-        _derivatives(right, psi_after),
-        min(left.speed, right.speed),
-    )
+    left, right, speed = leg.end, next_leg.start, min(leg.end.speed, next_leg.start.speed)
+    return _Jump(right.time, _derivatives(left, psi_left), _derivatives(right, psi_right), speed)
 
 
 def _derivatives(limit: DirectionLimit, psi: float) -> Array:
@@ -463,11 +458,11 @@ def _derivatives(limit: DirectionLimit, psi: float) -> Array:
     return np.array([psi, rate, acceleration])
 
 
-def _slack(hodograph: Hodograph) -> Array:
+def _jump_tolerance(hodograph: Hodograph) -> Array:
     """Return the tolerance of the heading's jump at each end of a leg, shape (L - 1,) [rad]."""
-    limits = ((before.tail, after.head) for before, after in pairwise(hodograph.legs))
-    slowest = [min(limit.speed or hodograph.top for limit in pair) for pair in limits]
-    return np.asarray(_STRAIGHT + _ROUNDING * hodograph.top / np.array(slowest))
+    limits = ((before.end, after.start) for before, after in pairwise(hodograph.legs))
+    speeds = [min(limit.speed or hodograph.max_speed for limit in pair) for pair in limits]
+    return np.asarray(_ANGLE_TOLERANCE + _ROUNDING * hodograph.max_speed / np.array(speeds))
 
 
 def _angle(u: Array) -> Array:
@@ -510,7 +505,7 @@ class FixedHeading(Value):
 
     def check(self) -> None:
         """Raise `InvalidArgument` if the path is not a path in the plane."""
-        plane_path(self.path)
+        check_plane_path(self.path)
 
     @property
     def duration(self) -> float:
@@ -536,9 +531,9 @@ class FixedHeading(Value):
             If a time lies outside.
         """
         times = within("t", t, self.duration)
-        still = np.zeros(times.shape)
-        return joined(
-            (self.path.derivative(times, order) for order in range(3)), (still + self.psi, still, still)
+        zeros = np.zeros(times.shape)
+        return join_heading(
+            (self.path.derivative(times, order) for order in range(3)), (zeros + self.psi, zeros, zeros)
         )
 
 
@@ -593,13 +588,13 @@ class LectureHeading(Value):
 
     def check(self) -> None:
         """Raise `InvalidArgument` if the path is not a path in the plane."""
-        plane_path(self.path)
-        self._still  # noqa: B018
+        check_plane_path(self.path)
+        self._speed_tolerance  # noqa: B018
 
     @cached_property
-    def _still(self) -> float:
+    def _speed_tolerance(self) -> float:
         """Speed below which the path rests [m/s]."""
-        return STANDSTILL * float(largest(self.path, 1).max())
+        return STANDSTILL * float(max_lengths(self.path, 1).max())
 
     @property
     def duration(self) -> float:
@@ -628,14 +623,14 @@ class LectureHeading(Value):
         position, velocity, acceleration = (self.path.derivative(times, order) for order in range(3))
         x_dot, y_dot = np.moveaxis(velocity, -1, 0)
         speed = np.hypot(x_dot, y_dot)
-        still = speed < self._still
-        along_x = (x_dot > self._still) & (y_dot < 0) & (y_dot > -self._still)
-        psi = np.where(still | along_x, 0.0, np.mod(np.arctan2(y_dot, x_dot), 2 * np.pi))
+        is_still = speed < self._speed_tolerance
+        is_along_x = (x_dot > self._speed_tolerance) & (y_dot < 0) & (y_dot > -self._speed_tolerance)
+        psi = np.where(is_still | is_along_x, 0.0, np.mod(np.arctan2(y_dot, x_dot), 2 * np.pi))
         # Extended by x'^2, the formula does not divide by x'. Two steps, because squares may underflow.
-        speed = np.where(still, 1.0, speed)
+        speed = np.where(is_still, 1.0, speed)
         cos, sin = x_dot / speed, y_dot / speed
-        rate = np.where(still, 0.0, (cos * acceleration[..., 1] - sin * acceleration[..., 0]) / speed)
-        return joined((position, velocity, acceleration), (psi, rate, np.zeros_like(rate)))
+        rate = np.where(is_still, 0.0, (cos * acceleration[..., 1] - sin * acceleration[..., 0]) / speed)
+        return join_heading((position, velocity, acceleration), (psi, rate, np.zeros_like(rate)))
 
 
 class _TurnsOnTheSpot:
@@ -660,25 +655,25 @@ class _TurnsOnTheSpot:
 
     def __init__(self, jumps: Sequence[_Jump], turn_time: float, path_duration: float) -> None:
         self._turn_time = turn_time
-        held = np.array([jump.time for jump in jumps])
-        self.starts = held + turn_time * np.arange(len(jumps))
+        times = np.array([jump.time for jump in jumps])
+        self.starts = times + turn_time * np.arange(len(jumps))
         self.duration = path_duration + turn_time * len(jumps)
         self._ends = self.starts + turn_time
         # The path's time at which a turn starts belongs to the part after the turn.
-        self._first = np.append(0.0, held)
-        self._last = np.append(np.nextafter(held, 0.0), path_duration)
+        self._first = np.append(0.0, times)
+        self._last = np.append(np.nextafter(times, 0.0), path_duration)
         # Coefficients in powers of the elapsed fraction of the turn time, the constant first.
-        self._quintics = np.array([_quintic(j.before, j.after, turn_time) for j in jumps]).reshape(-1, 6).T
+        self._quintics = np.array([_quintic(j.left, j.right, turn_time) for j in jumps]).reshape(-1, 6).T
 
     def path_times(self, t: Array) -> Array:
         """Return the time on the path, shape (...) [s], at the trajectory's time `t`, shape (...) [s]."""
         if not len(self.starts):
             return t
-        begun = np.searchsorted(self.starts, t, side="right")
-        s = t - self._turn_time * begun
-        return np.asarray(np.minimum(np.maximum(s, self._first[begun]), self._last[begun]))
+        count = np.searchsorted(self.starts, t, side="right")
+        s = t - self._turn_time * count
+        return np.asarray(np.minimum(np.maximum(s, self._first[count]), self._last[count]))
 
-    def filled(self, t: Array, reference: Reference) -> Reference:
+    def insert_turns(self, t: Array, reference: Reference) -> Reference:
         """Return the reference with the turns inserted.
 
         Parameters
@@ -691,19 +686,19 @@ class _TurnsOnTheSpot:
         if not len(self.starts):
             return reference
         turn = np.searchsorted(self.starts, t, side="right") - 1
-        turning = (turn >= 0) & (t < self._ends[turn])
-        turn = turn[turning]
-        part = (t[turning] - self.starts[turn]) / self._turn_time
-        psi, rate, half = np.zeros((3, *part.shape))
+        is_turn = (turn >= 0) & (t < self._ends[turn])
+        turn = turn[is_turn]
+        share = (t[is_turn] - self.starts[turn]) / self._turn_time
+        psi, rate, half = np.zeros((3, *share.shape))
         for coefficients in self._quintics[::-1]:
-            half = half * part + rate
-            rate = rate * part + psi
-            psi = psi * part + coefficients[turn]
-        reference.v[turning] = 0.0
-        reference.a[turning] = 0.0
-        reference.q[turning, 2] = psi
-        reference.v[turning, 2] = rate / self._turn_time
-        reference.a[turning, 2] = 2 * half / self._turn_time**2
+            half = half * share + rate
+            rate = rate * share + psi
+            psi = psi * share + coefficients[turn]
+        reference.v[is_turn] = 0.0
+        reference.a[is_turn] = 0.0
+        reference.q[is_turn, 2] = psi
+        reference.v[is_turn, 2] = rate / self._turn_time
+        reference.a[is_turn, 2] = 2 * half / self._turn_time**2
         return reference
 
 
@@ -777,9 +772,9 @@ class Tangent(Value):
 
     def check(self) -> None:
         """Raise `InvalidArgument` if the path has no tangent, or needs a time for turns on the spot."""
-        plane_path(self.path)
+        check_plane_path(self.path)
         for jump in self._winding.jumps:
-            _check(jump, self.turn_time)
+            _check_jump(jump, self.turn_time)
         _report_rates(self._hodograph, {jump.time for jump in self._winding.jumps})
 
     @property
@@ -825,14 +820,14 @@ class Tangent(Value):
         clock = within("t", t, self.duration)
         s = self._stops.path_times(clock)
         position, v, a, jerk = (np.asarray(self.path.derivative(s, order)) for order in range(4))
-        angle, rate, acceleration = heading(*self._hodograph.along(s, v, a, jerk))
+        angle, rate, acceleration = heading(*self._hodograph.from_derivatives(s, v, a, jerk))
         headings = (self._winding.unwrap(s, angle), rate, acceleration)
-        return self._stops.filled(clock, joined((position, v, a), headings))
+        return self._stops.insert_turns(clock, join_heading((position, v, a), headings))
 
 
-def _check(jump: _Jump, turn_time: float | None) -> None:
+def _check_jump(jump: _Jump, turn_time: float | None) -> None:
     """Check that a jump of the heading is at a rest, and that there is a time for it."""
-    before, after = np.degrees([jump.before[0], jump.after[0]])
+    before, after = np.degrees([jump.left[0], jump.right[0]])
     if jump.speed:
         raise InvalidArgument(
             f"path has a corner at t = {jump.time} s, from {before:.6g} deg to {after:.6g} deg, passed at "
@@ -848,11 +843,11 @@ def _check(jump: _Jump, turn_time: float | None) -> None:
 def _report_rates(direction: Hodograph, turns: set[float]) -> None:
     """Warn about the first rest, except for turns on the spot, at which the turn rate jumps."""
     for before, after in pairwise(direction.legs):
-        left, right = (float(_derivatives(limit, 0.0)[1]) + 0.0 for limit in (before.tail, after.head))
-        at_rest = not min(before.tail.speed, after.head.speed) and after.head.time not in turns
-        if at_rest and abs(right - left) > _LEAST_RATE:
+        left, right = (float(_derivatives(limit, 0.0)[1]) + 0.0 for limit in (before.end, after.start))
+        is_rest = not min(before.end.speed, after.start.speed) and after.start.time not in turns
+        if is_rest and abs(right - left) > _RATE_TOLERANCE:
             warn(
-                f"the turn rate jumps from {left:.4g} to {right:.4g} rad/s at t = {after.head.time:g} s, "
+                f"the turn rate jumps from {left:.4g} to {right:.4g} rad/s at t = {after.start.time:g} s, "
                 "where the path rests; this would need an infinite moment: use a path with a straight end",
                 LimitWarning,
                 stacklevel=5,

@@ -17,12 +17,12 @@ from pinmobile.dh import DHTable
 from pinmobile.errors import NotTraceable
 from pinmobile.robot import MobileRobot
 from pinmobile.verification._wheels import Row, compare_wheeled
-from pinmobile.verification.bodies import Parts, composite_body, off_by, times
+from pinmobile.verification.bodies import Parts, apply, composite_body, max_ratio
 from pinmobile.wheels import WheeledRobot
 
 __all__ = ["Comparison", "Verification", "verify"]
 
-_MOST = 1_000_000  # states
+_MAX_STATES = 1_000_000  # states
 
 
 @dataclass(frozen=True)
@@ -112,8 +112,8 @@ class Verification:
         return {q: max(row.difference for row in self.rows if row.quantity == q) for q in quantities}
 
     def __str__(self) -> str:
-        against = {row.against for row in self.rows}
-        names = [row.method if len(against) == 1 else f"{row.method} / {row.against}" for row in self.rows]
+        references = {row.against for row in self.rows}
+        names = [row.method if len(references) == 1 else f"{row.method} / {row.against}" for row in self.rows]
         width = max(32, *map(len, names))
         first = max(3, *(len(row.quantity) for row in self.rows))
         head = f"{'':{first}} {'method':{width}} {'largest difference':>18} {'bound':>9}"
@@ -122,10 +122,10 @@ class Verification:
             f"{'agrees' if row.agrees else 'DIFFERS'}"
             for name, row in zip(names, self.rows, strict=True)
         ]
-        what = f"the {against.pop()}" if len(against) == 1 else "another"
-        left_out = [f"left out, {self.missing}"] if self.missing else []
+        reference = f"the {references.pop()}" if len(references) == 1 else "another"
+        omitted = [f"left out, {self.missing}"] if self.missing else []
         return "\n".join(
-            [f"{self.states} random states, each method against {what}", head, *lines, *left_out]
+            [f"{self.states} random states, each method against {reference}", head, *lines, *omitted]
         )
 
 
@@ -203,7 +203,7 @@ def verify(
     (True, True)
     """
     instance("robot", robot, MobileRobot | WheeledRobot, "a MobileRobot or a WheeledRobot")
-    rng, count = seeded("seed", seed), check_integer("states", states, most=_MOST)
+    rng, count = seeded("seed", seed), check_integer("states", states, most=_MAX_STATES)
     compare: Any = compare_wheeled
     if isinstance(robot, MobileRobot):
         compare = compare_mounted if robot.mounts or robot.loads else compare_planar
@@ -217,22 +217,22 @@ Dynamics = dict[str, Array]
 COMPILED = "compiled for ensembles"
 
 
-def each(function: Callable[..., Array], *states: Array) -> Array:
+def stack_values(function: Callable[..., Array], *states: Array) -> Array:
     """Return the values of a function, state by state, since arrays of states may run machine code."""
     return np.stack([function(*state) for state in zip(*states, strict=True)])
 
 
-def by_pinocchio(robot: MobileRobot, q: Array, v: Array, a: Array, tau: Array) -> Dynamics:
+def pinocchio_dynamics(robot: MobileRobot, q: Array, v: Array, a: Array, tau: Array) -> Dynamics:
     """Return the dynamics by CRBA, RNEA and ABA."""
     return {
-        "M": each(robot.mass_matrix, q),
-        "n": each(robot.nonlinear_effects, q, v),
-        "tau": each(robot.inverse_dynamics, q, v, a),
-        "a": each(robot.forward_dynamics, q, v, tau),
+        "M": stack_values(robot.mass_matrix, q),
+        "n": stack_values(robot.nonlinear_effects, q, v),
+        "tau": stack_values(robot.inverse_dynamics, q, v, a),
+        "a": stack_values(robot.forward_dynamics, q, v, tau),
     }
 
 
-def by_machine_code(robot: MobileRobot, q: Array, v: Array, a: Array, tau: Array) -> Dynamics:
+def compiled_dynamics(robot: MobileRobot, q: Array, v: Array, a: Array, tau: Array) -> Dynamics:
     """Return the dynamics by the compiled code of ensembles.
 
     Raises
@@ -240,14 +240,14 @@ def by_machine_code(robot: MobileRobot, q: Array, v: Array, a: Array, tau: Array
     NotTraceable
         If the dynamics cannot be compiled: a joint has several coordinates, or there are too many joints.
     """
-    found = vectorize(partial(_dynamics, robot.array_dynamics), keep=False)(q, v, a, tau)
-    return dict(zip(("M", "n", "tau", "a"), found, strict=True))
+    values = vectorize(partial(_dynamics, robot.array_dynamics), keep=False)(q, v, a, tau)
+    return dict(zip(("M", "n", "tau", "a"), values, strict=True))
 
 
-def _compiled(robot: MobileRobot, *states: Array) -> tuple[dict[str, Dynamics], str]:
+def _try_compiled(robot: MobileRobot, *states: Array) -> tuple[dict[str, Dynamics], str]:
     """Return the dynamics by machine code under the name of this method, and the reason if there is none."""
     try:
-        return {COMPILED: by_machine_code(robot, *states)}, ""
+        return {COMPILED: compiled_dynamics(robot, *states)}, ""
     except NotTraceable as error:
         return {}, f"{COMPILED}: {error.reason}"
 
@@ -272,16 +272,16 @@ def compare_planar(robot: MobileRobot, states: int, rng: np.random.Generator) ->
     v, a = rng.normal(size=shape), rng.normal(size=shape)
     truth = _closed_form(robot, q, v, a)
     tau = truth["tau"]
-    found = {"Pinocchio (CRBA, RNEA, ABA)": by_pinocchio(robot, q, v, a, tau)}
+    methods = {"Pinocchio (CRBA, RNEA, ABA)": pinocchio_dynamics(robot, q, v, a, tau)}
     for name, numeric in zip(("Newton-Euler", "Lagrange"), _numeric(robot.dh), strict=True):
-        found[f"symbolic {name}"] = _symbolic(numeric, robot, q, v, a, tau)
-    compiled, missing = _compiled(robot, q, v, a, tau)
-    solved, rows = 8 * _EPS * float(np.linalg.cond(truth["M"]).max()), list[Row]()
+        methods[f"symbolic {name}"] = _symbolic(numeric, robot, q, v, a, tau)
+    compiled, missing = _try_compiled(robot, q, v, a, tau)
+    solver_bound, rows = 8 * _EPS * float(np.linalg.cond(truth["M"]).max()), list[Row]()
     for quantity, scale in _scales(robot, truth, v, a).items():
-        bound = solved if quantity == "a" else _TOLERANCE
-        for name, dynamics in (found | compiled).items():
-            off = off_by(dynamics[quantity] - truth[quantity], scale)
-            rows.append((quantity, name, "closed form", off, bound))
+        bound = solver_bound if quantity == "a" else _TOLERANCE
+        for name, dynamics in (methods | compiled).items():
+            error = max_ratio(dynamics[quantity] - truth[quantity], scale)
+            rows.append((quantity, name, "closed form", error, bound))
     return rows, missing
 
 
@@ -299,12 +299,12 @@ def _scales(robot: MobileRobot, truth: Dynamics, v: Array, a: Array) -> Dynamics
 
 
 def _closed_form(robot: MobileRobot, q: Array, v: Array, a: Array) -> Dynamics:
-    moved = {"mass": robot.mass, "com": robot.com[:2]}
-    body = moved | {"yaw_inertia": robot.yaw_inertia}
+    mass = {"mass": robot.mass, "com": robot.com[:2]}
+    body = mass | {"yaw_inertia": robot.yaw_inertia}
     tau = closed_form.inverse_dynamics(q, v, a, **body)
     return {
         "M": closed_form.mass_matrix(q, **body),
-        "n": closed_form.nonlinear_effects(q, v, **moved),
+        "n": closed_form.nonlinear_effects(q, v, **mass),
         "tau": tau,
         "a": closed_form.forward_dynamics(q, v, tau, **body),
     }
@@ -320,10 +320,10 @@ def _numeric(table: DHTable) -> tuple[Numeric, Numeric]:
 def _symbolic(numeric: Numeric, robot: MobileRobot, q: Array, v: Array, a: Array, tau: Array) -> Dynamics:
     parameters = {"m": robot.mass, "Icz": robot.yaw_inertia, "xbc": robot.com[0], "ybc": robot.com[1]}
     M, n = numeric.mass_matrix(q, parameters), numeric.nonlinear_effects(q, v, parameters)
-    return {"M": M, "n": n, "tau": numeric.inverse_dynamics(q, v, a, parameters), "a": _solved(M, tau - n)}
+    return {"M": M, "n": n, "tau": numeric.inverse_dynamics(q, v, a, parameters), "a": _solve(M, tau - n)}
 
 
-def _solved(M: Array, force: Array) -> Array:
+def _solve(M: Array, force: Array) -> Array:
     """Return M^-1 force; NaN for a singular M, which then agrees with nothing."""
     try:
         return np.asarray(np.linalg.solve(M, force[..., None])[..., 0], np.float64)
@@ -342,30 +342,30 @@ def compare_mounted(robot: MobileRobot, states: int, rng: np.random.Generator) -
     q[:, 2] = rng.uniform(-4 * np.pi, 4 * np.pi, states)
     v, a = rng.normal(size=(2, states, robot.nv))
     units = [np.broadcast_to(unit, v.shape) for unit in np.eye(robot.nv)]
-    tau, g = each(robot.inverse_dynamics, q, v, a), each(robot.gravity, q)
-    own = by_pinocchio(robot, q, v, a, tau)
-    M, n = own["M"], own["n"]
-    columns = np.stack([each(robot.inverse_dynamics, q, 0 * v, unit) - g for unit in units], axis=-1)
-    parts, still = Parts(robot, q, v), Parts(robot, q, 0 * v)
-    by_parts = still.forces(np.stack(units), gravity=False)
+    tau, g = stack_values(robot.inverse_dynamics, q, v, a), stack_values(robot.gravity, q)
+    results = pinocchio_dynamics(robot, q, v, a, tau)
+    M, n = results["M"], results["n"]
+    columns = np.stack([stack_values(robot.inverse_dynamics, q, 0 * v, unit) - g for unit in units], axis=-1)
+    parts, resting = Parts(robot, q, v), Parts(robot, q, 0 * v)
+    columns_M = resting.forces(np.stack(units), gravity=False)
     methods = {
-        ("M", "CRBA", _PARTS): M - np.moveaxis(by_parts, 0, -1),
+        ("M", "CRBA", _PARTS): M - np.moveaxis(columns_M, 0, -1),
         ("n", "RNEA", _PARTS): n - parts.forces(0 * a),
         ("tau", "RNEA", _PARTS): tau - parts.forces(a),
-        ("f", "RNEA", _PARTS): each(robot.ground_wrench, q, v, a) - parts.ground_wrench(a),
+        ("f", "RNEA", _PARTS): stack_values(robot.ground_wrench, q, v, a) - parts.ground_wrench(a),
         ("M", "CRBA", "RNEA's columns"): M - columns,
         ("M3", "CRBA", "closed form of the lump"): M[:, :3, :3]
         - closed_form.mass_matrix(q[:, :3], **composite_body(robot, q)),
-        ("n", "RNEA", "C(q, v) v + g(q)"): n - times(each(robot.coriolis_matrix, q, v), v) - g,
-        ("tau", "RNEA", "M a + n"): tau - times(M, a) - n,
-        ("a", "ABA", "M^-1 (tau - n)"): own["a"] - np.linalg.solve(M, (tau - n)[..., None])[..., 0],
+        ("n", "RNEA", "C(q, v) v + g(q)"): n - apply(stack_values(robot.coriolis_matrix, q, v), v) - g,
+        ("tau", "RNEA", "M a + n"): tau - apply(M, a) - n,
+        ("a", "ABA", "M^-1 (tau - n)"): results["a"] - np.linalg.solve(M, (tau - n)[..., None])[..., 0],
     }
-    compiled, missing = _compiled(robot, q, v, a, tau)
+    compiled, missing = _try_compiled(robot, q, v, a, tau)
     for dynamics in compiled.values():
-        against = {"M": "CRBA", "n": "RNEA", "tau": "RNEA", "a": "ABA"}
-        methods |= {(x, COMPILED, against[x]): dynamics[x] - own[x] for x in against}
+        references = {"M": "CRBA", "n": "RNEA", "tau": "RNEA", "a": "ABA"}
+        methods |= {(x, COMPILED, references[x]): dynamics[x] - results[x] for x in references}
     scales = _mounted_scales(parts, v, a, M)
-    return [(*names, off_by(off, scales[names[0]]), _ROUNDING) for names, off in methods.items()], missing
+    return [(*names, max_ratio(gap, scales[names[0]]), _ROUNDING) for names, gap in methods.items()], missing
 
 
 def _mounted_scales(parts: Parts, v: Array, a: Array, M: Array) -> dict[str, Array]:
@@ -375,19 +375,19 @@ def _mounted_scales(parts: Parts, v: Array, a: Array, M: Array) -> dict[str, Arr
     Cauchy and Schwarz, its force is at most sqrt(m K) times the acceleration of the material, with K = J for
     a revolute and K = m for a prismatic joint. The coupling of two joints is at most sqrt(K_i K_j).
     """
-    masses, K, reach = parts.beyond()
+    masses, K, reach = parts.moved_masses()
     reach = np.maximum(1.0, reach)
     speed = parts.nv * np.square(v).sum(-1) * reach
-    push = np.sqrt(parts.nv * np.square(a).sum(-1)) * reach
-    felt = np.sqrt(masses * K)
+    change = np.sqrt(parts.nv * np.square(a).sum(-1)) * reach
+    inertia = np.sqrt(masses * K)
     pair = np.sqrt(K[..., :, None] * K[..., None, :])
-    accelerated = (_GRAVITY + push + speed)[:, None]
-    tau = felt * accelerated
+    acceleration = (_GRAVITY + change + speed)[:, None]
+    tau = inertia * acceleration
     return {
-        "M": pair + _GRAVITY * felt[..., None],
+        "M": pair + _GRAVITY * inertia[..., None],
         "M3": pair[:, :3, :3],
-        "n": felt * (_GRAVITY + speed)[:, None],
+        "n": inertia * (_GRAVITY + speed)[:, None],
         "tau": tau,
-        "f": felt[:, [0, 0, 0, 2, 2, 2]] * accelerated,  # mass for forces, inertia about psi for moments
-        "a": times(np.abs(np.linalg.inv(M)), tau),
+        "f": inertia[:, [0, 0, 0, 2, 2, 2]] * acceleration,  # mass for forces, inertia about psi for moments
+        "a": apply(np.abs(np.linalg.inv(M)), tau),
     }

@@ -15,12 +15,12 @@ from pinmobile.errors import InvalidArgument, NotTraceable
 from pinmobile.parts import Stepping, able, evolved
 from pinmobile.plant import Step
 from pinmobile.robot import BODY_JOINT, MultibodySystem, PinocchioBackend
-from pinmobile.verification.bodies import WheelBodies, composite_body, off_by, reflected, times, tree_motion
+from pinmobile.verification.bodies import WheelBodies, apply, composite_body, max_ratio, rotors, tree_motion
 from pinmobile.wheels import AckermannSteering, Coulomb, WheeledRobot
 
 ROUNDING = 1e-13  # hundreds of roundings, relative to the scale of the terms
-SOLVED = 1e-12  # bound for solutions of linear equations
-DIFFERENCED = 1e-9  # bound for derivatives by finite differences of fourth order
+SOLUTION = 1e-12  # bound for solutions of linear equations
+DIFFERENCE = 1e-9  # bound for derivatives by finite differences of fourth order
 _STEP = 1e-3  # step of finite differences, as a share of the time scale of the state
 _STEER = 0.6  # [rad]
 _H = 1e-3  # [s]: time step of slipping wheels
@@ -70,16 +70,16 @@ class WheelTree(MultibodySystem):
 
     def dynamics(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Return M(q) by CRBA, with rotors, and n(q, v) by RNEA."""
-        moving, G = tree_motion(self._wheeled, q, v, 0 * v)
-        M = np.swapaxes(G, -1, -2) @ self.mass_matrix(moving[0]) @ G + reflected(self._wheeled)
-        return M, np.einsum("...ki,...k->...i", G, self.inverse_dynamics(*moving))
+        motion, G = tree_motion(self._wheeled, q, v, 0 * v)
+        M = np.swapaxes(G, -1, -2) @ self.mass_matrix(motion[0]) @ G + rotors(self._wheeled)
+        return M, np.einsum("...ki,...k->...i", G, self.inverse_dynamics(*motion))
 
 
 def compare_wheeled(
     wheeled: WheeledRobot, states: int, rng: np.random.Generator
 ) -> tuple[tuple[Row, ...], str]:
     """Return the comparisons of all methods for a robot on wheels, and a missing method."""
-    compare = _slipping if able(wheeled, Stepping) else _rolling
+    compare = _slip_rows if able(wheeled, Stepping) else _kkt_rows
     return compare(wheeled, states, rng)
 
 
@@ -90,66 +90,66 @@ def _states(wheeled: WheeledRobot, count: int, rng: np.random.Generator) -> tupl
     q[:, :nq] = wheeled.robot.random_configuration(rng, (count,))
     q[:, 2] = rng.uniform(-4 * np.pi, 4 * np.pi, count)
     for k, axis in enumerate(axes):
-        most = min(_STEER, 0.9 * axis.limit)
-        q[:, nq + k] = rng.uniform(-most, most, count)
+        limit = min(_STEER, 0.9 * axis.limit)
+        q[:, nq + k] = rng.uniform(-limit, limit, count)
     v, u, f = (rng.normal(size=(count, n)) for n in (wheeled.nv, wheeled.nu, wheeled.nv))
     return q, v, u, f
 
 
 def _scales(bodies: WheelBodies, wheeled: WheeledRobot, M: Array, v: Array, a: Array, rest: Array) -> _Scales:
     """Return the scales of `verify`, including forces other than gravity and inertia."""
-    masses, K, reach = bodies.moving()
+    masses, K, reach = bodies.moved_masses()
     reach, nv = np.maximum(1.0, reach), v.shape[1]
     radii = np.append(np.ones(nv - len(wheeled.table)), wheeled.radius)
-    speed, push = (np.square(x * radii).sum(-1) for x in (v, a))
-    felt = np.sqrt(masses * K)
-    accelerated = np.linalg.norm(bodies.fall) + np.sqrt(nv * push) * reach + nv * speed * reach
-    tau = felt * accelerated[:, None] + np.abs(rest)
+    speed, change = (np.square(x * radii).sum(-1) for x in (v, a))
+    inertia = np.sqrt(masses * K)
+    total = np.linalg.norm(bodies.fall) + np.sqrt(nv * change) * reach + nv * speed * reach
+    tau = inertia * total[:, None] + np.abs(rest)
     acceleration = np.einsum("nij,nj->ni", np.abs(np.linalg.inv(M)), tau)
     return _Scales(
         np.sqrt(K[:, :, None] * K[:, None, :]), tau, acceleration, np.einsum("ni,ni->n", tau, np.abs(v))
     )
 
 
-def _rolling(wheeled: WheeledRobot, states: int, rng: np.random.Generator) -> tuple[tuple[Row, ...], str]:
+def _kkt_rows(wheeled: WheeledRobot, states: int, rng: np.random.Generator) -> tuple[tuple[Row, ...], str]:
     q, v, u, f = _states(wheeled, states, rng)
     v = wheeled.project(q, v)
     M, n = WheelTree(wheeled).dynamics(q, v)
     A, drift = wheeled.constraint_matrix(q), wheeled.constraint_drift(q, v)
-    given = u @ wheeled.input_matrix.T + f
-    # By KKT: M a + n = given + A' lambda and A a = -drift, of rows that do not follow from each other.
-    some = sorted({*wheeled.mobility.choice.body, *(row for _, row in wheeled.mobility.choice.joints)})
-    size, k = A.shape[-1], len(some)
-    K, right = np.zeros((states, size + k, size + k)), np.concatenate([given - n, -drift[:, some]], axis=1)
-    K[:, :size, :size], K[:, size:, :size], K[:, :size, size:] = M, A[:, some], np.swapaxes(A[:, some], 1, 2)
+    force = u @ wheeled.input_matrix.T + f
+    # By KKT: M a + n = force + A' lambda and A a = -drift, of rows that do not follow from each other.
+    free = sorted({*wheeled.mobility.choice.body, *(row for _, row in wheeled.mobility.choice.joints)})
+    size, k = A.shape[-1], len(free)
+    K, right = np.zeros((states, size + k, size + k)), np.concatenate([force - n, -drift[:, free]], axis=1)
+    K[:, :size, :size], K[:, size:, :size], K[:, :size, size:] = M, A[:, free], np.swapaxes(A[:, free], 1, 2)
     a = np.linalg.solve(K, right[..., None])[:, :size, 0]
-    up = np.linalg.pinv(np.swapaxes(A, -1, -2), rcond=1e-10)
-    ground = times(up, times(M, a) + n - given)
-    bodies, still = WheelBodies(wheeled, q, v), WheelBodies(wheeled, q, 0 * v, weightless=True)
-    by_bodies = still.forces(np.stack([np.broadcast_to(unit, a.shape) for unit in np.eye(wheeled.nv)]))
-    along, across, trains = _forces(wheeled, ground)
-    held = bodies.contact(along, across) + trains @ bodies.trains()
-    scales = _scales(bodies, wheeled, M, v, a, np.abs(given) + np.abs(times(np.swapaxes(A, -1, -2), ground)))
+    inverse = np.linalg.pinv(np.swapaxes(A, -1, -2), rcond=1e-10)
+    ground = apply(inverse, apply(M, a) + n - force)
+    bodies, resting = WheelBodies(wheeled, q, v), WheelBodies(wheeled, q, 0 * v, weightless=True)
+    columns = resting.forces(np.stack([np.broadcast_to(unit, a.shape) for unit in np.eye(wheeled.nv)]))
+    forward, lateral, trains = _forces(wheeled, ground)
+    contact = bodies.contact(forward, lateral) + trains @ bodies.trains()
+    scales = _scales(bodies, wheeled, M, v, a, np.abs(force) + np.abs(apply(np.swapaxes(A, -1, -2), ground)))
     largest = np.abs(ground).max(-1, keepdims=True) + scales.tau[:, :2].max(-1, keepdims=True)
     plane, forces = wheeled.forward_dynamics(q, v, u, f), wheeled.constraint_forces(q, v, u, f).values
     rows: list[Row] = [
-        ("M", "CRBA", BODIES, off_by(M - np.moveaxis(by_bodies, 0, -1), scales.M), ROUNDING),
-        ("M", "CRBA", PLANE, off_by(M - wheeled.mass_matrix(q), scales.M), ROUNDING),
-        ("n", "RNEA", BODIES, off_by(n - bodies.forces(0 * a), scales.tau), ROUNDING),
-        ("n", "RNEA", PLANE, off_by(n - wheeled.nonlinear_effects(q, v), scales.tau), ROUNDING),
-        ("tau", KKT, BODIES, off_by(given + held - bodies.forces(a), scales.tau), SOLVED),
-        ("a", KKT, PLANE, off_by(a - plane, scales.a), SOLVED),
-        ("lambda", KKT, PLANE, off_by(ground - forces, largest), SOLVED),
+        ("M", "CRBA", BODIES, max_ratio(M - np.moveaxis(columns, 0, -1), scales.M), ROUNDING),
+        ("M", "CRBA", PLANE, max_ratio(M - wheeled.mass_matrix(q), scales.M), ROUNDING),
+        ("n", "RNEA", BODIES, max_ratio(n - bodies.forces(0 * a), scales.tau), ROUNDING),
+        ("n", "RNEA", PLANE, max_ratio(n - wheeled.nonlinear_effects(q, v), scales.tau), ROUNDING),
+        ("tau", KKT, BODIES, max_ratio(force + contact - bodies.forces(a), scales.tau), SOLUTION),
+        ("a", KKT, PLANE, max_ratio(a - plane, scales.a), SOLUTION),
+        ("lambda", KKT, PLANE, max_ratio(ground - forces, largest), SOLUTION),
         *_reduced_rows(wheeled, (M, n), q, v, u, a, f),
     ]
-    power = np.einsum("ni,ni->n", v, given - wheeled.nonlinear_effects(q, 0 * v))
+    power = np.einsum("ni,ni->n", v, force - wheeled.nonlinear_effects(q, 0 * v))
     rate = _rate(wheeled, wheeled.kinetic_energy, q, v, a)
-    rows.append(("power", KKT, RATE, off_by(power - rate, scales.power), DIFFERENCED))
+    rows.append(("power", KKT, RATE, max_ratio(power - rate, scales.power), DIFFERENCE))
     try:
         compiled = vectorize(wheeled.array_dynamics.forward_dynamics, keep=False)(q, v, u, f)
     except NotTraceable as error:
         return tuple(rows), f"{COMPILED}: {error.reason}"
-    rows.append(("a", COMPILED, PLANE, off_by(compiled - plane, scales.a), SOLVED))
+    rows.append(("a", COMPILED, PLANE, max_ratio(compiled - plane, scales.a), SOLUTION))
     return tuple(rows), ""
 
 
@@ -159,95 +159,95 @@ def _reduced_rows(
     """Yield the rows of the dynamics in independent velocities."""
     plane, body, (M, n) = wheeled.reduced(q, v), wheeled.array_dynamics, tree
     S_T, state = np.swapaxes(plane.S, -1, -2), body.state(q, v)
-    bent = body.in_plane(state, body.accelerations(state, [0.0] * plane.nu.shape[-1]), q)
-    own = {"M": S_T @ M @ plane.S, "n": times(S_T, n + times(M, bent)), "B": S_T @ wheeled.input_matrix}
-    diagonal = np.sqrt(np.einsum("nii->ni", own["M"]))
+    bias = body.in_plane(state, body.accelerations(state, [0.0] * plane.nu.shape[-1]), q)
+    full = {"M": S_T @ M @ plane.S, "n": apply(S_T, n + apply(M, bias)), "B": S_T @ wheeled.input_matrix}
+    diagonal = np.sqrt(np.einsum("nii->ni", full["M"]))
     pair = diagonal[:, :, None] * diagonal[:, None, :]
     # |v| of what moves, by the metric of the kinetic energy: sqrt(M_ii) |rates|^2 sqrt(m), and gravity.
     rates = np.abs(v[:, : wheeled.robot.nv]).sum(-1) + np.abs(v[:, wheeled.robot.nv :]).sum(-1)
     weight = np.sqrt(wheeled.robot.with_locked_arms(wheeled.robot.rest).mass)
     size = diagonal * weight * (float(np.linalg.norm(body.fall)) + rates**2)[:, None]
-    scales = {"M": pair, "n": size, "B": np.abs(own["B"]).max(axis=(1, 2), keepdims=True, initial=0.0) + 1.0}
+    scales = {"M": pair, "n": size, "B": np.abs(full["B"]).max(axis=(1, 2), keepdims=True, initial=0.0) + 1.0}
     for quantity, scale in scales.items():
-        difference = own[quantity] - getattr(plane, quantity)
-        yield f"{quantity} of nu", TREE, PLANE, off_by(difference, scale), ROUNDING
-    by_hand = by_closed_form(wheeled, q, plane.nu)
-    if by_hand is not None:
+        difference = full[quantity] - getattr(plane, quantity)
+        yield f"{quantity} of nu", TREE, PLANE, max_ratio(difference, scale), ROUNDING
+    formulas = closed_form_of(wheeled, q, plane.nu)
+    if formulas is not None:
         arms = wheeled.robot.nv - 3
-        bodily = 3 - len(wheeled.mobility.choice.body)
-        kept = [*range(bodily), *range(bodily + arms, plane.nu.shape[-1])]
-        some = np.ix_(range(len(q)), kept, kept)
-        yield "M of nu", TREE, HAND, off_by(own["M"][some] - by_hand.M, pair[some]), ROUNDING
+        base = 3 - len(wheeled.mobility.choice.body)
+        indices = [*range(base), *range(base + arms, plane.nu.shape[-1])]
+        block = np.ix_(range(len(q)), indices, indices)
+        yield "M of nu", TREE, HAND, max_ratio(full["M"][block] - formulas.M, pair[block]), ROUNDING
         for quantity in "nB" if not arms else "":
-            difference = own[quantity] - getattr(by_hand, quantity)
-            yield f"{quantity} of nu", TREE, HAND, off_by(difference, scales[quantity]), ROUNDING
+            difference = full[quantity] - getattr(formulas, quantity)
+            yield f"{quantity} of nu", TREE, HAND, max_ratio(difference, scales[quantity]), ROUNDING
     rate = _rate(wheeled, wheeled.independent, q, v, a)
-    force = times(own["B"], u) - own["n"] + times(S_T, f)
-    solved = np.linalg.solve(own["M"], force[..., None])[..., 0]
-    speed = np.abs(rate).max(-1, keepdims=True) + np.abs(solved).max(-1, keepdims=True) + rates[:, None] ** 2
-    yield "nu'", TREE, "rate of nu as KKT moves it", off_by(solved - rate, speed), DIFFERENCED
+    force = apply(full["B"], u) - full["n"] + apply(S_T, f)
+    nu_dot = np.linalg.solve(full["M"], force[..., None])[..., 0]
+    speed = np.abs(rate).max(-1, keepdims=True) + np.abs(nu_dot).max(-1, keepdims=True) + rates[:, None] ** 2
+    yield "nu'", TREE, "rate of nu as KKT moves it", max_ratio(nu_dot - rate, speed), DIFFERENCE
 
 
-def by_closed_form(wheeled: WheeledRobot, q: Array, nu: Array) -> closed_form.ReducedModel | None:
+def closed_form_of(wheeled: WheeledRobot, q: Array, nu: Array) -> closed_form.ReducedModel | None:
     """Return the dynamics derived by hand, with locked arms; None on a ramp or without formulas."""
     table, robot = wheeled.table, wheeled.robot
-    wheels, alike = table.wheels, _alike(wheeled)
+    wheels, equal = table.wheels, _are_alike(wheeled)
     if wheeled.ground.ramp is not None or any(any(wheel.trail) for wheel in wheels):
         return None
     body: dict[str, Any] = composite_body(robot, q[:, : robot.nq])
-    spins, shared = np.array([wheel.spin_inertia for wheel in wheels]), 0.0
+    spins, common = np.array([wheel.spin_inertia for wheel in wheels]), 0.0
     for actuator in table.actuators:
         column, rotor = np.array(actuator.column[len(table.axes) :]), actuator.motor.reflected_inertia
         if np.count_nonzero(column) > 1:
-            shared += rotor  # of a differential, that turns at the mean rate of its wheels
+            common += rotor  # of a differential, that turns at the mean rate of its wheels
         else:
             spins += rotor * column**2
-    if table.couplings and not alike:
+    if table.couplings and not equal:
         return None
     if all(wheel.roller is not None and wheel.steering == "fixed" for wheel in wheels):
-        given = {key: np.array([getattr(wheel, key) for wheel in wheels]) for key in _ROW}
-        found = closed_form.roller_drive(nu[:, :3], **body, **given, spin_inertia=spins)
-        driven = [k for k, wheel in enumerate(wheels) if wheel.motor is not None]
-        return None if table.couplings else found._replace(B=found.B[..., driven])
+        columns = {key: np.array([getattr(wheel, key) for wheel in wheels]) for key in _ROW}
+        model = closed_form.roller_drive(nu[:, :3], **body, **columns, spin_inertia=spins)
+        motors = [k for k, wheel in enumerate(wheels) if wheel.motor is not None]
+        return None if table.couplings else model._replace(B=model.B[..., motors])
     first = wheels[0]
-    if any(wheel.roller is not None for wheel in wheels) or not alike or len(set(spins)) > 1:
+    if any(wheel.roller is not None for wheel in wheels) or not equal or len(set(spins)) > 1:
         return None
     if len(wheels) == 2 and not table.axes and first.y > 0 and all(wheel.motor for wheel in wheels):
         return closed_form.differential_drive(
             nu[:, [0, 1]], **body, track=2 * first.y, radius=first.radius, spin_inertia=spins[0], axle=first.x
         )
-    turned = next((each for each in table.couplings if isinstance(each, AckermannSteering)), None)
-    if turned is None or len(wheels) != 4 or len(table.axes) != 1 or turned.axle or first.x:
+    steering = next((each for each in table.couplings if isinstance(each, AckermannSteering)), None)
+    if steering is None or len(wheels) != 4 or len(table.axes) != 1 or steering.axle or first.x:
         return None
-    front = wheels[table.names.index(turned.wheels[0])]
-    own = {"wheelbase": front.x, "radius": first.radius, "track": 2 * abs(first.y), "spin_inertia": spins[0]}
-    found = closed_form.car(nu[:, [0, -1]], q[:, robot.nq], **body, **own, steered_inertia=front.yaw_inertia)
-    M = found.M.copy()
-    M[:, 0, 0] += shared / first.radius**2
-    return found._replace(M=M, B=found.B[..., [0, 2]])
+    front = wheels[table.names.index(steering.wheels[0])]
+    data = {"wheelbase": front.x, "radius": first.radius, "track": 2 * abs(first.y), "spin_inertia": spins[0]}
+    model = closed_form.car(nu[:, [0, -1]], q[:, robot.nq], **body, **data, steered_inertia=front.yaw_inertia)
+    M = model.M.copy()
+    M[:, 0, 0] += common / first.radius**2
+    return model._replace(M=M, B=model.B[..., [0, 2]])
 
 
 _ROW = ("x", "y", "angle", "roller", "radius")
 
 
-def _alike(wheeled: WheeledRobot) -> bool:
+def _are_alike(wheeled: WheeledRobot) -> bool:
     """Return whether the wheels are alike, in pairs to the left and right, and roll forward."""
     wheels = wheeled.table.wheels
-    places = {(wheel.x, wheel.y) for wheel in wheels}
+    points = {(wheel.x, wheel.y) for wheel in wheels}
     kinds = {(wheel.radius, wheel.angle, wheel.yaw_inertia, wheel.spin_inertia) for wheel in wheels}
-    mirrored = all((x, -y) in places for x, y in places) and len({abs(y) for _, y in places}) == 1
-    return mirrored and len(kinds) == 1 and not wheels[0].angle
+    symmetric = all((x, -y) in points for x, y in points) and len({abs(y) for _, y in points}) == 1
+    return symmetric and len(kinds) == 1 and not wheels[0].angle
 
 
 def _forces(wheeled: WheeledRobot, values: Array) -> tuple[Array, Array, Array]:
     """Return the forces along and across the wheels, and those of gear trains, from the rows' forces."""
-    along, across = np.zeros((2, len(values), len(wheeled.table)))
+    forward, lateral = np.zeros((2, len(values), len(wheeled.table)))
     names = wheeled.constraint_names
     for k, name in enumerate(names):
         wheel, _, kind = name.rpartition(" ")
         if wheel:
-            (across if kind == "lateral" else along)[:, wheeled.table.names.index(wheel)] = values[:, k]
-    return along, across, values[:, [k for k, name in enumerate(names) if name == "train"]]
+            (lateral if kind == "lateral" else forward)[:, wheeled.table.names.index(wheel)] = values[:, k]
+    return forward, lateral, values[:, [k for k, name in enumerate(names) if name == "train"]]
 
 
 def _rate(
@@ -257,18 +257,18 @@ def _rate(
 
     The path q + v s + a s^2 / 2 has the state's velocity and acceleration, which determine the rate.
     """
-    fastest = 1 + np.abs(v[:, 2:]).max(-1) + np.sqrt(np.abs(a[:, 2:]).max(-1))
-    h = (_STEP / fastest)[:, None]
+    speed = 1 + np.abs(v[:, 2:]).max(-1) + np.sqrt(np.abs(a[:, 2:]).max(-1))
+    h = (_STEP / speed)[:, None]
 
-    def at(s: float) -> Array:
-        moved = wheeled.integrate(q, s * h * v + (s * h) ** 2 / 2 * a)
-        return function(moved, v + s * h * a)
+    def value(s: float) -> Array:
+        end = wheeled.integrate(q, s * h * v + (s * h) ** 2 / 2 * a)
+        return function(end, v + s * h * a)
 
-    change = 8 * (at(1) - at(-1)) - (at(2) - at(-2))
+    change = 8 * (value(1) - value(-1)) - (value(2) - value(-2))
     return np.asarray(change / (12 * (h if change.ndim > 1 else h[:, 0])))
 
 
-def _slipping(wheeled: WheeledRobot, states: int, rng: np.random.Generator) -> tuple[tuple[Row, ...], str]:
+def _slip_rows(wheeled: WheeledRobot, states: int, rng: np.random.Generator) -> tuple[tuple[Row, ...], str]:
     """Return the comparisons for a step on dry ground, and what is missing."""
     ground = wheeled.ground
     if not isinstance(ground, Coulomb):
@@ -278,63 +278,63 @@ def _slipping(wheeled: WheeledRobot, states: int, rng: np.random.Generator) -> t
     trains = WheelBodies(robot, q, v).trains()
     v = v - v @ np.linalg.pinv(trains) @ trains  # wheels on a train turn together from the start
     step = robot.step(0.0, q, v, u, _H, f, robot.initial_state(None))
-    kept: Any = step.memory
-    settled = np.broadcast_to(kept.missed, (len(q),)) == 0
-    kept = type(kept)(*(x[settled] if np.ndim(x) and len(x) == states else x for x in kept))
-    step = Step(step.q[settled], step.v[settled], kept)
+    memory: Any = step.memory
+    solved = np.broadcast_to(memory.missed, (len(q),)) == 0
+    memory = type(memory)(*(x[solved] if np.ndim(x) and len(x) == states else x for x in memory))
+    step = Step(step.q[solved], step.v[solved], memory)
     missing = f"{COMPILED}: a step is compiled within its loop only"
-    if not settled.all():
-        missing += f"; {np.sum(~settled)} of the states, whose loads and forces were not found"
-    q, v, u, f = (x[settled] for x in (q, v, u, f))
+    if not solved.all():
+        missing += f"; {np.sum(~solved)} of the states, whose loads and forces were not found"
+    q, v, u, f = (x[solved] for x in (q, v, u, f))
     return tuple(_step_rows(robot, q, v, u, f, step)), missing
 
 
 def _step_rows(robot: WheeledRobot, q: Array, v: Array, u: Array, f: Array, step: Step) -> Iterator[Row]:
     """Yield the comparisons for a step on dry ground: mean forces balance at mid-step."""
-    kept: Any = step.memory
+    memory: Any = step.memory
     nv = robot.robot.nv
-    before, after = _turned(-q[:, 2], v), _turned(-step.q[:, 2], step.v)
-    mean, rate = (before + after) / 2, (after - before) / _H
+    start, end = _rotate(-q[:, 2], v), _rotate(-step.q[:, 2], step.v)
+    mean, rate = (start + end) / 2, (end - start) / _H
     middle = robot.integrate(q, _H / 2 * v)  # its shape is that which the first velocity leads to
     middle[:, 2] = q[:, 2] + _H / 2 * mean[:, 2]
     w = mean[:, 2]
     rate[:, 0], rate[:, 1] = rate[:, 0] - w * mean[:, 1], rate[:, 1] + w * mean[:, 0]
-    v_mid, a_mid = _turned(middle[:, 2], mean), _turned(middle[:, 2], rate)
+    v_mid, a_mid = _rotate(middle[:, 2], mean), _rotate(middle[:, 2], rate)
     bodies = WheelBodies(robot, middle, v_mid)
-    pushed = bodies.contact(kept.forces[:, 0::2], kept.forces[:, 1::2])
-    for k, wheel in enumerate(_holders(robot)):
-        pushed[:, nv + len(robot.table.axes) + wheel] += kept.holding[:, k]
-    given = u @ robot.input_matrix.T + f + pushed
+    contact = bodies.contact(memory.forces[:, 0::2], memory.forces[:, 1::2])
+    for k, wheel in enumerate(_resisted_wheels(robot)):
+        contact[:, nv + len(robot.table.axes) + wheel] += memory.holding[:, k]
+    applied = u @ robot.input_matrix.T + f + contact
     M = robot.mass_matrix(middle)
-    scales = _scales(bodies, robot, M, v_mid, a_mid, np.abs(given))
-    missed, trains = given - bodies.forces(a_mid), bodies.trains()
+    scales = _scales(bodies, robot, M, v_mid, a_mid, np.abs(applied))
+    residual, trains = applied - bodies.forces(a_mid), bodies.trains()
     if len(trains):  # the step does not report forces in gear trains: left out
-        missed = missed - missed @ np.linalg.pinv(trains) @ trains
+        residual = residual - residual @ np.linalg.pinv(trains) @ trains
         rates = np.abs(step.v @ trains.T).max()
         yield "trains", STEP, "rates that fit", float(rates / np.abs(step.v).max()), ROUNDING
-    yield "tau", STEP, BODIES, off_by(missed, scales.tau), SOLVED
-    wrench, loads = bodies.wrench(a_mid), kept.loads
-    places = np.stack(
-        [*(at.p for at in bodies.wheels), *(np.tile([s.x, s.y], (len(q), 1)) for s in robot.table.supports)],
+    yield "tau", STEP, BODIES, max_ratio(residual, scales.tau), SOLUTION
+    wrench, loads = bodies.wrench(a_mid), memory.loads
+    points = np.stack(
+        [*(x.p for x in bodies.wheels), *(np.tile([s.x, s.y], (len(q), 1)) for s in robot.table.supports)],
         axis=1,
     )
-    held = np.column_stack(
-        [loads.sum(-1), (loads * places[..., 1]).sum(-1), -(loads * places[..., 0]).sum(-1)]
+    reaction = np.column_stack(
+        [loads.sum(-1), (loads * points[..., 1]).sum(-1), -(loads * points[..., 0]).sum(-1)]
     )
-    stands = np.broadcast_to(kept.tips, (len(q),)) == 0
+    upright = np.broadcast_to(memory.tips, (len(q),)) == 0
     size = scales.tau[:, [0, 2, 2]]
-    yield "loads", STEP, BODIES, off_by((held - wrench[:, 2:5])[stands], size[stands]), SOLVED
-    most = robot.mu * loads[:, : len(robot.table)]
-    along, across = kept.forces[:, 0::2], kept.forces[:, 1::2]
+    yield "loads", STEP, BODIES, max_ratio((reaction - wrench[:, 2:5])[upright], size[upright]), SOLUTION
+    limit = robot.mu * loads[:, : len(robot.table)]
+    forward, lateral = memory.forces[:, 0::2], memory.forces[:, 1::2]
     tyre = np.array([wheel.roller is None for wheel in robot.table.wheels])
-    used = np.where(tyre, np.hypot(along, across), np.abs(along))
-    yield "cone", STEP, "mu times the load", off_by(np.maximum(used - most, 0), size[:, :1]), SOLVED
-    power = np.einsum("ni,ni->n", v_mid, given - robot.nonlinear_effects(middle, 0 * v))
+    force = np.where(tyre, np.hypot(forward, lateral), np.abs(forward))
+    yield "cone", STEP, "mu times the load", max_ratio(np.maximum(force - limit, 0), size[:, :1]), SOLUTION
+    power = np.einsum("ni,ni->n", v_mid, applied - robot.nonlinear_effects(middle, 0 * v))
     rise = _rate(robot, lambda x, y: robot.kinetic_energy(x, y), middle, v_mid, a_mid)
-    yield "power", STEP, RATE, off_by(power - rise, scales.power), DIFFERENCED
+    yield "power", STEP, RATE, max_ratio(power - rise, scales.power), DIFFERENCE
 
 
-def _holders(robot: WheeledRobot) -> list[int]:
+def _resisted_wheels(robot: WheeledRobot) -> list[int]:
     """Return the wheels that rolling resistance holds; for wheels that turn together, the first one."""
     leader = list(range(len(robot.table)))
     for first, row, _ in robot.table.trains:
@@ -343,9 +343,9 @@ def _holders(robot: WheeledRobot) -> list[int]:
     return sorted(resisted)
 
 
-def _turned(angle: Array, x: Array) -> Array:
+def _rotate(angle: Array, x: Array) -> Array:
     """Return rows with their first two entries rotated by an angle."""
     c, s = np.cos(angle), np.sin(angle)
-    found = x.copy()
-    found[:, 0], found[:, 1] = c * x[:, 0] - s * x[:, 1], s * x[:, 0] + c * x[:, 1]
-    return found
+    rows = x.copy()
+    rows[:, 0], rows[:, 1] = c * x[:, 0] - s * x[:, 1], s * x[:, 0] + c * x[:, 1]
+    return rows

@@ -15,7 +15,7 @@ from pinmobile.arrays import Array, bounded, finite, shaped
 from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.loop import Rollout
 from pinmobile.plant import all_samples, stated
-from pinmobile.reaching import continuous
+from pinmobile.reaching import align_signs
 from pinmobile.robot import BODY_JOINT, MobileRobot
 
 _KINDS = {"position": "vector3", "scale": "vector3", "quaternion": "quaternion", "visible": "bool"}
@@ -86,7 +86,7 @@ def planar(path: str, poses: Array, height: float = 0.0) -> list[Channel]:
 
 def poses_of(path: str, placements: Array) -> list[Channel]:
     """Return the channels of a node at placements, shape (n, 4, 4)."""
-    turning = continuous(_quaternions(placements[:, :3, :3]))
+    turning = align_signs(_quaternions(placements[:, :3, :3]))
     return [Channel(path, "position", placements[:, :3, 3]), Channel(path, "quaternion", turning)]
 
 
