@@ -32,6 +32,7 @@ from pinmobile.parts import (
     locate_errors,
     makes_part,
     match_refs,
+    named,
     number,
     option,
     parameters,
