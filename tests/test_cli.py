@@ -232,9 +232,9 @@ def test_a_long_command_writes_lines_of_progress_where_no_terminal_is(
     code, text, err = typed("run", "duration=60", "--out", str(tmp_path))
     assert code == 0
     lines = err.splitlines()
-    assert {line.split(":")[0] for line in lines} >= {"simulating", "drawing errors"}
+    assert any(line.startswith("drawing ") for line in lines)
     assert all(re.fullmatch(r"[a-z ]+: \d+ of \d+, \d+ s", line) for line in lines)
-    assert "simulating" not in text
+    assert "drawing" not in text
 
 
 FIGURES = "path", "states", "errors", "forces", "balance"
