@@ -23,12 +23,12 @@ from pinmobile import (
     plots,
     simulate,
 )
-from pinmobile.parts import refs_of, replace
+from pinmobile.parts import named, replace
 
 sheet = MobileRobot.box(mass=60, size=(0.8, 0.6, 0.3)).mount("ur5", at=(0.2, 0, 0.3, 0))
 rng = np.random.default_rng(3)
-masses = [path for path in refs_of(sheet) if path.endswith("_link.mass")]
-real = replace(sheet, {path: refs_of(sheet)[path].value * rng.uniform(0.8, 1.2) for path in masses})
+masses = [path for path in named(sheet) if path.endswith("_link.mass")]
+real = replace(sheet, {path: named(sheet)[path].value * rng.uniform(0.8, 1.2) for path in masses})
 
 
 def moving(seed):

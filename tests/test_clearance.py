@@ -18,7 +18,7 @@ from pinmobile.errors import Unreachable
 from pinmobile.proximity import Clearance
 from pinmobile.reaching import InverseKinematicsTrajectory
 from pinmobile.robot import Solid
-from tests.test_mounted import mjcf, numbers, placed
+from tests.test_arms import mjcf, numbers, placed
 
 BOX = pm.MobileRobot.box(100, (0.8, 0.6, 0.3))
 AT = (0.1, -0.05, 0.3, 0.4)

@@ -1,7 +1,9 @@
 """The command as a person types it."""
 
+import os
 import re
 import shlex
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -9,6 +11,7 @@ from contextlib import redirect_stdout
 from html import unescape
 from io import StringIO
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -26,9 +29,11 @@ from pinmobile.cli.verbs import TASKS, app, complete
 from pinmobile.errors import SchedulerError
 from pinmobile.parts import parameters
 from tests import wheeled
+from tests.chromium import Chromium
 from tests.damage import full_disk
 from tests.test_identification import log, rolled
 from tests.test_velocity_identification import logged
+from tests.webclient import eventually
 
 SLIDE = """<robot name="slide"><link name="foot"/><link name="slider"><inertial><mass value="2"/>
   <inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>
@@ -203,6 +208,23 @@ def test_run_is_the_lectures_circle_by_default(typed: Typed, tmp_path: Path) -> 
     assert f"<h2>Scenario</h2>\n<pre># pinmobile {pm.__version__}\n{scenario}</pre>" in page
 
 
+@pytest.mark.once
+@pytest.mark.long
+def test_a_signal_of_a_batch_system_leaves_no_temporary_files(tmp_path: Path, browser: Chromium) -> None:
+    film, out = tmp_path / "a.mp4", tmp_path / "out"
+    words = sys.executable, "-m", "pinmobile", "run", "--film", str(film), "--out", str(out)
+    with TemporaryDirectory() as name:  # a short path: Chromium opens a socket in it
+        folder, streams = Path(name), {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+        environment = {**os.environ, "TMPDIR": name}
+        process = subprocess.Popen(words, env=environment, text=True, **streams)  # type: ignore[call-overload]
+        assert eventually(lambda: any(folder.glob("*/film.mp4")))
+        process.send_signal(signal.SIGTERM)
+        text, _ = process.communicate(timeout=60)
+        assert (process.returncode, text.splitlines()[-1]) == (130, "pinmobile: interrupted")
+        assert not [*folder.iterdir()]
+    assert not film.exists()
+
+
 def test_a_long_command_writes_lines_of_progress_where_no_terminal_is(
     typed: Typed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -210,9 +232,9 @@ def test_a_long_command_writes_lines_of_progress_where_no_terminal_is(
     code, text, err = typed("run", "duration=60", "--out", str(tmp_path))
     assert code == 0
     lines = err.splitlines()
-    assert {line.split(":")[0] for line in lines} >= {"simulating", "drawing errors"}
+    assert any(line.startswith("drawing ") for line in lines)
     assert all(re.fullmatch(r"[a-z ]+: \d+ of \d+, \d+ s", line) for line in lines)
-    assert "simulating" not in text
+    assert "drawing" not in text
 
 
 FIGURES = "path", "states", "errors", "forces", "balance"

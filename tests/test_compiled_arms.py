@@ -19,8 +19,8 @@ from pinmobile.errors import SlowerEngine
 from pinmobile.integrators import rk4
 from pinmobile.loop._run import plan_execution
 from tests.looping import Swing
+from tests.test_arms import mjcf
 from tests.test_compiled_loop import targets
-from tests.test_mounted import mjcf
 
 AT = (0.1, -0.05, 0.2, 0.4)
 LOAD = pm.PayloadBody(1.0, (0, 0.01, 0.05), size=(0.1, 0.1, 0.1))

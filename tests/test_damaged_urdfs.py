@@ -9,7 +9,7 @@ import pytest
 
 from pinmobile import InvalidArgument, MobileRobot
 from pinmobile.arrays import Array
-from tests.test_robot_reading import joint, link, robot, saved
+from tests.test_model_import import joint, link, robot, saved
 
 BOX = MobileRobot.box()
 

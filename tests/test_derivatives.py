@@ -12,7 +12,7 @@ import pinmobile as pm
 from pinmobile import controllers, forces, integrators, robot, wheels
 from pinmobile.derivatives import Gradient, gradient, poles
 from pinmobile.loop import Loop, sample_reference, start_of
-from pinmobile.parts import parts_of, refs_of, replace
+from pinmobile.parts import named, parts_of, replace
 from tests.frozen import BODY, CIRCLE, MOTOR, WHEEL, WRONG, by_lapack, loops, table, turning
 from tests.quick import every_fifth
 
@@ -99,9 +99,9 @@ def base_of(name: str) -> tuple[Loop, dict[str, Any]]:
 
 def chosen(loop: Loop) -> list[str]:
     """Return some numbers of each part."""
-    known = [path for path, x in refs_of(loop).items() if not x.label and 0 < np.size(x.leaf.value) < 10]
+    known = [path for path, x in named(loop).items() if not x.label and 0 < np.size(x.leaf.value) < 10]
     # A controller that believes in another axle refuses the reference.
-    known = [path for path in known if refs_of(loop)[path].leaf.value is not None and "ahead" not in path]
+    known = [path for path in known if named(loop)[path].leaf.value is not None and "ahead" not in path]
     each = {"controller": 2, "plant": 2, "forces": 2}
     some = ([path for path in known if path.startswith(f"{part}.")][:count] for part, count in each.items())
     return [*chain.from_iterable(some), "start.x"]
@@ -113,7 +113,7 @@ def flat(found: Gradient) -> Any:
 
 def differences(loop: Loop, own: dict[str, Any], paths: Sequence[str]) -> Any:
     """Return derivatives by extrapolated central differences of runs, and estimates of their errors."""
-    known, rows = refs_of(loop), []
+    known, rows = named(loop), []
     duration = min(DURATION, loop.trajectory.duration)
 
     def value(changed: Loop) -> float:
@@ -227,7 +227,7 @@ def test_many_numbers_select_reverse_mode_and_elementary_functions_have_their_sl
     assert np.linalg.norm(one - other) <= 1e-12 * np.linalg.norm(one)
     loop = Loop(BODY, pm.law(policy), CIRCLE)
     options: dict[str, Any] = {"duration": 1.0}
-    known = refs_of(loop)
+    known = named(loop)
     step = 1e-5
     values = []
     for sign in (1, -1):

@@ -134,9 +134,11 @@ def test_rows_that_lack_a_pose_are_bridged_by_their_inputs_and_counted() -> None
         q[begin : begin + 15] = np.nan
     read = pm.Log(log().t, q, log().u)
     assert (len(read), read.dropped) == (2196, 710)
-    assert read.samples("q").seen.sum() == 2201 - 710
+    assert read.samples("q").is_valid.sum() == 2201 - 710
     np.testing.assert_array_equal(read.samples("q").u, log().u[5:])
-    np.testing.assert_array_equal(pm.Log(read.t, read.q, read.u).samples("q").seen, read.samples("q").seen)
+    np.testing.assert_array_equal(
+        pm.Log(read.t, read.q, read.u).samples("q").is_valid, read.samples("q").is_valid
+    )
     spoiled = pm.identify(read)
     assert (spoiled.samples, spoiled.dropped) == (2201 - 710, 710)
     assert spoiled.parameters["mass"] == pytest.approx(32.0, rel=0.01)
@@ -574,7 +576,7 @@ def test_a_slow_sensor_counts_where_it_measures() -> None:
     np.testing.assert_array_equal(even.q, held.q[::5])
     np.testing.assert_allclose(even.u[:-1], np.reshape(log().u[:-1], (440, 5, 3)).mean(axis=1), atol=1e-12)
     assert even.dt == pytest.approx(0.1)
-    assert even.seen.all()
+    assert even.is_valid.all()
 
 
 def test_resampling_keeps_the_mean_input_and_the_motion() -> None:
@@ -712,7 +714,10 @@ PAIR = pm.WheelTable.differential(0.5, 0.1, supports=[(0.25, 0), (-0.25, 0)], **
     [
         (lambda: on(PAIR, ground=pm.Coulomb()), f"with wheels that steer or slip, .*{ROLLING}"),
         (lambda: on(PAIR).mount("ur5"), f"or arms, {ROLLING}"),
-        (lambda: pm.MobileRobot.box().mount("ur5"), r"without arms \(robot.lumped\(\) has them locked\), .*"),
+        (
+            lambda: pm.MobileRobot.box().mount("ur5"),
+            r"without arms \(robot.with_locked_arms\(\) has them locked\), .*",
+        ),
         (lambda: pm.VelocityRobot([0.3, 0.3, 0, 1, 0, 1]), "use identify_velocity$"),
     ],
 )

@@ -17,7 +17,7 @@ from pinmobile.identification._planar_model import PlanarModel, PlanarProblem
 from pinmobile.identification._plant import _segments as of_plant
 from pinmobile.identification._simulation import Segments, linearize, simulate
 from pinmobile.identification._velocity_model import CarModel, VelocityModel
-from pinmobile.parts import find, refs_of, replace
+from pinmobile.parts import find, named, replace
 
 NO_LIMIT = dict.fromkeys(VelocityModel.limits(), np.inf)
 
@@ -72,7 +72,7 @@ def test_slopes_of_a_simulated_log_are_those_of_differences(case: str) -> None:
         return np.asarray((pair[0] - pair[1]) / (2 * h))
 
     for j, slope in enumerate(slopes):
-        if j == model.shifted:  # the difference over whole samples itself
+        if j == model.delay_index:  # the difference over whole samples itself
             assert np.abs(slope - change(j, 1.0)).max() == 0
             continue
         coarse, fine = change(j, 2e-4), change(j, 1e-4)
@@ -119,7 +119,7 @@ LINKS = ["*_link.mass", "*_link.com"]
 def arm_log(seed: int = 0, noise: float = 1e-4) -> tuple[pm.Log, Any]:
     """Return four seconds of an arm on a box at 2 ms, and the arm, whose links differ from those of `ARM`."""
     rng, changes = np.random.default_rng(seed), dict[str, Any]()
-    for path, one in refs_of(ARM).items():
+    for path, one in named(ARM).items():
         if path.endswith("_link.mass"):
             changes[path] = float(one.value * (1 + 0.1 * rng.standard_normal()))
         if path.endswith("_link.com"):
@@ -169,7 +169,7 @@ def test_the_tangents_of_a_plant_are_those_of_differences() -> None:
     log, _ = arm_log(0)
     found = pm.identify(log.between(0.0, 2.0), ARM, by=["upper_arm_link.mass", "forearm_link.com"])
     problem: Any = replaced(found.model, base=found.phi, basis=np.diag([1.0, 0.1, 0.1, 0.1]))
-    segments = of_plant([log], problem, 0.1).some(slice(2))
+    segments = of_plant([log], problem, 0.1).select(slice(2))
     p, starts = np.zeros(4), segments.start
     _, slopes = linearize(problem, segments, p, starts, np.arange(4))
 

@@ -175,7 +175,7 @@ class ViscousDynamics(WheeledDynamics):
     def forward_dynamics(self, q: Any, v: Any, u: Any, f: Any = 0.0) -> Any:
         """Return the acceleration, shape (nv,)."""
         state = self.state(q, v)
-        force = self.generalised(state, u, f)
+        force = self.input_force(state, u, f)
         for row in self._rows(state):
             pull = -self.c * row.slip(state)
             for i, x in enumerate([*row.base, *row.joints]):
@@ -228,7 +228,7 @@ test_what_is_declared_is_checked = refusals(
 
 def test_theta_has_a_name_for_each_entry() -> None:
     robot = VelocityRobot([0.26, 0.25, 0.03, 1.1, 0.2, 1.2], ahead=0.1)
-    assert [*parts.refs_of(robot)][1] == "theta.theta_1"
+    assert [*parts.named(robot)][1] == "theta.theta_1"
     assert parts.find(robot, "theta.theta_3").label == "theta_3"
     tape = Tape()
     theta = symbols([tape.input("row", k) for k in range(6)], (6,))

@@ -25,7 +25,7 @@ from pinmobile.arrays import (
 from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.parts import Desired, Following, Grounded, require
 from pinmobile.plant import ContactLoads, SlipMargins, refuse_path, robot_at, stated
-from pinmobile.robot import WEIGHTLESS, checked_footprint, margin_inside, zero_moment_point_of
+from pinmobile.robot import WEIGHTLESS, check_footprint, margin_inside, zero_moment_point_of
 from pinmobile.trajectories import Reference
 
 _MAX_FACTOR = 1e6  # largest factor of the speed: beyond, the speed counts as unlimited
@@ -626,14 +626,14 @@ def footprint_of(robot: Any, footprint: ArrayLike | None = None) -> Array:
     array([0.6, 0.4])
     """
     if footprint is not None:
-        return checked_footprint(footprint)
+        return check_footprint(footprint)
     corners: Array | None = getattr(require("robot", robot, Grounded), "footprint", None)
     if corners is None:
         raise InvalidArgument(
             "footprint is not given, and the robot's footprint is not known, expected the corners of the "
             "support polygon, shape (k, 2) [m]; robot.source says what the file lacks"
         )
-    return checked_footprint(corners)
+    return check_footprint(corners)
 
 
 def required_friction(motion: MotionLike) -> Array:

@@ -62,7 +62,7 @@ class Force(Protocol):
         """
 
 
-def spread(tau: Array, t: ArrayLike, q: Array) -> Array:
+def broadcast_force(tau: Array, t: ArrayLike, q: Array) -> Array:
     """Return a force for each time and pose, by broadcasting.
 
     Parameters
@@ -86,8 +86,8 @@ def spread(tau: Array, t: ArrayLike, q: Array) -> Array:
     Examples
     --------
     >>> import numpy as np
-    >>> from pinmobile.forces import spread
-    >>> spread(np.array([1.0, 0, 0]), 0.0, np.zeros((4, 3))).shape
+    >>> from pinmobile.forces import broadcast_force
+    >>> broadcast_force(np.array([1.0, 0, 0]), 0.0, np.zeros((4, 3))).shape
     (4, 3)
     """
     shape = np.shape(q)
@@ -96,7 +96,7 @@ def spread(tau: Array, t: ArrayLike, q: Array) -> Array:
     return np.broadcast_to(tau, np.broadcast_shapes(tau.shape, shape, (*np.shape(t), 1)))
 
 
-def since(t: ArrayLike, begin: ArrayLike) -> Array:
+def unit_step(t: ArrayLike, begin: ArrayLike) -> Array:
     """Return 1 from a time on and 0 before it, with a tolerance of 1e-9 s.
 
     Parameters
@@ -117,8 +117,8 @@ def since(t: ArrayLike, begin: ArrayLike) -> Array:
 
     Examples
     --------
-    >>> from pinmobile.forces import since
-    >>> since([0.0, 1.0, 2.0], 1.0)
+    >>> from pinmobile.forces import unit_step
+    >>> unit_step([0.0, 1.0, 2.0], 1.0)
     array([0., 1., 1.])
     """
     return np.where(np.subtract(t, begin) > -_TIME_TOLERANCE, 1.0, 0.0)
@@ -190,7 +190,7 @@ class ConstantForce:
         q, v : ndarray, shape (..., 3)
             Pose of the body [m, m, rad], and its rate [m/s, m/s, rad/s].
         """
-        acts = since(t, self.begin) * (1.0 - since(t, self.end))
+        acts = unit_step(t, self.begin) * (1.0 - unit_step(t, self.end))
         return self.force * acts[..., None] + 0.0 * q  # type: ignore[no-any-return]
 
 
@@ -244,7 +244,7 @@ class SinusoidalForce:
             Pose of the body [m, m, rad], and its rate [m/s, m/s, rad/s].
         """
         wave = np.sin(np.multiply(t, 2 * np.pi * self.frequency) + self.phase)
-        return spread(self.amplitude * wave[..., None], t, q)
+        return broadcast_force(self.amplitude * wave[..., None], t, q)
 
 
 def _phase_field(doc: str, function: Any) -> Any:
@@ -368,7 +368,7 @@ class NoiseForce:
         """
         angles = np.asarray(t)[..., None, None] * self._rates  # (..., K, 3), the same for all robots
         waves = self.in_phase * np.cos(angles) - self.quadrature * np.sin(angles)
-        return spread(self.std * np.sqrt(2 / self.TERMS) * waves.sum(axis=-2), t, q)
+        return broadcast_force(self.std * np.sqrt(2 / self.TERMS) * waves.sum(axis=-2), t, q)
 
     def draw(self, generator: np.random.Generator, count: int) -> dict[str, Array]:
         """Return the `drawn` fields of robots with their own phases, shape (count, TERMS, 3).
@@ -495,7 +495,7 @@ class PayloadForce:
         """
         x, y = self.at[..., 0], self.at[..., 1]
         k1, k2 = self._lever(q)
-        is_on = since(t, self.when) + 0.0 * k1
+        is_on = unit_step(t, self.when) + 0.0 * k1
         m = is_on * self.mass
         izz = is_on * self.yaw_inertia + m * (x * x + y * y)
         rows = [[m, 0.0 * m, -m * k1], [0.0 * m, m, m * k2], [-m * k1, m * k2, izz]]
@@ -512,8 +512,8 @@ class PayloadForce:
             Pose of the body [m, m, rad], and its rate [m/s, m/s, rad/s].
         """
         k1, k2 = self._lever(q)
-        size = since(t, self.when) * self.mass * v[..., 2] ** 2
-        return spread(np.stack([size * k2, size * k1, 0.0 * size * k1], axis=-1), t, q)
+        size = unit_step(t, self.when) * self.mass * v[..., 2] ** 2
+        return broadcast_force(np.stack([size * k2, size * k1, 0.0 * size * k1], axis=-1), t, q)
 
 
 _TWIST = ("forward", "left", "yaw")
@@ -595,7 +595,7 @@ class ViscousFriction:
         """
         cos, sin = np.cos(q[..., 2]), np.sin(q[..., 2])
         twist = _rotate(cos, -sin, v)
-        return spread(_rotate(cos, sin, -self.coefficients * twist), t, q)
+        return broadcast_force(_rotate(cos, sin, -self.coefficients * twist), t, q)
 
 
 @final
@@ -659,7 +659,7 @@ class RollingResistance:
         """
         cos, sin = np.cos(q[..., 2]), np.sin(q[..., 2])
         twist = _rotate(cos, -sin, v)
-        return spread(_rotate(cos, sin, -self.force * twist / np.hypot(twist, self.speed)), t, q)
+        return broadcast_force(_rotate(cos, sin, -self.force * twist / np.hypot(twist, self.speed)), t, q)
 
 
 def _rotate(cos: Array, sin: Array, vector: Array) -> Array:
@@ -782,7 +782,7 @@ class JointFriction:
         missing = [name for name in attributes if not hasattr(robot, name)]
         if isinstance(robot, type) or missing:
             raise InvalidArgument(f"robot is {format_value(robot)}, expected a MobileRobot")
-        names = [one.name for one in coordinates_of(robot)]
+        names = [coordinate.name for coordinate in coordinates_of(robot)]
         return cls(robot.joint_damping, robot.joint_friction, speed, names)
 
     @property

@@ -282,7 +282,7 @@ def channels_of(coordinates: Sequence[Any], metrics: Sequence[Metric]) -> tuple[
     >>> [one.title for one in channels_of(named, ())]
     ['distance [m]', 'heading [rad]']
     """
-    errors = [Metric(one.name, one.unit, f"error of {one.name}") for one in coordinates[3:]]
+    errors = [Metric(x.name, x.unit, f"error of {x.name}") for x in coordinates[3:]]
     return (
         Metric("distance", "m", "distance from the desired position"),
         Metric("heading", "rad", "error of the heading"),

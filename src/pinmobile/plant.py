@@ -885,7 +885,7 @@ def configuration_names_of(plant: object) -> tuple[str, ...]:
     if names is not None:
         return sequence("plant.configuration_names", names, "a sequence of names")
     count, rows = stated(plant, "nq"), coordinates_of(plant)
-    return tuple(one.name for one in rows) if len(rows) == count else tuple(f"[{k}]" for k in range(count))
+    return tuple(row.name for row in rows) if len(rows) == count else tuple(f"[{k}]" for k in range(count))
 
 
 def reference_sizes_of(plant: object) -> Mapping[int, int]:
@@ -1262,9 +1262,9 @@ class PlantDescription:
         size = stated(plant, "size")
         return cls(
             kind=type(plant).__name__,
-            coordinates=tuple(Coordinate(*one) for one in coordinates_of(plant)),
+            coordinates=tuple(Coordinate(*row) for row in coordinates_of(plant)),
             configuration_names=configuration_names_of(plant),
-            inputs=tuple(Input(*one) for one in inputs_of(plant)),
+            inputs=tuple(Input(*row) for row in inputs_of(plant)),
             reference_sizes=dict(reference_sizes_of(plant)),
             posed=_pose_entries(plant, q),
             size=None if size is None or np.shape(size) != (3,) else tuple(float(x) for x in size),

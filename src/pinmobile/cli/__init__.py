@@ -1,7 +1,9 @@
 """The ``pinmobile`` command: it reads options, calls the library, and prints the result and the next step."""
 
 import os
+import signal
 import sys
+import threading
 import warnings
 from collections.abc import Sequence
 from contextlib import suppress
@@ -38,11 +40,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:  # closed, as by `>&-`: use /dev/null
             setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_WRONLY), "w"))
+    is_main = threading.current_thread() is threading.main_thread()
     try:
+        # SIGTERM, as of a batch system, ends in order like Ctrl-C: without temporary files.
+        before = signal.signal(signal.SIGTERM, signal.default_int_handler) if is_main else None
         # _run imports its modules itself, so that an interrupt during an import ends quietly.
         return _run(arguments)
     except KeyboardInterrupt:
         return _print_error("interrupted", _INTERRUPTED)
+    finally:
+        if is_main:
+            signal.signal(signal.SIGTERM, before or signal.SIG_DFL)
 
 
 def _run(arguments: Sequence[str] | None) -> int:

@@ -1,13 +1,11 @@
 """Output of run, ensemble, sweep, view and play: text, figures and files."""
 
 import math
-import signal
 import socket
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 import numpy as np
@@ -123,7 +121,11 @@ def show_run(words: Sequence[str], out: Path, film: Path | None, *, allow_code: 
 
 def _source_section(file: LoadedFile) -> Section:
     """Return the section that repeats the results: the whole scenario and the version of pinmobile."""
-    return Section("Scenario", f"# pinmobile {__version__}\n{file.to_toml()}")
+    try:
+        scenario = file.to_toml()
+    except InvalidArgument:  # a part of the user's own code
+        scenario = "\n".join([file.text, *file.words])
+    return Section("Scenario", f"# pinmobile {__version__}\n{scenario}")
 
 
 def _metrics(run: Rollout) -> list[str]:
@@ -407,14 +409,7 @@ def _load_run(path: Path) -> Rollout:
 @contextmanager
 def _until_interrupt() -> Iterator[None]:
     """End a ``with`` block in order after Ctrl-C or SIGTERM."""
-
-    def end(number: int, frame: FrameType | None) -> None:
-        raise KeyboardInterrupt
-
-    previous = signal.signal(signal.SIGTERM, end)
     try:
         yield
     except KeyboardInterrupt:
         console.print("\nended", markup=False)
-    finally:
-        signal.signal(signal.SIGTERM, previous)

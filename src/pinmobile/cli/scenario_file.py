@@ -32,6 +32,7 @@ from pinmobile.parts import (
     locate_errors,
     makes_part,
     match_refs,
+    named,
     number,
     option,
     parameters,
@@ -39,7 +40,6 @@ from pinmobile.parts import (
     public_names,
     read_entries,
     read_file,
-    refs_of,
     requirement,
     resolve,
     suggest_name,
@@ -198,7 +198,7 @@ class LoadedFile:
         nominal, problems = evolved(plain, spread={}).scenario(), {}
         for path in self.content.spread:
             try:
-                match_refs(nominal.given, path, refs_of(nominal.given), "spread")
+                match_refs(nominal.given, path, named(nominal.given), "spread")
             except (UnknownName, InvalidArgument) as error:
                 problems[f"spread.{path}"] = str(error)
         self._raise_problems(problems)

@@ -194,8 +194,8 @@ class _Compiled:
     def compare(self, state: Sequence[Array], expected: Any) -> None:
         """Reject a function whose results with symbols and with numbers differ."""
         lead = (1,) if any(self.varies) else ()
-        for one, other in zip(expected if self.is_tuple else (expected,), self(state, lead), strict=True):
-            result, scale = other.reshape(other.shape[len(lead) :]), np.abs(one).max(initial=1e-3)
+        for one, actual in zip(expected if self.is_tuple else (expected,), self(state, lead), strict=True):
+            result, scale = actual.reshape(actual.shape[len(lead) :]), np.abs(one).max(initial=1e-3)
             if np.shape(one) != result.shape or not np.allclose(one, result, rtol=0, atol=_RTOL * scale):
                 reason = "with symbols, the function computes something else than with numbers"
                 remedy = "write a function that treats every kind of array alike, without isinstance or try"

@@ -132,9 +132,9 @@ class Copy:
         for i in ancestors(self.old, self._needed_nodes(loop)):
             operation = self.old.operations[i]
             self.new[i] = swaps[operation](self.tape).index if operation in swaps else self._copy_node(i)
-        for i, (name, of) in self.old.marks.items():
-            if i in self.new and all(x in self.new for x in of):
-                self.tape.marks.setdefault(self.new[i], (name, tuple(self.new[x] for x in of)))
+        for i, (name, args) in self.old.marks.items():
+            if i in self.new and all(x in self.new for x in args):
+                self.tape.marks.setdefault(self.new[i], (name, tuple(self.new[x] for x in args)))
 
     def _needed_nodes(self, loop: LoopTape) -> set[int]:
         """Return the outputs of the loop, and the operands of functions, which may be constants."""
@@ -158,7 +158,7 @@ class Copy:
             tape=self.tape,
             states=[(new[node], new[next_node]) for node, next_node in loop.states],
             kept={name: (shape, [new[x] for x in nodes]) for name, (shape, nodes) in loop.kept.items()},
-            rings=[Ring(new[one.node], new[one.source], one.samples) for one in loop.rings],
+            rings=[Ring(new[ring.node], new[ring.source], ring.samples) for ring in loop.rings],
             counted=[],
         )
 
@@ -221,7 +221,7 @@ def _append_rounds(
     def law(carried: list[Any]) -> tuple[list[Any], Any]:
         inner: dict[int, int] = {}
         inner_rounds: dict[int, tuple[list[Node], list[list[Node]]]] = {}
-        tangent_maps = [dict(each) for each in directions]
+        tangent_maps = [dict(direction) for direction in directions]
 
         def node_of(x: int) -> int:
             return inner[x] if x in inner else new(x)
@@ -349,8 +349,8 @@ def expand_delays(loop: LoopTape) -> LoopTape:
             indices = range(first_states[i], first_states[i] + operation[2])
             inputs = [tape.input("state", place) for place in indices]
             values = [tape.apply("select", begins, source, x) for x in inputs]
-            ends = [one.index for one in (*values[1:], source)]
-            states.extend(zip([one.index for one in inputs], ends, strict=True))
+            ends = [node.index for node in (*values[1:], source)]
+            states.extend(zip([node.index for node in inputs], ends, strict=True))
             return values[0].index
 
     copy = WithStates(loop)
@@ -398,10 +398,10 @@ def adjoint(loop: LoopTape, params: Sequence[_Input], columns: int, samples: Seq
     tape, end = copy.tape, len(copy.tape)
     indices = {operation: i for i, operation in enumerate(tape.operations[:end])}
 
-    def place(one: _Input) -> int:
+    def place(operation: _Input) -> int:
         """Return the node of an input of the loop, or -1."""
-        shift = n if one[0] == "track" else 0
-        return indices.get((one[0], one[1] + shift), -1)
+        shift = n if operation[0] == "track" else 0
+        return indices.get((operation[0], operation[1] + shift), -1)
 
     state_nodes = [indices.get(("track", i), -1) for i in range(n)]
     ends = {*state_nodes, *map(place, (*params, *samples))} - {-1}

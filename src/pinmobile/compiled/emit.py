@@ -73,7 +73,7 @@ class Code:
         self.constants: dict[tuple[int, bool], str] = {}
         self.shared = [not depends & (ROBOT | STATE) for depends in self.tape.depends]
         lanes = shape.lanes
-        self.vector_types = {k: one if lanes == 1 else f"<{lanes} x {one}>" for k, one in _SCALAR.items()}
+        self.vector_types = {k: x if lanes == 1 else f"<{lanes} x {x}>" for k, x in _SCALAR.items()}
 
     def type(self, kind: str, scalar: bool = False) -> str:
         """Return LLVM's type of a value: a vector, unless all lanes share the value."""

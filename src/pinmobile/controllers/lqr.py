@@ -273,10 +273,10 @@ def double_integrators(dt: float, kp: Array, kd: Array, ki: Array) -> Array:
     Its shape is (..., 3 n, 3 n). Explicit Euler integrates z after u. Gains are matrices, shape (..., n, n).
     """
     kp, kd, ki = np.broadcast_arrays(kp, kd, ki)
-    one = np.eye(kp.shape[-1])
+    eye = np.eye(kp.shape[-1])
     force = np.concatenate([-kp, -kd, ki], axis=-1)
-    rows = ([one, dt * one, 0 * one], [0 * one, one, 0 * one], [-dt * one, 0 * one, one])
-    pushes = np.concatenate([dt * dt / 2 * one, dt * one, 0 * one])
+    rows = ([eye, dt * eye, 0 * eye], [0 * eye, eye, 0 * eye], [-dt * eye, 0 * eye, eye])
+    pushes = np.concatenate([dt * dt / 2 * eye, dt * eye, 0 * eye])
     return np.asarray(np.block([list(row) for row in rows]) + pushes @ force)
 
 

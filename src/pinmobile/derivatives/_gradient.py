@@ -17,7 +17,7 @@ from pinmobile.forces import Force
 from pinmobile.integrators import Integrator
 from pinmobile.loop import Sample, Source
 from pinmobile.metrics import Metric, format_si
-from pinmobile.parts import OnCoordinates, refs_of
+from pinmobile.parts import OnCoordinates, named
 from pinmobile.plant import Plant
 from pinmobile.trajectories import Trajectory
 
@@ -191,7 +191,7 @@ def gradient(
         *(by, (q0, v0)),
         **options,
     )
-    units = {path: one.unit for path, one in problem.numbers.items()}
+    units = {path: number.unit for path, number in problem.numbers.items()}
     if smooth is not None:
         with loop_errors():
             return _fit_slopes(problem, bounded("smooth", positive("smooth", smooth), most=0.5))
@@ -234,11 +234,11 @@ def _fit_slopes(problem: Problem, share: float) -> Gradient:
     scenario = problem.scenario
     if scenario.n > 1:
         raise InvalidArgument("smooth is for one robot, expected n=1")
-    refs = refs_of(scenario.given)
+    refs = named(scenario.given)
     entries, indices = dict[str, float](), list[tuple[str, Any]]()
-    for path, one in problem.numbers.items():
-        is_array = one.entry is None and np.ndim(one.leaf.value) > 0
-        parts = [x for x in refs.values() if x.leaf.path == path and x.label] if is_array else [one]
+    for path, number in problem.numbers.items():
+        is_array = number.entry is None and np.ndim(number.leaf.value) > 0
+        parts = [x for x in refs.values() if x.leaf.path == path and x.label] if is_array else [number]
         entries |= {part.path: float(part.value) for part in parts}
         indices += [(path, part.entry if is_array else ()) for part in parts]
     values = np.array([*entries.values()])
@@ -262,6 +262,6 @@ def _fit_slopes(problem: Problem, share: float) -> Gradient:
         )
         for target, x in zip(slopes, (fit, deviation), strict=True):
             target.setdefault(path, np.zeros(shape))[entry if shape else ()] = x[k]
-    units = {path: one.unit for path, one in problem.numbers.items()}
+    units = {path: number.unit for path, number in problem.numbers.items()}
     words = f"fit to {len(steps)} runs within {100 * share:g} % of each number"
     return Gradient(float(fit[0]), slopes[0], units, words, errors=slopes[1])

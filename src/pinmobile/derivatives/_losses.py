@@ -111,11 +111,11 @@ class Losses:
     @property
     def metrics(self) -> tuple[tuple[int, bool], ...]:
         """Metrics of the plant that the recorder reads."""
-        return tuple((one.of, False) for one in self.losses if isinstance(one.of, int))
+        return tuple((loss.of, False) for loss in self.losses if isinstance(loss.of, int))
 
     def initial_state(self, n: int, nu: int) -> Any:
         """Return the losses of no sample."""
-        return np.array([_INITIAL.get(one.reduction, 0.0) for one in self.losses])
+        return np.array([_INITIAL.get(loss.reduction, 0.0) for loss in self.losses])
 
     def __call__(self, sample: Sample, state: Any) -> Record:
         """Return the losses with one more sample."""

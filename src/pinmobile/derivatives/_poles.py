@@ -346,7 +346,7 @@ def poles(
     values[: basis.shape[1]] = np.linalg.eigvals(basis.T @ matrix @ basis)
     values.imag[np.abs(values.imag) < _REAL_TOLERANCE] = 0.0
     order = np.lexsort([-values.imag, -np.round(np.abs(values), 6)])
-    inputs = tuple(one.name for one in inputs_of(plant))
+    inputs = tuple(entry.name for entry in inputs_of(plant))
     outputs = input_matrix, output[:, :n], output[:, n:], inputs
     return Poles(values[order], matrix, _names(problem), problem.scenario.dt, float(t[k]), *outputs)
 
@@ -374,10 +374,10 @@ def _linearize(problem: Problem, k: int) -> tuple[Array, Array]:
 def _names(problem: Problem) -> tuple[str, ...]:
     """Return the names of the states."""
     plant, tape = problem.scenario.robot, problem.machine.tape
-    names = [one.name for one in coordinates_of(plant)]
+    names = [coordinate.name for coordinate in coordinates_of(plant)]
     nq, nv = tape.sizes[:2]
     names = names if nq == nv else [f"q[{i}]" for i in range(nq)]
-    names += [one.rate or f"{one.name}_rate" for one in coordinates_of(plant)]
+    names += [coordinate.rate or f"{coordinate.name}_rate" for coordinate in coordinates_of(plant)]
     for leaf in tape.leaves:
         if leaf.kind == "state":
             names += [f"{leaf.owner} {leaf.path}"] * int(np.prod(leaf.shape))

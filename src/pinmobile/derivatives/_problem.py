@@ -43,7 +43,7 @@ from pinmobile.loop import (
     start_of,
     traced_numbers,
 )
-from pinmobile.parts import evolved, match_refs, refs_of, replace
+from pinmobile.parts import evolved, match_refs, named, replace
 from pinmobile.trajectories import Reference
 
 _FORWARD = 8  # numbers for which forward mode is selected
@@ -95,9 +95,9 @@ class Direction(NamedTuple):
 
 def _varied_inputs(directions: Sequence[Direction]) -> tuple[list[_Input], list[_Input]]:
     """Return the inputs of a run, and those of each sample, that depend on some numbers."""
-    run: list[_Input] = [("row", one.row) for one in directions if one.row >= 0]
+    run: list[_Input] = [("row", direction.row) for direction in directions if direction.row >= 0]
     samples: list[_Input] = []
-    for other in (one.other for one in directions if one.other is not None):
+    for other in (direction.other for direction in directions if direction.other is not None):
         rows, series = (other.rows, other.uniforms), (other.samples.T, other.tracks.swapaxes(0, 1))
         for group, kinds, arrays in ((run, _RUN, rows), (samples, _SERIES, series)):
             for kind, x in zip(kinds, arrays, strict=True):
@@ -176,7 +176,7 @@ class Problem:
         self.draws = scenario.draws() if is_ensemble else {}
         self.values = scenario.values(self.draws, 0, self.n) if is_ensemble else {}
         self.loop = evolved(scenario.loop, {"recorder": recorder})
-        refs = refs_of(scenario.given)
+        refs = named(scenario.given)
         self.refs_by_name = {name: match_refs(scenario.given, name, refs, "by") for name in by}
         self.numbers = {ref.path: ref for group in self.refs_by_name.values() for ref in group}
         numbers = traced_numbers(self.loop)
@@ -465,10 +465,10 @@ class Problem:
         return final[:S, :, 0], final[S:], {name: np.concatenate(x) for name, x in kept.items()}
 
     def adjoints(
-        self, inputs: Inputs, directions: Sequence[Direction], at: Sequence[int]
+        self, inputs: Inputs, directions: Sequence[Direction], loss_states: Sequence[int]
     ) -> tuple[Array, Array]:
         """Return final states (S, n), and the slopes of L of them by each direction, shape (L, n, P)."""
-        machine, n, L = self.machine, self.n, len(at)
+        machine, n, L = self.machine, self.n, len(loss_states)
         params, series_inputs = _varied_inputs(directions)
         columns, S = inputs.samples.shape[1], len(machine.tape.states)
         record = machine.of("recording", machine.state_recorder, n > 1)
@@ -486,7 +486,7 @@ class Problem:
                 states = record[1].kept_samples(kept, m)["state"]
                 tracks = np.concatenate([np.moveaxis(states, 0, 2)[::-1], tracks], axis=1)
             seed = np.zeros((S + len(params), m, L))
-            seed[at, :, range(L)] = 1.0
+            seed[loss_states, :, range(L)] = 1.0
             arguments = part._replace(
                 states=seed.reshape(len(seed), -1),
                 rows=np.repeat(part.rows, L, axis=1),
@@ -550,7 +550,7 @@ def problem_of(
 
 def _expand_gains(scenario: Scenario, by: Sequence[str]) -> Scenario:
     """Return the scenario with a number for each coordinate where `by` names one of a gain."""
-    refs, gains = refs_of(scenario.given), dict[str, Any]()
+    refs, gains = named(scenario.given), dict[str, Any]()
     for ref in (match for name in by for match in match_refs(scenario.given, name, refs, "by")):
         if ref.entry is not None and np.ndim(ref.leaf.value) < len(ref.entry):
             size = 1 + max(entry[-1] for entry in ref.leaf.entries.values())
@@ -633,7 +633,7 @@ def evaluate_losses(problem: Problem, changes: Mapping[str, Any], mode: str | No
             final, slopes = problem.adjoints(inputs, directions, indices)
         else:
             final, slopes = problem.plain(inputs), np.zeros((len(indices), problem.n, 0))
-        pairs = [one.finish(final[i], len(inputs.samples)) for one, i in zip(losses, indices, strict=True)]
+        pairs = [loss.finish(final[i], len(inputs.samples)) for loss, i in zip(losses, indices, strict=True)]
         values = np.array([value for value, _ in pairs])
         slopes = slopes * np.array([slope for _, slope in pairs])[:, :, None]
     return Evaluation(values, slopes, directions, inputs)

@@ -161,4 +161,4 @@ def sensitivities(
         arrange_slopes(problem, directions, np.moveaxis(kept[f"tangent {name}"][:, : len(run.t)], 0, -1))
         for name in ("q", "v", "u", "a")
     )
-    return Sensitivities(run, q, v, u, a, {path: one.unit for path, one in problem.numbers.items()})
+    return Sensitivities(run, q, v, u, a, {path: number.unit for path, number in problem.numbers.items()})

@@ -205,9 +205,9 @@ class Tuning:
             )
         if len(names) > len(rows):
             lines.append(f"  ... and {len(names) - len(rows)} numbers that changed less")
-        for one in self.constraints:
+        for constraint in self.constraints:
             is_kept = best.excess <= _EXCESS_TOLERANCE
-            lines.append(f"  {one}: {'kept' if is_kept else f'exceeded by up to {best.excess:.3g}'}")
+            lines.append(f"  {constraint}: {'kept' if is_kept else f'exceeded by up to {best.excess:.3g}'}")
         if best.excess > _EXCESS_TOLERANCE:
             lines.append("  no trial keeps all constraints: these numbers exceed them least")
         if self.others:
@@ -322,7 +322,7 @@ class _Search:
 
     def excess(self, values: Array) -> Array:
         """Return the largest violation of a constraint by each robot, shape (n,), of values (L, n)."""
-        excesses = [one.excess(x) for one, x in zip(self.constraints, values, strict=True)]
+        excesses = [constraint.excess(x) for constraint, x in zip(self.constraints, values, strict=True)]
         return np.asarray(np.max([np.zeros(self.variables.problem.n), *excesses], axis=0))
 
     def of(self, losses: Array, soft: float = 0.0) -> tuple[float, Array]:
@@ -455,7 +455,7 @@ def tune(
     bounds = tuple(instance("constraints", one, Constraint, "derivatives.Constraint") for one in items)
 
     def losses(scenario: Scenario) -> Losses:
-        limits = [one.read(scenario) for one in bounds]
+        limits = [limit.read(scenario) for limit in bounds]
         return Losses((Loss.read(loss, reduction, scenario), *limits))
 
     options: dict[str, Any] = {"dt": dt, "duration": duration, "integrator": integrator, "substeps": substeps}

@@ -217,8 +217,8 @@ def initial_context(
     errors: list[Exception] = []
     for n in sorted(sizes, reverse=True):
         first = Reference(q[: sizes[n]], v[:n], np.zeros(n))
-        whole: Any = Context.of(plant, dt=dt, reference=Reference(*(x[None] for x in first)))
-        blind_context: Any = BlindContext(whole, *_NO_REFERENCE)
+        full_context: Any = Context.of(plant, dt=dt, reference=Reference(*(x[None] for x in first)))
+        blind_context: Any = BlindContext(full_context, *_NO_REFERENCE)
         try:  # the largest reference that the controller accepts
             controller(0.0, q.copy(), v.copy(), first, controller.initial_state(blind_context))
         except NotTraceable:

@@ -22,7 +22,7 @@ from pinmobile.loop import (
     scheduled_rows,
     traced_numbers,
 )
-from pinmobile.parts import NumberRef, find, option, part, refs_of, replace
+from pinmobile.parts import NumberRef, find, named, option, part, replace
 from pinmobile.plant import Context, coordinates_of, inputs_of
 from pinmobile.signals import signals_of
 from pinmobile.trajectories import Reference
@@ -168,7 +168,7 @@ class Law:
 
     def _tunable(self, name: str) -> NumberRef:
         root = "plant." if self.is_plant else "controller."
-        refs = {path: ref for path, ref in refs_of(self.loop).items() if path.startswith(root)}
+        refs = {path: ref for path, ref in named(self.loop).items() if path.startswith(root)}
         number = find(self.loop, name, refs, "tunable")
         if number.label:
             raise InvalidArgument(

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pinmobile.arrays import Array
 from pinmobile.compiled import Recurrence
 from pinmobile.errors import InvalidArgument
-from pinmobile.identification._filters import FINEST, twist_of, without_outliers
+from pinmobile.identification._filters import FINEST, remove_outliers, twist_of
 from pinmobile.identification._log import Log, check_units, continuous
 from pinmobile.identification._simulation import Segments
 
@@ -21,59 +21,59 @@ CAR_COMMANDS = {"speed": "m/s", "steering angle": "rad"}
 LEAST_BLOCKS = 20  # smallest number of blocks of the jackknife
 BLOCK, _LONG_BLOCK = 2.0, 5.0  # [s], their length: the longest that a log allows
 _LATEST, _MOST_LATE = 0.6, 60  # largest delay [s] and [samples]
-LEAST = 0.3  # smallest explained share of the motion
+MIN_SHARE = 0.3  # smallest explained share of the motion
 _MOST_UNEXPLAINED = 0.5  # largest share of a log under other control
 _USUAL, _SLOW = 0.9, 0.3  # quantile of the usual speed, and the share of it from which curvatures are known
 _STEEPEST = 1.3  # [rad], steering commands beyond it have no curvature
-_STILL = 1e-9  # [m/s, rad/s]: commands that change less count as constant
+_COMMAND_TOLERANCE = 1e-9  # [m/s, rad/s]: commands that change less count as constant
 _SLOWEST = 10.0  # [s], largest time constant
 _TAUS, _REFINED = 14, 7  # numbers of time constants in the first search and in its refinements
 _ROWS = 2000  # largest number of rows that the search compares
-_LIMITED = 0.03  # smallest share of the residual that a limit of commands removes
+_LIMIT_GAIN = 0.03  # smallest share of the residual that a limit of commands removes
 LARGEST = 0.95  # largest limit of commands per largest command
 _STEEP = 0.1  # smallest share of the residual that a limit of acceleration removes
 _RAMPS = np.geomspace(0.03, 0.9, 12)  # tried accelerations, as shares of the largest without a limit
-_RAMPED = np.array([0.1, 0.3, 1.0])  # tried time constants, as shares of that without a limit
+_TAU_SHARES = np.array([0.1, 0.3, 1.0])  # tried time constants, as shares of that without a limit
 _DELAYS = 4  # tried delays
 _LONGEST = 20_000  # rows of the search for a limit of acceleration
 _SECTION = 3.0  # [s], shortest section under other control
-_UNEXPLAINED = 0.7  # square of the residual per square of motion or command in such a section
+_RESIDUAL_RATIO = 0.7  # square of the residual per square of motion or command in such a section
 _EDGE, _WIDE = 1.0, 4.0  # window [s], and residual per usual one, in which such a section goes on
 _OFFSETS = 2  # rounds that estimate an offset
 _MOVES = 0.2  # smallest residual in such a section, as a share of the usual motion
 
 
 class Lag(NamedTuple):
-    """Lag of one channel: y' = (gain * clip(u, +-limit) + offset - y) / tau, with u `late` samples late.
+    """Lag of one channel: y' = (gain * clip(u, +-limit) + offset - y) / tau, with `delay` samples later.
 
-    `steepest` limits the absolute value of y'. `cost` is the mean absolute residual.
+    `rate_limit` limits the absolute value of y'. `cost` is the mean absolute residual.
     """
 
     gain: float
     tau: float
-    late: int
+    delay: int
     limit: float
-    steepest: float = np.inf
+    rate_limit: float = np.inf
     cost: float = 0.0
     offset: float = 0.0
 
-    def given(self, u: Array) -> Array:
+    def gain_map(self, u: Array) -> Array:
         """Return the motion that commands u, shape (N,), would have without the lag."""
-        late = np.concatenate([np.full(self.late, u[0]), u])[: len(u)]
-        return np.asarray(self.gain * np.clip(late, -self.limit, self.limit) + self.offset)
+        commands = np.concatenate([np.full(self.delay, u[0]), u])[: len(u)]
+        return np.asarray(self.gain * np.clip(commands, -self.limit, self.limit) + self.offset)
 
     def response(self, u: Array, dt: float) -> Array:
         """Return the motion for commands u, shape (N,), from the steady motion of the first."""
         from scipy.signal import lfilter  # slow to load
 
-        given, fades = self.given(u), np.exp(-dt / self.tau)
-        if np.isfinite(self.steepest):
-            return _ramped(given, dt, np.array([self.tau]), np.array([self.steepest]))[:, 0]
+        given, fades = self.gain_map(u), np.exp(-dt / self.tau)
+        if np.isfinite(self.rate_limit):
+            return _ramp_responses(given, dt, np.array([self.tau]), np.array([self.rate_limit]))[:, 0]
         return np.asarray(lfilter([0.0, 1 - fades], [1.0, -fades], given, zi=given[:1])[0])
 
     def top(self, commands: Sequence[Array]) -> float:
         """Return the largest rate of the motion without a limit."""
-        return max(float(np.abs(np.diff(self.given(u))).max(initial=0.0)) for u in commands) / self.tau
+        return max(float(np.abs(np.diff(self.gain_map(u))).max(initial=0.0)) for u in commands) / self.tau
 
 
 @cache
@@ -82,9 +82,9 @@ def _ramp() -> Recurrence:
     return Recurrence(lambda y, u, x: y + np.minimum(np.maximum(x[:1] * (u - y), -x[1:]), x[1:]), (1, 1, 2))
 
 
-def _ramped(given: Array, dt: float, tau: Array, steepest: Array) -> Array:
+def _ramp_responses(given: Array, dt: float, tau: Array, rate_limit: Array) -> Array:
     """Return the motions, shape (N, C), of C lags with limits of acceleration, for motions without lags."""
-    u, numbers = given.reshape(len(given), -1, 1), np.stack([1 - np.exp(-dt / tau), steepest * dt], axis=-1)
+    u, numbers = given.reshape(len(given), -1, 1), np.stack([1 - np.exp(-dt / tau), rate_limit * dt], axis=-1)
     return _ramp()(u[0], u[:-1], numbers)[..., 0].T
 
 
@@ -100,118 +100,118 @@ class Channel(NamedTuple):
     dt: float
     shifts: bool = False
 
-    def lag(self, lead: int, late: int | None = None) -> Lag:
+    def lag(self, lead: int, delay: int | None = None) -> Lag:
         """Return the lag with the least absolute residuals; default: of all delays below `lead` samples."""
-        delays = range(lead) if late is None else [late]
+        delays = range(lead) if delay is None else [delay]
         if not self.moves:
             return Lag(0.0, _SLOWEST, 0, np.inf)
-        found, offset = self._lag(delays), 0.0
+        fit, offset = self._lag(delays), 0.0
         for _ in range(_OFFSETS * self.shifts):
-            left = [y - found.response(u, self.dt) for u, y in zip(self.u, self.y, strict=True)]
+            left = [y - fit.response(u, self.dt) for u, y in zip(self.u, self.y, strict=True)]
             offset += float(np.nanmedian(np.concatenate(left)))
-            found = self._replace(y=[y - offset for y in self.y])._lag(delays)
-        return found._replace(offset=offset)
+            fit = self._replace(y=[y - offset for y in self.y])._lag(delays)
+        return fit._replace(offset=offset)
 
     def _lag(self, delays: Sequence[int]) -> Lag:
-        most = max(float(np.abs(u).max()) for u in self.u)
+        largest = max(float(np.abs(u).max()) for u in self.u)
         taus = np.geomspace(0.3 * self.dt, max(_SLOWEST, self.dt), _TAUS)
-        best = self._best([(tau, late, np.inf) for tau in taus for late in delays])
+        best = self._best_lag([(tau, delay, np.inf) for tau in taus for delay in delays])
         shares = np.linspace(0.15, 0.95, 17)
-        limited = self._best([(best.tau, best.late, share * most) for share in shares])
-        if limited.cost < (1 - _LIMITED) * best.cost:
-            near = np.linspace(-0.05, 0.05, 9) * most
-            best = self._best([(tau, late, limited.limit) for tau in taus for late in delays])
-            best = self._best([(best.tau, best.late, best.limit + more) for more in near])
-            best = best if best.limit < LARGEST * most else best._replace(limit=np.inf)
+        with_limit = self._best_lag([(best.tau, best.delay, share * largest) for share in shares])
+        if with_limit.cost < (1 - _LIMIT_GAIN) * best.cost:
+            changes = np.linspace(-0.05, 0.05, 9) * largest
+            best = self._best_lag([(tau, delay, with_limit.limit) for tau in taus for delay in delays])
+            best = self._best_lag([(best.tau, best.delay, best.limit + change) for change in changes])
+            best = best if best.limit < LARGEST * largest else best._replace(limit=np.inf)
         for width in (1.6, 1.15):
-            around = best.tau * np.geomspace(1 / width, width, _REFINED)
-            best = self._best([(tau, best.late, best.limit) for tau in around])
-        return self._steepest(best, delays)
+            tau_grid = best.tau * np.geomspace(1 / width, width, _REFINED)
+            best = self._best_lag([(tau, best.delay, best.limit) for tau in tau_grid])
+        return self._add_rate_limit(best, delays)
 
-    def _steepest(self, lag: Lag, delays: Sequence[int]) -> Lag:
+    def _add_rate_limit(self, lag: Lag, delays: Sequence[int]) -> Lag:
         """Return a lag with a limit of acceleration, where the motion shows one.
 
         Without the limit, a longer delay imitates it.
         """
         u, y = np.concatenate(self.u)[:_LONGEST], np.concatenate(self.y)[:_LONGEST]
-        top, seen = lag.top([u]), ~np.isnan(y)
-        tried = [late for late in delays if late <= lag.late]
-        tried = sorted({tried[round(k)] for k in np.linspace(0, len(tried) - 1, _DELAYS)})
-        late, tau, most = (x.ravel() for x in np.meshgrid(tried, lag.tau * _RAMPED, top * _RAMPS))
-        each = np.stack([lag._replace(late=k).given(u) for k in tried], axis=-1)
-        given = each[:, np.searchsorted(tried, late)]
-        costs = np.abs(_ramped(given, self.dt, tau, most) - y[:, None])[seen].mean(axis=0)
+        top, measured = lag.top([u]), ~np.isnan(y)
+        choices = [delay for delay in delays if delay <= lag.delay]
+        choices = sorted({choices[round(k)] for k in np.linspace(0, len(choices) - 1, _DELAYS)})
+        delay, tau, limits = (x.ravel() for x in np.meshgrid(choices, lag.tau * _TAU_SHARES, top * _RAMPS))
+        each = np.stack([lag._replace(delay=k).gain_map(u) for k in choices], axis=-1)
+        given = each[:, np.searchsorted(choices, delay)]
+        costs = np.abs(_ramp_responses(given, self.dt, tau, limits) - y[:, None])[measured].mean(axis=0)
         k = int(costs.argmin())
-        before = np.abs(lag.response(u, self.dt) - y)[seen].mean()
-        if costs[k] >= (1 - _STEEP) * before:
+        old_cost = np.abs(lag.response(u, self.dt) - y)[measured].mean()
+        if costs[k] >= (1 - _STEEP) * old_cost:
             return lag
-        found = lag._replace(tau=float(tau[k]), steepest=float(most[k]), late=int(late[k]))
-        free = found._replace(limit=np.inf)
-        same = np.abs(free.response(u, self.dt) - y)[seen].mean() < costs[k] / (1 - _LIMITED)
-        return free if same else found
+        fit = lag._replace(tau=float(tau[k]), rate_limit=float(limits[k]), delay=int(delay[k]))
+        free = fit._replace(limit=np.inf)
+        same = np.abs(free.response(u, self.dt) - y)[measured].mean() < costs[k] / (1 - _LIMIT_GAIN)
+        return free if same else fit
 
-    def _best(self, tried: Sequence[tuple[float, int, float]]) -> Lag:
-        seen = [np.flatnonzero(~np.isnan(y)) for y in self.y]
-        seen = [rows[:: max(1, sum(map(len, seen)) // _ROWS)] for rows in seen]
-        y, found = np.concatenate([y[rows] for y, rows in zip(self.y, seen, strict=True)]), []
-        for tau, late, limit in tried:
-            lag = Lag(1.0, float(tau), late, float(limit))
-            parts = zip(self.u, seen, strict=True)
+    def _best_lag(self, candidates: Sequence[tuple[float, int, float]]) -> Lag:
+        indices = [np.flatnonzero(~np.isnan(y)) for y in self.y]
+        indices = [rows[:: max(1, sum(map(len, indices)) // _ROWS)] for rows in indices]
+        y, lags = np.concatenate([y[rows] for y, rows in zip(self.y, indices, strict=True)]), []
+        for tau, delay, limit in candidates:
+            lag = Lag(1.0, float(tau), delay, float(limit))
+            parts = zip(self.u, indices, strict=True)
             x = np.concatenate([lag.response(u, self.dt)[rows] for u, rows in parts])
             gain = _gain(x, y)
-            found.append(lag._replace(gain=gain, cost=float(np.abs(y - gain * x).mean())))
-        return min(found, key=lambda lag: lag.cost)
+            lags.append(lag._replace(gain=gain, cost=float(np.abs(y - gain * x).mean())))
+        return min(lags, key=lambda lag: lag.cost)
 
     @property
     def moves(self) -> bool:
         """Whether the commands change."""
-        return bool(np.ptp(np.concatenate(self.u)) > _STILL)
+        return bool(np.ptp(np.concatenate(self.u)) > _COMMAND_TOLERANCE)
 
     def share(self, lag: Lag) -> float | None:
         """Return R^2 of a lag; None for constant commands."""
         y, x = np.concatenate(self.y), np.concatenate([lag.response(u, self.dt) for u in self.u])
-        seen = ~np.isnan(y)
-        spent = float(((y[seen] - y[seen].mean()) ** 2).sum()) if seen.any() else 0.0
-        return 1 - float(((y - x)[seen] ** 2).sum()) / spent if self.moves and spent else None
+        measured = ~np.isnan(y)
+        power = float(((y[measured] - y[measured].mean()) ** 2).sum()) if measured.any() else 0.0
+        return 1 - float(((y - x)[measured] ** 2).sum()) / power if self.moves and power else None
 
-    def unexplained(self, lag: Lag) -> list[NDArray[np.bool_]]:
+    def unexplained_rows(self, lag: Lag) -> list[NDArray[np.bool_]]:
         """Return the rows in sections that the commands do not explain, as masks."""
-        motion, size, found = np.concatenate(self.y), max(3, round(_SECTION / self.dt)), []
+        motion, size, masks = np.concatenate(self.y), max(3, round(_SECTION / self.dt)), []
         usual = np.quantile(np.abs(motion[~np.isnan(motion)]), 0.9)
         if not self.moves:
             return [np.zeros(len(u), bool) for u in self.u]
         for u, y in zip(self.u, self.y, strict=True):
             x = lag.response(u, self.dt)
-            seen = ~np.isnan(y)
-            left, moved, given = (np.where(seen, each**2, 0.0) for each in (y - x, y, x))
-            count = _summed(seen.astype(float), size)
-            spent, motion, command = (_summed(each, size) for each in (left, moved, given))
-            least = np.maximum(_UNEXPLAINED * np.maximum(motion, command), count * (_MOVES * usual) ** 2)
-            mask = _summed(((spent > least) & (count > 0)).astype(float), size) > 0.5 * size
+            measured = ~np.isnan(y)
+            errors, motions, outputs = (np.where(measured, each**2, 0.0) for each in (y - x, y, x))
+            count = _sums(measured.astype(float), size)
+            error, motion, command = (_sums(each, size) for each in (errors, motions, outputs))
+            level = np.maximum(_RESIDUAL_RATIO * np.maximum(motion, command), count * (_MOVES * usual) ** 2)
+            mask = _sums(((error > level) & (count > 0)).astype(float), size) > 0.5 * size
             for a, b in np.flatnonzero(np.diff(mask, prepend=False, append=False)).reshape(-1, 2):
                 mask[a:b] = b - a > size // 2
-            near = max(3, round(_EDGE / self.dt))  # other drivers begin and end slowly
-            each = _summed(np.sqrt(left), near) / np.maximum(_summed(seen.astype(float), near), 1.0)
+            width = max(3, round(_EDGE / self.dt))  # other drivers begin and end slowly
+            each = _sums(np.sqrt(errors), width) / np.maximum(_sums(measured.astype(float), width), 1.0)
             wide = mask | (each > _WIDE * np.median(each))
             for a, b in np.flatnonzero(np.diff(wide, prepend=False, append=False)).reshape(-1, 2):
                 wide[a:b] = mask[a:b].any()
-            found.append(wide)
-        return found
+            masks.append(wide)
+        return masks
 
 
 def _gain(x: Array, y: Array) -> float:
     """Return the factor of x with the least absolute deviation from y: a weighted median of the ratios."""
     weight = np.abs(x)
-    there = weight > 1e-9 * (weight.max() + 1e-300)
-    if not there.any():
+    nonzero = weight > 1e-9 * (weight.max() + 1e-300)
+    if not nonzero.any():
         return 0.0
-    ratio = y[there] / x[there]
+    ratio = y[nonzero] / x[nonzero]
     order = ratio.argsort()
-    total = weight[there][order].cumsum()
+    total = weight[nonzero][order].cumsum()
     return float(ratio[order][np.searchsorted(total, 0.5 * total[-1])])
 
 
-def _summed(x: Array, size: int) -> Array:
+def _sums(x: Array, size: int) -> Array:
     """Return the sums over windows about each row."""
     from scipy.ndimage import uniform_filter1d  # slow to load
 
@@ -250,7 +250,7 @@ class Run(NamedTuple):
     u: Array
     y: Array
     calm: Array
-    seen: NDArray[np.bool_]
+    is_valid: NDArray[np.bool_]
     nu: Array
     state: Array
     is_car: bool
@@ -267,17 +267,17 @@ class Part(NamedTuple):
 def runs_of(logs: list[Log], is_pose: bool, inputs: Mapping[str, str]) -> list[Run]:
     """Return the checked logs, with the units of their inputs by name, at equal time steps."""
     is_car = inputs is CAR_COMMANDS
-    for one in logs:
-        if one.u.shape[1] != len(inputs):
+    for log in logs:
+        if log.u.shape[1] != len(inputs):
             hint = "two, commands of speed and yaw rate: for forces, torques or voltages use identify"
             if not (is_car or inputs is CHANNELS):
                 hint = f"{', '.join(inputs)}: of a car, give the steering angle [rad] in place of its torque"
-            raise InvalidArgument(f"log has {one.u.shape[1]} inputs, expected {hint}")
-        check_units(one, "log", inputs)
-    if any((one.twist is None) != is_pose for one in logs):
+            raise InvalidArgument(f"log has {log.u.shape[1]} inputs, expected {hint}")
+        check_units(log, "log", inputs)
+    if any((log.twist is None) != is_pose for log in logs):
         raise InvalidArgument("log has a twist, and another log has none, expected a twist in all or in none")
-    name, found = "q" if is_pose else "twist", []
-    pairs = [(k, part) for k, one in enumerate(logs) for part in continuous(one, "log", name)]
+    name, runs = "q" if is_pose else "twist", []
+    pairs = [(k, part) for k, log in enumerate(logs) for part in continuous(log, "log", name)]
     dt = max(part.dt for _, part in pairs)
     for k, part in pairs:
         run = part.samples(name, dt=dt)
@@ -285,21 +285,21 @@ def runs_of(logs: list[Log], is_pose: bool, inputs: Mapping[str, str]) -> list[R
             y = calm = nu = run.twist[:, [0, 2]]
         else:
             y = np.asarray(run.q)
-            calm, _, _ = without_outliers(y, run.seen, run.dt, FINEST)
+            calm, _, _ = remove_outliers(y, run.is_valid, run.dt, FINEST)
             nu = twist_of(calm, run.dt)
             _check_heading(nu)
             nu = nu[:, [0, 2]]
         state = np.column_stack([nu[:, 0], run.u[:, 1], 0 * nu[:, 0]]) if is_car else nu
         start = float(part.t[0] - logs[k].t[0])
-        found.append(Run(k, start, run.dt, run.u, y, calm, run.seen, nu, state, is_car))
-    return found
+        runs.append(Run(k, start, run.dt, run.u, y, calm, run.is_valid, nu, state, is_car))
+    return runs
 
 
 def _check_heading(twist: Array) -> None:
     """Reject poses that move sideways more than forward, even for a point ahead of the axle."""
     forward, left, turn = twist.T
-    aside = left - (left @ turn) / max(float(turn @ turn), 1e-300) * turn
-    speeds = [float(np.sqrt(np.mean(x**2))) for x in (forward, aside)]
+    lateral = left - (left @ turn) / max(float(turn @ turn), 1e-300) * turn
+    speeds = [float(np.sqrt(np.mean(x**2))) for x in (forward, lateral)]
     if speeds[1] > speeds[0]:
         raise InvalidArgument(
             f"log has poses that move sideways at {speeds[1]:.3g} m/s and forward at {speeds[0]:.3g} m/s, "
@@ -334,7 +334,7 @@ def channels_of(parts: Sequence[Part]) -> list[Channel]:
     """Return commands and motion of speed and yaw rate, or for a car of speed and curvature."""
     dt, names = parts[0].run.dt, [*CHANNELS]
     commands = [run.u[a:b] for run, a, b in parts]
-    motions = [np.where(run.seen[:, None], run.nu, np.nan)[a:b] for run, a, b in parts]
+    motions = [np.where(run.is_valid[:, None], run.nu, np.nan)[a:b] for run, a, b in parts]
     is_car = parts[0].run.is_car
     if is_car:
         names[1] = "curvature"
@@ -347,7 +347,7 @@ def channels_of(parts: Sequence[Part]) -> list[Channel]:
     return [Channel(n, *each, dt, is_car and n != "speed") for n, each in zip(names, columns, strict=True)]
 
 
-def explained_parts(runs: Sequence[Run], lags: Sequence[Lag], least: float = LEAST) -> list[Part]:
+def explained_parts(runs: Sequence[Run], lags: Sequence[Lag], minimum: float = MIN_SHARE) -> list[Part]:
     """Return the parts of runs whose motion the commands explain, by at least a share of each channel.
 
     Raises
@@ -355,16 +355,16 @@ def explained_parts(runs: Sequence[Run], lags: Sequence[Lag], least: float = LEA
     InvalidArgument
         If the commands explain too little of the motion.
     """
-    channels, found = channels_of(parts_of(runs)), []
-    masks = [channel.unexplained(lag) for channel, lag in zip(channels, lags, strict=True)]
-    for run, one, other in zip(runs, *masks, strict=True):
-        edges = np.flatnonzero(np.diff(~(one | other), prepend=False, append=False)).reshape(-1, 2)
-        found += [Part(run, a, b) for a, b in edges.tolist() if (b - a) * run.dt > BLOCK]
-    left_out = 1 - _samples(found) / _samples(parts_of(runs))
-    pairs = zip(channels_of(found) if found else channels, lags, strict=True)
+    channels, parts = channels_of(parts_of(runs)), []
+    masks = [channel.unexplained_rows(lag) for channel, lag in zip(channels, lags, strict=True)]
+    for run, speed_mask, yaw_mask in zip(runs, *masks, strict=True):
+        edges = np.flatnonzero(np.diff(~(speed_mask | yaw_mask), prepend=False, append=False)).reshape(-1, 2)
+        parts += [Part(run, a, b) for a, b in edges.tolist() if (b - a) * run.dt > BLOCK]
+    left_out = 1 - _samples(parts) / _samples(parts_of(runs))
+    pairs = zip(channels_of(parts) if parts else channels, lags, strict=True)
     shares = {channel.name: channel.share(lag) for channel, lag in pairs}
-    check_explained(shares, lags, runs[0].dt, left_out, least)
-    return found
+    check_explained(shares, lags, runs[0].dt, left_out, minimum)
+    return parts
 
 
 def check_explained(
@@ -372,24 +372,24 @@ def check_explained(
     lags: Sequence[Lag],
     dt: float,
     left_out: float = 0.0,
-    least: float = LEAST,
+    minimum: float = MIN_SHARE,
 ) -> None:
     """Reject commands that explain too small shares of the motion by channel, or nothing in most of the log.
 
     The share of a channel with constant commands is None.
     """
-    if left_out <= _MOST_UNEXPLAINED and all(share is None or share >= least for share in shares.values()):
+    if left_out <= _MOST_UNEXPLAINED and all(share is None or share >= minimum for share in shares.values()):
         return
-    found = " and ".join(
+    channels = " and ".join(
         f"nothing of the {name}, whose command is constant"
         if share is None
-        else f"{max(share, 0.0):.0%} of the {name} (delay {1e3 * lag.late * dt:.3g} ms, gain {lag.gain:.3g}, "
-        f"time constant {lag.tau:.2g} s)"
+        else f"{max(share, 0.0):.0%} of the {name} (delay {1e3 * lag.delay * dt:.3g} ms, gain "
+        f"{lag.gain:.3g}, time constant {lag.tau:.2g} s)"
         for (name, share), lag in zip(shares.items(), lags, strict=True)
     )
-    where = f" nothing in {left_out:.0%} of the log, and in the rest" * (left_out > _MOST_UNEXPLAINED)
+    gaps = f" nothing in {left_out:.0%} of the log, and in the rest" * (left_out > _MOST_UNEXPLAINED)
     raise InvalidArgument(
-        f"log has commands that explain{where} {found}, expected most of it: are the commands from another "
+        f"log has commands that explain{gaps} {channels}, expected most of it: are the commands from another "
         "robot or another driver, with another sign, or with times of another clock?"
         + " Steering angles of a car need their unit, rad, or wheelbase."
         * ("curvature" not in shares)
@@ -401,9 +401,9 @@ def format_left_out(runs: Sequence[Run], parts: Sequence[Part]) -> str:
     gaps, several = list[tuple[float, str]](), len({run.log for run in runs}) > 1
     for run in runs:
         edges = [0, *(edge for part in parts if part.run is run for edge in part[1:]), len(run.u)]
-        where = f"log[{run.log}] " * several
+        prefix = f"log[{run.log}] " * several
         for a, b in np.reshape(edges, (-1, 2)).tolist():
-            times = f"{where}{run.start + a * run.dt:.4g} to {run.start + b * run.dt:.4g} s"
+            times = f"{prefix}{run.start + a * run.dt:.4g} to {run.start + b * run.dt:.4g} s"
             gaps += [((b - a) * run.dt, times)] * (b > a)
     if not gaps:
         return ""
@@ -415,35 +415,35 @@ def format_left_out(runs: Sequence[Run], parts: Sequence[Part]) -> str:
 
 
 def segments_of(
-    parts: Sequence[Part], lead: int, seconds: float, filled: bool = True
+    parts: Sequence[Part], lead: int, seconds: float, fill: bool = True
 ) -> tuple[Segments, NDArray[np.bool_]]:
     """Return segments of a length [s], and a mask of samples without gross outliers.
 
-    If `filled`, long segments are whole blocks, and the last one of a part is filled up; otherwise it is left
+    If `fill`, long segments are whole blocks, and the last one of a part is filled up; otherwise it is left
     out.
     """
     dt, block = parts[0].run.dt, block_of(parts)
     length = max(3, round(seconds / dt))
-    length, found, calms = block * round(length / block) if filled and length > block else length, [], []
+    length, segments, calms = block * round(length / block) if fill and length > block else length, [], []
     for run, a, b in parts:
         N, is_pose = len(run.u), run.y.shape[1] > len(CHANNELS)
         first = max(a, lead if a == 0 else 0)
-        at = first + np.arange(max(0, -(-(b - first) // length)) * length).reshape(-1, length)
-        inside = (at < b) & run.seen[np.minimum(at, N - 1)]
-        least = max(3.0, 0.5 * min(length, block) * run.seen.mean())
-        kept = (inside.sum(axis=1) >= least) & (filled | (at[:, -1] < b))
-        at, inside = np.minimum(at[kept], N - 1), inside[kept]
+        k = first + np.arange(max(0, -(-(b - first) // length)) * length).reshape(-1, length)
+        valid = (k < b) & run.is_valid[np.minimum(k, N - 1)]
+        least_count = max(3.0, 0.5 * min(length, block) * run.is_valid.mean())
+        dense = (valid.sum(axis=1) >= least_count) & (fill | (k[:, -1] < b))
+        k, valid = np.minimum(k[dense], N - 1), valid[dense]
         states = np.concatenate([run.state, run.calm] if is_pose else [run.state], axis=-1)
-        near = np.clip(at[:, :1] - lead - 1 + np.arange(lead + 1 + length + 1), 0, N - 1)
-        times, noise, load = np.full(len(at), dt), np.ones((len(at), run.y.shape[1])), np.zeros((len(at), 4))
-        start = states[at[:, 0]]
-        found.append(Segments(times, at * dt, run.y[at], inside, noise, start, run.u, near, lead + 1, load))
-        calms.append((run.calm == run.y).all(axis=-1)[at])
-    if not any(len(each.y) for each in found):
+        window = np.clip(k[:, :1] - lead - 1 + np.arange(lead + 1 + length + 1), 0, N - 1)
+        noise, load = np.ones((len(k), run.y.shape[1])), np.zeros((len(k), 4))
+        rows = np.full(len(k), dt), k * dt, run.y[k], valid, noise, states[k[:, 0]], run.u, window
+        segments.append(Segments(*rows, lead + 1, load))
+        calms.append((run.calm == run.y).all(axis=-1)[k])
+    if not any(len(each.y) for each in segments):
         raise InvalidArgument(
             f"log has no part of {length * dt:.3g} s with measurements, expected a longer one"
         )
-    return Segments.joined(found), np.concatenate(calms)
+    return Segments.join(segments), np.concatenate(calms)
 
 
 def _samples(parts: Sequence[Part]) -> int:

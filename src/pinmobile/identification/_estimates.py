@@ -17,8 +17,8 @@ from pinmobile.identification._estimator import Whiteness
 from pinmobile.identification._log import Log
 from pinmobile.identification._preprocessing import Slippage
 
-_UNSEEN = 0.02  # unidentifiable share of a parameter's direction from which its interval is infinite
-_FAR = 0.999  # level of the interval that must contain a plausible body
+_LOST_SHARE = 0.02  # unidentifiable share of a parameter's direction from which its interval is infinite
+_WIDE_LEVEL = 0.999  # level of the interval that must contain a plausible body
 _ROUNDS = 200  # largest number of rounds of draws
 
 
@@ -208,9 +208,9 @@ class Identification:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the parameters."""
-        return tuple(one.name for one in self.model.quantities)
+        return tuple(quantity.name for quantity in self.model.quantities)
 
-    def _named(self, values: Any) -> Mapping[str, Any]:
+    def _map_names(self, values: Any) -> Mapping[str, Any]:
         return MappingProxyType(dict(zip(self.names, values, strict=True)))
 
     @property
@@ -226,12 +226,12 @@ class Identification:
     @property
     def parameters(self) -> Mapping[str, float]:
         """Estimates by name. A body has mass, centre of mass, yaw inertia about it, and friction."""
-        return self._named(self.values.tolist())
+        return self._map_names(self.values.tolist())
 
     @property
     def units(self) -> Mapping[str, str]:
         """Units of the parameters, by name."""
-        return self._named(one.unit for one in self.model.quantities)
+        return self._map_names(quantity.unit for quantity in self.model.quantities)
 
     @property
     def covariance(self) -> Array:
@@ -241,15 +241,15 @@ class Identification:
         prior replaces the estimate.
         """
         D = self.model.slopes(self.phi)
-        found = np.asarray(D @ (self.covariance_of_phi + self.unknown @ self.unknown.T) @ D.T)
-        endless = np.flatnonzero(~self._identifiable & (np.diag(found) == 0))
-        found[endless, endless] = np.inf
-        return found
+        covariance = np.asarray(D @ (self.covariance_of_phi + self.unknown @ self.unknown.T) @ D.T)
+        endless = np.flatnonzero(~self._identifiable & (np.diag(covariance) == 0))
+        covariance[endless, endless] = np.inf
+        return covariance
 
     @property
     def standard_errors(self) -> Mapping[str, float]:
         """Standard errors of the parameters, by name; infinite for parameters that are not identifiable."""
-        return self._named(self._errors.tolist())
+        return self._map_names(self._errors.tolist())
 
     @property
     def _errors(self) -> Array:
@@ -257,12 +257,12 @@ class Identification:
 
     @property
     def _identifiable(self) -> NDArray[np.bool_]:
-        return np.asarray((self.model.slopes(self.phi)[:, self.hidden > _UNSEEN] == 0).all(axis=1))
+        return np.asarray((self.model.slopes(self.phi)[:, self.hidden > _LOST_SHARE] == 0).all(axis=1))
 
     @property
     def is_identifiable(self) -> Mapping[str, bool]:
         """Whether the log identifies each parameter, by name."""
-        return self._named(self._identifiable.tolist())
+        return self._map_names(self._identifiable.tolist())
 
     def interval(self, level: float = 0.95) -> Mapping[str, tuple[float, float]]:
         """Return the confidence interval of each parameter, by name.
@@ -287,10 +287,10 @@ class Identification:
         InvalidArgument
             If `level` is outside (0, 1).
         """
-        half, bounded = self._deviations(level) * self._errors, [one.bounded for one in self.model.quantities]
+        half, bounds = self._deviations(level) * self._errors, [n.nonnegative for n in self.model.quantities]
         low, high = self.values - half, self.values + half
-        low, high = (np.where(bounded, np.maximum(x, y), x) for x, y in ((low, 0.0), (high, half)))
-        return self._named(zip(low.tolist(), high.tolist(), strict=True))
+        low, high = (np.where(bounds, np.maximum(x, y), x) for x, y in ((low, 0.0), (high, half)))
+        return self._map_names(zip(low.tolist(), high.tolist(), strict=True))
 
     def delay_interval(self, level: float = 0.95) -> tuple[float, float]:
         """Return the confidence interval of the delay [s]; NaN if the delay was given or is not identifiable.
@@ -318,8 +318,8 @@ class Identification:
         return float(t.ppf(0.5 + share / 2, self.freedom))
 
     def __repr__(self) -> str:
-        units, many = self.units, self.model.told_first
-        first = ", ".join(f"{n} {v:.4g} {units[n]}".rstrip() for n, v in [*self.parameters.items()][:many])
+        units, count = self.units, self.model.summary_size
+        first = ", ".join(f"{n} {v:.4g} {units[n]}".rstrip() for n, v in [*self.parameters.items()][:count])
         return f"<Identification: {first}; rank {self.rank} of {len(self.phi)}>"
 
     def __str__(self) -> str:
@@ -339,10 +339,10 @@ class Identification:
         """Further findings, one sentence each."""
         low, high = (1e3 * each for each in self.delay_interval())
         rho = np.abs(self.whiteness.correlation).max()
-        correlated = f"the residual is correlated ({rho:.2f} between successive samples)"
-        runs = [f"{name} {one:.3g} (hold-out {other:.3g})" for name, (one, other) in self.free_run.items()]
+        finding = f"the residual is correlated ({rho:.2f} between successive samples)"
+        runs = [f"{name} {r2:.3g} (hold-out {r2_test:.3g})" for name, (r2, r2_test) in self.free_run.items()]
         bias = f"noise of the inputs biases output error by {self.input_noise_bias:.1f} standard deviations"
-        found = [
+        sentences = [
             f"{self.samples} samples at {1 / self.dt:.4g} Hz, {self.dropped} dropped, {self.outliers} "
             f"outliers; {self.method}, {self.segments} segment{'s' * (self.segments != 1)} of "
             f"{'up to ' * (self.freedom >= self.segments)}{self.seconds:.3g} s; rank {self.rank} of "
@@ -354,29 +354,29 @@ class Identification:
             f"residual: {_residuals(*zip(*self.model.measured, strict=True), self.residual, self.noise)}",
             "the residual is white: sensor noise explains it"
             if self.whiteness.is_white
-            else f"{correlated}, as with input noise: if input noise is the cause, the intervals are valid; "
+            else f"{finding}, as with input noise: if input noise is the cause, the intervals are valid; "
             "they do not cover the error of a force that depends on the motion and is not in the model, such "
             "as rolling resistance that depends on load"
             if self.is_noise
-            else f"{correlated}, more than noise explains: the structure of the model is wrong, "
+            else f"{finding}, more than noise explains: the structure of the model is wrong, "
             "and the intervals are not valid; is there slip, a clipped input, a limit of the firmware, a "
             "slope, or resistance that depends on load?",
             f"R^2 of a free run: {'; '.join(runs)}" if runs else "",
             *(self.unseen, self.clipped, *self.remarks, *self._negative, *self.model.notes(self)),
         ]
-        return tuple(filter(None, found))
+        return tuple(filter(None, sentences))
 
     @property
     def _negative(self) -> tuple[str, ...]:
         """Negative estimates of parameters that cannot be negative, in words."""
-        usual, far = self._deviations(0.95), self._deviations(_FAR)  # one of eight exceeds 95 % by chance
+        usual, wide = map(self._deviations, (0.95, _WIDE_LEVEL))  # one of eight exceeds 95 % by chance
         rows = zip(self.model.quantities, self.values, self._errors, strict=True)
         return tuple(
-            f"{one.name} is {value:.3g} {one.unit}, below zero "
-            + ("within" if value + far * error >= 0 else "(the model lacks a force) by more than")
+            f"{quantity.name} is {value:.3g} {quantity.unit}, below zero "
+            + ("within" if value + wide * error >= 0 else "(the model lacks a force) by more than")
             + f" its uncertainty, {usual * error:.3g}"
-            for one, value, error in rows
-            if one.bounded and value < 0 and np.isfinite(error)
+            for quantity, value, error in rows
+            if quantity.nonnegative and value < 0 and np.isfinite(error)
         )
 
     @cached_property
@@ -393,14 +393,14 @@ class Identification:
             If there is no possible body near the estimate.
         """
         body = self.model.plausible(self.phi, self.covariance_of_phi)
-        found, there = self.values, self.model.to_physical(body)
-        wide = self._deviations(_FAR) * np.sqrt(np.diag(self.covariance)) + 1e-9 * np.abs(found)
-        for k in np.flatnonzero((np.abs(there - found) > wide)[:4]):
-            one = self.model.quantities[k]
+        values, nearest = self.values, self.model.to_physical(body)
+        wide = self._deviations(_WIDE_LEVEL) * np.sqrt(np.diag(self.covariance)) + 1e-9 * np.abs(values)
+        for k in np.flatnonzero((np.abs(nearest - values) > wide)[:4]):
+            quantity = self.model.quantities[k]
             raise InvalidArgument(
-                f"log leads to a {one.name} of {found[k]:.4g} {one.unit}, but with nonnegative friction to "
-                f"{there[k]:.4g}: {'; '.join(self._negative)}; expected a robot with all forces: is the "
-                "given friction of its motors too high?"
+                f"log leads to a {quantity.name} of {values[k]:.4g} {quantity.unit}, but with nonnegative "
+                f"friction to {nearest[k]:.4g}: {'; '.join(self._negative)}; expected a robot with all "
+                "forces: is the given friction of its motors too high?"
             )
         return frozen(body)
 
@@ -458,8 +458,8 @@ class Identification:
         for _ in range(_ROUNDS):
             normal = generator.standard_normal((n - len(phi), len(self.phi)))
             wide = np.sqrt(self.freedom / generator.chisquare(self.freedom, len(normal)))
-            drawn = self.phi + wide[:, None] * (normal @ half.T)
-            phi = np.vstack([phi, drawn[self.model.are_possible(drawn)]])
+            draws = self.phi + wide[:, None] * (normal @ half.T)
+            phi = np.vstack([phi, draws[self.model.are_possible(draws)]])
             if len(phi) == n:
                 break
         else:
@@ -467,9 +467,9 @@ class Identification:
                 "spread: almost no draw is a possible robot, expected a log of a more informative motion"
             )
         return {
-            one.path: np.maximum(x, 0.0) if one.bounded else x
-            for one, x in zip(self.model.quantities, self.model.to_physical(phi).T, strict=True)
-            if one.path
+            quantity.path: np.maximum(x, 0.0) if quantity.nonnegative else x
+            for quantity, x in zip(self.model.quantities, self.model.to_physical(phi).T, strict=True)
+            if quantity.path
         }
 
     def predict(self, log: Log, seconds: float | None = None) -> Prediction:
@@ -502,23 +502,23 @@ class Identification:
         return Prediction(names, units, segments.t, measured, measured - left, rms, noise)
 
 
-def check_identifiable(what: str, unseen: str) -> None:
+def check_identifiable(method: str, directions: str) -> None:
     """Reject the call of a method that needs all parameters if some are not identifiable."""
-    if unseen:
+    if directions:
         raise InvalidArgument(
-            f"{what}() needs a log that identifies all parameters: {unseen}; expected a motion in which all "
-            "velocities change often and independently"
+            f"{method}() needs a log that identifies all parameters: {directions}; expected a motion in "
+            "which all velocities change often and independently"
         )
 
 
-def in_words(quantities: Sequence[str], unseen: Array) -> str:
+def format_directions(quantities: Sequence[str], directions: Array) -> str:
     """Return in words the directions of the parameters that are not identifiable; "" if all are."""
     from scipy.sparse.csgraph import connected_components  # slow to load
 
-    names, hidden = np.array(quantities), unseen @ unseen.T
-    share = np.diag(hidden)
-    alone, mixed = names[share > 0.98], np.flatnonzero((share > 0.02) & (share <= 0.98))
-    count, group = connected_components(np.abs(hidden[np.ix_(mixed, mixed)]) > 0.05)
-    told = [f"the motion does not identify {', '.join(alone)}"] if alone.size else []
-    groups = (", ".join(names[mixed[group == k]]) for k in range(count))
-    return "; ".join([*told, *(f"the motion identifies only combinations of {each}" for each in groups)])
+    names, projector = np.array(quantities), directions @ directions.T
+    share = np.diag(projector)
+    single, rest = names[share > 0.98], np.flatnonzero((share > 0.02) & (share <= 0.98))
+    count, group = connected_components(np.abs(projector[np.ix_(rest, rest)]) > 0.05)
+    texts = [f"the motion does not identify {', '.join(single)}"] if single.size else []
+    groups = (", ".join(names[rest[group == k]]) for k in range(count))
+    return "; ".join([*texts, *(f"the motion identifies only combinations of {each}" for each in groups)])

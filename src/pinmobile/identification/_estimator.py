@@ -21,17 +21,17 @@ NORMAL = 1.4826  # standard deviation of a normal distribution per median absolu
 White = Callable[[Array, NDArray[np.bool_]], Array]
 _PASSES = 20  # largest number of passes that find initial states
 _FIRST_PASSES = 2  # the same for first numbers, whose errors initial states should not compensate
-_FAR = 2.0  # ratio of the squares and their least value with the best initial states, with the same meaning
-_SETTLED = 0.01  # largest decrease of the squares of a segment by a further pass [variances]
+_START_RATIO = 2.0  # ratio of the squares and their least value with the best initial states, as above
+_START_TOLERANCE = 0.01  # largest decrease of the squares of a segment by a further pass [variances]
 _SHARES = np.array([1.0, 0.5, 0.2, 0.05, 0.0])  # tried shares of the step of an initial state
-_CONVERGED = 0.03  # root mean square of the last step of the numbers [standard errors]
-_FEWER = 6  # ratio of the numbers of segments in successive searches
+_STEP_TOLERANCE = 0.03  # root mean square of the last step of the numbers [standard errors]
+_THIN = 6  # ratio of the numbers of segments in successive searches
 _EVALUATIONS = 40  # largest number of evaluations of the cost
 _ROUNDS = 4  # updates of weights and outliers
 _OUTLIER = 6.0  # standard deviations
 _CLUSTER = 2  # samples: an outlier has at most one other outlier within this distance
 _TINY = np.finfo(float).tiny
-_UNSEEN = 1e-10  # smaller eigenvalues of the scaled normal matrix count as zero
+_RANK_TOL = 1e-10  # smaller eigenvalues of the scaled normal matrix count as zero
 
 
 class Linear(NamedTuple):
@@ -52,7 +52,7 @@ class Linear(NamedTuple):
     """
 
     normal: Array
-    back: Array
+    start_change: Array
     e: Array
     squares: Array
     residual: Array
@@ -72,50 +72,50 @@ class Linear(NamedTuple):
         """
         P, n = len(p), starts.shape[1]
         numbers = np.flatnonzero(np.broadcast_to(moves, P))
-        kept = np.append(0, 1 + numbers)
+        places = np.append(0, 1 + numbers)
 
-        def some(part: Segments, at: slice) -> tuple[Array, ...]:
-            residual, columns, Q, R = _columns(model, part, p, starts[at], white, numbers)
+        def reduce_group(part: Segments, group: slice) -> tuple[Array, ...]:
+            residual, columns, Q, R = _columns(model, part, p, starts[group], white, numbers)
             normal = np.zeros((len(residual), part.blocks, 1 + P, 1 + P))
             change = np.zeros((len(residual), n, 1 + P))
-            known, squares = np.swapaxes(Q, 1, 2) @ columns, (columns[..., 0] ** 2).sum(axis=1)
-            change[..., kept], columns = np.linalg.pinv(R, rcond=_UNSEEN) @ known, columns - Q @ known
+            product, squares = np.swapaxes(Q, 1, 2) @ columns, (columns[..., 0] ** 2).sum(axis=1)
+            change[..., places], columns = np.linalg.pinv(R, rcond=_RANK_TOL) @ product, columns - Q @ product
             rows = columns.reshape(len(columns), part.blocks, -1, columns.shape[2])
-            normal[..., kept[:, None], kept] = np.swapaxes(rows, 2, 3) @ rows
+            normal[..., places[:, None], places] = np.swapaxes(rows, 2, 3) @ rows
             return normal, change, columns[..., 0].copy(), squares, residual
 
-        return cls(*by_groups(some, segments, len(kept) + n))
+        return cls(*by_groups(reduce_group, segments, len(places) + n))
 
     @property
     def information(self) -> Array:
         """Normal matrix of the numbers, shape (P, P)."""
         return np.asarray(self.normal[..., 1:, 1:].sum(axis=(0, 1)))
 
-    def step(self, some: NDArray[np.bool_]) -> Array:
+    def step(self, mask: NDArray[np.bool_]) -> Array:
         """Return the step of the numbers, shape (P,), to the optimum of some segments, or blocks of them."""
-        normal = self.normal[some].reshape(-1, *self.normal.shape[2:]).sum(axis=0)
+        normal = self.normal[mask].reshape(-1, *self.normal.shape[2:]).sum(axis=0)
         return np.asarray(np.linalg.pinv(normal[1:, 1:], hermitian=True) @ normal[0, 1:])
 
     def starts(self, step: Array) -> Array:
         """Return the change of the initial states, shape (S, n), for a step of the numbers."""
-        return np.asarray(self.back[..., 0] - self.back[..., 1:] @ step)
+        return np.asarray(self.start_change[..., 0] - self.start_change[..., 1:] @ step)
 
 
 def _columns(
     model: Model, segments: Segments, p: Array, starts: Array, white: White, numbers: NDArray[np.int_]
 ) -> tuple[Array, Array, Array, Array]:
     """Return residuals, white ones and slopes by F numbers (S, L m, 1 + F), and QR of initial states."""
-    out, slopes = linearize(model, segments, p, starts, numbers)
-    residual = segments.y - out
+    outputs, slopes = linearize(model, segments, p, starts, numbers)
+    residual = segments.y - outputs
     if not np.isfinite(residual).all():
-        raise unexplained(0.0)
-    rows = white(segments.weighed(np.concatenate([residual[None], slopes])), segments.good)
+        raise unexplained_error(0.0)
+    rows = white(segments.weigh(np.concatenate([residual[None], slopes])), segments.good)
     columns = np.moveaxis(rows.reshape(*rows.shape[:2], -1), 0, -1)
     columns, by_start = np.split(columns, [1 + len(numbers)], axis=-1)
     Q, R = np.linalg.qr(by_start)
     size = np.abs(np.diagonal(R, axis1=1, axis2=2))
     # The measurements do not depend on states without a diagonal entry: their columns of Q are arbitrary.
-    return residual, columns, Q * (size > _UNSEEN * size.max(axis=1, keepdims=True))[:, None], R
+    return residual, columns, Q * (size > _RANK_TOL * size.max(axis=1, keepdims=True))[:, None], R
 
 
 def _nearest(
@@ -123,16 +123,16 @@ def _nearest(
 ) -> tuple[float, Array]:
     """Return the cost, and the initial states, (S, n), by the best share of a step for each segment."""
 
-    def some(part: Segments, at: slice) -> tuple[Array, ...]:
-        ways = starts[at] + _SHARES[:, None, None] * steps[at]
+    def simulate_group(part: Segments, group: slice) -> tuple[Array, ...]:
+        ways = starts[group] + _SHARES[:, None, None] * steps[group]
         with np.errstate(all="ignore"):
-            out = simulate(model, part, np.tile(p, (len(ways), 1)), ways)
-            costs = (white(part.weighed(part.y - out), part.good) ** 2).sum(axis=(2, 3))
+            outputs = simulate(model, part, np.tile(p, (len(ways), 1)), ways)
+            costs = (white(part.weigh(part.y - outputs), part.good) ** 2).sum(axis=(2, 3))
         best = np.nan_to_num(costs, nan=np.inf, posinf=np.inf).argmin(axis=0), np.arange(ways.shape[1])
         return costs[best], ways[best]
 
-    costs, found = by_groups(some, segments, len(_SHARES))
-    return float(np.nan_to_num(costs.sum(), nan=np.inf, posinf=np.inf)), found
+    costs, states = by_groups(simulate_group, segments, len(_SHARES))
+    return float(np.nan_to_num(costs.sum(), nan=np.inf, posinf=np.inf)), states
 
 
 class Fit(NamedTuple):
@@ -140,11 +140,11 @@ class Fit(NamedTuple):
 
     p: Array
     starts: Array
-    near: Linear
+    linear: Linear
     good: NDArray[np.bool_]
 
 
-def unexplained(share: float) -> InvalidArgument:
+def unexplained_error(share: float) -> InvalidArgument:
     """Return the error for a log with inputs that explain too small a share of the motion."""
     return InvalidArgument(
         f"log has inputs that explain {max(share, 0.0):.0%} of the motion, expected most of it: are the "
@@ -152,21 +152,21 @@ def unexplained(share: float) -> InvalidArgument:
     )
 
 
-def _settled(
+def _settle_starts(
     model: Model, segments: Segments, p: Array, starts: Array, white: White, moves: Any, passes: int = _PASSES
 ) -> tuple[Linear, Array]:
     """Return the linear problem at numbers and the best initial states near some, and these states."""
-    near, starts = Linear.of(model, segments, p, starts, white, moves), starts.copy()
+    best, starts = Linear.of(model, segments, p, starts, white, moves), starts.copy()
     for _ in range(passes):
-        least = near.normal[..., 0, 0].sum(axis=1)
-        rows = np.flatnonzero(near.squares - least > _SETTLED * least.sum() / segments.good.sum())
+        minimum = best.normal[..., 0, 0].sum(axis=1)
+        rows = np.flatnonzero(best.squares - minimum > _START_TOLERANCE * minimum.sum() / segments.good.sum())
         if not rows.size:
             break
-        part = segments.some(rows)
-        _, starts[rows] = _nearest(model, part, p, starts[rows], near.back[rows, :, 0], white)
-        for all_of, some in zip(near, Linear.of(model, part, p, starts[rows], white, moves), strict=True):
-            all_of[rows] = some
-    return near, starts
+        part = segments.select(rows)
+        _, starts[rows] = _nearest(model, part, p, starts[rows], best.start_change[rows, :, 0], white)
+        for all_of, update in zip(best, Linear.of(model, part, p, starts[rows], white, moves), strict=True):
+            all_of[rows] = update
+    return best, starts
 
 
 class _Point(NamedTuple):
@@ -178,7 +178,7 @@ class _Point(NamedTuple):
 
     y: Array
     starts: Array
-    near: Linear
+    linear: Linear
     cost: float
     gradient: Array
     hessian: Array
@@ -227,51 +227,51 @@ def solve(
     """
     from scipy.optimize import minimize  # slow to load
 
-    free, few = np.broadcast_to(np.asarray(moves), p.shape), slice(None, None, min(segments.few.step, _FEWER))
+    free, few = np.broadcast_to(np.asarray(moves), p.shape), slice(None, None, min(segments.few.step, _THIN))
     z = segments.start if starts is None else starts
     is_linear, first = passes == 0, _FIRST_PASSES if few.step == 1 and free.any() else passes
     if free.any() and few.step > 1:
         given, share = None if starts is None else starts[few], len(z[few]) / len(z)
-        part = segments.some(few)
+        part = segments.select(few)
         p = solve(model, part, p, moves=free, white=white, starts=given, pull=share * pull).p
     if starts is None or not free.any():
-        near, z = _settled(model, segments, p, z, white, False, first)
+        linear, z = _settle_starts(model, segments, p, z, white, False, first)
     if not free.any():
-        return Fit(p, z, near, segments.good)
+        return Fit(p, z, linear, segments.good)
     size = np.where(free, model.sizes(p), 0.0)
 
     def point(y: Array, z: Array, passes: int) -> _Point:
-        near, z = _settled(model, segments, p + size * y, z, white, free, passes)
-        H, g = near.information * np.outer(size, size), near.normal[..., 0, 1:].reshape(-1, len(p)) * size
+        best, z = _settle_starts(model, segments, p + size * y, z, white, free, passes)
+        H, g = best.information * np.outer(size, size), best.normal[..., 0, 1:].reshape(-1, len(p)) * size
         g = g - pull * size / len(g)
-        inverse, down = np.linalg.pinv(H, rcond=_UNSEEN, hermitian=True), g.sum(axis=0)
-        noise = max(near.normal[..., 0, 0].sum() / near.e.size, ((g @ inverse) * g).sum())
-        step, left = inverse @ down, near.normal[..., 0, 0] if is_linear else near.squares
+        inverse, descent = np.linalg.pinv(H, rcond=_RANK_TOL, hermitian=True), g.sum(axis=0)
+        noise = max(best.normal[..., 0, 0].sum() / best.e.size, ((g @ inverse) * g).sum())
+        step, left = inverse @ descent, best.normal[..., 0, 0] if is_linear else best.squares
         cost = left.sum() / 2 + pull * size @ y
-        down = down * (down @ step > _CONVERGED**2 * noise)
-        return _Point(y, z, near, cost, -down, H + _UNSEEN * np.diag(H).max() * np.eye(len(p)), step)
+        descent = descent * (descent @ step > _STEP_TOLERANCE**2 * noise)
+        return _Point(y, z, best, cost, -descent, H + _RANK_TOL * np.diag(H).max() * np.eye(len(p)), step)
 
     last = point(np.zeros(len(p)), z, min(first, passes) * (starts is not None))
 
-    def reached(y: Array) -> _Point:
+    def evaluate(y: Array) -> _Point:
         nonlocal last
         if (y == last.y).all():
             return last
-        q, way, cost = p + size * y, last.near.starts(size * (y - last.y)), np.inf
+        q, way, cost = p + size * y, last.linear.starts(size * (y - last.y)), np.inf
         if model.is_possible(q):
-            cost, tried = _nearest(model, segments, q, last.starts, way, white)
+            cost, trial_starts = _nearest(model, segments, q, last.starts, way, white)
         if not np.isfinite(cost):
             return last._replace(cost=np.inf)
-        is_settled = last.near.squares.sum() < _FAR * last.near.normal[..., 0, 0].sum()
-        last = point(y, tried, passes * is_settled)
+        is_settled = last.linear.squares.sum() < _START_RATIO * last.linear.normal[..., 0, 0].sum()
+        last = point(y, trial_starts, passes * is_settled)
         return last
 
-    how = {"method": "trust-exact", "jac": True, "options": {"gtol": _TINY, "maxiter": _EVALUATIONS}}
-    found = minimize(lambda y: reached(y)[3:5], last.y, hess=lambda y: reached(y).hessian, **how)
-    last = reached(found.x)
-    p, step = p + size * found.x, size * last.step * (not last.gradient.any())
+    options = {"method": "trust-exact", "jac": True, "options": {"gtol": _TINY, "maxiter": _EVALUATIONS}}
+    minimum = minimize(lambda y: evaluate(y)[3:5], last.y, hess=lambda y: evaluate(y).hessian, **options)
+    last = evaluate(minimum.x)
+    p, step = p + size * minimum.x, size * last.step * (not last.gradient.any())
     step = step * model.is_possible(p + step)
-    return Fit(p + step, last.starts + last.near.starts(step), last.near, segments.good)
+    return Fit(p + step, last.starts + last.linear.starts(step), last.linear, segments.good)
 
 
 def solve_robustly(
@@ -297,78 +297,78 @@ def solve_robustly(
     good, starts, moves, few = segments.good & calm, None, np.full(len(p), natural is not None), segments.few
     covariance = np.diag(np.maximum(np.var(segments.y[calm], axis=0), 1e-12))
     if few.step > 1:
-        found, lost = solve_robustly(model, segments.some(few), p, calm=calm[few], natural=natural)
-        p, moves, covariance = found.p, moves & ~lost, _covariance(found.near.residual[found.good])
+        fit, weak = solve_robustly(model, segments.select(few), p, calm=calm[few], natural=natural)
+        p, moves, covariance = fit.p, moves & ~weak, _covariance(fit.linear.residual[fit.good])
     for _ in range(_ROUNDS):
-        white = _by(covariance)
-        found = solve(model, segments._replace(good=good), p, moves=moves, white=white, starts=starts)
-        p, starts, left, counted = found.p, found.starts, found.near.residual, good
+        white = _whitener(covariance)
+        fit = solve(model, segments._replace(good=good), p, moves=moves, white=white, starts=starts)
+        p, starts, left, previous_good = fit.p, fit.starts, fit.linear.residual, good
         deviation = NORMAL * np.median(np.abs(left[good]), axis=0) + 1e-300
-        far = np.asarray((np.abs(left) > _OUTLIER * deviation).any(axis=-1))
-        good = segments.good & ~alone(far, segments.good)
+        outliers = np.asarray((np.abs(left) > _OUTLIER * deviation).any(axis=-1))
+        good = segments.good & ~isolated(outliers, segments.good)
         if good.sum() <= left.shape[-1]:
-            raise unexplained(0.0)
-        before, covariance = covariance, _covariance(left[good & counted])
-        lost = ~moves
+            raise unexplained_error(0.0)
+        previous, covariance = covariance, _covariance(left[good & previous_good])
+        weak = ~moves
         if natural is not None:
-            near = Linear.of(model, segments._replace(good=good), p, starts, _by(covariance))
+            linear = Linear.of(model, segments._replace(good=good), p, starts, _whitener(covariance))
             sizes, guess = natural(p)
-            lost = hidden(near.information, sizes)
-        if (good == counted).all() and np.allclose(covariance, before, rtol=0.02, atol=0):
+            weak = unidentifiable_mask(linear.information, sizes)
+        if (good == previous_good).all() and np.allclose(covariance, previous, rtol=0.02, atol=0):
             break
         if natural is not None:
-            moves, p = ~lost, np.where(lost, guess, p)
-    return found, lost | ~moves
+            moves, p = ~weak, np.where(weak, guess, p)
+    return fit, weak | ~moves
 
 
-def alone(far: NDArray[np.bool_], seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def isolated(outliers: NDArray[np.bool_], measured: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return the samples that are far off without others nearby: a cluster is an error of the model."""
     from scipy.ndimage import uniform_filter1d  # slow to load
 
-    near = uniform_filter1d((far & seen).astype(float), 2 * _CLUSTER + 1, axis=1, mode="constant")
-    return np.asarray(far & (near * (2 * _CLUSTER + 1) < _CLUSTER + 0.5))
+    density = uniform_filter1d((outliers & measured).astype(float), 2 * _CLUSTER + 1, axis=1, mode="constant")
+    return np.asarray(outliers & (density * (2 * _CLUSTER + 1) < _CLUSTER + 0.5))
 
 
 def _covariance(residuals: Array) -> Array:
     """Return the covariance of residuals, shape (m, m), which is not singular."""
-    found = np.cov(residuals.T)
-    return np.asarray(found + np.diag(1e-24 + 1e-12 * np.diag(found)))
+    covariance = np.cov(residuals.T)
+    return np.asarray(covariance + np.diag(1e-24 + 1e-12 * np.diag(covariance)))
 
 
-def _by(covariance: Array) -> White:
+def _whitener(covariance: Array) -> White:
     """Return a function that whitens residuals of a covariance, shape (..., m)."""
     weight = np.linalg.inv(np.linalg.cholesky(covariance)).T
     return lambda residuals, _: residuals @ weight
 
 
-def scaled(H: Array) -> tuple[Array, Array]:
+def scale_normal(H: Array) -> tuple[Array, Array]:
     """Return a normal matrix scaled to a diagonal of ones, and the scales; 0 for numbers without effect."""
     diagonal = np.diag(H)
-    seen = diagonal > 1e-30 * max(float(diagonal.max(initial=0.0)), 1e-270)
-    size = np.where(seen, 1 / np.sqrt(np.where(seen, diagonal, 1.0)), 0.0)
+    nonzero = diagonal > 1e-30 * max(float(diagonal.max(initial=0.0)), 1e-270)
+    size = np.where(nonzero, 1 / np.sqrt(np.where(nonzero, diagonal, 1.0)), 0.0)
     return H * np.outer(size, size), size
 
 
-def hidden(H: Array, sizes: Array) -> NDArray[np.bool_]:
+def unidentifiable_mask(H: Array, sizes: Array) -> NDArray[np.bool_]:
     """Return a mask of numbers that are not identifiable: their standard errors exceed their sizes."""
-    R, size = scaled(H)
+    R, size = scale_normal(H)
     values, vectors = np.linalg.eigh(R)
-    seen = values > _UNSEEN
-    deviations = size * np.sqrt((vectors[:, seen] ** 2 / values[seen]).sum(axis=1))
-    lost = (np.abs(vectors[:, ~seen]) > 0.1).any(axis=1)
-    return np.asarray(lost | (size == 0) | (deviations > sizes))
+    regular = values > _RANK_TOL
+    deviations = size * np.sqrt((vectors[:, regular] ** 2 / values[regular]).sum(axis=1))
+    weak = (np.abs(vectors[:, ~regular]) > 0.1).any(axis=1)
+    return np.asarray(weak | (size == 0) | (deviations > sizes))
 
 
-def jackknife(near: Linear, pull: Array | float = 0.0, kept: Any = True) -> tuple[Array, int]:
+def jackknife(linear: Linear, pull: Array | float = 0.0, active: Any = True) -> tuple[Array, int]:
     """Return the covariance by the jackknife, CR3 (Bell and McCaffrey 2002), shape (P, P), and its blocks.
 
     Parameters
     ----------
-    near : Linear
+    linear : Linear
         Linear problem at the estimate.
     pull : ndarray, shape (P,)
         J'e at the estimate, see `solve`.
-    kept : bool or ndarray of bool, shape (P,)
+    active : bool or ndarray of bool, shape (P,)
         Mask of the estimated numbers; the covariance of the others is zero.
 
     Raises
@@ -376,30 +376,30 @@ def jackknife(near: Linear, pull: Array | float = 0.0, kept: Any = True) -> tupl
     InvalidArgument
         If only one block identifies a number.
     """
-    P = near.normal.shape[-1] - 1
-    found, rows = np.zeros((P, P)), np.flatnonzero(np.broadcast_to(kept, P))
-    H = near.normal.reshape(-1, 1 + P, 1 + P)
+    P = linear.normal.shape[-1] - 1
+    covariance, rows = np.zeros((P, P)), np.flatnonzero(np.broadcast_to(active, P))
+    H = linear.normal.reshape(-1, 1 + P, 1 + P)
     H, g = H[:, 1 + rows[:, None], 1 + rows], H[:, 0, 1 + rows]
-    used = H.any(axis=(1, 2))
-    H, S = H[used], int(used.sum())
-    _, size = scaled(H.sum(axis=0))
-    g = (g[used] - np.broadcast_to(pull, P)[rows] / S) * size
+    nonempty = H.any(axis=(1, 2))
+    H, S = H[nonempty], int(nonempty.sum())
+    _, size = scale_normal(H.sum(axis=0))
+    g = (g[nonempty] - np.broadcast_to(pull, P)[rows] / S) * size
     try:
         d = np.linalg.solve((H.sum(axis=0) - H) * np.outer(size, size), g[..., None])[..., 0] * size
     except np.linalg.LinAlgError as error:
         raise InvalidArgument(
             f"log has one block of {S} that identifies some parameter, expected a longer or richer log"
         ) from error
-    found[np.ix_(rows, rows)] = (S - 1) / S * d.T @ d
-    return found, S
+    covariance[np.ix_(rows, rows)] = (S - 1) / S * d.T @ d
+    return covariance, S
 
 
 def r_squared(measured: Array, left: Array) -> Array:
     """Return R^2 of each column of measurements and residuals, shape (n, m); NaN without rows."""
     if not len(measured):
         return np.full(measured.shape[1], np.nan)
-    spent = ((measured - measured.mean(axis=0)) ** 2).sum(axis=0)
-    return np.asarray(1 - (left**2).sum(axis=0) / np.maximum(spent, 1e-300))
+    power = ((measured - measured.mean(axis=0)) ** 2).sum(axis=0)
+    return np.asarray(1 - (left**2).sum(axis=0) / np.maximum(power, 1e-300))
 
 
 class Whiteness(NamedTuple):
@@ -474,45 +474,45 @@ class ResidualNoise:
         poses : int
             Number of pose measurements among the m.
         """
-        filled, lacking = residuals.copy(), np.flatnonzero(~good.all(axis=1) & good.any(axis=1))
-        at = np.arange(residuals.shape[1])
+        data, lacking = residuals.copy(), np.flatnonzero(~good.all(axis=1) & good.any(axis=1))
+        rows = np.arange(residuals.shape[1])
         for s in lacking:
-            for column in filled[s].T:
-                column[:] = np.interp(at, at[good[s]], column[good[s]])
-        lag = np.abs(at[:, None] - at) * dt / _MEMORY
-        kernels = np.eye(len(at)), (1 + lag) * np.exp(-lag)
-        costs, found = np.zeros(2), []
+            for column in data[s].T:
+                column[:] = np.interp(rows, rows[good[s]], column[good[s]])
+        lag = np.abs(rows[:, None] - rows) * dt / _MEMORY
+        kernels = np.eye(len(rows)), (1 + lag) * np.exp(-lag)
+        costs, estimates = np.zeros(2), []
         for j in range(residuals.shape[2]):
             answers = [h for h in responses[..., j] if h.any()]
-            tried = [_likeliest(filled[..., j], 1 + (j < poses), _moved(answers, each)) for each in kernels]
-            costs += [each[0] for each in tried]
-            found.append(tried[0][1:])
-        root = np.linalg.inv(np.linalg.cholesky(np.array([each[0] for each in found])))
-        share = len(at) - np.array([each[1] for each in found]) * (root**2).sum(axis=(1, 2))
+            fits = [_fit_noise(data[..., j], 1 + (j < poses), _propagate(answers, x)) for x in kernels]
+            costs += [each[0] for each in fits]
+            estimates.append(fits[0][1:])
+        root = np.linalg.inv(np.linalg.cholesky(np.array([each[0] for each in estimates])))
+        share = len(rows) - np.array([each[1] for each in estimates]) * (root**2).sum(axis=(1, 2))
         return cls(root, bool(costs[1] < costs[0]), share)
 
     def white(self, residuals: Array, good: NDArray[np.bool_]) -> Array:
         """Return white residuals, shape (V, S, L, m), with the most likely values of lost samples."""
-        found = np.moveaxis(residuals, -1, 0) @ np.swapaxes(self.root, 1, 2)[:, None]  # (m, V, S, L)
+        white = np.moveaxis(residuals, -1, 0) @ np.swapaxes(self.root, 1, 2)[:, None]  # (m, V, S, L)
         for s in np.flatnonzero(~good.all(axis=1)):
-            lost, Q = found[:, :, s], np.linalg.qr(self.root[:, :, ~good[s]])[0]
-            found[:, :, s] = lost - lost @ Q @ np.swapaxes(Q, 1, 2)
-        return np.asarray(np.moveaxis(found, 0, -1))
+            block, Q = white[:, :, s], np.linalg.qr(self.root[:, :, ~good[s]])[0]
+            white[:, :, s] = block - block @ Q @ np.swapaxes(Q, 1, 2)
+        return np.asarray(np.moveaxis(white, 0, -1))
 
 
-def _moved(responses: Sequence[Array], kernel: Array) -> Array:
+def _propagate(responses: Sequence[Array], kernel: Array) -> Array:
     """Return the covariance, up to a factor, of the responses to a force with a covariance, shape (L, L)."""
     from scipy.linalg import matmul_toeplitz  # slow to load
 
     if not responses:
         return kernel
-    total, none = np.zeros_like(kernel), np.zeros(len(kernel))
+    total, zeros = np.zeros_like(kernel), np.zeros(len(kernel))
     for h in responses:
-        total = total + matmul_toeplitz((h, none), matmul_toeplitz((h, none), kernel).T)
+        total = total + matmul_toeplitz((h, zeros), matmul_toeplitz((h, zeros), kernel).T)
     return np.asarray(total / np.trace(total))
 
 
-def _likeliest(residuals: Array, order: int, moved: Array) -> tuple[float, Array, float]:
+def _fit_noise(residuals: Array, order: int, kernel: Array) -> tuple[float, Array, float]:
     """Return cost, covariance and sensor variance of the most likely shares of two noises in residuals.
 
     Parameters
@@ -521,7 +521,7 @@ def _likeliest(residuals: Array, order: int, moved: Array) -> tuple[float, Array
         Residuals of one sensor.
     order : int
         Number of powers of time that initial states explain.
-    moved : ndarray, shape (L, L)
+    kernel : ndarray, shape (L, L)
         Covariance of the effect of force noise, up to a factor.
     """
     from scipy.linalg import null_space  # slow to load
@@ -531,7 +531,7 @@ def _likeliest(residuals: Array, order: int, moved: Array) -> tuple[float, Array
     if not residuals.any():  # there is no such sensor
         return 0.0, np.eye(length), 1.0
     free = null_space(np.vander(np.arange(length) / length, order).T).T  # what first states cannot explain
-    sizes, vectors = np.linalg.eigh(free @ moved @ free.T)
+    sizes, vectors = np.linalg.eigh(free @ kernel @ free.T)
     sizes = np.maximum(sizes / sizes.mean(), 0.0)
     power = ((residuals @ free.T @ vectors) ** 2).mean(axis=0)
 
@@ -540,21 +540,21 @@ def _likeliest(residuals: Array, order: int, moved: Array) -> tuple[float, Array
         return float(np.log(each).sum() + len(each) * np.log((power / each).mean()))
 
     edge = np.log(_WIDEST)
-    found = minimize_scalar(cost, bounds=(-edge, edge), method="bounded", options={"xatol": 1e-2})
-    ratio = float(np.exp(found.x))
+    minimum = minimize_scalar(cost, bounds=(-edge, edge), method="bounded", options={"xatol": 1e-2})
+    ratio = float(np.exp(minimum.x))
     white = float((power / (1 + ratio * sizes)).mean())
-    scale = np.trace(free @ moved @ free.T) / len(sizes)
-    return float(found.fun), np.asarray(white * (np.eye(length) + ratio / scale * moved)), white
+    scale = np.trace(free @ kernel @ free.T) / len(sizes)
+    return float(minimum.fun), np.asarray(white * (np.eye(length) + ratio / scale * kernel)), white
 
 
-def input_noise_gradient(model: Model, segments: Segments, found: Fit, noise: ResidualNoise) -> Array:
+def input_noise_gradient(model: Model, segments: Segments, fit: Fit, noise: ResidualNoise) -> Array:
     """Return the contribution of input noise to the gradient, shape (P,), from additional draws of noise.
 
     Parameters
     ----------
     model, segments : Model, Segments
         Model of the robot, and segments of its logs.
-    found : Fit
+    fit : Fit
         Fit at which the gradient is computed.
     noise : ResidualNoise
         Noise of the residuals.
@@ -563,33 +563,33 @@ def input_noise_gradient(model: Model, segments: Segments, found: Fit, noise: Re
 
     generator, unit, few = np.random.default_rng(0), _SHAKE * segments.sizes, segments.few
 
-    def shaken(size: Array) -> Segments:
-        more = generator.standard_normal(segments.inputs.shape) * size
-        return segments._replace(inputs=segments.inputs + more).some(few)
+    def perturb(size: Array) -> Segments:
+        noise_draw = generator.standard_normal(segments.inputs.shape) * size
+        return segments._replace(inputs=segments.inputs + noise_draw).select(few)
 
     def left(given: Segments) -> Array:
-        def some(part: Segments, at: slice) -> tuple[Array, ...]:
-            out = simulate(model, part, found.p[None], starts[None, at])
-            return (noise.white(part.weighed(part.y - out), part.good)[0],)
+        def residual_group(part: Segments, group: slice) -> tuple[Array, ...]:
+            outputs = simulate(model, part, fit.p[None], starts[None, group])
+            return (noise.white(part.weigh(part.y - outputs), part.good)[0],)
 
-        return by_groups(some, given)[0]
+        return by_groups(residual_group, given)[0]
 
-    def gradients(part: Segments, at: slice) -> tuple[Array, ...]:
-        every = np.arange(len(found.p))
-        _, columns, Q, _ = _columns(model, part, found.p, starts[at], noise.white, every)
-        total = np.zeros((len(columns), len(found.p)))
+    def gradients(part: Segments, rows: slice) -> tuple[Array, ...]:
+        every = np.arange(len(fit.p))
+        _, columns, Q, _ = _columns(model, part, fit.p, starts[rows], noise.white, every)
+        total = np.zeros((len(columns), len(fit.p)))
         for draw in draws:
-            more = _columns(model, draw.some(at), found.p, starts[at], noise.white, every)[1] - columns
-            way = more[..., :1] - Q @ (np.swapaxes(Q, 1, 2) @ more[..., :1])
-            total = total + (np.swapaxes(more[..., 1:], 1, 2) @ way)[..., 0] / _DRAWS
+            slope = _columns(model, draw.select(rows), fit.p, starts[rows], noise.white, every)[1] - columns
+            way = slope[..., :1] - Q @ (np.swapaxes(Q, 1, 2) @ slope[..., :1])
+            total = total + (np.swapaxes(slope[..., 1:], 1, 2) @ way)[..., 0] / _DRAWS
         return (total,)
 
-    part, starts = segments.some(few), found.starts[few]
-    before = left(part)
-    power = [((left(shaken(row)) - before) ** 2).mean(axis=0).sum(axis=0) for row in np.diag(unit)]
+    part, starts = segments.select(few), fit.starts[few]
+    baseline = left(part)
+    power = [((left(perturb(row)) - baseline) ** 2).mean(axis=0).sum(axis=0) for row in np.diag(unit)]
     by_input = np.array(power).T  # (m, nu): power of residuals per variance of each input
     scale = np.maximum(by_input.max(axis=1), np.finfo(float).tiny)
     sizes = unit * np.sqrt(nnls(by_input / scale[:, None], np.maximum(noise.share, 0.0) / scale)[0])
-    draws = [shaken(sizes) for _ in range(_DRAWS)]
-    total = by_groups(gradients, part, len(found.p) + starts.shape[1] + 1)[0].sum(axis=0)
+    draws = [perturb(sizes) for _ in range(_DRAWS)]
+    total = by_groups(gradients, part, len(fit.p) + starts.shape[1] + 1)[0].sum(axis=0)
     return np.asarray(total * len(segments.y) / len(part.y))

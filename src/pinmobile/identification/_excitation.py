@@ -95,9 +95,9 @@ class Excitation:
         return np.append(0.0, np.cumsum(self._way(begins, np.full(begins.shape, step))))
 
     def __repr__(self) -> str:
-        what = "free body" if self.S is None else "on wheels"
+        kind = "free body" if self.S is None else "on wheels"
         series = f"{len(self.coefficients)} harmonics of {self.period:g} s"
-        return f"<Excitation: {what}, {series}, over {self.duration:g} s>"
+        return f"<Excitation: {kind}, {series}, over {self.duration:g} s>"
 
     def _series(self, t: Array, order: int) -> Array:
         """Return the derivative of the coordinates of an order, relative to their start, shape (..., k)."""
@@ -114,9 +114,9 @@ class Excitation:
         nu, rate = (each[..., 0] + 1j * each[..., 1] for each in (first, second))
         return psi, r, second[..., 2], nu, rate
 
-    def _way(self, since: Array, span: Array) -> Array:
+    def _way(self, starts: Array, span: Array) -> Array:
         """Return the displacement of a wheeled robot in the plane over time spans, complex, shape (...)."""
-        psi, _, _, nu, _ = self._body(since[..., None] + span[..., None] * (_NODES + 1) / 2)
+        psi, _, _, nu, _ = self._body(starts[..., None] + span[..., None] * (_NODES + 1) / 2)
         return np.asarray(span / 2 * ((np.exp(1j * psi) * nu) @ _WEIGHTS))
 
     def __call__(self, t: ArrayLike) -> Reference:
@@ -142,9 +142,9 @@ class Excitation:
             zeroth = self.start + self._series(times, 0)
             return Reference(zeroth, self._series(times, 1), self._series(times, 2))
         step = self.period / _KNOTS
-        at = np.clip((times / step).astype(int), 0, len(self._knots) - 1)
+        k = np.clip((times / step).astype(int), 0, len(self._knots) - 1)
         psi, r, turn, nu, rate = self._body(times)
-        place = self.start[0] + 1j * self.start[1] + self._knots[at] + self._way(at * step, times - at * step)
+        place = self.start[0] + 1j * self.start[1] + self._knots[k] + self._way(k * step, times - k * step)
         v, a = np.exp(1j * psi) * nu, np.exp(1j * psi) * (rate + 1j * r * nu)
         pairs = (place, psi), (v, r), (a, turn)
         return Reference(*(np.stack([z.real, z.imag, angle], axis=-1) for z, angle in pairs))
@@ -217,16 +217,16 @@ def excitation(
     limits = [bounded(name, shaped(name, finite(name, x), (3,)), above=0) for name, x in given.items()]
     count, generator = check_integer("harmonics", harmonics, least=3), seeded("seed", seed)
     T, length = positive("period", period, "s"), positive("duration", duration, "s")
-    believed = MobileRobot.box() if robot is None else robot
-    model = PlanarModel.of(believed)
-    prior = model.prior(believed)
+    assumption = MobileRobot.box() if robot is None else robot
+    model = PlanarModel.of(assumption)
+    prior = model.prior(assumption)
     problem = _Search(model, prior, (T, length, count), limits)
     shape = count, 2, model.free if model.free < 3 else 3
     order = np.arange(1, count + 1)[:, None, None]
     draws = [generator.standard_normal(shape) / order for _ in range(_CANDIDATES)]
     draws.sort(key=lambda raw: problem.cost(problem.coefficients(raw))[0])
-    found = [problem.coefficients(problem.improved(raw)) for raw in draws[:_STARTS]]
-    return Excitation(min(found, key=lambda x: problem.cost(x)[0]), T, length, problem.S)
+    candidates = [problem.coefficients(problem.improve(raw)) for raw in draws[:_STARTS]]
+    return Excitation(min(candidates, key=lambda x: problem.cost(x)[0]), T, length, problem.S)
 
 
 class _Search:
@@ -267,9 +267,9 @@ class _Search:
 
     def coefficients(self, raw: Array) -> Array:
         """Return coefficients of a motion that begins and ends at rest, scaled into the limits."""
-        return self.scaled(_at_rest(raw), np.inf)[0]
+        return self.scale_to_limits(_at_rest(raw), np.inf)[0]
 
-    def scaled(self, x: Array, order: float) -> tuple[Array, Callable[[Array], Array]]:
+    def scale_to_limits(self, x: Array, order: float) -> tuple[Array, Callable[[Array], Array]]:
         """Return coefficients scaled into the limits, and the function that returns a gradient by `x`.
 
         The scale is the norm, of this order, of the ratios to the limits: an infinite order gives the largest
@@ -279,7 +279,7 @@ class _Search:
             limits = np.array(self.limits)[:, None] / self.between
             size, slope = _norm(np.abs(self.of(x)) / limits, order)
             by_size = self.back(slope * np.sign(self.of(x)) / limits)
-            return _divided(x, np.full(3, size), np.stack([by_size] * 3))
+            return _normalize(x, np.full(3, size), np.stack([by_size] * 3))
         S, rows, limits = np.abs(self.S[[0, 2]]), self.of(x)[1:], np.array(self.limits[1:])[:, [0, 2]]
         norms = [_norm(self.between * np.abs(rows) @ S[j] / limits[:, j, None], order) for j in range(2)]
         slopes = [
@@ -287,9 +287,9 @@ class _Search:
             for j, (_, slope) in enumerate(norms)
         ]
         sizes = np.maximum([size for size, _ in norms], 1e-9)
-        one, pull = _divided(x, sizes, np.stack([self.back([0 * rows[0], *each]) for each in slopes]))
-        far, by_far = self.reach(one, order)
-        two, pull_far = _divided(one, np.array([far, 1.0]), np.stack([by_far, 0 * by_far]))
+        one, pull = _normalize(x, sizes, np.stack([self.back([0 * rows[0], *each]) for each in slopes]))
+        distance, by_far = self.reach(one, order)
+        two, pull_far = _normalize(one, np.array([distance, 1.0]), np.stack([by_far, 0 * by_far]))
         return two, lambda g: pull(pull_far(g))
 
     def of(self, coefficients: Array) -> Array:
@@ -305,27 +305,27 @@ class _Search:
         """Return the norm of 1 and of distances in x and y per limit over all periods, and its gradient."""
         assert self.S is not None
         q, eta, _ = self.of(coefficients)
-        turned = np.exp(1j * (q @ self.S[2])) * self.period / _PER_PERIOD
+        rotation = np.exp(1j * (q @ self.S[2])) * self.period / _PER_PERIOD
         nu, limits = eta @ (self.S[0] + 1j * self.S[1]), self.limits[0][:2, None]
-        path, more = np.cumsum(turned * nu), np.ceil(self.duration / self.period) - 1
-        places = np.stack([each for z in (path, path + more * path[-1]) for each in (z.real, z.imag)])
+        path, periods = np.cumsum(rotation * nu), np.ceil(self.duration / self.period) - 1
+        places = np.stack([each for z in (path, path + periods * path[-1]) for each in (z.real, z.imag)])
         limits = np.tile(limits, (2, 1))
         size, slope = _norm(np.append(np.abs(places) / limits, 1.0), order)
         rows = slope[:-1].reshape(places.shape) * np.sign(places) / limits
         first, last = rows[0] + 1j * rows[1], rows[2] + 1j * rows[3]
         by_path = first + last
-        by_path[-1] += more * last.sum()
-        by_nu = turned.conj() * np.cumsum(by_path[::-1])[::-1]
+        by_path[-1] += periods * last.sum()
+        by_nu = rotation.conj() * np.cumsum(by_path[::-1])[::-1]
         by_psi = (by_nu.conj() * 1j * nu).real
-        moved = by_nu.real[:, None] * self.S[0] + by_nu.imag[:, None] * self.S[1]
-        return size, self.back([by_psi[:, None] * self.S[2], moved, 0 * moved])
+        by_eta = by_nu.real[:, None] * self.S[0] + by_nu.imag[:, None] * self.S[1]
+        return size, self.back([by_psi[:, None] * self.S[2], by_eta, 0 * by_eta])
 
     def cost(self, coefficients: Array) -> tuple[float, Array]:
         """Return minus the logarithm of the determinant of the information matrix, and its gradient."""
         (q, eta, rate), model, a = self.of(coefficients), self.model, len(self.model.A)
         if self.S is None:
-            turned = np.exp(-1j * q[:, 2])
-            nu, faster = (turned * (each[:, 0] + 1j * each[:, 1]) for each in (eta, rate))
+            rotation = np.exp(-1j * q[:, 2])
+            nu, faster = (rotation * (each[:, 0] + 1j * each[:, 1]) for each in (eta, rate))
             r, turn, eta = eta[:, 2], rate[:, 2], np.column_stack([nu.real, nu.imag, eta[:, 2]])
         else:
             (forward, left, r), (du, dw, turn) = (eta @ self.S.T).T, (rate @ self.S.T).T
@@ -348,7 +348,7 @@ class _Search:
         if self.S is None:
             by_nu = by_eta[:, 0] + 1j * by_eta[:, 1]
             by_psi = (-1j * (by_nu.conj() * nu + by_faster.conj() * faster)).real
-            by_v, by_a = turned.conj() * by_nu, turned.conj() * by_faster
+            by_v, by_a = rotation.conj() * by_nu, rotation.conj() * by_faster
             rows = (0 * r, 0 * r, by_psi), (by_v.real, by_v.imag, by_eta[:, 2] + by_r)
             slopes = [np.column_stack(row) for row in (*rows, (by_a.real, by_a.imag, by_turn))]
         else:
@@ -359,25 +359,25 @@ class _Search:
 
     def smooth_cost(self, raw: Array, order: float) -> tuple[float, Array]:
         """Return the cost of raw coefficients with a norm in place of the largest ratio, and its gradient."""
-        scaled, pull = self.scaled(_at_rest(raw), order)
-        cost, by_coefficients = self.cost(scaled)
+        coefficients, pull = self.scale_to_limits(_at_rest(raw), order)
+        cost, by_coefficients = self.cost(coefficients)
         return cost, _at_rest(pull(by_coefficients))
 
-    def improved(self, raw: Array) -> Array:
+    def improve(self, raw: Array) -> Array:
         """Return raw coefficients with a lower cost, by a quasi-Newton search with norms of two orders.
 
         The search sees rounded numbers, so that its path does not depend on the rounding of a processor.
         """
         from scipy.optimize import minimize  # slow to load
 
-        def rounded(x: Array, order: float) -> tuple[float, Array]:
+        def norm_cost(x: Array, order: float) -> tuple[float, Array]:
             cost, gradient = self.smooth_cost(np.round(x.reshape(raw.shape), _DIGITS), order)
             return round(cost, _DIGITS), np.round(gradient.ravel(), _DIGITS)
 
         x = np.ravel(raw)
         for order in _ORDERS:
-            begin, how = x / np.abs(x).mean(), {"maxiter": _ITERATIONS}
-            x = minimize(rounded, begin, (order,), "L-BFGS-B", jac=True, options=how).x
+            begin, options = x / np.abs(x).mean(), {"maxiter": _ITERATIONS}
+            x = minimize(norm_cost, begin, (order,), "L-BFGS-B", jac=True, options=options).x
         return np.round(x.reshape(raw.shape), _DIGITS)
 
 
@@ -390,14 +390,14 @@ def _at_rest(raw: Array) -> Array:
 
 def _norm(ratios: Array, order: float) -> tuple[float, Array]:
     """Return the norm of positive ratios, and its gradient, which is zero for an infinite order."""
-    most = float(ratios.max())
+    largest = float(ratios.max())
     if np.isinf(order):
-        return most, 0 * ratios
-    size = most * float(((ratios / most) ** order).sum() ** (1 / order))
+        return largest, 0 * ratios
+    size = largest * float(((ratios / largest) ** order).sum() ** (1 / order))
     return size, (ratios / size) ** (order - 1)
 
 
-def _divided(x: Array, sizes: Array, slopes: Array) -> tuple[Array, Callable[[Array], Array]]:
+def _normalize(x: Array, sizes: Array, slopes: Array) -> tuple[Array, Callable[[Array], Array]]:
     """Return columns divided by sizes that depend on them, and the function that returns a gradient by them.
 
     Parameters

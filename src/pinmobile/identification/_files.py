@@ -56,8 +56,8 @@ _EXPECTED: dict[tuple[str, int], Sequence[str | None]] = {  # units by role and 
 }
 
 
-def _refused(file: Path, what: str, expected: str) -> InvalidArgument:
-    return InvalidArgument(f"path is {str(file)!r}, {what}, expected {expected}")
+def _file_error(file: Path, problem: str, expected: str) -> InvalidArgument:
+    return InvalidArgument(f"path is {str(file)!r}, {problem}, expected {expected}")
 
 
 def read_csv(
@@ -67,41 +67,41 @@ def read_csv(
     file = location("path", path)
     instance("columns", columns or {}, Mapping, "a mapping of roles to titles")
     pairs: Any = (columns or {}).items()
-    given = {r: [str(n) for n in ([one] if isinstance(one, str | int) else one)] for r, one in pairs}
-    bare = bool(given) and all(name.isdecimal() for listed in given.values() for name in listed)
+    given = {r: [str(n) for n in ([entry] if isinstance(entry, str | int) else entry)] for r, entry in pairs}
+    bare = bool(given) and all(name.isdecimal() for titles in given.values() for name in titles)
     head, rows = _table(file, bare)
     names = [_UNIT.sub("", title).strip() for title in head]
-    wanted = _known_columns(names) | given
+    by_role = _standard_columns(names) | given
     for roles in (("t",), ("u",), ("q", "twist", "wheel_rates", "joints")):
-        if not set(roles) & set(wanted):
-            raise _refused(
+        if not set(roles) & set(by_role):
+            raise _file_error(
                 file,
                 f"whose columns are {format_names(names)}, none of them known for {' or '.join(roles)}",
                 "columns={'t': 'time', 'q': ('x', 'y', 'psi'), 'u': (...)} with names of its header (in the "
                 "command columns.t=time columns.q=x,y,psi columns.u=...)",
             )
-    kept = [row for row in rows if len(row) == len(head)]
-    if len(kept) < 2:
-        raise _refused(file, f"with {len(kept)} rows as long as its header", "two or more")
+    full_rows = [row for row in rows if len(row) == len(head)]
+    if len(full_rows) < 2:
+        raise _file_error(file, f"with {len(full_rows)} rows as long as its header", "two or more")
     parts: dict[str, Array] = {}
     units: list[str] = []
-    for role, listed in wanted.items():
+    for role, titles in by_role.items():
         one_of("part of a log", role, ("t", *_RULES))
-        for name in listed:
+        for name in titles:
             one_of(f"column of {str(file)!r}", name, names)
             if names.count(name) > 1:
-                raise _refused(file, f"with two columns {name!r}", "one column of this name")
-        at = [names.index(name) for name in listed]
-        expected = _EXPECTED.get((role, len(at)), ["rad/s" if role == "wheel_rates" else None] * len(at))
-        in_si = [_si_unit(head[k], unit) for k, unit in zip(at, expected, strict=True)]
-        cells = [_column(file, head[k], [row[k] for row in kept]) for k in at]
+                raise _file_error(file, f"with two columns {name!r}", "one column of this name")
+        cols = [names.index(name) for name in titles]
+        expected = _EXPECTED.get((role, len(cols)), ["rad/s" if role == "wheel_rates" else None] * len(cols))
+        in_si = [_si_unit(head[k], unit) for k, unit in zip(cols, expected, strict=True)]
+        cells = [_column(file, head[k], [row[k] for row in full_rows]) for k in cols]
         parts[role] = np.column_stack(cells) * [factor for _, factor in in_si]
         units = [unit for unit, _ in in_si] if role == "u" else units
-    if not _si_unit(head[names.index(wanted["t"][0])], "s")[0]:
+    if not _si_unit(head[names.index(by_role["t"][0])], "s")[0]:
         parts["t"] = _since_start(parts["t"])
     if "q" in parts:
         parts["q"] = _in_plane(parts["q"])
-    return parts, tuple(units), len(rows) - len(kept)
+    return parts, tuple(units), len(rows) - len(full_rows)
 
 
 def _since_start(t: Array) -> Array:
@@ -120,7 +120,7 @@ def _table(file: Path, bare: bool) -> tuple[list[str], list[list[str]]]:
     with file_errors("read", "path", file):
         content = file.read_bytes().decode("utf-8-sig", errors="replace")
     if "\0" in content:
-        raise _refused(file, "which is not a text file", "a CSV file")
+        raise _file_error(file, "which is not a text file", "a CSV file")
     lines = [line.strip() for line in content.splitlines() if line.strip()]
     comments = [*takewhile(lambda line: line.startswith("#"), lines)]
     lines = lines[len(comments) :]
@@ -128,19 +128,19 @@ def _table(file: Path, bare: bool) -> tuple[list[str], list[list[str]]]:
         lines = [comments[-1].lstrip("# "), *lines]
     headless = bool(lines) and _is_numbers(lines[0])
     if not lines or (headless and not bare):
-        said = f"whose first line {format_value(lines[0])} contains numbers" if lines else "which is empty"
+        problem = f"whose first line {format_value(lines[0])} contains numbers" if lines else "which is empty"
         by_number = "; without a header, columns={'t': '1', 'q': ('2', '3', '4'), ...} counts them from 1"
         expected = "a header that names the columns, such as t,x,y,psi,Fx,Fy,Mz" + by_number * headless
-        raise _refused(file, said, expected)
-    plain = re.sub(r"\[[^][]*\]|\([^()]*\)", "", lines[0])  # units may contain blanks
-    between = next((each for each in _SEPARATORS if each in plain), ",")
+        raise _file_error(file, problem, expected)
+    header = re.sub(r"\[[^][]*\]|\([^()]*\)", "", lines[0])  # units may contain blanks
+    separator = next((each for each in _SEPARATORS if each in header), ",")
     try:
-        read = csv.reader(lines, delimiter=between, skipinitialspace=True)
+        read = csv.reader(lines, delimiter=separator, skipinitialspace=True)
         rows = [[cell.strip() for cell in row] for row in read]
         head = [str(k) for k in range(1, len(rows[0]) + 1)] if headless else rows.pop(0)
     except csv.Error as error:
         raise InvalidArgument(f"path is {str(file)!r}, expected a CSV file: {error}") from error
-    if between != ",":  # a comma then is a decimal comma
+    if separator != ",":  # a comma then is a decimal comma
         rows = [[cell.replace(",", ".") for cell in row] for row in rows]
     return head, rows
 
@@ -167,7 +167,7 @@ def _column(file: Path, title: str, cells: Sequence[str]) -> Array:
     """Return the numbers of a column; NaN for cells without a number."""
     numbers = np.array([_number(cell) for cell in cells])
     if np.isnan(numbers).all():
-        raise _refused(
+        raise _file_error(
             file, f"whose column {title!r} has no numbers, but {format_value(cells[0])}", "numbers"
         )
     return numbers
@@ -181,40 +181,40 @@ def _si_unit(title: str, expected: str | None) -> tuple[str, float]:
     UnknownName, InvalidArgument
         If the unit is unknown, or belongs to another quantity than the column.
     """
-    found = _UNIT.search(title)
-    if not found or not found[1].strip():
+    match = _UNIT.search(title)
+    if not match or not match[1].strip():
         return "", 1.0
-    unit = " ".join(map(str.strip, re.split(r"[*.\N{MIDDLE DOT}\N{DOT OPERATOR}]", found[1])))
+    unit = " ".join(map(str.strip, re.split(r"[*.\N{MIDDLE DOT}\N{DOT OPERATOR}]", match[1])))
     si = next((si for si, factors in _SI.items() if unit in factors), None)
     if si is None:
         raise UnknownName(f"unit of column {title!r}", unit, [name for each in _SI.values() for name in each])
     if expected not in (None, si):
-        listed = ", ".join(_SI[expected]) if expected else "no unit for a quaternion"
-        raise InvalidArgument(f"columns has {title!r} in {unit}, expected {listed}")
+        options = ", ".join(_SI[expected]) if expected else "no unit for a quaternion"
+        raise InvalidArgument(f"columns has {title!r} in {unit}, expected {options}")
     return si, _SI[si][unit]
 
 
-def _known_columns(names: Sequence[str]) -> dict[str, str | Sequence[str]]:
+def _standard_columns(names: Sequence[str]) -> dict[str, str | Sequence[str]]:
     """Return the columns with known names, by role."""
-    known = {name.casefold(): name for name in names}
+    spellings = {name.casefold(): name for name in names}
 
     def first(*sets: Sequence[str]) -> list[str]:
-        return next(([known[n] for n in each] for each in sets if set(each) <= set(known)), [])
+        return next(([spellings[n] for n in each] for each in sets if set(each) <= set(spellings)), [])
 
     def beginning(prefix: str) -> list[str]:
         return [name for name in names if name.startswith(prefix)]
 
-    inputs = beginning("u_") or [known[name] for name in ("fx", "fy", "mz") if name in known]
-    turned = [f"v_{name.removeprefix('u_')}" for name in inputs]  # names of Rollout.to_csv
-    found = {
+    inputs = beginning("u_") or [spellings[name] for name in ("fx", "fy", "mz") if name in spellings]
+    rates = [f"v_{name.removeprefix('u_')}" for name in inputs]  # names of Rollout.to_csv
+    columns = {
         "t": first(("t",), ("time",), ("stamp",), ("timestamp",)),
         "q": first(*(("x", "y", *each) for each in _TURNS)),
         "u": inputs,
         "twist": beginning("twist_"),
-        "wheel_rates": beginning("rate_") or (turned if set(turned) <= set(names) else []),
+        "wheel_rates": beginning("rate_") or (rates if set(rates) <= set(names) else []),
         "joints": beginning("joint_"),
     }
-    return {role: listed for role, listed in found.items() if listed}
+    return {role: titles for role, titles in columns.items() if titles}
 
 
 def read_bag(path: str | PathLike[str], topics: Mapping[str, str]) -> dict[str, tuple[Array, Array]]:
@@ -239,48 +239,48 @@ def read_bag(path: str | PathLike[str], topics: Mapping[str, str]) -> dict[str, 
         except (PinmobileError, PermissionError):
             raise
         except Exception as error:  # rosbags and sqlite raise many errors for damaged files
-            why = format_value(str(error) or type(error).__name__)
-            message = f"path is {str(file)!r}, expected a bag: it is damaged or another file: {why}"
+            reason = format_value(str(error) or type(error).__name__)
+            message = f"path is {str(file)!r}, expected a bag: it is damaged or another file: {reason}"
             raise FileError(message, errno=getattr(error, "errno", None), filename=str(file)) from error
 
 
 def _streams(reader: Any, topics: Mapping[str, str], file: Path) -> dict[str, tuple[Array, Array]]:
-    there = {each.topic: each.msgtype for each in reader.connections}
+    types = {each.topic: each.msgtype for each in reader.connections}
     rules: dict[str, list[tuple[str, Row]]] = {topic: [] for topic in topics.values()}
     for role, topic in topics.items():
-        if topic not in there:
-            listed = [f"{name} ({kind.rpartition('/')[2]})" for name, kind in there.items()]
-            raise UnknownName(f"topic of {str(file)!r}", topic, listed)
-        known, kind = _RULES[role], there[topic].rpartition("/")[2]
-        if kind not in known:
-            what = f"topics[{role!r}] is {topic!r}, whose messages are {there[topic]}"
-            raise InvalidArgument(f"{what}, expected {', '.join(known)}")
-        rules[topic].append((role, known[kind]))
+        if topic not in types:
+            choices = [f"{name} ({kind.rpartition('/')[2]})" for name, kind in types.items()]
+            raise UnknownName(f"topic of {str(file)!r}", topic, choices)
+        readers, kind = _RULES[role], types[topic].rpartition("/")[2]
+        if kind not in readers:
+            problem = f"topics[{role!r}] is {topic!r}, whose messages are {types[topic]}"
+            raise InvalidArgument(f"{problem}, expected {', '.join(readers)}")
+        rules[topic].append((role, readers[kind]))
     times: dict[str, list[tuple[int, int]]] = {role: [] for role in topics}
     rows: dict[str, list[Any]] = {role: [] for role in topics}
-    wanted = [each for each in reader.connections if each.topic in rules]
-    left = sum(each.msgcount for each in wanted)
-    for connection, arrived, raw in reader.messages(connections=wanted):
+    connections = [each for each in reader.connections if each.topic in rules]
+    left = sum(each.msgcount for each in connections)
+    for connection, arrival, raw in reader.messages(connections=connections):
         left -= 1
         message = reader.deserialize(raw, connection.msgtype)
         header = getattr(message, "header", None)
-        at = arrived if header is None else header.stamp.sec * 10**9 + header.stamp.nanosec
+        time = arrival if header is None else header.stamp.sec * 10**9 + header.stamp.nanosec
         for role, row in rules[connection.topic]:
-            times[role].append((at, arrived))
+            times[role].append((time, arrival))
             rows[role].append(row(message))
     if left > 0:  # a damaged chunk without CRC is only read up to the damage
         raise ValueError(f"{left} messages of the index are missing")
     for role, topic in topics.items():
         lengths = sorted({len(row) for row in rows[role]})
         if len(rows[role]) < 2 or len(lengths) > 1 or not lengths[0]:
-            what = f"whose topic {topic!r} has {len(rows[role])} messages of {lengths} numbers"
-            raise _refused(file, what, f"2 or more messages of {role} with the same number of numbers")
-    stamped = all(each[-1][0] > each[0][0] for each in times.values())  # otherwise use times of arrival
-    stamps = {role: [pair[not stamped] for pair in each] for role, each in times.items()}
+            problem = f"whose topic {topic!r} has {len(rows[role])} messages of {lengths} numbers"
+            raise _file_error(file, problem, f"2 or more messages of {role} with the same number of numbers")
+    has_stamps = all(each[-1][0] > each[0][0] for each in times.values())  # otherwise use times of arrival
+    stamps = {role: [pair[not has_stamps] for pair in each] for role, each in times.items()}
     first = min(min(each) for each in stamps.values())  # integer nanoseconds: floats have too few digits
-    seconds = {role: 1e-9 * np.array([at - first for at in each], float) for role, each in stamps.items()}
-    found = {role: np.array(rows[role], float) for role in topics}
-    return {role: (seconds[role], _in_plane(x) if role == "q" else x) for role, x in found.items()}
+    seconds = {role: 1e-9 * np.array([time - first for time in each], float) for role, each in stamps.items()}
+    arrays = {role: np.array(rows[role], float) for role in topics}
+    return {role: (seconds[role], _in_plane(x) if role == "q" else x) for role, x in arrays.items()}
 
 
 Row = Callable[[Any], Any]
@@ -299,30 +299,30 @@ def _pose_in(place: str, turn: str) -> Row:
     return attrgetter(f"{place}.x", f"{place}.y", *(f"{turn}.{axis}" for axis in "xyzw"))
 
 
-def _of(inside: str, *names: str) -> Row:
+def _read_fields(prefix: str, *names: str) -> Row:
     """Return a function that reads numbers of a part of a message."""
-    return attrgetter(*(f"{inside}{name}" for name in names))
+    return attrgetter(*(f"{prefix}{name}" for name in names))
 
 
 _WRENCH, _TWIST = ("force.x", "force.y", "torque.z"), ("linear.x", "linear.y", "angular.z")
 _COMMAND = "linear.x", "angular.z"
 _ARRAYS: dict[str, Row] = dict.fromkeys(("Float64MultiArray", "Float32MultiArray"), attrgetter("data"))
-_NESTED = _pose_in("pose.pose.position", "pose.pose.orientation")
+_NESTED_POSE = _pose_in("pose.pose.position", "pose.pose.orientation")
 _RULES: dict[str, dict[str, Row]] = {
     "q": {
-        **{"Odometry": _NESTED, "PoseWithCovarianceStamped": _NESTED},
+        **{"Odometry": _NESTED_POSE, "PoseWithCovarianceStamped": _NESTED_POSE},
         "PoseStamped": _pose_in("pose.position", "pose.orientation"),
-        **{"Pose": _pose_in("position", "orientation"), "Pose2D": _of("", "x", "y", "theta")},
+        **{"Pose": _pose_in("position", "orientation"), "Pose2D": _read_fields("", "x", "y", "theta")},
         "TransformStamped": _pose_in("transform.translation", "transform.rotation"),
     },
     "u": {
-        **{"WrenchStamped": _of("wrench.", *_WRENCH), "Wrench": _of("", *_WRENCH)},
-        **{"Twist": _of("", *_COMMAND), "TwistStamped": _of("twist.", *_COMMAND)},
+        **{"WrenchStamped": _read_fields("wrench.", *_WRENCH), "Wrench": _read_fields("", *_WRENCH)},
+        **{"Twist": _read_fields("", *_COMMAND), "TwistStamped": _read_fields("twist.", *_COMMAND)},
         **{"JointState": attrgetter("effort"), **_ARRAYS},
     },
     "twist": {
-        **dict.fromkeys(("Odometry", "TwistWithCovarianceStamped"), _of("twist.twist.", *_TWIST)),
-        **{"TwistStamped": _of("twist.", *_TWIST), "Twist": _of("", *_TWIST)},
+        **dict.fromkeys(("Odometry", "TwistWithCovarianceStamped"), _read_fields("twist.twist.", *_TWIST)),
+        **{"TwistStamped": _read_fields("twist.", *_TWIST), "Twist": _read_fields("", *_TWIST)},
     },
     "wheel_rates": {"JointState": attrgetter("velocity"), **_ARRAYS},
     "joints": {"JointState": attrgetter("position"), **_ARRAYS},

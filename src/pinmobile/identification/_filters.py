@@ -14,27 +14,27 @@ LEAST_ROWS = 16  # smallest number of samples of filters and windows
 FINEST = 1e-4  # [m, rad]: smallest noise of poses
 WINDOW = 0.15  # [s], window of the local cubic whose residual shows outliers and noise
 _OUTLIER = 6.0  # standard deviations
-_BENT = 3e-3  # smallest outlier, as a share of the motion in a window
+_LEAST_OUTLIER = 3e-3  # smallest outlier, as a share of the motion in a window
 _OFTEN, _TIMES = 0.8, 4.0  # quantile of the residuals of the cubic; multiple of it that an outlier exceeds
 _PASSES = 40  # largest number of passes
-_PADDED = 15  # samples that a filter mirrors at the ends
+_PADDING = 15  # samples that a filter mirrors at the ends
 _CUTOFF = 8.0  # [Hz], cutoff frequency of velocities
 _COARSE = 0.1  # largest share of different values of a quantised sensor
-_NEAR = 30  # samples on each side of a gap that shape its spline; those beyond matter by 1e-17
+_SPLINE_SAMPLES = 30  # samples on each side of a gap that shape its spline; those beyond matter by 1e-17
 _LONG = 3  # longest gap that a spline fills [samples]; a longer gap would amplify noise
 
 
-def filtered(columns: Array, dt: float) -> Array:
+def low_pass(columns: Array, dt: float) -> Array:
     """Return columns after a low-pass filter without delay."""
     from scipy.signal import butter, sosfiltfilt  # slow to load
 
     sos = butter(4, min(_CUTOFF, 0.2 / dt), fs=1 / dt, output="sos")
-    return np.asarray(sosfiltfilt(sos, columns, axis=0, padlen=min(_PADDED, len(columns) - 1)))
+    return np.asarray(sosfiltfilt(sos, columns, axis=0, padlen=min(_PADDING, len(columns) - 1)))
 
 
 def twist_of(q: Array, dt: float) -> Array:
     """Return the body twist of filtered poses, shape (N, 3): forward, left, yaw rate."""
-    smooth = filtered(q, dt)
+    smooth = low_pass(q, dt)
     v, psi = np.gradient(smooth, dt, axis=0), smooth[:, 2]
     nu = np.exp(-1j * psi) * (v[:, 0] + 1j * v[:, 1])
     return np.column_stack([nu.real, nu.imag, v[:, 2]])
@@ -42,18 +42,18 @@ def twist_of(q: Array, dt: float) -> Array:
 
 def quantisation(columns: Array) -> Array:
     """Return the standard deviation of the rounding of each column, shape (k,); 0 if values do not repeat."""
-    found = []
+    deviations = []
     for column in columns.T:
         size = float(np.abs(column).max(initial=0.0)) or 1.0
         values = size * np.unique(np.round(column / size, 9))
         steps = np.diff(values)
         is_coarse = 1 < len(values) < _COARSE * len(column)
-        found.append(float(np.median(steps)) / np.sqrt(12) if is_coarse else 0.0)
-    return np.array(found)
+        deviations.append(float(np.median(steps)) / np.sqrt(12) if is_coarse else 0.0)
+    return np.array(deviations)
 
 
-def without_outliers(
-    columns: Array, seen: NDArray[np.bool_], dt: float, finest: Any, grain: Any = 0.0
+def remove_outliers(
+    columns: Array, measured: NDArray[np.bool_], dt: float, finest: Any, grain: Any = 0.0
 ) -> tuple[Array, NDArray[np.bool_], Array]:
     """Return columns with interpolated outliers, a mask of good rows, and the noise of each column.
 
@@ -65,7 +65,7 @@ def without_outliers(
     ----------
     columns : ndarray, shape (N, m)
         Measurements.
-    seen : ndarray of bool, shape (N,)
+    measured : ndarray of bool, shape (N,)
         Mask of measured rows.
     dt : float
         Time step [s].
@@ -80,30 +80,30 @@ def without_outliers(
     follows = np.full(len(columns), savgol_coeffs(size, 3)[size // 2])  # weight of a sample in its own fit
     follows[: size // 2] = [savgol_coeffs(size, 3, pos=k, use="dot")[k] for k in range(size // 2)]
     follows[-(size // 2) :] = follows[: size // 2][::-1]
-    at, good, q = np.arange(len(columns)), seen.copy(), columns.copy()
+    rows, good, q = np.arange(len(columns)), measured.copy(), columns.copy()
     way = columns[size:] - columns[:-size]
-    bent = _BENT * NORMAL * np.median(np.abs(way), axis=0)  # residual of a cubic for the motion itself
+    floor = _LEAST_OUTLIER * NORMAL * np.median(np.abs(way), axis=0)  # residual of a cubic for the motion
     for _ in range(_PASSES):
         residual = columns - savgol_filter(q, size, 3, axis=0, mode="interp")
         residual /= np.sqrt(1 - follows)[:, None]
         deviation = NORMAL * np.median(np.abs(residual[good]), axis=0)
         deviation = np.maximum(deviation, np.maximum(finest, grain))
         often = np.quantile(np.abs(residual[good]), _OFTEN, axis=0)  # by which jumps of the acceleration bend
-        bound = np.maximum.reduce([_OUTLIER * deviation, bent, _TIMES * often])
+        bound = np.maximum.reduce([_OUTLIER * deviation, floor, _TIMES * often])
         size_of = (np.abs(residual) / bound).max(axis=1)
         worst = size_of >= maximum_filter1d(np.where(good, size_of, 0.0), 2 * size + 1)
-        before, good = good, seen & ~((size_of > 1) & (worst | ~good))
-        inside = np.clip(at[~good], at[good][0], at[good][-1])  # constant before the first, after the last
-        near = good & (maximum_filter1d((~good).view(np.int8), 2 * _NEAR + 1) > 0)
+        previous, good = good, measured & ~((size_of > 1) & (worst | ~good))
+        gaps = np.clip(rows[~good], rows[good][0], rows[good][-1])  # constant beyond both ends
+        support = good & (maximum_filter1d((~good).view(np.int8), 2 * _SPLINE_SAMPLES + 1) > 0)
         q = columns.copy()
-        if near.any():
-            q[~good] = CubicSpline(at[near], columns[near])(inside)
+        if support.any():
+            q[~good] = CubicSpline(rows[support], columns[support])(gaps)
         _bridge(q, good, size)
-        if np.array_equal(before, good):
+        if np.array_equal(previous, good):
             break
     # Errors of quantisation are not normal: their median absolute value overestimates them by up to 28 %.
-    plain = np.maximum(np.sqrt((residual[good] ** 2).mean(axis=0)), grain)
-    return q, good, np.where(np.asarray(grain) > finest, np.minimum(deviation, plain), deviation)
+    rms = np.maximum(np.sqrt((residual[good] ** 2).mean(axis=0)), grain)
+    return q, good, np.where(np.asarray(grain) > finest, np.minimum(deviation, rms), deviation)
 
 
 def _bridge(q: Array, good: NDArray[np.bool_], size: int) -> None:
@@ -113,5 +113,5 @@ def _bridge(q: Array, good: NDArray[np.bool_], size: int) -> None:
         if end - begin > _LONG:
             k = np.arange(max(begin - size, 0), min(end + size, len(q)))
             V = np.polynomial.chebyshev.chebvander(np.linspace(-1, 1, len(k)), 5)
-            near, lost = good[k], (k >= begin) & (k < end)
-            q[k[lost]] = V[lost] @ np.linalg.lstsq(V[near], q[k[near]], rcond=None)[0]
+            support, gap = good[k], (k >= begin) & (k < end)
+            q[k[gap]] = V[gap] @ np.linalg.lstsq(V[support], q[k[support]], rcond=None)[0]

@@ -12,7 +12,7 @@ import numpy as np
 from pinmobile.arrays import Array, bounded, instance, one_of, scalar, sequence
 from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.identification._clocks import clock_hint
-from pinmobile.identification._estimates import Identification, in_words
+from pinmobile.identification._estimates import Identification, format_directions
 from pinmobile.identification._estimator import (
     Fit,
     Linear,
@@ -22,43 +22,43 @@ from pinmobile.identification._estimator import (
     jackknife,
     r_squared,
     solve,
-    unexplained,
+    unexplained_error,
 )
-from pinmobile.identification._log import Log, continuous, logs_of, lost_rows, unused
+from pinmobile.identification._log import Log, continuous, logs_of, lost_rows, unused_rows
 from pinmobile.identification._planar_model import PlanarModel, PlanarProblem
 from pinmobile.identification._plant import identify_plant
 from pinmobile.identification._preprocessing import PreprocessedLog, Slippage
 from pinmobile.identification._simulation import Segments, simulate
 from pinmobile.identification._torque_car import identify_car
-from pinmobile.identification._velocity import TRAINED
-from pinmobile.identification._weak_form import WINDOW, WeakFit, WeakForm, beside, fitted
+from pinmobile.identification._velocity import TRAINING
+from pinmobile.identification._weak_form import WINDOW, WeakFit, WeakForm, append_columns, robust_fit
 from pinmobile.parts import Tabled, offers
 from pinmobile.robot import MobileRobot, PayloadBody
 from pinmobile.wheels import WheeledRobot, WheelTable
 
 METHODS = ("output error", "weak")
 
-_CLIPPED = 0.02  # share of rows at an extreme from which an input counts as clipped
+_CLIP_SHARE = 0.02  # share of rows at an extreme from which an input counts as clipped
 _BOTH_WAYS = 0.05  # share of the rows in which a wheel turns fast, each way
 _LEAST_SEGMENTS = 20  # fewer segments do not show the scatter
 _LENGTHS = 2.0, 1.5, 1.0  # [s] of a segment: the first length that gives enough segments
 _SHORTEST = (_LEAST_SEGMENTS + 0.5) * _LENGTHS[-1]  # [s], shortest log
 _LATEST, _EARLIEST = 0.3, 0.05  # [s], range of delays
-_EXPLAINED = 0.5  # smallest explained share of the mean square of the forces
+_MIN_EXPLAINED = 0.5  # smallest explained share of the mean square of the forces
 _MOST_GIVEN = 0.1  # largest given delay, as a share of the log
-_BIASED = 3.0  # largest bias of output error by input noise [standard deviations]
+_MAX_BIAS = 3.0  # largest bias of output error by input noise [standard deviations]
 _MASSES = (0.02, 2e4)  # [kg], range of ground robots
 _WIDEST = 10.0  # [m], largest radius of gyration, and largest distance of the centre of mass
 _LIGHTEST = 1.0  # [kg/m^2], smallest mass per squared radius of gyration; robots have about 100
 _TIMES_NOMINAL = 30.0  # largest ratio of an estimated mass and the prior
 _EARLY, _SURE = 0.5, 3.0  # samples, and standard deviations, by which poses may precede their inputs
 _DOMINANT = 0.9  # correlation of residuals that unmodelled forces dominate; noise alone seldom reaches it
-_COLOURED = 2.5  # multiple of the bound of white residuals: five standard deviations of estimated noise
+_WHITENESS = 2.5  # multiple of the bound of white residuals: five standard deviations of estimated noise
 _DRIFT = 1.0  # largest change of the delay along a log [samples]
 _SIGNIFICANT = 5.0  # standard deviations
 _FREE = 10.0  # [s], length of a free run
 _CHANNELS = "forward speed", "left speed", "yaw rate"
-_STILL = 0.05  # speed per largest speed of a direction in which the robot does not move
+_MIN_SPEED = 0.05  # speed per largest speed of a direction in which the robot does not move
 
 
 def identify(
@@ -156,19 +156,19 @@ def identify(
         if loads is not None or method != METHODS[0] or rolling_speed is not None:
             raise InvalidArgument("loads, method and rolling_speed do not apply with by, expected none")
         return identify_plant(logs, robot, by, delay)
-    alone = isinstance(robot, WheelTable)
-    robot = _on_wheels(robot) if alone else robot
+    is_table = isinstance(robot, WheelTable)
+    robot = _on_wheels(robot) if is_table else robot
     if robot is not None and offers(robot, Tabled) and robot.table.axes:
         if loads is not None or method != METHODS[0]:
             raise InvalidArgument('loads and method="weak" do not apply to a car, expected neither of them')
-        return identify_car(logs, robot, delay, rolling_speed, alone)
-    carried = _moments(loads, len(logs))
+        return identify_car(logs, robot, delay, rolling_speed, is_table)
+    moments = _moments(loads, len(logs))
     model = PlanarModel.of(robot, rolling_speed, loads is not None)
     if model.wheels:
-        logs = [_with_rates(one, model) for one in logs]
+        logs = [_add_rates(one, model) for one in logs]
         model = replace(model, blind=all(one.q is None for one in logs))
     names = ["log"] if len(logs) == 1 else [f"log[{k}]" for k in range(len(logs))]
-    triples = zip(logs, carried, names, strict=True)
+    triples = zip(logs, moments, names, strict=True)
     parts = [(each, load, n) for one, load, n in triples for each in continuous(one, n, *model.sensors)]
     dt = max(part.step_of(*model.sensors) for part, _, _ in parts)
     runs = [PreprocessedLog.of(part, model, load, name, dt) for part, load, name in parts]
@@ -177,59 +177,59 @@ def identify(
     slips = [Slippage.of(run, model, name) for run, (_, _, name) in zip(runs, parts, strict=True)]
     worst = max(filter(None, slips), key=lambda each: each.share, default=None)
     pairs = zip(logs, names, strict=True)
-    clipped = "; ".join(text for one, name in pairs for text in _clipped(one, model, name))
+    clips = "; ".join(text for one, name in pairs for text in _format_clips(one, model, name))
     if delay is not None:
-        most = _MOST_GIVEN * min(len(one.q) * one.dt for one in runs)
-        delay = bounded("delay", scalar("delay", delay), least=-most, most=most, unit="s")
-    prior = None if alone or robot is None else model.prior(robot)
+        largest = _MOST_GIVEN * min(len(one.q) * one.dt for one in runs)
+        delay = bounded("delay", scalar("delay", delay), least=-largest, most=largest, unit="s")
+    prior = None if is_table or robot is None else model.prior(robot)
     try:
-        result = _identified(runs, model, prior, method, delay)
+        result = _estimate_body(runs, model, prior, method, delay)
     except InvalidArgument as error:
         slip = f"Its {worst}" if worst is not None and worst.matters else ""
         first = parts[0][0]
         motion: Any = first.wheel_rates if first.q is None else first.q
-        hints = slip, clipped, clock_hint(first.t, first.u, motion, first.q is not None)
+        hints = slip, clips, clock_hint(first.t, first.u, motion, first.q is not None)
         raise InvalidArgument(" ".join(filter(None, [str(error), *hints]))) from error
-    dropped = sum(one.dropped + unused(one, *model.sensors) for one in logs)
-    return replace(result, dropped=dropped, prior=robot, slippage=worst, clipped=clipped)
+    rows = sum(one.dropped + unused_rows(one, *model.sensors) for one in logs)
+    return replace(result, dropped=rows, prior=robot, slippage=worst, clipped=clips)
 
 
 def _check_signs(runs: Sequence[PreprocessedLog], model: PlanarModel, names: Sequence[str]) -> None:
     """Reject inputs of wheels without a sign, as of a current sensor."""
     for run, name in zip(runs, names, strict=True):
         rates = run.rates_of(model)
-        for one, u, rate in zip(model.inputs, run.u.T, rates.T, strict=True):
+        for name_u, u, rate in zip(model.inputs, run.u.T, rates.T, strict=True):
             usual = 0.1 * np.abs(rate).max()
-            both = min((rate > usual).mean(), (rate < -usual).mean())
-            if both > _BOTH_WAYS and (u.min() >= 0 or u.max() <= 0) and u.any():
+            share = min((rate > usual).mean(), (rate < -usual).mean())
+            if share > _BOTH_WAYS and (u.min() >= 0 or u.max() <= 0) and u.any():
                 raise InvalidArgument(
-                    f"{name} has input {one} from {u.min():.3g} to {u.max():.3g}, but its wheel turns both "
-                    "ways, expected an input with a sign: of a current, np.copysign(current, command)"
+                    f"{name} has input {name_u} from {u.min():.3g} to {u.max():.3g}, but its wheel turns "
+                    "both ways, expected an input with a sign: of a current, np.copysign(current, command)"
                 )
 
 
-def _with_rates(log: Log, model: PlanarModel) -> Log:
+def _add_rates(log: Log, model: PlanarModel) -> Log:
     """Return a log with twists alone as a log with the rates of the wheels that roll so."""
     if log.twist is None or log.q is not None or log.wheel_rates is not None:
         return log
     rates = log.twist @ np.linalg.pinv(model.S).T @ model.A.T
-    dropped = log.dropped - int(lost_rows({"": rates}).sum())
-    return replace(log, twist=None, wheel_rates=rates, dropped=dropped)
+    count = log.dropped - int(lost_rows({"": rates}).sum())
+    return replace(log, twist=None, wheel_rates=rates, dropped=count)
 
 
-def _clipped(log: Log, model: PlanarModel, name: str) -> list[str]:
+def _format_clips(log: Log, model: PlanarModel, name: str) -> list[str]:
     """Return in words the inputs of a log that stay at their extremes, as clipped inputs do."""
-    found = []
-    for one, u in zip(model.inputs, log.u.T, strict=True):
+    out = []
+    for key, u in zip(model.inputs, log.u.T, strict=True):
         extreme = ((u == u.max()) | (u == u.min())) & (u != 0) & (np.ptp(u) > 0)
         stays = extreme[2:] & (u[2:] == u[1:-1]) & (u[1:-1] == u[:-2])
-        if stays.mean() > _CLIPPED:
-            at = f"at {u.min():.4g} or {u.max():.4g}, its extremes, in {stays.mean():.0%} of the rows"
-            found.append(f"input {one} of {name} stays {at}: if this input was clipped, estimates are wrong")
-    return found
+        if stays.mean() > _CLIP_SHARE:
+            ends = f"at {u.min():.4g} or {u.max():.4g}, its extremes, in {stays.mean():.0%} of the rows"
+            out.append(f"input {key} of {name} stays {ends}: if this input was clipped, estimates are wrong")
+    return out
 
 
-def _identified(
+def _estimate_body(
     runs: Sequence[PreprocessedLog], model: PlanarModel, prior: Array | None, method: str, delay: float | None
 ) -> Identification:
     """Return the estimates from preprocessed logs."""
@@ -238,63 +238,63 @@ def _identified(
     for offset in (True, False):  # offsets where the motion identifies them
         form = replace(form, model=replace(model, offset=offset))
         scales = form.scales()
-        seen, unseen = form.directions(scales)
-        if not unseen.size:
+        span, null = form.directions(scales)
+        if not null.size:
             break
-    model, told = form.model, in_words([one.name for one in form.model.quantities], unseen)
+    model, gaps = form.model, format_directions([one.name for one in form.model.quantities], null)
     if prior is not None and model.offset:
         prior = np.insert(prior, model.dry.stop, np.zeros(model.nu))
-    if told and prior is None:
+    if gaps and prior is None:
         raise InvalidArgument(
-            f"log has a motion of rank {seen.shape[1]} of {len(scales)}: {told}; expected a more informative "
+            f"log has a motion of rank {span.shape[1]} of {len(scales)}: {gaps}; expected a more informative "
             "motion (see excitation), or robot=... with prior values of these parameters"
         )
-    basis, base = scales[:, None] * seen, np.zeros(len(scales)) if prior is None or not told else prior
-    late = _first_delay(form, base, basis) if delay is None else delay / dt
-    fit = form.extrapolated(late, base, basis, not given and not told)
+    basis, base = scales[:, None] * span, np.zeros(len(scales)) if prior is None or not gaps else prior
+    lag = _first_delay(form, base, basis) if delay is None else delay / dt
+    fit = form.extrapolate(lag, base, basis, not given and not gaps)
     _check(model, fit, prior)
     rates = any(one.rates is not None for one in runs)
     each = [one.segments(model, fit.delay, seconds, rates) for one in runs]
-    ends = (TRAINED * len(one.q) * one.dt for one in runs)
-    early = np.concatenate([part.t[:, 0] < end for part, end in zip(each, ends, strict=True)])
-    segments = Segments.joined(each)
-    kept = len(segments.start)
-    if kept < _LEAST_SEGMENTS // 2:
+    ends = (TRAINING * len(one.q) * one.dt for one in runs)
+    train = np.concatenate([part.t[:, 0] < end for part, end in zip(each, ends, strict=True)])
+    segments = Segments.join(each)
+    size = len(segments.start)
+    if size < _LEAST_SEGMENTS // 2:
         raise InvalidArgument(
-            f"log has {kept} segments of {seconds:g} s with at least half of the poses measured and without "
+            f"log has {size} segments of {seconds:g} s with at least half of the poses measured and without "
             f"outliers, expected {_LEAST_SEGMENTS}: do the poses jump?"
         )
     start = model.possible(fit.phi, scales)
-    problem = PlanarProblem(model, start, basis, fit.delay, not given and not told)
+    problem = PlanarProblem(model, start, basis, fit.delay, not given and not gaps)
     estimate = _output_error(problem, segments, method == METHODS[0])
     bias = estimate.bias
-    if method == METHODS[0] and bias >= _BIASED:
+    if method == METHODS[0] and bias >= _MAX_BIAS:
         method, estimate = METHODS[1], _output_error(problem, segments, False)
     if method == METHODS[0]:
-        freedom, p = kept - 1, estimate.fit.p
-        free, _ = jackknife(estimate.fit.near, estimate.gradient)
+        freedom, p = size - 1, estimate.fit.p
+        free, _ = jackknife(estimate.fit.linear, estimate.gradient)
         phi, samples = problem.values(p)
-        late, error = float(samples), float(np.sqrt(free[-1, -1])) if problem.free else np.nan
-        if problem.free and late < 0:
-            phi, _ = problem.values(p - free[:, -1] / free[-1, -1] * late)  # the estimate for no delay
+        lag, error = float(samples), float(np.sqrt(free[-1, -1])) if problem.free else np.nan
+        if problem.free and lag < 0:
+            phi, _ = problem.values(p - free[:, -1] / free[-1, -1] * lag)  # the estimate for no delay
         covariance = basis @ free[: basis.shape[1], : basis.shape[1]] @ basis.T
         _check(model, fit._replace(phi=phi), prior)
-        step = estimate.fit.near.step(early)
+        step = estimate.fit.linear.step(train)
     else:
-        phi, covariance, late, error = fit.phi, fit.covariance, fit.delay, fit.delay_error
+        phi, covariance, lag, error = fit.phi, fit.covariance, fit.delay, fit.delay_error
         freedom = max(5, round(sum(len(one.q) * one.dt for one in runs) / WINDOW) - len(phi))
-        p, step = np.zeros(basis.shape[1]), _trained_weakly(form, fit.delay, base, basis)
+        p, step = np.zeros(basis.shape[1]), _weak_training_step(form, fit.delay, base, basis)
         problem = PlanarProblem(model, phi, basis, fit.delay)
     remarks = []
     if not given:
-        _check_late(late, error, dt)
-        if late < -min(_EARLY, 2 * error):
-            remarks.append(f"the delay is taken as zero: its estimate is {1e3 * late * dt:.3g} ms")
-        late = max(late, 0.0)
+        _check_delay(lag, error, dt)
+        if lag < -min(_EARLY, 2 * error):
+            remarks.append(f"the delay is taken as zero: its estimate is {1e3 * lag * dt:.3g} ms")
+        lag = max(lag, 0.0)
     measured = segments.good[..., None] & np.isfinite(segments.noise)[:, None]
-    residual = np.where(measured, estimate.plain.near.residual, 0.0)
+    residual = np.where(measured, estimate.first_fit.linear.residual, 0.0)
     count = max(1, int(measured.sum()) - basis.shape[1] - segments.start.size)
-    outliers, whole = sum(one.outliers for one in runs), [one for one in runs if np.isfinite(one.noise).all()]
+    outliers, full = sum(one.outliers for one in runs), [one for one in runs if np.isfinite(one.noise).all()]
     return Identification(
         model=model,
         phi=phi,
@@ -302,21 +302,21 @@ def _identified(
         freedom=freedom,
         method=method,
         input_noise_bias=bias,
-        rank=seen.shape[1],
-        unseen=told,
-        hidden=(unseen**2).sum(axis=1),
-        unknown=scales[:, None] * unseen,
-        delay=late * dt,
+        rank=span.shape[1],
+        unseen=gaps,
+        hidden=(null**2).sum(axis=1),
+        unknown=scales[:, None] * null,
+        delay=lag * dt,
         delay_error=error * dt,
         dt=dt,
         outliers=outliers,
         samples=outliers + sum(int(one.good.sum()) for one in runs),
-        segments=kept,
+        segments=size,
         seconds=seconds,
-        noise=[*whole, *runs][0].reported_noise,
+        noise=[*full, *runs][0].reported_noise,
         residual=np.sqrt((residual[..., model.columns] ** 2).sum(axis=(0, 1)) / segments.good.sum()),
-        chi2=float((segments.weighed(residual) ** 2).sum()) / count,
-        whiteness=_whiteness_of(estimate.plain, segments),
+        chi2=float((segments.weigh(residual) ** 2).sum()) / count,
+        whiteness=_whiteness_of(estimate.first_fit, segments),
         is_noise=estimate.is_noise,
         explained=fit.explained,
         remarks=tuple(remarks),
@@ -330,14 +330,14 @@ def _moments(loads: Sequence[PayloadBody | None] | None, count: int) -> list[Arr
         f"a PayloadBody or None for each of {count} logs: loads that differ identify the scale of inputs"
     )
     given = [None] * count if loads is None else sequence("loads", loads, expected)
-    found = []
+    moments = []
     for each in given:
         load: Any = instance("loads", each, PayloadBody | None, expected)
         m, x, y, inertia = (load.mass, *load.com[:2], load.inertia[2]) if load else (0.0,) * 4
-        found.append(np.array([m, m * x, m * y, inertia + m * (x * x + y * y)]))
-    if len(found) != count or (loads is not None and all(np.array_equal(x, found[0]) for x in found)):
+        moments.append(np.array([m, m * x, m * y, inertia + m * (x * x + y * y)]))
+    if len(moments) != count or (loads is not None and all(np.array_equal(x, moments[0]) for x in moments)):
         raise InvalidArgument(f"loads is {format_value(loads)}, expected {expected}")
-    return found
+    return moments
 
 
 def _on_wheels(table: WheelTable) -> Any:
@@ -346,17 +346,17 @@ def _on_wheels(table: WheelTable) -> Any:
     return robot.by_voltage() if any(each.motor.is_electric for each in table.actuators) else robot
 
 
-def _check_late(late: float, error: float, dt: float) -> None:
-    if late < -_EARLY - _SURE * error:
+def _check_delay(lag: float, error: float, dt: float) -> None:
+    if lag < -_EARLY - _SURE * error:
         raise InvalidArgument(
-            f"log has poses {-1e3 * late * dt:.3g} ms ({-late:.1f} samples) ahead of the inputs that move "
+            f"log has poses {-1e3 * lag * dt:.3g} ms ({-lag:.1f} samples) ahead of the inputs that move "
             "the robot, expected a delay >= 0: two clocks, clipped inputs, unknown forces? Or set delay=0"
         )
 
 
 def _segment(logs: Sequence[PreprocessedLog]) -> float:
     """Return the length of segments [s]."""
-    spans = np.array([len(one.q) * one.dt for one in logs])
+    spans = np.array([len(log.q) * log.dt for log in logs])
     for seconds in _LENGTHS:
         if np.floor(spans / seconds - 0.3).sum() >= _LEAST_SEGMENTS:
             return seconds
@@ -369,27 +369,27 @@ def _first_delay(form: WeakForm, base: Array, basis: Array) -> float:
     """Return the delay with the smallest residual of the weak form [samples]."""
     if basis.shape[1] < len(base):
         return 0.0  # the motion does not identify the delay
-    few = [piece for one in form.logs for piece in one.few]
+    few = [piece for log in form.logs for piece in log.few]
     form = form if len(few) == len(form.logs) else WeakForm.of(few, form.model)
     dt = form.logs[0].dt
     delays = np.arange(-max(2, round(_EARLIEST / dt)), max(4, round(_LATEST / dt)) + 0.25, 0.5)
-    k, late, explained = form.first_delay(delays, base, basis)
-    if explained < _EXPLAINED:
-        raise unexplained(explained)
+    k, lag, share = form.first_delay(delays, base, basis)
+    if share < _MIN_EXPLAINED:
+        raise unexplained_error(share)
     if k == 0:
-        _check_late(late, 0.0, dt)
+        _check_delay(lag, 0.0, dt)
     if k == len(delays) - 1:
         raise InvalidArgument(
-            f"log has poses that lag the inputs by {dt * late:.3g} s or more, expected less: do two clocks "
+            f"log has poses that lag the inputs by {dt * lag:.3g} s or more, expected less: do two clocks "
             "give the times?"
         )
-    return late
+    return lag
 
 
 def _check(model: PlanarModel, fit: WeakFit, prior: Array | None) -> None:
     """Reject estimates that no robot can have, or that differ too much from the prior."""
-    if fit.explained < _EXPLAINED:
-        raise unexplained(fit.explained)
+    if fit.explained < _MIN_EXPLAINED:
+        raise unexplained_error(fit.explained)
     phi, mass = fit.phi, float(fit.phi[0])
     wrong, ratio = f"a mass of {mass:.3g} kg", 1.0 if prior is None else mass / prior[0]
     is_so = not _MASSES[0] < mass < _MASSES[1]
@@ -424,7 +424,7 @@ class _Estimate(NamedTuple):
     """
 
     fit: Fit
-    plain: Fit
+    first_fit: Fit
     gradient: Array
     bias: float
     is_noise: bool
@@ -432,46 +432,46 @@ class _Estimate(NamedTuple):
 
 def _output_error(problem: PlanarProblem, segments: Segments, moves: bool) -> _Estimate:
     """Return the estimate from segments; if `moves` is false, estimate the initial states alone."""
-    fit = plain = solve(problem, segments, problem.start, moves=moves)
+    fit = first = solve(problem, segments, problem.start, moves=moves)
     if problem.free:
-        late = np.arange(len(fit.p)) == len(fit.p) - 1
-        given = fit.near if moves else Linear.of(problem, segments, fit.p, fit.starts, lambda r, _: r, late)
+        last = np.arange(len(fit.p)) == len(fit.p) - 1
+        given = fit.linear if moves else Linear.of(problem, segments, fit.p, fit.starts, lambda r, _: r, last)
         _check_drift(given)
     gradient, bias = np.zeros(len(fit.p)), 0.0
     noise = None if _whiteness_of(fit, segments).is_white or not moves else _noise(problem, segments, fit)
     if noise is not None and not noise.remembers:
         # The controller responds to a correlated force, so whitening would fit the controller's response.
         gradient = input_noise_gradient(problem, segments, fit, noise)
-        near = Linear.of(problem, segments, fit.p, fit.starts, noise.white)
-        way = np.linalg.lstsq(near.information, gradient, rcond=None)[0]
+        linear = Linear.of(problem, segments, fit.p, fit.starts, noise.white)
+        way = np.linalg.lstsq(linear.information, gradient, rcond=None)[0]
         bias = float(np.sqrt(max(float(gradient @ way), 0.0)))
-        if bias < _BIASED:
+        if bias < _MAX_BIAS:
             fit = solve(problem, segments, fit.p, white=noise.white, starts=fit.starts, pull=gradient)
-            plain = solve(problem, segments, fit.p, moves=False)
-    left = _whiteness_of(plain, segments)
+            first = solve(problem, segments, fit.p, moves=False)
+    left = _whiteness_of(first, segments)
     is_noise = left.is_white
     if not is_noise and np.abs(left.correlation).max() <= _DOMINANT:
-        white = _noise(problem, segments, plain).white
-        near = Linear.of(problem, segments, plain.p, plain.starts, white, moves=False)
-        left = Whiteness.of(near.e.reshape(segments.y.shape), segments.good)
-        is_noise = bool(np.abs(left.correlation).max() <= _COLOURED * left.bound)
-    return _Estimate(fit, plain, gradient, bias, is_noise)
+        white = _noise(problem, segments, first).white
+        linear = Linear.of(problem, segments, first.p, first.starts, white, moves=False)
+        left = Whiteness.of(linear.e.reshape(segments.y.shape), segments.good)
+        is_noise = bool(np.abs(left.correlation).max() <= _WHITENESS * left.bound)
+    return _Estimate(fit, first, gradient, bias, is_noise)
 
 
 def _noise(problem: PlanarProblem, segments: Segments, fit: Fit) -> ResidualNoise:
-    answers = problem.responses(segments.some(segments.few), fit.p, fit.starts[segments.few])
-    left = segments.weighed(fit.near.residual)
+    answers = problem.responses(segments.select(segments.few), fit.p, fit.starts[segments.few])
+    left = segments.weigh(fit.linear.residual)
     return ResidualNoise.of(left, segments.good, float(segments.dt[0]), answers)
 
 
 def _whiteness_of(fit: Fit, segments: Segments) -> Whiteness:
     """Return the autocorrelation of the residuals of a fit."""
-    return Whiteness.of(segments.weighed(fit.near.residual), segments.good)
+    return Whiteness.of(segments.weigh(fit.linear.residual), segments.good)
 
 
-def _check_drift(near: Linear) -> None:
+def _check_drift(linear: Linear) -> None:
     """Reject a log in which the delay drifts, because one of two clocks is faster."""
-    gradient, curvature = near.normal[:, 0, 0, -1], near.normal[:, 0, -1, -1]
+    gradient, curvature = linear.normal[:, 0, 0, -1], linear.normal[:, 0, -1, -1]
     time = np.linspace(-0.5, 0.5, len(gradient))
     weight = max(float((curvature * time**2).sum()), 1e-300)
     slope = float((gradient * time).sum()) / weight
@@ -486,23 +486,23 @@ def _check_drift(near: Linear) -> None:
 class _Velocities(PlanarProblem):
     """The problem with velocities in place of measurements."""
 
-    def observed(self, segments: Segments, states: Array, numbers: Array) -> Array:
+    def outputs(self, segments: Segments, states: Array, numbers: Array) -> Array:
         """Return the body twist."""
         return np.asarray(states[..., 3:] @ self.model.S.T)
 
 
-def _trained_weakly(form: WeakForm, delay: float, base: Array, basis: Array) -> Array:
+def _weak_training_step(form: WeakForm, delay: float, base: Array, basis: Array) -> Array:
     """Return the step along the directions of a basis to the fit of the weak form of early windows."""
     columns, y = form.equations(delay)
-    Y = beside(form.Y, columns)
-    early = np.concatenate([np.arange(n) < TRAINED * n for n in form.counts])
-    first, _ = fitted(Y[early], y[early], [int(early.sum())], base, basis)
-    whole, _ = fitted(Y, y, form.counts, base, basis)
-    return np.asarray(np.linalg.pinv(basis) @ (first.phi - whole.phi))
+    Y = append_columns(form.Y, columns)
+    train = np.concatenate([np.arange(n) < TRAINING * n for n in form.counts])
+    first, _ = robust_fit(Y[train], y[train], [int(train.sum())], base, basis)
+    full, _ = robust_fit(Y, y, form.counts, base, basis)
+    return np.asarray(np.linalg.pinv(basis) @ (first.phi - full.phi))
 
 
 def _free_run(
-    problem: PlanarProblem, runs: Sequence[PreprocessedLog], p: Array, early: Array
+    problem: PlanarProblem, runs: Sequence[PreprocessedLog], p: Array, p_train: Array
 ) -> Mapping[str, tuple[float, float]]:
     """Return R^2 by channel: of all logs, and of the last third for numbers of the first two thirds.
 
@@ -512,12 +512,12 @@ def _free_run(
         The model.
     runs : sequence of PreprocessedLog
         The logs. Each free run starts from measured poses and velocities.
-    p, early : ndarray, shape (P,)
+    p, p_train : ndarray, shape (P,)
         Numbers of the whole logs, and of the first two thirds.
     """
     model = problem.model
     free = _Velocities(model, problem.base, problem.basis, problem.delay, problem.free)
-    found, late = list[Array](), list[Array]()
+    all_rows, test_rows = list[Array](), list[Array]()
     for run in runs:
         seconds = min(_FREE, 0.3 * len(run.q) * run.dt)
         segments = run.segments(model, problem.delay, seconds, False)
@@ -526,15 +526,15 @@ def _free_run(
         twist = run.free_velocities(model) @ model.S.T
         measured = twist[np.rint(segments.t / run.dt).astype(int)]
         starts = np.repeat(segments.start[None], 2, axis=0)
-        out = simulate(free, segments, np.stack([p, early]), starts)
-        found.append(np.stack([measured, measured - out[0]])[:, segments.good])
-        held = segments.good & (segments.t > TRAINED * len(run.q) * run.dt)
-        late.append(np.stack([measured, measured - out[1]])[:, held])
-    if not found:
+        outputs = simulate(free, segments, np.stack([p, p_train]), starts)
+        all_rows.append(np.stack([measured, measured - outputs[0]])[:, segments.good])
+        is_test = segments.good & (segments.t > TRAINING * len(run.q) * run.dt)
+        test_rows.append(np.stack([measured, measured - outputs[1]])[:, is_test])
+    if not all_rows:
         return {}
-    rows = [np.concatenate(each, axis=1) for each in (found, late)]
+    rows = [np.concatenate(each, axis=1) for each in (all_rows, test_rows)]
     speeds = np.sqrt((rows[0][0] ** 2).mean(axis=0))
-    moves = [*(speeds[:2] > _STILL * speeds[:2].max()), True]
+    moves = [*(speeds[:2] > _MIN_SPEED * speeds[:2].max()), True]
     shares = [r_squared(*each) for each in rows]
     pairs = zip(_CHANNELS, moves, *(share.tolist() for share in shares), strict=True)
-    return MappingProxyType({name: (one, other) for name, is_moved, one, other in pairs if is_moved})
+    return MappingProxyType({name: (r2, r2_test) for name, is_moved, r2, r2_test in pairs if is_moved})

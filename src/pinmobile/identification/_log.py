@@ -34,14 +34,14 @@ from pinmobile.loop import Rollout
 from pinmobile.plant import coordinates_of, inputs_of
 
 _HOLE = 3  # rows in a row that may be lost at any time step
-_BRIDGED = 0.3  # [s] without a measurement: half a window of the weak form; a longer gap needs a guess
+_BRIDGE = 0.3  # [s] without a measurement: half a window of the weak form; a longer gap needs a guess
 _FINER = 10  # largest number of rows for a measurement where inputs are faster
-_AGAIN = 0.1  # largest share of rows with the time of the row before
+_REPEATS = 0.1  # largest share of rows with the time of the row before
 _SHORTEST = 2.0  # [s] of a part between gaps
 _LONGEST_STEP = 5.0  # [s]; larger steps are probably not in seconds
 _FASTEST = 60.0  # [m/s]; faster positions are probably not in metres
 _HELD, _OFTEN = 1.0, 20  # longest repetition of a slow sensor's pose [s]; number that shows such a sensor
-_EVENLY = 0.9  # share of repetitions of the same length
+_EVEN_SHARE = 0.9  # share of repetitions of the same length
 _FASTEST_TURN = 12.0  # [rad/s], two turns a second; faster headings are probably in degrees
 _WINDOW = 0.25  # [s] over which speeds are averaged, so that noise does not matter
 
@@ -54,11 +54,11 @@ def step(t: Array) -> float:
 
 def lost_rows(given: Mapping[str, Array]) -> NDArray[np.bool_]:
     """Return the rows that have NaN in any array of a log, as a mask."""
-    lost = [np.isnan(x).any(axis=tuple(range(1, x.ndim))) for x in given.values()]
-    return np.asarray(np.logical_or.reduce(lost))
+    masks = [np.isnan(x).any(axis=tuple(range(1, x.ndim))) for x in given.values()]
+    return np.asarray(np.logical_or.reduce(masks))
 
 
-def repeated(t: Array, x: Array, slack: int) -> NDArray[np.bool_]:
+def repeat_mask(t: Array, x: Array, slack: int) -> NDArray[np.bool_]:
     """Return the rows in which a slow sensor only repeats its last measurement, as a mask.
 
     A sensor is slow if nearly all of its values stay for the same number of rows, apart from standstill. The
@@ -68,47 +68,47 @@ def repeated(t: Array, x: Array, slack: int) -> NDArray[np.bool_]:
         return np.zeros(len(x), bool)
     starts = np.flatnonzero((np.diff(x, axis=0, prepend=np.nan) != 0).any(axis=1))
     lasts, dt = np.diff(starts), step(t)
-    held = lasts[lasts * dt < _HELD]
-    usual = round(float(np.median(held))) if len(held) > _OFTEN else 1
-    if usual == 1 or (np.abs(held - usual) <= max(slack, usual // 4)).mean() <= _EVENLY:
+    lengths = lasts[lasts * dt < _HELD]
+    usual = round(float(np.median(lengths))) if len(lengths) > _OFTEN else 1
+    if usual == 1 or (np.abs(lengths - usual) <= max(slack, usual // 4)).mean() <= _EVEN_SHARE:
         return np.zeros(len(x), bool)
-    since = np.arange(len(x)) - starts[np.searchsorted(starts, np.arange(len(x)), side="right") - 1]
+    ages = np.arange(len(x)) - starts[np.searchsorted(starts, np.arange(len(x)), side="right") - 1]
     last = np.repeat(np.append(lasts, usual), np.append(lasts, len(x) - starts[-1]))
-    return np.asarray((since % usual > 0) | ((since > 0) & (last <= usual + 1)))
+    return np.asarray((ages % usual > 0) | ((ages > 0) & (last <= usual + 1)))
 
 
 def check_pose(t: Array, q: Array) -> None:
     """Reject poses in other units."""
     dt, psi = step(t), q[:, 2]
-    apart = max(1, round(_WINDOW / dt))
-    if len(t) <= apart:
+    width = max(1, round(_WINDOW / dt))
+    if len(t) <= width:
         return
 
-    spent = t[apart:] - t[:-apart]
-    near = spent < 2 * apart * dt  # without a gap
-    if not near.any():
+    times = t[width:] - t[:-width]
+    gapless = times < 2 * width * dt  # without a gap
+    if not gapless.any():
         return
 
     def rates(x: Array) -> Array:
-        return np.asarray(np.abs(x[apart:] - x[:-apart])[near] / spent[near])
+        return np.asarray(np.abs(x[width:] - x[:-width])[gapless] / times[gapless])
 
     speed, fast = np.median(np.hypot(rates(q[:, 0]), rates(q[:, 1]))), np.quantile(rates(psi), 0.9)
     if speed > _FASTEST:
-        what = f"q moves at {speed:.3g} m/s most of the time"
-        raise InvalidArgument(f"{what}, expected metres: are these centimetres or millimetres?")
+        fault = f"q moves at {speed:.3g} m/s most of the time"
+        raise InvalidArgument(f"{fault}, expected metres: are these centimetres or millimetres?")
     steps = np.abs(np.diff(psi))[np.diff(t) < 2 * dt]
-    whole = steps[steps > 1.9 * np.pi]
+    jumps = steps[steps > 1.9 * np.pi]
     turns = max(np.median(rates(np.unwrap(psi))), fast) > _FASTEST_TURN
-    if np.median(whole) > 4 * np.pi if whole.size else turns:
-        what = f"q has psi from {psi.min():.4g} to {psi.max():.4g}, a yaw rate of {fast:.3g} rad/s and more"
-        raise InvalidArgument(f"{what}, expected radians: are these degrees?")
+    if np.median(jumps) > 4 * np.pi if jumps.size else turns:
+        fault = f"q has psi from {psi.min():.4g} to {psi.max():.4g}, a yaw rate of {fast:.3g} rad/s and more"
+        raise InvalidArgument(f"{fault}, expected radians: are these degrees?")
 
 
 def held_integrals(t: Array, u: Array, edges: Array) -> Array:
     """Return the integrals of zero-order held inputs u between successive edges."""
-    spent = np.vstack([np.zeros(u.shape[1]), np.cumsum(u[:-1] * np.diff(t)[:, None], axis=0)])
+    total = np.vstack([np.zeros(u.shape[1]), np.cumsum(u[:-1] * np.diff(t)[:, None], axis=0)])
     k = np.clip(np.searchsorted(t, edges, side="right") - 1, 0, len(t) - 1)
-    return np.asarray(np.diff(spent[k] + u[k] * (edges - t[k])[:, None], axis=0))
+    return np.asarray(np.diff(total[k] + u[k] * (edges - t[k])[:, None], axis=0))
 
 
 _POSE = 3  # x, y, psi
@@ -132,7 +132,7 @@ class Samples(NamedTuple):
 
     dt: float
     t: Array
-    seen: NDArray[np.bool_]
+    is_valid: NDArray[np.bool_]
     u: Array
     q: Array | None = None
     twist: Array | None = None
@@ -230,49 +230,49 @@ class Log:
             raise InvalidArgument(
                 "q, twist, wheel_rates and joints are None, expected at least one: measured motion"
             )
-        again = np.flatnonzero(np.diff(t) == 0) + 1
-        if len(again) > _AGAIN * len(t):
+        repeats = np.flatnonzero(np.diff(t) == 0) + 1
+        if len(repeats) > _REPEATS * len(t):
             raise InvalidArgument(
-                f"t has the time of the row before in {len(again)} of {len(t)} rows, expected increasing "
+                f"t has the time of the row before in {len(repeats)} of {len(t)} rows, expected increasing "
                 "times: were they rounded?"
             )
-        given = {name: np.delete(array, again, axis=0) for name, array in given.items()}
-        lost = {name: lost_rows({name: array}) for name, array in given.items()}
-        for name, rows in lost.items():
+        given = {name: np.delete(array, repeats, axis=0) for name, array in given.items()}
+        masks = {name: lost_rows({name: array}) for name, array in given.items()}
+        for name, rows in masks.items():
             if rows.all():
                 raise InvalidArgument(f"{name} has {len(t)} rows, each with NaN, expected rows without NaN")
-        known = ~(lost["t"] | lost["u"])
-        there = np.flatnonzero(known & ~np.logical_and.reduce([lost[name] for name in measured]))
-        if len(there) < 2:
-            raise InvalidArgument(f"t has {len(there)} rows without NaN, expected two or more")
-        known[: there[0]] = known[there[-1] + 1 :] = False
-        dropped = int(np.logical_or.reduce([*lost.values()]).sum()) + len(again)
-        object.__setattr__(self, "dropped", self.dropped + dropped)
-        given = {name: array[known] for name, array in given.items()}
+        valid = ~(masks["t"] | masks["u"])
+        rows_y = np.flatnonzero(valid & ~np.logical_and.reduce([masks[name] for name in measured]))
+        if len(rows_y) < 2:
+            raise InvalidArgument(f"t has {len(rows_y)} rows without NaN, expected two or more")
+        valid[: rows_y[0]] = valid[rows_y[-1] + 1 :] = False
+        count = int(np.logical_or.reduce([*masks.values()]).sum()) + len(repeats)
+        object.__setattr__(self, "dropped", self.dropped + count)
+        given = {name: array[valid] for name, array in given.items()}
         increasing("t", given["t"])
         if (usual := float(np.median(np.diff(given["t"])))) > _LONGEST_STEP:
             raise InvalidArgument(f"t has steps of {usual:g} s, expected seconds: are these milliseconds?")
         for name, array in given.items():
             finite(name, np.where(np.isnan(array), 0.0, array))
         for name in measured:
-            at, array = np.flatnonzero(~lost[name][known]), np.array(given[name])
-            at = at[~repeated(given["t"][at], array[at], 1 if name == "q" else 0)]
-            array[np.delete(np.arange(len(array)), at)], given[name] = np.nan, array
+            k, array = np.flatnonzero(~masks[name][valid]), np.array(given[name])
+            k = k[~repeat_mask(given["t"][k], array[k], 1 if name == "q" else 0)]
+            array[np.delete(np.arange(len(array)), k)], given[name] = np.nan, array
             if name == "q":
-                check_pose(given["t"][at], array[at])
-                array[at, 2] = np.unwrap(array[at, 2])
+                check_pose(given["t"][k], array[k])
+                array[k, 2] = np.unwrap(array[k, 2])
         for name, array in given.items():
             object.__setattr__(self, name, frozen(array))
 
     def _given(self) -> dict[str, Array]:
-        named = {name: getattr(self, name) for name in ("t", "q", "u", *_SENSORS[1:])}
-        return {name: real(name, x) for name, x in named.items() if x is not None or name in ("t", "u")}
+        arrays = {name: getattr(self, name) for name in ("t", "q", "u", *_SENSORS[1:])}
+        return {name: real(name, x) for name, x in arrays.items() if x is not None or name in ("t", "u")}
 
-    def _named(self, *names: str) -> dict[str, Array]:
+    def _arrays(self, *names: str) -> dict[str, Array]:
         """Return those of the named measurements that there are."""
         return {name: x for name in names if (x := getattr(self, name)) is not None}
 
-    def _with(self, given: dict[str, Any]) -> Self:
+    def _rebuild(self, given: dict[str, Any]) -> Self:
         """Return the log with other rows, of which those with NaN are known."""
         return replace(self, **given, dropped=-int(lost_rows(given).sum()))
 
@@ -280,11 +280,11 @@ class Log:
         return len(self.t)
 
     def __repr__(self) -> str:
-        lost = f", {self.dropped} rows dropped" if self.dropped else ""
+        losses = f", {self.dropped} rows dropped" if self.dropped else ""
         measured = ", ".join(f"{n} of {x.shape[1]}" for n, x in self._given().items() if n != "t")
         offset, rate = self.clock
-        moved = f", times of inputs {offset:.4g} s + {rate:.6g} t" if self.clock != (0.0, 1.0) else ""
-        return f"<Log: {len(self)} samples over {self.t[-1] - self.t[0]:g} s, {measured}{lost}{moved}>"
+        clock = f", times of inputs {offset:.4g} s + {rate:.6g} t" if self.clock != (0.0, 1.0) else ""
+        return f"<Log: {len(self)} samples over {self.t[-1] - self.t[0]:g} s, {measured}{losses}{clock}>"
 
     @property
     def dt(self) -> float:
@@ -304,11 +304,11 @@ class Log:
         InvalidArgument
             If the part has fewer than two samples.
         """
-        since = self.t - self.t[0]
-        kept = (since >= scalar("start", start)) & (since < scalar("stop", stop))
-        return self._with({name: array[kept] for name, array in self._given().items()})
+        t = self.t - self.t[0]
+        rows = (t >= scalar("start", start)) & (t < scalar("stop", stop))
+        return self._rebuild({name: array[rows] for name, array in self._given().items()})
 
-    def split(self, max_gap: float = _BRIDGED) -> list[Self]:
+    def split(self, max_gap: float = _BRIDGE) -> list[Self]:
         """Return the parts of the log between gaps: times without a known input and a measurement.
 
         `identify` and `identify_velocity` split logs by this method.
@@ -325,14 +325,14 @@ class Log:
         """
         longest, given = positive("max_gap", max_gap, "s"), dict[str, Any](self._given())
         measured = [x for name, x in given.items() if name not in ("t", "u")]
-        there = np.flatnonzero(~np.logical_and.reduce([lost_rows({"": x}) for x in measured]))
-        steps = np.diff(self.t[there])
+        rows = np.flatnonzero(~np.logical_and.reduce([lost_rows({"": x}) for x in measured]))
+        steps = np.diff(self.t[rows])
         usual = float(np.median(steps))
         gaps = np.flatnonzero(steps > max(longest, _HOLE * usual) + 1.5 * usual)
         if not gaps.size:
             return [self]
-        cuts = zip(np.append(there[0], there[gaps + 1]), np.append(there[gaps], there[-1]) + 1, strict=True)
-        return [self._with({name: x[a:b] for name, x in given.items()}) for a, b in cuts if b - a > 1]
+        cuts = zip(np.append(rows[0], rows[gaps + 1]), np.append(rows[gaps], rows[-1]) + 1, strict=True)
+        return [self._rebuild({name: x[a:b] for name, x in given.items()}) for a, b in cuts if b - a > 1]
 
     def resample(self, dt: float) -> Self:
         """Return the log with another time step, from its first sample on.
@@ -352,15 +352,15 @@ class Log:
         """
         span = float(self.t[-1] - self.t[0])
         steps = int(span / bounded("dt", scalar("dt", dt), above=0, most=span, unit="s") + 1e-6)
-        return self._at(self.t[0] + dt * np.arange(steps + 1))
+        return self._resample(self.t[0] + dt * np.arange(steps + 1))
 
-    def _at(self, t: Array) -> Self:
+    def _resample(self, t: Array) -> Self:
         given = self._given()
         old, u = given.pop("t"), given.pop("u")
-        there = {name: ~lost_rows({name: x}) for name, x in given.items()}
+        valid = {name: ~lost_rows({name: x}) for name, x in given.items()}
         half = 0.5 * step(t) * (1 + 1e-9)
-        rows: dict[str, Any] = {n: _near(old[there[n]], x[there[n]], t, half) for n, x in given.items()}
-        return self._with({"t": t, "u": _mean_inputs(old, u, t), **rows})
+        rows: dict[str, Any] = {n: _sample(old[valid[n]], x[valid[n]], t, half) for n, x in given.items()}
+        return self._rebuild({"t": t, "u": _mean_inputs(old, u, t), **rows})
 
     def step_of(self, *names: str) -> float:
         """Return the time step of rows in which all named sensors that there are have measured [s].
@@ -370,7 +370,7 @@ class Log:
         InvalidArgument
             If there are no such rows.
         """
-        given = self._named(*names)
+        given = self._arrays(*names)
         t = self.t[~lost_rows(given)]
         if len(t) < 2:
             raise InvalidArgument(
@@ -384,13 +384,13 @@ class Log:
         The time step is `dt` [s], with mean inputs; default: that of the measurements.
         """
         dt = self.step_of(*names) if dt is None else dt
-        given = self._named(*names)
-        there = ~lost_rows(given)
-        t, given = self.t[there], {name: x[there] for name, x in given.items()}
+        given = self._arrays(*names)
+        valid = ~lost_rows(given)
+        t, given = self.t[valid], {name: x[valid] for name, x in given.items()}
         steps = np.rint((t - t[0]) / dt).astype(int)
-        since = dt * np.arange(steps[-1] + 1)
-        grid, seen = t[0] + since, np.zeros(len(since), bool)
-        seen[steps] = True
+        times = dt * np.arange(steps[-1] + 1)
+        grid, is_valid = t[0] + times, np.zeros(len(times), bool)
+        is_valid[steps] = True
         if step(self.t) < 0.75 * dt:  # a sensor that is slower than the inputs
             u = _mean_inputs(self.t, self.u, grid)
         else:
@@ -398,8 +398,8 @@ class Log:
             u = self.u[np.searchsorted(rows, np.arange(len(grid)), side="right") - 1]
         is_even = len(t) == len(grid) and np.abs(t - grid).max() < 1e-3 * dt
         if not is_even:
-            given = {name: _interpolated(t, x, grid) for name, x in given.items()}
-        return Samples(dt, since, seen, u, **given)
+            given = {name: _interpolate(t, x, grid) for name, x in given.items()}
+        return Samples(dt, times, is_valid, u, **given)
 
     def rollout(self, robot: Any, *, delay: float = 0.0, **options: Any) -> Rollout:
         """Return the log as a rollout, beside a robot that replays its inputs.
@@ -484,41 +484,41 @@ class Log:
                 t = finite(f"t_{own}", times[own])
                 increasing(f"t_{own}", t)
                 x = np.array(shaped(name, real(name, x), (len(t), "k"), words=f", as t_{own} has"))
-                seen = ~np.isnan(x).any(axis=1)
-                if seen.sum() < 2:
-                    raise InvalidArgument(f"{name} has {seen.sum()} rows without NaN, expected two or more")
+                valid = ~np.isnan(x).any(axis=1)
+                if valid.sum() < 2:
+                    raise InvalidArgument(f"{name} has {valid.sum()} rows without NaN, expected two or more")
                 if name == "q" and x.shape[1] == _POSE:
-                    x[seen, 2] = np.unwrap(x[seen, 2])
+                    x[valid, 2] = np.unwrap(x[valid, 2])
                 streams[name] = t, x
-        held, inputs = streams.pop("u")
+        times_u, inputs = streams.pop("u")
         if not streams:
-            what = "q, twist, wheel_rates and joints are None"
-            raise InvalidArgument(f"{what}, expected at least one: measured motion")
+            fault = "q, twist, wheel_rates and joints are None"
+            raise InvalidArgument(f"{fault}, expected at least one: measured motion")
         t = min((time for time, _ in streams.values()), key=step)
         offset, rate = 0.0, 1.0
         if not one_clock:
             name, motion = next(iter(streams.items()))
-            offset, rate = clock_of(held, inputs, *motion, name == "q")
-            held = offset + rate * held
-        first, last = max(t[0], held[0]), min(t[-1], held[-1])
+            offset, rate = clock_of(times_u, inputs, *motion, name == "q")
+            times_u = offset + rate * times_u
+        first, last = max(t[0], times_u[0]), min(t[-1], times_u[-1])
         if last - first < 0.5 * (t[-1] - t[0]):
             raise InvalidArgument(
-                f"t_u is from {held[0]:.9g} to {held[-1]:.9g} s and t_q from {t[0]:.9g} to {t[-1]:.9g} s, "
-                "expected a longer overlap by times of one clock: correct one, or give one_clock=False"
+                f"t_u is from {times_u[0]:.9g} to {times_u[-1]:.9g} s and t_q from {t[0]:.9g} to {t[-1]:.9g} "
+                "s, expected a longer overlap by times of one clock: correct one, or give one_clock=False"
             )
-        t = t[(t >= first) & (t <= held[-1])]
-        half, more = 0.5 * step(t) * (1 + 1e-9), min(round(step(t) / step(held)), _FINER)
-        if more > 1:  # rows without a measurement keep the times of faster inputs
-            t = np.interp(np.arange((len(t) - 1) * more + 1) / more, np.arange(len(t)), t)
-            half = half / more
+        t = t[(t >= first) & (t <= times_u[-1])]
+        half, factor = 0.5 * step(t) * (1 + 1e-9), min(round(step(t) / step(times_u)), _FINER)
+        if factor > 1:  # rows without a measurement keep the times of faster inputs
+            t = np.interp(np.arange((len(t) - 1) * factor + 1) / factor, np.arange(len(t)), t)
+            half = half / factor
         rows: dict[str, Any] = {
-            name: x[np.searchsorted(own, t)] if np.isin(t, own).all() else _near(own, x, t, half)
+            name: x[np.searchsorted(own, t)] if np.isin(t, own).all() else _sample(own, x, t, half)
             for name, (own, x) in streams.items()
         }
-        lost = max(int(lost_rows({name: x}).sum()) for name, (_, x) in streams.items())
-        between = int(lost_rows(rows).sum()) - lost  # rows between measurements are not lost
-        rows = {"q": None, "u": _mean_inputs(held, inputs, t)} | rows
-        return cls(t, **rows, dropped=-between, units=tuple(units), clock=(offset, rate))
+        count = max(int(lost_rows({name: x}).sum()) for name, (_, x) in streams.items())
+        gaps = int(lost_rows(rows).sum()) - count  # rows between measurements are not lost
+        rows = {"q": None, "u": _mean_inputs(times_u, inputs, t)} | rows
+        return cls(t, **rows, dropped=-gaps, units=tuple(units), clock=(offset, rate))
 
     @classmethod
     def from_rollout(
@@ -558,21 +558,21 @@ class Log:
             has another shape.
         """
         instance("rollout", rollout, Rollout, "a Rollout")
-        late, plant = check_integer("delay", delay, least=0, most=len(rollout) - 2), rollout.plant
-        generator, end = seeded("seed", seed), len(rollout) - late
+        lag, plant = check_integer("delay", delay, least=0, most=len(rollout) - 2), rollout.plant
+        generator, end = seeded("seed", seed), len(rollout) - lag
 
         def noisy(name: str, deviation: ArrayLike, values: Array) -> Array:
             size = bounded(name, shaped(name, finite(name, deviation), (), values.shape[1:]), least=0)
             with np.errstate(over="ignore"):  # the class rejects infinite numbers
                 return values + size * generator.standard_normal(values.shape)
 
-        q, u = noisy("noise", noise, rollout.poses[:end]), noisy("input_noise", input_noise, rollout.u[late:])
-        names, inputs = [one.name for one in coordinates_of(plant)], inputs_of(plant)
-        wheels = [names.index(one.name) for one in inputs if one.name in names]
+        q, u = noisy("noise", noise, rollout.poses[:end]), noisy("input_noise", input_noise, rollout.u[lag:])
+        names, inputs = [item.name for item in coordinates_of(plant)], inputs_of(plant)
+        wheels = [names.index(item.name) for item in inputs if item.name in names]
         rates = rollout.v[:end, wheels] if wheels else None
         joints = None if joint_noise is None else noisy("joint_noise", joint_noise, rollout.q[:end, _POSE:])
-        units = tuple(one.unit for one in inputs)
-        return cls(rollout.t[late:], q, u, None, rates, units=units, joints=joints)
+        units = tuple(item.unit for item in inputs)
+        return cls(rollout.t[lag:], q, u, None, rates, units=units, joints=joints)
 
     @classmethod
     def from_csv(
@@ -645,9 +645,9 @@ class Log:
             return cls.from_rollout(Rollout.from_mcap(path))
         streams = read_bag(path, topics)
         (t_u, u), (t_q, q) = streams.pop("u"), streams.pop("q", (np.zeros(0), None))
-        named: dict[str, Any] = {name: x for name, (_, x) in streams.items()}
-        named |= {f"t_{name}": t for name, (t, _) in streams.items()}
-        return cls.from_streams(t_q, q, t_u, u, **named)
+        arrays: dict[str, Any] = {name: x for name, (_, x) in streams.items()}
+        arrays |= {f"t_{name}": t for name, (t, _) in streams.items()}
+        return cls.from_streams(t_q, q, t_u, u, **arrays)
 
 
 def logs_of(log: object) -> list[Log]:
@@ -658,8 +658,8 @@ def logs_of(log: object) -> list[Log]:
     InvalidArgument
         If there is no log, or an entry is not a `Log`.
     """
-    made = "from_rollout" if isinstance(log, Rollout) else "from_csv"
-    hint = f": use Log.{made}" if isinstance(log, str | PathLike | Rollout) else ""
+    method = "from_rollout" if isinstance(log, Rollout) else "from_csv"
+    hint = f": use Log.{method}" if isinstance(log, str | PathLike | Rollout) else ""
     expected = f"a Log or a sequence of Log{hint}"
     logs = [log] if isinstance(log, Log) else [*sequence("log", log, expected)]
     if not logs or not all(isinstance(each, Log) for each in logs):
@@ -676,7 +676,7 @@ _TAKEN_BY = {  # arguments or function for inputs of each unit
 }
 
 
-def check_units(log: Log, name: str, expected: Mapping[str, str], also: str = "") -> None:
+def check_units(log: Log, name: str, expected: Mapping[str, str], other: str = "") -> None:
     """Reject inputs in other units.
 
     Parameters
@@ -687,13 +687,13 @@ def check_units(log: Log, name: str, expected: Mapping[str, str], also: str = ""
         Name of the log, for the message.
     expected : mapping of str to str
         Unit of each input, by name.
-    also : str
+    other : str
         Another unit that any input may have.
     """
-    for unit, (one, wanted) in zip(log.units, expected.items(), strict=False):
-        if unit not in ("", wanted, also):
-            why = f"for {unit}, use {_TAKEN_BY[unit]}" if unit in _TAKEN_BY else "are columns mixed up?"
-            raise InvalidArgument(f"{name} has input {one} in {unit}, expected {wanted}: {why}")
+    for unit, (name_u, si) in zip(log.units, expected.items(), strict=False):
+        if unit not in ("", si, other):
+            hint = f"for {unit}, use {_TAKEN_BY[unit]}" if unit in _TAKEN_BY else "are columns mixed up?"
+            raise InvalidArgument(f"{name} has input {name_u} in {unit}, expected {si}: {hint}")
 
 
 def continuous(log: Log, name: str, *names: str) -> list[Log]:
@@ -708,42 +708,42 @@ def continuous(log: Log, name: str, *names: str) -> list[Log]:
         raise InvalidArgument(f"{name} has no {' and no '.join(names)}, expected a measurement of the motion")
     others: dict[str, Any] = {other: None for other in _SENSORS if other not in names}
     parts = replace(log, **others, dropped=0).split()
-    long = [one for one in parts if one.t[-1] - one.t[0] >= _SHORTEST and _count(one, names) >= LEAST_ROWS]
+    long = [run for run in parts if run.t[-1] - run.t[0] >= _SHORTEST and _count(run, names) >= LEAST_ROWS]
     long = parts if len(parts) == 1 else long
     if not long:
-        longest = max(one.t[-1] - one.t[0] for one in parts)
+        longest = max(run.t[-1] - run.t[0] for run in parts)
         raise InvalidArgument(
-            f"{name} has {len(parts)} parts between gaps of more than {_BRIDGED:g} s, the longest of "
+            f"{name} has {len(parts)} parts between gaps of more than {_BRIDGE:g} s, the longest of "
             f"{longest:.2g} s, expected {_SHORTEST:g} s and {LEAST_ROWS} measurements or more"
         )
     return long
 
 
-def unused(log: Log, *names: str) -> int:
+def unused_rows(log: Log, *names: str) -> int:
     """Return the number of rows with named measurements that are in none of the parts of a log."""
     return _count(log, names) - sum(_count(part, names) for part in continuous(log, "log", *names))
 
 
 def _count(log: Log, names: Sequence[str]) -> int:
-    given = log._named(*names)
+    given = log._arrays(*names)
     return int((~lost_rows(given)).sum()) if given else 0
 
 
-def _near(t: Array, x: Array, rows: Array, farthest: float) -> Array:
+def _sample(t: Array, x: Array, rows: Array, farthest: float) -> Array:
     """Return columns interpolated at rows, with NaN where no time t is near."""
     k = np.clip(np.searchsorted(t, rows), 1, len(t) - 1)
-    apart = np.minimum(np.abs(rows - t[k - 1]), np.abs(t[k] - rows))
-    return np.where(apart[:, None] <= farthest, _interpolated(t, x, rows), np.nan)
+    gap = np.minimum(np.abs(rows - t[k - 1]), np.abs(t[k] - rows))
+    return np.where(gap[:, None] <= farthest, _interpolate(t, x, rows), np.nan)
 
 
 def _mean_inputs(t: Array, u: Array, rows: Array) -> Array:
     """Return the means of held inputs over the steps from each of some times, with NaN where one is NaN."""
     edges = np.append(rows, rows[-1] + step(rows))
     mean = held_integrals(t, np.nan_to_num(u), edges) / np.diff(edges)[:, None]
-    gone = np.isnan(u).any(axis=1, keepdims=True)
-    mean[held_integrals(t, gone.astype(float), edges)[:, 0] > 0] = np.nan
+    missing = np.isnan(u).any(axis=1, keepdims=True)
+    mean[held_integrals(t, missing.astype(float), edges)[:, 0] > 0] = np.nan
     return np.asarray(mean)
 
 
-def _interpolated(t: Array, columns: Array, grid: Array) -> Array:
+def _interpolate(t: Array, columns: Array, grid: Array) -> Array:
     return np.column_stack([np.interp(grid, t, column) for column in columns.T])

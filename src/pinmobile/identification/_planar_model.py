@@ -32,7 +32,7 @@ from pinmobile.forces import JointFriction, RollingResistance, ViscousFriction
 from pinmobile.identification._estimates import Identification
 from pinmobile.identification._estimator import solve
 from pinmobile.identification._log import Log
-from pinmobile.identification._preprocessing import LATER, PreprocessedLog
+from pinmobile.identification._preprocessing import DELAY_RANGE, PreprocessedLog
 from pinmobile.identification._simulation import Quantity, Segments, simulate
 from pinmobile.parts import Tabled, offers
 from pinmobile.robot import MobileRobot
@@ -81,13 +81,13 @@ class PlanarProblem:
 
     def values(self, p: Array) -> tuple[Array, Array]:
         """Return parameters, shape (..., p), and delays, shape (...), of numbers (..., P)."""
-        late = self.delay + (p[..., -1] if self.free else np.zeros(p.shape[:-1]))
-        return self.base + p[..., : self.basis.shape[1]] @ self.basis.T, late
+        delay = self.delay + (p[..., -1] if self.free else np.zeros(p.shape[:-1]))
+        return self.base + p[..., : self.basis.shape[1]] @ self.basis.T, delay
 
     def is_possible(self, p: Array) -> bool:
         """Return whether a body can have these numbers, and the delay is near the initial delay."""
-        phi, late = self.values(p)
-        return bool(self.model.are_possible(phi) and abs(late - self.delay) < LATER)
+        phi, delay = self.values(p)
+        return bool(self.model.are_possible(phi) and abs(delay - self.delay) < DELAY_RANGE)
 
     @property
     def rates(self) -> Callable[..., Any]:
@@ -95,19 +95,19 @@ class PlanarProblem:
         return self.model.rates  # type: ignore[no-any-return]
 
     @property
-    def shifted(self) -> int | None:
+    def delay_index(self) -> int | None:
         """Index of an unknown delay: noise of a held input is smoother over whole samples."""
         return self.basis.shape[1] if self.free else None
 
-    def resolved(self, segments: Segments, p: Array) -> tuple[Array, Array, float]:
+    def rate_numbers(self, segments: Segments, p: Array) -> tuple[Array, Array, float]:
         """Return the parameters with known loads, delays and the longest time step."""
-        phi, late = self.values(p)
+        phi, delay = self.values(p)
         body = np.repeat(phi[:, None], len(segments.y), axis=1)
         body[..., :4] += segments.load
         rubs = any(each.coulomb or each.efficiency < 1 for each in self.model.motors)
-        return body, late, _RUBBING_STEP if rubs else _STEP
+        return body, delay, _RUBBING_STEP if rubs else _STEP
 
-    def observed(self, segments: Segments, states: Array, numbers: Array) -> Array:
+    def outputs(self, segments: Segments, states: Array, numbers: Array) -> Array:
         """Return the poses, and rates of wheels where they are measured."""
         if segments.y.shape[-1] == 3:
             return states[..., :3]
@@ -119,18 +119,18 @@ class PlanarProblem:
         The robot starts at rest without dry friction. The responses are the principal components over all
         headings and inputs.
         """
-        (phi, late), resting = self.values(p), starts.copy()
+        (phi, delay), resting = self.values(p), starts.copy()
         resting[:, 3:], phi[self.model.dry], phi[self.model.offsets] = 0.0, 0.0, 0.0
-        still, found = PlanarProblem(self.model, phi, self.basis[:, :0], float(late)), []
-        column = segments.lead - int(np.floor(late))
+        fixed, results = PlanarProblem(self.model, phi, self.basis[:, :0], float(delay)), []
+        column = segments.lead - int(np.floor(delay))
         for unit in np.diag(segments.sizes):
-            held = np.zeros((*segments.at.shape, segments.inputs.shape[1]))
-            held[:, column] = unit
-            at = np.arange(held[..., 0].size).reshape(segments.at.shape)
-            there = segments._replace(inputs=held.reshape(-1, held.shape[-1]), at=at)
-            out = simulate(still, there, np.zeros((1, 0)), resting[None])[0] / segments.noise[:, None]
-            found.append(out - out[:, :1])
-        _, sizes, rows = np.linalg.svd(np.moveaxis(np.concatenate(found), -1, 0), full_matrices=False)
+            pulse = np.zeros((*segments.rows.shape, segments.inputs.shape[1]))
+            pulse[:, column] = unit
+            rows_u = np.arange(pulse[..., 0].size).reshape(segments.rows.shape)
+            pulses = segments._replace(inputs=pulse.reshape(-1, pulse.shape[-1]), rows=rows_u)
+            outputs = simulate(fixed, pulses, np.zeros((1, 0)), resting[None])[0] / segments.noise[:, None]
+            results.append(outputs - outputs[:, :1])
+        _, sizes, rows = np.linalg.svd(np.moveaxis(np.concatenate(results), -1, 0), full_matrices=False)
         sizes = np.where(sizes > _LEAST_RESPONSE * sizes[:, :1], sizes, 0.0)
         return np.asarray(np.moveaxis((sizes[..., None] * rows)[:, :_RESPONSES], 0, -1))
 
@@ -138,13 +138,13 @@ class PlanarProblem:
 POSE = ("x", "m"), ("y", "m"), ("psi", "rad")
 _SPEED, _WHEEL_SPEED = 0.01, 0.1  # where dry friction has 71 %: [m/s, rad/s] of a body, [rad/s] of wheels
 _CONSTANTS = "resistance", "torque_constant", "viscous", "coulomb", "efficiency", "gear"
-_STILL = 2e-3  # [rad/s], where losses of a motor have 71 % of their size; those of real ones are sharp
+_SLOW_RATE = 2e-3  # [rad/s], where losses of a motor have 71 % of their size; those of real ones are sharp
 _GYRATION = 0.01  # [m], least radius of a body
 _LIGHTEST = 0.02  # [kg]
 _NOTHING = 1e-14  # of the largest variance
-_ROUNDED = 1e-6  # of what a bound lacks
+_MARGIN = 1e-6  # of what a bound lacks
 _STEPS = 200  # of a search for a body, of which some ten are needed
-_AHEAD = 2.0  # [s]
+_HORIZON = 2.0  # [s]
 _AXES = "forward", "left", "yaw"
 _BODY = (
     Quantity("mass", "kg", True, "mass"),
@@ -190,15 +190,15 @@ class PlanarModel:
     inertia: Array
     speed: float
     wheels: tuple[str, ...] = ()
-    scaled: bool = False
+    has_scale: bool = False
     motors: tuple[Motor, ...] = ()
     offset: bool = False
     blind: bool = False
 
-    told_first: ClassVar[int] = 4
+    summary_size: ClassVar[int] = 4
 
     @classmethod
-    def of(cls, robot: Any, speed: float | None = None, scaled: bool = False) -> PlanarModel:
+    def of(cls, robot: Any, speed: float | None = None, has_scale: bool = False) -> PlanarModel:
         """Return the model of a body driven by forces, or of a robot on wheels with torques or voltages.
 
         Raises
@@ -215,7 +215,7 @@ class PlanarModel:
                 )
             slow = positive("rolling_speed", _SPEED if speed is None else speed, "m/s")
             eye = frozen(np.eye(3))
-            return cls(eye, eye, None, frozen(np.zeros((3, 3))), slow, scaled=scaled)
+            return cls(eye, eye, None, frozen(np.zeros((3, 3))), slow, has_scale=has_scale)
         slow = positive("rolling_speed", _WHEEL_SPEED if speed is None else speed, "rad/s")
         table = robot.table
         if table.axes or robot.ground.slips or table.couplings or robot.mounts:
@@ -224,23 +224,23 @@ class PlanarModel:
                 "expected wheels that roll and do not steer, with separate motors and without arms, such as "
                 "a differential, mecanum or omni drive"
             )
-        reduced = robot.reduced(robot.rest, np.zeros(robot.nv))
-        S, turning = reduced.S[:3], reduced.S[3:]
+        dynamics = robot.reduced(robot.rest, np.zeros(robot.nv))
+        S, turning = dynamics.S[:3], dynamics.S[3:]
         names = tuple(each.name for each in table.actuators)
-        inertia = reduced.M - S.T @ robot.robot.mass_matrix(np.zeros(3)) @ S
+        inertia = dynamics.M - S.T @ robot.robot.mass_matrix(np.zeros(3)) @ S
         columns = np.stack([each.column for each in table.actuators], axis=-1)
         volts = any(each.unit == "V" for each in robot.inputs)
         motors = tuple(each.motor for each in table.actuators) if volts else ()
-        S, A, B, inertia = (frozen(each) for each in (S, columns.T @ turning, reduced.B, inertia))
-        return cls(S, A, B, inertia, slow, names, scaled, motors)
+        S, A, B, inertia = (frozen(each) for each in (S, columns.T @ turning, dynamics.B, inertia))
+        return cls(S, A, B, inertia, slow, names, has_scale, motors)
 
     def prior(self, robot: Any) -> Array:
         """Return phi of a robot."""
         body = (robot.robot if self.wheels else robot).with_locked_arms()
-        told = np.zeros(self.size)
-        told[:4] = body.mass, *body.com[:2], body.body.yaw_inertia
-        told[self.size - self.scaled :] = 1.0
-        return self.phi(told)
+        values = np.zeros(self.size)
+        values[:4] = body.mass, *body.com[:2], body.body.yaw_inertia
+        values[self.size - self.has_scale :] = 1.0
+        return self.phi(values)
 
     @property
     def measured(self) -> tuple[tuple[str, str], ...]:
@@ -277,21 +277,21 @@ class PlanarModel:
     @cached_property
     def quantities(self) -> tuple[Quantity, ...]:
         """Physical parameters, with the centre of mass and the inertia about it."""
-        found = [*_BODY]
+        items = [*_BODY]
         for kind, path, *units in _JOINT_FRICTION if self.wheels else _BODY_FRICTION:
             rows = [(n, units[0]) for n in self.wheels] or zip(_AXES, [units[0], *units], strict=True)
-            found += [Quantity(f"{kind}_{n}", unit, True, f"{path}.{n}") for n, unit in rows]
+            items += [Quantity(f"{kind}_{n}", unit, True, f"{path}.{n}") for n, unit in rows]
         if self.offset:
             pairs = [(n, "N m") for n in self.wheels] or [*self.inputs.items()]
-            found += [Quantity(f"offset_{n}", unit, False) for n, unit in pairs]
-        if self.scaled:
-            found.append(Quantity("input_scale", "", True))
-        return tuple(found)
+            items += [Quantity(f"offset_{n}", unit, False) for n, unit in pairs]
+        if self.has_scale:
+            items.append(Quantity("input_scale", "", True))
+        return tuple(items)
 
     @property
     def size(self) -> int:
         """Size of phi."""
-        return 4 + 2 * len(self.A) + self.nu * self.offset + self.scaled
+        return 4 + 2 * len(self.A) + self.nu * self.offset + self.has_scale
 
     @property
     def dry(self) -> slice:
@@ -301,19 +301,19 @@ class PlanarModel:
     @property
     def offsets(self) -> slice:
         """Slice of the offsets of the inputs in phi."""
-        return slice(self.dry.stop, self.size - self.scaled)
+        return slice(self.dry.stop, self.size - self.has_scale)
 
     def to_physical(self, phi: Array) -> Array:
         """Return the physical parameters, shape (..., p): com = (m x, m y) / m, and the inertia about it."""
         m, mx, my, inertia = (phi[..., k] for k in range(4))
-        about = inertia - (mx * mx + my * my) / m
-        return np.concatenate([np.stack([m, mx / m, my / m, about], -1), phi[..., 4:]], -1)
+        I_com = inertia - (mx * mx + my * my) / m
+        return np.concatenate([np.stack([m, mx / m, my / m, I_com], -1), phi[..., 4:]], -1)
 
-    def phi(self, told: Array) -> Array:
+    def phi(self, physical: Array) -> Array:
         """Return phi of physical parameters, shape (..., p)."""
-        m, x, y, about = (told[..., k] for k in range(4))
-        first = np.stack([m, m * x, m * y, about + m * (x * x + y * y)], -1)
-        return np.concatenate([first, told[..., 4:]], -1)
+        m, x, y, I_com = (physical[..., k] for k in range(4))
+        first = np.stack([m, m * x, m * y, I_com + m * (x * x + y * y)], -1)
+        return np.concatenate([first, physical[..., 4:]], -1)
 
     def slopes(self, phi: Array) -> Array:
         """Return the derivatives of the physical parameters with respect to phi, shape (p, p)."""
@@ -331,11 +331,11 @@ class PlanarModel:
 
     def possible(self, phi: Array, scales: Array) -> Array:
         """Return phi with a positive mass and inertia: unchanged if possible, otherwise with small values."""
-        told = np.array(phi)
-        told[0] = max(told[0], 1e-2 * scales[0])
-        about = (told[1] ** 2 + told[2] ** 2) / told[0]
-        told[3] = max(told[3], about + 1e-2 * scales[3])
-        return told
+        values = np.array(phi)
+        values[0] = max(values[0], 1e-2 * scales[0])
+        steiner = (values[1] ** 2 + values[2] ** 2) / values[0]
+        values[3] = max(values[3], steiner + 1e-2 * scales[3])
+        return values
 
     def plausible(self, phi: Array, covariance: Array) -> Array:
         """Return the most likely parameters of a possible body with nonnegative friction.
@@ -356,7 +356,7 @@ class PlanarModel:
         """
         from scipy.optimize import minimize  # slow to load
 
-        friction = [k for k, one in enumerate(self.quantities) if one.bounded and k > 3]
+        friction = [k for k, item in enumerate(self.quantities) if item.nonnegative and k > 3]
 
         def slack(p: Array) -> Array:
             return np.concatenate([[p[0] - _LIGHTEST, _inertia_left(p)], p[friction]])
@@ -364,12 +364,12 @@ class PlanarModel:
         if (slack(phi) >= 0).all():
             return phi
         values, vectors = np.linalg.eigh(covariance)
-        known = values > _NOTHING * values.max()
-        root, size = vectors[:, known] * np.sqrt(values[known]), np.abs(slack(phi)) + 1e-3 * np.abs(phi).max()
-        limit = {"type": "ineq", "fun": lambda z: slack(phi + root @ z) / size}
-        how = {"method": "SLSQP", "constraints": limit, "options": {"ftol": _ROUNDED**2, "maxiter": _STEPS}}
-        body = phi + root @ minimize(lambda z: (z @ z / 2, z), np.zeros(root.shape[1]), jac=True, **how).x
-        if not (slack(body) >= -_ROUNDED * size).all():
+        free = values > _NOTHING * values.max()
+        root, size = vectors[:, free] * np.sqrt(values[free]), np.abs(slack(phi)) + 1e-3 * np.abs(phi).max()
+        bound = {"type": "ineq", "fun": lambda z: slack(phi + root @ z) / size}
+        search = {"method": "SLSQP", "constraints": bound, "options": {"ftol": _MARGIN**2, "maxiter": _STEPS}}
+        body = phi + root @ minimize(lambda z: (z @ z / 2, z), np.zeros(root.shape[1]), jac=True, **search).x
+        if not (slack(body) >= -_MARGIN * size).all():
             raise InvalidArgument(
                 f"log leads to a mass of {phi[0]:.3g} kg and a yaw inertia of {self.to_physical(phi)[3]:.3g} "
                 "kg m^2, far from any possible body, expected both above zero"
@@ -378,10 +378,10 @@ class PlanarModel:
         body[friction] = np.maximum(body[friction], 0.0)
         return np.asarray(body)
 
-    def robot(self, found: Identification) -> Any:
+    def robot(self, estimates: Identification) -> Any:
         """Return the identified robot; see `Identification.robot`."""
-        m, x, y, inertia = self.to_physical(found.plausible)[:4].tolist()
-        prior = found.prior
+        m, x, y, inertia = self.to_physical(estimates.plausible)[:4].tolist()
+        prior = estimates.prior
         if prior is None:
             return MobileRobot(m, inertia, com=(x, y))
         new = with_inertia((prior.robot if self.wheels else prior).with_locked_arms(), m, x, y, inertia)
@@ -389,57 +389,57 @@ class PlanarModel:
             return new
         if not self.motors:
             return parts.evolved(prior, robot=new)
-        driven = parts.evolved(prior.wheeled, robot=new).by_voltage()
-        if self.scaled:
-            scale = found.plausible[-1]
-            constants = zip(driven.motor_paths, self.motors, strict=True)
-            changes = {f"{path}.torque_constant": one.torque_constant * scale for path, one in constants}
-            driven = parts.replace(driven, changes)
-        return driven
+        plant = parts.evolved(prior.wheeled, robot=new).by_voltage()
+        if self.has_scale:
+            scale = estimates.plausible[-1]
+            constants = zip(plant.motor_paths, self.motors, strict=True)
+            changes = {f"{path}.torque_constant": motor.torque_constant * scale for path, motor in constants}
+            plant = parts.replace(plant, changes)
+        return plant
 
-    def forces(self, found: Identification) -> list[Any]:
+    def forces(self, estimates: Identification) -> list[Any]:
         """Return the friction for `simulate`; see `Identification.forces`."""
-        viscous, dry = np.split(self.to_physical(found.plausible)[4 : self.dry.stop], 2)
+        viscous, dry = np.split(self.to_physical(estimates.plausible)[4 : self.dry.stop], 2)
         if not self.wheels:
             return [ViscousFriction(viscous), RollingResistance(dry, self.speed)]
-        names = [one.name for one in found.prior.coordinates]
+        names = [item.name for item in estimates.prior.coordinates]
         columns = np.zeros((2, len(names)))
         columns[:, [names.index(name) for name in self.wheels]] = viscous, dry
         return [JointFriction(columns[0], columns[1], self.speed, names)]
 
-    def notes(self, found: Identification) -> list[str]:
+    def notes(self, estimates: Identification) -> list[str]:
         """Return notes on parameters that the log does not identify."""
-        told = ["the motion does not separate constant offsets of inputs from friction: taken as zero"]
-        told = told * (not self.offset)
-        if found.slippage is not None and found.slippage.matters:
-            told.append(str(found.slippage))
+        notes = ["the motion does not separate constant offsets of inputs from friction: taken as zero"]
+        notes = notes * (not self.offset)
+        if estimates.slippage is not None and estimates.slippage.matters:
+            notes.append(str(estimates.slippage))
         if self.wheels:
-            told.append(
+            notes.append(
                 "the log does not separate the inertia of the wheels from mass and yaw inertia: "
                 f"{self.inertia[0, 0]:.3g} kg and {self.inertia[-1, -1]:.3g} kg m^2 are the given values"
                 + ", as are motors with their friction and gears"
                 * bool(self.motors)
             )
-            if not self.scaled:
-                told.append(
+            if not self.has_scale:
+                notes.append(
                     "all estimates are proportional to the given torque per input: a log with a known load "
                     "identifies this factor, identify([log, loaded], robot, loads=[None, load])"
                 )
-        return told
+        return notes
 
     def predicted(
-        self, found: Identification, log: Log, seconds: float | None
+        self, estimates: Identification, log: Log, seconds: float | None
     ) -> tuple[Segments, Array, NDArray[np.bool_], Array]:
         """Return segments of a log, residuals, mask of good samples, and the noise of the sensors."""
         if log.q is None and not self.blind:
             raise InvalidArgument("log has no q, expected poses, as the identified logs have")
         run = PreprocessedLog.of(log, self, np.zeros(4))
-        late, longest = found.delay / run.dt, len(run.q) * run.dt - 2 * abs(found.delay) - 4 * run.dt
-        length = scalar("seconds", _AHEAD if seconds is None else seconds)
-        ahead = bounded("seconds", length, least=10 * run.dt, most=longest, unit="s")
-        segments = run.segments(self, late, ahead, run.rates is not None)
-        search = PlanarProblem(self, found.phi, np.zeros((len(found.phi), 0)), late)
-        left = solve(search, segments, search.start).near.residual
+        lag, longest = estimates.delay / run.dt, len(run.q) * run.dt - 2 * abs(estimates.delay) - 4 * run.dt
+        length = scalar("seconds", _HORIZON if seconds is None else seconds)
+        span = bounded("seconds", length, least=10 * run.dt, most=longest, unit="s")
+        segments = run.segments(self, lag, span, run.rates is not None)
+        search = PlanarProblem(self, estimates.phi, np.zeros((len(estimates.phi), 0)), lag)
+        left = solve(search, segments, search.start).linear.residual
         return segments, left, segments.good, run.reported_noise
 
     def rows(self, a_u: Array, a_w: Array, turn: Array, square: Array, rates: Array, dry: Array) -> Array:
@@ -470,17 +470,17 @@ class PlanarModel:
     def rates(self, z: Any, u: Any, phi: Any) -> Any:
         """Return the rates of pose and independent velocities, shape (3 + k,), of one state and input."""
         psi, eta = z[2], z[3:]
-        nu, along = self.S @ eta, self.A @ eta
+        nu, speeds = self.S @ eta, self.A @ eta
         a, c, s = len(self.A), np.cos(psi), np.sin(psi)
-        scale = phi[self.size - 1] if self.scaled else 1.0
-        force = np.stack(torques_of(self.motors, u, along, scale))
+        scale = phi[self.size - 1] if self.has_scale else 1.0
+        force = np.stack(torques_of(self.motors, u, speeds, scale))
         if self.offset:
             force = force - phi[self.offsets]
         if self.B is None:
             force = np.stack([c * force[0] + s * force[1], c * force[1] - s * force[0], force[2]])
         else:
             force = self.B @ force
-        friction = phi[4 : 4 + a] * along + phi[self.dry] * along / np.sqrt(along * along + self.speed**2)
+        friction = phi[4 : 4 + a] * speeds + phi[self.dry] * speeds / np.sqrt(speeds * speeds + self.speed**2)
         M, h = inertia_of(phi, nu)
         M, force = self.S.T @ M @ self.S + self.inertia, force + self.S.T @ h - self.A.T @ friction
         return np.concatenate([pose_rate(psi, nu), np.linalg.solve(M, force)])
@@ -500,11 +500,11 @@ def torques_of(motors: Sequence[Motor], u: Any, rates: Any, scale: Any = 1.0) ->
     """
     if not motors:
         return [scale * x for x in u]
-    numbers = np.array([[getattr(one, name) or 0.0 for one in motors] for name in _CONSTANTS])
+    numbers = np.array([[getattr(data, name) or 0.0 for data in motors] for name in _CONSTANTS])
     resistance, constant, *others = numbers
     law = MotorLaw(tuple(motors), resistance, scale * constant, *others)
     return [
-        law.smooth_torque(k, law.volts(k, x), rate, rate / np.sqrt(rate * rate + _STILL**2))
+        law.smooth_torque(k, law.volts(k, x), rate, rate / np.sqrt(rate * rate + _SLOW_RATE**2))
         if motor.is_electric
         else scale * x
         for k, (motor, x, rate) in enumerate(zip(motors, u, rates, strict=True))
@@ -534,9 +534,9 @@ def pose_rate(psi: Any, nu: Any) -> Any:
 def with_inertia(robot: MobileRobot, mass: float, x: float, y: float, yaw_inertia: float) -> MobileRobot:
     """Return a robot without arms with another mass, centre of mass and yaw inertia about it."""
     centre, J = np.array([x, y, robot.body.com[2]]), np.array(robot.body.inertia)
-    scaled, J[2, 2] = J * (yaw_inertia / J[2, 2]), yaw_inertia
+    tensor, J[2, 2] = J * (yaw_inertia / J[2, 2]), yaw_inertia
     # If the moments violate the triangle inequality, scale all moments of the prior instead.
-    body = Body(mass, centre, J if J[2, 2] <= J[0, 0] + J[1, 1] else scaled)
+    body = Body(mass, centre, J if J[2, 2] <= J[0, 0] + J[1, 1] else tensor)
     return robot.with_body(body, f"{robot.source}; identified from a log")
 
 

@@ -24,34 +24,34 @@ from pinmobile.compiled import (
     tangent,
 )
 from pinmobile.errors import InvalidArgument, format_value
-from pinmobile.identification._estimates import Identification, in_words
+from pinmobile.identification._estimates import Identification, format_directions
 from pinmobile.identification._estimator import (
     NORMAL,
     Fit,
     Linear,
     Whiteness,
-    alone,
+    isolated,
     jackknife,
     r_squared,
     solve,
 )
 from pinmobile.identification._log import Log, continuous
 from pinmobile.identification._simulation import Quantity, Same, Segments, simulate
-from pinmobile.identification._velocity import TRAINED
+from pinmobile.identification._velocity import TRAINING
 from pinmobile.integrators import RungeKuttaNystrom
 from pinmobile.loop import Loop, Trace, arrays_of, initial_memory, traced_numbers
-from pinmobile.parts import NumberRef, Stepping, match_refs, numbers, offers, part, refs_of, replace, shorten
+from pinmobile.parts import NumberRef, Stepping, match_refs, named, numbers, offers, part, replace, shorten
 from pinmobile.plant import Context, Plant, coordinates_of, stated
 from pinmobile.trajectories import Reference
 
 _LONGEST, _SEGMENTS, _SHORTEST = 1.0, 20, 10  # [s] of a segment; segments of a log; samples of a segment
 _LONGEST_STEP = 5e-3  # [s] of the integrator
-_EXPLAINED = 0.5  # smallest explained share of the accelerated motion in segments
-_NEAR = 7  # samples of the cubic that gives first velocities
+_MIN_EXPLAINED = 0.5  # smallest explained share of the accelerated motion in segments
+_CUBIC_ROWS = 7  # samples of the cubic that gives first velocities
 _ROUNDS, _OUTLIER = 3, 6.0  # rounds without outliers, and what they are [standard deviations]
 _SIZE = 0.02  # smallest typical size of a number: of a centre of mass [m]
 _PRECISE = 10.0  # largest standard deviation of an identified direction, as a share of its size
-_COLOURED = 2.5  # multiple of the bound of white residuals that noise of the inputs may reach
+_WHITENESS = 2.5  # multiple of the bound of white residuals that noise of the inputs may reach
 _LEAST_NOISE = 1e-6  # of a sensor, as a share of its standard deviation
 _midpoint = RungeKuttaNystrom("midpoint", (0.0, 0.5), ((), (0.125,)), ((), (0.5,)), (0.0, 0.5), (0.0, 1.0))
 
@@ -77,19 +77,22 @@ def _programs(
     """Return a plant's loop on a tape, its program, and the program of its tangents by numbers by path."""
     loop, spread, context, start, first = same.value
     identity = Identity.of(loop, initial_memory(loop, context)[2:], spread, ())
-    traced = Trace(loop, context, start, first, identity, spread, own_reference=True).result()
+    loop_tape = Trace(loop, context, start, first, identity, spread, own_reference=True).result()
     # No sample is the first one: also the velocities at the start of a segment obey constraints.
-    whole = Copy(traced, {COUNT: lambda tape: tape.const(1, "u")}).loop(traced)
-    nodes = [whole.states[k][0] for k in columns]
-    own = replaced(whole, kept={"x": ((len(nodes),), nodes)}, counted=[])
-    found = []
-    for tape in (own, tangent(own, [("row", whole.parameters[path].first + i) for path, i in rows])):
+    full = Copy(loop_tape, {COUNT: lambda tape: tape.const(1, "u")}).loop(loop_tape)
+    nodes = [full.states[k][0] for k in columns]
+    states = replaced(full, kept={"x": ((len(nodes),), nodes)}, counted=[])
+    programs = []
+    for tape in (
+        states,
+        tangent(states, [("row", full.parameters[path].first + i) for path, i in rows]),
+    ):
         kinds = ("row", tape.rows, 0), ("uniform", tape.uniforms - 1, 1)
         leaves = {kind: Leaf("", kind, (size,), begin, kind) for kind, size, begin in kinds}
-        changes: dict[str, Any] = {"kept": dict([[*tape.kept.items()][-1]]), "tracks": whole.tracks}
-        changes |= {"sizes": (len(tape.states), 0, *whole.sizes[2:]), "leaves": [], "parameters": leaves}
-        found.append(Program(replaced(tape, **changes), shape=Shape(Target.host().lanes, 1)))
-    return traced, found[0], found[1]
+        changes: dict[str, Any] = {"kept": dict([[*tape.kept.items()][-1]]), "tracks": full.tracks}
+        changes |= {"sizes": (len(tape.states), 0, *full.sizes[2:]), "leaves": [], "parameters": leaves}
+        programs.append(Program(replaced(tape, **changes), shape=Shape(Target.host().lanes, 1)))
+    return loop_tape, programs[0], programs[1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,46 +116,46 @@ class PlantProblem:
     """
 
     plant: Any
-    found: tuple[NumberRef, ...]
+    unknowns: tuple[NumberRef, ...]
     base: Array
     basis: Array
     dt: float
     delay: int
     columns_of_state: tuple[int, ...]
 
-    told_first: ClassVar[int] = 4
+    summary_size: ClassVar[int] = 4
     columns: ClassVar[slice] = slice(None)
-    shifted: ClassVar[int | None] = None
+    delay_index: ClassVar[int | None] = None
 
     @property
     def quantities(self) -> tuple[Quantity, ...]:
         """The unknown numbers, with the shortest different ends of their paths."""
-        told = []
-        for one, name in zip(self.found, shorten(one.path for one in self.found), strict=True):
-            declared: Any = one.leaf.declared
-            bounded = declared.above == 0.0 or declared.lower == 0.0
-            told.append(Quantity(name, one.unit, bounded, one.path))
-        return tuple(told)
+        items = []
+        for x, name in zip(self.unknowns, shorten(x.path for x in self.unknowns), strict=True):
+            declaration: Any = x.leaf.declared
+            nonnegative = declaration.above == 0.0 or declaration.lower == 0.0
+            items.append(Quantity(name, x.unit, nonnegative, x.path))
+        return tuple(items)
 
     @property
     def measured(self) -> tuple[tuple[str, str], ...]:
         """Names and units of the measurements."""
-        own = coordinates_of(self.plant)
-        rows = [(one.name, one.unit) for one in own]
-        rows += [(one.rate or f"{one.name}_rate", f"{one.unit}/s") for one in own]
+        axes = coordinates_of(self.plant)
+        rows = [(axis.name, axis.unit) for axis in axes]
+        rows += [(axis.rate or f"{axis.name}_rate", f"{axis.unit}/s") for axis in axes]
         return tuple(rows[k] for k in self.columns_of_state)
 
     def values(self, p: Array) -> Array:
         """Return the numbers, shape (..., k), of steps (..., d)."""
         return np.asarray(self.base + p @ self.basis.T)
 
-    def changed(self, values: Array) -> Any:
+    def make_plant(self, values: Array) -> Any:
         """Return the plant with other numbers."""
         leaves = numbers(self.plant)
-        changes = {one.leaf.path: np.array(leaves[one.leaf.path].value, float) for one in self.found}
-        for one, value in zip(self.found, values, strict=True):
-            array = changes[one.leaf.path]
-            array[one.place(array.ndim)] = value
+        changes = {item.leaf.path: np.array(leaves[item.leaf.path].value, float) for item in self.unknowns}
+        for item, value in zip(self.unknowns, values, strict=True):
+            array = changes[item.leaf.path]
+            array[item.place(array.ndim)] = value
         return replace(self.plant, {path: x if x.ndim else float(x) for path, x in changes.items()})
 
     def sizes(self, p: Array) -> Array:
@@ -165,8 +168,8 @@ class PlantProblem:
 
     def are_possible(self, values: Array) -> Any:
         """Return which numbers, shape (..., k), a plant can have; losses may be below zero, as estimates."""
-        above = [stated(one.leaf.declared, "above") for one in self.found]
-        return (values > [-np.inf if bound is None else bound for bound in above]).all(axis=-1)
+        bounds = [stated(item.leaf.declared, "above") for item in self.unknowns]
+        return (values > [-np.inf if bound is None else bound for bound in bounds]).all(axis=-1)
 
     @cached_property
     def _code(self) -> tuple[dict[str, Array], list[int], tuple[Program, Program]]:
@@ -178,19 +181,19 @@ class PlantProblem:
         reference = Reference(np.zeros((2, plant.nu)), np.zeros((2, 0)), np.zeros((2, 0)))
         context = Context.of(plant, dt=self.dt, t=np.array([0.0, self.dt]), reference=reference)
         start, first = (np.zeros(plant.nq), np.zeros(plant.nv)), Reference(*(x[0] for x in reference))
-        spread = {f"plant.{one.leaf.path}": np.ones(np.shape(one.leaf.value), bool) for one in self.found}
-        memory, shapes = initial_memory(loop, context), [np.shape(one.leaf.value) for one in self.found]
-        places = [one.place(len(shape)) for one, shape in zip(self.found, shapes, strict=True)]
-        at = [int(np.ravel_multi_index(x, n)) if n else 0 for x, n in zip(places, shapes, strict=True)]
-        rows = tuple((f"plant.{one.leaf.path}", k) for one, k in zip(self.found, at, strict=True))
+        spread = {f"plant.{z.leaf.path}": np.ones(np.shape(z.leaf.value), bool) for z in self.unknowns}
+        memory, shapes = initial_memory(loop, context), [np.shape(z.leaf.value) for z in self.unknowns]
+        places = [z.place(len(shape)) for z, shape in zip(self.unknowns, shapes, strict=True)]
+        indices = [int(np.ravel_multi_index(x, n)) if n else 0 for x, n in zip(places, shapes, strict=True)]
+        rows = tuple((f"plant.{z.leaf.path}", k) for z, k in zip(self.unknowns, indices, strict=True))
         key = Identity.of(loop, memory[2:], spread, steps).key
         tape, *programs = _programs(
             Same((loop, spread, context, start, first), key), self.dt, rows, self.columns_of_state
         )
         counts = {"row": tape.rows, "uniform": tape.uniforms, "state": len(tape.states)}
         into = {kind: np.zeros(count) for kind, count in counts.items()}
-        into["uniform"][0], told = self.dt / steps, traced_numbers(loop)
-        given = [(leaf, told[path]) for path, leaf in tape.parameters.items()]
+        into["uniform"][0], numbers = self.dt / steps, traced_numbers(loop)
+        given = [(leaf, numbers[path]) for path, leaf in tape.parameters.items()]
         for leaf, value in (*given, *zip(tape.leaves, arrays_of(memory), strict=True)):
             flat = np.broadcast_to(np.asarray(value, float), leaf.shape).ravel()
             into[leaf.kind][leaf.first : leaf.first + flat.size] = flat
@@ -209,40 +212,40 @@ class PlantProblem:
         program = programs[directions is not None]
         if directions is not None:
             count = len(directions)
-            moved = np.zeros((count, len(into["state"])))
-            moved[:, :n] = directions[:, len(places) :]
-            states = np.hstack([np.tile(states, (count, 1)), np.repeat(moved, N, axis=0)])
+            tangents = np.zeros((count, len(into["state"])))
+            tangents[:, :n] = directions[:, len(places) :]
+            states = np.hstack([np.tile(states, (count, 1)), np.repeat(tangents, N, axis=0)])
             row = np.hstack([np.tile(row, (count, 1)), np.repeat(directions[:, : len(places)], N, axis=0)])
             u = np.tile(u, (count, 1, 1))
-        none, many = np.zeros((L, 0)), np.zeros((L, len(u), 0))
+        empty, slopes_u = np.zeros((L, 0)), np.zeros((L, len(u), 0))
         outcome = program.run(
             (states, np.zeros((len(states), 0))),
             np.asarray(self.dt * np.arange(L)),
-            (np.zeros((L, nu)), none, none),
+            (np.zeros((L, nu)), empty, empty),
             h=into["uniform"][0],
             values={"row": row, "uniform": into["uniform"][1:]},
             first=(),
-            tracks=(np.moveaxis(u, 1, 0), many, many),
+            tracks=(np.moveaxis(u, 1, 0), slopes_u, slopes_u),
             threads=processors(),
         )
         (answer,) = outcome.kept.values()
         return np.asarray(answer)
 
-    def simulated(self, segments: Segments, p: Array, starts: Array) -> Array:
+    def simulate(self, segments: Segments, p: Array, starts: Array) -> Array:
         """Return simulated measurements, see `simulate`."""
-        out = self._run(segments, p, starts)
-        return out.reshape(*starts.shape[:2], *out.shape[1:])
+        states = self._run(segments, p, starts)
+        return states.reshape(*starts.shape[:2], *states.shape[1:])
 
-    def linearized(
+    def linearize(
         self, segments: Segments, p: Array, starts: Array, numbers: NDArray[np.int_]
     ) -> tuple[Array, Array]:
         """Return simulated measurements and their slopes, see `linearize`."""
-        out, n, k = self.simulated(segments, p[None], starts[None])[0], starts.shape[1], len(self.base)
+        states, n, k = self.simulate(segments, p[None], starts[None])[0], starts.shape[1], len(self.base)
         directions = np.zeros((len(numbers) + n, k + n))
         directions[: len(numbers), :k] = self.basis.T[numbers]
         directions[len(numbers) :, k:] = np.eye(n)
         slopes = self._run(segments, p[None], starts[None], directions)
-        return out, np.nan_to_num(slopes.reshape(len(directions), len(starts), *slopes.shape[1:]))
+        return states, np.nan_to_num(slopes.reshape(len(directions), len(starts), *slopes.shape[1:]))
 
     def to_physical(self, p: Array) -> Array:
         """Return the numbers unchanged."""
@@ -254,46 +257,44 @@ class PlantProblem:
 
     def plausible(self, p: Array, covariance: Array) -> Array:
         """Return the nearest numbers within the declared bounds."""
-        lower, upper = (
-            [stated(one.leaf.declared, name) for one in self.found] for name in ("lower", "upper")
-        )
+        lower, upper = ([stated(z.leaf.declared, name) for z in self.unknowns] for name in ("lower", "upper"))
         low, high = ([x if b is None else b for x, b in zip(p, each, strict=True)] for each in (lower, upper))
         return np.asarray(np.clip(p, low, high))
 
-    def robot(self, found: Identification) -> Any:
+    def robot(self, estimates: Identification) -> Any:
         """Return the plant with the identified numbers."""
-        return self.changed(found.plausible)
+        return self.make_plant(estimates.plausible)
 
-    def forces(self, found: Identification) -> list[Any]:
+    def forces(self, estimates: Identification) -> list[Any]:
         """Return no forces: numbers of the plant include the losses."""
         return []
 
-    def notes(self, found: Identification) -> list[str]:
+    def notes(self, estimates: Identification) -> list[str]:
         """Return no notes."""
         return []
 
     def predicted(
-        self, found: Identification, log: Log, seconds: float | None
+        self, estimates: Identification, log: Log, seconds: float | None
     ) -> tuple[Segments, Array, NDArray[np.bool_], Array]:
         """Return segments of a log, residuals, mask of good samples, and the noise of the sensors."""
-        known: Any = replaced(self, base=found.phi, basis=np.zeros((len(self.base), 0)))
-        segments = _segments([log], known, found.seconds if seconds is None else seconds)
-        return segments, solve(known, segments, np.zeros(0)).near.residual, segments.good, segments.noise[0]
+        fixed: Any = replaced(self, base=estimates.phi, basis=np.zeros((len(self.base), 0)))
+        segments = _segments([log], fixed, estimates.seconds if seconds is None else seconds)
+        return segments, solve(fixed, segments, np.zeros(0)).linear.residual, segments.good, segments.noise[0]
 
 
-def _numbers_of(plant: Any, by: Any) -> tuple[NumberRef, ...]:
+def _numbers_of(plant: Any, patterns: Any) -> tuple[NumberRef, ...]:
     """Return the numbers that names or patterns mean; an array means its entries."""
-    known, found = refs_of(plant), dict[str, NumberRef]()
+    leaves, numbers = named(plant), dict[str, NumberRef]()
     for name in sequence(
-        "by", [by] if isinstance(by, str) else by, "names of numbers, such as '*_link.mass'"
+        "by", [patterns] if isinstance(patterns, str) else patterns, "names of numbers, such as '*_link.mass'"
     ):
-        for one in match_refs(plant, name, known, "by"):
-            entries = [NumberRef(one.leaf, *each) for each in one.leaf.entries.items()]
-            for each in entries if one.entry is None and np.ndim(one.leaf.value) else [one]:
-                found[each.path] = each
-    if not found:
+        for item in match_refs(plant, name, leaves, "by"):
+            entries = [NumberRef(item.leaf, *each) for each in item.leaf.entries.items()]
+            for each in entries if item.entry is None and np.ndim(item.leaf.value) else [item]:
+                numbers[each.path] = each
+    if not numbers:
         raise InvalidArgument("by has no names, expected names of numbers of the robot, such as 'mass'")
-    return tuple(found.values())
+    return tuple(numbers.values())
 
 
 def _segments(logs: Sequence[Log], problem: PlantProblem, seconds: float) -> Segments:
@@ -304,34 +305,32 @@ def _segments(logs: Sequence[Log], problem: PlantProblem, seconds: float) -> Seg
     for log in logs:
         names = _sensors(log, plant)
         for piece in continuous(log, "log", *names):
-            made = piece.samples(*names, dt=problem.dt)
-            y = np.concatenate([getattr(made, name) for name in names], axis=1)
+            run = piece.samples(*names, dt=problem.dt)
+            y = np.concatenate([getattr(run, name) for name in names], axis=1)
             states = np.zeros((len(y), nq + plant.nv))
             states[:, list(problem.columns_of_state)] = y
             of_q = [k for k in problem.columns_of_state if k < nq]
-            width = min(_NEAR, len(y) - (len(y) + 1) % 2)
-            smooth = [
-                savgol_filter(states[:, of_q], width, 3, deriv=k, delta=made.dt, axis=0) for k in (0, 1)
-            ]
+            width = min(_CUBIC_ROWS, len(y) - (len(y) + 1) % 2)
+            smooth = [savgol_filter(states[:, of_q], width, 3, deriv=k, delta=run.dt, axis=0) for k in (0, 1)]
             states[:, of_q], states[:, [nq + k for k in of_q]] = smooth
             noise = NORMAL * np.median(np.abs(np.diff(y, 4, axis=0)), axis=0) / np.sqrt(70.0)  # 1+16+36+16+1
             noise = np.maximum(noise, _LEAST_NOISE * y.std(axis=0) + np.finfo(float).tiny)
-            span = 0, len(y), round(seconds / made.dt), problem.delay, 0
-            parts.append(Segments.cut(made.dt, (y, made.seen, states, made.u, noise), span, 0.0, 0.5))
-    whole = Segments.joined(parts)
-    if len(whole.y) < _SEGMENTS // 2:
+            span = 0, len(y), round(seconds / run.dt), problem.delay, 0
+            parts.append(Segments.cut(run.dt, (y, run.is_valid, states, run.u, noise), span, 0.0, 0.5))
+    joint = Segments.join(parts)
+    if len(joint.y) < _SEGMENTS // 2:
         raise InvalidArgument(
-            f"log has {len(whole.y)} segments of {seconds:g} s, expected at least {_SEGMENTS // 2}: "
+            f"log has {len(joint.y)} segments of {seconds:g} s, expected at least {_SEGMENTS // 2}: "
             f"{_SEGMENTS // 2 * seconds:g} s, or {_SEGMENTS * seconds:g} s for reliable intervals"
         )
-    return whole._replace(noise=np.tile(np.median(whole.noise, axis=0), (len(whole.y), 1)))
+    return joint._replace(noise=np.tile(np.median(joint.noise, axis=0), (len(joint.y), 1)))
 
 
 def _sensors(log: Log, plant: Any) -> list[str]:
     """Return the names of the measurements of a log that the fit uses."""
     names = ["q"] * (log.q is not None) + ["joints"] * (log.joints is not None)
     names += ["wheel_rates"] * (log.wheel_rates is not None and log.joints is None)
-    if log.joints is None and any("/" in one.name for one in coordinates_of(plant)):
+    if log.joints is None and any("/" in axis.name for axis in coordinates_of(plant)):
         raise InvalidArgument("log has no joints, expected the positions of all coordinates behind the pose")
     if log.joints is not None and log.joints.shape[1] != plant.nq - 3:
         raise InvalidArgument(
@@ -340,53 +339,53 @@ def _sensors(log: Log, plant: Any) -> list[str]:
     return names
 
 
-def identify_plant(logs: Sequence[Log], plant: Any, by: Any, delay: float | None) -> Identification:
+def identify_plant(logs: Sequence[Log], plant: Any, patterns: Any, delay: float | None) -> Identification:
     """Return the estimates of numbers of a plant from logs, see `identify`."""
     if not offers(plant, Plant):
         raise InvalidArgument(f"robot is {format_value(plant)}, expected a plant with the numbers of by")
-    found, dt = _numbers_of(plant, by), max(log.dt for log in logs)
-    base = np.array([float(one.value) for one in found])
-    sizes = np.maximum(np.abs(base), [max(np.abs(np.asarray(x.leaf.value)).max(), _SIZE) for x in found])
-    late = 0 if delay is None else round(bounded("delay", scalar("delay", delay), least=0, unit="s") / dt)
+    unknowns, dt = _numbers_of(plant, patterns), max(log.dt for log in logs)
+    base = np.array([float(item.value) for item in unknowns])
+    sizes = np.maximum(np.abs(base), [max(np.abs(np.asarray(x.leaf.value)).max(), _SIZE) for x in unknowns])
+    lag = 0 if delay is None else round(bounded("delay", scalar("delay", delay), least=0, unit="s") / dt)
     names, nq = _sensors(logs[0], plant), plant.nq
     columns = [*range(3)] * ("q" in names) + [*range(3, nq)] * ("joints" in names)
     if "wheel_rates" in names:
-        own = [one.name for one in coordinates_of(plant)]
-        columns += [nq + own.index(one.name) for one in plant.inputs if one.name in own]
-    first: Any = PlantProblem(plant, found, base, np.diag(sizes), dt, late, tuple(columns))
+        axes = [item.name for item in coordinates_of(plant)]
+        columns += [nq + axes.index(item.name) for item in plant.inputs if item.name in axes]
+    first: Any = PlantProblem(plant, unknowns, base, np.diag(sizes), dt, lag, tuple(columns))
     span = sum(float(log.t[-1] - log.t[0]) for log in logs)
     seconds = max(min(_LONGEST, span / (_SEGMENTS + 0.5)), _SHORTEST * dt)
     segments = _segments(logs, first, seconds)
     white = lambda residuals, _: residuals  # noqa: E731
-    near = Linear.of(first, segments, 0 * base, segments.start, white)
-    seen, unseen = _directions(near)
-    if not seen.size:
+    linear = Linear.of(first, segments, 0 * base, segments.start, white)
+    rank_space, null = _directions(linear)
+    if not rank_space.size:
         raise InvalidArgument(
             "log identifies none of the numbers of by, expected a motion in which they matter"
         )
-    problem = replaced(first, basis=sizes[:, None] * seen)
-    fit = _without_outliers(problem, segments, segments.start + near.starts(0 * base))
-    left = np.where(fit.good[..., None], fit.near.residual, 0.0)
-    moved = segments.y - segments.y[:, :1]
+    problem = replaced(first, basis=sizes[:, None] * rank_space)
+    fit = _fit_inliers(problem, segments, segments.start + linear.starts(0 * base))
+    left = np.where(fit.good[..., None], fit.linear.residual, 0.0)
+    motion = segments.y - segments.y[:, :1]
     line = np.linalg.qr(np.vander(np.arange(left.shape[1]), 2))[0]  # what initial states explain
-    bent = segments.y - line @ (line.T @ segments.y)
-    explained = 1 - float((segments.weighed(left) ** 2).sum() / (segments.weighed(bent) ** 2).sum())
-    if explained < _EXPLAINED:
+    curved = segments.y - line @ (line.T @ segments.y)
+    share = 1 - float((segments.weigh(left) ** 2).sum() / (segments.weigh(curved) ** 2).sum())
+    if share < _MIN_EXPLAINED:
         raise InvalidArgument(
-            f"the given robot explains {max(explained, 0.0):.0%} of the motion over {seconds:.3g} s, "
+            f"the given robot explains {max(share, 0.0):.0%} of the motion over {seconds:.3g} s, "
             "expected most of it: name more wrong numbers in by, or correct sign, unit or order of inputs"
         )
-    covariance, blocks = jackknife(fit.near)
-    whiteness = Whiteness.of(segments.weighed(left), fit.good)
-    states = int(fit.near.back.any(axis=(0, 2)).sum()) * len(left)
-    count = max(1, int(fit.good.sum()) * left.shape[-1] - seen.shape[1] - states)
-    early = np.arange(len(left)) < TRAINED * len(left)
-    held = segments.some(~early)
-    p = fit.p + fit.near.step(early[:, None] & np.ones(fit.near.normal.shape[1], bool))
-    ahead = held.y - simulate(problem, held, p[None], fit.starts[None, ~early])[0]
+    covariance, blocks = jackknife(fit.linear)
+    whiteness = Whiteness.of(segments.weigh(left), fit.good)
+    states = int(fit.linear.start_change.any(axis=(0, 2)).sum()) * len(left)
+    count = max(1, int(fit.good.sum()) * left.shape[-1] - rank_space.shape[1] - states)
+    train = np.arange(len(left)) < TRAINING * len(left)
+    test = segments.select(~train)
+    p = fit.p + fit.linear.step(train[:, None] & np.ones(fit.linear.normal.shape[1], bool))
+    errors = test.y - simulate(problem, test, p[None], fit.starts[None, ~train])[0]
     runs = [
         r_squared(x[good], e[good])
-        for x, e, good in ((moved, left, fit.good), (moved[~early], ahead, fit.good[~early]))
+        for x, e, good in ((motion, left, fit.good), (motion[~train], errors, fit.good[~train]))
     ]
     pairs = zip(*(each.tolist() for each in runs), strict=True)
     outliers = int((segments.good & ~fit.good).sum())
@@ -395,11 +394,11 @@ def identify_plant(logs: Sequence[Log], plant: Any, by: Any, delay: float | None
         phi=problem.values(fit.p),
         covariance_of_phi=problem.basis @ covariance @ problem.basis.T,
         freedom=blocks - 1,
-        rank=seen.shape[1],
-        unseen=in_words([one.name for one in problem.quantities], unseen),
-        hidden=(unseen**2).sum(axis=1),
-        unknown=sizes[:, None] * unseen,
-        delay=late * dt,
+        rank=rank_space.shape[1],
+        unseen=format_directions([item.name for item in problem.quantities], null),
+        hidden=(null**2).sum(axis=1),
+        unknown=sizes[:, None] * null,
+        delay=lag * dt,
         delay_error=np.nan,
         dt=dt,
         seconds=seconds,
@@ -410,30 +409,30 @@ def identify_plant(logs: Sequence[Log], plant: Any, by: Any, delay: float | None
         noise=segments.noise[0],
         residual=np.sqrt((left**2).sum(axis=(0, 1)) / fit.good.sum()),
         whiteness=whiteness,
-        is_noise=bool(np.abs(whiteness.correlation).max() <= _COLOURED * whiteness.bound),
-        explained=explained,
-        chi2=float((segments.weighed(left) ** 2).sum()) / count,
+        is_noise=bool(np.abs(whiteness.correlation).max() <= _WHITENESS * whiteness.bound),
+        explained=share,
+        chi2=float((segments.weigh(left) ** 2).sum()) / count,
         prior=plant,
         free_run=dict(zip([name for name, _ in problem.measured], pairs, strict=True)),
     )
 
 
-def _directions(near: Linear) -> tuple[Array, Array]:
+def _directions(linear: Linear) -> tuple[Array, Array]:
     """Return the directions of scaled numbers that a log identifies, and the others."""
-    values, vectors = np.linalg.eigh(near.information)
-    noise = max(1.0, float(near.normal[..., 0, 0].sum()) / near.e.size)
-    known = values > noise * _PRECISE**-2
-    return vectors[:, known], vectors[:, ~known]
+    values, vectors = np.linalg.eigh(linear.information)
+    noise = max(1.0, float(linear.normal[..., 0, 0].sum()) / linear.e.size)
+    regular = values > noise * _PRECISE**-2
+    return vectors[:, regular], vectors[:, ~regular]
 
 
-def _without_outliers(problem: Any, segments: Segments, starts: Array) -> Fit:
+def _fit_inliers(problem: Any, segments: Segments, starts: Array) -> Fit:
     """Return the least squares without samples that are far off alone."""
     good, p = segments.good, np.zeros(problem.basis.shape[1])
     for _ in range(_ROUNDS):
         fit = solve(problem, segments._replace(good=good), p, starts=starts, passes=0)
-        deviation = NORMAL * np.median(np.abs(fit.near.residual[good]), axis=0) + 1e-300
-        far = np.asarray((np.abs(fit.near.residual) > _OUTLIER * deviation).any(axis=-1))
-        before, good, p, starts = good, segments.good & ~alone(far, segments.good), fit.p, fit.starts
-        if (good == before).all():
+        deviation = NORMAL * np.median(np.abs(fit.linear.residual[good]), axis=0) + 1e-300
+        outliers = np.asarray((np.abs(fit.linear.residual) > _OUTLIER * deviation).any(axis=-1))
+        last, good, p, starts = good, segments.good & ~isolated(outliers, segments.good), fit.p, fit.starts
+        if (good == last).all():
             break
-    return fit._replace(good=before)
+    return fit._replace(good=last)

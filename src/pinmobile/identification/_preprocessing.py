@@ -15,17 +15,17 @@ from pinmobile.identification._filters import (
     FINEST,
     LEAST_ROWS,
     WINDOW,
-    filtered,
+    low_pass,
     quantisation,
+    remove_outliers,
     twist_of,
-    without_outliers,
 )
 from pinmobile.identification._log import Log, check_units, held_integrals
 from pinmobile.identification._replay import odometry
 from pinmobile.identification._simulation import Segments, pieces
 
 _HALF = 0.5  # smallest measured share of a segment with an identifiable initial state
-LATER = 8  # largest change of the delay in the search [samples]
+DELAY_RANGE = 8  # largest change of the delay in the search [samples]
 _COARSEST = 0.1  # [s], largest time step of filters and windows
 _FINEST_RATE = 1e-2  # [rad/s], smallest noise of rates
 
@@ -85,7 +85,7 @@ class PreprocessedLog:
                 else f"one for each driven wheel, {', '.join(model.wheels)}; is the log from another robot?"
             )
             raise InvalidArgument(f"{name} has {log.u.shape[1]} inputs, expected {model.nu}: {expected}")
-        check_units(log, name, model.inputs, "A" if model.scaled and not model.motors else "")
+        check_units(log, name, model.inputs, "A" if model.has_scale and not model.motors else "")
         even = log.samples(*model.sensors, dt=dt)
         if even.dt > 1.001 * _COARSEST:
             raise InvalidArgument(
@@ -94,19 +94,19 @@ class PreprocessedLog:
         if len(even.t) < max(LEAST_ROWS, 4 * WINDOW / even.dt):
             raise InvalidArgument(f"{name} is {even.t[-1]:.3g} s long, too short, expected 20 s or more")
         rates = even.wheel_rates if model.wheels else None
-        good, rates_noise = even.seen, np.zeros(0)
+        good, rates_noise = even.is_valid, np.zeros(0)
         if rates is not None:
             shaped(f"{name} has wheel_rates, which", rates, (len(rates), len(model.A)))
-            grain = quantisation(rates[even.seen])
-            rates, good, rates_noise = without_outliers(rates, even.seen, even.dt, _FINEST_RATE, grain)
+            grain = quantisation(rates[even.is_valid])
+            rates, good, rates_noise = remove_outliers(rates, even.is_valid, even.dt, _FINEST_RATE, grain)
         if even.q is not None:
-            grain = quantisation(even.q[even.seen])
-            q, usual, noise = without_outliers(even.q, even.seen, even.dt, FINEST, grain)
+            grain = quantisation(even.q[even.is_valid])
+            q, usual, noise = remove_outliers(even.q, even.is_valid, even.dt, FINEST, grain)
             good = good & usual
         else:  # the start of the odometry, and its drift, are arbitrary
             q, noise = odometry(rates @ np.linalg.pinv(model.A).T @ model.S.T, even.dt), np.full(3, np.inf)
-        lost = int((even.seen & ~good).sum())
-        return cls(even.dt, q, good, even.u, rates, noise, rates_noise, lost, load)
+        outliers = int((even.is_valid & ~good).sum())
+        return cls(even.dt, q, good, even.u, rates, noise, rates_noise, outliers, load)
 
     @property
     def reported_noise(self) -> Array:
@@ -117,8 +117,8 @@ class PreprocessedLog:
     def few(self) -> list[PreprocessedLog]:
         """Pieces of a long log at equal distances with samples enough for first estimates."""
         cuts = pieces(0, len(self.q), len(self.q))
-        own = [(n, getattr(self, n)) for n in ("q", "good", "u", "rates") if getattr(self, n) is not None]
-        return [replace(self, **{n: x[cut] for n, x in own}) for cut in cuts]
+        columns = [(n, getattr(self, n)) for n in ("q", "good", "u", "rates") if getattr(self, n) is not None]
+        return [replace(self, **{n: x[cut] for n, x in columns}) for cut in cuts]
 
     @cached_property
     def twist(self) -> Array:
@@ -128,10 +128,10 @@ class PreprocessedLog:
     def free_velocities(self, model: Any) -> Array:
         """Return the independent velocities at all samples, shape (N, k), from encoders if there are any."""
         if self.rates is not None:
-            return np.asarray(filtered(self.rates, self.dt) @ np.linalg.pinv(model.A).T)
+            return np.asarray(low_pass(self.rates, self.dt) @ np.linalg.pinv(model.A).T)
         return np.asarray(self.twist @ np.linalg.pinv(model.S).T)
 
-    def shaken(self, generator: np.random.Generator, level: float) -> PreprocessedLog:
+    def add_noise(self, generator: np.random.Generator, level: float) -> PreprocessedLog:
         """Return the log with additional noise; `level` is its variance per variance of the sensor noise."""
         size = np.sqrt(level)
         noise, rates = np.where(np.isfinite(self.noise), self.noise, 0.0), self.rates
@@ -151,12 +151,12 @@ class PreprocessedLog:
         """
         lag, N, noise, y = int(np.floor(delay)), len(self.q), self.noise, self.q
         if rates:
-            none = np.zeros((N, len(model.A))), np.full(len(model.A), np.inf)
-            more, of_it = none if self.rates is None else (self.rates, self.rates_noise)
-            y, noise = np.concatenate([y, more], axis=1), np.append(noise, of_it)
+            empty = np.zeros((N, len(model.A))), np.full(len(model.A), np.inf)
+            wheel, sigma = empty if self.rates is None else (self.rates, self.rates_noise)
+            y, noise = np.concatenate([y, wheel], axis=1), np.append(noise, sigma)
         states = np.concatenate([self.q, self.free_velocities(model)], axis=1)
         length = max(8, round(seconds / self.dt))
-        span = max(0, lag + 1), min(N, N + lag), length, lag + LATER + 2, LATER + 1 - lag
+        span = max(0, lag + 1), min(N, N + lag), length, lag + DELAY_RANGE + 2, DELAY_RANGE + 1 - lag
         return Segments.cut(self.dt, (y, self.good, states, self.u, noise), span, load=self.load, least=_HALF)
 
 
@@ -165,7 +165,7 @@ def mean_inputs(u: Array, edges: Array) -> Array:
     return held_integrals(np.arange(len(u) + 0.0), u, np.clip(edges, 0, len(u)))
 
 
-_AVERAGED = 0.4  # [s], window of averaged velocities: pose noise of 1 mm gives 2 mm/s
+_MEAN_TIME = 0.4  # [s], window of averaged velocities: pose noise of 1 mm gives 2 mm/s
 _MEASURED = 0.9  # smallest measured share of a window
 _CERTAIN = 5.0  # standard deviations of noise alone
 _TOLD, _MOST = 0.01, 0.1  # smallest reported slip, and largest accepted slip, as shares of the speed
@@ -205,11 +205,11 @@ class Slippage(NamedTuple):
     def __str__(self) -> str:
         axes = zip(self.ratios, ("forward", "left", "in yaw"), strict=True)
         each = " and ".join(f"{ratio:.3g} {axis}" for ratio, axis in axes if np.isfinite(ratio))
-        told = f"; poses per encoders: {each}" * bool(each)
+        suffix = f"; poses per encoders: {each}" * bool(each)
         return (
             f"poses deviate from rolling wheels by {self.speed:.3g} m/s, {self.share:.1%} of the speed, "
-            f"while noise explains {self.noise:.2g} m/s{told}: wheels slip or have another radius or place, "
-            "poses belong to another point or time, or encoders have another sign or order"
+            f"while noise explains {self.noise:.2g} m/s{suffix}: wheels slip or have another radius or "
+            "place, poses belong to another point or time, or encoders have another sign or order"
         )
 
     @classmethod
@@ -223,7 +223,7 @@ class Slippage(NamedTuple):
         """
         if not model.wheels or np.isinf(run.noise).any() or (run.rates is None and model.free == 3):
             return None
-        size = 2 * round(_AVERAGED / run.dt / 2) + 1
+        size = 2 * round(_MEAN_TIME / run.dt / 2) + 1
         g = (1 - np.linspace(-1, 1, size + 2)[1:-1] ** 2) ** 3
         g /= g.sum()
         columns = np.column_stack([run.twist, run.free_velocities(model) @ model.S.T, run.good])
@@ -233,22 +233,22 @@ class Slippage(NamedTuple):
             return None
         per_rate = model.A @ np.linalg.pinv(model.S)
         metric = np.array([1.0, 1.0, np.sqrt((per_rate[:, 2] ** 2).sum() / (per_rate[:, :2] ** 2).sum())])
-        moved, rolled = means[:, :3] * metric, means[:, 3:6] * metric
+        by_pose, by_wheel = means[:, :3] * metric, means[:, 3:6] * metric
         variance = (run.noise * metric) ** 2 * (np.diff(g, prepend=0.0, append=0.0) ** 2).sum() / run.dt**2
-        told, ratios, power = 3, np.full(3, np.nan), (rolled**2).sum(axis=0)
+        axes, ratios, power = 3, np.full(3, np.nan), (by_wheel**2).sum(axis=0)
         if run.rates is None:  # only velocities across the rolling directions count
             free = np.eye(3) - model.S @ np.linalg.pinv(model.S)
-            variance, told = (free**2) @ variance, 3 - model.free
+            variance, axes = (free**2) @ variance, 3 - model.free
         else:
             gains, moves = model.S @ np.linalg.pinv(model.A), power > 1e-6 * power.sum()
             variance = variance + metric**2 * (gains**2 @ run.rates_noise**2) * (g**2).sum()
-            ratios[moves] = (moved * rolled).sum(axis=0)[moves] / power[moves]
-        noise, motion = float(variance.sum()), float((moved**2).sum(axis=1).mean())
-        excess = max(float(((moved - rolled) ** 2).sum(axis=1).mean()) - noise, 0.0)
-        alone = max(len(run.q) / size * told, 1.0)  # independent numbers
+            ratios[moves] = (by_pose * by_wheel).sum(axis=0)[moves] / power[moves]
+        noise, motion = float(variance.sum()), float((by_pose**2).sum(axis=1).mean())
+        excess = max(float(((by_pose - by_wheel) ** 2).sum(axis=1).mean()) - noise, 0.0)
+        samples = max(len(run.q) / size * axes, 1.0)  # independent numbers
         speed, usual, share = np.sqrt([excess, noise, excess / max(motion, 1e-300)]).tolist()
-        found = cls(speed, usual, share, excess > _CERTAIN * noise * np.sqrt(2 / alone), ratios)
-        if found.matters and found.share > _MOST:
-            said = str(found).replace("poses", "poses that", 1)
-            raise InvalidArgument(f"{name} has {said}; expected wheels that roll")
-        return found
+        slippage = cls(speed, usual, share, excess > _CERTAIN * noise * np.sqrt(2 / samples), ratios)
+        if slippage.matters and slippage.share > _MOST:
+            text = str(slippage).replace("poses", "poses that", 1)
+            raise InvalidArgument(f"{name} has {text}; expected wheels that roll")
+        return slippage

@@ -9,7 +9,7 @@ import numpy as np
 
 from pinmobile.arrays import Array, bounded, scalar
 from pinmobile.errors import InvalidArgument, format_value
-from pinmobile.identification._filters import FINEST, LEAST_ROWS, filtered, without_outliers
+from pinmobile.identification._filters import FINEST, LEAST_ROWS, low_pass, remove_outliers
 from pinmobile.integrators import rk4
 from pinmobile.loop import Rollout
 from pinmobile.plant import coordinates_of, inputs_of
@@ -34,7 +34,7 @@ class MeasuredMotion:
     def __init__(self, t: Array, q: Array, is_noisy: bool) -> None:
         from scipy.interpolate import CubicSpline  # slow to load
 
-        smooth = filtered(q, float(t[1] - t[0])) if is_noisy else q
+        smooth = low_pass(q, float(t[1] - t[0])) if is_noisy else q
         self.duration, self._q, self._smooth = float(t[-1]), CubicSpline(t, q), CubicSpline(t, smooth)
 
     def __call__(self, t: Any) -> Reference:
@@ -47,14 +47,14 @@ def rollout_of(log: Any, robot: Any, delay: float = 0.0, **options: Any) -> Roll
     from pinmobile.controllers import law  # which imports this package
     from pinmobile.loop import simulate
 
-    inputs, names = inputs_of(robot), [one.name for one in coordinates_of(robot)[:3]]
+    inputs, names = inputs_of(robot), [item.name for item in coordinates_of(robot)[:3]]
     if log.u.shape[1] != len(inputs) or names != ["x", "y", "psi"]:
         raise InvalidArgument(
             f"robot is {format_value(robot)}, with {len(inputs)} inputs, expected a robot in the plane with "
             f"{log.u.shape[1]}, as the log has"
         )
-    for unit, one in zip(log.units, inputs, strict=False):
-        if unit not in ("", one.unit):
+    for unit, item in zip(log.units, inputs, strict=False):
+        if unit not in ("", item.unit):
             raise InvalidArgument(
                 f"log has inputs in {', '.join(log.units)}, expected {', '.join(x.unit for x in inputs)}: "
                 "the robot takes other inputs, such as a torque in place of a steering angle"
@@ -64,20 +64,20 @@ def rollout_of(log: Any, robot: Any, delay: float = 0.0, **options: Any) -> Roll
     if len(log.split()) > 1 or len(log) < LEAST_ROWS:
         raise InvalidArgument(f"log has gaps, or fewer than {LEAST_ROWS} rows, expected a part of split()")
     run = log.samples("q" if log.q is not None else "twist")
-    late = bounded("delay", scalar("delay", delay), least=0, most=_LATEST, unit="s")
+    lag = bounded("delay", scalar("delay", delay), least=0, most=_LATEST, unit="s")
     if run.q is None:
         measured, noise = odometry(np.asarray(run.twist), run.dt), np.zeros(3)
     else:
-        measured, _, noise = without_outliers(run.q, run.seen, run.dt, FINEST)
-    u = run.u[np.clip(np.arange(len(run.t)) - round(late / run.dt), 0, None)]
+        measured, _, noise = remove_outliers(run.q, run.is_valid, run.dt, FINEST)
+    u = run.u[np.clip(np.arange(len(run.t)) - round(lag / run.dt), 0, None)]
     motion = MeasuredMotion(run.t, measured, bool((noise > 2 * FINEST).any()))
     command = law(lambda t, q, v, reference: u[min(round(t / run.dt), len(u) - 1)])
-    made = simulate(robot, command, motion, **{"dt": run.dt, "integrator": rk4, **options})
-    q, v, a = (np.array(each) for each in (made.q, made.v, made.a))
-    seen, n = made.reference, 3
-    q[:, :n], v[:, :n], a[:, :n] = seen
-    replayed = Reference(made.q[:, :n], made.v[:, :n], made.a[:, :n])
-    return replace(made, q=q, v=v, a=a, error=-made.error, reference=replayed, signals={})
+    rollout = simulate(robot, command, motion, **{"dt": run.dt, "integrator": rk4, **options})
+    q, v, a = (np.array(each) for each in (rollout.q, rollout.v, rollout.a))
+    replay_x, n = rollout.reference, 3
+    q[:, :n], v[:, :n], a[:, :n] = replay_x
+    replay = Reference(rollout.q[:, :n], rollout.v[:, :n], rollout.a[:, :n])
+    return replace(rollout, q=q, v=v, a=a, error=-rollout.error, reference=replay, signals={})
 
 
 def odometry(twist: Array, dt: float) -> Array:
@@ -85,5 +85,5 @@ def odometry(twist: Array, dt: float) -> Array:
     forward, left, turn = twist.T
     psi = np.append(0.0, np.cumsum(turn[:-1]) * dt)
     way = np.exp(1j * (psi + 0.5 * dt * turn)) * (forward + 1j * left)
-    at = np.append(0.0, np.cumsum(way[:-1]) * dt)
-    return np.column_stack([at.real, at.imag, psi])
+    position = np.append(0.0, np.cumsum(way[:-1]) * dt)
+    return np.column_stack([position.real, position.imag, psi])

@@ -16,7 +16,7 @@ from pinmobile.compiled import Identity, Recurrence, choose, entries, jacobian, 
 _STEP = 1e-30  # imaginary step, whose square vanishes
 _LEAST_SHARE = 1e-9  # of a sample, before which the previous input acts, so that the delay has a slope
 _LEAST_SIZE = 1e-3  # smallest size of an input, as a share of the largest
-MANY = 30_000  # samples that give first estimates
+START_SAMPLES = 30_000  # samples that give first estimates
 _AT_ONCE = 30_000  # samples that a thread simulates at once: they bound the memory, and fit in a cache
 _LANES = 8  # segments at once, as many as the numbers of the longest vectors
 _PIECES = 10  # of these samples
@@ -27,7 +27,7 @@ _MOST_STEPS = 10**9  # bound of the integration steps in a sample; the actual co
 
 def pieces(start: int, stop: int, samples: int) -> list[slice]:
     """Return pieces of a part of so many samples in all, at equal distances: enough for first estimates."""
-    size, step = MANY // _PIECES, samples // MANY
+    size, step = START_SAMPLES // _PIECES, samples // START_SAMPLES
     if step < 2:
         return [slice(start, stop)]
     return [slice(k, min(k + size, stop)) for k in range(start, stop, size * step)]
@@ -69,7 +69,7 @@ class Segments(NamedTuple):
     noise: Array
     start: Array
     inputs: Array
-    at: NDArray[np.int_]
+    rows: NDArray[np.int_]
     lead: int
     load: Array
     blocks: int = 1
@@ -91,48 +91,48 @@ class Segments(NamedTuple):
         least : float
             Smallest share of samples that count.
         """
-        (first, stop, length, lead, more), (y, good, states, u, noise) = span, rows
+        (first, stop, length, lead, extra), (y, good, states, u, noise) = span, rows
         count = max(0, (stop - first) // length)
-        at = first + np.arange(count * length).reshape(count, length)
-        at = at[good[at].mean(axis=1) >= least]
-        near = np.clip(at[:, :1] - lead + np.arange(lead + length + more), 0, len(u) - 1)
-        sigma, known = np.tile(noise, (len(at), 1)), np.broadcast_to(load, (len(at), 4))
-        start, times = states[at[:, 0]], np.full(len(at), dt)
-        return cls(times, at * dt, y[at], good[at], sigma, start, u, near, lead, known)
+        index = first + np.arange(count * length).reshape(count, length)
+        index = index[good[index].mean(axis=1) >= least]
+        window = np.clip(index[:, :1] - lead + np.arange(lead + length + extra), 0, len(u) - 1)
+        sigma, loads = np.tile(noise, (len(index), 1)), np.broadcast_to(load, (len(index), 4))
+        start, times = states[index[:, 0]], np.full(len(index), dt)
+        return cls(times, index * dt, y[index], good[index], sigma, start, u, window, lead, loads)
 
     @classmethod
-    def joined(cls, parts: list[Segments]) -> Segments:
+    def join(cls, parts: list[Segments]) -> Segments:
         """Return the segments of several logs together."""
-        before = np.cumsum([0, *(len(part.inputs) for part in parts)])
-        moved = [part._replace(at=part.at + n) for part, n in zip(parts, before, strict=False)]
-        joined: dict[str, Any] = {
-            n: np.concatenate([getattr(x, n) for x in moved]) for n in cls._fields if n not in _SHARED
+        offsets = np.cumsum([0, *(len(part.inputs) for part in parts)])
+        pieces = [part._replace(rows=part.rows + n) for part, n in zip(parts, offsets, strict=False)]
+        arrays: dict[str, Any] = {
+            n: np.concatenate([getattr(x, n) for x in pieces]) for n in cls._fields if n not in _SHARED
         }
-        return cls(inputs=np.concatenate([x.inputs for x in parts]), lead=parts[0].lead, **joined)
+        return cls(inputs=np.concatenate([x.inputs for x in parts]), lead=parts[0].lead, **arrays)
 
-    def some(self, rows: Any) -> Self:
+    def select(self, rows: Any) -> Self:
         """Return some of the segments."""
         return self._replace(**{n: getattr(self, n)[rows] for n in self._fields if n not in _SHARED})
 
     @property
     def few(self) -> slice:
         """Segments at equal distances with samples enough for first estimates."""
-        return slice(None, None, max(1, min(len(self.good), self.good.size // MANY)))
+        return slice(None, None, max(1, min(len(self.good), self.good.size // START_SAMPLES)))
 
     @property
     def sizes(self) -> Array:
         """Standard deviations of the inputs, at least a thousandth of the largest, shape (nu,)."""
-        sizes = self.inputs[self.at.min() : self.at.max() + 1].std(axis=0)
+        sizes = self.inputs[self.rows.min() : self.rows.max() + 1].std(axis=0)
         return np.asarray(np.maximum(sizes, _LEAST_SIZE * sizes.max() + np.finfo(float).tiny))
 
-    def weighed(self, residuals: Array) -> Array:
+    def weigh(self, residuals: Array) -> Array:
         """Return residuals, shape (V, S, L, m), divided by the noise; zero without a measurement."""
         return np.asarray(residuals * self.good[..., None] / self.noise[:, None])
 
     def applied(self, lag: Any, count: int) -> Array:
         """Return the inputs from each sample on, shape (V, S, count, nu), for lags (V,) [samples]."""
         columns = self.lead + np.arange(count) - np.reshape(lag, (-1, 1))
-        return np.asarray(np.moveaxis(self.inputs[self.at[:, columns]], 0, 1))
+        return np.asarray(np.moveaxis(self.inputs[self.rows[:, columns]], 0, 1))
 
 
 class Quantity(NamedTuple):
@@ -150,7 +150,7 @@ class Quantity(NamedTuple):
 
     name: str
     unit: str
-    bounded: bool
+    nonnegative: bool
     path: str = ""
 
 
@@ -158,12 +158,12 @@ class Model(Protocol):
     """Protocol of models with numbers p, shape (P,), that logs identify."""
 
     def rates(self, z: Any, u: Any, numbers: Any) -> Any:
-        """Return dz/dt, shape (n,), of one state and input, in NumPy; `resolved` returns the numbers."""
+        """Return dz/dt, shape (n,), of one state and input, in NumPy; `rate_numbers` returns the numbers."""
 
-    def resolved(self, segments: Segments, p: Array) -> tuple[Array, Array, float]:
+    def rate_numbers(self, segments: Segments, p: Array) -> tuple[Array, Array, float]:
         """Return numbers (V, 1 or S, k) for `rates`, delays (V,) [samples] and the longest time step [s]."""
 
-    def observed(self, segments: Segments, states: Array, numbers: Array) -> Array:
+    def outputs(self, segments: Segments, states: Array, numbers: Array) -> Array:
         """Return the measurements, shape (V, S, L, m), of states, shape (V, S, L, n)."""
 
     def is_possible(self, p: Array) -> bool:
@@ -173,7 +173,7 @@ class Model(Protocol):
         """Return typical sizes of p, shape (P,), which limit the first step of the search."""
 
     @property
-    def shifted(self) -> int | None:
+    def delay_index(self) -> int | None:
         """Index of a delay whose slope is a difference over whole samples, if there is one."""
 
     @property
@@ -185,10 +185,10 @@ class Model(Protocol):
 class Simulator(Protocol):
     """Protocol of models with simulations of their own, in place of the law of a state and input."""
 
-    def simulated(self, segments: Segments, p: Array, starts: Array) -> Array:
+    def simulate(self, segments: Segments, p: Array, starts: Array) -> Array:
         """Return simulated measurements, see `simulate`."""
 
-    def linearized(
+    def linearize(
         self, segments: Segments, p: Array, starts: Array, numbers: NDArray[np.int_]
     ) -> tuple[Array, Array]:
         """Return simulated measurements and slopes, see `linearize`."""
@@ -209,58 +209,58 @@ class Same:
 
 @lru_cache(64)
 def _recurrence(law: Callable[..., Any], sizes: tuple[int, int, int], *sensitive: Any) -> Recurrence:
-    """Return the recurrence of samples, see `_made`; the law is compared as an object first."""
-    return _made(Same(law, Identity().visit(law).key), sizes, *sensitive)
+    """Return the recurrence of samples, see `_steps`; the law is compared as an object first."""
+    return _steps(Same(law, Identity().visit(law).key), sizes, *sensitive)
 
 
 @lru_cache(64)
-def _made(given: Same, sizes: tuple[int, int, int], active: _Active = None, late: bool = False) -> Recurrence:
+def _steps(given: Same, sizes: tuple[int, int, int], active: _Active = None, lag: bool = False) -> Recurrence:
     """Return the recurrence of samples: steps with the previous input, then steps with the present input.
 
     Step lengths and counts (h, count, h, count) precede the numbers of the law. With the indices of `active`
-    numbers, the state has its slopes behind it, also by a delay if `late`, see `_sensitive`.
+    numbers, the state has its slopes behind it, also by a delay if `lag`, see `_tangent`.
     """
     n, m, k = sizes
-    law = given.value if active is None else _sensitive(given.value, n, active, late)
+    law = given.value if active is None else _tangent(given.value, n, active, lag)
 
     def sample(z: Any, u: Any, numbers: Any) -> Any:
-        h, first, later, last = (entries(numbers[j]).item() for j in range(4))
+        h, first, h_last, last = (entries(numbers[j]).item() for j in range(4))
 
-        def step(carried: list[Any]) -> tuple[list[Any], Any]:
-            *state, left = carried
-            early, z = left > last, symbols(state, (len(state),))
-            own, span = np.where(early, u[:m], u[m:]), choose(early, h, later)
-            a = law(z, own, numbers[4:])
-            b = law(z + span / 2 * a, own, numbers[4:])
-            c = law(z + span / 2 * b, own, numbers[4:])
-            after = z + span / 6 * (a + 2 * (b + c) + law(z + span * c, own, numbers[4:]))
-            return [*entries(after), left - 1.0], left <= 1.0
+        def step(carry: list[Any]) -> tuple[list[Any], Any]:
+            *state, left = carry
+            is_first, z = left > last, symbols(state, (len(state),))
+            u_now, span = np.where(is_first, u[:m], u[m:]), choose(is_first, h, h_last)
+            a = law(z, u_now, numbers[4:])
+            b = law(z + span / 2 * a, u_now, numbers[4:])
+            c = law(z + span / 2 * b, u_now, numbers[4:])
+            z_next = z + span / 6 * (a + 2 * (b + c) + law(z + span * c, u_now, numbers[4:]))
+            return [*entries(z_next), left - 1.0], left <= 1.0
 
-        found = repeat(step, [*entries(z), first + last], _MOST_STEPS, first + last <= 0.0)
-        return symbols(found[:-1], z.shape)
+        values = repeat(step, [*entries(z), first + last], _MOST_STEPS, first + last <= 0.0)
+        return symbols(values[:-1], z.shape)
 
-    states = n if active is None else n * (1 + len(active) + n + late)
+    states = n if active is None else n * (1 + len(active) + n + lag)
     return Recurrence(sample, (states, 2 * m, k + 4))
 
 
-def _sensitive(law: Callable[..., Any], n: int, active: tuple[int, ...], late: bool) -> Callable[..., Any]:
+def _tangent(law: Callable[..., Any], n: int, active: tuple[int, ...], by_delay: bool) -> Callable[..., Any]:
     """Return the law of a state and its slopes Z, shape (n, A + n + late), as one vector.
 
-    The slopes are those by A active numbers, by the initial state and, if `late`, by the delay [samples].
+    The slopes are those by A active numbers, by the initial state and, if `by_delay`, by the delay [samples].
     They follow dZ/dt = df/dz Z + df/dp. The same steps integrate both, so that Z is the exact slope of the
     integrated state. For the delay, the last input is the slope of the step length per step length.
     """
 
-    def rates(whole: Any, u: Any, numbers: Any) -> Any:
-        z, Z = whole[:n], entries(whole[n:]).reshape(n, -1)
-        f = law(z, u[:-1] if late else u, numbers)
+    def rates(stack: Any, u: Any, numbers: Any) -> Any:
+        z, Z = stack[:n], entries(stack[n:]).reshape(n, -1)
+        f = law(z, u[:-1] if by_delay else u, numbers)
         rows = jacobian(f, [*entries(z), *entries(numbers)[list(active)]])
         slopes = []
         for row, rate in zip(rows, entries(f), strict=True):
             for d in range(Z.shape[1]):
                 terms = [x * Z[j, d] for j, x in row.items() if j < n]
                 terms += [row[n + d]] if n + d in row else []
-                terms += [entries(u)[-1] * rate] * (late and d == Z.shape[1] - 1)
+                terms += [entries(u)[-1] * rate] * (by_delay and d == Z.shape[1] - 1)
                 slopes.append(sum(terms[1:], terms[0]) if terms else 0.0)
         return np.concatenate([f, symbols(slopes, (len(slopes),))])
 
@@ -274,41 +274,41 @@ def simulate(model: Model, segments: Segments, p: Array, starts: Array) -> Array
     In each sample, the previous input acts for the fractional part of the delay, then the present input.
     """
     if isinstance(model, Simulator):
-        return model.simulated(segments, p, starts)
-    numbers, late, longest = model.resolved(segments, p)
-    return model.observed(segments, _states(model, segments, (numbers, late, longest), starts), numbers)
+        return model.simulate(segments, p, starts)
+    numbers, delays, longest = model.rate_numbers(segments, p)
+    return model.outputs(segments, _states(model, segments, (numbers, delays, longest), starts), numbers)
 
 
 def _states(
     model: Model,
     segments: Segments,
-    resolved: tuple[Array, Array, float],
+    given: tuple[Array, Array, float],
     starts: Array,
     *sensitive: Any,
 ) -> Array:
-    """Return the states of the samples, shape (V, S, L, n), with slopes for active numbers, see `_made`."""
-    (V, S, n), K, (numbers, late, longest) = starts.shape, segments.y.shape[1] - 1, resolved
-    active, delayed = sensitive or (None, False)
-    lag = np.floor(late + 1e-9).astype(int)
-    share = np.maximum(late - lag, _LEAST_SHARE * delayed)
+    """Return the states of the samples, shape (V, S, L, n), with slopes for active numbers."""
+    (V, S, n), K, (numbers, delays, longest) = starts.shape, segments.y.shape[1] - 1, given
+    active, by_delay = sensitive or (None, False)
+    lag = np.floor(delays + 1e-9).astype(int)
+    share = np.maximum(delays - lag, _LEAST_SHARE * by_delay)
     lag = lag[:1] if (lag == lag[0]).all() else lag
     inputs, rows = [], []
-    for before, part, slope in ((1, share, 1.0), (0, 1 - share, -1.0)):
+    for shift, part, slope in ((1, share, 1.0), (0, 1 - share, -1.0)):
         span = part[:, None, None] * segments.dt[:, None]
-        count = max(np.ceil(span.max() / longest - 1e-9), float(delayed))
-        u = segments.applied(lag + before, K)
-        if delayed:
+        count = max(np.ceil(span.max() / longest - 1e-9), float(by_delay))
+        u = segments.applied(lag + shift, K)
+        if by_delay:
             u = np.concatenate([u, np.full((*u.shape[:3], 1), slope / part[0])], axis=-1)
         inputs.append(u)
         rows += [span / max(count, 1.0), np.full((1, 1, 1), count)]
     u, m = np.moveaxis(np.concatenate(inputs, axis=-1), 2, 0), inputs[0].shape[-1]
     each = np.concatenate([np.broadcast_to(x, (V, S, x.shape[2])) for x in (*rows, numbers)], axis=2)
-    begun = starts.reshape(V * S, n)
+    initial = starts.reshape(V * S, n)
     if active is not None:
-        first = np.hstack([np.zeros((n, len(active))), np.eye(n), np.zeros((n, int(delayed)))])
-        begun = np.hstack([begun, np.tile(first.ravel(), (S, 1))])
+        first = np.hstack([np.zeros((n, len(active))), np.eye(n), np.zeros((n, int(by_delay)))])
+        initial = np.hstack([initial, np.tile(first.ravel(), (S, 1))])
     states = _recurrence(model.rates, (n, m, numbers.shape[2]), *sensitive)(
-        begun, np.broadcast_to(u, (K, V, S, 2 * m)), each.reshape(V * S, -1)
+        initial, np.broadcast_to(u, (K, V, S, 2 * m)), each.reshape(V * S, -1)
     )
     return states.reshape(V, S, K + 1, -1)
 
@@ -329,10 +329,10 @@ def by_groups(
     """
     size = _LANES * max(1, round(_AT_ONCE / (_LANES * variants * segments.y.shape[1])))
     cuts = [slice(k, k + size) for k in range(0, len(segments.y), size)]
-    found = [function(segments.some(cuts[0]), cuts[0])]  # compiles the model
+    results = [function(segments.select(cuts[0]), cuts[0])]  # compiles the model
     with ThreadPoolExecutor(processors()) as pool:
-        found += pool.map(lambda rows: function(segments.some(rows), rows), cuts[1:])
-    return [np.concatenate(each) for each in zip(*found, strict=True)]
+        results += pool.map(lambda rows: function(segments.select(rows), rows), cuts[1:])
+    return [np.concatenate(each) for each in zip(*results, strict=True)]
 
 
 @np.errstate(all="ignore")
@@ -343,37 +343,37 @@ def linearize(
 
     The slopes are exact: those of the states follow the tangents of the integrator's steps, and an imaginary
     step (Squire and Trapp 1998) differentiates the model's arithmetic. The slope by a delay is that of one
-    side at a whole sample. If the model has a `shifted` delay, its slope is the difference over two samples.
+    side at a whole sample. If the model has a `moves` delay, its slope is the difference over two samples.
     """
     if isinstance(model, Simulator):
-        return model.linearized(segments, p, starts, numbers)
+        return model.linearize(segments, p, starts, numbers)
     (S, n), F = starts.shape, len(numbers)
-    ways, shifted = np.zeros((F, len(p))), numbers == (-1 if model.shifted is None else model.shifted)
-    ways[np.arange(F), numbers] = ~shifted
-    stepped: Any = p + 1j * _STEP * np.vstack([0 * p, ways])
-    found, late, longest = model.resolved(segments, stepped)
-    resolved = found[:1].real, late[:1].real, longest
-    way = np.zeros((F + n, *found.shape[1:]))
-    way[:F], by_delay = found[1:].imag / _STEP, late[1:].imag / _STEP
-    by_number = np.broadcast_to(way[:F], (F, S, found.shape[2]))
+    ways, moves = np.zeros((F, len(p))), numbers == (-1 if model.delay_index is None else model.delay_index)
+    ways[np.arange(F), numbers] = ~moves
+    complex_p: Any = p + 1j * _STEP * np.vstack([0 * p, ways])
+    values, delays, longest = model.rate_numbers(segments, complex_p)
+    given = values[:1].real, delays[:1].real, longest
+    way = np.zeros((F + n, *values.shape[1:]))
+    way[:F], by_delay = values[1:].imag / _STEP, delays[1:].imag / _STEP
+    by_number = np.broadcast_to(way[:F], (F, S, values.shape[2]))
     active = tuple(np.flatnonzero(by_number.any(axis=(0, 1))).tolist())
-    whole = _states(model, segments, resolved, starts[None], active, bool(by_delay.any()))[0]
-    states, Z = whole[..., :n], whole[..., n:].reshape(*whole.shape[:2], n, -1)
-    begun = slice(len(active), len(active) + n)  # slopes by the initial state
-    rest = np.delete(Z, begun, axis=-1).reshape(S, states[0].size, Z.shape[-1] - n)
+    stack = _states(model, segments, given, starts[None], active, bool(by_delay.any()))[0]
+    states, Z = stack[..., :n], stack[..., n:].reshape(*stack.shape[:2], n, -1)
+    initial = slice(len(active), len(active) + n)  # slopes by the initial state
+    rest = np.delete(Z, initial, axis=-1).reshape(S, states[0].size, Z.shape[-1] - n)
     inner = np.concatenate([by_number[..., active], np.tile(by_delay[:, None, None], (1, S, 1))], axis=2)
     outer = rest @ np.moveaxis(inner[..., : rest.shape[-1]], 0, 2)
-    near = np.empty((F + n, *states.shape))
-    near[:F] = np.moveaxis(outer.reshape(*states.shape, F), -1, 0)
-    near[F:] = np.moveaxis(Z[..., begun], -1, 0)
-    out = model.observed(segments, states[None], resolved[0])[0]
+    slopes_z = np.empty((F + n, *states.shape))
+    slopes_z[:F] = np.moveaxis(outer.reshape(*states.shape, F), -1, 0)
+    slopes_z[F:] = np.moveaxis(Z[..., initial], -1, 0)
+    outputs = model.outputs(segments, states[None], given[0])[0]
     if model.is_linear:
-        slope = np.array(model.observed(segments, near, resolved[0]))
+        slope = np.array(model.outputs(segments, slopes_z, given[0]))
     else:
-        moved: tuple[Any, Any] = states + 1j * _STEP * near, resolved[0] + 1j * _STEP * way
-        slope = np.array(model.observed(segments, *moved).imag / _STEP)
-    if shifted.any():
-        step = np.eye(len(p))[numbers[shifted]] * [[1.0], [-1.0]]
-        after, before = simulate(model, segments, p + step, np.repeat(starts[None], 2, axis=0))
-        slope[:F][shifted] = (after - before) / 2
-    return out, np.nan_to_num(slope, copy=False)
+        complex_x: tuple[Any, Any] = states + 1j * _STEP * slopes_z, given[0] + 1j * _STEP * way
+        slope = np.array(model.outputs(segments, *complex_x).imag / _STEP)
+    if moves.any():
+        step = np.eye(len(p))[numbers[moves]] * [[1.0], [-1.0]]
+        plus, minus = simulate(model, segments, p + step, np.repeat(starts[None], 2, axis=0))
+        slope[:F][moves] = (plus - minus) / 2
+    return outputs, np.nan_to_num(slope, copy=False)

@@ -24,12 +24,12 @@ from pinmobile.errors import InvalidArgument
 from pinmobile.forces import JointFriction
 from pinmobile.identification._commands import LEAST_BLOCKS, Part, Run, lead_of, parts_of
 from pinmobile.identification._estimates import Identification, check_identifiable
-from pinmobile.identification._estimator import unexplained
-from pinmobile.identification._log import Log, unused
+from pinmobile.identification._estimator import unexplained_error
+from pinmobile.identification._log import Log, unused_rows
 from pinmobile.identification._planar_model import inertia_of, pose_rate, torques_of, units_of, with_inertia
 from pinmobile.identification._simulation import Segments
-from pinmobile.identification._velocity import searched
-from pinmobile.identification._velocity_model import Sized, VelocityModel, sized
+from pinmobile.identification._velocity import search
+from pinmobile.identification._velocity_model import ModelNumber, VelocityModel, model_number
 from pinmobile.identification._weak_form import WINDOW, Bump
 from pinmobile.wheels import ByVoltage, Motor
 
@@ -85,7 +85,7 @@ class CarWheels(NamedTuple):
         table, wheels, axis = robot.table, robot.table.wheels, robot.table.axes[0]
         steers = np.isin(np.arange(len(wheels)), axis.wheels)
         rear, front = (np.unique(np.array([w.x for w in wheels])[axle]) for axle in (~steers, steers))
-        odd = any(w.roller or w.angle or any(w.trail) for w in wheels) or _wheeled(robot).mounts
+        odd = any(w.roller or w.angle or any(w.trail) for w in wheels) or _wheeled_robot(robot).mounts
         if odd or len(table.axes) > 1 or len(rear) * len(front) != 1 or rear == front:
             raise InvalidArgument(
                 "robot has wheels that steer, and is no car, expected one fixed and one steered axle of "
@@ -93,18 +93,18 @@ class CarWheels(NamedTuple):
             )
         drives = [each for each in table.actuators if each.name != axis.name]
         columns = np.array([each.column[1:] for each in drives])
-        along = np.array([(1 / w.radius, 0.0, -w.y / w.radius) for w in wheels])
+        rolling = np.array([(1 / w.radius, 0.0, -w.y / w.radius) for w in wheels])
         inertias = np.array([w.spin_inertia for w in wheels])
         if any(each.motor.is_electric for each in drives):
             inertias += np.array([each.motor.reflected_inertia for each in drives]) @ np.abs(columns)
-        volts = any(one.unit == "V" for one in robot.inputs if one.name != axis.name)
+        volts = any(item.unit == "V" for item in robot.inputs if item.name != axis.name)
         return cls(
             rear=float(rear[0]),
             front=float(front[0]),
-            fixed=columns[:, ~steers] @ along[~steers],
-            steered=columns[:, steers] @ along[steers, 0],
-            inertia=(along[~steers].T * inertias[~steers]) @ along[~steers],
-            spin=float(inertias[steers] @ along[steers, 0] ** 2),
+            fixed=columns[:, ~steers] @ rolling[~steers],
+            steered=columns[:, steers] @ rolling[steers, 0],
+            inertia=(rolling[~steers].T * inertias[~steers]) @ rolling[~steers],
+            spin=float(inertias[steers] @ rolling[steers, 0] ** 2),
             names=tuple(each.name for each in drives),
             motors=tuple(each.motor for each in drives) if volts else (),
             steers=steers,
@@ -135,25 +135,25 @@ class TorqueCar(VelocityModel):
     typical: tuple[float, float] = (1.0, 1.0)
     stiffness: tuple[float, ...] = ()
 
-    told_first: ClassVar[int] = 2
+    summary_size: ClassVar[int] = 2
     neutral: ClassVar[Mapping[str, float]] = {}
-    limited: ClassVar[tuple[Sized, ...]] = ()
+    limit_rows: ClassVar[tuple[ModelNumber, ...]] = ()
     ranges: ClassVar[dict[int, tuple[float, float, str]]] = {}
 
     @property
-    def first(self) -> tuple[Sized, ...]:  # type: ignore[override]
+    def first(self) -> tuple[ModelNumber, ...]:  # type: ignore[override]
         """Numbers without the delay."""
         torque, rate = self.typical
-        found = [sized("mass", "kg", True, self.body.mass, path="mass")]
+        rows = [model_number("mass", "kg", True, self.body.mass, path="mass")]
         if self.stiffness:
-            found.append(sized("com_x", "m", False, float(self.body.com[0]), 0.3, 0.03, path="com.x"))
-        found.append(sized("yaw_inertia", "kg m^2", True, self.body.yaw_inertia, path="yaw_inertia"))
+            rows.append(model_number("com_x", "m", False, float(self.body.com[0]), 0.3, 0.03, path="com.x"))
+        rows.append(model_number("yaw_inertia", "kg m^2", True, self.body.yaw_inertia, path="yaw_inertia"))
         for kind, unit, size in (("viscous", "N m s/rad", torque / rate), ("coulomb", "N m", torque)):
             sizes = 0.0, size, 0.01 * size
-            found += [sized(f"joint_{kind}_{n}", unit, True, *sizes) for n in self.wheels.names]
-        found.append(sized("steering_offset", "rad", False, 0.0, 0.3, 0.03))
+            rows += [model_number(f"joint_{kind}_{n}", unit, True, *sizes) for n in self.wheels.names]
+        rows.append(model_number("steering_offset", "rad", False, 0.0, 0.3, 0.03))
         axles = zip(("front", "rear"), self.stiffness, strict=False)
-        return (*found, *(sized(f"cornering_{axle}", "N s/m", True, each) for axle, each in axles))
+        return (*rows, *(model_number(f"cornering_{axle}", "N s/m", True, each) for axle, each in axles))
 
     @property
     def _inertia(self) -> int:
@@ -174,15 +174,15 @@ class TorqueCar(VelocityModel):
         """Return infinity: torques act at once."""
         return np.full((*p.shape[:-1], 2), np.inf)
 
-    def resolved(self, segments: Segments, p: Array) -> tuple[Array, Array, float]:
+    def rate_numbers(self, segments: Segments, p: Array) -> tuple[Array, Array, float]:
         """Return the numbers of the rates, delays [samples] and the longest time step [s]."""
-        late, longest = self.others(p)["delay"] / self.dt, _STEP
+        delays, longest = self.others(p)["delay"] / self.dt, _STEP
         if self.stiffness:
             real, lever = p.real, max(abs(self.wheels.front), abs(self.wheels.rear)) ** 2
             stiff = real[:, len(self.first) - 2 : len(self.first)].max() / real[:, 0].min()
             lever = lever * real[:, 0].max() / real[:, 2].min()
             longest = min(_STEP, _STIFF / (2 * stiff * max(1.0, lever)))
-        return np.column_stack([p[:, : len(self.first)], late])[:, None], late, longest
+        return np.column_stack([p[:, : len(self.first)], delays])[:, None], delays, longest
 
     def rates(self, z: Any, u: Any, numbers: Any) -> Any:
         """Return the rates of the velocities, and of the pose if it is measured, of one state and input."""
@@ -192,13 +192,13 @@ class TorqueCar(VelocityModel):
         inertia, viscous, dry = n[first - 1], n[first : first + count], n[first + count : offset]
         steering, turning = u[count] + n[offset], u[count + 1]
         c, s, L = np.cos(steering), np.sin(steering), wheels.front - wheels.rear
-        along, across = np.stack([c, s, wheels.front * s]), np.stack([-s, c, wheels.front * c])
+        rolling, lateral = np.stack([c, s, wheels.front * s]), np.stack([-s, c, wheels.front * c])
         tangent = s / c / L
         S = np.stack([1.0 + 0.0 * tangent, -wheels.rear * tangent, tangent])
         nu = z[:3] if self.stiffness else S * z[0]
         M, force = inertia_of((m, m * x, m * y, inertia + m * (x * x + y * y)), nu)
-        M = M + wheels.inertia + wheels.spin * along[:, None] * along[None, :]
-        drives = [fixed + front * along for fixed, front in zip(wheels.fixed, wheels.steered, strict=True)]
+        M = M + wheels.inertia + wheels.spin * rolling[:, None] * rolling[None, :]
+        drives = [fixed + front * rolling for fixed, front in zip(wheels.fixed, wheels.steered, strict=True)]
         turns = [drive @ nu for drive in drives]
         torques = torques_of(wheels.motors, u[:count], turns)
         for torque, rate, drive, a, b in zip(torques, turns, drives, viscous, dry, strict=True):
@@ -206,31 +206,31 @@ class TorqueCar(VelocityModel):
         if self.stiffness:
             back = np.array([0.0, 1.0, wheels.rear])
             front, rear = n[offset + 1], n[offset + 2]
-            force = force - front * (across @ nu) * across - rear * (back @ nu) * back
+            force = force - front * (lateral @ nu) * lateral - rear * (back @ nu) * back
             faster = np.linalg.solve(M, force)
         else:
-            bent = turning * (1 / (c * c) / L) * z[0]
-            more = np.stack([0.0 * bent, -wheels.rear * bent, bent])
-            faster = np.stack([(S @ force - S @ (M @ more)) / (S @ (M @ S))])
+            yaw_rate = turning * (1 / (c * c) / L) * z[0]
+            bias = np.stack([0.0 * yaw_rate, -wheels.rear * yaw_rate, yaw_rate])
+            faster = np.stack([(S @ force - S @ (M @ bias)) / (S @ (M @ S))])
         return np.concatenate([faster, pose_rate(z[-1], nu)]) if self.is_pose else faster
 
-    def observed(self, segments: Segments, states: Array, numbers: Array) -> Array:
+    def outputs(self, segments: Segments, states: Array, numbers: Array) -> Array:
         """Return the measurements: poses, or speed and yaw rate."""
         if self.is_pose:
             return states[..., -3:]
         if self.stiffness:
             return states[..., [0, 2]]
-        count, late = len(self.wheels.names), numbers[:, 0, -1].real
-        lag = np.maximum(np.floor(late + 1e-9), 0).astype(int)
+        count, delays = len(self.wheels.names), numbers[:, 0, -1].real
+        lag = np.maximum(np.floor(delays + 1e-9), 0).astype(int)
         share = (numbers[:, 0, -1] - lag)[:, None, None]
         length = states.shape[2]
-        now, before, earlier = (segments.applied(lag + k, length)[..., count] for k in (0, 1, 2))
+        u_0, u_1, u_2 = (segments.applied(lag + k, length)[..., count] for k in (0, 1, 2))
         offset = numbers[:, :, None, self._offset]
-        angle = (1 - share) * (now + before) / 2 + share * (before + earlier) / 2 + offset
+        angle = (1 - share) * (u_0 + u_1) / 2 + share * (u_1 + u_2) / 2 + offset
         turn = states[..., 0] * np.tan(angle) / (self.wheels.front - self.wheels.rear)
         return np.stack([states[..., 0], turn], axis=-1)
 
-    def problems(self, found: Identification, neutral: Sequence[str]) -> list[str]:
+    def problems(self, estimates: Identification, neutral: Sequence[str]) -> list[str]:
         """Return what the log cannot tell."""
         rolls = "rolling wheels: give the table a WheelFriction(slip=...) to estimate cornering stiffness"
         place = (
@@ -243,13 +243,13 @@ class TorqueCar(VelocityModel):
             *[place, rolls] * (not self.stiffness),
         ]
 
-    def robot(self, found: Identification) -> Any:
+    def robot(self, estimates: Identification) -> Any:
         """Return the identified car."""
-        check_identifiable("robot", found.unseen)
-        values, prior = found.parameters, found.prior
-        (x, y, _), bare = self.body.com, _wheeled(prior).robot.with_locked_arms()
+        check_identifiable("robot", estimates.unseen)
+        values, prior = estimates.parameters, estimates.prior
+        (x, y, _), bare = self.body.com, _wheeled_robot(prior).robot.with_locked_arms()
         body = with_inertia(bare, values["mass"], values.get("com_x", x), y, values["yaw_inertia"])
-        new = parts.evolved(_wheeled(prior), robot=body)
+        new = parts.evolved(_wheeled_robot(prior), robot=body)
         if self.stiffness:
             steers, rows = self.wheels.steers, []
             slips = steers.sum() / values["cornering_front"], (~steers).sum() / values["cornering_rear"]
@@ -258,10 +258,10 @@ class TorqueCar(VelocityModel):
             new = parts.evolved(new, table=parts.evolved(new.table, wheels=tuple(rows)))
         return new.by_voltage() if self.wheels.motors else new
 
-    def forces(self, found: Identification) -> list[Any]:
+    def forces(self, estimates: Identification) -> list[Any]:
         """Return the friction of the motors for `simulate`."""
-        values, names = found.parameters, [one.name for one in found.prior.coordinates]
-        table = found.prior.table
+        values, names = estimates.parameters, [item.name for item in estimates.prior.coordinates]
+        table = estimates.prior.table
         columns = np.zeros((2, len(names)))
         drives = {each.name: np.array(each.column) for each in table.actuators}
         first = len(names) - len(next(iter(drives.values())))
@@ -273,16 +273,16 @@ class TorqueCar(VelocityModel):
 
     def runs(self, logs: list[Log]) -> list[Run]:
         """Return the logs with the mean steering angle and the steering rate of each time step."""
-        found = []
+        runs = []
         for run in super().runs(logs):
-            at, after = run.u[:, -1:], np.append(run.u[1:, -1:], run.u[-1:, -1:], axis=0)
-            u = np.column_stack([run.u[:, :-1], (at + after) / 2, (after - at) / run.dt])
+            angle, angle_1 = run.u[:, -1:], np.append(run.u[1:, -1:], run.u[-1:, -1:], axis=0)
+            u = np.column_stack([run.u[:, :-1], (angle + angle_1) / 2, (angle_1 - angle) / run.dt])
             speed, turn = run.nu.T
             slides = np.column_stack([speed, -self.wheels.rear * turn, turn])
-            found.append(run._replace(u=u, state=slides if self.stiffness else run.nu[:, :1]))
-        return found
+            runs.append(run._replace(u=u, state=slides if self.stiffness else run.nu[:, :1]))
+        return runs
 
-    def explained(self, runs: Sequence[Run], p: Array) -> list[Part]:
+    def explained_runs(self, runs: Sequence[Run], p: Array) -> list[Part]:
         """Return each run as one part."""
         return parts_of(runs)
 
@@ -292,7 +292,7 @@ class TorqueCar(VelocityModel):
         return units_of(self.wheels.names, self.wheels.motors) | {"steering": "rad"}
 
 
-def _wheeled(robot: Any) -> Any:
+def _wheeled_robot(robot: Any) -> Any:
     """Return a robot with torques as inputs."""
     return robot.wheeled if isinstance(robot, ByVoltage) else robot
 
@@ -306,7 +306,7 @@ def identify_car(
     slips = np.array([wheel.friction.slip for wheel in robot.table.wheels])
     if robot.ground.slips and (slips > 0).all():
         stiff = tuple(float((1 / slips[axle]).sum()) for axle in (wheels.steers, ~wheels.steers))
-    body, given = _wheeled(robot).robot.with_locked_arms().body, {"delay": 0.0, "ahead": 0.0}
+    body, given = _wheeled_robot(robot).robot.with_locked_arms().body, {"delay": 0.0, "ahead": 0.0}
     model = TorqueCar((), given, 1, 1.0, is_pose, wheels=wheels, body=body, slow=slow, stiffness=stiff)
     runs = model.runs(logs)
     seconds = sum(len(run.u) * run.dt for run in runs)
@@ -325,8 +325,8 @@ def identify_car(
     model = replace(model, free=free, lead=lead, dt=dt, typical=(size, rate), longest=longest)
     delays = range(lead) if delay is None else [given["delay"] / dt]
     start = _start(model, runs, delays, is_alone)
-    dropped = sum(one.dropped + unused(one, "q" if is_pose else "twist") for one in logs)
-    return replace(searched(model, parts_of(runs), start, {}), prior=robot, dropped=dropped)
+    rows = sum(one.dropped + unused_rows(one, "q" if is_pose else "twist") for one in logs)
+    return replace(search(model, parts_of(runs), start, {}), prior=robot, dropped=rows)
 
 
 def _start(model: TorqueCar, runs: Sequence[Run], delays: Sequence[float], is_alone: bool) -> Array:
@@ -336,28 +336,28 @@ def _start(model: TorqueCar, runs: Sequence[Run], delays: Sequence[float], is_al
     """
     from scipy.optimize import nnls  # slow to load
 
-    wheels, count, found = model.wheels, len(model.wheels.names), []
-    for late in delays:
+    wheels, count, candidates = model.wheels, len(model.wheels.names), []
+    for lag in delays:
         rows, forces = [], []
         for run in runs:
-            over, speed = Bump.of(WINDOW, run.dt).over, run.nu[:, :1]
-            u = run.u[np.clip(np.arange(len(speed)) - round(late), 0, None)]
+            integral, speed = Bump.of(WINDOW, run.dt).integrate, run.nu[:, :1]
+            u = run.u[np.clip(np.arange(len(speed)) - round(lag), 0, None)]
             drives = wheels.fixed[:, 0] + wheels.steered / np.cos(u[:, count : count + 1])  # (N, a)
             turns = drives * speed
             torques = np.stack(torques_of(wheels.motors, u[:, :count].T, [*turns.T]), axis=-1)
             dry = turns / np.hypot(turns, model.slow)
-            forces.append(over((drives * torques).sum(axis=1)))
-            friction = (over((drives * rates).sum(axis=1)) for rates in (turns, dry))
-            rows.append(np.stack([-over(speed[:, 0], 1), *friction], axis=-1))
+            forces.append(integral((drives * torques).sum(axis=1)))
+            friction = (integral((drives * rates).sum(axis=1)) for rates in (turns, dry))
+            rows.append(np.stack([-integral(speed[:, 0], 1), *friction], axis=-1))
         fit, left = nnls(np.concatenate(rows), np.concatenate(forces))
-        found.append((left, late, fit))
-    _, late, (mass, viscous, dry) = min(found, key=lambda each: each[0])
-    told = {"mass": mass - wheels.inertia[0, 0] - wheels.spin, "delay": late * model.dt}
+        candidates.append((left, lag, fit))
+    _, lag, (mass, viscous, dry) = min(candidates, key=lambda each: each[0])
+    values = {"mass": mass - wheels.inertia[0, 0] - wheels.spin, "delay": lag * model.dt}
     for n in wheels.names:
-        told |= {f"joint_viscous_{n}": viscous, f"joint_coulomb_{n}": dry}
-    if told["mass"] <= 0:
-        raise unexplained(0.0)
+        values |= {f"joint_viscous_{n}": viscous, f"joint_coulomb_{n}": dry}
+    if values["mass"] <= 0:
+        raise unexplained_error(0.0)
     if is_alone:
-        told["yaw_inertia"] = mass * ((wheels.front - wheels.rear) / 2) ** 2
-    priors = [*((one.quantity.name, one.prior) for one in model.first), *((n, 0.0) for n in model.free)]
-    return np.array([told.get(name, prior) for name, prior in priors])
+        values["yaw_inertia"] = mass * ((wheels.front - wheels.rear) / 2) ** 2
+    priors = [*((item.quantity.name, item.prior) for item in model.first), *((n, 0.0) for n in model.free)]
+    return np.array([values.get(name, prior) for name, prior in priors])

@@ -21,7 +21,7 @@ from pinmobile.identification._commands import (
 from pinmobile.identification._estimates import Identification
 from pinmobile.identification._log import Log, logs_of
 from pinmobile.identification._simulation import simulate
-from pinmobile.identification._velocity import TRAINED, identify_velocity
+from pinmobile.identification._velocity import TRAINING, identify_velocity
 from pinmobile.identification._velocity_model import VelocityModel
 
 _HORIZONS = 0.1, 2.0, 5.0  # [s]
@@ -78,9 +78,9 @@ class Validation:
             for name, rms in self.rms.items():
                 cells = "  ".join(f"{x:>{len(head)}.3g}" for x, head in zip(rms[k], heads, strict=True))
                 lines.append(f"{horizon:13.3g} s  {name:<10}  {cells}")
-        own = self.rms["identified"]
+        errors = self.rms["identified"]
         for name in ("kinematics", "lag"):
-            worse = [n for k, n in enumerate(self.names) if (own > self.rms[name])[1:, k].any()]
+            worse = [n for k, n in enumerate(self.names) if (errors > self.rms[name])[1:, k].any()]
             lines += [f"no better than {name}: {', '.join(worse)}"] * bool(worse)
         return "\n".join(lines)
 
@@ -128,26 +128,26 @@ def validate(log: Log | Sequence[Log], **options: Any) -> Validation:
     """
     logs = logs_of(log)
     spans = [float(one.t[-1] - one.t[0]) for one in logs]
-    first = [one.between(0.0, TRAINED * span) for one, span in zip(logs, spans, strict=True)]
-    last = [one.between(TRAINED * span, span + one.dt) for one, span in zip(logs, spans, strict=True)]
-    found = identify_velocity(first, **options)
-    model = found.model
-    trained, held = (model.runs(part) for part in (first, last))
-    lags = [each.lag(model.lead) for each in channels_of(explained_parts(trained, model.lags(found.phi)))]
-    parts = explained_parts(held, model.lags(found.phi), least=-np.inf)  # also of a poor model
-    dt = held[0].dt
-    quick = Lag(1.0, _AT_ONCE * dt, 0, np.inf)
-    models = {"kinematics": model.of_lags([quick, quick]), "lag": model.of_lags(lags)}
-    models["identified"] = model, found.phi
-    every = round(1 / float(held[0].seen.mean()))
+    first = [one.between(0.0, TRAINING * span) for one, span in zip(logs, spans, strict=True)]
+    last = [one.between(TRAINING * span, span + one.dt) for one, span in zip(logs, spans, strict=True)]
+    estimates = identify_velocity(first, **options)
+    model = estimates.model
+    train, test = (model.runs(part) for part in (first, last))
+    lags = [each.lag(model.lead) for each in channels_of(explained_parts(train, model.lags(estimates.phi)))]
+    parts = explained_parts(test, model.lags(estimates.phi), minimum=-np.inf)  # also of a poor model
+    dt = test[0].dt
+    unit_lag = Lag(1.0, _AT_ONCE * dt, 0, np.inf)
+    models = {"kinematics": model.of_lags([unit_lag, unit_lag]), "lag": model.of_lags(lags)}
+    models["identified"] = model, estimates.phi
+    every = round(1 / float(test[0].is_valid.mean()))
     horizons = np.maximum(every, np.rint(np.array(_HORIZONS) / dt)).astype(int)
     shifts = np.unique(np.linspace(0, horizons[-1], _STARTS, endpoint=False).astype(int)).tolist()
-    shifted = [part._replace(start=part.start + more) for part in parts for more in shifts]
+    pieces = [part._replace(start=part.start + shift) for part in parts for shift in shifts]
     columns = CHANNELS | ({"distance": "m", "heading": "rad"} if model.is_pose else {})
     rms = {}
     for name, (each, p) in models.items():
-        rms[name] = _errors(each, p, shifted, horizons, every, name == "kinematics")
-    return Validation(horizons * dt, tuple(columns), tuple(columns.values()), rms, found)
+        rms[name] = _errors(each, p, pieces, horizons, every, name == "kinematics")
+    return Validation(horizons * dt, tuple(columns), tuple(columns.values()), rms, estimates)
 
 
 def _errors(
@@ -165,13 +165,13 @@ def _squares(
     model: VelocityModel, p: Array, parts: list[Part], horizons: Array, every: int, at_once: bool
 ) -> Array:
     """Return the squared errors of segments at the last measurement before each horizon, shape (S, H, m)."""
-    parts = model.started(parts, p)
-    segments, _ = segments_of(parts, model.lead, (int(horizons[-1]) + 1) * model.dt, filled=False)
+    parts = model.complete_states(parts, p)
+    segments, _ = segments_of(parts, model.lead, (int(horizons[-1]) + 1) * model.dt, fill=False)
     starts = segments.start.copy()
     if at_once:
         starts[:, :2] = segments.applied(0, 1)[0, :, 0]
-    out = simulate(model, segments, p[None], starts[None])[0]
-    left = np.where(segments.good[..., None], segments.y - out, 0.0)
+    outputs = simulate(model, segments, p[None], starts[None])[0]
+    left = np.where(segments.good[..., None], segments.y - outputs, 0.0)
     rows = horizons[:, None] - np.arange(every)
-    seen = segments.good[:, rows].sum(axis=2)[..., None]
-    return np.where(seen > 0, (left[:, rows] ** 2).sum(axis=2) / np.maximum(seen, 1), np.nan)
+    counts = segments.good[:, rows].sum(axis=2)[..., None]
+    return np.where(counts > 0, (left[:, rows] ** 2).sum(axis=2) / np.maximum(counts, 1), np.nan)

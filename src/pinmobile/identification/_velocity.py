@@ -20,8 +20,8 @@ from pinmobile.identification._commands import (
     CAR_COMMANDS,
     CHANNELS,
     LARGEST,
-    LEAST,
     LEAST_BLOCKS,
+    MIN_SHARE,
     Lag,
     Part,
     Run,
@@ -44,21 +44,21 @@ from pinmobile.identification._estimator import (
     jackknife,
     r_squared,
     solve_robustly,
-    unexplained,
+    unexplained_error,
 )
-from pinmobile.identification._log import Log, logs_of, unused
-from pinmobile.identification._simulation import MANY, Segments, pieces, simulate
+from pinmobile.identification._log import Log, logs_of, unused_rows
+from pinmobile.identification._simulation import START_SAMPLES, Segments, pieces, simulate
 from pinmobile.identification._velocity_model import CarModel, VelocityModel
 from pinmobile.identification._velocity_robot import VelocityRobot
 
 _LONGER = 3  # ratio of successive lengths of segments
-TRAINED = 2 / 3  # share of a log before the hold-out
+TRAINING = 2 / 3  # share of a log before the hold-out
 _LEAST_ROUGH = 100  # smallest number of third differences that show the noise
-_TOGETHER = 0.2  # largest correlation of successive residuals that counts as noise
+_NOISE_CORRELATION = 0.2  # largest correlation of successive residuals that counts as noise
 _DIFFERENT = 4.0  # standard deviations by which results for two lengths of segments differ
 _NOTABLE = 0.01  # share of the size of a number, by which they differ at least
-_SURE = 2.0  # standard deviations by which a negative delay is reported
-_EARLY = 0.9  # samples by which it is reported in any case: the search ends at one
+_DELAY_ERRORS = 2.0  # standard deviations by which a negative delay is reported
+_DELAY_ROWS = 0.9  # samples by which it is reported in any case: the search ends at one
 _POOR = 0.5  # R^2 of a hold-out below which a note follows
 _WASTE = 3.0  # largest number of samples in segments of unequal parts, per sample
 _BETTER = 0.05  # smallest reduction of the logarithm of the residual by a limit
@@ -118,7 +118,7 @@ def identify_velocity(
 
     Returns
     -------
-    found : Identification
+    estimates : Identification
         Estimates of the numbers of the robot; its method `robot` returns it.
 
     Raises
@@ -154,35 +154,35 @@ def identify_velocity(
     if ahead is None and not is_pose:
         raise InvalidArgument("ahead is None, expected a number [m]: a log of twists does not identify it")
     _check_changes(runs)
-    late, far = (scalar(name, 0.0 if x is None else x) for name, x in (("delay", delay), ("ahead", ahead)))
+    lag_s, x_0 = (scalar(name, 0.0 if x is None else x) for name, x in (("delay", delay), ("ahead", ahead)))
     given = {
-        "delay": bounded("delay", late, least=0, most=lead * dt, unit="s"),
-        "ahead": bounded("ahead", far, least=-_FARTHEST, most=_FARTHEST, unit="m"),
+        "delay": bounded("delay", lag_s, least=0, most=lead * dt, unit="s"),
+        "ahead": bounded("ahead", x_0, least=-_FARTHEST, most=_FARTHEST, unit="m"),
     }
     if wheelbase is not None:
         given["wheelbase"] = positive("wheelbase", wheelbase, "m")
     model = (CarModel if is_car else VelocityModel)((), given, lead, dt, is_pose)
-    told: list[Any] = [np.inf if each is None else each for each in (limits, accelerations)]
-    most = VelocityRobot(np.ones(6), 0.0, *told)
-    given |= dict(zip(model.limits(), [*most.accelerations.tolist(), *most.limits.tolist()], strict=True))
-    parts, fixed = parts_of(runs), None if delay is None else round(late / dt)
+    limit_u: list[Any] = [np.inf if each is None else each for each in (limits, accelerations)]
+    robot = VelocityRobot(np.ones(6), 0.0, *limit_u)
+    given |= dict(zip(model.limits(), [*robot.accelerations.tolist(), *robot.limits.tolist()], strict=True))
+    parts, fixed = parts_of(runs), None if delay is None else round(lag_s / dt)
     for _ in range(_ROUNDS):  # what other drivers did hides the limits
         lags = [each.lag(lead, fixed) for each in channels_of(_few_of(parts))]
         parts = explained_parts(runs, lags)
-    sought, seen = {"delay": delay is None, "ahead": ahead is None}, model.limits_of(lags)
-    for name, known in zip(model.limits(), (accelerations, accelerations, limits, limits), strict=True):
-        sought[name] = known is None and np.isfinite(seen[name])
-    order = [name for name, is_sought in sought.items() if is_sought]
-    guess = {"delay": dt * float(np.mean([lag.late for lag in lags if lag.gain] or [0])), "ahead": 0.0} | seen
+    unknowns, bounds = {"delay": delay is None, "ahead": ahead is None}, model.limits_of(lags)
+    for name, bound in zip(model.limits(), (accelerations, accelerations, limits, limits), strict=True):
+        unknowns[name] = bound is None and np.isfinite(bounds[name])
+    order, delays = [n for n, free in unknowns.items() if free], [x.delay for x in lags if x.gain] or [0]
+    guess = {"delay": dt * float(np.mean(delays)), "ahead": 0.0} | bounds
     start = np.append(model.start(lags), [guess[name] for name in order])
     model = replace(model, free=tuple(order))
-    left_out, parts = format_left_out(runs, parts), model.started(parts, start)
-    unknown = [] if accelerations is not None else [n for n in model.limits()[:2] if n not in order]
+    left_out, parts = format_left_out(runs, parts), model.complete_states(parts, start)
+    names = [] if accelerations is not None else [n for n in model.limits()[:2] if n not in order]
     columns = ([run.u[:, k] for run in runs] for k in (0, 1))
-    tops = [lag._replace(steepest=_HARD * lag.top(u)) for lag, u in zip(lags, columns, strict=True)]
-    guesses = {n: model.limits_of(tops)[n] for n in unknown}
-    found = searched(model, parts, start, guesses, lags, left_out)
-    return replace(found, dropped=sum(one.dropped + unused(one, sensor) for one in logs))
+    tops = [lag._replace(rate_limit=_HARD * lag.top(u)) for lag, u in zip(lags, columns, strict=True)]
+    guesses = {n: model.limits_of(tops)[n] for n in names}
+    estimates = search(model, parts, start, guesses, lags, left_out)
+    return replace(estimates, dropped=sum(one.dropped + unused_rows(one, sensor) for one in logs))
 
 
 def _check_changes(runs: Sequence[Run]) -> None:
@@ -198,7 +198,7 @@ def _check_changes(runs: Sequence[Run]) -> None:
         raise InvalidArgument("log has constant commands, expected changing commands, such as RandomSteps")
 
 
-def searched(
+def search(
     model: VelocityModel,
     parts: list[Part],
     start: Array,
@@ -232,73 +232,73 @@ def searched(
     model, start = _by_speeds(model, parts, start, limits)
     if lags:  # else commands of another robot lead the search to numbers without effect
         few = _few_of(parts)
-        shares = zip(CHANNELS, _explained(model, start, few).tolist(), channels_of(few), strict=True)
+        shares = zip(CHANNELS, _scores(model, start, few).tolist(), channels_of(few), strict=True)
         check_explained({name: share if channel.moves else None for name, share, channel in shares}, lags, dt)
     try:
-        tried = list(_tried(model, parts, start))
+        trials = list(_trials(model, parts, start))
     except InvalidArgument:  # such as a limit that only one block shows
-        model, kept = model.without(model.limits())
-        if len(kept) == len(start):
+        model, rows_p = model.drop(model.limits())
+        if len(rows_p) == len(start):
             raise
-        tried = list(_tried(model, parts, start[kept]))
-    best = min(tried, key=lambda each: (each.lost.sum(), each.size)) if model.is_pose else tried[-1]
-    differ = _compared(model, *(tried[0], best) if best is not tried[0] else (best, tried[-1]))
+        trials = list(_trials(model, parts, start[rows_p]))
+    best = min(trials, key=lambda each: (each.weak.sum(), each.size)) if model.is_pose else trials[-1]
+    differ = _compare(model, *(trials[0], best) if best is not trials[0] else (best, trials[-1]))
     if best.is_few:
-        best = _Tried.of(model, parts, best.seconds, best.fit.p)
+        best = _Trial.of(model, parts, best.seconds, best.fit.p)
     remarks = [left_out, differ]
-    limited, late = model.limits(), len(model.first)
+    limit_names, k = model.limits(), len(model.first)
     tops = np.max([np.abs(part.run.u[part.start : part.stop, :2]).max(axis=0) for part in parts], axis=0)
-    rows = zip(model.free, best.lost[late:], best.fit.p[late:], strict=True)
-    far = dict(zip(limited[2:], LARGEST * tops, strict=False))
-    useless = [n for n, lost, x in rows if n in limited and (lost or x > far.get(n, np.inf))]
+    rows = zip(model.free, best.weak[k:], best.fit.p[k:], strict=True)
+    bounds = dict(zip(limit_names[2:], LARGEST * tops, strict=False))
+    useless = [n for n, weak, x in rows if n in limit_names and (weak or x > bounds.get(n, np.inf))]
     if useless:
-        model, best = _without(useless, model, parts, best)
-    if "delay" in model.free and best.fit.p[late] < 0:
-        early, C = best.fit.p[late], best.covariance
-        p = best.fit.p - C[:, late] / C[late, late] * early  # the estimate for no delay
-        if early < -min(_SURE * np.sqrt(C[late, late]), _EARLY * dt):
-            less = " or less" * bool(early < -_EARLY * dt)
+        model, best = _drop(useless, model, parts, best)
+    if "delay" in model.free and best.fit.p[k] < 0:
+        delay, C = best.fit.p[k], best.covariance
+        p = best.fit.p - C[:, k] / C[k, k] * delay  # the estimate for no delay
+        if delay < -min(_DELAY_ERRORS * np.sqrt(C[k, k]), _DELAY_ROWS * dt):
+            suffix = " or less" * bool(delay < -_DELAY_ROWS * dt)
             remarks.append(
-                f"the delay is taken as zero: its estimate is {1e3 * early:.3g} ms{less}; with times of two "
-                "clocks, use Log.from_streams(..., one_clock=False)"
+                f"the delay is taken as zero: its estimate is {1e3 * delay:.3g} ms{suffix}; with times of "
+                "two clocks, use Log.from_streams(..., one_clock=False)"
             )
-            _, other = _without(["delay"], model, parts, best)
-            p, best = np.insert(other.fit.p, late, 0.0), best._replace(segments=other.segments, fit=other.fit)
+            _, other = _drop(["delay"], model, parts, best)
+            p, best = np.insert(other.fit.p, k, 0.0), best._replace(segments=other.segments, fit=other.fit)
         best = best._replace(fit=best.fit._replace(p=p))  # the covariance contains that of the delay
-    found, lost, p = best.fit, best.lost, best.fit.p
+    fit, weak, p = best.fit, best.weak, best.fit.p
     free_run = _free_run(model, parts, best)
     if lags:
         check_explained({name: free_run.get(name, (None,))[0] for name in CHANNELS}, lags, dt)
-    elif (share := min(each for each, _ in free_run.values())) < LEAST:
-        raise unexplained(share)
-    poor = [name for name, (_, after) in free_run.items() if after < _POOR]
+    elif (share := min(each for each, _ in free_run.values())) < MIN_SHARE:
+        raise unexplained_error(share)
+    poor = [name for name, (_, score) in free_run.items() if score < _POOR]
     if poor:
-        named = " and the ".join(poor)
-        remarks.append(f"the model does not predict the {named} of the hold-out: do not use it elsewhere")
-    model.check(p, lost)
-    listed = ", ".join(one.name for one, is_so in zip(model.quantities, lost, strict=True) if is_so)
-    good, square = found.good, (found.near.residual[found.good] ** 2).mean(axis=0)
-    rank, white = int((~lost).sum()), Whiteness.of(found.near.residual * good[..., None], good)
+        channels = " and the ".join(poor)
+        remarks.append(f"the model does not predict the {channels} of the hold-out: do not use it elsewhere")
+    model.check(p, weak)
+    names = ", ".join(item.name for item, is_so in zip(model.quantities, weak, strict=True) if is_so)
+    good, square = fit.good, (fit.linear.residual[fit.good] ** 2).mean(axis=0)
+    rank, white = int((~weak).sum()), Whiteness.of(fit.linear.residual * good[..., None], good)
     return Identification(
         model=model,
         phi=p,
         covariance_of_phi=best.covariance,
         freedom=best.blocks - 1,
         rank=rank,
-        unseen=f"the motion does not identify {listed}: rank {rank} of {len(p)}" if listed else "",
-        hidden=lost.astype(float),
+        unseen=f"the motion does not identify {names}: rank {rank} of {len(p)}" if names else "",
+        hidden=weak.astype(float),
         unknown=np.zeros((len(p), 0)),
-        delay=model.named(p)["delay"],
-        delay_error=float(np.sqrt(best.covariance[late, late])) if "delay" in model.free else np.nan,
+        delay=model.other_values(p)["delay"],
+        delay_error=float(np.sqrt(best.covariance[k, k])) if "delay" in model.free else np.nan,
         dt=dt,
         seconds=min(best.seconds, max(b - a for _, a, b in parts) * dt),
         outliers=int((best.segments.good & ~good).sum()),
         samples=int(good.sum()),
         segments=len(good),
-        noise=_noise_of(found.near.residual, good),
+        noise=_noise_of(fit.linear.residual, good),
         residual=np.sqrt(square),
         whiteness=white,
-        is_noise=bool(np.abs(white.correlation).max() <= _TOGETHER) and not differ,
+        is_noise=bool(np.abs(white.correlation).max() <= _NOISE_CORRELATION) and not differ,
         explained=min((share for share, _ in free_run.values()), default=1.0),
         free_run=MappingProxyType(free_run),
         remarks=tuple(filter(None, remarks)),
@@ -317,22 +317,22 @@ def _by_speeds(
     segments, calm = segments_of(given, model.lead, model.dt * _LONGER * block_of(given))
 
     def fit(model: VelocityModel, p: Array) -> tuple[VelocityModel, Array, float, bool]:
-        found, lost = solve_robustly(model, segments, p, calm=calm, natural=model.natural)
-        free = zip(model.free, lost[len(model.first) :], strict=True)
-        less, kept = model.without([name for name, is_lost in free if is_lost and name in model.limits()])
-        left, whiteness = found.near.residual, Whiteness.of(found.near.residual, found.good)
-        cost = float(np.log(left[found.good].var(axis=0)).sum())
-        return less, np.where(lost, p, found.p)[kept], cost, whiteness.is_white
+        solution, weak = solve_robustly(model, segments, p, calm=calm, natural=model.natural)
+        free = zip(model.free, weak[len(model.first) :], strict=True)
+        smaller, rows = model.drop([name for name, is_weak in free if is_weak and name in model.limits()])
+        left, whiteness = solution.linear.residual, Whiteness.of(solution.linear.residual, solution.good)
+        cost = float(np.log(left[solution.good].var(axis=0)).sum())
+        return smaller, np.where(weak, p, solution.p)[rows], cost, whiteness.is_white
 
-    found, p, cost, white = fit(free, p)
+    base, p, cost, white = fit(free, p)
     for name, guess in limits.items() if not white else ():
-        more, q, less, _ = fit(replace(found, free=(*found.free, name)), np.append(p, guess))
-        if less < cost - _BETTER and name in more.free:
-            found, p, cost = more, q, less
-    return replace(model, free=found.free), p
+        trial, q, trial_cost, _ = fit(replace(base, free=(*base.free, name)), np.append(p, guess))
+        if trial_cost < cost - _BETTER and name in trial.free:
+            base, p, cost = trial, q, trial_cost
+    return replace(model, free=base.free), p
 
 
-class _Tried(NamedTuple):
+class _Trial(NamedTuple):
     """Estimates from segments of one length.
 
     Attributes
@@ -356,7 +356,7 @@ class _Tried(NamedTuple):
     seconds: float
     segments: Segments
     fit: Fit
-    lost: NDArray[np.bool_]
+    weak: NDArray[np.bool_]
     covariance: Array
     blocks: int
     is_few: bool
@@ -364,23 +364,23 @@ class _Tried(NamedTuple):
     @property
     def size(self) -> float:
         """Logarithm of the volume of the confidence region."""
-        kept = ~self.lost
-        return float(np.linalg.slogdet(self.covariance[np.ix_(kept, kept)])[1])
+        strong = ~self.weak
+        return float(np.linalg.slogdet(self.covariance[np.ix_(strong, strong)])[1])
 
     @classmethod
     def of(
         cls, model: VelocityModel, parts: list[Part], seconds: float, p: Array, few: bool = False
-    ) -> _Tried:
+    ) -> _Trial:
         """Return the estimates from segments of a length [s], a multiple of a block, or a few of them."""
         segments, calm = segments_of(parts, model.lead, seconds)
-        kept = segments.few if few else slice(None, None, 1)
-        segments = segments.some(kept)._replace(blocks=max(1, segments.y.shape[1] // block_of(parts)))
-        fit, lost = solve_robustly(model, segments, p, calm=calm[kept], natural=model.natural)
-        covariance, blocks = jackknife(fit.near, kept=~lost)
-        return cls(segments.y.shape[1] * model.dt, segments, fit, lost, covariance, blocks, kept.step > 1)
+        rows = segments.few if few else slice(None, None, 1)
+        segments = segments.select(rows)._replace(blocks=max(1, segments.y.shape[1] // block_of(parts)))
+        fit, weak = solve_robustly(model, segments, p, calm=calm[rows], natural=model.natural)
+        covariance, blocks = jackknife(fit.linear, active=~weak)
+        return cls(segments.y.shape[1] * model.dt, segments, fit, weak, covariance, blocks, rows.step > 1)
 
 
-def _tried(model: VelocityModel, parts: list[Part], p: Array) -> Iterator[_Tried]:
+def _trials(model: VelocityModel, parts: list[Part], p: Array) -> Iterator[_Trial]:
     """Yield the estimates from segments of 6 s, and from longer ones.
 
     Speeds of a stable model do not drift, so that the longest segment is a whole part. Poses drift: segments
@@ -388,23 +388,23 @@ def _tried(model: VelocityModel, parts: list[Part], p: Array) -> Iterator[_Tried
     """
     longest, block = max(b - a for _, a, b in parts) * model.dt, model.dt * block_of(parts)
     total = sum(b - a for _, a, b in parts) * model.dt
-    longest = min(longest, MANY * model.dt, max(_WASTE * total / len(parts), _LONGER * block))
+    longest = min(longest, START_SAMPLES * model.dt, max(_WASTE * total / len(parts), _LONGER * block))
     longest = min(longest, model.longest)
     seconds = min(_LONGER * block, longest)
-    before = np.inf
+    size = np.inf
     while True:
-        one = _Tried.of(model, parts, seconds, p, model.is_pose or seconds <= longest)
-        yield one
-        if seconds >= longest or one.size > before:
+        trial = _Trial.of(model, parts, seconds, p, model.is_pose or seconds <= longest)
+        yield trial
+        if seconds >= longest or trial.size > size:
             return
-        before, p = (one.size if model.is_pose else np.inf), one.fit.p
+        size, p = (trial.size if model.is_pose else np.inf), trial.fit.p
         seconds = min(seconds * _LONGER, longest + block) if model.is_pose else longest + block
 
 
 def _noise_of(residual: Array, good: NDArray[np.bool_]) -> Array:
     """Return the standard deviation of white noise in residuals, shape (m,), by their third differences."""
-    known = good[:, :-3] & good[:, 1:-2] & good[:, 2:-1] & good[:, 3:]
-    rough = np.abs(np.diff(residual, 3, axis=1))[known]
+    valid = good[:, :-3] & good[:, 1:-2] & good[:, 2:-1] & good[:, 3:]
+    rough = np.abs(np.diff(residual, 3, axis=1))[valid]
     square = (residual[good] ** 2).mean(axis=0)
     if len(rough) < _LEAST_ROUGH:
         return np.asarray(np.sqrt(square))
@@ -414,60 +414,60 @@ def _noise_of(residual: Array, good: NDArray[np.bool_]) -> Array:
 def _few_of(parts: Sequence[Part]) -> list[Part]:
     """Return pieces of parts with samples enough for first estimates."""
     total = sum(b - a for _, a, b in parts)
-    return [Part(run, one.start, one.stop) for run, a, b in parts for one in pieces(a, b, total)]
+    return [Part(run, piece.start, piece.stop) for run, a, b in parts for piece in pieces(a, b, total)]
 
 
-def _without_first(parts: Sequence[Part], count: int) -> list[Part]:
+def _drop_start(parts: Sequence[Part], count: int) -> list[Part]:
     """Return parts without so many samples at the start."""
-    found = list[Part]()
+    rest = list[Part]()
     for part in parts:
-        found += [part._replace(start=part.start + max(count, 0))] * (part.start + count < part.stop)
+        rest += [part._replace(start=part.start + max(count, 0))] * (part.start + count < part.stop)
         count -= part.stop - part.start
-    return found
+    return rest
 
 
-def _without(
-    names: Sequence[str], model: VelocityModel, parts: list[Part], best: _Tried
-) -> tuple[VelocityModel, _Tried]:
+def _drop(
+    names: Sequence[str], model: VelocityModel, parts: list[Part], best: _Trial
+) -> tuple[VelocityModel, _Trial]:
     """Return the model without some free numbers, and its estimates."""
-    less, kept = model.without(names)
-    return less, _Tried.of(less, parts, best.seconds, best.fit.p[kept])
+    smaller, rows = model.drop(names)
+    return smaller, _Trial.of(smaller, parts, best.seconds, best.fit.p[rows])
 
 
-def _compared(model: VelocityModel, short: _Tried, long: _Tried) -> str:
+def _compare(model: VelocityModel, short: _Trial, long: _Trial) -> str:
     """Return a note on numbers that depend on the length of the segments; "" if there are none."""
     wide, narrow = np.diag(short.covariance), np.diag(long.covariance)
     deviation = np.sqrt(np.maximum(wide - narrow, 0.3 * wide))
-    least = _NOTABLE * model.sizes(long.fit.p)
-    off = np.abs(short.fit.p - long.fit.p) > np.maximum(_DIFFERENT * deviation, least)
-    rows = zip(model.quantities, short.fit.p, long.fit.p, off & ~(short.lost | long.lost), strict=True)
-    listed = ", ".join(f"{one.name} {a:.3g} and {b:.3g}" for one, a, b, differs in rows if differs)
+    tolerance = _NOTABLE * model.sizes(long.fit.p)
+    unequal = np.abs(short.fit.p - long.fit.p) > np.maximum(_DIFFERENT * deviation, tolerance)
+    rows = zip(model.quantities, short.fit.p, long.fit.p, unequal & ~(short.weak | long.weak), strict=True)
+    names = ", ".join(f"{item.name} {a:.3g} and {b:.3g}" for item, a, b, differs in rows if differs)
     note = (
-        f"estimates from segments of {short.seconds:.3g} s and of {long.seconds:.3g} s differ: {listed}: the "
+        f"estimates from segments of {short.seconds:.3g} s and of {long.seconds:.3g} s differ: {names}: the "
         "structure of the model is wrong, and the intervals are not valid"
     )
-    return note if listed else ""
+    return note if names else ""
 
 
-def _free_run(model: VelocityModel, parts: Sequence[Part], best: _Tried) -> dict[str, tuple[float, float]]:
+def _free_run(model: VelocityModel, parts: Sequence[Part], best: _Trial) -> dict[str, tuple[float, float]]:
     """Return R^2 of free runs by channel: of the log, and of its last third for a fit to the rest."""
-    test = _without_first(parts, round(TRAINED * sum(b - a for _, a, b in parts)))
-    blocks = best.fit.near.normal.shape[:2]
-    early = np.arange(np.prod(blocks)).reshape(blocks) < TRAINED * np.prod(blocks)
-    p, step = best.fit.p, best.fit.near.step(early)
+    test = _drop_start(parts, round(TRAINING * sum(b - a for _, a, b in parts)))
+    blocks = best.fit.linear.normal.shape[:2]
+    train = np.arange(np.prod(blocks)).reshape(blocks) < TRAINING * np.prod(blocks)
+    p, step = best.fit.p, best.fit.linear.step(train)
     step = np.insert(step, [len(model.first)] * (len(p) - len(step)), 0.0)  # of a delay that is taken as zero
-    before, after = _explained(model, p, parts), _explained(model, p + step, test)
-    rows = zip(CHANNELS, before.tolist(), after.tolist(), channels_of(parts), strict=True)
-    return {name: (one, other) for name, one, other, channel in rows if channel.moves}
+    scores, scores_1 = _scores(model, p, parts), _scores(model, p + step, test)
+    rows = zip(CHANNELS, scores.tolist(), scores_1.tolist(), channels_of(parts), strict=True)
+    return {name: (r2, r2_test) for name, r2, r2_test, channel in rows if channel.moves}
 
 
-def _explained(model: VelocityModel, p: Array, parts: Sequence[Part]) -> Array:
+def _scores(model: VelocityModel, p: Array, parts: Sequence[Part]) -> Array:
     """Return R^2 of the speed and of the yaw rate in free runs over parts."""
     free, left, y = replace(model, is_pose=False), [np.zeros((0, 2))], [np.zeros((0, 2))]
     for part in speeds_of(parts):
-        segments, _ = segments_of([part], free.lead, min(part.stop - part.start, MANY) * free.dt)
+        segments, _ = segments_of([part], free.lead, min(part.stop - part.start, START_SAMPLES) * free.dt)
         if len(segments.y):
-            out = simulate(free, segments, p[None], segments.start[None])[0]
-            left.append((segments.y - out)[segments.good])
+            outputs = simulate(free, segments, p[None], segments.start[None])[0]
+            left.append((segments.y - outputs)[segments.good])
             y.append(segments.y[segments.good])
     return r_squared(np.concatenate(y), np.concatenate(left))

@@ -10,14 +10,14 @@ import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, finite, frozen, shaped, text, vector
 from pinmobile.identification._velocity_robot import (
-    Commanded,
+    VelocityInputs,
     VelocityRobot,
-    accelerated,
     arrays,
     pair,
+    point_acceleration,
     rolling_of,
     size_of,
-    stacked,
+    stack,
 )
 from pinmobile.parts import by_value, evolved, number, option, part
 from pinmobile.plant import Coordinate
@@ -25,7 +25,7 @@ from pinmobile.robot import MobileRobot
 from pinmobile.wheels import WheeledRobot, WheelTable
 
 _QUICKER = 4.0  # time constant of the steering angle per time constant of its rate: critical damping
-_SIDEWAYS = 1.4  # [rad], steering angle from which the curvature stays the same
+_MAX_ANGLE = 1.4  # [rad], steering angle from which the curvature stays the same
 
 
 def _box(car: Any) -> Any:
@@ -35,7 +35,7 @@ def _box(car: Any) -> Any:
 
 def curvature_of(car: Any, speed: Any, steering: Any) -> Any:
     """Return the curvature of the path of a car at a speed and a steering angle [1/m]."""
-    angle = np.minimum(np.maximum(steering, -_SIDEWAYS), _SIDEWAYS)
+    angle = np.minimum(np.maximum(steering, -_MAX_ANGLE), _MAX_ANGLE)
     return np.tan(angle) / (car.wheelbase + car.understeer * (speed * speed))
 
 
@@ -46,20 +46,20 @@ def faster_of(car: Any, state: Any, u: Any) -> tuple[Any, Any, Any]:
     """
     (speed, steering, turning), T = state, car.steering_time_constant
     k, square = curvature_of(car, speed, steering), speed * speed
-    bent = k * k * (car.wheelbase + car.understeer * square)
+    bend = k * k * (car.wheelbase + car.understeer * square)
     faster = (car.speed_gain * u[0] - speed) / car.speed_time_constant
-    faster = faster - car.cornering_drag * speed * np.abs(speed) * bent
-    wanted = (car.steering_gain * u[1] + car.steering_offset - steering) / T
+    faster = faster - car.cornering_drag * speed * np.abs(speed) * bend
+    target = (car.steering_gain * u[1] + car.steering_offset - steering) / T
     acceleration, rate = car.rate_limits[..., 0], car.rate_limits[..., 1]
     faster = np.minimum(np.maximum(faster, -acceleration), acceleration)
-    wanted = np.minimum(np.maximum(wanted, -rate), rate)
-    return faster, turning, _QUICKER * (wanted - turning) / T
+    target = np.minimum(np.maximum(target, -rate), rate)
+    return faster, turning, _QUICKER * (target - turning) / T
 
 
 @final
 @part
 @by_value
-class VelocityCar(Commanded):
+class VelocityCar(VelocityInputs):
     """A car with commands of speed and steering angle as inputs: a kinematic bicycle with lags.
 
     The firmware of the car controls speed u and steering angle delta with time constants T. The wheels roll,
@@ -171,16 +171,16 @@ class VelocityCar(Commanded):
 
         At rest the steering is straight.
         """
-        still = speed == 0.0
-        curvature = np.where(still, 0.0, yaw_rate / np.where(still, 1.0, speed))
+        at_rest = speed == 0.0
+        curvature = np.where(at_rest, 0.0, yaw_rate / np.where(at_rest, 1.0, speed))
         steering = np.arctan((self.wheelbase + self.understeer * (speed * speed)) * curvature)
-        return stacked(speed / self.speed_gain, (steering - self.steering_offset) / self.steering_gain)
+        return stack(speed / self.speed_gain, (steering - self.steering_offset) / self.steering_gain)
 
     @arrays(q=4, nu=2)
     def rolling(self, q: Any, nu: Any) -> Any:
         """Return v for independent velocities `nu`, shape (..., 4) [m/s, m/s, rad/s, rad/s]."""
         speed = nu[..., 0]
-        twist = stacked(speed, speed * self.curvature(speed, q[..., 3]))
+        twist = stack(speed, speed * self.curvature(speed, q[..., 3]))
         return np.concatenate([rolling_of(self.ahead, q, twist), nu[..., 1:]], axis=-1)
 
     def start(self, reference: Any) -> tuple[Array, Array]:
@@ -196,21 +196,21 @@ class VelocityCar(Commanded):
 
     def _acceleration(self, q: Any, v: Any, u: Any) -> Any:
         speed, turning = (self.independent(q, v)[..., k] for k in (0, 1))
-        faster, _, steered = faster_of(self, (speed, q[..., 3], turning), (u[..., 0], u[..., 1]))
-        stretched = self.wheelbase + self.understeer * (speed * speed)
+        faster, _, steering = faster_of(self, (speed, q[..., 3], turning), (u[..., 0], u[..., 1]))
+        length = self.wheelbase + self.understeer * (speed * speed)
         k = self.curvature(speed, q[..., 3])
-        bends = turning * (1 / stretched + k * k * stretched)  # k' by the steering angle
-        bends = np.where(np.abs(q[..., 3]) < _SIDEWAYS, bends, 0.0)
-        bends = bends - 2 * self.understeer * speed * faster * k / stretched
-        nu, rates = stacked(speed, k * speed), stacked(faster, bends * speed + k * faster)
-        return accelerated(self.ahead, q, nu, rates, steered)
+        bends = turning * (1 / length + k * k * length)  # k' by the steering angle
+        bends = np.where(np.abs(q[..., 3]) < _MAX_ANGLE, bends, 0.0)
+        bends = bends - 2 * self.understeer * speed * faster * k / length
+        nu, rates = stack(speed, k * speed), stack(faster, bends * speed + k * faster)
+        return point_acceleration(self.ahead, q, nu, rates, steering)
 
     # What is drawn
 
     @cached_property
-    def _drawn(self) -> WheeledRobot:
+    def _visuals(self) -> WheeledRobot:
         L, (_, width, height) = float(self.wheelbase), self.size
-        wheels: dict[str, Any] = {"steering_limit": _SIDEWAYS, "spin_inertia": 1e-3, "yaw_inertia": 1e-3}
+        wheels: dict[str, Any] = {"steering_limit": _MAX_ANGLE, "spin_inertia": 1e-3, "yaw_inertia": 1e-3}
         table = WheelTable.car(L, 0.9 * width, min(0.45 * height, 0.2 * L), **wheels)
         drive, steering = table.couplings  # with the origin in the middle, as the box
         rows = [evolved(wheel, x=wheel.x - 0.5 * L) for wheel in table.wheels]
@@ -219,9 +219,9 @@ class VelocityCar(Commanded):
 
     def drawing(self, q: ArrayLike) -> Array:
         """Return the poses of the objects of `visual_model` in the inertial frame, shape (..., k, 4, 4)."""
-        q, drawn = vector("q", q, 4), self._drawn
-        there = np.zeros((*q.shape[:-1], drawn.nq))
+        q, robot = vector("q", q, 4), self._visuals
+        q_robot = np.zeros((*q.shape[:-1], robot.nq))
         middle = 0.5 * self.wheelbase - self.ahead
-        there[..., :2] = q[..., :2] + middle * stacked(np.cos(q[..., 2]), np.sin(q[..., 2]))
-        there[..., 2:4] = q[..., 2:]
-        return np.asarray(drawn.drawing(there))
+        q_robot[..., :2] = q[..., :2] + middle * stack(np.cos(q[..., 2]), np.sin(q[..., 2]))
+        q_robot[..., 2:4] = q[..., 2:]
+        return np.asarray(robot.drawing(q_robot))

@@ -33,13 +33,13 @@ from pinmobile.identification._simulation import Quantity, Segments, simulate
 from pinmobile.identification._velocity_car import VelocityCar, curvature_of, faster_of
 from pinmobile.identification._velocity_robot import ABOVE_ZERO, THETA, VelocityRobot, rates_of, rolling_of
 
-_EXPLAINED = 0.8  # explained share of the motion below which a note follows
+_NOTE_SHARE = 0.8  # explained share of the motion below which a note follows
 _NEUTRAL = {"theta_3": 0.0, "theta_4": 1.0, "theta_5": 0.0, "theta_6": 1.0}  # without losses and offset
 _QUICKEST = 0.1  # shortest time constant that a log shows, as a share of its time step
 _FINE = 0.3  # longest time step of the integrator, as a share of the shortest time constant
 _BENDS = 4  # factor on the number of steps where a limit of acceleration may end within a step
 _MOST_STEPS = 40  # largest number of steps per sample
-_FAR = 100.0  # value of a limit that the log does not show, per first estimate
+_TOP = 100.0  # value of a limit that the log does not show, per first estimate
 _GAINS = 0.1, 10.0  # range of the command per steady speed or yaw rate
 _LONGEST, _STEERING_GAINS = (0.03, 10.0), (1e-4, 1e4)  # ranges of the wheelbase [m], and of gains
 _AT_SPEED = "understeer", "cornering_drag"
@@ -47,7 +47,7 @@ _ZEROS = "steering_offset", *_AT_SPEED  # neutral numbers of a car
 _STEERING = 4  # index of the wheelbase, or of the gain of the steering if the wheelbase is known
 
 
-class Sized(NamedTuple):
+class ModelNumber(NamedTuple):
     """Number of a model: the identified quantity, its prior value, its typical and its smallest size.
 
     The prior value of a limit is infinite; a typical size of NaN is that of the number.
@@ -59,16 +59,16 @@ class Sized(NamedTuple):
     least: float = 1e-3
 
 
-def sized(name: str, unit: str, positive: bool, *sizes: float, path: str = "") -> Sized:
+def model_number(name: str, unit: str, positive: bool, *sizes: float, path: str = "") -> ModelNumber:
     """Return a number with its sizes; its path in a spread is `path`."""
-    return Sized(Quantity(name, unit, positive, path), *sizes)
+    return ModelNumber(Quantity(name, unit, positive, path), *sizes)
 
 
 DELAY, AHEAD = (
-    sized("delay", "s", True, 0.0, 0.3, 0.1),
-    sized("ahead", "m", False, 0.0, 1.0, 0.1, path="ahead"),
+    model_number("delay", "s", True, 0.0, 0.3, 0.1),
+    model_number("ahead", "m", False, 0.0, 1.0, 0.1, path="ahead"),
 )
-_LARGEST_SPEED = sized("largest_speed_command", "m/s", False, np.inf)
+_LARGEST_SPEED = model_number("largest_speed_command", "m/s", False, np.inf)
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,50 +98,50 @@ class VelocityModel:
     is_pose: bool
     longest: float = np.inf
 
-    told_first: ClassVar[int] = 6
+    summary_size: ClassVar[int] = 6
     columns: ClassVar[slice] = slice(None)
-    shifted: ClassVar[int | None] = None
+    delay_index: ClassVar[int | None] = None
     is_linear: ClassVar[bool] = True
     inputs: ClassVar[Mapping[str, str]] = CHANNELS
     neutral: ClassVar[Mapping[str, float]] = _NEUTRAL
-    first: ClassVar[tuple[Sized, ...]] = tuple(
-        sized(name, unit, True, _NEUTRAL.get(name, 0.3), np.nan, 1e-6, path=f"theta.{name}")
+    first: ClassVar[tuple[ModelNumber, ...]] = tuple(
+        model_number(name, unit, True, _NEUTRAL.get(name, 0.3), np.nan, 1e-6, path=f"theta.{name}")
         if k in ABOVE_ZERO
-        else sized(name, unit, False, 0.0, 1.0, 0.1, path=f"theta.{name}")
+        else model_number(name, unit, False, 0.0, 1.0, 0.1, path=f"theta.{name}")
         for k, (name, unit, _) in enumerate(THETA)
     )
-    limited: ClassVar[tuple[Sized, ...]] = (
-        sized("acceleration", "m/s^2", False, np.inf, path="accelerations.acceleration"),
-        sized("yaw_acceleration", "rad/s^2", False, np.inf, path="accelerations.yaw_acceleration"),
+    limit_rows: ClassVar[tuple[ModelNumber, ...]] = (
+        model_number("acceleration", "m/s^2", False, np.inf, path="accelerations.acceleration"),
+        model_number("yaw_acceleration", "rad/s^2", False, np.inf, path="accelerations.yaw_acceleration"),
         _LARGEST_SPEED,
-        sized("largest_yaw_rate_command", "rad/s", False, np.inf),
+        model_number("largest_yaw_rate_command", "rad/s", False, np.inf),
     )
     rate_limits: ClassVar[str] = "accelerations"  # field of the robot
 
     @classmethod
     def limits(cls) -> list[str]:
         """Return the names of the limits: of both rates, then of both commands."""
-        return [one.quantity.name for one in cls.limited]
+        return [item.quantity.name for item in cls.limit_rows]
 
     @cached_property
-    def _numbers(self) -> list[Sized]:
-        others = {one.quantity.name: one for one in (DELAY, AHEAD, *self.limited)}
+    def _numbers(self) -> list[ModelNumber]:
+        others = {item.quantity.name: item for item in (DELAY, AHEAD, *self.limit_rows)}
         return [*self.first, *(others[name] for name in self.free)]
 
-    def without(self, names: Sequence[str]) -> tuple[VelocityModel, list[int]]:
+    def drop(self, names: Sequence[str]) -> tuple[VelocityModel, list[int]]:
         """Return the model without some free numbers, and the indices of the others."""
-        kept = [k for k, name in enumerate(self.free) if name not in names]
-        rows = [*range(len(self.first)), *(len(self.first) + k for k in kept)]
-        return replace(self, free=tuple(self.free[k] for k in kept)), rows
+        indices = [k for k, name in enumerate(self.free) if name not in names]
+        rows = [*range(len(self.first)), *(len(self.first) + k for k in indices)]
+        return replace(self, free=tuple(self.free[k] for k in indices)), rows
 
     @property
     def quantities(self) -> tuple[Quantity, ...]:
         """Estimated numbers."""
-        return tuple(one.quantity for one in self._numbers)
+        return tuple(item.quantity for item in self._numbers)
 
     @cached_property
     def _sizes(self) -> Array:
-        return np.asarray([one[1:] for one in self._numbers]).T
+        return np.asarray([item[1:] for item in self._numbers]).T
 
     @property
     def measured(self) -> tuple[tuple[str, str], ...]:
@@ -155,14 +155,14 @@ class VelocityModel:
     def natural(self, p: Array) -> tuple[Array, Array]:
         """Return the typical sizes of numbers near p, and their prior values, shape (P,) each."""
         first, given, _ = self._sizes
-        return np.where(np.isnan(given), np.abs(p), given), np.where(np.isinf(first), _FAR * np.abs(p), first)
+        return np.where(np.isnan(given), np.abs(p), given), np.where(np.isinf(first), _TOP * np.abs(p), first)
 
     def others(self, p: Array) -> dict[str, Array]:
         """Return delay, distance ahead of the axle and limits by name, shape (K,) each, for p (K, P)."""
-        known = {name: np.full(len(p), value) for name, value in self.given.items()}
-        return known | {name: p[:, len(self.first) + k] for k, name in enumerate(self.free)}
+        values = {name: np.full(len(p), value) for name, value in self.given.items()}
+        return values | {name: p[:, len(self.first) + k] for k, name in enumerate(self.free)}
 
-    def named(self, p: Array) -> dict[str, float]:
+    def other_values(self, p: Array) -> dict[str, float]:
         """Return delay, distance ahead of the axle and limits by name, for numbers p (P,)."""
         return {name: float(x[0]) for name, x in self.others(p[None]).items()}
 
@@ -172,16 +172,16 @@ class VelocityModel:
 
     def is_possible(self, p: Array) -> bool:
         """Return whether the numbers p, shape (P,), are possible and the delay is within its range."""
-        late, quickest = self.others(p[None])["delay"][0] / self.dt, self.time_constants(p).min()
+        lag, quickest = self.others(p[None])["delay"][0] / self.dt, self.time_constants(p).min()
         is_possible = np.isfinite(p).all() and self.are_possible(p) and quickest > _QUICKEST * self.dt
-        return bool(is_possible and -1 < late <= self.lead)
+        return bool(is_possible and -1 < lag <= self.lead)
 
     def are_possible(self, p: Array) -> Any:
         """Return which numbers, shape (..., P), a robot can have; delay and losses may be below zero."""
-        above = [(one.quantity.bounded and one.prior > 0) or np.isinf(one.prior) for one in self._numbers]
-        return (p[..., np.array(above)] > 0).all(axis=-1)
+        is_positive = [(x.quantity.nonnegative and x.prior > 0) or np.isinf(x.prior) for x in self._numbers]
+        return (p[..., np.array(is_positive)] > 0).all(axis=-1)
 
-    def resolved(self, segments: Segments, p: Array) -> tuple[Array, Array, float]:
+    def rate_numbers(self, segments: Segments, p: Array) -> tuple[Array, Array, float]:
         """Return the numbers of the rates, delays [samples] and the longest time step [s]."""
         others = self.others(p)
         columns = [p[:, : len(self.first)], others["ahead"], *(others[name] for name in self.limits())]
@@ -197,11 +197,11 @@ class VelocityModel:
         faster = rates_of(numbers[:6], numbers[7:9], z[:2], given)
         return np.concatenate([faster, rolling_of(numbers[6], z[2:], z[:2])]) if self.is_pose else faster
 
-    def observed(self, segments: Segments, states: Array, numbers: Array) -> Array:
+    def outputs(self, segments: Segments, states: Array, numbers: Array) -> Array:
         """Return the measurements: poses, or speed and yaw rate."""
         return states[..., 2:] if self.is_pose else states
 
-    def started(self, parts: Sequence[Part], p: Array) -> list[Part]:
+    def complete_states(self, parts: Sequence[Part], p: Array) -> list[Part]:
         """Return parts with the states of a robot with numbers p that are not measured."""
         return list(parts)
 
@@ -217,59 +217,59 @@ class VelocityModel:
         """Return the numbers unchanged."""
         return p
 
-    def robot(self, found: Identification) -> VelocityRobot:
+    def robot(self, estimates: Identification) -> VelocityRobot:
         """Return the identified robot; see `Identification.robot`."""
-        check_identifiable("robot", found.unseen)
-        return VelocityRobot(found.theta, **self.fields(found))
+        check_identifiable("robot", estimates.unseen)
+        return VelocityRobot(estimates.theta, **self.fields(estimates))
 
-    def fields(self, found: Identification) -> dict[str, Any]:
+    def fields(self, estimates: Identification) -> dict[str, Any]:
         """Return the fields of the identified robot beside the first numbers."""
-        others = self.named(found.phi)
+        others = self.other_values(estimates.phi)
         rates, limits = np.split(np.array([others[name] for name in self.limits()]), 2)
-        source = f"identified from {found.samples} samples in {found.segments} segments"
+        source = f"identified from {estimates.samples} samples in {estimates.segments} segments"
         return {"ahead": others["ahead"], "limits": limits, self.rate_limits: rates, "source": source}
 
-    def forces(self, found: Identification) -> list[Any]:
+    def forces(self, estimates: Identification) -> list[Any]:
         """Return no forces: theta includes the losses."""
         return []
 
-    def notes(self, found: Identification) -> list[str]:
+    def notes(self, estimates: Identification) -> list[str]:
         """Return notes on numbers that may be neutral, and on numbers that no robot can have."""
-        bounds = found.interval()
+        bounds = estimates.interval()
         neutral = [n for n, x in self.neutral.items() if bounds[n][0] <= x <= bounds[n][1]]
-        known = [n for n in neutral if np.isfinite(bounds[n][0])]
-        told = [f"the interval of {n}{' - 1' * bool(self.neutral[n])} contains zero" for n in known]
-        if found.explained < _EXPLAINED:
-            told.append(
-                f"the model explains {found.explained:.0%} of a motion: do commands and motion come from one "
-                "robot, with times of one clock?"
+        names = [n for n in neutral if np.isfinite(bounds[n][0])]
+        notes = [f"the interval of {n}{' - 1' * bool(self.neutral[n])} contains zero" for n in names]
+        if estimates.explained < _NOTE_SHARE:
+            notes.append(
+                f"the model explains {estimates.explained:.0%} of a motion: do commands and motion come "
+                "from one robot, with times of one clock?"
             )
-        return told + (self.problems(found, neutral) if not found.unseen else [])
+        return notes + (self.problems(estimates, neutral) if not estimates.unseen else [])
 
-    def problems(self, found: Identification, neutral: Sequence[str]) -> list[str]:
+    def problems(self, estimates: Identification, neutral: Sequence[str]) -> list[str]:
         """Return values that no robot can have, in words; those that may be neutral count as neutral."""
-        pairs = zip(found.names, found.theta.tolist(), strict=False)
+        pairs = zip(estimates.names, estimates.theta.tolist(), strict=False)
         return [*VelocityRobot([self.neutral[n] if n in neutral else x for n, x in pairs]).problems]
 
     def predicted(
-        self, found: Identification, log: Log, seconds: float | None
+        self, estimates: Identification, log: Log, seconds: float | None
     ) -> tuple[Segments, Array, NDArray[np.bool_], Array]:
         """Return segments of a log, residuals, mask of good samples, and the noise."""
         runs, length = self.runs([log]), scalar("seconds", BLOCK if seconds is None else seconds)
         bounded("seconds", length, least=3 * runs[0].dt, unit="s")
-        lead = max(lead_of(runs), int(np.ceil(max(found.delay, 0.0) / runs[0].dt)) + 1)
+        lead = max(lead_of(runs), int(np.ceil(max(estimates.delay, 0.0) / runs[0].dt)) + 1)
         model = replace(self, dt=runs[0].dt, lead=lead)
-        segments, calm = segments_of(model.explained(runs, found.phi), lead, length, filled=False)
-        left, _ = solve_robustly(model, segments, found.phi, calm=calm)
-        return segments, left.near.residual, left.good, found.noise
+        segments, calm = segments_of(model.explained_runs(runs, estimates.phi), lead, length, fill=False)
+        fit, _ = solve_robustly(model, segments, estimates.phi, calm=calm)
+        return segments, fit.linear.residual, fit.good, estimates.noise
 
     def runs(self, logs: list[Log]) -> list[Run]:
         """Return the checked logs at equal time steps."""
         return runs_of(logs, self.is_pose, self.inputs)
 
-    def explained(self, runs: Sequence[Run], p: Array) -> list[Part]:
+    def explained_runs(self, runs: Sequence[Run], p: Array) -> list[Part]:
         """Return the parts of runs that the commands explain, also by a poor model with numbers p."""
-        return self.started(explained_parts(runs, self.lags(p), least=-np.inf), p)
+        return self.complete_states(explained_parts(runs, self.lags(p), minimum=-np.inf), p)
 
     def lags(self, p: Array) -> list[Lag]:
         """Return the lags of both channels without coupling."""
@@ -281,11 +281,11 @@ class VelocityModel:
 
         The limit of the second rate is multiplied by `scale`.
         """
-        others = self.named(p)
-        late = max(0, round(others["delay"] / self.dt))
-        top, turning, *most = (others[name] for name in self.limits())
-        rows = zip(gains, most, (top, scale * turning), strict=True)
-        return [Lag(*gain, late, limit, steepest) for gain, limit, steepest in rows]
+        others = self.other_values(p)
+        delay = max(0, round(others["delay"] / self.dt))
+        top, turning, *bounds = (others[name] for name in self.limits())
+        rows = zip(gains, bounds, (top, scale * turning), strict=True)
+        return [Lag(*gain, delay, limit, steepest) for gain, limit, steepest in rows]
 
     def start(self, lags: Sequence[Lag]) -> Array:
         """Return first estimates of the first numbers from the lags of both channels."""
@@ -297,13 +297,13 @@ class VelocityModel:
 
     def of_lags(self, lags: Sequence[Lag]) -> tuple[VelocityModel, Array]:
         """Return the model of lags without coupling, and its numbers."""
-        given = {"ahead": 0.0, "delay": self.dt * float(np.mean([lag.late for lag in lags]))}
+        given = {"ahead": 0.0, "delay": self.dt * float(np.mean([lag.delay for lag in lags]))}
         bare = replace(self, free=(), given=self.given | given | self.limits_of(lags))
         return bare, bare.start([lag if lag.gain > 0 else lag._replace(gain=1.0) for lag in lags])
 
     def limits_of(self, lags: Sequence[Lag]) -> dict[str, float]:
         """Return the limits that lags have, by name."""
-        values = [*(lag.steepest for lag in lags), *(lag.limit for lag in lags)]
+        values = [*(lag.rate_limit for lag in lags), *(lag.limit for lag in lags)]
         return dict(zip(self.limits(), values, strict=True))
 
     @property
@@ -311,7 +311,7 @@ class VelocityModel:
         """Range and meaning of gains and lengths, by index."""
         return {3: (*_GAINS, " (command per steady speed)"), 5: (*_GAINS, " (command per steady yaw rate)")}
 
-    def check(self, p: Array, lost: NDArray[np.bool_]) -> None:
+    def check(self, p: Array, weak: NDArray[np.bool_]) -> None:
         """Reject numbers of wrong units.
 
         Raises
@@ -319,11 +319,11 @@ class VelocityModel:
         InvalidArgument
             If a number is out of its range: the steady motion differs too much from the commands.
         """
-        for k, (least, most, meaning) in self.ranges.items():
-            if not (lost[k] or least < abs(p[k]) < most):
+        for k, (low, high, meaning) in self.ranges.items():
+            if not (weak[k] or low < abs(p[k]) < high):
                 raise InvalidArgument(
-                    f"log leads to {self.quantities[k].name} = {p[k]:.3g}{meaning}, expected {least:g} to "
-                    f"{most:g}: are commands in {' and '.join(self.inputs.values())}, poses in m and rad?"
+                    f"log leads to {self.quantities[k].name} = {p[k]:.3g}{meaning}, expected {low:g} to "
+                    f"{high:g}: are commands in {' and '.join(self.inputs.values())}, poses in m and rad?"
                 )
 
 
@@ -336,16 +336,16 @@ class CarModel(VelocityModel):
 
     inputs: ClassVar[Mapping[str, str]] = CAR_COMMANDS
     neutral: ClassVar[Mapping[str, float]] = {"speed_gain": 1.0} | dict.fromkeys(_ZEROS, 0.0)
-    limited: ClassVar[tuple[Sized, ...]] = (
-        sized("acceleration", "m/s^2", False, np.inf, path="rate_limits.acceleration"),
-        sized("steering_rate", "rad/s", False, np.inf, path="rate_limits.steering_rate"),
+    limit_rows: ClassVar[tuple[ModelNumber, ...]] = (
+        model_number("acceleration", "m/s^2", False, np.inf, path="rate_limits.acceleration"),
+        model_number("steering_rate", "rad/s", False, np.inf, path="rate_limits.steering_rate"),
         _LARGEST_SPEED,
-        sized("largest_steering_command", "rad", False, np.inf),
+        model_number("largest_steering_command", "rad", False, np.inf),
     )
     rate_limits: ClassVar[str] = "rate_limits"
 
     @property
-    def first(self) -> tuple[Sized, ...]:  # type: ignore[override]
+    def first(self) -> tuple[ModelNumber, ...]:  # type: ignore[override]
         """First seven numbers."""
         steering = (
             ("steering_gain", "", False, 1.0) if "wheelbase" in self.given else ("wheelbase", "m", True, 0.3)
@@ -359,7 +359,7 @@ class CarModel(VelocityModel):
             ("understeer", "rad s^2/m", False, 0.0, 0.02, 0.005),
             ("cornering_drag", "", False, 0.0, 1.0, 0.1),
         )
-        return tuple(sized(*row, path=row[0]) for row in rows)
+        return tuple(model_number(*row, path=row[0]) for row in rows)
 
     @property
     def is_linear(self) -> bool:  # type: ignore[override]
@@ -370,11 +370,11 @@ class CarModel(VelocityModel):
         """Return the time constants of the speed, and of both poles of the steering, shape (..., 2) [s]."""
         return np.asarray(p[..., [0, 2]] * [1.0, 0.5])
 
-    def resolved(self, segments: Segments, p: Array) -> tuple[Array, Array, float]:
+    def rate_numbers(self, segments: Segments, p: Array) -> tuple[Array, Array, float]:
         """Return the numbers of the rates, delays [samples] and the longest time step [s]."""
-        numbers, late, longest = super().resolved(segments, p)
-        more = np.stack(self._by_steering(p), axis=-1)
-        return np.concatenate([numbers, more[:, None]], axis=-1), late, longest
+        numbers, delays, longest = super().rate_numbers(segments, p)
+        steering = np.stack(self._by_steering(p), axis=-1)
+        return np.concatenate([numbers, steering[:, None]], axis=-1), delays, longest
 
     def rates(self, z: Any, u: Any, numbers: Any) -> Any:
         """Return the rates of speed, steering angle and steering rate, and of the pose if it is measured."""
@@ -386,29 +386,29 @@ class CarModel(VelocityModel):
         return np.concatenate([faster, rolling_of(numbers[7], z[3:], twist)])
 
     def _car(self, numbers: Any) -> SimpleNamespace:
-        """Return the numbers of a `VelocityCar`, of the numbers that `resolved` returns."""
-        own = {one.quantity.name: numbers[..., k] for k, one in enumerate(self.first)}
-        own |= {"steering_gain": numbers[..., 12], "wheelbase": numbers[..., 13]}
-        return SimpleNamespace(**own, rate_limits=numbers[..., 8:10])
+        """Return the numbers of a `VelocityCar`, of the numbers that `rate_numbers` returns."""
+        fields = {item.quantity.name: numbers[..., k] for k, item in enumerate(self.first)}
+        fields |= {"steering_gain": numbers[..., 12], "wheelbase": numbers[..., 13]}
+        return SimpleNamespace(**fields, rate_limits=numbers[..., 8:10])
 
-    def observed(self, segments: Segments, states: Array, numbers: Array) -> Array:
+    def outputs(self, segments: Segments, states: Array, numbers: Array) -> Array:
         """Return the measurements: poses, or speed and yaw rate."""
         if self.is_pose:
             return states[..., 3:]
         speed, car = states[..., 0], self._car(numbers[:, :, None])
         return np.stack([speed, speed * curvature_of(car, speed, states[..., 1])], axis=-1)
 
-    def started(self, parts: Sequence[Part], p: Array) -> list[Part]:
+    def complete_states(self, parts: Sequence[Part], p: Array) -> list[Part]:
         """Return parts whose steering has followed the commands since the start of its log."""
         runs = {id(part.run): part.run for part in parts}
-        turned = {key: self._turned(run, p) for key, run in runs.items()}
-        return [part._replace(run=turned[id(part.run)]) for part in parts]
+        complete = {key: self._steered_run(run, p) for key, run in runs.items()}
+        return [part._replace(run=complete[id(part.run)]) for part in parts]
 
-    def _turned(self, run: Run, p: Array) -> Run:
+    def _steered_run(self, run: Run, p: Array) -> Run:
         count, free = len(run.u), _Steering(self.free, self.given, self.lead, self.dt, False)
-        plain = run._replace(y=run.nu, calm=run.nu, seen=np.ones(count, bool))
+        bare_run = run._replace(y=run.nu, calm=run.nu, is_valid=np.ones(count, bool))
         length = self.dt * (count - self.lead)
-        segments, _ = segments_of([Part(plain, 0, count)], self.lead, length, filled=False)
+        segments, _ = segments_of([Part(bare_run, 0, count)], self.lead, length, fill=False)
         segments.start[:, 1] = self._by_steering(p)[0] * segments.applied(0, 1)[0, :, 0, 1] + p[3]
         states = simulate(free, segments, p[None], segments.start[None])[0, 0]
         states = np.concatenate([np.repeat(states[:1], count - len(states), axis=0), states])
@@ -416,18 +416,18 @@ class CarModel(VelocityModel):
 
     def _by_steering(self, p: Array) -> tuple[Any, Any]:
         """Return the gain of the steering and the wheelbase, of numbers (..., P)."""
-        number, known = p[..., _STEERING], self.given.get("wheelbase")
-        return (1.0 + 0.0 * number, number) if known is None else (number, known + 0.0 * number)
+        number, base = p[..., _STEERING], self.given.get("wheelbase")
+        return (1.0 + 0.0 * number, number) if base is None else (number, base + 0.0 * number)
 
-    def robot(self, found: Identification) -> Any:
+    def robot(self, estimates: Identification) -> Any:
         """Return the identified car; effects of its speed that are not identifiable are zero."""
-        unseen = zip(self.first, found.hidden > 0, strict=False)
-        if any(lost and one.quantity.name not in _AT_SPEED for one, lost in unseen):
-            check_identifiable("robot", found.unseen)
-        values = dict(zip(found.names, found.phi[: len(self.first)].tolist(), strict=False))
-        return VelocityCar(**{"wheelbase": self.given.get("wheelbase")} | values, **self.fields(found))
+        pairs = zip(self.first, estimates.hidden > 0, strict=False)
+        if any(is_weak and item.quantity.name not in _AT_SPEED for item, is_weak in pairs):
+            check_identifiable("robot", estimates.unseen)
+        values = dict(zip(estimates.names, estimates.phi[: len(self.first)].tolist(), strict=False))
+        return VelocityCar(**{"wheelbase": self.given.get("wheelbase")} | values, **self.fields(estimates))
 
-    def problems(self, found: Identification, neutral: Sequence[str]) -> list[str]:
+    def problems(self, estimates: Identification, neutral: Sequence[str]) -> list[str]:
         """Return no problems."""
         return []
 
@@ -447,14 +447,14 @@ class CarModel(VelocityModel):
             If the car turns to the other side than its commands, and the wheelbase is not known.
         """
         speed, curvature = lags
-        known, gain = self.given.get("wheelbase"), curvature.gain or 1.0
-        if known is None and gain < 0:
+        base, gain = self.given.get("wheelbase"), curvature.gain or 1.0
+        if base is None and gain < 0:
             raise InvalidArgument(
                 "log has steering commands that turn the car to the other side, expected positive angles "
                 "to the left: change their sign, or give wheelbase"
             )
-        steering = 1 / gain if known is None else gain * known
-        offset = curvature.offset * (1 / gain if known is None else known)
+        steering = 1 / gain if base is None else gain * base
+        offset = curvature.offset * (1 / gain if base is None else base)
         return np.array([speed.tau, speed.gain or 1.0, curvature.tau, offset, steering, 0.0, 0.0])
 
     def limits_of(self, lags: Sequence[Lag]) -> dict[str, float]:
@@ -462,7 +462,7 @@ class CarModel(VelocityModel):
         speed, curvature = lags
         wheelbase = self.given.get("wheelbase", 1 / (curvature.gain or 1.0))
         limit = np.inf if np.isinf(curvature.limit) else float(np.arctan(curvature.limit))
-        turns = curvature._replace(steepest=curvature.steepest * abs(wheelbase), limit=limit)
+        turns = curvature._replace(rate_limit=curvature.rate_limit * abs(wheelbase), limit=limit)
         return super().limits_of([speed, turns])
 
     @property
@@ -474,6 +474,6 @@ class CarModel(VelocityModel):
 class _Steering(CarModel):
     """The model that also returns steering angle and rate."""
 
-    def observed(self, segments: Segments, states: Array, numbers: Array) -> Array:
+    def outputs(self, segments: Segments, states: Array, numbers: Array) -> Array:
         """Return the states."""
         return states

@@ -50,29 +50,29 @@ THETA: tuple[tuple[str, str, str], ...] = (
 ABOVE_ZERO = 0, 1, 3, 5  # zero inertia makes the model singular; zero losses make it unstable
 
 
-def rates_of(theta: Any, most: Any, nu: Any, u: Any) -> Any:
+def rates_of(theta: Any, limit: Any, nu: Any, u: Any) -> Any:
     """Return the rates of speed and yaw rate nu for commands u, limited to +-most, shape (..., 2)."""
     speed, w = nu[..., 0], nu[..., 1]
     one, two, three, four, five, six = (theta[..., k] for k in range(len(THETA)))
     faster = (three * (w * w) - four * speed + u[..., 0]) / one
     turning = (u[..., 1] - five * (speed * w) - six * w) / two
-    return np.minimum(np.maximum(stacked(faster, turning), -most), most)
+    return np.minimum(np.maximum(stack(faster, turning), -limit), limit)
 
 
 def rolling_of(ahead: Any, q: Any, nu: Any) -> Any:
     """Return the rates of x, y and psi of a point ahead of the axle, shape (..., 3)."""
     c, s, u, w = np.cos(q[..., 2]), np.sin(q[..., 2]), nu[..., 0], nu[..., 1]
-    return stacked(u * c - ahead * w * s, u * s + ahead * w * c, w)
+    return stack(u * c - ahead * w * s, u * s + ahead * w * c, w)
 
 
-def accelerated(ahead: Any, q: Any, nu: Any, rates: Any, *others: Any) -> Any:
+def point_acceleration(ahead: Any, q: Any, nu: Any, rates: Any, *others: Any) -> Any:
     """Return the accelerations of x, y and psi of a point ahead of the axle, and others, shape (..., nv)."""
     c, s, u, w = np.cos(q[..., 2]), np.sin(q[..., 2]), nu[..., 0], nu[..., 1]
-    along, aside = rates[..., 0] - ahead * (w * w), u * w + ahead * rates[..., 1]
-    return stacked(along * c - aside * s, along * s + aside * c, rates[..., 1], *others)
+    forward, lateral = rates[..., 0] - ahead * (w * w), u * w + ahead * rates[..., 1]
+    return stack(forward * c - lateral * s, forward * s + lateral * c, rates[..., 1], *others)
 
 
-def stacked(*columns: Any) -> Any:
+def stack(*columns: Any) -> Any:
     """Return broadcast columns along a new last axis."""
     return np.stack(np.broadcast_arrays(*columns), axis=-1)
 
@@ -84,16 +84,16 @@ def _pair_of(robot: WheeledRobot) -> tuple[Any, Any]:
     """Return a wheel and a motor of a robot on two equal driven wheels."""
     table, is_pair = robot.table, False
     if not (robot.robot.nv > 3 or table.axes or table.couplings) and len(table) == len(table.actuators) == 2:
-        one, other = table.wheels
-        a, b = ((each.x, each.radius, each.spin_inertia, abs(each.y)) for each in (one, other))
-        plain = not (one.angle or other.angle or one.roller or other.roller) and one.y * other.y < 0
-        is_pair = plain and np.allclose(a, b, _SAME, _SAME) and one.motor == other.motor
-    if not (is_pair and one.motor and one.motor.is_electric):
+        wheel, other = table.wheels
+        a, b = ((each.x, each.radius, each.spin_inertia, abs(each.y)) for each in (wheel, other))
+        is_plain = not (wheel.angle or other.angle or wheel.roller or other.roller) and wheel.y * other.y < 0
+        is_pair = is_plain and np.allclose(a, b, _SAME, _SAME) and wheel.motor == other.motor
+    if not (is_pair and wheel.motor and wheel.motor.is_electric):
         raise InvalidArgument(
             "wheeled has arms, or other wheels or motors, expected WheelTable.differential: two equal fixed "
             "wheels on one axle, each with the same Motor(resistance=..., torque_constant=..., voltage=...)"
         )
-    return one, one.motor
+    return wheel, wheel.motor
 
 
 ALL = 0  # size of an array with a number for each coordinate
@@ -103,24 +103,24 @@ _Method = TypeVar("_Method", bound=Callable[..., Any])
 def arrays(**sizes: int) -> Callable[[_Method], _Method]:
     """Decorate a method so that it checks the sizes of its arrays; symbols pass unchecked."""
 
-    def wrapped(method: _Method) -> _Method:
+    def decorate(method: _Method) -> _Method:
         signature = inspect.signature(method)
 
         @functools.wraps(method)
-        def run(self: Any, *given: Any, **named: Any) -> Any:
-            if "nominal" in vars(self) or any(map(is_symbolic, (*given, *named.values()))):
-                return method(self, *given, **named)
-            bound = signature.bind(self, *given, **named).arguments
+        def run(self: Any, *given: Any, **keywords: Any) -> Any:
+            if "nominal" in vars(self) or any(map(is_symbolic, (*given, *keywords.values()))):
+                return method(self, *given, **keywords)
+            bound = signature.bind(self, *given, **keywords).arguments
             arrays = {name: vector(name, bound[name], size or self.nq) for name, size in sizes.items()}
             broadcast(**arrays)
             return np.asarray(method(**(bound | arrays)))
 
         return finite_result(run)  # type: ignore[return-value]
 
-    return wrapped
+    return decorate
 
 
-_OFF = 1e-9  # largest sideways share of a start velocity
+_SIDESLIP_TOLERANCE = 1e-9  # largest sideways share of a start velocity
 
 
 class Mobile(NamedTuple):
@@ -132,8 +132,8 @@ class Mobile(NamedTuple):
 
 def pair(doc: str, unit: str, labels: tuple[str, str], fixed: bool = False) -> Any:
     """Declare two positive limits; a scalar sets both."""
-    how: dict[str, Any] = {"doc": doc, "unit": unit, "labels": labels, "above": 0, "fixed": fixed}
-    return array(default=np.inf, shapes=((), ("n",)), endless=True, size=lambda robot: 2, **how)
+    options: dict[str, Any] = {"doc": doc, "unit": unit, "labels": labels, "above": 0, "fixed": fixed}
+    return array(default=np.inf, shapes=((), ("n",)), endless=True, size=lambda robot: 2, **options)
 
 
 def size_of(name: str, value: Any) -> Any:
@@ -141,7 +141,7 @@ def size_of(name: str, value: Any) -> Any:
     return tuple(lengths(value).tolist())
 
 
-class Commanded:
+class VelocityInputs:
     """Methods of robots on wheels with commands of their speed as inputs."""
 
     integrator: ClassVar[Any] = rk4
@@ -155,13 +155,13 @@ class Commanded:
     limits: Any
     rolling: Any
     _acceleration: Any
-    _drawn: Any
+    _visuals: Any
 
     @structure
     def inputs(self) -> tuple[Input, ...]:
         """Commands with their limits."""
         rows = zip(self.commanded, self.limits, strict=True)
-        return tuple(Input(*named, -float(most), float(most)) for named, most in rows)
+        return tuple(Input(*label, -float(limit), float(limit)) for label, limit in rows)
 
     @property
     def axle(self) -> Any:
@@ -178,7 +178,7 @@ class Commanded:
     def difference(self, q0: Any, q1: Any) -> Any:
         """Return the displacement from `q0` to `q1`, shape (..., nv), with psi in (-pi, pi]."""
         d = q1 - q0
-        return stacked(d[..., 0], d[..., 1], wrap_angle(d[..., 2]), *(d[..., k] for k in range(3, self.nq)))
+        return stack(d[..., 0], d[..., 1], wrap_angle(d[..., 2]), *(d[..., k] for k in range(3, self.nq)))
 
     @arrays(q=ALL)
     def pose(self, q: Any) -> Any:
@@ -193,7 +193,7 @@ class Commanded:
     @arrays(q=ALL, v=ALL)
     def independent(self, q: Any, v: Any) -> Any:
         """Return the independent velocities, shape (..., 2): speed along the wheels, and last entry of v."""
-        return stacked(np.cos(q[..., 2]) * v[..., 0] + np.sin(q[..., 2]) * v[..., 1], v[..., -1])
+        return stack(np.cos(q[..., 2]) * v[..., 0] + np.sin(q[..., 2]) * v[..., 1], v[..., -1])
 
     @arrays(q=ALL, v=ALL)
     def project(self, q: Any, v: Any) -> Any:
@@ -208,10 +208,10 @@ class Commanded:
         InvalidArgument
             If the velocity is not that of rolling wheels.
         """
-        off = float(np.abs(self.project(q, v) - np.asarray(v)).max(initial=0.0))
-        if off > _OFF * (1 + float(np.abs(v).max(initial=0.0))):
+        sideslip = float(np.abs(self.project(q, v) - np.asarray(v)).max(initial=0.0))
+        if sideslip > _SIDESLIP_TOLERANCE * (1 + float(np.abs(v).max(initial=0.0))):
             raise InvalidArgument(
-                f"start has wheels that slide sideways at {off:.3g} m/s, expected rolling wheels: use a "
+                f"start has wheels that slide sideways at {sideslip:.3g} m/s, expected rolling wheels: use a "
                 "reference along which wheels roll, such as Tangent(path), or v0 = robot.project(q0, v0)"
             )
 
@@ -242,13 +242,13 @@ class Commanded:
     @property
     def visual_model(self) -> pin.GeometryModel:
         """Visual geometry, a copy: a box with a dark front, and wheels that do not spin."""
-        return self._drawn.visual_model
+        return self._visuals.visual_model
 
 
 @final
 @part
 @by_value
-class VelocityRobot(Commanded):
+class VelocityRobot(VelocityInputs):
     """A base on two driven wheels with commands of speed and yaw rate as inputs.
 
     The firmware of the robot controls both by the voltages of the motors. Six parameters theta describe the
@@ -403,16 +403,16 @@ class VelocityRobot(Commanded):
         base, r, d = robot.robot, wheel.radius, 2 * abs(wheel.y)
         m, b = base.mass, float(base.com[0]) - wheel.x
         J, E = wheel.spin_inertia + motor.reflected_inertia, motor.gear * motor.torque_constant
-        by = motor.resistance / (motor.efficiency * E)
-        losses = E + by * motor.efficiency * motor.gear**2 * motor.viscous  # (R/K) (K E / R + B)
+        ratio = motor.resistance / (motor.efficiency * E)
+        losses = E + ratio * motor.efficiency * motor.gear**2 * motor.viscous  # (R/K) (K E / R + B)
         T, R, dT, dR = kp / r, kp * d / (2 * r), kd / r, kd * d / (2 * r)
         turning = J * d * d + 2 * r * r * (base.yaw_inertia + m * b * b)
         theta = [
-            (by * (m * r * r + 2 * J) + 2 * r * dT) / (2 * r * T),
-            (by * turning + 2 * r * d * dR) / (2 * r * d * R),
-            by * m * b * r / (2 * T),
+            (ratio * (m * r * r + 2 * J) + 2 * r * dT) / (2 * r * T),
+            (ratio * turning + 2 * r * d * dR) / (2 * r * d * R),
+            ratio * m * b * r / (2 * T),
             losses / (r * T) + 1,
-            by * m * b * r / (d * R),
+            ratio * m * b * r / (d * R),
             losses * d / (2 * r * R) + 1,
         ]
         source = f"motors of a WheeledRobot, gains kp = {kp:g}, kd = {kd:g}"
@@ -440,17 +440,17 @@ class VelocityRobot(Commanded):
         theta_6 larger than 1.
         """
         three, four, five, six = self.theta[2:].tolist()
-        found = [
+        problems = [
             f"{name} is {value:g}, but motors with losses have more than 1: keep it if near 1"
             for name, value in (("theta_4", four), ("theta_6", six))
             if value < 1
         ]
         signs = [f"theta_3 is {three:g} and theta_5 is {five:g}, but both have the same sign in the model"]
-        return (*found, *signs * (three * five < 0))
+        return (*problems, *signs * (three * five < 0))
 
     def command_for(self, speed: Any, yaw_rate: Any) -> Any:
         """Return the commands that a kinematic law gives: its speed and yaw rate, shape (..., 2)."""
-        return stacked(speed, yaw_rate)
+        return stack(speed, yaw_rate)
 
     # Kinematics
 
@@ -481,7 +481,7 @@ class VelocityRobot(Commanded):
 
     def _acceleration(self, q: Any, v: Any, u: Any) -> Any:
         nu = self.independent(q, v)
-        return accelerated(self.ahead, q, nu, self.rates(nu, u))
+        return point_acceleration(self.ahead, q, nu, self.rates(nu, u))
 
     @arrays(q=3, v=3, rates=2)
     def commands(self, q: Any, v: Any, rates: Any) -> Any:
@@ -499,9 +499,9 @@ class VelocityRobot(Commanded):
         """
         nu, theta = self.independent(q, v), self.theta
         u, w = nu[..., 0], nu[..., 1]
-        ahead = theta[..., 0] * rates[..., 0] - theta[..., 2] * (w * w) + theta[..., 3] * u
+        forward = theta[..., 0] * rates[..., 0] - theta[..., 2] * (w * w) + theta[..., 3] * u
         turning = theta[..., 1] * rates[..., 1] + theta[..., 4] * (u * w) + theta[..., 5] * w
-        return stacked(ahead, turning)
+        return stack(forward, turning)
 
     @arrays(q=3, v=3, rates=2)
     def regressor(self, q: Any, v: Any, rates: Any) -> Any:
@@ -517,8 +517,8 @@ class VelocityRobot(Commanded):
         nu = self.independent(q, v)
         u, w = nu[..., 0], nu[..., 1]
         o = 0.0 * u
-        ahead = stacked(rates[..., 0], o, -w * w, u, o, o)
-        return np.stack([ahead, stacked(o, rates[..., 1], o, o, u * w, w)], axis=-2)
+        forward = stack(rates[..., 0], o, -w * w, u, o, o)
+        return np.stack([forward, stack(o, rates[..., 1], o, o, u * w, w)], axis=-2)
 
     @finite_result
     def reduced(self, q: ArrayLike, v: ArrayLike) -> Reduced:
@@ -536,7 +536,7 @@ class VelocityRobot(Commanded):
     # What is drawn
 
     @cached_property
-    def _drawn(self) -> WheeledRobot:
+    def _visuals(self) -> WheeledRobot:
         length, width, height = self.size
         radius, caster = min(0.45 * height, 0.3 * length), -np.sign(self.ahead or 1.0) * 0.3 * length
         table = WheelTable.differential(width, radius, x=-self.ahead, supports=[(caster, 0.0)], mass=1e-2)
@@ -545,17 +545,17 @@ class VelocityRobot(Commanded):
     def drawing(self, q: ArrayLike) -> Array:
         """Return the poses of the objects of `visual_model` in the inertial frame, shape (..., k, 4, 4)."""
         q = vector("q", q, 3)
-        return np.asarray(self._drawn.drawing(np.concatenate([q, np.zeros((*q.shape[:-1], 2))], axis=-1)))
+        return np.asarray(self._visuals.drawing(np.concatenate([q, np.zeros((*q.shape[:-1], 2))], axis=-1)))
 
 
-def _published(file: str) -> Mapping[str, VelocityRobot]:
+def _load_robots(file: str) -> Mapping[str, VelocityRobot]:
     """Return the robots of a file by name. Their sources also state the peculiarities of the robots."""
-    found, rows = {}, (files("pinmobile") / "identification" / file).read_text("utf-8")
+    robots, rows = {}, (files("pinmobile") / "identification" / file).read_text("utf-8")
     for name, row in tomllib.loads(rows).items():
         bare = VelocityRobot(row["theta"], size=row["size"])
-        said = f"{row['of']}; {row['source']}", row["odd"], *bare.problems
-        found[name] = evolved(bare, source=". ".join(said))
-    return MappingProxyType(found)
+        sentences = f"{row['of']}; {row['source']}", row["odd"], *bare.problems
+        robots[name] = evolved(bare, source=". ".join(sentences))
+    return MappingProxyType(robots)
 
 
-VELOCITY_ROBOTS = _published("velocity_robots.toml")
+VELOCITY_ROBOTS = _load_robots("velocity_robots.toml")

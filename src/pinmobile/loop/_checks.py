@@ -234,7 +234,7 @@ def _check_inertia(forces: Mapping[str, Any], plant: Plant) -> None:
     name = next((name for name, force in forces.items() if able(force, Carried)), None)
     if name is None:
         return
-    names = tuple(one.name for one in coordinates_of(plant)[:3])
+    names = tuple(coordinate.name for coordinate in coordinates_of(plant)[:3])
     if able(plant, Stepping) or names != ("x", "y", "psi"):
         reason = "has its own step" if able(plant, Stepping) else f"begins with the coordinates {names}"
         force, kind = format_value(forces[name]), type(plant).__name__

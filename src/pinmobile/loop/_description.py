@@ -224,9 +224,9 @@ class Outline(RecordGrid):
             **parts,
             forces=tuple(map(_format_part, named_forces(typed.forces).values())),
             spread={name: _format_source(source) for name, source in typed.spread.items()},
-            coordinates=tuple(Coordinate(*one[:2]) for one in typed.coordinates),
-            inputs=tuple(Input(*one[:4]) for one in typed.inputs),
-            recorded_metrics=tuple(one._replace(function=None) for one in typed.recorded_metrics),
+            coordinates=tuple(Coordinate(*row[:2]) for row in typed.coordinates),
+            inputs=tuple(Input(*row[:4]) for row in typed.inputs),
+            recorded_metrics=tuple(row._replace(function=None) for row in typed.recorded_metrics),
             code=_digests(typed),
             versions=versions(),
         )
@@ -250,7 +250,7 @@ class Outline(RecordGrid):
                 return f"{name} is {texts.get(name, 'absent')} there and {others.get(name, 'absent')} here"
         names = ("t", *(f"reference.{name}" for name in Reference._fields))
         rows = zip(names, (self.t, *self.reference), (other.t, *other.reference), strict=True)
-        lines = [f"{name} differs" for name, one, two in rows if not are_close(one, two)]
+        lines = [f"{name} differs" for name, value, other_value in rows if not are_close(value, other_value)]
         shared = [name for name, digest in self.code.items() if digest and other.code.get(name)]
         lines += [
             f"numbers or code of {name} differ" for name in shared if self.code[name] != other.code[name]
@@ -261,7 +261,7 @@ class Outline(RecordGrid):
     def spread_in_words(self) -> str:
         """Names of the spread with distributions and units, "" if nothing is spread."""
         sources = (self._source_text(source) for source in self.spread.values())
-        units = (one.unit for one in self.parameters.values())
+        units = (parameter.unit for parameter in self.parameters.values())
         triples = zip(self.spread, sources, units, strict=True)
         rows = ((name, x, "" if x.startswith("Relative(") else unit) for name, x, unit in triples)
         return ", ".join(f"{name} {words} {unit}".rstrip() for name, words, unit in rows)
@@ -283,7 +283,7 @@ class Outline(RecordGrid):
         for name, source in self.spread.items():
             texts[f"spread[{name!r}]"] = self._source_text(source)
         if self.recorded_metrics:
-            texts["metrics"] = ", ".join(one.name for one in self.recorded_metrics)
+            texts["metrics"] = ", ".join(metric.name for metric in self.recorded_metrics)
         return texts | {name: f"{getattr(self, name)!r}" for name in _NUMBERS}
 
 
@@ -320,10 +320,10 @@ def _digests(scenario: Scenario) -> dict[str, str]:
     }
 
 
-def are_close(one: Array, other: Array) -> bool:
+def are_close(array: Array, other: Array) -> bool:
     """Return whether arrays are equal up to differences between machines or releases."""
-    size = np.abs(one).max(initial=0.0)
-    return one.shape == other.shape and np.allclose(one, other, rtol=_RTOL, atol=_RTOL * size)
+    size = np.abs(array).max(initial=0.0)
+    return array.shape == other.shape and np.allclose(array, other, rtol=_RTOL, atol=_RTOL * size)
 
 
 def _format_source(source: Source) -> str | SameAs:

@@ -314,7 +314,7 @@ class Ensemble:
     def _badness(self, by: str) -> Array:
         """Return a number that is larger for a worse robot, shape (n,); infinity for a diverged robot."""
         values = self.largest(by)
-        margins = [one.name for one in self.scenario.recorded_metrics if one.is_margin]
+        margins = [metric.name for metric in self.scenario.recorded_metrics if metric.is_margin]
         return np.where(self.diverged, np.inf, -values if by in margins else values)
 
     def bands(self, levels: ArrayLike = (0.5, 0.9, 0.99)) -> Bands:
@@ -603,8 +603,8 @@ class Ensemble:
         """Return a line with the numbers of the spread that the worst robots share."""
         if len(self) < _MIN_ROBOTS or not any(np.ptp(values) > 0 for values in self.draws.values()):
             return []
-        visible = [one for one in causes(self, worst_share(self, _SHARE)) if one.visible]
-        words = ", ".join(f"{one.name} {one.place}" for one in visible[:_MAX_CAUSES])
+        visible = [cause for cause in causes(self, worst_share(self, _SHARE)) if cause.visible]
+        words = ", ".join(f"{cause.name} {cause.place}" for cause in visible[:_MAX_CAUSES])
         return [f"the worst {_SHARE * 100:g} % by distance have {words or 'nothing of the spread in common'}"]
 
     def _format_result(self) -> str:

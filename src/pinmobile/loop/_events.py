@@ -42,7 +42,7 @@ def is_fault(event: Event) -> bool:
 
 def kinds_of(plant: object) -> tuple[str, ...]:
     """Return the kinds of events that a run of a plant may have."""
-    metric_kinds = (_KINDS.get(one.name, one.name) for one in metrics_of(plant) if one.worst != "largest")
+    metric_kinds = (_KINDS.get(m.name, m.name) for m in metrics_of(plant) if m.worst != "largest")
     return tuple(dict.fromkeys((*KINDS, *metric_kinds)))
 
 
@@ -63,7 +63,7 @@ def events_of(run: Any, *, with_metrics: bool = True) -> tuple[Event, ...]:
     values = run.metrics() if metrics else {}
     for x in metrics:
         event = _metric_event(x, run.t, values[x.name].values)
-        if event is not None and all(event.kind != each.kind for each in events):
+        if event is not None and all(event.kind != known_event.kind for known_event in events):
             events.append(event)
     return tuple(events)
 
@@ -73,16 +73,16 @@ def _motor_events(run: Any, plant: Any) -> Iterator[Event | None]:
     table, t = stated(plant, "table"), run.t
     motors = table.actuators if table is not None else ()
     if "currents" in run.signals:
-        electric = [one for one in motors if one.motor.is_electric]
-        for one, current in zip(electric, np.abs(run.signals["currents"].values).T, strict=True):
-            limit = float(one.motor.current)
+        electric = [motor for motor in motors if motor.motor.is_electric]
+        for motor, current in zip(electric, np.abs(run.signals["currents"].values).T, strict=True):
+            limit = float(motor.motor.current)
             options: Any = {"words": _CURRENT, "limit": limit, "unit": "A", "slack": -1e-6 * limit}
-            yield Event.of("current limit", one.name, t, current, current - limit, **options)
-    for one in motors:
-        rate = np.abs(run.v[:, run.v.shape[1] - len(one.column) :] @ np.array(one.column))
-        limit = one.motor.no_load_rate() if one.motor.is_electric else np.inf
+            yield Event.of("current limit", motor.name, t, current, current - limit, **options)
+    for motor in motors:
+        rate = np.abs(run.v[:, run.v.shape[1] - len(motor.column) :] @ np.array(motor.column))
+        limit = motor.motor.no_load_rate() if motor.motor.is_electric else np.inf
         options = {"words": _OVERSPEED, "limit": limit, "unit": "rad/s", "slack": 1e-6 * limit}
-        yield Event.of("speed limit", one.name, t, rate, rate - limit, **options)
+        yield Event.of("speed limit", motor.name, t, rate, rate - limit, **options)
 
 
 def _ground_events(run: Any, plant: Any) -> Iterator[Event | None]:
@@ -90,7 +90,7 @@ def _ground_events(run: Any, plant: Any) -> Iterator[Event | None]:
     table, t, signals = stated(plant, "table"), run.t, run.signals
     states = {name: signals[name].values for name in ("tips", "missed") if name in signals}
     if stated(plant, "contact_loads"):
-        if "tips" not in states and any(one.worst == "ever" for one in metrics_of(plant)):
+        if "tips" not in states and any(metric.worst == "ever" for metric in metrics_of(plant)):
             states["tips"] = 1.0 * plant.contact_loads(run.q, run.v, run.a).tips  # rolling wheels: no signal
         for kind, name in {"tip over": "tips", "ground": "missed"}.items():
             if name in states:

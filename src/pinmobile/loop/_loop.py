@@ -44,19 +44,19 @@ def _zeros(loop: Any) -> Array:
 
 
 def _coordinates(loop: Any) -> list[str]:
-    return [one.name for one in coordinates_of(loop.plant)]
+    return [coordinate.name for coordinate in coordinates_of(loop.plant)]
 
 
 def _rates(loop: Any) -> list[str]:
-    return [one.rate or f"{one.name}_rate" for one in coordinates_of(loop.plant)]
+    return [coordinate.rate or f"{coordinate.name}_rate" for coordinate in coordinates_of(loop.plant)]
 
 
 def _units(loop: Any) -> str:
-    return ", ".join(one.unit for one in coordinates_of(loop.plant))
+    return ", ".join(coordinate.unit for coordinate in coordinates_of(loop.plant))
 
 
 def _rate_units(loop: Any) -> str:
-    return ", ".join(f"{one.unit or '1'}/s" for one in coordinates_of(loop.plant))
+    return ", ".join(f"{coordinate.unit or '1'}/s" for coordinate in coordinates_of(loop.plant))
 
 
 _ZERO_START = attrs.Factory(_zeros, takes_self=True)
@@ -164,7 +164,7 @@ class Loop:
         """Smallest and largest input, shape (nu,) each; None if no input has a limit."""
         inputs = getattr(self.plant, "inputs", ())
         low, high = (
-            np.array([sign * np.inf if (x := stated(each, side)) is None else x for each in inputs])
+            np.array([sign * np.inf if (x := stated(entry, side)) is None else x for entry in inputs])
             for side, sign in (("lower", -1.0), ("upper", 1.0))
         )
         return (low, high) if np.isfinite([low, high]).any() else None
@@ -208,14 +208,14 @@ class Loop:
     def is_measured(self) -> bool:
         """Whether the recorder reads the plant's metrics."""
         metrics = getattr(self.recorder, "metrics", ())
-        return any(isinstance(one, int) for one, _ in metrics) and able(self.plant, Measuring) is not None
+        return any(isinstance(index, int) for index, _ in metrics) and able(self.plant, Measuring) is not None
 
     @cached_property
     def signals(self) -> bool:
         """Whether the recorder keeps signals and a part has some."""
         parts = self.law, self.controller, *self.all_forces
         is_kept = stated(self.recorder, "signals")
-        return is_kept and any(able(each, Signalling) for each in parts)
+        return is_kept and any(able(part, Signalling) for part in parts)
 
 
 def named_forces(forces: Any) -> dict[str, Any]:

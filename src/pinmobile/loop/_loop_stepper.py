@@ -49,7 +49,7 @@ class LoopStepper:
 
     def __init__(self, scenario: Scenario) -> None:
         self.scenario = scenario
-        metrics = tuple((k, one.is_margin) for k, one in enumerate(scenario.recorded_metrics))
+        metrics = tuple((k, metric.is_margin) for k, metric in enumerate(scenario.recorded_metrics))
         loop = evolved(scenario.loop, {"recorder": Samples(errors=True, metrics=metrics)})
         try:
             self.follows = True

@@ -162,7 +162,7 @@ def _messages(rollout: Any, names: list[str], stamps: Sequence[int]) -> Iterator
     """Generate the parts of the standard messages of each sample, by topic."""
     q, u, efforts, motion = rollout.q, rollout.u, _efforts(rollout, names), _motion(rollout)
     rates, unknown = rollout.v if rollout.v.shape == q.shape else rollout.v[:, :0], np.zeros(36)
-    has_wrench = [(one.name, one.unit) for one in rollout.inputs[:3]] == _BODY_WRENCH
+    has_wrench = [(entry.name, entry.unit) for entry in rollout.inputs[:3]] == _BODY_WRENCH
     for k, stamp in enumerate(stamps):
         time = divmod(stamp, 10**9)
         odom, base = (time, "odom"), (time, "base_link")

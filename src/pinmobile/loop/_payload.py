@@ -13,7 +13,7 @@ import numpy as np
 from pinmobile.arrays import Array, ArrayLike, finite
 from pinmobile.compiled import has_symbols, leaves, map_leaves
 from pinmobile.errors import InvalidArgument
-from pinmobile.forces import since
+from pinmobile.forces import unit_step
 from pinmobile.integrators import rk4
 from pinmobile.loop._loop import RecordedStep
 from pinmobile.parts import Loadable, by_value, child, holds_symbols, number, option, part, replace, walk
@@ -134,7 +134,7 @@ class PayloadTransfer:
         t : array_like, shape (...)
             Times [s].
         """
-        return since(t, self.begin) * (1.0 - since(t, self.end))
+        return unit_step(t, self.begin) * (1.0 - unit_step(t, self.end))
 
     def robot_at(self, t: ArrayLike) -> Any:
         """Return the robot at a time, or a plant whose methods accept samples at several times.

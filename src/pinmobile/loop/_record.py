@@ -111,7 +111,7 @@ class Worst:
     @property
     def signals(self) -> bool:
         """Whether the recorder reads signals."""
-        return bool(self.keep) or any(isinstance(one, Metric) for one, _ in self.metrics)
+        return bool(self.keep) or any(isinstance(metric, Metric) for metric, _ in self.metrics)
 
     def initial_state(self, n: int, nu: int) -> dict[str, Array]:
         """Return the record before the first sample.
@@ -191,8 +191,8 @@ class Worst:
     ) -> tuple[dict[str, Any], list[Any]]:
         """Return the record of the plant's metrics, and their sizes."""
         columns = [
-            (_value(one, sample) if isinstance(one, Metric) else sample.measured[..., one], is_margin)
-            for one, is_margin in self.metrics
+            (_value(m, sample) if isinstance(m, Metric) else sample.measured[..., m], is_margin)
+            for m, is_margin in self.metrics
         ]
         badness = [-x if is_margin else np.abs(x) for x, is_margin in columns]
         last = {name: state[name] for name in ("worst", "metric_squares")}

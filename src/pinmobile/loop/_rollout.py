@@ -307,7 +307,7 @@ class Rollout:
     def __str__(self) -> str:
         step = f" at dt = {self.t[1]:g} s" if len(self) > 1 else ""
         pairs = zip(self.inputs, self.max_input(), strict=True)
-        inputs = [f"{one.name} {format_si(value)} {one.unit}".rstrip() for one, value in pairs]
+        inputs = [f"{entry.name} {format_si(value)} {entry.unit}".rstrip() for entry, value in pairs]
         lines = [
             f"{len(self)} samples over {self.t[-1]:g} s{step}",
             self._format_errors("largest", self.max_error()),
@@ -343,7 +343,7 @@ class Rollout:
     @property
     def labels(self) -> tuple[tuple[str, str], ...]:
         """Name and unit of each column of `error`, n pairs."""
-        return tuple((one.name, one.unit) for one in self.coordinates)
+        return tuple((coordinate.name, coordinate.unit) for coordinate in self.coordinates)
 
     @property
     def poses(self) -> Array:
@@ -415,7 +415,7 @@ class Rollout:
         else:
             rows = zip(zip(*arrays, strict=True), zip(*self.reference, strict=True), strict=True)
             values = np.stack([evaluate_metrics_of(self.plant, *row, Reference(*r)) for row, r in rows])
-        return {one.name: Signal(one.unit, frozen(values[:, k])) for k, one in enumerate(metrics)}
+        return {metric.name: Signal(metric.unit, frozen(values[:, k])) for k, metric in enumerate(metrics)}
 
     @property
     def _line_size(self) -> int:

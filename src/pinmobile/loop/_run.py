@@ -164,7 +164,7 @@ def plan_execution(scenario: Scenario, engine: Engine | None = None) -> Executio
 def _add_recorder(scenario: Scenario, loop: Loop | None = None) -> Loop:
     begin = float(scenario.begin) if scenario.begin else None
     distances = ((0, 1), (2,), *((k,) for k in range(3, scenario.size)))
-    names, recorded = [one.name for one in metrics_of(scenario.robot)], scenario.recorded_metrics
+    names, recorded = [metric.name for metric in metrics_of(scenario.robot)], scenario.recorded_metrics
     metrics = tuple((names.index(x.name) if x.function is None else x, x.is_margin) for x in recorded)
     recorder = Worst(scenario.limit, begin, distances, metrics, tuple(scenario.keep))
     return evolved(scenario.loop if loop is None else loop, {"recorder": recorder})
@@ -201,7 +201,7 @@ def _affects_start(scenario: Scenario, path: str) -> bool:
     value = np.asarray(scenario.find(path).leaf.value, np.float64)
     loops = scenario.loop, replaced(scenario.loop, {path: value * 1.001 + 1e-6})
     nominal, changed = (arrays_of(initial_memory(loop, scenario.context)) for loop in loops)
-    return any(not np.array_equal(one, other) for one, other in zip(nominal, changed, strict=True))
+    return any(not np.array_equal(x, y) for x, y in zip(nominal, changed, strict=True))
 
 
 def compile_loop(

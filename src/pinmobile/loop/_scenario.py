@@ -48,9 +48,9 @@ from pinmobile.parts import (
     Whole,
     able,
     find,
+    named,
     numbers,
     parts_of,
-    refs_of,
     replace as replaced,
     spread_entries,
     spread_values,
@@ -264,7 +264,7 @@ class Scenario(RecordGrid):
 
     @cached_property
     def _named_numbers(self) -> dict[str, NumberRef]:
-        return refs_of(self.given)
+        return named(self.given)
 
     def _check_shared(self, name: str) -> None:
         """Reject a spread of a whole number, such as the samples of a delay: all robots share it."""
@@ -278,7 +278,7 @@ class Scenario(RecordGrid):
     def _check_answers(self) -> None:
         """Reject parts that return arrays of wrong shapes, or different values for the same arguments."""
         start = self.start
-        if any(one.function is None for one in self.recorded_metrics):
+        if any(metric.function is None for metric in self.recorded_metrics):
             check_metrics(self.robot, *start, self.reference)
         check_answers(self.given, self.context, *start)
 
@@ -288,7 +288,7 @@ class Scenario(RecordGrid):
 
     def __getstate__(self) -> dict[str, object]:
         # Derived attributes are computed again.
-        return {each.name: getattr(self, each.name) for each in fields(self)}
+        return {item.name: getattr(self, item.name) for item in fields(self)}
 
     @property
     def size(self) -> int:
@@ -353,15 +353,15 @@ class Scenario(RecordGrid):
         """Return the numbers of the spread of each robot, shape (count, ...), by path."""
         factors = {name for name, source in self.spread.items() if isinstance(source, Relative)}
         columns = [
-            (one, draws[name], name in factors and one.entry is None and one.is_array)
-            for name, one in self.numbers.items()
+            (number, draws[name], name in factors and number.entry is None and number.is_array)
+            for name, number in self.numbers.items()
         ]
         return spread_values(columns, count, self.size)
 
     @property
     def parameters(self) -> dict[str, Parameter]:
         """Name, unit and meaning of the numbers of the spread, by name."""
-        return {name: Parameter(name, one.unit, one.meaning) for name, one in self.numbers.items()}
+        return {name: Parameter(name, number.unit, number.meaning) for name, number in self.numbers.items()}
 
     @cached_property
     def is_noisy(self) -> bool:
@@ -378,7 +378,7 @@ class Scenario(RecordGrid):
     @property
     def has_own_references(self) -> bool:
         """Whether the spread names a number of the trajectory: each robot then has its own reference."""
-        return any(one.path.startswith("trajectory.") for one in self.numbers.values())
+        return any(number.path.startswith("trajectory.") for number in self.numbers.values())
 
     def references(self, values: Mapping[str, Array], count: int, first: int = 0) -> Reference | None:
         """Return each robot's own reference, q, v and a of shape (N + 1, count, ...), or None.
@@ -555,7 +555,7 @@ class Scenario(RecordGrid):
         InvalidArgument
             If there are some; the message gives their share.
         """
-        owners = {one.leaf.path.rpartition(".")[0]: one.leaf.owner for one in self.numbers.values()}
+        owners = {number.leaf.path.rpartition(".")[0]: number.leaf.owner for number in self.numbers.values()}
         checkers = {path: owner for path, owner in owners.items() if hasattr(owner, "impossible")}
         values = self._spread_values(draws, count) if checkers else {}
         for path, owner in checkers.items():

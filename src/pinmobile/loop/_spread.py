@@ -379,7 +379,7 @@ def expand_patterns(
     expanded = dict[str, Source]()
     for name, source in spread.items():
         is_pattern = "*" in str(name)
-        paths = [one.path for one in match_refs(given, name, numbers, "spread")] if is_pattern else [name]
+        paths = [ref.path for ref in match_refs(given, name, numbers, "spread")] if is_pattern else [name]
         expanded |= dict.fromkeys(paths, source)
     return expanded
 

@@ -187,12 +187,12 @@ class Trace:
     def _tape(self, place: Callable[[], str] | None = None) -> LoopTape:
         return _SymbolicRun(self, Tape(locate=place)).loop_tape()
 
-    def _compare_tapes(self, one: LoopTape, two: LoopTape) -> None:
-        if one.tape.operations == two.tape.operations and one.outputs == two.outputs:
+    def _compare_tapes(self, first: LoopTape, second: LoopTape) -> None:
+        if first.tape.operations == second.tape.operations and first.outputs == second.outputs:
             return
         placed = self._tape(law_place)
         ends = [len(placed.tape) - 1]
-        for other in (one, two):  # a law with alternating results differs from one of the tapes
+        for other in (first, second):  # a law with alternating results differs from one of the tapes
             pairs = zip(other.tape.operations, placed.tape.operations, strict=False)
             ends += [i for i, (a, b) in enumerate(pairs) if a != b][:1]
         reason = "it counts, draws random numbers or keeps memory outside its state"
@@ -311,7 +311,7 @@ class _SymbolicRun:
             self.parameters[path] = Leaf("parameter", path, value.shape, self.next[kind], kind)
             nodes = entries(self._new(kind, value.shape)).reshape(-1)
             mask = (value == neutral) if varies is None else (value == neutral) & ~varies
-            mixed = [neutral if one else node for one, node in zip(mask.reshape(-1), nodes, strict=True)]
+            mixed = [neutral if flag else node for flag, node in zip(mask.reshape(-1), nodes, strict=True)]
             values[path] = symbols(mixed, value.shape)
         return values
 
@@ -521,7 +521,7 @@ def initial_memories(
     """
     try:
         with tracing(identity.namespaces.values(), identity.cells):
-            return _evaluate_symbols(lambda own: arrays_of(initial_memory(own, context)), loop, spread, n)
+            return _evaluate_symbols(lambda x: arrays_of(initial_memory(x, context)), loop, spread, n)
     except NotTraceable:
         rows = []
         for i in range(n):
@@ -554,7 +554,7 @@ def initial_velocities(loop: Loop, spread: Mapping[str, Array], q: Array, v: Arr
     ends = np.array([project(0), project(n - 1)])
     try:
         with tracing():
-            (rows,) = _evaluate_symbols(lambda own, q, v: [own.law.project(q, v)], loop, spread, n, q, v)
+            (rows,) = _evaluate_symbols(lambda x, q, v: [x.law.project(q, v)], loop, spread, n, q, v)
     except NotTraceable:
         rows = np.zeros(0)
     if rows.shape == v.shape and np.allclose(rows[[0, -1]], ends, rtol=1e-9, atol=1e-9):

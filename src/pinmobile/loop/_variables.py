@@ -108,7 +108,7 @@ class Part(NamedTuple):
             signal.values[is_over] = np.nan
         count = np.maximum(lived - scenario.begin, 1)[:, None]
         empty = np.zeros((len(lived), 0))
-        signs = np.array([-1.0 if one.is_margin else 1.0 for one in scenario.recorded_metrics])
+        signs = np.array([-1.0 if metric.is_margin else 1.0 for metric in scenario.recorded_metrics])
         return cls(
             lived,
             record["largest"].copy(),  # a copy, so that the whole record can be freed
@@ -368,7 +368,7 @@ def robot_vars(scenario: Scenario | Outline) -> dict[str, Variable]:
         Scenario of the robots.
     """
     groups = scenario.coordinates, scenario.inputs, scenario.recorded_metrics
-    errors, sizes, units = (", ".join(one.unit or "1" for one in group) for group in groups)
+    errors, sizes, units = (", ".join(entry.unit or "1" for entry in group) for group in groups)
     variables = {
         "max_error": Variable(_COORDINATE, errors, f"largest |error|, {_SINCE}"),
         "rms_error": Variable(_COORDINATE, errors, f"root mean square error, {_SINCE}"),
@@ -378,7 +378,7 @@ def robot_vars(scenario: Scenario | Outline) -> dict[str, Variable]:
     }
     if scenario.recorded_metrics:
         worst = f"largest size, or smallest margin, of each metric, {_SINCE}"
-        group = ", ".join(one.worst for one in scenario.recorded_metrics)
+        group = ", ".join(entry.worst for entry in scenario.recorded_metrics)
         variables["worst_metric"] = Variable(_METRIC, units, worst, group)
         variables["rms_metric"] = Variable(_METRIC, units, f"root mean square of each metric, {_SINCE}")
     return variables
@@ -398,7 +398,7 @@ def sum_vars(channels: Sequence[Metric]) -> dict[str, Variable]:
     """
     counts = "number of robots with this size; diverged robots are in the last bin, for margins in the first"
     quantile = "largest error, or smallest margin, of the share `level` of the robots"
-    units = ", ".join(one.unit or "1" for one in channels)
+    units = ", ".join(channel.unit or "1" for channel in channels)
     return {
         "counts": Variable(("time", "channel", "bin"), "1", counts),
         "quantiles": Variable(("channel", "level", "time"), units, quantile),
@@ -413,8 +413,8 @@ def draw_name(parameter: str) -> str:
 def draw_vars(parameters: Mapping[str, Parameter]) -> dict[str, Variable]:
     """Return the variables of the draws."""
     return {
-        draw_name(name): Variable(_ROBOT, one.unit or "1", f"drawn {one.meaning}; NaN if not in the spread")
-        for name, one in parameters.items()
+        draw_name(name): Variable(_ROBOT, x.unit or "1", f"drawn {x.meaning}; NaN if not in the spread")
+        for name, x in parameters.items()
     }
 
 
@@ -431,8 +431,8 @@ def quantiles_of(counts: NDArray[np.int32], levels: Array, channels: Sequence[Me
         Counted quantities.
     """
     return {
-        one.name: quantiles(counts[:, k].astype(np.int64), levels, margins=one.is_margin)
-        for k, one in enumerate(channels)
+        channel.name: quantiles(counts[:, k].astype(np.int64), levels, margins=channel.is_margin)
+        for k, channel in enumerate(channels)
     }
 
 
@@ -451,15 +451,15 @@ def coordinates(scenario: Scenario | Outline) -> list[tuple[str, Sequence[Any], 
         Scenario of the robots.
     """
     groups = scenario.coordinates, scenario.inputs, scenario.recorded_metrics
-    names, inputs, metrics = ([one.name for one in group] for group in groups)
-    channels = ", ".join(f"{one.meaning} [{one.unit or '1'}]" for one in scenario.channels)
-    meanings = ", ".join(one.meaning for one in scenario.recorded_metrics)
+    names, inputs, metrics = ([entry.name for entry in group] for group in groups)
+    channels = ", ".join(f"{entry.meaning} [{entry.unit or '1'}]" for entry in scenario.channels)
+    meanings = ", ".join(entry.meaning for entry in scenario.recorded_metrics)
     edge = "lower edge, also upper edge of the previous bin; for a margin m: of m + sqrt(m^2 + 2^-24)"
     return [
         ("time", scenario.grid.tolist(), "s", "time"),
         ("coordinate", names, "1", "coordinate"),
         ("input", inputs, "1", "input"),
-        ("channel", [one.name for one in scenario.channels], "1", channels),
+        ("channel", [entry.name for entry in scenario.channels], "1", channels),
         ("level", list(LEVELS), "1", "share of the robots"),
         ("bin", edges()[:-1].tolist(), "unit of the channel", edge),
         *([("metric", metrics, "1", meanings)] if metrics else []),
@@ -510,9 +510,9 @@ def columns_of(ensemble: Any) -> tuple[list[str], list[Array]]:
         "input": ensemble.scenario.inputs,
         "metric": ensemble.scenario.recorded_metrics,
     }
-    for name, one, array in _arrays(ensemble):
-        titles = [(f"{name}_{part.name}", part.unit) for part in parts.get(one.dimensions[-1], ())]
-        pairs = titles or [(name, one.units)]
+    for name, variable, array in _arrays(ensemble):
+        titles = [(f"{name}_{part.name}", part.unit) for part in parts.get(variable.dimensions[-1], ())]
+        pairs = titles or [(name, variable.units)]
         header += [f"{title} [{unit}]" if unit not in ("", "1") else title for title, unit in pairs]
         columns.append(array)
     return header, columns
@@ -525,8 +525,8 @@ def _robot_variables(ensemble: Any) -> dict[str, Variable]:
 
 def _arrays(ensemble: Any) -> Iterator[tuple[str, Variable, Array]]:
     draws = {draw_name(name): values for name, values in ensemble.draws.items()}
-    for name, one in _robot_variables(ensemble).items():
-        yield name, one, getattr(ensemble, name) if name in ROBOT_ARRAYS else draws[name]
+    for name, variable in _robot_variables(ensemble).items():
+        yield name, variable, getattr(ensemble, name) if name in ROBOT_ARRAYS else draws[name]
 
 
 def content_of(ensemble: Any) -> dict[str, Any]:

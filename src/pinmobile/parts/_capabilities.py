@@ -512,7 +512,7 @@ class Loadable(Protocol):
 @cache
 def members(kind: type) -> tuple[str, ...]:
     """Return the names that a protocol requires, those of its base first."""
-    names = (name for each in reversed(kind.__mro__[:-3]) for name in vars(each))
+    names = (name for base in reversed(kind.__mro__[:-3]) for name in vars(base))
     return tuple(name for name in names if name == "__call__" or not name.startswith("_"))
 
 

@@ -242,7 +242,7 @@ class Number(Field):
         if any(length != n for length in shape):
             words = format_shapes(self.shapes).replace("n", str(n))
             raise InvalidArgument(f"{name} has shape {shape}, expected {words}")
-        return value if shape or any(len(each) > 1 for each in self.shapes) else frozen(np.full(n, value))
+        return value if shape or any(len(x) > 1 for x in self.shapes) else frozen(np.full(n, value))
 
     def outside_bounds(self, values: Any) -> Any:
         """Return which values are out of bounds, as an array of booleans."""
@@ -314,7 +314,7 @@ class Child(Field):
 def _matches(value: Any, kind: Any) -> bool:
     """Return whether a value matches a class, a protocol, or one of several kinds."""
     if isinstance(kind, tuple):
-        return any(_matches(value, each) for each in kind)
+        return any(_matches(value, option) for option in kind)
     return offers(value, kind) if is_protocol(kind) else isinstance(value, kind)
 
 
@@ -799,8 +799,8 @@ def fields_of(part: Any) -> list[tuple[str, Field, Any]]:
     The fields of a user's plain frozen dataclass have the kind of their values: floats and arrays are
     numbers.
     """
-    values = ((name, declared, getattr(part, name)) for name, declared in declarations(type(part)))  # type: ignore[arg-type]
-    return [(name, declared or _infer_field(value), value) for name, declared, value in values]
+    values = ((name, field, getattr(part, name)) for name, field in declarations(type(part)))  # type: ignore[arg-type]
+    return [(name, field or _infer_field(value), value) for name, field, value in values]
 
 
 def _infer_field(value: Any) -> Field:

@@ -71,11 +71,11 @@ def parameters(make: Any) -> dict[str, Parameter]:
             is_rest = arg.kind is arg.VAR_KEYWORD
             default = defaults.get(name, attrs.NOTHING if arg.default is arg.empty else arg.default)
             is_required = arg.default is arg.empty and arg.kind is not arg.VAR_POSITIONAL
-            declared = fields.get(name)
-            doc = docs.get(name, "") if declared is None else declared.doc
+            field = fields.get(name)
+            doc = docs.get(name, "") if field is None else field.doc
             is_many = arg.kind is arg.VAR_POSITIONAL
             is_needed = is_required and not is_rest
-            result["**" if is_rest else name] = Parameter(name, declared, default, is_needed, is_many, doc)
+            result["**" if is_rest else name] = Parameter(name, field, default, is_needed, is_many, doc)
     return result
 
 
@@ -277,25 +277,25 @@ _NO_TEXT = SyntaxError, ValueError, RecursionError, MemoryError, InvalidArgument
 _CALL = re.compile(r"([^\W\d][\w.]*:[^\W\d][\w.]*)\s*(\(.*\))", re.DOTALL)
 
 
-def requirement(declared: Field | None, *, one: bool = False) -> str:
+def requirement(field: Field | None, *, one: bool = False) -> str:
     """Return the expected value of a field as text, such as ``"a number > 0 [kg]"``.
 
     The argument `one` selects the text about one part of a field with several parts.
     """
-    if isinstance(declared, Number):
-        shapes = " or ".join(str(shape).replace("'", "") for shape in declared.shapes if shape)
+    if isinstance(field, Number):
+        shapes = " or ".join(str(shape).replace("'", "") for shape in field.shapes if shape)
         words = f"numbers of shape {shapes}" if shapes else "a number"
-        if shapes and () in declared.shapes:
+        if shapes and () in field.shapes:
             words = f"a number, or {words}"
-        unit = f"[{declared.unit}]" if declared.unit and not callable(declared.unit) else ""
-        return " ".join(filter(None, [words, declared.bound, unit]))
-    if isinstance(declared, Whole):
-        return f"a whole number >= {declared.least}"
-    if isinstance(declared, Child):
-        part_words = declared.expected or ("" if isinstance(declared.kind, tuple) else meaning(declared.kind))
+        unit = f"[{field.unit}]" if field.unit and not callable(field.unit) else ""
+        return " ".join(filter(None, [words, field.bound, unit]))
+    if isinstance(field, Whole):
+        return f"a whole number >= {field.least}"
+    if isinstance(field, Child):
+        part_words = field.expected or ("" if isinstance(field.kind, tuple) else meaning(field.kind))
         part_words = part_words.partition(":")[0]
         part_words = part_words or "a part"
-        return f"several, each {part_words}" if declared.many and not one else part_words
+        return f"several, each {part_words}" if field.many and not one else part_words
     return "a value"
 
 

@@ -183,7 +183,7 @@ def _is_table(value: Any, declared: Any, path: str) -> bool:
     """Return whether a value becomes one or several tables."""
     if isinstance(value, Mapping):
         return "type" in value or isinstance(declared, Child) or not path
-    are_tables = isinstance(value, list) and value and all(isinstance(each, Mapping) for each in value)
+    are_tables = isinstance(value, list) and value and all(isinstance(item, Mapping) for item in value)
     return bool(are_tables) and isinstance(declared, Child)
 
 
@@ -199,7 +199,7 @@ def _text(value: Any) -> str:
     if isinstance(value, list | tuple):
         return f"[{', '.join(map(_text, value))}]"
     if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{_key(key)} = {_text(each)}" for key, each in value.items()) + "}"
+        return "{" + ", ".join(f"{_key(key)} = {_text(item)}" for key, item in value.items()) + "}"
     if isinstance(value, str):
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     return str(value)

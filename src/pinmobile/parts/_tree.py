@@ -115,8 +115,8 @@ class Reader:
         robot = self._defaults.get("robot")
         if argument.name != "robot" or not isinstance(argument.declared, Child) or not is_part(robot):
             return self._defaults.get(argument.name)
-        inner = [value for _, declared, value in fields_of(robot) if isinstance(declared, Child)]
-        return next((one for one in (robot, *inner) if fits(argument.declared.kind, one)), robot)
+        inner = [value for _, field, value in fields_of(robot) if isinstance(field, Child)]
+        return next((part for part in (robot, *inner) if fits(argument.declared.kind, part)), robot)
 
     def _raise(self) -> None:
         if self.problems:
@@ -133,13 +133,13 @@ class Reader:
                 name = kind.__name__ if path else "a scenario"
                 self._fail(place, f"{place} is unknown, {name} has {takes}; {suggest_name(str(key), names)}")
 
-    def part(self, declared: Child, tree: Any, path: str, base: Any = None) -> Any:
+    def part(self, field: Child, tree: Any, path: str, base: Any = None) -> Any:
         """Return the part of a tree; `base` is the part that a table without a type changes."""
         if path.count(".") > _MAX_DEPTH:
             return self._fail(path, f"{path} is nested too deep, expected at most {_MAX_DEPTH} levels")
         tree = read_call(tree) if isinstance(tree, str) else tree
         if not isinstance(tree, Mapping):
-            form = requirement(declared, one=True)
+            form = requirement(field, one=True)
             return self._fail(path, f"{path} is {format_value(tree)}, expected {form}: its name, or a table")
         tree = dict(tree)
         name = tree.pop("type", None)
@@ -147,7 +147,7 @@ class Reader:
             return _INVALID
         if name is None and base is not None:
             return self._change(base, tree, path)
-        make = self._resolve(declared, name, path)
+        make = self._resolve(field, name, path)
         if make is _INVALID:
             return make
         is_function = isinstance(make, FunctionType) and not makes_part(make)
@@ -155,9 +155,9 @@ class Reader:
             return self._change(make, tree, path) if tree else make
         return self._construct(make, str(name), tree, path)
 
-    def _resolve(self, declared: Child, name: Any, path: str) -> Any:
+    def _resolve(self, field: Child, name: Any, path: str) -> Any:
         """Return the object of a type, if it is allowed here."""
-        kind, words = declared.kind, requirement(declared, one=True)
+        kind, words = field.kind, requirement(field, one=True)
         if not isinstance(name, str):
             message = f"{path} has the type {format_value(name)}, expected text in quotes"
             return self._fail(path, f"{path} has no type, expected {words}" if name is None else message)
@@ -255,43 +255,43 @@ class Reader:
 
     def _read(self, argument: Parameter, tree: Any, path: str, base: Any) -> Any:
         """Return the value of a tree for an argument; `base` is the value without it."""
-        declared = argument.declared
+        field = argument.declared
         if argument.is_shared and (base is None or base is attrs.NOTHING):
             base = self._model(argument)
         try:
-            if isinstance(declared, Child):
-                value = (self._read_many if declared.many else self.part)(declared, tree, path, base)
-                return value if value is _INVALID else declared.convert(path, value)
-            if isinstance(declared, Number):
-                return declared.convert(path, self._numbers(declared, tree, path, base))
-            if isinstance(declared, Whole):
-                return declared.convert(path, tree)
+            if isinstance(field, Child):
+                value = (self._read_many if field.many else self.part)(field, tree, path, base)
+                return value if value is _INVALID else field.convert(path, value)
+            if isinstance(field, Number):
+                return field.convert(path, self._numbers(field, tree, path, base))
+            if isinstance(field, Whole):
+                return field.convert(path, tree)
         except InvalidArgument as error:
-            if isinstance(declared, Child):
+            if isinstance(field, Child):
                 return self._fail(path, str(error))
-            message = f"{path} is {format_value(tree)}, expected {requirement(declared)}"
+            message = f"{path} is {format_value(tree)}, expected {requirement(field)}"
             return self._fail(path, message)
-        if isinstance(declared, Values) and isinstance(tree, Mapping):
-            values = {key: self._generic(one, f"{path}.{key}") for key, one in flatten(tree).items()}
+        if isinstance(field, Values) and isinstance(tree, Mapping):
+            values = {key: self._generic(item, f"{path}.{key}") for key, item in flatten(tree).items()}
             return self._check_all({**(base or {}), **values})
-        if declared is None or (isinstance(tree, Mapping) and "type" in tree):
+        if field is None or (isinstance(tree, Mapping) and "type" in tree):
             return self._generic(tree, path)
         if isinstance(tree, Mapping) and is_part(base):
             return self._change(base, tree, path)
-        return self._option(declared, tree, path)
+        return self._option(field, tree, path)
 
-    def _option(self, declared: Field, tree: Any, path: str) -> Any:
+    def _option(self, field: Field, tree: Any, path: str) -> Any:
         """Return the value of a field that is neither a number nor a part; a name may mean a constant."""
         value = _tuples(tree)
         name = path.rpartition(".")[2]
         try:
-            return declared.convert(name, value)
+            return field.convert(name, value)
         except InvalidArgument as error:
             is_named = isinstance(tree, str) and (self.folder is not None or not is_code(tree))
             constant = resolve(tree, self.folder) if is_named else None
             with contextlib.suppress(InvalidArgument):
                 if constant is not None:
-                    return declared.convert(name, constant)
+                    return field.convert(name, constant)
             return self._fail(path, str(error.calling(path)))
 
     def _read_many(self, field: Child, tree: Any, path: str, base: Any) -> Any:
@@ -379,8 +379,8 @@ class Reader:
         kind: Any = type(part)
         arguments = parameters(kind)
         is_model = path and path.split(".")[0] != "robot"
-        for key, declared, value in fields_of(part):
-            is_shared = is_model and (key == "robot" or isinstance(declared, Child))
+        for key, field, value in fields_of(part):
+            is_shared = is_model and (key == "robot" or isinstance(field, Child))
             if value is None or key[:1] == "_" or (is_shared and value is self._model(arguments[key])):
                 continue
             default = arguments[key].default
@@ -388,7 +388,7 @@ class Reader:
             default_value = _default(arguments[key], part if path else SimpleNamespace())
             is_derived = is_derived and bool(path)
             is_empty = isinstance(value, tuple | dict) and not value
-            is_stated = isinstance(declared, Number | Whole | Child) and not (is_derived or is_empty)
+            is_stated = isinstance(field, Number | Whole | Child) and not (is_derived or is_empty)
             if is_stated or not _is_same(value, default_value):
                 yield key, value
 

@@ -80,36 +80,36 @@ def walk(part: Any) -> tuple[Leaf, ...]:
     if leaves is not None:
         return leaves
     rows: list[Leaf] = []
-    for name, declared, value in fields_of(part):
-        for path, item in _inner_values(name, declared, value):
-            if _is_inner(declared, item):
+    for name, field, value in fields_of(part):
+        for path, item in _inner_values(name, field, value):
+            if _is_inner(field, item):
                 rows += [Leaf(f"{path}.{inner}", *others) for inner, *others in walk(item)]
             else:
-                rows.append(Leaf(path, part, declared, item))
+                rows.append(Leaf(path, part, field, item))
     leaves = tuple(rows)
     if attrs.has(type(part)):
         object.__setattr__(part, "_leaves", leaves)
     return leaves
 
 
-def _inner_values(path: str, declared: Field, value: Any) -> list[tuple[str, Any]]:
+def _inner_values(path: str, field: Field, value: Any) -> list[tuple[str, Any]]:
     """Return the values in a field with their paths: one value, or those of a field of several parts."""
-    if isinstance(declared, Child) and declared.many:
+    if isinstance(field, Child) and field.many:
         return [(f"{path}.{key}", item) for key, item in entries_of(value)]
     return [(path, value)]
 
 
-def _is_inner(declared: Field, value: Any) -> bool:
+def _is_inner(field: Field, value: Any) -> bool:
     """Return whether a value is an inner part; the value of an option is not."""
-    return is_part(value) and not isinstance(declared, _Option)
+    return is_part(value) and not isinstance(field, _Option)
 
 
 def parts_of(part: Any, path: str = "") -> Iterator[tuple[str, Any]]:
     """Yield a part and all inner parts with their paths, the outer ones first."""
     yield path, part
-    for name, declared, value in fields_of(part):
-        for item_path, item in _inner_values(f"{path}.{name}" if path else name, declared, value):
-            if _is_inner(declared, item):
+    for name, field, value in fields_of(part):
+        for item_path, item in _inner_values(f"{path}.{name}" if path else name, field, value):
+            if _is_inner(field, item):
                 yield from parts_of(item, item_path)
 
 
@@ -168,17 +168,17 @@ def replace(part: _T, values: Mapping[str, Any], *, nominal: bool = False) -> _T
 
 def _replace(part: Any, path: str, values: Mapping[str, Any], nominal: bool, used_paths: set[str]) -> Any:
     changes: dict[str, Any] = {}
-    for name, declared, value in fields_of(part):
+    for name, field, value in fields_of(part):
         field_path = f"{path}.{name}" if path else name
         if field_path in values:
             changes[name] = values[field_path]
             used_paths.add(field_path)
-        elif not isinstance(declared, _Option) and any(key.startswith(f"{field_path}.") for key in values):
+        elif not isinstance(field, _Option) and any(key.startswith(f"{field_path}.") for key in values):
             items = {
                 item_path: _replace(item, item_path, values, nominal, used_paths) if is_part(item) else item
-                for item_path, item in _inner_values(field_path, declared, value)
+                for item_path, item in _inner_values(field_path, field, value)
             }
-            if not (isinstance(declared, Child) and declared.many):
+            if not (isinstance(field, Child) and field.many):
                 changes[name] = items[field_path]
             elif isinstance(value, Mapping):
                 changes[name] = dict(zip(value, items.values(), strict=True))
@@ -243,7 +243,7 @@ class NumberRef(NamedTuple):
         return f"{doc}, {self.label}" if self.label else doc
 
 
-def refs_of(part: Any) -> dict[str, NumberRef]:
+def named(part: Any) -> dict[str, NumberRef]:
     """Return all numbers that may differ, and their entries, by full path."""
     numbers: dict[str, NumberRef] = {}
     for leaf in walk(part):
@@ -292,7 +292,7 @@ def _nearness(path: str) -> tuple[bool, int]:
     return not path.startswith("plant."), path.count(".")
 
 
-def find(part: Any, name: str, known: Mapping[str, NumberRef] | None = None, place: str = "") -> NumberRef:
+def find(part: Any, name: str, refs: Mapping[str, NumberRef] | None = None, place: str = "") -> NumberRef:
     """Return the number that a name means.
 
     A name is a full path, the end of a path, or a word of a path and its end. Of several
@@ -307,23 +307,23 @@ def find(part: Any, name: str, known: Mapping[str, NumberRef] | None = None, pla
     InvalidArgument
         If several paths are equally near.
     """
-    known = refs_of(part) if known is None else known
-    if name in known:
-        return known[name]
+    refs = named(part) if refs is None else refs
+    if name in refs:
+        return refs[name]
     first, _, rest = name.partition(".") if isinstance(name, str) else ("", "", "")
-    if first == "robot" and rest and any(path.startswith("plant.") for path in known):
-        return find(part, f"plant.{rest}", known, place)
+    if first == "robot" and rest and any(path.startswith("plant.") for path in refs):
+        return find(part, f"plant.{rest}", refs, place)
     ends = sorted(
         (*_nearness(path), path)
-        for path, number in known.items()
+        for path, number in refs.items()
         if not number.label or rest  # an entry has no name of one word
         if path.endswith(f".{name}") or (rest and f".{first}." in f".{path}" and path.endswith(f".{rest}"))
     )
     if not ends:
         from difflib import get_close_matches  # here, because only this error needs the module
 
-        matches = get_close_matches(name, known, cutoff=0.85) if rest else []
-        raise UnknownName(f"parameter{place and ' in ' + place}", name, [*matches, *short_names(known)])
+        matches = get_close_matches(name, refs, cutoff=0.85) if rest else []
+        raise UnknownName(f"parameter{place and ' in ' + place}", name, [*matches, *short_names(refs)])
     best = [path for *rank, path in ends if rank == list(ends[0][:2])]
     if len(best) > 1:
         options = [*best, f"{best[0].partition('.')[0]}.*.{name}"] if place in ("spread", "by") else best
@@ -331,10 +331,10 @@ def find(part: Any, name: str, known: Mapping[str, NumberRef] | None = None, pla
             f"{place or 'name'} has {name!r}, which {' and '.join(best)} have, expected one of them: "
             f"{' or '.join(map(repr, options))}{', which means all' * (options is not best)}"
         )
-    return known[best[0]]
+    return refs[best[0]]
 
 
-def match_refs(part: Any, name: str, known: Mapping[str, NumberRef], where: str = "") -> list[NumberRef]:
+def match_refs(part: Any, name: str, refs: Mapping[str, NumberRef], where: str = "") -> list[NumberRef]:
     """Return the numbers that a name, or a pattern such as ``"*.gear"``, means, see `find`.
 
     Raises
@@ -345,10 +345,10 @@ def match_refs(part: Any, name: str, known: Mapping[str, NumberRef], where: str 
         If several paths are equally near.
     """
     if not isinstance(name, str) or "*" not in name:
-        return [find(part, name, known, where)]
-    numbers = [x for path, x in known.items() if not x.label and fnmatchcase(f".{path}", f"*.{name}")]
+        return [find(part, name, refs, where)]
+    numbers = [x for path, x in refs.items() if not x.label and fnmatchcase(f".{path}", f"*.{name}")]
     if not numbers:
-        raise UnknownName(f"parameter{where and ' in ' + where}", name, short_names(known))
+        raise UnknownName(f"parameter{where and ' in ' + where}", name, short_names(refs))
     return numbers
 
 

@@ -7,7 +7,7 @@ from pinmobile.robot.articulated import (
     PlanarDynamics as PlanarDynamics,
     slopes as slopes,
 )
-from pinmobile.robot.description import described as described
+from pinmobile.robot.description import describe as describe
 from pinmobile.robot.linkage import (
     BODY_JOINT,
     ONE as ONE,
@@ -18,7 +18,7 @@ from pinmobile.robot.linkage import (
     cross as cross,
     dot as dot,
     exact as exact,
-    factored as factored,
+    factor as factor,
     joints_of as joints_of,
     matrix_of as matrix_of,
     number as number,
@@ -27,12 +27,12 @@ from pinmobile.robot.linkage import (
     sine_and_cosine as sine_and_cosine,
     single as single,
     symmetric as symmetric,
-    transposed as transposed,
+    transpose as transpose,
     vector_of as vector_of,
 )
 from pinmobile.robot.mobile import MobileRobot
 from pinmobile.robot.model_import import LOCKED as LOCKED, TOUCH as TOUCH
-from pinmobile.robot.mounts import Mount, PayloadBody, named_frames as named_frames, prefixed as prefixed
+from pinmobile.robot.mounts import Mount, PayloadBody, add_scope as add_scope, named_frames as named_frames
 from pinmobile.robot.pinocchio_backend import (
     PinocchioBackend as PinocchioBackend,
     UncheckedDynamics,
@@ -43,7 +43,7 @@ from pinmobile.robot.support_geometry import (
     SupportGeometry,
     Swivel as Swivel,
     WheelJoint as WheelJoint,
-    checked_footprint as checked_footprint,
+    check_footprint as check_footprint,
     hull as hull,
     margin_inside as margin_inside,
     margin_of_wrench as margin_of_wrench,

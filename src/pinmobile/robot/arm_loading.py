@@ -23,7 +23,7 @@ _FINGERS = (
     "its fingers have no inertia: lock bravo_finger1_joint and bravo_finger2_joint "
     "(locked=, or --lock of the command)"
 )
-_UNSEEN = "its loader has no visuals: there is nothing to draw of it"
+_NO_VISUALS = "its loader has no visuals: there is nothing to draw of it"
 
 
 class Exceptional(NamedTuple):
@@ -45,8 +45,8 @@ EXCEPTIONS = {
     "romeo": Exceptional(
         False, "24 joints of its hands, RHand and LHand beside fingers and thumbs, have no inertia"
     ),
-    "simple_humanoid": Exceptional(True, _UNSEEN),
-    "simple_humanoid_classical": Exceptional(True, _UNSEEN),
+    "simple_humanoid": Exceptional(True, _NO_VISUALS),
+    "simple_humanoid_classical": Exceptional(True, _NO_VISUALS),
 }
 """Robots that `MobileRobot.mount` rejects by name alone or that are not drawn, with the reason."""
 
@@ -111,14 +111,14 @@ class Mountables(dict[str, Mountable]):
         raise UnknownName("mountable robot", str(name), tuple(self))
 
     def __str__(self) -> str:
-        refused = {name: reason for name, (mounts, reason) in sorted(EXCEPTIONS.items()) if not mounts}
-        width = max(map(len, (*self, *refused)))
+        excluded = {name: reason for name, (mounts, reason) in sorted(EXCEPTIONS.items()) if not mounts}
+        width = max(map(len, (*self, *excluded)))
         lines = [f"{'name':{width}} {'joints':>6} {'mass [kg]':>10}"]
         lines += [
             f"{row.name:{width}} {row.joints:6d} {row.mass:10.3f}  {row.note}".rstrip()
             for row in self.values()
         ]
-        return "\n".join([*lines, *(f"{name:{width}} not: {reason}" for name, reason in refused.items())])
+        return "\n".join([*lines, *(f"{name:{width}} not: {reason}" for name, reason in excluded.items())])
 
 
 @lru_cache(maxsize=1)
@@ -144,13 +144,13 @@ def mountable() -> Mountables:
     >>> ur5.joints, round(ur5.mass, 3)
     (6, 20.994)
     """
-    found = Mountables()
+    robots = Mountables()
     for name in sorted(_loaders()):
         mounts, note = EXCEPTIONS.get(name, Exceptional(True, ""))
         if mounts:
             model = _load_arm(name)._model
-            found[name] = Mountable(name, model.nv, sum(each.mass for each in model.inertias), note)
-    return found
+            robots[name] = Mountable(name, model.nv, sum(each.mass for each in model.inertias), note)
+    return robots
 
 
 def _load_arm(name: str, locked: tuple[str, ...] = ()) -> Arm:
@@ -173,8 +173,8 @@ def _load_arm(name: str, locked: tuple[str, ...] = ()) -> Arm:
         else:
             model, rest, geometry = _read(loader)
     except Exception as error:
-        known = EXCEPTIONS.get(name)
-        reason = known.reason if known else str(error) or type(error).__name__
+        exception = EXCEPTIONS.get(name)
+        reason = exception.reason if exception else str(error) or type(error).__name__
         raise InvalidArgument(f"arm {name!r} cannot be loaded: {reason}") from error
     stands, rest = bool(loader.free_flyer), convert_configuration(model, rest)
     return Arm(Origin("loader", name), model, rest, locked, stands, **geometry)
@@ -227,7 +227,7 @@ def read_arm(
     UnknownName
         If no loader has the name.
     """
-    held = (locked,) if isinstance(locked, str) else sequence("locked", locked, "a sequence of joints' names")
+    lock = (locked,) if isinstance(locked, str) else sequence("locked", locked, "a sequence of joints' names")
     for argument, shapes in (("visual", visual), ("collision", collision)):
         instance(argument, shapes, pin.GeometryModel | None, "a pinocchio.GeometryModel")
     folders = existing_folders(package_dirs)
@@ -241,20 +241,20 @@ def read_arm(
     for argument, given in (beside | ({} if is_file else {"package_dirs": folders or None})).items():
         if given is not None:
             takes = "a URDF" if argument == "package_dirs" else "a pinocchio.Model"
-            called = str(arm if is_text else getattr(arm, "name", arm))
+            label = str(arm if is_text else getattr(arm, "name", arm))
             raise InvalidArgument(
-                f"{argument} does not apply to {kind}, {called!r}, expected it only with {takes}"
+                f"{argument} does not apply to {kind}, {label!r}, expected it only with {takes}"
             )
     if is_file:
-        made = _from_urdf(location("arm", arm).resolve(), folders, rest, held)
+        result = _from_urdf(location("arm", arm).resolve(), folders, rest, lock)
     elif is_text:
-        made = _load_arm(str(arm), held)
-        made = made if rest is None else attrs.evolve(made, rest=_posture(made.whole, rest))
+        result = _load_arm(str(arm), lock)
+        result = result if rest is None else attrs.evolve(result, rest=_posture(result.whole, rest))
     else:
-        made = _from_model(arm, visual, collision, rest, held)
+        result = _from_model(arm, visual, collision, rest, lock)
     if rest is not None:
-        _check_rest(made)
-    return made
+        _check_rest(result)
+    return result
 
 
 class KeptArm(NamedTuple):
@@ -286,8 +286,8 @@ class KeptArm(NamedTuple):
         if arm.origin.kind == "model":
             raise InvalidArgument("it had an arm made from a pin.Model, which an archive cannot store")
         model = arm._model
-        own = [inertia.toDynamicParameters() for inertia in model.inertias]
-        numbers = np.concatenate([*own, model.damping, model.friction, model.armature])
+        inertias = [inertia.toDynamicParameters() for inertia in model.inertias]
+        numbers = np.concatenate([*inertias, model.damping, model.friction, model.armature])
         return cls(arm.origin, arm.locked, arm.rest, numbers)
 
     def read(self) -> Arm:
@@ -299,14 +299,14 @@ class KeptArm(NamedTuple):
             If the file is missing, or no longer contains the stored numbers.
         """
         origin, locked, rest, numbers = self
-        made = read_arm(origin.value, package_dirs=origin.package_dirs, locked=locked)
-        made = attrs.evolve(made, rest=_posture(made.whole, rest))
-        if not np.array_equal(KeptArm.of(made).numbers, numbers):
+        arm = read_arm(origin.value, package_dirs=origin.package_dirs, locked=locked)
+        arm = attrs.evolve(arm, rest=_posture(arm.whole, rest))
+        if not np.array_equal(KeptArm.of(arm).numbers, numbers):
             raise InvalidArgument(
                 "its masses, inertias, or joints' damping, friction and rotors differ from the stored ones: "
                 f"see {origin.value}"
             )
-        return made
+        return arm
 
 
 def existing_folders(package_dirs: str | PathLike[str] | Sequence[str | PathLike[str]]) -> tuple[str, ...]:
@@ -319,7 +319,7 @@ def existing_folders(package_dirs: str | PathLike[str] | Sequence[str | PathLike
     """
     given = (package_dirs,) if isinstance(package_dirs, str | PathLike) else package_dirs
     folders = sequence("package_dirs", given, "a sequence of folders")
-    paths = [location("package_dirs", one) for one in folders]
+    paths = [location("package_dirs", folder) for folder in folders]
     for path in paths:
         if not path.is_dir():
             raise InvalidArgument(f"package_dirs has {format_value(str(path))}, expected a folder")
@@ -333,20 +333,20 @@ def _from_model(
     rest: ArrayLike | None,
     locked: tuple[str, ...],
 ) -> Arm:
-    kept = None
+    q0 = None
     if isinstance(arm, pin.RobotWrapper):
         visual = arm.visual_model if visual is None else visual
         collision = arm.collision_model if collision is None else collision
-        kept, arm = arm.q0, arm.model
+        q0, arm = arm.q0, arm.model
     instance("arm", arm, pin.Model, "a name, the path of a URDF, or a pinocchio.Model")
     if arm.njoints == 1:
         raise InvalidArgument(
             f"arm {arm.name!r} has no joints, expected at least one: use robot.attach(PayloadBody(...))"
         )
     visual, collision = (each and each.clone() for each in (visual, collision))
-    whole = replace_continuous_joints(arm)
-    usual = _posture(whole, None if kept is None else convert_configuration(arm, vector("q0", kept, arm.nq)))
-    posture = usual if rest is None else _posture(whole, rest)
+    full = replace_continuous_joints(arm)
+    usual = _posture(full, None if q0 is None else convert_configuration(arm, vector("q0", q0, arm.nq)))
+    posture = usual if rest is None else _posture(full, rest)
     origin = Origin("model", arm.name or "arm")
     return Arm(origin, arm, posture, locked, usual=usual, visual=visual, collision=collision)
 
@@ -361,19 +361,19 @@ def _check_rest(arm: Arm) -> None:
     model = arm.whole
     for joint in joints_of(model):
         for k in range(joint.q.start, joint.q.stop) if joint.nq == 1 else ():
-            least, most = model.lowerPositionLimit[k], model.upperPositionLimit[k]
+            lower, upper = model.lowerPositionLimit[k], model.upperPositionLimit[k]
             # Equal limits count as no limit.
-            if least < most and not least - _SLACK <= arm.rest[k] <= most + _SLACK:
+            if lower < upper and not lower - _SLACK <= arm.rest[k] <= upper + _SLACK:
                 raise InvalidArgument(
-                    f"rest has joint {joint.name!r} at {arm.rest[k]:.9g}, expected {least:.9g} to {most:.9g}"
+                    f"rest has joint {joint.name!r} at {arm.rest[k]:.9g}, expected {lower:.9g} to {upper:.9g}"
                 )
 
 
 def _from_urdf(path: Path, folders: tuple[str, ...], rest: ArrayLike | None, locked: tuple[str, ...]) -> Arm:
     model, root = urdf_model("arm", path)
     file, origin = VisualFile(path, tuple(map(Path, folders))), Origin("urdf", str(path), folders)
-    whole = replace_continuous_joints(model)
-    arm = Arm(origin, model, _posture(whole, rest), locked, usual=pin.neutral(whole), file=file)
+    full = replace_continuous_joints(model)
+    arm = Arm(origin, model, _posture(full, rest), locked, usual=pin.neutral(full), file=file)
 
     def body_of(link: str) -> Array:
         joint = model.frames[model.getFrameId(link, pin.FrameType.BODY)].parentJoint

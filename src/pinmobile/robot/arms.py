@@ -51,10 +51,10 @@ class Entries(Number):
 
     def convert(self, name: str, value: Any) -> Any:
         """Return a tuple of floats, or the given symbols."""
-        found = super().convert(name, value)
-        if is_symbolic(found):
-            return found
-        numbers = found.tolist()
+        values = super().convert(name, value)
+        if is_symbolic(values):
+            return values
+        numbers = values.tolist()
         return (*numbers, *[0.0] * (self.length - len(numbers)))
 
 
@@ -79,8 +79,8 @@ def are_impossible(inertias: Array, masses: ArrayLike) -> NDArray[np.bool_]:
     full = np.stack([np.stack(row, -1) for row in ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))], -2)
     moments = np.linalg.eigvalsh(full)
     slack = _SLACK * (np.abs(moments).max(axis=-1) + masses)
-    far = moments[..., 2] > moments[..., 0] + moments[..., 1] + slack
-    return np.asarray(far | (moments[..., 0] < -slack))
+    violates = moments[..., 2] > moments[..., 0] + moments[..., 1] + slack
+    return np.asarray(violates | (moments[..., 0] < -slack))
 
 
 def inertia_field(of: str) -> Any:
@@ -97,7 +97,7 @@ class RigidBody(Protocol):
     inertia: Any
 
     @property
-    def called(self) -> str:
+    def label(self) -> str:
         """Name of the body in messages."""
 
     def impossible(self, values: Mapping[str, Array]) -> tuple[NDArray[np.bool_], str]:
@@ -108,7 +108,7 @@ class RigidBody(Protocol):
     def check(self) -> None:
         """Raise `InvalidArgument` if no rigid body has this inertia."""
         if are_impossible(self.inertia, self.mass):
-            raise InvalidArgument(f"inertia of {self.called} is one that no body has, {_EXPECTED}")
+            raise InvalidArgument(f"inertia of {self.label} is one that no body has, {_EXPECTED}")
 
     @property
     def body(self) -> pin.Inertia:
@@ -157,35 +157,35 @@ class Link(RigidBody):
     inertia: Any = inertia_field("the link")
 
     @property
-    def called(self) -> str:
+    def label(self) -> str:
         """Name of the link in messages."""
         return self.name
 
 
-def links_of(model: pin.Model, called: str) -> tuple[Link, ...]:
+def links_of(model: pin.Model, label: str) -> tuple[Link, ...]:
     """Return the rigidly connected links of an arm's model; the first is fixed to its root."""
-    found = list[Link]()
+    links = list[Link]()
     for name, body in zip(_link_names(model), model.inertias, strict=True):
         try:
-            found.append(Link(name, float(body.mass), np.array(body.lever), six_of(body.inertia)))
+            links.append(Link(name, float(body.mass), np.array(body.lever), six_of(body.inertia)))
         except InvalidArgument as error:
-            raise InvalidArgument(f"{called}: link {name!r}: {error}") from None
-    return tuple(found)
+            raise InvalidArgument(f"{label}: link {name!r}: {error}") from None
+    return tuple(links)
 
 
 def _link_names(model: pin.Model) -> list[str]:
-    found = [str(name) for name in model.names]
+    names = [str(name) for name in model.names]
     links = [frame for frame in model.frames if frame.type == pin.FrameType.BODY]
 
     def has_mass(link: pin.Frame) -> bool:
         # Pinocchio stores the mass of a link with its parent joint if this joint is fixed.
-        above = model.frames[link.parentFrame] if link.parentFrame < model.nframes else link
-        return bool(above.type == pin.FrameType.JOINT or above.inertia.mass > 0)
+        frame = model.frames[link.parentFrame] if link.parentFrame < model.nframes else link
+        return bool(frame.type == pin.FrameType.JOINT or frame.inertia.mass > 0)
 
     # Later names replace earlier ones, so the first link with a mass wins.
     for frame in sorted(reversed(links), key=has_mass):
-        found[frame.parentJoint] = str(frame.name)
-    return found
+        names[frame.parentJoint] = str(frame.name)
+    return names
 
 
 class Origin(NamedTuple):
@@ -282,30 +282,30 @@ class Arm:
     determined_by: ClassVar[tuple[str, ...]] = ("origin", "digest", "locked", "stands", "rest")
 
     def __attrs_post_init__(self) -> None:
-        called, model = f"arm {self.origin.value!r}", _copied(self._file_model)
+        label, model = f"arm {self.origin.value!r}", _copy_model(self._file_model)
         for joint in joints_of(model):
             if "Mimic" in joint.kind:
                 raise InvalidArgument(
-                    f"{called}: joint {joint.name!r} mimics another joint, which Pinocchio's forward "
+                    f"{label}: joint {joint.name!r} mimics another joint, which Pinocchio's forward "
                     "dynamics does not support, expected a model built with mimic=False"
                 )
-        own: dict[str, Any] = {"squared": _squared(model), "_file_model": model}
-        own["_whole"] = whole = replace_continuous_joints(model)
-        own |= {"rest": _without_root_pose(whole, self.rest), "usual": _without_root_pose(whole, self.usual)}
-        own["stands"] = self.stands or any(Joint.of(whole, j).kind == FREE_FLYER for j in root_of(whole))
-        vars(self).update(own)
-        free = [joint for number, joint in enumerate(joints_of(whole), 1) if number not in self.held]
+        values: dict[str, Any] = {"squared": _square_rotations(model), "_file_model": model}
+        values["_whole"] = full = replace_continuous_joints(model)
+        values |= {"rest": _without_root_pose(full, self.rest), "usual": _without_root_pose(full, self.usual)}
+        values["stands"] = self.stands or any(Joint.of(full, j).kind == FREE_FLYER for j in root_of(full))
+        vars(self).update(values)
+        free = [joint for number, joint in enumerate(joints_of(full), 1) if number not in self.fixed_joints]
         for joint in free:
             if not joint.nq == joint.nv == 1:
                 raise InvalidArgument(
-                    f"{called}: joint {joint}, which has several axes, expected one axis: "
+                    f"{label}: joint {joint}, which has several axes, expected one axis: "
                     "model the joint as revolute and prismatic joints in series, or lock it with "
                     f"locked=[{joint.name!r}]"
                 )
-            least, most = (float(x[joint.q][0]) for x in (whole.lowerPositionLimit, whole.upperPositionLimit))
-            bounded(f"{called}: upper position limit of joint {joint.name!r}", most, least=least)
+            low, high = (float(x[joint.q][0]) for x in (full.lowerPositionLimit, full.upperPositionLimit))
+            bounded(f"{label}: upper position limit of joint {joint.name!r}", high, least=low)
         vars(self)["posture"] = frozen(self.rest[[joint.q.start for joint in free]])
-        vars(self)["links"] = links_of(self._model, called)
+        vars(self)["links"] = links_of(self._model, label)
 
     @cached_property
     def _key(self) -> tuple[object, ...]:
@@ -318,13 +318,13 @@ class Arm:
         return hash(self._key)
 
     @cached_property
-    def held(self) -> list[int]:
+    def fixed_joints(self) -> list[int]:
         """Numbers of the joints of `whole` that do not move: root joint, wheels, and joints in `locked`."""
-        return _held(self._file_model, self.locked)
+        return _find_fixed(self._file_model, self.locked)
 
     @cached_property
     def _model(self) -> pin.Model:
-        return self._reduced([])[0]
+        return self._lock_joints([])[0]
 
     @property
     def file_model(self) -> pin.Model:
@@ -353,12 +353,12 @@ class Arm:
 
     def options(self) -> dict[str, object]:
         """Return the arguments of `MobileRobot.mount` that differ from their defaults."""
-        asked = {
+        given = {
             "package_dirs": self.origin.package_dirs,
             "rest": () if np.array_equal(self.rest, self.usual) else self.rest.tolist(),
             "locked": self.locked,
         }
-        return {word: value for word, value in asked.items() if value}
+        return {word: value for word, value in given.items() if value}
 
     def reach_down(self) -> float:
         """Return the height of the root above the lowest frame at rest [m]."""
@@ -369,19 +369,19 @@ class Arm:
     def visuals(self) -> pin.GeometryModel:
         """Return the visual geometry for `model`."""
         given = self.visual or pin.GeometryModel()
-        return self._reduced([self.file.visuals(self._whole, 7)[0] if self.file else given])[1][0]
+        return self._lock_joints([self.file.visuals(self._whole, 7)[0] if self.file else given])[1][0]
 
     def solids(self) -> tuple[pin.GeometryModel, tuple[str, ...]]:
         """Return the collision geometry for `model`, and the link of each shape."""
         given = self.collision or pin.GeometryModel()
         shapes = self.file.shapes(self._whole) if self.file else given
         links = tuple(link_of(item, self._whole) for item in shapes.geometryObjects)
-        return self._reduced([shapes])[1][0], links
+        return self._lock_joints([shapes])[1][0], links
 
-    def _reduced(self, shapes: list[pin.GeometryModel]) -> tuple[pin.Model, list[pin.GeometryModel]]:
+    def _lock_joints(self, shapes: list[pin.GeometryModel]) -> tuple[pin.Model, list[pin.GeometryModel]]:
         """Return the model and its geometry with joints locked at rest, or copies if no joint is locked."""
         model = self._whole.copy()
-        if not self.held:
+        if not self.fixed_joints:
             return model, shapes
         # Numbers make names unique for a while: Pinocchio rejects equal names of links and joints.
         names = {}
@@ -390,7 +390,7 @@ class Arm:
                 names[f"{k}/{frame.name}"] = str(frame.name)
                 frame.name = f"{k}/{frame.name}"
         try:
-            model, kept = pin.buildReducedModel(model, shapes, self.held, np.array(self.rest))
+            model, shapes_left = pin.buildReducedModel(model, shapes, self.fixed_joints, np.array(self.rest))
         except (ValueError, RuntimeError) as error:
             raise InvalidArgument(
                 f"arm {model.name!r} cannot have locked joints: Pinocchio reports {error}, expected a model "
@@ -398,17 +398,17 @@ class Arm:
             ) from error
         for frame in model.frames:
             frame.name = names.get(frame.name, frame.name)
-        return model, list(kept)
+        return model, list(shapes_left)
 
 
 def link_of(item: pin.GeometryObject, model: pin.Model) -> str:
     """Return the link of a shape; for an unknown link, the name of the shape."""
-    known = 0 <= item.parentFrame < model.nframes
-    frame = model.frames[item.parentFrame] if known else None
+    is_known = 0 <= item.parentFrame < model.nframes
+    frame = model.frames[item.parentFrame] if is_known else None
     return str(frame.name if frame is not None and frame.type == pin.FrameType.BODY else item.name)
 
 
-def _copied(model: pin.Model) -> pin.Model:
+def _copy_model(model: pin.Model) -> pin.Model:
     """Return a copy with the data that Pinocchio needs to lock joints; some models lack them."""
     copy = model.copy()
     # Otherwise Pinocchio rejects the model: its lower velocity limit is the largest number by default.
@@ -420,58 +420,58 @@ def _copied(model: pin.Model) -> pin.Model:
     return copy
 
 
-def _squared(model: pin.Model) -> tuple[str, ...]:
+def _square_rotations(model: pin.Model) -> tuple[str, ...]:
     """Make rounded right angles of rotations exact, and return the names of the joints.
 
     A rotation with entries of 5e-12 costs as much as any other rotation. In contrast to exact zeros, such
     entries also make equal methods differ in the last digits.
     """
-    found = []
+    names = []
     for joint in range(1, model.njoints):
         place = model.jointPlacements[joint]
         R = _squared_rotation(place.rotation)
         if np.abs(R - place.rotation).max() > _ORTHONORMAL:
-            found.append(str(model.names[joint]))
+            names.append(str(model.names[joint]))
         model.jointPlacements[joint] = pin.SE3(R, place.translation)
     for frame in model.frames:
         frame.placement = pin.SE3(_squared_rotation(frame.placement.rotation), frame.placement.translation)
-    return tuple(found)
+    return tuple(names)
 
 
 def _squared_rotation(R: Array) -> Array:
     """Return a rotation with entries near 0 and 1 made exact, if the result is a rotation."""
-    whole = np.rint(R)
-    near = np.where(np.abs(R - whole) < _RIGHT, whole, R) + 0.0
-    return near if np.abs(near @ near.T - np.eye(3)).max() < _ORTHONORMAL else np.array(R)
+    nearest = np.rint(R)
+    exact_R = np.where(np.abs(R - nearest) < _RIGHT, nearest, R) + 0.0
+    return exact_R if np.abs(exact_R @ exact_R.T - np.eye(3)).max() < _ORTHONORMAL else np.array(R)
 
 
 def _without_root_pose(model: pin.Model, rest: Array) -> Array:
     """Return the configuration with the root at its origin, since the mount gives its placement."""
     posture, neutral = np.array(rest), pin.neutral(model)
     for joint in root_of(model):
-        own = Joint.of(model, joint).q
-        posture[own] = neutral[own]
+        rows = Joint.of(model, joint).q
+        posture[rows] = neutral[rows]
     return frozen(posture)
 
 
-def _held(model: pin.Model, names: Sequence[str]) -> list[int]:
+def _find_fixed(model: pin.Model, names: Sequence[str]) -> list[int]:
     """Return the joints that do not move: root joint, wheels, and the named joints."""
     root = root_of(model)
-    below = children(model)
+    child_of = children(model)
     start = root[-1] if root else 0
-    first = below[start]
+    first = child_of[start]
     rolling = [joint for joint in first if carries_only_wheels(model, joint)]
     # A single chain of continuous joints is a pendulum.
     wheels = rolling if len(first) > 1 else []
-    held = {*root}
+    fixed = {*root}
     while wheels:
         joint = wheels.pop()
-        held.add(joint)
-        wheels += below[joint]
-    known = {name: joint for joint, name in enumerate(model.names) if joint}
+        fixed.add(joint)
+        wheels += child_of[joint]
+    numbers = {name: joint for joint, name in enumerate(model.names) if joint}
     for name in names:
-        held.add(known[one_of("joint", name, known)])
-    return sorted(held)
+        fixed.add(numbers[one_of("joint", name, numbers)])
+    return sorted(fixed)
 
 
 def check_whole(model: pin.Model, posture: Array) -> None:
@@ -498,27 +498,27 @@ def check_whole(model: pin.Model, posture: Array) -> None:
     data = model.createData()
     generic = posture + np.random.default_rng(_GENERIC).uniform(-1, 1, model.nv)
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        for where, q in (("at rest", posture), ("at a posture like any other", generic)):
-            own = np.diag(pin.crba(model, data, q)).copy()
+        for posture_name, q in (("at rest", posture), ("at a posture like any other", generic)):
+            diagonal = np.diag(pin.crba(model, data, q)).copy()
             pin.cholesky.decompose(model, data)
             # Elimination goes from the tips to the root; the entries after a zero are NaN.
-            singular = np.flatnonzero(~(np.array(data.D) > _SINGULAR * own))
+            singular = np.flatnonzero(~(np.array(data.D) > _SINGULAR * diagonal))
             if len(singular):
-                raise InvalidArgument(_cause(model, int(singular[-1]), where, heaviest))
+                raise InvalidArgument(_cause(model, int(singular[-1]), posture_name, heaviest))
 
 
-def _cause(model: pin.Model, k: int, where: str, heaviest: str) -> str:
+def _cause(model: pin.Model, k: int, words: str, heaviest: str) -> str:
     """Return the error message for the joint of a coordinate that moves no inertia."""
     joint = next(j for j in range(1, model.njoints) if 0 <= k - model.idx_vs[j] < model.nvs[j])
     name = repr(model.names[joint])
-    moved = [model.inertias[beyond] for beyond in model.subtrees[joint]]
-    if not any(body.mass or np.array(body.inertia).any() for body in moved):
+    bodies = [model.inertias[beyond] for beyond in model.subtrees[joint]]
+    if not any(body.mass or np.array(body.inertia).any() for body in bodies):
         return (
             f"joint {name} moves parts that have no inertia, expected inertia beyond each joint: lock this "
             "joint, or add inertia"
         )
     return (
-        f"the mass matrix is singular {where} about joint {name}: if the joints beyond move too, it moves "
+        f"the mass matrix is singular {words} about joint {name}: if the joints beyond move too, it moves "
         f"less than {_SINGULAR:g} of its inertia, expected another `rest`, inertia there, less different "
         f"masses and distances, or this joint locked: {heaviest}"
     )

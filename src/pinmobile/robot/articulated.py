@@ -40,7 +40,7 @@ from pinmobile.robot.linkage import (
     matrix_of,
     number,
     plus,
-    regrouped,
+    regroup,
     scalar_of,
     scalars,
     single,
@@ -72,12 +72,12 @@ def slopes(function: Callable[..., Any], directions: Array, *given: Array) -> Ar
     lead = np.broadcast_shapes(*(np.shape(x)[:-1] for x in given))
     points = (np.broadcast_to(np.asarray(x, np.float64), (*lead, np.shape(x)[-1])) for x in given)
     flat = [x.reshape(-1, 1, x.shape[-1]) for x in points]
-    found = [
+    parts = [
         function(1j * _STEP * directions, *(x[i : i + _SAMPLES] for x in flat)).imag / _STEP
         for i in range(0, len(flat[0]), _SAMPLES)
     ]
-    whole = np.concatenate(found)  # (samples, k, m)
-    return np.asarray(np.swapaxes(whole, -1, -2)).reshape(*lead, whole.shape[-1], len(directions))
+    columns = np.concatenate(parts)  # (samples, k, m)
+    return np.asarray(np.swapaxes(columns, -1, -2)).reshape(*lead, columns.shape[-1], len(directions))
 
 
 class _Coordinates(Protocol):
@@ -114,12 +114,12 @@ class _Coordinates(Protocol):
             return body.forward_dynamics(q + step[..., :n], v + step[..., n : 2 * n], u + step[..., 2 * n :])
 
         # The dynamics do not depend on x and y.
-        found = slopes(accelerations, np.eye(3 * n)[2:], q, v, u)
-        lead = found.shape[:-2]
+        derivative = slopes(accelerations, np.eye(3 * n)[2:], q, v, u)
+        lead = derivative.shape[:-2]
         A, B = np.zeros((*lead, 2 * n, 2 * n)), np.zeros((*lead, 2 * n, n))
         A[..., :n, n:] = np.eye(n)
-        A[..., n:, 2:] = found[..., : 2 * n - 2]
-        B[..., n:, :] = found[..., 2 * n - 2 :]
+        A[..., n:, 2:] = derivative[..., : 2 * n - 2]
+        B[..., n:, :] = derivative[..., 2 * n - 2 :]
         return A, B
 
     def integrate(self, q: Array, dq: Array) -> Array:
@@ -188,8 +188,8 @@ class PlanarDynamics(_Coordinates):
 
     def kinetic_energy(self, q: Array, v: Array) -> Array:
         """Return v . M(q) v / 2, shape (...)."""
-        twice: Array = np.sum(v * self.inverse_dynamics(q, 0.0 * v, v), axis=-1)
-        return twice / 2
+        double: Array = np.sum(v * self.inverse_dynamics(q, 0.0 * v, v), axis=-1)
+        return double / 2
 
     def inverse_dynamics(self, q: Array, v: Array, a: Array) -> Array:
         """Return M(q) a + n(q, v), shape (..., 3)."""
@@ -398,7 +398,7 @@ class ArticulatedDynamics(_Coordinates):
         """Placements of the arms on the body."""
         return [Placement.about_z(yaw, origin) for *origin, yaw in self.places]
 
-    def _placed(self, arm: int, R: Array, p: Array) -> Placement:
+    def _place(self, arm: int, R: Array, p: Array) -> Placement:
         """Return a placement in its joint's frame, from a placement on an arm's root or in this frame."""
         place = Placement.of(R, p)
         return place if arm < 0 else place.within(self._stands[arm])
@@ -408,7 +408,7 @@ class ArticulatedDynamics(_Coordinates):
         """Placements of the joints in their parents' frames."""
         tree = self.tree
         rows = zip(tree.roots, tree.linkage.rotations, tree.linkage.offsets, strict=True)
-        return [self._placed(*row) for row in rows]
+        return [self._place(*row) for row in rows]
 
     def _base(self, z: Any = ZERO, xz: Any = ZERO, yz: Any = ZERO) -> Body:
         """Return the base's body, with the parameters that affect only the ground's wrench."""
@@ -418,25 +418,25 @@ class ArticulatedDynamics(_Coordinates):
     @cached_property
     def _bodies(self) -> list[Body]:
         """Body on each joint, regrouped for the fewest operations."""
-        return regrouped(self.linkage, self._joints, self._carried(self._base()))
+        return regroup(self.linkage, self._joints, self._bodies_of(self._base()))
 
     @cached_property
     def _bodies_on_ground(self) -> list[Body]:
         """Body on each joint, regrouped without a change of the ground's wrench on the base."""
-        carried = self._carried(self._base(self.com[2], *map(exact, self.shares)))
-        return regrouped(self.linkage, self._joints, carried, _BASE - 1)
+        bodies = self._bodies_of(self._base(self.com[2], *map(exact, self.shares)))
+        return regroup(self.linkage, self._joints, bodies, _BASE - 1)
 
-    def _carried(self, base: Body, before: str = "") -> list[Body]:
+    def _bodies_of(self, base: Body, prefix: str = "") -> list[Body]:
         """Return the body on each joint: the base's body, and links and loads with a given prefix."""
-        found = [Body.none() for _ in self.rest]
-        found[_BASE - 1] = base
+        bodies = [Body.zero() for _ in self.rest]
+        bodies[_BASE - 1] = base
         tree = self.tree
         loads = [(tree.frames[frame], solid) for frame, solid in self.loads]
         for (name, joint, arm, R, p), solid in (*zip(tree.links, self.links, strict=True), *loads):
-            if name.startswith(before):
-                place = self._placed(arm, R, p)
-                found[joint] = found[joint].joined(Body.of(*solid).turned(place.R).moved(place.p))
-        return found
+            if name.startswith(prefix):
+                place = self._place(arm, R, p)
+                bodies[joint] = bodies[joint].merge(Body.of(*solid).rotate(place.R).shift(place.p))
+        return bodies
 
     @cached_property
     def _axes(self) -> list[Matrix]:
@@ -485,9 +485,9 @@ class ArticulatedDynamics(_Coordinates):
 
     def gravity(self, q: Array) -> Array:
         """Return g(q), shape (..., nv)."""
-        still = [ZERO] * self.nv
-        moving = LinkageDynamics(self.linkage, self._joints, scalars(q), still)
-        return vector_of(moving.efforts(self._bodies, still), q)
+        zeros = [ZERO] * self.nv
+        moving = LinkageDynamics(self.linkage, self._joints, scalars(q), zeros)
+        return vector_of(moving.efforts(self._bodies, zeros), q)
 
     def kinetic_energy(self, q: Array, v: Array) -> Array:
         """Return v' M(q) v / 2, shape (...)."""
@@ -503,8 +503,8 @@ class ArticulatedDynamics(_Coordinates):
 
     def regressor(self, q: Array, v: Array, a: Array) -> Array:
         """Return Y(q, v, a), shape (..., nv, 10 bodies), for the base's body and each later joint's body."""
-        found = self._moving(q, v).regressor(self._axes, _BASE - 1, scalars(a))
-        return matrix_of(found, q)
+        rows = self._moving(q, v).regressor(self._axes, _BASE - 1, scalars(a))
+        return matrix_of(rows, q)
 
     def mass_matrix(self, q: Array) -> Array:
         """Return M(q), shape (..., nv, nv)."""
@@ -515,19 +515,19 @@ class ArticulatedDynamics(_Coordinates):
 
     def ground_wrench(self, q: Array, v: Array, a: Array) -> Array:
         """Return the ground's wrench on the robot, shape (..., 6): force and moment in the body frame B."""
-        force, moment = self._felt(self._bodies_on_ground, q, v, a)
+        force, moment = self._base_wrench(self._bodies_on_ground, q, v, a)
         return vector_of([*force, *moment], q)
 
     def mount_wrench(self, q: Array, v: Array, a: Array, mount: str | None = None) -> Array:
         """Return an arm's wrench on the base, shape (..., 6), along the base's axes, about the mount."""
         arm = 0 if mount is None else self.tree.arms.index(mount)
         name = f"{self.tree.arms[arm]}/"
-        bodies = regrouped(self.linkage, self._joints, self._carried(Body.none(), name), _BASE - 1)
-        force, moment = self._felt(bodies, q, v, a)
-        about = plus(moment, cross(force, self._stands[arm].p))
-        return vector_of([-x for x in (*force, *about)], q)
+        bodies = regroup(self.linkage, self._joints, self._bodies_of(Body.zero(), name), _BASE - 1)
+        force, moment = self._base_wrench(bodies, q, v, a)
+        moment_m = plus(moment, cross(force, self._stands[arm].p))
+        return vector_of([-x for x in (*force, *moment_m)], q)
 
-    def _felt(self, bodies: Sequence[Body], q: Array, v: Array, a: Array) -> tuple[Vector, Vector]:
+    def _base_wrench(self, bodies: Sequence[Body], q: Array, v: Array, a: Array) -> tuple[Vector, Vector]:
         """Return the force and moment, in the base's frame, that accelerate the bodies in this way."""
         base, forces = _BASE - 1, self._moving(q, v).wrenches(bodies, scalars(a))
         force, moment = (applied(self._axes[base], each[base]) for each in forces)
@@ -558,23 +558,23 @@ class ArticulatedDynamics(_Coordinates):
     def frame_pose(self, q: Array, frame: str | None = None) -> Array:
         """Return T_0_f, the pose of a frame, shape (..., 4, 4)."""
         fixed = self._frame(frame)
-        R, p = self._posture(q).placed(fixed.joint, self._placed(*fixed[2:]))
+        R, p = self._posture(q).placement(fixed.joint, self._place(*fixed[2:]))
         rows = [[*row, x] for row, x in zip(R, p, strict=True)]
         return matrix_of([*rows, [ZERO, ZERO, ZERO, ONE]], q)
 
     def frame_jacobian(self, q: Array, frame: str | None = None) -> Array:
         """Return J, shape (..., 6, nv), of the frame's origin and orientation, along the inertial axes."""
         fixed = self._frame(frame)
-        J = self._posture(q).jacobian(fixed.joint, self._placed(*fixed[2:]).p)
+        J = self._posture(q).jacobian(fixed.joint, self._place(*fixed[2:]).p)
         return matrix_of(J, q)
 
     def manipulability(self, q: Array, frame: str | None = None, *, arm: str = "") -> Array:
         """Return sqrt(det J J'), shape (...), for all coordinates, or only for those of an arm."""
         fixed, names = self._frame(frame), self.linkage.names
-        J = self._posture(q).jacobian(fixed.joint, self._placed(*fixed[2:]).p)
-        ahead = arm and f"{arm}/"
-        own = [k for k, name in enumerate(names) if name.startswith(ahead)]
-        return scalar_of(volume([[row[k] for k in own] for row in J]), q)
+        J = self._posture(q).jacobian(fixed.joint, self._place(*fixed[2:]).p)
+        prefix = arm and f"{arm}/"
+        columns = [k for k, name in enumerate(names) if name.startswith(prefix)]
+        return scalar_of(volume([[row[k] for k in columns] for row in J]), q)
 
     def arm_manipulability(self, q: Array, frame: str | None = None) -> Array:
         """Return the manipulability of the arm with the frame, for a fixed base, shape (...)."""
@@ -586,7 +586,7 @@ class ArticulatedDynamics(_Coordinates):
     def frame_bias_acceleration(self, q: Array, v: Array, frame: str | None = None) -> Array:
         """Return the bias acceleration dJ/dt v, shape (..., 6), with J as in `frame_jacobian`."""
         fixed = self._frame(frame)
-        line, spin = self._moving(q, v).drift(fixed.joint, self._placed(*fixed[2:]).p)
+        line, spin = self._moving(q, v).drift(fixed.joint, self._place(*fixed[2:]).p)
         return vector_of([*line, *spin], q)
 
     def _frame(self, name: str | None) -> Fixed:

@@ -14,8 +14,8 @@ from pinmobile.robot.support_geometry import margin_inside
 def numbers(values: Any, unit: str = "") -> str:
     """Return numbers as text, such as ``(0.1, 0, 0.2) m``."""
     each = [f"{value:.4g}" if abs(value) > 1e-12 else "0" for value in np.atleast_1d(values)]
-    joined = ", ".join(each)
-    return f"{joined if len(each) == 1 else f'({joined})'} {unit}".rstrip()
+    words = ", ".join(each)
+    return f"{words if len(each) == 1 else f'({words})'} {unit}".rstrip()
 
 
 def columns(rows: Sequence[Sequence[str]], indent: str = "  ") -> list[str]:
@@ -62,7 +62,7 @@ def of_robot(robot: Any, corners: Array | None, wheeled: Any = None) -> list[str
     ]
     if corners is not None:
         spans = zip("xy", corners.min(axis=0), corners.max(axis=0), strict=True)
-        words = ", ".join(f"{one} {low:.4g} to {high:.4g} m" for one, low, high in spans)
+        words = ", ".join(f"{axis} {low:.4g} to {high:.4g} m" for axis, low, high in spans)
         rows.append(["supports", f"{len(corners)} corners, {words}"])
     notes, words = robot.source.removeprefix(robot._source), robot._source
     if wheeled is not None:  # its source knows which joints turn
@@ -78,17 +78,17 @@ def of_robot(robot: Any, corners: Array | None, wheeled: Any = None) -> list[str
         lines.append(f"arm {mount.name}: {numbers(mass, 'kg')} at {place}")
         heads = [["joint", "position", "speed", "effort"]]
         for k in range(mount.v.start, mount.v.stop):
-            one, speed, effort = robot.coordinates[k], robot.velocity_limit[k], robot.effort_limit[k]
-            limits = [interval(one.lower, one.upper, one.unit), interval(-speed, speed, f"{one.unit}/s")]
-            heads.append([one.name, *limits, interval(-effort, effort, robot.inputs[k].unit)])
+            axis, speed, effort = robot.coordinates[k], robot.velocity_limit[k], robot.effort_limit[k]
+            limits = [interval(axis.lower, axis.upper, axis.unit), interval(-speed, speed, f"{axis.unit}/s")]
+            heads.append([axis.name, *limits, interval(-effort, effort, robot.inputs[k].unit)])
         lines += columns(heads)
     if robot.mounts:
         lines += ["numbers of arms: from their files or models"]
         lines += [f"  {each}" for each in notes.split("; ") if each]
     if robot.mounts or robot.loads:
-        whole = robot.with_locked_arms()
-        place = f"centre of mass {numbers(whole.com, 'm')} in the reference posture"
-        lines.append(f"whole robot: {numbers(whole.mass, 'kg')}, {place}")
+        full = robot.with_locked_arms()
+        place = f"centre of mass {numbers(full.com, 'm')} in the reference posture"
+        lines.append(f"whole robot: {numbers(full.mass, 'kg')}, {place}")
     return lines
 
 
@@ -100,8 +100,8 @@ def of_wheels(wheeled: Any) -> list[str]:
         motor, speed = each.motor, "none"
         if motor.is_electric:
             rate = motor.no_load_rate()
-            along = f", {numbers(rate * radii[each.name], 'm/s')}" if each.name in radii else ""
-            speed = numbers(rate, "rad/s") + along
+            speed_text = f", {numbers(rate * radii[each.name], 'm/s')}" if each.name in radii else ""
+            speed = numbers(rate, "rad/s") + speed_text
         limits = (motor.largest_torque, "N m"), (motor.voltage or np.inf, "V"), (motor.current, "A")
         torque, volts, current = (numbers(x, unit) if np.isfinite(x) else "none" for x, unit in limits)
         is_stated = motor.is_electric or np.isfinite(motor.largest_torque)
@@ -118,12 +118,12 @@ def of_wheels(wheeled: Any) -> list[str]:
     ]
 
 
-def described(robot: Any, wheeled: Any = None) -> str:
+def describe(robot: Any, wheeled: Any = None) -> str:
     """Return a `MobileRobot` as text, or a `WheeledRobot` on it."""
-    corners, down = robot.footprint, np.array([0.0, 0.0, -1.0])
+    corners, fall = robot.footprint, np.array([0.0, 0.0, -1.0])
     if wheeled is not None:
-        corners, down = wheeled.footprint, np.asarray(wheeled.fall)
+        corners, fall = wheeled.footprint, np.asarray(wheeled.fall)
     lines = of_robot(robot, corners, wheeled) + (of_wheels(wheeled) if wheeled is not None else [])
     com = np.array(robot.with_locked_arms().com)
-    words = stands(com[:2] - com[2] * down[:2] / down[2], corners)
-    return "\n".join([*lines, words + (" on this ramp, at psi = 0" if down[:2].any() else "")])
+    words = stands(com[:2] - com[2] * fall[:2] / fall[2], corners)
+    return "\n".join([*lines, words + (" on this ramp, at psi = 0" if fall[:2].any() else "")])

@@ -111,13 +111,13 @@ def replace_continuous_joints(model: pin.Model) -> pin.Model:
     new, endless = pin.Model(), np.array([np.inf])
     new.name, new.gravity = model.name, model.gravity
     for number, joint in enumerate(joints, 1):
-        kind, most = model.joints[number], (model.effortLimit[joint.v], model.velocityLimit[joint.v])
+        kind, rates = model.joints[number], (model.effortLimit[joint.v], model.velocityLimit[joint.v])
         limits = model.lowerPositionLimit[joint.q], model.upperPositionLimit[joint.q]
         if joint.continuous:
             kind, limits = pin.JointModelRevoluteUnaligned(axis_of(model, number)), (-endless, endless)
             if joint.kind[-1] in "XYZ":
                 kind = getattr(pin, f"JointModelR{joint.kind[-1]}")()
-        new.addJoint(model.parents[number], kind, model.jointPlacements[number], joint.name, *most, *limits)
+        new.addJoint(model.parents[number], kind, model.jointPlacements[number], joint.name, *rates, *limits)
     for number, inertia in enumerate(model.inertias):
         new.inertias[number] = inertia
     for number, frame in enumerate(list(model.frames)[1:], 1):
@@ -133,7 +133,7 @@ def replace_continuous_joints(model: pin.Model) -> pin.Model:
 def convert_configuration(model: pin.Model, q: Array) -> Array:
     """Return a configuration of a model as a configuration of `replace_continuous_joints(model)`."""
     parts = ((q[joint.q], joint.continuous) for joint in joints_of(model))
-    angles = ([np.arctan2(*own[::-1])] if continuous else own for own, continuous in parts)
+    angles = ([np.arctan2(*q_j[::-1])] if continuous else q_j for q_j, continuous in parts)
     return np.concatenate([np.zeros(0), *angles])
 
 
@@ -141,52 +141,52 @@ def circular_coordinates(model: pin.Model) -> tuple[int, ...]:
     """Return the coordinates with errors on the circle: psi and the continuous joints."""
     lower, upper = model.lowerPositionLimit, model.upperPositionLimit
     joints = (joint for joint in joints_of(model, BODY_JOINT + 1) if not joint.slides)
-    found = (joint.v.start for joint in joints if upper[joint.q][0] == np.inf == -lower[joint.q][0])
-    return (BODY_JOINT - 1, *found)
+    joints_v = (joint.v.start for joint in joints if upper[joint.q][0] == np.inf == -lower[joint.q][0])
+    return (BODY_JOINT - 1, *joints_v)
 
 
 def children(model: pin.Model) -> list[list[int]]:
     """Return the child joints of each joint, beginning with the universe."""
-    below: list[list[int]] = [[] for _ in range(model.njoints)]
+    lists: list[list[int]] = [[] for _ in range(model.njoints)]
     for joint in range(1, model.njoints):
-        below[model.parents[joint]].append(joint)
-    return below
+        lists[model.parents[joint]].append(joint)
+    return lists
 
 
 def turns_freely(model: pin.Model, joint: int) -> bool:
     """Return whether a joint turns endlessly: continuous, or revolute with very large limits."""
-    own = Joint.of(model, joint)
-    if own.continuous:
+    data = Joint.of(model, joint)
+    if data.continuous:
         return True
-    if not own.kind.startswith("R"):
+    if not data.kind.startswith("R"):
         return False
-    least, most = (float(limit[own.q][0]) for limit in (model.lowerPositionLimit, model.upperPositionLimit))
-    endless = most == np.inf == -least
-    return endless or (-_UNSET < least < -_TURNS and _TURNS < most < _UNSET)
+    low, high = (float(limit[data.q][0]) for limit in (model.lowerPositionLimit, model.upperPositionLimit))
+    endless = high == np.inf == -low
+    return endless or (-_UNSET < low < -_TURNS and _TURNS < high < _UNSET)
 
 
 def carries_only_wheels(model: pin.Model, joint: int) -> bool:
     """Return whether the joint is a wheel, or carries only wheels with at most three joints in series."""
-    below = children(model)
+    child_of = children(model)
 
     def rolls(joint: int, joints_left: int) -> bool:
-        if not below[joint]:
+        if not child_of[joint]:
             return turns_freely(model, joint)
-        beyond = (rolls(child, joints_left - 1) for child in below[joint])
-        return bool(joints_left > 1 and model.nvs[joint] == 1 and all(beyond))
+        results = (rolls(child, joints_left - 1) for child in child_of[joint])
+        return bool(joints_left > 1 and model.nvs[joint] == 1 and all(results))
 
     return rolls(joint, _WHEEL_JOINTS)
 
 
 def root_of(model: pin.Model) -> list[int]:
     """Return the root joints of a robot: free-flyer, planar, or two prismatic joints and a revolute joint."""
-    below = children(model)
-    if len(below[0]) != 1:
+    child_of = children(model)
+    if len(child_of[0]) != 1:
         return []
     if Joint.of(model, 1).floats:
         return [1]
     chain = model.njoints > 3 and list(model.parents[1:4]) == [0, 1, 2]
-    if not chain or any(len(below[joint]) != 1 for joint in (1, 2)):
+    if not chain or any(len(child_of[joint]) != 1 for joint in (1, 2)):
         return []
     kinds = [Joint.of(model, joint).kind for joint in (1, 2, 3)]
     massless = all(model.inertias[joint].mass == 0 for joint in (1, 2))
@@ -196,16 +196,16 @@ def root_of(model: pin.Model) -> list[int]:
 
 def tip_of(model: pin.Model) -> str:
     """Return the last link on the longest chain of joints; for a hand, the link before the fingers."""
-    below = children(model)
+    child_of = children(model)
     depth = [0] * model.njoints
     for joint in range(1, model.njoints):
         depth[joint] = depth[model.parents[joint]] + 1
     leaf = tip = int(np.argmax(depth))
-    above = model.parents[leaf]
-    while above and depth[leaf] - depth[above] <= _FINGER:
-        if len(below[above]) > 1:
-            tip = above
-        above = model.parents[above]
+    parent = model.parents[leaf]
+    while parent and depth[leaf] - depth[parent] <= _FINGER:
+        if len(child_of[parent]) > 1:
+            tip = parent
+        parent = model.parents[parent]
     frames = [frame for frame in model.frames if frame.parentJoint == tip]
     links = [str(frame.name) for frame in frames if frame.type == pin.FrameType.BODY]
     tools = [link for tool in _TOOLS for link in links if link.endswith(tool)]
@@ -215,7 +215,7 @@ def tip_of(model: pin.Model) -> str:
 Vector: TypeAlias = list[Any]
 Matrix: TypeAlias = list[list[Any]]
 
-_LEAST = 1e-300  # smaller squares count as zero
+_MIN_SQUARE = 1e-300  # smaller squares count as zero
 
 ENTRIES = (0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)  # independent ones of a symmetric matrix
 
@@ -265,8 +265,8 @@ ZERO, ONE = _EXACT[0.0], _EXACT[1.0]
 
 def exact(x: Any) -> Any:
     """Return a scalar; a known 0, 1 or -1 becomes an `Exact`."""
-    known = x.value if type(x) is Node else x
-    return _EXACT.get(float(known), x) if isinstance(known, int | float) else x
+    value = x.value if type(x) is Node else x
+    return _EXACT.get(float(value), x) if isinstance(value, int | float) else x
 
 
 def number(x: Any) -> Any:
@@ -290,18 +290,18 @@ def plus(a: Vector, b: Vector) -> Vector:
     return [y if x is ZERO else x if y is ZERO else x + y for x, y in zip(a, b, strict=True)]
 
 
-def scaled(k: Any, a: Vector) -> Vector:
+def scale(k: Any, a: Vector) -> Vector:
     """Return k a."""
     return [k * x for x in a]
 
 
 def dot(a: Iterable[Any], b: Iterable[Any]) -> Any:
     """Return a . b."""
-    found: Any = ZERO
+    total: Any = ZERO
     for x, y in zip(a, b, strict=True):
         if x is not ZERO and y is not ZERO:
-            found = x * y if found is ZERO else found + x * y
-    return found
+            total = x * y if total is ZERO else total + x * y
+    return total
 
 
 def cross(a: Vector, b: Vector) -> Vector:
@@ -314,7 +314,7 @@ def applied(A: Matrix, x: Vector) -> Vector:
     return [dot(row, x) for row in A]
 
 
-def transposed(A: Matrix) -> Matrix:
+def transpose(A: Matrix) -> Matrix:
     """Return A'."""
     return [list(column) for column in zip(*A, strict=True)]
 
@@ -324,7 +324,7 @@ def product(A: Matrix, B: Matrix) -> Matrix:
     return [[dot(row, column) for column in zip(*B, strict=True)] for row in A]
 
 
-def added(A: Matrix, B: Matrix) -> Matrix:
+def add(A: Matrix, B: Matrix) -> Matrix:
     """Return A + B."""
     return [plus(a, b) for a, b in zip(A, B, strict=True)]
 
@@ -334,15 +334,15 @@ def symmetric(J: Sequence[Any]) -> Matrix:
     return [[J[0], J[3], J[4]], [J[3], J[1], J[5]], [J[4], J[5], J[2]]]
 
 
-def turned(R: Matrix, J: Matrix) -> Matrix:
+def rotate_tensor(R: Matrix, J: Matrix) -> Matrix:
     """Return R J R' of a symmetric J."""
-    A, found = product(R, J), [[ZERO] * 3 for _ in range(3)]
+    A, result = product(R, J), [[ZERO] * 3 for _ in range(3)]
     for r, c in ENTRIES:
-        found[r][c] = found[c][r] = dot(A[r], R[c])
-    return found
+        result[r][c] = result[c][r] = dot(A[r], R[c])
+    return result
 
 
-def factored(M: Matrix, order: Sequence[int] = ()) -> tuple[Callable[[Vector], Vector], Matrix]:
+def factor(M: Matrix, order: Sequence[int] = ()) -> tuple[Callable[[Vector], Vector], Matrix]:
     """Return the solver of M x = right for a symmetric M, by L D L', and the partly eliminated matrix.
 
     Zeros stay.
@@ -358,14 +358,14 @@ def factored(M: Matrix, order: Sequence[int] = ()) -> tuple[Callable[[Vector], V
     n, left = len(M), list[list[Any]]()
     others = [i for i in range(n) if i not in order]
     M, inverse, order = [list(row) for row in M], [ZERO] * n, [*order, *reversed(others)]
-    for done, i in enumerate(order, 1):
-        if done > n - len(others) and not left:
+    for count, i in enumerate(order, 1):
+        if count > n - len(others) and not left:
             left = [[M[j][k] for k in others] for j in others]
         inverse[i] = 1.0 / number(M[i][i])
-        rest = order[done:]
+        rest = order[count:]
         factors = {j: M[j][i] * inverse[i] for j in rest}
-        for at, j in enumerate(rest):
-            for k in rest[: at + 1]:
+        for column, j in enumerate(rest):
+            for k in rest[: column + 1]:
                 M[j][k] = M[k][j] = M[j][k] - factors[j] * M[k][i]
         for j in rest:
             M[j][i] = factors[j]
@@ -386,17 +386,17 @@ def factored(M: Matrix, order: Sequence[int] = ()) -> tuple[Callable[[Vector], V
 
 def volume(rows: Matrix) -> Any:
     """Return the volume that vectors span, at least zero, by successive orthogonalisation."""
-    rest, found = [list(row) for row in rows], ONE
+    rest, size = [list(row) for row in rows], ONE
     if len(rest) > len(rest[0]):
         return ZERO
     while rest:
         first, *rest = rest
         square = dot(first, first)
-        found = found * root(number(square))
+        size = size * root(number(square))
         # A zero vector gives a zero volume, for any later vectors.
-        inverse = 1.0 / maximum(number(square), _LEAST)
-        rest = [plus(row, scaled(-dot(first, row) * inverse, first)) for row in rest]
-    return found
+        inverse = 1.0 / maximum(number(square), _MIN_SQUARE)
+        rest = [plus(row, scale(-dot(first, row) * inverse, first)) for row in rest]
+    return size
 
 
 def single(x: Any) -> Any:
@@ -451,35 +451,35 @@ class Body(NamedTuple):
     inertia: Matrix
 
     @classmethod
-    def none(cls) -> Body:
+    def zero(cls) -> Body:
         """Return a body without mass."""
         return cls(ZERO, [ZERO] * 3, [[ZERO] * 3 for _ in range(3)])
 
     @classmethod
     def of(cls, mass: Any, com: Vector, inertia: Sequence[Any]) -> Body:
         """Return the body with a centre of mass and an inertia (xx, yy, zz, xy, xz, yz) about this centre."""
-        return cls(mass, [ZERO] * 3, symmetric(inertia)).moved(com)
+        return cls(mass, [ZERO] * 3, symmetric(inertia)).shift(com)
 
-    def turned(self, R: Matrix) -> Body:
+    def rotate(self, R: Matrix) -> Body:
         """Return the body in a frame in which its present frame has the orientation R."""
-        return Body(self.mass, applied(R, self.first), turned(R, self.inertia))
+        return Body(self.mass, applied(R, self.first), rotate_tensor(R, self.inertia))
 
-    def moved(self, p: Vector) -> Body:
+    def shift(self, p: Vector) -> Body:
         """Return the body in a frame in which its present origin is at p: J + (p.h + g.p) 1 - p h' - g p'."""
         m, h, J = self
-        g = plus(h, scaled(m, p))
+        g = plus(h, scale(m, p))
         d = [p[k] * (h[k] + g[k]) for k in range(3)]
-        found = [[ZERO] * 3 for _ in range(3)]
+        inertia = [[ZERO] * 3 for _ in range(3)]
         for r, c in ENTRIES:
             if r == c:
-                found[r][r] = J[r][r] + d[(r + 1) % 3] + d[(r + 2) % 3]
+                inertia[r][r] = J[r][r] + d[(r + 1) % 3] + d[(r + 2) % 3]
             else:
-                found[r][c] = found[c][r] = J[r][c] - p[r] * h[c] - g[r] * p[c]
-        return Body(m, g, found)
+                inertia[r][c] = inertia[c][r] = J[r][c] - p[r] * h[c] - g[r] * p[c]
+        return Body(m, g, inertia)
 
-    def joined(self, other: Body) -> Body:
+    def merge(self, other: Body) -> Body:
         """Return both bodies as one."""
-        return Body(self.mass + other.mass, plus(self.first, other.first), added(self.inertia, other.inertia))
+        return Body(self.mass + other.mass, plus(self.first, other.first), add(self.inertia, other.inertia))
 
 
 @dataclass(frozen=True, eq=False)
@@ -532,9 +532,9 @@ class Linkage:
                 )
         axes = [np.eye(3), *(_to_z(axis_of(model, j)) for j in range(1, model.njoints))]
         places, parents = list(model.jointPlacements)[1:], list(model.parents)[1:]
-        above = [axes[parent].T for parent in parents]
-        rotations = [A @ M.rotation @ axis for A, M, axis in zip(above, places, axes[1:], strict=True)]
-        offsets = [A @ M.translation for A, M in zip(above, places, strict=True)]
+        frames = [axes[parent].T for parent in parents]
+        rotations = [A @ M.rotation @ axis for A, M, axis in zip(frames, places, axes[1:], strict=True)]
+        offsets = [A @ M.translation for A, M in zip(frames, places, strict=True)]
         return cls(
             names=tuple(joint.name for joint in joints),
             parents=tuple(int(parent) - 1 for parent in parents),
@@ -564,8 +564,8 @@ def _to_z(axis: Array) -> Array:
 
 def without_rounding(array: Array) -> Array:
     """Return entries of rotations and positions, with rounded 0, 1 and -1 made exact."""
-    whole = np.rint(array)
-    return np.where((np.abs(array - whole) < _ROUNDING) & (np.abs(whole) <= 1), whole, array) + 0.0
+    nearest = np.rint(array)
+    return np.where((np.abs(array - nearest) < _ROUNDING) & (np.abs(nearest) <= 1), nearest, array) + 0.0
 
 
 class Placement(NamedTuple):
@@ -590,28 +590,28 @@ class Placement(NamedTuple):
         return Placement(product(other.R, self.R), plus(other.p, applied(other.R, self.p)))
 
 
-def regrouped(
-    linkage: Linkage, places: Sequence[Placement], bodies: Sequence[Body], least: int = 0
+def regroup(
+    linkage: Linkage, places: Sequence[Placement], bodies: Sequence[Body], first: int = 0
 ) -> list[Body]:
     """Return equivalent bodies with fewer nonzero numbers (Khalil and Dombre, 2002).
 
     The parameters of a body that its own joint does not move go to the parent's body: for a revolute joint,
     its mass, its first moment along the axis and its inertia yy; for a prismatic joint, its inertia. Joint
     torques stay the same. The total wrench on a body from its children also stays the same if this body
-    passes nothing on. Other forces between links change. `least` is the first joint whose body accepts
+    passes nothing on. Other forces between links change. `first` is the first joint whose body accepts
     parameters.
     """
-    found = list(bodies)
+    result = list(bodies)
     for i in reversed(range(len(linkage))):
-        above = linkage.parents[i]
-        if above < least:
+        parent = linkage.parents[i]
+        if parent < first:
             continue
-        m, h, J = found[i]
+        m, h, J = result[i]
         if linkage.turns[i]:
             loose = Body(m, [ZERO, ZERO, h[2]], symmetric([J[1][1], J[1][1], *[ZERO] * 4]))
-            kept = [J[0][0] - J[1][1], ZERO, J[2][2], J[0][1], J[0][2], J[1][2]]
-            found[i] = Body(ZERO, [h[0], h[1], ZERO], symmetric(kept))
+            entries = [J[0][0] - J[1][1], ZERO, J[2][2], J[0][1], J[0][2], J[1][2]]
+            result[i] = Body(ZERO, [h[0], h[1], ZERO], symmetric(entries))
         else:
-            loose, found[i] = Body(ZERO, [ZERO] * 3, J), Body(m, h, Body.none().inertia)
-        found[above] = found[above].joined(loose.turned(places[i].R).moved(places[i].p))
-    return found
+            loose, result[i] = Body(ZERO, [ZERO] * 3, J), Body(m, h, Body.zero().inertia)
+        result[parent] = result[parent].merge(loose.rotate(places[i].R).shift(places[i].p))
+    return result

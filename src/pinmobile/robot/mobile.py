@@ -51,7 +51,7 @@ from pinmobile.parts import (
 from pinmobile.robot.arm_loading import KeptArm, existing_folders, read_arm
 from pinmobile.robot.arms import check_whole, com_field, matrix_of_six
 from pinmobile.robot.articulated import ArticulatedDynamics, PlanarDynamics, Tree
-from pinmobile.robot.description import described
+from pinmobile.robot.description import describe
 from pinmobile.robot.linkage import BODY_JOINT
 from pinmobile.robot.model_import import (
     LOCKED,
@@ -218,17 +218,17 @@ class MobileRobot(MultibodySystem):
     @property
     def source(self) -> str:
         """Origin of the robot's numbers, as text: the file, and assumptions made in reading it."""
-        told = ((mount.name, ", ".join(mount.arm.squared)) for mount in self.mounts)
+        pairs = ((mount.name, ", ".join(mount.arm.squared)) for mount in self.mounts)
         words = "right angles that its file rounds are exact"
-        return self._source + "".join(f"; {name}: {words} ({joints})" for name, joints in told if joints)
+        return self._source + "".join(f"; {name}: {words} ({joints})" for name, joints in pairs if joints)
 
     def __repr__(self) -> str:
         table = "" if self.dh == LECTURE_TABLE else f", dh={self.dh!r}"
-        mounted = "".join(map(repr, self.mounts))
-        attached = "".join(f".attach({load!r}, frame={load.frame!r})" for load in self.loads)
+        mounts = "".join(map(repr, self.mounts))
+        loads = "".join(f".attach({load!r}, frame={load.frame!r})" for load in self.loads)
         return (
             f"MobileRobot(mass={self.mass!r}, yaw_inertia={self.yaw_inertia!r}, com={self.com!r}, "
-            f"size={self.size!r}{table}){mounted}{attached}"
+            f"size={self.size!r}{table}){mounts}{loads}"
         ) + (f" with {LOCKED}" if self.locked_joints else "")
 
     def describe(self) -> str:
@@ -248,13 +248,13 @@ class MobileRobot(MultibodySystem):
         >>> print(robot.describe().splitlines()[-1])
         cannot stand: its centre of mass lies 0.1 m outside its supports
         """
-        return described(self)
+        return describe(self)
 
     __str__ = describe
 
     def _key(self) -> tuple[object, ...]:
-        own = self.mass, self.com, self.body.inertia.tobytes(), self.size, self.dh
-        return *own, self.stance, self.mounts, self.loads
+        numbers = self.mass, self.com, self.body.inertia.tobytes(), self.size, self.dh
+        return *numbers, self.stance, self.mounts, self.loads
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, MobileRobot) or self._is_symbolic or other._is_symbolic:
@@ -444,14 +444,14 @@ class MobileRobot(MultibodySystem):
         """
         instance("body", body, urdf.Body, "a pinmobile.urdf.Body")
         instance("stance", stance, SupportGeometry | None, "a pinmobile.robot.SupportGeometry")
-        locked = sequence("locked_joints", locked_joints, "names of joints")
+        joints = sequence("locked_joints", locked_joints, "names of joints")
         return cls(  # type: ignore[call-arg]  # attrs names arguments without the underscore
             **fields_of_body(body),
             size=size,
             dh=dh,
             stance=stance,
             source=text("source", source),
-            locked_joints=tuple(text(f"locked_joints[{k}]", name) for k, name in enumerate(locked)),
+            locked_joints=tuple(text(f"locked_joints[{k}]", name) for k, name in enumerate(joints)),
         )
 
     @classmethod
@@ -499,24 +499,24 @@ class MobileRobot(MultibodySystem):
         >>> [one.name for one in robot.coordinates], len(robot.chain)
         (['x', 'y', 'psi', 'arm/elbow'], 4)
         """
-        whole = table_of(table)
+        chain = table_of(table)
         given = sequence("bodies", bodies, "a Body for the third row and each row after it")
-        if len(given) != len(whole) - BODY_JOINT + 1 or len(whole) < BODY_JOINT:
+        if len(given) != len(chain) - BODY_JOINT + 1 or len(chain) < BODY_JOINT:
             raise InvalidArgument(
-                f"table has {len(whole)} rows and bodies {len(given)}, expected n >= 3 rows and n - 2 bodies"
+                f"table has {len(chain)} rows and bodies {len(given)}, expected n >= 3 rows and n - 2 bodies"
             )
-        for k, one in enumerate(given):
-            if isinstance(one, Mapping) and one.keys() != {"mass", "com", "inertia"}:
-                raise InvalidArgument(f"bodies[{k}] has {list(one)}, expected mass, com and inertia")
-        check_chain("table", DHTable(whole.rows[:BODY_JOINT]))
-        first, *others = (urdf.Body(**one) if isinstance(one, Mapping) else one for one in given)
-        base = cls.from_body(first, size, DHTable(whole.rows[:BODY_JOINT]), "made from a DH table")
+        for k, body in enumerate(given):
+            if isinstance(body, Mapping) and body.keys() != {"mass", "com", "inertia"}:
+                raise InvalidArgument(f"bodies[{k}] has {list(body)}, expected mass, com and inertia")
+        check_chain("table", DHTable(chain.rows[:BODY_JOINT]))
+        first, *others = (urdf.Body(**body) if isinstance(body, Mapping) else body for body in given)
+        base = cls.from_body(first, size, DHTable(chain.rows[:BODY_JOINT]), "made from a DH table")
         if not others:
             return base
-        rows = DHTable(whole.rows[BODY_JOINT:])
+        rows = DHTable(chain.rows[BODY_JOINT:])
         arm = build_model(rows, *others, ends=[f"{variable}_link" for variable in rows.variables])
-        seen = rods_of(arm, [one.com for one in others])
-        return base.mount(arm, (0.0, 0.0, 0.0, 0.0), name=text("name", name), visual=seen)
+        visuals = rods_of(arm, [body.com for body in others])
+        return base.mount(arm, (0.0, 0.0, 0.0, 0.0), name=text("name", name), visual=visuals)
 
     @property
     def chain(self) -> DHTable | None:
@@ -596,16 +596,16 @@ class MobileRobot(MultibodySystem):
             If an argument has another shape or is not finite.
         """
         require("reference", reference, Desired)
-        wanted = [("...", n) for n in self.reference_sizes]
-        desired = shaped("reference.q", finite("reference.q", reference.q), *wanted)
+        shapes = [("...", n) for n in self.reference_sizes]
+        desired = shaped("reference.q", finite("reference.q", reference.q), *shapes)
         state = {"q": self._q(q), "v": self._v("v", v), "a": self._v("a", a), "u": self._v("u", u)}
         lead = broadcast(**state, **{"reference.q": desired})
         if not self.mounts:
             return np.zeros((*lead, 0))
         with np.errstate(over="ignore"):
-            found: Array = self._arm_metrics.evaluate_metrics(self, **state, desired=desired)
-        finite_answer(np.where(found == -np.inf, 0.0, found), **state)  # a margin may equal minus infinity
-        return found
+            values: Array = self._arm_metrics.evaluate_metrics(self, **state, desired=desired)
+        finite_answer(np.where(values == -np.inf, 0.0, values), **state)  # a margin may equal minus infinity
+        return values
 
     @structure
     def nv(self) -> int:
@@ -633,27 +633,27 @@ class MobileRobot(MultibodySystem):
             If a joint is neither revolute nor prismatic.
         """
         if self.mounts:
-            return self._articulated
+            return self._dynamics_of
         mass, inertia, (x, y) = self.mass, self.yaw_inertia, (self.com[0], self.com[1])
         if self.loads and not self._is_symbolic:
             bare = self.with_locked_arms()
             mass, inertia, (x, y) = bare.mass, bare.yaw_inertia, bare.com[:2]
         elif self.loads:
-            own = [(each.mass, each.com, each.inertia[2]) for each in self.loads]
-            bodies: list[Any] = [(mass, self.com, inertia), *own]
+            loads = [(each.mass, each.com, each.inertia[2]) for each in self.loads]
+            bodies: list[Any] = [(mass, self.com, inertia), *loads]
             mass = sum(m for m, _, _ in bodies)
             x, y = (sum(m * com[k] for m, com, _ in bodies) / mass for k in range(2))
-            about: Any = sum(own + m * (com[0] * com[0] + com[1] * com[1]) for m, com, own in bodies)
-            inertia = about - mass * (x * x + y * y)
+            total: Any = sum(loads + m * (com[0] * com[0] + com[1] * com[1]) for m, com, loads in bodies)
+            inertia = total - mass * (x * x + y * y)
         return PlanarDynamics(mass, inertia, x, y)
 
     @numeric
-    def _articulated(self) -> ArticulatedDynamics:
+    def _dynamics_of(self) -> ArticulatedDynamics:
         return ArticulatedDynamics.of(self)
 
     @numeric
     def _array_ways(self) -> tuple[Any, ...]:
-        return self.array_dynamics, self._articulated
+        return self.array_dynamics, self._dynamics_of
 
     @property
     def law(self) -> Any:
@@ -743,9 +743,9 @@ class MobileRobot(MultibodySystem):
         shapes = {"visual": visual, "collision": collision}
         ready = read_arm(arm, package_dirs=package_dirs, rest=rest, locked=locked, **shapes)
         place = free_place(self.mounts, self.stance.top, ready) if at is None else at
-        wanted = checked_name(name if name is not None else Path(ready.origin.value).stem)
-        taken = {mount.name for mount in self.mounts}
-        mount = Mount.after(self.nv, ready, free_name(wanted, taken), place)
+        prefix = checked_name(name if name is not None else Path(ready.origin.value).stem)
+        names = {mount.name for mount in self.mounts}
+        mount = Mount.create(self.nv, ready, free_name(prefix, names), place)
         return evolved(self, {"mounts": (*self.mounts, mount)})
 
     def attach(self, load: PayloadBody, frame: str | None = None) -> MobileRobot:
@@ -806,7 +806,7 @@ class MobileRobot(MultibodySystem):
         if posture.shape == (self.nq - 3,):
             posture = np.concatenate([np.zeros(3), posture])
         shaped("q", posture, (self.nq,), words=f" or ({self.nq - 3},)")
-        total = self._numeric.composite(self._here(posture))
+        total = self._numeric.composite(self._at_origin(posture))
         body = urdf.Body(total.mass, total.lever, total.inertia)
         return self.with_body(body, f"{self.source}; arms locked")
 
@@ -819,7 +819,7 @@ class MobileRobot(MultibodySystem):
         unreadable. Any other robot shows a box of dimensions `size` with a marked front. The geometry of the
         arms and the boxes of the loads follow.
         """
-        return self._seen[0].clone()
+        return self._visuals_read[0].clone()
 
     @property
     def visual_joints(self) -> Mapping[str, tuple[str, ...]]:
@@ -827,10 +827,10 @@ class MobileRobot(MultibodySystem):
 
         Only joints of the file count; from `locked_joints`, only the wheels.
         """
-        return MappingProxyType(self._seen[1])
+        return MappingProxyType(self._visuals_read[1])
 
     @cached_property
-    def _seen(self) -> tuple[pin.GeometryModel, dict[str, tuple[str, ...]]]:
+    def _visuals_read(self) -> tuple[pin.GeometryModel, dict[str, tuple[str, ...]]]:
         return visuals_of(self, self._looks)
 
     @cached_property
@@ -860,12 +860,12 @@ class MobileRobot(MultibodySystem):
         ndarray, shape (..., shapes, 4, 4)
             Homogeneous transforms, translation in m.
         """
-        still = self._q(q).copy()
-        still[..., :BODY_JOINT] = 0.0
-        parts = self.frame_placements(still)[..., BODY_JOINT - 1 :, :, :]
+        q_body = self._q(q).copy()
+        q_body[..., :BODY_JOINT] = 0.0
+        parts = self.frame_placements(q_body)[..., BODY_JOINT - 1 :, :, :]
         shapes = self.solids.shapes
-        own = np.stack([each.placement.homogeneous for each in shapes])
-        return np.asarray(parts[..., [each.part for each in shapes], :, :] @ own)
+        local = np.stack([each.placement.homogeneous for each in shapes])
+        return np.asarray(parts[..., [each.part for each in shapes], :, :] @ local)
 
     def to_urdf(self) -> str:
         """Return the robot as URDF text with all digits of every number.
@@ -873,26 +873,26 @@ class MobileRobot(MultibodySystem):
         The text contains the loads of a robot without arms, and the arm of `from_dh`. For other robots with
         arms, it describes only the base.
         """
-        loaded = self.loads and not self.mounts
+        has_loads = self.loads and not self.mounts
         box = self.stance == SupportGeometry.of_box(self.size)
         stance = None if box else self.stance.written()
-        body, table = self.with_locked_arms().body if loaded else self.body, self.chain or self.dh
+        body, table = self.with_locked_arms().body if has_loads else self.body, self.chain or self.dh
         arms = [link for mount in self.mounts for link in mount.links[1:]] if len(table) > BODY_JOINT else ()
         links = [urdf.Body(link.mass, link.com, matrix_of_six(link.inertia)) for link in arms]
         return urdf.write(table, body, size=self.size, stance=stance, links=links)
 
 
-def _kept(robot: MobileRobot) -> dict[str, Any]:
+def _archive_fields(robot: MobileRobot) -> dict[str, Any]:
     """Return the arguments of `_restored` as archives store them; the source represents each arm."""
     kind: Any = MobileRobot
-    own = {each.alias: getattr(robot, each.name) for each in attrs.fields(kind) if each.init}
+    fields = {each.alias: getattr(robot, each.name) for each in attrs.fields(kind) if each.init}
     mounts = [{name: value for name, _, value in fields_of(mount)} for mount in robot.mounts]
-    return own | {"mounts": [each | {"arm": KeptArm.of(each["arm"])} for each in mounts]}
+    return fields | {"mounts": [each | {"arm": KeptArm.of(each["arm"])} for each in mounts]}
 
 
-def _restored(mounts: Sequence[dict[str, Any]], **own: Any) -> MobileRobot:
+def _restore(mounts: Sequence[dict[str, Any]], **fields: Any) -> MobileRobot:
     """Return the robot of an archive: read the arms again and restore their links and rotor inertias."""
-    return MobileRobot(mounts=tuple(Mount(**each | {"arm": each["arm"].read()}) for each in mounts), **own)
+    return MobileRobot(mounts=tuple(Mount(**each | {"arm": each["arm"].read()}) for each in mounts), **fields)
 
 
-keep(MobileRobot, _kept, _restored)
+keep(MobileRobot, _archive_fields, _restore)

@@ -17,14 +17,14 @@ from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE, DHRow, DHTable, JointType, 
 from pinmobile.errors import InvalidArgument
 from pinmobile.robot.linkage import Joint, carries_only_wheels, children, joints_of, turns_freely
 from pinmobile.robot.support_geometry import (
-    ALONG,
+    MIN_COSINE,
     SupportGeometry,
     WheelJoint,
     hull,
     joint_axis,
     margin_inside,
+    read_stance,
     seen_from,
-    stance_written,
     triple,
     undercarriage_of,
 )
@@ -73,21 +73,21 @@ class Shape(NamedTuple):
 
     def reach(self, rotation: Array) -> float:
         """Return the extent above and below the origin for a rotation, for shapes other than meshes [m]."""
-        up = np.abs(rotation[2])  # the vertical, in the shape's frame
+        axis = np.abs(rotation[2])  # the vertical, in the shape's frame
         if self.kind == "box":
-            return float(up @ self.sizes / 2)
-        radius, along = self.sizes[0], up[2] * sum(self.sizes[1:]) / 2
-        return float(along + radius * (np.hypot(up[0], up[1]) if self.kind == "cylinder" else 1.0))
+            return float(axis @ self.sizes / 2)
+        radius, half = self.sizes[0], axis[2] * sum(self.sizes[1:]) / 2
+        return float(half + radius * (np.hypot(axis[0], axis[1]) if self.kind == "cylinder" else 1.0))
 
     def radius_about(self, axis: Array) -> float | None:
         """Return the radius about an axis in the shape's frame; None for a shape that is not round [m]."""
-        is_round = self.kind == "sphere" or (self.kind == "cylinder" and abs(axis[2]) > ALONG)
+        is_round = self.kind == "sphere" or (self.kind == "cylinder" and abs(axis[2]) > MIN_COSINE)
         return self.sizes[0] if is_round else None
 
     def corners_below(self, pose: pin.SE3) -> Array | None:
         """Return the corners of the lower face of a box that lies flat at a pose, shape (4, 2) [m]."""
         steep = np.abs(pose.rotation[2])
-        if self.kind != "box" or steep.max() < ALONG:
+        if self.kind != "box" or steep.max() < MIN_COSINE:
             return None
         edges = pose.rotation * np.array(self.sizes) / 2  # (3, 3), a column for each
         a, b = np.delete(edges[:2], int(steep.argmax()), axis=1).T
@@ -101,7 +101,7 @@ class Shape(NamedTuple):
         """Return the height of the highest point at a pose; None for an unreadable mesh [m]."""
         if not self.mesh:
             return float(pose.translation[2]) + self.reach(pose.rotation)
-        path = file.found(self.mesh)
+        path = file.find_mesh(self.mesh)
         try:
             vertices = coal.MeshLoader().load(str(path), np.array(self.sizes)).vertices()
         except (ValueError, RuntimeError):
@@ -130,8 +130,8 @@ def shapes_of(root: Element, model: pin.Model) -> list[Shape]:
                 sizes = tuple(map(float, given.get("scale", "1 1 1").split()))
             if len(sizes) == _SIZES[given.tag] and (given.tag == "mesh" or min(sizes) > 0):
                 placement = frame.placement * pin.SE3(pin.rpy.rpyToMatrix(rpy), xyz)
-                at = name, frame.parentJoint, placement
-                shapes.append(Shape(*at, given.tag, sizes, bool(collisions), given.get("filename", "")))
+                place = name, frame.parentJoint, placement
+                shapes.append(Shape(*place, given.tag, sizes, bool(collisions), given.get("filename", "")))
     return shapes
 
 
@@ -153,27 +153,27 @@ def wheels_of(
     shapes : sequence of Shape
         Shapes of the model's links. A cylinder about the axle, or a sphere on the axle, gives the radius.
     """
-    below, wheels = children(model), []
-    waiting = below[root][::-1]
+    child_of, wheels = children(model), []
+    waiting = child_of[root][::-1]
     while waiting:
         joint = waiting.pop()
         axis = joint_axis(model, data, base, joint)
         if not turns_freely(model, joint) or abs(axis[2]) > _LEVEL:
-            waiting += below[joint][::-1]
+            waiting += child_of[joint][::-1]
             continue
         axis = np.append(axis[:2] / np.hypot(axis[0], axis[1]), 0.0)
         place = base.inverse() * data.oMi[joint]
         round_about = []
         for shape in shapes:
             if shape.joint == joint:
-                at = place * shape.placement
-                radius = shape.radius_about(at.rotation.T @ axis)
-                aside = np.cross(at.translation - place.translation, axis)
-                if radius is not None and np.linalg.norm(aside) <= TOUCH:
-                    round_about.append((radius, at.translation))
+                pose = place * shape.placement
+                radius = shape.radius_about(pose.rotation.T @ axis)
+                offset = np.cross(pose.translation - place.translation, axis)
+                if radius is not None and np.linalg.norm(offset) <= TOUCH:
+                    round_about.append((radius, pose.translation))
         radius, centre = max(round_about, key=lambda pair: pair[0], default=(None, place.translation))
-        found = str(model.names[joint]), joint, triple(centre), triple(axis), radius
-        wheels.append(WheelJoint(*found, carried=tuple(str(model.names[each]) for each in below[joint])))
+        fields = str(model.names[joint]), joint, triple(centre), triple(axis), radius
+        wheels.append(WheelJoint(*fields, carried=tuple(str(model.names[each]) for each in child_of[joint])))
     return wheels
 
 
@@ -199,21 +199,21 @@ def ground_below(
     if lowest:
         heights = list(lowest.values())
         if max(heights) - min(heights) > TOUCH:
-            listed = ", ".join(f"{wheel} at z = {_rounded(z):.4g}" for wheel, z in lowest.items())
+            listed = ", ".join(f"{wheel} at z = {_round_height(z):.4g}" for wheel, z in lowest.items())
             raise InvalidArgument(
                 f"{name}: its wheels do not stand on one plane, with lowest points {listed} m, expected "
                 f"differences of at most {1e3 * TOUCH:g} mm, or ground=, its z in the root link's frame [m]"
             )
-        return _rounded(sum(heights) / len(heights)), "below its wheels by their radii"
+        return _round_height(sum(heights) / len(heights)), "below its wheels by their radii"
     for number, frame in enumerate(model.frames):
         is_link = number and frame.type == pin.FrameType.BODY and frame.parentJoint == root
         if is_link and frame.name.endswith(_FOOTPRINT):
-            at = base.inverse() * data.oMi[root] * frame.placement
-            return _rounded(float(at.translation[2])), f"at its link {frame.name}"
+            pose = base.inverse() * data.oMi[root] * frame.placement
+            return _round_height(float(pose.translation[2])), f"at its link {frame.name}"
     return (0.0, "the plane of its chain") if root == 3 else (None, "")
 
 
-def _rounded(height: float) -> float:
+def _round_height(height: float) -> float:
     return 0.0 if abs(height) < _ROUNDING else height
 
 
@@ -239,19 +239,19 @@ def stance_on(
     file : VisualFile or None
         File that locates the meshes.
     """
-    apart = {joint for wheel in wheels for joint in model.subtrees[wheel.joint]}
-    own = [shape for shape in shapes if shape.joint not in apart]
-    placed = [(shape, seen_from(base, data.oMi[shape.joint], shape.placement)) for shape in own]
+    wheel_joints = {joint for wheel in wheels for joint in model.subtrees[wheel.joint]}
+    body_shapes = [shape for shape in shapes if shape.joint not in wheel_joints]
+    poses = [(shape, seen_from(base, data.oMi[shape.joint], shape.placement)) for shape in body_shapes]
     heights = [wheel.centre[2] - ground for wheel in wheels]
     # If a file contains no radius, wheels with axles at the same height stand on the ground.
     level = bool(heights) and min(heights) > 0 and max(heights) - min(heights) <= TOUCH
-    untold = level and all(wheel.radius is None for wheel in wheels)
+    bare = level and all(wheel.radius is None for wheel in wheels)
     points, names, supports = [], [], list[tuple[float, float]]()
     for wheel, height in zip(wheels, heights, strict=True):
-        if untold if wheel.radius is None else abs(height - wheel.radius) <= TOUCH:
+        if bare if wheel.radius is None else abs(height - wheel.radius) <= TOUCH:
             points.append(np.array([wheel.centre[:2]]))
             names.append(wheel.name)
-    for shape, pose in placed:
+    for shape, pose in poses:
         if not shape.mesh and abs(shape.lowest(pose)) <= TOUCH:
             face = None if wheels else shape.corners_below(pose)
             # The contact point of a caster or skid of a robot on wheels is its centre.
@@ -259,39 +259,39 @@ def stance_on(
             names.append(shape.link)
             supports += [(float(x), float(y)) for x, y in points[-1]]
     corners = hull(np.concatenate(points)) if points else None
-    listed = ", ".join(dict.fromkeys(names)) or "of all shapes none"
-    words = f"what is within {1e3 * TOUCH:g} mm of the ground, {listed}"
+    names_text = ", ".join(dict.fromkeys(names)) or "of all shapes none"
+    words = f"what is within {1e3 * TOUCH:g} mm of the ground, {names_text}"
     # A wheel with an unknown radius may stand on the ground; inside the others, it does not matter.
-    lost = [] if untold else [wheel for wheel in wheels if wheel.radius is None and wheel.centre[2] > ground]
+    others = [] if bare else [wheel for wheel in wheels if wheel.radius is None and wheel.centre[2] > ground]
     if corners is None:
         words = f"footprint not known: {words}, has no area"
-    elif any(margin_inside(corners, np.array(wheel.centre[:2])) < -TOUCH for wheel in lost):
-        corners, radii = None, ", ".join(wheel.name for wheel in lost)
+    elif any(margin_inside(corners, np.array(wheel.centre[:2])) < -TOUCH for wheel in others):
+        corners, radii = None, ", ".join(wheel.name for wheel in others)
         words = f"footprint not known: {words}, but the file does not contain the radius of {radii}"
     else:
         words = f"footprint: {words}"
-    top, why = _top([(shape, pose) for shape, pose in placed if shape.joint == root], file)
-    return SupportGeometry(corners, top), [words, why], supports
+    top, origin = _top([(shape, pose) for shape, pose in poses if shape.joint == root], file)
+    return SupportGeometry(corners, top), [words, origin], supports
 
 
 def _top(body: Sequence[tuple[Shape, pin.SE3]], file: VisualFile | None) -> tuple[float | None, str]:
     """Return the height of the body's highest geometry, and its origin as text."""
     # Visual geometry replaces collision geometry that has only casters, primitives that touch the ground.
     solid = [(shape, pose) for shape, pose in body if shape.collides]
-    chosen = solid if any(shape.mesh or shape.lowest(pose) > TOUCH for shape, pose in solid) else body
-    heights = [(shape, shape.highest(pose, file) if file else None) for shape, pose in chosen]
-    lost = [shape.mesh for shape, z in heights if z is None]
-    known = [(z, shape.link) for shape, z in heights if z is not None]
-    if lost or not known or max(known)[0] <= 0:
-        reason = f"cannot be read: {', '.join(dict.fromkeys(lost))}" if lost else "there is no geometry"
+    shapes = solid if any(shape.mesh or shape.lowest(pose) > TOUCH for shape, pose in solid) else body
+    heights = [(shape, shape.highest(pose, file) if file else None) for shape, pose in shapes]
+    meshes = [shape.mesh for shape, z in heights if z is None]
+    tops = [(z, shape.link) for shape, z in heights if z is not None]
+    if meshes or not tops or max(tops)[0] <= 0:
+        reason = f"cannot be read: {', '.join(dict.fromkeys(meshes))}" if meshes else "there is no geometry"
         return None, f"top not known: {reason}"
-    top, link = max(known)
+    top, link = max(tops)
     return top, f"top {top:.4g} m, that of {link}"
 
 
 LOCKED = "wheels locked: they do not roll, and it can be pushed sideways"  # of a base
 _BODY_LINK = "base_link"
-_ALIGNED = 1e-5  # an axis written with six digits or more counts as aligned
+_AXIS_TOLERANCE = 1e-5  # an axis written with six digits or more counts as aligned
 _MASSLESS = 1e-9  # of the body's mass
 _CHAIN = (("prismatic", (0, 1, 0)), ("prismatic", (1, 0, 0)), ("revolute", (0, 0, 1)))
 
@@ -313,12 +313,12 @@ def check_chain(name: str, table: DHTable) -> DHTable:
         if not differs.any():
             return table
         k = int(differs.argmax())
-        off = np.linalg.inv(expected[k]) @ pose[k]
-        away = round(float(np.linalg.norm(off[:3, 3])), 9)
-        turned = round(float(np.degrees(np.linalg.norm(pin.log3(off[:3, :3])))), 6)
+        error = np.linalg.inv(expected[k]) @ pose[k]
+        distance = round(float(np.linalg.norm(error[:3, 3])), 9)
+        angle = round(float(np.degrees(np.linalg.norm(pin.log3(error[:3, :3])))), 6)
         y, x, psi = probes[k]
         wrong = (
-            f"has a last frame {away:.3g} m and {turned:.3g} deg away from the pose "
+            f"has a last frame {distance:.3g} m and {angle:.3g} deg away from the pose "
             f"x = {x:g}, y = {y:g}, psi = {psi:g} that the joints have"
         )
     raise InvalidArgument(
@@ -351,30 +351,30 @@ def build_model(table: DHTable, *bodies: Body, ends: Sequence[str] = (_BODY_LINK
 def rods_of(model: pin.Model, centres: Sequence[Array]) -> pin.GeometryModel:
     """Return visual rods from each joint of a serial model to the next, the last one through its centre."""
     ends = [model.jointPlacements[k + 1].translation for k in range(1, model.njoints - 1)]
-    found = pin.GeometryModel()
+    visuals = pin.GeometryModel()
     for k, end in enumerate([*ends, 2.0 * np.asarray(centres[-1])], start=1):
         length, upright = float(np.linalg.norm(end)), np.array([0.0, 0.0, 1.0])
         way = pin.Quaternion.FromTwoVectors(upright, np.asarray(end) if length else upright)
         place = pin.SE3(way.toRotationMatrix(), np.asarray(end) / 2)
         rod = pin.GeometryObject(f"{model.names[k]}_rod", k, place, coal.Capsule(_ROD, length))
         rod.meshColor = np.array([0.45, 0.5, 0.55, 1.0])
-        found.addGeometryObject(rod)
-    return found
+        visuals.addGeometryObject(rod)
+    return visuals
 
 
 def rows_of(model: pin.Model) -> list[DHRow] | None:
     """Return the rows of a serial model; None if its joint frames are not those of a modified-DH table."""
-    kinds, found = {"JointModelRZ": JointType.REVOLUTE, "JointModelPZ": JointType.PRISMATIC}, []
+    kinds, rows = {"JointModelRZ": JointType.REVOLUTE, "JointModelPZ": JointType.PRISMATIC}, []
     for k in range(1, model.njoints):
         R, p = model.jointPlacements[k].rotation, model.jointPlacements[k].translation
         alpha, theta = np.arctan2(-R[1, 2], R[2, 2]), np.arctan2(-R[0, 1], R[0, 0])
         d = -p[1] * np.sin(alpha) + p[2] * np.cos(alpha)
-        off = np.abs(transform(alpha, p[0], theta, d) - model.jointPlacements[k].homogeneous).max()
+        error = np.abs(transform(alpha, p[0], theta, d) - model.jointPlacements[k].homogeneous).max()
         kind = kinds.get(model.joints[k].shortname())
-        if kind is None or model.parents[k] != k - 1 or off > _ROUNDING:
+        if kind is None or model.parents[k] != k - 1 or error > _ROUNDING:
             return None
-        found.append(DHRow(float(alpha), float(p[0]), float(theta), float(d), kind, model.names[k]))
-    return found
+        rows.append(DHRow(float(alpha), float(p[0]), float(theta), float(d), kind, model.names[k]))
+    return rows
 
 
 def read_urdf(
@@ -430,36 +430,36 @@ def read_model(
         table = _chain_table(model, data, name)
         # For frames of neither table, B is the frame that coincides with the ground's frame at rest.
         first, base = 3, data.oMi[3] if table else pin.SE3.Identity()
-        how = f"is the chain ({', '.join(model.names[1:4])})"
+        kind = f"is the chain ({', '.join(model.names[1:4])})"
         if table is None:
-            how += "; B is the frame that coincides with the ground's when all joints are at zero"
+            kind += "; B is the frame that coincides with the ground's when all joints are at zero"
     else:
         table, roots = None, list(model.parents)[1:].count(0)
         first = 1 if roots == 1 and Joint.of(model, 1).floats else 0
         base = data.oMi[first]
-        how = "is a bare base, put on the chain (y, x, psi)"
-    locked = _locked(model, first, name)
+        kind = "is a bare base, put on the chain (y, x, psi)"
+    joints = _find_locked(model, first, name)
     wheels = wheels_of(model, data, base, first, shapes)
-    z, told = ground_below(model, data, base, first, wheels, ground, name)
+    z, origin = ground_below(model, data, base, first, wheels, ground, name)
     if z:
         base = base * pin.SE3(np.eye(3), np.array([0.0, 0.0, z]))
-    body = _lump(model, data, base, [first, *locked], name)
-    only = None if root is None else _only_body(root, model)
-    if only is not None and data.oMi[only[0]] == base:
-        body = only[1]  # Pinocchio divides by the mass, and loses the last digit
-    if ground is not None and body.com[2] < -_ALIGNED:
+    body = _lump(model, data, base, [first, *joints], name)
+    single = None if root is None else _only_body(root, model)
+    if single is not None and data.oMi[single[0]] == base:
+        body = single[1]  # Pinocchio divides by the mass, and loses the last digit
+    if ground is not None and body.com[2] < -_AXIS_TOLERANCE:
         raise InvalidArgument(
             f"ground is {z:g} m, {-body.com[2]:.4g} m above the robot's centre of mass, expected the "
             "ground's z in the root link's frame, a negative value for a link above the ground"
         )
-    parts, supports = [f"{name} {how}"], list[tuple[float, float]]()
-    if locked:
-        parts += [f"locked at rest: {', '.join(model.names[j] for j in locked)}", LOCKED]
+    parts, supports = [f"{name} {kind}"], list[tuple[float, float]]()
+    if joints:
+        parts += [f"locked at rest: {', '.join(model.names[j] for j in joints)}", LOCKED]
     com = ", ".join(f"{c:.4g}" for c in body.com.round(9) + 0.0)
     parts.append(
         f"mass {body.mass:.6g} kg, centre of mass ({com}) m, yaw inertia {body.yaw_inertia:.6g} kg m^2"
     )
-    own = None if root is None else stance_written(root, name)
+    own = None if root is None else read_stance(root, name)
     if own is not None:
         stance = SupportGeometry(
             own.footprint, own.top and own.top - (z or 0.0), own.grounded or ground is not None
@@ -472,7 +472,7 @@ def read_model(
         )
     else:
         stance, words, supports = stance_on(model, data, base, wheels, shapes, z, file=file, root=first)
-        parts += [f"ground {told}, at z = {z:.4g} m in the root link's frame", *words]
+        parts += [f"ground {origin}, at z = {z:.4g} m in the root link's frame", *words]
     size = None if root is None else _largest_box(root)
     if size is None:
         size = _box_of_inertia(body)
@@ -487,7 +487,7 @@ def read_model(
         "dh": table or LECTURE_TABLE,
         "stance": stance,
         "source": "; ".join(parts),
-        "locked_joints": tuple(str(model.names[joint]) for joint in locked),
+        "locked_joints": tuple(str(model.names[joint]) for joint in joints),
         "undercarriage": undercarriage_of(model, data, base, first, wheels, supports, z or 0.0),
         "looks": None if file is None else file._replace(base=pose),
     }
@@ -495,8 +495,8 @@ def read_model(
 
 def fields_of_body(body: Body) -> dict[str, Any]:
     """Return the fields of a `MobileRobot` that hold the numbers of its body."""
-    own = {"mass": body.mass, "yaw_inertia": body.yaw_inertia, "com": body.com}
-    return own | {"reference_inertia": body.inertia}
+    fields = {"mass": body.mass, "yaw_inertia": body.yaw_inertia, "com": body.com}
+    return fields | {"reference_inertia": body.inertia}
 
 
 def _starts_with_slides(model: pin.Model) -> bool:
@@ -510,39 +510,40 @@ def _chain_table(model: pin.Model, data: pin.Data, name: str) -> DHTable | None:
     """Check that each joint is the expected one; return the table with the same frames, if there is one."""
     for joint, (kind, axis) in enumerate(_CHAIN, start=1):
         expected = f"expected a {kind} joint along {axis}: joint {joint} of y, x, psi"
-        own = Joint.of(model, joint)
-        if own.nv != 1:
-            raise InvalidArgument(f"{name}: joint {own}, {expected}")
-        column = pin.getJointJacobian(model, data, joint, pin.WORLD)[:, own.v.start]
+        joint_data = Joint.of(model, joint)
+        if joint_data.nv != 1:
+            raise InvalidArgument(f"{name}: joint {joint_data}, {expected}")
+        column = pin.getJointJacobian(model, data, joint, pin.WORLD)[:, joint_data.v.start]
         is_kind = "revolute" if np.linalg.norm(column[3:]) > 0.5 else "prismatic"
-        got = column[3:] if is_kind == "revolute" else column[:3]
-        if is_kind != kind or np.abs(got - axis).max() > _ALIGNED:
-            listed = ", ".join(f"{x:.4g}" for x in got.round(9) + 0.0)
+        direction = column[3:] if is_kind == "revolute" else column[:3]
+        if is_kind != kind or np.abs(direction - axis).max() > _AXIS_TOLERANCE:
+            numbers = ", ".join(f"{x:.4g}" for x in direction.round(9) + 0.0)
             raise InvalidArgument(
-                f"{name}: joint {model.names[joint]!r} is {is_kind} along ({listed}), {expected}"
+                f"{name}: joint {model.names[joint]!r} is {is_kind} along ({numbers}), {expected}"
             )
-        if np.abs(column[:3] - (axis if kind == "prismatic" else 0)).max() > _ALIGNED:
+        if np.abs(column[:3] - (axis if kind == "prismatic" else 0)).max() > _AXIS_TOLERANCE:
             raise InvalidArgument(
                 f"{name}: the axis of joint {model.names[joint]!r} does not pass through the origin when all "
                 "joints are at zero, expected an axis through the origin"
             )
     frames = np.stack([data.oMi[k].homogeneous for k in (1, 2, 3)])
     for table in (LECTURE_TABLE, SLIDE_TABLE):
-        if np.abs(frames - table.placements(np.zeros(3))).max() <= _ALIGNED:
+        if np.abs(frames - table.placements(np.zeros(3))).max() <= _AXIS_TOLERANCE:
             return table
     return None
 
 
-def _locked(model: pin.Model, root: int, name: str) -> list[int]:
+def _find_locked(model: pin.Model, root: int, name: str) -> list[int]:
     """Return the joints to lock, wheels and joints that carry only wheels; reject any other joint."""
-    above = range(root + 1, model.njoints)
-    for joint, own in zip(above, joints_of(model, root + 1), strict=True):
+    others = range(root + 1, model.njoints)
+    for joint, joint_data in zip(others, joints_of(model, root + 1), strict=True):
         if model.parents[joint] == root and not carries_only_wheels(model, joint):
             raise InvalidArgument(
-                f"{name}: joint {own.name!r} (JointModel{own.kind}) is neither a wheel nor carries only "
-                "wheels; expected a bare base or the chain prismatic y, prismatic x, revolute z with body"
+                f"{name}: joint {joint_data.name!r} (JointModel{joint_data.kind}) is neither a wheel nor "
+                "carries only wheels; expected a bare base or the chain prismatic y, prismatic x, revolute z "
+                "with body"
             )
-    return list(above)
+    return list(others)
 
 
 def _lump(model: pin.Model, data: pin.Data, base: pin.SE3, joints: Iterable[int], name: str) -> Body:
@@ -572,8 +573,8 @@ def _only_body(root: Element, model: pin.Model) -> tuple[int, Body] | None:
     frame = model.frames[model.getFrameId(links[0].get("name", ""), pin.FrameType.BODY)]
     mass, inertia, origin = (links[0].find(f"inertial/{part}") for part in ("mass", "inertia", "origin"))
     given = {} if origin is None else origin.attrib
-    turned = any(map(float, given.get("rpy", "0 0 0").split()))
-    if turned or mass is None or inertia is None or frame.placement != pin.SE3.Identity():
+    is_rotated = any(map(float, given.get("rpy", "0 0 0").split()))
+    if is_rotated or mass is None or inertia is None or frame.placement != pin.SE3.Identity():
         return None
     com = np.array([float(word) for word in given.get("xyz", "0 0 0").split()])
     try:

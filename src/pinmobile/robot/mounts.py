@@ -83,7 +83,7 @@ class Mount:
     )
 
     @classmethod
-    def after(cls, coordinates: int, arm: Arm, name: str, at: ArrayLike) -> Mount:
+    def create(cls, coordinates: int, arm: Arm, name: str, at: ArrayLike) -> Mount:
         """Return the mount of an arm after a number of coordinates.
 
         Parameters
@@ -148,7 +148,7 @@ class Mount:
     @property
     def as_read(self) -> Mount:
         """Mount with the links and motors of the file."""
-        return Mount.after(self.first, self.arm, self.name, self.at)
+        return Mount.create(self.first, self.arm, self.name, self.at)
 
     @property
     def moving(self) -> range:
@@ -163,8 +163,8 @@ class Mount:
         item : pin.GeometryObject
             Shape of the arm.
         """
-        own = item.parentJoint
-        return (self.v.start + own, item.placement) if own else (BODY_JOINT, self.placement * item.placement)
+        k = item.parentJoint
+        return (self.v.start + k, item.placement) if k else (BODY_JOINT, self.placement * item.placement)
 
     @property
     def placement(self) -> pin.SE3:
@@ -173,8 +173,8 @@ class Mount:
 
     def __repr__(self) -> str:
         words = {"at": self.at, "name": self.name, **self.arm.options()}
-        listed = ", ".join(f"{word}={value!r}" for word, value in words.items())
-        return f".mount({self.arm.origin.value!r}, {listed})"
+        options = ", ".join(f"{word}={value!r}" for word, value in words.items())
+        return f".mount({self.arm.origin.value!r}, {options})"
 
 
 def _checked_size(name: str, value: Any) -> Any:
@@ -247,14 +247,14 @@ class PayloadBody(RigidBody):
         self.__attrs_init__(mass, com, six, size, frame)  # type: ignore[attr-defined]
 
     @property
-    def called(self) -> str:
+    def label(self) -> str:
         """Name of the load in messages."""
         return f"load at {self.frame}" if self.frame else "the load"
 
     def __repr__(self) -> str:
-        own = matrix_of_six(self.inertia)
+        matrix = matrix_of_six(self.inertia)
         solid = np.zeros((3, 3)) if self.size is None else box_inertia(self.mass, self.size)
-        inertia = None if np.array_equal(own, solid) else tuple(map(tuple, own.tolist()))
+        inertia = None if np.array_equal(matrix, solid) else tuple(map(tuple, matrix.tolist()))
         return f"PayloadBody(mass={self.mass!r}, com={self.com!r}, inertia={inertia!r}, size={self.size!r})"
 
 
@@ -280,8 +280,8 @@ def free_place(mounts: Sequence[Mount], top: float | None, arm: Arm) -> tuple[fl
                 f"at is not given for {arm.origin.value!r}, and {mount.name!r} is already in the middle, "
                 "expected x, y, z and yaw"
             )
-    below = arm.reach_down()
-    return 0.0, 0.0, top + below if arm.stands or below > top else top, 0.0
+    depth = arm.reach_down()
+    return 0.0, 0.0, top + depth if arm.stands or depth > top else top, 0.0
 
 
 def checked_name(name: str) -> str:
@@ -301,8 +301,8 @@ def checked_name(name: str) -> str:
 
 def free_name(name: str, taken: Iterable[str]) -> str:
     """Return the name, with a number appended if the name is taken."""
-    known, number, free = set(taken), 1, name
-    while free in known:
+    names, number, free = set(taken), 1, name
+    while free in names:
         number += 1
         free = f"{name}_{number}"
     return free
@@ -327,7 +327,7 @@ def assemble(
     model, body = base.copy(), base.nframes - 1
     for mount in mounts:
         place = pin.SE3.Identity() if at_origin else mount.placement
-        model = pin.appendModel(model, prefixed(mount._model, mount.name), body, place)
+        model = pin.appendModel(model, add_scope(mount._model, mount.name), body, place)
     for mount in mounts:
         # appendModel drops the armature.
         model.armature[mount.v] = mount._model.armature
@@ -349,7 +349,7 @@ def named_frames(model: pin.Model) -> dict[str, int]:
     return ids
 
 
-def prefixed(model: pin.Model, name: str) -> pin.Model:
+def add_scope(model: pin.Model, name: str) -> pin.Model:
     """Return a copy with all names ``name/...``; a frame with the name of a link gets a number."""
     copy = model.copy()
     for joint in range(1, copy.njoints):

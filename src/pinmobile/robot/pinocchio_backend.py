@@ -56,7 +56,7 @@ class UncheckedDynamics:
 
     def __init__(self, robot: Any, engine: PinocchioBackend) -> None:
         data, public = engine.data, engine.public
-        still = np.zeros(engine.nv - BODY_JOINT)
+        zeros = np.zeros(engine.nv - BODY_JOINT)
         self._robot = robot
         self.nq = self.nv = self.nu = engine.nv
         self.mass_matrix = partial(pin.crba, public, data)
@@ -66,7 +66,7 @@ class UncheckedDynamics:
         self.integrate = np.add
         self.pose = lambda q: q[:BODY_JOINT]
         self.pose_rate = lambda q, v: v[:BODY_JOINT]
-        self.generalized_force = lambda q, wrench: np.concatenate([wrench, still]) if len(still) else wrench
+        self.generalized_force = lambda q, wrench: np.concatenate([wrench, zeros]) if len(zeros) else wrench
         self._accelerations = partial(pin.aba, public, data)
 
     def forward_dynamics(self, q: Array, v: Array, u: Array, f: Array | None = None) -> Array:
@@ -173,8 +173,8 @@ def in_public_order(model: pin.Model) -> pin.Model:
     """
     public = model.copy()
     first, second, third = (model.jointPlacements[joint] for joint in range(1, BODY_JOINT + 1))
-    swapped = first * second, (first * second).inverse() * first, second * third
-    for joint, placement in enumerate(swapped, 1):
+    placements = first * second, (first * second).inverse() * first, second * third
+    for joint, placement in enumerate(placements, 1):
         public.jointPlacements[joint] = placement
     return public
 
@@ -220,8 +220,8 @@ def frames_of(
 def frame_bias_acceleration(number: int, model: pin.Model, data: pin.Data, q: Array, v: Array) -> Array:
     """Return the bias acceleration of a frame."""
     pin.forwardKinematics(model, data, q, v, np.zeros(model.nv))
-    found = pin.getFrameClassicalAcceleration(model, data, number, pin.LOCAL_WORLD_ALIGNED)
-    return np.asarray(found.vector)
+    motion = pin.getFrameClassicalAcceleration(model, data, number, pin.LOCAL_WORLD_ALIGNED)
+    return np.asarray(motion.vector)
 
 
 def manipulability(number: int, part: slice, model: pin.Model, data: pin.Data, q: Array) -> float:
@@ -265,9 +265,9 @@ def mount_wrench(
     """Return the wrench of an arm on the body; `fixed` is the inertia of its parts fixed to the body."""
     pin.rnea(model, data, q, v, a)
     twist = data.v[BODY_JOINT]
-    held = fixed * data.a_gf[BODY_JOINT] + twist.cross(fixed * twist)
+    wrench = fixed * data.a_gf[BODY_JOINT] + twist.cross(fixed * twist)
     for joint in mount.moving:
         if model.parents[joint] == BODY_JOINT:
-            held += data.liMi[joint].act(data.f[joint])
+            wrench += data.liMi[joint].act(data.f[joint])
     to_mount = pin.SE3(np.eye(3), np.array(mount.at[:3])).inverse()
-    return 0.0 - np.asarray(to_mount.act(held).vector)
+    return 0.0 - np.asarray(to_mount.act(wrench).vector)

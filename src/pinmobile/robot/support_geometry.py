@@ -24,7 +24,7 @@ _STRAIGHT = 1e-9  # largest distance of a straight corner inside the hull, as a 
 _FLAT = 1e-12  # area of a straight corner by rounding, as a share of a square about the footprint
 
 
-def checked_footprint(footprint: ArrayLike) -> Array:
+def check_footprint(footprint: ArrayLike) -> Array:
     """Return the corners of a convex polygon, counter-clockwise, shape (k, 2) [m].
 
     Parameters
@@ -41,9 +41,9 @@ def checked_footprint(footprint: ArrayLike) -> Array:
     corners = hull(given)
     if corners is None:
         raise InvalidArgument(f"footprint is {given.tolist()}, expected a polygon with an area > 0")
-    inside = margin_inside(corners, given)
-    if inside.max() > _STRAIGHT * np.ptp(given):
-        k = int(inside.argmax())
+    margins = margin_inside(corners, given)
+    if margins.max() > _STRAIGHT * np.ptp(given):
+        k = int(margins.argmax())
         raise InvalidArgument(
             f"footprint is not convex at the corner {given[k].tolist()}, expected a convex polygon"
         )
@@ -68,15 +68,15 @@ def hull(points: ArrayLike) -> Array | None:
         return None
     flat = _FLAT * float(np.ptp(given, axis=0).max()) ** 2
     x, y = given.round(9).T  # rounding must not determine the order
-    ordered = given[np.lexsort((y, x))]
+    points_x = given[np.lexsort((y, x))]
     halves: list[Array] = []
-    for way in (ordered, ordered[::-1]):
-        kept: list[Array] = []
+    for way in (points_x, points_x[::-1]):
+        chain: list[Array] = []
         for point in way:
-            while len(kept) > 1 and _cross(kept[-1] - kept[-2], point - kept[-1]) <= flat:
-                kept.pop()
-            kept.append(point)
-        halves += kept[:-1]
+            while len(chain) > 1 and _cross(chain[-1] - chain[-2], point - chain[-1]) <= flat:
+                chain.pop()
+            chain.append(point)
+        halves += chain[:-1]
     return np.array(halves) if len(halves) > 2 else None
 
 
@@ -93,24 +93,24 @@ def margin_inside(corners: Array, points: Array) -> Array:
     edges = np.roll(corners, -1, axis=0) - corners  # (k, 2)
     shares = edges / np.square(edges).sum(axis=-1, keepdims=True)
     from_corner = points[..., None, :] - corners  # (..., k, 2)
-    along = np.clip((from_corner * shares).sum(axis=-1), 0.0, 1.0)
-    square = np.square(from_corner - along[..., None] * edges).sum(axis=-1)
+    share = np.clip((from_corner * shares).sum(axis=-1), 0.0, 1.0)
+    square = np.square(from_corner - share[..., None] * edges).sum(axis=-1)
     distance: Array = np.sqrt(np.min(square, axis=-1))
-    inside = np.all(_cross(edges, from_corner) >= 0, axis=-1)
-    return np.where(inside, distance, -distance)
+    is_inside = np.all(_cross(edges, from_corner) >= 0, axis=-1)
+    return np.where(is_inside, distance, -distance)
 
 
-def zero_moment_point_of(wrench: Array, carried: NDArray[np.bool_]) -> Array:
+def zero_moment_point_of(wrench: Array, has_load: NDArray[np.bool_]) -> Array:
     """Return the zero-moment point, where the ground's wrench has no horizontal moment, shape (..., 2) [m].
 
     Parameters
     ----------
     wrench : ndarray, shape (..., 6)
         Wrench of the ground on the body, along and about the axes of the body frame [N, N m].
-    carried : ndarray of bool, shape (...)
+    has_load : ndarray of bool, shape (...)
         Whether the ground carries the body; otherwise, the point is NaN.
     """
-    vertical = np.where(carried, wrench[..., 2], np.nan)
+    vertical = np.where(has_load, wrench[..., 2], np.nan)
     return np.stack([-wrench[..., 4] / vertical, wrench[..., 3] / vertical], axis=-1)
 
 
@@ -124,12 +124,12 @@ def margin_of_wrench(corners: Array, wrench: Array, weight: Any) -> Array:
     weight : scalar or ndarray, shape (...)
         Weight of the robot [N].
     """
-    carried = wrench[..., 2] > WEIGHTLESS * weight
-    return np.where(carried, margin_inside(corners, zero_moment_point_of(wrench, carried)), -np.inf)
+    has_load = wrench[..., 2] > WEIGHTLESS * weight
+    return np.where(has_load, margin_inside(corners, zero_moment_point_of(wrench, has_load)), -np.inf)
 
 
 def _kept_footprint(name: str, footprint: ArrayLike | None) -> Array | None:
-    return None if footprint is None else frozen(checked_footprint(footprint))
+    return None if footprint is None else frozen(check_footprint(footprint))
 
 
 def _cross(a: Array, b: Array) -> Array:
@@ -203,7 +203,7 @@ class SupportGeometry:
         return words if self.top is None else {**words, "top": repr(self.top)}
 
 
-def stance_written(root: Element, name: str) -> SupportGeometry | None:
+def read_stance(root: Element, name: str) -> SupportGeometry | None:
     """Return the contact geometry from the element <pinmobile> of a file, or None for a file without it.
 
     Raises
@@ -254,27 +254,27 @@ class ArmMetrics:
         return cls(tips, robot.effort_limit, stands, robot.rest)
 
     @property
-    def _limited(self) -> list[int]:
+    def _limit_rows(self) -> list[int]:
         return np.flatnonzero(np.isfinite(self.effort_limit)).tolist()
 
     @cached_property
     def metrics(self) -> tuple[Metric, ...]:
         """Metrics that `evaluate_metrics` computes."""
-        found = []
+        metrics = []
         for k, (arm, tip) in enumerate(self.tips):
             of = f" of {arm}" if k else ""  # the metrics of the first arm have no name of an arm
-            where = "its reference pose"
-            found.append(Metric(f"end effector{of}", "m", f"distance of {tip} from {where}"))
-            found.append(Metric(f"end effector angle{of}", "rad", f"angle of {tip} to {where}"))
-        if self._limited:
+            pose_name = "its reference pose"
+            metrics.append(Metric(f"end effector{of}", "m", f"distance of {tip} from {pose_name}"))
+            metrics.append(Metric(f"end effector angle{of}", "rad", f"angle of {tip} to {pose_name}"))
+        if self._limit_rows:
             words = "largest ratio of a joint's force or torque to its effort limit"
-            found.append(Metric("effort", "", words))
+            metrics.append(Metric("effort", "", words))
         if self.footprint is not None:
             words = "distance of the zero-moment point inside the footprint's edge"
-            found.append(Metric("tip-over margin", "m", words, "smallest"))
-        return tuple(found)
+            metrics.append(Metric("tip-over margin", "m", words, "smallest"))
+        return tuple(metrics)
 
-    def apart(self, robot: Any, q: Array, desired: Array) -> Array:
+    def pose_errors(self, robot: Any, q: Array, desired: Array) -> Array:
         """Return each end effector's distance [m] and angle [rad] to its reference pose, shape (..., 2 k).
 
         Parameters
@@ -286,8 +286,8 @@ class ArmMetrics:
         rest = np.broadcast_to(rest, (*np.shape(desired)[:-1], len(rest)))
         desired = np.concatenate([desired, rest], axis=-1)
         poses = ((robot.frame_pose(q, tip), robot.frame_pose(desired, tip)) for _, tip in self.tips)
-        found = [each for pair in poses for each in _apart(*pair)]
-        return np.stack(np.broadcast_arrays(*found), axis=-1)
+        errors = [each for pair in poses for each in _pose_distance(*pair)]
+        return np.stack(np.broadcast_arrays(*errors), axis=-1)
 
     def evaluate_metrics(self, robot: Any, q: Array, v: Array, a: Array, u: Array, desired: Array) -> Array:
         """Return the metrics for a given motion, shape (..., m).
@@ -301,27 +301,27 @@ class ArmMetrics:
         desired : ndarray, shape (..., k)
             Reference of the first numbers of q.
         """
-        found: list[Any] = []
+        values: list[Any] = []
         if self.tips:
-            apart = self.apart(robot, q, desired)
-            found += [apart[..., k] for k in range(2 * len(self.tips))]
-        if self._limited:
-            shares = np.abs(u[..., self._limited]) * (1.0 / self.effort_limit[self._limited])
-            found.append(np.max(shares, axis=-1))
+            errors = self.pose_errors(robot, q, desired)
+            values += [errors[..., k] for k in range(2 * len(self.tips))]
+        if self._limit_rows:
+            shares = np.abs(u[..., self._limit_rows]) * (1.0 / self.effort_limit[self._limit_rows])
+            values.append(np.max(shares, axis=-1))
         if self.footprint is not None:
             wrench = robot.ground_wrench(q, v, a)
-            found.append(margin_of_wrench(self.footprint, wrench, robot.weight))
-        return np.stack(np.broadcast_arrays(*found), axis=-1)
+            values.append(margin_of_wrench(self.footprint, wrench, robot.weight))
+        return np.stack(np.broadcast_arrays(*values), axis=-1)
 
 
-def _apart(one: Array, other: Array) -> tuple[Array, Array]:
+def _pose_distance(first: Array, second: Array) -> tuple[Array, Array]:
     """Return the distance [m] and the angle [rad], in [0, pi], between poses, shape (..., 4, 4)."""
-    way = other[..., :3, 3] - one[..., :3, 3]
+    way = second[..., :3, 3] - first[..., :3, 3]
     # For the relative rotation, the trace is 1 + 2 cos, and the skew part has the length sin.
     trace: Any = 0.0
     axis: list[Any] = [0.0, 0.0, 0.0]
     for k in range(3):
-        x, y = one[..., :3, k], other[..., :3, k]
+        x, y = first[..., :3, k], second[..., :3, k]
         trace = trace + x[..., 0] * y[..., 0] + x[..., 1] * y[..., 1] + x[..., 2] * y[..., 2]
         for i in range(3):
             j, m = (i + 1) % 3, (i + 2) % 3
@@ -331,7 +331,7 @@ def _apart(one: Array, other: Array) -> tuple[Array, Array]:
 
 
 _TRAIL = 1e-3  # [m]: smallest trail of a wheel
-ALONG = 0.995  # smallest cosine of equal directions: files have angles such as 1.57
+MIN_COSINE = 0.995  # smallest cosine of equal directions: files have angles such as 1.57
 
 Triple = tuple[float, float, float]
 
@@ -375,7 +375,7 @@ class Swivel(NamedTuple):
     limit: float
     lump: Lump
 
-    def turning(self, wheel: WheelJoint, across: float) -> tuple[float, float]:
+    def turning(self, wheel: WheelJoint, lateral: float) -> tuple[float, float]:
         """Return the mass and yaw inertia at the wheel's centre that represent all links on the swivel.
 
         In the plane, a rigid body on a pivot acts through its first and second moments about the pivot. A
@@ -387,24 +387,24 @@ class Swivel(NamedTuple):
         ----------
         wheel : WheelJoint
             Wheel on the swivel.
-        across : float
+        lateral : float
             Moment of inertia of the wheel across its axle [kg m^2].
         """
-        fork = self._about(self.lump) - self._about(wheel.lump)
+        fork = self._axial_inertia(self.lump) - self._axial_inertia(wheel.lump)
         o = np.array([wheel.centre[0] - self.x, wheel.centre[1] - self.y])
         square = float(o @ o)
         if square > _TRAIL**2:
             first = self.lump.mass * float(o @ [self.lump.com[0] - self.x, self.lump.com[1] - self.y])
             mass = first / square
-            yaw = fork + across + wheel.lump.mass * self._square(wheel.lump) - mass * square
+            yaw = fork + lateral + wheel.lump.mass * self._square(wheel.lump) - mass * square
             if mass > 0 and yaw > 0:
                 return mass, yaw
-        return wheel.lump.mass, across + max(fork, 0.0)
+        return wheel.lump.mass, lateral + max(fork, 0.0)
 
     def _square(self, lump: Lump) -> float:
         return (lump.com[0] - self.x) ** 2 + (lump.com[1] - self.y) ** 2
 
-    def _about(self, lump: Lump) -> float:
+    def _axial_inertia(self, lump: Lump) -> float:
         """Return the moment of inertia of links about the swivel's axis [kg m^2]."""
         return lump.inertia[2][2] + lump.mass * self._square(lump)
 
@@ -459,7 +459,7 @@ class WheelJoint(NamedTuple):
             Moments of inertia across the axle, about a horizontal axis and the vertical [kg m^2].
         product : float
             Largest product of inertia in these axes [kg m^2].
-        aside : float
+        offset : float
             Distance of the centre of mass from the axle [m].
         """
         axle = np.array(self.axis)
@@ -467,8 +467,8 @@ class WheelJoint(NamedTuple):
         inertia = frame @ np.array(self.lump.inertia) @ frame.T
         spin, level, vertical = inertia.diagonal().tolist()
         product = float(np.abs(inertia[np.triu_indices(3, 1)]).max())
-        aside = np.linalg.norm(np.cross(np.subtract(self.lump.com, self.centre), axle))
-        return spin, (level, vertical), product, float(aside)
+        offset = np.linalg.norm(np.cross(np.subtract(self.lump.com, self.centre), axle))
+        return spin, (level, vertical), product, float(offset)
 
 
 class Undercarriage(NamedTuple):
@@ -499,12 +499,12 @@ def joint_axis(model: pin.Model, data: pin.Data, base: pin.SE3, joint: int) -> A
     return np.asarray(base.rotation.T @ jacobian[3:, model.idx_vs[joint]])
 
 
-def seen_from(base: pin.SE3, joint: pin.SE3, own: Any) -> Any:
+def seen_from(base: pin.SE3, joint: pin.SE3, item: Any) -> Any:
     """Return a placement or an inertia of a joint's frame in the frame of a base; exact for equal frames."""
     if joint == base:
-        return own
+        return item
     to_base = base.inverse() * joint
-    return to_base.act(own)
+    return to_base.act(item)
 
 
 def undercarriage_of(
@@ -533,22 +533,22 @@ def undercarriage_of(
     ground : float
         Height z of B in the frame of the root link [m].
     """
-    found = []
+    wheels_at = []
     for wheel in wheels:
         swivels, joint = [], int(model.parents[wheel.joint])
         while joint > root:
-            if model.nvs[joint] == 1 and abs(joint_axis(model, data, base, joint)[2]) > ALONG:
+            if model.nvs[joint] == 1 and abs(joint_axis(model, data, base, joint)[2]) > MIN_COSINE:
                 swivels.append(_swivel(model, data, base, joint))
             joint = int(model.parents[joint])
         hub = (base.inverse() * data.oMi[wheel.joint]).translation
-        along = np.array(wheel.centre) - [0, 0, ground] - hub
-        v, centre = model.idx_vs[wheel.joint], triple(hub + (along @ wheel.axis) * np.array(wheel.axis))
+        offset = np.array(wheel.centre) - [0, 0, ground] - hub
+        v, centre = model.idx_vs[wheel.joint], triple(hub + (offset @ wheel.axis) * np.array(wheel.axis))
         lump = _lump_of(model, data, base, wheel.joint)
         effort, damping, friction = (float(x[v]) for x in (model.effortLimit, model.damping, model.friction))
-        placed = wheel._replace(centre=centre, lump=lump, swivels=tuple(swivels))
-        most = effort if effort > 0 else np.inf
-        found.append(placed._replace(effort=most, damping=damping, friction=friction))
-    return Undercarriage(tuple(found), tuple(supports))
+        joint_c = wheel._replace(centre=centre, lump=lump, swivels=tuple(swivels))
+        limit = effort if effort > 0 else np.inf
+        wheels_at.append(joint_c._replace(effort=limit, damping=damping, friction=friction))
+    return Undercarriage(tuple(wheels_at), tuple(supports))
 
 
 def _lump_of(model: pin.Model, data: pin.Data, base: pin.SE3, joint: int) -> Lump:
@@ -557,8 +557,8 @@ def _lump_of(model: pin.Model, data: pin.Data, base: pin.SE3, joint: int) -> Lum
         if model.inertias[each].mass > 0:
             total += (base.inverse() * data.oMi[each]).act(model.inertias[each])
     first, second, third = (triple(row) for row in total.inertia)
-    at = total.lever if total.mass > 0 else (base.inverse() * data.oMi[joint]).translation
-    return Lump(float(total.mass), triple(at), (first, second, third))
+    point = total.lever if total.mass > 0 else (base.inverse() * data.oMi[joint]).translation
+    return Lump(float(total.mass), triple(point), (first, second, third))
 
 
 def _swivel(model: pin.Model, data: pin.Data, base: pin.SE3, joint: int) -> Swivel:

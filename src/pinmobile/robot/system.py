@@ -37,7 +37,7 @@ from pinmobile.robot.mounts import Mount, PayloadBody, named_frames
 from pinmobile.robot.pinocchio_backend import PinocchioBackend
 
 _BASE = ("x", "m", "vx"), ("y", "m", "vy"), ("psi", "rad", "yaw_rate")
-_FAR = 1e8  # a limit beyond this value counts as no limit
+_UNLIMITED = 1e8  # a limit beyond this value counts as no limit
 _Method = TypeVar("_Method", bound=Callable[..., Any])
 
 
@@ -91,9 +91,9 @@ def by_values(fast: Callable[..., Any] | None = None, states: int = 0) -> Callab
         @wraps(method)
         def run(self: MultibodySystem, *given: Any, **options: Any) -> Any:
             if fast is not None and len(given) == states and not options:
-                found = self._quick(fast, *given)
-                if found is not None:
-                    return found
+                result = self._number_law(fast, *given)
+                if result is not None:
+                    return result
             symbolic = self._engine is None
             for x in (*given, *options.values()) if options else given:
                 if type(x) is not np.ndarray and holds_symbols(x):
@@ -205,8 +205,8 @@ class MultibodySystem:
         The inputs have no limits here. `effort_limit` holds the limits of the motors; `InputSaturation`
         applies these limits to a controller.
         """
-        names = ["Fx", "Fy", "Mz", *(one.name for one in self.coordinates[BODY_JOINT:])]
-        units = ["N" if one.unit == "m" else "N m" for one in self.coordinates]
+        names = ["Fx", "Fy", "Mz", *(axis.name for axis in self.coordinates[BODY_JOINT:])]
+        units = ["N" if axis.unit == "m" else "N m" for axis in self.coordinates]
         return tuple(map(Input, names, units))
 
     @structure
@@ -222,12 +222,12 @@ class MultibodySystem:
     @structure
     def _limits(self) -> tuple[Array, Array, Array, Array]:
         model, of_arms = self._model, np.arange(self._model.nv) >= BODY_JOINT
-        least, most = model.lowerPositionLimit, model.upperPositionLimit
-        known = of_arms & (least < most)  # files write equal limits, or zero, for unknown limits
-        lower = np.where(known & (least > -_FAR), least, -np.inf)
-        upper = np.where(known & (most < _FAR), most, np.inf)
+        low, high = model.lowerPositionLimit, model.upperPositionLimit
+        has_limits = of_arms & (low < high)  # files write equal limits, or zero, for unknown limits
+        lower = np.where(has_limits & (low > -_UNLIMITED), low, -np.inf)
+        upper = np.where(has_limits & (high < _UNLIMITED), high, np.inf)
         sizes = model.velocityLimit, model.effortLimit
-        speed, effort = (np.where(of_arms & (x > 0) & (x < _FAR), x, np.inf) for x in sizes)
+        speed, effort = (np.where(of_arms & (x > 0) & (x < _UNLIMITED), x, np.inf) for x in sizes)
         return frozen(lower), frozen(upper), frozen(speed), frozen(effort)
 
     @property
@@ -315,9 +315,9 @@ class MultibodySystem:
         affordable("random configurations", 4.0 * self.nq * prod(shape), "draw fewer at a time")
         q = generator.uniform(-np.pi, np.pi, (*shape, self.nq))
         q[..., :2] /= np.pi
-        limited = np.isfinite(self.lower) & np.isfinite(self.upper)
-        ends = self.lower[limited], self.upper[limited]
-        q[..., limited] = generator.uniform(*ends, (*shape, np.count_nonzero(limited)))
+        bounded_rows = np.isfinite(self.lower) & np.isfinite(self.upper)
+        ends = self.lower[bounded_rows], self.upper[bounded_rows]
+        q[..., bounded_rows] = generator.uniform(*ends, (*shape, np.count_nonzero(bounded_rows)))
         return q
 
     @structure
@@ -375,7 +375,7 @@ class MultibodySystem:
         """Return the values of a function of a frame for all rows; `given` holds its first arguments."""
         return self._numeric.each(partial(law, *given), True, **arguments)
 
-    def _quick(self, law: Callable[..., Any], *arguments: Any) -> Array | None:
+    def _number_law(self, law: Callable[..., Any], *arguments: Any) -> Array | None:
         """Return the value of a Pinocchio function for one state of float64; None for other arguments.
 
         It takes a third of the time of `_each`. A loop calls this function.
@@ -403,15 +403,15 @@ class MultibodySystem:
     def _q(self, q: ArrayLike, name: str = "q") -> Array:
         return vector(name, q, self.nq)
 
-    def _here(self, q: ArrayLike) -> Array:
+    def _at_origin(self, q: ArrayLike) -> Array:
         """Return q, checked, with x = y = 0.
 
         Pinocchio works in the inertial frame. Results that do not depend on x and y lose digits if x or y is
         large.
         """
-        moved = self._q(q).copy()
-        moved[..., :2] = 0.0
-        return moved
+        q_0 = self._q(q).copy()
+        q_0[..., :2] = 0.0
+        return q_0
 
     def _v(self, name: str, value: ArrayLike) -> Array:
         return vector(name, value, self.nv)
@@ -508,7 +508,7 @@ class MultibodySystem:
         UnknownName
             If the robot has no such frame.
         """
-        return self._of_frame(pinocchio_backend.frame_jacobian, self._frame(frame)[1], q=self._here(q))
+        return self._of_frame(pinocchio_backend.frame_jacobian, self._frame(frame)[1], q=self._at_origin(q))
 
     @by_values()
     def frame_bias_acceleration(self, q: ArrayLike, v: ArrayLike, frame: str | None = None) -> Array:
@@ -579,7 +579,7 @@ class MultibodySystem:
         return self._volume(number, arms[0].v, q)
 
     def _volume(self, number: int, part: slice, q: ArrayLike) -> Array:
-        return self._of_frame(pinocchio_backend.manipulability, number, part, q=self._here(q))
+        return self._of_frame(pinocchio_backend.manipulability, number, part, q=self._at_origin(q))
 
     def _frame(self, name: str | None) -> tuple[str, int]:
         name = self.end_effector if name is None else name
@@ -679,13 +679,13 @@ class MultibodySystem:
         f : array_like, shape (..., nv), optional
             External generalised force [N, N, N m, ...]; 0 means none.
         """
-        if type(f) is float and not f and (found := self._quick(pin.aba, q, v, tau)) is not None:
-            return found
+        if type(f) is float and not f and (a := self._number_law(pin.aba, q, v, tau)) is not None:
+            return a
         if np.ndim(f) or f:
-            force, beside = self._v("tau", tau), self._v("f", f)
-            broadcast(tau=force, f=beside)
+            force, external = self._v("tau", tau), self._v("f", f)
+            broadcast(tau=force, f=external)
             with np.errstate(over="ignore"):
-                tau = finite_answer(force + beside, tau=force, f=beside)
+                tau = finite_answer(force + external, tau=force, f=external)
         return self._each(pin.aba, q=q, v=v, tau=tau)
 
     @by_values()
@@ -701,9 +701,9 @@ class MultibodySystem:
             (Fx, Fy, Mz) [N, N, N m].
         """
         q, wrench = self._q(q), vector("wrench", wrench, BODY_JOINT)
-        whole = np.zeros((*broadcast(q=q, wrench=wrench), self.nv))
-        whole[..., :BODY_JOINT] = wrench
-        return whole
+        force = np.zeros((*broadcast(q=q, wrench=wrench), self.nv))
+        force[..., :BODY_JOINT] = wrench
+        return force
 
     @by_values()
     def start(self, reference: Any) -> tuple[Array, Array]:
@@ -737,7 +737,7 @@ class MultibodySystem:
         v : array_like, shape (..., nv)
             Velocity [m/s, m/s, rad/s, ...].
         """
-        return self._each(pin.computeCoriolisMatrix, q=self._here(q), v=v)
+        return self._each(pin.computeCoriolisMatrix, q=self._at_origin(q), v=v)
 
     @by_values()
     def kinetic_energy(self, q: ArrayLike, v: ArrayLike) -> Array:
@@ -807,11 +807,11 @@ class MultibodySystem:
         Linearization
             Matrices A, shape (..., 2 nv, 2 nv), and B, shape (..., 2 nv, nv).
         """
-        return self._linearized(q, v, tau=tau)
+        return self._linearization(q, v, tau=tau)
 
-    def _linearized(self, q: ArrayLike, v: ArrayLike, **push: ArrayLike) -> Linearization:
-        found = self._each(pinocchio_backend.derivatives, q=self._here(q), v=v, **push)
-        by_q, by_v, by_tau = np.moveaxis(found, -3, 0)
+    def _linearization(self, q: ArrayLike, v: ArrayLike, **push: ArrayLike) -> Linearization:
+        derivative = self._each(pinocchio_backend.derivatives, q=self._at_origin(q), v=v, **push)
+        by_q, by_v, by_tau = np.moveaxis(derivative, -3, 0)
         A = np.zeros((*by_q.shape[:-2], 2 * self.nv, 2 * self.nv))
         B = np.zeros((*by_q.shape[:-2], 2 * self.nv, self.nv))
         A[..., : self.nv, self.nv :] = np.eye(self.nv)
@@ -832,7 +832,7 @@ class MultibodySystem:
         u : array_like, shape (..., nv)
             Input, a generalised force [N, N, N m, ...].
         """
-        return self._linearized(q, v, u=u)
+        return self._linearization(q, v, u=u)
 
     @cached_property
     def weight(self) -> float:
@@ -888,9 +888,9 @@ class MultibodySystem:
     def _mount(self, name: str | None) -> Mount:
         if not self.mounts:
             raise InvalidArgument("robot carries no arm, expected a robot with one: robot.mount(...)")
-        known = {mount.name: mount for mount in self.mounts}
-        wanted = self.mounts[0].name if name is None else name
-        return known[one_of("mount", wanted, known)]
+        mounts = {mount.name: mount for mount in self.mounts}
+        key = self.mounts[0].name if name is None else name
+        return mounts[one_of("mount", key, mounts)]
 
     def _fixed(self, mount: Mount) -> pin.Inertia:
         """Return the inertia, in the body frame, of those parts of an arm that are fixed to the body."""

@@ -44,7 +44,7 @@ _ROUNDING = 1e-9
 _SMALL = 1e-3  # largest negative moment of a link, as a share of its body's smallest moment
 _ENDLESS = "1e16"  # [rad, m]: common value in files for no limit
 
-_SHOWN = 5  # names in a message
+_NAMES = 5  # names in a message
 
 
 def urdf_model(argument: str, path: Path) -> tuple[pin.Model, Element]:
@@ -90,12 +90,12 @@ def _complete_limits(root: Element) -> None:
     """
     for joint in root.iterfind("joint"):
         limit, ends = joint.find("limit"), joint.get("type") in ("revolute", "prismatic")
-        wanted = {"effort": "0", "velocity": "0"}
+        defaults = {"effort": "0", "velocity": "0"}
         if ends:
             limit = ElementTree.SubElement(joint, "limit") if limit is None else limit
             if limit.get("lower") is None and limit.get("upper") is None:
-                wanted |= {"lower": f"-{_ENDLESS}", "upper": _ENDLESS}
-        for key, value in wanted.items():
+                defaults |= {"lower": f"-{_ENDLESS}", "upper": _ENDLESS}
+        for key, value in defaults.items():
             if limit is not None and limit.get(key) is None:
                 limit.set(key, value)
 
@@ -132,15 +132,15 @@ def judge_links(root: Element, name: str, body_of: Callable[[str], Array], stack
         moments = np.linalg.eigvalsh(inertia_of(inertia))
         if moments[0] >= -_ROUNDING * np.abs(moments).max():
             continue
-        listed = ", ".join(f"{moment:.6g}" for moment in moments)
-        said = (
-            f"{name}: link {link.get('name')!r}: inertia has principal moments ({listed}) kg m^2, which no "
+        values = ", ".join(f"{moment:.6g}" for moment in moments)
+        message = (
+            f"{name}: link {link.get('name')!r}: inertia has principal moments ({values}) kg m^2, which no "
             "rigid body has: expected each >= 0"
         )
         if -moments[0] > _SMALL * np.linalg.eigvalsh(body_of(link.get("name", "")))[0]:
-            raise InvalidArgument(said)
+            raise InvalidArgument(message)
         warnings.warn(
-            f"{said}; the inertia is used nevertheless, since it hardly affects the whole body",
+            f"{message}; the inertia is used nevertheless, since it hardly affects the whole body",
             stacklevel=stacklevel,
         )
 
@@ -152,11 +152,11 @@ def _check_numbers(root: Element, name: str) -> None:
     reason. Unexpected spaces and line ends have the same effect; this function removes them.
     """
     for part in (part for part in root if part.tag in ("link", "joint", "material")):
-        called = f"{name}: {part.tag} {part.get('name')!r} has"
+        label = f"{name}: {part.tag} {part.get('name')!r} has"
         for inertial in part.iterfind("inertial"):
             for tag in ("mass", "inertia"):
                 if inertial.find(tag) is None:
-                    raise InvalidArgument(f"{called} an <inertial> without <{tag}>, expected both")
+                    raise InvalidArgument(f"{label} an <inertial> without <{tag}>, expected both")
         for element in part.iter():
             is_needed = element.tag in ("mass", "inertia")
             for key in _ATTRIBUTES.get(element.tag, "").split():
@@ -164,16 +164,14 @@ def _check_numbers(root: Element, name: str) -> None:
                 count = _COUNTS.get(key, 1)
                 if text is None:
                     continue
-                found = text.split()
-                finite = all(_NUMBER.fullmatch(word) and isfinite(float(word)) for word in found)
-                if len(found) != count or not finite:
+                words = text.split()
+                finite = all(_NUMBER.fullmatch(word) and isfinite(float(word)) for word in words)
+                if len(words) != count or not finite:
                     expected = "a finite number" if count == 1 else f"{count} finite numbers"
-                    raise InvalidArgument(
-                        f"{called} <{element.tag}> with {key} {text!r}, expected {expected}"
-                    )
+                    raise InvalidArgument(f"{label} <{element.tag}> with {key} {text!r}, expected {expected}")
                 if element.tag == "mass" and float(text) < 0:
-                    raise InvalidArgument(f"{called} mass {text} kg, expected >= 0")
-                element.set(key, " ".join(found))
+                    raise InvalidArgument(f"{label} mass {text} kg, expected >= 0")
+                element.set(key, " ".join(words))
 
 
 def _check_tree(root: Element, name: str) -> None:
@@ -183,35 +181,35 @@ def _check_tree(root: Element, name: str) -> None:
     links = [link.get("name", "") for link in root.iterfind("link")]
     joints = [joint.get("name", "") for joint in root.iterfind("joint")]
     for kind, names in (("link", links), ("joint", joints)):
-        twice = [entry for entry, count in Counter(names).items() if count > 1]
-        if twice:
-            raise InvalidArgument(f"{name}: {kind} {twice[0]!r} appears twice, expected unique names")
-    known, above = set(links), dict[str, str]()
+        duplicates = [entry for entry, count in Counter(names).items() if count > 1]
+        if duplicates:
+            raise InvalidArgument(f"{name}: {kind} {duplicates[0]!r} appears twice, expected unique names")
+    link_names, parents = set(links), dict[str, str]()
     for joint in root.iterfind("joint"):
-        called, of = f"{name}: joint {joint.get('name')!r}", joint.get("type")
+        label, of = f"{name}: joint {joint.get('name')!r}", joint.get("type")
         if of not in _JOINTS:
-            raise InvalidArgument(f"{called} has type {of!r}, expected one of {', '.join(_JOINTS)}")
+            raise InvalidArgument(f"{label} has type {of!r}, expected one of {', '.join(_JOINTS)}")
         ends = {end: joint.find(end) for end in ("parent", "child")}
-        parent, child = (None if at is None else at.get("link") for at in ends.values())
-        for end, there in zip(ends, (parent, child), strict=True):
-            if there not in known:
-                raise InvalidArgument(f"{called} has {end} link {there!r}, which is not in the file")
-        if child in above:
+        parent, child = (None if node is None else node.get("link") for node in ends.values())
+        for end, link_end in zip(ends, (parent, child), strict=True):
+            if link_end not in link_names:
+                raise InvalidArgument(f"{label} has {end} link {link_end!r}, which is not in the file")
+        if child in parents:
             raise InvalidArgument(
-                f"{called} has child link {child!r}, which is already a child of {above[child]!r}, expected "
+                f"{label} has child link {child!r}, which is already a child of {parents[child]!r}, expected "
                 "one parent for each link"
             )
-        above[str(child)] = str(parent)
-    roots = [link for link in links if link not in above]
+        parents[str(child)] = str(parent)
+    roots = [link for link in links if link not in parents]
     if len(roots) > 1:
-        more = f" and {len(roots) - _SHOWN} more" if len(roots) > _SHOWN else ""
-        raise InvalidArgument(f"{name} has root links {roots[:_SHOWN]}{more}, expected one root link")
+        rest = f" and {len(roots) - _NAMES} more" if len(roots) > _NAMES else ""
+        raise InvalidArgument(f"{name} has root links {roots[:_NAMES]}{rest}, expected one root link")
     for link in links:
-        at, seen = link, set[str]()
-        while at in above and at not in seen:
-            seen.add(at)
-            at = above[at]
-        if at in seen:
+        node, visited = link, set[str]()
+        while node in parents and node not in visited:
+            visited.add(node)
+            node = parents[node]
+        if node in visited:
             raise InvalidArgument(
-                f"{name}: link {at!r} is its own ancestor, by way of {above[at]!r}, expected a tree"
+                f"{name}: link {node!r} is its own ancestor, by way of {parents[node]!r}, expected a tree"
             )

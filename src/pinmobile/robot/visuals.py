@@ -41,12 +41,12 @@ class VisualFile(NamedTuple):
     package_dirs: tuple[Path, ...] = ()
     base: tuple[float, ...] = ()
 
-    def found(self, name: str) -> Path | None:
+    def find_mesh(self, name: str) -> Path | None:
         """Return the path of a mesh, or None for a missing file."""
-        scheme, apart, rest = name.rpartition("://")
+        scheme, separator, rest = name.rpartition("://")
         rest = rest.lstrip("/") if scheme == "package" else rest
         folders = (*self.package_dirs, self.path.parent) if scheme == "package" else (self.path.parent,)
-        candidates = (folder / (rest if apart else name) for folder in folders)
+        candidates = (folder / (rest if separator else name) for folder in folders)
         # Not `Path.is_file`, which raises for names longer than a file system allows.
         return next((path.resolve() for path in candidates if isfile(path)), None)
 
@@ -60,7 +60,7 @@ class VisualFile(NamedTuple):
         """
         root = urdf_tree("path", self.path)  # again, since the file may have changed
         for mesh in root.iterfind("link/*/geometry/mesh"):
-            path = self.found(mesh.get("filename", ""))
+            path = self.find_mesh(mesh.get("filename", ""))
             if path is None:
                 mesh.set("missing", mesh.get("filename", ""))
             else:
@@ -82,22 +82,22 @@ class VisualFile(NamedTuple):
             If the file is no longer readable.
         """
         root = self.tree()
-        lost, standing = _without(root, lambda mesh: "missing" in mesh.attrib)
-        self._warn("missing", lost, standing, stacklevel)
+        missing, standing = _remove_meshes(root, lambda mesh: "missing" in mesh.attrib)
+        self._warn("missing", missing, standing, stacklevel)
         try:
-            seen = _geometry(root, model, pin.GeometryType.VISUAL)
+            geometry = _geometry(root, model, pin.GeometryType.VISUAL)
         except (ValueError, RuntimeError) as error:
             # Pinocchio does not report which file it could not read.
-            broken, others = _without(root, _is_broken)
-            if not broken:
+            damaged, others = _remove_meshes(root, _is_broken)
+            if not damaged:
                 raise InvalidArgument(f"path is {str(self.path)!r}, which cannot be drawn: {error}") from None
-            seen = _geometry(root, model, pin.GeometryType.VISUAL)
-            self._warn("damaged or of an unknown format", broken, others, stacklevel)
-            lost, standing = lost + broken, standing + others
-        return seen, root, bool(lost and not standing)
+            geometry = _geometry(root, model, pin.GeometryType.VISUAL)
+            self._warn("damaged or of an unknown format", damaged, others, stacklevel)
+            missing, standing = missing + damaged, standing + others
+        return geometry, root, bool(missing and not standing)
 
-    def _warn(self, why: str, files: list[str], links: list[str], stacklevel: int) -> None:
-        words = f"{self.path.name}: not drawn, since {why}: {', '.join(dict.fromkeys(files))}"
+    def _warn(self, reason: str, files: list[str], links: list[str], stacklevel: int) -> None:
+        words = f"{self.path.name}: not drawn, since {reason}: {', '.join(dict.fromkeys(files))}"
         if links:
             words += f"; their collision shapes replace the visuals of {', '.join(links)}"
         if files:
@@ -113,11 +113,11 @@ class VisualFile(NamedTuple):
         """
         root = self.tree()
         meshes = root.iterfind("link/collision/geometry/mesh")
-        lost = [mesh.get("missing", "") for mesh in meshes if "missing" in mesh.attrib]
-        if lost:
-            listed = ", ".join(dict.fromkeys(lost))
+        missing = [mesh.get("missing", "") for mesh in meshes if "missing" in mesh.attrib]
+        if missing:
+            names = ", ".join(dict.fromkeys(missing))
             raise InvalidArgument(
-                f"{self.path.name} has collision meshes that are missing: {listed}; expected them beside the "
+                f"{self.path.name} has collision meshes that are missing: {names}; expected them beside the "
                 "file, or in folders given by package_dirs="
             )
         try:
@@ -140,19 +140,19 @@ def _geometry(root: ElementTree.Element, model: pin.Model, kind: pin.GeometryTyp
     return pin.buildGeomFromUrdfString(model, ElementTree.tostring(root, encoding="unicode"), kind)
 
 
-def _without(
+def _remove_meshes(
     root: ElementTree.Element, unusable: Callable[[ElementTree.Element], bool]
 ) -> tuple[list[str], list[str]]:
     """Remove visuals with unusable meshes from a tree; return their files, and links with replacements."""
-    lost, standing = list[str](), list[str]()
+    files, standing = list[str](), list[str]()
     for link in root.iterfind("link"):
-        before = len(lost)
+        count = len(files)
         for visual in link.findall("visual"):
             mesh = visual.find("geometry/mesh")
             if mesh is not None and unusable(mesh):
-                lost.append(mesh.get("filename", ""))
+                files.append(mesh.get("filename", ""))
                 link.remove(visual)
-        if len(lost) == before or link.find("visual") is not None:
+        if len(files) == count or link.find("visual") is not None:
             continue
         for stand_in in map(deepcopy, link.findall("collision")):
             mesh = stand_in.find("geometry/mesh")
@@ -161,7 +161,7 @@ def _without(
                 link.append(stand_in)
         if link.find("visual") is not None:
             standing.append(link.get("name", ""))
-    return lost, standing
+    return files, standing
 
 
 def _is_broken(mesh: ElementTree.Element) -> bool:
@@ -176,13 +176,13 @@ def _is_broken(mesh: ElementTree.Element) -> bool:
 
 BODY = "body"  # name of the box, the only geometry object with a variable colour
 
-_THERE = 1e-9  # [m]: largest distance of equal placements
+_PLACE_TOLERANCE = 1e-9  # [m]: largest distance of equal placements
 _BODY_RGBA = (0.90, 0.62, 0.0, 1.0)
 _DARK_RGBA = (0.16, 0.16, 0.18, 1.0)
 _LOAD_RGBA = (0.55, 0.55, 0.58, 1.0)
 
 
-def _restored(path: str, package_dirs: tuple[str, ...], base: tuple[float, ...]) -> VisualFile | None:
+def _restore(path: str, package_dirs: tuple[str, ...], base: tuple[float, ...]) -> VisualFile | None:
     """Return the file that an archive names, or None if the file does not exist."""
     return VisualFile(Path(path), tuple(map(Path, package_dirs)), base) if isfile(path) else None
 
@@ -194,7 +194,7 @@ keep(
         "package_dirs": tuple(map(str, file.package_dirs)),
         "base": file.base,
     },
-    _restored,
+    _restore,
 )
 
 
@@ -207,7 +207,7 @@ def visuals_of(robot: Any, file: VisualFile | None) -> tuple[pin.GeometryModel, 
     for mount in robot.mounts:
         for item in mount.arm.visuals().geometryObjects:
             joint, placement = mount.joint_of(item)
-            visuals.addGeometryObject(drawn(f"{mount.name}/{item.name}", joint, placement, item))
+            visuals.addGeometryObject(copy_visual(f"{mount.name}/{item.name}", joint, placement, item))
     for number, joint, placement, box in boxes_of(robot._model, robot.loads):
         item = pin.GeometryObject(f"load{number}", joint, placement, box)
         item.meshColor = np.array(_LOAD_RGBA)
@@ -230,34 +230,34 @@ def _read(file: VisualFile, size: Sequence[float]) -> tuple[pin.GeometryModel, d
         If the file is no longer readable.
     """
     model, joints = file.model()
-    seen, root, is_lost = file.visuals(model, stacklevel=7)
+    geometry, root, no_visuals = file.visuals(model, stacklevel=7)
     shapes = [shape.tag for shape in root.iterfind("./link/visual/geometry/*")]
-    placed = [(joints[item.parentJoint] * item.placement, item) for item in seen.geometryObjects]
+    items = [(joints[item.parentJoint] * item.placement, item) for item in geometry.geometryObjects]
     ours = pin.SE3(np.eye(3), np.array([0.0, 0.0, size[2] / 2]))
-    if not shapes or (shapes == ["box"] and placed[0][0].isApprox(ours, _THERE)):
+    if not shapes or (shapes == ["box"] and items[0][0].isApprox(ours, _PLACE_TOLERANCE)):
         return box_visuals(size), {}
-    lost = is_lost and "mesh" not in shapes
-    visuals = box_visuals(size) if lost else pin.GeometryModel()
-    for placement, item in placed:
-        visuals.addGeometryObject(drawn(item.name, BODY_JOINT, placement, item))
-    return visuals, {item.name: joints_above(model, item.parentJoint) for _, item in placed}
+    use_box = no_visuals and "mesh" not in shapes
+    visuals = box_visuals(size) if use_box else pin.GeometryModel()
+    for placement, item in items:
+        visuals.addGeometryObject(copy_visual(item.name, BODY_JOINT, placement, item))
+    return visuals, {item.name: joints_above(model, item.parentJoint) for _, item in items}
 
 
 def joints_above(model: pin.Model, joint: int) -> tuple[str, ...]:
     """Return the names of a joint and its ancestors, nearest first."""
-    found = []
+    names = []
     while joint:
-        found.append(str(model.names[joint]))
+        names.append(str(model.names[joint]))
         joint = model.parents[joint]
-    return tuple(found)
+    return tuple(names)
 
 
-def drawn(name: str, joint: int, placement: pin.SE3, item: pin.GeometryObject) -> pin.GeometryObject:
+def copy_visual(name: str, joint: int, placement: pin.SE3, item: pin.GeometryObject) -> pin.GeometryObject:
     """Return the object on another joint, with its mesh as Pinocchio has read and scaled it."""
-    moved = pin.GeometryObject(name, joint, placement, item.geometry)
+    copy = pin.GeometryObject(name, joint, placement, item.geometry)
     # meshcat draws holes for a file with materials.
-    moved.meshColor, moved.meshScale, moved.meshPath = item.meshColor, np.ones(3), ""
-    return moved
+    copy.meshColor, copy.meshScale, copy.meshPath = item.meshColor, np.ones(3), ""
+    return copy
 
 
 def box_visuals(size: Sequence[float], clearance: float = 0.0) -> pin.GeometryModel:
@@ -285,12 +285,12 @@ def box_visuals(size: Sequence[float], clearance: float = 0.0) -> pin.GeometryMo
     corners = np.array([[-0.1, -0.36], [0.42, 0.0], [-0.1, 0.36]]) * (length, width)
     low, high = (np.column_stack([corners, np.full(3, z)]) for z in (0.0, lift))
     visuals = pin.GeometryModel()
-    for name, shape, at, colour in (
+    for name, shape, point, colour in (
         (BODY, coal.Box(length, width, tall), (0, 0, middle), _BODY_RGBA),
         ("front", front, ((length + 0.5 * depth) / 2, 0, middle), _DARK_RGBA),
         ("wedge", _prism(np.concatenate([low, high])), (0, 0, height), _DARK_RGBA),
     ):
-        item = pin.GeometryObject(name, BODY_JOINT, pin.SE3(np.eye(3), np.array(at, np.float64)), shape)
+        item = pin.GeometryObject(name, BODY_JOINT, pin.SE3(np.eye(3), np.array(point, np.float64)), shape)
         item.meshColor = np.array(colour)
         visuals.addGeometryObject(item)
     return visuals
@@ -382,12 +382,12 @@ class Solids:
     @classmethod
     def of(cls, robot: Any, file: VisualFile | None) -> Solids:
         """Return the shapes of a `MobileRobot`, with the file of its body."""
-        model, carried = robot._model, carried_shapes(robot)
+        model, arm_shapes = robot._model, carried_shapes(robot)
         body = [body_box(robot.size)] if robot.is_box else body_shapes(file, robot.source)
         joints = range(BODY_JOINT + 1, model.njoints)
         parents = (-1, *(model.parents[joint] - BODY_JOINT for joint in joints))
         starts = ((model.idx_vs[joint], model.nvs[joint]) for joint in joints)
-        return cls((*body, *carried), parents, (slice(0, 0), *(slice(k, k + n) for k, n in starts)))
+        return cls((*body, *arm_shapes), parents, (slice(0, 0), *(slice(k, k + n) for k, n in starts)))
 
 
 def body_shapes(looks: VisualFile | None, source: str) -> Iterator[Solid]:

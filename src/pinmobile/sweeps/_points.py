@@ -37,8 +37,8 @@ from pinmobile.parts import (
     NumberRef,
     entries_of,
     find,
+    named,
     parts_of,
-    refs_of,
     replace as replaced,
     walk,
 )
@@ -206,7 +206,7 @@ def _mapping(name: str, value: Any) -> Mapping[str, Any]:
 def _shared_fields(scenario: Scenario) -> dict[str, Any]:
     """Return the properties that all scenarios of a store must share."""
     texts = {
-        name: ", ".join(f"{one.name} [{one.unit}]" for one in getattr(scenario, name)) or "none"
+        name: ", ".join(f"{entry.name} [{entry.unit}]" for entry in getattr(scenario, name)) or "none"
         for name in ("coordinates", "inputs", "recorded_metrics")
     }
     times = f"every {scenario.dt * scenario.stride:.9g} s, {len(scenario.grid)} times"
@@ -237,7 +237,7 @@ def _named_refs(loop: Loop) -> dict[str, NumberRef]:
     """Return everything that has a path in a loop: parts, fields, and entries of numbers."""
     refs = {leaf.path: NumberRef(leaf) for leaf in walk(loop) if "._" not in leaf.path}
     refs |= {path: NumberRef(Leaf(path, loop, Field(), part)) for path, part in parts_of(loop) if path}
-    return refs | refs_of(loop)
+    return refs | named(loop)
 
 
 def _unit(scenario: Scenario, path: str) -> str:
@@ -359,7 +359,7 @@ def describe(points: Points, version: str | None = None) -> dict[str, Any]:
         "axes": {name: {"values": axis.values, "unit": axis.unit} for name, axis in points.axes.items()},
     }
     for name in sorted(set().union(*rows)):
-        values = [one.get(name) for one in rows]
+        values = [row.get(name) for row in rows]
         is_common = all(json.dumps(value) == json.dumps(values[0]) for value in values)
         description.setdefault("all" if is_common else "each", {})[name] = values[0] if is_common else values
     if version is not None:
@@ -407,7 +407,7 @@ def differences(theirs: Mapping[str, Any], mine: Mapping[str, Any], most: int = 
     pairs = {name: (old.get(name, "absent"), new.get(name, "absent")) for name in new | old}
     rows = [(name, *pair) for name, pair in pairs.items() if json.dumps(pair[0]) != json.dumps(pair[1])]
     rows.sort(key=_rank)
-    words = [f"{name} is {_shorten(one)} there and {_shorten(other)} here" for name, one, other in rows]
+    words = [f"{name} is {_shorten(a)} there and {_shorten(b)} here" for name, a, b in rows]
     return "; ".join(words[:most]) + (f"; and {len(words) - most} more differ" if len(words) > most else "")
 
 

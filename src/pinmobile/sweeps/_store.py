@@ -77,7 +77,7 @@ class Store:
         self.path, self.points = path, points
         is_new = not path.exists()
         with file_errors("written", "store", path):
-            if not is_new and any(each.name not in (_LOCK, _PART_FILE) for each in path.iterdir()):
+            if not is_new and any(entry.name not in (_LOCK, _PART_FILE) for entry in path.iterdir()):
                 attributes_of(path)  # rejects a folder with other contents
             path.mkdir(parents=True, exist_ok=True)
             self._lock = _lock_folder(path)

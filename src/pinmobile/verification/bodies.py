@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from pinmobile.arrays import Array
 from pinmobile.dh import JointType
-from pinmobile.robot import BODY_JOINT, MobileRobot, Mount, joints_of, named_frames, number, prefixed
+from pinmobile.robot import BODY_JOINT, MobileRobot, Mount, add_scope, joints_of, named_frames, number
 from pinmobile.wheels import Kinematics, Wheel, WheeledRobot
 
 _DOWN = np.array([0, 0, -9.81])  # [m/s^2]
@@ -92,7 +92,7 @@ class Parts:
     def _mount(self, mount: Mount, q: Array) -> None:
         """Add the links of an arm as read from its file; a locked joint has no coordinates."""
         arm, base = mount.arm, BODY_JOINT - 1
-        model, reference, locked, posture = arm.file_model, arm.whole, arm.held, arm.rest
+        model, reference, locked, posture = arm.file_model, arm.whole, arm.fixed_joints, arm.rest
         if mount.is_changed:  # to numbers which are those of what moves
             model, reference, locked, posture = mount.model, mount.model, [], arm.posture
         free = [joint for joint in range(1, model.njoints) if joint not in locked]
@@ -110,7 +110,7 @@ class Parts:
             link = _Link(first + parent if parent else base, T, S[..., : len(indices)], indices, rotors)
             link.add(model.inertias[joint], pin.SE3.Identity())
             self.links.append(link)
-        prefixed_model = prefixed(mount.model, mount.name)
+        prefixed_model = add_scope(mount.model, mount.name)
         for name, k in named_frames(prefixed_model).items():
             frame = prefixed_model.frames[k]
             link_index = first + free[frame.parentJoint - 1] if frame.parentJoint else base

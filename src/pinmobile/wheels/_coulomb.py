@@ -24,23 +24,23 @@ from pinmobile.robot import (
     Vector,
     dot,
     exact,
-    factored,
+    factor,
     number,
     scalar_of,
     scalars,
     single,
-    transposed,
+    transpose,
     vector_of as stacked,
 )
-from pinmobile.wheels._contact import Bounds, Impulses, WheelContact, impulses, iterated
+from pinmobile.wheels._contact import Bounds, Impulses, WheelContact, impulses, iterate
 from pinmobile.wheels._dynamics import State, WheeledDynamics, mean_acceleration
 from pinmobile.wheels._loads import ground_reaction, places_of, shared_loads
 from pinmobile.wheels._motors import ExternalForceFunction, Motors, TorqueSpeedLine, theta
-from pinmobile.wheels._rolling import Ramp, check_inertias, stop_of, stopped
+from pinmobile.wheels._rolling import Ramp, check_inertias, stop_axis, stop_of
 from pinmobile.wheels._table import WheelTable, column
 
 _BASE = 3
-_STILL = 0.5  # smallest ratio of final and initial slip of a wheel that slides throughout a step
+_SLIP_RATIO = 0.5  # smallest ratio of final and initial slip of a wheel that slides throughout a step
 _SLIDES = 1 - 1e-9  # fraction of the largest friction from which a wheel slides
 _PASSES = 40  # largest number of passes
 _COARSER = 1e2  # tolerance of a pass, relative to weight and free fall, in tolerances of forces
@@ -102,10 +102,10 @@ class _Pass(NamedTuple):
         As in `ContactState`, and number of passes.
     """
 
-    after: Vector
+    velocities: Vector
     impulses: Vector
     multipliers: Vector
-    assumed: Vector
+    guess: Vector
     missing: Vector
     way: Vector
     inverse: Vector
@@ -117,32 +117,32 @@ class _Pass(NamedTuple):
     missed: Any
     passes: Any
 
-    def corrected(self, found: Vector) -> tuple[Vector, Vector, Vector, Vector]:
-        """Return `assumed`, `missing`, `way` and `inverse` of the next pass.
+    def next_guess(self, result: Vector) -> tuple[Vector, Vector, Vector, Vector]:
+        """Return `guess`, `missing`, `way` and `inverse` of the next pass.
 
         The update is Broyden's method (Mathematics of Computation 19, 1965).
 
         Parameters
         ----------
-        found : list of 6 scalars
+        result : list of 6 scalars
             Result of this pass for the assumption.
         """
-        n = len(found)
-        missing = [y - x for x, y in zip(self.assumed, found, strict=True)]
+        n = len(result)
+        missing = [y - x for x, y in zip(self.guess, result, strict=True)]
         change = [y - x for x, y in zip(self.missing, missing, strict=True)]
         rows = [self.inverse[n * k : n * (k + 1)] for k in range(n)]
-        off = [x - dot(row, change) for x, row in zip(self.way, rows, strict=True)]
+        residual = [x - dot(row, change) for x, row in zip(self.way, rows, strict=True)]
         left = [dot(self.way, column) for column in zip(*rows, strict=True)]
         bottom = number(dot(left, change))
         given = (self.passes > 0.0) & (bottom != 0.0)
         share = choose(given, 1.0 / choose(given, bottom, 1.0), 0.0)
         rows = [
             [x + y * (share * z) for x, z in zip(row, left, strict=True)]
-            for row, y in zip(rows, off, strict=True)
+            for row, y in zip(rows, residual, strict=True)
         ]
         way = [number(-dot(row, missing)) for row in rows]
-        assumed = [x + y for x, y in zip(self.assumed, way, strict=True)]
-        return assumed, missing, way, [x for row in rows for x in row]
+        guess = [x + y for x, y in zip(self.guess, way, strict=True)]
+        return guess, missing, way, [x for row in rows for x in row]
 
 
 class _Rub(NamedTuple):
@@ -151,7 +151,7 @@ class _Rub(NamedTuple):
     actuator: int
     at: int
     rate: float
-    most: Any
+    limit: Any
 
 
 class _Shape(NamedTuple):
@@ -162,7 +162,7 @@ class _Shape(NamedTuple):
     solve : callable
         Function from a generalised force to the acceleration.
     touches : list of WheelContact
-        Contacts of the wheels, in the velocities that `touched` numbers.
+        Contacts of the wheels, in the velocities that `friction_rows` numbers.
     touched, rest : list of int
         Velocities that occur in rows of wheels, and the others.
     inertia : list of lists of scalars
@@ -173,7 +173,7 @@ class _Shape(NamedTuple):
 
     solve: Any
     touches: list[WheelContact]
-    touched: list[int]
+    friction_rows: list[int]
     rest: list[int]
     inertia: Matrix
     columns: Matrix
@@ -198,8 +198,8 @@ class SlippingDynamics(WheeledDynamics):
     @cached_property
     def mu(self) -> Any:
         """Coefficients of friction, of rollers along their axes, shape (wheels,)."""
-        own = [wheel.friction.mu for wheel in self.table.wheels]
-        return column(own if self.ground.mu is None else [self.ground.mu] * len(own))
+        values = [wheel.friction.mu for wheel in self.table.wheels]
+        return column(values if self.ground.mu is None else [self.ground.mu] * len(values))
 
     # Gear trains
 
@@ -207,26 +207,26 @@ class SlippingDynamics(WheeledDynamics):
     def _leaders(self) -> list[tuple[int, Any]]:
         """Leading velocity and rate ratio of each velocity: wheels of a train follow the first one."""
         first = self.of_body + len(self.table.axes)
-        found: list[tuple[int, Any]] = [(i, ONE) for i in range(self.nv)]
+        leaders: list[tuple[int, Any]] = [(i, ONE) for i in range(self.nv)]
         for row, (leader, ratio) in enumerate(gear_ratios(self.table)):
-            found[first + row] = first + leader, exact(ratio)
-        return found
+            leaders[first + row] = first + leader, exact(ratio)
+        return leaders
 
     @cached_property
-    def _kept(self) -> list[int]:
+    def _leading(self) -> list[int]:
         """Velocities that follow no other."""
         return [i for i, (leader, _) in enumerate(self._leaders) if leader == i]
 
-    def _reduced(self, full: Vector) -> Vector:
+    def _to_free(self, full: Vector) -> Vector:
         """Return the force on the kept velocities for a force on all velocities."""
-        found: dict[int, Any] = dict.fromkeys(self._kept, ZERO)
+        forces: dict[int, Any] = dict.fromkeys(self._leading, ZERO)
         for x, (leader, ratio) in zip(full, self._leaders, strict=True):
-            found[leader] = found[leader] + ratio * x
-        return list(found.values())
+            forces[leader] = forces[leader] + ratio * x
+        return list(forces.values())
 
-    def _whole(self, kept: Vector) -> Vector:
+    def _from_leaders(self, leading: Vector) -> Vector:
         """Return all velocities from the kept ones."""
-        of = dict(zip(self._kept, kept, strict=True))
+        of = dict(zip(self._leading, leading, strict=True))
         return [number(ratio * of[leader]) for leader, ratio in self._leaders]
 
     # The ground
@@ -239,62 +239,62 @@ class SlippingDynamics(WheeledDynamics):
     def _spins(self) -> list[int]:
         """Kept velocity of each wheel."""
         first = self.of_body + len(self.table.axes)
-        return [self._kept.index(self._leaders[first + row][0]) for row in range(len(self.table))]
+        return [self._leading.index(self._leaders[first + row][0]) for row in range(len(self.table))]
 
     @cached_property
-    def _holds(self) -> list[bool]:
+    def _has_hold(self) -> list[bool]:
         """Whether rolling resistance or friction of motors holds each group of wheels that turn as one."""
         first = self.of_body + len(self.table.axes)
         rolling = [row for row, share in enumerate(self._friction("rolling")) if share is not ZERO]
-        resisted = {self._leaders[first + row][0] for row in rolling}
-        resisted |= {self.turned_by(k)[0][0] for k in self.rubbing}
-        return [self._kept[at] in resisted for at in dict.fromkeys(self._spins)]
+        leaders = {self._leaders[first + row][0] for row in rolling}
+        leaders |= {self.turned_by(k)[0][0] for k in self.rubbing}
+        return [self._leading[spin] in leaders for spin in dict.fromkeys(self._spins)]
 
     def turned_by(self, actuator: int) -> list[tuple[int, Any]]:
         """Return the kept velocities that an actuator turns, with its rate per each of them."""
-        found: dict[int, Any] = {}
+        shares: dict[int, Any] = {}
         for i, share in enumerate(self.table.actuators[actuator].column, self.of_body):
             leader, ratio = self._leaders[i]
-            found[leader] = found.get(leader, ZERO) + exact(share) * ratio
-        return [(i, x) for i, x in found.items() if x is not ZERO]
+            shares[leader] = shares.get(leader, ZERO) + exact(share) * ratio
+        return [(i, x) for i, x in shares.items() if x is not ZERO]
 
     def _shape(self, state: State, q: Any, h: Any, lag: Sequence[Any] = ()) -> _Shape:
         """Return the robot at a configuration for a step; `lag` adds rotor inertia for stiff motors."""
         M = self.inertia(state, q)
-        for actuator, more in zip(self.table.actuators, lag, strict=False):
+        for actuator, rotor in zip(self.table.actuators, lag, strict=False):
             for i, a in enumerate(actuator.column, self.of_body):
                 for j, b in enumerate(actuator.column, self.of_body):
-                    M[i][j] = M[i][j] + exact(a * b) * more
-        halved = transposed([self._reduced(row) for row in M])
-        reduced = transposed([self._reduced(column) for column in halved])
+                    M[i][j] = M[i][j] + exact(a * b) * rotor
+        half = transpose([self._to_free(row) for row in M])
+        inertias = transpose([self._to_free(column) for column in half])
         rows = self.kinematics.rows(state.steering, [ZERO] * _BASE, [ZERO] * self.joints, across=True)
         pairs: list[list[Vector]] = [[] for _ in self.table.wheels]
         for row in rows:
             if row.wheel >= 0:
-                pairs[row.wheel].append(self._reduced([*row.base, *[ZERO] * self.na, *row.joints]))
-        n, spins = len(self._kept), self._spins
-        held = [at for at, holds in zip(dict.fromkeys(spins), self._holds, strict=True) if holds]
-        touched = [
+                pairs[row.wheel].append(self._to_free([*row.base, *[ZERO] * self.na, *row.joints]))
+        n, spins = len(self._leading), self._spins
+        holds = [
+            spin for spin, has_hold in zip(dict.fromkeys(spins), self._has_hold, strict=True) if has_hold
+        ]
+        contact_rows = [
             k for k in range(n) if k in spins or any(row[k] is not ZERO for pair in pairs for row in pair)
         ]
-        rest = [k for k in range(n) if k not in touched]
-        solve, inertia = factored(reduced, rest)
+        rest = [k for k in range(n) if k not in contact_rows]
+        solve, inertia = factor(inertias, rest)
         columns = [solve(row) for pair in pairs for row in pair]
-        units = {at: solve([ONE if k == at else ZERO for k in range(n)]) for at in dict.fromkeys(spins)}
+        units = {spin: solve([ONE if k == spin else ZERO for k in range(n)]) for spin in dict.fromkeys(spins)}
 
-        def over(x: Vector) -> Vector:
-            return [x[k] for k in touched]
+        def select(x: Vector) -> Vector:
+            return [x[k] for k in contact_rows]
 
-        touches, slip = [], self._friction("slip")
-        for k, (pair, wheel) in enumerate(zip(pairs, self.table.wheels, strict=True)):
-            pushed, at = columns[2 * k : 2 * k + 2], spins[k]
-            spin = touched.index(at), over(units[at])
-            give, disc = slip[k] / h, wheel.roller is None
-            own = [*map(over, pair)], [*map(over, pushed)]
-            touches.append(WheelContact(*own, *spin, disc, give, at in held))
-        return _Shape(solve, touches, touched, rest, inertia, [*columns, *(units[at] for at in held)])
+        contacts, slip = [], self._friction("slip")
+        for k, (pair, wheel, spin) in enumerate(zip(pairs, self.table.wheels, spins, strict=True)):
+            turn = contact_rows.index(spin), select(units[spin])
+            slips = [*map(select, pair)], [*map(select, columns[2 * k : 2 * k + 2])]
+            contacts.append(WheelContact(*slips, *turn, wheel.roller is None, slip[k] / h, spin in holds))
+        return _Shape(solve, contacts, contact_rows, rest, inertia, [*columns, *(units[k] for k in holds)])
 
-    def _seen(self, state: State, rate: Vector) -> tuple[State, Vector]:
+    def _rolling_view(self, state: State, rate: Vector) -> tuple[State, Vector]:
         """Return a state, and proper accelerations in the plane along the body's axes."""
         vx, vy, w = state.twist
         return state, self.proper_acceleration(state, [rate[0] - w * vy, rate[1] + w * vx, *rate[2:]])
@@ -303,30 +303,30 @@ class SlippingDynamics(WheeledDynamics):
         self, shape: _Shape, loads: Vector, slips: list[Vector], h: Any, rubs: Sequence[_Rub]
     ) -> list[Bounds]:
         """Return the bounds of each wheel's friction."""
-        first, found = self.of_body + len(self.table.axes), []
+        first, bounds = self.of_body + len(self.table.axes), []
         holds: dict[int, Any] = {}
         for k, (share, r) in enumerate(zip(self._friction("rolling"), scalars(self.radius), strict=True)):
-            at, ratio = shape.touches[k].spin, abs(float(self._leaders[first + k][1]))
-            holds[at] = holds.get(at, ZERO) + h * (exact(ratio) * share * r) * loads[k]
+            spin, ratio = shape.touches[k].spin, abs(float(self._leaders[first + k][1]))
+            holds[spin] = holds.get(spin, ZERO) + h * (exact(ratio) * share * r) * loads[k]
         for rub in rubs:
-            holds[rub.at] = holds[rub.at] + rub.most
+            holds[rub.at] = holds[rub.at] + rub.limit
         for k, (wheel, share) in enumerate(zip(self.table.wheels, self._friction("across"), strict=True)):
             along = number(h * scalars(self.mu)[k] * loads[k])
             across = along if wheel.roller is None else number(h * share * loads[k])
-            found.append(Bounds(along, across, number(holds[shape.touches[k].spin]), slips[k]))
-        return found
+            bounds.append(Bounds(along, across, number(holds[shape.touches[k].spin]), slips[k]))
+        return bounds
 
     def _rubs(self, shape: _Shape, pushes: Sequence[TorqueSpeedLine], h: Any) -> list[_Rub]:
         """Return the dry friction of motors."""
-        found = []
+        rubs = []
         for k in self.rubbing if pushes else ():
             ((leader, share),) = self.turned_by(k)
-            at, rate = shape.touched.index(self._kept.index(leader)), float(share)
-            found.append(_Rub(k, at, rate, h * exact(abs(rate)) * pushes[k].hold))
-        return found
+            row, rate = shape.friction_rows.index(self._leading.index(leader)), float(share)
+            rubs.append(_Rub(k, row, rate, h * exact(abs(rate)) * pushes[k].hold))
+        return rubs
 
     def _began(
-        self, shape: _Shape, before: Vector, after: Vector, slides: Vector
+        self, shape: _Shape, first: Vector, last: Vector, slides: Vector
     ) -> tuple[list[Vector], Vector]:
         """Return the slip of each wheel at the start of a step, zero for wheels that do not slide throughout.
 
@@ -335,36 +335,36 @@ class SlippingDynamics(WheeledDynamics):
         Therefore a wheel that loses half its slip in the step is treated by its slip at the end, as is one
         whose force is proportional to its slip.
         """
-        found, goes_on = [], []
+        slips, goes_on = [], []
         rows = zip(shape.touches, self.table.wheels, self._friction("slip"), slides, strict=True)
         for touch, wheel, slip, on in rows:
             if slip is not ZERO:
-                found.append([0.0, 0.0])
+                slips.append([0.0, 0.0])
                 goes_on.append(on)
                 continue
             old, new = (
-                [number(dot(row, [x[self._kept[k]] for k in shape.touched])) for row in touch.rows]
-                for x in (before, after)
+                [number(dot(row, [x[self._leading[k]] for k in shape.friction_rows])) for row in touch.rows]
+                for x in (first, last)
             )
-            left = [x * (y - _STILL * x) for x, y in zip(old, new, strict=True)]
+            left = [x * (y - _SLIP_RATIO * x) for x, y in zip(old, new, strict=True)]
             if wheel.roller is None:
                 left = [left[0] + left[1]] * 2
-            found.append([choose((x > 0.0) & (on > 0.0), y, 0.0) for x, y in zip(left, old, strict=True)])
+            slips.append([choose((x > 0.0) & (on > 0.0), y, 0.0) for x, y in zip(left, old, strict=True)])
             goes_on.append(choose((left[0] > 0.0) | (left[1] > 0.0), on, 0.0))
-        return found, goes_on
+        return slips, goes_on
 
     # The step
 
     def initial_state(self, context: Any = None) -> ContactState:
         """Return the contact state before the first step: no slip, and loads at rest."""
         del context
-        k, still = len(self.table), [ZERO] * self.nv
+        k, zeros_v = len(self.table), [ZERO] * self.nv
         q = np.concatenate([np.zeros(_BASE), self.robot.rest[_BASE:], np.zeros(self.joints)])
         state = self.state(q, np.zeros(self.nv))
-        exerted = ground_reaction(self, *self._seen(state, still), q)
-        found = shared_loads(places_of(self, state.steering), *exerted)
-        zeros = np.zeros(2 * k), np.zeros(len(self._holds)), np.zeros(k), np.zeros(self.nv)
-        return ContactState(*zeros, stacked(found.values, q), 0.0, 0.0)
+        reaction = ground_reaction(self, *self._rolling_view(state, zeros_v), q)
+        loads = shared_loads(places_of(self, state.steering), *reaction)
+        zeros = np.zeros(2 * k), np.zeros(len(self._has_hold)), np.zeros(k), np.zeros(self.nv)
+        return ContactState(*zeros, stacked(loads.values, q), 0.0, 0.0)
 
     def step(
         self, t: Any, q: Any, v: Any, u: Any, h: Any, f: ExternalForceFunction, memory: ContactState
@@ -403,42 +403,42 @@ class SlippingDynamics(WheeledDynamics):
         """
         h = number(single(h))
         state = self.state(q, v)
-        before = state.velocities
+        start_v = state.velocities
         middle = state  # its configuration is that of mid-step, by the present velocity
         if self.na or self.table.axes:
-            there = self.state(self.integrate(q, (0.5 * h) * v), v)
-            middle = state._replace(arms=there.arms, steering=there.steering)
-        psi, begun = scalars(q)[2], self.actuator_rates(state.rates)
-        beside = f(self.integrate(q, (0.5 * h) * v), v)
-        pushed = not (np.ndim(beside) == 0 and not isinstance(beside, np.ndarray) and beside == 0)
-        turning = pushed or bool(self.fall[0] or self.fall[1])
+            predicted = self.state(self.integrate(q, (0.5 * h) * v), v)
+            middle = state._replace(arms=predicted.arms, steering=predicted.steering)
+        psi, start_rates = scalars(q)[2], self.actuator_rates(state.rates)
+        external = f(self.integrate(q, (0.5 * h) * v), v)
+        has_external = not (np.ndim(external) == 0 and not isinstance(external, np.ndarray) and external == 0)
+        turning = has_external or bool(self.fall[0] or self.fall[1])
         fixed = self._shape(middle, q, h) if motors is None else None
         places = places_of(self, middle.steering)
         size, little = sum((dot(x, x) for x in places), ZERO), _COARSER * self.ground.tolerance
 
-        def at_mean(after: Vector) -> tuple[State, Vector]:
-            mean = [0.5 * (x + y) for x, y in zip(before, after, strict=True)]
-            at = middle.moving(mean)
-            return (at.turned(psi + 0.5 * h * mean[2]) if turning else at), mean
+        def at_mean(end: Vector) -> tuple[State, Vector]:
+            mean = [0.5 * (x + y) for x, y in zip(start_v, end, strict=True)]
+            state_m = middle.moving(mean)
+            return (state_m.with_psi(psi + 0.5 * h * mean[2]) if turning else state_m), mean
 
-        gained = h * abs(float(self.fall[2])) if self.fall[2] else 1.0
-        scales = [gained] * _BASE + [number(single(self.weight)) if self.fall[2] else 1.0] * 3
+        gain = h * abs(float(self.fall[2])) if self.fall[2] else 1.0
+        scales = [gain] * _BASE + [number(single(self.weight)) if self.fall[2] else 1.0] * 3
 
-        def led_to(after: Vector) -> Vector:
-            rate = [(y - x) / h for x, y in zip(before, after, strict=True)]
-            exerted = ground_reaction(self, *self._seen(at_mean(after)[0], rate), q)
-            return [x / scale for x, scale in zip([*after[:_BASE], *exerted], scales, strict=True)]
+        def outcome(end: Vector) -> Vector:
+            rate = [(y - x) / h for x, y in zip(start_v, end, strict=True)]
+            reaction = ground_reaction(self, *self._rolling_view(at_mean(end)[0], rate), q)
+            return [x / scale for x, scale in zip([*end[:_BASE], *reaction], scales, strict=True)]
 
-        def one(*parts: Any) -> tuple[_Pass, Any]:
+        def iteration(*parts: Any) -> tuple[_Pass, Any]:
             x = _Pass(*parts)
-            taken = [y * scale for y, scale in zip(x.assumed, scales, strict=True)]
-            end = [*taken[:_BASE], *x.after[_BASE:]]
-            at, mean = at_mean(end)
-            force = beside
-            if pushed:
-                there = self.in_plane(at, mean, q)
-                force = f(self.integrate(q, (0.5 * h) * there), there)
-            loads = shared_loads(places, *taken[_BASE:])
+            values = [y * scale for y, scale in zip(x.guess, scales, strict=True)]
+            end = [*values[:_BASE], *x.velocities[_BASE:]]
+            state_m, mean = at_mean(end)
+            force = external
+            if has_external:
+                mean_v = self.in_plane(state_m, mean, q)
+                force = f(self.integrate(q, (0.5 * h) * mean_v), mean_v)
+            loads = shared_loads(places, *values[_BASE:])
             pushes, shares, lag, torques = list[TorqueSpeedLine](), list[Any](), list[Any](), u
             if motors is not None:
                 pushes = motors(x.rates, x.passes > 0.0)
@@ -447,95 +447,95 @@ class SlippingDynamics(WheeledDynamics):
                     for push, y in zip(pushes, self._freedom(middle, q), strict=True)
                 ]
                 lag = [h * y * push.slope for push, y in zip(pushes, shares, strict=True)]
-                given = [push.torque - push.slope * y for push, y in zip(pushes, begun, strict=True)]
+                given = [push.torque - push.slope * y for push, y in zip(pushes, start_rates, strict=True)]
                 torques = stacked([*scalars(u)[: self.na], *given], q)
-            now = self._shape(middle, q, h, lag) if fixed is None else fixed
-            free = self._free(now, at, before, torques, h, force, q)
-            began, slides = self._began(now, before, end, x.slides)
-            rubs = self._rubs(now, pushes, h)
-            bounds = self._bounds(now, loads.values, began, h, rubs)
-            start, known = Impulses([], *x[1:3]), [number(free[k]) for k in now.touched]
-            grip = impulses(now.touches, bounds, known, now.inertia, start, self.ground)
-            after = self._after(now, free, grip)
+            body = self._shape(middle, q, h, lag) if fixed is None else fixed
+            free = self._free(body, state_m, start_v, torques, h, force, q)
+            began, slides = self._began(body, start_v, end, x.slides)
+            rubs = self._rubs(body, pushes, h)
+            bounds = self._bounds(body, loads.values, began, h, rubs)
+            start, free_v = Impulses([], *x[1:3]), [number(free[k]) for k in body.friction_rows]
+            grip = impulses(body.touches, bounds, free_v, body.inertia, start, self.ground)
+            end_v = self._end_velocities(body, free, grip)
             for k, limit in self.stops:
                 unit = [ONE if i == self.of_body + k else ZERO for i in range(self.nv)]
-                response = self._whole(now.solve(self._reduced(unit)))
-                rate = after[self.of_body + k]
-                reached = state.steering[k] + (0.5 * h) * (state.rates[k] + rate)
-                after = stopped(after, stop_of(reached, limit), rate, unit, response)
+                response = self._from_leaders(body.solve(self._to_free(unit)))
+                rate = end_v[self.of_body + k]
+                angle = state.steering[k] + (0.5 * h) * (state.rates[k] + rate)
+                end_v = stop_axis(end_v, stop_of(angle, limit), rate, unit, response)
             given, rates = [], []
             if motors is not None:
-                ends = self.actuator_rates(after[self.of_body :])
-                rates = [number(y + z * (e - y)) for y, e, z in zip(begun, ends, shares, strict=True)]
+                ends = self.actuator_rates(end_v[self.of_body :])
+                rates = [number(y + z * (e - y)) for y, e, z in zip(start_rates, ends, shares, strict=True)]
                 given = [push.torque - push.slope * y for push, y in zip(pushes, rates, strict=True)]
-                pairs = zip(now.touches, bounds, strict=True)
-                holds = {touch.spin: bound.spin for touch, bound in pairs if touch.held}
+                pairs = zip(body.touches, bounds, strict=True)
+                holds = {touch.spin: bound.spin for touch, bound in pairs if touch.is_held}
                 for rub in rubs:  # its share of the torque that holds a wheel
-                    whole = holds[rub.at]
-                    part = rub.most / choose(whole > 0.0, whole, 1.0)
-                    held = grip.impulses[2 * len(self.table) + list(holds).index(rub.at)]
-                    given[rub.actuator] = given[rub.actuator] + held * part / (h * rub.rate)
-            better = x.corrected(led_to(after))
-            off, was = (
+                    total = holds[rub.at]
+                    part = rub.limit / choose(total > 0.0, total, 1.0)
+                    impulse = grip.impulses[2 * len(self.table) + list(holds).index(rub.at)]
+                    given[rub.actuator] = given[rub.actuator] + impulse * part / (h * rub.rate)
+            better = x.next_guess(outcome(end_v))
+            error, old_error = (
                 dot(each[:_BASE], each[:_BASE]) + each[_BASE] * each[_BASE] + dot(each[4:], each[4:]) / size
                 for each in (better[1], x.missing)
             )
-            stays = (x.passes > 0.0) & (off <= (_LEVEL * little) ** 2) & (off >= was)
-            done = (off <= little * little) | stays
-            last = loads.tips, choose(done, grip.missed, 1.0), x.passes + 1.0
-            found = _Pass(after, *grip[1:3], *better, slides, rates, given, loads.values, *last)
-            return found, done
+            stays = (x.passes > 0.0) & (error <= (_LEVEL * little) ** 2) & (error >= old_error)
+            is_done = (error <= little * little) | stays
+            last = loads.tips, choose(is_done, grip.missed, 1.0), x.passes + 1.0
+            result = _Pass(end_v, *grip[1:3], *better, slides, rates, given, loads.values, *last)
+            return result, is_done
 
-        guess = [x + h * y for x, y in zip(before, scalars(memory.acceleration), strict=True)]
-        torques = zip(scalars(memory.holding), self._holds, strict=True)
-        forces = [*scalars(memory.forces), *(x for x, holds in torques if holds)]
-        turns = [] if motors is None else begun
+        guess = [x + h * y for x, y in zip(start_v, scalars(memory.acceleration), strict=True)]
+        torques = zip(scalars(memory.holding), self._has_hold, strict=True)
+        forces = [*scalars(memory.forces), *(x for x, has_hold in torques if has_hold)]
+        turns = [] if motors is None else start_rates
         first = [guess, [number(x) * h for x in forces], list(map(number, scalars(memory.multipliers)))]
-        first += [led_to(guess), [0.0] * 6, [0.0] * 6]
+        first += [outcome(guess), [0.0] * 6, [0.0] * 6]
         first += [[-1.0 if i == j else 0.0 for i in range(6) for j in range(6)], [1.0] * len(self.table)]
         start = _Pass(*first, *[turns, turns, [0.0] * len(places), 0.0, 1.0, 0.0])
-        found, m = _Pass(*iterated(one, start, _PASSES)), 2 * len(self.table)
-        after, mean = found.after, at_mean(found.after)[1]
-        on_the_way = self.in_plane(state.turned(psi + 0.5 * h * mean[2]), [h * x for x in mean], q)
-        moved = self.integrate(q, on_the_way)
-        holding = iter(found.impulses[m:])
-        kept = ContactState(
-            stacked([x / h for x in found.impulses[:m]], q),
-            stacked([next(holding) / h if holds else 0.0 for holds in self._holds], q),
-            stacked(found.multipliers, q),
-            stacked([(y - x) / h for x, y in zip(before, after, strict=True)], q),
-            stacked(found.loads, q),
-            *(scalar_of(x, q) for x in (found.tips, found.missed)),
+        solution, m = _Pass(*iterate(iteration, start, _PASSES)), 2 * len(self.table)
+        end_v, mean = solution.velocities, at_mean(solution.velocities)[1]
+        on_the_way = self.in_plane(state.with_psi(psi + 0.5 * h * mean[2]), [h * x for x in mean], q)
+        new_q = self.integrate(q, on_the_way)
+        holding = iter(solution.impulses[m:])
+        contact = ContactState(
+            stacked([x / h for x in solution.impulses[:m]], q),
+            stacked([next(holding) / h if has_hold else 0.0 for has_hold in self._has_hold], q),
+            stacked(solution.multipliers, q),
+            stacked([(y - x) / h for x, y in zip(start_v, end_v, strict=True)], q),
+            stacked(solution.loads, q),
+            *(scalar_of(x, q) for x in (solution.tips, solution.missed)),
         )
-        step = Step(moved, self.in_plane(state.turned(psi + h * mean[2]), after, q), kept)
-        return step, found.torques, found.rates
+        step = Step(new_q, self.in_plane(state.with_psi(psi + h * mean[2]), end_v, q), contact)
+        return step, solution.torques, solution.rates
 
     def _freedom(self, state: State, q: Any) -> Vector:
         """Return the rate of each actuator per angular impulse, with other velocities unchanged."""
-        M, found = self.inertia(state, q), []
-        weights = [self._reduced(list(row)) for row in M]
-        reduced = {i: self._reduced([row[k] for row in weights])[k] for k, i in enumerate(self._kept)}
+        M, rates = self.inertia(state, q), []
+        weights = [self._to_free(list(row)) for row in M]
+        inertias = {i: self._to_free([row[k] for row in weights])[k] for k, i in enumerate(self._leading)}
         for k in range(len(self.table.actuators)):
-            turned = self.turned_by(k)
-            found.append(number(dot([x * x for _, x in turned], [1.0 / reduced[i] for i, _ in turned])))
-        return found
+            shares = self.turned_by(k)
+            rates.append(number(dot([x * x for _, x in shares], [1.0 / inertias[i] for i, _ in shares])))
+        return rates
 
-    def _free(self, shape: _Shape, at: State, before: Vector, u: Any, h: Any, f: Any, q: Any) -> Vector:
+    def _free(self, shape: _Shape, middle: State, start_v: Vector, u: Any, h: Any, f: Any, q: Any) -> Vector:
         """Return the kept velocities after a step without friction."""
-        force, effects, pull = self.generalised(at, u, f), self.effects(at, q), self.pull(at)
-        a = shape.solve(self._reduced([x - y for x, y in zip(force, effects, strict=True)]))
-        vx, vy, w = at.twist
+        force, effects, pull = self.input_force(middle, u, f), self.effects(middle, q), self.pull(middle)
+        a = shape.solve(self._to_free([x - y for x, y in zip(force, effects, strict=True)]))
+        vx, vy, w = middle.twist
         a[0], a[1] = a[0] + pull[0] + w * vy, a[1] + pull[1] - w * vx
-        return [before[i] + h * x for i, x in zip(self._kept, a, strict=True)]
+        return [start_v[i] + h * x for i, x in zip(self._leading, a, strict=True)]
 
-    def _after(self, shape: _Shape, free: Vector, grip: Impulses) -> Vector:
+    def _end_velocities(self, shape: _Shape, free: Vector, grip: Impulses) -> Vector:
         """Return all velocities at the end of a step."""
-        found = list(free)
-        for k, x in zip(shape.touched, grip.velocity, strict=True):
-            found[k] = x
+        velocities = list(free)
+        for k, x in zip(shape.friction_rows, grip.velocity, strict=True):
+            velocities[k] = x
         for k in shape.rest:
-            found[k] = free[k] + dot([column[k] for column in shape.columns], grip.impulses)
-        return self._whole(found)
+            velocities[k] = free[k] + dot([column[k] for column in shape.columns], grip.impulses)
+        return self._from_leaders(velocities)
 
     def forward_dynamics(self, q: Any, v: Any, u: Any, f: Any = 0.0) -> Any:
         """Return the acceleration, shape (..., nv): the mean over a short step from the state."""
@@ -558,14 +558,14 @@ class SlippingDynamics(WheeledDynamics):
         along, across = forces[..., 0::2], forces[..., 1::2]
         rollers = np.array([wheel.roller is not None for wheel in self.table.wheels])
         size = np.where(rollers, np.abs(along), np.sqrt(along * along + across * across))
-        most = self.mu * memory.loads[..., :k]
+        bound = self.mu * memory.loads[..., :k]
         return {
             "along": ("N", along),
             "across": ("N", across),
             "loads": ("N", memory.loads),
             "slip_along": ("m/s", stacked(slips[0::2], q)),
             "slip_across": ("m/s", stacked(slips[1::2], q)),
-            "slides": ("", np.where((most > 0.0) & (size >= _SLIDES * most), 1.0, 0.0)),
+            "slides": ("", np.where((bound > 0.0) & (size >= _SLIDES * bound), 1.0, 0.0)),
             "tips": ("", memory.tips),
             "missed": ("", memory.missed),
         }
@@ -579,16 +579,16 @@ def gear_ratios(table: WheelTable) -> list[tuple[int, float]]:
     InvalidArgument
         If trains that share wheels contradict each other.
     """
-    found = [(row, 1.0) for row in range(len(table))]
+    ratios = [(row, 1.0) for row in range(len(table))]
     for first, row, times in table.trains:
-        (a, of_a), (b, of_b) = found[first], found[row]
+        (a, of_a), (b, of_b) = ratios[first], ratios[row]
         if a == b and abs(of_b - times * of_a) > 1e-12 * abs(of_b):
             raise InvalidArgument(
                 f"couplings turns wheel {table.names[row]!r} at two rates, expected consistent gear trains"
             )
         share = of_a * times / of_b  # followers of b now follow a; this is the ratio of b's rate and a's
-        found = [(a, share * x) if leader == b != a else (leader, x) for leader, x in found]
-    return found
+        ratios = [(a, share * x) if leader == b != a else (leader, x) for leader, x in ratios]
+    return ratios
 
 
 @final

@@ -17,7 +17,7 @@ from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.integrators import rk4
 from pinmobile.parts import by_value, child, evolved, part, structure, takes
 from pinmobile.plant import ContactLoads, Contacts, Coordinate, Input, SlipMargins
-from pinmobile.robot import BODY_JOINT, LOCKED, Linearization, MobileRobot, PayloadBody, described, number
+from pinmobile.robot import BODY_JOINT, LOCKED, Linearization, MobileRobot, PayloadBody, describe, number
 from pinmobile.wheels._coulomb import Coulomb
 from pinmobile.wheels._dynamics import PlantOnWheels, of_ground
 from pinmobile.wheels._loads import (
@@ -32,18 +32,18 @@ from pinmobile.wheels._loads import (
 from pinmobile.wheels._rolling import Ground, Ramp, Rolling, RollingDynamics
 from pinmobile.wheels._table import WheelTable, column
 from pinmobile.wheels._urdf_reader import joint_signs, read_robot, read_wheels, source_of
-from pinmobile.wheels._velocities import Allocation, Reduced, followed
+from pinmobile.wheels._velocities import Allocation, Reduced, rolling_motion
 from pinmobile.wheels._visuals import Tyres, WheelVisuals
 from pinmobile.wheels._voltage_dynamics import ByVoltage
 
-_OFF = 1e-9  # tolerance of slip at the start, relative to the largest rate
+_SLIP_TOLERANCE = 1e-9  # tolerance of slip at the start, relative to the largest rate
 
 
 def _of_wheels(name: str, doc: str) -> Any:
     """Return a property with a parameter of all wheels."""
-    found = cached_property(lambda self: column([getattr(wheel, name) for wheel in self.table.wheels]))
-    found.__doc__ = doc
-    return found
+    wrapper = cached_property(lambda self: column([getattr(wheel, name) for wheel in self.table.wheels]))
+    wrapper.__doc__ = doc
+    return wrapper
 
 
 def _of(owner: str, name: str, doc: str) -> Any:
@@ -51,11 +51,11 @@ def _of(owner: str, name: str, doc: str) -> Any:
     return property(lambda self: getattr(getattr(self, owner), name), doc=doc)
 
 
-def _counted(doc: str, count: Callable[[Any], int]) -> Any:
+def _count(doc: str, count: Callable[[Any], int]) -> Any:
     """Return a structural property that counts."""
-    found = structure(count)
-    found.__doc__ = doc
-    return found
+    wrapper = structure(count)
+    wrapper.__doc__ = doc
+    return wrapper
 
 
 @final
@@ -143,7 +143,7 @@ class WheeledRobot(PlantOnWheels):
         >>> print(robot.describe().splitlines()[-4])
           left   6 N m         48 rad/s, 4.8 m/s  24 V     none     given
         """
-        return described(self.robot, self)
+        return describe(self.robot, self)
 
     @classmethod
     def from_urdf(
@@ -250,8 +250,8 @@ class WheeledRobot(PlantOnWheels):
     def _rolling(self) -> Any:
         """Dynamics of numbers on ground without slip."""
         self._check_rolls()
-        own = self._numeric
-        return RollingDynamics(self, own.robot) if own.slips else own
+        dynamics = self._numeric
+        return RollingDynamics(self, dynamics.robot) if dynamics.slips else dynamics
 
     x = _of_wheels("x", "Positions of the wheels' pivots, forward, shape (wheels,) [m].")
     y = _of_wheels("y", "Positions of the wheels' pivots, to the left, shape (wheels,) [m].")
@@ -266,15 +266,15 @@ class WheeledRobot(PlantOnWheels):
 
         They are the height of the centre of mass, and the products of inertia xz and yz about it.
         """
-        own = vars(self.robot).get("nominal")
-        if own is None or own.mounts:
+        nominal = vars(self.robot).get("nominal")
+        if nominal is None or nominal.mounts:
             return self._upright
         com, (height, xz, yz) = self.robot.com, self._upright
         z = com[2] if len(com) > 2 else 0.0
-        if own.loads:
-            whole, alone = own.with_locked_arms().mass, own.mass
-            loads = whole * height - alone * (own.com[2] if len(own.com) > 2 else 0.0)
-            z = (self.robot.mass * z + loads) / (self.robot.mass + (whole - alone))
+        if nominal.loads:
+            mass, mass_0 = nominal.with_locked_arms().mass, nominal.mass
+            loads = mass * height - mass_0 * (nominal.com[2] if len(nominal.com) > 2 else 0.0)
+            z = (self.robot.mass * z + loads) / (self.robot.mass + (mass - mass_0))
         return column([z, xz, yz])
 
     @structure
@@ -304,8 +304,8 @@ class WheeledRobot(PlantOnWheels):
     def _accelerates_everywhere(self) -> bool:
         if self.mobility.mobility < 3:
             return False
-        still = self.reduced(self.rest, np.zeros(self.nv))
-        return bool(np.linalg.matrix_rank(still.B) == len(still.M))
+        dynamics = self.reduced(self.rest, np.zeros(self.nv))
+        return bool(np.linalg.matrix_rank(dynamics.B) == len(dynamics.M))
 
     # Sizes and names
 
@@ -315,13 +315,13 @@ class WheeledRobot(PlantOnWheels):
         if not self.mobility.is_regular:
             raise InvalidArgument(f"robot cannot roll without slip: {self.mobility.rolling_obstacle}")
 
-    _axes = _counted("Number of steering coordinates.", lambda self: len(self.table.axes))
-    _wheels = _counted("Number of wheels.", lambda self: len(self.table))
-    joints = _counted("Number of steering coordinates and wheels.", lambda self: self._axes + self._wheels)
-    of_body = _counted("Number of coordinates of body and arms.", lambda self: self.robot.nv)
-    nq = _counted("Size of q.", lambda self: self.nv)
-    nv = _counted("Size of v and a.", lambda self: self.of_body + self.joints)
-    nu = _counted("Size of the input.", lambda self: self.of_body - BODY_JOINT + len(self.table.actuators))
+    _axes = _count("Number of steering coordinates.", lambda self: len(self.table.axes))
+    _wheels = _count("Number of wheels.", lambda self: len(self.table))
+    joints = _count("Number of steering coordinates and wheels.", lambda self: self._axes + self._wheels)
+    of_body = _count("Number of coordinates of body and arms.", lambda self: self.robot.nv)
+    nq = _count("Size of q.", lambda self: self.nv)
+    nv = _count("Size of v and a.", lambda self: self.of_body + self.joints)
+    nu = _count("Size of the input.", lambda self: self.of_body - BODY_JOINT + len(self.table.actuators))
 
     @structure
     def coordinates(self) -> tuple[Coordinate, ...]:
@@ -332,8 +332,8 @@ class WheeledRobot(PlantOnWheels):
     @structure
     def inputs(self) -> tuple[Input, ...]:
         """Inputs of u: the arms' joints, then the actuators in the order of the table."""
-        most = ((one.name, one.motor.largest_torque) for one in self.table.actuators)
-        return (*self.robot.inputs[BODY_JOINT:], *(Input(name, "N m", -x, x) for name, x in most))
+        limits = ((one.name, one.motor.largest_torque) for one in self.table.actuators)
+        return (*self.robot.inputs[BODY_JOINT:], *(Input(name, "N m", -x, x) for name, x in limits))
 
     reference_sizes = _of(
         "robot", "reference_sizes", "Number of entries of q per number of coordinates of a reference."
@@ -530,11 +530,11 @@ class WheeledRobot(PlantOnWheels):
         slips = np.einsum("...ij,...j->...i", self.constraint_matrix(q), v)
         largest = np.abs(finite_answer(slips, q=q, v=v)).reshape(-1, slips.shape[-1]).max(axis=0)
         for name, slip in zip(self.constraint_names, largest, strict=True):
-            is_held = name == "train" or not self.array_dynamics.slips
-            if is_held and slip > _OFF * (1 + float(np.abs(v).max())):
-                what = "a wheel of a gear train" if name == "train" else name
+            must_roll = name == "train" or not self.array_dynamics.slips
+            if must_roll and slip > _SLIP_TOLERANCE * (1 + float(np.abs(v).max())):
+                wheel = "a wheel of a gear train" if name == "train" else name
                 raise InvalidArgument(
-                    f"start does not roll: {what} slips at {slip:.3g} m/s; expected a reference that "
+                    f"start does not roll: {wheel} slips at {slip:.3g} m/s; expected a reference that "
                     "the wheels can follow, such as Tangent(path), v0 = robot.project(q0, v0), or v0 of zeros"
                 )
 
@@ -814,8 +814,8 @@ class WheeledRobot(PlantOnWheels):
         rates : array_like, shape (..., m)
             Rates of nu, see `reduced` [m/s^2, rad/s^2].
         """
-        own = self._rolling.reduced(q, v)
-        return own.torques(shaped("rates", finite("rates", rates), ("...", own.nu.shape[-1])))
+        dynamics = self._rolling.reduced(q, v)
+        return dynamics.torques(shaped("rates", finite("rates", rates), ("...", dynamics.nu.shape[-1])))
 
     @takes(q="nq", tau="of_body")
     def allocate(self, q: Any, tau: Any) -> Allocation:
@@ -837,13 +837,13 @@ class WheeledRobot(PlantOnWheels):
         allocation : Allocation
             Torques, and the part of the force that they do not exert.
         """
-        lead, rolling, still = tau.shape[:-1], self._rolling, np.zeros(self.nv)
+        lead, rolling, zeros = tau.shape[:-1], self._rolling, np.zeros(self.nv)
         u, rest = np.empty((*lead, self.nu)), np.empty((*lead, self.robot.nv))
-        for at in np.ndindex(lead):
-            own = rolling.reduced(q[at], still)
-            u[at] = own.nearest(own.S[: self.robot.nv].T @ tau[at], self.inputs)
-            state = rolling.state(q[at], still)
-            rest[at] = tau[at] - [number(x) for x in state.outward(rolling.supplied(state, u[at]))]
+        for row in np.ndindex(lead):
+            reduced = rolling.reduced(q[row], zeros)
+            u[row] = reduced.nearest(reduced.S[: self.robot.nv].T @ tau[row], self.inputs)
+            state = rolling.state(q[row], zeros)
+            rest[row] = tau[row] - [number(x) for x in state.outward(rolling.given_force(state, u[row]))]
         return Allocation(u, rest)
 
     @takes(q="nq", tau="of_body")
@@ -883,10 +883,10 @@ class WheeledRobot(PlantOnWheels):
 
     # Ground reactions
 
-    def _felt(self, q: Any, v: Any, a: Any) -> tuple[Any, list[Any]]:
+    def _proper_state(self, q: Any, v: Any, a: Any) -> tuple[Any, list[Any]]:
         """Return the state, and proper accelerations in the plane along the body's axes."""
         state = self._numeric.state(q, v)
-        return state, self._numeric.proper_acceleration(state, state.along(list(np.moveaxis(a, -1, 0))))
+        return state, self._numeric.proper_acceleration(state, state.to_body(list(np.moveaxis(a, -1, 0))))
 
     @takes(q="nq", v="nv", a="nv")
     def ground_wrench(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Any:
@@ -900,10 +900,10 @@ class WheeledRobot(PlantOnWheels):
         q, v, a : array_like, shape (..., nq), (..., nv), (..., nv)
             State and acceleration.
         """
-        state, felt = self._felt(q, v, a)
-        fx, fy, mz, *_ = self._numeric.needed(state, felt, q)
-        found = [fx, fy, *ground_reaction(self._numeric, state, felt, q), mz]
-        return np.stack(np.broadcast_arrays(*map(number, found)), axis=-1)
+        state, proper_a = self._proper_state(q, v, a)
+        fx, fy, mz, *_ = self._numeric.required(state, proper_a, q)
+        wrench = [fx, fy, *ground_reaction(self._numeric, state, proper_a, q), mz]
+        return np.stack(np.broadcast_arrays(*map(number, wrench)), axis=-1)
 
     @takes(q="nq", v="nv", a="nv")
     def mount_wrench(self, q: Any, v: Any, a: Any, mount: str | None = None) -> Any:
@@ -919,8 +919,8 @@ class WheeledRobot(PlantOnWheels):
         n, slack = self.robot.nv, self.array_dynamics._slack
         q, v, a = q[..., :n], v[..., :n], a[..., :n].copy()
         a[..., :2] -= self.fall[:2]  # gravity in the plane acts like an acceleration of the plane against it
-        found, still = self.robot.mount_wrench(q, v, a, mount), np.zeros_like(v)
-        return found - slack * self.robot.mount_wrench(q, still, still, mount) if slack else found
+        wrench, zeros = self.robot.mount_wrench(q, v, a, mount), np.zeros_like(v)
+        return wrench - slack * self.robot.mount_wrench(q, zeros, zeros, mount) if slack else wrench
 
     @takes(q="nq", v="nv", a="nv")
     def contact_loads(self, q: Any, v: Any, a: Any) -> ContactLoads:
@@ -940,7 +940,7 @@ class WheeledRobot(PlantOnWheels):
             If the height of the robot is unknown, or its contacts lie on one line.
         """
         self.check_stands()
-        return contact_loads(self._numeric, *self._felt(q, v, a), q)
+        return contact_loads(self._numeric, *self._proper_state(q, v, a), q)
 
     def slip_margins(self, motion: Any) -> SlipMargins:
         """Return the remaining friction of each wheel, or axle, before it slips.
@@ -970,7 +970,7 @@ class WheeledRobot(PlantOnWheels):
                 "motion.u is None, expected the input, on which the forces depend: MotionStates(..., u=u)"
             )
         q, v, u, a = self._state(motion.q, motion.v, motion.u, motion.a)
-        return rolling_margins(self._numeric, *self._felt(q, v, a), u, q)[1]
+        return rolling_margins(self._numeric, *self._proper_state(q, v, a), u, q)[1]
 
     def contacts(self, q: Any, v: Any, a: Any, u: Any, signals: Mapping[str, Any]) -> Contacts:
         """Return the contacts with the ground at the samples of a run, see `plant.Contacts`.
@@ -1007,5 +1007,5 @@ class WheeledRobot(PlantOnWheels):
             If wheels or motors cannot follow the reference, or contacts lie on one line.
         """
         self.check_stands()
-        along = followed(self._rolling, reference, finite("t", t))
-        return TimeScaledMotion(self._rolling, along, self.robot.effort_limit[BODY_JOINT:])
+        motion = rolling_motion(self._rolling, reference, finite("t", t))
+        return TimeScaledMotion(self._rolling, motion, self.robot.effort_limit[BODY_JOINT:])

@@ -26,19 +26,19 @@ from pinmobile.robot import (
     cross,
     dot,
     exact,
-    factored,
+    factor,
     matrix_of,
     number,
     scalars,
     sine_and_cosine,
-    transposed,
+    transpose,
     vector_of as stacked,
 )
 from pinmobile.wheels._kinematics import Kinematics, NullSpaceBasis, Row, RowSelection, solve_null_space
 from pinmobile.wheels._loads import evaluate_metrics, metrics_on_wheels
 from pinmobile.wheels._motors import ExternalForceFunction, constant_force
 from pinmobile.wheels._table import Axis, column
-from pinmobile.wheels._velocities import Reduced, followed, linearized
+from pinmobile.wheels._velocities import Reduced, rolling_motion, tracked_slopes
 
 _BASE = 3
 _INSTANT = 1e-5  # [s]: duration of the step whose mean acceleration is returned for a state
@@ -67,7 +67,7 @@ class State(NamedTuple):
     arm_rates: Vector
     rates: Vector
 
-    def along(self, x: Vector) -> Vector:
+    def to_body(self, x: Vector) -> Vector:
         """Return components along the body's axes from components along the inertial axes."""
         return [self.c * x[0] + self.s * x[1], self.c * x[1] - self.s * x[0], *x[2:]]
 
@@ -80,7 +80,7 @@ class State(NamedTuple):
         """All velocities, along the body's axes."""
         return [*self.twist, *self.arm_rates, *self.rates]
 
-    def turned(self, psi: Any) -> State:
+    def with_psi(self, psi: Any) -> State:
         """Return the state with another heading."""
         s, c = sine_and_cosine(psi)
         return self._replace(c=c, s=s)
@@ -91,9 +91,9 @@ class State(NamedTuple):
         return self._replace(twist=v[:_BASE], arm_rates=v[_BASE:end], rates=v[end:])
 
 
-def through(M: Matrix, S: Matrix) -> Matrix:
+def mass_columns(M: Matrix, S: Matrix) -> Matrix:
     """Return S' M for a symmetric M."""
-    return [applied(M, column) for column in transposed(S)]
+    return [applied(M, column) for column in transpose(S)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,8 +119,8 @@ class WheeledDynamics:
     def __getattr__(self, name: str) -> Any:
         if name not in _OF_ROBOT:
             raise AttributeError(f"{type(self).__name__} has no {name}")
-        found = vars(self)[name] = getattr(self.wheeled, name)
-        return found
+        value = vars(self)[name] = getattr(self.wheeled, name)
+        return value
 
     @cached_property
     def rotors(self) -> Any:
@@ -165,8 +165,8 @@ class WheeledDynamics:
     @property
     def weight(self) -> Any:
         """Component of the weight across the plane [N]."""
-        own = self.robot.weight if self.na else self.robot.mass * float(np.linalg.norm(self.fall))
-        return own * (1.0 - self._slack)
+        weight = self.robot.weight if self.na else self.robot.mass * float(np.linalg.norm(self.fall))
+        return weight * (1.0 - self._slack)
 
     def state(self, q: Any, v: Any) -> State:
         """Return a public state as velocities along the body's axes."""
@@ -174,32 +174,32 @@ class WheeledDynamics:
         s, c = sine_and_cosine(angles[2])
         arms = self.of_body
         steering = angles[arms : arms + len(self.table.axes)]
-        found = State(c, s, angles[_BASE:arms], steering, rates[:_BASE], rates[_BASE:arms], rates[arms:])
-        return found._replace(twist=found.along(found.twist))
+        state = State(c, s, angles[_BASE:arms], steering, rates[:_BASE], rates[_BASE:arms], rates[arms:])
+        return state._replace(twist=state.to_body(state.twist))
 
     def inertia(self, state: State, q: Any) -> Matrix:
         """Return M, (nv, nv), along the body's axes."""
         M: Matrix = [[ZERO] * self.nv for _ in range(self.nv)]
-        carried = self.robot.mass_matrix(stacked([ZERO, ZERO, ZERO, *state.arms], q))
+        arms_M = self.robot.mass_matrix(stacked([ZERO, ZERO, ZERO, *state.arms], q))
         first = self.of_body
         for i in range(first):
-            M[i][:first] = scalars(carried[..., i, :])
+            M[i][:first] = scalars(arms_M[..., i, :])
         for k, spin in enumerate(scalars(self.spin_inertia), first + len(self.table.axes)):
             M[k][k] = M[k][k] + spin
         for actuator, rotor in zip(self.table.actuators, scalars(self.rotors), strict=True):
             for i, a in enumerate(actuator.column):
                 for j, b in enumerate(actuator.column):
                     M[first + i][first + j] = M[first + i][first + j] + exact(a * b) * rotor
-        for row, k in self._steered:
-            self._add_steered(M, row, k, state)
+        for row, k in self._steering_pairs:
+            self._add_steering(M, row, k, state)
         return M
 
     @cached_property
-    def _steered(self) -> list[tuple[int, int]]:
+    def _steering_pairs(self) -> list[tuple[int, int]]:
         """Wheels that steer, each with its axis."""
         return [(row, k) for k, axis in enumerate(self.table.axes) for row in axis.wheels]
 
-    def _add_steered(self, M: Matrix, row: int, k: int, state: State) -> None:
+    def _add_steering(self, M: Matrix, row: int, k: int, state: State) -> None:
         """Add the effect of a wheel's steering to M: I_z (2 w + d') d' / 2, and the motion of its mass."""
         wheel, head = self.table.wheels[row], self.kinematics.heading(row, state.steering)
         at, turn = self.of_body + k, exact(wheel.yaw_inertia) * head.first
@@ -218,36 +218,36 @@ class WheeledDynamics:
 
     def _centres(self, row: int, state: State) -> tuple[tuple[Vector, Vector], tuple[Vector, Vector]]:
         """Return a wheel's centre from its pivot and from the origin: at present, and at angle zero."""
-        still: Vector = [ZERO] * len(state.steering)
-        return self.kinematics.centre(row, state.steering), self.kinematics.centre(row, still)
+        zeros: Vector = [ZERO] * len(state.steering)
+        return self.kinematics.centre(row, state.steering), self.kinematics.centre(row, zeros)
 
     def effects(self, state: State, q: Any) -> Vector:
         """Return n, (nv,), along the body's axes."""
         n: Vector = [ZERO] * self.nv
         at_zero = stacked([ZERO, ZERO, ZERO, *state.arms], q)
-        carried = self.robot.nonlinear_effects(at_zero, stacked([*state.twist, *state.arm_rates], q))
-        n[: self.of_body] = scalars(carried)
+        arms_n = self.robot.nonlinear_effects(at_zero, stacked([*state.twist, *state.arm_rates], q))
+        n[: self.of_body] = scalars(arms_n)
         if self.na and self._slack:
             weights = scalars(self.robot.gravity(at_zero))
             for i in range(_BASE, self.of_body):
                 n[i] = n[i] - self._slack * weights[i]
-        for row, k in self._steered:
+        for row, k in self._steering_pairs:
             wheel, head = self.table.wheels[row], self.kinematics.heading(row, state.steering)
-            at, w = self.of_body + k, state.twist[2]
-            bent = head.second * state.rates[k] * state.rates[k]
-            moment = exact(wheel.yaw_inertia) * bent
-            n[2], n[at] = n[2] + moment, n[at] + moment * head.first
+            i_axis, w = self.of_body + k, state.twist[2]
+            rate_sq = head.second * state.rates[k] * state.rates[k]
+            moment = exact(wheel.yaw_inertia) * rate_sq
+            n[2], n[i_axis] = n[2] + moment, n[i_axis] + moment * head.first
             if not (wheel.mass and any(wheel.trail)):
                 continue
             m, ((o, p), (_, p0)) = exact(wheel.mass), self._centres(row, state)
-            both = w + head.first * state.rates[k]
-            pull = [-(w * w * (p[i] - o[i])) - both * both * o[i] for i in range(2)]
-            pull = [pull[0] - bent * o[1], pull[1] + bent * o[0]]
-            locked = [-(w * w * x) for x in p0]
-            change = [a - b for a, b in zip(pull, locked, strict=True)]
+            yaw = w + head.first * state.rates[k]
+            pull = [-(w * w * (p[i] - o[i])) - yaw * yaw * o[i] for i in range(2)]
+            pull = [pull[0] - rate_sq * o[1], pull[1] + rate_sq * o[0]]
+            pull_0 = [-(w * w * x) for x in p0]
+            change = [a - b for a, b in zip(pull, pull_0, strict=True)]
             n[0], n[1] = n[0] + m * change[0], n[1] + m * change[1]
-            n[2] = n[2] + m * (p[0] * pull[1] - p[1] * pull[0]) - m * (p0[0] * locked[1] - p0[1] * locked[0])
-            n[at] = n[at] + m * head.first * (o[0] * pull[1] - o[1] * pull[0])
+            n[2] = n[2] + m * (p[0] * pull[1] - p[1] * pull[0]) - m * (p0[0] * pull_0[1] - p0[1] * pull_0[0])
+            n[i_axis] = n[i_axis] + m * head.first * (o[0] * pull[1] - o[1] * pull[0])
         return n
 
     @cached_property
@@ -258,23 +258,23 @@ class WheeledDynamics:
 
     def pull(self, state: State) -> Vector:
         """Return gravity in the plane along the body's axes [m/s^2]."""
-        return state.along([exact(float(each)) for each in self.fall[:2]])
+        return state.to_body([exact(float(each)) for each in self.fall[:2]])
 
     def proper_acceleration(self, state: State, a: Vector) -> Vector:
         """Return accelerations minus gravity in the plane."""
         x, y = self.pull(state)
         return [a[0] - x, a[1] - y, *a[2:]]
 
-    def generalised(self, state: State, u: Any, f: Any) -> Vector:
+    def input_force(self, state: State, u: Any, f: Any) -> Vector:
         """Return the generalised force of an input and an external force, along the body's axes."""
         inputs, na = scalars(u), self.na
-        found: Vector = [ZERO] * _BASE + inputs[:na] + [ZERO] * self.joints
+        force: Vector = [ZERO] * _BASE + inputs[:na] + [ZERO] * self.joints
         for actuator, torque in zip(self.table.actuators, inputs[na:], strict=True):
             for i, share in enumerate(actuator.column):
-                found[_BASE + na + i] = found[_BASE + na + i] + exact(share) * torque
+                force[_BASE + na + i] = force[_BASE + na + i] + exact(share) * torque
         if np.ndim(f) == 0 and not isinstance(f, np.ndarray) and number(exact(f)) == 0:
-            return found
-        return [x + y for x, y in zip(found, state.along(scalars(f)), strict=True)]
+            return force
+        return [x + y for x, y in zip(force, state.to_body(scalars(f)), strict=True)]
 
     def rows(self, state: State, *, across: bool = False) -> list[Row]:
         """Return the rows of wheels and gear trains in a state, see `Kinematics.rows`."""
@@ -291,8 +291,8 @@ class WheeledDynamics:
     def mass_matrix(self, q: Any) -> Any:
         """Return M(q), shape (..., nv, nv), rotors included."""
         state = self.state(q, stacked([ZERO] * self.nv, q))
-        half = transposed([state.outward(row) for row in self.inertia(state, q)])
-        return matrix_of(transposed([state.outward(row) for row in half]), q)
+        half = transpose([state.outward(row) for row in self.inertia(state, q)])
+        return matrix_of(transpose([state.outward(row) for row in half]), q)
 
     def nonlinear_effects(self, q: Any, v: Any) -> Any:
         """Return n(q, v), shape (..., nv)."""
@@ -301,13 +301,13 @@ class WheeledDynamics:
     def left(self, q: Any, v: Any, a: Any) -> Any:
         """Return M a + n, shape (..., nv)."""
         state = self.state(q, v)
-        felt = self.proper_acceleration(state, state.along(scalars(a)))
-        return self.in_plane(state, self.needed(state, felt, q), q)
+        proper_a = self.proper_acceleration(state, state.to_body(scalars(a)))
+        return self.in_plane(state, self.required(state, proper_a, q), q)
 
-    def needed(self, state: State, felt: Vector, q: Any) -> Vector:
+    def required(self, state: State, proper_a: Vector, q: Any) -> Vector:
         """Return the generalised force of a motion, along the body's axes."""
         pairs = zip(self.inertia(state, q), self.effects(state, q), strict=True)
-        return [dot(row, felt) + n for row, n in pairs]
+        return [dot(row, proper_a) + n for row, n in pairs]
 
     def constraints(self, q: Any, v: Any) -> tuple[Any, Any]:
         """Return A(q), shape (..., k, nv), and dA/dt v: A v = 0 for rolling wheels."""
@@ -323,8 +323,8 @@ class WheeledDynamics:
     def difference(self, q0: Any, q1: Any) -> Any:
         """Return the displacement from q0 to q1, as `robot` computes it, shape (..., nv)."""
         n = self.of_body
-        own = self.robot.difference(q0[..., :n], q1[..., :n])
-        return np.concatenate([own, q1[..., n:] - q0[..., n:]], axis=-1)
+        first = self.robot.difference(q0[..., :n], q1[..., :n])
+        return np.concatenate([first, q1[..., n:] - q0[..., n:]], axis=-1)
 
     def pose(self, q: Any) -> Any:
         """Return x, y, psi of the body."""
@@ -352,8 +352,8 @@ class WheeledDynamics:
         """Return the independent velocities nu of a rolling state, shape (..., m)."""
         return stacked(self.velocities(self.state(q, v)), q)
 
-    followed = followed
-    linearize_tracked = linearized
+    followed = rolling_motion
+    linearize_tracked = tracked_slopes
 
     # Rolling: independent velocities nu, v = S nu, see `Reduced`
 
@@ -363,16 +363,16 @@ class WheeledDynamics:
 
     def velocities(self, state: State) -> Vector:
         """Return the independent velocities nu of a rolling state, in the order of the columns of S."""
-        held = [self.rows(state)[i] for i in self.choice.body]
-        a, w = held[0].base if held else [], state.twist[2]
-        if not held:
+        rows = [self.rows(state)[i] for i in self.choice.body]
+        a, w = rows[0].base if rows else [], state.twist[2]
+        if not rows:
             body = state.twist
-        elif len(held) == 1 or self.choice.is_fixed:
+        elif len(rows) == 1 or self.choice.is_fixed:
             speed = a[1] * state.twist[0] - a[0] * state.twist[1]
-            body = [speed, w] if len(held) == 1 else [speed]
+            body = [speed, w] if len(rows) == 1 else [speed]
         else:
-            about = cross(a, held[1].base)
-            body = [dot(about, state.twist) / dot(about, about)]
+            normal = cross(a, rows[1].base)
+            body = [dot(normal, state.twist) / dot(normal, normal)]
         return [*body, *state.arm_rates, *(state.rates[k] for k in self.choice.free)]
 
     def bias_acceleration(self, state: State, S: Matrix, gamma: Vector) -> Vector:
@@ -383,26 +383,26 @@ class WheeledDynamics:
     def offset(self, state: State, gamma: Vector) -> Vector:
         """Return the rates of the independent velocities for the accelerations gamma."""
         vx, vy, w = state.twist
-        moved = [gamma[0] + w * vy, gamma[1] - w * vx, gamma[2]]  # the rate of the body twist
+        twist_rate = [gamma[0] + w * vy, gamma[1] - w * vx, gamma[2]]  # the rate of the body twist
         rows = self.rows(state)
-        held = [(rows[i].base, self._turned(rows[i], state)) for i in self.choice.body]
-        if not held:
-            body = moved
-        elif len(held) == 1 or self.choice.is_fixed:
-            a, a_dot = held[0]
-            first = a[1] * moved[0] - a[0] * moved[1] + a_dot[1] * vx - a_dot[0] * vy
-            body = [first, moved[2]] if len(held) == 1 else [first]
+        pairs = [(rows[i].base, self._row_rate(rows[i], state)) for i in self.choice.body]
+        if not pairs:
+            body = twist_rate
+        elif len(pairs) == 1 or self.choice.is_fixed:
+            a, a_dot = pairs[0]
+            first = a[1] * twist_rate[0] - a[0] * twist_rate[1] + a_dot[1] * vx - a_dot[0] * vy
+            body = [first, twist_rate[2]] if len(pairs) == 1 else [first]
         else:
-            (a, a_dot), (b, b_dot) = held
-            about = cross(a, b)
-            about_dot = [x + y for x, y in zip(cross(a_dot, b), cross(a, b_dot), strict=True)]
-            square = dot(about, about)
-            change = dot(about_dot, state.twist) + dot(about, moved)
-            twice = 2.0 * dot(about, state.twist) * dot(about, about_dot) / square
-            body = [(change - twice) / square]
+            (a, a_dot), (b, b_dot) = pairs
+            normal = cross(a, b)
+            normal_dot = [x + y for x, y in zip(cross(a_dot, b), cross(a, b_dot), strict=True)]
+            square = dot(normal, normal)
+            change = dot(normal_dot, state.twist) + dot(normal, twist_rate)
+            correction = 2.0 * dot(normal, state.twist) * dot(normal, normal_dot) / square
+            body = [(change - correction) / square]
         return [*body, *[ZERO] * (self.na + len(self.choice.free))]
 
-    def _turned(self, row: Row, state: State) -> Vector:
+    def _row_rate(self, row: Row, state: State) -> Vector:
         """Return the rate of a lateral row's coefficients due to the steering of its wheel."""
         k = self.kinematics.axis_of[row.wheel]
         if k < 0:
@@ -422,13 +422,13 @@ class WheeledDynamics:
         """Return the dynamics of the independent velocities: M dnu/dt + n = B u, see `Reduced`."""
         state = self.state(q, v)
         M, (S, gamma) = self.inertia(state, q), self.null_space(state)
-        columns, pushed = transposed(S), through(M, S)
-        still = self.proper_acceleration(state, self.bias_acceleration(state, S, gamma))
-        rest = [n + dot(row, still) for n, row in zip(self.effects(state, q), M, strict=True)]
+        columns, MS = transpose(S), mass_columns(M, S)
+        bias = self.proper_acceleration(state, self.bias_acceleration(state, S, gamma))
+        rest = [n + dot(row, bias) for n, row in zip(self.effects(state, q), M, strict=True)]
         B = self.input_columns(state, columns)
         public = [self.in_plane(state, column, q) for column in columns]
         return Reduced(
-            matrix_of([[dot(a, b) for b in pushed] for a in columns], q),
+            matrix_of([[dot(a, b) for b in MS] for a in columns], q),
             stacked([dot(column, rest) for column in columns], q),
             matrix_of(B, q) if self.nu else np.zeros((*np.shape(q)[:-1], len(columns), 0)),
             np.stack(np.broadcast_arrays(*public), axis=-1),
@@ -442,58 +442,58 @@ class WheeledDynamics:
         """
         state = self.state(q, v)
         S, gamma = self.null_space(state)
-        return stacked(self._driven(state, q, S, state.along(scalars(a)), gamma), q)
+        return stacked(self._inverse(state, q, S, state.to_body(scalars(a)), gamma), q)
 
     def torques(self, q: Any, v: Any, rates: Any) -> Any:
         """Return the input of least norm for rates of the independent velocities, shape (..., nu)."""
         state = self.state(q, v)
         S, gamma = self.null_space(state)
-        return stacked(self._driven(state, q, S, scalars(rates), self.bias_acceleration(state, S, gamma)), q)
+        return stacked(self._inverse(state, q, S, scalars(rates), self.bias_acceleration(state, S, gamma)), q)
 
-    def _driven(self, state: State, q: Any, S: Matrix, rates: Vector, rest: Vector) -> Vector:
+    def _inverse(self, state: State, q: Any, S: Matrix, rates: Vector, rest: Vector) -> Vector:
         """Return the input of least norm for the accelerations S rates + rest."""
-        whole = [dot(row, rates) + g for row, g in zip(S, rest, strict=True)]
-        return self._least(state, S, self.needed(state, self.proper_acceleration(state, whole), q))
+        a = [dot(row, rates) + g for row, g in zip(S, rest, strict=True)]
+        return self._least_norm(state, S, self.required(state, self.proper_acceleration(state, a), q))
 
     def input_columns(self, state: State, columns: Matrix) -> Matrix:
         """Return S' B for the columns of S: force on each independent velocity per input."""
-        units = [self.generalised(state, one, 0.0) for one in np.eye(self.nu)]
+        units = [self.input_force(state, one, 0.0) for one in np.eye(self.nu)]
         return [[dot(column, unit) for unit in units] for column in columns]
 
-    def _least(self, state: State, S: Matrix, force: Vector) -> Vector:
+    def _least_norm(self, state: State, S: Matrix, force: Vector) -> Vector:
         """Return the input of least norm with the effect of a generalised force along the body's axes."""
-        columns = transposed(S)
+        columns = transpose(S)
         right = [dot(column, force) for column in columns]
         B = self.input_columns(state, columns)
         square = [[dot(x, y) for y in B] for x in B]
-        found = factored(square, range(len(right)))[0](right)
-        return [dot(column, found) for column in zip(*B, strict=True)]
+        solution = factor(square, range(len(right)))[0](right)
+        return [dot(column, solution) for column in zip(*B, strict=True)]
 
     def allocate_scaled(self, q: Any, tau: Any) -> tuple[Any, Any]:
         """Return an input for a force on body and arms, and the residual, see `WheeledRobot`."""
         state = self.state(q, stacked([ZERO] * self.nv, q))
         S, _ = self.null_space(state)
-        along = state.along(scalars(tau))
-        u = stacked(self._least(state, S, [*along, *[ZERO] * self.joints]), q)
+        force = state.to_body(scalars(tau))
+        u = stacked(self._least_norm(state, S, [*force, *[ZERO] * self.joints]), q)
         upper, lower = np.array([(each.upper, each.lower) for each in self.inputs]).reshape(-1, 2).T
         if np.isfinite([upper, lower]).any():
             high, low = u > upper, u < lower
-            beyond = np.where(high, upper, np.where(low, lower, 1.0)) / np.where(high | low, u, 1.0)
-            u = u * np.min(beyond, axis=-1)[..., None]
-        rest = [a - b for a, b in zip(along, self.supplied(state, u), strict=True)]
+            ratio = np.where(high, upper, np.where(low, lower, 1.0)) / np.where(high | low, u, 1.0)
+            u = u * np.min(ratio, axis=-1)[..., None]
+        rest = [a - b for a, b in zip(force, self.given_force(state, u), strict=True)]
         return u, stacked(state.outward(rest), q)
 
-    def supplied(self, state: State, u: Any) -> Vector:
+    def given_force(self, state: State, u: Any) -> Vector:
         """Return the force of an input on body and arms, along the body's axes."""
         ns, first = len(self.table.axes), self.of_body
-        effort = self.generalised(state, u, 0.0)
-        found: Vector = [ZERO] * _BASE + effort[_BASE:first]
+        effort = self.input_force(state, u, 0.0)
+        total: Vector = [ZERO] * _BASE + effort[_BASE:first]
         for row in self.kinematics.rows(state.steering, [ZERO] * 3, [ZERO] * self.joints):
             if row.kind in ("rolling", "roller"):
-                at = ns + row.wheel
-                force = -(effort[first + at] / row.joints[at])
-                found[:_BASE] = [x + force * b for x, b in zip(found[:_BASE], row.base, strict=True)]
-        return found
+                joint = ns + row.wheel
+                force = -(effort[first + joint] / row.joints[joint])
+                total[:_BASE] = [x + force * b for x, b in zip(total[:_BASE], row.base, strict=True)]
+        return total
 
     @property
     def axle(self) -> Any:
@@ -506,10 +506,8 @@ class WheeledDynamics:
         """Positions and angles of steering axes, shape (..., axes, 3), see `WheeledRobot.pivots`."""
         x, y, rows = scalars(self.x), scalars(self.y), list[Vector]()
         for axis in self.table.axes:
-            at = axis.wheels[0]
-            rows.append(
-                [x[at], y[at] if axis.ackermann is None else ZERO, exact(self.table.wheels[at].angle)]
-            )
+            i = axis.wheels[0]
+            rows.append([x[i], y[i] if axis.ackermann is None else ZERO, exact(self.table.wheels[i].angle)])
         return matrix_of(rows, self.x)
 
     def start(self, reference: Any) -> tuple[Array, Array]:
@@ -521,17 +519,17 @@ class WheeledDynamics:
         q[n : n + ns] = [self.steered_to(axis, twist) for axis in self.table.axes]
         rows = self.rows(self.state(q, v))
         for joint, i in self.choice.joints:
-            own = [float(number(x)) for x in rows[i].joints]
-            known = float(number(dot(rows[i].base, twist))) + float(np.dot(own, v[n:]))
-            v[n + joint] = -(known - own[joint] * v[n + joint]) / own[joint]
+            row = [float(number(x)) for x in rows[i].joints]
+            slip = float(number(dot(rows[i].base, twist))) + float(np.dot(row, v[n:]))
+            v[n + joint] = -(slip - row[joint] * v[n + joint]) / row[joint]
         return q, v
 
     def steered_to(self, axis: Axis, twist: Sequence[float]) -> float:
         """Return the steering angle at which a wheel points in its direction of motion; 0 at rest."""
         wheel = self.table.wheels[axis.wheels[0]]
         x, y = (wheel.x - axis.ackermann, 0.0) if axis.ackermann is not None else (wheel.x, wheel.y)
-        ahead, aside = twist[0] - twist[2] * y, twist[1] + twist[2] * x
-        angle = float(np.arctan2(aside, ahead)) - wheel.angle if ahead or aside else 0.0
+        forward, left = twist[0] - twist[2] * y, twist[1] + twist[2] * x
+        angle = float(np.arctan2(left, forward)) - wheel.angle if forward or left else 0.0
         if wheel.motor is not None or axis.ackermann is not None:  # it can also run backwards
             angle = (angle + np.pi / 2) % np.pi - np.pi / 2
         return angle
@@ -545,13 +543,13 @@ def mean_acceleration(body: Any, q: Any, v: Any, u: Any, f: Any) -> Any:
 def of_ground(method: Callable[..., Any]) -> Any:
     """Make a method available if the dynamics of the robot's ground have it."""
 
-    def found(robot: Any) -> Any:
+    def bind(robot: Any) -> Any:
         if not hasattr(robot.array_dynamics, method.__name__):
             ground = type(robot.ground).__name__
             raise AttributeError(f"a {type(robot).__name__} on {ground} ground has no {method.__name__}")
         return MethodType(method, robot)
 
-    return property(found, doc=method.__doc__)
+    return property(bind, doc=method.__doc__)
 
 
 class PlantOnWheels:
@@ -601,15 +599,15 @@ class PlantOnWheels:
             Desired values of the first coordinates.
         """
         require("reference", reference, Desired)
-        wanted = [("...", n) for n in self.reference_sizes]
-        given = [*self._state(q, v, u, a), shaped("reference.q", finite("reference.q", reference.q), *wanted)]
+        shapes = [("...", n) for n in self.reference_sizes]
+        given = [*self._state(q, v, u, a), shaped("reference.q", finite("reference.q", reference.q), *shapes)]
         lead = broadcast(**{"q": given[0], "reference.q": given[-1]})
         q, v, u, a, desired = (np.broadcast_to(x, (*lead, x.shape[-1])) for x in given)
         with np.errstate(all="ignore"):
             sample = t, q, v, a, u, reference._replace(q=desired)
-            found = np.asarray(self.array_dynamics.evaluate_metrics(*sample))
-        finite_answer(np.where(found == -np.inf, 0.0, found), q=q, v=v, a=a, u=u)  # a margin may be -inf
-        return np.array(np.broadcast_to(found, (*lead, len(self.metrics))))
+            values = np.asarray(self.array_dynamics.evaluate_metrics(*sample))
+        finite_answer(np.where(values == -np.inf, 0.0, values), q=q, v=v, a=a, u=u)  # a margin may be -inf
+        return np.array(np.broadcast_to(values, (*lead, len(self.metrics))))
 
     @of_ground
     def initial_state(self, context: Any = None) -> Any:

@@ -15,7 +15,7 @@ import numpy as np
 
 from pinmobile.arrays import Array
 from pinmobile.errors import InvalidArgument
-from pinmobile.robot import ZERO, Matrix, Vector, cross, dot, exact, factored, number, sine_and_cosine, single
+from pinmobile.robot import ZERO, Matrix, Vector, cross, dot, exact, factor, number, sine_and_cosine, single
 
 
 class Row(NamedTuple):
@@ -95,11 +95,11 @@ class Kinematics:
     @cached_property
     def axis_of(self) -> list[int]:
         """Steering coordinate of each wheel; -1: none."""
-        found = [-1] * len(self.table)
+        axes = [-1] * len(self.table)
         for k, axis in enumerate(self.table.axes):
             for row in axis.wheels:
-                found[row] = k
-        return found
+                axes[row] = k
+        return axes
 
     def heading(self, row: int, steering: Sequence[Any]) -> Heading:
         """Return the rolling direction of a wheel."""
@@ -130,15 +130,15 @@ class Kinematics:
         across : bool
             Whether wheels with rollers have a row across the rollers' axes, in which they slide.
         """
-        found: list[Row] = []
+        rows: list[Row] = []
         for row in range(len(self.table)):
-            found += self._rows_of(row, steering, twist, rates, across)
+            rows += self._rows_of(row, steering, twist, rates, across)
         ns = len(self.table.axes)
         for first, row, ratio in self.table.trains:
             joints: Vector = [ZERO] * self.n
             joints[ns + first], joints[ns + row] = self.radius[first] * exact(ratio), -self.radius[first]
-            found.append(Row(-1, "train", [ZERO] * 3, joints, ZERO))
-        return found
+            rows.append(Row(-1, "train", [ZERO] * 3, joints, ZERO))
+        return rows
 
     def _rows_of(
         self, row: int, steering: Sequence[Any], twist: Sequence[Any], rates: Sequence[Any], across: bool
@@ -150,9 +150,9 @@ class Kinematics:
         vx, vy, w = twist
         # Velocity of the centre, and its acceleration if no coordinate accelerates.
         velocity = [vx - w * p[1] - turn * o[1], vy + w * p[0] + turn * o[0]]
-        both, bent = w + turn, head.second * rates[k] * rates[k] if k >= 0 else ZERO
-        rest = [w * vy - both * turn * o[0] - bent * o[1], -(w * vx) - both * turn * o[1] + bent * o[0]]
-        angle, found = exact(0.0 if wheel.roller is None else wheel.roller), []
+        yaw, rate_sq = w + turn, head.second * rates[k] * rates[k] if k >= 0 else ZERO
+        rest = [w * vy - yaw * turn * o[0] - rate_sq * o[1], -(w * vx) - yaw * turn * o[1] + rate_sq * o[0]]
+        angle, rows = exact(0.0 if wheel.roller is None else wheel.roller), []
         s, c = sine_and_cosine(angle)
         kinds = ("rolling", "lateral") if wheel.roller is None else ("roller", "across")
         directions = [(kinds[0], c, s), (kinds[1], -s, c)]
@@ -164,13 +164,13 @@ class Kinematics:
                 joints[k] = (d[1] * o[0] - d[0] * o[1]) * head.first
             joints[len(self.table.axes) + row] = -(self.radius[row] * a)
             drift = dot(d, rest) + turn * dot(across_d, velocity)
-            found.append(Row(row, kind, [*d, d[1] * p[0] - d[0] * p[1]], joints, drift))
-        return found
+            rows.append(Row(row, kind, [*d, d[1] * p[0] - d[0] * p[1]], joints, drift))
+        return rows
 
     def centre(self, row: int, steering: Sequence[Any]) -> tuple[Vector, Vector]:
         """Return the centre of a wheel relative to its pivot, and relative to the body's origin [m]."""
-        head, (along, aside) = self.heading(row, steering), (exact(x) for x in self.table.wheels[row].trail)
-        o = [along * head.c - aside * head.s, along * head.s + aside * head.c]
+        head, (forward, left) = self.heading(row, steering), (exact(x) for x in self.table.wheels[row].trail)
+        o = [forward * head.c - left * head.s, forward * head.s + left * head.c]
         return o, [self.x[row] + o[0], self.y[row] + o[1]]
 
     def wheel_rates(self, steering: Sequence[Any], twist: Sequence[Any], turning: Sequence[Any]) -> Vector:
@@ -183,13 +183,13 @@ class Kinematics:
         twist : sequence of 3 scalars
             Body twist [m/s, rad/s].
         """
-        ns, still = len(self.table.axes), [ZERO] * self.n
-        found: Vector = [ZERO] * len(self.table)
-        for row in self.rows(steering, [ZERO] * 3, still):
+        ns, zeros = len(self.table.axes), [ZERO] * self.n
+        result: Vector = [ZERO] * len(self.table)
+        for row in self.rows(steering, [ZERO] * 3, zeros):
             if row.kind in ("rolling", "roller"):
-                known = dot(row.base, twist) + dot(row.joints[:ns], turning)
-                found[row.wheel] = -(known / row.joints[ns + row.wheel])
-        return found
+                slip = dot(row.base, twist) + dot(row.joints[:ns], turning)
+                result[row.wheel] = -(slip / row.joints[ns + row.wheel])
+        return result
 
     def odometry(self, steering: Sequence[Any], joints: Sequence[Any]) -> Vector:
         """Return the body twist by least squares of all rows.
@@ -203,9 +203,9 @@ class Kinematics:
         """
         rows = self.rows(steering, [ZERO] * 3, [ZERO] * self.n)
         columns = [[row.base[k] for row in rows] for k in range(3)]
-        known = [-dot(row.joints, joints) for row in rows]
+        right = [-dot(row.joints, joints) for row in rows]
         square = [[dot(a, b) for b in columns] for a in columns]
-        return factored(square)[0]([dot(column, known) for column in columns])
+        return factor(square)[0]([dot(column, right) for column in columns])
 
 
 class RowSelection(NamedTuple):
@@ -259,34 +259,34 @@ def solve_null_space(rows: Sequence[Row], choice: RowSelection, arms: int) -> Nu
     S: Matrix = [[*row, *[ZERO] * (width - len(columns))] for row in zip(*columns, strict=True)]
     S += [[ZERO] * width for _ in range(arms + len(rows[0].joints))]
     gamma = [*body, *[ZERO] * (len(S) - 3)]
-    for k, own in enumerate([*range(3, first), *(first + axis for axis in choice.free)], len(columns)):
-        S[own][k] = exact(1.0)
+    for k, pivot in enumerate([*range(3, first), *(first + axis for axis in choice.free)], len(columns)):
+        S[pivot][k] = exact(1.0)
     for joint, i in choice.joints:
-        own = rows[i].joints[joint]
+        pivot = rows[i].joints[joint]
         joints = (ZERO if j == joint else x for j, x in enumerate(rows[i].joints))
         others = [*rows[i].base, *[ZERO] * arms, *joints]
-        S[first + joint] = [-(dot(others, column) / own) for column in zip(*S, strict=True)]
-        gamma[first + joint] = -((rows[i].drift + dot(others, gamma)) / own)
+        S[first + joint] = [-(dot(others, column) / pivot) for column in zip(*S, strict=True)]
+        gamma[first + joint] = -((rows[i].drift + dot(others, gamma)) / pivot)
     return NullSpaceBasis(S, gamma)
 
 
-def _body_velocities(held: Sequence[Row], is_fixed: bool) -> tuple[Matrix, Vector]:
+def _body_velocities(rows: Sequence[Row], is_fixed: bool) -> tuple[Matrix, Vector]:
     """Return the body twists that the rows allow, as columns, and their bias acceleration."""
-    one = exact(1.0)
-    if not held:
-        return [[one, ZERO, ZERO], [ZERO, one, ZERO], [ZERO, ZERO, one]], [ZERO] * 3
-    a = held[0].base
-    if len(held) == 1:
-        columns = [[a[1], -a[0], ZERO], [-(a[0] * a[2]), -(a[1] * a[2]), one]]
-        return columns, [-(a[0] * held[0].drift), -(a[1] * held[0].drift), ZERO]
-    b = held[1].base
-    about, aa, ab, bb = cross(a, b), dot(a, a), dot(a, b), dot(b, b)
-    square = dot(about, about)
-    first = (bb * held[0].drift - ab * held[1].drift) / square
-    second = (aa * held[1].drift - ab * held[0].drift) / square
+    unit = exact(1.0)
+    if not rows:
+        return [[unit, ZERO, ZERO], [ZERO, unit, ZERO], [ZERO, ZERO, unit]], [ZERO] * 3
+    a = rows[0].base
+    if len(rows) == 1:
+        columns = [[a[1], -a[0], ZERO], [-(a[0] * a[2]), -(a[1] * a[2]), unit]]
+        return columns, [-(a[0] * rows[0].drift), -(a[1] * rows[0].drift), ZERO]
+    b = rows[1].base
+    normal, aa, ab, bb = cross(a, b), dot(a, a), dot(a, b), dot(b, b)
+    square = dot(normal, normal)
+    first = (bb * rows[0].drift - ab * rows[1].drift) / square
+    second = (aa * rows[1].drift - ab * rows[0].drift) / square
     gamma = [-(first * x + second * y) for x, y in zip(a, b, strict=True)]
-    speed = a[1] * about[0] - a[0] * about[1] if is_fixed else one
-    return [[x / speed for x in about]], gamma
+    speed = a[1] * normal[0] - a[0] * normal[1] if is_fixed else unit
+    return [[x / speed for x in normal]], gamma
 
 
 def _ackermann(length: Any, y: Any, s: Any, c: Any) -> Heading:
@@ -355,11 +355,11 @@ class Mobility:
     def _lateral(self) -> tuple[list[int], list[int]]:
         """Rows that constrain only the body: those of fixed wheels, and those of steered wheels."""
         steered = {row for axis in self.table.axes for row in axis.wheels}
-        found: tuple[list[int], list[int]] = [], []
+        indices: tuple[list[int], list[int]] = [], []
         for i, row in enumerate(self._rows):
             if row.kind == "lateral" and np.abs(self.matrix[i, 3:]).max() < _COEFFICIENT:
-                found[row.wheel in steered].append(i)
-        return found
+                indices[row.wheel in steered].append(i)
+        return indices
 
     @cached_property
     def mobility(self) -> int:
@@ -377,12 +377,12 @@ class Mobility:
         fixed, steered = self._lateral
         names = self.table.names
         if _rank(self.matrix[fixed, :3]) > 1:
-            listed = ", ".join(repr(names[self._rows[i].wheel]) for i in fixed)
-            return f"wheels {listed} are fixed on more than one axle, so it turns only by skidding"
+            wheels = ", ".join(repr(names[self._rows[i].wheel]) for i in fixed)
+            return f"wheels {wheels} are fixed on more than one axle, so it turns only by skidding"
         if self.mobility < 1:
-            listed = ", ".join(repr(names[self._rows[i].wheel]) for i in [*fixed, *steered])
+            wheels = ", ".join(repr(names[self._rows[i].wheel]) for i in [*fixed, *steered])
             return (
-                f"wheels {listed} are more than two axles, whose lines meet in one point only if the angles "
+                f"wheels {wheels} are more than two axles, whose lines meet in one point only if the angles "
                 "fit together, and no force of the ground keeps them so"
             )
         trains = [row.kind == "train" for row in self._rows]
@@ -412,15 +412,15 @@ class Mobility:
         for i in [*fixed, *steered]:
             if _rank(self.matrix[[*body, i], :3]) > len(body):
                 body.append(i)
-        ns, found = len(self.table.axes), dict[int, int]()
+        ns, chosen = len(self.table.axes), dict[int, int]()
         for i, row in enumerate(self._rows):
             for axis in range(ns):
                 if row.kind == "lateral" and abs(self.matrix[i, 3 + axis]) >= _COEFFICIENT:
-                    found.setdefault(axis, i)
-        own = "rolling", "roller"
-        wheels = [(ns + row.wheel, i) for i, row in enumerate(self._rows) if row.kind in own]
-        free = tuple(axis for axis in range(ns) if axis not in found)
-        return RowSelection(tuple(body), bool(body) and body[0] in fixed, (*found.items(), *wheels), free)
+                    chosen.setdefault(axis, i)
+        kinds = "rolling", "roller"
+        wheels = [(ns + row.wheel, i) for i, row in enumerate(self._rows) if row.kind in kinds]
+        free = tuple(axis for axis in range(ns) if axis not in chosen)
+        return RowSelection(tuple(body), bool(body) and body[0] in fixed, (*chosen.items(), *wheels), free)
 
     @cached_property
     def determined(self) -> Any:
@@ -438,8 +438,8 @@ class Mobility:
         if _rank(self.matrix[:, :3]) == 3:
             return None
         twist = np.linalg.svd(self.matrix[:, :3])[2][-1]
-        found = np.round(twist / twist[np.abs(twist).argmax()], 9) + 0.0
-        return np.asarray(found)
+        twist_0 = np.round(twist / twist[np.abs(twist).argmax()], 9) + 0.0
+        return np.asarray(twist_0)
 
     def check_odometry(self) -> None:
         """Raise `InvalidArgument` if the wheels' rates do not determine the body's motion."""
@@ -463,10 +463,10 @@ class Mobility:
         free = columns - self.rank
         lines.append(f"{columns} coordinates, {rows} rows of rank {self.rank}, {free} free velocities")
         if self.idle is not None:
-            along = ", ".join(f"{x:.3g}" for x in self.idle)
-            moves = f"moves by (forward, left, turn) = ({along}) while no wheel turns"
+            twist = ", ".join(f"{x:.3g}" for x in self.idle)
+            moves = f"moves by (forward, left, turn) = ({twist}) while no wheel turns"
             lines.append(f"{moves}: no motor drives that")
-        rest = [row for row, known in zip(self._rows, self.determined, strict=True) if not known]
+        rest = [row for row, is_known in zip(self._rows, self.determined, strict=True) if not is_known]
         loose = [f"{row.kind} of {self.table.names[row.wheel]}" for row in rest if row.wheel >= 0]
         if loose:
             lines.append(f"forces that rolling does not determine, but for their sum: {', '.join(loose)}")

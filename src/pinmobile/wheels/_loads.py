@@ -33,11 +33,11 @@ from pinmobile.robot import (
     symmetric,
     vector_of as stacked,
 )
-from pinmobile.wheels._contact import iterated
+from pinmobile.wheels._contact import iterate
 from pinmobile.wheels._velocities import ReferenceMotion, driving_inputs
 
 _BASE = 3
-_STILL = 1e-9  # [rad/s]: a body with a lower yaw rate does not turn
+_MIN_YAW_RATE = 1e-9  # [rad/s]: a body with a lower yaw rate does not turn
 _FORCES = "along", "across", "loads"
 _SECOND = "lateral", "across"  # kinds of rows that are a wheel's second direction
 _FLAT = 1e-9  # relative tolerance of the determinant of contacts on a line
@@ -81,40 +81,40 @@ def shared_loads(places: Sequence[Vector], fz: Any, mx: Any, my: Any) -> Loads:
     """
     n, wrench = len(places), [number(x) for x in (fz, mx, my)]
     fz, nothing = wrench[0], _NOTHING * abs(wrench[0])
-    springs, whole = _of_springs(places, [ONE] * n, wrench)
+    springs, area_0 = _of_springs(places, [ONE] * n, wrench)
     size = sum((dot(place, place) for place in places), ZERO)
     press = springs[0] >= -nothing
     for x in springs[1:]:
         press = press & (x >= -nothing)
 
-    def one(kept: Vector, old: Vector) -> tuple[Any, Any]:
-        found, _ = _of_springs(places, kept, wrench, _SOFT * size)
+    def iteration(active: Vector, old: Vector) -> tuple[Any, Any]:
+        loads, _ = _of_springs(places, active, wrench, _SOFT * size)
         share, rises, parts = 1.0 + 0.0 * fz, 0.0 * fz, []
-        for k, x, y in zip(kept, old, found, strict=True):
+        for k, x, y in zip(active, old, loads, strict=True):
             falls = (k > 0.0) & (y < 0.0)
             parts.append(choose(falls, x / choose(falls, x - y, 1.0), 2.0))
             share = choose(parts[-1] < share, parts[-1], share)
             rises = scalar_max(choose(k > 0.0, 0.0, y), rises)
         leaves, joins = share < 1.0, rises > nothing
-        kept = [
+        active = [
             choose(leaves, choose(part <= share, 0.0, k), choose(joins & (y >= rises), 1.0, k))
-            for k, part, y in zip(kept, parts, found, strict=True)
+            for k, part, y in zip(active, parts, loads, strict=True)
         ]
-        new = [choose(k > 0.0, x + share * (y - x), 0.0) for k, x, y in zip(kept, old, found, strict=True)]
-        return (kept, new), (share >= 1.0) & (rises <= nothing)
+        new = [choose(k > 0.0, x + share * (y - x), 0.0) for k, x, y in zip(active, old, loads, strict=True)]
+        return (active, new), (share >= 1.0) & (rises <= nothing)
 
     first = [1.0 + 0.0 * fz] * n, [scalar_max(fz, 0.0) * (1.0 / n)] * n
-    kept, soft = iterated(one, first, 4 * n, press | (fz <= 0.0))
-    sharp, area = _of_springs(places, kept, wrench, flat=_FLAT * whole)
-    stands = area > _FLAT * whole
-    values = [choose(k > 0.0, choose(stands, x, y), 0.0) for k, x, y in zip(kept, sharp, soft, strict=True)]
+    active, soft = iterate(iteration, first, 4 * n, press | (fz <= 0.0))
+    sharp, area = _of_springs(places, active, wrench, flat=_FLAT * area_0)
+    stands = area > _FLAT * area_0
+    values = [choose(k > 0.0, choose(stands, x, y), 0.0) for k, x, y in zip(active, sharp, soft, strict=True)]
     values = [scalar_max(choose(press, y, x), 0.0) for x, y in zip(values, springs, strict=True)]
     total = sum(values[1:], values[0])
     scale = choose(press, 1.0, scalar_max(fz, 0.0) / choose(total > 0.0, total, 1.0))
     values = [x * scale for x in values]
-    off = [dot([place[i] for place in places], values) - x for i, x in ((1, wrench[1]), (0, -wrench[2]))]
-    beyond = dot(off, off) > (_EDGE * _EDGE) * size * (fz * fz)
-    return Loads(values, choose(beyond | (fz <= 0.0), 1.0, 0.0), springs)
+    errors = [dot([place[i] for place in places], values) - x for i, x in ((1, wrench[1]), (0, -wrench[2]))]
+    tips = dot(errors, errors) > (_EDGE * _EDGE) * size * (fz * fz)
+    return Loads(values, choose(tips | (fz <= 0.0), 1.0, 0.0), springs)
 
 
 def _of_springs(
@@ -132,28 +132,28 @@ def _of_springs(
         Determinant up to which springs are on a line, and the forces are invalid.
     """
     rows = [[ONE, y, -x] for x, y in places]
-    weighed = [[w * x for x in row] for w, row in zip(weights, rows, strict=True)]
+    GK = [[w * x for x in row] for w, row in zip(weights, rows, strict=True)]
     a, d, e, b, f, c = (
-        sum((w[i] * row[j] for w, row in zip(weighed, rows, strict=True)), ZERO)
+        sum((w[i] * row[j] for w, row in zip(GK, rows, strict=True)), ZERO)
         for i, j in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
     )
     if soft is not None:
         b, c = b + soft, c + soft
-    own = b * c - f * f, a * c - e * e, a * b - d * d
-    minors = symmetric([*own, e * f - d * c, d * f - e * b, d * e - a * f])
+    diagonal = b * c - f * f, a * c - e * e, a * b - d * d
+    minors = symmetric([*diagonal, e * f - d * c, d * f - e * b, d * e - a * f])
     area = number(dot([a, d, e], minors[0]))
     share = 1.0 / choose(area > flat, area, 1.0)
-    bent = [dot(row, wrench) * share for row in minors]
-    return [number(dot(row, bent)) for row in rows], area
+    motion = [dot(row, wrench) * share for row in minors]
+    return [number(dot(row, motion)) for row in rows], area
 
 
 def places_of(body: Any, steering: Sequence[Any]) -> list[Vector]:
     """Return the contact points of wheels and supports, along the body's axes [m]."""
-    found = [body.kinematics.centre(row, steering)[1] for row in range(len(body.table))]
-    return found + [[exact(each.x), exact(each.y)] for each in body.table.supports]
+    places = [body.kinematics.centre(row, steering)[1] for row in range(len(body.table))]
+    return places + [[exact(each.x), exact(each.y)] for each in body.table.supports]
 
 
-def ground_reaction(body: Any, state: Any, felt: Vector, q: Any) -> Vector:
+def ground_reaction(body: Any, state: Any, a: Vector, q: Any) -> Vector:
     """Return fz, mx and my of the ground on a robot with spinning wheels [N, N m, N m].
 
     They equal the rate of momentum of all bodies minus gravity: by the Newton-Euler equations for a robot
@@ -165,19 +165,19 @@ def ground_reaction(body: Any, state: Any, felt: Vector, q: Any) -> Vector:
         The robot.
     state : State
         Configuration and velocities.
-    felt : list of scalars
+    a : list of scalars
         Proper accelerations in the plane, along the body's axes.
     q : ndarray
         Any configuration, for its shape.
     """
     w = state.twist[2]
-    fz, mx, my = _carried(body, state, felt, q)
+    fz, mx, my = _body_reaction(body, state, a, q)
     first = body.of_body
     rates, axis_of = state.rates, body.kinematics.axis_of
     for row, spin in enumerate(scalars(body.spin_inertia)):
         head, k, axis = body.kinematics.heading(row, state.steering), len(body.table.axes) + row, axis_of[row]
         turn = w + head.first * rates[axis] if axis >= 0 else w
-        faster, slower = spin * felt[first + k], spin * rates[k] * turn
+        faster, slower = spin * a[first + k], spin * rates[k] * turn
         mx = mx - head.s * faster - head.c * slower
         my = my + head.c * faster - head.s * slower
         wheel = body.table.wheels[row]
@@ -185,27 +185,27 @@ def ground_reaction(body: Any, state: Any, felt: Vector, q: Any) -> Vector:
             (o, p), (o0, p0) = body._centres(row, state)
             weight = -wheel.mass * float(body.fall[2])
             mx, my = mx + weight * (p[1] - p0[1]), my - weight * (p[0] - p0[0])
-            turning = felt[2] + head.first * felt[first + axis] + head.second * rates[axis] * rates[axis]
+            turning = a[2] + head.first * a[first + axis] + head.second * rates[axis] * rates[axis]
             swing = wheel.mass * scalars(body.radius)[row]
-            ahead = felt[2] * o0[1] - turning * o[1] - turn * turn * o[0] + w * w * o0[0]
-            aside = turning * o[0] - felt[2] * o0[0] - turn * turn * o[1] + w * w * o0[1]
-            mx, my = mx - swing * aside, my + swing * ahead
+            forward = a[2] * o0[1] - turning * o[1] - turn * turn * o[0] + w * w * o0[0]
+            left = turning * o[0] - a[2] * o0[0] - turn * turn * o[1] + w * w * o0[1]
+            mx, my = mx - swing * left, my + swing * forward
     return [fz, mx, my]
 
 
-def _carried(body: Any, state: Any, a: Vector, q: Any) -> Vector:
+def _body_reaction(body: Any, state: Any, a: Vector, q: Any) -> Vector:
     """Return fz, mx and my of the ground for wheels that do not spin; `a` excludes gravity."""
     if body.na:
         n = body.of_body
-        at, still = stacked([ZERO, ZERO, ZERO, *state.arms], q), stacked([ZERO] * n, q)
+        q_arms, zeros = stacked([ZERO, ZERO, ZERO, *state.arms], q), stacked([ZERO] * n, q)
         v = stacked([*state.twist, *state.arm_rates], q)
-        found = scalars(body.robot.ground_wrench(at, v, stacked(a[:n], q)))[2:5]
+        reaction = scalars(body.robot.ground_wrench(q_arms, v, stacked(a[:n], q)))[2:5]
         if not body._slack:
-            return found
-        weights = scalars(body.robot.ground_wrench(at, still, still))[2:5]
-        return [x - body._slack * y for x, y in zip(found, weights, strict=True)]
-    own = body.robot
-    m, x, y = (single(each) for each in (own.mass, own.com_x, own.com_y))
+            return reaction
+        weights = scalars(body.robot.ground_wrench(q_arms, zeros, zeros))[2:5]
+        return [x - body._slack * y for x, y in zip(reaction, weights, strict=True)]
+    robot = body.robot
+    m, x, y = (single(each) for each in (robot.mass, robot.com_x, robot.com_y))
     (height, xz, yz), w, spin, g = scalars(body.upright), state.twist[2], a[2], -float(body.fall[2])
     ax, ay = a[0] - spin * y - w * w * x, a[1] + spin * x - w * w * y
     mx = m * (y * g - height * ay) + (xz * spin - yz * (w * w))
@@ -228,7 +228,7 @@ class AxleGroup(NamedTuple):
 
     wheels: tuple[int, ...]
     lateral: tuple[int, ...]
-    held: int
+    body_row: int
 
 
 def groups_of(body: Any) -> tuple[AxleGroup, ...]:
@@ -240,34 +240,34 @@ def groups_of(body: Any) -> tuple[AxleGroup, ...]:
     if table.trains:
         return ()
     rows = body.kinematics.rows([ZERO] * len(table.axes), [ZERO] * _BASE, [ZERO] * body.joints)
-    told = {i for _, i in choice.joints}
+    constrained = {i for _, i in choice.joints}
     sharing: dict[int, list[int]] = {k: [] for k in range(len(choice.body))}
-    found = []
+    groups = []
     for i, row in enumerate(rows):
         if row.kind == "roller":
-            found.append(AxleGroup((row.wheel,), (), -1))
-        elif row.kind == "lateral" and i in told:
-            found.append(AxleGroup((row.wheel,), (i,), -1))
+            groups.append(AxleGroup((row.wheel,), (), -1))
+        elif row.kind == "lateral" and i in constrained:
+            groups.append(AxleGroup((row.wheel,), (i,), -1))
         elif row.kind == "lateral":
             sharing[_axle(body, rows, row)].append(i)
-    for k, own in sharing.items():
-        found.append(AxleGroup(tuple(rows[i].wheel for i in own), tuple(own), k))
-    return tuple(sorted(found))
+    for k, indices in sharing.items():
+        groups.append(AxleGroup(tuple(rows[i].wheel for i in indices), tuple(indices), k))
+    return tuple(sorted(groups))
 
 
 def _axle(body: Any, rows: Sequence[Any], row: Any) -> int:
     """Return the number of the body's row on whose axle the wheel of a lateral row is."""
-    held, axis_of = [rows[i].wheel for i in body.choice.body], body.kinematics.axis_of
-    if len(held) == 1:
+    wheels, axis_of = [rows[i].wheel for i in body.choice.body], body.kinematics.axis_of
+    if len(wheels) == 1:
         return 0
-    if row.wheel in held:
-        return held.index(row.wheel)
+    if row.wheel in wheels:
+        return wheels.index(row.wheel)
     if body.choice.is_fixed:
         return int(axis_of[row.wheel] >= 0)
-    return int(axis_of[row.wheel] != axis_of[held[0]])
+    return int(axis_of[row.wheel] != axis_of[wheels[0]])
 
 
-def margin(body: Any, state: Any, felt: Vector, u: Any, carried: Vector, q: Any) -> Matrix:
+def margin(body: Any, state: Any, proper_a: Vector, u: Any, loads: Vector, q: Any) -> Matrix:
     """Return forces along rolling wheels, lateral forces of each of `groups_of`, and their margins.
 
     The force along a wheel follows from its torque minus its spin-up. The lateral force of one axle follows
@@ -280,20 +280,20 @@ def margin(body: Any, state: Any, felt: Vector, u: Any, carried: Vector, q: Any)
     ----------
     body : RollingDynamics
         Rolling dynamics.
-    state, felt, q
+    state, proper_a, q
         As in `ground_reaction`.
     u : ndarray, shape (..., nu)
         Torques.
-    carried : list of scalars
+    loads : list of scalars
         Loads of wheels, then of supports [N].
     """
     groups, ns, first = body.groups, len(body.table.axes), body.of_body
-    M, n, tau = body.inertia(state, q), body.effects(state, q), body.generalised(state, u, 0.0)
+    M, n, tau = body.inertia(state, q), body.effects(state, q), body.input_force(state, u, 0.0)
     rows = body.rows(state)
     of_wheels = {row.wheel: i for i, row in enumerate(rows) if row.kind in ("rolling", "roller")}
 
     def left(k: int) -> Any:
-        return n[k] + dot(M[k], felt) - tau[k]
+        return n[k] + dot(M[k], proper_a) - tau[k]
 
     forces: dict[int, Any] = {}
     for joint, i in sorted(body.choice.joints, reverse=True):  # wheels first, then steering coordinates
@@ -304,35 +304,35 @@ def margin(body: Any, state: Any, felt: Vector, u: Any, carried: Vector, q: Any)
     base = [left(k) for k in range(_BASE)]
     for i, x in forces.items():
         base = [b - x * c for b, c in zip(base, rows[i].base, strict=True)]
-    held = _axles(body, state, rows)
-    if len(held) == 1:
-        across = [held[0][0] * base[0] + held[0][1] * base[1]]
-    elif held:
-        about = cross(held[0], held[1])
-        share = 1.0 / number(dot(about, about))
-        across = [dot(cross(base, held[1]), about) * share, dot(cross(held[0], base), about) * share]
+    axles = _axles(body, state, rows)
+    if len(axles) == 1:
+        sides = [axles[0][0] * base[0] + axles[0][1] * base[1]]
+    elif axles:
+        normal = cross(axles[0], axles[1])
+        share = 1.0 / number(dot(normal, normal))
+        sides = [dot(cross(base, axles[1]), normal) * share, dot(cross(axles[0], base), normal) * share]
     along = [number(forces[of_wheels[row]]) for row in range(len(body.table))]
-    most = [mu * load for mu, load in zip(scalars(body.mu), carried, strict=False)]
+    limits = [mu * load for mu, load in zip(scalars(body.mu), loads, strict=False)]
     lateral, margins = [], []
     for group in groups:
-        side = forces[group.lateral[0]] if group.held < 0 and group.lateral else ZERO
-        side = number(across[group.held] if group.held >= 0 else side)
+        side = forces[group.lateral[0]] if group.body_row < 0 and group.lateral else ZERO
+        side = number(sides[group.body_row] if group.body_row >= 0 else side)
         lateral.append(side)
-        margins.append(_margin([(along[k], most[k]) for k in group.wheels], side, bool(group.lateral)))
+        margins.append(_margin([(along[k], limits[k]) for k in group.wheels], side, bool(group.lateral)))
     return [along, lateral, margins]
 
 
 def _axles(body: Any, state: Any, rows: Sequence[Any]) -> list[Vector]:
     """Return the direction of each axle's lateral force as coefficients of the body twist."""
-    found = []
+    axles = []
     for i in body.choice.body:
         axis = body.kinematics.axis_of[rows[i].wheel]
         if axis < 0 or body.table.axes[axis].ackermann is None:
-            found.append(rows[i].base)
+            axles.append(rows[i].base)
             continue
         s, c = sine_and_cosine(state.steering[axis])
-        found.append([-s, c, c * body.kinematics.x[rows[i].wheel]])
-    return found
+        axles.append([-s, c, c * body.kinematics.x[rows[i].wheel]])
+    return axles
 
 
 def _margin(wheels: Sequence[tuple[Any, Any]], side: Any, is_tyre: bool) -> Any:
@@ -340,11 +340,11 @@ def _margin(wheels: Sequence[tuple[Any, Any]], side: Any, is_tyre: bool) -> Any:
     if not is_tyre:
         return wheels[0][1] - abs(wheels[0][0])
     if len(wheels) == 1:
-        force, most = wheels[0]
-        return most - square_root(force * force + side * side)
-    rests = (most * most - force * force for force, most in wheels)
+        force, limit = wheels[0]
+        return limit - square_root(force * force + side * side)
+    rests = (limit * limit - force * force for force, limit in wheels)
     total = sum((square_root(scalar_max(number(rest), 0.0)) for rest in rests), ZERO)
-    return reduce(lower, [*(most - abs(force) for force, most in wheels), total - abs(side)])
+    return reduce(lower, [*(limit - abs(force) for force, limit in wheels), total - abs(side)])
 
 
 def lower(x: Any, y: Any) -> Any:
@@ -364,8 +364,8 @@ def footprint_of(body: Any) -> Array | None:
 
 def limits_of(body: Any) -> list[tuple[int, float]]:
     """Return the numbers of inputs with limits, each with its largest magnitude."""
-    found = [(k, max(abs(one.lower), abs(one.upper))) for k, one in enumerate(body.inputs)]
-    return [(k, limit) for k, limit in found if np.isfinite(limit)]
+    limits = [(k, max(abs(x.lower), abs(x.upper))) for k, x in enumerate(body.inputs)]
+    return [(k, limit) for k, limit in limits if np.isfinite(limit)]
 
 
 def metrics_on_wheels(body: Any) -> tuple[Metric, ...]:
@@ -376,25 +376,25 @@ def metrics_on_wheels(body: Any) -> tuple[Metric, ...]:
     body : WheeledDynamics
         The robot.
     """
-    arms, found = arms_of(body), []
+    arms, metrics = arms_of(body), []
     if arms is not None:
-        found += [one for one in arms.metrics if one.name.startswith("end effector")]
+        metrics += [metric for metric in arms.metrics if metric.name.startswith("end effector")]
     if limits_of(body):
-        found.append(Metric("effort", "", "largest |input| of a joint or wheel, relative to its limit"))
+        metrics.append(Metric("effort", "", "largest |input| of a joint or wheel, relative to its limit"))
     if footprint_of(body) is not None:
         words = "distance of the zero-moment point from the edge of the support polygon"
-        found.append(Metric("tip-over margin", "m", words, "smallest"))
+        metrics.append(Metric("tip-over margin", "m", words, "smallest"))
     if body.stands:
         words = "smallest load of a wheel or support; negative where it would have to pull"
-        found.append(Metric("load", "N", words, "smallest"))
+        metrics.append(Metric("load", "N", words, "smallest"))
         words = "no loads of wheels and supports balance them; tipping over is not simulated"
-        found.append(Metric("tip over", "", words, "ever"))
+        metrics.append(Metric("tip over", "", words, "ever"))
     if body.slips:
-        found.append(Metric("slip", "m/s", "largest velocity at which a wheel slides on the ground"))
+        metrics.append(Metric("slip", "m/s", "largest velocity at which a wheel slides on the ground"))
     elif body.stands and body.groups:
         words = "smallest friction that a wheel, or an axle, has left before it slips"
-        found.append(Metric("slip margin", "N", words, "smallest"))
-    return tuple(found)
+        metrics.append(Metric("slip margin", "N", words, "smallest"))
+    return tuple(metrics)
 
 
 def evaluate_metrics(body: Any, q: Any, v: Any, a: Any, u: Any, desired: Any) -> Any:
@@ -409,36 +409,36 @@ def evaluate_metrics(body: Any, q: Any, v: Any, a: Any, u: Any, desired: Any) ->
     desired : ndarray, shape (..., k)
         First entries of q in the reference.
     """
-    state, found, arms = body.state(q, v), [], arms_of(body)
+    state, values, arms = body.state(q, v), [], arms_of(body)
     if arms is not None and arms.tips:
-        found += scalars(arms.apart(body.robot, q[..., : int(body.robot.nq)], desired))
+        values += scalars(arms.pose_errors(body.robot, q[..., : int(body.robot.nq)], desired))
     limits = limits_of(body)
     if limits:
-        inputs, most = scalars(u), 0.0
+        inputs, effort = scalars(u), 0.0
         for k, limit in limits:
-            most = scalar_max(abs(number(inputs[k])) * (1.0 / limit), most)
-        found.append(most)
+            effort = scalar_max(abs(number(inputs[k])) * (1.0 / limit), effort)
+        values.append(effort)
     if body.stands:
-        found += _of_ground(body, state, a, u, q)
+        values += _of_ground(body, state, a, u, q)
     if body.slips:
-        found.append(_slip(body, state))
-    return stacked([number(x) for x in found], q)
+        values.append(_slip(body, state))
+    return stacked([number(x) for x in values], q)
 
 
 def _of_ground(body: Any, state: Any, a: Any, u: Any, q: Any) -> Vector:
     """Return the metrics of the ground reactions."""
-    felt, found = body.proper_acceleration(state, state.along(scalars(a))), []
-    fz, mx, my = ground_reaction(body, state, felt, q)
+    proper_a, values = body.proper_acceleration(state, state.to_body(scalars(a))), []
+    fz, mx, my = ground_reaction(body, state, proper_a, q)
     corners = footprint_of(body)
     if corners is not None:
         wrench = stacked([ZERO, ZERO, fz, mx, my, ZERO], q)
-        found += scalars(margin_of_wrench(corners, wrench, body.weight)[..., None])
+        values += scalars(margin_of_wrench(corners, wrench, body.weight)[..., None])
     places = places_of(body, state.steering)
-    shared = shared_loads(places, fz, mx, my)
-    found += [reduce(lower, shared.springs), shared.tips]
+    loads = shared_loads(places, fz, mx, my)
+    values += [reduce(lower, loads.springs), loads.tips]
     if not body.slips and body.groups:
-        found.append(reduce(lower, margin(body, state, felt, u, shared.values, q)[2]))
-    return found
+        values.append(reduce(lower, margin(body, state, proper_a, u, loads.values, q)[2]))
+    return values
 
 
 def _slip(body: Any, state: Any) -> Any:
@@ -484,24 +484,24 @@ class Forces(NamedTuple):
     determined: Array
 
 
-def contact_loads(body: Any, state: Any, felt: Any, q: Array) -> ContactLoads:
+def contact_loads(body: Any, state: Any, proper_a: Any, q: Array) -> ContactLoads:
     """Return the load of each contact, for arrays."""
-    found = shared_loads(places_of(body, state.steering), *ground_reaction(body, state, felt, q))
+    loads = shared_loads(places_of(body, state.steering), *ground_reaction(body, state, proper_a, q))
     names = (*body.table.names, *(f"support {k + 1}" for k in range(len(body.table.supports))))
-    tips = np.broadcast_to(number(found.tips), q.shape[:-1]) > 0
-    return ContactLoads(names, stacked(found.values, q), stacked(found.springs, q), tips)
+    tips = np.broadcast_to(number(loads.tips), q.shape[:-1]) > 0
+    return ContactLoads(names, stacked(loads.values, q), stacked(loads.springs, q), tips)
 
 
-def rolling_margins(body: Any, state: Any, felt: Any, u: Array, q: Array) -> tuple[ContactLoads, SlipMargins]:
+def rolling_margins(body: Any, state: Any, a: Any, u: Array, q: Array) -> tuple[ContactLoads, SlipMargins]:
     """Return loads and slip margins of rolling wheels, for arrays."""
     if not body.groups:
         raise InvalidArgument(
             "robot has wheels on a gear train, which share its force; expected ground=Coulomb()"
         )
-    loads = contact_loads(body, state, felt, q)
-    found = margin(body, state, felt, u, list(np.moveaxis(loads.values, -1, 0)), q)
+    loads = contact_loads(body, state, a, q)
+    rows = margin(body, state, a, u, list(np.moveaxis(loads.values, -1, 0)), q)
     names = tuple(" + ".join(body.table.names[k] for k in group.wheels) for group in body.groups)
-    along, lateral, margins = (stacked(x, q) for x in found)
+    along, lateral, margins = (stacked(x, q) for x in rows)
     return loads, SlipMargins(names, margins, along, lateral)
 
 
@@ -534,7 +534,7 @@ class TimeScaledMotion:
     """
 
     body: Any
-    along: ReferenceMotion
+    motion: ReferenceMotion
     efforts: Array
 
     def at(self, factor: float) -> tuple[ContactLoads, SlipMargins, TorqueMargins]:
@@ -545,21 +545,21 @@ class TimeScaledMotion:
         factor : float
             Factor of the speed.
         """
-        body, q, v = self.body, self.along.q, factor * self.along.v
-        state, rates = body.state(q, v), factor**2 * self.along.rates
+        body, q, v = self.body, self.motion.q, factor * self.motion.v
+        state, rates = body.state(q, v), factor**2 * self.motion.rates
         a = body.accelerations(state, list(np.moveaxis(rates, -1, 0)))
-        felt = body.proper_acceleration(state, [number(x) for x in a])
+        proper_a = body.proper_acceleration(state, [number(x) for x in a])
         u = driving_inputs(body, q, v, rates)
-        return *rolling_margins(body, state, felt, u, q), self._margins(v, u)
+        return *rolling_margins(body, state, proper_a, u, q), self._margins(v, u)
 
     def _margins(self, v: Array, u: Array) -> TorqueMargins:
         """Return the torque margins of arms and wheels."""
         body, na = self.body, self.body.na
         rates = v[:, 3 + na :] @ np.array([each.column for each in body.table.actuators], float).T
-        found = list((self.efforts - np.abs(u[:, :na])).T)
+        margins = list((self.efforts - np.abs(u[:, :na])).T)
         for actuator, torque, rate in zip(body.table.actuators, u[:, na:].T, rates.T, strict=True):
-            found.append(actuator.motor.margin(torque, rate))
-        return TorqueMargins(tuple(one.name for one in body.inputs), np.stack(found, axis=-1))
+            margins.append(actuator.motor.margin(torque, rate))
+        return TorqueMargins(tuple(x.name for x in body.inputs), np.stack(margins, axis=-1))
 
 
 def contacts_of(wheeled: Any, q: Array, v: Array, a: Array, u: Array, signals: Mapping[str, Any]) -> Contacts:
@@ -583,30 +583,30 @@ def contacts_of(wheeled: Any, q: Array, v: Array, a: Array, u: Array, signals: M
     centres = [body.kinematics.centre(i, state.steering)[1] for i in range(k)]
     places = q[:, None, :2] + np.stack([stacked(state.outward(at), q) for at in centres], axis=1)
     heads = [body.kinematics.heading(i, state.steering) for i in range(k)]
-    turned = np.arctan2(stacked([head.s for head in heads], q), stacked([head.c for head in heads], q))
-    directions = q[:, 2:3] + turned + np.array([wheel.roller or 0.0 for wheel in table.wheels])
-    determined, forces, slips = np.ones((k, 2), bool), np.zeros((n, k, 2)), np.zeros((n, k, 2))
+    angles = np.arctan2(stacked([head.s for head in heads], q), stacked([head.c for head in heads], q))
+    directions = q[:, 2:3] + angles + np.array([wheel.roller or 0.0 for wheel in table.wheels])
+    is_known, forces, slips = np.ones((k, 2), bool), np.zeros((n, k, 2)), np.zeros((n, k, 2))
     loads, slides = np.full((n, k), np.nan), np.zeros((n, k), bool)
     rows = [(i, row.wheel, int(row.kind in _SECOND)) for i, row in enumerate(body.rows(state))]
-    some, wheels, second = np.array([row for row in rows if row[1] >= 0]).T
+    indices, wheels, second = np.array([row for row in rows if row[1] >= 0]).T
     if wheeled.mobility.is_regular:
-        determined[wheels, second] = wheeled.mobility.determined[some]
+        is_known[wheels, second] = wheeled.mobility.determined[indices]
     if body.slips:
         along, across, loads = (signals[name].values for name in _FORCES)
         forces, loads = np.stack([along, across], axis=-1), loads[:, :k]
         slips = np.stack([signals["slip_along"].values, signals["slip_across"].values], axis=-1)
         slides = signals["slides"].values > 0.5
     else:
-        forces[:, wheels, second] = wheeled.constraint_forces(q, v, u).values[:, some]
+        forces[:, wheels, second] = wheeled.constraint_forces(q, v, u).values[:, indices]
         if body.stands:
             loads = wheeled.contact_loads(q, v, a).values[:, :k]
         for row in body.rows(state, across=True):
             if row.kind == "across":  # rollers turn across their axes
                 slips[:, row.wheel, 1] = row.slip(state)
-    own = [wheel.friction.across for wheel in table.wheels]
-    across = [mu if w.roller is None else x for mu, x, w in zip(wheeled.mu, own, table.wheels, strict=True)]
+    mus = [wheel.friction.across for wheel in table.wheels]
+    across = [mu if w.roller is None else x for mu, x, w in zip(wheeled.mu, mus, table.wheels, strict=True)]
     limits = loads[..., None] * np.stack([wheeled.mu, across], axis=-1)
-    turns = np.abs(v[:, 2:3]) > _STILL
+    turns = np.abs(v[:, 2:3]) > _MIN_YAW_RATE
     centre = q[:, :2] + np.stack([-v[:, 1], v[:, 0]], axis=-1) / np.where(turns, v[:, 2:3], 1.0)
     centre = np.where(turns, centre, np.inf)
-    return Contacts(table.names, places, directions, forces, determined, loads, limits, slips, slides, centre)
+    return Contacts(table.names, places, directions, forces, is_known, loads, limits, slips, slides, centre)

@@ -200,13 +200,13 @@ class Motor:
             )
         share = torque / given
         if share > 1:
-            least = i_0 + (c := torque * W / V / 2) + (c * (c + 2 * i_0)) ** 0.5
+            bound = i_0 + (c := torque * W / V / 2) + (c * (c + 2 * i_0)) ** 0.5
             raise InvalidArgument(
-                f"stall_current is {i_s:g} A, expected at least {least:.4g} A for a stall_torque of "
+                f"stall_current is {i_s:g} A, expected at least {bound:.4g} A for a stall_torque of "
                 f"{torque:g} N m: check the units, or pass a larger stall_current"
             )
-        known = {"resistance": R, "torque_constant": k, "voltage": V, "coulomb": k * i_0, "efficiency": share}
-        return cls(**{**known, "gear": G, **others})
+        data = {"resistance": R, "torque_constant": k, "voltage": V, "coulomb": k * i_0, "efficiency": share}
+        return cls(**{**data, "gear": G, **others})
 
     def __repr__(self) -> str:
         kind: Any = Motor
@@ -247,7 +247,7 @@ class Motor:
         InvalidArgument
             If the motor is a torque source, or an argument is not finite.
         """
-        return self._at(MotorLaw.current, volts, rate)
+        return self._evaluate(MotorLaw.current, volts, rate)
 
     @finite_result
     def torque(self, volts: ArrayLike, rate: ArrayLike) -> Array:
@@ -268,9 +268,9 @@ class Motor:
         InvalidArgument
             If the motor is a torque source, or an argument is not finite.
         """
-        return self._at(MotorLaw.torque, volts, rate)
+        return self._evaluate(MotorLaw.torque, volts, rate)
 
-    def _at(self, law: Callable[..., Any], volts: ArrayLike, rate: ArrayLike) -> Array:
+    def _evaluate(self, law: Callable[..., Any], volts: ArrayLike, rate: ArrayLike) -> Array:
         """Return a function of `MotorLaw` at voltage and rate, after a check."""
         volts, rate = finite("volts", volts), finite("rate", rate)
         broadcast(volts=volts[..., None], rate=rate[..., None])
@@ -280,8 +280,8 @@ class Motor:
     def _free(self, volts: float | None) -> Array:
         """Return the no-load rate of the wheel, negative below the starting voltage [rad/s]."""
         R, k = self._law._numbers[0][:2]
-        held = self.gear * (k * k / R + self.viscous)
-        return np.asarray((k * self._volts(volts) / R - self.coulomb) / held)
+        slope = self.gear * (k * k / R + self.viscous)
+        return np.asarray((k * self._volts(volts) / R - self.coulomb) / slope)
 
     def _volts(self, volts: float | None) -> float:
         """Return a voltage, by default the largest [V]."""
@@ -348,8 +348,8 @@ class Motor:
             return np.asarray(self.torque_limit - np.abs(torque))
         way = np.where(torque < 0, -1.0, 1.0)
         left = self.torque(way * self.voltage, rate) * way - np.abs(torque)
-        least = np.abs(torque) - self.torque(-way * self.voltage, rate) * way
-        return np.asarray(np.where(least < 0, np.minimum(left, least), left))
+        margin = np.abs(torque) - self.torque(-way * self.voltage, rate) * way
+        return np.asarray(np.where(margin < 0, np.minimum(left, margin), left))
 
 
 class TorqueSpeedLine(NamedTuple):
@@ -424,10 +424,10 @@ class MotorLaw:
     def current(self, k: int, volts: Any, rate: Any, *, clips: Any = True) -> Any:
         """Return the current of a motor at a voltage within its limit."""
         motor, (R, kt, *_, G) = self.motors[k], self._numbers[k]
-        asked = (volts - (number(kt) * number(G)) * rate) / number(R)
+        current = (volts - (number(kt) * number(G)) * rate) / number(R)
         if clips is False or not np.isfinite(motor.current):
-            return asked
-        return choose(clips, within(asked, motor.current), asked)
+            return current
+        return choose(clips, within(current, motor.current), current)
 
     def push(self, k: int, volts: Any, rate: Any, *, clips: Any = True) -> TorqueSpeedLine:
         """Return the torque-speed line of a motor near a rate.
@@ -446,34 +446,34 @@ class MotorLaw:
         motor, (R, kt, b, dry, share, G) = self.motors[k], self._numbers[k]
         R, kt, G = number(R), number(kt), number(G)
         i = self.current(k, volts, rate, clips=clips)
-        felt = kt * kt * G / R
+        emf = kt * kt * G / R
         if clips is not False and np.isfinite(motor.current):
-            asked = self.current(k, volts, rate, clips=False)
-            felt = choose(clips, choose(abs(asked) <= motor.current, felt, 0.0), felt)
-        fall = felt if b is ZERO else felt + number(b) * G  # slope of the shaft's torque, per wheel rate
+            current = self.current(k, volts, rate, clips=False)
+            emf = choose(clips, choose(abs(current) <= motor.current, emf, 0.0), emf)
+        fall = emf if b is ZERO else emf + number(b) * G  # slope of the shaft's torque, per wheel rate
         shaft = kt * i if b is ZERO else kt * i - (number(b) * G) * rate
         if dry is ZERO and share is ONE:
-            return self._limited(motor, G * shaft, G * shaft, G * fall, ZERO, rate)
+            return self._clip_line(motor, G * shaft, G * shaft, G * fall, ZERO, rate)
         eta, dry = number(share), number(dry)
         inverse = 1.0 / eta
-        ahead, back = shaft - dry, shaft + dry
-        by, by_back = choose(ahead > 0.0, eta, inverse), choose(back > 0.0, inverse, eta)
-        resting = choose(rate > 0.0, by, choose(rate < 0.0, by_back, eta))
-        return self._limited(motor, G * (by * ahead), G * (by_back * back), G * (resting * fall), ONE, rate)
+        drive, back = shaft - dry, shaft + dry
+        gain, loss = choose(drive > 0.0, eta, inverse), choose(back > 0.0, inverse, eta)
+        resting = choose(rate > 0.0, gain, choose(rate < 0.0, loss, eta))
+        return self._clip_line(motor, G * (gain * drive), G * (loss * back), G * (resting * fall), ONE, rate)
 
-    def _limited(
-        self, motor: Motor, ahead: Any, back: Any, slope: Any, holds: Any, rate: Any
+    def _clip_line(
+        self, motor: Motor, forward: Any, back: Any, slope: Any, holds: Any, rate: Any
     ) -> TorqueSpeedLine:
         """Return a motor's line within its torque limit, from its torques forwards and backwards."""
-        most = motor.torque_limit
-        if np.isfinite(most):
-            now = choose(rate < 0.0, back, ahead)
-            slope = choose(abs(now) <= most, slope, 0.0)
-            ahead, back = within(ahead, most), within(back, most)
+        limit = motor.torque_limit
+        if np.isfinite(limit):
+            torque = choose(rate < 0.0, back, forward)
+            slope = choose(abs(torque) <= limit, slope, 0.0)
+            forward, back = within(forward, limit), within(back, limit)
         if holds is ZERO:
-            return TorqueSpeedLine(ahead + slope * rate, slope, ZERO)
-        hold = 0.5 * (back - ahead)
-        return TorqueSpeedLine(0.5 * (ahead + back) + slope * rate, slope, hold)
+            return TorqueSpeedLine(forward + slope * rate, slope, ZERO)
+        hold = 0.5 * (back - forward)
+        return TorqueSpeedLine(0.5 * (forward + back) + slope * rate, slope, hold)
 
     def torque(self, k: int, volts: Any, rate: Any, *, clips: bool = True) -> Any:
         """Return the torque of a motor at a rate; at rest, dry friction balances it as far as possible."""
@@ -481,8 +481,8 @@ class MotorLaw:
         torque = push.torque - push.slope * rate
         if push.hold is ZERO:
             return torque
-        held = choose(rate > 0.0, push.hold, choose(rate < 0.0, -push.hold, within(torque, push.hold)))
-        return torque - held
+        friction = choose(rate > 0.0, push.hold, choose(rate < 0.0, -push.hold, within(torque, push.hold)))
+        return torque - friction
 
     def smooth_torque(self, k: int, volts: Any, rate: Any, sign: Any) -> Any:
         """Return the torque of a motor with a smooth sign in dry friction and gear losses.
@@ -498,8 +498,8 @@ class MotorLaw:
         """
         motor, (_, kt, b, dry, share, G) = self.motors[k], [number(x) for x in self._numbers[k]]
         shaft = kt * self.current(k, volts, rate) - (b * G) * rate - dry * sign
-        driving, driven = share + 1.0 / share, share - 1.0 / share
-        torque = (0.5 * G) * (driving * shaft + driven * abs(shaft) * sign)
+        driving, braking = share + 1.0 / share, share - 1.0 / share
+        torque = (0.5 * G) * (driving * shaft + braking * abs(shaft) * sign)
         return within(torque, motor.torque_limit) if np.isfinite(motor.torque_limit) else torque
 
     def slopes(self, k: int, volts: Any, rate: Any) -> tuple[Any, Any]:
@@ -511,7 +511,7 @@ class MotorLaw:
         slope = self.push(k, volts, rate, clips=False).slope
         return slope, slope * kt / (G * (kt * kt + b * R))
 
-    def needed(self, k: int, torque: Any, rate: Any, *, clips: bool = True) -> Any:
+    def required(self, k: int, torque: Any, rate: Any, *, clips: bool = True) -> Any:
         """Return the voltage at which a motor produces a torque at a rate, within its limits.
 
         Dry friction acts against the rate, or, at rest, against the torque.

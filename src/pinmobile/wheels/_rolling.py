@@ -14,8 +14,8 @@ from pinmobile.arrays import Array, bounded, frozen, scalar
 from pinmobile.compiled import choose
 from pinmobile.errors import InvalidArgument
 from pinmobile.parts import by_value, child, number as declared, part
-from pinmobile.robot import ZERO, Matrix, Vector, applied, dot, factored, number, transposed
-from pinmobile.wheels._dynamics import State, WheeledDynamics, through
+from pinmobile.robot import ZERO, Matrix, Vector, applied, dot, factor, number, transpose
+from pinmobile.wheels._dynamics import State, WheeledDynamics, mass_columns
 from pinmobile.wheels._loads import AxleGroup, groups_of
 
 _BASE = 3
@@ -88,8 +88,8 @@ class Ramp:
             Gravity on level ground [m/s^2].
         """
         g = scalar("g", g)
-        down = -g * sin(self.angle)
-        return frozen([down * cos(self.direction), down * sin(self.direction), -g * cos(self.angle)])
+        slope = -g * sin(self.angle)
+        return frozen([slope * cos(self.direction), slope * sin(self.direction), -g * cos(self.angle)])
 
 
 @final
@@ -193,23 +193,23 @@ class RollingDynamics(WheeledDynamics):
         """Return a = S nu' + gamma, S' M S nu' = S' (tau - n - M gamma), shape (..., nv)."""
         state = self.state(q, v)
         M, (S, gamma) = self.inertia(state, q), self.null_space(state)
-        force = self.generalised(state, u, f)
+        force = self.input_force(state, u, f)
         effects = self.effects(state, q)
-        felt = self.proper_acceleration(state, gamma)
-        rest = [t - n - dot(row, felt) for t, n, row in zip(force, effects, M, strict=True)]
-        solve, first = _solver(through(M, S), S), self.of_body
-        rates = solve(applied(transposed(S), rest))
+        proper_a = self.proper_acceleration(state, gamma)
+        rest = [t - n - dot(row, proper_a) for t, n, row in zip(force, effects, M, strict=True)]
+        solve, first = _solver(mass_columns(M, S), S), self.of_body
+        rates = solve(applied(transpose(S), rest))
         for k, limit in self.stops:
             outward = stop_of(state.steering[k], limit, state.rates[k])
-            more = dot(S[first + k], rates) + gamma[first + k]
-            rates = stopped(rates, outward, more, S[first + k], solve(S[first + k]))
+            change = dot(S[first + k], rates) + gamma[first + k]
+            rates = stop_axis(rates, outward, change, S[first + k], solve(S[first + k]))
         return self.in_plane(state, [dot(row, rates) + g for row, g in zip(S, gamma, strict=True)], q)
 
     def constraint_forces(self, q: Array, v: Array, u: Array, f: Any = 0.0) -> Array:
         """Return the forces of the ground along all rows, shape (..., k), with least norm."""
         state, A_T = self.state(q, v), np.swapaxes(self.constraints(q, v)[0], -1, -2)
         rest = self.left(q, v, self.forward_dynamics(q, v, u, f))
-        rest = rest - self.in_plane(state, self.generalised(state, u, f), q)
+        rest = rest - self.in_plane(state, self.input_force(state, u, f), q)
         return np.asarray(np.linalg.pinv(A_T, rcond=_REDUNDANT) @ rest[..., None])[..., 0]
 
     def project(self, q: Any, v: Any) -> Any:
@@ -221,31 +221,31 @@ class RollingDynamics(WheeledDynamics):
         state = self.state(q, v)
         S, _ = self.null_space(state)
         rates = self.velocities(state)
-        off = self._off(state, S, rates)
+        residual = self._slip_residual(state, S, rates)
         # Many robots start at rest, where the mass matrix is not needed.
-        if not all(x is ZERO or (isinstance(x, float | np.ndarray) and not np.any(x)) for x in off):
-            pushed = through(self.inertia(state, q), S)
-            more = _solver(pushed, S)(applied(pushed, off))
-            rates = [x + y for x, y in zip(rates, more, strict=True)]
+        if not all(x is ZERO or (isinstance(x, float | np.ndarray) and not np.any(x)) for x in residual):
+            MS = mass_columns(self.inertia(state, q), S)
+            change = _solver(MS, S)(applied(MS, residual))
+            rates = [x + y for x, y in zip(rates, change, strict=True)]
         for k, limit in self.stops:
             row, outward = S[self.of_body + k], stop_of(state.steering[k], limit)
-            response = _solver(through(self.inertia(state, q), S), S)(row)
-            rates = stopped(rates, outward, dot(row, rates), row, response)
+            response = _solver(mass_columns(self.inertia(state, q), S), S)(row)
+            rates = stop_axis(rates, outward, dot(row, rates), row, response)
         return self.in_plane(state, [dot(row, rates) for row in S], q)
 
-    def _off(self, state: State, S: Matrix, nu: Vector) -> Vector:
+    def _slip_residual(self, state: State, S: Matrix, nu: Vector) -> Vector:
         """Return v - S nu along the body's axes; it is zero for each coordinate in nu."""
-        held, first = self.choice.body, self.of_body
-        found: Vector = [ZERO] * self.nv
-        if len(held) == 1:
-            a = self.rows(state)[held[0]].base
+        indices, first = self.choice.body, self.of_body
+        residual: Vector = [ZERO] * self.nv
+        if len(indices) == 1:
+            a = self.rows(state)[indices[0]].base
             slip = dot(a, state.twist)
-            found[:2] = [a[0] * slip, a[1] * slip]
-        elif held:
-            found[:_BASE] = [x - dot(row, nu) for x, row in zip(state.twist, S[:_BASE], strict=True)]
+            residual[:2] = [a[0] * slip, a[1] * slip]
+        elif indices:
+            residual[:_BASE] = [x - dot(row, nu) for x, row in zip(state.twist, S[:_BASE], strict=True)]
         for joint, _ in self.choice.joints:
-            found[first + joint] = state.rates[joint] - dot(S[first + joint], nu)
-        return found
+            residual[first + joint] = state.rates[joint] - dot(S[first + joint], nu)
+        return residual
 
 
 def stop_of(angle: Any, limit: float, rate: Any = 0.0) -> Any:
@@ -255,7 +255,7 @@ def stop_of(angle: Any, limit: float, rate: Any = 0.0) -> Any:
     return choose(side * rate >= -_RESTING, side, 0.0)
 
 
-def stopped(values: Vector, outward: Any, more: Any, row: Vector, response: Vector) -> Vector:
+def stop_axis(values: Vector, outward: Any, rate: Any, row: Vector, response: Vector) -> Vector:
     """Return velocities or accelerations without the outward motion of an axis at its stop.
 
     Parameters
@@ -264,15 +264,15 @@ def stopped(values: Vector, outward: Any, more: Any, row: Vector, response: Vect
         Independent velocities or accelerations, or all.
     outward : scalar
         Result of `stop_of`.
-    more : scalar
+    rate : scalar
         Rate of the axis.
     row, response : list of scalars
         Rate of the axis per value, and values per impulse on the axis.
     """
-    size = choose(outward * number(more) > 0.0, number(more) / number(dot(row, response)), 0.0)
+    size = choose(outward * number(rate) > 0.0, number(rate) / number(dot(row, response)), 0.0)
     return [number(x - y * size) for x, y in zip(values, response, strict=True)]
 
 
-def _solver(pushed: Matrix, S: Matrix) -> Callable[[Vector], Vector]:
+def _solver(MS: Matrix, S: Matrix) -> Callable[[Vector], Vector]:
     """Return the solver of S' M S x = right, given S' M."""
-    return factored([applied(pushed, column) for column in transposed(S)])[0]
+    return factor([applied(MS, column) for column in transpose(S)])[0]

@@ -47,7 +47,7 @@ from pinmobile.wheels._motors import Motor
 
 _SAME_PLACE = 1e-6  # [m]
 _OF_BODY = "x", "y", "psi"
-_MOST = 1000  # largest number of wheels on a circle
+_MAX_WHEELS = 1000  # largest number of wheels on a circle
 _Places: TypeAlias = Iterable[ArrayLike]
 FIXED, DRIVEN, FREE = "fixed", "driven", "free"
 _STEERING = (FIXED, DRIVEN, FREE)
@@ -101,15 +101,15 @@ class WheelFriction:
     slip: float = number(default=0.0, lower=0, unit="m/(N s)", doc="slip velocity per force")
 
 
-def _checked_name(name: str, value: Any) -> str:
+def _check_name(name: str, value: Any) -> str:
     """Return a name after a check of its characters."""
-    checked = text(name, value)
-    if not checked.strip() or set('/,":.') & set(checked):
+    word = text(name, value)
+    if not word.strip() or set('/,":.') & set(word):
         raise InvalidArgument(
-            f"{name} is {format_value(checked)}, expected a word without slash, comma, colon, dot and "
+            f"{name} is {format_value(word)}, expected a word without slash, comma, colon, dot and "
             "quotation mark"
         )
-    return checked
+    return word
 
 
 @final
@@ -175,7 +175,7 @@ class Wheel:
     -0.33 m
     """
 
-    name: str = option(check=_checked_name)
+    name: str = option(check=_check_name)
     x: float = number(unit="m", doc="position forward")
     y: float = number(unit="m", doc="position to the left")
     radius: float = number(unit="m", above=0, doc="radius")
@@ -210,8 +210,8 @@ class Wheel:
     def centre(self) -> tuple[float, float]:
         """Position of the centre in the body's frame at steering angle zero [m]."""
         c, s = cos(self.angle), sin(self.angle)
-        along, across = self.trail
-        return self.x + along * c - across * s, self.y + along * s + across * c
+        forward, left = self.trail
+        return self.x + forward * c - left * s, self.y + forward * s + left * c
 
     @property
     def placement(self) -> pin.SE3:
@@ -260,14 +260,14 @@ class Support:
     y: float = number(unit="m", fixed=True, doc="position to the left")
 
 
-def _names(least: int) -> Any:
+def _names(count: int) -> Any:
     """Return the check of a field of wheel names."""
 
     def check(name: str, value: Any) -> tuple[str, ...]:
         names = tuple(text(f"one of {name}", one) for one in sequence(name, value, "names of wheels"))
-        if len(names) < least or len(set(names)) < len(names):
+        if len(names) < count or len(set(names)) < len(names):
             raise InvalidArgument(
-                f"{name} is {format_value(value)}, expected {least} different names or more"
+                f"{name} is {format_value(value)}, expected {count} different names or more"
             )
         return names
 
@@ -357,7 +357,7 @@ class DifferentialGear:
 
     wheels: tuple[str, ...] = option(check=_names(2))
     motor: Motor = child(Motor, default=TORQUE, expected="a Motor")
-    name: str = option(default="differential", check=_checked_name)
+    name: str = option(default="differential", check=_check_name)
 
 
 @final
@@ -397,7 +397,7 @@ class AckermannSteering:
 
     wheels: tuple[str, ...] = option(check=_names(1))
     axle: float = number(default=0.0, unit="m", fixed=True, doc="position of the fixed axle, forward")
-    name: str = option(default="steering", check=_checked_name)
+    name: str = option(default="steering", check=_check_name)
 
 
 def column(values: Sequence[Any]) -> Any:
@@ -515,9 +515,9 @@ class WheelTable:
             if isinstance(coupling, AckermannSteering):
                 self._check_axle(coupling)
         names = [*_OF_BODY, *self.names, *(axis.name for axis in self.axes)]
-        twice = next((name for name in names if names.count(name) > 1), None)
-        if twice is not None:
-            raise InvalidArgument(f"{twice!r} names two coordinates of the robot, expected different names")
+        twin = next((name for name in names if names.count(name) > 1), None)
+        if twin is not None:
+            raise InvalidArgument(f"{twin!r} names two coordinates of the robot, expected different names")
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -529,8 +529,8 @@ class WheelTable:
 
     def __repr__(self) -> str:
         rows = f"[{', '.join(map(repr, self.wheels))}]"
-        beside = {"supports": self.supports, "couplings": self.couplings}
-        given = "".join(f", {key}={list(value)!r}" for key, value in beside.items() if value)
+        fields = {"supports": self.supports, "couplings": self.couplings}
+        given = "".join(f", {key}={list(value)!r}" for key, value in fields.items() if value)
         return f"WheelTable({rows}{given})"
 
     def __str__(self) -> str:
@@ -538,7 +538,7 @@ class WheelTable:
         rows: list[tuple[str, ...]] = [
             ("wheel", "x [m]", "y [m]", "radius [m]", "rolls to", "steering", "rollers at", "motor")
         ]
-        rows += [_told(wheel) for wheel in self.wheels]
+        rows += [_format_row(wheel) for wheel in self.wheels]
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
         if self.supports:
@@ -551,23 +551,23 @@ class WheelTable:
     def axes(self) -> tuple[Axis, ...]:
         """Steering coordinates, in the order of the table."""
         pairs = [each for each in self.couplings if isinstance(each, AckermannSteering)]
-        shared = {name: each for each in pairs for name in each.wheels}
-        found: dict[Any, Axis] = {}
+        steerings = {name: each for each in pairs for name in each.wheels}
+        axes: dict[Any, Axis] = {}
         for row, wheel in enumerate(self.wheels):
-            driven, together = wheel.steering == DRIVEN, shared.get(wheel.name)
-            if together is not None:
-                rows = tuple(self.names.index(name) for name in together.wheels)
+            is_driven, pair = wheel.steering == DRIVEN, steerings.get(wheel.name)
+            if pair is not None:
+                rows = tuple(self.names.index(name) for name in pair.wheels)
                 limit = min(self.wheels[k].steering_limit for k in rows)
-                driven = self.wheels[rows[0]].steering == DRIVEN
-                found.setdefault(together, Axis(together.name, rows, together.axle, driven, limit))
+                is_driven = self.wheels[rows[0]].steering == DRIVEN
+                axes.setdefault(pair, Axis(pair.name, rows, pair.axle, is_driven, limit))
             elif wheel.steering != FIXED:
-                found[row] = Axis(f"{wheel.name}_steering", (row,), None, driven, wheel.steering_limit)
-        return tuple(found.values())
+                axes[row] = Axis(f"{wheel.name}_steering", (row,), None, is_driven, wheel.steering_limit)
+        return tuple(axes.values())
 
-    def _check_axle(self, together: AckermannSteering) -> None:
+    def _check_axle(self, steering: AckermannSteering) -> None:
         """Check that wheels fit an Ackermann steering."""
-        wheels = [self.wheels[self.names.index(name)] for name in together.wheels]
-        first, axle = wheels[0], together.axle
+        wheels = [self.wheels[self.names.index(name)] for name in steering.wheels]
+        first, axle = wheels[0], steering.axle
         for wheel in wheels:
             fits = wheel.steering != FIXED and wheel.x != axle and not (any(wheel.trail) or wheel.angle)
             if not fits or (wheel.steering, wheel.x) != (first.steering, first.x):
@@ -579,13 +579,13 @@ class WheelTable:
     @cached_property
     def trains(self) -> list[tuple[int, int, float]]:
         """First wheel, other wheel, and their rate ratio, for each other wheel of the gear trains."""
-        found = []
+        trains = []
         for train in self.couplings:
             if isinstance(train, GearTrain):
                 first, *others = (self.names.index(name) for name in train.wheels)
                 ratios = (ratio / train.ratios[0] for ratio in train.ratios[1:])
-                found += [(first, row, ratio) for row, ratio in zip(others, ratios, strict=True)]
-        return found
+                trains += [(first, row, ratio) for row, ratio in zip(others, ratios, strict=True)]
+        return trains
 
     @structure
     def mobility(self) -> Mobility:
@@ -595,11 +595,11 @@ class WheelTable:
     @cached_property
     def actuators(self) -> tuple[Actuator, ...]:
         """Inputs in the order of the table: for each row its wheel's, then its steering axis's."""
-        ns, found = len(self.axes), list[Actuator]()
+        ns, actuators = len(self.axes), list[Actuator]()
 
-        def add(name: str, motor: Motor, turned: Sequence[int], path: str = "") -> None:
-            column = tuple(1 / len(turned) if k in turned else 0.0 for k in range(ns + len(self)))
-            found.append(Actuator(name, motor, column, path))
+        def add(name: str, motor: Motor, joints: Sequence[int], path: str = "") -> None:
+            column = tuple(1 / len(joints) if k in joints else 0.0 for k in range(ns + len(self)))
+            actuators.append(Actuator(name, motor, column, path))
 
         for row, wheel in enumerate(self.wheels):
             if wheel.motor is not None:
@@ -611,7 +611,7 @@ class WheelTable:
             for k, axis in enumerate(self.axes):
                 if axis.driven and axis.wheels[0] == row:
                     add(axis.name, TORQUE, [k])
-        return tuple(found)
+        return tuple(actuators)
 
     @structure
     def footprint(self) -> Array | None:
@@ -672,8 +672,8 @@ class WheelTable:
             Other parameters of each `wheels.Wheel`: ``mass``, ``spin_inertia``, ``yaw_inertia``,
             ``friction``, ``motor``; default: a torque source.
         """
-        half, own = positive("track", track, "m") / 2, {"motor": TORQUE, **wheel}
-        rows = (Wheel(name, x, y, radius, **own) for name, y in (("left", half), ("right", -half)))
+        half, fields = positive("track", track, "m") / 2, {"motor": TORQUE, **wheel}
+        rows = (Wheel(name, x, y, radius, **fields) for name, y in (("left", half), ("right", -half)))
         return cls(tuple(rows), _supports(supports))
 
     @classmethod
@@ -693,10 +693,10 @@ class WheelTable:
             ``friction``, ``motor`` of each side or wheel.
         """
         instance("coupled", coupled, bool, "True or False")
-        own = {"motor": TORQUE, **wheel}
-        rear = own | {"motor": None} if coupled else own
+        data = {"motor": TORQUE, **wheel}
+        rear = data | {"motor": None} if coupled else data
         places = _corners(wheelbase, track)
-        rows = [Wheel(*at, radius, **(rear if at[0].startswith("rear") else own)) for at in places]
+        rows = [Wheel(*item, radius, **(rear if item[0].startswith("rear") else data)) for item in places]
         sides = ("left", "right") if coupled else ()
         return cls(tuple(rows), (), tuple(GearTrain((f"front_{side}", f"rear_{side}")) for side in sides))
 
@@ -722,7 +722,7 @@ class WheelTable:
         InvalidArgument
             If the base could not turn or not move sideways, or a number is not in its range.
         """
-        angle, own = scalar("roller", roller), {"motor": TORQUE, **wheel}
+        angle, fields = scalar("roller", roller), {"motor": TORQUE, **wheel}
         turns = angle > 0 or abs(wheelbase - track * abs(np.tan(angle))) >= 1e-3 * track
         if not (angle and turns):
             flaw = "form an O whose axes meet in the middle, so that the base cannot turn"
@@ -733,7 +733,7 @@ class WheelTable:
             )
         signs = {"front_left": -1, "front_right": 1, "rear_left": 1, "rear_right": -1}
         places = _corners(wheelbase, track)
-        return cls(tuple(Wheel(*at, radius, roller=signs[at[0]] * angle, **own) for at in places))
+        return cls(tuple(Wheel(*place, radius, roller=signs[place[0]] * angle, **fields) for place in places))
 
     @classmethod
     def omni(cls, distance: float, radius: float, *, n: int = 3, first: float = 0.0, **wheel: Any) -> Self:
@@ -751,11 +751,11 @@ class WheelTable:
             Other parameters of each `wheels.Wheel`: ``mass``, ``spin_inertia``, ``yaw_inertia``,
             ``friction``, ``motor``; default: a torque source.
         """
-        count, L = check_integer("n", n, least=3, most=_MOST), positive("distance", distance, "m")
+        count, L = check_integer("n", n, least=3, most=_MAX_WHEELS), positive("distance", distance, "m")
         angles = (scalar("first", first) + 2 * pi * np.arange(count) / count).tolist()
-        own: dict[str, Any] = {"roller": 0.0, "motor": TORQUE, **wheel}
+        fields: dict[str, Any] = {"roller": 0.0, "motor": TORQUE, **wheel}
         places = [(f"wheel_{k}", L * cos(a), L * sin(a), radius, a + pi / 2) for k, a in enumerate(angles, 1)]
-        return cls(tuple(Wheel(*at, **own) for at in places))
+        return cls(tuple(Wheel(*place, **fields) for place in places))
 
     @classmethod
     def swerve(cls, places: _Places, radius: float, *, supports: _Places = (), **wheel: Any) -> Self:
@@ -773,8 +773,8 @@ class WheelTable:
             Other parameters of each `wheels.Wheel`: ``mass``, ``spin_inertia``, ``yaw_inertia``,
             ``friction``, ``motor`` of the drive; default: a torque source.
         """
-        own: dict[str, Any] = {"steering": DRIVEN, "motor": TORQUE, **wheel}
-        rows = [Wheel(f"wheel_{k}", *at, radius, **own) for k, at in enumerate(each_of("places", places), 1)]
+        data: dict[str, Any] = {"steering": DRIVEN, "motor": TORQUE, **wheel}
+        rows = [Wheel(f"wheel_{k}", *xy, radius, **data) for k, xy in enumerate(each_of("places", places), 1)]
         return cls(tuple(rows), _supports(supports))
 
     @classmethod
@@ -807,15 +807,15 @@ class WheelTable:
         L, half = positive("wheelbase", wheelbase, "m"), positive("track", track, "m") / 2
         limit = scalar("steering_limit", steering_limit)
         bounded("steering_limit", limit, above=0, below=pi / 2, unit="rad")
-        steered: dict[str, Any] = {"steering": DRIVEN, "steering_limit": limit}
-        axles = ("rear", 0.0, wheel), ("front", L, steered | wheel)
+        front: dict[str, Any] = {"steering": DRIVEN, "steering_limit": limit}
+        axles = ("rear", 0.0, wheel), ("front", L, front | wheel)
         sides = ("left", half), ("right", -half)
-        rows = [Wheel(f"{end}_{side}", x, y, radius, **own) for end, x, own in axles for side, y in sides]
+        rows = [Wheel(f"{end}_{side}", x, y, radius, **data) for end, x, data in axles for side, y in sides]
         drive = DifferentialGear(("rear_left", "rear_right"), motor, "drive")
         return cls(tuple(rows), (), (drive, AckermannSteering(("front_left", "front_right"))))
 
 
-def _told(wheel: Wheel) -> tuple[str, ...]:
+def _format_row(wheel: Wheel) -> tuple[str, ...]:
     """Return a row of the printed table."""
     return (
         wheel.name,
@@ -858,11 +858,11 @@ def each_of(name: str, given: object) -> list[tuple[float, float]]:
         If it is not a sequence of pairs of finite numbers.
     """
     rows = given.tolist() if isinstance(given, np.ndarray) else given
-    pairs = ((f"{name}[{k}]", at) for k, at in enumerate(sequence(name, rows, "(x, y) of each [m]")))
-    places = (shaped(one, finite(one, at), (2,), words=": x and y of each [m]") for one, at in pairs)
+    pairs = ((f"{name}[{k}]", xy) for k, xy in enumerate(sequence(name, rows, "(x, y) of each [m]")))
+    places = (shaped(label, finite(label, xy), (2,), words=": x and y of each [m]") for label, xy in pairs)
     return [(float(x), float(y)) for x, y in places]
 
 
 def _supports(places: object) -> tuple[Support, ...]:
     """Return supports at positions."""
-    return tuple(Support(*at) for at in each_of("supports", places))
+    return tuple(Support(*place) for place in each_of("supports", places))

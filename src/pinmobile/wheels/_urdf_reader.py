@@ -33,7 +33,7 @@ from pinmobile.wheels._table import (
 )
 
 _TRAIL = 1e-3  # [m]: smallest distance of a caster's wheel from its swivel
-_ROUNDED = 0.002  # [rad]: tolerance of multiples of 15 degrees, because files contain 1.57 and 3.14
+_ANGLE_TOLERANCE = 0.002  # [rad]: tolerance of multiples of 15 degrees, because files contain 1.57 and 3.14
 _STEP = radians(15)
 _ROUND = 0.02  # relative tolerance of equal moments across a wheel's axle, and of its centre of mass
 _DIGITS = 12  # decimal digits of a length [m]
@@ -65,24 +65,24 @@ class _Reader:
             raise InvalidArgument(f"locked is {format_value(self.locked)}, {words}")
         for key in ("radius", "rollers", "steering", "inertia"):
             if isinstance(value := getattr(self, key), Mapping):
-                self._known(key, value)
+                self._check_names(key, value)
 
     @property
     def _names(self) -> list[str]:
         return [joint.name for joint in self.robot.undercarriage.wheels]
 
-    def _known(self, key: str, names: Iterable[object]) -> list[str]:
+    def _check_names(self, key: str, names: Iterable[object]) -> list[str]:
         """Return names of wheels after a check."""
         return [one_of(f"wheel of {key}", name, self._names) for name in names]
 
     @cached_property
-    def _locked(self) -> list[str]:
-        return self._known("locked", sequence("locked", self.locked, "names of wheels"))
+    def _locks(self) -> list[str]:
+        return self._check_names("locked", sequence("locked", self.locked, "names of wheels"))
 
     @cached_property
     def joints(self) -> list[WheelJoint]:
         """Joints that become wheels of the table."""
-        return [joint for joint in self.robot.undercarriage.wheels if joint.name not in self._locked]
+        return [joint for joint in self.robot.undercarriage.wheels if joint.name not in self._locks]
 
     def _given(self, key: str, name: str) -> Any:
         """Return the argument for a wheel, None without one."""
@@ -91,9 +91,9 @@ class _Reader:
 
     def radius_of(self, joint: WheelJoint) -> float:
         """Return the radius of a wheel [m]."""
-        own = self._given("radius", joint.name)
-        if own is not None and (isinstance(self.radius, Mapping) or joint.radius is None):
-            return positive(f"radius of wheel {joint.name!r}", own, "m")
+        radius = self._given("radius", joint.name)
+        if radius is not None and (isinstance(self.radius, Mapping) or joint.radius is None):
+            return positive(f"radius of wheel {joint.name!r}", radius, "m")
         if joint.radius is None:
             raise InvalidArgument(
                 f"radius of wheel {joint.name!r} is unknown: expected radius={{{joint.name!r}: ...}} [m]"
@@ -102,50 +102,50 @@ class _Reader:
 
     def _inertia(self, joint: WheelJoint, radius: float) -> tuple[float, float]:
         """Return the inertia of a wheel about its axle and across it [kg m^2]."""
-        own = self._given("inertia", joint.name)
-        if own is not None:
+        given = self._given("inertia", joint.name)
+        if given is not None:
             words = f"inertia of wheel {joint.name!r}"
-            pair = shaped(words, finite(words, own), (2,), words=": about its axle and across it [kg m^2]")
-            about, across = bounded(words, pair, least=0, unit="kg m^2").tolist()
-            return about, across
-        spin, (one, other), products, aside = joint.moments()
+            pair = shaped(words, finite(words, given), (2,), words=": about its axle and across it [kg m^2]")
+            axial, across = bounded(words, pair, least=0, unit="kg m^2").tolist()
+            return axial, across
+        spin, (first, second), products, offset = joint.moments()
         way_out = (
             "its inertia would depend on the angle it has turned; expected equal moments across the axle and "
             f"a centre of mass on it, or inertia={{{joint.name!r}: (about the axle, across it)}} [kg m^2]"
         )
-        if aside > _ROUND * radius:
+        if offset > _ROUND * radius:
             raise InvalidArgument(
-                f"wheel {joint.name!r} has its centre of mass {1e3 * aside:.3g} mm off its axle: {way_out}"
+                f"wheel {joint.name!r} has its centre of mass {1e3 * offset:.3g} mm off its axle: {way_out}"
             )
-        if max(abs(one - other), products) > _ROUND * max(spin, one, other):
+        if max(abs(first - second), products) > _ROUND * max(spin, first, second):
             raise InvalidArgument(
                 f"wheel {joint.name!r} is not a solid of revolution about its axle: moments are "
-                f"{spin:.4g} about it, {one:.4g} and {other:.4g} across, and products up to {products:.2g} "
-                f"kg m^2: {way_out}"
+                f"{spin:.4g} about it, {first:.4g} and {second:.4g} across, and products up to "
+                f"{products:.2g} kg m^2: {way_out}"
             )
         if not spin > 0:
             raise InvalidArgument(
                 f"wheel {joint.name!r} has no inertia in its file, expected an inertia, or "
                 f"inertia={{{joint.name!r}: (about the axle, across it)}} [kg m^2]"
             )
-        return spin, (one + other) / 2
+        return spin, (first + second) / 2
 
     def _roller(self, joint: WheelJoint) -> float | None:
         """Return the angle of a wheel's rollers [rad]; None for a tyre."""
-        own, name = self._given("rollers", joint.name), joint.name
-        if own is None:
+        given, name = self._given("rollers", joint.name), joint.name
+        if given is None:
             if joint.carried:
                 raise InvalidArgument(
                     f"wheel {name!r} carries joints {', '.join(map(repr, joint.carried[:3]))}, probably "
                     f"rollers; expected rollers={{{name!r}: angle from the rolling direction}} [rad]"
                 )
             return None
-        angle = scalar(f"rollers of wheel {name!r}", own)
+        angle = scalar(f"rollers of wheel {name!r}", given)
         if isinstance(self.rollers, Mapping) or not angle:
             return angle
         middle = np.mean([each.centre for each in self.joints], axis=0)
         corners = {tuple(np.sign(np.round(each.centre - middle, 6)[:2])) for each in self.joints}
-        forward = all(abs(each.axis[1]) > cos(_ROUNDED) for each in self.joints)
+        forward = all(abs(each.axis[1]) > cos(_ANGLE_TOLERANCE) for each in self.joints)
         if not forward or len(self.joints) != 4 or corners != {(1, 1), (1, -1), (-1, 1), (-1, -1)}:
             raise InvalidArgument(
                 f"rollers is {angle:g} rad for {len(self.joints)} wheels that are not four at the corners of "
@@ -156,37 +156,37 @@ class _Reader:
 
     def _forward(self, joint: WheelJoint, roller: float | None) -> float:
         """Return the angle of the rolling direction [rad]."""
-        angle = snapped(atan2(-joint.axis[0], joint.axis[1]))
+        angle = round_angle(atan2(-joint.axis[0], joint.axis[1]))
         if abs(angle) < pi / 2 - 1e-9 or abs(angle - pi / 2) < 1e-9:
             return angle
         others = [each.axis for each in self.joints if each is not joint]
-        alone = all(abs(np.dot(joint.axis, axis)) < cos(_ROUNDED) for axis in others)
-        return angle if alone and roller is not None else angle - pi if angle > 0 else angle + pi
+        is_single = all(abs(np.dot(joint.axis, axis)) < cos(_ANGLE_TOLERANCE) for axis in others)
+        return angle if is_single and roller is not None else angle - pi if angle > 0 else angle + pi
 
-    def _steered(self, joint: WheelJoint, roller: float | None) -> tuple[str, Swivel | None]:
+    def _steering(self, joint: WheelJoint, roller: float | None) -> tuple[str, Swivel | None]:
         """Return the kind of a wheel's steering, and its swivel."""
-        asked = self._given("steering", joint.name)
-        if not joint.swivels and asked not in (None, FIXED):
+        kind = self._given("steering", joint.name)
+        if not joint.swivels and kind not in (None, FIXED):
             raise InvalidArgument(
-                f"steering of wheel {joint.name!r} is {format_value(asked)}, but the file has no joint about "
+                f"steering of wheel {joint.name!r} is {format_value(kind)}, but the file has no joint about "
                 "the vertical above it; expected 'fixed'"
             )
-        if not joint.swivels or asked == FIXED:
+        if not joint.swivels or kind == FIXED:
             return FIXED, None
-        swivel, *more = joint.swivels
-        if more:
+        swivel, *others = joint.swivels
+        if others:
             raise InvalidArgument(
                 f"wheel {joint.name!r} has two joints about the vertical above it, {swivel.name!r} and "
-                f"{more[0].name!r}; expected one joint, or steering={{{joint.name!r}: 'fixed'}}"
+                f"{others[0].name!r}; expected one joint, or steering={{{joint.name!r}: 'fixed'}}"
             )
-        twins = [each.name for each in self.joints if swivel.name in (one.name for one in each.swivels)]
+        twins = [each.name for each in self.joints if swivel.name in (item.name for item in each.swivels)]
         if len(twins) > 1:
             raise InvalidArgument(
                 f"wheels {', '.join(map(repr, twins))} share one swivel, {swivel.name!r}, which a wheel "
                 "table cannot describe; expected locked=, or table="
             )
-        if asked is not None:
-            return one_of(f"steering of wheel {joint.name!r}", asked, (FIXED, DRIVEN, FREE)), swivel
+        if kind is not None:
+            return one_of(f"steering of wheel {joint.name!r}", kind, (FIXED, DRIVEN, FREE)), swivel
         if np.isfinite(swivel.limit):
             return DRIVEN, swivel
         if hypot(joint.centre[0] - swivel.x, joint.centre[1] - swivel.y) > _TRAIL:
@@ -201,19 +201,19 @@ class _Reader:
     def _row(self, joint: WheelJoint) -> Wheel:
         """Return a wheel as a row of a table."""
         radius, roller = self.radius_of(joint), self._roller(joint)
-        steering, swivel = self._steered(joint, roller)
+        steering, swivel = self._steering(joint, roller)
         spin, across = self._inertia(joint, radius)
         (x, y, _), angle = joint.centre, self._forward(joint, roller)
-        own: dict[str, Any] = {"mass": joint.lump.mass, "yaw_inertia": across}
+        fields: dict[str, Any] = {"mass": joint.lump.mass, "yaw_inertia": across}
         if swivel is not None:
             c, s, ox, oy = cos(angle), sin(angle), x - swivel.x, y - swivel.y
-            own["trail"] = (to_length(c * ox + s * oy), to_length(c * oy - s * ox))
-            own["mass"], own["yaw_inertia"] = swivel.turning(joint, across)
+            fields["trail"] = (to_length(c * ox + s * oy), to_length(c * oy - s * ox))
+            fields["mass"], fields["yaw_inertia"] = swivel.turning(joint, across)
             x, y = swivel.x, swivel.y
             if swivel.limit > 0:
-                own["steering_limit"] = swivel.limit
+                fields["steering_limit"] = swivel.limit
         name, place = wheel_name(joint.name), (to_length(x), to_length(y))
-        return Wheel(name, *place, radius, angle, steering, roller=roller, spin_inertia=spin, **own)
+        return Wheel(name, *place, radius, angle, steering, roller=roller, spin_inertia=spin, **fields)
 
     def table(self) -> WheelTable:
         """Return the table."""
@@ -225,9 +225,9 @@ class _Reader:
         rows = [self._row(joint) for joint in self.joints]
         self._check_plane(rows)
         rows = self._on_lines(rows)
-        driven = self._motors_at(rows)
+        names = self._motors_at(rows)
         pairs = zip(rows, self.joints, strict=True)
-        rows = [evolved(row, motor=motor_of(joint)) if joint.name in driven else row for row, joint in pairs]
+        rows = [evolved(row, motor=motor_of(joint)) if joint.name in names else row for row, joint in pairs]
         table = WheelTable(tuple(rows), self._supports(rows), tuple(self.couplings))
         return evolved(table, source="; ".join(self._sources(table)))
 
@@ -249,20 +249,20 @@ class _Reader:
 
         Raise an error for wheels on several axles if nothing states that they skid or have rollers.
         """
-        found, moved = list(rows), 0.0
+        result, largest = list(rows), 0.0
         fixed = [k for k, row in enumerate(rows) if row.steering == FIXED]
         tyres = [k for k in fixed if rows[k].roller is None]
         for k in tyres:
             line = [x for x in (_offset(rows[j]) for j in tyres if rows[j].angle == rows[k].angle)]
             line = [x for x in line if abs(x - _offset(rows[k])) <= _LINE]
-            away = sum(line) / len(line) - _offset(rows[k]) if max(line) > min(line) else 0.0
-            if away:
-                x, y = rows[k].x + away * cos(rows[k].angle), rows[k].y + away * sin(rows[k].angle)
-                found[k] = evolved(rows[k], x=to_length(x), y=to_length(y))
-                moved = max(moved, abs(away))
-        if moved > 1e-9:
-            self.words.append(f"axles put on one line, by {1e3 * moved:.2g} mm at most")
-        axles = {(round(found[k].angle, 9), round(_offset(found[k]), 9)) for k in fixed}
+            shift = sum(line) / len(line) - _offset(rows[k]) if max(line) > min(line) else 0.0
+            if shift:
+                x, y = rows[k].x + shift * cos(rows[k].angle), rows[k].y + shift * sin(rows[k].angle)
+                result[k] = evolved(rows[k], x=to_length(x), y=to_length(y))
+                largest = max(largest, abs(shift))
+        if largest > 1e-9:
+            self.words.append(f"axles put on one line, by {1e3 * largest:.2g} mm at most")
+        axles = {(round(result[k].angle, 9), round(_offset(result[k]), 9)) for k in fixed}
         trains = any(isinstance(each, GearTrain) for each in self.couplings)
         if self.rollers is None and len(axles) > 1 and not trains:
             names = ", ".join(repr(rows[k].name) for k in fixed)
@@ -270,51 +270,51 @@ class _Reader:
                 f"rollers is not given, and wheels {names} are fixed on more than one axle: they skid or "
                 "have rollers; expected rollers={} for tyres, rollers=pi / 4 for mecanum wheels, or a mapping"
             )
-        return found
+        return result
 
     def _motors_at(self, rows: Sequence[Wheel]) -> list[str]:
         """Return the names of the joints of wheels with a motor."""
         if self.driven is not None:
-            return self._known("driven", sequence("driven", self.driven, "names of wheels"))
-        shared: set[str] = set()
+            return self._check_names("driven", sequence("driven", self.driven, "names of wheels"))
+        coupled: set[str] = set()
         for each in self.couplings:
             if isinstance(each, DifferentialGear | GearTrain):
-                shared.update(each.wheels[isinstance(each, GearTrain) :])
+                coupled.update(each.wheels[isinstance(each, GearTrain) :])
         kind = FIXED if any(row.steering == FIXED for row in rows) else DRIVEN
         pairs = zip(self.joints, rows, strict=True)
-        return [joint.name for joint, row in pairs if row.steering == kind and row.name not in shared]
+        return [joint.name for joint, row in pairs if row.steering == kind and row.name not in coupled]
 
     def _supports(self, rows: Sequence[Wheel]) -> tuple[Support, ...]:
         """Return the given supports, or those of the file."""
         if self.supports is not None:
             return tuple(Support(*at) for at in each_of("supports", self.supports))
-        taken, found = [row.centre for row in rows], []
+        centres, supports = [row.centre for row in rows], []
         places = list(self.robot.undercarriage.supports)
         for joint in self.robot.undercarriage.wheels:
             height = joint.centre[2] if self.robot.grounded else 0.0
-            if joint.name in self._locked and (joint.radius is None or abs(height - joint.radius) <= TOUCH):
+            if joint.name in self._locks and (joint.radius is None or abs(height - joint.radius) <= TOUCH):
                 places.append(joint.centre[:2])
         for place in places:
             x, y = map(to_length, place)
-            if all(hypot(x - x0, y - y0) > _LINE for x0, y0 in taken):
-                taken.append((x, y))
-                found.append(Support(x, y))
-        return tuple(found)
+            if all(hypot(x - x0, y - y0) > _LINE for x0, y0 in centres):
+                centres.append((x, y))
+                supports.append(Support(x, y))
+        return tuple(supports)
 
     def _sources(self, table: WheelTable) -> list[str]:
         """Return the origin of the table's numbers, in words."""
-        found = [f"wheels of its file: {', '.join(joint.name for joint in self.joints)}"]
+        sources = [f"wheels of its file: {', '.join(joint.name for joint in self.joints)}"]
         pairs, signs = list(zip(table.wheels, self.joints, strict=True)), joint_signs(self.robot, table)
         guess = "" if self.driven is not None else ", assumed because driven is not given"
 
         def tell(words: str, holds: Callable[[Wheel, WheelJoint], object]) -> None:
             names = [joint.name for row, joint in pairs if holds(row, joint)]
             if names:
-                found.append(f"{words} {', '.join(names) if len(names) < len(pairs) else 'all'}")
+                sources.append(f"{words} {', '.join(names) if len(names) < len(pairs) else 'all'}")
 
         def rounds(row: Wheel, joint: WheelJoint) -> bool:
             angle = atan2(-joint.axis[0], joint.axis[1])
-            return abs(snapped(angle) - angle) > 1e-9
+            return abs(round_angle(angle) - angle) > 1e-9
 
         rubs = {joint.name for joint in self.joints if joint.damping or joint.friction}
         tell("radius by the collision geometry of", lambda row, joint: joint.radius == row.radius)
@@ -335,18 +335,18 @@ class _Reader:
         if self.rollers is not None:
             tell("rollers as given at", lambda row, joint: row.roller is not None)
         if self.rollers is None:
-            found.append("no wheel has rollers, assumed because rollers is not given")
+            sources.append("no wheel has rollers, assumed because rollers is not given")
         elif not any(row.roller is not None for row in table.wheels):
-            found.append("no rollers as given")
-        found += self.words
+            sources.append("no rollers as given")
+        sources += self.words
         if self.locked:
-            found.append(f"locked: {', '.join(self.locked)}")
+            sources.append(f"locked: {', '.join(self.locked)}")
         if table.supports:
             places = ", ".join(f"({each.x:.4g}, {each.y:.4g})" for each in table.supports)
-            near = f"where the file is within {1e3 * TOUCH:g} mm of the ground"
-            given = "as given" if self.supports is not None else near
-            found.append(f"supports without friction {given}, at {places} m")
-        return found
+            origin = f"where the file is within {1e3 * TOUCH:g} mm of the ground"
+            given = "as given" if self.supports is not None else origin
+            sources.append(f"supports without friction {given}, at {places} m")
+        return sources
 
 
 def _offset(row: Wheel) -> float:
@@ -362,11 +362,11 @@ def motor_of(joint: WheelJoint) -> Motor:
     return Motor(joint.effort, viscous=viscous, coulomb=coulomb, source=f"joint {joint.name}")
 
 
-def snapped(angle: float) -> float:
+def round_angle(angle: float) -> float:
     """Return an angle [rad], rounded to a multiple of 15 degrees if it is close to one."""
     nearest = round(angle / _STEP)
     exact = {-6: -pi / 2, 6: pi / 2, 12: pi, -12: pi}.get(nearest, nearest * _STEP)
-    return exact if abs(angle - nearest * _STEP) < _ROUNDED else angle
+    return exact if abs(angle - nearest * _STEP) < _ANGLE_TOLERANCE else angle
 
 
 def to_length(x: float) -> float:
@@ -486,9 +486,9 @@ def joint_signs(robot: MobileRobot, table: WheelTable) -> dict[str, int]:
     table : WheelTable
         Its wheels, with the names of the joints.
     """
-    found = {wheel_name(joint.name): joint for joint in robot.undercarriage.wheels}
-    rows = [wheel for wheel in table.wheels if wheel.name in found]
-    axes = [(wheel.name, wheel.angle, found[wheel.name].axis) for wheel in rows]
+    joints = {wheel_name(joint.name): joint for joint in robot.undercarriage.wheels}
+    rows = [wheel for wheel in table.wheels if wheel.name in joints]
+    axes = [(wheel.name, wheel.angle, joints[wheel.name].axis) for wheel in rows]
     return {name: 1 if cos(angle) * axis[1] > sin(angle) * axis[0] else -1 for name, angle, axis in axes}
 
 
@@ -499,9 +499,9 @@ def source_of(robot: MobileRobot, table: WheelTable) -> str:
     for joint in robot.undercarriage.wheels:
         if wheel := turns.get(wheel_name(joint.name)):
             moving |= {joint.name, *(each.name for each in joint.swivels if wheel.steering != FIXED)}
-    held = ", ".join(name for name in locked if name not in moving)
+    names = ", ".join(name for name in locked if name not in moving)
     words = robot.source.replace(f"; {LOCKED}", "")
-    words = words.replace(f"; locked at rest: {', '.join(locked)}", held and f"; locked at rest: {held}")
+    words = words.replace(f"; locked at rest: {', '.join(locked)}", names and f"; locked at rest: {names}")
     return f"{words}; {table.source}"
 
 
@@ -533,19 +533,19 @@ def _report_ignored(path: Path) -> None:
         for x in joint.findall("dynamics")
         if joint.get("type") != "fixed" and (float(x.get("damping", 0)) or float(x.get("friction", 0)))
     ]
-    both = (each for each in root.findall("gazebo") if each.findall("mu1") + each.findall("mu2"))
-    links = [str(each.get("reference")) for each in both]
+    elements = (each for each in root.findall("gazebo") if each.findall("mu1") + each.findall("mu2"))
+    links = [str(each.get("reference")) for each in elements]
     if joints:
         words.append(
-            f"damping and friction of {_listed(joints)} act only where motors take volts (by_voltage): use "
-            "forces=[ViscousFriction(...)], or WheelFriction(rolling=...) of the wheels"
+            f"damping and friction of {_format_names(joints)} act only where motors take volts (by_voltage): "
+            "use forces=[ViscousFriction(...)], or WheelFriction(rolling=...) of the wheels"
         )
     if links:
-        words.append(f"mu1 and mu2 of {_listed(links)} are not used: use ground=Coulomb(mu)")
+        words.append(f"mu1 and mu2 of {_format_names(links)} are not used: use ground=Coulomb(mu)")
     if words:
         warn(f"{path.name}: {'; '.join(words)}", stacklevel=4)
 
 
-def _listed(names: Sequence[str]) -> str:
+def _format_names(names: Sequence[str]) -> str:
     """Return names as text, at most three."""
     return ", ".join(names) if len(names) < 4 else f"{names[0]}, {names[1]} and {len(names) - 2} more"

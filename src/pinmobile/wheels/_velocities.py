@@ -20,7 +20,7 @@ from pinmobile.wheels._table import WheelTable
 
 _BASE = 3
 _LEAST_NORM = 1e-6  # weight of the torques' norm relative to the residual, if limits are active
-_OFF = 1e-6  # tolerance of sliding relative to the largest rate, and of forces relative to the largest one
+_SLIDING = 1e-6  # tolerance of sliding relative to the largest rate, and of forces to the largest
 
 
 class Reduced(NamedTuple):
@@ -92,9 +92,9 @@ class Reduced(NamedTuple):
             from scipy.optimize import lsq_linear
 
             small = _LEAST_NORM * np.linalg.norm(B) * np.eye(len(u))
-            wanted = np.append(right, np.zeros(len(u)))
-            found = lsq_linear(np.vstack([B, small]), wanted, (lower, upper), tol=1e-14)
-            u = np.clip(found.x, lower, upper)
+            target = np.append(right, np.zeros(len(u)))
+            solution = lsq_linear(np.vstack([B, small]), target, (lower, upper), tol=1e-14)
+            u = np.clip(solution.x, lower, upper)
         return np.asarray(u)
 
 
@@ -157,7 +157,7 @@ def check_steers_not(body: Any) -> None:
         )
 
 
-def followed(body: Any, reference: Any, t: Array | None = None) -> ReferenceMotion:
+def rolling_motion(body: Any, reference: Any, t: Array | None = None) -> ReferenceMotion:
     """Return the motion of a robot on wheels along a reference; arms without reference rest.
 
     Parameters
@@ -176,40 +176,40 @@ def followed(body: Any, reference: Any, t: Array | None = None) -> ReferenceMoti
     """
     if t is None:
         check_steers_not(body)
-    n, ns, (*lead, known) = body.of_body, len(body.table.axes), reference.q.shape
-    if known > n:
+    n, ns, (*lead, count) = body.of_body, len(body.table.axes), reference.q.shape
+    if count > n:
         raise InvalidArgument(
-            f"reference has {known} coordinates, expected {n} at most, as of WholeBody(robot, base, *joints)"
+            f"reference has {count} coordinates, expected {n} at most, as of WholeBody(robot, base, *joints)"
         )
     q, v, a = (np.zeros((*lead, body.nv)) for _ in range(3))
-    q[..., :known], v[..., :known], a[..., :known] = reference
-    if known < n:
-        q[..., known:n] = body.robot.rest[known:]
+    q[..., :count], v[..., :count], a[..., :count] = reference
+    if count < n:
+        q[..., count:n] = body.robot.rest[count:]
     turning = faster = np.zeros((*lead, ns))
     if t is not None and ns:
         twists = np.stack(np.broadcast_arrays(*map(number, body.state(q, v).twist)), -1).tolist()
-        steered = np.array([[body.steered_to(axis, twist) for axis in body.table.axes] for twist in twists])
-        q[:, n : n + ns] = steered
+        angles = np.array([[body.steered_to(axis, twist) for axis in body.table.axes] for twist in twists])
+        q[:, n : n + ns] = angles
         if len(t) > 3:
             from scipy.interpolate import CubicSpline
 
-            q[:, n : n + ns] = np.unwrap(steered, axis=0, period=np.pi)
+            q[:, n : n + ns] = np.unwrap(angles, axis=0, period=np.pi)
             spline = CubicSpline(t, q[:, n : n + ns])
             turning, faster = spline(t, 1), spline(t, 2)
     v[..., n : n + ns] = turning
     nu = body.independent(q, v)
     rolls = _rolling(body, q, nu)
-    off = np.abs(rolls - v)[..., :n].max(axis=-1)
-    if (off > _OFF * (1 + np.abs(v).max())).any():
-        k = int(np.argmax(off))
-        when = f"its sample {k}" if t is None else f"{t[k]:.6g} s"
+    slips = np.abs(rolls - v)[..., :n].max(axis=-1)
+    if (slips > _SLIDING * (1 + np.abs(v).max())).any():
+        k = int(np.argmax(slips))
+        time = f"its sample {k}" if t is None else f"{t[k]:.6g} s"
         raise InvalidArgument(
-            f"reference differs by {off[k]:.3g} m/s, or rad/s, at {when} from any rolling motion, "
+            f"reference differs by {slips[k]:.3g} m/s, or rad/s, at {time} from any rolling motion, "
             "expected a motion that the wheels can follow, such as Tangent(path)"
         )
     state = body.state(q, rolls)
-    own = nu.shape[-1] - body.na - len(body.choice.free)
-    rates = body.offset(state, state.along(scalars(a)))[:own]
+    size = nu.shape[-1] - body.na - len(body.choice.free)
+    rates = body.offset(state, state.to_body(scalars(a)))[:size]
     rates = [*rates, *scalars(a)[_BASE:n], *(faster[..., k] for k in body.choice.free)]
     changes = stacked(rates, q)
     return ReferenceMotion(q, rolls, nu, changes, driving_inputs(body, q, rolls, changes))
@@ -217,13 +217,13 @@ def followed(body: Any, reference: Any, t: Array | None = None) -> ReferenceMoti
 
 def driving_inputs(body: Any, q: Array, v: Array, rates: Array) -> Array:
     """Return the inputs of least norm for given rates of nu; raise `InvalidArgument` if there are none."""
-    own = body.reduced(q, v)
-    u = own.torques(rates)
-    needed = np.einsum("...ij,...j->...i", own.M, rates) + own.n
-    missed = np.abs(np.einsum("...ij,...j->...i", own.B, u) - needed).max()
-    if missed > _OFF * (1 + np.abs(needed).max()):
+    reduced = body.reduced(q, v)
+    u = reduced.torques(rates)
+    needed = np.einsum("...ij,...j->...i", reduced.M, rates) + reduced.n
+    error = np.abs(np.einsum("...ij,...j->...i", reduced.B, u) - needed).max()
+    if error > _SLIDING * (1 + np.abs(needed).max()):
         raise InvalidArgument(
-            f"reference needs a force of {missed:.3g} N, or N m, that no motor exerts, expected another one"
+            f"reference needs a force of {error:.3g} N, or N m, that no motor exerts, expected another one"
         )
     return np.asarray(u)
 
@@ -234,7 +234,7 @@ def _rolling(body: Any, q: Any, nu: Any) -> Any:
     return body.in_plane(state, applied(body.null_space(state).S, scalars(nu)), q)
 
 
-def linearized(body: Any, q: Array, v: Array, u: Array) -> tuple[Array, Array]:
+def tracked_slopes(body: Any, q: Array, v: Array, u: Array) -> tuple[Array, Array]:
     """Return the linear model of the tracked state, A and B, see `WheeledRobot.linearize_tracked`.
 
     Parameters
@@ -252,18 +252,18 @@ def linearized(body: Any, q: Array, v: Array, u: Array) -> tuple[Array, Array]:
         count = np.broadcast_shapes(step.shape[:-1], q.shape[:-1])
         moves = np.zeros((*count, body.nv), np.complex128)
         moves[..., :n] = step[..., :n]
-        moved, velocities = body.integrate(q, moves), nu + step[..., n : n + m]
-        rolls = _rolling(body, moved, velocities)
-        own = body.reduced(moved, rolls)
-        pushed = np.einsum("...ij,...j->...i", own.B, u + step[..., n + m :]) - own.n
-        gained = np.linalg.solve(own.M, pushed[..., None])[..., 0]
-        return np.concatenate([rolls[..., :n], gained], axis=-1)
+        new_q, velocities = body.integrate(q, moves), nu + step[..., n : n + m]
+        rolls = _rolling(body, new_q, velocities)
+        reduced = body.reduced(new_q, rolls)
+        force = np.einsum("...ij,...j->...i", reduced.B, u + step[..., n + m :]) - reduced.n
+        nu_rate = np.linalg.solve(reduced.M, force[..., None])[..., 0]
+        return np.concatenate([rolls[..., :n], nu_rate], axis=-1)
 
     # Nothing depends on the position of the body.
-    found = slopes(rates, np.eye(n + m + body.nu)[2:], q, nu, u)
-    A = np.zeros((*found.shape[:-2], n + m, n + m))
-    A[..., 2:] = found[..., : n + m - 2]
-    return A, np.ascontiguousarray(found[..., n + m - 2 :])
+    derivative = slopes(rates, np.eye(n + m + body.nu)[2:], q, nu, u)
+    A = np.zeros((*derivative.shape[:-2], n + m, n + m))
+    A[..., 2:] = derivative[..., : n + m - 2]
+    return A, np.ascontiguousarray(derivative[..., n + m - 2 :])
 
 
 @final
@@ -338,10 +338,10 @@ class OdometryFeedback:
 
     def initial_state(self, context: Context) -> tuple[Any, ...]:
         """Return the wrapped controller's state, the noise, the time step, and the odometry's memory."""
-        names = tuple(one.name for one in context.coordinates)[-len(self.table) :]
+        names = tuple(axis.name for axis in context.coordinates)[-len(self.table) :]
         if context.coordinates and names != self.table.names:
-            own, plants = ", ".join(self.table.names), ", ".join(names)
-            raise InvalidArgument(f"table has the wheels {own}, expected those of the plant: {plants}")
+            wheels, plants = ", ".join(self.table.names), ", ".join(names)
+            raise InvalidArgument(f"table has the wheels {wheels}, expected those of the plant: {plants}")
         joints = np.zeros(len(self.table.axes) + len(self.table))
         noise = context.noise(f"odometry {self.seed}", len(self.table))
         inner = self.controller.initial_state(context)
@@ -359,7 +359,7 @@ class OdometryFeedback:
         self, t: float, q: Array, v: Array, reference: State, state: Any
     ) -> tuple[Array, tuple[Any, ...]]:
         """Return the input, shape (..., nu), and the next state."""
-        inner, noise, dt, (pose, before, known) = state
+        inner, noise, dt, (pose, angles, known) = state
         ns, nw = len(self.table.axes), len(self.table)
         n = ns + nw
         steering, wheels = q[..., -n : np.shape(q)[-1] - nw], q[..., -nw:]
@@ -367,19 +367,19 @@ class OdometryFeedback:
             tick = 2 * np.pi / self.ticks
             wheels = tick * np.rint(wheels / tick)
         numbers, noise = noise.draw()
-        now = np.concatenate([steering, wheels], axis=-1)
-        begun = np.asarray(known)[..., None]
-        pose, before = pose + (1.0 - begun) * q[..., :3], before + (1.0 - begun) * now
-        turned = now - before
-        disturbed = np.concatenate([0.0 * steering, self.noise * (numbers * dt)], axis=-1) + turned
-        rates = begun * disturbed / dt + (1.0 - begun) * v[..., -n:]
-        moved = self._displacement((now[..., :ns] + before[..., :ns]) / 2, begun * disturbed)
-        pose = pose + _outward(pose[..., 2] + moved[..., 2] / 2, moved)
+        joints = np.concatenate([steering, wheels], axis=-1)
+        started = np.asarray(known)[..., None]
+        pose, angles = pose + (1.0 - started) * q[..., :3], angles + (1.0 - started) * joints
+        turns = joints - angles
+        noisy = np.concatenate([0.0 * steering, self.noise * (numbers * dt)], axis=-1) + turns
+        rates = started * noisy / dt + (1.0 - started) * v[..., -n:]
+        motion = self._displacement((joints[..., :ns] + angles[..., :ns]) / 2, started * noisy)
+        pose = pose + _outward(pose[..., 2] + motion[..., 2] / 2, motion)
         speeds = _outward(pose[..., 2], self._displacement(steering, rates))
-        seen_q = np.concatenate([pose, q[..., 3:-n], now], axis=-1)
+        seen_q = np.concatenate([pose, q[..., 3:-n], joints], axis=-1)
         seen_v = np.concatenate([speeds, v[..., 3:-n], rates], axis=-1)
         u, inner = evaluate(self.controller, t, seen_q, seen_v, reference, inner)
-        return u, (inner, noise, dt, (pose, now, 1.0 + 0.0 * known))
+        return u, (inner, noise, dt, (pose, joints, 1.0 + 0.0 * known))
 
     def _displacement(self, steering: Any, joints: Any) -> Any:
         """Return the least-squares displacement, or twist, of the body, shape (..., 3)."""

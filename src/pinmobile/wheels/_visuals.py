@@ -26,7 +26,7 @@ from pinmobile.wheels._kinematics import Kinematics
 from pinmobile.wheels._table import FIXED, Wheel, WheelTable
 from pinmobile.wheels._urdf_reader import wheel_name
 
-ACROSS = 0.45  # width of a tyre in radii
+TYRE_WIDTH = 0.45  # width of a tyre in radii
 _LOWEST = 0.7  # largest height of a box's bottom, relative to its height
 _TOP, _TOP_OF_FORK = 2.1, 2.35  # height above the ground in radii of the wheel
 _SUPPORT = 0.3  # radius of a drawn support in radii of the largest wheel
@@ -57,10 +57,10 @@ class _Objects:
     """Abstract base: objects of a robot on wheels, and their placements in the inertial frame.
 
     Objects of the robot's file move with the nearest of their joints that is a wheel's or its swivel's.
-    `moved` has the joints of the file that move each object, the nearest first.
+    `chains` has the joints of the file that move each object, the nearest first.
     """
 
-    def __init__(self, robot: MobileRobot, table: WheelTable, moved: Mapping[str, tuple[str, ...]]) -> None:
+    def __init__(self, robot: MobileRobot, table: WheelTable, chains: Mapping[str, tuple[str, ...]]) -> None:
         self.robot, self.table, self.items = robot, table, list[Item]()
         self._kinematics, self._n = Kinematics.of(table), robot.nq
         rows, carriers = {name: row for row, name in enumerate(table.names)}, dict[str, tuple[int, bool]]()
@@ -69,10 +69,10 @@ class _Objects:
                 steers = table.wheels[row].steering != FIXED
                 carriers |= {swivel.name: (row, False) for swivel in joint.swivels[:1] if steers}
                 carriers[joint.name] = row, True
-        nearest = {name: next(filter(carriers.__contains__, joints), "") for name, joints in moved.items()}
+        nearest = {name: next(filter(carriers.__contains__, joints), "") for name, joints in chains.items()}
         self._rides = {name: carriers[joint] for name, joint in nearest.items() if joint}
-        there = {row for row, spins in self._rides.values() if spins}
-        self.lacking = [(row, wheel) for row, wheel in enumerate(table.wheels) if row not in there]
+        present = {row for row, spins in self._rides.values() if spins}
+        self.lacking = [(row, wheel) for row, wheel in enumerate(table.wheels) if row not in present]
 
     def _item(self, name: str, joint: int, placement: Array) -> Item:
         """Return the attachment of an object of the file to a joint, or to a wheel that moves it."""
@@ -95,14 +95,14 @@ class _Objects:
         joints = self.robot.frame_placements(q[..., :n])
         body = joints[..., BODY_JOINT - 1, None, :, :]
         steering, wheels = q[..., n : n + axes], q[..., n + axes :]
-        spun = body @ wheel_frames(self._kinematics, steering, wheels)
-        steered = body @ wheel_frames(self._kinematics, steering, None)
-        found = np.empty((*lead, len(self.items), 4, 4))
+        wheel_T = body @ wheel_frames(self._kinematics, steering, wheels)
+        steering_T = body @ wheel_frames(self._kinematics, steering, None)
+        poses = np.empty((*lead, len(self.items), 4, 4))
         for k, item in enumerate(self.items):
-            turning = spun if item.spins else steered
+            turning = wheel_T if item.spins else steering_T
             frame = joints[..., item.joint, :, :] if item.joint >= 0 else turning[..., item.row, :, :]
-            found[..., k, :, :] = frame @ item.placement
-        return found
+            poses[..., k, :, :] = frame @ item.placement
+        return poses
 
 
 class Tyres(_Objects):
@@ -122,22 +122,22 @@ class Tyres(_Objects):
     def __init__(self, robot: MobileRobot, table: WheelTable) -> None:
         import coal
 
-        own, standing, shapes = robot.solids, set[str](), list[Solid]()
-        super().__init__(robot, table, {str(k): shape.joints for k, shape in enumerate(own.shapes)})
+        solids, standing, shapes = robot.solids, set[str](), list[Solid]()
+        super().__init__(robot, table, {str(k): shape.joints for k, shape in enumerate(solids.shapes)})
 
         def add(shape: Solid, item: Item, stands: bool) -> None:
             shapes.append(shape)
             self.items.append(item)
             standing.update([shape.link] if stands else [])
 
-        for k, shape in enumerate(own.shapes):
+        for k, shape in enumerate(solids.shapes):
             if robot.is_box and shape.part == 0 and shape.link == body_box(robot.size).link:
                 shape = body_box(robot.size, height_above_wheels(robot.size, table))  # above the wheels
             item = self._item(str(k), BODY_JOINT - 1 + shape.part, shape.placement.homogeneous)
             add(shape, item, item.spins)
         level = pin.SE3(pin.utils.rotate("x", np.pi / 2), np.zeros(3))  # a cylinder's axis is z, an axle y
         for row, wheel in self.lacking:
-            tyre = coal.Cylinder(wheel.radius, ACROSS * wheel.radius)
+            tyre = coal.Cylinder(wheel.radius, TYRE_WIDTH * wheel.radius)
             shape = Solid(f"{wheel.name}/tyre", 0, wheel.placement * level, tyre)
             add(shape, Item(-1, row, True, level.homogeneous), True)
         radius = _SUPPORT * max(wheel.radius for wheel in table.wheels)
@@ -145,14 +145,14 @@ class Tyres(_Objects):
             place = pin.SE3(np.eye(3), np.array([support.x, support.y, radius]))
             ball = Solid(f"support_{k}/ball", 0, place, coal.Sphere(radius))
             add(ball, Item(BODY_JOINT - 1, -1, False, place.homogeneous), True)
-        self.solids: Solids = replace(own, shapes=tuple(shapes), standing=frozenset(standing))
+        self.solids: Solids = replace(solids, shapes=tuple(shapes), standing=frozenset(standing))
 
     def placements(self, q: Array) -> Array:
         """Return the placements of the shapes in the body's frame, shape (..., shapes, 4, 4)."""
-        still = q.copy()
-        still[..., :BODY_JOINT] = 0.0
-        still[..., self._n + len(self.table.axes) :] = 0.0
-        return super().placements(still)
+        q_body = q.copy()
+        q_body[..., :BODY_JOINT] = 0.0
+        q_body[..., self._n + len(self.table.axes) :] = 0.0
+        return super().placements(q_body)
 
 
 def wheel_frames(kinematics: Kinematics, steering: Array, wheels: Array | None) -> Array:
@@ -171,7 +171,7 @@ def wheel_frames(kinematics: Kinematics, steering: Array, wheels: Array | None) 
         Angles of the wheels [rad]; None for the steering.
     """
     angles = list(np.moveaxis(steering, -1, 0))
-    found = np.zeros((*steering.shape[:-1], len(kinematics.table), 4, 4))
+    frames = np.zeros((*steering.shape[:-1], len(kinematics.table), 4, 4))
     for row, wheel in enumerate(kinematics.table.wheels):
         head, (_, centre) = kinematics.heading(row, angles), kinematics.centre(row, angles)
         c, s, x, y = (number(each) for each in (head.c, head.s, *centre))
@@ -181,8 +181,8 @@ def wheel_frames(kinematics: Kinematics, steering: Array, wheels: Array | None) 
             x, y, z = wheel.x, wheel.y, 0.0
         rows = [cp * c, -s, sp * c, x], [cp * s, c, sp * s, y], [-sp, 0, cp, z], [0, 0, 0, 1]
         for i, k in np.ndindex(4, 4):
-            found[..., row, i, k] = rows[i][k]
-    return found
+            frames[..., row, i, k] = rows[i][k]
+    return frames
 
 
 def height_above_wheels(size: Sequence[float], table: WheelTable) -> float:
@@ -191,10 +191,10 @@ def height_above_wheels(size: Sequence[float], table: WheelTable) -> float:
     needed = [0.0]
     for wheel in table.wheels:
         x, y = (abs(value) for value in wheel.centre)
-        reach = 0.5 * ACROSS * wheel.radius
-        beside = x > length / 2 + wheel.radius or y > width / 2 + 0.9 * reach
+        reach = 0.5 * TYRE_WIDTH * wheel.radius
+        clears = x > length / 2 + wheel.radius or y > width / 2 + 0.9 * reach
         tall = _TOP if wheel.steering == FIXED else _TOP_OF_FORK
-        needed.append((0.6 if beside else tall) * wheel.radius)
+        needed.append((0.6 if clears else tall) * wheel.radius)
     return min(max(needed), _LOWEST * height)
 
 
@@ -224,26 +224,26 @@ class WheelVisuals(_Objects):
 
         super().__init__(robot, table, robot.visual_joints)
         self.visuals = pin.GeometryModel()
-        shown = list(robot.visual_model.geometryObjects)
-        boxed = any(item.name == BODY for item in shown)
-        clearance = height_above_wheels(robot.size, table) if boxed else 0.0
-        if boxed:
+        items = list(robot.visual_model.geometryObjects)
+        has_box = any(item.name == BODY for item in items)
+        clearance = height_above_wheels(robot.size, table) if has_box else 0.0
+        if has_box:
             box = BODY, "front", "wedge"
-            rest = [item for item in shown if item.parentJoint != BODY_JOINT or item.name not in box]
-            shown = [*box_visuals(robot.size, clearance).geometryObjects, *rest]
-        for item in shown:
+            rest = [item for item in items if item.parentJoint != BODY_JOINT or item.name not in box]
+            items = [*box_visuals(robot.size, clearance).geometryObjects, *rest]
+        for item in items:
             copy = item.copy()
             copy.parentJoint, copy.placement = 0, pin.SE3.Identity()
             self.visuals.addGeometryObject(copy)
             self.items.append(self._item(item.name, item.parentJoint - 1, item.placement.homogeneous))
-        shared = {row for axis in table.axes if axis.ackermann is not None for row in axis.wheels}
+        coupled = {row for axis in table.axes if axis.ackermann is not None for row in axis.wheels}
         lacking = dict(self.lacking)
         for row, wheel in enumerate(table.wheels):
             if row in lacking:
                 parts = _tyre(wheel) if wheel.roller is None else _rollers(wheel, wheel.roller)
                 for name, part, colour in zip(("tyre", "spokes"), parts, (_DARK, _LIGHT), strict=True):
                     self._add(f"{wheel.name}/{name}", mesh_of(*part), colour, Item(-1, row, True, np.eye(4)))
-                if wheel.steering != FIXED and row not in shared:
+                if wheel.steering != FIXED and row not in coupled:
                     fork = mesh_of(*_fork(wheel))
                     self._add(f"{wheel.name}/fork", fork, _GREY, Item(-1, row, False, np.eye(4)))
             else:  # a bar makes the rotation of a smooth wheel visible
@@ -258,33 +258,33 @@ class WheelVisuals(_Objects):
                 ("ball", ball, radius, _LIGHT),
                 ("cup", cup, (top + 1.1 * radius) / 2, _GREY),
             ):
-                at = pin.SE3(np.eye(3), np.array([support.x, support.y, z])).homogeneous
-                self._add(f"support_{k}/{name}", shape, colour, Item(BODY_JOINT - 1, -1, False, at))
+                placement = pin.SE3(np.eye(3), np.array([support.x, support.y, z])).homogeneous
+                self._add(f"support_{k}/{name}", shape, colour, Item(BODY_JOINT - 1, -1, False, placement))
 
     def _add(self, name: str, shape: object, colour: Sequence[float], item: Item) -> None:
         """Add an object with its colour and attachment."""
-        drawn = pin.GeometryObject(name, 0, pin.SE3.Identity(), shape)
-        drawn.meshColor = np.array(colour)
-        self.visuals.addGeometryObject(drawn)
+        visual = pin.GeometryObject(name, 0, pin.SE3.Identity(), shape)
+        visual.meshColor = np.array(colour)
+        self.visuals.addGeometryObject(visual)
         self.items.append(item)
 
 
-def _joined(parts: Sequence[_Triangles]) -> _Triangles:
+def _join(parts: Sequence[_Triangles]) -> _Triangles:
     """Return several sets of triangles as one."""
     starts = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
     faces = [faces + start for (_, faces), start in zip(parts, starts, strict=False)]
     return np.concatenate([vertices for vertices, _ in parts]), np.concatenate(faces)
 
 
-def _turned(profile: Sequence[tuple[float, float]], sides: int = _SIDES) -> _Triangles:
+def _revolve(profile: Sequence[tuple[float, float]], sides: int = _SIDES) -> _Triangles:
     """Return the surface of revolution of a profile (along y, distance from y)."""
     angle = 2 * np.pi * np.arange(sides) / sides
     rings = [np.column_stack([r * np.sin(angle), np.full(sides, y), r * np.cos(angle)]) for y, r in profile]
     k = np.arange(sides)
-    after, faces = (k + 1) % sides, []
+    k_next, faces = (k + 1) % sides, []
     for ring in range(len(profile) - 1):
         a, b = ring * sides, (ring + 1) * sides
-        faces += [np.stack([a + k, b + k, a + after], -1), np.stack([a + after, b + k, b + after], -1)]
+        faces += [np.stack([a + k, b + k, a + k_next], -1), np.stack([a + k_next, b + k, b + k_next], -1)]
     return np.concatenate(rings), np.concatenate(faces)
 
 
@@ -304,17 +304,17 @@ def _about_axle(triangles: _Triangles, angle: float) -> _Triangles:
 def _tyre(wheel: Wheel) -> tuple[_Triangles, _Triangles]:
     """Return tyre, and hub with spokes and a bar across the tread, which shows the rotation."""
     R = wheel.radius
-    w = ACROSS * R / 2
+    w = TYRE_WIDTH * R / 2
     ring = [(-w, 0.66), (-w, 0.9), (-0.7 * w, 1.0), (0.7 * w, 1.0), (w, 0.9), (w, 0.66), (-w, 0.66)]
-    tyre = _turned([(y, r * R) for y, r in ring])
-    hub = _turned([(-0.9 * w, 0.0), (-0.9 * w, 0.24 * R), (0.9 * w, 0.24 * R), (0.9 * w, 0.0)], 16)
+    tyre = _revolve([(y, r * R) for y, r in ring])
+    hub = _revolve([(-0.9 * w, 0.0), (-0.9 * w, 0.24 * R), (0.9 * w, 0.24 * R), (0.9 * w, 0.0)], 16)
     spoke = _box((-0.07 * R, -0.8 * w, 0.2 * R), (0.07 * R, 0.8 * w, 0.68 * R))
     spokes = [_about_axle(spoke, 2 * np.pi * k / _SPOKES) for k in range(_SPOKES)]
     ring = [(-0.85, 0.6), (-0.85, 0.68), (0.85, 0.68), (0.85, 0.6), (-0.85, 0.6)]
-    rim = _turned([(y * w, r * R) for y, r in ring])
+    rim = _revolve([(y * w, r * R) for y, r in ring])
     bar = _box((-0.09 * R, -0.7 * w, 0.9 * R), (0.09 * R, 0.7 * w, 1.01 * R))
     sides = [_box((-0.09 * R, y - 0.1 * w, 0.7 * R), (0.09 * R, y + 0.1 * w, 0.92 * R)) for y in (-w, w)]
-    return tyre, _joined([hub, rim, bar, *sides, *spokes])
+    return tyre, _join([hub, rim, bar, *sides, *spokes])
 
 
 def _rollers(wheel: Wheel, roller: float) -> tuple[_Triangles, _Triangles]:
@@ -330,17 +330,17 @@ def _rollers(wheel: Wheel, roller: float) -> tuple[_Triangles, _Triangles]:
     reach = R - thick
     half = 1.15 * reach * np.tan(np.pi / (count * rows)) / np.cos(roller)
     half = min(half, _LONGEST * R)
-    one = _roller(R, thick, half, roller)
-    found = []
+    single = _roller(R, thick, half, roller)
+    rollers = []
     for row in range(rows):
-        vertices, faces = one
-        moved = vertices + np.array([0.0, (row - (rows - 1) / 2) * 2.3 * thick, 0.0]), faces
-        found += [_about_axle(moved, 2 * np.pi * (k + row / rows) / count) for k in range(count)]
+        vertices, faces = single
+        copy = vertices + np.array([0.0, (row - (rows - 1) / 2) * 2.3 * thick, 0.0]), faces
+        rollers += [_about_axle(copy, 2 * np.pi * (k + row / rows) / count) for k in range(count)]
     wide = half * abs(np.sin(roller)) + thick * (0.4 if rows == 1 else 2.2)
     rim = (reach - 0.5 * thick) if rows == 2 else (reach - 0.9 * thick)
     half_hub = [(-1.0, 0.0), (-1.0, 0.5), (-0.5, 1.0), (0.5, 1.0), (1.0, 0.5), (1.0, 0.0)]
-    hub = _turned([(y * wide, r * rim) for y, r in half_hub])
-    return _joined(found[1:]), _joined([found[0], hub])
+    hub = _revolve([(y * wide, r * rim) for y, r in half_hub])
+    return _join(rollers[1:]), _join([rollers[0], hub])
 
 
 def _roller(R: float, thick: float, half: float, angle: float) -> _Triangles:
@@ -348,22 +348,22 @@ def _roller(R: float, thick: float, half: float, angle: float) -> _Triangles:
     c, s, reach = np.cos(angle), np.sin(angle), R - thick
     ways = np.linspace(-half, half, 9)
     profile = [(a, R - float(np.hypot(a * c, reach))) for a in ways]
-    vertices, faces = _turned([(ways[0], 0.0), *profile, (ways[-1], 0.0)], 12)
+    vertices, faces = _revolve([(ways[0], 0.0), *profile, (ways[-1], 0.0)], 12)
     axis, level = np.array([c, s, 0.0]), np.array([s, -c, 0.0])
-    placed = vertices[:, 1:2] * axis + vertices[:, :1] * level + vertices[:, 2:] * [0.0, 0.0, 1.0]
-    return placed - [0.0, 0.0, reach], faces
+    points = vertices[:, 1:2] * axis + vertices[:, :1] * level + vertices[:, 2:] * [0.0, 0.0, 1.0]
+    return points - [0.0, 0.0, reach], faces
 
 
 def _fork(wheel: Wheel) -> _Triangles:
     """Return the fork of a steered wheel, in the frame on the ground below its pivot."""
     R, (ox, oy) = wheel.radius, wheel.trail
-    w = ACROSS * R / 2 if wheel.roller is None else 0.4 * R
+    w = TYRE_WIDTH * R / 2 if wheel.roller is None else 0.4 * R
     legs = [
         _box((ox - 0.09 * R, y - 0.05 * R, 0.9 * R), (ox + 0.09 * R, y + 0.05 * R, 2.1 * R))
         for y in (oy - w - 0.07 * R, oy + w + 0.07 * R)
     ]
     low, high = min(ox, 0.0) - 0.2 * R, max(ox, 0.0) + 0.2 * R
     crown = _box((low, min(oy, 0.0) - w - 0.12 * R, 2.08 * R), (high, max(oy, 0.0) + w + 0.12 * R, 2.22 * R))
-    vertices, faces = _turned([(2.2 * R, 0.0), (2.2 * R, 0.2 * R), (2.6 * R, 0.2 * R), (2.6 * R, 0.0)], 16)
+    vertices, faces = _revolve([(2.2 * R, 0.0), (2.2 * R, 0.2 * R), (2.6 * R, 0.2 * R), (2.6 * R, 0.0)], 16)
     post = vertices[:, [2, 0, 1]], faces
-    return _joined([*legs, crown, post])
+    return _join([*legs, crown, post])

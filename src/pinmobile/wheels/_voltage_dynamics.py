@@ -24,15 +24,15 @@ from pinmobile.robot import (
     Matrix,
     Vector,
     dot,
-    factored,
+    factor,
     number,
     scalars,
     single,
-    transposed,
+    transpose,
     vector_of as stacked,
 )
-from pinmobile.wheels._contact import iterated, moved_by, within
-from pinmobile.wheels._dynamics import PlantOnWheels, WheeledDynamics, mean_acceleration, through
+from pinmobile.wheels._contact import iterate, moved_by, within
+from pinmobile.wheels._dynamics import PlantOnWheels, WheeledDynamics, mass_columns, mean_acceleration
 from pinmobile.wheels._loads import evaluate_metrics, metrics_on_wheels
 from pinmobile.wheels._motors import (
     CONSTANTS,
@@ -43,7 +43,7 @@ from pinmobile.wheels._motors import (
     TorqueSpeedLine,
     theta,
 )
-from pinmobile.wheels._rolling import stop_of, stopped
+from pinmobile.wheels._rolling import stop_axis, stop_of
 from pinmobile.wheels._table import column as column_of
 from pinmobile.wheels._velocities import ReferenceMotion
 
@@ -112,14 +112,14 @@ class VoltageDynamics:
 
     def initial_state(self, context: Any = None) -> MotorState:
         """Return the memory before the first step: no current flows."""
-        none = np.zeros(len(self.electric))
+        zeros = np.zeros(len(self.electric))
         body: Any = self.wheeled
         grip = body.initial_state(context) if body.slips else ()
-        return MotorState(none, none, none, none, grip)
+        return MotorState(zeros, zeros, zeros, zeros, grip)
 
     def volts_for(self, v: Any, torques: Any) -> Any:
         """Return the input at which motors produce these torques as far as possible, see `ByVoltage`."""
-        return self._at_rates(v, torques, self.motors.needed)
+        return self._at_rates(v, torques, self.motors.required)
 
     def torques_at(self, v: Any, u: Any) -> Any:
         """Return the torques of an input, see `ByVoltage`."""
@@ -128,29 +128,29 @@ class VoltageDynamics:
 
     def _at_rates(self, v: Any, u: Any, law: Any) -> Any:
         """Return an input with each motor's value replaced by a function of number, value and rate."""
-        found, na = [number(x) for x in scalars(u)], self.wheeled.na
+        values, na = [number(x) for x in scalars(u)], self.wheeled.na
         rates = self.wheeled.actuator_rates(scalars(v)[_BASE + na :])
         for k, i in enumerate(self.electric):
-            found[na + i] = law(k, found[na + i], rates[i])
-        return stacked(found, u)
+            values[na + i] = law(k, values[na + i], rates[i])
+        return stacked(values, u)
 
     def followed(self, reference: Any) -> ReferenceMotion:
         """Return states and voltages, even beyond limits, along a reference, see `ReferenceMotion`."""
-        along, law = self.wheeled.followed(reference), self.motors
-        return along._replace(u=self._at_rates(along.v, along.u, lambda *x: law.needed(*x, clips=False)))
+        motion, law = self.wheeled.followed(reference), self.motors
+        return motion._replace(u=self._at_rates(motion.v, motion.u, lambda *x: law.required(*x, clips=False)))
 
     def linearize_tracked(self, q: Any, v: Any, u: Any) -> tuple[Array, Array]:
         """Return A and B of the tracked state for volts, see `ByVoltage.linearize_tracked`."""
         law = self.motors
         torques = self._at_rates(v, u, lambda *x: law.torque(*x, clips=False))
         A, B = self.wheeled.linearize_tracked(q, v, torques)
-        own = np.moveaxis(self.wheeled.reduced(q, v).B, -1, 0)  # its power is the torque times B' nu
-        na, n = self.wheeled.na, A.shape[-1] - own.shape[-1]
+        columns = np.moveaxis(self.wheeled.reduced(q, v).B, -1, 0)  # its power is the torque times B' nu
+        na, n = self.wheeled.na, A.shape[-1] - columns.shape[-1]
         rates, volts = self.wheeled.actuator_rates(scalars(v)[_BASE + na :]), scalars(u)
         for k, i in enumerate(self.electric):
             slope, gain = law.slopes(k, number(volts[na + i]), rates[i])
-            felt = B[..., n:, na + i, None] * own[na + i][..., None, :]
-            A[..., n:, n:] -= np.asarray(slope)[..., None, None] * felt
+            damping = B[..., n:, na + i, None] * columns[na + i][..., None, :]
+            A[..., n:, n:] -= np.asarray(slope)[..., None, None] * damping
             B[..., na + i] *= np.asarray(gain)[..., None]
         return A, B
 
@@ -182,27 +182,27 @@ class VoltageDynamics:
         volts = [law.volts(k, given[i]) for k, i in enumerate(self.electric)]
 
         def motors(rates: Vector, clips: Any) -> list[TorqueSpeedLine]:
-            found = [TorqueSpeedLine(x, ZERO, ZERO) for x in given]
+            lines = [TorqueSpeedLine(x, ZERO, ZERO) for x in given]
             for k, i in enumerate(self.electric):
-                found[i] = law.push(k, volts[k], rates[i], clips=clips)
-            return found
+                lines[i] = law.push(k, volts[k], rates[i], clips=clips)
+            return lines
 
-        def beside(q: Any, v: Any) -> Any:
+        def external(q: Any, v: Any) -> Any:
             return f(t + 0.5 * h, q, v)
 
         grip: Any = ()
         body: Any = self.wheeled
         if body.slips:
-            after, torques, rates = body.driven(q, v, u, h, beside, memory.grip, motors)
-            holding, grip = memory.holding, after.memory
+            result, torques, rates = body.driven(q, v, u, h, external, memory.grip, motors)
+            holding, grip = memory.holding, result.memory
         else:
-            after, torques, rates, holding = self._rolled(q, v, u, h, beside, memory, motors)
+            result, torques, rates, holding = self._rolling_step(q, v, u, h, external, memory, motors)
         currents = [law.current(k, volts[k], rates[i]) for k, i in enumerate(self.electric)]
         own = [number(torques[i]) for i in self.electric]
-        kept = MotorState(stacked(volts, q), stacked(currents, q), stacked(own, q), holding, grip)
-        return Step(after.q, after.v, kept)
+        motor_state = MotorState(stacked(volts, q), stacked(currents, q), stacked(own, q), holding, grip)
+        return Step(result.q, result.v, motor_state)
 
-    def _rolled(
+    def _rolling_step(
         self, q: Any, v: Any, u: Any, h: Any, f: Any, memory: MotorState, motors: Motors
     ) -> tuple[Step, Vector, Vector, Any]:
         """Return the state after a rolling step, torques and rates of actuators, and holding torques.
@@ -215,58 +215,58 @@ class VoltageDynamics:
         start, middle = body.state(q, v), body.state(q_middle, v)
         nu = [number(x) for x in body.velocities(start)]
         M, (S, _) = body.inertia(middle, q), body.null_space(middle)
-        columns, pushed = transposed(S), through(M, S)
-        reduced = [[dot(a, b) for b in pushed] for a in columns]
-        B = transposed(body.input_columns(middle, columns))[body.na :]
-        solve, _ = factored(reduced)
+        columns, MS = transpose(S), mass_columns(M, S)
+        reduced_M = [[dot(a, b) for b in MS] for a in columns]
+        B = transpose(body.input_columns(middle, columns))[body.na :]
+        solve, _ = factor(reduced_M)
         freedom = [number(dot(b, solve(b))) for b in B]
-        begun = [number(dot(b, nu)) for b in B]
+        start_rates = [number(dot(b, nu)) for b in B]
         psi, na = scalars(q)[2], body.na
-        beside = f(q_middle, v)
-        rates, mean, impulses = begun, nu, [number(x) * h for x in scalars(memory.holding)]
-        for again in range(_PASSES):
-            pushes = motors(rates, again > 0)
+        external = f(q_middle, v)
+        rates, mean, impulses = start_rates, nu, [number(x) * h for x in scalars(memory.holding)]
+        for k_pass in range(_PASSES):
+            pushes = motors(rates, k_pass > 0)
             share: Any = 0.5
             for push, x in zip(pushes, freedom, strict=True):
                 if push.slope is not ZERO:
                     share = scalar_max(share, theta(h * push.slope * x))
-            at = middle.moving([number(dot(row, mean)) for row in S])
-            at = at.turned(psi + 0.5 * h * at.twist[2])
-            if again and np.ndim(beside):
-                there = body.in_plane(at, at.velocities, q)
-                beside = f(body.integrate(q, (0.5 * h) * there), there)
-            still = body.proper_acceleration(at, body.bias_acceleration(at, *body.null_space(at)))
-            torques = [push.torque - push.slope * x for push, x in zip(pushes, begun, strict=True)]
-            whole = body.generalised(at, stacked([*scalars(u)[:na], *torques], q), beside)
-            rest = [t - n - dot(row, still) for t, n, row in zip(whole, body.effects(at, q), M, strict=True)]
-            heavy = [list(row) for row in reduced]
+            mid = middle.moving([number(dot(row, mean)) for row in S])
+            mid = mid.with_psi(psi + 0.5 * h * mid.twist[2])
+            if k_pass and np.ndim(external):
+                mean_v = body.in_plane(mid, mid.velocities, q)
+                external = f(body.integrate(q, (0.5 * h) * mean_v), mean_v)
+            bias = body.proper_acceleration(mid, body.bias_acceleration(mid, *body.null_space(mid)))
+            torques = [push.torque - push.slope * x for push, x in zip(pushes, start_rates, strict=True)]
+            force = body.input_force(mid, stacked([*scalars(u)[:na], *torques], q), external)
+            rest = [t - n - dot(row, bias) for t, n, row in zip(force, body.effects(mid, q), M, strict=True)]
+            heavy = [list(row) for row in reduced_M]
             for b, push in zip(B, pushes, strict=True):
                 for i, x in enumerate(b):
                     for j, y in enumerate(b):
                         heavy[i][j] = heavy[i][j] + (h * share * push.slope) * (x * y)
-            solve, _ = factored(heavy)
+            solve, _ = factor(heavy)
             change = solve([h * number(dot(column, rest)) for column in columns])
-            after = [number(x + y) for x, y in zip(nu, change, strict=True)]
-            after, impulses = self._held(after, B, solve, pushes, impulses, h)
+            end_nu = [number(x + y) for x, y in zip(nu, change, strict=True)]
+            end_nu, impulses = self._hold_rates(end_nu, B, solve, pushes, impulses, h)
             for k, limit in body.stops:
                 row = S[_BASE + na + k]
-                rate = dot(row, after)
-                reached = start.steering[k] + h * (start.rates[k] + share * (rate - start.rates[k]))
-                after = stopped(after, stop_of(reached, limit), rate, row, solve(row))
-            mean = [number(x + share * (y - x)) for x, y in zip(nu, after, strict=True)]
+                rate = dot(row, end_nu)
+                angle = start.steering[k] + h * (start.rates[k] + share * (rate - start.rates[k]))
+                end_nu = stop_axis(end_nu, stop_of(angle, limit), rate, row, solve(row))
+            mean = [number(x + share * (y - x)) for x, y in zip(nu, end_nu, strict=True)]
             rates = [number(dot(b, mean)) for b in B]
-        at = middle.moving([number(dot(row, mean)) for row in S])
-        moved = body.in_plane(at.turned(psi + 0.5 * h * at.twist[2]), [h * x for x in at.velocities], q)
-        q_after = body.integrate(q, moved)
+        mid = middle.moving([number(dot(row, mean)) for row in S])
+        dq = body.in_plane(mid.with_psi(psi + 0.5 * h * mid.twist[2]), [h * x for x in mid.velocities], q)
+        q_after = body.integrate(q, dq)
         end = body.state(q_after, v)
-        v_after = body.in_plane(end, [dot(row, after) for row in body.null_space(end).S], q)
+        v_after = body.in_plane(end, [dot(row, end_nu) for row in body.null_space(end).S], q)
         given = [push.torque - push.slope * x for push, x in zip(pushes, rates, strict=True)]
         for k, i in enumerate(self.electric):
             given[i] = given[i] + impulses[k] / h
         return Step(q_after, v_after), given, rates, stacked([x / h for x in impulses], q)
 
-    def _held(
-        self, nu: Vector, B: Matrix, solve: Any, pushes: Sequence[TorqueSpeedLine], before: Vector, h: Any
+    def _hold_rates(
+        self, nu: Vector, B: Matrix, solve: Any, pushes: Sequence[TorqueSpeedLine], impulses_0: Vector, h: Any
     ) -> tuple[Vector, Vector]:
         """Return the velocities after dry friction of motors, and its angular impulses.
 
@@ -274,29 +274,29 @@ class VoltageDynamics:
         """
         rubs = [k for k, i in enumerate(self.electric) if pushes[i].hold is not ZERO]
         if not rubs:
-            return nu, [0.0 for _ in before]
+            return nu, [0.0 for _ in impulses_0]
         rows = [B[self.electric[k]] for k in rubs]
         columns = [solve(row) for row in rows]
-        own = [1.0 / number(dot(row, column)) for row, column in zip(rows, columns, strict=True)]
-        most = [number(h * pushes[self.electric[k]].hold) for k in rubs]
-        largest = reduce(scalar_max, most)
-        held = [within(before[k], x) for k, x in zip(rubs, most, strict=True)]
-        first = moved_by(nu, columns, held)
+        inverses = [1.0 / number(dot(row, column)) for row, column in zip(rows, columns, strict=True)]
+        bounds = [number(h * pushes[self.electric[k]].hold) for k in rubs]
+        largest = reduce(scalar_max, bounds)
+        start = [within(impulses_0[k], x) for k, x in zip(rubs, bounds, strict=True)]
+        first = moved_by(nu, columns, start)
 
-        def one(x: Vector, p: Vector) -> tuple[Any, Any]:
+        def sweep(x: Vector, p: Vector) -> tuple[Any, Any]:
             change = 0.0 * largest
-            for k, (row, column, share) in enumerate(zip(rows, columns, own, strict=True)):
-                now = within(p[k] - number(dot(row, x)) * share, most[k])
-                x = [number(a + b * (now - p[k])) for a, b in zip(x, column, strict=True)]
-                change = scalar_max(abs(now - p[k]), change)
-                p[k] = now
+            for k, (row, column, share) in enumerate(zip(rows, columns, inverses, strict=True)):
+                impulse = within(p[k] - number(dot(row, x)) * share, bounds[k])
+                x = [number(a + b * (impulse - p[k])) for a, b in zip(x, column, strict=True)]
+                change = scalar_max(abs(impulse - p[k]), change)
+                p[k] = impulse
             return (x, p), change <= _ENOUGH * largest
 
-        found, last = iterated(one, (first, held), _ROUNDS)
-        impulses: Vector = [0.0 for _ in before]
+        result, last = iterate(sweep, (first, start), _ROUNDS)
+        impulses: Vector = [0.0 for _ in impulses_0]
         for k, x in zip(rubs, last, strict=True):
             impulses[k] = x
-        return found, impulses
+        return result, impulses
 
     def signals(
         self, t: Any, q: Any, v: Any, u: Any, f: Any, memory: MotorState
@@ -404,19 +404,19 @@ class ByVoltage(PlantOnWheels):
         """Numbers of actuators with dry friction or gear losses, which can hold a wheel."""
 
         def rubs(motor: Motor) -> bool:
-            known = [number(single(x)) for x in (motor.coulomb, motor.efficiency)]
-            return not (all(isinstance(x, float) for x in known) and known == [0.0, 1.0])
+            values = [number(single(x)) for x in (motor.coulomb, motor.efficiency)]
+            return not (all(isinstance(x, float) for x in values) and values == [0.0, 1.0])
 
         return tuple(k for k in self._electric if rubs(self.table.actuators[k].motor))
 
     @structure
     def inputs(self) -> tuple[Input, ...]:
         """Inputs of u: voltages of electric motors, torques of all others."""
-        own, first = list(self.wheeled.inputs), self.nu - len(self.table.actuators)
+        inputs, first = list(self.wheeled.inputs), self.nu - len(self.table.actuators)
         for k in self._electric:
-            most = self.table.actuators[k].motor.voltage
-            own[first + k] = Input(own[first + k].name, "V", -most, most)
-        return tuple(own)
+            limit = self.table.actuators[k].motor.voltage
+            inputs[first + k] = Input(inputs[first + k].name, "V", -limit, limit)
+        return tuple(inputs)
 
     @cached_property
     def array_dynamics(self) -> VoltageDynamics:

@@ -3,6 +3,7 @@
 import subprocess
 import sys
 import warnings
+from html import unescape
 from pathlib import Path
 from typing import Any
 
@@ -67,6 +68,7 @@ def test_the_command_prints_it_once(tmp_path: Path, capsys: pytest.CaptureFixtur
         warnings.simplefilter("default")  # as outside of the tests, where warnings are no errors
         assert main([*words, "--allow-code"]) == 0
     printed = capsys.readouterr().err
+    assert 'controller = "own:Sign"' in unescape((tmp_path / "out" / "index.html").read_text())
     assert printed.count("runs by PYTHON") == 1
     assert "own.py" in printed
 

@@ -146,7 +146,7 @@ def test_pmb2_is_read_and_the_link_that_no_body_is_is_named(tmp_path: Path) -> N
     with pytest.warns(UserWarning, match="link 'base_antenna_(left|right)_link'") as caught:
         robot = read(tmp_path, text, package_dirs=folder)
     assert len(caught) == 2
-    assert {Path(warning.filename).name for warning in caught} == {"test_stance.py"}
+    assert {Path(warning.filename).name for warning in caught} == {"test_support_geometry.py"}
     masses = [float(mass.get("value", "")) for mass in ElementTree.fromstring(text).iter("mass")]
     assert robot.mass == pytest.approx(sum(masses))
     assert robot.grounded
