@@ -322,7 +322,7 @@ def show_play(
     port: int | None,
     allow_code: bool,
 ) -> int:
-    """Run a loop in real time on a page until Ctrl-C or SIGTERM, and print its result and what is next."""
+    """Run a loop in real time on a page until Ctrl-C or SIGTERM, and print its result and the next step."""
     if out is not None and out.suffix != ".npz":
         raise InvalidArgument(f"--out is {str(out)!r}, expected a file .npz")
     file = LoadedFile(words, allow_code=allow_code, unused=("spread", "grid", "cases", "n"))
@@ -354,7 +354,7 @@ def show_export(
     plant: bool,
     allow_code: bool,
 ) -> int:
-    """Write the controller or the plant of a scenario as C, and print the files and what is next."""
+    """Write the controller or the plant of a scenario as C, and print the files and the next step."""
     file = LoadedFile(words, allow_code=allow_code, unused=("spread", "grid", "cases", "n"))
     from pinmobile.export import export_c
 

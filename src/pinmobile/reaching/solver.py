@@ -272,7 +272,7 @@ class Solver:
         b = self._importance * error
         residual = b - A @ preferred
         y = self._lapack.dpotrs(factor, residual)[0]
-        # y is also what damping leaves of the error. In a regular configuration, it is solved for again.
+        # y is also the error that damping leaves. In a regular configuration, the solver reduces y again.
         if y @ y <= _DAMPING_SHARE**2 * (residual @ residual):
             y += self._lapack.dpotrs(factor, y)[0]
         x: Array = preferred + reach * (y @ B)

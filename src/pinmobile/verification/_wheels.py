@@ -57,7 +57,7 @@ class WheelTree(MultibodySystem):
         model = wheeled.robot.model
         model.gravity.linear = np.array(wheeled.fall)
         model.inertias[BODY_JOINT] = wheeled.bare_body
-        for wheel in wheeled.table.wheels:  # CRBA takes what hangs on a joint to come right after it
+        for wheel in wheeled.table.wheels:  # CRBA requires the descendants of a joint directly after it
             parent, place = BODY_JOINT, wheel.placement
             if wheel.steering != "fixed":
                 pivot = pin.SE3(place.rotation, np.array([wheel.x, wheel.y, wheel.radius]))
@@ -163,7 +163,7 @@ def _reduced_rows(
     full = {"M": S_T @ M @ plane.S, "n": apply(S_T, n + apply(M, bias)), "B": S_T @ wheeled.input_matrix}
     diagonal = np.sqrt(np.einsum("nii->ni", full["M"]))
     pair = diagonal[:, :, None] * diagonal[:, None, :]
-    # |v| of what moves, by the metric of the kinetic energy: sqrt(M_ii) |rates|^2 sqrt(m), and gravity.
+    # |v| of the moving masses, by the metric of the kinetic energy: sqrt(M_ii) |rates|^2 sqrt(m), and gravity.
     rates = np.abs(v[:, : wheeled.robot.nv]).sum(-1) + np.abs(v[:, wheeled.robot.nv :]).sum(-1)
     weight = np.sqrt(wheeled.robot.with_locked_arms(wheeled.robot.rest).mass)
     size = diagonal * weight * (float(np.linalg.norm(body.fall)) + rates**2)[:, None]
@@ -269,7 +269,7 @@ def _rate(
 
 
 def _slip_rows(wheeled: WheeledRobot, states: int, rng: np.random.Generator) -> tuple[tuple[Row, ...], str]:
-    """Return the comparisons for a step on dry ground, and what is missing."""
+    """Return the comparisons for a step on dry ground, and a missing method."""
     ground = wheeled.ground
     if not isinstance(ground, Coulomb):
         raise InvalidArgument(f"ground is {ground!r}, expected one on which a step can be compared")

@@ -93,7 +93,7 @@ class Parts:
         """Add the links of an arm as read from its file; a locked joint has no coordinates."""
         arm, base = mount.arm, BODY_JOINT - 1
         model, reference, locked, posture = arm.file_model, arm.whole, arm.fixed_joints, arm.rest
-        if mount.is_changed:  # to numbers which are those of what moves
+        if mount.is_changed:  # to the numbers of the moving model
             model, reference, locked, posture = mount.model, mount.model, [], arm.posture
         free = [joint for joint in range(1, model.njoints) if joint not in locked]
         arm_q = np.array(np.broadcast_to(posture, (self.count, len(posture))))

@@ -20,11 +20,11 @@ from pinmobile.signals import Signal
 from pinmobile.viewer.motion import Channel, pose_channels, samples_before
 from pinmobile.viewer.scene_tree import Extent, Stage, View
 
-_ORDER = 20  # over what lies on the ground, under what shows through everything
+_ORDER = 20  # above objects on the ground, below objects that are visible through all others
 _SIDES = 6
 _MAX_POINTS = 2500  # points of a trail at most
 _TRAIL_WIDTH, _TARGET_WIDTH = 0.034, 0.022  # thickness, in lengths of the robot
-_LENGTH_TOLERANCE = 1e-6  # [m]: what moves less than that has no path
+_LENGTH_TOLERANCE = 1e-6  # [m]: a shorter motion has no path
 
 
 def effector_of(run: Rollout) -> EndEffector | None:

@@ -37,7 +37,7 @@ _SERIES = 6  # series of a plot
 _SLOW_PACE = 0.95  # of real time; the page states less
 _MAX_PERIOD = 0.5  # [s] of real time that a frame makes up for
 _MAX_ADVANCE = 0.1  # [s] of the run that one frame computes at most
-_EXTENT = 1e-3  # [m] that a trail is at least long
+_EXTENT = 1e-3  # [m]: smallest size of a visible trail
 _GROUND_SIZE = 5.0  # [m] of the floor around the robot
 _TRAIL_STEP, _TRAIL_POINTS = 3, 200  # frames between two points of the trail, and points: 10 s
 _PULSE, _EVENT_TIME = 0.25, 0.6  # [s] duration of a push, and for which an event is shown
@@ -234,7 +234,7 @@ class LiveRun:
     # The run
 
     def _begin(self) -> None:
-        """Begin at the first sample, and forget what is shown of the run before."""
+        """Start at the first sample, and clear the display of the previous run."""
         self._keys, self._pulse, self._time, self._frames = np.zeros(3), 0.0, 0.0, 0
         self._is_driven = self._paused = False
         self._rows: list[float] = []
@@ -266,7 +266,7 @@ class LiveRun:
         self._show()
 
     def _read_messages(self) -> None:
-        """Do what the driver's page has asked for."""
+        """Execute the messages of the driver's page."""
         while self._messages:
             browser, text = self._messages.popleft()
             name, word, *numbers = [*text.split(), "", ""][: max(2, len(text.split()))]
@@ -388,7 +388,7 @@ class LiveRun:
     # The page
 
     def _draw_scene(self) -> None:
-        """Draw what does not move, and state what the page shows."""
+        """Draw the static objects, and publish the contents of the page."""
         self._stage.remove("meshcat")
         q, scenario = self._last["q"], self._stepper.scenario
         overlays = Overlays(camera=Follow(distance=4.5 * max(self._figure.size[:2])))

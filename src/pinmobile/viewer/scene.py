@@ -246,7 +246,7 @@ class Scene:
             self.channels += _time_channels("meshcat/desired", main.plant, times)
             is_full = _is_full(ghost, main.plant) and main.reference.q.shape == main.q.shape
             reference = main.reference.q if is_full else main.reference_poses
-            if isinstance(ghost, motion.Drawing):  # what has no reference is drawn as it is
+            if isinstance(ghost, motion.Drawing):  # coordinates without a reference keep their actual values
                 reference = full_configurations(ghost.plant, main.q, main.reference.q)
             desired = motion.configurations(ghost, main.t, reference, times)
             self.channels += robot_channels("meshcat/desired", ghost, desired)

@@ -351,7 +351,7 @@ class Server:
         self.on_text: Callable[[object, str], object] = lambda browser, text: None
         self._stopped, self._process = False, os.getpid()
         self._changed, self._started = threading.Condition(), threading.Event()
-        self._is_notified = False  # that there is something to send, and the loop has not looked yet
+        self._is_notified = False  # whether new commands wait for the loop
         self._thread = threading.Thread(
             target=lambda: asyncio.run(self._serve(listener)), name="pinmobile-viewer", daemon=True
         )
