@@ -163,7 +163,7 @@ def _reduced_rows(
     full = {"M": S_T @ M @ plane.S, "n": apply(S_T, n + apply(M, bias)), "B": S_T @ wheeled.input_matrix}
     diagonal = np.sqrt(np.einsum("nii->ni", full["M"]))
     pair = diagonal[:, :, None] * diagonal[:, None, :]
-    # |v| of the moving masses, by the metric of the kinetic energy: sqrt(M_ii) |rates|^2 sqrt(m), and gravity.
+    # |v| of moving masses, by the metric of the kinetic energy: sqrt(M_ii) |rates|^2 sqrt(m), and gravity.
     rates = np.abs(v[:, : wheeled.robot.nv]).sum(-1) + np.abs(v[:, wheeled.robot.nv :]).sum(-1)
     weight = np.sqrt(wheeled.robot.with_locked_arms(wheeled.robot.rest).mass)
     size = diagonal * weight * (float(np.linalg.norm(body.fall)) + rates**2)[:, None]
