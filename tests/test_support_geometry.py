@@ -378,6 +378,8 @@ def test_a_stance_checks_itself() -> None:
         SupportGeometry(top=-1.0)
     with refused(r"stance is 3, expected a pinmobile.robot.SupportGeometry"):
         pm.MobileRobot.from_body(pm.MobileRobot.box().body, stance=3)  # type: ignore[arg-type]
+    with refused(r"stance is 'x', expected a pinmobile.robot.SupportGeometry"):
+        pm.MobileRobot(30.0, 1.3, stance="x")  # type: ignore[call-arg]
     assert SupportGeometry.of_box((1, 2, 3)) == SupportGeometry(box(0.5, 1), 3)
     assert hash(SupportGeometry.of_box((1, 2, 3))) == hash(SupportGeometry(box(0.5, 1), 3))
 

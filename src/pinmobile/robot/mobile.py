@@ -79,6 +79,13 @@ class _Size(Number):
         return tuple(lengths(value).tolist())
 
 
+def _check_stance(name: str, value: Any) -> SupportGeometry | None:
+    """Return a contact geometry after a check of its type."""
+    checked: SupportGeometry | None
+    checked = instance("stance", value, SupportGeometry | None, "a pinmobile.robot.SupportGeometry")
+    return checked
+
+
 def _frozen(name: str, inertia: Array | None) -> Array | None:
     return None if inertia is None else frozen(inertia)
 
@@ -162,7 +169,7 @@ class MobileRobot(MultibodySystem):
         default=None, check=_frozen, kw_only=True, doc="inertia about all axes, scaled to yaw_inertia"
     )
     _stance: SupportGeometry | None = option(
-        default=None, kw_only=True, doc="contact geometry; None: the box"
+        default=None, check=_check_stance, kw_only=True, doc="contact geometry; None: the box"
     )
     _source: str = option(default="made from numbers", kw_only=True, doc="origin of the numbers")
     locked_joints: tuple[str, ...] = option(default=(), kw_only=True, doc="locked joints of the file")
@@ -443,7 +450,6 @@ class MobileRobot(MultibodySystem):
             If `body` or `stance` has another type, or `size` or `dh` is not what the class expects.
         """
         instance("body", body, urdf.Body, "a pinmobile.urdf.Body")
-        instance("stance", stance, SupportGeometry | None, "a pinmobile.robot.SupportGeometry")
         joints = sequence("locked_joints", locked_joints, "names of joints")
         return cls(  # type: ignore[call-arg]  # attrs names arguments without the underscore
             **fields_of_body(body),
