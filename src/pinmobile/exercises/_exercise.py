@@ -100,23 +100,23 @@ class Exercise:
 
     def questions(self, course: str) -> list[Question]:
         """Return the questions with the numbers of a course."""
-        numbers, made = course_numbers(self.symbols, course), []
+        numbers, questions = course_numbers(self.symbols, course), []
         for reference, fixed in self.parts:
             text, *lines = re.split(r"^(?=[?!] )", inspect.getdoc(reference) or "", flags=re.M)
             items = [" ".join(line.split()) for line in lines]
             hints = [item[2:] for item in items if item[0] == "?"]
             mistakes = [item[2:].split(" => ") for item in items if item[0] == "!"]
             name, key = reference.__name__, f"{self.name}/{course}/{reference.__name__}"
-            made.append(Question(name, key, text.strip(), hints, mistakes, reference, numbers, **fixed))
-        return made
+            questions.append(Question(name, key, text.strip(), hints, mistakes, reference, numbers, **fixed))
+        return questions
 
     def notebook(self, course: str) -> dict[str, Any]:
         """Return the notebook for students: tasks, empty answers and checks."""
         questions, numbers = self.questions(course), vars(course_numbers(self.symbols, course))
         start = f'ask = load_exercise("{self.name}", seed="{course}")'
         total, rules = sum(each.points for each in questions), _COURSE["rules"].format(questions[0].name)
-        known = {key: (value, *_COURSE["numbers"][key][3:]) for key, value in numbers.items()}
-        lines = [f"{key} = {value:g}  # {text} [{unit or 1}]" for key, (value, unit, text) in known.items()]
+        rows = {key: (value, *_COURSE["numbers"][key][3:]) for key, value in numbers.items()}
+        lines = [f"{key} = {value:g}  # {text} [{unit or 1}]" for key, (value, unit, text) in rows.items()]
         head = f"# {self.title} ({total} points)\n{self.text.partition(chr(10))[2]}\n{rules}"
         setup = f"import numpy as np\n\nfrom pinmobile.exercises import load_exercise\n\n{start}\n"
         cells = [_cell(0, "markdown", head), _cell(1, "code", setup + "\n".join(lines))]

@@ -184,14 +184,14 @@ class Question:
     def _judge_design(self, values: list[Array]) -> str:
         reason = self.mistake(lambda made: made(self.numbers, *values))
         try:
-            found: list[Requirement] = self.reference(self.numbers, *map(float, values))
+            requirements: list[Requirement] = self.reference(self.numbers, *map(float, values))
         except (ArithmeticError, ValueError) as error:  # Diverged and InvalidArgument are such
             raise Fault("wrong", f"it cannot be simulated, {describe(error)}.{reason}") from None
         words = "; ".join(
             f"{'met' if x < bound else 'NOT met'}: {name} {x:.3g} {unit}, must be below {bound:g}"
-            for name, x, bound, unit in found
+            for name, x, bound, unit in requirements
         )
-        if not all(x < bound for _, x, bound, _ in found):
+        if not all(x < bound for _, x, bound, _ in requirements):
             raise Fault("wrong", f"{words}.{reason}")
         return words
 
@@ -207,8 +207,10 @@ class Question:
 
         if not agrees(self.reference):
             factors = (text for factor, text in _FACTORS.items() if scaled(factor) or scaled(1 / factor))
-            why = self.mistake(agrees) or next(factors, "") or self._wrong_entries(got, states, tolerance)
-            raise Fault("wrong", f"{words} {why.strip()}".rstrip())
+            diagnosis = (
+                self.mistake(agrees) or next(factors, "") or self._wrong_entries(got, states, tolerance)
+            )
+            raise Fault("wrong", f"{words} {diagnosis.strip()}".rstrip())
 
     def _wrong_entries(self, got: list[Array], states: list[Any], tolerance: float) -> str:
         """Return the indices of the entries that differ at any state, or nothing if all of them do."""

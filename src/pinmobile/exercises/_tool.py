@@ -175,8 +175,8 @@ def check_exercises(
     """
     if not 0 < limit < 1e6:
         raise InvalidArgument(f"limit is {format_value(limit)}, expected a number of seconds > 0")
-    wanted = None if seed is None else check_course(seed)
-    return (_check(Path(file), wanted, limit) for file in files)
+    course = None if seed is None else check_course(seed)
+    return (_check(Path(file), course, limit) for file in files)
 
 
 def read_cells(path: Path) -> tuple[list[str], str, str]:
@@ -196,21 +196,21 @@ def read_cells(path: Path) -> tuple[list[str], str, str]:
         else:
             cells = re.split(r"^# %%.*$", text, flags=re.M)
     except (OSError, ValueError, KeyError, TypeError) as error:
-        why = error.strerror if isinstance(error, OSError) else describe(error)
-        raise InvalidArgument(f"FILE is {format_value(str(path))}, {expected} ({why})") from None
+        reason = error.strerror if isinstance(error, OSError) else describe(error)
+        raise InvalidArgument(f"FILE is {format_value(str(path))}, {expected} ({reason})") from None
     loaded = _LOADED.search("\n".join(cells))
     if loaded is None or loaded[1] not in exercise_names():
         raise InvalidArgument(f"FILE is {format_value(str(path))}, {expected}: no cell calls load_exercise")
     return cells, loaded[1], loaded[2] or ""
 
 
-def _check(path: Path, wanted: str | None, limit: float) -> Report:
+def _check(path: Path, given_course: str | None, limit: float) -> Report:
     """Run the cells, and return the last verdict of each question with the numbers of the course."""
     try:
         cells, name, own = read_cells(path)
     except InvalidArgument as error:
         return Report(str(path), "", (), (str(error),))
-    course, found, notes = own if wanted is None else wanted, dict[str, Any](), list[str]()
+    course, found, notes = own if given_course is None else given_course, dict[str, Any](), list[str]()
     if own != course:
         notes.append(f"the notebook has the numbers of course {own or '(none)'}, expected {course}")
     with tempfile.TemporaryDirectory() as folder:
