@@ -2,13 +2,14 @@
 
 from collections.abc import Callable
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from pinmobile import ComputedTorque, InputSaturation, MobileRobot, errors, rk4
-from pinmobile.compiled import BINS, FIRST, SHIFT, Shape, Target
+from pinmobile.compiled import BINS, FIRST, SHIFT, Cache, Program, Shape, Target
 from pinmobile.forces import SinusoidalForce
 from pinmobile.integrators import constant_acceleration
 from pinmobile.loop import Loop, Worst
@@ -203,12 +204,30 @@ def test_the_bits_are_those_of_every_processor(name: str) -> None:
     found = {}
     for label, (target, shape) in targets().items():
         compiled = built(COMPOSITIONS[name](), recorder=Worst(limit=1e3), target=target, shape=shape)
-        out = ran(compiled, 37, every=20)
-        found[label] = (*compiled.recorder_memory(out).values(), out.counts)
+        for optimised in (False, True):
+            if optimised:
+                compiled.program.code()
+            out = ran(compiled, 37, every=20)
+            found[f"{label}, optimised: {optimised}"] = (*compiled.recorder_memory(out).values(), out.counts)
     first = next(iter(found.values()))
     for label, arrays in found.items():
         for one, other in zip(first, arrays, strict=True):
             np.testing.assert_array_equal(one, other, err_msg=label)
+
+
+def test_a_program_that_has_run_for_long_is_optimised(tmp_path: Path) -> None:
+    def files() -> list[str]:
+        return ["quick" if "quick" in file.name else "optimised" for file in tmp_path.iterdir()]
+
+    program = built(COMPOSITIONS["pid"](), cache=Cache(tmp_path)).program
+    assert files() == []  # before it is known how long it runs
+    quick = program.code(60_000)
+    assert files() == ["quick"]
+    optimised = program.code(60_000)
+    assert optimised is not quick
+    assert sorted(files()) == ["optimised", "quick"]
+    assert program.code(1) is optimised
+    assert Program(program.tape, cache=Cache(tmp_path)).code(1) is optimised  # which is known
 
 
 @pytest.mark.parametrize("name", ["all", "wheels, forces"])

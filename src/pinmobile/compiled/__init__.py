@@ -41,7 +41,12 @@ from pinmobile.compiled.processor import (
     Target as Target,
     processors as processors,
 )
-from pinmobile.compiled.program import Outcome as Outcome, Program as Program, aligned as aligned
+from pinmobile.compiled.program import (
+    Outcome as Outcome,
+    Program as Program,
+    aligned as aligned,
+    call as call,
+)
 from pinmobile.compiled.symbolic import (
     Symbols as Symbols,
     entries as entries,

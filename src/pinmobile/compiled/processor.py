@@ -198,14 +198,14 @@ class Target:
         words = "\0".join((text, self.processor, self.features, *compiler))
         return hashlib.sha256(words.encode()).hexdigest()
 
-    def build(self, text: str) -> bytes:
-        """Return the machine code of a text.
+    def build(self, text: str, is_quick: bool = False) -> bytes:
+        """Return the machine code of a text, whose instructions LLVM selects in haste if `is_quick`.
 
         LLVM's optimisation passes are omitted: the tape has already done their work, and they double the
         time.
         """
         module = _llvm().parse_assembly(text)
-        return bytes(self._machine().emit_object(module))
+        return bytes(self._machine(0 if is_quick else 3).emit_object(module))
 
     def load(self, code: bytes) -> Callable[..., None]:
         """Return the function of machine code, which runs without the interpreter's lock."""
@@ -221,23 +221,30 @@ class Target:
         function.engine = engine, file  # type: ignore[attr-defined]  # lives as long as the function
         return function
 
-    def _machine(self) -> Any:
-        options = {"cpu": self.processor, "features": self.features, "opt": 3, "jit": True}
+    def _machine(self, level: int = 3) -> Any:
+        options = {"cpu": self.processor, "features": self.features, "opt": level, "jit": True}
         family = _llvm().Target.from_default_triple()
         return family.create_target_machine(**options, codemodel="jitdefault")
 
 
-def function_of(key: str, text: Callable[[], str], target: Target, cache: Cache) -> Callable[..., None]:
-    """Return the function of a target's key: known, read from the cache, or built from the key's text."""
+def function_of(
+    key: str, text: Callable[[], str], target: Target, cache: Cache, is_quick: bool = False
+) -> Callable[..., None]:
+    """Return the function of a target's key: known, read from the cache, or built from the key's text.
+
+    If `is_quick`, what is built is not optimised.
+    """
+    names = [key, f"{key}-quick"] if is_quick else [key]
     with _lock:
-        function = _functions.get(key)
-        if function is None:
-            code = cache.read(key)
-            if code is None:
-                code = target.build(text())
-                cache.write(key, code)
-            function = _functions[key] = target.load(code)
-        _functions.move_to_end(key)
+        name = next((name for name in names if name in _functions), "")
+        if not name:
+            stored = ((name, code) for name in names if (code := cache.read(name)) is not None)
+            name, code = next(stored, (names[-1], b""))
+            if not code:
+                code = target.build(text(), is_quick)
+                cache.write(name, code)
+            _functions[name] = target.load(code)
+        _functions.move_to_end(name)
         while len(_functions) > _MAX_LOADED:
             _functions.popitem(last=False)
-    return function
+        return _functions[name]

@@ -19,6 +19,7 @@ from pinmobile.errors import InvalidArgument
 
 _CALL_WORK = 2e8  # operations of a vector in one call, some 0.1 s; Ctrl-C works between calls
 _THREAD_WORK = 4e6  # operations of a vector that justify a thread
+_QUICK_SAMPLES = 100_000  # samples of blocks; code that runs for more is worth its optimisation
 _MAX_OPERATIONS = 2500  # operations; above, a second vector takes longer to build than it saves
 _MAX_STATES = 32  # numbers of the state, as many as registers; above, a second vector costs time
 
@@ -71,16 +72,36 @@ class Program:
         key: str | None = None,
     ) -> None:
         self.tape, target = tape, target or Target.host()
+        self._target, self._cache, self._samples = target, cache or Cache(), 0.0
+        self._code: Callable[..., None] | None = None
+        self._is_quick = True
         is_small = tape.robot_size <= _MAX_OPERATIONS and len(tape.states) <= _MAX_STATES
         many = Shape(target.lanes, 2 if is_small else 1)
         self.shape = shape or (Shape(1, 1) if single else many)
         self.key = key or target.key(self.text)
-        self.function = function_of(self.key, lambda: self.text, target, cache or Cache())
 
     @cached_property
     def text(self) -> str:
         """Text of the code for LLVM."""
         return text_of(self.tape, self.shape)
+
+    def code(self, samples: float = np.inf) -> Callable[..., None]:
+        """Return the machine code for a run, see `emit.text_of`; each code computes the same bits.
+
+        Code without optimisation is made five times as fast. It serves until the program has run for long.
+
+        Parameters
+        ----------
+        samples : float
+            Samples of the run, of all blocks.
+        """
+        self._samples += samples
+        is_quick = self._samples <= _QUICK_SAMPLES
+        code = self._code
+        if code is None or (self._is_quick and not is_quick):
+            code = function_of(self.key, lambda: self.text, self._target, self._cache, is_quick)
+            self._code, self._is_quick = code, is_quick
+        return code
 
     def run(
         self,
@@ -257,36 +278,15 @@ class Program:
         counts = np.zeros((workers, max(1, times), *bins), np.int32)
         longest = max(1, sum(ring.samples for ring in loop.rings))
         rings = [aligned((longest, self.shape.width)) for _ in counts]
+        code = self.code(len(samples) * len(blocks))
 
         def run(worker: int, begin: int, end: int) -> None:
-            arrays = rings[worker], counts[worker], kept
-            self.call(blocks, samples, uniforms, *arrays, part=(begin, end), every=every, n=n, first=first)
+            arrays = blocks, samples, uniforms, rings[worker], counts[worker], kept
+            call(code, *arrays, part=(begin, end), every=every, n=n, first=first)
 
         share_work(run, len(blocks), step, workers)
         totals = counts[:, :times]
         return np.asarray(totals[0] if workers == 1 else totals.sum(axis=0, dtype=np.int32))
-
-    def call(
-        self,
-        *arrays: Array | NDArray[np.int32],
-        part: tuple[int, int] = (0, 1),
-        every: int = 1,
-        n: int = 1,
-        first: int = 0,
-    ) -> None:
-        """Call the machine code for a part of the blocks, see `emit.text_of`.
-
-        Parameters
-        ----------
-        *arrays : ndarray
-            Blocks, samples, uniforms, ring, counts and kept values.
-        part : (int, int)
-            Range of blocks.
-        every, n, first : int
-            Samples between two counts, number of robots, index of the first sample.
-        """
-        block, sample, uniform, ring, count, keep = [x.ctypes.data for x in arrays]
-        self.function(block, *part, sample, len(arrays[1]), uniform, ring, count, every, n, keep, first)
 
     def _final_memory(self, blocks: Array, first: Sequence[Array], n: int) -> list[Array]:
         """Return the arrays of the memory after the last sample, shape (n, ...)."""
@@ -309,6 +309,31 @@ class Program:
             samples[name] = np.ascontiguousarray(robots)
             first += len(nodes)
         return samples
+
+
+def call(
+    code: Callable[..., None],
+    *arrays: Array | NDArray[np.int32],
+    part: tuple[int, int] = (0, 1),
+    every: int = 1,
+    n: int = 1,
+    first: int = 0,
+) -> None:
+    """Call machine code for a part of the blocks, see `emit.text_of`.
+
+    Parameters
+    ----------
+    code : callable
+        Machine code of a program.
+    *arrays : ndarray
+        Blocks, samples, uniforms, ring, counts and kept values.
+    part : (int, int)
+        Range of blocks.
+    every, n, first : int
+        Samples between two counts, number of robots, index of the first sample.
+    """
+    block, sample, uniform, ring, count, keep = [x.ctypes.data for x in arrays]
+    code(block, *part, sample, len(arrays[1]), uniform, ring, count, every, n, keep, first)
 
 
 def _fill(blocks: Array, columns: Array) -> None:

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from pinmobile.arrays import Array
-from pinmobile.compiled import aligned, robot_keys
+from pinmobile.compiled import aligned, call, robot_keys
 from pinmobile.errors import InvalidArgument, NotTraceable
 from pinmobile.loop._record import Samples
 from pinmobile.loop._rollout import Rollout
@@ -62,6 +62,7 @@ class LoopStepper:
                 self._compiled = compile_loop(scenario, loop, hides_reference=False)
         except NotTraceable as error:
             raise InvalidArgument(f"this loop cannot run in real time: {error.reason}") from error
+        self._code = self._compiled.program.code()
         self._rows = scheduled_rows(loop, scenario.context) if self._compiled.tape.schedule_size else []
         self.reset({name: float(drawn[0]) for name, drawn in scenario.draws().items()})
 
@@ -132,7 +133,8 @@ class LoopStepper:
         rows = [schedule[np.minimum(self.k + np.arange(count), last)] for schedule in self._rows]
         samples = program.samples_of(t, desired, self._uniforms, rows, self.k)
         records = aligned((1, count, self._compiled.tape.outputs_kept, 1))
-        program.call(self._blocks, samples, self._uniforms, self._rings, self._counts, records, first=self.k)
+        arrays = self._blocks, samples, self._uniforms, self._rings, self._counts, records
+        call(self._code, *arrays, first=self.k)
         self._parts.append((samples, records, np.array([*self.values.values()], np.float64)))
         self._size += samples.size + records.size + _OVERHEAD
         while self._size > _MAX_NUMBERS:

@@ -120,7 +120,7 @@ class CompiledPlant:
         buffers = (self._samples, uniforms, self._rings, self._counts, self._kept)
         sample, uniform, rings, counts, kept = (array.ctypes.data for array in buffers)
         self._first, self._stride = sample, self._samples.strides[0]
-        self._call = partial(program.function, self._block.ctypes.data, 0, 1)
+        self._call = partial(program.code(len(context.t)), self._block.ctypes.data, 0, 1)
         self._tail = uniform, rings, counts, 1, 1, kept, 0
         self._u = len(self._tape.states) + self._tape.parameters[_U].first
         self._leaves = [leaf for leaf in self._tape.leaves if leaf.owner == "plant"]

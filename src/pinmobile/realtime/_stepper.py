@@ -51,7 +51,7 @@ class _MachineCode:
         self._state, self._memory = block[:n], (block[n : len(tape.states)], rings)
         self.kept = {name: shape for name, (shape, _) in tape.kept.items()}
         self.units = {name: tape.units[name.removeprefix("signal ")] for name in [*self.kept][2:]}
-        self._blocks, self._size, self._function = blocks, n, program.function
+        self._blocks, self._size, self._function = blocks, n, program.code()
 
     def connect(self, row: Array, answer: Array) -> None:
         """Use a row of q, v, t, reference and schedules in each call, and write the answer to an array."""
