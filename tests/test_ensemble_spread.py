@@ -14,6 +14,7 @@ from pinmobile.errors import UnknownName
 from pinmobile.forces import NoiseForce, PayloadForce, SinusoidalForce
 from pinmobile.loop import TRUE_MODEL, ErrorQuantile, causes, run_scenario
 from pinmobile.loop._variables import bins_of, edges, quantiles
+from pinmobile.parts import evolved
 from pinmobile.plant import Context
 from tests.refusals import refusals, refused
 
@@ -95,6 +96,28 @@ def test_a_pattern_means_each_of_its_numbers_and_each_has_its_own_draw() -> None
         made(robot=robot, controller=law, spread={"plant.*.geer": 1.0})
     with refused(r"spread has 'gear', .* or 'plant\.\*\.gear', which means all$"):
         made(robot=robot, controller=law, spread={"gear": 1.0})
+
+
+def test_numbers_of_the_plant_without_effect_are_named() -> None:
+    robot = pm.WheeledRobot(
+        ROBOT, pm.WheelTable.differential(0.4, 0.1, spin_inertia=0.01, supports=[(0.2, 0.0)])
+    )
+    law = pm.ControlAllocation(pm.PD(120, 120), robot)
+
+    def run(**spread: Any) -> Any:
+        options: Any = {"spread": spread, "n": 3, "dt": 0.1, "duration": 1.0}
+        return pm.ensemble(robot, law, TRAJECTORY, **options).max_error
+
+    whole = "'plant.table.wheels.left.friction.rolling', 'plant.table.wheels.right.friction.rolling'"
+    with pytest.warns(UserWarning, match=rf"^no law of this loop uses {whole} of the spread: the values"):
+        found = run(**{"plant.*.rolling": pm.Uniform(0.0, 0.1)})
+    assert np.ptp(found, axis=0).max() == 0
+    # What another number follows has its effect there, and friction acts on dry ground.
+    assert (
+        np.ptp(run(**{"left.rolling": pm.Uniform(50, 60), "kp": pm.SameAs("left.rolling")}), axis=0).min() > 0
+    )
+    robot = evolved(robot, {"ground": pm.Coulomb(0.8)})
+    assert np.ptp(run(**{"plant.*.rolling": pm.Uniform(0.0, 0.1)}), axis=0).max() > 0
 
 
 def test_an_array_that_changes_later_changes_nothing() -> None:

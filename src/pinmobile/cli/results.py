@@ -20,7 +20,6 @@ from pinmobile import (
     PinmobileError,
     Rollout,
     Sweep,
-    __version__,
     plots,
 )
 from pinmobile.arrays import Array
@@ -35,7 +34,7 @@ from pinmobile.cli.output import (
     save_figure,
 )
 from pinmobile.cli.scenario_file import LoadedFile
-from pinmobile.loop import run_scenario
+from pinmobile.loop import run_scenario, versions
 from pinmobile.metrics import format_si, metrics_of
 from pinmobile.parts import evolved
 from pinmobile.plant import PlantDescription
@@ -120,12 +119,13 @@ def show_run(words: Sequence[str], out: Path, film: Path | None, *, allow_code: 
 
 
 def _source_section(file: LoadedFile) -> Section:
-    """Return the section that repeats the results: the whole scenario and the version of pinmobile."""
+    """Return the section that repeats the results: the whole scenario and the versions of the packages."""
     try:
         scenario = file.to_toml()
     except InvalidArgument:  # a part of the user's own code
         scenario = "\n".join([file.text, *file.words])
-    return Section("Scenario", f"# pinmobile {__version__}\n{scenario}")
+    releases = ", ".join(f"{name} {version}" for name, version in versions().items())
+    return Section("Scenario", f"# {releases}\n{scenario}")
 
 
 def _metrics(run: Rollout) -> list[str]:
@@ -219,7 +219,7 @@ def show_sweep(words: Sequence[str], out: Path | None, scheduler: str | None, *,
     client = None if scheduler is None else connect(scheduler)
     store = folder / "sweep.zarr"
     if store.exists():
-        console.print(f"{store} is there: only what it lacks is run", markup=False)
+        console.print(f"{store} exists: if it is of this sweep, only what it lacks is run", markup=False)
     try:
         with progress(len(points.scenarios) * points.n, "sweeping") as bar:
             sweep = run_points(

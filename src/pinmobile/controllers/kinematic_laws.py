@@ -41,14 +41,17 @@ class DualNumber:
     >>> from pinmobile.controllers import DualNumber
     >>> distance = DualNumber(3.0, 0.5)  # [m, m/s]
     >>> area = distance * distance
-    >>> area.value, area.rate  # [m^2, m^2/s]
-    (9.0, 3.0)
+    >>> area  # [m^2, m^2/s]
+    DualNumber(9.0, 3.0)
     """
 
     __array_ufunc__ = None  # operators of arrays call those of this class
 
     def __init__(self, value: Any, rate: Any) -> None:
         self.value, self.rate = value, rate
+
+    def __repr__(self) -> str:
+        return f"DualNumber({self.value!r}, {self.rate!r})"
 
     def __add__(self, other: Any) -> DualNumber:
         return DualNumber(self.value + value_of(other), self.rate + rate_of(other))

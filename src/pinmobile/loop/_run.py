@@ -24,7 +24,7 @@ from pinmobile.loop._python import compile_plant, python_samples
 from pinmobile.loop._record import UntraceableMetric, Worst
 from pinmobile.loop._scenario import Scenario, check_scenario
 from pinmobile.loop._simulate import Engine, check_engine, compile_error
-from pinmobile.loop._spread import Source
+from pinmobile.loop._spread import SameAs, Source
 from pinmobile.loop._trace import arrays_of, initial_memory
 from pinmobile.loop._variables import Part, arguments_of, bins_of
 from pinmobile.metrics import Metric, metrics_of
@@ -235,13 +235,19 @@ def compile_loop(
         single=scenario.n == 1,  # code for one robot does not fill vectors: two thirds of the time
         own_reference=own_reference,
     )
-    unused = set(compiled.tape.unused)
+    sources = [source.name for source in scenario.spread.values() if isinstance(source, SameAs)]
+    unused = set(compiled.tape.unused) - {scenario.find(name).leaf.path for name in sources}
+    idle = []
     for name, number in scenario.numbers.items():
-        # Numbers of the plant may have no effect in a run, such as the mass of a load at rest.
         path = number.leaf.path
-        if not path.startswith("plant.") and path in unused and not _affects_start(scenario, path):
-            message = f"spread has {name!r}, {number.meaning}, which no law of this loop uses"
-            raise InvalidArgument(f"{message}, expected a number that a law uses")
+        if path in unused and not _affects_start(scenario, path):
+            if not path.startswith("plant."):
+                message = f"spread has {name!r}, {number.meaning}, which no law of this loop uses"
+                raise InvalidArgument(f"{message}, expected a number that a law uses")
+            idle.append(repr(name))
+    if idle:  # such as the mass of a load at rest
+        message = f"no law of this loop uses {', '.join(idle)} of the spread: the values have no effect"
+        warn(message, stacklevel=5)
     return compiled
 
 
