@@ -46,7 +46,7 @@ margins = plots.curves(left, x=("slope", "°", slopes), label="torque left at ea
 # %%
 # How steep a ramp can be before the standing robot slips or tips over, whatever its motors:
 limit = balance.max_slope(level)
-print(f"it stands on ramps of up to {np.degrees(limit.value):.0f}°, then: {limit.what}")
+print(f"it stands on ramps of up to {np.degrees(limit.value):.0f}°, then: {limit.event}")
 
 # %%
 # Torques on the steepest ramp:

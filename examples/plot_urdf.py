@@ -20,7 +20,7 @@ path = Tangent(Spline([(0, 0), (1.0, 0.0), (1.6, 0.8), (2.6, 0.8)], times=[0, 2,
 run = simulate(robot, Backstepping(UnicycleTracking(), robot), path, dt=0.02)
 limit = balance.max_path_speed(robot, path)
 print(f"{robot.robot.mass:.1f} kg; torques up to {np.abs(run.u).max():.2f} N m")
-print(f"along this path at most {limit.value:.1f} m/s, then: {limit.what}")
+print(f"along this path at most {limit.value:.1f} m/s, then: {limit.event}")
 
 # %%
 plane = plots.path(run)

@@ -293,12 +293,12 @@ plots.end_effector(reached, title="The end effector passes through four poses")
 # `solve_inverse_kinematics` raises an error:
 
 # %%
-print(f"four poses: {clearance(robot, reached.q).told}")
+print(f"four poses: {clearance(robot, reached.q).summary}")
 into_itself = PosePath(RestToRest(held[:3, 3], (0.2, 0.15, 0.12), 4))
 standing = np.where(np.arange(9) < 3, 0, robot.velocity_limit)
 options = {"q0": start, "velocity_limit": standing}
 through = solve_inverse_kinematics(robot, into_itself, **options)
-print(f"path into the body: {through.clearance.told}")
+print(f"path into the body: {through.clearance.summary}")
 print(f"largest error: {1e3 * through.max_error()[0]:.3f} mm")
 try:
     solve_inverse_kinematics(robot, into_itself, clearance=0.01, **options)

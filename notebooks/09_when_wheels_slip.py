@@ -257,7 +257,7 @@ def ellipse(factor):
 
 
 limit = max_path_speed(rolling, ellipse(1))
-print(f"limit: {limit.factor:.3f} times as fast, {limit.value:.2f} m/s ({limit.what})")
+print(f"limit: {limit.factor:.3f} times as fast, {limit.value:.2f} m/s ({limit.event})")
 firmware = WheelSpeed(UnicycleTracking(b=0.3), rolling, kp=3, ki=10)
 turns, margins = {}, {}
 for share in (0.97, 1.1):
@@ -512,7 +512,7 @@ for name, (_, size, configured) in bases.items():
     assert abs(found[name] / rule - 1) < 0.005, "the rule gives another track"
     assert abs(found[name] / configured - 1) < 0.045, "the makers configure another track"
 assert abs(ahead - 1) < 1e-3, "the front wheels do not stick under a mass ahead"
-assert limit.what == "left + right slip", "another limit comes first"
+assert limit.event == "left + right slip", "another limit comes first"
 slow, quick = (run.metrics()["slip"][1].max() for run in turns.values())
 assert slow < 0.02, "the robot slides below the limit"
 both = turns["0.97 of the limit"].signals["slides"].values.all(axis=1)

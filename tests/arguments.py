@@ -378,7 +378,7 @@ ROWS: dict[str, Row] = {
     "NoiseForce": row(std=[1, 2, 3], bandwidth=2, seed=1),
     "PayloadBody": row(mass=1, com=(0, 0, 0.1), inertia=np.eye(3), size=(0.1, 0.1, 0.1)),
     "MotionStates": row(plant=the("robot"), q=Q, v=V, a=A, u=[1, 2, 3]),
-    "MotionLimit": row(value=1.5, what="left slips", time=0.5, factor=2),
+    "MotionLimit": row(value=1.5, event="left slips", time=0.5, factor=2),
     "max_path_speed": row(plant=the("standing"), trajectory=the("trajectory"), samples=20),
     "max_slope": row(plant=the("standing"), direction=0.5),
     "tip_over_margin": row(motion=the("motion"), footprint=[[-1, -1], [1, -1], [1, 1], [-1, 1]]),

@@ -76,18 +76,18 @@ def test_a_users_own_method_shows_its_order() -> None:
 
 
 def test_what_holding_costs_does_not_depend_on_the_integrator(reports: Reports) -> None:
-    held = [report.held for report in reports.values()]
+    held = [report.hold_error for report in reports.values()]
     assert max(held) == min(held)
     fine = reports["rk4"]
     # The loop by rk4 is off by what holding costs, and by what rk4 does.
-    assert abs(fine.sampling.errors[0] - fine.held) <= fine.substeps.errors[0] + 1e-12
+    assert abs(fine.sampling.errors[0] - fine.hold_error) <= fine.substeps.errors[0] + 1e-12
 
 
 def test_with_the_centre_of_mass_at_the_origin_a_held_force_is_integrated_exactly() -> None:
     """M is constant, so the acceleration is: nothing is left but what holding the force costs."""
     report = integrator_report(constant_acceleration, MobileRobot.lecture())
     assert all(row.exact for row in (*report.free, report.substeps))
-    assert report.sampling.errors[0] == pytest.approx(report.held, rel=1e-11)
+    assert report.sampling.errors[0] == pytest.approx(report.hold_error, rel=1e-11)
     assert report.sampling.order == pytest.approx(1, abs=0.05)
     assert str(report.energy) == "exact to rounding"
     assert report.energy.order is None

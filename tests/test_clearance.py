@@ -327,7 +327,7 @@ def test_resolve_reports_the_smallest_clearance_and_refuses_to_go_below_it() -> 
     assert isinstance(gone.clearance, Clearance)
     assert gone.clearance.smallest < 0
     np.testing.assert_array_equal(gone.clearance.distance, pm.clearance(UR5, gone(gone.t).q).distance)
-    assert f"smallest clearance {gone.clearance.told}" in repr(gone)
+    assert f"smallest clearance {gone.clearance.summary}" in repr(gone)
     with pytest.raises(Unreachable, match=r"clearance is .* m between .* expected at least 0.01 m") as caught:
         pm.solve_inverse_kinematics(UR5, through, q0=BENT, velocity_limit=LOCKED, dt=0.02, clearance=0.01)
     kept: InverseKinematicsTrajectory = caught.value.resolved

@@ -369,7 +369,7 @@ def test_what_cannot_be_traced_is_refused_with_the_line_and_what_to_write(name: 
     with pytest.raises(errors.NotTraceable) as caught, tracing([globals()]):
         refused(given)
     line = refused.__code__.co_firstlineno
-    assert instead in caught.value.instead
+    assert instead in caught.value.remedy
     assert "test_compiled_idioms.py" in caught.value.place
     assert any(f"line {line + more} of" in caught.value.place for more in range(3))
 

@@ -319,8 +319,8 @@ def test_a_law_that_cannot_be_compiled_is_refused_with_what_to_write(name: str) 
     function, state, what, instead, place = REFUSED[name]
     with pytest.raises(errors.NotTraceable) as caught:
         built(plain(Law(function, state)), {})
-    assert what in caught.value.what
-    assert instead in caught.value.instead
+    assert what in caught.value.obstacle
+    assert instead in caught.value.remedy
     assert place in caught.value.place
 
 

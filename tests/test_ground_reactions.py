@@ -168,7 +168,7 @@ def test_a_turn_too_fast_slides(mu: float, speed: float) -> None:
     table = WheelTable.differential(0.5, 0.1, supports=[(0.25, 0.0), (-0.25, 0.0)], **own)
     body, path = pm.MobileRobot(27.0, 2.3, com=(0.0, 0.0, 0.15)), pm.Circle(2, 0.2, 10)
     found = max_path_speed(WheeledRobot(body, table), pm.Tangent(path))
-    assert found.what == "left + right slip"
+    assert found.event == "left + right slip"
     assert found.value == pytest.approx(speed, rel=0.03)
     # Half of the weight is on the wheels, and forces along them are small where speed does not change.
     assert found.value == pytest.approx(np.sqrt(2 * mu * G / 2), rel=0.04)
@@ -189,13 +189,13 @@ def test_the_steepest_ramp_is_that_of_friction_and_weight() -> None:
     for direction in (0.0, np.pi / 2):  # rollers hold along their axes, at half a right angle
         found = max_slope(WheeledRobot(central, table), direction)
         assert 0.15 < found.value < np.arctan(0.3)
-        assert found.what.endswith("slips")
+        assert found.event.endswith("slips")
     # A support lifts where the weight points past the contacts that are left, here the axle.
     high = pm.MobileRobot(30.0, 2.3, com=(-0.08, 0.0, 0.2))
     friction = WheelFriction(mu=9.0)
     rough = WheelTable.differential(0.5, 0.1, supports=[(0.2, 0.0)], x=-0.2, friction=friction, **WHEEL)
     found = max_slope(WheeledRobot(high, rough))
-    assert found.what == "support 1 lifts"
+    assert found.event == "support 1 lifts"
     np.testing.assert_allclose(np.tan(found.value), 0.12 / 0.2, rtol=1e-9)
 
 
@@ -206,11 +206,11 @@ def test_a_motor_s_torque_limits_the_ramp_and_less_of_it_at_speed_the_path() -> 
     robot = WheeledRobot(pm.MobileRobot(300.0, 20.0, com=(0.1, 0.0, 0.2)), table)
     assert [(one.lower, one.upper) for one in robot.inputs] == [(-10.0, 10.0)] * 2
     found = max_slope(robot)
-    assert found.what.endswith("lacks torque")
+    assert found.event.endswith("lacks torque")
     np.testing.assert_allclose(300 * G * np.sin(found.value) * 0.1, 20.0, rtol=1e-9)
     along = max_path_speed(robot, pm.Tangent(pm.Line((0, 0), (10, 0), 10)))
     assert along.value == pytest.approx(20 * 0.1)
-    assert along.what.endswith("lacks torque")
+    assert along.event.endswith("lacks torque")
     # On a circle of radius R, w = v / R, the outer wheel drives with m x w r (v / b - w) / 2.
     x, b, r, R = 0.1, 0.25, 0.1, 2.0
     v = max_path_speed(robot, pm.Tangent(pm.Circle(R, 0.2, 10))).value

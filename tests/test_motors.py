@@ -411,4 +411,4 @@ def test_the_largest_speed_on_a_circle_is_that_of_the_outer_wheel() -> None:
     cart = WheeledRobot(MobileRobot(1.6, 0.02, com=(-0.006, 0, 0.02)), wheels)
     speed = max_path_speed(cart, Tangent(Circle(0.5, 0.2, 6.0)), samples=50)
     assert speed.value == pytest.approx(6 * 0.033 / (1 + 0.144 / 0.5), rel=1e-3)
-    assert speed.what == "right lacks torque"
+    assert speed.event == "right lacks torque"

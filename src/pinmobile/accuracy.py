@@ -407,7 +407,7 @@ def hold_errors(
         constant over the largest step; the integrator divides this step.
     sampling : Convergence
         Largest distance from the loop in continuous time [m]. The force is constant over each step.
-    held : float
+    hold_error : float
         Largest distance between these two solutions [m], which no integrator can reduce.
 
     Raises
@@ -524,7 +524,7 @@ class IntegratorReport:
         Closed loop with a constant force over each step: largest distance from the loop in continuous time
         [m]. Its order is 1 for every integrator that converges, since a zero-order hold delays the force by
         half a step on average.
-    held : float
+    hold_error : float
         Cost of the zero-order hold over the largest step alone, with exact motion between samples [m].
 
     See Also
@@ -537,7 +537,7 @@ class IntegratorReport:
     >>> from pinmobile import rk4
     >>> from pinmobile.accuracy import integrator_report
     >>> report = integrator_report(rk4, steps=(0.1, 0.05), duration=0.2)
-    >>> report.held > 1000 * report.substeps.errors[0]
+    >>> report.hold_error > 1000 * report.substeps.errors[0]
     np.True_
     """
 
@@ -551,7 +551,7 @@ class IntegratorReport:
     energy: Convergence
     substeps: Convergence
     sampling: Convergence
-    held: float
+    hold_error: float
 
     @property
     def free(self) -> tuple[Convergence, ...]:
@@ -584,10 +584,10 @@ class IntegratorReport:
                 "The integrator does not converge: it solves another equation, or the steps are too long.",
             ]
         words.append("In the loop, the zero-order hold has order 1 in dt, for every integrator.")
-        costs = f"At dt = {dt:g} s the hold costs {self.held:.2g} m, the integrator {error:.2g} m: "
+        costs = f"At dt = {dt:g} s the hold costs {self.hold_error:.2g} m, the integrator {error:.2g} m: "
         shorter_dt = "a shorter dt gains more than a better integrator."
         better_integrator = "a better integrator, or substeps, gain more than a shorter dt."
-        return [*words, costs + (shorter_dt if error < self.held else better_integrator)]
+        return [*words, costs + (shorter_dt if error < self.hold_error else better_integrator)]
 
 
 def integrator_report(

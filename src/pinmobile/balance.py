@@ -420,7 +420,7 @@ class MotionLimit(NamedTuple):
     value : float
         Largest speed along the path [m/s], or largest angle of the slope [rad]; infinite if there is no
         limit.
-    what : str
+    event : str
         Event beyond the limit, such as ``"left + right slip"`` or ``"support 1 lifts"``; empty if there is
         none.
     time : float
@@ -438,12 +438,12 @@ class MotionLimit(NamedTuple):
     >>> from math import degrees
     >>> from pinmobile.balance import MotionLimit
     >>> limit = MotionLimit(0.38, "left + right slip")
-    >>> print(f"{degrees(limit.value):.0f} degrees: {limit.what}")
+    >>> print(f"{degrees(limit.value):.0f} degrees: {limit.event}")
     22 degrees: left + right slip
     """
 
     value: float
-    what: str
+    event: str
     time: float = 0.0
     factor: float = 1.0
 
@@ -492,7 +492,7 @@ def max_path_speed(plant: Any, trajectory: Any, samples: int = 400) -> MotionLim
     >>> limit = max_path_speed(
     ...     car, Tangent(Circle(1.0, 0.5, 4.0)), samples=20
     ... )
-    >>> limit.value, limit.what  # [m/s]
+    >>> limit.value, limit.event  # [m/s]
     (1.98, 'left + right slip')
     """
     follows = _method("plant", plant, "follows", "the loads along a trajectory")
@@ -550,7 +550,7 @@ def max_slope(plant: Any, direction: float = 0.0) -> MotionLimit:
     ...     0.4, 0.1, supports=[(0.2, 0), (-0.2, 0)]
     ... )
     >>> limit = max_slope(WheeledRobot(MobileRobot.box(), wheels))
-    >>> limit.value, limit.what  # [rad]
+    >>> limit.value, limit.event  # [rad]
     (0.3805, 'left + right slip')
     """
     on_ramp = _method("plant", plant, "on_ramp", "its loads on a slope")

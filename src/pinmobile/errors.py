@@ -157,7 +157,7 @@ class NotTraceable(InvalidArgument):
 
     Parameters
     ----------
-    what : str
+    obstacle : str
         Description of the operation that symbols do not support.
     remedy : str
         Code that the user can write instead.
@@ -180,17 +180,17 @@ class NotTraceable(InvalidArgument):
     pinmobile.errors.NotTraceable: ...
     """
 
-    def __init__(self, what: str, remedy: str, place: str = "") -> None:
-        self.what, self.instead, self.place = what, remedy, place
-        super().__init__(f"{place and place + ': '}{what}, which cannot be compiled; {remedy}")
+    def __init__(self, obstacle: str, remedy: str, place: str = "") -> None:
+        self.obstacle, self.remedy, self.place = obstacle, remedy, place
+        super().__init__(f"{place and place + ': '}{obstacle}, which cannot be compiled; {remedy}")
 
     @property
     def reason(self) -> str:
         """Reason on one line: the place, the operation and the code to write instead."""
-        return " ".join(f"{self.place and self.place + ': '}{self.what}; {self.instead}".split())
+        return " ".join(f"{self.place and self.place + ': '}{self.obstacle}; {self.remedy}".split())
 
     def __reduce__(self) -> tuple[type[NotTraceable], tuple[str, str, str]]:
-        return type(self), (self.what, self.instead, self.place)
+        return type(self), (self.obstacle, self.remedy, self.place)
 
 
 class FileError(PinmobileError, OSError):

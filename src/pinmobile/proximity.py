@@ -107,17 +107,18 @@ class Clearance:
         return self.pairs[int(self.distances[self.at].argmin())]
 
     def __repr__(self) -> str:
-        return f"<Clearance: {self.told}>"
+        return f"<Clearance: {self.summary}>"
 
     @property
-    def told(self) -> str:
+    def summary(self) -> str:
         """Smallest distance and its pair, as text."""
         if not self.distances.size:
             return _NO_PAIRS if not self.pairs else "no configurations"
         return f"{self.smallest:.4g} m between {' and '.join(self.nearest)}"
 
     def __str__(self) -> str:
-        lines = [f"smallest clearance {self.told}; {len(self.pairs)} pairs" if self.pairs else self.told]
+        count = len(self.pairs)
+        lines = [f"smallest clearance {self.summary}; {count} pairs" if count else self.summary]
         reasons = dict.fromkeys(self.left_out.values())
         for reason in reasons:
             pairs = [" - ".join(pair) for pair, text in self.left_out.items() if text == reason]

@@ -198,7 +198,7 @@ class LoadedFile:
         nominal, problems = evolved(plain, spread={}).scenario(), {}
         for path in self.content.spread:
             try:
-                match_refs(nominal.given, path, named(nominal.given), "spread")
+                match_refs(nominal.nominal_loop, path, named(nominal.nominal_loop), "spread")
             except (UnknownName, InvalidArgument) as error:
                 problems[f"spread.{path}"] = str(error)
         self._raise_problems(problems)

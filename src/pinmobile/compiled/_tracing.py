@@ -107,7 +107,7 @@ def tracing(namespaces: Iterable[dict[str, Any]] = (), cells: Iterable[CellType]
         except NotTraceable as error:
             if error.place:
                 raise
-            raise NotTraceable(error.what, error.instead, place_of(error.__traceback__)) from None
+            raise NotTraceable(error.obstacle, error.remedy, place_of(error.__traceback__)) from None
         except Exception as error:
             reason = f"with symbols it raises {type(error).__name__} ({error})"
             remedy = "write it in NumPy for one state, or run it with engine=Engine.PYTHON"

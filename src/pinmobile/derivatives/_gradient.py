@@ -222,7 +222,7 @@ def arrange_slopes(problem: Problem, directions: Sequence[Direction], slopes: Ar
     arrays: dict[str, Array] = {}
     for p, direction in enumerate(directions):
         number = problem.numbers[direction.path]
-        shape = () if number.entry is not None else problem.given[number.leaf.path].shape
+        shape = () if number.entry is not None else problem.nominal[number.leaf.path].shape
         target = arrays.setdefault(direction.path, np.zeros((*slopes.shape[:-1], *shape)))
         index: Any = (..., *(direction.entry if shape else ()))
         target[index] = slopes[..., p]
@@ -234,7 +234,7 @@ def _fit_slopes(problem: Problem, share: float) -> Gradient:
     scenario = problem.scenario
     if scenario.n > 1:
         raise InvalidArgument("smooth is for one robot, expected n=1")
-    refs = named(scenario.given)
+    refs = named(scenario.nominal_loop)
     entries, indices = dict[str, float](), list[tuple[str, Any]]()
     for path, number in problem.numbers.items():
         is_array = number.entry is None and np.ndim(number.leaf.value) > 0
@@ -258,7 +258,7 @@ def _fit_slopes(problem: Problem, share: float) -> Gradient:
         shape = (
             ()
             if problem.numbers[path].entry is not None
-            else problem.given[problem.numbers[path].leaf.path].shape
+            else problem.nominal[problem.numbers[path].leaf.path].shape
         )
         for target, x in zip(slopes, (fit, deviation), strict=True):
             target.setdefault(path, np.zeros(shape))[entry if shape else ()] = x[k]

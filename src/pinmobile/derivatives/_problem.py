@@ -176,14 +176,14 @@ class Problem:
         self.draws = scenario.draws() if is_ensemble else {}
         self.values = scenario.values(self.draws, 0, self.n) if is_ensemble else {}
         self.loop = evolved(scenario.loop, {"recorder": recorder})
-        refs = named(scenario.given)
-        self.refs_by_name = {name: match_refs(scenario.given, name, refs, "by") for name in by}
+        refs = named(scenario.nominal_loop)
+        self.refs_by_name = {name: match_refs(scenario.nominal_loop, name, refs, "by") for name in by}
         self.numbers = {ref.path: ref for group in self.refs_by_name.values() for ref in group}
         numbers = traced_numbers(self.loop)
         spread = dict(scenario.entries) if is_ensemble else {}
         for path in {ref.leaf.path for ref in self.numbers.values()} & numbers.keys():
             spread[path] = np.ones(np.shape(numbers[path]), bool)
-        self.given = {path: np.asarray(x.leaf.value, float) for path, x in refs.items() if not x.label}
+        self.nominal = {path: np.asarray(x.leaf.value, float) for path, x in refs.items() if not x.label}
         self.pure: dict[str, bool] = {}
         self._base: Any = None
         self.spread, self.has_own = spread, scenario.has_own_references
@@ -224,7 +224,7 @@ class Problem:
         values = dict(self.values)
         for path, value in changes.items():
             if path in values or path.startswith("start"):
-                values[path] = values.get(path, np.zeros((n, 1))) + (np.asarray(value) - self.given[path])
+                values[path] = values.get(path, np.zeros((n, 1))) + (np.asarray(value) - self.nominal[path])
         self._scale_copies(changes, values)
         q, v, tracks = self._initial_states(scenario, loop, values)
         states: Array = np.zeros((len(tape.states), n))
@@ -272,7 +272,7 @@ class Problem:
             path = source_number.leaf.path
             if source_number is number or path not in changes:
                 continue
-            old, new = (np.asarray(x, float) for x in (self.given[path], changes[path]))
+            old, new = (np.asarray(x, float) for x in (self.nominal[path], changes[path]))
             place = source_number.place(old.ndim) if source_number.entry is not None else ...
             change = float(np.ravel((new - old)[place])[0])
             share = self.draws[name] / (self.draws[names[0]] if names else float(source_number.value))
@@ -314,7 +314,7 @@ class Problem:
         directions = list[Direction]()
         for path, number in self.numbers.items():
             key = number.leaf.path
-            value = np.asarray(changes.get(key, self.given[key]), float)
+            value = np.asarray(changes.get(key, self.nominal[key]), float)
             leaf = self.machine.tape.parameters.get(key)
             entries = [number.place(value.ndim)] if number.entry is not None else [*np.ndindex(value.shape)]
             rows = slice(0, 0) if leaf is None else slice(leaf.first, leaf.first + value.size)
@@ -550,14 +550,14 @@ def problem_of(
 
 def _expand_gains(scenario: Scenario, by: Sequence[str]) -> Scenario:
     """Return the scenario with a number for each coordinate where `by` names one of a gain."""
-    refs, gains = named(scenario.given), dict[str, Any]()
-    for ref in (match for name in by for match in match_refs(scenario.given, name, refs, "by")):
+    refs, gains = named(scenario.nominal_loop), dict[str, Any]()
+    for ref in (match for name in by for match in match_refs(scenario.nominal_loop, name, refs, "by")):
         if ref.entry is not None and np.ndim(ref.leaf.value) < len(ref.entry):
             size = 1 + max(entry[-1] for entry in ref.leaf.entries.values())
             gains[ref.leaf.path] = np.full(size, float(ref.leaf.value))
     if not gains:
         return scenario
-    return replaced(scenario, **_part_arguments(replace(scenario.given, gains)))
+    return replaced(scenario, **_part_arguments(replace(scenario.nominal_loop, gains)))
 
 
 def _part_arguments(loop: Loop) -> dict[str, Any]:

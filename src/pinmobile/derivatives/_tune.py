@@ -228,7 +228,7 @@ class _Variables:
         self.problem, self.entries, self.names, self.units = problem, list[Any](), list[str](), list[str]()
         first, limits = list[float](), list[Any]()
         for path, ref in problem.numbers.items():
-            value = problem.given[ref.leaf.path]
+            value = problem.nominal[ref.leaf.path]
             field = ref.leaf.declared
             above, low, high = (stated(field, name) for name in ("above", "lower", "upper"))
             low = above if above is not None else -np.inf if low is None else low
@@ -278,7 +278,7 @@ class _Variables:
         """Return the values of the fields by path."""
         values: dict[str, Any] = {}
         for (path, entry), x in zip(self.entries, numbers, strict=True):
-            values.setdefault(path, np.array(self.problem.given[path]))[entry] = x
+            values.setdefault(path, np.array(self.problem.nominal[path]))[entry] = x
         return {path: value if value.ndim else float(value) for path, value in values.items()}
 
     def slopes(self, numbers: Array) -> Array:
@@ -513,7 +513,7 @@ def tune(
         print(file=sys.stderr)
     best = min(search.trials, key=lambda one: (max(one.excess, _EXCESS_TOLERANCE), one.loss))
     changes = variables.changes(best.numbers)
-    loop = replace(problem.scenario.given, changes)
+    loop = replace(problem.scenario.nominal_loop, changes)
     others: tuple[Array, ...] = ()
     excesses = np.zeros(0)
     if problem.n > 1:

@@ -42,7 +42,7 @@ class Validation:
         Names and units of the columns: speed and yaw rate, and for poses distance and heading.
     rms : mapping of str to ndarray, shape (H, k)
         Root mean square errors of ``"kinematics"``, ``"lag"`` and ``"identified"``.
-    found : Identification
+    identification : Identification
         Estimates from the first two thirds of the log.
 
     See Also
@@ -69,7 +69,7 @@ class Validation:
     names: tuple[str, ...]
     units: tuple[str, ...]
     rms: Mapping[str, Array]
-    found: Identification
+    identification: Identification
 
     def __str__(self) -> str:
         heads = [f"{name} [{unit}]" for name, unit in zip(self.names, self.units, strict=True)]

@@ -79,7 +79,7 @@ class VelocityModel:
     ----------
     free : tuple of str
         Further estimated numbers: ``"delay"``, ``"ahead"``, and limits of accelerations and commands.
-    given : mapping of str to float
+    fixed : mapping of str to float
         Values of the numbers that are not estimated [s, m, m/s^2, rad/s^2, m/s, rad/s].
     lead : int
         Largest delay [samples].
@@ -92,7 +92,7 @@ class VelocityModel:
     """
 
     free: tuple[str, ...]
-    given: dict[str, float]
+    fixed: dict[str, float]
     lead: int
     dt: float
     is_pose: bool
@@ -159,7 +159,7 @@ class VelocityModel:
 
     def others(self, p: Array) -> dict[str, Array]:
         """Return delay, distance ahead of the axle and limits by name, shape (K,) each, for p (K, P)."""
-        values = {name: np.full(len(p), value) for name, value in self.given.items()}
+        values = {name: np.full(len(p), value) for name, value in self.fixed.items()}
         return values | {name: p[:, len(self.first) + k] for k, name in enumerate(self.free)}
 
     def other_values(self, p: Array) -> dict[str, float]:
@@ -298,7 +298,7 @@ class VelocityModel:
     def of_lags(self, lags: Sequence[Lag]) -> tuple[VelocityModel, Array]:
         """Return the model of lags without coupling, and its numbers."""
         given = {"ahead": 0.0, "delay": self.dt * float(np.mean([lag.delay for lag in lags]))}
-        bare = replace(self, free=(), given=self.given | given | self.limits_of(lags))
+        bare = replace(self, free=(), fixed=self.fixed | given | self.limits_of(lags))
         return bare, bare.start([lag if lag.gain > 0 else lag._replace(gain=1.0) for lag in lags])
 
     def limits_of(self, lags: Sequence[Lag]) -> dict[str, float]:
@@ -331,7 +331,7 @@ class VelocityModel:
 class CarModel(VelocityModel):
     """Model of a car: time constants, gains, offset of the steering, wheelbase, understeer, further numbers.
 
-    The gain of the steering is 1 unless `given` has the ``"wheelbase"``: curvatures are the ratio of both.
+    The gain of the steering is 1 unless `fixed` has the ``"wheelbase"``: curvatures are the ratio of both.
     """
 
     inputs: ClassVar[Mapping[str, str]] = CAR_COMMANDS
@@ -348,7 +348,7 @@ class CarModel(VelocityModel):
     def first(self) -> tuple[ModelNumber, ...]:  # type: ignore[override]
         """First seven numbers."""
         steering = (
-            ("steering_gain", "", False, 1.0) if "wheelbase" in self.given else ("wheelbase", "m", True, 0.3)
+            ("steering_gain", "", False, 1.0) if "wheelbase" in self.fixed else ("wheelbase", "m", True, 0.3)
         )
         rows: tuple[tuple[Any, ...], ...] = (
             ("speed_time_constant", "s", True, 0.3, np.nan, 1e-6),
@@ -405,7 +405,7 @@ class CarModel(VelocityModel):
         return [part._replace(run=complete[id(part.run)]) for part in parts]
 
     def _steered_run(self, run: Run, p: Array) -> Run:
-        count, free = len(run.u), _Steering(self.free, self.given, self.lead, self.dt, False)
+        count, free = len(run.u), _Steering(self.free, self.fixed, self.lead, self.dt, False)
         bare_run = run._replace(y=run.nu, calm=run.nu, is_valid=np.ones(count, bool))
         length = self.dt * (count - self.lead)
         segments, _ = segments_of([Part(bare_run, 0, count)], self.lead, length, fill=False)
@@ -416,7 +416,7 @@ class CarModel(VelocityModel):
 
     def _by_steering(self, p: Array) -> tuple[Any, Any]:
         """Return the gain of the steering and the wheelbase, of numbers (..., P)."""
-        number, base = p[..., _STEERING], self.given.get("wheelbase")
+        number, base = p[..., _STEERING], self.fixed.get("wheelbase")
         return (1.0 + 0.0 * number, number) if base is None else (number, base + 0.0 * number)
 
     def robot(self, estimates: Identification) -> Any:
@@ -425,7 +425,7 @@ class CarModel(VelocityModel):
         if any(is_weak and item.quantity.name not in _AT_SPEED for item, is_weak in pairs):
             check_identifiable("robot", estimates.unseen)
         values = dict(zip(estimates.names, estimates.phi[: len(self.first)].tolist(), strict=False))
-        return VelocityCar(**{"wheelbase": self.given.get("wheelbase")} | values, **self.fields(estimates))
+        return VelocityCar(**{"wheelbase": self.fixed.get("wheelbase")} | values, **self.fields(estimates))
 
     def problems(self, estimates: Identification, neutral: Sequence[str]) -> list[str]:
         """Return no problems."""
@@ -447,7 +447,7 @@ class CarModel(VelocityModel):
             If the car turns to the other side than its commands, and the wheelbase is not known.
         """
         speed, curvature = lags
-        base, gain = self.given.get("wheelbase"), curvature.gain or 1.0
+        base, gain = self.fixed.get("wheelbase"), curvature.gain or 1.0
         if base is None and gain < 0:
             raise InvalidArgument(
                 "log has steering commands that turn the car to the other side, expected positive angles "
@@ -460,7 +460,7 @@ class CarModel(VelocityModel):
     def limits_of(self, lags: Sequence[Lag]) -> dict[str, float]:
         """Return the limits that lags have, by name: those of curvature as angles."""
         speed, curvature = lags
-        wheelbase = self.given.get("wheelbase", 1 / (curvature.gain or 1.0))
+        wheelbase = self.fixed.get("wheelbase", 1 / (curvature.gain or 1.0))
         limit = np.inf if np.isinf(curvature.limit) else float(np.arctan(curvature.limit))
         turns = curvature._replace(rate_limit=curvature.rate_limit * abs(wheelbase), limit=limit)
         return super().limits_of([speed, turns])
@@ -468,7 +468,7 @@ class CarModel(VelocityModel):
     @property
     def ranges(self) -> dict[int, tuple[float, float, str]]:
         """Range of the gain of the steering, or of the wheelbase."""
-        return {_STEERING: (*(_STEERING_GAINS if "wheelbase" in self.given else _LONGEST), "")}
+        return {_STEERING: (*(_STEERING_GAINS if "wheelbase" in self.fixed else _LONGEST), "")}
 
 
 class _Steering(CarModel):

@@ -296,9 +296,9 @@ def versions() -> dict[str, str]:
 def contents(scenario: Scenario) -> Iterator[tuple[str, Any]]:
     """Yield classes and fields of the loop and of the spread, by path."""
     yield "metrics", scenario.metrics
-    for path, part in parts_of(scenario.given):
+    for path, part in parts_of(scenario.nominal_loop):
         yield path or "loop", type(part)
-    for leaf in walk(scenario.given):
+    for leaf in walk(scenario.nominal_loop):
         yield leaf.path, leaf.value
     for name, source in sorted(scenario.spread.items()):
         for leaf in walk(source) if is_part(source) else ():

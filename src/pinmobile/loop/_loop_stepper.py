@@ -166,5 +166,5 @@ class LoopStepper:
         t, *reference, _ = np.split(samples, np.cumsum([1, nq, n, n]), axis=1)
         finite = np.isfinite(np.hstack([records[name] for name in "qvau"])).all(axis=1)
         end = len(t) if finite.all() else int(np.argmin(finite))
-        run = scenario.given, t[:, 0], records, Reference(*reference)
+        run = scenario.nominal_loop, t[:, 0], records, Reference(*reference)
         return rollout_of(*run, end, units, engine="COMPILED")

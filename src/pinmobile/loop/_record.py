@@ -65,7 +65,7 @@ class UntraceableMetric(NotTraceable):
     def __init__(self, name: str, error: Exception) -> None:
         reason, remedy = f"it raises {type(error).__name__} ({error})", "write it in NumPy for one sample"
         if isinstance(error, NotTraceable):
-            reason, remedy = error.what, error.instead
+            reason, remedy = error.obstacle, error.remedy
         super().__init__(f"metrics has {name!r}: {reason}", remedy, place_of(error.__traceback__))
 
 

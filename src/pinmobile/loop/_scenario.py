@@ -228,7 +228,7 @@ class Scenario(RecordGrid):
         size = 3 * len(keep) * n * len(self.grid)  # most signals have up to three entries
         affordable(f"the signals of {n:,} robots at {len(self.grid)} times", size, "give a larger `every`")
         try:
-            spread = expand_patterns(self.spread, self.given, self._named_numbers)
+            spread = expand_patterns(self.spread, self.nominal_loop, self._named_numbers)
             self._set(spread=check_spread(spread, n, self.find))
         except UnknownName as error:
             self._check_shared(str(error.name))
@@ -260,15 +260,15 @@ class Scenario(RecordGrid):
         InvalidArgument
             If several paths are equally near.
         """
-        return find(self.given, name, self._named_numbers, where)
+        return find(self.nominal_loop, name, self._named_numbers, where)
 
     @cached_property
     def _named_numbers(self) -> dict[str, NumberRef]:
-        return named(self.given)
+        return named(self.nominal_loop)
 
     def _check_shared(self, name: str) -> None:
         """Reject a spread of a whole number, such as the samples of a delay: all robots share it."""
-        for leaf in walk(self.given):
+        for leaf in walk(self.nominal_loop):
             if isinstance(leaf.declared, Whole) and f".{leaf.path}".endswith(f".{name}"):
                 raise InvalidArgument(
                     f"spread has {name!r}, a whole number of a {type(leaf.owner).__name__}, which all "
@@ -280,7 +280,7 @@ class Scenario(RecordGrid):
         start = self.start
         if any(metric.function is None for metric in self.recorded_metrics):
             check_metrics(self.robot, *start, self.reference)
-        check_answers(self.given, self.context, *start)
+        check_answers(self.nominal_loop, self.context, *start)
 
     def _set(self, **values: object) -> None:
         for name, value in values.items():
@@ -304,7 +304,7 @@ class Scenario(RecordGrid):
         return replace(context, seed=self.seed)
 
     @cached_property
-    def given(self) -> Loop:
+    def nominal_loop(self) -> Loop:
         """Nominal loop, before the spread changes the shapes of its numbers."""
         parts = self.robot, self.controller, self.trajectory, self.forces, self.integrator
         return Loop(*parts, self.substeps)
@@ -342,7 +342,7 @@ class Scenario(RecordGrid):
             given, shape = self._named_numbers[path].leaf.value, value.shape[1:]
             if given is None or np.shape(given) != shape:
                 nominal[path] = np.broadcast_to(1.0 if given is None else given, shape)
-        return replaced(self.given, nominal) if nominal else self.given
+        return replaced(self.nominal_loop, nominal) if nominal else self.nominal_loop
 
     @property
     def _ones(self) -> dict[str, Array]:
@@ -427,7 +427,7 @@ class Scenario(RecordGrid):
     @cached_property
     def _random_parts(self) -> dict[str, Any]:
         """Parts that draw numbers for each robot without a spread, by the paths of these numbers."""
-        parts = parts_of(self.given)
+        parts = parts_of(self.nominal_loop)
         return {f"{path}.{name}": part for path, part in parts for name in getattr(part, "drawn", ())}
 
     @cached_property
@@ -458,7 +458,7 @@ class Scenario(RecordGrid):
         """Masks of the entries that differ from robot to robot in the numbers of the loop, by path."""
         masks = spread_entries(list(self.numbers.values()), self._spread_values(self._ones, 1))
         traced = {path: x for path, x in masks.items() if is_traced(path)}
-        leaves = numbers(self.given)
+        leaves = numbers(self.nominal_loop)
         draws = {path: leaves[path].value for path in self._random_parts if path in leaves}
         return traced | {path: np.ones(np.shape(value), bool) for path, value in draws.items()}
 

@@ -109,7 +109,7 @@ class InverseKinematicsTrajectory:
         metres, radians = self.max_error()
         turn = f", {radians:.3e} rad" if self.target.rows == 6 else ""
         try:
-            clearance = f", smallest clearance {self.clearance.told}"
+            clearance = f", smallest clearance {self.clearance.summary}"
         except PinmobileError:  # without collision geometry, the clearance is unknown
             clearance = ""
         motion = f"{self.frame} over {self.duration:g} s"
@@ -453,7 +453,7 @@ def _check_errors(
         a, b = clearance.pairs[int(clearance.distances[k].argmin())]
         raise Unreachable(
             f"clearance is {clearance.distance[k]:.3g} m between {a} and {b} at t = {t[k]:g} s, "
-            f"expected at least {min_distance:g} m; the smallest is {clearance.told}",
+            f"expected at least {min_distance:g} m; the smallest is {clearance.summary}",
             time=float(t[k]),
             resolved=trajectory,
         )

@@ -224,7 +224,7 @@ class Stepper:
             return initial_context(plant, self.controller, self.dt, trajectory)
         except NotTraceable as error:
             raise InvalidArgument(
-                f"trajectory is None, but {error.what}: expected its trajectory", "trajectory"
+                f"trajectory is None, but {error.obstacle}: expected its trajectory", "trajectory"
             ) from error
 
     def _arrays(self, start: tuple[Array, Array], first: Reference, schedule: Array) -> None:

@@ -245,7 +245,8 @@ def _unit(scenario: Scenario, path: str) -> str:
     if path in _FIELDS:
         return _UNITS.get(path, "")
     with suppress(UnknownName):
-        return find(scenario.given, path.removeprefix("spread."), _named_refs(scenario.given)).unit
+        loop = scenario.nominal_loop
+        return find(loop, path.removeprefix("spread."), _named_refs(loop)).unit
     return ""
 
 
@@ -266,7 +267,7 @@ def change_scenario(scenario: Scenario, changes: Changes) -> Scenario:
     InvalidArgument
         If a value does not match the declaration of its field.
     """
-    loop, spread = scenario.given, scenario.spread
+    loop, spread = scenario.nominal_loop, scenario.spread
     scenario_fields, numbers, paths = dict[str, Any](), dict[str, Any](), set[str]()
     by_path = {_PARTS.get(path, path): value for path, value in changes.items()}
     for path in sorted(by_path, key=lambda path: (path not in _PARTS.values(), path.count("."))):

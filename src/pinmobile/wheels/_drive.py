@@ -843,7 +843,7 @@ class WheeledRobot(PlantOnWheels):
             reduced = rolling.reduced(q[row], zeros)
             u[row] = reduced.nearest(reduced.S[: self.robot.nv].T @ tau[row], self.inputs)
             state = rolling.state(q[row], zeros)
-            rest[row] = tau[row] - [number(x) for x in state.outward(rolling.given_force(state, u[row]))]
+            rest[row] = tau[row] - [number(x) for x in state.outward(rolling.applied_force(state, u[row]))]
         return Allocation(u, rest)
 
     @takes(q="nq", tau="of_body")

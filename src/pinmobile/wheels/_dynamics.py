@@ -480,10 +480,10 @@ class WheeledDynamics:
             high, low = u > upper, u < lower
             ratio = np.where(high, upper, np.where(low, lower, 1.0)) / np.where(high | low, u, 1.0)
             u = u * np.min(ratio, axis=-1)[..., None]
-        rest = [a - b for a, b in zip(force, self.given_force(state, u), strict=True)]
+        rest = [a - b for a, b in zip(force, self.applied_force(state, u), strict=True)]
         return u, stacked(state.outward(rest), q)
 
-    def given_force(self, state: State, u: Any) -> Vector:
+    def applied_force(self, state: State, u: Any) -> Vector:
         """Return the force of an input on body and arms, along the body's axes."""
         ns, first = len(self.table.axes), self.of_body
         effort = self.input_force(state, u, 0.0)
