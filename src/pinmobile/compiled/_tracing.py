@@ -59,6 +59,8 @@ _replacements = {name: _guard(getattr(np, name), other) for name, other in const
 _numpy = _NumPy("numpy")
 vars(_numpy).update(_replacements)
 _swaps = {id(getattr(np, name)): other for name, other in _replacements.items()} | {id(np): _numpy}
+_substitutes = {id(other) for other in _swaps.values()}
+_read_modules: dict[str, tuple[dict[str, Any], int, list[str]]] = {}
 
 
 @contextlib.contextmanager
@@ -90,11 +92,12 @@ def tracing(namespaces: Iterable[dict[str, Any]] = (), cells: Iterable[CellType]
         If a law does something that symbols do not support; the message contains the line.
     """
     with _lock:
-        modules = sys.modules.items()
-        spaces = [vars(module) for name, module in list(modules) if module is not None and _holds_laws(name)]
-        ids = {id(space) for space in spaces}
-        spaces += [space for space in namespaces if id(space) not in ids]
-        changes = [(space, name, x) for space in spaces for name, x in [*space.items()] if id(x) in _swaps]
+        modules = [*sys.modules.items()]
+        spaces = {name: vars(module) for name, module in modules if module is not None and _holds_laws(name)}
+        pairs = [(space, name) for module, space in spaces.items() for name in _swapped_names(module, space)]
+        ids = {id(space) for space in spaces.values()}
+        pairs += [(space, name) for space in namespaces if id(space) not in ids for name in [*space]]
+        changes = [(space, name, x) for space, name in pairs if id(x := space[name]) in _swaps]
         cell_swaps = [(cell, value) for cell in cells if id(value := _content(cell)) in _swaps]
         for space, name, value in changes:
             space[name] = _swaps[id(value)]
@@ -120,6 +123,15 @@ def tracing(namespaces: Iterable[dict[str, Any]] = (), cells: Iterable[CellType]
                 space[name] = value
             for cell, value in cell_swaps:
                 cell.cell_contents = value
+
+
+def _swapped_names(module: str, space: dict[str, Any]) -> list[str]:
+    """Return the globals of a module that are replaced; it is read again if their number changes."""
+    known = _read_modules.get(module)
+    if known is None or known[0] is not space or known[1] != len(space):
+        names = [name for name, x in [*space.items()] if id(x) in _swaps or id(x) in _substitutes]
+        known = _read_modules[module] = space, len(space), names
+    return known[2]
 
 
 def _content(cell: CellType) -> Any:
