@@ -58,8 +58,9 @@ def clock_of(t_u: Array, u: Array, t: Array, x: Array, is_pose: bool) -> tuple[f
         candidates = candidates[(candidates >= _SLOWEST) & (candidates <= _FASTEST)]
         columns = _moving_average(_activity(motion) if envelope else motion, smooth / h)
         left, sizes, _ = np.linalg.svd(columns, full_matrices=False)
-        given = left[:, sizes > _SMALL * sizes[0]]
-        scores = [_match(given, stream, rate, h, smooth, envelope) for rate in candidates]
+        signals = np.ascontiguousarray(left[:, sizes > _SMALL * sizes[0]].T)
+        spectra: dict[int, Array] = {}
+        scores = [_match(signals, spectra, stream, rate, h, smooth, envelope) for rate in candidates]
         return np.array(sorted(scores, reverse=True)), 2 * spacing
 
     smooth, finer = span / _PARTS, 1.0
@@ -101,20 +102,30 @@ def clock_hint(t: Array, u: Array, x: Array, is_pose: bool) -> str:
 
 
 def _match(
-    motion: Array, timed_inputs: Array, rate: float, h: float, smooth: float, envelope: bool
+    motion: Array,
+    spectra: dict[int, Array],
+    timed_inputs: Array,
+    rate: float,
+    h: float,
+    smooth: float,
+    envelope: bool,
 ) -> tuple[float, float, float]:
-    """Return the largest mean R^2 of inputs for the orthonormal columns of a motion, rate, and offset [s]."""
+    """Return the largest mean R^2 of inputs for the orthonormal signals of a motion, rate, and offset [s].
+
+    `motion` has shape (k, N). `spectra` has its Fourier transforms by their length.
+    """
     from scipy.fft import irfft, next_fast_len, rfft  # slow to load
 
     t, u = rate * timed_inputs[:, 0], timed_inputs[:, 1:]
     inputs = u[np.searchsorted(t, np.arange(0.0, t[-1], h), side="right") - 1]
     inputs = _moving_average(_activity(inputs) if envelope else inputs, smooth / h)
-    size = next_fast_len(len(motion) + len(inputs))
-    motion_fft, input_fft = (rfft(each, size, axis=0) for each in (motion, inputs))
-    each = irfft(motion_fft[:, :, None] * np.conj(input_fft[:, None]), size, axis=0)
-    total = (each**2).sum(axis=(1, 2)) / inputs.shape[1]
+    count, size = motion.shape[1], next_fast_len(motion.shape[1] + len(inputs), real=True)
+    if size not in spectra:
+        spectra[size] = rfft(motion, size)
+    each = irfft(spectra[size][:, None] * np.conj(rfft(inputs.T, size)), size)
+    total = np.einsum("kmn,kmn->n", each, each) / inputs.shape[1]
     lag = int(total.argmax())
-    return float(total[lag]), rate, h * (lag if lag < len(motion) else lag - size)
+    return float(total[lag]), rate, h * (lag if lag < count else lag - size)
 
 
 def _signals(t: Array, x: Array, grid: Array, is_pose: bool) -> Array:
