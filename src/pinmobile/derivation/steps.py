@@ -765,16 +765,15 @@ class Record:
 
     def derivation(self, M: Sequence[Sequence[Expr]], n: Sequence[Expr]) -> Derivation:
         """Record M and n, given in the order of the rows, and return the derivation."""
-        order, variables = self.chain.order, self.chain.table.variables
-        names = [f"tau_{variables.index(name) + 1}" for name in order]
-        texts = {"order": ", ".join(order), "inputs": ", ".join(names)}
-        rows = self.chain.ordered([self.chain.ordered(row) for row in M])
-        self.matrix(MASS_MATRIX, ImmutableMatrix(rows), 0, **texts)
-        self.matrix(NONLINEAR_EFFECTS, ImmutableMatrix(self.chain.ordered(n)), 0, **texts)
+        chain = self.chain
+        names = [f"tau_{chain.table.variables.index(name) + 1}" for name in chain.order]
+        texts = {"order": ", ".join(chain.order), "inputs": ", ".join(names)}
+        self.matrix(MASS_MATRIX, ImmutableMatrix(chain.ordered([*map(chain.ordered, M)])), 0, **texts)
+        self.matrix(NONLINEAR_EFFECTS, ImmutableMatrix(chain.ordered(n)), 0, **texts)
         steps = {step.name: step.expression for step in self.steps}
         inputs = ImmutableMatrix([steps[name] for name in names])
         meanings = tuple(self.treatment.meanings.items())
-        return Derivation(self.chain, tuple(self.steps), inputs, steps["M"], steps["n_v"], meanings)
+        return Derivation(chain, tuple(self.steps), inputs, steps["M"], steps["n_v"], meanings)
 
     def _add_tag(self, name: str) -> str:
         # in names of sympy, __ begins a superscript and _ a subscript
