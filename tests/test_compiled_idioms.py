@@ -148,6 +148,8 @@ def reduced(q: Any) -> Any:
     return np.add.reduce(q * q) + np.multiply.reduce(q) + np.maximum.reduce(q)
 
 
+ROWS = np.array([[1.0, -2.0, 3.0], [-0.5, 1.5, 2.5]])
+
 IDIOMS: dict[str, Callable[[Any], Any]] = {
     "arithmetic": lambda q: 2 * q - q / 3 + 1,
     "power": lambda q: -(q**2) + q**3,
@@ -306,6 +308,27 @@ IDIOMS: dict[str, Callable[[Any], Any]] = {
     "take": lambda q: np.take(q, [2, 1]),
     "triu": lambda q: np.triu(np.outer(q, q)),
     "ptp": lambda q: np.ptp(q),
+    "median of columns": lambda q: np.median(ROWS * q, axis=0) + np.median(ROWS * q, axis=1, keepdims=True),
+    "median of the first two": lambda q: np.median(q[:2], keepdims=True),
+    "median of more axes": lambda q: np.median(np.outer(q, q), keepdims=True),
+    "deviation of columns": lambda q: np.std(ROWS * q, axis=0, keepdims=True) + (ROWS * q).var(0, ddof=1),
+    "largest and an initial value": lambda q: np.max(ROWS * q, axis=0, initial=0.5) + q.min(initial=-0.3),
+    "largest behind a mask": lambda q: np.max(ROWS * q, axis=1, where=ROWS < 2, initial=-9.0),
+    "truths behind a mask": lambda q: np.where(np.any(ROWS * q > 1, axis=0, where=ROWS < 2), 1.0, 0.0),
+    "all behind a mask": lambda q: np.where(np.all(ROWS * q > -1, axis=1, where=ROWS > 0), 1.0, 0.0),
+    "count of columns": lambda q: np.count_nonzero(ROWS * q > 0, axis=0, keepdims=True),
+    "range of columns": lambda q: np.ptp(ROWS * q, axis=0, keepdims=True),
+    "columns in a row": lambda q: np.outer(q, ROWS[0]).flatten("F"),
+    "nan_to_num by place": lambda q: np.nan_to_num(q, True, 1.0),
+    "clip by names": lambda q: np.clip(q, min=-0.5, max=0.5) + q.clip(max=0.1),
+    "infinite ones are close": lambda q: np.where(np.isclose(q / 0.0, np.inf), 1.0, 0.0),
+    "no infinite one is close": lambda q: np.where(np.isclose(q, np.inf), 1.0, 0.0),
+    "arrays of two shapes": lambda q: q * float(np.array_equal(q, q[:1])),
+    "filled in another shape": lambda q: np.full_like(q, q[0], shape=(2, 2)),
+    "truths like an array": lambda q: np.where(np.zeros_like(q, dtype=bool) | (q > 0), 1.0, 0.0),
+    "upper triangle": lambda q: np.linalg.cholesky(np.outer(q, q) + 9.0 * np.eye(3), upper=True),
+    "norm of rows": lambda q: np.linalg.norm(ROWS * q, 2, axis=1, keepdims=True),
+    "norm of two axes": lambda q: np.linalg.norm(ROWS * q, axis=(0, 1)),
 }
 
 
@@ -357,6 +380,11 @@ REFUSED: dict[str, tuple[Callable[[Any], Any], str]] = {
     "array of whole numbers": (whole_set, "arrays of floats"),
     "random": (lambda q: q + np.random.normal(size=3), "context.noise"),  # noqa: NPY002
     "array from outside": (lambda q: np.add(q, 1.0, out=LIMITS.copy()), "in the law"),
+    "deviation behind a mask": (lambda q: np.std(q, where=np.array([True, False, True])), "PYTHON"),
+    "spectral norm": (lambda q: np.linalg.norm(np.outer(q, q), 2, axis=(0, 1)), "np.abs"),
+    "steps between rows": (lambda q: np.unwrap(np.outer(q, q)), "one row"),
+    "determinants": (lambda q: np.linalg.det(np.ones((2, 3, 3)) * q), "one square matrix"),
+    "period of steps": (lambda q: np.unwrap(q, period=2.0), "PYTHON"),
     "unknown ufunc": (lambda q: np.nextafter(q, 1.0), "use one of"),
 }
 

@@ -41,34 +41,51 @@ def _where(condition: Operand, *choice: Operand) -> Any:
     return wrap(choose(*map(unwrap, (condition, *choice))))
 
 
-def _clip(a: object, a_min: object = None, a_max: object = None, out: object = None, **more: object) -> Any:
-    low, high = more.get("min", a_min), more.get("max", a_max)
+def _clip(
+    a: object,
+    a_min: object = None,
+    a_max: object = None,
+    out: object = None,
+    *,
+    min: object = None,
+    max: object = None,
+) -> Any:
+    low, high = a_min if min is None else min, a_max if max is None else max
     bounds = -np.inf if low is None else low, np.inf if high is None else high
     result = wrap(clip(*map(unwrap, (a, *bounds))))
     return result if out is None else put(result, out)
 
 
-def _make_reduction(function: Callable[..., Any]) -> Callable[..., Any]:
+def _make_reduction(function: Callable[..., Any], neutral: object = None) -> Callable[..., Any]:
+    """Return a reduction; `neutral` takes the place of masked entries, by default the initial value."""
     step = elementwise(function, 2)
 
     def run(
-        a: object, axis: int | None = None, out: object = None, keepdims: bool = False, **options: object
+        a: object,
+        axis: int | None = None,
+        out: object = None,
+        keepdims: bool = False,
+        initial: object = None,
+        where: Operand = True,
     ) -> Any:
         array = entries(a)
-        if "initial" in options:
-            array = np.append(array.reshape(-1), [options["initial"]])
+        if where is not True:
+            array = choose(unwrap(where), array, initial if neutral is None else neutral)
         if axis is None:
-            result = reduce(function, array.reshape(-1))
-            return wrap(box(result).reshape((1,) * array.ndim if keepdims else ()))
-        return wrap(as_array(step.reduce(array, axis=axis, keepdims=keepdims)))
+            result = box(reduce(function, array.reshape(-1))).reshape((1,) * array.ndim if keepdims else ())
+        else:
+            result = as_array(step.reduce(array, axis=axis, keepdims=keepdims))
+        result = wrap(result if initial is None else as_array(step(result, initial)))
+        return result if out is None else put(result, out)
 
     return run
 
 
 def _norm(x: Symbols, ord: object = None, axis: int | None = None, keepdims: bool = False) -> Any:
-    if ord in (None, 2, "fro") and (axis is not None or x.ndim < 2 or ord != 2):
+    is_vector = x.ndim == 1 or isinstance(axis, int)
+    if ord in (None, "fro") or (ord == 2 and is_vector):
         return np.sqrt(np.sum(np.square(x), axis=axis, keepdims=keepdims))
-    if x.ndim == 1 or isinstance(axis, int):
+    if is_vector:
         if ord == 1:
             return np.sum(np.abs(x), axis=axis, keepdims=keepdims)
         if ord == np.inf:
@@ -76,11 +93,17 @@ def _norm(x: Symbols, ord: object = None, axis: int | None = None, keepdims: boo
     raise NotTraceable(f"np.linalg.norm with ord={ord!r}", "write it by sums, products, np.abs and np.max")
 
 
-def _solve(matrix: object, right: object) -> Any:
-    """Return the solution of linear equations by elimination with row pivoting."""
-    a, b = entries(matrix).copy(), entries(right).copy()
+def _square_matrix(matrix: object) -> Any:
+    """Return the entries of a square matrix."""
+    a = entries(matrix).copy()
     if a.ndim != 2 or a.shape[0] != a.shape[1]:
         raise NotTraceable(f"np.linalg of an array of shape {a.shape}", "give one square matrix")
+    return a
+
+
+def _solve(a: Any, b: Any) -> Any:
+    """Return the solution of linear equations by elimination with row pivoting."""
+    a, b = _square_matrix(a), entries(b).copy()
     n, vector = len(a), b.ndim == 1
     rows = np.concatenate([a, b.reshape(n, -1)], axis=1)
     for j in range(n):
@@ -99,8 +122,8 @@ def _solve(matrix: object, right: object) -> Any:
     return wrap(rows[:, n] if vector else rows[:, n:])
 
 
-def _cholesky(matrix: object, **_: object) -> Any:
-    a = entries(matrix)
+def _cholesky(a: Any, upper: bool = False) -> Any:
+    a = _square_matrix(a)
     n = len(a)
     lower = np.asarray(np.zeros((n, n))).astype(object)
     for j in range(n):
@@ -108,11 +131,11 @@ def _cholesky(matrix: object, **_: object) -> Any:
         for i in range(j + 1, n):
             products = (x * y for x, y in zip(lower[i, :j], lower[j, :j], strict=True))
             lower[i, j] = (a[i, j] - sum(products, 0.0)) / lower[j, j]
-    return wrap(lower)
+    return wrap(lower.T if upper else lower)
 
 
-def _determinant(matrix: object) -> Any:
-    a = entries(matrix)
+def _determinant(a: Any) -> Any:
+    a = _square_matrix(a)
     if len(a) == 1:
         return wrap(box(a[0, 0]))
     minors = (
@@ -144,7 +167,7 @@ def _interpolate(
 _ORDERS = elementwise(minimum, 2), elementwise(maximum, 2)
 
 
-def _sort(a: object, axis: int | None = -1, **_: object) -> Any:
+def _sort(a: object, axis: int | None = -1, kind: str | None = None, *, stable: bool | None = None) -> Any:
     """Return the entries in order, by exchanges of neighbours."""
     array = entries(a).copy()
     rows = array.reshape(-1) if axis is None else np.moveaxis(array, axis, 0)
@@ -159,15 +182,21 @@ def _select(conditions: Iterable[Operand], choices: Iterable[Operand], default: 
     return reduce(lambda rest, pair: _where(pair[0], pair[1], rest), reversed(list(pairs)), default)
 
 
+def _full_like(
+    a: Operand,
+    fill_value: object,
+    dtype: Any = None,
+    order: str = "K",
+    subok: bool = True,
+    shape: int | tuple[int, ...] | None = None,
+) -> Any:
+    size = np.shape(a) if shape is None else shape
+    result = Symbols(np.array(np.broadcast_to(entries(fill_value), size), object))
+    return result if dtype is None else result.astype(dtype)
+
+
 def _make_constant(value: float) -> Callable[..., Any]:
-    def run(a: Operand, *_: object, shape: int | tuple[int, ...] | None = None, **__: object) -> Any:
-        return wrap(np.full(np.shape(a) if shape is None else shape, value).astype(object))
-
-    return run
-
-
-def _full_like(a: Operand, value: object, *_: object, **__: object) -> Any:
-    return wrap(np.array(np.broadcast_to(entries(value), np.shape(a)), object))
+    return lambda a, *given, **options: _full_like(a, value, *given, **options)
 
 
 def _make_masked(function: Callable[..., Any], neutral: float) -> Callable[..., Any]:
@@ -180,26 +209,44 @@ def _make_masked(function: Callable[..., Any], neutral: float) -> Callable[..., 
     return run
 
 
-def _round(a: Symbols, decimals: int = 0, **_: object) -> Any:
+def _round(a: Symbols, decimals: int = 0) -> Any:
     return np.rint(a * 10.0**decimals) / 10.0**decimals if decimals else np.rint(a)
 
 
 def _replace_nan(
-    x: Symbols, nan: float = 0.0, posinf: float | None = None, neginf: float | None = None, **_: object
+    x: Symbols, copy: bool = True, nan: float = 0.0, posinf: float | None = None, neginf: float | None = None
 ) -> Any:
     top = np.finfo(float).max
     high, low = top if posinf is None else posinf, -top if neginf is None else neginf
-    return np.where(x != x, nan, np.where(x == np.inf, high, np.where(x == -np.inf, low, x)))
+    result = np.where(x != x, nan, np.where(x == np.inf, high, np.where(x == -np.inf, low, x)))
+    return result if copy else put(result, x)
 
 
-def _variance(a: Symbols, axis: int | None = None, ddof: float = 0, **_: object) -> Any:
+def _variance(
+    a: Symbols,
+    axis: int | None = None,
+    dtype: Any = None,
+    out: object = None,
+    ddof: float = 0,
+    keepdims: bool = False,
+) -> Any:
     centred = a - np.mean(a, axis=axis, keepdims=True)
     count = np.size(a) if axis is None else np.shape(a)[axis]
-    return np.sum(np.square(centred), axis=axis) / (count - ddof)
+    result = np.sum(np.square(centred), axis=axis, keepdims=keepdims) / (count - ddof)
+    return result if out is None else put(result, out)
 
 
-def _is_close(a: Values, b: Values, rtol: float = 1e-5, atol: float = 1e-8, **_: object) -> Any:
-    return np.abs(a - b) <= atol + rtol * np.abs(b)
+def _is_close(a: Values, b: Values, rtol: float = 1e-5, atol: float = 1e-8) -> Any:
+    return np.where(np.isfinite(b), np.abs(a - b) <= atol + rtol * np.abs(b), a == b)
+
+
+def _median(a: Any, axis: int | None = None, *, keepdims: bool = False) -> Any:
+    ordered, half = _sort(a, axis), entries(a).size // 2 if axis is None else np.shape(a)[axis] // 2
+    rows = np.moveaxis(ordered, axis or 0, 0)
+    result = rows[half] if len(rows) % 2 else 0.5 * (rows[half - 1] + rows[half])
+    if not keepdims:
+        return result
+    return np.reshape(result, (1,) * np.ndim(a)) if axis is None else np.expand_dims(result, axis)
 
 
 _FUNCTIONS: dict[Any, Callable[..., Any]] = {
@@ -207,25 +254,29 @@ _FUNCTIONS: dict[Any, Callable[..., Any]] = {
     np.clip: _clip,
     **dict.fromkeys((np.max, np.amax), _make_reduction(larger)),
     **dict.fromkeys((np.min, np.amin), _make_reduction(smaller)),
-    np.ptp: lambda a, axis=None, **_: np.max(a, axis=axis) - np.min(a, axis=axis),
+    np.ptp: lambda a, axis=None, keepdims=False: (
+        np.max(a, axis, keepdims=keepdims) - np.min(a, axis, keepdims=keepdims)
+    ),
     np.sum: _make_masked(np.sum, 0.0),
     np.prod: _make_masked(np.prod, 1.0),
-    np.any: _make_reduction(on_truths(operator.or_)),
-    np.all: _make_reduction(on_truths(operator.and_)),
-    np.count_nonzero: lambda a, axis=None, **_: np.sum((a != 0).astype(float), axis=axis),
+    np.any: _make_reduction(on_truths(operator.or_), False),
+    np.all: _make_reduction(on_truths(operator.and_), True),
+    np.count_nonzero: lambda a, axis=None, *, keepdims=False: np.sum(
+        (a != 0).astype(float), axis=axis, keepdims=keepdims
+    ),
     np.select: _select,
     **dict.fromkeys((np.round, np.around), _round),
     np.nan_to_num: _replace_nan,
     np.var: _variance,
-    np.std: lambda a, axis=None, ddof=0, **_: np.sqrt(_variance(a, axis, ddof)),
+    np.std: lambda *given, **options: np.sqrt(_variance(*given, **options)),
     np.isclose: _is_close,
     np.allclose: lambda a, b, **options: np.all(_is_close(a, b, **options)),
-    np.array_equal: lambda a, b, **_: np.all(a == b),
+    np.array_equal: lambda a1, a2: np.shape(a1) == np.shape(a2) and np.all(np.equal(a1, a2)),
     np.sinc: lambda x: np.where(x == 0, 1.0, np.sin(np.pi * x) / np.where(x == 0, 1.0, np.pi * x)),
     np.interp: _interpolate,
     np.sort: _sort,
-    np.median: lambda a, **_: _median(_sort(a, axis=None)),
-    np.unwrap: lambda p, **_: _unwrap(p),
+    np.median: _median,
+    np.unwrap: lambda p: _unwrap(p),
     **dict.fromkeys((np.zeros_like, np.empty_like), _make_constant(0.0)),
     np.ones_like: _make_constant(1.0),
     np.full_like: _full_like,
@@ -235,7 +286,7 @@ _FUNCTIONS: dict[Any, Callable[..., Any]] = {
     np.linalg.det: _determinant,
     np.linalg.cholesky: _cholesky,
     np.linalg.norm: _norm,
-    np.linalg.pinv: lambda a, **_: _pseudo_inverse(a),
+    np.linalg.pinv: lambda a: _pseudo_inverse(a),
     np.shape: lambda a: a.shape if isinstance(a, Symbols) else entries(a).shape,
     np.ndim: lambda a: a.ndim if isinstance(a, Symbols) else entries(a).ndim,
     np.size: lambda a, axis=None: a.size if axis is None else a.shape[axis],
@@ -244,12 +295,9 @@ _FUNCTIONS: dict[Any, Callable[..., Any]] = {
 }
 
 
-def _median(ordered: Symbols) -> Any:
-    half = ordered.size // 2
-    return ordered[half] if ordered.size % 2 else 0.5 * (ordered[half - 1] + ordered[half])
-
-
 def _unwrap(p: Symbols) -> Any:
+    if p.ndim != 1:
+        raise NotTraceable(f"np.unwrap of an array of shape {p.shape}", "give one row")
     turns = np.cumsum(-2 * np.pi * np.rint(np.diff(p) / (2 * np.pi)))
     return np.concatenate([p[:1], p[1:] + turns])
 

@@ -266,16 +266,18 @@ class Symbols(NDArrayOperatorsMixin):
         self, function: Callable[..., Any], types: object, given: Iterable[object], options: dict[str, Any]
     ) -> Any:
         out = options.pop("out", None) if function not in (np.clip,) else None
-        if function in FUNCTIONS:
-            result = FUNCTIONS[function](*given, **options)
-        elif function in REFUSALS:
+        if function in REFUSALS:
             raise NotTraceable(f"np.{function.__name__} of symbols", REFUSALS[function])
-        else:
-            try:
+        try:
+            if function in FUNCTIONS:
+                result = FUNCTIONS[function](*given, **options)
+            else:
                 result = wrap(function(*map(unwrap, given), **{k: unwrap(v) for k, v in options.items()}))
-            except (TypeError, AttributeError, ValueError) as error:
-                remedy = "write it by sums, products and np.where, or run the law with engine=Engine.PYTHON"
-                raise NotTraceable(f"np.{function.__name__} of symbols ({error})", remedy) from None
+        except NotTraceable:
+            raise
+        except (TypeError, AttributeError, ValueError) as error:
+            remedy = "write it by sums, products and np.where, or run the law with engine=Engine.PYTHON"
+            raise NotTraceable(f"np.{function.__name__} of symbols ({error})", remedy) from None
         return result if out is None else put(result, out)
 
     def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> Any:
@@ -355,9 +357,9 @@ class Symbols(NDArrayOperatorsMixin):
         """Set all entries to one value."""
         self.entries[...] = unwrap(value)
 
-    def flatten(self, *_: object) -> Any:
+    def flatten(self, order: Any = "C") -> Any:
         """Return the entries as one row."""
-        return wrap(self.entries.reshape(-1).copy())
+        return wrap(self.entries.flatten(order))
 
     def conjugate(self) -> Symbols:
         """Return the array itself."""
