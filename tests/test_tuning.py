@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 
 import pinmobile as pm
 from pinmobile import plots
+from pinmobile.controllers import Sampled
 from pinmobile.derivatives import Constraint, Margins, Tuning, gradient, poles, sensitivities, tune
 from pinmobile.errors import UnknownName
 from pinmobile.loop import Relative
@@ -205,6 +206,27 @@ def test_margins_are_those_of_the_closed_form(late: int) -> None:
     stronger: Any = pm.ComputedTorque(BODY, kp * limit, kd * limit)
     beyond = poles(BODY, pm.MeasurementDelay(stronger, late) if late else stronger, REST, dt=h, at=1.0)
     assert np.abs(beyond.values).max() == pytest.approx(1.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("at", [0.0, 0.53])
+def test_a_loop_with_a_slower_law_is_linearized_over_its_period(at: float) -> None:
+    law = pm.PD(60, 60)
+    one = poles(BODY, law, REST, dt=0.04)
+    slow = poles(BODY, Sampled(law, 4), REST, dt=0.01, at=at)
+    assert (slow.dt, len(slow.values)) == (0.04, 10)  # with held force and count
+    np.testing.assert_allclose(slow.values[:6], one.values, atol=1e-9)
+    np.testing.assert_allclose(slow.values[6:], 0.0, atol=1e-9)
+    for name, margins in one.margins.items():
+        assert slow.margins[name].gain == pytest.approx(margins.gain, rel=1e-6)
+        assert slow.margins[name][1:] == pytest.approx(margins[1:], rel=1e-6)
+    unstable = poles(BODY, Sampled(law, 40), REST, dt=0.01)
+    assert np.abs(unstable.values).max() == pytest.approx(
+        np.abs(poles(BODY, law, REST, dt=0.4).values).max(), rel=1e-9
+    )
+    with pytest.raises(pm.InvalidArgument, match=r"^the inputs change within the period .* no margins$"):
+        poles(BODY, pm.DisturbanceObserver(Sampled(law, 4), BODY, gain=1.0), REST, dt=0.01).margins  # noqa: B018
+    with pytest.raises(pm.InvalidArgument, match=r"has \d+ samples, expected at least 2000: two periods"):
+        poles(BODY, Sampled(law, 1000), REST, dt=0.01)
 
 
 def test_an_unstable_loop_has_no_margins_and_all_poles_are_drawn() -> None:

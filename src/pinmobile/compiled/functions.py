@@ -330,7 +330,7 @@ def _make_array(original: Callable[..., Any], copies: bool) -> Callable[..., Any
         if isinstance(x, Symbols) and not copies:
             return x
         try:
-            result = Symbols(np.array(entries(x), object))
+            result = Symbols(np.array(entries(x), object, ndmin=options.get("ndmin", 0)))
         except ValueError:
             return original(x, *given, **options)  # NumPy raises an error about ragged lists
         dtype = given[0] if given else options.get("dtype")

@@ -5,19 +5,20 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace as replaced
 from functools import cached_property
+from math import lcm
 from typing import Any, NamedTuple, final
 
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, scalar
 from pinmobile.compiled import tangent
-from pinmobile.controllers import Controller, Wrapper, evaluate, notify_applied
+from pinmobile.controllers import Controller, Sampled, Wrapper, evaluate, notify_applied
 from pinmobile.derivatives._problem import Problem, loop_errors, problem_of
 from pinmobile.errors import InvalidArgument
 from pinmobile.forces import Force
 from pinmobile.integrators import Integrator
 from pinmobile.loop import Record, Sample
-from pinmobile.parts import OnCoordinates, array, child, part
+from pinmobile.parts import OnCoordinates, array, child, part, parts_of
 from pinmobile.plant import Plant, coordinates_of, inputs_of
 from pinmobile.trajectories import Trajectory
 
@@ -157,7 +158,7 @@ class Poles:
     states : tuple of str
         Name of each state.
     dt, t : float
-        Time step, and time of the sample [s].
+        Time step, or period of a loop with `Sampled` laws, and time of the sample [s].
     input_matrix : ndarray, shape (n, nu), optional
         Derivatives of the state after the sample by an addition to each input.
     output_matrix : ndarray, shape (nu, n), optional
@@ -230,7 +231,17 @@ class Poles:
         -------
         ndarray of complex, shape (m, nu, nu)
             Responses.
+
+        Raises
+        ------
+        InvalidArgument
+            If the inputs change within the period of the loop.
         """
+        if self.input_matrix is None:
+            raise InvalidArgument(
+                "the inputs change within the period of the loop, expected a loop with one time step, or "
+                "Sampled around its whole law: it has no margins"
+            )
         z = np.exp(1j * np.asarray(frequency, float) * self.dt)[..., None, None]
         return self.feedthrough + self.output_matrix @ np.linalg.solve(
             z * np.eye(len(self.matrix)) - self.matrix, self.input_matrix
@@ -291,12 +302,16 @@ def poles(
     the unit circle mean that small deviations decay if the loop stays at this sample, such as at rest or on
     a steady motion. Along a trajectory on which the matrix changes, they prove nothing about stability.
 
+    A loop with `Sampled` laws is linearized over one period, the smallest in which each of them runs a whole
+    number of times. It has margins if one `Sampled` holds all inputs for the period.
+
     Parameters
     ----------
     plant, controller, trajectory, dt, q0, v0, integrator, substeps, forces
         Closed loop, see `simulate`.
     at : float
-        Time of the sample [s]; the first sample counts as the second one, after which delays are full.
+        Time of the sample [s]; the first sample, or period, counts as the second one, after which delays are
+        full.
 
     Returns
     -------
@@ -333,9 +348,15 @@ def poles(
     t = problem.scenario.t
     if at > t[-1]:
         raise InvalidArgument(f"at is {at} s, expected a time in the run, 0 to {t[-1]:g} s")
-    k = min(max(1, round(at / problem.scenario.dt)), len(t) - 1)
+    samples = lcm(*(law.every for _, law in parts_of(problem.loop) if isinstance(law, Sampled)))
+    dt, last = samples * problem.scenario.dt, len(t) // samples - 1
+    if last < 1 < samples:
+        raise InvalidArgument(
+            f"the run has {len(t)} samples, expected at least {2 * samples}: two periods of its Sampled laws"
+        )
+    k = samples * min(max(1, round(at / dt)), last)
     with loop_errors():
-        matrix, output = _linearize(problem, k)
+        matrix, output = _linearize(problem, k, samples)
     n = len(problem.machine.tape.states)
     matrix, input_matrix = matrix[:, :n], matrix[:, n:]
     # Chains of delays have poles 0, which rounding scatters: leave them out by the range of a power.
@@ -347,28 +368,36 @@ def poles(
     values.imag[np.abs(values.imag) < _REAL_TOLERANCE] = 0.0
     order = np.lexsort([-values.imag, -np.round(np.abs(values), 6)])
     inputs = tuple(entry.name for entry in inputs_of(plant))
-    outputs = input_matrix, output[:, :n], output[:, n:], inputs
-    return Poles(values[order], matrix, _names(problem), problem.scenario.dt, float(t[k]), *outputs)
+    is_held = samples == 1 or (isinstance(controller, Sampled) and controller.every == samples)
+    response: Any = (input_matrix, output[:, :n], output[:, n:]) if is_held else (None, None, None)
+    outputs = *response, inputs
+    return Poles(values[order], matrix, _names(problem), dt, float(t[k]), *outputs)
 
 
-def _linearize(problem: Problem, k: int) -> tuple[Array, Array]:
-    """Return the derivatives of state and input by state and probe at sample k, (n, n + nu), (nu, n + nu)."""
+def _linearize(problem: Problem, k: int, samples: int) -> tuple[Array, Array]:
+    """Return the derivatives of state and input by state and probe, (n, n + nu), (nu, n + nu).
+
+    The state is that after some samples, from sample k on; the input is that of sample k.
+    """
     machine, inputs = problem.machine, problem.inputs({})
     n, leaf = len(machine.tape.states), machine.tape.parameters[_PROBE]
     columns = [("row", leaf.first + i) for i in range(int(np.prod(leaf.shape)))]
     m = n + len(columns)
-    history = inputs._replace(samples=inputs.samples[: k + 1])
+    history = inputs._replace(samples=inputs.samples[: k + samples])
     record = machine.of("recording", machine.state_recorder, False)
     kept = record[1].kept_samples(problem.run(record, history, slice(None))[1], 1)
     program = machine.of("one sample", lambda: tangent(replaced(machine.tape, counted=[]), columns), True)
-    identity = np.eye(m)
-    arguments = inputs._replace(
-        states=np.concatenate([np.tile(kept["state"][0, k][:, None], m), identity[:n]]),
-        rows=np.concatenate([np.tile(inputs.rows, m), identity[n:]]),
-        samples=inputs.samples[k : k + 1],
-    )
-    final, outputs = problem.run(program, arguments, slice(None), first=k, copies=m)
-    return final[n:], program[1].kept_samples(outputs, m)["tangent u"][:, 0].T
+    identity, effect, slopes = np.eye(m), np.eye(m), []
+    for i in range(k, k + samples):
+        arguments = inputs._replace(
+            states=np.concatenate([np.tile(kept["state"][0, i][:, None], m), identity[:n]]),
+            rows=np.concatenate([np.tile(inputs.rows, m), identity[n:]]),
+            samples=inputs.samples[i : i + 1],
+        )
+        final, outputs = problem.run(program, arguments, slice(None), first=i, copies=m)
+        effect[:n] = final[n:] @ effect
+        slopes.append(program[1].kept_samples(outputs, m)["tangent u"][:, 0].T)
+    return effect[:n], slopes[0]
 
 
 def _names(problem: Problem) -> tuple[str, ...]:
