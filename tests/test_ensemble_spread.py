@@ -10,9 +10,10 @@ from scipy import stats
 import pinmobile as pm
 from pinmobile.compiled import BINS
 from pinmobile.controllers import planar_difference
+from pinmobile.derivatives import gradient
 from pinmobile.errors import UnknownName
 from pinmobile.forces import NoiseForce, PayloadForce, SinusoidalForce
-from pinmobile.loop import TRUE_MODEL, ErrorQuantile, causes, run_scenario
+from pinmobile.loop import TRUE_MODEL, ErrorQuantile, Relative, causes, run_scenario
 from pinmobile.loop._variables import bins_of, edges, quantiles
 from pinmobile.parts import evolved
 from pinmobile.plant import Context
@@ -96,6 +97,28 @@ def test_a_pattern_means_each_of_its_numbers_and_each_has_its_own_draw() -> None
         made(robot=robot, controller=law, spread={"plant.*.geer": 1.0})
     with refused(r"spread has 'gear', .* or 'plant\.\*\.gear', which means all$"):
         made(robot=robot, controller=law, spread={"gear": 1.0})
+
+
+def test_patterns_match_entries_of_arrays() -> None:
+    forces = [pm.ConstantForce((0, 0, 0)), pm.ConstantForce((0, 0, 0))]
+    scenario = made(forces=forces, spread={"forces.*.force.x": pm.Uniform(1, 2)})
+    assert list(scenario.spread) == ["forces.0.force.x", "forces.1.force.x"]
+
+
+def test_a_factor_needs_a_number_and_a_copy_needs_one_number() -> None:
+    law = pm.PD((120, 120, 12), (60, 60, 6))
+    for other, source in (("kd", "kp"), ("kd.psi", "kp.psi")):
+        with refused(
+            rf"^spread\['{other}'\] is the same as '{source}', but 'kp' changes the whole array: .*kp.x"
+        ):
+            made(controller=law, spread={"kp": Relative([1.0] * 1000), other: pm.SameAs(source)})
+    found = made(controller=law, n=2, spread={"kp.psi": Relative([1, 2]), "kd.psi": pm.SameAs("kp.psi")})
+    assert found.values(found.draws(), 0, 2)["controller.kd"].tolist() == [[60, 60, 12], [60, 60, 24]]
+    for spread in ({"phase": Relative(1.0)}, {"heading": pm.SameAs("phase")}):
+        with refused(r"is a factor of trajectory.path.phase, .* which is not set: expected a number there"):
+            made(spread=spread)
+    with refused(r"^by has 'phase', angle of the start on the circle, which is not set"):
+        gradient("distance", ROBOT, law, TRAJECTORY, by=["phase"], dt=0.1)
 
 
 def test_numbers_of_the_plant_without_effect_are_named() -> None:

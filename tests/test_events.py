@@ -17,6 +17,7 @@ from pinmobile import (
     Tangent,
     WheeledRobot,
     WheelTable,
+    balance,
     plots,
     simulate,
 )
@@ -24,6 +25,7 @@ from pinmobile.controllers import TorqueToVoltage, WheelSpeed
 from pinmobile.errors import LimitWarning, UnknownName
 from pinmobile.plant import Event
 from pinmobile.viewer.scene import _captions
+from pinmobile.wheels import Ramp
 from tests.looping import Swing
 
 WHEEL: Any = {"mass": 1.0, "spin_inertia": 0.01, "supports": [(0.3, 0)]}
@@ -107,6 +109,27 @@ def test_an_arm_whose_base_tips_over_is_an_event() -> None:
     robot = MobileRobot(3.0, 1.0, com=(0, 0, 0.1)).mount("ur5", (0.3, 0, 0.2, 0))
     run = simulate(robot, pm.ComputedTorque(robot, 100, 20), Swing(robot), dt=0.01, duration=0.2)
     assert of_kind(run, "tip over").value == run.metrics()["tip-over margin"].values.min() < 0
+
+
+def test_a_base_without_arms_that_tips_over_is_an_event() -> None:
+    box = MobileRobot.box(mass=60, size=(0.8, 0.6, 0.9))
+    motion, law = Tangent(Circle(1.0, 3.2, 1.0)), pm.ComputedTorque(box, 25, 10)
+    run = simulate(box, law, motion, dt=0.01)
+    margin = balance.tip_over_margin(run)
+    (event,) = run.events
+    assert (event.kind, event.t) == ("tip over", run.t[np.argmax(margin < 0)])
+    assert event.value == pytest.approx(margin.min(), rel=1e-12)
+    assert simulate(box, law, motion, dt=0.01, stop_at=["tip over"]).t[-1] == event.t
+    assert not simulate(box, law, Tangent(Circle(1.0, 1.0, 1.0)), dt=0.01).events
+
+
+@pytest.mark.parametrize("direction", [np.pi / 2, -np.pi / 2])
+def test_a_robot_at_rest_across_a_ramp_does_not_slip(direction: float) -> None:
+    table = WheelTable.differential(0.5, 0.1, mass=1.0, spin_inertia=0.005, supports=[(0.3, 0), (-0.3, 0)])
+    ground = Coulomb(0.8, ramp=Ramp(0.2, direction))
+    robot = WheeledRobot(MobileRobot(30, 1.3, com=(0, 0, 0.2)), table, ground)
+    rest = pm.FixedHeading(pm.Hold((0, 0), 0.2), 0)
+    assert not simulate(robot, pm.law(lambda t, q, v, reference: np.zeros(2)), rest, dt=0.01).events
 
 
 @pytest.mark.parametrize("engine", [pm.Engine.COMPILED, pm.Engine.PYTHON])

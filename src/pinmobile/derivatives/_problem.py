@@ -43,7 +43,7 @@ from pinmobile.loop import (
     start_of,
     traced_numbers,
 )
-from pinmobile.parts import evolved, match_refs, named, replace
+from pinmobile.parts import NumberRef, evolved, match_refs, named, replace
 from pinmobile.trajectories import Reference
 
 _FORWARD = 8  # numbers for which forward mode is selected
@@ -177,7 +177,7 @@ class Problem:
         self.values = scenario.values(self.draws, 0, self.n) if is_ensemble else {}
         self.loop = evolved(scenario.loop, {"recorder": recorder})
         refs = named(scenario.nominal_loop)
-        self.refs_by_name = {name: match_refs(scenario.nominal_loop, name, refs, "by") for name in by}
+        self.refs_by_name = {name: _set_refs(scenario.nominal_loop, name, refs) for name in by}
         self.numbers = {ref.path: ref for group in self.refs_by_name.values() for ref in group}
         numbers = traced_numbers(self.loop)
         spread = dict(scenario.entries) if is_ensemble else {}
@@ -558,6 +558,17 @@ def _expand_gains(scenario: Scenario, by: Sequence[str]) -> Scenario:
     if not gains:
         return scenario
     return replaced(scenario, **_part_arguments(replace(scenario.nominal_loop, gains)))
+
+
+def _set_refs(loop: Loop, name: str, refs: Mapping[str, NumberRef]) -> list[NumberRef]:
+    """Return the numbers that a name means and that have a value."""
+    matches = match_refs(loop, name, refs, "by")
+    numbers = [ref for ref in matches if ref.leaf.value is not None]
+    if not numbers:
+        raise InvalidArgument(
+            f"by has {name!r}, {matches[0].meaning}, which is not set: expected a number of the loop"
+        )
+    return numbers
 
 
 def _part_arguments(loop: Loop) -> dict[str, Any]:

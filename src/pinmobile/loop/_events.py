@@ -10,6 +10,7 @@ import numpy as np
 from pinmobile.arrays import Array
 from pinmobile.metrics import Metric, metrics_of
 from pinmobile.plant import Event, limit_events, robot_at, stated
+from pinmobile.robot import margin_of_wrench
 
 _SINCE = "(from t = {t} s, {count})"
 _GROUND = {
@@ -33,6 +34,8 @@ KINDS = (
 """Kinds of events of every plant; margins and events among the metrics of a plant are further kinds."""
 _SIMULATED_KINDS = {"saturation", "current limit", "slip"}
 """Kinds of events that a run simulates."""
+_LEAST_SLIP = 1e-9  # [m/s], slower slip is rounding
+_TIPS = Metric("tip-over margin", "m", "distance of the zero-moment point from the edge", "smallest")
 
 
 def is_fault(event: Event) -> bool:
@@ -60,9 +63,14 @@ def events_of(run: Any, *, with_metrics: bool = True) -> tuple[Event, ...]:
     limits = limit_events(plant, run.t, run.q, run.v, run.u)
     events = [x for x in (*limits, *_motor_events(run, plant), *_ground_events(run, plant)) if x is not None]
     metrics = [x for x in metrics_of(plant) if x.worst != "largest"] if with_metrics else []
-    values = run.metrics() if metrics else {}
+    values = {name: signal.values for name, signal in run.metrics().items()} if metrics else {}
+    if with_metrics and not metrics and stated(plant, "table") is None and stated(plant, "grounded"):
+        corners, wrench = plant.footprint, plant.ground_wrench(run.q, run.v, run.a)
+        if corners is not None:  # a robot without arms, whose ensembles do not record the margin
+            metrics = [_TIPS]
+            values = {_TIPS.name: margin_of_wrench(corners, wrench, plant.weight)}
     for x in metrics:
-        event = _metric_event(x, run.t, values[x.name].values)
+        event = _metric_event(x, run.t, values[x.name])
         if event is not None and all(event.kind != known_event.kind for known_event in events):
             events.append(event)
     return tuple(events)
@@ -97,7 +105,7 @@ def _ground_events(run: Any, plant: Any) -> Iterator[Event | None]:
                 yield Event.of(kind, "", t, states[name], states[name], words=_GROUND[kind])
     if table is not None and "slides" in signals:
         speeds = np.hypot(signals["slip_along"].values, signals["slip_across"].values)
-        slides = speeds * signals["slides"].values
+        slides = np.where(speeds > _LEAST_SLIP, speeds * signals["slides"].values, 0.0)
         names, fastest = np.array(table.names)[slides.max(axis=0) > 0], slides.max(axis=1)
         name = ", ".join(map(str, names))
         yield Event.of("slip", name, t, fastest, fastest, words=_SLIDES, unit="m/s")

@@ -296,7 +296,7 @@ def _check_factor(factor: object) -> None:
 
 
 class _TrueModel(Mapping[str, SameAs]):
-    """Immutable mapping whose pickle returns the same object in another process."""
+    """Immutable part of a spread, for ``spread={..., **TRUE_MODEL}``; a pickle is the same object again."""
 
     def __init__(self, names: Iterable[str]) -> None:
         self._sources = {f"controller.{name}": SameAs(f"plant.{name}") for name in names}
@@ -416,9 +416,20 @@ def check_spread(spread: Mapping[str, Source], n: int, find: Find) -> dict[str, 
             message = f"spread has {names[path]!r} and {name!r}, which both mean {path}"
             raise InvalidArgument(f"{message}, expected one of them")
         sources[name] = _check_source(f"spread[{name!r}]", source, n)
+        if isinstance(source, Relative):
+            _check_set(name, number)
         if isinstance(source, SameAs):
             _check_chain(name, source, spread, find)
     return sources
+
+
+def _check_set(name: str, number: NumberRef) -> None:
+    """Raise `InvalidArgument` if a number has no value that a factor could multiply."""
+    if number.leaf.value is None:
+        raise InvalidArgument(
+            f"spread[{name!r}] is a factor of {number.path}, {number.meaning}, which is not set: "
+            "expected a number there, or a distribution of the number itself"
+        )
 
 
 def check_supports(spread: Mapping[str, Any], numbers: Mapping[str, NumberRef]) -> None:
@@ -476,11 +487,21 @@ def _check_source(label: str, source: Any, n: int) -> Any:
 def _check_chain(name: str, source: SameAs, spread: Mapping[str, Any], find: Find) -> None:
     paths, visited = {find(other).path: other for other in spread}, [find(name).path]
     while isinstance(source, SameAs):
-        path = find(source.name, f"spread[{paths[visited[-1]]!r}]").path
+        number = find(source.name, f"spread[{paths[visited[-1]]!r}]")
+        path = number.path
         if path in visited:
             circle = ", ".join(paths[link] for link in (*visited, path))
             raise InvalidArgument(f"spread is circular ({circle}): give one its own distribution")
         visited.append(path)
+        whole = paths.get(number.leaf.path)
+        if whole is not None and np.ndim(number.leaf.value) and isinstance(spread[whole], Relative):
+            entry = f"{whole}.{next(iter(number.leaf.entries))}"
+            raise InvalidArgument(
+                f"spread[{name!r}] is the same as {source.name!r}, but {whole!r} changes the whole array: "
+                f"expected a Relative of each entry, such as {entry!r}"
+            )
+        if path not in paths:
+            _check_set(name, number)
         source = spread.get(paths.get(path, ""))  # type: ignore[assignment]
 
 

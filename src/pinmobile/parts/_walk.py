@@ -346,7 +346,8 @@ def match_refs(part: Any, name: str, refs: Mapping[str, NumberRef], where: str =
     """
     if not isinstance(name, str) or "*" not in name:
         return [find(part, name, refs, where)]
-    numbers = [x for path, x in refs.items() if not x.label and fnmatchcase(f".{path}", f"*.{name}")]
+    matches = [ref for path, ref in refs.items() if fnmatchcase(f".{path}", f"*.{name}")]
+    numbers = [ref for ref in matches if not ref.label] or matches
     if not numbers:
         raise UnknownName(f"parameter{where and ' in ' + where}", name, short_names(refs))
     return numbers
