@@ -551,6 +551,19 @@ def test_an_ensemble_tells_least_median_and_largest_of_each_record() -> None:
         assert rows[name].strip() == "least{}, median{}, largest{}".format(*told), name
 
 
+def test_rows_of_an_ensemble_leave_out_robots_that_diverged() -> None:
+    gains = np.array([10.0, 100.0, 1e6, 2e6])
+    law = pm.PD((120, 120, 12), (120, 120, 12))
+    run = run_scenario(made(controller=law, n=4, spread={"kp": gains}, dt=0.05))
+    assert run.diverged.tolist() == [False, False, True, True]
+    lines = str(run).splitlines()
+    row = lines.index("the 2 robots that did not diverge:") + 1
+    low, high = sorted(run.max_distance[:2])
+    assert f"least {low:.4g}, median {(low + high) / 2:.4g}, largest {high:.4g}" in lines[row]
+    lost = run_scenario(made(controller=law, n=2, spread={"kp": gains[2:]}, dt=0.05))
+    assert " least " not in str(lost)
+
+
 def test_what_came_of_an_ensemble_cannot_be_overwritten() -> None:
     run = run_scenario(made(n=3, spread={"mass": pm.Uniform(20, 40)}))
     records = [run.max_error, run.rms_error, run.max_distance, run.max_input, run.diverged_at, run.counts]

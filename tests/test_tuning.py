@@ -229,6 +229,12 @@ def test_a_loop_with_a_slower_law_is_linearized_over_its_period(at: float) -> No
         poles(BODY, Sampled(law, 1000), REST, dt=0.01)
 
 
+def test_a_metric_with_an_unknown_rule_is_no_loss() -> None:
+    rule = Metric("gap", "m", "distance", "min", lambda sample: 1 - sample.q[0])
+    with pytest.raises(UnknownName, match=r"unknown worst of the metric 'gap': 'min', available: largest"):
+        gradient(rule, BODY, pm.PD(120, 20), PATH, by=["mass"], dt=0.02)
+
+
 def test_an_unstable_loop_has_no_margins_and_all_poles_are_drawn() -> None:
     unstable = poles(BODY, pm.PD(120, 120), REST, dt=0.05)
     assert not unstable.is_stable

@@ -189,8 +189,13 @@ def metrics_of(plant: object) -> tuple[Metric, ...]:
     provider = able(plant, Measuring)
     metrics = () if provider is None else tuple(provider.metrics)
     for metric in metrics:
-        one_of(f"worst of the metric {metric.name!r}:", metric.worst, _WORST_KINDS)
+        check_metric(metric)
     return metrics
+
+
+def check_metric(metric: Metric) -> None:
+    """Raise `UnknownName` if the attribute ``worst`` of a metric is not one of those that `Metric` lists."""
+    one_of(f"worst of the metric {text('name of a metric', metric.name)!r}:", metric.worst, _WORST_KINDS)
 
 
 def select_metrics(plant: object, selected: object, reserved: Sequence[str]) -> tuple[Metric, ...]:
@@ -239,7 +244,7 @@ def select_metrics(plant: object, selected: object, reserved: Sequence[str]) -> 
         entries = list(sequence("metrics", selected, 'a sequence of names or Metrics, or {"name": function}'))
     user_metrics = [one for one in entries if isinstance(one, Metric) and one.function is not None]
     for one in user_metrics:
-        one_of(f"worst of the metric {text('name of a metric', one.name)!r}:", one.worst, _WORST_KINDS)
+        check_metric(one)
         if not callable(one.function):
             raise InvalidArgument(
                 f"metrics[{one.name!r}] is {format_value(one.function)}, expected a function of a sample"

@@ -10,7 +10,7 @@ import numpy as np
 from pinmobile.arrays import Array, one_of
 from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.loop import Record, Sample, Scenario
-from pinmobile.metrics import Metric, metrics_of
+from pinmobile.metrics import Metric, check_metric, metrics_of
 from pinmobile.parts import option, part
 
 REDUCTIONS = ("sum", "mean", "rms", "last", "largest", "smallest")
@@ -58,6 +58,7 @@ class Loss(NamedTuple):
         if reduction is not None:
             one_of("reduction", reduction, REDUCTIONS)
         if isinstance(given, Metric) and given.function is not None:
+            check_metric(given)
             worst = "smallest" if given.is_margin else "largest"
             return cls(given.function, reduction or worst, given.name)
         if not isinstance(given, str):

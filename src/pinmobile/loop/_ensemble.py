@@ -584,8 +584,12 @@ class Ensemble:
     def __str__(self) -> str:
         samples = f"seed {self.scenario.seed}, {len(self.scenario.t)} samples each"
         axes = self.scenario.coordinates, self.scenario.inputs
-        metrics = self.worst_metric, self.scenario.recorded_metrics
-        rows = format_ranges(self.max_distance, self.max_error, self.max_input, *axes, *metrics)
+        done = ~self.diverged
+        records = self.max_distance[done], self.max_error[done], self.max_input[done]
+        metrics = self.worst_metric[done], self.scenario.recorded_metrics
+        rows = format_ranges(*records, *axes, *metrics)
+        if rows and not done.all():
+            rows.insert(0, f"the {np.count_nonzero(done):,} robots that did not diverge:")
         words = [str(self.scenario)] if isinstance(self.scenario, Outline) else []
         spread = Outline.of(self.scenario).spread_in_words
         lines = [*([f"spread: {spread}"] if spread else []), *self._failures(), *self.events, *self._causes()]
