@@ -99,6 +99,19 @@ def test_a_pattern_means_each_of_its_numbers_and_each_has_its_own_draw() -> None
         made(robot=robot, controller=law, spread={"gear": 1.0})
 
 
+def test_draws_of_an_array_are_factors_without_a_unit() -> None:
+    law = pm.PD((120, 120, 12), (60, 60, 6))
+    parameters = made(controller=law, spread={"kp": Relative(pm.Uniform(0.5, 1.5)), "kd.x": 50.0}).parameters
+    assert (parameters["kp"].unit, parameters["kd.x"].unit) == ("", "N s/m")
+    assert parameters["kp"].meaning.startswith("factor of ")
+
+
+@pytest.mark.filterwarnings("error")
+def test_an_endless_number_is_spread_without_a_warning() -> None:
+    push = pm.ConstantForce((1, 0, 0))
+    assert made(forces=[push], spread={"end": pm.Uniform(0.5, 0.9)}).draws()["end"].max() < 0.9
+
+
 def test_patterns_match_entries_of_arrays() -> None:
     forces = [pm.ConstantForce((0, 0, 0)), pm.ConstantForce((0, 0, 0))]
     scenario = made(forces=forces, spread={"forces.*.force.x": pm.Uniform(1, 2)})

@@ -229,6 +229,19 @@ def test_a_loop_with_a_slower_law_is_linearized_over_its_period(at: float) -> No
         poles(BODY, Sampled(law, 1000), REST, dt=0.01)
 
 
+@pytest.mark.parametrize("pair", [(None, 4), ("a", 5), (1.0,), 3.0, (4.0, 2.0), (np.nan, 9.0)])
+def test_bounds_that_are_no_numbers_are_refused(pair: Any) -> None:
+    with pytest.raises(pm.InvalidArgument, match=r"^by\['(controller\.)?kp'\]"):
+        tune(loss, BODY, pm.PD(120, 120), PATH, by={"kp": pair}, dt=0.02)
+
+
+@pytest.mark.parametrize("upper", [None, "a", [1.0, 2.0], np.nan])
+def test_constraints_need_numbers(upper: Any) -> None:
+    limit = Constraint(lambda sample: sample.u[0], upper=upper)
+    with pytest.raises(pm.InvalidArgument, match=r"bounds"):
+        tune(loss, BODY, pm.PD(120, 120), PATH, by=["kp"], dt=0.02, constraints=[limit])
+
+
 def test_a_metric_with_an_unknown_rule_is_no_loss() -> None:
     rule = Metric("gap", "m", "distance", "min", lambda sample: 1 - sample.q[0])
     with pytest.raises(UnknownName, match=r"unknown worst of the metric 'gap': 'min', available: largest"):

@@ -153,7 +153,7 @@ class LoadedFile:
         unused: Sequence[str] = (),
         kind: type = ScenarioFile,
     ) -> None:
-        self.words = [word for word in words if "=" in word]
+        self.words = ["=".join(map(str.strip, word.split("=", 1))) for word in words if "=" in word]
         names = [word for word in words if "=" not in word]
         if len(names) > 1:
             raise InvalidArgument(f"{names[1]!r} is a second FILE beside {names[0]!r}, expected PATH=VALUE")

@@ -200,7 +200,10 @@ def gradient(
         selected, reason = problem.mode()
     result = evaluate_losses(problem, {}, selected)
     if n == 1 and not np.isfinite(result.values).all():
-        raise InvalidArgument(f"loss is {result.values[0, 0]}, expected a finite number: the run diverges")
+        raise InvalidArgument(
+            f"loss is {result.values[0, 0]}, expected a finite number: the run diverges, or the loss has no "
+            "value at one of its samples"
+        )
     if n == 1 and not np.isfinite(result.slopes).all():
         raise InvalidArgument(
             "the derivatives are not finite: the run diverges, or a law has an infinite slope"

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, check_integer, instance, one_of, sequence
+from pinmobile.arrays import Array, ArrayLike, check_integer, instance, one_of, real, sequence, shaped
 from pinmobile.controllers import Controller
 from pinmobile.derivatives._losses import Loss, Losses
 from pinmobile.derivatives._problem import Evaluation, Problem, evaluate_losses, problem_of
@@ -65,7 +65,9 @@ class Constraint(NamedTuple):
 
     def read(self, scenario: Scenario) -> Loss:
         """Return the loss of the constraint."""
-        if not self.lower < self.upper or np.isinf([self.lower, self.upper]).all():
+        label = "bounds of a Constraint"
+        bounds = shaped(label, real(label, [self.lower, self.upper]), (2,))
+        if not bounds[0] < bounds[1] or np.isinf(bounds).all():
             raise InvalidArgument(
                 f"Constraint has bounds {self.lower} and {self.upper}, expected lower < upper"
             )
@@ -232,8 +234,10 @@ class _Variables:
             field = ref.leaf.declared
             above, low, high = (stated(field, name) for name in ("above", "lower", "upper"))
             low = above if above is not None else -np.inf if low is None else low
-            pair = given.get(path) or (low, np.inf if high is None else high)
-            if np.shape(pair) != (2,) or not pair[0] < pair[1]:
+            pair = given.get(path)
+            pair = (low, np.inf if high is None else high) if pair is None else pair
+            ends = real(f"by[{path!r}]", pair)
+            if ends.shape != (2,) or not ends[0] < ends[1]:
                 raise InvalidArgument(
                     f"by[{path!r}] is {format_value(pair)}, expected (lower, upper) with lower < upper"
                 )
@@ -246,7 +250,7 @@ class _Variables:
                 self.names.append(path if ref.entry is not None else path + suffix)
                 self.units.append(NumberRef(ref.leaf, ref.label, entry or None).unit)
                 first.append(float(value[entry]))
-                limits.append(pair)
+                limits.append(ends)
         self.first = np.array(first)
         self.low, self.high = np.array(limits, float).T
         outside = np.flatnonzero((self.first < self.low) | (self.first > self.high))

@@ -351,17 +351,20 @@ class Scenario(RecordGrid):
 
     def _spread_values(self, draws: Mapping[str, Array], count: int) -> dict[str, Array]:
         """Return the numbers of the spread of each robot, shape (count, ...), by path."""
-        factors = {name for name, source in self.spread.items() if isinstance(source, Relative)}
-        columns = [
-            (number, draws[name], name in factors and number.entry is None and number.is_array)
-            for name, number in self.numbers.items()
-        ]
+        columns = [(number, draws[name], self._is_factor(name)) for name, number in self.numbers.items()]
         return spread_values(columns, count, self.size)
 
     @property
     def parameters(self) -> dict[str, Parameter]:
-        """Name, unit and meaning of the numbers of the spread, by name."""
-        return {name: Parameter(name, number.unit, number.meaning) for name, number in self.numbers.items()}
+        """Name, unit and meaning of the draws of the spread, by name."""
+        words = {name: (number.unit, number.meaning) for name, number in self.numbers.items()}
+        words |= {name: ("", f"factor of {words[name][1]}") for name in words if self._is_factor(name)}
+        return {name: Parameter(name, *pair) for name, pair in words.items()}
+
+    def _is_factor(self, name: str) -> bool:
+        """Return whether the draws of a number are factors of a nominal array."""
+        number = self.numbers[name]
+        return isinstance(self.spread[name], Relative) and number.entry is None and number.is_array
 
     @cached_property
     def is_noisy(self) -> bool:

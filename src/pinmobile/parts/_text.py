@@ -42,7 +42,7 @@ def read_file(path: Path) -> str:
             data = file.read(_MAX_BYTES + 1)  # a special file may be endless
         if len(data) > _MAX_BYTES:
             raise InvalidArgument(f"FILE is {str(path)!r}, larger than {_MAX_BYTES >> 20} MiB, expected less")
-        return data.decode("utf-8").replace("\r\n", "\n")
+        return data.decode("utf-8-sig").replace("\r\n", "\n")
     except (OSError, UnicodeDecodeError, ValueError) as error:
         if isinstance(error, InvalidArgument):
             raise

@@ -217,8 +217,8 @@ class NumberRef(NamedTuple):
     @property
     def is_array(self) -> bool:
         """Whether the name means several different numbers."""
-        value = self.leaf.value
-        return self.entry is None and value is not None and np.ptp(np.asarray(value, np.float64)) != 0
+        value = np.ravel(0.0 if self.leaf.value is None else self.leaf.value)
+        return self.entry is None and bool((value != value[:1]).any())
 
     @property
     def value(self) -> Any:

@@ -512,6 +512,7 @@ class MobileRobot(MultibodySystem):
                 f"table has {len(chain)} rows and bodies {len(given)}, expected n >= 3 rows and n - 2 bodies"
             )
         for k, body in enumerate(given):
+            instance(f"bodies[{k}]", body, (Mapping, urdf.Body), "a Body")
             if isinstance(body, Mapping) and body.keys() != {"mass", "com", "inertia"}:
                 raise InvalidArgument(f"bodies[{k}] has {list(body)}, expected mass, com and inertia")
         check_chain("table", DHTable(chain.rows[:BODY_JOINT]))
