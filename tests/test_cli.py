@@ -209,6 +209,36 @@ def test_run_is_the_lectures_circle_by_default(typed: Typed, tmp_path: Path) -> 
     assert re.search(rf"<h2>Scenario</h2>\n<pre>{releases}{re.escape(scenario)}</pre>", page)
 
 
+@pytest.mark.parametrize(
+    ("verb", "text", "words", "message"),
+    [
+        (
+            "run",
+            "dt = 0.1\nduration = 500\n",
+            "",
+            r"scenario\.toml:2: duration is 500\.0 s, expected at most",
+        ),
+        ("run", "dt = 0.1\n", "duration=500", r"duration=500: duration is 500\.0 s"),
+        ("run", 'trajectory = "Circle(2, 0.5, 2)"\n', "", r"scenario\.toml:1: trajectory is Circle"),
+        (
+            "ensemble",
+            '[spread]\nmass = "Uniform(-40, 20)"\n',
+            "n=5",
+            r"scenario\.toml:2: spread\['mass'\] reach",
+        ),
+        ("ensemble", "\n\nafter = 500\n", "n=5", r"scenario\.toml:3: after is 500\.0 s"),
+    ],
+)
+def test_what_does_not_fit_to_another_entry_has_its_line(
+    verb: str, text: str, words: str, message: str, typed: Typed, tmp_path: Path
+) -> None:
+    file = tmp_path / "scenario.toml"
+    file.write_text(text, encoding="utf-8-sig")  # as editors on Windows do
+    code, _, err = typed(verb, str(file), *words.split(), "--out", str(tmp_path))
+    assert code == 2
+    assert re.search(message, err)
+
+
 @pytest.mark.once
 @pytest.mark.long
 def test_a_signal_of_a_batch_system_leaves_no_temporary_files(tmp_path: Path, browser: Chromium) -> None:

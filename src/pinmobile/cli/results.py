@@ -92,7 +92,8 @@ def show_run(words: Sequence[str], out: Path, film: Path | None, *, allow_code: 
     with progress(3 + len(FIGURES) + len(_EXTRA_FIGURES)) as bar:
         begin(bar, "simulating")
         try:
-            rollout = file.content.simulate()
+            with file.error_lines():
+                rollout = file.content.simulate()
         except Diverged as error:
             if error.rollout is None:
                 raise

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+import re
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -195,14 +197,29 @@ class LoadedFile:
             If the spread names no number of the loop.
         """
         plain: ScenarioFile = evolved(self.content, grid={}, cases={})
-        nominal, problems = evolved(plain, spread={}).scenario(), {}
+        problems: dict[str, str] = {}
+        with self.error_lines():
+            nominal = evolved(plain, spread={}).scenario()
         for path in self.content.spread:
             try:
                 match_refs(nominal.nominal_loop, path, named(nominal.nominal_loop), "spread")
             except (UnknownName, InvalidArgument) as error:
                 problems[f"spread.{path}"] = str(error)
         self._raise_problems(problems)
-        return plain.scenario()
+        with self.error_lines():
+            return plain.scenario()
+
+    @contextmanager
+    def error_lines(self) -> Iterator[None]:
+        """Enter a context in which errors of an entry, beside other entries, begin with its line or word."""
+        try:
+            yield
+        except InvalidArgument as error:
+            path = re.sub(r"\['?(.*?)'?\]", r".\1", error.argument)
+            entries = [*tomllib.loads(self.text), *(re.split(r"[.=]", word)[0] for word in self.words)]
+            if isinstance(error, InvalidEntries) or path.partition(".")[0] not in entries:
+                raise
+            self._raise_problems({path: str(error)})
 
     def _raise_problems(self, problems: Mapping[str, str]) -> None:
         if problems:
