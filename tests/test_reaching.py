@@ -396,6 +396,7 @@ def test_a_frames_drift_is_the_rate_of_its_jacobian(robot: pm.MobileRobot) -> No
 @pytest.mark.parametrize(
     ("options", "text"),
     [
+        ({"dt": 10.0}, r"^dt is 10\.0 s, expected at most the duration of the target, "),
         ({"dt": 0}, "dt is 0.0 s, expected > 0"),
         ({"damping": -1}, "damping is -1.0, expected > 0"),
         ({"posture": [0, 1]}, r"posture has shape \(2,\), expected \(6,\), the arms' part of q"),

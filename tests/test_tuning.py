@@ -171,6 +171,14 @@ def test_kinks_and_wheels_that_begin_to_slide_are_counted() -> None:
     assert f"the side of a kink changes {found.kinks} times" in str(found)
 
 
+def test_a_time_between_samples_is_a_kink_without_a_slope() -> None:
+    push = pm.ConstantForce((50.0, 0.0, 0.0), 0.305, 0.6)
+    found = gradient(loss, BODY, pm.PD(120, 120), PATH, by=["begin"], dt=0.02, forces=[push])
+    assert float(found.by["forces.0.begin"]) == 0.0
+    assert "the side of a kink changes 1 time; the slope" in str(found)
+    assert "kink" not in str(gradient(loss, BODY, pm.PD(120, 120), PATH, by=["kp"], dt=0.02, forces=[push]))
+
+
 # A double integrator with a held force, whose loop is broken at the force: L(z) = K (z I - A)^-1 B.
 def transfer(kp: float, kd: float, h: float, late: int) -> Callable[[Any], Any]:
     def loop(w: Any) -> Any:

@@ -14,7 +14,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from pinmobile.compiled.elementary import sincos
-from pinmobile.compiled.folding import ROUND, STATE
+from pinmobile.compiled.folding import ROBOT, ROUND, STATE
 from pinmobile.compiled.tape import (
     COUNT,
     LoopTape,
@@ -273,7 +273,7 @@ def sides(loop: LoopTape) -> list[int]:
             condition = tape.at(args[0]) < (0.0 if name == "abs" else tape.at(args[1]))
         elif name == "select":
             condition = tape.at(args.pop(0))
-        if condition is not None and tape.depends[condition.index] & STATE:
+        if condition is not None and tape.depends[condition.index] & (STATE | ROBOT):
             conditions[condition.index] = None
         if name not in ("real", "repeat", "result"):
             todo += (x for x in (args if operands(tape.operations[i]) else ()) if tape.types[x] == "f")

@@ -94,7 +94,8 @@ class Gradient:
             )
         elif kinks:
             lines.append(
-                f"  the side of a kink changes {kinks:,} times; the slope is that of each sample's side"
+                f"  the side of a kink changes {kinks:,} time{'s' * (kinks != 1)}; the slope is that of each "
+                "sample's side"
             )
         return "\n".join(lines)
 
@@ -146,8 +147,9 @@ def gradient(
     mode : str, optional
         ``"forward"`` or ``"reverse"``; default: reverse for more than 8 numbers, forward on dry friction.
     smooth : float, optional
-        Half width, relative to each number, at most 0.5: the result is then the slope of a linear fit to runs
-        with numbers from this range, for losses whose exact derivative is of no use.
+        Half width, relative to each number, at most 0.5: the result is then value and slope of a linear fit
+        to runs with numbers from this range, for losses whose exact derivative is of no use. The width of a
+        number that is 0, such as a displacement of the start, is relative to 1 of its unit.
 
     Returns
     -------
@@ -267,4 +269,5 @@ def _fit_slopes(problem: Problem, share: float) -> Gradient:
             target.setdefault(path, np.zeros(shape))[entry if shape else ()] = x[k]
     units = {path: number.unit for path, number in problem.numbers.items()}
     words = f"fit to {len(steps)} runs within {100 * share:g} % of each number"
+    words += f", and {share:g} of those that are 0" if (values == 0).any() else ""
     return Gradient(float(fit[0]), slopes[0], units, words, errors=slopes[1])

@@ -370,7 +370,10 @@ def solve_inverse_kinematics(
     start = solver.start(q0)
     preferred = start if posture is None else _check_posture(body, posture)
     gain = bounded("posture_gain", non_negative("posture_gain", posture_gain, "1/s"), most=1e6, unit="1/s")
-    steps = tasks[0].target.duration / positive("dt", dt, "s")
+    duration = tasks[0].target.duration
+    steps = duration / positive("dt", dt, "s")
+    if dt > duration:
+        raise InvalidArgument(f"dt is {dt} s, expected at most the duration of the target, {duration:g} s")
     if not steps <= _MAX_STEPS:
         raise InvalidArgument(
             f"dt is {dt} s, which gives {steps:.3g} steps, expected at most {_MAX_STEPS:,}: use a larger dt"
