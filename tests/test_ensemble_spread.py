@@ -99,6 +99,15 @@ def test_a_pattern_means_each_of_its_numbers_and_each_has_its_own_draw() -> None
         made(robot=robot, controller=law, spread={"gear": 1.0})
 
 
+def test_the_first_word_robot_means_the_plant() -> None:
+    robot = pm.WheeledRobot(ROBOT, pm.WheelTable.differential(0.4, 0.1, spin_inertia=0.01))
+    law = pm.ControlAllocation(pm.PD(120, 120), robot)
+    found = made(robot=robot, controller=law, spread={"robot.*.radius": Relative(pm.Uniform(0.9, 1.1))})
+    assert list(found.spread) == [f"plant.table.wheels.{side}.radius" for side in ("left", "right")]
+    with pytest.raises(UnknownName, match=r"unknown parameter in spread 'robot\.mas'"):
+        made(spread={"robot.mas": pm.Uniform(20, 40)})
+
+
 def test_draws_of_an_array_are_factors_without_a_unit() -> None:
     law = pm.PD((120, 120, 12), (60, 60, 6))
     parameters = made(controller=law, spread={"kp": Relative(pm.Uniform(0.5, 1.5)), "kd.x": 50.0}).parameters

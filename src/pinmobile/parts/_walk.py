@@ -292,6 +292,13 @@ def _nearness(path: str) -> tuple[bool, int]:
     return not path.startswith("plant."), path.count(".")
 
 
+def _loop_name(name: Any, refs: Mapping[str, NumberRef]) -> str:
+    """Return a name in which the first word robot of a loop is plant, "" for anything but text."""
+    words = name.partition(".") if isinstance(name, str) else ("", "", "")
+    is_plant = words[0] == "robot" and words[2] and any(path.startswith("plant.") for path in refs)
+    return f"plant.{words[2]}" if is_plant else "".join(words)
+
+
 def find(part: Any, name: str, refs: Mapping[str, NumberRef] | None = None, place: str = "") -> NumberRef:
     """Return the number that a name means.
 
@@ -308,11 +315,10 @@ def find(part: Any, name: str, refs: Mapping[str, NumberRef] | None = None, plac
         If several paths are equally near.
     """
     refs = named(part) if refs is None else refs
+    user_name, name = name, _loop_name(name, refs)
     if name in refs:
         return refs[name]
-    first, _, rest = name.partition(".") if isinstance(name, str) else ("", "", "")
-    if first == "robot" and rest and any(path.startswith("plant.") for path in refs):
-        return find(part, f"plant.{rest}", refs, place)
+    first, _, rest = name.partition(".")
     ends = sorted(
         (*_nearness(path), path)
         for path, number in refs.items()
@@ -323,12 +329,12 @@ def find(part: Any, name: str, refs: Mapping[str, NumberRef] | None = None, plac
         from difflib import get_close_matches  # here, because only this error needs the module
 
         matches = get_close_matches(name, refs, cutoff=0.85) if rest else []
-        raise UnknownName(f"parameter{place and ' in ' + place}", name, [*matches, *short_names(refs)])
+        raise UnknownName(f"parameter{place and ' in ' + place}", user_name, [*matches, *short_names(refs)])
     best = [path for *rank, path in ends if rank == list(ends[0][:2])]
     if len(best) > 1:
         options = [*best, f"{best[0].partition('.')[0]}.*.{name}"] if place in ("spread", "by") else best
         raise InvalidArgument(
-            f"{place or 'name'} has {name!r}, which {' and '.join(best)} have, expected one of them: "
+            f"{place or 'name'} has {user_name!r}, which {' and '.join(best)} have, expected one of them: "
             f"{' or '.join(map(repr, options))}{', which means all' * (options is not best)}"
         )
     return refs[best[0]]
@@ -346,7 +352,8 @@ def match_refs(part: Any, name: str, refs: Mapping[str, NumberRef], where: str =
     """
     if not isinstance(name, str) or "*" not in name:
         return [find(part, name, refs, where)]
-    matches = [ref for path, ref in refs.items() if fnmatchcase(f".{path}", f"*.{name}")]
+    pattern = _loop_name(name, refs)
+    matches = [ref for path, ref in refs.items() if fnmatchcase(f".{path}", f"*.{pattern}")]
     numbers = [ref for ref in matches if not ref.label] or matches
     if not numbers:
         raise UnknownName(f"parameter{where and ' in ' + where}", name, short_names(refs))
