@@ -324,6 +324,37 @@ def test_a_trajectory_is_a_table_with_interpolation_of_order_5(tmp_path: Path) -
     assert not a[611:].any()
 
 
+def test_references_of_single_precision_are_exact_at_samples_and_smooth_between(tmp_path: Path) -> None:
+    path = pm.Tangent(pm.Circle(2.0, 0.5, 12.0))
+    export_c(LAW, BODY, tmp_path, dt=0.002, trajectory=path, precision="single")
+    main = """
+    #include "robot.h"
+    #include <stdio.h>
+    static void print(float t)
+    {
+        robot_reference r;
+        robot_reference_at(t, &r);
+        for (int i = 0; i < 3; ++i) printf("%a %a %a ", (double)r.q[i], (double)r.v[i], (double)r.a[i]);
+    }
+    int main(void)
+    {
+        for (int k = 0; k <= 6000; ++k) {
+            print((float)k * ROBOT_DT);
+            print((float)(k * 0.002));
+            print(((float)k + 0.37f) * ROBOT_DT);
+        }
+        return 0;
+    }
+    """
+    words = [float.fromhex(word) for word in run_program(tmp_path, main, *SANITIZED).split()]
+    found = np.moveaxis(np.array(words).reshape(6001, 3, 3, 3), 3, 0)
+    k = np.arange(6001)
+    for x, knots, between in zip(found, path(k * 0.002), path((k[:-1] + 0.37) * 0.002), strict=True):
+        assert (x[:, 0] == knots.astype(np.float32)).all()
+        assert (x[:, 1] == knots.astype(np.float32)).all()
+        assert np.abs(x[:-1, 2] - between).max() < 1e-6 * np.abs(knots).max()
+
+
 def unary(name: str) -> Any:
     def law(t: Any, q: Any, v: Any, reference: Any) -> Any:
         positive = np.where(q > 0, q, 1.0)

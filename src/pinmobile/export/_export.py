@@ -74,13 +74,14 @@ def export_c(
         Time step [s].
     trajectory : trajectory, optional
         Trajectory. For a controller, its samples become a table; ``name_reference_at(t, &reference)``
-        interpolates them by polynomials of order 5. Without it, the caller supplies the reference. An
-        exported plant begins at its start, else at 0.
+        interpolates them by polynomials of order 5; in single precision, velocities by order 3 and
+        accelerations linearly. Without it, the caller supplies the reference. An exported plant begins at
+        its start, else at 0.
     name : str
         Prefix of all names and files.
     precision : str
         ``"double"`` or ``"single"``, for processors without doubles. Errors of single precision are about
-        1e-6 of the largest result.
+        1e-6 of the largest result, 1e-5 with high gains.
     tunable : sequence of str
         Numbers that stay parameters, by path such as ``"kp"`` or ``"robot.mass"``; all others are constants.
     forces : sequence of callable, or mapping of str to callable

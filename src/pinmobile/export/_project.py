@@ -21,6 +21,7 @@ from pinmobile.export._law import Law, Member
 _SAMPLES = 64  # of the test program
 _TOLERANCE = 1e-5  # of single precision, relative to the largest result
 _TIME_TOLERANCE = 1e-5  # of a time to a sample, in steps
+_PLACE_TOLERANCE = 2e-7  # of single precision, relative to the number of steps: three roundings
 
 
 class Project:
@@ -48,7 +49,15 @@ class Project:
         self.code.write([*(node for _, node in law.outputs), *(ring.source for ring in law.rings)])
         self.words: dict[str, Any] = {"name": name, "UPPER": name.upper(), "title": title}
         dt = law.context.dt
-        self.words |= {"version": pinmobile.__version__, "dt": f"{dt:g}", "dt_c": self._number(dt)}
+        orders = (
+            "of order 5 for positions, 3 for velocities and 1 for accelerations" if single else "of order 5"
+        )
+        self.words |= {
+            "orders": orders,
+            "version": pinmobile.__version__,
+            "dt": f"{dt:g}",
+            "dt_c": self._number(dt),
+        }
         self.words |= {f"n{member.name}": len(member) for member in (*law.states, law.u)}
         self.words["prototype"] = self._prototype()
         types, body = self._types(), self._body()
@@ -210,9 +219,12 @@ class Project:
         parts += [self._parameters()] if law.parameters else []
         parts += [self._array("rows", law.rows)] if len(law.rows) else []
         if self.table is not None:
-            words = {"n": len(law.reference[1]), "last": len(self.table) - 1}
-            numbers = {"half": self._number(0.5), "near": self._number(_TIME_TOLERANCE)}
-            parts += [self._array("table", self.table), self._text("interpolation", **words, **numbers)]
+            words: dict[str, Any] = {"n": len(law.reference[1]), "last": len(self.table) - 1}
+            near = self._number(_TIME_TOLERANCE)
+            near += f" + {self._number(_PLACE_TOLERANCE)} * place" if self.single else ""
+            derivatives = self._text("derivatives_single" if self.single else "derivatives", **words).rstrip()
+            words |= {"half": self._number(0.5), "near": near, "derivatives": derivatives}
+            parts += [self._array("table", self.table), self._text("interpolation", **words)]
         return parts
 
     def _array(self, kind: str, numbers: Array) -> str:

@@ -50,8 +50,9 @@ extern const ${name}_parameters ${name}_upper;
 int ${name}_are_valid(const ${name}_parameters *parameters);
 
 /* = declare_table */
-/* Compute the reference at a time, by interpolation of order 5 between samples of the trajectory: position,
-   velocity and acceleration are continuous. After the end, the reference rests. */
+/* Compute the reference at a time, by interpolation between samples of the trajectory,
+   $orders: position, velocity and acceleration are continuous.
+   At t = k * ${UPPER}_DT, it is exactly the sample. After the end, the reference rests. */
 void ${name}_reference_at(${name}_real t, ${name}_reference *reference);
 
 /* = source */
@@ -162,11 +163,11 @@ $tests
 /* = interpolation */
 void ${name}_reference_at(${name}_real t, ${name}_reference *reference)
 {
-    const ${name}_real h = ${UPPER}_DT, place = t / h, half = $half;
-    const int rests = place > (${name}_real)$last + $near;
+    const ${name}_real h = ${UPPER}_DT, place = t / h, half = $half, near = $near;
+    const int rests = place - (${name}_real)$last >= near;
     const uint32_t nearest = rests ? ${last}u : (uint32_t)(place > 0 ? place + half : 0);
     const ${name}_real off = place - (${name}_real)nearest;
-    if (rests || !(place > 0) || (off < $near && off > -$near)) {
+    if (rests || !(place > 0) || (off < near && off > -near)) {
         for (int i = 0; i < $n; ++i) {
             reference->q[i] = ${name}_table[nearest][i];
             reference->v[i] = rests ? 0 : ${name}_table[nearest][$n + i];
@@ -184,10 +185,20 @@ void ${name}_reference_at(${name}_real t, ${name}_reference *reference)
         const ${name}_real c4 = -15 * d + 8 * v0 + 7 * v1 + half * (3 * a0 - 2 * a1);
         const ${name}_real c5 = 6 * d - 3 * (v0 + v1) - half * (a0 - a1);
         reference->q[i] = from[i] + s * (v0 + s * (half * a0 + s * (c3 + s * (c4 + s * c5))));
-        reference->v[i] = (v0 + s * (a0 + s * (3 * c3 + s * (4 * c4 + s * 5 * c5)))) / h;
-        reference->a[i] = (a0 + s * (6 * c3 + s * (12 * c4 + s * 20 * c5))) / (h * h);
+$derivatives
     }
 }
+
+/* = derivatives */
+        reference->v[i] = (v0 + s * (a0 + s * (3 * c3 + s * (4 * c4 + s * 5 * c5)))) / h;
+        reference->a[i] = (a0 + s * (6 * c3 + s * (12 * c4 + s * 20 * c5))) / (h * h);
+
+/* = derivatives_single */
+        /* Differences of positions, which round, are not divided by h. */
+        const ${name}_real first = from[2 * $n + i], last = to[2 * $n + i], w = to[$n + i] - from[$n + i];
+        const ${name}_real c2 = 3 * w - h * (2 * first + last), c = h * (first + last) - 2 * w;
+        reference->v[i] = from[$n + i] + s * (h * first + s * (c2 + s * c));
+        reference->a[i] = first + s * (last - first);
 
 /* = test */
 /* Test of $name.c with recorded arguments and results: it prints the largest difference. */
@@ -285,8 +296,8 @@ or `cmake -B build && cmake --build build && ctest --test-dir build`.
   step does not.
 
 /* = note_table */
-- `${name}_reference_at` interpolates the samples of the trajectory by polynomials of order 5. At the samples, it returns
-  them exactly. After the end, the reference rests.
+- `${name}_reference_at` interpolates the samples of the trajectory by polynomials, $orders. At
+  t = k * ${UPPER}_DT, it returns the samples exactly. After the end, the reference rests.
 
 /* = note_plant */
 - `memory.q` and `memory.v` are the state. On rolling wheels, the next step projects `v` onto the rolling constraints: before
