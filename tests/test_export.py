@@ -459,12 +459,18 @@ def test_cmake_builds_and_runs_the_test(tmp_path: Path) -> None:
         assert done.returncode == 0, done.stdout + done.stderr
 
 
-def test_cxx_reads_the_header(tmp_path: Path) -> None:
-    export_c(LAW, BODY, tmp_path, dt=DT, trajectory=CIRCLE, tunable=["kp"])
-    (tmp_path / "use.cpp").write_text('#include "robot.h"\nint main() { robot_memory m; robot_init(&m); }\n')
+@pytest.mark.parametrize("precision", ["double", "single"])
+def test_cxx_reads_the_header(precision: str, tmp_path: Path) -> None:
+    if shutil.which("g++") is None:
+        pytest.skip("g++ is not installed")
+    export_c(LAW, BODY, tmp_path, dt=DT, trajectory=CIRCLE, tunable=["kp"], precision=precision)
+    assert f"#define ROBOT_DT 0.003{'f' * (precision == 'single')} /*" in (tmp_path / "robot.h").read_text()
+    (tmp_path / "use.cpp").write_text(
+        '#include "robot.h"\ndouble dt = ROBOT_DT;\nint main() { robot_memory m; robot_init(&m); }\n'
+    )
     for command in (
         ["gcc", *STRICT, "-c", "robot.c"],
-        ["g++", "-Wall", "-Werror", "use.cpp", "robot.o", "-lm"],
+        ["g++", "-std=c++11", "-Wall", "-Wpedantic", "-Werror", "use.cpp", "robot.o", "-lm"],
     ):
         done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
         assert done.returncode == 0, done.stderr

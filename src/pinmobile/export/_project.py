@@ -56,7 +56,7 @@ class Project:
             "orders": orders,
             "version": pinmobile.__version__,
             "dt": f"{dt:g}",
-            "dt_c": self._number(dt),
+            "dt_c": self._decimal(dt),
         }
         self.words |= {f"n{member.name}": len(member) for member in (*law.states, law.u)}
         self.words["prototype"] = self._prototype()
@@ -83,6 +83,10 @@ class Project:
 
     def _number(self, x: float) -> str:
         return self.code.literal("f", x)
+
+    def _decimal(self, x: float) -> str:
+        """Return a decimal constant that reads back to the same bits: the header is C++11 too."""
+        return f"{np.float32(x)!s}f" if self.single else repr(x)
 
     def _numbers(self, values: Iterable[float]) -> str:
         return ", ".join(map(self._number, values))
