@@ -345,8 +345,20 @@ def test_a_large_error_stops_the_robot_before_its_input_is_written(robot: Robot)
     assert report.reason == "limit"
     assert robot.written == []
     assert len(robot.stops) == 1
+    assert report.rollout is None
+
+
+def test_the_record_contains_the_written_inputs_only(robot: Robot) -> None:
+    robot.given = [0.0, 0.0, 0.0], [0.5, 0.0, 0.0]
+    stepper = Stepper(PD, BODY, dt=0.001, trajectory=CIRCLE, capacity=50)
+    report = robot.run(stepper, limit=0.6)
+    assert report.reason == "limit"
+    assert report.deadlines == len(robot.written) > 50
     assert report.rollout is not None
-    assert len(report.rollout) == 1
+    assert np.array_equal(report.rollout.u, robot.written[-49:])
+    for _ in range(50):
+        stepper.remove_last()
+    assert len(stepper) == 0
 
 
 def test_an_error_of_the_user_is_raised_after_the_stop(robot: Robot) -> None:

@@ -158,12 +158,11 @@ class _Periods:
                 begin += period
                 continue
             u = self.stepper.step(self.k * period, q, v)
-            is_near = self.stepper.largest_error <= self.limit
-            if is_near:
-                self.write(u)
-            self._count(begin, due, start, age)
-            if not is_near:
+            if not self.stepper.largest_error <= self.limit:
+                self.stepper.remove_last()
                 return "limit"
+            self.write(u)
+            self._count(begin, due, start, age)
         return "duration"
 
     def _wait(self, due: float) -> bool:
@@ -316,7 +315,7 @@ def run_realtime(
         Largest age of a measurement [s].
     limit : float
         Largest error of a coordinate or velocity [m, rad, m/s, rad/s]. The input of the sample beyond it is
-        not written.
+        neither written nor recorded.
     priority : int or None
         Priority of SCHED_FIFO, 1 to 99. The run also locks its memory. The report states what the system
         does not allow. None leaves scheduling and memory as they are.

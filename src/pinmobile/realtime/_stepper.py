@@ -212,7 +212,7 @@ class Stepper:
             rest = rows[-1].copy()
             rest[len(first.q) : len(first.q) + 2 * len(first.v)] = 0.0
             self._rows = np.vstack([rows, rest])
-        self.k = self._count = 0
+        self.k = self._count = self._length = 0
         self._last: float = _START_TIME
 
     def _start(self) -> tuple[Any, tuple[Array, Array], Reference]:
@@ -287,6 +287,7 @@ class Stepper:
             raise NotFinite(f"controller returned u = {u} at t = {t:g} s, expected finite numbers")
         self._record[self._count % self.capacity] = self._row
         self._count += 1
+        self._length += self._length < self.capacity
         self.k += 1
         self._last = t
         return u
@@ -337,10 +338,16 @@ class Stepper:
 
     def clear(self) -> None:
         """Remove the recorded samples; the memory of the controller stays."""
-        self._count, self._last = 0, _START_TIME
+        self._count, self._length, self._last = 0, 0, _START_TIME
+
+    def remove_last(self) -> None:
+        """Remove the last recorded sample, such as one whose input is not used; the memory stays."""
+        if self._length:
+            self._count -= 1
+            self._length -= 1
 
     def __len__(self) -> int:
-        return min(self._count, self.capacity)
+        return self._length
 
     def rollout(self) -> Rollout:
         """Return the recorded samples, at most `capacity`.
@@ -353,7 +360,7 @@ class Stepper:
         InvalidArgument
             If there is no sample.
         """
-        if not self._count:
+        if not self._length:
             raise InvalidArgument("the stepper has no sample yet")
         order = np.arange(self._count - len(self), self._count) % self.capacity
         ends = np.cumsum([len(part) for part in self._parts.values()])[:-1]
