@@ -3,6 +3,7 @@
 import gc
 import multiprocessing
 import os
+import re
 import signal
 import socket
 import struct
@@ -304,6 +305,7 @@ def test_an_interruption_of_200_ms_stops_the_robot_within_the_stated_deadline(ro
     robot.silent = 0.5, 0.7
     report = robot.run(stepper_of(), stale=0.05)
     assert report.reason == "stale measurement"
+    assert re.fullmatch(r"the last measurement is 0.05\d* s old, expected at most 0.05 s", report.details)
     (stopped,) = robot.stops
     last = 0.499  # time of the last measurement
     assert last + 0.05 < stopped <= last + 0.05 + 0.001 + 1e-9
@@ -324,8 +326,19 @@ def test_time_begins_with_the_first_measurement(robot: Robot) -> None:
     assert report.rollout is not None
     assert len(report.rollout) == 100
     robot.silent = 0.0, 99.0
-    assert robot.run(stepper_of(), stale=0.05).reason == "stale measurement"
+    report = robot.run(stepper_of(), stale=0.05)
+    assert (report.reason, report.details) == (
+        "stale measurement",
+        "no measurement arrived within 0.05 s",
+    )
     assert len(robot.stops) == 2
+
+
+def test_a_measurement_with_the_time_of_another_clock_is_named(robot: Robot) -> None:
+    robot.read = lambda: (robot.now - 80000.0, *robot.given)  # type: ignore[method-assign]
+    report = robot.run(stepper_of())
+    expected = "the last measurement is 80000 s old, expected at most 0.1 s: use times of time.monotonic()"
+    assert report.details == expected
 
 
 def test_overruns_are_counted_and_their_periods_left_out(robot: Robot) -> None:
@@ -343,6 +356,8 @@ def test_a_large_error_stops_the_robot_before_its_input_is_written(robot: Robot)
     robot.given = [0.0, 0.3, 0.0], [0.5, 0.0, 0.5]
     report = robot.run(stepper_of(), limit=0.2)
     assert report.reason == "limit"
+    assert report.details == "error of y is -0.3 m, expected at most 0.2"
+    assert str(report).splitlines()[0].endswith(f"end: limit, {report.details}")
     assert robot.written == []
     assert len(robot.stops) == 1
     assert report.rollout is None
@@ -353,6 +368,7 @@ def test_the_record_contains_the_written_inputs_only(robot: Robot) -> None:
     stepper = Stepper(PD, BODY, dt=0.001, trajectory=CIRCLE, capacity=50)
     report = robot.run(stepper, limit=0.6)
     assert report.reason == "limit"
+    assert report.details == "error of x is 0.600586 m, expected at most 0.6"
     assert report.deadlines == len(robot.written) > 50
     assert report.rollout is not None
     assert np.array_equal(report.rollout.u, robot.written[-49:])

@@ -64,6 +64,8 @@ class RealtimeReport:
         written input) and ``measurement age`` are in seconds.
     scheduling : tuple of str
         Scheduling of the run, and the reason for each part that the system does not allow.
+    details : str
+        Values at an end by ``"limit"`` or ``"stale measurement"``; "" for the other reasons.
 
     See Also
     --------
@@ -83,6 +85,7 @@ class RealtimeReport:
     overruns: int
     rollout: Rollout | None = None
     scheduling: tuple[str, ...] = field(default=())
+    details: str = ""
 
     @property
     def missed_share(self) -> float:
@@ -109,6 +112,8 @@ class RealtimeReport:
         lines = [
             f"{self.deadlines} periods at {self.rate:g} Hz, {self.overruns} deadlines missed "
             f"({100 * self.missed_share:.2g} %), end: {self.reason}"
+            + f", {self.details}"
+            * bool(self.details)
         ]
         for name in _TIMES if self.rollout is not None else ():
             quantiles = (f"{level} {1e6 * x:.0f} us" for level, x in self.quantiles(name).items())
@@ -132,8 +137,8 @@ class _Periods:
         self.is_interrupted, self.k, self.samples, self.overruns = False, 0, 0, 0
         self.times = np.full((stepper.capacity, len(_TIMES)), 0.0)
 
-    def run(self) -> str:
-        """Return the reason of the end."""
+    def run(self) -> tuple[str, str]:
+        """Return the reason of the end and its details."""
         clock, period = time.monotonic, self.period
         begin = t_measured = clock()
         q: Any = None
@@ -141,14 +146,14 @@ class _Periods:
         while self.k < self.end:
             due = begin + self.k * period
             if self._wait(due):
-                return "interrupt"
+                return "interrupt", ""
             start = clock()
             measurement = self.read()
             if measurement is not None:
                 t_measured, q, v = _check_measurement(measurement)
             age = clock() - t_measured
             if age > self.stale:
-                return "stale measurement"
+                return "stale measurement", self._format_age(age, is_missing=q is None)
             if not age > -period:
                 raise InvalidArgument(
                     f"read returned a measurement at {t_measured} s, {-age:.3g} s ahead of the clock, "
@@ -159,11 +164,18 @@ class _Periods:
                 continue
             u = self.stepper.step(self.k * period, q, v)
             if not self.stepper.largest_error <= self.limit:
+                details = f"{self.stepper.format_largest_error()}, expected at most {self.limit:g}"
                 self.stepper.remove_last()
-                return "limit"
+                return "limit", details
             self.write(u)
             self._count(begin, due, start, age)
-        return "duration"
+        return "duration", ""
+
+    def _format_age(self, age: float, *, is_missing: bool) -> str:
+        if is_missing:
+            return f"no measurement arrived within {self.stale:g} s"
+        hint = "" if self.samples else ": use times of time.monotonic()"
+        return f"the last measurement is {age:.6g} s old, expected at most {self.stale:g} s{hint}"
 
     def _wait(self, due: float) -> bool:
         """Wait until a time, and return whether the run is interrupted."""
@@ -372,11 +384,11 @@ def run_realtime(
     stepper.clear()
     with _fixed_priority(priority) as scheduling, _disable_collector(), _handle_interrupt(periods):
         try:
-            reason = periods.run()
+            reason, details = periods.run()
         except BaseException as error:
             error.add_note("stepper.rollout() returns the samples before")
             raise
         finally:
             stop()
     numbers = 1 / period, int(min(periods.k, end)), periods.overruns
-    return RealtimeReport(reason, *numbers, periods.rollout(), scheduling)
+    return RealtimeReport(reason, *numbers, periods.rollout(), scheduling, details)

@@ -24,7 +24,7 @@ from pinmobile.loop import (
     tracking_errors,
 )
 from pinmobile.parts import evolved
-from pinmobile.plant import Plant, check_plant, stated
+from pinmobile.plant import Plant, check_plant, coordinates_of, stated
 from pinmobile.signals import Signal, collect_signals, collect_time_signals, signals_of
 from pinmobile.trajectories import Reference, Trajectory
 
@@ -319,6 +319,14 @@ class Stepper:
     def largest_error(self) -> float:
         """Largest error of a coordinate or of its rate at the last sample [m, rad, m/s, rad/s, ...]."""
         return float(np.abs(self._error).max())
+
+    def format_largest_error(self) -> str:
+        """Return name and value of the largest error at the last sample, such as ``error of x is 0.3 m``."""
+        coordinates = coordinates_of(self.plant)[: len(self._error) // 2]
+        names = [(one.name, one.unit) for one in coordinates]
+        names += [(one.rate or f"{one.name}_rate", f"{one.unit or '1'}/s") for one in coordinates]
+        i = int(np.abs(self._error).argmax())
+        return f"error of {names[i][0]} is {self._error[i]:.6g} {names[i][1]}".rstrip()
 
     @property
     def memory(self) -> Any:
