@@ -18,7 +18,7 @@ import pytest
 
 import pinmobile as pm
 from pinmobile import InvalidArgument, Reference
-from pinmobile.errors import NotFinite
+from pinmobile.errors import NotFinite, UnknownName
 from pinmobile.realtime import RealtimeReport, Stepper, _realtime, run_realtime
 from pinmobile.wheels import OdometryFeedback
 from tests.frozen import BODY, CIRCLE, WRONG, branching, by_lapack, loops, table
@@ -294,6 +294,8 @@ def test_a_run_has_a_sample_in_each_period_and_stops_at_its_end(robot: Robot) ->
     assert np.array_equal(report.rollout.t, np.arange(2000) * 0.001)
     assert np.array_equal(report.rollout.u, robot.written)
     assert report.quantiles()["largest"] < 1e-9
+    with pytest.raises(UnknownName, match=r"unknown time 'latency', .*lateness, .*measurement age"):
+        report.quantiles("latency")
     assert repr(report).startswith("<RealtimeReport: 2000 periods at 1000 Hz, 0 deadlines missed (0 %)")
     assert "response time: median " in str(report)
     report = robot.run(stepper, duration=0.1)  # again, with the record of this run only

@@ -23,6 +23,7 @@ from pinmobile.arrays import (
     callable_as,
     check_integer,
     instance,
+    one_of,
     positive,
     positive_or_endless,
 )
@@ -99,7 +100,13 @@ class RealtimeReport:
         ----------
         name : str
             ``"lateness"``, ``"response time"`` or ``"measurement age"``.
+
+        Raises
+        ------
+        UnknownName
+            If it is another name.
         """
+        one_of("time", name, _TIMES)
         if self.rollout is None:
             return {}
         values = np.quantile(self.rollout.signals[name].values, [*_LEVELS.values()])
