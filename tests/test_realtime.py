@@ -193,6 +193,8 @@ def test_an_input_that_is_not_finite_is_not_returned() -> None:
 
 def test_the_record_keeps_the_last_samples() -> None:
     stepper = Stepper(PD, BODY, dt=0.02, trajectory=CIRCLE, capacity=50)
+    assert stepper
+    assert len(stepper) == 0
     with pytest.raises(InvalidArgument, match="the stepper has no sample yet"):
         stepper.rollout()
     run = pm.simulate(BODY, PD, CIRCLE, dt=0.02, engine=pm.Engine.COMPILED)

@@ -357,6 +357,9 @@ class Stepper:
     def __len__(self) -> int:
         return self._length
 
+    def __bool__(self) -> bool:
+        return True  # also without samples
+
     def rollout(self) -> Rollout:
         """Return the recorded samples, at most `capacity`.
 
