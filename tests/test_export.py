@@ -412,6 +412,16 @@ def test_the_readme_states_memory_and_stack(tmp_path: Path) -> None:
         assert each in header
 
 
+def test_the_readme_states_what_the_number_of_operations_leaves_out(tmp_path: Path) -> None:
+    def operations(**options: Any) -> str:
+        export_c(LAW, BODY, tmp_path, dt=DT, **options)
+        (text,) = re.findall(r"operations of a step \| (.*) \|", (tmp_path / "README.md").read_text())
+        return str(text)
+
+    assert operations().isdecimal()
+    assert re.fullmatch(r"\d+, and function calls: 3 \(cos, floor, sin\)", operations(precision="single"))
+
+
 def test_the_hash_follows_the_content(tmp_path: Path) -> None:
     def text(kp: float, folder: str) -> str:
         export_c(pm.PD(kp, 9.0), BODY, tmp_path / folder, dt=DT)

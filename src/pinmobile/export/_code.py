@@ -52,7 +52,7 @@ class Code:
         self.round_numbers: dict[int, list[int]] = {}  # numbers of rounds that something needs
         self.lines: list[str] = []
         self.functions: set[str] = set()
-        self.operations = 0
+        self.operations = self.calls = self.loops = 0
 
     def write(self, nodes: Iterable[int]) -> list[str]:
         """Return the statements that compute some nodes, in order.
@@ -139,6 +139,7 @@ class Code:
         rounds, real = Rounds.of(self.tape, node), f"{self.prefix}_real"
         numbers, inner = sorted(self.round_numbers.get(node, [])), indent + "    "
         lines = self.lines
+        self.loops += 1
         lines += [f"{indent}{real} y{node}_{j} = {self.name(rounds.first[j])};" for j in numbers]
         lines += [
             f"{indent}int done{node} = {self.name(rounds.skip)};",
@@ -164,12 +165,14 @@ class Code:
 
     def _expression(self, node: int) -> str:
         """Return the C expression of an operation."""
-        self.operations += 1
-        if node in self.marks:
+        if node not in self.marks:
+            self.operations += 1
+        else:
             function, operands = self.marks[node]
             if function == "count":
                 return f"({self.prefix}_real)memory->k"
             self.functions.add(function)
+            self.calls += 1
             return f"{self.prefix}_{function}({', '.join(map(self.name, operands))})"
         name, *args = self.tape.operations[node]
         if name == "ring":

@@ -289,6 +289,13 @@ class Project:
             limit=f"{_TOLERANCE * largest:g}" if self.single else "0",
         )
 
+    def _operations(self) -> str:
+        """Return the number of operations, and what it leaves out."""
+        code = self.code
+        names = ", ".join(sorted(code.functions))
+        calls = f", and function calls: {code.calls:,} ({names})" * bool(code.calls)
+        return f"{code.operations:,}{calls}" + ", with one round of each loop" * bool(code.loops)
+
     def _readme(self) -> str:
         law, size = self.law, 4 if self.single else 8
         numbers = 1 + sum(map(len, (*law.memory, *law.parameters, *law.signals)))
@@ -302,7 +309,7 @@ class Project:
         return self._text(
             "readme",
             precision="single" if self.single else "double, with the bits of the library",
-            operations=f"{self.code.operations:,}",
+            operations=self._operations(),
             memory=f"{-(-size_total // size) * size:,}",
             constants=f"{size * constants:,}",
             stack=f"{self.code.stack + size * len(law.outputs):,}",
