@@ -3,6 +3,7 @@
 import math
 import socket
 import threading
+import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -87,6 +88,7 @@ def show_run(words: Sequence[str], out: Path, film: Path | None, *, allow_code: 
     """Run a loop, print its result, and write records, figures and their index, also for a diverged run."""
     check_film(film)
     file = LoadedFile(words, allow_code=allow_code, unused=("spread", "grid", "cases"))
+    _print_base(file)
     folder = output_folder(out)
     diverged: Diverged | None = None
     with progress(3 + len(FIGURES) + len(_EXTRA_FIGURES)) as bar:
@@ -117,6 +119,19 @@ def show_run(words: Sequence[str], out: Path, film: Path | None, *, allow_code: 
     if diverged is not None:
         raise diverged
     return 0
+
+
+def _print_base(file: LoadedFile) -> None:
+    """Print which loop of a file with a grid or cases is selected, and how to select another."""
+    tables = tomllib.loads(file.text)
+    names = [name for name in ("grid", "cases") if name in tables]
+    if names:
+        console.print(
+            f"the {' and '.join(names)} of the file have no effect: the controller is "
+            f"{type(file.content.controller).__name__}; select another by controller=...",
+            markup=False,
+            soft_wrap=True,
+        )
 
 
 def _source_section(file: LoadedFile) -> Section:
@@ -359,6 +374,7 @@ def show_export(
     file = LoadedFile(words, allow_code=allow_code, unused=("spread", "grid", "cases", "n"))
     from pinmobile.export import export_c
 
+    _print_base(file)
     output_folder(out, "--out")
     scenario = evolved(file.content, spread={}, grid={}, cases={}, n=1).scenario()
     options = {key: getattr(scenario, key) for key in ("forces", "integrator", "substeps") if plant}
