@@ -360,6 +360,8 @@ def test_help_teaches_and_loads_no_library(typed: Typed) -> None:
         ]:
             assert f"\n  {verb} " in out
             assert "Example: pinmobile " in typed(verb, "--help")[1] or verb == "lecture"
+    assert "Folder of records and figures;" in " ".join(typed("run", "--help")[1].split())
+    assert "Folder of the C files;" in " ".join(typed("export", "--help")[1].split())
     text = "import sys; from pinmobile.cli import main; main(['run', '--help']); print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, check=True)
     assert not {"numpy", "pinocchio"} & set(done.stdout.split())

@@ -93,8 +93,8 @@ Film = Annotated[
 ]
 
 
-def _folder(default: str) -> Any:
-    return typer.Option(help=f"Folder for records and figures; default: {default}.", show_default=False)
+def _folder(default: str, content: str = "records and figures") -> Any:
+    return typer.Option(help=f"Folder of {content}; default: {default}.", show_default=False)
 
 
 def _print_version(is_given: bool) -> None:
@@ -213,7 +213,7 @@ def play(
 @app.command()
 def export(
     words: Words = None,
-    out: Annotated[Path, _folder("out/export")] = Path("out/export"),
+    out: Annotated[Path, _folder("out/export", "the C files")] = Path("out/export"),
     name: Annotated[str, typer.Option(help="Prefix of all names and files.")] = "robot",
     precision: Annotated[str, typer.Option(help="double, or single.")] = "double",
     tunable: Annotated[
