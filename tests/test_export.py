@@ -422,6 +422,21 @@ def test_the_readme_states_what_the_number_of_operations_leaves_out(tmp_path: Pa
     assert re.fullmatch(r"\d+, and function calls: 3 \(cos, floor, sin\)", operations(precision="single"))
 
 
+def test_the_header_states_frames_and_limits(tmp_path: Path) -> None:
+    export_c(LAW, BODY, tmp_path, dt=DT)
+    header = (tmp_path / "robot.h").read_text()
+    frame = ", in the inertial frame"
+    for each in ("/* q[1]: y [m]{} */", "v[0]: vx [m/s]{}", "a[0]: acceleration of x [m/s^2]{}"):
+        assert each.format(frame) in header
+    assert "q[2]: psi [rad], unwrapped: without a jump at pi" in header
+    assert "a[2]: acceleration of psi [rad/s^2] */" in header
+    assert f"u[0]: Fx [N]{frame}, without limits\n" in header
+    robot = pm.WheeledRobot(BODY, pm.WheelTable.differential(0.5, 0.1, motor=pm.Motor(torque_limit=2.5)))
+    export_c(pm.law(lambda t, q, v, reference: q[3:]), robot, tmp_path, dt=DT)
+    header = (tmp_path / "robot.h").read_text()
+    assert "u[0]: left [N m], from -2.5 to 2.5\n" in header
+
+
 def test_the_hash_follows_the_content(tmp_path: Path) -> None:
     def text(kp: float, folder: str) -> str:
         export_c(pm.PD(kp, 9.0), BODY, tmp_path / folder, dt=DT)

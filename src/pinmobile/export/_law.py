@@ -22,7 +22,7 @@ from pinmobile.loop import (
     scheduled_rows,
     traced_numbers,
 )
-from pinmobile.parts import NumberRef, find, named, option, part, replace
+from pinmobile.parts import COORDINATES, NumberRef, find, named, option, part, replace
 from pinmobile.plant import Context, coordinates_of, inputs_of
 from pinmobile.signals import signals_of
 from pinmobile.trajectories import Reference
@@ -35,6 +35,10 @@ def noise_error(name: str) -> InvalidArgument:
         "controller without noise, such as the one inside MeasurementNoise",
         "controller",
     )
+
+
+_INERTIAL = dict.fromkeys(("x", "y", "vx", "vy", "Fx", "Fy"), ", in the inertial frame")
+_NOTES = {**_INERTIAL, "psi": ", unwrapped: without a jump at pi"}  # for plants that begin with x, y, psi
 
 
 @final
@@ -87,15 +91,15 @@ class Member:
     ----------
     name : str
         Name in C.
-    entries : sequence of (str, str)
-        Name and unit of each entry.
+    entries : sequence of (str, str) or (str, str, str)
+        Name and unit of each entry, and a text behind them.
     values : ndarray
         Initial or nominal values.
     """
 
-    def __init__(self, name: str, entries: Sequence[tuple[str, str]], values: Any = None) -> None:
+    def __init__(self, name: str, entries: Sequence[tuple[str, ...]], values: Any = None) -> None:
         self.name = name
-        self.entries = [(text.replace("*/", "* /"), unit) for text, unit in entries]  # texts of comments
+        self.entries = [(text.replace("*/", "* /"), *rest) for text, *rest in entries]  # texts of comments
         self.values = np.zeros(len(self.entries)) if values is None else np.ravel(np.asarray(values, float))
 
     def __len__(self) -> int:
@@ -103,7 +107,7 @@ class Member:
 
     def comment_lines(self, prefix: str, suffix: str = "") -> list[str]:
         """Return a line with name and unit of each entry, or one line if they are alike."""
-        texts = [f"{x} [{unit}]" if unit else x for x, unit in self.entries]
+        texts = ["".join([f"{x} [{unit}]" if unit else x, *note]) for x, unit, *note in self.entries]
         if len(set(texts)) == 1:
             return [f"{prefix}{self.name}: {texts[0]}{suffix}"]
         return [f"{prefix}{self.name}[{i}]: {text}{suffix}" for i, text in enumerate(texts)]
@@ -212,13 +216,24 @@ class Law:
         """Place time, state, input and reference."""
         plant, (nq, nv, _, length, n) = self.loop.plant, self.loop_tape.sizes
         coordinates, inputs = coordinates_of(plant), inputs_of(plant)
-        names = [(one.name, one.unit) for one in coordinates]
-        rates = [(one.rate or f"{one.name}_rate", f"{one.unit or '1'}/s") for one in coordinates]
-        accelerations = [(f"acceleration of {name}", f"{unit or '1'}/s^2") for name, unit in names]
+        is_planar = tuple(one.name for one in coordinates[:3]) == COORDINATES
+        notes = _NOTES if is_planar else {}
+        names = [(one.name, one.unit, notes.get(one.name, "")) for one in coordinates]
+        pairs = [(one.rate or f"{one.name}_rate", f"{one.unit or '1'}/s") for one in coordinates]
+        rates = [(name, unit, notes.get(name, "")) for name, unit in pairs]
+        accelerations = [
+            (f"acceleration of {name}", f"{unit or '1'}/s^2", _INERTIAL.get(name, "") * is_planar)
+            for name, unit, _ in names
+        ]
         if nq != nv:
-            names = [(f"configuration {i}", "") for i in range(nq)]
-        q, v = (Member(x, y, z) for x, y, z in zip("qv", (names, rates), self.start, strict=True))
-        self.u = Member("u", [(one.name, one.unit) for one in inputs])
+            names = [(f"configuration {i}", "", "") for i in range(nq)]
+        q, v = Member("q", names, self.start[0]), Member("v", rates, self.start[1])
+        limits = [", without limits"] * len(inputs)
+        if self.loop.limits is not None:
+            limits = [f", from {low:g} to {high:g}" for low, high in np.transpose(self.loop.limits)]
+        frames = [notes.get(one.name, "") for one in inputs]
+        texts = map("".join, zip(frames, limits, strict=True))
+        self.u = Member("u", [(one.name, one.unit, x) for one, x in zip(inputs, texts, strict=True)])
         self.states, prefix = [q, v], "memory->" if self.is_plant else ""
         for first, member in ((0, q), (nq, v)):
             self.places |= {("state", first + i): f"{prefix}{member.name}[{i}]" for i in range(len(member))}

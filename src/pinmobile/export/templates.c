@@ -254,7 +254,7 @@ add_test(NAME $name COMMAND ${name}_test)
 # $name: $title
 
 Made by pinmobile $version. On the robot, two files are enough: `$name.h` and `$name.c`, in C99. They use no heap, no global
-state, and of the C library only `sqrt` and `fabs`. The header states names and units of all entries.
+state, and of the C library only `sqrt` and `fabs`. The header states names, units, frames and limits of all entries.
 
 |  |  |
 |---|---|
