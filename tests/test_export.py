@@ -329,6 +329,7 @@ def test_references_of_single_precision_are_exact_at_samples_and_smooth_between(
     export_c(LAW, BODY, tmp_path, dt=0.002, trajectory=path, precision="single")
     main = """
     #include "robot.h"
+    #include <math.h>
     #include <stdio.h>
     static void print(float t)
     {
@@ -343,11 +344,16 @@ def test_references_of_single_precision_are_exact_at_samples_and_smooth_between(
             print((float)(k * 0.002));
             print(((float)k + 0.37f) * ROBOT_DT);
         }
+        print(-1.0f);
+        print(-INFINITY);
+        print(INFINITY);
         return 0;
     }
     """
     words = [float.fromhex(word) for word in run_program(tmp_path, main, *SANITIZED).split()]
-    found = np.moveaxis(np.array(words).reshape(6001, 3, 3, 3), 3, 0)
+    *_, before, long_before, after = np.array(words).reshape(-1, 3, 3)[..., 0]
+    found = np.moveaxis(np.array(words[:-27]).reshape(6001, 3, 3, 3), 3, 0)
+    assert np.array_equal((before, long_before, after), found[0][[0, 0, -1], 0])
     k = np.arange(6001)
     for x, knots, between in zip(found, path(k * 0.002), path((k[:-1] + 0.37) * 0.002), strict=True):
         assert (x[:, 0] == knots.astype(np.float32)).all()

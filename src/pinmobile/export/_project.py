@@ -225,7 +225,7 @@ class Project:
         if self.table is not None:
             words: dict[str, Any] = {"n": len(law.reference[1]), "last": len(self.table) - 1}
             near = self._number(_TIME_TOLERANCE)
-            near += f" + {self._number(_PLACE_TOLERANCE)} * place" if self.single else ""
+            near += f" + {self._number(_PLACE_TOLERANCE)} * (place > 0 ? place : 0)" if self.single else ""
             derivatives = self._text("derivatives_single" if self.single else "derivatives", **words).rstrip()
             words |= {"half": self._number(0.5), "near": near, "derivatives": derivatives}
             parts += [self._array("table", self.table), self._text("interpolation", **words)]
