@@ -10,8 +10,8 @@ import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, bounded, one_of, positive, sequence
 from pinmobile.controllers import Controller
-from pinmobile.derivatives._losses import Loss, Losses
-from pinmobile.derivatives._problem import Direction, Problem, evaluate_losses, loop_errors, problem_of
+from pinmobile.derivatives._losses import Loss, Losses, evaluate_losses
+from pinmobile.derivatives._problem import Direction, Problem, loop_errors, problem_of
 from pinmobile.errors import InvalidArgument
 from pinmobile.forces import Force
 from pinmobile.integrators import Integrator

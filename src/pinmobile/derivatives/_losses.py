@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, final
 
 import numpy as np
 
 from pinmobile.arrays import Array, one_of
+from pinmobile.derivatives._problem import Direction, Inputs, Problem, loop_errors
 from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.loop import Record, Sample, Scenario
 from pinmobile.metrics import Metric, check_metric, metrics_of
@@ -134,3 +135,55 @@ class Losses:
             values.append(value + 0.0 * sample.t)
         kept = {name: sample.signals[name].value for name in ("slides",) if name in sample.signals}
         return Record(np.stack(values), kept=kept)
+
+
+class Evaluation(NamedTuple):
+    """Losses of n robots and their derivatives.
+
+    Attributes
+    ----------
+    values : ndarray, shape (L, n)
+        Losses.
+    slopes : ndarray, shape (L, n, P)
+        Derivatives by each entry of each number.
+    directions : list of Direction
+        The entries.
+    inputs : Inputs
+        Inputs of the machine code.
+    """
+
+    values: Array
+    slopes: Array
+    directions: list[Direction]
+    inputs: Inputs
+
+
+def evaluate_losses(problem: Problem, changes: Mapping[str, Any], mode: str | None) -> Evaluation:
+    """Return the losses of the robots with other numbers, and their derivatives in a mode.
+
+    Parameters
+    ----------
+    problem : Problem
+        Loop whose recorder is `Losses`.
+    changes : mapping of str to ndarray
+        Numbers by path.
+    mode : str, optional
+        ``"forward"`` or ``"reverse"``; None: only the values.
+    """
+    losses = problem.loop.recorder.losses
+    first = next(leaf.first for leaf in problem.machine.tape.leaves if leaf.owner == "recorder")
+    indices = [first + i for i in range(len(losses))]
+    with loop_errors():
+        inputs = problem.inputs(changes)
+        directions = problem.directions(inputs, changes) if mode else []
+        if mode == "forward":
+            final, tangents, _ = problem.tangents(inputs, directions)
+            slopes = tangents[indices]
+        elif mode == "reverse":
+            final, slopes = problem.adjoints(inputs, directions, indices)
+        else:
+            final, slopes = problem.plain(inputs), np.zeros((len(indices), problem.n, 0))
+        pairs = [loss.finish(final[i], len(inputs.samples)) for loss, i in zip(losses, indices, strict=True)]
+        values = np.array([value for value, _ in pairs])
+        slopes = slopes * np.array([slope for _, slope in pairs])[:, :, None]
+    return Evaluation(values, slopes, directions, inputs)

@@ -12,8 +12,8 @@ import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, check_integer, instance, one_of, real, sequence, shaped
 from pinmobile.controllers import Controller
-from pinmobile.derivatives._losses import Loss, Losses
-from pinmobile.derivatives._problem import Evaluation, Problem, evaluate_losses, problem_of
+from pinmobile.derivatives._losses import Evaluation, Loss, Losses, evaluate_losses
+from pinmobile.derivatives._problem import Problem, problem_of
 from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.forces import Force
 from pinmobile.integrators import Integrator
