@@ -160,8 +160,8 @@ def of_poles(rounds: int, least: float) -> list[str]:
     parts, known = (BODY, _Probe(law, np.zeros(3)), rest), {"recorder": lambda _: _Inputs(), "by": [_PROBE]}
     problem = _problem.problem_of(*parts, dt=0.01, n=1, **known)
     works: dict[str, Callable[[], Any]] = {
-        "matrix": lambda: _linearize(problem, 1),
-        "eigenvalues": lambda: np.linalg.eigvals(_linearize(problem, 1)[0][:, :states]),
+        "matrix": lambda: _linearize(problem, 1, 1),
+        "eigenvalues": lambda: np.linalg.eigvals(_linearize(problem, 1, 1)[0][:, :states]),
         "poles": lambda: poles(BODY, law, rest, dt=0.01),
     }
     states = len(problem.machine.tape.states)
