@@ -673,6 +673,11 @@ def reverse(table: Any) -> Any:
         (lambda table: table[:600], "", r"log is 12 s long, too short, expected at least .*"),
         (reverse, "", r"log has inputs that explain .*another robot.*"),
         (
+            lambda table: table[np.r_[:300, 200:2101]],
+            "",
+            r"t\[300\] is 4\.0\d* s after 5\.98\d* s, expected more: sort the rows by time, or split the .*",
+        ),
+        (
             lambda table: table,
             "columns.q=x,y",
             r"q has shape \(2201, 2\), expected \(2201, 3\), a row for each time",

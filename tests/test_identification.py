@@ -652,7 +652,7 @@ def drifting(q: Array) -> Array:
 
 
 test_a_log_that_tells_something_else_is_refused_with_what_it_is = refusals(
-    (lambda: changed(t=lambda t: t[::-1]), r"^t\[1\] is .* expected more$"),
+    (lambda: changed(t=lambda t: t[::-1]), r"^t\[1\] is .* expected more: sort the rows by time,"),
     (lambda: changed(q=np.rad2deg), r"^q has psi from .*: are these degrees\?$"),
     (lambda: changed(q=lambda q: q * 1000 * 100), r"^q moves at .*: are these centimetres or millimetres\?$"),
     (lambda: changed(t=lambda t: t * 1000), r"^t has steps of 20 s, .*: are these milliseconds\?$"),

@@ -1094,7 +1094,7 @@ def _code_of(function: object) -> tuple[Any, ...]:
 _accepted: WeakKeyDictionary[CodeType, set[tuple[Any, ...]]] = WeakKeyDictionary()
 
 
-def increasing(name: str, t: Array) -> None:
+def increasing(name: str, t: Array, hint: str = "") -> None:
     """Check that times are strictly increasing.
 
     Parameters
@@ -1103,6 +1103,8 @@ def increasing(name: str, t: Array) -> None:
         Name of the argument, for the message.
     t : ndarray, shape (N,)
         Times [s]; N >= 1.
+    hint : str
+        Advice at the end of the message.
 
     Raises
     ------
@@ -1120,8 +1122,8 @@ def increasing(name: str, t: Array) -> None:
     """
     shaped(name, t, ("n>=1",))
     if not (t[1:] > t[:-1]).all():
-        index = int(np.argmin(t[1:] > t[:-1]))
-        raise InvalidArgument(f"{name}[{index + 1}] is {t[index + 1]} s after {t[index]} s, expected more")
+        index = int(np.argmin(t[1:] > t[:-1])) + 1
+        raise InvalidArgument(f"{name}[{index}] is {t[index]} s after {t[index - 1]} s, expected more{hint}")
 
 
 def affordable(label: str, numbers: float, remedy: str) -> None:

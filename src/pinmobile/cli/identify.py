@@ -129,6 +129,7 @@ def _name_files(paths: Sequence[Path]) -> Iterator[None]:
             raise
         for k, path in enumerate(paths):
             text = text.replace(f"log[{k}]", "log" if index == str(k) else repr(str(path)))
-        files = ", ".join(repr(str(path)) for path in ([paths[int(index)]] if index.isdigit() else paths))
+        named = [paths[int(index)]] if name == "log" and index else paths
+        files = ", ".join(repr(str(path)) for path in named)
         ending = text.removeprefix("path is ").removeprefix(files) if name == "path" else f": {text}"
         raise InvalidArgument(f"LOG is {files}{ending}", argument="LOG") from error

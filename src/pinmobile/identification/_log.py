@@ -249,7 +249,7 @@ class Log:
         count = int(np.logical_or.reduce([*masks.values()]).sum()) + len(repeats)
         object.__setattr__(self, "dropped", self.dropped + count)
         given = {name: array[valid] for name, array in given.items()}
-        increasing("t", given["t"])
+        increasing("t", given["t"], ": sort the rows by time, or split the log at this row")
         if (usual := float(np.median(np.diff(given["t"])))) > _LONGEST_STEP:
             raise InvalidArgument(f"t has steps of {usual:g} s, expected seconds: are these milliseconds?")
         for name, array in given.items():
