@@ -92,12 +92,14 @@ def remove_outliers(
         bound = np.maximum.reduce([_OUTLIER * deviation, floor, _TIMES * often])
         size_of = (np.abs(residual) / bound).max(axis=1)
         worst = size_of >= maximum_filter1d(np.where(good, size_of, 0.0), 2 * size + 1)
-        previous, good = good, measured & ~((size_of > 1) & (worst | ~good))
-        gaps = np.clip(rows[~good], rows[good][0], rows[good][-1])  # constant beyond both ends
+        usual = ~((size_of > 1) & (worst | ~good))
+        for side in (usual[: size // 2], usual[::-1][: size // 2]):  # an outlier hides those behind it
+            side &= np.logical_and.accumulate(side[::-1])[::-1]
+        previous, good = good, measured & usual
         support = good & (maximum_filter1d((~good).view(np.int8), 2 * _SPLINE_SAMPLES + 1) > 0)
         q = columns.copy()
         if support.any():
-            q[~good] = CubicSpline(rows[support], columns[support])(gaps)
+            q[~good] = CubicSpline(rows[support], columns[support])(rows[~good])
         _bridge(q, good, size)
         if np.array_equal(previous, good):
             break
@@ -107,11 +109,12 @@ def remove_outliers(
 
 
 def _bridge(q: Array, good: NDArray[np.bool_], size: int) -> None:
-    """Fill long gaps by polynomials of degree 5, fitted to `size` samples on each side."""
+    """Fill long gaps by polynomials of degree 5, ends by cubics, fitted to `size` samples on each side."""
     edges = np.flatnonzero(np.diff(good, prepend=True, append=True))
     for begin, end in edges.reshape(-1, 2):
-        if end - begin > _LONG:
+        is_outer = begin == 0 or end == len(q)
+        if is_outer or end - begin > _LONG:
             k = np.arange(max(begin - size, 0), min(end + size, len(q)))
-            V = np.polynomial.chebyshev.chebvander(np.linspace(-1, 1, len(k)), 5)
+            V = np.polynomial.chebyshev.chebvander(np.linspace(-1, 1, len(k)), 3 if is_outer else 5)
             support, gap = good[k], (k >= begin) & (k < end)
             q[k[gap]] = V[gap] @ np.linalg.lstsq(V[support], q[k[support]], rcond=None)[0]
