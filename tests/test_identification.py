@@ -662,6 +662,12 @@ def holed(q: Array) -> Array:
     return q
 
 
+def forces_in_body_frame() -> pm.Log:
+    t, q, u = log().t, np.array(log().q), log().u
+    planar = np.exp(-1j * q[:, 2]) * (u[:, 0] + 1j * u[:, 1])
+    return pm.Log(t, q, np.column_stack([planar.real, planar.imag, u[:, 2]]))
+
+
 def drifting(q: Array) -> Array:
     t = np.array(log().t)
     return np.column_stack([np.interp(t * (1 - 2e-3), t, column) for column in q.T])
@@ -683,6 +689,14 @@ test_a_log_that_tells_something_else_is_refused_with_what_it_is = refusals(
     (lambda: pm.identify(log().between(0, 12)), r"^log is 12 s long, too short, expected at least"),
     (lambda: pm.identify(changed(q=lambda q: 0 * q, u=lambda u: 0 * u)), r"^log has poses that move by 0 m"),
     (lambda: pm.identify(changed(u=lambda u: u[::-1])), r"^log has inputs that explain"),
+    (
+        lambda: pm.identify(forces_in_body_frame()),
+        r"^log has forces that explain .* of the motion, 100% if they are in the body frame, .*: rotate",
+    ),
+    (
+        lambda: pm.identify(forces_in_body_frame(), delay=0.0),
+        r"^log has forces that explain .* of the motion, 100% if they are in the body frame, .*: rotate",
+    ),
     (lambda: changed(q=lambda q: q * np.nan), r"^q has 2201 rows, each with NaN, expected rows without NaN$"),
     (lambda: pm.identify(changed(q=drifting)), r"^log has a delay of the poses that changes by .*two clocks"),
     (

@@ -45,6 +45,10 @@ _LENGTHS = 2.0, 1.5, 1.0  # [s] of a segment: the first length that gives enough
 _SHORTEST = (_LEAST_SEGMENTS + 0.5) * _LENGTHS[-1]  # [s], shortest log
 _LATEST, _EARLIEST = 0.3, 0.05  # [s], range of delays
 _MIN_EXPLAINED = 0.5  # smallest explained share of the mean square of the forces
+_CLEAR = 0.95  # explained share of the forces above which their frame is clear
+_FRAME_RATIO = (
+    1 / 3
+)  # largest ratio of unexplained shares, in another frame and as given, that shows this frame
 _MOST_GIVEN = 0.1  # largest given delay, as a share of the log
 _MAX_BIAS = 3.0  # largest bias of output error by input noise [standard deviations]
 _MASSES = (0.02, 2e4)  # [kg], range of ground robots
@@ -252,6 +256,7 @@ def _estimate_body(
     basis, base = scales[:, None] * span, np.zeros(len(scales)) if prior is None or not gaps else prior
     lag = _first_delay(form, base, basis) if delay is None else delay / dt
     fit = form.extrapolate(lag, base, basis, not given and not gaps)
+    _check_frame(form, base, basis, np.array([lag]), fit.explained)
     _check(model, fit, prior)
     rates = any(one.rates is not None for one in runs)
     each = [one.segments(model, fit.delay, seconds, rates) for one in runs]
@@ -374,6 +379,7 @@ def _first_delay(form: WeakForm, base: Array, basis: Array) -> float:
     dt = form.logs[0].dt
     delays = np.arange(-max(2, round(_EARLIEST / dt)), max(4, round(_LATEST / dt)) + 0.25, 0.5)
     k, lag, share = form.first_delay(delays, base, basis)
+    _check_frame(form, base, basis, delays, share)
     if share < _MIN_EXPLAINED:
         raise unexplained_error(share)
     if k == 0:
@@ -384,6 +390,22 @@ def _first_delay(form: WeakForm, base: Array, basis: Array) -> float:
             "give the times?"
         )
     return lag
+
+
+def _check_frame(form: WeakForm, base: Array, basis: Array, delays: Array, share: float) -> None:
+    """Reject forces in the body frame: rotated by psi, they explain much more than the given share."""
+    if form.model.B is not None or share > _CLEAR:
+        return
+    logs = []
+    for log in form.logs:
+        planar = np.exp(1j * log.q[:, 2]) * (log.u[:, 0] + 1j * log.u[:, 1])
+        logs.append(replace(log, u=np.column_stack([planar.real, planar.imag, log.u[:, 2]])))
+    _, _, other = replace(form, logs=logs).first_delay(delays, base, basis)
+    if 1 - other < _FRAME_RATIO * (1 - share):
+        raise InvalidArgument(
+            f"log has forces that explain {max(share, 0.0):.0%} of the motion, {other:.0%} if they are in "
+            "the body frame, expected forces in the inertial frame: rotate (Fx, Fy) by psi"
+        )
 
 
 def _check(model: PlanarModel, fit: WeakFit, prior: Array | None) -> None:
