@@ -96,6 +96,18 @@ def test_one_wrong_pose_is_one_outlier_at_the_ends_too(row: int) -> None:
     np.testing.assert_allclose(spoiled.noise, before.noise, rtol=0.02)
 
 
+@pytest.mark.parametrize("lost", [(), (100, 300, 301)])
+@pytest.mark.parametrize("first", [-0.4, 0.0, 0.4])
+def test_rows_with_jitter_of_their_times_are_all_used(first: float, lost: tuple[int, ...]) -> None:
+    jitter = np.random.default_rng(0).normal(0, 0.2, 800).clip(-0.4, 0.4)
+    jitter[0] = first
+    t = 0.05 * np.delete(np.arange(800) + jitter, lost)
+    even = pm.Log(t, np.outer(t, [1, 0, 0]), np.ones((len(t), 3))).samples("q")
+    assert even.dt == pytest.approx(0.05, rel=2e-5)
+    assert len(even.t) - even.is_valid.sum() == len(lost)
+    assert even.is_valid.sum() >= len(t) - 1  # of the first row before the first sample
+
+
 @pytest.mark.parametrize("row", [0, 1, -1, 400])
 @pytest.mark.parametrize("size", [0.05, 0.1, 1.0])
 def test_a_wrong_pose_of_a_fast_robot_spoils_none_but_rows_between_it_and_the_end(

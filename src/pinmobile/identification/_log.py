@@ -43,6 +43,7 @@ _FASTEST = 60.0  # [m/s]; faster positions are probably not in metres
 _HELD, _OFTEN = 1.0, 20  # longest repetition of a slow sensor's pose [s]; number that shows such a sensor
 _EVEN_SHARE = 0.9  # share of repetitions of the same length
 _FASTEST_TURN = 12.0  # [rad/s], two turns a second; faster headings are probably in degrees
+_JITTER_ROWS, _JITTER_ROUNDS = 25, 3  # rows over which the jitter of times is averaged; refinements
 _WINDOW = 0.25  # [s] over which speeds are averaged, so that noise does not matter
 
 
@@ -50,6 +51,21 @@ def step(t: Array) -> float:
     """Return the time step [s]: the mean of all steps without a lost row."""
     steps = np.diff(t)
     return float(steps[steps < 1.5 * np.median(steps)].mean())
+
+
+def _mean_step(t: Array) -> float:
+    """Return the time step [s], also where jitter makes some steps as long as if a row was lost."""
+    from scipy.ndimage import uniform_filter1d  # slow to load
+
+    dt = step(t)
+    for _ in range(_JITTER_ROUNDS):
+        turns = (t - t[0]) / dt
+        if (np.diff(np.rint(turns)) > 0).all():
+            break
+        mean = uniform_filter1d(np.exp(2j * np.pi * turns), _JITTER_ROWS)
+        numbers = np.rint(turns - np.unwrap(np.angle(mean)) / (2 * np.pi))
+        dt = float(np.polyfit(numbers, t, 1)[0])
+    return dt
 
 
 def lost_rows(given: Mapping[str, Array]) -> NDArray[np.bool_]:
@@ -376,7 +392,7 @@ class Log:
             raise InvalidArgument(
                 f"log has {len(t)} rows with {' and '.join(given)}, expected two: see Log.from_streams"
             )
-        return step(t)
+        return _mean_step(t)
 
     def samples(self, *names: str, dt: float | None = None) -> Samples:
         """Return named measurements at equal time steps, interpolated, with a mask of the measured rows.
@@ -387,14 +403,17 @@ class Log:
         given = self._arrays(*names)
         valid = ~lost_rows(given)
         t, given = self.t[valid], {name: x[valid] for name, x in given.items()}
-        steps = np.rint((t - t[0]) / dt).astype(int)
+        start, turns = t[0], (t - t[0]) / dt
+        if (np.diff(np.rint(turns)) == 0).any():  # jitter: samples at its mean, from the first time on
+            start += dt * float(np.angle(np.exp(2j * np.pi * turns).sum()) / (2 * np.pi) % 1)
+        steps = np.rint((t - start) / dt).astype(int)
         times = dt * np.arange(steps[-1] + 1)
-        grid, is_valid = t[0] + times, np.zeros(len(times), bool)
-        is_valid[steps] = True
+        grid, is_valid = start + times, np.zeros(len(times), bool)
+        is_valid[steps[steps >= 0]] = True
         if step(self.t) < 0.75 * dt:  # a sensor that is slower than the inputs
             u = _mean_inputs(self.t, self.u, grid)
         else:
-            rows = np.rint((self.t - t[0]) / dt).astype(int)
+            rows = np.rint((self.t - start) / dt).astype(int)
             u = self.u[np.searchsorted(rows, np.arange(len(grid)), side="right") - 1]
         is_even = len(t) == len(grid) and np.abs(t - grid).max() < 1e-3 * dt
         if not is_even:
