@@ -709,6 +709,10 @@ test_a_log_that_tells_something_else_is_refused_with_what_it_is = refusals(
         lambda: pm.identify(forces_in_body_frame(), delay=0.0),
         r"^log has forces that explain .* of the motion, 100% if they are in the body frame, .*: rotate",
     ),
+    (
+        lambda: pm.Log(log().t, log().q, log().u, units=("N", "N")),
+        r"^units is \('N', 'N'\), expected units of all 3 inputs, or none$",
+    ),
     (lambda: changed(q=lambda q: q * np.nan), r"^q has 2201 rows, each with NaN, expected rows without NaN$"),
     (lambda: pm.identify(changed(q=drifting)), r"^log has a delay of the poses that changes by .*two clocks"),
     (
@@ -770,6 +774,11 @@ def test_a_robot_that_is_not_identified_is_refused_with_what_is(robot: Any, text
 
 
 # -- files -----------------------------------------------------------------------------------------
+
+
+def test_units_have_one_spelling() -> None:
+    assert replace(log(), units=["N", "N", "Nm"]).units == ("N", "N", "N m")  # type: ignore[arg-type]
+    assert replace(log(), units=("N", "N", "N*m")).units == ("N", "N", "N m")
 
 
 def test_a_csv_is_read_with_its_units(tmp_path: Path) -> None:

@@ -173,6 +173,16 @@ def _column(file: Path, title: str, cells: Sequence[str]) -> Array:
     return numbers
 
 
+def _factors(unit: str) -> str:
+    """Return a unit with blanks between its factors."""
+    return " ".join(map(str.strip, re.split(r"[*.\N{MIDDLE DOT}\N{DOT OPERATOR}]", unit)))
+
+
+def si_spelling(unit: str) -> str:
+    """Return the usual spelling of an SI unit, such as "N m" of "Nm"; another unit as it is."""
+    return next((si for si, factors in _SI.items() if factors.get(_factors(unit)) == 1.0), unit)
+
+
 def _si_unit(title: str, expected: str | None) -> tuple[str, float]:
     """Return the SI unit of a column ("" for a title without unit), and the factor to this unit.
 
@@ -184,7 +194,7 @@ def _si_unit(title: str, expected: str | None) -> tuple[str, float]:
     match = _UNIT.search(title)
     if not match or not match[1].strip():
         return "", 1.0
-    unit = " ".join(map(str.strip, re.split(r"[*.\N{MIDDLE DOT}\N{DOT OPERATOR}]", match[1])))
+    unit = _factors(match[1])
     si = next((si for si, factors in _SI.items() if unit in factors), None)
     if si is None:
         raise UnknownName(f"unit of column {title!r}", unit, [name for each in _SI.values() for name in each])

@@ -28,7 +28,7 @@ from pinmobile.arrays import (
 )
 from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.identification._clocks import clock_of
-from pinmobile.identification._files import read_bag, read_csv
+from pinmobile.identification._files import read_bag, read_csv, si_spelling
 from pinmobile.identification._filters import LEAST_ROWS
 from pinmobile.loop import Rollout
 from pinmobile.plant import coordinates_of, inputs_of
@@ -241,6 +241,11 @@ class Log:
             if name != "t":
                 width = _POSE if name in ("q", "twist") else "k>=1"
                 shaped(name, array, (len(t), width), words=", a row for each time")
+        expected = f"units of all {given['u'].shape[1]} inputs, or none"
+        units = tuple(si_spelling(str(unit)) for unit in sequence("units", self.units, expected))
+        if len(units) not in (0, given["u"].shape[1]):
+            raise InvalidArgument(f"units is {units}, expected {expected}")
+        object.__setattr__(self, "units", units)
         measured = [name for name in given if name not in ("t", "u")]
         if not measured:
             raise InvalidArgument(
