@@ -677,11 +677,6 @@ def reverse(table: Any) -> Any:
             "",
             r"t\[300\] is 4\.0\d* s after 5\.98\d* s, expected more: sort the rows by time, or split the .*",
         ),
-        (
-            lambda table: table,
-            "columns.q=x,y",
-            r"q has shape \(2201, 2\), expected \(2201, 3\), a row for each time",
-        ),
     ],
 )
 def test_a_bad_log_is_answered_in_one_line(
@@ -698,6 +693,9 @@ def test_a_bad_log_is_answered_in_one_line(
     [
         ("none.csv", r"LOG is '\S+none\.csv', which cannot be read: No such file or directory"),
         ("run.csv columns=3", "columns=3: columns is 3, expected columns.ROLE=NAME,NAME, such as .*"),
+        ("run.csv columns.q=x,y", "columns has x, y for q, expected x, y and psi, or .*"),
+        ("run.csv colums.q=x,y,psi", r"\S+: colums is unknown, available: robot, .*did you mean 'columns'\?"),
+        ("run.csv by=mass", r"robot is None, expected a plant .*: add it, such as robot=MobileRobot\(.*"),
         ("run.csv columns.q=x,y,spi", "unknown column of .* 'spi', did you mean 'psi'.*"),
         (
             "run.csv topics.q=/odom",

@@ -873,11 +873,11 @@ def test_columns_have_units_and_other_names(tmp_path: Path) -> None:
     told = pm.Log.from_csv(path, {"q": ("x", "y", "a", "b", "c", "d")}).q
     np.testing.assert_allclose(told, FEW[:, 1:4], atol=1e-8)  # type: ignore[arg-type]
     for head, said in (
-        ("t [m],x,y,psi,Fx,Fy,Mz", r"'t \[m\]' in m, expected s, ms, us, ns"),
-        ("t,x,y,psi,u_left,u_right,rate_left [V]", r"'rate_left \[V\]' in V, expected rad/s, deg/s, rpm"),
+        ("t [m],x,y,psi,Fx,Fy,Mz", r"'t \[m\]' is in m, expected s, ms, us, ns"),
+        ("t,x,y,psi,u_left,u_right,rate_left [V]", r"'rate_left \[V\]' is in V, expected rad/s, deg/s, rpm"),
     ):
         path.write_text(lines_of(FEW, head))
-        with refused(f"^columns has {said}"):
+        with refused(f"^path is .*run.csv', whose column {said}"):
             pm.Log.from_csv(path)
 
 

@@ -108,7 +108,7 @@ def test_all_wrong_entries_are_told_at_once_with_their_lines(tmp_path: Path) -> 
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["controler.kp=9"], "controler.kp=9: controler is unknown, a scenario has robot, controller, "),
+        (["controler.kp=9"], "controler.kp=9: controler is unknown, available: robot, controller, "),
         (["controller=pid2"], "controller is 'pid2', expected a controller, did you mean 'PID'?"),
         (["controller=Circle"], "controller is 'Circle', expected a controller, available: ADRC, "),
         (["controller=PD(4, 4"], "controller is 'PD(4, 4', which cannot be read: '(' was never closed"),

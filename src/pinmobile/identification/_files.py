@@ -54,6 +54,11 @@ _EXPECTED: dict[tuple[str, int], Sequence[str | None]] = {  # units by role and 
     ("twist", 2): ("m/s", "rad/s"),
     ("twist", 3): ("m/s", "m/s", "rad/s"),
 }
+_MEANING = {  # of the columns of a role
+    "t": "one name",
+    "q": "x, y and psi, or x, y and a quaternion",
+    "twist": "forward, left and yaw rate, or forward and yaw rate",
+}
 
 
 def _file_error(file: Path, problem: str, expected: str) -> InvalidArgument:
@@ -91,13 +96,15 @@ def read_csv(
             one_of(f"column of {str(file)!r}", name, names)
             if names.count(name) > 1:
                 raise _file_error(file, f"with two columns {name!r}", "one column of this name")
+        if role in _MEANING and (role, len(titles)) not in _EXPECTED:
+            raise InvalidArgument(f"columns has {format_names(titles)} for {role}, expected {_MEANING[role]}")
         cols = [names.index(name) for name in titles]
         expected = _EXPECTED.get((role, len(cols)), ["rad/s" if role == "wheel_rates" else None] * len(cols))
-        in_si = [_si_unit(head[k], unit) for k, unit in zip(cols, expected, strict=True)]
+        in_si = [_si_unit(file, head[k], unit) for k, unit in zip(cols, expected, strict=True)]
         cells = [_column(file, head[k], [row[k] for row in full_rows]) for k in cols]
         parts[role] = np.column_stack(cells) * [factor for _, factor in in_si]
         units = [unit for unit, _ in in_si] if role == "u" else units
-    if not _si_unit(head[names.index(by_role["t"][0])], "s")[0]:
+    if not _si_unit(file, head[names.index(by_role["t"][0])], "s")[0]:
         parts["t"] = _since_start(parts["t"])
     if "q" in parts:
         parts["q"] = _in_plane(parts["q"])
@@ -183,7 +190,7 @@ def si_spelling(unit: str) -> str:
     return next((si for si, factors in _SI.items() if factors.get(_factors(unit)) == 1.0), unit)
 
 
-def _si_unit(title: str, expected: str | None) -> tuple[str, float]:
+def _si_unit(file: Path, title: str, expected: str | None) -> tuple[str, float]:
     """Return the SI unit of a column ("" for a title without unit), and the factor to this unit.
 
     Raises
@@ -197,10 +204,11 @@ def _si_unit(title: str, expected: str | None) -> tuple[str, float]:
     unit = _factors(match[1])
     si = next((si for si, factors in _SI.items() if unit in factors), None)
     if si is None:
-        raise UnknownName(f"unit of column {title!r}", unit, [name for each in _SI.values() for name in each])
+        names = [name for each in _SI.values() for name in each]
+        raise UnknownName(f"unit of column {title!r} of {str(file)!r}", unit, names)
     if expected not in (None, si):
         options = ", ".join(_SI[expected]) if expected else "no unit for a quaternion"
-        raise InvalidArgument(f"columns has {title!r} in {unit}, expected {options}")
+        raise _file_error(file, f"whose column {title!r} is in {unit}", options)
     return si, _SI[si][unit]
 
 

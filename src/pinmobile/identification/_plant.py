@@ -342,7 +342,10 @@ def _sensors(log: Log, plant: Any) -> list[str]:
 def identify_plant(logs: Sequence[Log], plant: Any, patterns: Any, delay: float | None) -> Identification:
     """Return the estimates of numbers of a plant from logs, see `identify`."""
     if not offers(plant, Plant):
-        raise InvalidArgument(f"robot is {format_value(plant)}, expected a plant with the numbers of by")
+        raise InvalidArgument(
+            f"robot is {format_value(plant)}, expected a plant with the numbers of by: add it, such as "
+            "robot=MobileRobot(30, 1.3)"
+        )
     unknowns, dt = _numbers_of(plant, patterns), max(log.dt for log in logs)
     base = np.array([float(item.value) for item in unknowns])
     sizes = np.maximum(np.abs(base), [max(np.abs(np.asarray(x.leaf.value)).max(), _SIZE) for x in unknowns])

@@ -130,8 +130,8 @@ class Reader:
         for key in tree:
             if key not in names:
                 place, takes = _join(path, str(key)), ", ".join(names) or "no fields"
-                name = kind.__name__ if path else "a scenario"
-                self._fail(place, f"{place} is unknown, {name} has {takes}; {suggest_name(str(key), names)}")
+                owner = f"{kind.__name__} has" if path else "available:"
+                self._fail(place, f"{place} is unknown, {owner} {takes}; {suggest_name(str(key), names)}")
 
     def part(self, field: Child, tree: Any, path: str, base: Any = None) -> Any:
         """Return the part of a tree; `base` is the part that a table without a type changes."""
