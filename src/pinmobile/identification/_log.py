@@ -408,13 +408,12 @@ class Log:
         given = self._arrays(*names)
         valid = ~lost_rows(given)
         t, given = self.t[valid], {name: x[valid] for name, x in given.items()}
-        start, turns = t[0], (t - t[0]) / dt
-        if (np.diff(np.rint(turns)) == 0).any():  # jitter: samples at its mean, from the first time on
-            start += dt * float(np.angle(np.exp(2j * np.pi * turns).sum()) / (2 * np.pi) % 1)
+        phases = np.exp(2j * np.pi * (t - t[0]) / dt)
+        start = t[0] + dt * float(np.angle(phases.sum())) / (2 * np.pi)  # the first time has jitter too
         steps = np.rint((t - start) / dt).astype(int)
         times = dt * np.arange(steps[-1] + 1)
         grid, is_valid = start + times, np.zeros(len(times), bool)
-        is_valid[steps[steps >= 0]] = True
+        is_valid[steps] = True
         if step(self.t) < 0.75 * dt:  # a sensor that is slower than the inputs
             u = _mean_inputs(self.t, self.u, grid)
         else:
@@ -422,7 +421,7 @@ class Log:
             u = self.u[np.searchsorted(rows, np.arange(len(grid)), side="right") - 1]
         is_even = len(t) == len(grid) and np.abs(t - grid).max() < 1e-3 * dt
         if not is_even:
-            given = {name: _interpolate(t, x, grid) for name, x in given.items()}
+            given = {name: _interpolate(_extend(t), _extend(x), grid) for name, x in given.items()}
         return Samples(dt, times, is_valid, u, **given)
 
     def rollout(self, robot: Any, *, delay: float = 0.0, **options: Any) -> Rollout:
@@ -767,6 +766,11 @@ def _mean_inputs(t: Array, u: Array, rows: Array) -> Array:
     missing = np.isnan(u).any(axis=1, keepdims=True)
     mean[held_integrals(t, missing.astype(float), edges)[:, 0] > 0] = np.nan
     return np.asarray(mean)
+
+
+def _extend(x: Array) -> Array:
+    """Return rows with one more at each end, on the line through the last two."""
+    return np.concatenate([2 * x[:1] - x[1:2], x, 2 * x[-1:] - x[-2:-1]])
 
 
 def _interpolate(t: Array, columns: Array, grid: Array) -> Array:
