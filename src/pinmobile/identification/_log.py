@@ -414,13 +414,13 @@ class Log:
         times = dt * np.arange(steps[-1] + 1)
         grid, is_valid = start + times, np.zeros(len(times), bool)
         is_valid[steps] = True
-        if step(self.t) < 0.75 * dt:  # a sensor that is slower than the inputs
+        is_even = np.abs(t - grid[steps]).max() < 1e-3 * dt
+        if not is_even or step(self.t) < 0.75 * dt:  # jitter, or a sensor that is slower than the inputs
             u = _mean_inputs(self.t, self.u, grid)
         else:
             rows = np.rint((self.t - start) / dt).astype(int)
             u = self.u[np.searchsorted(rows, np.arange(len(grid)), side="right") - 1]
-        is_even = len(t) == len(grid) and np.abs(t - grid).max() < 1e-3 * dt
-        if not is_even:
+        if not is_even or len(t) < len(grid):
             given = {name: _interpolate(_extend(t), _extend(x), grid) for name, x in given.items()}
         return Samples(dt, times, is_valid, u, **given)
 
