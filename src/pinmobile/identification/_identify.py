@@ -46,9 +46,7 @@ _SHORTEST = (_LEAST_SEGMENTS + 0.5) * _LENGTHS[-1]  # [s], shortest log
 _LATEST, _EARLIEST = 0.3, 0.05  # [s], range of delays
 _MIN_EXPLAINED = 0.5  # smallest explained share of the mean square of the forces
 _CLEAR = 0.95  # explained share of the forces above which their frame is clear
-_FRAME_RATIO = (
-    1 / 3
-)  # largest ratio of unexplained shares, in another frame and as given, that shows this frame
+_FRAME_RATIO = 1 / 3  # largest ratio of unexplained shares, rotated to given, that shows the body frame
 _MOST_GIVEN = 0.1  # largest given delay, as a share of the log
 _MAX_BIAS = 3.0  # largest bias of output error by input noise [standard deviations]
 _MASSES = (0.02, 2e4)  # [kg], range of ground robots
