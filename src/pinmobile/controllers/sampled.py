@@ -62,6 +62,11 @@ class Sampled:
     controller: Any = child(Controller, doc="law that runs at the slower rate")
     every: int = integer(default=10, least=1, doc="samples of the loop per sample of the law")
 
+    @property
+    def step_samples(self) -> int:
+        """Samples of the loop per time step of the law, as `every`, by which other code knows slower laws."""
+        return self.every
+
     def check(self, t: Array, speed: Array, yaw_rate: Array) -> None:
         """Raise `InvalidArgument` for a reference that a kinematic law cannot follow, shape (N,) each."""
         self.controller.check(t, speed, yaw_rate)

@@ -12,14 +12,14 @@ import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, scalar
 from pinmobile.compiled import tangent
-from pinmobile.controllers import Controller, Sampled, Wrapper, evaluate, notify_applied
+from pinmobile.controllers import Controller, Wrapper, evaluate, notify_applied
 from pinmobile.derivatives._problem import Problem, loop_errors, problem_of
 from pinmobile.errors import InvalidArgument
 from pinmobile.forces import Force
 from pinmobile.integrators import Integrator
 from pinmobile.loop import Record, Sample
 from pinmobile.parts import OnCoordinates, array, child, part, parts_of
-from pinmobile.plant import Plant, coordinates_of, inputs_of
+from pinmobile.plant import Plant, coordinates_of, inputs_of, stated
 from pinmobile.trajectories import Trajectory
 
 _REAL_TOLERANCE = 1e-7  # imaginary part that rounding gives to two equal real poles
@@ -348,7 +348,7 @@ def poles(
     t = problem.scenario.t
     if at > t[-1]:
         raise InvalidArgument(f"at is {at} s, expected a time in the run, 0 to {t[-1]:g} s")
-    samples = lcm(*(law.every for _, law in parts_of(problem.loop) if isinstance(law, Sampled)))
+    samples = lcm(*(stated(law, "step_samples") or 1 for _, law in parts_of(problem.loop)))
     dt, last = samples * problem.scenario.dt, len(t) // samples - 1
     if last < 1 < samples:
         raise InvalidArgument(
@@ -368,7 +368,7 @@ def poles(
     values.imag[np.abs(values.imag) < _REAL_TOLERANCE] = 0.0
     order = np.lexsort([-values.imag, -np.round(np.abs(values), 6)])
     inputs = tuple(entry.name for entry in inputs_of(plant))
-    is_held = samples == 1 or (isinstance(controller, Sampled) and controller.every == samples)
+    is_held = (stated(controller, "step_samples") or 1) == samples
     response: Any = (input_matrix, output[:, :n], output[:, n:]) if is_held else (None, None, None)
     outputs = *response, inputs
     return Poles(values[order], matrix, _names(problem), dt, float(t[k]), *outputs)
