@@ -104,7 +104,9 @@ def test_the_first_word_robot_means_the_plant() -> None:
     law = pm.ControlAllocation(pm.PD(120, 120), robot)
     found = made(robot=robot, controller=law, spread={"robot.*.radius": Relative(pm.Uniform(0.9, 1.1))})
     assert list(found.spread) == [f"plant.table.wheels.{side}.radius" for side in ("left", "right")]
-    with pytest.raises(UnknownName, match=r"unknown parameter in spread 'robot\.mas'"):
+    with pytest.raises(
+        UnknownName, match=r"unknown parameter in spread 'robot\.mas', did you mean 'robot\.mass'"
+    ):
         made(spread={"robot.mas": pm.Uniform(20, 40)})
 
 

@@ -482,7 +482,8 @@ def test_the_command_states_which_loop_of_a_grid_it_uses(
     verb: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     note = (
-        "the grid and cases of the file have no effect: the controller is {}; select another by controller="
+        "the spread, grid, cases of the file have no effect here: one loop is used, whose controller is {}; "
+        "select another by controller="
     )
     for word, kind in (("", "ComputedTorque"), ("controller=PD(kp=9,kd=9)", "PD")):
         assert main([verb, "rivals", "trajectory.path.duration=1", *word.split(), f"--out={tmp_path}"]) == 0

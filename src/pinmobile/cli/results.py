@@ -124,10 +124,10 @@ def show_run(words: Sequence[str], out: Path, film: Path | None, *, allow_code: 
 def _print_base(file: LoadedFile) -> None:
     """Print which loop of a file with a grid or cases is selected, and how to select another."""
     tables = tomllib.loads(file.text)
-    names = [name for name in ("grid", "cases") if name in tables]
+    names = [name for name in ("spread", "grid", "cases") if name in tables]
     if names:
         console.print(
-            f"the {' and '.join(names)} of the file have no effect: the controller is "
+            f"the {', '.join(names)} of the file have no effect here: one loop is used, whose controller is "
             f"{type(file.content.controller).__name__}; select another by controller=...",
             markup=False,
             soft_wrap=True,

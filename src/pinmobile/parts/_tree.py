@@ -130,8 +130,12 @@ class Reader:
         for key in tree:
             if key not in names:
                 place, takes = _join(path, str(key)), ", ".join(names) or "no fields"
-                owner = f"{kind.__name__} has" if path else "available:"
-                self._fail(place, f"{place} is unknown, {owner} {takes}; {suggest_name(str(key), names)}")
+                owner, advice = (
+                    f"{kind.__name__} has" if path else "available:",
+                    suggest_name(str(key), names),
+                )
+                advice = f"; {advice}" * (bool(path) or not advice.startswith("available"))
+                self._fail(place, f"{place} is unknown, {owner} {takes}{advice}")
 
     def part(self, field: Child, tree: Any, path: str, base: Any = None) -> Any:
         """Return the part of a tree; `base` is the part that a table without a type changes."""

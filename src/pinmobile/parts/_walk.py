@@ -329,7 +329,10 @@ def find(part: Any, name: str, refs: Mapping[str, NumberRef] | None = None, plac
         from difflib import get_close_matches  # here, because only this error needs the module
 
         matches = get_close_matches(name, refs, cutoff=0.85) if rest else []
-        raise UnknownName(f"parameter{place and ' in ' + place}", user_name, [*matches, *short_names(refs)])
+        names = [*matches, *short_names(refs)]
+        if user_name != name:  # the user calls the plant robot
+            names = [f"robot.{x.removeprefix('plant.')}" if x.startswith("plant.") else x for x in names]
+        raise UnknownName(f"parameter{place and ' in ' + place}", user_name, names)
     best = [path for *rank, path in ends if rank == list(ends[0][:2])]
     if len(best) > 1:
         options = [*best, f"{best[0].partition('.')[0]}.*.{name}"] if place in ("spread", "by") else best
