@@ -308,6 +308,7 @@ IDIOMS: dict[str, Callable[[Any], Any]] = {
     "take": lambda q: np.take(q, [2, 1]),
     "triu": lambda q: np.triu(np.outer(q, q)),
     "ptp": lambda q: np.ptp(q),
+    "more axes": lambda q: np.array(q, ndmin=2),
     "median of columns": lambda q: np.median(ROWS * q, axis=0) + np.median(ROWS * q, axis=1, keepdims=True),
     "median of the first two": lambda q: np.median(q[:2], keepdims=True),
     "median of more axes": lambda q: np.median(np.outer(q, q), keepdims=True),

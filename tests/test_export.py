@@ -482,14 +482,13 @@ def test_the_command_states_which_loop_of_a_grid_it_uses(
     verb: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     note = (
-        "the spread, grid, cases of the file have no effect here: one loop is used, whose controller is {}; "
-        "select another by controller="
+        "no effect here: spread, grid, cases of the file; the controller is {}, select another by controller="
     )
     for word, kind in (("", "ComputedTorque"), ("controller=PD(kp=9,kd=9)", "PD")):
         assert main([verb, "rivals", "trajectory.path.duration=1", *word.split(), f"--out={tmp_path}"]) == 0
         assert note.format(kind) in capsys.readouterr().out
     assert main([verb, "lecture", "trajectory.path.duration=1", f"--out={tmp_path}"]) == 0
-    assert "have no effect" not in capsys.readouterr().out
+    assert "no effect here" not in capsys.readouterr().out
 
 
 def test_cmake_builds_and_runs_the_test(tmp_path: Path) -> None:

@@ -122,13 +122,13 @@ def show_run(words: Sequence[str], out: Path, film: Path | None, *, allow_code: 
 
 
 def _print_base(file: LoadedFile) -> None:
-    """Print which loop of a file with a grid or cases is selected, and how to select another."""
+    """Print what a command leaves out of a file for many runs, and how to select another controller."""
     tables = tomllib.loads(file.text)
     names = [name for name in ("spread", "grid", "cases") if name in tables]
     if names:
         console.print(
-            f"the {', '.join(names)} of the file have no effect here: one loop is used, whose controller is "
-            f"{type(file.content.controller).__name__}; select another by controller=...",
+            f"no effect here: {', '.join(names)} of the file; the controller is "
+            f"{type(file.content.controller).__name__}, select another by controller=...",
             markup=False,
             soft_wrap=True,
         )

@@ -211,7 +211,7 @@ class LoadedFile:
 
     @contextmanager
     def error_lines(self) -> Iterator[None]:
-        """Enter a context in which errors of an entry, beside other entries, begin with its line or word."""
+        """Enter a context in which the error of an entry begins with its line, or its word of the command."""
         try:
             yield
         except InvalidArgument as error:

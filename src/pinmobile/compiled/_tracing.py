@@ -97,7 +97,7 @@ def tracing(namespaces: Iterable[dict[str, Any]] = (), cells: Iterable[CellType]
         pairs = [(space, name) for module, space in spaces.items() for name in _swapped_names(module, space)]
         ids = {id(space) for space in spaces.values()}
         pairs += [(space, name) for space in namespaces if id(space) not in ids for name in [*space]]
-        changes = [(space, name, x) for space, name in pairs if id(x := space[name]) in _swaps]
+        changes = [(space, name, x) for space, name in pairs if id(x := space.get(name)) in _swaps]
         cell_swaps = [(cell, value) for cell in cells if id(value := _content(cell)) in _swaps]
         for space, name, value in changes:
             space[name] = _swaps[id(value)]

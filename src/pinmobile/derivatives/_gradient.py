@@ -148,7 +148,7 @@ def gradient(
         ``"forward"`` or ``"reverse"``; default: reverse for more than 8 numbers, forward on dry friction.
     smooth : float, optional
         Half width, relative to each number, at most 0.5: the result is then value and slope of a linear fit
-        to runs with numbers from this range, for losses whose exact derivative is of no use. The width of a
+        to runs with numbers from this range, where the exact derivative is of no use. The width of a
         number that is 0, such as a displacement of the start, is relative to 1 of its unit.
 
     Returns

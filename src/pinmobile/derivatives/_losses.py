@@ -164,7 +164,7 @@ def evaluate_losses(problem: Problem, changes: Mapping[str, Any], mode: str | No
     Parameters
     ----------
     problem : Problem
-        Loop whose recorder is `Losses`.
+        Loop with the recorder `Losses`.
     changes : mapping of str to ndarray
         Numbers by path.
     mode : str, optional

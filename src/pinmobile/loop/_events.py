@@ -66,7 +66,7 @@ def events_of(run: Any, *, with_metrics: bool = True) -> tuple[Event, ...]:
     values = {name: signal.values for name, signal in run.metrics().items()} if metrics else {}
     if with_metrics and not metrics and stated(plant, "table") is None and stated(plant, "grounded"):
         corners, wrench = plant.footprint, plant.ground_wrench(run.q, run.v, run.a)
-        if corners is not None:  # a robot without arms, whose ensembles do not record the margin
+        if corners is not None:  # a robot without arms: its ensembles do not record the margin
             metrics = [_TIPS]
             values = {_TIPS.name: margin_of_wrench(corners, wrench, plant.weight)}
     for x in metrics:

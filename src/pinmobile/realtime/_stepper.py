@@ -349,7 +349,7 @@ class Stepper:
         self._count, self._length, self._last = 0, 0, _START_TIME
 
     def remove_last(self) -> None:
-        """Remove the last recorded sample, such as one whose input is not used; the memory stays."""
+        """Remove the last recorded sample, such as one without effect on the robot; the memory stays."""
         if self._length:
             self._count -= 1
             self._length -= 1

@@ -301,7 +301,7 @@ class Scene:
     def _triad(
         self, path: str, label: str, extent: Extent, numbers: tuple[int, int], T_of: Placements, poses: Array
     ) -> None:
-        """Draw the axes of a frame, and its name beside; `numbers` are those of table and frame."""
+        """Draw the axes of a frame, and its name next to them; `numbers` are those of table and frame."""
         number, k = numbers
         _draw_axes(self.stage, path, (0.9 + 0.3 * number) * extent.unit, 0.07 - 0.02 * min(number, 2))
         name = shapes.word(label, INK, 0.42 * extent.unit, lying=False, order=markers.ABOVE + 5)
