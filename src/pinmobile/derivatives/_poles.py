@@ -387,17 +387,17 @@ def _linearize(problem: Problem, k: int, samples: int) -> tuple[Array, Array]:
     record = machine.of("recording", machine.state_recorder, False)
     kept = record[1].kept_samples(problem.run(record, history, slice(None))[1], 1)
     program = machine.of("one sample", lambda: tangent(replaced(machine.tape, counted=[]), columns), True)
-    identity, effect, slopes = np.eye(m), np.eye(m), []
+    identity, effect, outputs = np.eye(m), np.eye(m), list[Array]()
     for i in range(k, k + samples):
         arguments = inputs._replace(
             states=np.concatenate([np.tile(kept["state"][0, i][:, None], m), identity[:n]]),
             rows=np.concatenate([np.tile(inputs.rows, m), identity[n:]]),
             samples=inputs.samples[i : i + 1],
         )
-        final, outputs = problem.run(program, arguments, slice(None), first=i, copies=m)
+        final, kept_values = problem.run(program, arguments, slice(None), first=i, copies=m)
         effect[:n] = final[n:] @ effect
-        slopes.append(program[1].kept_samples(outputs, m)["tangent u"][:, 0].T)
-    return effect[:n], slopes[0]
+        outputs.append(kept_values)
+    return effect[:n], program[1].kept_samples(outputs[0], m)["tangent u"][:, 0].T
 
 
 def _names(problem: Problem) -> tuple[str, ...]:

@@ -254,7 +254,8 @@ def _estimate_body(
     basis, base = scales[:, None] * span, np.zeros(len(scales)) if prior is None or not gaps else prior
     lag = _first_delay(form, base, basis) if delay is None else delay / dt
     fit = form.extrapolate(lag, base, basis, not given and not gaps)
-    _check_frame(form, base, basis, np.array([lag]), fit.explained)
+    if delay is not None:  # else `_first_delay` has checked it
+        _check_frame(form, base, basis, np.array([lag]), fit.explained)
     _check(model, fit, prior)
     rates = any(one.rates is not None for one in runs)
     each = [one.segments(model, fit.delay, seconds, rates) for one in runs]
