@@ -1,6 +1,7 @@
 """Exported C beside the library: bits of controllers and plants, single precision, statuses, files."""
 
 import ctypes
+import platform
 import re
 import shutil
 import subprocess
@@ -89,6 +90,17 @@ def test_each_compiler_and_optimisation_gives_the_same_bits(name: str, tmp_path:
         for level in ("-O0", "-O1", "-O2", "-O3"):
             found = computed(tmp_path, run, level, "-march=native", compiler=compiler)
             assert found.tobytes() == run.u.tobytes(), (compiler, level)
+
+
+@pytest.mark.skipif(platform.machine() != "x86_64", reason="instructions are those of x86")
+def test_no_compiler_fuses_a_product_and_a_sum(tmp_path: Path) -> None:
+    exported(tmp_path, "computed torque")
+    for compiler in compilers():
+        words = [compiler, "-std=c99", "-ffp-contract=off", "-O3", "-march=x86-64-v3", "-S", "robot.c"]
+        subprocess.run(words, cwd=tmp_path, check=True)
+        text = (tmp_path / "robot.s").read_text()
+        assert "mulsd" in text
+        assert not re.search(r"\bvfn?m(add|sub)", text), compiler
 
 
 @pytest.mark.parametrize("name", ["delayed", "observer", "odometry", "mecanum Coulomb"])

@@ -69,9 +69,11 @@ void ${name}_reference_at(${name}_real t, ${name}_reference *reference);
 #ifdef __FAST_MATH__
 #error compile without -ffast-math, which changes the order of operations
 #endif
-/* GCC has no such pragma: compile with -ffp-contract=off. */
 #if !defined(__GNUC__) || defined(__clang__)
 #pragma STDC FP_CONTRACT OFF
+#else
+/* GCC has no such pragma: compile with -ffp-contract=off, which its vectors do not obey on processors with FMA. */
+#pragma GCC optimize ("no-tree-vectorize")
 #endif
 
 $body
