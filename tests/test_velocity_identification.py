@@ -177,9 +177,9 @@ test_what_is_no_such_log_is_refused = refusals(
     (lambda: pm.identify_velocity(logged(), ahead=100.0), "ahead is 100.0 m, expected -10 <= ahead <= 10 m"),
     (lambda: pm.identify_velocity(logged(), accelerations=(1, 1, 1)), r"accelerations has shape"),
     (lambda: found().predict(logged(), 0.1), "seconds is 0.1 s, expected >= 0.3"),
-    (lambda: pm.identify_velocity([logged(), logged(pose=True)]), "a twist, and another log has none"),
+    (lambda: pm.identify_velocity([logged(), logged(pose=True)]), "log has no twist, expected"),
     (lambda: found().interval(1.0), "level is 1.0, expected 0 < level < 1"),
-    (lambda: found().predict(logged(pose=True)), "a twist, and another log has none"),
+    (lambda: found().predict(logged(pose=True)), "log has no twist, expected"),
 )
 
 

@@ -4,10 +4,8 @@ from pinmobile.identification._estimates import Identification, Prediction
 from pinmobile.identification._excitation import Excitation, excitation
 from pinmobile.identification._identify import METHODS as METHODS, identify
 from pinmobile.identification._log import Log
-from pinmobile.identification._validation import Validation, validate
-from pinmobile.identification._velocity import identify_velocity
-from pinmobile.identification._velocity_car import VelocityCar
-from pinmobile.identification._velocity_robot import VELOCITY_ROBOTS, VelocityRobot
+from pinmobile.identification._velocity import Validation, identify_velocity, validate
+from pinmobile.identification._velocity_robot import VELOCITY_ROBOTS, VelocityCar, VelocityRobot
 
 __all__ = [
     "VELOCITY_ROBOTS",

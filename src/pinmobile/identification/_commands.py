@@ -13,7 +13,7 @@ from pinmobile.arrays import Array
 from pinmobile.compiled import Recurrence
 from pinmobile.errors import InvalidArgument
 from pinmobile.identification._filters import FINEST, remove_outliers, twist_of
-from pinmobile.identification._log import Log, check_units, continuous
+from pinmobile.identification._log import Log, check_inputs, continuous
 from pinmobile.identification._simulation import Segments
 
 CHANNELS = {"speed": "m/s", "yaw rate": "rad/s"}  # names and units
@@ -267,15 +267,11 @@ class Part(NamedTuple):
 def runs_of(logs: list[Log], is_pose: bool, inputs: Mapping[str, str]) -> list[Run]:
     """Return the checked logs, with the units of their inputs by name, at equal time steps."""
     is_car = inputs is CAR_COMMANDS
+    words = "two, commands of speed and yaw rate: for forces, torques or voltages use identify"
+    if not (is_car or inputs is CHANNELS):
+        words = f"{', '.join(inputs)}: of a car, give the steering angle [rad] in place of its torque"
     for log in logs:
-        if log.u.shape[1] != len(inputs):
-            hint = "two, commands of speed and yaw rate: for forces, torques or voltages use identify"
-            if not (is_car or inputs is CHANNELS):
-                hint = f"{', '.join(inputs)}: of a car, give the steering angle [rad] in place of its torque"
-            raise InvalidArgument(f"log has {log.u.shape[1]} inputs, expected {hint}")
-        check_units(log, "log", inputs)
-    if any((log.twist is None) != is_pose for log in logs):
-        raise InvalidArgument("log has a twist, and another log has none, expected a twist in all or in none")
+        check_inputs(log, "log", inputs, words)
     name, runs = "q" if is_pose else "twist", []
     pairs = [(k, part) for k, log in enumerate(logs) for part in continuous(log, "log", name)]
     dt = max(part.dt for _, part in pairs)

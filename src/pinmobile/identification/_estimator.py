@@ -303,9 +303,7 @@ def solve_robustly(
         white = _whitener(covariance)
         fit = solve(model, segments._replace(good=good), p, moves=moves, white=white, starts=starts)
         p, starts, left, previous_good = fit.p, fit.starts, fit.linear.residual, good
-        deviation = NORMAL * np.median(np.abs(left[good]), axis=0) + 1e-300
-        outliers = np.asarray((np.abs(left) > _OUTLIER * deviation).any(axis=-1))
-        good = segments.good & ~isolated(outliers, segments.good)
+        good = find_inliers(left, good, segments.good)
         if good.sum() <= left.shape[-1]:
             raise unexplained_error(0.0)
         previous, covariance = covariance, _covariance(left[good & previous_good])
@@ -321,12 +319,17 @@ def solve_robustly(
     return fit, weak | ~moves
 
 
-def isolated(outliers: NDArray[np.bool_], measured: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return the samples that are far off without others nearby: a cluster is an error of the model."""
+def find_inliers(residual: Array, good: NDArray[np.bool_], measured: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the measured samples that are not far off alone: a cluster is an error of the model.
+
+    The good samples show the deviation of the residual, shape (S, L, m).
+    """
     from scipy.ndimage import uniform_filter1d  # slow to load
 
+    deviation = NORMAL * np.median(np.abs(residual[good]), axis=0) + 1e-300
+    outliers = (np.abs(residual) > _OUTLIER * deviation).any(axis=-1)
     density = uniform_filter1d((outliers & measured).astype(float), 2 * _CLUSTER + 1, axis=1, mode="constant")
-    return np.asarray(outliers & (density * (2 * _CLUSTER + 1) < _CLUSTER + 0.5))
+    return np.asarray(measured & ~(outliers & (density * (2 * _CLUSTER + 1) < _CLUSTER + 0.5)))
 
 
 def _covariance(residuals: Array) -> Array:

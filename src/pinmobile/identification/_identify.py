@@ -11,7 +11,6 @@ import numpy as np
 
 from pinmobile.arrays import Array, bounded, instance, one_of, scalar, sequence
 from pinmobile.errors import InvalidArgument, format_value
-from pinmobile.identification._clocks import clock_hint
 from pinmobile.identification._estimates import Identification, format_directions
 from pinmobile.identification._estimator import (
     Fit,
@@ -24,6 +23,7 @@ from pinmobile.identification._estimator import (
     solve,
     unexplained_error,
 )
+from pinmobile.identification._files import clock_hint
 from pinmobile.identification._log import Log, continuous, logs_of, lost_rows, unused_rows
 from pinmobile.identification._planar_model import PlanarModel, PlanarProblem
 from pinmobile.identification._plant import identify_plant

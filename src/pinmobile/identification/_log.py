@@ -27,8 +27,7 @@ from pinmobile.arrays import (
     shaped,
 )
 from pinmobile.errors import InvalidArgument, format_value
-from pinmobile.identification._clocks import clock_of
-from pinmobile.identification._files import read_bag, read_csv, si_spelling
+from pinmobile.identification._files import clock_of, read_bag, read_csv, si_spelling
 from pinmobile.identification._filters import LEAST_ROWS
 from pinmobile.loop import Rollout
 from pinmobile.plant import coordinates_of, inputs_of
@@ -373,10 +372,7 @@ class Log:
         """
         span = float(self.t[-1] - self.t[0])
         steps = int(span / bounded("dt", scalar("dt", dt), above=0, most=span, unit="s") + 1e-6)
-        return self._resample(self.t[0] + dt * np.arange(steps + 1))
-
-    def _resample(self, t: Array) -> Self:
-        given = self._given()
+        t, given = self.t[0] + dt * np.arange(steps + 1), self._given()
         old, u = given.pop("t"), given.pop("u")
         valid = {name: ~lost_rows({name: x}) for name, x in given.items()}
         half = 0.5 * step(t) * (1 + 1e-9)
@@ -445,7 +441,7 @@ class Log:
         InvalidArgument
             If the robot has other inputs, or `simulate` rejects an option.
         """
-        from pinmobile.identification._replay import rollout_of
+        from pinmobile.identification._filters import rollout_of
 
         return rollout_of(self, robot, delay, **options)
 
@@ -699,8 +695,8 @@ _TAKEN_BY = {  # arguments or function for inputs of each unit
 }
 
 
-def check_units(log: Log, name: str, expected: Mapping[str, str], other: str = "") -> None:
-    """Reject inputs in other units.
+def check_inputs(log: Log, name: str, expected: Mapping[str, str], words: str, other: str = "") -> None:
+    """Reject inputs of another number or in other units.
 
     Parameters
     ----------
@@ -710,9 +706,13 @@ def check_units(log: Log, name: str, expected: Mapping[str, str], other: str = "
         Name of the log, for the message.
     expected : mapping of str to str
         Unit of each input, by name.
+    words : str
+        Expected inputs, for the message about their number.
     other : str
         Another unit that any input may have.
     """
+    if log.u.shape[1] != len(expected):
+        raise InvalidArgument(f"{name} has {log.u.shape[1]} inputs, expected {words}")
     for unit, (name_u, si) in zip(log.units, expected.items(), strict=False):
         if unit not in ("", si, other):
             hint = f"for {unit}, use {_TAKEN_BY[unit]}" if unit in _TAKEN_BY else "are columns mixed up?"

@@ -460,13 +460,6 @@ class PlanarModel:
         friction = [part[:, None, :] * self.A.T[None] for part in (rates, dry)]
         return np.concatenate([np.einsum("ai,naj->nij", self.S, body), *friction], axis=-1)
 
-    def regressor(self, eta: Array, rate: Array) -> Array:
-        """Return the regressor, shape (n, k, p), of independent velocities and derivatives, (n, k) each."""
-        (forward, left, r), (du, dw, turn) = (eta @ self.S.T).T, (rate @ self.S.T).T
-        rates = eta @ self.A.T
-        dry = rates / np.hypot(rates, self.speed)
-        return self.rows(du - r * left, dw + r * forward, turn, r * r, rates, dry)
-
     def rates(self, z: Any, u: Any, phi: Any) -> Any:
         """Return the rates of pose and independent velocities, shape (3 + k,), of one state and input."""
         psi, eta = z[2], z[3:]

@@ -30,7 +30,7 @@ from pinmobile.identification._estimator import (
     Fit,
     Linear,
     Whiteness,
-    isolated,
+    find_inliers,
     jackknife,
     r_squared,
     solve,
@@ -48,7 +48,7 @@ _LONGEST, _SEGMENTS, _SHORTEST = 1.0, 20, 10  # [s] of a segment; segments of a 
 _LONGEST_STEP = 5e-3  # [s] of the integrator
 _MIN_EXPLAINED = 0.5  # smallest explained share of the accelerated motion in segments
 _CUBIC_ROWS = 7  # samples of the cubic that gives first velocities
-_ROUNDS, _OUTLIER = 3, 6.0  # rounds without outliers, and what they are [standard deviations]
+_ROUNDS = 3  # largest number of rounds without outliers
 _SIZE = 0.02  # smallest typical size of a number: of a centre of mass [m]
 _PRECISE = 10.0  # largest standard deviation of an identified direction, as a share of its size
 _WHITENESS = 2.5  # multiple of the bound of white residuals that noise of the inputs may reach
@@ -292,8 +292,6 @@ def _numbers_of(plant: Any, patterns: Any) -> tuple[NumberRef, ...]:
             entries = [NumberRef(item.leaf, *each) for each in item.leaf.entries.items()]
             for each in entries if item.entry is None and np.ndim(item.leaf.value) else [item]:
                 numbers[each.path] = each
-    if not numbers:
-        raise InvalidArgument("by has no names, expected names of numbers of the robot, such as 'mass'")
     return tuple(numbers.values())
 
 
@@ -433,9 +431,8 @@ def _fit_inliers(problem: Any, segments: Segments, starts: Array) -> Fit:
     good, p = segments.good, np.zeros(problem.basis.shape[1])
     for _ in range(_ROUNDS):
         fit = solve(problem, segments._replace(good=good), p, starts=starts, passes=0)
-        deviation = NORMAL * np.median(np.abs(fit.linear.residual[good]), axis=0) + 1e-300
-        outliers = np.asarray((np.abs(fit.linear.residual) > _OUTLIER * deviation).any(axis=-1))
-        last, good, p, starts = good, segments.good & ~isolated(outliers, segments.good), fit.p, fit.starts
+        last, good = good, find_inliers(fit.linear.residual, good, segments.good)
+        p, starts = fit.p, fit.starts
         if (good == last).all():
             break
     return fit._replace(good=last)

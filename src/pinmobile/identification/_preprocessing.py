@@ -16,12 +16,12 @@ from pinmobile.identification._filters import (
     LEAST_ROWS,
     WINDOW,
     low_pass,
+    odometry,
     quantisation,
     remove_outliers,
     twist_of,
 )
-from pinmobile.identification._log import Log, check_units, held_integrals
-from pinmobile.identification._replay import odometry
+from pinmobile.identification._log import Log, check_inputs, held_integrals
 from pinmobile.identification._simulation import Segments, pieces
 
 _HALF = 0.5  # smallest measured share of a segment with an identifiable initial state
@@ -77,15 +77,13 @@ class PreprocessedLog:
         InvalidArgument
             If the log has inputs or wheels of another robot.
         """
-        if log.u.shape[1] != model.nu:
-            expected = (
-                "(Fx, Fy, Mz) of a body driven by forces; for wheels give robot=..., for commands of speed "
-                "and yaw rate use identify_velocity; joints of arms cannot be identified"
-                if model.B is None
-                else f"one for each driven wheel, {', '.join(model.wheels)}; is the log from another robot?"
-            )
-            raise InvalidArgument(f"{name} has {log.u.shape[1]} inputs, expected {model.nu}: {expected}")
-        check_units(log, name, model.inputs, "A" if model.has_scale and not model.motors else "")
+        words = (
+            "3: (Fx, Fy, Mz) of a body driven by forces; for wheels give robot=..., for commands of speed "
+            "and yaw rate use identify_velocity; joints of arms cannot be identified"
+            if model.B is None
+            else f"{model.nu}: one for each of {', '.join(model.wheels)}; is the log from another robot?"
+        )
+        check_inputs(log, name, model.inputs, words, "A" if model.has_scale and not model.motors else "")
         even = log.samples(*model.sensors, dt=dt)
         if even.dt > 1.001 * _COARSEST:
             raise InvalidArgument(

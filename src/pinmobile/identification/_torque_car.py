@@ -29,7 +29,7 @@ from pinmobile.identification._log import Log, unused_rows
 from pinmobile.identification._planar_model import inertia_of, pose_rate, torques_of, units_of, with_inertia
 from pinmobile.identification._simulation import Segments
 from pinmobile.identification._velocity import search
-from pinmobile.identification._velocity_model import ModelNumber, VelocityModel, model_number
+from pinmobile.identification._velocity_model import ModelNumber, VelocityModel
 from pinmobile.identification._weak_form import WINDOW, Bump
 from pinmobile.wheels import ByVoltage, Motor
 
@@ -144,16 +144,16 @@ class TorqueCar(VelocityModel):
     def first(self) -> tuple[ModelNumber, ...]:  # type: ignore[override]
         """Numbers without the delay."""
         torque, rate = self.typical
-        rows = [model_number("mass", "kg", True, self.body.mass, path="mass")]
+        rows = [ModelNumber("mass", "kg", True, self.body.mass, path="mass")]
         if self.stiffness:
-            rows.append(model_number("com_x", "m", False, float(self.body.com[0]), 0.3, 0.03, path="com.x"))
-        rows.append(model_number("yaw_inertia", "kg m^2", True, self.body.yaw_inertia, path="yaw_inertia"))
+            rows.append(ModelNumber("com_x", "m", False, float(self.body.com[0]), 0.3, 0.03, path="com.x"))
+        rows.append(ModelNumber("yaw_inertia", "kg m^2", True, self.body.yaw_inertia, path="yaw_inertia"))
         for kind, unit, size in (("viscous", "N m s/rad", torque / rate), ("coulomb", "N m", torque)):
             sizes = 0.0, size, 0.01 * size
-            rows += [model_number(f"joint_{kind}_{n}", unit, True, *sizes) for n in self.wheels.names]
-        rows.append(model_number("steering_offset", "rad", False, 0.0, 0.3, 0.03))
+            rows += [ModelNumber(f"joint_{kind}_{n}", unit, True, *sizes) for n in self.wheels.names]
+        rows.append(ModelNumber("steering_offset", "rad", False, 0.0, 0.3, 0.03))
         axles = zip(("front", "rear"), self.stiffness, strict=False)
-        return (*rows, *(model_number(f"cornering_{axle}", "N s/m", True, each) for axle, each in axles))
+        return (*rows, *(ModelNumber(f"cornering_{axle}", "N s/m", True, each) for axle, each in axles))
 
     @property
     def _inertia(self) -> int:
@@ -359,5 +359,5 @@ def _start(model: TorqueCar, runs: Sequence[Run], delays: Sequence[float], is_al
         raise unexplained_error(0.0)
     if is_alone:
         values["yaw_inertia"] = mass * ((wheels.front - wheels.rear) / 2) ** 2
-    priors = [*((item.quantity.name, item.prior) for item in model.first), *((n, 0.0) for n in model.free)]
+    priors = [*((item.name, item.prior) for item in model.first), *((n, 0.0) for n in model.free)]
     return np.array([values.get(name, prior) for name, prior in priors])

@@ -29,9 +29,17 @@ from pinmobile.identification._estimates import Identification, check_identifiab
 from pinmobile.identification._estimator import solve_robustly
 from pinmobile.identification._log import Log
 from pinmobile.identification._planar_model import POSE
-from pinmobile.identification._simulation import Quantity, Segments, simulate
-from pinmobile.identification._velocity_car import VelocityCar, curvature_of, faster_of
-from pinmobile.identification._velocity_robot import ABOVE_ZERO, THETA, VelocityRobot, rates_of, rolling_of
+from pinmobile.identification._simulation import Segments, simulate
+from pinmobile.identification._velocity_robot import (
+    ABOVE_ZERO,
+    THETA,
+    VelocityCar,
+    VelocityRobot,
+    curvature_of,
+    faster_of,
+    rates_of,
+    rolling_of,
+)
 
 _NOTE_SHARE = 0.8  # explained share of the motion below which a note follows
 _NEUTRAL = {"theta_3": 0.0, "theta_4": 1.0, "theta_5": 0.0, "theta_6": 1.0}  # without losses and offset
@@ -48,27 +56,23 @@ _STEERING = 4  # index of the wheelbase, or of the gain of the steering if the w
 
 
 class ModelNumber(NamedTuple):
-    """Number of a model: the identified quantity, its prior value, its typical and its smallest size.
+    """Number of a model: a `Quantity` with its prior value, its typical and its smallest size.
 
     The prior value of a limit is infinite; a typical size of NaN is that of the number.
     """
 
-    quantity: Quantity
+    name: str
+    unit: str
+    nonnegative: bool
     prior: float
     size: float = np.nan
     least: float = 1e-3
+    path: str = ""
 
 
-def model_number(name: str, unit: str, positive: bool, *sizes: float, path: str = "") -> ModelNumber:
-    """Return a number with its sizes; its path in a spread is `path`."""
-    return ModelNumber(Quantity(name, unit, positive, path), *sizes)
-
-
-DELAY, AHEAD = (
-    model_number("delay", "s", True, 0.0, 0.3, 0.1),
-    model_number("ahead", "m", False, 0.0, 1.0, 0.1, path="ahead"),
-)
-_LARGEST_SPEED = model_number("largest_speed_command", "m/s", False, np.inf)
+DELAY = ModelNumber("delay", "s", True, 0.0, 0.3, 0.1)
+AHEAD = ModelNumber("ahead", "m", False, 0.0, 1.0, 0.1, path="ahead")
+_LARGEST_SPEED = ModelNumber("largest_speed_command", "m/s", False, np.inf)
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,28 +109,29 @@ class VelocityModel:
     inputs: ClassVar[Mapping[str, str]] = CHANNELS
     neutral: ClassVar[Mapping[str, float]] = _NEUTRAL
     first: ClassVar[tuple[ModelNumber, ...]] = tuple(
-        model_number(name, unit, True, _NEUTRAL.get(name, 0.3), np.nan, 1e-6, path=f"theta.{name}")
+        ModelNumber(name, unit, True, _NEUTRAL.get(name, 0.3), np.nan, 1e-6, path=f"theta.{name}")
         if k in ABOVE_ZERO
-        else model_number(name, unit, False, 0.0, 1.0, 0.1, path=f"theta.{name}")
+        else ModelNumber(name, unit, False, 0.0, 1.0, 0.1, path=f"theta.{name}")
         for k, (name, unit, _) in enumerate(THETA)
     )
     limit_rows: ClassVar[tuple[ModelNumber, ...]] = (
-        model_number("acceleration", "m/s^2", False, np.inf, path="accelerations.acceleration"),
-        model_number("yaw_acceleration", "rad/s^2", False, np.inf, path="accelerations.yaw_acceleration"),
+        ModelNumber("acceleration", "m/s^2", False, np.inf, path="accelerations.acceleration"),
+        ModelNumber("yaw_acceleration", "rad/s^2", False, np.inf, path="accelerations.yaw_acceleration"),
         _LARGEST_SPEED,
-        model_number("largest_yaw_rate_command", "rad/s", False, np.inf),
+        ModelNumber("largest_yaw_rate_command", "rad/s", False, np.inf),
     )
     rate_limits: ClassVar[str] = "accelerations"  # field of the robot
 
     @classmethod
     def limits(cls) -> list[str]:
         """Return the names of the limits: of both rates, then of both commands."""
-        return [item.quantity.name for item in cls.limit_rows]
+        return [item.name for item in cls.limit_rows]
 
     @cached_property
-    def _numbers(self) -> list[ModelNumber]:
-        others = {item.quantity.name: item for item in (DELAY, AHEAD, *self.limit_rows)}
-        return [*self.first, *(others[name] for name in self.free)]
+    def quantities(self) -> tuple[ModelNumber, ...]:
+        """Estimated numbers."""
+        others = {item.name: item for item in (DELAY, AHEAD, *self.limit_rows)}
+        return (*self.first, *(others[name] for name in self.free))
 
     def drop(self, names: Sequence[str]) -> tuple[VelocityModel, list[int]]:
         """Return the model without some free numbers, and the indices of the others."""
@@ -134,14 +139,9 @@ class VelocityModel:
         rows = [*range(len(self.first)), *(len(self.first) + k for k in indices)]
         return replace(self, free=tuple(self.free[k] for k in indices)), rows
 
-    @property
-    def quantities(self) -> tuple[Quantity, ...]:
-        """Estimated numbers."""
-        return tuple(item.quantity for item in self._numbers)
-
     @cached_property
     def _sizes(self) -> Array:
-        return np.asarray([item[1:] for item in self._numbers]).T
+        return np.asarray([(item.prior, item.size, item.least) for item in self.quantities]).T
 
     @property
     def measured(self) -> tuple[tuple[str, str], ...]:
@@ -178,7 +178,7 @@ class VelocityModel:
 
     def are_possible(self, p: Array) -> Any:
         """Return which numbers, shape (..., P), a robot can have; delay and losses may be below zero."""
-        is_positive = [(x.quantity.nonnegative and x.prior > 0) or np.isinf(x.prior) for x in self._numbers]
+        is_positive = [(x.nonnegative and x.prior > 0) or np.isinf(x.prior) for x in self.quantities]
         return (p[..., np.array(is_positive)] > 0).all(axis=-1)
 
     def rate_numbers(self, segments: Segments, p: Array) -> tuple[Array, Array, float]:
@@ -337,10 +337,10 @@ class CarModel(VelocityModel):
     inputs: ClassVar[Mapping[str, str]] = CAR_COMMANDS
     neutral: ClassVar[Mapping[str, float]] = {"speed_gain": 1.0} | dict.fromkeys(_ZEROS, 0.0)
     limit_rows: ClassVar[tuple[ModelNumber, ...]] = (
-        model_number("acceleration", "m/s^2", False, np.inf, path="rate_limits.acceleration"),
-        model_number("steering_rate", "rad/s", False, np.inf, path="rate_limits.steering_rate"),
+        ModelNumber("acceleration", "m/s^2", False, np.inf, path="rate_limits.acceleration"),
+        ModelNumber("steering_rate", "rad/s", False, np.inf, path="rate_limits.steering_rate"),
         _LARGEST_SPEED,
-        model_number("largest_steering_command", "rad", False, np.inf),
+        ModelNumber("largest_steering_command", "rad", False, np.inf),
     )
     rate_limits: ClassVar[str] = "rate_limits"
 
@@ -359,7 +359,7 @@ class CarModel(VelocityModel):
             ("understeer", "rad s^2/m", False, 0.0, 0.02, 0.005),
             ("cornering_drag", "", False, 0.0, 1.0, 0.1),
         )
-        return tuple(model_number(*row, path=row[0]) for row in rows)
+        return tuple(ModelNumber(*row)._replace(path=row[0]) for row in rows)
 
     @property
     def is_linear(self) -> bool:  # type: ignore[override]
@@ -387,7 +387,7 @@ class CarModel(VelocityModel):
 
     def _car(self, numbers: Any) -> SimpleNamespace:
         """Return the numbers of a `VelocityCar`, of the numbers that `rate_numbers` returns."""
-        fields = {item.quantity.name: numbers[..., k] for k, item in enumerate(self.first)}
+        fields = {item.name: numbers[..., k] for k, item in enumerate(self.first)}
         fields |= {"steering_gain": numbers[..., 12], "wheelbase": numbers[..., 13]}
         return SimpleNamespace(**fields, rate_limits=numbers[..., 8:10])
 
@@ -422,7 +422,7 @@ class CarModel(VelocityModel):
     def robot(self, estimates: Identification) -> Any:
         """Return the identified car; effects of its speed that are not identifiable are zero."""
         pairs = zip(self.first, estimates.hidden > 0, strict=False)
-        if any(is_weak and item.quantity.name not in _AT_SPEED for item, is_weak in pairs):
+        if any(is_weak and item.name not in _AT_SPEED for item, is_weak in pairs):
             check_identifiable("robot", estimates.unseen)
         values = dict(zip(estimates.names, estimates.phi[: len(self.first)].tolist(), strict=False))
         return VelocityCar(**{"wheelbase": self.fixed.get("wheelbase")} | values, **self.fields(estimates))
