@@ -21,7 +21,7 @@ from measuring import Row, about, console, interleaved, median_time, options, pr
 
 import pinmobile as pm
 from pinmobile.compiled import processor
-from pinmobile.derivatives import _losses, _problem, poles, tune
+from pinmobile.derivatives import _gradient, _problem, poles, tune
 from pinmobile.derivatives._poles import _PROBE, _Inputs, _linearize, _Probe
 
 TOLERANCE, STEP, SPREAD = 1e-9, 1e-5, {"mass": pm.Uniform(27, 33)}
@@ -81,9 +81,9 @@ def of_peers(case: Case, inputs: Any, values: Any, words: dict[str, str]) -> dic
 def measured(case: Case, rounds: int, least: float) -> tuple[list[str], list[str], bool]:
     """Return the cells of a case: costs in rollouts, and what is built; tell whether all agree."""
     mode = case.modes[-1]
-    built = build_times(lambda: _losses.evaluate_losses(case.problem(), {}, mode), rounds)
+    built = build_times(lambda: _gradient.evaluate_losses(case.problem(), {}, mode), rounds)
     problem = case.problem()
-    exact = _losses.evaluate_losses(problem, {}, mode)
+    exact = _gradient.evaluate_losses(problem, {}, mode)
     inputs, directions, at = exact.inputs, exact.directions, place(problem)
     words = {} if "reverse" in case.modes else {"reverse": "-"}
     peers = of_peers(case, inputs, np.array([inputs.rows[one.row, 0] for one in directions]), words)
@@ -102,7 +102,7 @@ def measured(case: Case, rounds: int, least: float) -> tuple[list[str], list[str
                 words[name] = f"WRONG: {off[name]:.0e}"
     works = {name: gradient for name, gradient in gradients.items() if name not in words}
     works |= {"rollout": lambda: problem.plain(inputs)}
-    works |= {"whole": lambda: _losses.evaluate_losses(problem, {}, mode)}
+    works |= {"whole": lambda: _gradient.evaluate_losses(problem, {}, mode)}
     rows = timed(works, rounds, least)
     costs = {name: f"{row.ratio(rows['rollout']):,.3g}" for name, row in rows.items()} | words
     seconds = {name: f"{took:.2f}" for name, (took, _) in peers.items()}
@@ -128,7 +128,7 @@ def timed(works: dict[str, Callable[[], Any]], rounds: int, least: float) -> dic
 def of_ensemble(case: Case, rounds: int, least: float) -> list[str]:
     """Return the cells of the gradient of 64 robots with other masses, in ensembles."""
     problem = case.problem(n=64, spread=SPREAD)
-    found = _losses.evaluate_losses(problem, {}, "reverse")
+    found = _gradient.evaluate_losses(problem, {}, "reverse")
     inputs, directions, at = found.inputs, found.directions, place(problem)
     works: dict[str, Callable[[], Any]] = {
         "plain": lambda: problem.plain(inputs),
@@ -182,7 +182,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     tuned = table("\nTuning, s", "numbers", "", "trials", "loss", "to", "first", "known")
     roots = table("\nPoles, us", "loop", "", "states", "matrix", "+ eigenvalues", "poles()")
     with tempfile.TemporaryDirectory() as folder, mock.patch.dict(os.environ, PINMOBILE_CACHE=folder):
-        _losses.evaluate_losses(known["PD"].problem(), {}, "reverse")  # what a process starts once
+        _gradient.evaluate_losses(known["PD"].problem(), {}, "reverse")  # what a process starts once
         for case in known.values():
             with out.status(case.name):
                 cells, built, agree = measured(case, rounds, least)

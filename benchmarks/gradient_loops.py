@@ -15,7 +15,7 @@ from ensemble_contestants import JAX
 
 import pinmobile as pm
 from pinmobile.derivatives import _problem
-from pinmobile.derivatives._losses import Loss, Losses
+from pinmobile.derivatives._gradient import Loss, Losses
 
 CASADI = Peer("casadi", "casadi", "pip install casadi")
 PEERS = {"JAX": JAX, "CasADi": CASADI}

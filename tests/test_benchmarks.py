@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pinmobile.derivatives._losses import evaluate_losses
+from pinmobile.derivatives._gradient import evaluate_losses
 from tests.c_code import compilers
 
 pytestmark = [pytest.mark.once, pytest.mark.long]

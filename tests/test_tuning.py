@@ -392,7 +392,7 @@ def test_a_gear_a_radius_and_a_path_are_tuned() -> None:
     [
         ({"by": {"kp": 200}}, r"by\['controller.kp'\] is 200, expected \(lower, upper\)"),
         ({"by": {"kp": (40, 1)}}, r"by\['controller.kp'\] is \(40, 1\), expected .* lower < upper"),
-        ({"by": {}}, "by is {}, expected paths of numbers"),
+        ({"by": {}}, "by is empty, expected paths of numbers"),
         ({"by": "kp"}, "by is 'kp', expected paths of numbers"),
         (
             {"by": {"kp": (10, 40)}},

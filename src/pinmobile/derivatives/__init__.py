@@ -1,8 +1,7 @@
 """Derivatives of a closed loop: how a number of a run changes with the numbers of its parts."""
 
-from pinmobile.derivatives._gradient import Gradient, gradient
+from pinmobile.derivatives._gradient import Gradient, Sensitivities, gradient, sensitivities
 from pinmobile.derivatives._poles import Margins, Poles, poles
-from pinmobile.derivatives._sensitivities import Sensitivities, sensitivities
 from pinmobile.derivatives._tune import Constraint, Trial, Tuning, tune
 
 __all__ = [

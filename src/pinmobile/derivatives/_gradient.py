@@ -1,25 +1,194 @@
-"""`gradient`: a loss of a run, or of each robot of an ensemble, and its derivatives by numbers of parts."""
+"""`gradient`: losses of runs and their derivatives; `sensitivities`: derivatives of all samples of a run."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace as replaced
-from typing import Any, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, bounded, one_of, positive, sequence
+from pinmobile.arrays import Array, ArrayLike, bounded, finite, instance, one_of, positive, shaped
 from pinmobile.controllers import Controller
-from pinmobile.derivatives._losses import Loss, Losses, evaluate_losses
-from pinmobile.derivatives._problem import Direction, Problem, loop_errors, problem_of
-from pinmobile.errors import InvalidArgument
+from pinmobile.derivatives._problem import Direction, Inputs, Problem, loop_errors, problem_of
+from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.forces import Force
 from pinmobile.integrators import Integrator
-from pinmobile.loop import Sample, Source
-from pinmobile.metrics import Metric, format_si
-from pinmobile.parts import OnCoordinates, named
+from pinmobile.loop import Engine, Record, Rollout, Sample, Samples, Scenario, Source, simulate
+from pinmobile.metrics import Metric, check_metric, format_si, metrics_of
+from pinmobile.parts import OnCoordinates, named, option, part
 from pinmobile.plant import Plant
 from pinmobile.trajectories import Trajectory
+
+REDUCTIONS = ("sum", "mean", "rms", "last", "largest", "smallest")
+"""Reductions of the values of all samples to one number."""
+_INITIAL = {"largest": -np.inf, "smallest": np.inf}
+
+
+class Loss(NamedTuple):
+    """Number of a run: a function of a sample or a metric, and how it is reduced.
+
+    Attributes
+    ----------
+    of : callable or int
+        Function of a sample, or index of a metric of the plant.
+    reduction : str
+        One of `REDUCTIONS`.
+    name : str
+        Name in messages.
+    """
+
+    of: Callable[[Sample], Any] | int
+    reduction: str
+    name: str
+
+    @classmethod
+    def read(cls, given: Any, reduction: str | None, scenario: Scenario, label: str = "loss") -> Loss:
+        """Return the loss that a user means.
+
+        Parameters
+        ----------
+        given : callable, str or Metric
+            Function of a sample; or "distance", "heading", a coordinate or a metric of the plant by name.
+        reduction : str, optional
+            Default: the sum of a function; the worst value of a metric.
+        scenario : Scenario
+            Loop of the loss.
+        label : str
+            Name of the argument.
+
+        Raises
+        ------
+        InvalidArgument, UnknownName
+            If it is none of these.
+        """
+        if reduction is not None:
+            one_of("reduction", reduction, REDUCTIONS)
+        if isinstance(given, Metric) and given.function is not None:
+            check_metric(given)
+            worst = "smallest" if given.is_margin else "largest"
+            return cls(given.function, reduction or worst, given.name)
+        if not isinstance(given, str):
+            if not callable(given):
+                raise InvalidArgument(
+                    f"{label} is {format_value(given)}, expected a function of a sample or the name of a "
+                    "metric"
+                )
+            return cls(given, reduction or "sum", label)
+        plant = scenario.robot
+        errors: dict[str, Any] = {"distance": _distance, "heading": _error_size(2)}
+        errors |= {one.name: _error_size(i) for i, one in enumerate(scenario.coordinates)}
+        metrics = {one.name: (i, one.is_margin) for i, one in enumerate(metrics_of(plant))}
+        name = one_of(label, given, {**errors, **metrics})
+        if name in errors:
+            return cls(errors[name], reduction or "largest", name)
+        index, is_margin = metrics[name]
+        return cls(index, reduction or ("smallest" if is_margin else "largest"), name)
+
+    def finish(self, value: Array, count: int) -> tuple[Array, Array]:
+        """Return the loss of a recorded value, and its slope by the recorded value."""
+        if self.reduction == "rms":
+            root = np.sqrt(value / count)
+            return root, np.divide(0.5 / count, root, out=np.zeros_like(root), where=root > 0)
+        share = 1.0 / count if self.reduction == "mean" else 1.0
+        return value * share, np.full_like(value, share)
+
+
+def _distance(sample: Sample) -> Any:
+    return np.sqrt((sample.error[:2] ** 2).sum())
+
+
+def _error_size(i: int) -> Callable[[Sample], Any]:
+    """Return the function of a sample that returns the size of an error."""
+    return lambda sample: np.abs(sample.error[i])
+
+
+@final
+@part
+class Losses:
+    """Recorder of the losses; it keeps whether wheels slide."""
+
+    losses: tuple[Loss, ...] = option(default=())
+    signals, errors = True, True
+
+    @property
+    def metrics(self) -> tuple[tuple[int, bool], ...]:
+        """Metrics of the plant that the recorder reads."""
+        return tuple((loss.of, False) for loss in self.losses if isinstance(loss.of, int))
+
+    def initial_state(self, n: int, nu: int) -> Any:
+        """Return the losses of no sample."""
+        return np.array([_INITIAL.get(loss.reduction, 0.0) for loss in self.losses])
+
+    def __call__(self, sample: Sample, state: Any) -> Record:
+        """Return the losses with one more sample."""
+        values = []
+        for i, loss in enumerate(self.losses):
+            value = loss.of(sample) if callable(loss.of) else sample.measured[loss.of]
+            if np.shape(value) != ():
+                raise InvalidArgument(f"{loss.name} returned {format_value(value)}, expected a number")
+            last = state[i]
+            if loss.reduction in ("sum", "mean", "rms"):
+                value = last + (value * value if loss.reduction == "rms" else value)
+            elif loss.reduction != "last":
+                is_new = value > last if loss.reduction == "largest" else value < last
+                value = np.where(is_new, value, last)
+            values.append(value + 0.0 * sample.t)
+        kept = {name: sample.signals[name].value for name in ("slides",) if name in sample.signals}
+        return Record(np.stack(values), kept=kept)
+
+
+class Evaluation(NamedTuple):
+    """Losses of n robots and their derivatives.
+
+    Attributes
+    ----------
+    values : ndarray, shape (L, n)
+        Losses.
+    slopes : ndarray, shape (L, n, P)
+        Derivatives by each entry of each number.
+    directions : list of Direction
+        The entries.
+    inputs : Inputs
+        Inputs of the machine code.
+    """
+
+    values: Array
+    slopes: Array
+    directions: list[Direction]
+    inputs: Inputs
+
+
+def evaluate_losses(problem: Problem, changes: Mapping[str, Any], mode: str | None) -> Evaluation:
+    """Return the losses of the robots with other numbers, and their derivatives in a mode.
+
+    Parameters
+    ----------
+    problem : Problem
+        Loop with the recorder `Losses`.
+    changes : mapping of str to ndarray
+        Numbers by path.
+    mode : str, optional
+        ``"forward"`` or ``"reverse"``; None: only the values.
+    """
+    losses = problem.loop.recorder.losses
+    first = next(leaf.first for leaf in problem.machine.tape.leaves if leaf.owner == "recorder")
+    indices = [first + i for i in range(len(losses))]
+    with loop_errors():
+        inputs = problem.inputs(changes)
+        directions = problem.directions(inputs, changes) if mode else []
+        if mode == "forward":
+            final, tangents, _ = problem.tangents(inputs, directions)
+            slopes = tangents[indices]
+        elif mode == "reverse":
+            final, slopes = problem.adjoints(inputs, directions, indices)
+        else:
+            final, slopes = problem.plain(inputs), np.zeros((len(indices), problem.n, 0))
+        pairs = [loss.finish(final[i], len(inputs.samples)) for loss, i in zip(losses, indices, strict=True)]
+        values = np.array([value for value, _ in pairs])
+        slopes = slopes * np.array([slope for _, slope in pairs])[:, :, None]
+    return Evaluation(values, slopes, directions, inputs)
+
 
 _RUNS = 64  # runs of a fit, beside eight for each number
 
@@ -184,8 +353,6 @@ def gradient(
     """
     if mode is not None:
         one_of("mode", mode, ("forward", "reverse"))
-    if not sequence("by", by, 'paths of numbers, such as ["controller.kp"]'):
-        raise InvalidArgument("by is empty, expected paths of numbers")
     options: dict[str, Any] = {"dt": dt, "duration": duration, "integrator": integrator, "substeps": substeps}
     options |= {"forces": forces, "n": n, "spread": spread, "seed": seed}
     problem = problem_of(
@@ -240,12 +407,12 @@ def _fit_slopes(problem: Problem, share: float) -> Gradient:
     if scenario.n > 1:
         raise InvalidArgument("smooth is for one robot, expected n=1")
     refs = named(scenario.nominal_loop)
-    entries, indices = dict[str, float](), list[tuple[str, Any]]()
+    entries, directions = dict[str, float](), list[Direction]()
     for path, number in problem.numbers.items():
         is_array = number.entry is None and np.ndim(number.leaf.value) > 0
         parts = [x for x in refs.values() if x.leaf.path == path and x.label] if is_array else [number]
         entries |= {part.path: float(part.value) for part in parts}
-        indices += [(path, part.entry if is_array else ()) for part in parts]
+        directions += [Direction(path, part.entry or (), -1, None) for part in parts]
     values = np.array([*entries.values()])
     points = np.random.default_rng(scenario.seed).uniform(
         -1.0, 1.0, (_RUNS // 2 + 4 * len(values), len(values))
@@ -258,16 +425,149 @@ def _fit_slopes(problem: Problem, share: float) -> Gradient:
     fit, *_ = np.linalg.lstsq(columns, losses, rcond=None)
     variance = float(((losses - columns @ fit) ** 2).sum()) / (len(steps) - len(fit))
     deviation = np.sqrt(variance * np.diag(np.linalg.inv(columns.T @ columns)))
-    slopes: tuple[dict[str, Array], ...] = {}, {}
-    for k, (path, entry) in enumerate(indices, 1):
-        shape = (
-            ()
-            if problem.numbers[path].entry is not None
-            else problem.nominal[problem.numbers[path].leaf.path].shape
-        )
-        for target, x in zip(slopes, (fit, deviation), strict=True):
-            target.setdefault(path, np.zeros(shape))[entry if shape else ()] = x[k]
+    slopes, errors = (arrange_slopes(problem, directions, x[1:]) for x in (fit, deviation))
     units = {path: number.unit for path, number in problem.numbers.items()}
     words = f"fit to {len(steps)} runs within {100 * share:g} % of each number"
     words += f", and {share:g} of those that are 0" if (values == 0).any() else ""
-    return Gradient(float(fit[0]), slopes[0], units, words, errors=slopes[1])
+    return Gradient(float(fit[0]), slopes, units, words, errors=errors)
+
+
+@final
+@dataclass(frozen=True, eq=False, repr=False)
+class Sensitivities:
+    """Derivatives of the samples of a run.
+
+    Attributes
+    ----------
+    rollout : Rollout
+        The run.
+    q, v, u, a : dict of str to ndarray
+        Derivatives of configuration, velocity, input and acceleration by each number, by its path: shape
+        (N + 1, nq, ...), followed by the shape of the number.
+    units : dict of str to str
+        Unit of each number.
+
+    See Also
+    --------
+    derivatives.sensitivities : compute them.
+    plots.sensitivities : figure with bands.
+
+    Examples
+    --------
+    >>> from pinmobile import PD, Circle, MobileRobot, Tangent
+    >>> from pinmobile.derivatives import sensitivities
+    >>> circle = Tangent(Circle(1.0, 0.5, 4.0))
+    >>> parts = MobileRobot(30.0, 1.3), PD(120, 120), circle
+    >>> found = sensitivities(*parts, by=["mass"], dt=0.02)
+    >>> found.q["plant.mass"].shape
+    (201, 3)
+    >>> wide = found.deviation({"mass": 3.0})  # [m, m, rad]
+    >>> wide.max(axis=0).round(4)
+    array([0.0061, 0.0051, 0.    ])
+    """
+
+    rollout: Rollout
+    q: Mapping[str, Array]
+    v: Mapping[str, Array]
+    u: Mapping[str, Array]
+    a: Mapping[str, Array]
+    units: Mapping[str, str]
+
+    def deviation(self, deviations: Mapping[str, ArrayLike], of: str = "q") -> Array:
+        """Return the standard deviation of each sample for independent errors of the numbers, to first order.
+
+        Parameters
+        ----------
+        deviations : mapping of str to array_like
+            Standard deviation of each number, by its path or the end of it.
+        of : str
+            "q", "v", "u" or "a".
+
+        Returns
+        -------
+        ndarray, shape (N + 1, n)
+            Standard deviations, in the units of the quantity.
+
+        Raises
+        ------
+        InvalidArgument, UnknownName
+            If a path or quantity is unknown, or a deviation does not fit its number.
+        """
+        slopes = getattr(self, one_of("of", of, ("q", "v", "u", "a")))
+        instance("deviations", deviations, Mapping, "a mapping of paths to standard deviations")
+        total: Any = 0.0
+        for name, value in deviations.items():
+            ends = [path for path in slopes if f".{path}".endswith(f".{name}")]
+            path = ends[0] if len(ends) == 1 else one_of("deviations", name, slopes)
+            size = bounded(f"deviations[{name!r}]", finite(f"deviations[{name!r}]", value), least=0)
+            shaped(f"deviations[{name!r}]", size, (), slopes[path].shape[2:])
+            square = (slopes[path] * size) ** 2
+            total = total + square.reshape(*square.shape[:2], -1).sum(axis=2)
+        return np.asarray(np.sqrt(total))
+
+    def __repr__(self) -> str:
+        return f"<Sensitivities: {self.rollout.t.size} samples by {', '.join(self.q)}>"
+
+
+def sensitivities(
+    plant: Plant,
+    controller: Controller,
+    trajectory: Trajectory,
+    *,
+    by: Sequence[str],
+    dt: float,
+    duration: float | None = None,
+    q0: ArrayLike | None = None,
+    v0: ArrayLike | None = None,
+    integrator: Integrator | None = None,
+    substeps: int = 1,
+    forces: Sequence[Force | OnCoordinates] | Mapping[str, Force | OnCoordinates] = (),
+) -> Sensitivities:
+    """Return the derivatives of all samples of a run by numbers of the parts, in forward mode.
+
+    Parameters
+    ----------
+    plant, controller, trajectory, dt, duration, q0, v0, integrator, substeps, forces
+        Closed loop, see `simulate`.
+    by : sequence of str
+        Numbers by path, see `gradient`.
+
+    Returns
+    -------
+    Sensitivities
+        The run and its derivatives.
+
+    Raises
+    ------
+    InvalidArgument
+        If an argument is invalid, or the loop cannot be compiled.
+
+    See Also
+    --------
+    derivatives.gradient : derivatives of one number of the run.
+    ensemble : finite changes of the numbers.
+
+    Examples
+    --------
+    >>> from pinmobile import PD, Circle, MobileRobot, Tangent
+    >>> from pinmobile.derivatives import sensitivities
+    >>> circle = Tangent(Circle(1.0, 0.5, 4.0))
+    >>> parts = MobileRobot(30.0, 1.3), PD(120, 120), circle
+    >>> found = sensitivities(*parts, by=["controller.kp"], dt=0.02)
+    >>> found.q["controller.kp"][-1].round(6)  # [m, m, rad per N/m]
+    array([-0.000402,  0.00022 , -0.      ])
+    """
+    options: dict[str, Any] = {"dt": dt, "duration": duration, "integrator": integrator, "substeps": substeps}
+    options["forces"] = forces
+    parts = plant, controller, trajectory
+    problem = problem_of(*parts, lambda _: Samples(), by, (q0, v0), n=1, **options)
+    run = simulate(*parts, q0=q0, v0=v0, engine=Engine.COMPILED, **options)
+    with loop_errors():
+        inputs = problem.inputs({})
+        directions = problem.directions(inputs, {})
+        _, _, kept = problem.tangents(inputs, directions)
+    q, v, u, a = (
+        arrange_slopes(problem, directions, np.moveaxis(kept[f"tangent {name}"][:, : len(run.t)], 0, -1))
+        for name in ("q", "v", "u", "a")
+    )
+    return Sensitivities(run, q, v, u, a, {path: number.unit for path, number in problem.numbers.items()})

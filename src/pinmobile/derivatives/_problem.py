@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from pinmobile.arrays import Array
+from pinmobile.arrays import Array, sequence
 from pinmobile.compiled import (
     Identity,
     LoopTape,
@@ -207,6 +207,11 @@ class Problem:
                 _machines.popitem(last=False)
         return machine
 
+    def entries(self, number: NumberRef) -> list[tuple[int, ...]]:
+        """Return the entries of the array of a number that it means; one empty entry for a scalar."""
+        shape = self.nominal[number.leaf.path].shape
+        return [number.place(len(shape))] if number.entry is not None else [*np.ndindex(shape)]
+
     def _vary(self, changes: Mapping[str, Any]) -> tuple[Scenario, Loop]:
         """Return scenario and loop with other numbers, by path."""
         loop, base = replace(self.loop, changes), self.scenario
@@ -316,7 +321,6 @@ class Problem:
             key = number.leaf.path
             value = np.asarray(changes.get(key, self.nominal[key]), float)
             leaf = self.machine.tape.parameters.get(key)
-            entries = [number.place(value.ndim)] if number.entry is not None else [*np.ndindex(value.shape)]
             rows = slice(0, 0) if leaf is None else slice(leaf.first, leaf.first + value.size)
             indices = np.arange(value.size).reshape(value.shape)
 
@@ -329,7 +333,7 @@ class Problem:
             if path not in self.pure:
                 step = _STEP * np.maximum(1.0, np.abs(value))
                 self.pure[path] = all(map(np.array_equal, inputs_at(step), inputs))
-            for entry in entries:
+            for entry in self.entries(number):
                 row = -1 if leaf is None else leaf.first + int(indices[entry])
                 other = None
                 if not self.pure[path]:
@@ -399,7 +403,7 @@ class Problem:
 
     def mode(self, losses: int = 1) -> tuple[str, str]:
         """Return the mode with the lower cost for a number of losses, and the reason."""
-        count = sum(1 if x.entry is not None else int(np.size(x.leaf.value)) for x in self.numbers.values())
+        count = sum(len(self.entries(number)) for number in self.numbers.values())
         if "slides" in self.machine.tape.kept:
             return "forward", "dry friction at the wheels"
         return "forward" if count <= _FORWARD * losses else "reverse", f"{count} number{'s' * (count > 1)}"
@@ -541,11 +545,27 @@ def problem_of(
     InvalidArgument
         If an argument is invalid, or the loop cannot be compiled.
     """
+    check_paths(by)
     arguments = {"robot": plant, "controller": controller, "trajectory": trajectory, "metrics": ()}
     options["spread"] = options.get("spread") or {}
     with loop_errors():
         scenario = _expand_gains(Scenario(**arguments, **options), by)
         return Problem(scenario, recorder(scenario), by, start)
+
+
+def check_paths(by: Any) -> Sequence[str]:
+    """Return the paths of some numbers.
+
+    Raises
+    ------
+    InvalidArgument
+        If they are no sequence, or there are none.
+    """
+    expected = "paths of numbers, such as ['controller.kp']"
+    paths: Sequence[str] = sequence("by", by, expected)
+    if not paths:
+        raise InvalidArgument(f"by is empty, expected {expected}")
+    return paths
 
 
 def _expand_gains(scenario: Scenario, by: Sequence[str]) -> Scenario:

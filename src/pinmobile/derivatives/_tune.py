@@ -12,8 +12,8 @@ import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, check_integer, instance, one_of, real, sequence, shaped
 from pinmobile.controllers import Controller
-from pinmobile.derivatives._losses import Evaluation, Loss, Losses, evaluate_losses
-from pinmobile.derivatives._problem import Problem, problem_of
+from pinmobile.derivatives._gradient import Evaluation, Loss, Losses, evaluate_losses
+from pinmobile.derivatives._problem import Problem, check_paths, problem_of
 from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.forces import Force
 from pinmobile.integrators import Integrator
@@ -242,8 +242,7 @@ class _Variables:
                     f"by[{path!r}] is {format_value(pair)}, expected (lower, upper) with lower < upper"
                 )
             labels = {entry: label for label, entry in ref.leaf.entries.items() if len(entry) == value.ndim}
-            cells = [ref.place(value.ndim)] if ref.entry is not None else [*np.ndindex(value.shape)]
-            for entry in cells:
+            for entry in problem.entries(ref):
                 self.entries.append((ref.leaf.path, entry))
                 indices = "".join(f"[{i}]" for i in entry)
                 suffix = f".{labels[entry]}" if entry in labels else indices
@@ -449,11 +448,7 @@ def tune(
     start_time = time.perf_counter()
     one_of("objective", objective, OBJECTIVES)
     max_iterations = check_integer("iterations", iterations)
-    given = dict(by) if isinstance(by, Mapping) else dict.fromkeys(by if not isinstance(by, str) else ())
-    if not given:
-        raise InvalidArgument(
-            f"by is {format_value(by)}, expected paths of numbers, such as ['controller.kp']"
-        )
+    given = dict(by) if isinstance(by, Mapping) else dict.fromkeys(check_paths(by))
     items = [constraints] if isinstance(constraints, Constraint) else constraints
     items = sequence("constraints", items, "a list of derivatives.Constraint")
     bounds = tuple(instance("constraints", one, Constraint, "derivatives.Constraint") for one in items)
