@@ -2,6 +2,7 @@
 
 import functools
 import importlib
+import inspect
 import json
 import os
 import re
@@ -21,14 +22,12 @@ import pytest
 from pinmobile import InvalidArgument, dh
 from pinmobile.cli import main
 from pinmobile.exercises import check_exercises, list_exercises, load_exercise, start_exercises
-from pinmobile.exercises._exercise import exercise_names, read_exercise
-from pinmobile.exercises._question import Question, Verdict
+from pinmobile.exercises._exercise import EXERCISE_NAMES, Question, Verdict, read_exercise
 from pinmobile.exercises._tool import run_cells
 
-NAMES = exercise_names()
 COURSES = ("", "ROB-26", "Mobile robots: 2nd year")
-each = pytest.mark.parametrize("name", NAMES)
-QUESTIONS = [question for name in NAMES for question in read_exercise(name).questions("")]
+each = pytest.mark.parametrize("name", EXERCISE_NAMES)
+QUESTIONS = [question for name in EXERCISE_NAMES for question in read_exercise(name).questions("")]
 asked = pytest.mark.parametrize("question", QUESTIONS, ids=lambda question: question.key.replace("/", "-"))
 
 
@@ -99,7 +98,7 @@ def test_the_notebook_of_a_student_has_no_answers_and_they_are_empty(name: str) 
 
 @each
 def test_the_package_contains_no_line_of_an_answer(name: str) -> None:
-    source = Path(str(sys.modules[f"pinmobile.exercises._{name}"].__file__)).read_text()
+    source = Path(inspect.getfile(read_exercise(name).parts[0][0])).read_text()
     lines = {
         line.strip().removeprefix("return ")
         for code in solutions(name).values()
@@ -132,7 +131,7 @@ def test_likely_mistakes_are_distinguished(name: str) -> None:
 def test_each_diagnosis_belongs_to_one_mistake_in_any_course(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("pinmobile.exercises._question._call", lambda answer, state: answer(*state))
+    monkeypatch.setattr("pinmobile.exercises._exercise._call", lambda answer, state: answer(*state))
     total = set()
     for course in map(str, range(6)):
         for question in read_exercise(name).questions(course):
@@ -274,7 +273,7 @@ def test_wrong_entries_are_named_where_no_mistake_is_known() -> None:
 
     question = load_exercise("01_equations").transform
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("pinmobile.exercises._question._call", lambda answer, state: answer(*state))
+        patch.setattr("pinmobile.exercises._exercise._call", lambda answer, state: answer(*state))
         verdict = question.check(one_cosine_wrong)
     assert verdict.words == "differs from the reference. Wrong are the entries [1, 3], counted from 0."
 
@@ -423,19 +422,21 @@ def test_the_list_names_all_exercises_with_their_points(typed: Typed) -> None:
     code, out, err = typed("list")
     assert (code, err) == (0, "")
     assert out.strip() == list_exercises()
-    assert re.findall(r"^(\w+) +[67] questions, 12 points  Exercise \d: ", out, re.MULTILINE) == NAMES
+    assert (
+        re.findall(r"^(\w+) +[67] questions, 12 points  Exercise \d: ", out, re.MULTILINE) == EXERCISE_NAMES
+    )
 
 
 def test_start_writes_notebooks_and_leaves_those_that_exist(typed: Typed, tmp_path: Path) -> None:
     folder = tmp_path / "new" / "course"
     code, out, _ = typed("start", folder, "--seed", "ROB-26")
     assert code == 0
-    assert sorted(path.stem for path in folder.iterdir()) == NAMES
+    assert sorted(path.stem for path in folder.iterdir()) == EXERCISE_NAMES
     assert f"pinmobile exercises check {folder}/01_equations.ipynb" in out
     (folder / "02_methods.ipynb").write_text("mine")
     code, out, _ = typed("start", folder)
     assert code == 0
-    assert out.count("exists, left as it is") == len(NAMES)
+    assert out.count("exists, left as it is") == len(EXERCISE_NAMES)
     assert (folder / "02_methods.ipynb").read_text() == "mine"
     (tmp_path / "file").touch()
     code, _, err = typed("start", tmp_path / "file")

@@ -45,10 +45,8 @@ USERS = {
         *("Circle", "CubicVia", "LectureHeading", "Tangent"),
     },
     "cli/scenario_file.py": {"Circle", "ComputedTorque", "Tangent"},  # where a file says nothing
-    "exercises/_03_trajectories.py": {"ComputedTorque", "Circle", "FixedHeading", "Spline", "Tangent"},
-    "exercises/_04_control.py": {"PD", "ComputedTorque", "Circle", "FixedHeading", "Hold"},
-    "exercises/_06_uncertainty.py": {"PD", "ComputedTorque", "Circle", "FixedHeading", "Tangent"},
-    "exercises/_08_wheels.py": {"Backstepping", "UnicycleTracking", "Circle", "Tangent"},
+    "exercises/_control.py": {"PD", "ComputedTorque", "Circle", "FixedHeading", "Hold", "Spline", "Tangent"},
+    "exercises/_wheel_forces.py": {"Backstepping", "UnicycleTracking", "Circle", "Tangent"},
     "identification/_planar_model.py": {"JointFriction", "RollingResistance", "ViscousFriction"},
     "identification/_torque_car.py": {"JointFriction"},  # what was found
     "reaching/poses.py": {"Spline"},  # of positions, through poses

@@ -390,7 +390,7 @@ def test_the_wheel_carries_the_urdfs_the_types_and_nothing_else(wheel: Path) -> 
         "pinmobile/py.typed",
         "pinmobile/scenarios/ur5.toml",
         "pinmobile/exercises/course.toml",
-        "pinmobile/exercises/_01_equations.py",
+        "pinmobile/exercises/_equations.py",
     } <= names
     assert all(name.split("/")[0] in ("pinmobile",) or ".dist-info/" in name for name in names)
 

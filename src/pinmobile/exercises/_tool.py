@@ -16,8 +16,14 @@ from pathlib import Path
 from typing import Any
 
 from pinmobile.errors import InvalidArgument, format_value
-from pinmobile.exercises._exercise import check_course, exercise_names, read_exercise
-from pinmobile.exercises._question import RECORD, Verdict, describe
+from pinmobile.exercises._exercise import (
+    EXERCISE_NAMES,
+    RECORD,
+    Verdict,
+    check_course,
+    describe,
+    read_exercise,
+)
 
 _LOADED = re.compile(
     r"""^[^#\n]*load_exercise\(\s*["'](\w+)["'](?:\s*,\s*seed\s*=\s*["']([\w .:+-]*)["'])?\s*\)""", re.M
@@ -45,7 +51,7 @@ def list_exercises() -> str:
     02_methods       6 questions, 12 points  Exercise 2: model against model
     """
     lines = []
-    for name in exercise_names():
+    for name in EXERCISE_NAMES:
         exercise = read_exercise(name)
         questions = exercise.questions("")
         points = sum(each.points for each in questions)
@@ -90,7 +96,7 @@ def start_exercises(folder: str | os.PathLike[str] = "exercises", *, seed: str =
     check_course(seed)
     try:
         home.mkdir(parents=True, exist_ok=True)
-        for name in exercise_names():
+        for name in EXERCISE_NAMES:
             path = home / f"{name}.ipynb"
             if not path.exists():
                 notebook = read_exercise(name).notebook(seed)
@@ -199,7 +205,7 @@ def read_cells(path: Path) -> tuple[list[str], str, str]:
         reason = error.strerror if isinstance(error, OSError) else describe(error)
         raise InvalidArgument(f"FILE is {format_value(str(path))}, {expected} ({reason})") from None
     loaded = _LOADED.search("\n".join(cells))
-    if loaded is None or loaded[1] not in exercise_names():
+    if loaded is None or loaded[1] not in EXERCISE_NAMES:
         raise InvalidArgument(f"FILE is {format_value(str(path))}, {expected}: no cell calls load_exercise")
     return cells, loaded[1], loaded[2] or ""
 

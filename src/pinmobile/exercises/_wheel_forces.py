@@ -1,10 +1,4 @@
-"""Exercise 8: forces from wheels.
-
-Prepare with notebook 8. The robot has a differential drive: two wheels of radius r_w on an axle at (0, b) and
-(0, -b), and a caster l_s ahead of the axle. You derive how it rolls, which torques move it, and when a
-wheel slips. The mass m, the centre of mass (x_bc, y_bc) and the yaw inertia I_cz are those of the whole
-robot; each wheel has the inertia I_w about its axle. g = 9.81 m/s^2.
-"""
+"""Exercise 8: forces from wheels."""
 
 from __future__ import annotations
 
@@ -15,10 +9,9 @@ import numpy as np
 
 import pinmobile as pm
 from pinmobile.arrays import Array
-from pinmobile.exercises._exercise import Exercise, Numbers, uniform
-from pinmobile.exercises._question import Requirement
+from pinmobile.exercises._exercise import Exercise, Numbers, Requirement, uniform
 
-EXERCISE = Exercise("08_wheels", __doc__, "m I_cz x_bc y_bc r_w b I_w l_s mu")
+WHEELS = Exercise("08_wheels")
 
 
 @cache
@@ -33,7 +26,7 @@ def robot(p: Numbers) -> pm.WheeledRobot:
     return _made(**vars(p))
 
 
-@EXERCISE(2, uniform(0, 0))
+@WHEELS(2, uniform(0, 0))
 def wheel_rates(p: Numbers, v: float, omega: float) -> Array:
     """Return the rates of the (left, right) wheel [rad/s] for the forward speed v and the yaw rate omega.
 
@@ -51,7 +44,7 @@ def wheel_rates(p: Numbers, v: float, omega: float) -> Array:
     return np.asarray(robot(p).wheel_rates([v, 0, omega]))
 
 
-@EXERCISE(1, uniform(0, 0))
+@WHEELS(1, uniform(0, 0))
 def body_twist(p: Numbers, left: float, right: float) -> Array:
     """Return (v, omega) of the body for the rates of the left and the right wheel.
 
@@ -66,7 +59,7 @@ def body_twist(p: Numbers, left: float, right: float) -> Array:
     return np.asarray(robot(p).odometry([left, right]))[[0, 2]]
 
 
-@EXERCISE(2, uniform(0))
+@WHEELS(2, uniform(0))
 def constraint_matrix(p: Numbers, psi: float) -> Array:
     """Return A, a 3x5 matrix, with A dq/dt = 0 for q = (x, y, psi, left, right).
 
@@ -87,7 +80,7 @@ def constraint_matrix(p: Numbers, psi: float) -> Array:
     return np.asarray(robot(p).constraint_matrix(np.array([0, 0, psi, 0, 0])))[[0, 2, 1]]
 
 
-@EXERCISE(1, uniform(0, 0, low=-20, high=20))
+@WHEELS(1, uniform(0, 0, low=-20, high=20))
 def wheel_torques(p: Numbers, F: float, M: float) -> Array:
     """Return the torques of the (left, right) wheel that push with the force F and turn with the moment M.
 
@@ -104,7 +97,7 @@ def wheel_torques(p: Numbers, F: float, M: float) -> Array:
     return np.linalg.solve(robot(p).reduced(np.zeros(5), np.zeros(5)).B, [F, M])
 
 
-@EXERCISE(3, uniform(0, 0, 0, 0))
+@WHEELS(3, uniform(0, 0, 0, 0))
 def acceleration(p: Numbers, v: float, omega: float, left: float, right: float) -> Array:
     """Return (dv/dt, domega/dt) for the torques of the left and the right wheel.
 
@@ -134,7 +127,7 @@ def _without_steiner(p: Numbers, a: Array) -> Array:
     return np.asarray(np.linalg.solve(M - np.diag([0, steiner]), M @ a))
 
 
-@EXERCISE(1, unit="N m")
+@WHEELS(1, unit="N m")
 def slip_torque(p: Numbers) -> float:
     """Give the torque at which a wheel starts to slip on level ground, at rest.
 
@@ -155,7 +148,7 @@ def slip_torque(p: Numbers) -> float:
     return float(robot(p.but(y_bc=0)).contact_loads(*rest).values[0] * p.mu * p.r_w)
 
 
-@EXERCISE(2)
+@WHEELS(2)
 def tracking(p: Numbers, zeta: float, k: float) -> list[Requirement]:
     """Choose zeta of UnicycleTracking and k of Backstepping, for a robot that starts 0.1 m beside a circle.
 
