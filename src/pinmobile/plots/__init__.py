@@ -1,9 +1,8 @@
 """Figures of rollouts, reports and ensembles: matplotlib without pyplot, so no window is needed."""
 
-from pinmobile.plots.linearization import poles, sensitivities
 from pinmobile.plots.parameter_curves import curves, heatmap, integrator
 from pinmobile.plots.plane import animate, end_effector, path
-from pinmobile.plots.sensitivity import bands, drivers
+from pinmobile.plots.sensitivity import bands, drivers, poles, sensitivities
 from pinmobile.plots.series import (
     balance,
     errors,
