@@ -23,8 +23,8 @@ import pinmobile
 import pinmobile as pm
 from pinmobile import plots
 from pinmobile.cli import main, verbs
-from pinmobile.cli.identify import IdentifyPaths
 from pinmobile.cli.lecture import EXPECTED
+from pinmobile.cli.results import IdentifyPaths
 from pinmobile.cli.verbs import TASKS, app, complete
 from pinmobile.errors import SchedulerError
 from pinmobile.parts import parameters

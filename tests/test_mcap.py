@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import pinmobile as pm
-from pinmobile.cli.identify import show_identification
+from pinmobile.cli.results import show_identification
 from pinmobile.errors import FileError
 from pinmobile.plant import PlantDescription
 from pinmobile.signals import Signal

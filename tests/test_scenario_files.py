@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import pinmobile as pm
-from pinmobile.cli.identify import IdentifyPaths
+from pinmobile.cli.results import IdentifyPaths
 from pinmobile.cli.scenario_file import LoadedFile, ScenarioFile, shipped_names
 from pinmobile.parts import Child, InvalidEntries, Reader, schema_of, write_text
 from pinmobile.wheels import MOTORS

@@ -100,7 +100,7 @@ def show_verification(words: Sequence[str], states: int, *, allow_code: bool) ->
     file = LoadedFile(words or [f"robot=MobileRobot(10, 1.2, {(0.15, 0.05)})"], allow_code=allow_code)
     with progress(1, "deriving and comparing"):
         verification = verify(file.content.robot, states=states)
-    console.print(f"{file.content.robot}\n{verification}", markup=False)
+    console.print(f"{file.content.robot}\n{verification}")
     console.print(
         "all methods agree" if verification.passed else "verification failed: see the rows marked DIFFERS"
     )
@@ -175,25 +175,25 @@ def show_lecture(out: Path, *, gif: bool, mp4: bool) -> int:
     with progress(6 + len(_PATHS) * (len(FIGURES) + 1 + gif + mp4)) as bar:
         begin(bar, "deriving")
         result = derivation.lecture()
-        console.print("[bold]1  Derivation[/bold], from the DH table by recursive Newton-Euler")
-        console.print(_format_equations(result), markup=False)
+        _print_heading("1  Derivation, from the DH table by recursive Newton-Euler")
+        console.print(_format_equations(result))
         begin(bar, "verifying")
         # Away from the lecture's com = (0, 0), where half of the terms vanish.
         verification = verify(MobileRobot(robot.mass, robot.yaw_inertia, com=_COM_OFFSET))
-        console.print(f"\n[bold]2  Verification[/bold], with the centre of mass at {_COM_OFFSET} m")
-        console.print(str(verification), markup=False)
+        _print_heading(f"\n2  Verification, with the centre of mass at {_COM_OFFSET} m")
+        console.print(str(verification))
         begin(bar, "simulating")
         keys = [(path, label) for path in _PATHS for label in _LABELS]
         lecture_runs, corrected_runs = (
             {key: simulate(**_loop(*key, corrected=corrected)) for key in keys} for corrected in (False, True)
         )
-        console.print("\n[bold]3  Six closed loops[/bold], m = 30 kg, Icz = 0.1 kg m^2, dt = 0.1 s, 60 s")
+        _print_heading("\n3  Six closed loops, m = 30 kg, Icz = 0.1 kg m^2, dt = 0.1 s, 60 s")
         table, agree = _format_errors(lecture_runs, corrected_runs)
-        console.print(table, markup=False)
+        console.print(table)
         begin(bar, "rolling")
         wheel_text, shifted = _compare_wheels()
-        console.print("\n[bold]4  On wheels[/bold], those of a differential drive")
-        console.print(wheel_text, markup=False)
+        _print_heading("\n4  On wheels, those of a differential drive")
+        console.print(wheel_text)
         begin(bar, "drawing")
         sections = _write_sections(folder, lecture_runs, corrected_runs, bar, gif=gif, mp4=mp4)
         begin(bar, "drawing wheels")
@@ -208,10 +208,16 @@ def show_lecture(out: Path, *, gif: bool, mp4: bool) -> int:
         Section("4  On wheels: what they change", wheel_text, [_WHEELS]),
     ]
     page = index_page(folder, "The lecture: a mobile robot as a DH chain", [*texts, *sections])
-    console.print(f"\n{_summary(verification, agree)}", markup=False)
-    console.print(f"every step of the derivation: {folder / 'derivation.txt'}", markup=False)
-    console.print(f"figures: open {page}\nsee it move: open {folder / 'circle.html'}", markup=False)
+    console.print(f"\n{_summary(verification, agree)}")
+    console.print(f"every step of the derivation: {folder / 'derivation.txt'}")
+    console.print(f"figures: open {page}\nsee it move: open {folder / 'circle.html'}")
     return 0 if agree and verification.passed else 1
+
+
+def _print_heading(words: str) -> None:
+    """Print the heading of a section, bold up to its comma."""
+    title, comma, rest = words.partition(",")
+    console.print(f"[bold]{title}[/bold]{comma}{rest}", markup=True)
 
 
 def _format_equations(derivation: "Derivation") -> str:
@@ -342,7 +348,7 @@ def _write_sections(
     for number, trajectory in enumerate(_PATHS, start=5):
         name = trajectory.replace(" ", "-")
         rollouts = {label: corrected[trajectory, label] for label in _LABELS}
-        pictures = draw(rollouts, folder, f"{name}-", bar)
+        pictures = draw(rollouts, folder, f"{name}-", bar, FIGURES)
         films = {"animation.gif": "The robot as it moves: PD, computed torque."} if gif else {}
         films |= {"film.mp4": "The robot in its scene as it moves."} if mp4 else {}
         for film, caption in films.items():

@@ -19,7 +19,7 @@ from pinmobile.files import file_errors, write
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-console = Console(highlight=False, soft_wrap=True)
+console = Console(highlight=False, markup=False, soft_wrap=True)
 _MINUTE = 60.0  # [s]
 
 

@@ -1,4 +1,6 @@
-"""Output of run, ensemble, sweep, view and play: text, figures and files."""
+"""Output of run, ensemble, sweep, view, play, export and identify: text, figures and files."""
+
+from __future__ import annotations
 
 import math
 import socket
@@ -6,9 +8,11 @@ import threading
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
+import attrs
 import numpy as np
 from matplotlib.figure import Figure
 from rich.progress import Progress
@@ -17,10 +21,13 @@ from pinmobile import (
     Diverged,
     Ensemble,
     InvalidArgument,
+    Log,
     MobileRobot,
     PinmobileError,
     Rollout,
     Sweep,
+    identify,
+    identify_velocity,
     plots,
 )
 from pinmobile.arrays import Array
@@ -35,9 +42,10 @@ from pinmobile.cli.output import (
     save_figure,
 )
 from pinmobile.cli.scenario_file import LoadedFile
+from pinmobile.identification import METHODS
 from pinmobile.loop import run_scenario, versions
 from pinmobile.metrics import format_si, metrics_of
-from pinmobile.parts import evolved
+from pinmobile.parts import child, evolved, number, option, parameters, part
 from pinmobile.plant import PlantDescription
 from pinmobile.sweeps import connect, run_points
 
@@ -51,7 +59,7 @@ FIGURES = {
     "errors": "Desired minus actual {} over time, angles on the circle.",
     "forces": "The inputs, constant between samples.",
 }
-_EXTRA_FIGURES = {
+_RUN_FIGURES = FIGURES | {
     "balance": "Tip-over margin, required friction, and the zero-moment point.",
     "reaction": "Force and moment of the arm on the base, at its mount.",
     "wheel_torques": "Torques of the wheels, and of the steering axes.",
@@ -59,28 +67,21 @@ _EXTRA_FIGURES = {
     "slip": "Velocity of each wheel over the ground, along and across.",
     "loads": "Load of each wheel.",
 }
-"""Figures of robots that have the quantity; for other robots, the plots raise `InvalidArgument`."""
+"""Figures of one run; the plots raise `InvalidArgument` for robots without the quantity."""
 
 
-def draw(rollouts: dict[str, Rollout], folder: Path, prefix: str, bar: Progress) -> list[Picture]:
-    """Write the four figures of some rollouts, one step of the progress bar each."""
+def draw(
+    rollouts: dict[str, Rollout], folder: Path, prefix: str, bar: Progress, figures: Mapping[str, str]
+) -> list[Picture]:
+    """Write figures of some rollouts, one step of the progress bar each; leave out what they do not have."""
     has_arms = any(len(run.labels) > 3 for run in rollouts.values())
     coordinates = "x, y, psi and each joint" if has_arms else "x, y and psi"
     pictures = []
-    for name, caption in FIGURES.items():
+    for name, caption in figures.items():
         begin(bar, f"drawing {prefix}{name}")
-        save_figure(getattr(plots, name)(rollouts), folder / f"{prefix}{name}.png")
-        pictures.append(Picture(f"{prefix}{name}.png", caption.format(coordinates)))
-    return pictures
-
-
-def _draw_extras(run: Rollout, folder: Path, bar: Progress) -> list[Picture]:
-    pictures = []
-    for name, caption in _EXTRA_FIGURES.items():
-        begin(bar, f"drawing {name}")
         with suppress(InvalidArgument):
-            save_figure(getattr(plots, name)(run), folder / f"{name}.png")
-            pictures.append(Picture(f"{name}.png", caption))
+            save_figure(getattr(plots, name)(rollouts), folder / f"{prefix}{name}.png")
+            pictures.append(Picture(f"{prefix}{name}.png", caption.format(coordinates)))
     return pictures
 
 
@@ -91,7 +92,7 @@ def show_run(words: Sequence[str], out: Path, film: Path | None, *, allow_code: 
     _print_base(file)
     folder = output_folder(out)
     diverged: Diverged | None = None
-    with progress(3 + len(FIGURES) + len(_EXTRA_FIGURES)) as bar:
+    with progress(3 + len(_RUN_FIGURES)) as bar:
         begin(bar, "simulating")
         try:
             with file.error_lines():
@@ -103,7 +104,7 @@ def show_run(words: Sequence[str], out: Path, film: Path | None, *, allow_code: 
         begin(bar, "recording")
         rollout.save(folder / "rollout.npz")
         rollout.to_csv(folder / "rollout.csv")
-        pictures = draw({file.title: rollout}, folder, "", bar) + _draw_extras(rollout, folder, bar)
+        pictures = draw({file.title: rollout}, folder, "", bar, _RUN_FIGURES)
         if film is not None:
             begin(bar, "filming")
             save_film({file.title: rollout}, film, file.title, bar)
@@ -111,11 +112,11 @@ def show_run(words: Sequence[str], out: Path, film: Path | None, *, allow_code: 
     if diverged is not None:
         text = f"{diverged}\n\nup to there:\n{text}"
     robot = str(file.content.robot)
-    console.print(f"robot: {robot if len(robot) < _LIMIT else f'{robot[:_LIMIT]}...'}\n{text}", markup=False)
+    console.print(f"robot: {robot if len(robot) < _LIMIT else f'{robot[:_LIMIT]}...'}\n{text}")
     page = index_page(folder, file.title, [Section("Results", text, pictures), _source_section(file)])
-    console.print(f"wrote {folder / 'rollout.npz'}, rollout.csv and figures: open {page}", markup=False)
+    console.print(f"wrote {folder / 'rollout.npz'}, rollout.csv and figures: open {page}")
     command = f"open {film}" if film is not None else f"pinmobile view {folder / 'rollout.npz'}"
-    console.print(f"see it move: {command}", markup=False)
+    console.print(f"see it move: {command}")
     if diverged is not None:
         raise diverged
     return 0
@@ -129,8 +130,6 @@ def _print_base(file: LoadedFile) -> None:
         console.print(
             f"no effect here: {', '.join(names)} of the file; the controller is "
             f"{type(file.content.controller).__name__}, select another by controller=...",
-            markup=False,
-            soft_wrap=True,
         )
 
 
@@ -206,15 +205,13 @@ def show_ensemble(words: Sequence[str], out: Path, *, allow_code: bool) -> int:
     scenario = file.scenario()
     folder = output_folder(out)
     if not file.content.spread and scenario.n > 1:
-        console.print("spread is empty: all robots are equal", markup=False)
+        console.print("spread is empty: all robots are equal")
     with progress(scenario.n) as bar:
         runs = run_scenario(scenario, progress=lambda done, _: bar.update(bar.task_ids[0], completed=done))
-    console.print(str(runs), markup=False)
+    console.print(str(runs))
     pictures = _ensemble_figures(runs, folder)
     page = index_page(folder, file.title, [Section("Results", str(runs), pictures), _source_section(file)])
-    console.print(
-        f"figures: open {page}\ncompare values or controllers: pinmobile sweep --help", markup=False
-    )
+    console.print(f"figures: open {page}\ncompare values or controllers: pinmobile sweep --help")
     return 0
 
 
@@ -235,7 +232,7 @@ def show_sweep(words: Sequence[str], out: Path | None, scheduler: str | None, *,
     client = None if scheduler is None else connect(scheduler)
     store = folder / "sweep.zarr"
     if store.exists():
-        console.print(f"{store} exists: if it is of this sweep, only what it lacks is run", markup=False)
+        console.print(f"{store} exists: if it is of this sweep, only what it lacks is run")
     try:
         with progress(len(points.scenarios) * points.n, "sweeping") as bar:
             sweep = run_points(
@@ -249,12 +246,10 @@ def show_sweep(words: Sequence[str], out: Path | None, scheduler: str | None, *,
     finally:
         if client is not None:
             client.close()
-    console.print(f"{sweep.table()}\n\n{sweep.answer()}", markup=False)
+    console.print(f"{sweep.table()}\n\n{sweep.answer()}")
     section = Section("Results", sweep.table(most=1000), _sweep_figures(sweep, folder))
     page = index_page(folder, sweep.answer(), [section, _source_section(file)])
-    console.print(
-        f"wrote {store}: xarray.open_zarr reads it, and pinmobile.Sweep.open\nopen {page}", markup=False
-    )
+    console.print(f"wrote {store}: xarray.open_zarr reads it, and pinmobile.Sweep.open\nopen {page}")
     return 0
 
 
@@ -274,19 +269,18 @@ def _sweep_figures(sweep: Sweep, folder: Path) -> list[Picture]:
     limits = (float(finite.min()), float(finite.max())) if finite.size else None
     label = f"99 % stay within [{unit}]"
     pictures = []
-    for k, (title, part) in enumerate(_slices(values / size, [name for name in varied if name not in plane])):
-        if k == _MAX_FIGURES:
-            break
+    slices = _slices(values / size, [name for name in varied if name not in plane])
+    for k, (title, content) in enumerate(islice(slices, _MAX_FIGURES)):
         columns = [(name, sweep.axes[name].unit, list(sweep.axes[name].values)) for name in plane]
-        part = part.transpose(*plane)
+        content = content.transpose(*plane)
         figure: Figure
         if is_curve:
             names = [str(one) for one in columns[0][2]] if len(plane) > 1 else [""]
-            rows = dict(zip(names, np.reshape(part.values, (len(names), -1)), strict=True))
+            rows = dict(zip(names, np.reshape(content.values, (len(names), -1)), strict=True))
             figure = plots.curves(rows, x=columns[-1], label=label, title=title or None)
         else:
             y, x = columns
-            figure = plots.heatmap(part.values, x=x, y=y, title=title or label, label=label, limits=limits)
+            figure = plots.heatmap(content.values, x=x, y=y, title=title or label, label=label, limits=limits)
         save_figure(figure, folder / f"within-{k}.png")
         caption = f"{title}{title and ': '}{label}, over {' and '.join(plane[::-1])}."
         pictures.append(Picture(f"within-{k}.png", caption))
@@ -351,12 +345,12 @@ def show_play(
         _print_address(run.url, host)
         threading.Event().wait()
     rollout = run.rollout()
-    console.print(str(rollout), markup=False)
+    console.print(str(rollout))
     if out is None:
-        console.print("to keep the run, repeat the command with --out run.npz", markup=False)
+        console.print("to keep the run, repeat the command with --out run.npz")
     else:
         rollout.save(out)
-        console.print(f"wrote {out}\nsee it move: pinmobile view {out}", markup=False)
+        console.print(f"wrote {out}\nsee it move: pinmobile view {out}")
     return 0
 
 
@@ -391,12 +385,12 @@ def show_export(
     )
     rows = [row for row in (folder / "README.md").read_text().splitlines() if row.startswith("| ")]
     files = ", ".join(sorted(each.name for each in folder.glob(f"{name}*.[ch]")))
-    console.print(f"wrote {folder}: {files}, CMakeLists.txt, README.md", markup=False)
+    console.print(f"wrote {folder}: {files}, CMakeLists.txt, README.md")
     for row in rows[1:]:
         label, _, value = row.strip("| ").partition(" | ")
-        console.print(f"  {label:22} {value}", markup=False, highlight=False)
+        console.print(f"  {label:22} {value}")
     build = f"cc -std=c99 -O2 -ffp-contract=off {name}.c {name}_test.c -lm -o {name}_test"
-    console.print(f"test it: cd {folder} && {build} && ./{name}_test", markup=False, soft_wrap=True)
+    console.print(f"test it: cd {folder} && {build} && ./{name}_test")
     return 0
 
 
@@ -407,7 +401,6 @@ def _print_address(url: str, host: str) -> None:
         f"open {url}\n"
         f"from another machine: ssh -L {number}:{host}:{number} {socket.gethostname()}\n"
         "and open the same address on that machine, with the host 127.0.0.1; Ctrl-C ends the server",
-        markup=False,
     )
     console.file.flush()
 
@@ -429,4 +422,124 @@ def _until_interrupt() -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt:
-        console.print("\nended", markup=False)
+        console.print("\nended")
+
+
+_COMMAND_COUNT = 2  # number of inputs of a robot with velocity inputs
+
+
+def _roles(name: str, value: Any) -> dict[str, Any]:
+    """Return names by role; several names are a list, or text with commas."""
+    if not isinstance(value, Mapping):
+        raise InvalidArgument(
+            f"{name} is {value!r}, expected {name}.ROLE=NAME,NAME, such as {name}.q=px,py,angle"
+        )
+    return {role: _split_names(names) for role, names in value.items()}
+
+
+def _split_names(names: Any) -> Any:
+    return names.split(",") if isinstance(names, str) and "," in names else names
+
+
+@part
+class IdentifyPaths:
+    """Options of an identification: the prior robot, and the form of the logs.
+
+    Attributes
+    ----------
+    robot : MobileRobot, WheeledRobot or WheelTable, optional
+        Prior robot, or its wheels alone; its inputs are the inputs of the logs.
+    loads : sequence of PayloadBody or "none", optional
+        Known load of each log: loads that differ identify the scale of the inputs.
+    by : str or sequence of str, optional
+        Numbers of the robot to estimate, by name or pattern.
+    method : str
+        See `identify`.
+    delay : float, optional
+        Delay of poses relative to inputs [s]; default: estimated.
+    wheelbase : float, optional
+        Known distance between the axles of a car [m]: the gain of its steering is estimated.
+    rolling_speed : float, optional
+        Speed at which dry friction has 71 % of its size [m/s], for wheels [rad/s].
+    columns, topics : mapping of str to str or sequence of str, optional
+        Columns of a CSV file, or topics of a bag, by role: t, q, u, twist, wheel_rates, joints.
+    """
+
+    robot: Any = child(object, optional=True, doc="robot, or its wheels alone", expected="a robot or wheels")
+    loads: Any = attrs.field(default=None)
+    by: Any = option(default=(), check=lambda _, x: _split_names(x), doc="numbers to estimate: NAME,NAME")
+    method: str = option(default=METHODS[0], doc=f"method: {' or '.join(METHODS)}")
+    delay: Any = number(default=None, optional=True, unit="s", doc="delay of poses relative to inputs")
+    wheelbase: Any = number(default=None, optional=True, unit="m", doc="distance between the axles of a car")
+    rolling_speed: Any = number(
+        default=None,
+        optional=True,
+        doc="speed at which dry friction has 71 % of its size",
+    )
+    columns: Any = option(
+        default=None, check=_roles, doc="columns of a CSV file by role: t, q, u, twist, wheel_rates, joints"
+    )
+    topics: Any = option(default=None, check=_roles, doc="topics of a bag or MCAP file by role")
+
+
+def show_identification(words: Sequence[str], out: Path) -> int:
+    """Print the estimates from logs, and draw the longest log beside its prediction.
+
+    Two inputs without a robot are commands of speed and yaw rate, or of a car: speed and steering angle.
+
+    Raises
+    ------
+    InvalidArgument, UnknownName
+        If an entry or a log is invalid; the message names the file.
+    """
+    paths = [Path(word) for word in words if "=" not in word]
+    if not paths:
+        raise InvalidArgument("LOG is missing, expected at least one file, such as run.csv")
+    given = LoadedFile([word for word in words if "=" in word], kind=IdentifyPaths).content
+    folder = output_folder(out)
+    logs = [_load_log(path, given) for path in paths]
+    log, path = max(zip(logs, paths, strict=True), key=lambda each: len(each[0]))
+    are_commands = log.u.shape[1] == _COMMAND_COUNT and given.robot is None
+    loads = given.loads and [None if each == "none" else each for each in given.loads]
+    with progress(2) as bar, _name_files(paths):
+        begin(bar, "identifying")
+        if are_commands:
+            for name in ("by", "loads", "rolling_speed"):
+                if getattr(given, name) not in (None, ()):
+                    raise InvalidArgument(f"{name} does not apply to a log of commands of speed and yaw rate")
+            result: Any = identify_velocity(logs, delay=given.delay, wheelbase=given.wheelbase)
+        else:
+            numbers = {name: getattr(given, name) for name in ("by", "method", "delay", "rolling_speed")}
+            result = identify(logs, given.robot, loads=loads, **numbers)
+        begin(bar, "drawing")
+        prediction, figure = result.predict(log), folder / f"{path.stem}.png"
+        save_figure(plots.prediction(prediction, title=f"{path.name}: measured and predicted"), figure)
+    for text in ([] if given.robot is None else [f"robot: {given.robot!r}"]) + [str(result), str(prediction)]:
+        console.print(text)
+    console.print(f"measured and predicted: open {figure}")
+    return 0
+
+
+def _load_log(path: Path, given: IdentifyPaths) -> Log:
+    with _name_files([path]):
+        if given.topics or path.suffix == ".mcap":
+            return Log.from_bag(path, given.topics or None)
+        return Log.from_csv(path, given.columns)
+
+
+@contextmanager
+def _name_files(paths: Sequence[Path]) -> Iterator[None]:
+    """Replace the names of logs in errors by the names of their files."""
+    try:
+        yield
+    except InvalidArgument as error:
+        argument, text = error.argument, str(error)
+        name, _, index = argument.rstrip("]").partition("[")
+        if name in parameters(IdentifyPaths):
+            raise
+        for k, path in enumerate(paths):
+            text = text.replace(f"log[{k}]", "log" if index == str(k) else repr(str(path)))
+        named = [paths[int(index)]] if name == "log" and index else paths
+        files = ", ".join(repr(str(path)) for path in named)
+        ending = text.removeprefix("path is ").removeprefix(files) if name == "path" else f": {text}"
+        raise InvalidArgument(f"LOG is {files}{ending}", argument="LOG") from error

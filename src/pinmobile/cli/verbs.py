@@ -297,7 +297,7 @@ def identify(
 
     Example: pinmobile identify run.csv columns.q=px,py,yaw "robot=WheelTable.differential(0.5, 0.1)"
     """
-    from pinmobile.cli.identify import show_identification
+    from pinmobile.cli.results import show_identification
 
     return show_identification(words, out)
 
