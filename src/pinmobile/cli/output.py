@@ -4,8 +4,10 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from html import escape
+from importlib.resources import files
 from io import BytesIO
 from pathlib import Path
+from string import Template
 from tempfile import TemporaryFile
 from threading import Event, Thread
 from typing import TYPE_CHECKING
@@ -116,30 +118,6 @@ def index_page(folder: Path, title: str, sections: Sequence[Section]) -> Path:
                 element = f'<video src="{file}" controls loop muted preload="metadata"></video>'
             body.append(f"<figure>{element}<figcaption>{caption}</figcaption></figure>")
     page = folder / "index.html"
-    write(page, _PAGE.format(title=escape(title), body="\n".join(body)).encode("utf-8"))
+    template = Template(files("pinmobile.cli").joinpath("page.html").read_text("utf-8"))
+    write(page, template.substitute(title=escape(title), body="\n".join(body)).encode("utf-8"))
     return page
-
-
-_PAGE = """<!doctype html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<title>{title}</title>
-<style>
-body {{ font: 16px/1.5 system-ui, sans-serif; color: #222; }}
-body {{ max-width: 62rem; margin: 2rem auto; padding: 0 1rem; }}
-h1, h2 {{ line-height: 1.2; }}
-h2 {{ margin-top: 2.5rem; border-top: 1px solid #ccc; padding-top: 1rem; }}
-pre {{ background: #f5f5f2; padding: 1rem; overflow-x: auto; font-size: 13px; line-height: 1.35; }}
-figure {{ margin: 1.5rem 0; }}
-img, video {{ max-width: 100%; height: auto; }}
-figcaption {{ color: #555; }}
-</style>
-</head>
-<body>
-<h1>{title}</h1>
-{body}
-</body>
-</html>
-"""
