@@ -112,7 +112,7 @@ class VelocityModel:
         ModelNumber(name, unit, True, _NEUTRAL.get(name, 0.3), np.nan, 1e-6, path=f"theta.{name}")
         if k in ABOVE_ZERO
         else ModelNumber(name, unit, False, 0.0, 1.0, 0.1, path=f"theta.{name}")
-        for k, (name, unit, _) in enumerate(THETA)
+        for k, (name, unit) in enumerate(THETA.items())
     )
     limit_rows: ClassVar[tuple[ModelNumber, ...]] = (
         ModelNumber("acceleration", "m/s^2", False, np.inf, path="accelerations.acceleration"),

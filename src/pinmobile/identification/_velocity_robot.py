@@ -38,16 +38,9 @@ from pinmobile.plant import Coordinate, Input
 from pinmobile.robot import MobileRobot
 from pinmobile.wheels import ByVoltage, Reduced, WheeledRobot, WheelTable
 
-THETA: tuple[tuple[str, str, str], ...] = (
-    ("theta_1", "s", "inertia of the speed divided by the gain of its loop"),
-    ("theta_2", "s", "inertia of the yaw rate divided by the gain of its loop"),
-    ("theta_3", "s m/rad^2", "effect of a centre of mass ahead of the axle on the speed"),
-    ("theta_4", "", "command per steady speed: 1 + losses divided by the gain"),
-    ("theta_5", "s/m", "effect of a centre of mass ahead of the axle on the yaw rate"),
-    ("theta_6", "", "command per steady yaw rate: 1 + losses divided by the gain"),
-)
-# Name, unit and meaning of each of the six parameters.
-
+# Units of the parameters by name. 1 and 2 are inertias of speed and yaw rate divided by the gain of the loop,
+# 3 and 5 effects of a centre of mass ahead of the axle, 4 and 6 commands per steady value: 1 + losses / gain.
+THETA = {f"theta_{k}": unit for k, unit in enumerate(("s", "s", "s m/rad^2", "", "s/m", ""), 1)}
 ABOVE_ZERO = 0, 1, 3, 5  # zero inertia makes the model singular; zero losses make it unstable
 
 
@@ -313,8 +306,8 @@ class VelocityRobot(VelocityInputs):
 
     theta: Any = array(
         shapes=((len(THETA),),),
-        unit=", ".join(unit for _, unit, _ in THETA),
-        labels=tuple(name for name, _, _ in THETA),
+        unit=", ".join(THETA.values()),
+        labels=tuple(THETA),
         doc="parameters of the velocity loops",
     )
     ahead: float = number(default=0.0, unit="m", doc="distance of the body origin ahead of the axle")
@@ -345,7 +338,7 @@ class VelocityRobot(VelocityInputs):
             If theta_1, theta_2, theta_4 or theta_6 is not positive.
         """
         for k in ABOVE_ZERO:
-            positive(f"theta[{k}]", self.theta[k], THETA[k][1])
+            positive(f"theta[{k}]", self.theta[k], [*THETA.values()][k])
 
     @classmethod
     def from_motors(
