@@ -245,13 +245,14 @@ def test_many_numbers_select_reverse_mode_and_elementary_functions_have_their_sl
         ({"by": ["controller.kq"]}, "unknown parameter in by 'controller.kq'"),
         ({"by": []}, "by is empty, expected paths of numbers"),
         ({"by": "mass"}, "by is 'mass', expected paths of numbers"),
-        ({"mode": "backward"}, "unknown mode 'backward', available: forward, reverse"),
         ({"loss": lambda sample: sample.error}, r"loss returned .*, expected a number"),
         ({"loss": lambda sample: 1.0 if sample.u[0] > 0 else 0.0}, "this loop has no derivative: .*np.where"),
         ({"loss": 3}, "loss is 3, expected a function of a sample or the name of a metric"),
-        ({"controller": pm.PD(1e9, 1e9)}, "loss is nan, expected a finite number: the run diverges"),
+        (
+            {"controller": pm.PD(1e9, 1e9)},
+            "loss is nan with derivatives .*, expected finite numbers",
+        ),
         ({"loss": "distance", "controller": 3}, "controller is 3"),
-        ({"reduction": "median"}, "unknown reduction 'median'"),
         ({"controller": pm.MPC(BODY), "dt": 0.05}, "this loop has no derivative: .*MPC"),
     ],
 )
@@ -323,7 +324,7 @@ def test_an_unstable_loop_and_wrong_arguments_are_reported() -> None:
     found = poles(pm.MobileRobot(30.0, 1.3), pm.PD(120, 120), still(), dt=0.05)
     assert "small deviations grow near this sample" in str(found)
     assert found.damping.min() < 0
-    with pytest.raises(pm.InvalidArgument, match=r"^at is 3.0 s, expected a time in the run, 0 to 2 s"):
+    with pytest.raises(pm.InvalidArgument, match=r"^at is 3.0 s, expected 0 <= at <= 2 s$"):
         poles(BODY, pm.PD(120, 120), still(), dt=0.05, at=3.0)
     with pytest.raises(pm.InvalidArgument, match=r"this loop has no derivative: .*MPC"):
         poles(BODY, pm.MPC(BODY), still(), dt=0.05)

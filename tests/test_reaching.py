@@ -396,16 +396,10 @@ def test_a_frames_drift_is_the_rate_of_its_jacobian(robot: pm.MobileRobot) -> No
 @pytest.mark.parametrize(
     ("options", "text"),
     [
-        ({"dt": 10.0}, r"^dt is 10\.0 s, expected at most the duration of the target, "),
-        ({"dt": 0}, "dt is 0.0 s, expected > 0"),
-        ({"damping": -1}, "damping is -1.0, expected > 0"),
+        ({"dt": 10.0}, r"^dt is 10\.0 s, expected .* <= dt <= "),
         ({"posture": [0, 1]}, r"posture has shape \(2,\), expected \(6,\), the arms' part of q"),
         ({"posture": [0, 9, 0, 0, 0, 0]}, r"posture has q\[4\] = 9, expected -6.283 <= q\[4\] <= 6.283"),
         ({"q0": [0, 1]}, r"q0 has shape \(2,\), expected \(9,\)"),
-        ({"cost": [1, 2]}, r"cost has shape \(2,\), expected \(\) or \(9,\)"),
-        ({"velocity_limit": -1}, "velocity_limit is -1.0, expected >= 0"),
-        ({"acceleration_limit": np.inf}, "acceleration_limit is inf, expected a finite number"),
-        ({"tolerance": 0}, "tolerance is 0.0, expected > 0"),
     ],
 )
 def test_what_cannot_be_resolved_is_refused(options: dict[str, Any], text: str) -> None:
@@ -418,10 +412,6 @@ def test_other_things_than_robots_targets_and_frames_are_refused() -> None:
         pm.solve_inverse_kinematics(UR5, 3)  # type: ignore[arg-type]
     with pytest.raises(UnknownName, match="unknown frame 'ur5/tool', did you mean 'ur5/tool0'"):
         pm.solve_inverse_kinematics(UR5, RING, frame="ur5/tool")
-    with pytest.raises(UnknownName, match="unknown frame"):
-        pm.EndEffectorTracking(UR5, RING, frame="tip")
-    with pytest.raises(pm.InvalidArgument, match=r"kp is -1\.0, expected >= 0"):
-        pm.EndEffectorTracking(UR5, RING, kp=-1)
 
 
 @pytest.mark.parametrize(

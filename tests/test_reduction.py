@@ -203,8 +203,6 @@ def test_steps_are_shown_as_the_lectures(kind: str) -> None:
         ({"x": np.inf}, "x is inf, expected a finite real number or a sympy expression"),
         ({"roller": pi / 2}, "roller is pi/2 rad, expected less than pi/2"),
         ({"roller": -2}, "roller is -2 rad, expected less than pi/2"),
-        ({"radius": 0}, "radius is 0 m, expected > 0"),
-        ({"spin_inertia": -1}, "spin_inertia is -1 kg m^2, expected >= 0"),
     ],
 )
 def test_a_roller_wheel_refuses(row: dict[str, Any], message: str) -> None:

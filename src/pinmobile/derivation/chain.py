@@ -258,8 +258,8 @@ class Link:
     Raises
     ------
     InvalidArgument
-        If a shape is wrong, an entry is neither a finite number nor an expression, `mass` is negative, or
-        `inertia` is not symmetric.
+        If a shape is wrong, an entry is neither a finite number nor an expression, or `inertia` is not
+        symmetric.
 
     See Also
     --------
@@ -284,8 +284,6 @@ class Link:
         object.__setattr__(self, "mass", exact_value("mass", self.mass))
         object.__setattr__(self, "com", exact_matrix("com", self.com, (3, 1)))
         object.__setattr__(self, "inertia", exact_matrix("inertia", self.inertia, (3, 3)))
-        if self.mass.is_negative:
-            raise InvalidArgument(f"mass is {self.mass} kg, expected >= 0")
         if self.inertia != self.inertia.T:
             raise InvalidArgument(f"inertia is {self.inertia.tolist()}, expected a symmetric matrix")
 

@@ -82,10 +82,6 @@ class RollerWheel:
             object.__setattr__(self, name, exact_angle(name, float(value)) if is_number else value)
         if (abs(self.roller) - sympy.pi / 2).is_nonnegative:
             raise InvalidArgument(f"roller is {format_value(self.roller)} rad, expected less than pi/2")
-        if self.radius.is_nonpositive:
-            raise InvalidArgument(f"radius is {format_value(self.radius)} m, expected > 0")
-        if self.spin_inertia.is_negative:
-            raise InvalidArgument(f"spin_inertia is {format_value(self.spin_inertia)} kg m^2, expected >= 0")
 
     @classmethod
     def general(cls, k: int) -> RollerWheel:

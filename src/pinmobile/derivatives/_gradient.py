@@ -368,14 +368,10 @@ def gradient(
     if mode is None:
         selected, reason = problem.mode()
     result = evaluate_losses(problem, {}, selected)
-    if n == 1 and not np.isfinite(result.values).all():
+    if n == 1 and not (np.isfinite(result.values).all() and np.isfinite(result.slopes).all()):
         raise InvalidArgument(
-            f"loss is {result.values[0, 0]}, expected a finite number: the run diverges, or the loss has no "
-            "value at one of its samples"
-        )
-    if n == 1 and not np.isfinite(result.slopes).all():
-        raise InvalidArgument(
-            "the derivatives are not finite: the run diverges, or a law has an infinite slope"
+            f"loss is {result.values[0, 0]} with derivatives {format_value(result.slopes[0, 0])}, expected "
+            "finite numbers: the run diverges, or the loss or a law has no finite value or slope at a sample"
         )
     with loop_errors():
         kinks, slides = problem.kinks(result.inputs)

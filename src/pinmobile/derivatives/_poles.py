@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, scalar
+from pinmobile.arrays import Array, ArrayLike, bounded, scalar
 from pinmobile.compiled import tangent
 from pinmobile.controllers import Controller, Wrapper, evaluate, notify_applied
 from pinmobile.derivatives._problem import Problem, loop_errors, problem_of
@@ -339,15 +339,12 @@ def poles(
     >>> f"{abs(found.values).max():.3f}"
     '0.920'
     """
-    if not scalar("at", at) >= 0:
-        raise InvalidArgument(f"at is {at} s, expected a time in the run")
     probe = _Probe(controller, np.zeros(plant.nu))
     options: dict[str, Any] = {"dt": dt, "forces": forces, "integrator": integrator, "substeps": substeps}
     parts = plant, probe, trajectory
     problem = problem_of(*parts, lambda _: _Inputs(), [_PROBE], (q0, v0), n=1, **options)
     t = problem.scenario.t
-    if at > t[-1]:
-        raise InvalidArgument(f"at is {at} s, expected a time in the run, 0 to {t[-1]:g} s")
+    bounded("at", scalar("at", at), least=0, most=t[-1], unit="s")
     samples = lcm(*(stated(law, "step_samples") or 1 for _, law in parts_of(problem.loop)))
     dt, last = samples * problem.scenario.dt, len(t) // samples - 1
     if last < 1 < samples:

@@ -34,7 +34,6 @@ from pinmobile.plant import Context, Plant, check_plant, reference_sizes_of, ref
 from pinmobile.trajectories import Reference, Trajectory
 
 _NO_REFERENCE = "which is not known", "give its trajectory, whose samples become tables"
-_RESERVED = {"double", "float", "int", "main", "return", "static", "struct", "union", "void"}
 _MAX_TABLE = 2e6  # numbers of the table of a trajectory
 
 
@@ -126,8 +125,6 @@ def export_c(
             f"name is {format_value(name)}, expected a name of lower-case letters, digits and _, such as "
             "'robot'"
         )
-    if name in _RESERVED:
-        raise InvalidArgument(f"name is {name!r}, a word of C, expected another name, such as 'robot'")
     paths = sequence("tunable", tunable, 'paths of numbers, such as ["kp"]')
     step, target = positive("dt", dt, "s"), location("folder", folder)
     check_plant(plant)

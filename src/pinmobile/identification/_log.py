@@ -504,8 +504,6 @@ class Log:
                 increasing(f"t_{own}", t)
                 x = np.array(shaped(name, real(name, x), (len(t), "k"), words=f", as t_{own} has"))
                 valid = ~np.isnan(x).any(axis=1)
-                if valid.sum() < 2:
-                    raise InvalidArgument(f"{name} has {valid.sum()} rows without NaN, expected two or more")
                 if name == "q" and x.shape[1] == _POSE:
                     x[valid, 2] = np.unwrap(x[valid, 2])
                 streams[name] = t, x

@@ -349,8 +349,7 @@ def drivers(
     >>> figure.get_suptitle()
     'mass drives the worst 5 % most'
     """
-    if not isinstance(ensemble, Ensemble):
-        raise InvalidArgument(f"ensemble is a {type(ensemble).__name__}, expected an Ensemble")
+    instance("ensemble", ensemble, Ensemble, "an Ensemble")
     worst = worst_share(ensemble, share, by)
     ranking = causes(ensemble, worst)
     drawn_causes = ranking[:_MAX_PARAMETERS]

@@ -371,14 +371,8 @@ def solve_inverse_kinematics(
     preferred = start if posture is None else _check_posture(body, posture)
     gain = bounded("posture_gain", non_negative("posture_gain", posture_gain, "1/s"), most=1e6, unit="1/s")
     duration = tasks[0].target.duration
-    steps = duration / positive("dt", dt, "s")
-    if dt > duration:
-        raise InvalidArgument(f"dt is {dt} s, expected at most the duration of the target, {duration:g} s")
-    if not steps <= _MAX_STEPS:
-        raise InvalidArgument(
-            f"dt is {dt} s, which gives {steps:.3g} steps, expected at most {_MAX_STEPS:,}: use a larger dt"
-        )
-    count = max(int(np.ceil(steps - 1e-9)), 2)
+    step = bounded("dt", positive("dt", dt, "s"), least=duration / _MAX_STEPS, most=duration, unit="s")
+    count = max(int(np.ceil(duration / step - 1e-9)), 2)
     controls = solver.steps(start, preferred, gain, count)
     trajectory = InverseKinematicsTrajectory(body, tasks, start, controls, drive)
     _check_errors(trajectory, limits, tolerance, min_distance)
