@@ -295,7 +295,6 @@ def test_a_run_that_diverges_keeps_what_came_before(typed: Typed, tmp_path: Path
     ("words", "text"),
     [
         ("run controller.kp=4,a controller.kd=b", "pinmobile: controller.kd=b: controller.kd is 'b', "),
-        ("run controller.kp=[4,4]", "kp has shape (2,), expected (), (3,) or (3, 3)"),
         ("run --film a.avi", "--film is 'a.avi', expected a file .html, .gif, .mp4 or .png"),
         ("run --radios 1", "No such option"),
         ("run duration=0.25", "duration is 0.25 s, expected a whole number of steps dt = 0.1 s"),
@@ -305,17 +304,14 @@ def test_a_run_that_diverges_keeps_what_came_before(typed: Typed, tmp_path: Path
         ("run differential robot.mass=25", "robot.mass is unknown, WheeledRobot has robot, table, ground"),
         ("ensemble spread.mas=1", "spread.mas=1: unknown parameter in spread 'mas', did you mean 'mass'?"),
         ("ensemble spread.mass=Normal(1,5)", "draws ("),
-        ("ensemble spread.mass=Uniform(40,20)", "low is 40.0, expected at most high, 20.0"),
         (
             "play --slider controller.kx",
             "unknown parameter in sliders 'controller.kx', did you mean 'controller.k",
         ),
         ("play --out run.csv", "--out is 'run.csv', expected a file .npz"),
         ("export --tunable kq", "unknown parameter in tunable 'kq', available: "),
-        ("export --name 1a", "name is '1a', expected a name of lower-case letters"),
         ("export controller=MPC dt=0.05 trajectory.path.duration=5", "controller cannot be exported: MPC"),
         ("parts pd", "NAME is 'pd', expected a part, did you mean 'PD'?"),
-        ("verify --states 0", "states is 0, expected a whole number >= 1"),
         ("lectur", "No such command"),
     ],
 )
@@ -693,7 +689,6 @@ def test_a_bad_log_is_answered_in_one_line(
     [
         ("none.csv", r"LOG is '\S+none\.csv', which cannot be read: No such file or directory"),
         ("run.csv columns=3", "columns=3: columns is 3, expected columns.ROLE=NAME,NAME, such as .*"),
-        ("run.csv columns.q=x,y", "columns has x, y for q, expected x, y and psi, or .*"),
         ("run.csv colums.q=x,y,psi", r"\S+: colums is unknown, available: robot, .*did you mean 'columns'\?"),
         ("run.csv by=mass", r"robot is None, expected a plant .*: add it, such as robot=MobileRobot\(.*"),
         ("run.csv columns.q=x,y,spi", "unknown column of .* 'spi', did you mean 'psi'.*"),
@@ -701,8 +696,6 @@ def test_a_bad_log_is_answered_in_one_line(
             "run.csv topics.q=/odom",
             "topics is .*, expected topics of u and of q, twist, wheel_rates or joi.*",
         ),
-        ("run.csv method=ls", "unknown method 'ls', available: output error, weak|method is 'ls', .*"),
-        ("run.csv delay=30", r"delay is 30\.0 s, expected -4\.40\d* <= delay <= 4\.40\d* s"),
         (
             "run.csv robot=WheelTabel",
             "robot=WheelTabel: robot is 'WheelTabel', expected a robot or wheels, .*",

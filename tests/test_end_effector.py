@@ -92,14 +92,12 @@ TWO = poses([R0, R1], [(0, 0, 0), (1, 0, 0)])
 
 test_poses_that_make_no_path_are_refused = refusals(
     (lambda: pm.PosePath.through(TWO), r"times is not given, expected the time of each pose"),
-    (lambda: pm.PosePath.through(TWO, [0]), r"times has shape \(1,\), expected \(2,\), one for each pose"),
     (
         lambda: pm.PosePath.through([*TWO, TWO[0]], [0, 1, 1]),
         r"times\[2\] is 1\.0 s after 1\.0 s, expected more",
     ),
     (lambda: pm.PosePath.through(TWO, [1, 2]), r"times\[0\] is 1\.0 s, expected 0"),
     (lambda: pm.PosePath.through(TWO, [0, -1]), r"times\[1\] is -1\.0 s after 0\.0 s, expected more"),
-    (lambda: pm.PosePath.through(TWO[:1], [0]), r"poses has shape \(1, 4, 4\), expected \(n, 4, 4\), n >= 2"),
     (lambda: pm.PosePath.through(2 * TWO, [0, 1]), r"poses has last rows off by 1"),
     (
         lambda: pm.PosePath.through(poses([R0, turned(("z", np.pi))], [(0, 0, 0)] * 2), [0, 1]),
@@ -119,7 +117,6 @@ test_poses_that_make_no_path_are_refused = refusals(
     (lambda: pm.PosePath(STAYS, R0, times=[0, 6]), r"times is given with one rotation, expected n of them"),
     (lambda: pm.PosePath(STAYS, R0, R1, turn=(0, 0, 1)), r"final_rotation and turn are given, expected one"),
     (lambda: pm.PosePath(STAYS, turn=(0, 0, 1)), r"turn is given without rotation, expected both"),
-    (lambda: pm.PosePath(STAYS, R0, turn=3.0), r"turn has shape \(\), expected \(3,\): axis times angle"),
     (lambda: pm.PosePath(STAYS, np.ones((2, 2, 2)), times=[0, 6]), r"rotation has shape \(2, 2, 2\)"),
 )
 
@@ -304,9 +301,7 @@ def test_the_figure_has_path_height_and_both_errors(run: pm.Rollout) -> None:
     nothing = plots.end_effector(replace_reference(run))
     assert [axes.texts[0].get_text() for axes in nothing.axes[2:]] == ["there is no target"] * 2
     for options, text in (
-        ({"width": -1}, "width is -1.0 in, expected 0.5 <= width <= 100 in"),
         ({"ax": grid[0, 0]}, "ax is one Axes, expected 4, one for each panel, or a figure"),
-        ({"ax": sheet, "width": 3.0}, "width is 3.0, expected None with ax, because its figure has a width"),
     ):
         with refused(text):
             plots.end_effector(run, **options)

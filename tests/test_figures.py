@@ -48,14 +48,6 @@ def test_at_one_column_of_a_paper_no_word_is_cut_or_meets_another(name: str) -> 
         assert {text.get_fontsize() for text in figure.findobj(Text) if text.get_text()} >= {8.0}
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("name", ["bands", "friction", "integrator"])
-def test_at_both_columns_too(name: str) -> None:
-    figure = page.FIGURES[name](width=7)
-    assert figure.get_figwidth() == 7.0
-    assert not style.layout_problem(figure, figure.axes)
-
-
 def test_a_figure_too_narrow_for_its_words_is_refused() -> None:
     words = r"^width is 1.2 in, in which .*: expected a wider figure, or smaller letters, now rcParams\["
     for name in ("path", "curves"):
@@ -82,11 +74,6 @@ def test_a_figure_of_ones_own_too_small_is_refused() -> None:
     for part in (whole.subfigures(), whole):
         with pytest.raises(InvalidArgument, match=words):
             draw(ax=part)
-
-
-def test_what_fits_in_a_narrow_figure_fits_in_a_wider_one() -> None:
-    # Where its title meets the power of ten of an axis matplotlib moves it, up to the label above.
-    assert plots.errors(RUNS, width=3.5).get_figwidth() == 3.5
 
 
 @pytest.mark.parametrize("name", PANELS)

@@ -730,8 +730,6 @@ test_a_log_that_tells_something_else_is_refused_with_what_it_is = refusals(
     (lambda: pm.identify(log(), on_wheels(BODY)), r"^log has 3 inputs, expected 2: .* left, right; is the"),
     (lambda: pm.identify("run.csv"), r"^log is 'run.csv', expected .*: use Log.from_csv$"),  # type: ignore[arg-type]
     (lambda: pm.identify(driven()), r"^log is .*, expected .*: use Log.from_rollout$"),  # type: ignore[arg-type]
-    (lambda: pm.identify(log(), delay=30), r"^delay is 30\.0 s, expected -4\.402 <= delay <= 4\.402 s$"),
-    (lambda: pm.Log(*np.zeros((3, 0))), r"^t has shape \(0,\), expected \(N,\), N >= 2$"),
     (
         lambda: changed(t=lambda t: np.floor(10 * t) / 10),
         r"^t has the time of the row before in 1[0-9]+ of 2201 rows, expected increasing times: were they",

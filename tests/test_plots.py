@@ -153,17 +153,9 @@ class TestPath:
             (axes,) = plots.path(replace(run, plant=plant)).axes
             assert len(robots(axes)) == 1
 
-    def test_five_rollouts_make_two_rows(self, circle: Runs) -> None:
-        figure = plots.path({str(k): circle["PD"] for k in range(5)})
-        assert len(figure.axes) == 5
-        assert [axes.get_xlabel() for axes in figure.axes] == ["", "", "x [m]", "x [m]", "x [m]"]
-        assert [axes.get_ylabel() for axes in figure.axes] == ["y [m]", "", "", "y [m]", ""]
-
     def test_times(self, circle: Runs) -> None:
         with pytest.raises(InvalidArgument, match=r"^times\[1\] is 61.0 s, expected 0 <= times <= 60 s$"):
             plots.path(circle, times=[0, 61])
-        with pytest.raises(InvalidArgument, match=r"^times has shape \(1, 1\), expected \(n,\)$"):
-            plots.path(circle, times=[[0]])
 
 
 class TestSeries:
@@ -387,13 +379,8 @@ class TestAnimate:
         assert (right[0] != right[-1]).any()
 
     def test_bad_arguments(self, circle: Runs, tmp_path: Path) -> None:
-        for name, options, message in (
-            ("robot.gif", {"fps": 60}, r"^fps is 60.0 1/s, expected 0 < fps <= 50 1/s$"),
-            ("robot.gif", {"speed": -1}, r"^speed is -1.0, expected > 0$"),
-            ("robot.mp4", {}, r"^path is '.*robot.mp4', expected a name that ends in '.gif'$"),
-        ):
-            with pytest.raises(InvalidArgument, match=message):
-                plots.animate(circle["PD"], tmp_path / name, **options)  # type: ignore[arg-type]
+        with pytest.raises(InvalidArgument, match=r"^path is '.*', expected a name that ends in '.gif'$"):
+            plots.animate(circle["PD"], tmp_path / "robot.mp4")
         assert list(tmp_path.iterdir()) == []
 
 

@@ -163,8 +163,6 @@ def test_limits_of_the_inputs_are_applied() -> None:
         ((1.0, [0, np.nan, 0], [0, 0, 0]), r"^q.* is nan"),
         ((1.0, [0, 0, 0], [0, np.inf, 0]), r"^v.1. is inf, expected a finite number"),
         ((1.0, [0, 0], [0, 0, 0]), r"^q has shape \(2,\), expected \(3,\)"),
-        ((1.0, 0.0, [0, 0, 0]), r"^q has shape \(\), expected \(3,\)"),
-        ((1.0, [0, 0, 0], [[0, 0, 0]] * 3), r"^v has shape \(3, 3\), expected \(3,\)"),
         ((1.0, [0, 0, "a"], [0, 0, 0]), r"^q is "),
         (
             (1.0, [0, 0, 0], [0, 0, 0], Reference(np.full(3, np.nan), *np.zeros((2, 3)))),
@@ -419,10 +417,6 @@ def test_an_invalid_measurement_stops_the_robot(robot: Robot, found: Any, messag
     ("options", "message"),
     [
         ({"rate": 500}, "^rate is 500 Hz, expected 1 / dt of the stepper, 1000 Hz"),
-        ({"duration": -1}, "^duration is -1.0 s"),
-        ({"stale": 0}, "^stale is 0.0 s"),
-        ({"limit": -1}, "^limit is -1.0"),
-        ({"priority": 100}, "^priority is 100"),
         ({"stop": 3}, "^stop is 3"),
     ],
 )

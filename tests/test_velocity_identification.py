@@ -159,7 +159,6 @@ def changed(log: pm.Log, **new: Any) -> pm.Log:
 
 test_what_is_no_such_log_is_refused = refusals(
     (lambda: pm.identify_velocity(3), "log is 3, expected a Log or a sequence of Log"),  # type: ignore[arg-type]
-    (lambda: pm.identify_velocity([]), r"log is \[\], expected a Log"),
     (
         lambda: pm.identify_velocity(logged().between(0.0, 30.0)),
         r"29.9 s long, too short: it gives 14 blocks of 2 s, expected at least 20 .*: a log of 41 s",
@@ -172,13 +171,10 @@ test_what_is_no_such_log_is_refused = refusals(
         lambda: pm.identify_velocity(changed(logged(), u=np.ones((601, 2)))),
         "constant commands, expected changing commands, such as RandomSteps",
     ),
-    (lambda: pm.identify_velocity(logged(), delay=9.0), r"delay is 9.0 s, expected 0 <= delay <= 0.6 s"),
     (lambda: pm.identify_velocity(logged(), ahead=None), r"ahead is None, expected a number \[m\]"),
-    (lambda: pm.identify_velocity(logged(), ahead=100.0), "ahead is 100.0 m, expected -10 <= ahead <= 10 m"),
     (lambda: pm.identify_velocity(logged(), accelerations=(1, 1, 1)), r"accelerations has shape"),
     (lambda: found().predict(logged(), 0.1), "seconds is 0.1 s, expected >= 0.3"),
     (lambda: pm.identify_velocity([logged(), logged(pose=True)]), "log has no twist, expected"),
-    (lambda: found().interval(1.0), "level is 1.0, expected 0 < level < 1"),
     (lambda: found().predict(logged(pose=True)), "log has no twist, expected"),
 )
 
