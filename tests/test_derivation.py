@@ -455,8 +455,6 @@ BODY: dict[str, Any] = {"m": 1.0, "xbc": 0.0, "ybc": 0.0, "Icz": 1.0}
     ("q", "params", "error", "message"),
     [
         ([1, 2], BODY, InvalidArgument, "q has shape (2,), expected (..., 3)"),
-        ([1, 2, np.nan], BODY, InvalidArgument, "q[2] is nan, expected a finite number"),
-        ([1, 2, 3], {**BODY, "m": np.inf}, InvalidArgument, "params['m'] is inf, expected a finite number"),
         ([1, 2, 3], {"m": 1}, InvalidArgument, "params lacks xbc, ybc, Icz, expected m, xbc, ybc, Icz"),
         (
             [1, 2, 3],
@@ -464,7 +462,6 @@ BODY: dict[str, Any] = {"m": 1.0, "xbc": 0.0, "ybc": 0.0, "Icz": 1.0}
             UnknownName,
             "unknown parameter 'mass', available: m, xbc, ybc, Icz",
         ),
-        ([1, 2, 3], 3, InvalidArgument, "params is 3, expected a mapping with m, xbc, ybc, Icz"),
         (
             np.zeros((2, 3)),
             {**BODY, "m": np.ones(3)},
@@ -555,7 +552,6 @@ PAIR = DHTable((DHRow(0, 0, 0, 0, R, "q1"), DHRow(0, 1, 0, 0, R, "q2")))
 @pytest.mark.parametrize(
     ("arguments", "error", "message"),
     [
-        ({"table": 1}, InvalidArgument, "table is 1, expected a DHTable, or its rows"),
         (
             {"table": [1]},
             InvalidArgument,
@@ -563,30 +559,12 @@ PAIR = DHTable((DHRow(0, 0, 0, 0, R, "q1"), DHRow(0, 1, 0, 0, R, "q2")))
         ),
         ({"links": [None, None]}, InvalidArgument, "links is (None, None), expected 1 of Link or None"),
         ({"links": [3]}, InvalidArgument, "links is (3,), expected 1 of Link or None"),
-        ({"links": 3}, InvalidArgument, "links is 3, expected a sequence of Link or None"),
-        ({"order": "q1"}, InvalidArgument, "order is 'q1', expected a sequence of names"),
         ({"order": ["q7"]}, InvalidArgument, "order is ('q7',), expected a permutation of ('q1',)"),
-        ({"order": [7]}, InvalidArgument, "order is (7,), expected a permutation of ('q1',)"),
-        (
-            {"order": ["q1", "q1"]},
-            InvalidArgument,
-            "order is ('q1', 'q1'), expected a permutation of ('q1',)",
-        ),
         ({"gravity": (0, 0)}, InvalidArgument, "gravity is (0, 0), expected 3 entries"),
-        (
-            {"gravity": (0, 0, float("nan"))},
-            InvalidArgument,
-            "gravity is nan, expected a finite real number or a sympy expression",
-        ),
         (
             {"links": [Link(symbols("q1"), (0, 0, 0), zeros(3, 3))]},
             InvalidArgument,
             "links and table give ['q1'] two meanings, expected distinct names",
-        ),
-        (
-            {"table": DHTable((DHRow(0, 0, 0, 0, R, "x"), DHRow(0, 0, 0, 0, R, "xdot")))},
-            InvalidArgument,
-            "links and table give ['xdot'] two meanings, expected distinct names",
         ),
     ],
 )

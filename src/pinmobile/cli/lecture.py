@@ -9,24 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from rich.progress import Progress
 
-from pinmobile import (
-    PD,
-    Backstepping,
-    Circle,
-    ComputedTorque,
-    ControlAllocation,
-    CubicVia,
-    Engine,
-    InvalidArgument,
-    MobileRobot,
-    Rollout,
-    Tangent,
-    UnicycleTracking,
-    WheeledRobot,
-    WheelTable,
-    plots,
-    simulate,
-)
+import pinmobile as pm
+from pinmobile import plots
 from pinmobile.cli.output import (
     Picture,
     Section,
@@ -61,9 +45,9 @@ EXPECTED = {
 
 _VIA: dict[str, Any] = {"start": (0, 0), "via": (2, 2), "end": (0, 4), "t_via": 30.0, "t_end": 60.0}
 _PATHS: dict[str, Any] = {
-    "via stop": CubicVia(**_VIA, via_velocity=(0, 0)),
-    "via free": CubicVia(**_VIA),
-    "circle": Circle(3.0, 0.1, 60.0),
+    "via stop": pm.CubicVia(**_VIA, via_velocity=(0, 0)),
+    "via free": pm.CubicVia(**_VIA),
+    "circle": pm.Circle(3.0, 0.1, 60.0),
 }
 _LABELS = "PD", "computed torque"
 _GAINS = (120.0, 120.0, 0.4)
@@ -74,19 +58,19 @@ _WHEELS = Picture(
     f"{_OFFSET:g} m beside the path at the start: the free body slides back; on wheels PD does not come "
     "back, for no wheel pushes sideways, and backstepping steers back.",
 )
-Runs = dict[tuple[str, str], Rollout]
+Runs = dict[tuple[str, str], pm.Rollout]
 
 
 def _loop(path: str, label: str, *, corrected: bool) -> dict[str, Any]:
     """Return the arguments of `simulate` for a loop of the lecture, with its or the corrected heading."""
-    robot, curve = MobileRobot.lecture(), _PATHS[path]
+    robot, curve = pm.MobileRobot.lecture(), _PATHS[path]
     difference = planar_difference if corrected else plain_difference
     return {
         "plant": robot,
-        "controller": PD(_GAINS, _GAINS, difference)
+        "controller": pm.PD(_GAINS, _GAINS, difference)
         if label == "PD"
-        else ComputedTorque(robot, 4.0, 4.0, difference),
-        "trajectory": Tangent(curve, _TURN_TIME) if corrected else LectureHeading(curve),
+        else pm.ComputedTorque(robot, 4.0, 4.0, difference),
+        "trajectory": pm.Tangent(curve, _TURN_TIME) if corrected else LectureHeading(curve),
         "dt": 0.1,
         "integrator": constant_acceleration,
     }
@@ -113,7 +97,7 @@ def show_derivation(words: Sequence[str], *, latex: bool, allow_code: bool) -> i
 
     robot = LoadedFile(words, allow_code=allow_code).content.robot
     with progress(1, "deriving"):
-        if isinstance(robot, WheeledRobot):
+        if isinstance(robot, pm.WheeledRobot):
             kind = robot.mobility.mobility, robot.mobility.steerability
             by_type = {
                 (2, 0): derivation.differential_drive,
@@ -121,7 +105,7 @@ def show_derivation(words: Sequence[str], *, latex: bool, allow_code: bool) -> i
                 (1, 1): derivation.car,
             }
             if kind not in by_type:
-                raise InvalidArgument(
+                raise pm.InvalidArgument(
                     f"robot has wheels of type {kind}, expected {', '.join(map(str, by_type))}: a "
                     "differential drive, wheels with rollers, or a car"
                 )
@@ -146,7 +130,7 @@ def _derive_chain(robot: Any) -> "Derivation":
 
     table = robot.chain
     if table is None:
-        raise InvalidArgument(
+        raise pm.InvalidArgument(
             "robot has arms that do not continue the DH table of the base, expected none, or "
             "MobileRobot.from_dh(table, bodies)"
         )
@@ -169,7 +153,7 @@ def show_lecture(out: Path, *, gif: bool, mp4: bool) -> int:
     """Print the results of the lecture and write its figures; return 0 if all numbers agree."""
     from pinmobile import derivation, verify  # sympy is not needed by the other commands
 
-    robot, folder = MobileRobot.lecture(), output_folder(out)
+    robot, folder = pm.MobileRobot.lecture(), output_folder(out)
     if mp4:
         check_film(folder / "film.mp4")
     with progress(6 + len(_PATHS) * (len(FIGURES) + 1 + gif + mp4)) as bar:
@@ -179,13 +163,13 @@ def show_lecture(out: Path, *, gif: bool, mp4: bool) -> int:
         console.print(_format_equations(result))
         begin(bar, "verifying")
         # Away from the lecture's com = (0, 0), where half of the terms vanish.
-        verification = verify(MobileRobot(robot.mass, robot.yaw_inertia, com=_COM_OFFSET))
+        verification = verify(pm.MobileRobot(robot.mass, robot.yaw_inertia, com=_COM_OFFSET))
         _print_heading(f"\n2  Verification, with the centre of mass at {_COM_OFFSET} m")
         console.print(str(verification))
         begin(bar, "simulating")
         keys = [(path, label) for path in _PATHS for label in _LABELS]
         lecture_runs, corrected_runs = (
-            {key: simulate(**_loop(*key, corrected=corrected)) for key in keys} for corrected in (False, True)
+            {key: pm.simulate(**_loop(*key, corrected=is_so)) for key in keys} for is_so in (False, True)
         )
         _print_heading("\n3  Six closed loops, m = 30 kg, Icz = 0.1 kg m^2, dt = 0.1 s, 60 s")
         table, agree = _format_errors(lecture_runs, corrected_runs)
@@ -267,12 +251,12 @@ def _error_rows(path: str, lecture: Runs, corrected: Runs) -> list[str]:
     ]
 
 
-def _compare_wheels() -> tuple[str, dict[str, Rollout]]:
+def _compare_wheels() -> tuple[str, dict[str, pm.Rollout]]:
     """Return a comparison with a differential drive as text, and runs that start beside a path."""
-    table = WheelTable.differential(
+    table = pm.WheelTable.differential(
         0.3, 0.1, supports=[(0.2, 0), (-0.2, 0)], mass=0.5, spin_inertia=2.5e-3, yaw_inertia=1.3e-3
     )
-    wheeled = WheeledRobot(MobileRobot.lecture(), table)
+    wheeled = pm.WheeledRobot(pm.MobileRobot.lecture(), table)
     head = f"{'':10} {'':23} {'free body':>21}   {'on wheels':>21}"
     columns = f"{'on path':>10} {'beside':>10}"
     lines = [
@@ -281,20 +265,20 @@ def _compare_wheels() -> tuple[str, dict[str, Rollout]]:
         head,
         f"{'trajectory':10} {'controller':23} {columns}   {columns}",
     ]
-    runs: dict[str, Rollout] = {}
+    runs: dict[str, pm.Rollout] = {}
     for path in _PATHS:
         for label in _LABELS:
             loop, is_pd = _loop(path, label, corrected=True), label == "PD"
             law: Any = (
-                ControlAllocation(loop["controller"], wheeled)
+                pm.ControlAllocation(loop["controller"], wheeled)
                 if is_pd
-                else Backstepping(UnicycleTracking(), wheeled, k=4)
+                else pm.Backstepping(pm.UnicycleTracking(), wheeled, k=4)
             )
             wheel_loop = loop | {
                 "plant": wheeled,
                 "controller": law,
                 "integrator": None,
-                "engine": Engine.COMPILED,
+                "engine": pm.Engine.COMPILED,
             }
             errors, offset = zip(*(_path_errors(one) for one in (loop, wheel_loop)), strict=True)
             numbers = (f"{largest:10.1e} {final:10.1e}" for largest, final in errors)
@@ -311,24 +295,23 @@ def _compare_wheels() -> tuple[str, dict[str, Rollout]]:
     return "\n".join(lines), runs
 
 
-def _path_errors(loop: dict[str, Any]) -> tuple[tuple[float, float], Rollout]:
+def _path_errors(loop: dict[str, Any]) -> tuple[tuple[float, float], pm.Rollout]:
     """Return the largest distance from the path, the final distance after a start beside it, and this run."""
-    run = simulate(**loop)
+    run = pm.simulate(**loop)
     x, y, psi = run.q[0, :3]
     q0 = run.q[0].copy()
     q0[:2] = x - _OFFSET * math.sin(psi), y + _OFFSET * math.cos(psi)
-    offset = simulate(**loop, q0=q0, v0=run.v[0])
+    offset = pm.simulate(**loop, q0=q0, v0=run.v[0])
     nominal, final = (np.hypot(*(one.reference.q - one.q[:, :3])[:, :2].T) for one in (run, offset))
     return (float(nominal.max()), float(final[-1])), offset
 
 
-def _heading_error(wheeled: WheeledRobot) -> str:
+def _heading_error(wheeled: pm.WheeledRobot) -> str:
     """Return the error for the heading of the lecture, which jumps at the start of the path."""
     try:
-        simulate(
-            wheeled, Backstepping(UnicycleTracking(), wheeled), LectureHeading(_PATHS["via stop"]), dt=0.1
-        )
-    except InvalidArgument as error:
+        law = pm.Backstepping(pm.UnicycleTracking(), wheeled)
+        pm.simulate(wheeled, law, LectureHeading(_PATHS["via stop"]), dt=0.1)
+    except pm.InvalidArgument as error:
         return str(error)
     return ""
 
