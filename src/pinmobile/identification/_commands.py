@@ -233,7 +233,7 @@ class Run(NamedTuple):
         Commands.
     y, calm : ndarray, shape (N, k)
         Measurements, and the same without gross outliers.
-    seen : ndarray of bool, shape (N,)
+    is_valid : ndarray of bool, shape (N,)
         Rows with a measurement.
     nu : ndarray, shape (N, 2)
         Speed and yaw rate, filtered if poses are measured.

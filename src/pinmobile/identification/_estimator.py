@@ -41,7 +41,7 @@ class Linear(NamedTuple):
     ----------
     normal : ndarray, shape (S, blocks, 1 + P, 1 + P)
         Products of the columns e and J of each block.
-    back : ndarray, shape (S, n, 1 + P)
+    start_change : ndarray, shape (S, n, 1 + P)
         Best change of the initial states, and minus its slopes by the numbers.
     e : ndarray, shape (S, L m)
         White residuals without the part that initial states explain.

@@ -434,7 +434,7 @@ class _Estimate(NamedTuple):
     ----------
     fit : Fit
         Fit to the residuals, whitened if force noise contributes to them.
-    plain : Fit
+    first_fit : Fit
         Fit of the initial states alone to residuals that are not whitened.
     gradient : ndarray, shape (P,)
         Contribution of input noise to the gradient.

@@ -139,7 +139,7 @@ class Samples(NamedTuple):
         Time step [s].
     t : ndarray, shape (N,)
         Times since the first sample [s].
-    seen : ndarray of bool, shape (N,)
+    is_valid : ndarray of bool, shape (N,)
         Whether the row was measured; other rows are interpolated.
     u, q, twist, wheel_rates, joints : ndarray, shape (N, ...), or None
         Arrays of `Log`.

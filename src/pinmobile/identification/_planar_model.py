@@ -174,7 +174,7 @@ class PlanarModel:
         Speed at which dry friction has 71 % of its size.
     wheels : tuple of str
         Names of the driven wheels with friction; empty for a body driven by forces.
-    scaled : bool
+    has_scale : bool
         Whether the last entry of phi is the scale of the inputs.
     motors : tuple of Motor
         Motor of each input if any input is a voltage; otherwise empty.

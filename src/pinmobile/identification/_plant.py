@@ -103,7 +103,7 @@ class PlantProblem:
     ----------
     plant : plant
         Prior plant.
-    found : sequence of Found
+    unknowns : tuple of NumberRef
         The unknown numbers.
     base : ndarray, shape (k,)
         Numbers at zero steps.

@@ -52,7 +52,7 @@ class Segments(NamedTuple):
         First estimates of the initial states.
     inputs : ndarray, shape (N, nu)
         Inputs of all logs.
-    at : ndarray of int, shape (S, W)
+    rows : ndarray of int, shape (S, W)
         Rows of the inputs near a segment.
     lead : int
         Number of these rows before the first sample.
@@ -142,7 +142,7 @@ class Quantity(NamedTuple):
     ----------
     name, unit : str
         Name and unit.
-    bounded : bool
+    nonnegative : bool
         Whether the number cannot be negative.
     path : str
         Name in a spread.
@@ -343,7 +343,7 @@ def linearize(
 
     The slopes are exact: those of the states follow the tangents of the integrator's steps, and an imaginary
     step (Squire and Trapp 1998) differentiates the model's arithmetic. The slope by a delay is that of one
-    side at a whole sample. If the model has a `moves` delay, its slope is the difference over two samples.
+    side at a whole sample. The slope by a `delay_index` is the difference over two samples.
     """
     if isinstance(model, Simulator):
         return model.linearize(segments, p, starts, numbers)

@@ -343,7 +343,7 @@ class _Trial(NamedTuple):
         The segments.
     fit : Fit
         Output error.
-    lost : ndarray of bool, shape (P,)
+    weak : ndarray of bool, shape (P,)
         Mask of the numbers that are not identifiable.
     covariance : ndarray, shape (P, P)
         Covariance by the jackknife over blocks.

@@ -45,7 +45,7 @@ ABOVE_ZERO = 0, 1, 3, 5  # zero inertia makes the model singular; zero losses ma
 
 
 def rates_of(theta: Any, limit: Any, nu: Any, u: Any) -> Any:
-    """Return the rates of speed and yaw rate nu for commands u, limited to +-most, shape (..., 2)."""
+    """Return the rates of speed and yaw rate nu for commands u, limited to +-limit, shape (..., 2)."""
     speed, w = nu[..., 0], nu[..., 1]
     one, two, three, four, five, six = (theta[..., k] for k in range(len(THETA)))
     faster = (three * (w * w) - four * speed + u[..., 0]) / one

@@ -99,7 +99,7 @@ class WeakForm:
         Model of the robot.
     Y : ndarray, shape (n, k, p)
         Regressor, without columns of offsets and of an unknown input scale.
-    known : ndarray, shape (n, k)
+    known_forces : ndarray, shape (n, k)
         Forces of known inertia and loads.
     rates : list of ndarray, shape (a, N)
         Rates with friction, for each log.
