@@ -12,8 +12,7 @@ from pinmobile.controllers import InputDelay
 from pinmobile.forces import SinusoidalForce
 from pinmobile.integrators import constant_acceleration, semi_implicit_euler
 from pinmobile.loop import Loop, Samples
-from pinmobile.loop._program import Compiled
-from pinmobile.loop._python import python_samples
+from pinmobile.loop._engines import Compiled, python_samples
 from pinmobile.parts import evolved
 from pinmobile.plant import Context
 from pinmobile.trajectories import Reference

@@ -12,7 +12,7 @@ from pinmobile.compiled import robot_keys
 from pinmobile.forces import SinusoidalForce
 from pinmobile.integrators import RungeKuttaNystrom, constant_acceleration, rk4, semi_implicit_euler
 from pinmobile.loop import Loop, Samples, _trace
-from pinmobile.loop._program import Compiled
+from pinmobile.loop._engines import Compiled
 from pinmobile.parts import evolved, replace
 from pinmobile.trajectories import Reference
 from tests.frozen import loops

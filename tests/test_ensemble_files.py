@@ -12,7 +12,7 @@ from scipy import stats
 import pinmobile as pm
 from pinmobile import plots
 from pinmobile.loop import Engine, Outline, causes, run_scenario, worst_share
-from pinmobile.loop._variables import ROBOT_ARRAYS
+from pinmobile.loop._description import ROBOT_ARRAYS
 from tests.damage import answer, damaged
 from tests.refusals import refused
 

@@ -14,7 +14,7 @@ from pinmobile.derivatives import gradient
 from pinmobile.errors import UnknownName
 from pinmobile.forces import NoiseForce, PayloadForce, SinusoidalForce
 from pinmobile.loop import TRUE_MODEL, ErrorQuantile, Relative, causes, run_scenario
-from pinmobile.loop._variables import bins_of, edges, quantiles
+from pinmobile.loop._description import bins_of, edges, quantiles
 from pinmobile.parts import evolved
 from pinmobile.plant import Context
 from tests.refusals import refusals, refused

@@ -14,8 +14,7 @@ from pinmobile.controllers import AdaptiveVelocity, DynamicFeedback, Kanayama, V
 from pinmobile.errors import NotTraceable
 from pinmobile.loop import Loop, Samples
 from pinmobile.loop._checks import sample_reference, select_integrator
-from pinmobile.loop._program import Compiled
-from pinmobile.loop._python import python_samples
+from pinmobile.loop._engines import Compiled, python_samples
 from pinmobile.parts import numbers, replace
 from pinmobile.plant import Context
 from pinmobile.trajectories import Reference

@@ -23,7 +23,7 @@ from pinmobile.compiled import Cache, Target, identity, processor
 from pinmobile.compiled.processor import LOOP
 from pinmobile.forces import NoiseForce
 from pinmobile.integrators import semi_implicit_euler
-from pinmobile.loop import _program
+from pinmobile.loop import _engines
 from pinmobile.loop._trace import Trace
 
 ROBOT = pm.MobileRobot(30.0, 1.3, com=(0.1, 0.05))
@@ -36,7 +36,7 @@ class Process:
     def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         self.folder, self.traced = folder, 0
         monkeypatch.setenv("PINMOBILE_CACHE", str(folder))
-        monkeypatch.setattr(_program, "Trace", self._trace)
+        monkeypatch.setattr(_engines, "Trace", self._trace)
         self.begin()
 
     def _trace(self, *given: Any) -> Trace:
@@ -44,7 +44,7 @@ class Process:
         return Trace(*given)
 
     def begin(self) -> None:
-        _program._programs.clear()
+        _engines._programs.clear()
         processor._functions.clear()
         self.traced = 0
 
@@ -458,10 +458,10 @@ def test_another_process_finds_the_loop_whatever_its_seed_of_hashes(process: Pro
     LOOPS["wrappers"]()
     before = process.loops
     code = (
-        "from pinmobile.loop import _program\n"
+        "from pinmobile.loop import _engines\n"
         "def refuse(*given, **options): raise SystemExit('traced')\n"
         "from tests.test_identity import LOOPS\n"
-        "_program.Trace = refuse\n"
+        "_engines.Trace = refuse\n"
         "LOOPS['a law'](); LOOPS['wrappers']()\n"
     )
     words = [sys.executable, "-c", code]

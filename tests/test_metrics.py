@@ -15,7 +15,7 @@ from pinmobile.balance import MotionStates, tip_over_margin
 from pinmobile.compiled import BINS
 from pinmobile.errors import UnknownName
 from pinmobile.loop import run_scenario
-from pinmobile.loop._variables import bins_of, quantiles
+from pinmobile.loop._description import bins_of, quantiles
 from pinmobile.metrics import Metric, size_of, value_of
 from pinmobile.reaching.poses import error_sizes, pose_error
 from pinmobile.urdf import Body

@@ -13,7 +13,7 @@ import pytest
 import pinmobile as pm
 from pinmobile.errors import SlowerEngine, UnknownName
 from pinmobile.loop import Engine, Loop, part_of, run_scenario
-from pinmobile.loop._variables import ROBOT_ARRAYS
+from pinmobile.loop._description import ROBOT_ARRAYS
 from pinmobile.parts import find, replace
 from pinmobile.trajectories import LectureHeading
 from tests.parts import (

@@ -18,7 +18,7 @@ import pytest
 import pinmobile as pm
 from pinmobile.errors import UnknownName
 from pinmobile.loop import run_scenario
-from pinmobile.loop._variables import edges
+from pinmobile.loop._description import edges
 from pinmobile.metrics import Metric
 from pinmobile.parts import evolved
 from pinmobile.sweeps import Axis, Points

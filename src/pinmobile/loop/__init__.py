@@ -1,6 +1,5 @@
 """Closed loops: `simulate` runs one robot, `ensemble` many; `Rollout` and `Ensemble` are their results."""
 
-from pinmobile.loop._causes import Cause as Cause, causes as causes, worst_share as worst_share
 from pinmobile.loop._checks import (
     check_forces as check_forces,
     check_substeps as check_substeps,
@@ -9,28 +8,51 @@ from pinmobile.loop._checks import (
     select_integrator as select_integrator,
 )
 from pinmobile.loop._description import (
+    LEVELS as LEVELS,
+    NOTE as NOTE,
+    ROBOT_ARRAYS as ROBOT_ARRAYS,
+    SUMS as SUMS,
+    Arguments,
     Outline,
+    Part,
+    check_share as check_share,
     contents as contents,
+    coordinates as coordinates,
+    draw_name as draw_name,
+    draw_vars as draw_vars,
+    edges as edges,
     format_percent as format_percent,
+    robot_vars as robot_vars,
+    share_quantile as share_quantile,
+    sum_vars as sum_vars,
+    sums as sums,
     versions as versions,
 )
-from pinmobile.loop._ensemble import Bands, Ensemble, ErrorQuantile
+from pinmobile.loop._ensemble import (
+    Bands,
+    Cause as Cause,
+    Ensemble,
+    ErrorQuantile,
+    causes as causes,
+    worst_share as worst_share,
+)
 from pinmobile.loop._loop import (
     Loop,
     Record,
     Sample,
+    Samples,
     State as State,
+    Worst,
     control as control,
     reaction as reaction,
     step,
     tracking_errors as tracking_errors,
 )
-from pinmobile.loop._loop_stepper import LoopStepper as LoopStepper
 from pinmobile.loop._payload import PayloadTransfer
-from pinmobile.loop._record import Samples, Worst
 from pinmobile.loop._rollout import EndEffector, Rollout, at_samples as at_samples, error_text as error_text
 from pinmobile.loop._run import (
     BlindContext as BlindContext,
+    LoopStepper as LoopStepper,
     ensemble,
     part_of,
     plan_execution as plan_execution,
@@ -54,23 +76,6 @@ from pinmobile.loop._trace import (
     initial_memory as initial_memory,
     scheduled_rows as scheduled_rows,
     traced_numbers as traced_numbers,
-)
-from pinmobile.loop._variables import (
-    LEVELS as LEVELS,
-    NOTE as NOTE,
-    ROBOT_ARRAYS as ROBOT_ARRAYS,
-    SUMS as SUMS,
-    Arguments,
-    Part,
-    check_share as check_share,
-    coordinates as coordinates,
-    draw_name as draw_name,
-    draw_vars as draw_vars,
-    edges as edges,
-    robot_vars as robot_vars,
-    share_quantile as share_quantile,
-    sum_vars as sum_vars,
-    sums as sums,
 )
 from pinmobile.plant import Plant
 from pinmobile.signals import Signal

@@ -26,8 +26,8 @@ from pinmobile.compiled import is_constant
 from pinmobile.controllers import check_controller, check_memory
 from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.integrators import Integrator, check_integrator, constant_acceleration
+from pinmobile.loop._engines import size_error
 from pinmobile.loop._loop import Loop, displace, named_forces
-from pinmobile.loop._python import size_error
 from pinmobile.parts import Carried, Following, OnCoordinates, Pushable, Stepping, able, require
 from pinmobile.plant import (
     Context,

@@ -26,11 +26,9 @@ from pinmobile.errors import Diverged, InvalidArgument, LimitWarning, NotTraceab
 from pinmobile.forces import Force
 from pinmobile.integrators import Integrator
 from pinmobile.loop._checks import ResultCache, check_answers, check_run, sample_reference
-from pinmobile.loop._events import events_of, is_fault, kinds_of
-from pinmobile.loop._loop import Loop
-from pinmobile.loop._python import CompiledRun, PythonRun, Run, compile_plant
-from pinmobile.loop._record import LARGEST, is_near
-from pinmobile.loop._rollout import Rollout
+from pinmobile.loop._engines import CompiledRun, PythonRun, Run, compile_plant
+from pinmobile.loop._loop import LARGEST, Loop, is_near
+from pinmobile.loop._rollout import Rollout, events_of, is_fault, kinds_of
 from pinmobile.parts import OnCoordinates, Starting, able
 from pinmobile.plant import Context, Plant, all_samples, coordinates_of, full_configurations, stated
 from pinmobile.signals import Signal, collect_time_signals
