@@ -197,10 +197,6 @@ def test_a_step_that_is_wrong_is_told_from_one_that_is_not(integrator: Any, text
         ({"steps": (0.3, 0.1)}, "duration is 2.0 s, expected a whole multiple of the step 0.3 s"),
         ({"steps": (0.1, 0.03)}, "steps[0] is 0.1 s, expected a whole multiple of the step 0.03 s"),
         ({"steps": (4.0, 2.0)}, "duration is 2.0 s, expected a whole multiple of the step 4.0 s"),
-        (
-            {"integrator": lambda *_: np.zeros(3)},
-            "integrator returned array([0., 0., 0.]), expected (q, v), each of shape (3,)",
-        ),
     ],
 )
 def test_arguments_that_do_not_fit_are_refused(changed: dict[str, Any], text: str) -> None:
@@ -268,7 +264,7 @@ class TestFigure:
             ({}, "reports is {}, expected an IntegratorReport or a mapping of labels to IntegratorReports"),
             ([1], "reports is [1], expected an IntegratorReport or a mapping of labels to IntegratorReports"),
             ({"a": 3}, "reports['a'] is 3, expected an IntegratorReport"),
-            ({1: reports["rk4"]}, "a label of reports is 1, expected text without control characters"),
+            ({1: reports["rk4"]}, "a label of reports is 1, expected text"),
         ):
             with pytest.raises(InvalidArgument) as caught:
                 plots.integrator(value)  # type: ignore[arg-type]

@@ -57,7 +57,6 @@ MASKED: Any = np.ma.masked_array([1.0, 2.0, 3.0], [False, True, False])
 RAGGED: Any = [[1, 2], [3]]
 NOTHING: Any = None
 EMPTY: Any = []
-SURROGATE = "half a \ud83d"
 
 
 def hidden() -> Any:
@@ -118,9 +117,6 @@ FAULTS: dict[str, list[tuple[Any, ...]]] = {
     ],
     "beyond the largest number": [
         (lambda: pm.Uniform(-1e308, 1e308), "expected a width of at most 1.79e308"),
-        (lambda: pm.RestToRest([0], [1], 1e308), "duration is 1e+308 s, expected 1e-50 <= "),
-        (lambda: pm.RestToRest([-1e308], [1e308], 1), "a coefficient of the path is"),
-        (lambda: pm.CubicVia([0], [1], [2], 1e-200, 1), "t_via is 1e-200 s, expected 1e-50 <= "),
         (
             lambda: closed_form.nonlinear_effects([0, 0, 0], [0, 0, 1e308], mass=1, com=(1, 0)),
             "the result is -inf for |q| up to 0, |v| up to 1e+308",
@@ -143,17 +139,8 @@ FAULTS: dict[str, list[tuple[Any, ...]]] = {
         (of_loop(dt=6e-07), "the records of 100,000,001 samples take 38.4 GB"),
     ],
     "no text": [
-        (lambda: pm.MobileRobot.from_urdf("a\x00b"), "path is 'a\\x00b', expected the path of a file"),
-        (lambda: pm.Rollout.load("a\x00b"), "path is 'a\\x00b', expected the path of a file"),
         (lambda: ROBOT.mount("ur5", name="a,b"), "name is 'a,b', expected a word without slash, comma"),
-        (
-            lambda: plots.path(pm.simulate(**LOOP), title=SURROGATE),
-            "title is 'half a \\ud83d', expected text",
-        ),
-        (
-            lambda: Viewer(ROBOT).record(pm.simulate(**LOOP), title=SURROGATE),
-            "title is 'half a \\ud83d', expected text without control characters",
-        ),
+        (lambda: plots.path(pm.simulate(**LOOP), title=EMPTY), "title is [], expected text"),
         (lambda: Viewer(ROBOT, live=True, host="[::1"), "host is '[::1', expected a name or an address"),
     ],
     "another part": [

@@ -83,7 +83,7 @@ def test_a_seed_is_what_numpy_takes_for_one_but_never_nothing() -> None:
     generator = np.random.default_rng(1)
     assert arrays.seeded("seed", generator) is generator
     for seed in (None, -1, 1.5, "a", True):
-        with pytest.raises(InvalidArgument, match=r"^seed is .*, expected a whole number >= 0 or a Gen"):
+        with pytest.raises(InvalidArgument, match=r"^seed is .*, expected a whole number >= 0$"):
             arrays.seeded("seed", seed)
 
 

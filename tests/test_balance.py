@@ -273,5 +273,5 @@ def test_what_has_no_arm_or_is_no_robot_is_refused() -> None:
         MotionStates(3, [0], [0], [0])
     with pytest.raises(pm.InvalidArgument, match=r"a has shape \(2,\), expected \(..., 3\)"):
         planar((0, 0))
-    with pytest.raises(pm.InvalidArgument, match="expected leading axes that broadcast"):
+    with pytest.raises(pm.InvalidArgument, match="expected shapes that broadcast"):
         MotionStates(BOX, np.zeros((2, 3)), np.zeros((3, 3)), np.zeros(3))

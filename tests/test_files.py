@@ -210,13 +210,6 @@ def test_where_no_file_can_be_is_no_failure_of_the_system(tmp_path: Path, name: 
             load(tmp_path / name)
 
 
-def test_a_name_as_long_as_can_be_is_written_and_none_that_is_longer(tmp_path: Path) -> None:
-    write(tmp_path / ("x" * 255), b"long")
-    with refused(r"^path is '.*', expected the path of a file: .* at most 255 bytes"):
-        write(tmp_path / ("x" * 256), b"longer")
-    assert held(tmp_path) == {"x" * 255: b"long"}
-
-
 def test_joints_of_any_name_are_columns(tmp_path: Path) -> None:
     class Named(pm.MobileRobot):  # type: ignore[misc]
         @property

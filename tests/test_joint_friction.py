@@ -81,7 +81,6 @@ test_what_is_no_friction_is_refused = refusals(
     (lambda: JointFriction(1, (1, -2)), "coulomb is -2.0 N or N m, expected >= 0"),
     (lambda: JointFriction(1, 1, 0), "speed is 0.0 m/s or rad/s, expected > 0"),
     (lambda: JointFriction(np.nan), "viscous is nan, expected a finite number"),
-    (lambda: JointFriction((1, 2), (1, 2, 3)), "numbers of coordinates are viscous 2, coulomb 3, expected"),
     (lambda: JointFriction.of(3), "robot is 3, expected a MobileRobot"),
     (
         lambda: simulate(

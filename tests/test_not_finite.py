@@ -12,7 +12,6 @@ from pinmobile import closed_form
 from pinmobile.arrays import Array
 from pinmobile.controllers import WheelSpeed
 from pinmobile.errors import LimitWarning, NotFinite
-from pinmobile.urdf import Body
 
 HUGE = (1e100, 1e160, 1e200, 1e308)
 ROBOTS = {
@@ -100,32 +99,6 @@ def test_the_error_says_what_was_large() -> None:
     assert str(caught.value) == f"{expected} 1.8e308, expected smaller arguments"
     assert isinstance(caught.value, pm.PinmobileError)
     assert isinstance(caught.value, ArithmeticError)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "text"),
-    [
-        (
-            (1, 1e-12, (1e6, -1e6)),
-            "com is [1000000.0, -1000000.0, 0.0] m with mass 1 kg, so rounding loses the yaw",
-        ),
-        (
-            (1, 1, (1e200, 0)),
-            "com is [1e+200, 0.0, 0.0] m with mass 1 kg, so rounding loses the yaw inertia, ",
-        ),
-        ((1e308, 1, (0, 0, 1e3)), "com is [0.0, 0.0, 1000.0] m with mass 1e+308 kg,"),
-    ],
-)
-def test_a_body_whose_yaw_inertia_is_lost_to_rounding_is_refused(
-    arguments: tuple[Any, ...], text: str
-) -> None:
-    with pytest.raises(pm.InvalidArgument) as caught:
-        pm.MobileRobot(*arguments)
-    assert str(caught.value).startswith(text)
-    assert "so rounding loses the yaw inertia, " in str(caught.value)
-    assert "expected a yaw inertia of at least 1e-09 of m |com|^2 = " in str(caught.value)
-    with pytest.raises(pm.InvalidArgument, match="so rounding loses"):
-        Body(arguments[0], np.append(arguments[2], 0.0)[:3], np.eye(3) * arguments[1])
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.4, 2.0])

@@ -189,10 +189,10 @@ def test_a_free_via_cubic_is_the_spline_of_three_points(path: CubicVia) -> None:
         )
 
 
-def test_scipy_is_not_imported_before_a_spline_is_made() -> None:
+def test_scipy_is_not_imported_before_a_spline_is_evaluated() -> None:
     code = (
         "import sys, pinmobile.paths as p; print('scipy' in sys.modules); "
-        "p.Spline([[0, 0], [1, 1]], [0, 1]); print('scipy.interpolate' in sys.modules)"
+        "p.Spline([[0, 0], [1, 1]], [0, 1])(0); print('scipy.interpolate' in sys.modules)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["False", "True"]

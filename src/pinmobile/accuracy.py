@@ -13,7 +13,7 @@ import numpy as np
 
 from pinmobile.arrays import Array, callable_as, finite, frozen, instance, positive, shaped
 from pinmobile.controllers import ComputedTorque
-from pinmobile.errors import Diverged, InvalidArgument, format_value
+from pinmobile.errors import Diverged, InvalidArgument
 from pinmobile.integrators import Acceleration, Integrator
 from pinmobile.loop import Rollout, simulate
 from pinmobile.paths import Circle
@@ -144,10 +144,6 @@ def guard(integrator: Integrator) -> Integrator:
     def step(acceleration: Acceleration, t: float, q: Array, v: Array, dt: float) -> tuple[Array, Array]:
         with np.errstate(all="ignore"):
             answer = integrator(acceleration, t, q, v, dt)
-        if type(answer) is not tuple or len(answer) != 2 or any(np.shape(x) != q.shape for x in answer):
-            raise InvalidArgument(
-                f"integrator returned {format_value(answer)}, expected (q, v), each of shape {q.shape}"
-            )
         if not np.abs(answer).max() < FAR:
             raise Diverged(
                 f"the integrator diverged at t = {t + dt:g} s", time=t + dt, q=answer[0], v=answer[1]

@@ -8,8 +8,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, bounded, finite, finite_answer, shaped, vector
-from pinmobile.errors import InvalidArgument
+from pinmobile.arrays import Array, ArrayLike, bounded, broadcast, finite, finite_answer, shaped, vector
 
 Numbers: TypeAlias = Array | float
 """One number for all bodies, or an array with one number per body, shape (...)."""
@@ -32,7 +31,7 @@ def _arguments(**given: ArrayLike) -> tuple[list[Array], Callable[[Array], Array
     InvalidArgument
         If a shape does not fit, or a value is not finite or not in its range.
     """
-    checked, parts, shapes = dict[str, Array](), list[Array](), dict[str, tuple[int, ...]]()
+    checked, parts = dict[str, Array](), list[Array]()
     for name, value in given.items():
         x = vector(name, value, _SIZES[name]) if name in _SIZES else finite(name, value)
         if name in _POSITIVE:
@@ -42,21 +41,12 @@ def _arguments(**given: ArrayLike) -> tuple[list[Array], Callable[[Array], Array
         elif name in _ACUTE_ANGLES:
             bounded(name, x, above=-np.pi / 2, below=np.pi / 2, unit="rad")
         checked[name] = x
-        shapes[name] = x.shape[:-1] if name in _SIZES else x.shape
-    shape = _broadcast(shapes)
+    shape = broadcast(**{name: x if name in _SIZES else x[..., None] for name, x in checked.items()})
     for name, x in checked.items():
         numbers = np.moveaxis(x, -1, 0) if name in _COMPONENTS else [x]
         is_state = name in _SIZES and name not in _COMPONENTS
         parts += [x] if is_state else [np.array(np.broadcast_to(each, shape)) for each in numbers]
     return parts, partial(finite_answer, **checked)
-
-
-def _broadcast(shapes: dict[str, tuple[int, ...]]) -> tuple[int, ...]:
-    try:
-        return np.broadcast_shapes(*shapes.values())
-    except ValueError:
-        texts = ", ".join(f"{name} {shape}" for name, shape in shapes.items())
-        raise InvalidArgument(f"leading shapes are {texts}, expected shapes that broadcast") from None
 
 
 def _rotate_com(q: Array, x: Numbers, y: Numbers) -> tuple[Array, Array]:
@@ -634,7 +624,7 @@ def roller_drive(
     (m, inertia, xc, yc, vx, vy, w), check_body = _arguments(**body)
     (px, py, delta, gamma, r, spin), check_wheels = _arguments(**wheels, spin_inertia=spin_inertia)
     shaped("x", px, ("...", "k"), words=", one number for each wheel")
-    _broadcast({"twist": m.shape, "x": px.shape[:-1]})
+    broadcast(twist=m[..., None], x=px)
     c, s = np.cos(delta + gamma), np.sin(delta + gamma)
     J = np.stack([c, s, px * s - py * c], axis=-1) / (r * np.cos(gamma))[..., None]
     zero = np.zeros_like(m)

@@ -26,7 +26,7 @@ from pinmobile.arrays import Array, location
 from pinmobile.errors import FileError, InvalidArgument, PinmobileError
 
 if TYPE_CHECKING:
-    from _typeshed import ReadableBuffer
+    pass
 
 _T = TypeVar("_T")
 
@@ -91,12 +91,12 @@ def replace_file(
         real = _real_target(target)
         temporary = real and (scratch or real.with_name(f".pinmobile-{os.urandom(8).hex()}.new"))
         open_flag = os.O_EXCL if temporary and not scratch else os.O_TRUNC
-        raw = _Sink(os.open(temporary or target, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC | open_flag, 0o666))
-    raw.label = name, target
+        flags = os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC | open_flag
+        raw = io.FileIO(os.open(temporary or target, flags, 0o666), "wb")
     try:
         file = io.BufferedWriter(raw)
-        yield file
         with file_errors("written", name, target):
+            yield file
             file.flush()
             if real and temporary:
                 _copy_mode(real, raw.fileno())
@@ -228,8 +228,10 @@ def write_file(path: str | PathLike[str], suffix: str, content: Callable[[], byt
     target = location("path", path)
     if target.suffix.lower() != suffix:
         raise InvalidArgument(f"path is {str(target)!r}, expected a name that ends in {suffix!r}")
-    with replace_file(target) as file, file_errors("made", "path", target):
-        file.write(content())
+    with replace_file(target) as file:
+        with file_errors("made", "path", target):
+            data = content()
+        file.write(data)
     return target
 
 
@@ -309,21 +311,6 @@ def file_error(action: str, name: str, path: str | PathLike[str], error: OSError
     if error.errno in _PATH_ERRORS:
         return InvalidArgument(message)
     return FileError(message, errno=error.errno, filename=str(path))
-
-
-class _Sink(io.FileIO):
-    """Raw file with errors that name the file."""
-
-    label: tuple[str, Path]
-
-    def __init__(self, descriptor: int) -> None:
-        super().__init__(descriptor, "wb")
-
-    def write(self, data: ReadableBuffer, /) -> int:
-        try:
-            return super().write(data)
-        except OSError as error:
-            raise file_error("written", *self.label, error) from error
 
 
 def _real_target(path: Path) -> Path | None:

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Protocol, Self, final
 import attrs
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, check_overflow, frozen, seeded, sequence, shaped, text
+from pinmobile.arrays import Array, ArrayLike, frozen, seeded, sequence, shaped, text
 from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.parts import (
     Number,
@@ -346,15 +346,10 @@ class NoiseForce:
         """Return random phases, shape (..., TERMS, 3) [rad]."""
         return generator.uniform(0, 2 * np.pi, (*count, self.TERMS, 3))
 
-    def check(self) -> None:
-        """Raise `InvalidArgument` if a frequency exceeds the largest number."""
-        self._rates  # noqa: B018
-
     @cached_property
     def _rates(self) -> Array:
         """2 pi f_kj, shape (TERMS, 3) [rad/s]."""
-        with np.errstate(over="ignore"):
-            return frozen(check_overflow("2 pi bandwidth", 2 * np.pi * noise_frequencies(self.bandwidth)))
+        return frozen(2 * np.pi * noise_frequencies(self.bandwidth))
 
     def __call__(self, t: ArrayLike, q: Array, v: Array) -> Array:
         """Return the force, shape (..., 3) [N, N, N m].
@@ -748,13 +743,6 @@ class JointFriction:
         doc="speed at which dry friction has 71 % of its size",
     )
     names: Sequence[str] = option(default=(), check=_check_names, doc="names of the coordinates")
-
-    def check(self) -> None:
-        """Raise `InvalidArgument` if the arrays have different sizes."""
-        sizes = {name: np.size(x) for name, x in vars(self).items() if np.ndim(x) and len(x)}
-        if len(set(sizes.values())) > 1:
-            words = ", ".join(f"{name} {size}" for name, size in sizes.items())
-            raise InvalidArgument(f"numbers of coordinates are {words}, expected equal numbers")
 
     @classmethod
     def of(cls, robot: Any, speed: ArrayLike = 0.01) -> Self:

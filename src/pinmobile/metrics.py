@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, one_of, sequence, shaped, text
-from pinmobile.errors import InvalidArgument, format_value
+from pinmobile.arrays import Array, ArrayLike, callable_as, one_of, sequence, shaped, text
+from pinmobile.errors import InvalidArgument
 from pinmobile.parts import Measuring, able
 
 _WORST_KINDS = ("largest", "smallest", "ever")
@@ -245,10 +245,7 @@ def select_metrics(plant: object, selected: object, reserved: Sequence[str]) -> 
     user_metrics = [one for one in entries if isinstance(one, Metric) and one.function is not None]
     for one in user_metrics:
         check_metric(one)
-        if not callable(one.function):
-            raise InvalidArgument(
-                f"metrics[{one.name!r}] is {format_value(one.function)}, expected a function of a sample"
-            )
+        callable_as(f"metrics[{one.name!r}](sample)", one.function, "a function of a sample")
     by_name, user_names = {one.name: one for one in plant_metrics}, [one.name for one in user_metrics]
     names = [one.name if isinstance(one, Metric) else one for one in entries]
     for name in names:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
@@ -14,7 +13,6 @@ import numpy as np
 from pinmobile.arrays import (
     Array,
     ArrayLike,
-    check_overflow,
     finite,
     frozen,
     instance,
@@ -22,14 +20,13 @@ from pinmobile.arrays import (
     one_of,
     positive,
     sequence,
+    shaped,
     text,
 )
 from pinmobile.dh import DHTable, JointType, transform
-from pinmobile.errors import InvalidArgument, format_value
+from pinmobile.errors import InvalidArgument
 
 _INERTIA_TOLERANCE = 1e-9  # tolerance of the triangle inequality: files have about eight digits
-# Dynamics about B's origin subtract m |com|^2 from the yaw inertia: six digits of the difference must remain.
-_OFFSET_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,32 +69,17 @@ class Body:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "mass", positive("mass", self.mass, "kg"))
-        com, inertia = finite("com", self.com), finite("inertia", self.inertia)
-        if com.shape != (3,) or inertia.shape != (3, 3):
-            raise InvalidArgument(
-                f"com and inertia have shapes {com.shape} and {inertia.shape}, expected (3,) and (3, 3)"
-            )
+        com = shaped("com", finite("com", self.com), (3,))
+        inertia = shaped("inertia", finite("inertia", self.inertia), (3, 3))
         tolerance = _INERTIA_TOLERANCE * np.abs(inertia).max()
         if np.abs(inertia - inertia.T).max() > tolerance:
             raise InvalidArgument(f"inertia is not symmetric: {inertia.tolist()}")
-        # Scaled, since sums of the moments may overflow.
-        unit = np.abs(inertia).max() or 1.0
-        moments = np.linalg.eigvalsh(inertia / unit)
-        tolerance = _INERTIA_TOLERANCE
+        moments = np.linalg.eigvalsh(inertia)
         if moments[0] < -tolerance or moments[2] > moments[0] + moments[1] + tolerance or inertia[2, 2] <= 0:
-            texts = ", ".join(f"{unit * moment:.6g}" for moment in moments)
+            texts = ", ".join(f"{moment:.6g}" for moment in moments)
             raise InvalidArgument(
                 f"inertia has principal moments ({texts}) kg m^2, which no rigid body has: expected each "
                 ">= 0, none above the sum of the other two, and the yaw inertia > 0"
-            )
-        with np.errstate(over="ignore"):
-            squares = self.mass * np.square(com)
-        offset = float(squares[:2].sum()) if np.isfinite(squares.sum()) else np.inf
-        if inertia[2, 2] < _OFFSET_TOLERANCE * offset:
-            raise InvalidArgument(
-                f"com is {com.tolist()} m with mass {self.mass:g} kg, so rounding loses the yaw inertia, "
-                f"{inertia[2, 2]:g} kg m^2, expected a yaw inertia of at least {_OFFSET_TOLERANCE:g} of "
-                f"m |com|^2 = {offset:g} kg m^2"
             )
         object.__setattr__(self, "com", frozen(com))
         object.__setattr__(self, "inertia", frozen(inertia / 2 + inertia.T / 2))
@@ -126,7 +108,7 @@ def box_inertia(mass: float, size: ArrayLike) -> Array:
     Raises
     ------
     InvalidArgument
-        If the mass or a length is not positive or not finite, or the inertia overflows.
+        If the mass or a length is not positive or not finite.
 
     See Also
     --------
@@ -139,10 +121,8 @@ def box_inertia(mass: float, size: ArrayLike) -> Array:
     >>> box_inertia(mass=30.0, size=(0.6, 0.4, 0.2)).diagonal()
     array([0.5, 1. , 1.3])
     """
-    with np.errstate(all="ignore"):
-        squares = np.square(lengths(size))
-        moments = positive("mass", mass, "kg") / 12 * (squares.sum() - squares)
-    return np.diag(check_overflow("the inertia of the box", moments))
+    squares = np.square(lengths(size))
+    return np.diag(positive("mass", mass, "kg") / 12 * (squares.sum() - squares))
 
 
 def _quote(text: str) -> str:
@@ -227,18 +207,9 @@ def write(
             "  </joint>",
         ]
     if stance is not None:
-        if not (isinstance(stance, Mapping) and all(map(_is_attribute, stance))):
-            raise InvalidArgument(
-                f"stance is {format_value(stance)}, expected a mapping with XML names as keys"
-            )
-        words = {key: text(f"stance[{key!r}]", value) for key, value in stance.items()}
-        attributes = [f"{key}={_quote(value)}" for key, value in words.items()]
+        attributes = [f"{key}={_quote(value)}" for key, value in stance.items()]
         lines.append(f"  <{' '.join(['pinmobile', *attributes])}/>")
     return "\n".join([*lines, "</robot>", ""])
-
-
-def _is_attribute(key: object) -> bool:
-    return isinstance(key, str) and re.fullmatch(r"[A-Za-z_][\w.-]*", key) is not None
 
 
 def shipped_urdf(name: str) -> Path:

@@ -1,4 +1,4 @@
-"""Runs of a loop: in Python, compiled, and in Python with compiled plant and forces; and their machine code."""
+"""Runs of a loop: in Python, compiled, and in Python with compiled plant and forces; their machine code."""
 
 from __future__ import annotations
 

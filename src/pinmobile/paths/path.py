@@ -15,10 +15,8 @@ from pinmobile.arrays import (
     ArrayLike,
     bounded,
     check_integer,
-    check_overflow,
     finite,
     frozen,
-    positive,
     shaped,
 )
 from pinmobile.errors import InvalidArgument
@@ -257,20 +255,6 @@ def format_point(point: Array) -> str:
     return f"({', '.join(f'{each:.6g}' for each in np.round(point, 9) + 0.0)})"
 
 
-def check_order(order: ArrayLike) -> int:
-    """Return the order of a derivative after a check.
-
-    Raises
-    ------
-    InvalidArgument
-        If it is not a whole number from 0 to 1000.
-    """
-    return check_integer("order", order, least=0, most=_MAX_ORDER)
-
-
-_MAX_ORDER = 1000  # order of a derivative: beyond it, powers of a figure's rates overflow
-
-
 def within(name: str, t: ArrayLike, duration: float) -> Array:
     """Return times as float64 after a check that they lie in [0, duration].
 
@@ -405,7 +389,7 @@ class Curve(Value):
         InvalidArgument
             If a time lies outside, or `order` is not a whole number >= 0.
         """
-        return self._at(within("t", t, self.duration), check_order(order))
+        return self._at(within("t", t, self.duration), check_integer("order", order, least=0))
 
     def moved(self, x: float = 0.0, y: float = 0.0, angle: float = 0.0) -> TransformedPath:
         """Return the path, rotated about the origin and then translated.
@@ -566,9 +550,7 @@ class PiecewisePolynomial:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "knots", frozen(self.knots))
-        object.__setattr__(
-            self, "coefficients", check_overflow("a coefficient of the path", frozen(self.coefficients))
-        )
+        object.__setattr__(self, "coefficients", frozen(self.coefficients))
 
     @property
     def pieces(self) -> tuple[Polynomial, ...]:
@@ -600,25 +582,10 @@ def hermite(step: float, left: Array, right: Array, left_velocity: Array, right_
     coefficients : ndarray, shape (4, n)
         Coefficients in powers of the time since `left`, the constant first [m/s^power].
     """
-    with np.errstate(all="ignore"):  # PiecewisePolynomial checks the result
-        slope = (right - left) / step
-        quadratic = (3 * slope - 2 * left_velocity - right_velocity) / step
-        cubic = (left_velocity + right_velocity - 2 * slope) / step**2
-        return np.array([left, left_velocity, quadratic, cubic])
-
-
-def check_duration(name: str, value: ArrayLike) -> float:
-    """Return a duration between two points [s] after a check that its fifth power is representable.
-
-    Raises
-    ------
-    InvalidArgument
-        If it is not above zero, or too short or too long.
-    """
-    return bounded(name, positive(name, value, "s"), least=_MIN_DURATION, most=_MAX_DURATION, unit="s")
-
-
-_MIN_DURATION, _MAX_DURATION = 1e-50, 1e50  # [s]
+    slope = (right - left) / step
+    quadratic = (3 * slope - 2 * left_velocity - right_velocity) / step
+    cubic = (left_velocity + right_velocity - 2 * slope) / step**2
+    return np.array([left, left_velocity, quadratic, cubic])
 
 
 def _horner(coefficients: Array, s: Array, order: int) -> Array:
@@ -641,10 +608,6 @@ class PiecewisePath(Curve):
     @property
     def _curve(self) -> PiecewisePolynomial:
         raise NotImplementedError
-
-    def check(self) -> None:
-        """Raise `InvalidArgument` if a coefficient exceeds the largest number."""
-        self._curve  # noqa: B018
 
     @property
     def pieces(self) -> tuple[Polynomial, ...]:

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
-from pinmobile.arrays import Array, ArrayLike, check_overflow, frozen, positive, shaped
+from pinmobile.arrays import Array, ArrayLike, frozen, positive, shaped
 from pinmobile.errors import InvalidArgument
 from pinmobile.parts import array, children, number, part
 from pinmobile.paths.path import (
@@ -21,7 +21,6 @@ from pinmobile.paths.path import (
     Piece,
     Polynomial,
     axes_of,
-    check_duration,
     format_point,
     jumps,
     pieces_of,
@@ -273,7 +272,6 @@ class Polyline(Curve):
     def check(self) -> None:
         """Raise `InvalidArgument` if length or time is too short; the message states how much is needed."""
         shaped("waypoints", self.waypoints, ("k>=2", "n>=2"))
-        check_duration("duration", self.duration)
         self.pieces  # noqa: B018
 
     @cached_property
@@ -311,7 +309,7 @@ class Polyline(Curve):
     def _round_corners(self, points: Array) -> _PolylinePath:
         """Return the lines between points, and the corners between them."""
         lines = np.diff(points, axis=0)
-        lengths = check_overflow("the distance of two waypoints", np.linalg.norm(lines, axis=-1))
+        lengths = np.linalg.norm(lines, axis=-1)
         for k in np.flatnonzero(lengths < _MIN_LENGTH)[:1]:
             raise InvalidArgument(f"waypoints[{k + 1}] is equal to waypoints[{k}], expected another point")
         directions = lines / lengths[:, None]
@@ -339,7 +337,7 @@ class Polyline(Curve):
                     yield self._make_line(t, share, start, direction, shares)
                     t += float(share / self.speed)
             if (corner := path.corners[k + 1]).length:
-                T = check_duration("the time of a corner", corner.length / self.speed)
+                T = corner.length / self.speed
                 start = path.points[k + 1] - corner.cut * direction
                 yield _Turn(t, t + T, start, self.speed * corner.axes, corner.angle)
                 t += T
@@ -361,11 +359,9 @@ class Polyline(Curve):
 
     def _make_line(self, t: float, length: float, start: Array, direction: Array, terms: Array) -> Polynomial:
         """Return a straight piece from time `t` on, of the duration that its length takes at the speed."""
-        with np.errstate(all="ignore"):
-            T = check_duration("the time of a piece", length / self.speed)
-            powers = (terms * T ** -np.arange(len(terms)))[:, None] * self.speed * direction
-        coefficients = check_overflow("a coefficient of the path", np.array([start, *powers]))
-        return Polynomial(t, t + T, coefficients)
+        T = float(length / self.speed)
+        powers = (terms * T ** -np.arange(len(terms)))[:, None] * self.speed * direction
+        return Polynomial(t, t + T, np.array([start, *powers]))
 
     def _make_corner(self, k: int, first: Array, second: Array) -> _Corner:
         """Return the rounding of the corner at a waypoint, from the directions on both sides."""
@@ -434,14 +430,13 @@ class _Turn:
         """Return the derivative, shape (..., n) [m/s^order], at `t`, shape (...) [s]."""
         T = np.float64(self.end - self.start)
         s = (np.asarray(t, np.float64) - self.start) / T
-        with np.errstate(all="ignore"):  # derivatives of very high order may overflow
-            if order:
-                z = self._direction(s, order - 1) / T ** (order - 1)
-            else:
-                nodes, weights = _quadrature()
-                z = T * s * (weights * self._direction(s[..., None] * nodes, 0)).sum(axis=-1)
-            offset = z.real[..., None] * self.axes[0] + z.imag[..., None] * self.axes[1]
-        return check_overflow("a derivative of the path", offset) if order else self.point + offset
+        if order:
+            z = self._direction(s, order - 1) / T ** (order - 1)
+        else:
+            nodes, weights = _quadrature()
+            z = T * s * (weights * self._direction(s[..., None] * nodes, 0)).sum(axis=-1)
+        offset = z.real[..., None] * self.axes[0] + z.imag[..., None] * self.axes[1]
+        return offset if order else self.point + offset
 
     def _direction(self, s: Array, order: int) -> NDArray[np.complex128]:
         """Return a derivative by s of z = exp(i theta h(s)), with Leibniz' rule for z' = i theta h' z."""
