@@ -20,7 +20,7 @@ from gradient_loops import ARM, BODY, MAKERS, PEERS, Case, cases, chain, loss
 from measuring import Row, about, console, interleaved, median_time, options, processor_seconds, say, table
 
 import pinmobile as pm
-from pinmobile.compiled import processor
+from pinmobile.compiled import program as compiled_program
 from pinmobile.derivatives import _gradient, _problem, poles, tune
 from pinmobile.derivatives._poles import _PROBE, _Inputs, _linearize, _Probe
 
@@ -30,7 +30,7 @@ TOLERANCE, STEP, SPREAD = 1e-9, 1e-5, {"mass": pm.Uniform(27, 33)}
 def forgotten(folder: bool = False) -> None:
     """Forget the machine code of this process, and that of its folder too."""
     _problem._machines.clear()
-    processor._functions.clear()
+    compiled_program._functions.clear()
     for file in os.scandir(os.environ["PINMOBILE_CACHE"]) if folder else ():
         os.unlink(file)
 

@@ -116,15 +116,10 @@ FAULTS: dict[str, list[tuple[Any, ...]]] = {
         (lambda: ROBOT.mass_matrix(MASKED), "q is a masked array"),
     ],
     "beyond the largest number": [
-        (lambda: pm.Uniform(-1e308, 1e308), "expected a width of at most 1.79e308"),
         (
             lambda: closed_form.nonlinear_effects([0, 0, 0], [0, 0, 1e308], mass=1, com=(1, 0)),
             "the result is -inf for |q| up to 0, |v| up to 1e+308",
             NotFinite,
-        ),
-        (
-            lambda: pm.Motor(gear=1e200),
-            "gear of a Motor is 1e+200 with a rotor inertia of 0 kg m^2, expected gear",
         ),
         (
             lambda: ON_WHEELS.check_start(np.zeros(5), np.full(5, 1.7e308)),
@@ -139,7 +134,7 @@ FAULTS: dict[str, list[tuple[Any, ...]]] = {
         (of_loop(dt=6e-07), "the records of 100,000,001 samples take 38.4 GB"),
     ],
     "no text": [
-        (lambda: ROBOT.mount("ur5", name="a,b"), "name is 'a,b', expected a word without slash, comma"),
+        (lambda: ROBOT.mount("ur5", name="a,b"), "name is 'a,b', expected a word without / ,"),
         (lambda: plots.path(pm.simulate(**LOOP), title=EMPTY), "title is [], expected text"),
         (lambda: Viewer(ROBOT, live=True, host="[::1"), "host is '[::1', expected a name or an address"),
     ],

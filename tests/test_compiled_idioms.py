@@ -10,7 +10,7 @@ import pytest
 from numpy import linalg
 
 from pinmobile import Circle, Engine, InvalidArgument, MobileRobot, Tangent, errors, law, simulate
-from pinmobile.compiled._tracing import tracing
+from pinmobile.compiled.functions import tracing
 from pinmobile.compiled.symbolic import entries, symbols
 from pinmobile.compiled.tape import Node, Tape, evaluate
 

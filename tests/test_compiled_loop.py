@@ -21,7 +21,6 @@ from tests.looping import (
     COUNT,
     PD,
     ROUGH,
-    TIMES,
     Body,
     assert_near,
     built,
@@ -351,35 +350,6 @@ def test_a_laws_own_error_comes_as_it_is() -> None:
         built(plain(Law(broken)), {})
     with pytest.raises(errors.InvalidArgument, match=r"expected an array of shape \(3,\)"):
         built(plain(Law(lambda t, q, v, reference, state: (q[:2], state))), {})
-
-
-def test_noise_without_a_key_is_refused() -> None:
-    with pytest.raises(errors.InvalidArgument, match=r"expected one for the noise 'measurement "):
-        ran(built(COMPOSITIONS["all"]()), 3, keys={})
-
-
-def test_arrays_of_other_shapes_are_refused_and_not_read_beyond() -> None:
-    compiled = built(plain(PD()))
-    q, v = started(compiled.loop.plant, 3)
-
-    def run(**changed: Any) -> Any:
-        given: dict[str, Any] = {"start": (q, v), "reference": CIRCLE, "values": {"plant.mass": np.ones(3)}}
-        given |= changed
-        return compiled.run(given.pop("start"), TIMES, given.pop("reference"), **given)
-
-    refused: list[tuple[dict[str, Any], str]] = [
-        ({"start": (q[:, :2], v)}, r"q has shape \(3, 2\), expected \(3, 3\)"),
-        ({"start": (q, v[:2])}, r"v has shape \(2, 3\), expected \(3, 3\)"),
-        (
-            {"reference": CIRCLE._replace(v=CIRCLE.v[:5])},
-            r"reference has shape \(5, 3\), expected \(201, 3\)",
-        ),
-        ({"start": (q[:0], v[:0])}, "number of robots is 0"),
-        ({"every": 0}, "every is 0"),
-    ]
-    for changed, why in refused:
-        with pytest.raises(errors.InvalidArgument, match=why):
-            run(**changed)
 
 
 def test_one_object_serves_all_numbers_that_are_not_spread() -> None:

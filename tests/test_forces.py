@@ -263,8 +263,7 @@ class Deaf(OtherPlant):
         ),
         (
             {"plant": Deaf(), "forces": FORCES},
-            "plant is a Deaf, whose forward_dynamics takes no external forces f, expected "
-            "forward_dynamics(q, v, u, f)",
+            "which cannot be called as plant.forward_dynamics(q, v, u, f): too many positional arguments",
         ),
         (
             {"forces": [Rubber()]},

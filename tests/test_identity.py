@@ -19,8 +19,8 @@ import numpy as np
 import pytest
 
 import pinmobile as pm
-from pinmobile.compiled import Cache, Target, identity, processor
-from pinmobile.compiled.processor import LOOP
+from pinmobile.compiled import Cache, Target, identity, program as compiled_program
+from pinmobile.compiled.program import LOOP
 from pinmobile.forces import NoiseForce
 from pinmobile.integrators import semi_implicit_euler
 from pinmobile.loop import _engines
@@ -45,7 +45,7 @@ class Process:
 
     def begin(self) -> None:
         _engines._programs.clear()
-        processor._functions.clear()
+        compiled_program._functions.clear()
         self.traced = 0
 
     @property
@@ -577,7 +577,7 @@ def test_the_key_is_of_text_and_processor() -> None:
 
 
 def test_the_folder_is_thinned_and_leaves_no_halves(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pinmobile.compiled.processor._MAX_FILES", 8)
+    monkeypatch.setattr("pinmobile.compiled.program._MAX_FILES", 8)
     cache = Cache(tmp_path)
     for i in range(40):
         cache.write(f"key{i}", b"code")

@@ -203,7 +203,6 @@ test_bad_arguments_are_refused = refusals(
         "from any rolling motion",
     ),
     (lambda: pm.simulate(ARM, pm.LQR(ARM), SHORT, dt=0.01), "reference has 3 coordinates, expected all"),
-    (lambda: pm.LQR(NOMINAL).initial_state(Context.of(NOMINAL, dt=0.1)), "context has no reference"),
     (
         lambda: Context.of(NOMINAL, dt=0.1).schedule(np.zeros((2, 3))),
         r"rows has shape \(2, 3\), expected \(1, 3\)",

@@ -353,12 +353,12 @@ ONE = Metric("clearance", "m", "from the walls", "smallest")
             "worst of the metric 'clearance': 'least'",
         ),
         (stating([ONE], lambda q: q[..., :2]), r"has shape \(2,\), expected \(1,\): one number for each"),
-        (stating([ONE], lambda q: q[..., :1] * np.nan), "returned NaN as 'clearance' where it starts"),
+        (stating([ONE], lambda q: q[..., :1] * np.nan), "returned NaN as 'clearance'"),
     ],
 )
 def test_measures_that_are_not_what_is_expected_are_refused(plant: Any, words: str) -> None:
     with pytest.raises((pm.InvalidArgument, UnknownName), match=words):
-        fenced(plant)
+        run_scenario(fenced(plant))
 
 
 @pytest.mark.parametrize("engine", [pm.Engine.COMPILED, pm.Engine.PYTHON])
@@ -378,8 +378,6 @@ def test_names_of_limits_and_links_that_there_are_not_come_with_the_nearest() ->
     ):
         with pytest.raises(UnknownName, match=near):
             scenario(spread={name: pm.Uniform(1, 2)})
-    with pytest.raises(pm.InvalidArgument, match=r"^n is 200,000,000, expected at most 100,000,000"):
-        scenario(n=2 * 10**8)
     words = r"^the records of 100,000,000 robots take 34.4 GB, expected at most 16 GB: give a smaller n$"
     with pytest.raises(pm.InvalidArgument, match=words):
         scenario(n=10**8)

@@ -212,8 +212,8 @@ MIMIC = MIMIC.replace("continuous", "revolute").replace(
     ("arguments", "text"),
     [
         ({"at": (0, 0, np.nan, 0)}, "at[2] is nan, expected a finite number"),
-        ({"name": "a/b"}, "name is 'a/b', expected a word without slash"),
-        ({"name": ""}, "name is '', expected a word without slash"),
+        ({"name": "a/b"}, "name is 'a/b', expected a word without /"),
+        ({"name": ""}, "name is '', expected a word without /"),
         ({"arm": 3}, "arm is 3, expected a name, the path of a URDF, or a pinocchio.Model"),
         ({"arm": massless()}, "joint 'grip/finger' moves parts that have no inertia, expected inertia"),
         (

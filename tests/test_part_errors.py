@@ -88,8 +88,6 @@ LACKING: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "path for a trajectory": (BODY | {"trajectory": Eight()}, "a path, which has no heading, .* Tangent"),
     "plant without dynamics": (BODY | {"robot": NoDynamics()}, "expected a plant with 'forward_dynamics'"),
-    "plant without a difference": (CART | {"robot": without("difference")}, "which has no difference"),
-    "plant without a displacement": (CART | {"robot": without("integrate")}, "which has no integrate"),
     "no pose to push": (
         BODY | {"robot": Plain(), "forces": [Spring()]},
         r"plant is .*Plain.*, and forces push its body, "
@@ -101,7 +99,7 @@ LACKING: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "no place for forces": (
         BODY | {"robot": Posed(), "forces": [Spring()]},
-        r"a Posed, whose forward_dynamics takes no external forces f, expected forward_dynamics",
+        r"which cannot be called as plant.forward_dynamics\(q, v, u, f\): too many positional arguments",
     ),
     "a model of another plant": (
         CART | {"controller": pm.ComputedTorque(ROBOT)},

@@ -9,7 +9,7 @@ import pytest
 
 from pinmobile import MobileRobot, PayloadBody
 from pinmobile.arrays import Array
-from pinmobile.compiled._tracing import tracing
+from pinmobile.compiled.functions import tracing
 from pinmobile.compiled.symbolic import Symbols, entries, symbols
 from pinmobile.compiled.tape import Node, Tape, evaluate
 from pinmobile.errors import InvalidArgument, NotTraceable

@@ -28,10 +28,9 @@ from pinmobile.arrays import Array
 from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE
 from pinmobile.errors import ViewerError
 from pinmobile.palette import colour
-from pinmobile.viewer import Arrows, FixedCamera, Follow, Overlays, Recording, Viewer, shapes
+from pinmobile.viewer import Arrows, FixedCamera, Follow, Overlays, Recording, Viewer, scene_tree as shapes
 from pinmobile.viewer.recording import Browser, gif as encoded_gif
-from pinmobile.viewer.scene_tree import Stage
-from pinmobile.viewer.shapes import simplify
+from pinmobile.viewer.scene_tree import Stage, simplify
 from tests.chromium import Chromium, Page
 
 pytestmark = pytest.mark.once
@@ -478,7 +477,6 @@ def test_a_gif_has_the_colours_of_what_comes_late() -> None:
     [
         (lambda v, r: v.display((1, np.nan, 0)), "q[1] is nan, expected a finite number"),
         (lambda v, r: v.display((1, 2)), "q has shape (2,), expected (3,)"),
-        (lambda v, r: v.display([1e300, 0, 0]), "expected x and y within 1e+09 m"),
         (lambda v, r: v.record(r.q), "expected a Rollout or a mapping"),
         (lambda v, r: v.record({"a": 3}), "rollout['a'] is 3, expected a Rollout"),
         (lambda v, r: v.record(r, fps=0), "fps is 0.0 1/s, expected > 0"),

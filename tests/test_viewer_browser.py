@@ -12,7 +12,7 @@ import pytest
 from pinmobile import Circle, ComputedTorque, MobileRobot, Tangent, simulate
 from pinmobile.viewer import Viewer
 from pinmobile.viewer.pages import OfflineWindow, Visualizer
-from pinmobile.viewer.window import LiveWindow
+from pinmobile.viewer.server import LiveWindow
 from tests.chromium import Chromium, Page
 from tests.webclient import eventually
 

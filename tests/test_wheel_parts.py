@@ -215,7 +215,7 @@ def test_a_ground_of_ones_own_is_one_class() -> None:
 test_what_is_declared_is_checked = refusals(
     (lambda: WheeledRobot(WRONG, PAIR), "robot is 3, expected a MobileRobot"),
     (lambda: WheeledRobot(BODY, PAIR, 3), "ground is 3, expected a ground with dynamics(wheeled)"),
-    (lambda: Wheel("a.b", 0, 0, 0.1), "name is 'a.b', expected a word without slash"),
+    (lambda: Wheel("a.b", 0, 0, 0.1), "name is 'a.b', expected a word without /"),
     (lambda: WheelFriction(mu=-1), "mu is -1.0, expected >= 0"),
     (lambda: Motor(efficiency=1.1), "efficiency is 1.1, expected > 0 and <= 1"),
     (lambda: Rolling(ramp=WRONG), "ramp is 3, expected a Ramp(angle, direction) or None"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import re
 import sys
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from functools import wraps
 from math import isfinite
 from os import PathLike
@@ -605,7 +605,7 @@ def positive_or_endless(name: str, value: ArrayLike, unit: str = "") -> float:
     return np.inf if not limit.ndim and limit > _LARGEST else positive(name, limit, unit)
 
 
-def check_integer(name: str, value: Any, *, least: int = 1, most: int = 2**53) -> int:
+def check_integer(name: str, value: Any, *, least: int = 1, most: float = 2**53) -> int:
     """Return a whole number within bounds as an int.
 
     Parameters
@@ -614,8 +614,10 @@ def check_integer(name: str, value: Any, *, least: int = 1, most: int = 2**53) -
         Name of the argument, for the message.
     value : int or float
         Value of the argument.
-    least, most : int
-        Bounds, both included.
+    least : int
+        Lower bound, included.
+    most : float
+        Upper bound, included.
 
     Returns
     -------
@@ -675,7 +677,7 @@ def seeded(name: str, seed: Any) -> np.random.Generator:
     """
     kinds = np.random.Generator, np.random.BitGenerator, np.random.SeedSequence
     if not isinstance(seed, kinds):
-        seed = seed if type(seed) is int and seed >= 0 else check_integer(name, seed, least=0)
+        seed = check_integer(name, seed, least=0, most=np.inf)
     return np.random.default_rng(seed)
 
 
@@ -735,6 +737,35 @@ def text(name: str, value: object) -> str:
     'PD, kp = 120'
     """
     return instance(name, value, str, "text")  # type: ignore[no-any-return]
+
+
+def word(name: str, value: object, excluded: str) -> str:
+    """Return text that must not be empty or contain certain letters.
+
+    Parameters
+    ----------
+    name : str
+        Name of the argument, for the message.
+    value : str
+        Text.
+    excluded : str
+        Letters that the text must not contain.
+
+    Raises
+    ------
+    InvalidArgument
+        If the value is not such text.
+
+    Examples
+    --------
+    >>> from pinmobile.arrays import word
+    >>> word("name", "left arm", "/,")
+    'left arm'
+    """
+    if not isinstance(value, str) or not value.strip() or set(excluded) & set(value):
+        letters = " ".join(excluded)
+        raise InvalidArgument(f"{name} is {format_value(value)}, expected a word without {letters}")
+    return value
 
 
 def check_overflow(label: str, array: Array) -> Array:
@@ -1078,6 +1109,32 @@ def increasing(name: str, t: Array, hint: str = "") -> None:
         raise InvalidArgument(f"{name}[{index}] is {t[index]} s after {t[index - 1]} s, expected more{hint}")
 
 
+def bisect(low: float, high: float, holds: Callable[[float], bool]) -> tuple[float, float]:
+    """Return a small interval: a condition holds at its lower end, but not at its upper end.
+
+    Parameters
+    ----------
+    low, high : float
+        Interval with this property.
+    holds : callable
+        Condition.
+
+    Examples
+    --------
+    >>> from pinmobile.arrays import bisect
+    >>> low, high = bisect(0.0, 2.0, lambda x: x * x < 2)
+    >>> round(low, 6)
+    1.414214
+    """
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if holds(middle) else (low, middle)
+    return low, high
+
+
+_HALVINGS = 40
+
+
 def affordable(label: str, numbers: float, remedy: str) -> None:
     """Check that arrays fit into `MEMORY`, before a function allocates them.
 
@@ -1169,6 +1226,32 @@ def frozen(array: ArrayLike) -> Array:
         return array
     floats = np.asarray(array, dtype=np.float64)
     return np.ndarray(floats.shape, np.float64, floats.tobytes())
+
+
+def rotate(cos: Array, sin: Array, vectors: Array) -> Array:
+    """Return vectors with the first two entries rotated by an angle, shape (..., n).
+
+    Parameters
+    ----------
+    cos, sin : ndarray, shape (...)
+        Cosine and sine of the angle.
+    vectors : ndarray, shape (..., n), n >= 2
+        Vectors; other entries than the first two stay.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile.arrays import rotate
+    >>> rotate(0.0, 1.0, np.array([1.0, 0.0, 7.0]))
+    array([0., 1., 7.])
+    """
+    x, y = vectors[..., 0], vectors[..., 1]
+    x_rotated = cos * x - sin * y
+    rotated = np.empty((*x_rotated.shape, np.shape(vectors)[-1]))
+    rotated[..., 0] = x_rotated
+    rotated[..., 1] = sin * x + cos * y
+    rotated[..., 2:] = vectors[..., 2:]
+    return rotated
 
 
 HALF_TURN = 1e-9

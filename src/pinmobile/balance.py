@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 from pinmobile.arrays import (
     Array,
     ArrayLike,
+    bisect,
     broadcast,
     check_integer,
     finite,
@@ -29,7 +29,6 @@ from pinmobile.robot import WEIGHTLESS, check_footprint, margin_inside, zero_mom
 from pinmobile.trajectories import Reference
 
 _MAX_FACTOR = 1e6  # largest factor of the speed: beyond, the speed counts as unlimited
-_HALVINGS = 40
 _MAX_ANGLE = np.pi / 2 - 1e-9  # [rad]
 
 
@@ -512,7 +511,7 @@ def max_path_speed(plant: Any, trajectory: Any, samples: int = 400) -> MotionLim
         low, high = high, 2.0 * high
         if high > _MAX_FACTOR:
             return MotionLimit(np.inf, "", 0.0, np.inf)
-    low, high = _bisect(low, high, lambda factor: _smallest_margin(motion, factor)[0] >= 0)
+    low, high = bisect(low, high, lambda factor: _smallest_margin(motion, factor)[0] >= 0)
     _, event, sample = _smallest_margin(motion, high)
     return MotionLimit(low * speed, event, float(t[sample]), low)
 
@@ -563,16 +562,8 @@ def max_slope(plant: Any, direction: float = 0.0) -> MotionLimit:
     margin, event, _ = worst(0.0)
     if margin < 0:
         raise InvalidArgument(f"plant does not stand on level ground: {event}, expected one that does")
-    low, high = _bisect(0.0, _MAX_ANGLE, lambda angle: worst(angle)[0] >= 0)
+    low, high = bisect(0.0, _MAX_ANGLE, lambda angle: worst(angle)[0] >= 0)
     return MotionLimit(low, worst(high)[1])
-
-
-def _bisect(low: float, high: float, is_safe: Callable[[float], bool]) -> tuple[float, float]:
-    """Return a small interval: the robot stands at its lower end, but not at its upper end."""
-    for _ in range(_HALVINGS):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if is_safe(middle) else (low, middle)
-    return low, high
 
 
 def _smallest_margin(motion: Any, factor: float) -> tuple[float, str, int]:

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Protocol, Self, final
 import attrs
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, frozen, seeded, sequence, shaped, text
+from pinmobile.arrays import Array, ArrayLike, frozen, rotate, seeded, sequence, shaped, text
 from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.parts import (
     Number,
@@ -589,8 +589,8 @@ class ViscousFriction:
             Pose of the body [m, m, rad], and its rate [m/s, m/s, rad/s].
         """
         cos, sin = np.cos(q[..., 2]), np.sin(q[..., 2])
-        twist = _rotate(cos, -sin, v)
-        return broadcast_force(_rotate(cos, sin, -self.coefficients * twist), t, q)
+        twist = rotate(cos, -sin, v)
+        return broadcast_force(rotate(cos, sin, -self.coefficients * twist), t, q)
 
 
 @final
@@ -653,19 +653,8 @@ class RollingResistance:
             Pose of the body [m, m, rad], and its rate [m/s, m/s, rad/s].
         """
         cos, sin = np.cos(q[..., 2]), np.sin(q[..., 2])
-        twist = _rotate(cos, -sin, v)
-        return broadcast_force(_rotate(cos, sin, -self.force * twist / np.hypot(twist, self.speed)), t, q)
-
-
-def _rotate(cos: Array, sin: Array, vector: Array) -> Array:
-    """Return vectors with the first two components rotated by an angle, shape (..., 3)."""
-    x, y = vector[..., 0], vector[..., 1]
-    x_rotated = cos * x - sin * y
-    rotated = np.empty((*x_rotated.shape, 3))
-    rotated[..., 0] = x_rotated
-    rotated[..., 1] = sin * x + cos * y
-    rotated[..., 2] = vector[..., 2]
-    return rotated
+        twist = rotate(cos, -sin, v)
+        return broadcast_force(rotate(cos, sin, -self.force * twist / np.hypot(twist, self.speed)), t, q)
 
 
 def _check_names(name: str, value: object) -> tuple[str, ...]:

@@ -293,46 +293,6 @@ def channels_of(coordinates: Sequence[Any], metrics: Sequence[Metric]) -> tuple[
     )
 
 
-def check_metrics(plant: Any, q: Array, v: Array, reference: Any) -> None:
-    """Check the metrics of a plant that is at rest in its start configuration.
-
-    Parameters
-    ----------
-    plant : plant
-        Plant with metrics.
-    q, v : ndarray, shape (nq,), (nv,)
-        Start configuration and velocity.
-    reference : Reference
-        Reference of all samples.
-
-    Raises
-    ------
-    InvalidArgument
-        If ``evaluate_metrics`` returns NaN or another shape; infinity is allowed.
-
-    See Also
-    --------
-    metrics.evaluate_metrics_of : metrics of one sample.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from pinmobile import Circle, MobileRobot, Tangent
-    >>> from pinmobile.metrics import check_metrics
-    >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
-    >>> desired = Tangent(Circle(1.0, 0.5, 4.0))(np.array([0.0, 1.0]))
-    >>> check_metrics(robot, np.zeros(3), np.zeros(3), desired)
-    """
-    first = type(reference)(*(x[0] for x in reference))
-    values = evaluate_metrics_of(plant, np.zeros(()), q, v, np.zeros(plant.nv), np.zeros(plant.nu), first)
-    for metric, number in zip(metrics_of(plant), values, strict=True):
-        if np.isnan(number):
-            raise InvalidArgument(
-                f"plant is a {type(plant).__name__}, whose evaluate_metrics(t, q, v, a, u, reference) "
-                f"returned NaN as {metric.name!r} where it starts, expected a number"
-            )
-
-
 def evaluate_metrics_of(plant: Any, t: Any, q: Any, v: Any, a: Any, u: Any, reference: Any) -> Any:
     """Return the metrics of a sample, in the order of the plant.
 

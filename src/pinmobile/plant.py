@@ -756,14 +756,8 @@ class Context:
         Raises
         ------
         InvalidArgument
-            If the plant lacks `difference` or `integrate`, `dt` is not above zero, or `t` has another shape.
+            If `dt` is not above zero, or `t` has another shape.
         """
-        missing = [name for name in ("difference", "integrate") if not callable(stated(plant, name))]
-        if isinstance(plant, type) or missing:
-            reason = f", which has no {missing[0]}" if missing else ""
-            raise InvalidArgument(
-                f"plant is {format_value(plant)}{reason}, expected a MobileRobot or other plant"
-            )
         check_difference(plant.difference)
         times = shaped("t", finite("t", np.zeros(1) if t is None else t), ("n",))
         descriptions = coordinates_of(plant), inputs_of(plant), reference_sizes_of(plant)
@@ -1164,13 +1158,11 @@ def all_samples(plant: object, name: str, *rows: Array) -> Array:
     return np.stack([method(*(part.copy() for part in row)) for row in zip(*rows, strict=True)])
 
 
-def full_configurations(plant: Any, q: Array, reference: Array) -> Array:
+def full_configurations(q: Array, reference: Array) -> Array:
     """Return the reference's configurations, completed by the last entries of q.
 
     Parameters
     ----------
-    plant : plant
-        Plant with nq.
     q : ndarray, shape (..., nq)
         Configurations [m, m, rad, ...].
     reference : ndarray, shape (..., n), n <= nq
@@ -1192,13 +1184,13 @@ def full_configurations(plant: Any, q: Array, reference: Array) -> Array:
     >>> from pinmobile.plant import full_configurations
     >>> table = WheelTable.differential(0.4, 0.1, spin_inertia=0.01)
     >>> robot = WheeledRobot(MobileRobot(30.0, 1.3), table)
-    >>> full_configurations(robot, robot.rest, np.ones(3))
+    >>> full_configurations(robot.rest, np.ones(3))
     array([1., 1., 1., 0., 0.])
     """
-    length = reference.shape[-1]
-    if length == plant.nq:
+    length, (*lead, size) = reference.shape[-1], q.shape
+    if length == size:
         return reference
-    return np.concatenate([reference, q[..., length:]], axis=-1)
+    return np.concatenate([np.broadcast_to(reference, (*lead, length)), q[..., length:]], axis=-1)
 
 
 @dataclass(frozen=True)

@@ -1,11 +1,5 @@
 """Compilation: laws in NumPy for one state run with symbols and become vector code for many robots."""
 
-from pinmobile.compiled._tracing import (
-    law_place as law_place,
-    pause_gc as pause_gc,
-    place_of as place_of,
-    tracing as tracing,
-)
 from pinmobile.compiled._vectorize import Recurrence as Recurrence, jacobian as jacobian, vectorize
 from pinmobile.compiled.differentiation import (
     Copy as Copy,
@@ -19,6 +13,12 @@ from pinmobile.compiled.differentiation import (
 from pinmobile.compiled.elementary import sincos as sincos
 from pinmobile.compiled.emit import BINS as BINS, FIRST as FIRST, SHIFT as SHIFT, Shape as Shape
 from pinmobile.compiled.folding import DTYPES as DTYPES, NUMPY as NUMPY, ROUND as ROUND
+from pinmobile.compiled.functions import (
+    law_place as law_place,
+    pause_gc as pause_gc,
+    place_of as place_of,
+    tracing as tracing,
+)
 from pinmobile.compiled.identity import (
     Contents as Contents,
     Identity as Identity,
@@ -35,17 +35,15 @@ from pinmobile.compiled.memory import (
     normals as normals,
     robot_keys as robot_keys,
 )
-from pinmobile.compiled.processor import (
+from pinmobile.compiled.program import (
     LOOP as LOOP,
     Cache as Cache,
-    Target as Target,
-    processors as processors,
-)
-from pinmobile.compiled.program import (
     Outcome as Outcome,
     Program as Program,
+    Target as Target,
     aligned as aligned,
     call as call,
+    processors as processors,
 )
 from pinmobile.compiled.symbolic import (
     Symbols as Symbols,

@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 
 from pinmobile.arrays import Array, affordable, finite, finite_answer
-from pinmobile.compiled._tracing import tracing
 from pinmobile.compiled.differentiation import slopes
+from pinmobile.compiled.functions import tracing
 from pinmobile.compiled.identity import Identity
-from pinmobile.compiled.processor import Cache, processors
-from pinmobile.compiled.program import Program, aligned
+from pinmobile.compiled.program import Cache, Program, aligned, processors
 from pinmobile.compiled.symbolic import entries, symbols
 from pinmobile.compiled.tape import Leaf, LoopTape, Tape, ancestors, operands
 from pinmobile.errors import InvalidArgument, NotTraceable, format_value

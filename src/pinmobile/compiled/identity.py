@@ -32,7 +32,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from pinmobile.compiled._tracing import is_foreign, names_of
+from pinmobile.compiled.functions import is_foreign, names_of
 from pinmobile.compiled.memory import DelayLine, Noise, Schedule, is_leaf
 from pinmobile.parts import Child, Field, Number, entries_of, fields_of, is_part
 

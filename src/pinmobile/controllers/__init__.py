@@ -20,6 +20,7 @@ from pinmobile.controllers.controller import (
     notify_applied as notify_applied,
     plain_difference,
     planar_difference,
+    stamp as stamp,
 )
 from pinmobile.controllers.feedback import (
     PD,
@@ -44,7 +45,6 @@ from pinmobile.controllers.kinematic_laws import (
 )
 from pinmobile.controllers.lqr import LQR
 from pinmobile.controllers.mpc import MPC
-from pinmobile.controllers.sampled import Sampled
 from pinmobile.controllers.wrappers import (
     ADRC,
     ControlAllocation,
@@ -53,6 +53,7 @@ from pinmobile.controllers.wrappers import (
     InputSaturation,
     MeasurementDelay,
     MeasurementNoise,
+    Sampled,
 )
 
 __all__ = [

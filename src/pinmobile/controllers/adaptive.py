@@ -17,12 +17,12 @@ from pinmobile.controllers.kinematic_laws import (
     rate_of,
     reference_of,
     reference_speeds,
+    refuse_reference,
     sin,
     tanh,
     value_of,
 )
 from pinmobile.controllers.lqr import check_gains, diagonal, double_integrators
-from pinmobile.errors import InvalidArgument
 from pinmobile.parts import Commanded, Passive, array, child, each, number, option, part, structure
 from pinmobile.plant import Context
 
@@ -180,12 +180,13 @@ class AdaptiveVelocity:
         if reference is not None and self._follows_pose:
             t = np.asarray(context.t)
             speed, _ = reference_speeds(self.robot.axle, t, reference)
-            if (speed < _REVERSE_SPEED).any():
-                j = int(np.argmax(speed < _REVERSE_SPEED))
-                raise InvalidArgument(
-                    f"reference has a speed of {speed[j]:.3g} m/s at t = {t[j]:g} s, expected one that "
-                    "does not move backwards, where a point ahead of the axle turns around"
-                )
+            refuse_reference(
+                speed < _REVERSE_SPEED,
+                lambda k: (
+                    f"has a speed of {speed[k]:.3g} m/s at t = {t[k]:g} s, expected one that does not "
+                    "move backwards, where a point ahead of the axle turns around"
+                ),
+            )
         self._check_gains(context.dt, reference)
         zeros = np.zeros(2)
         return self.robot.theta, self.robot.theta, zeros, zeros, float(context.dt)

@@ -173,10 +173,13 @@ def evaluate(
     """
     answer = controller(t, q, v, reference, state)
     if type(answer) is not tuple or len(answer) != 2:
-        raise InvalidArgument(
-            f"controller returned {format_value(answer)} at t = {t:g} s, expected (u, state)"
-        )
+        raise InvalidArgument(f"controller returned {format_value(answer)}{stamp(t)}, expected (u, state)")
     return answer
+
+
+def stamp(t: Any) -> str:
+    """Return a time as text for messages; "" for a symbol."""
+    return f" at t = {t:g} s" if isinstance(t, float) else ""
 
 
 def check_wheels(robot: Any) -> None:
@@ -269,12 +272,6 @@ class ContextView:
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._context, name)
-
-
-def complete_reference(q: Array, desired: Array) -> Array:
-    """Return a reference's configurations, completed by the last entries of q, shape (..., nq)."""
-    lead, length = np.shape(q)[:-1], np.shape(desired)[-1]
-    return np.concatenate([np.broadcast_to(desired, (*lead, length)), q[..., length:]], axis=-1)
 
 
 def planar_difference(q0: Array, q1: Array) -> Array:

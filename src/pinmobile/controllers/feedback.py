@@ -8,7 +8,7 @@ from typing import Any, final
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, endless_or_finite, finite, frozen, real, shaped
-from pinmobile.controllers.controller import State, combined_error, complete_reference, passive_torque
+from pinmobile.controllers.controller import State, combined_error, passive_torque
 from pinmobile.controllers.lqr import check_gains, diagonal, double_integrators
 from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.parts import (
@@ -24,7 +24,7 @@ from pinmobile.parts import (
     option,
     part,
 )
-from pinmobile.plant import Context, Difference, check_difference, reference_sizes_of
+from pinmobile.plant import Context, Difference, check_difference, full_configurations, reference_sizes_of
 
 SLOPE = "decay rate of errors on the surface s = 0"
 """Meaning of the field `slope`."""
@@ -248,7 +248,7 @@ def feedback(
     if q.shape != desired.shape or v.shape != reference.v.shape or (robot is not None and robot.nv != n):
         # Wheels have no reference.
         if robot is not None and n == max(reference_sizes_of(robot)) < v.shape[-1]:
-            desired = complete_reference(q, desired)
+            desired = full_configurations(q, desired)
         else:
             _check_fit(robot, q, v, reference)
     compare = difference or controller.difference or controller.robot.difference

@@ -8,10 +8,10 @@ from typing import Any, NamedTuple, Protocol, final
 import numpy as np
 
 from pinmobile.arrays import Array, callable_as, frozen, wrap_angle
-from pinmobile.controllers.controller import State, check_wheels, complete_reference
+from pinmobile.controllers.controller import State, check_wheels
 from pinmobile.errors import InvalidArgument, NotTraceable
 from pinmobile.parts import Commanded, Rolling, able, child, number, part, structure
-from pinmobile.plant import Context
+from pinmobile.plant import Context, full_configurations
 
 _SERIES_ANGLE = 1e-3  # [rad]; below it, sin(x) / x is computed by its series
 _SPEED_TOLERANCE = 1e-6  # [m/s, rad/s]; a reference below it is at rest
@@ -263,10 +263,10 @@ class KinematicLaw(Protocol):
         """
 
 
-def _first_time(t: Array, wrong: Any) -> float | None:
-    """Return the first time at which a condition holds; None if it never does."""
-    indices = np.flatnonzero(wrong)
-    return float(t[indices[0]]) if len(indices) else None
+def refuse_reference(wrong: Any, words: Callable[[int], str]) -> None:
+    """Raise `InvalidArgument` with words about the first sample of a reference at which a condition holds."""
+    if np.any(wrong):
+        raise InvalidArgument(f"reference {words(int(np.argmax(wrong)))}")
 
 
 @final
@@ -376,13 +376,13 @@ class Kanayama:
 
     def check(self, t: Array, speed: Array, yaw_rate: Array) -> None:
         """Raise `InvalidArgument` for a reference that stops or moves backwards."""
-        time = _first_time(t, speed <= _SPEED_TOLERANCE)
-        if time is not None:
-            raise InvalidArgument(
-                f"reference has a speed of {speed[t == time][0]:.3g} m/s at t = {time:g} s, expected a "
-                "reference that always moves "
-                "forwards, or the law UnicycleTracking()"
-            )
+        refuse_reference(
+            speed <= _SPEED_TOLERANCE,
+            lambda k: (
+                f"has a speed of {speed[k]:.3g} m/s at t = {t[k]:g} s, expected a reference that always "
+                "moves forwards, or the law UnicycleTracking()"
+            ),
+        )
 
     def __call__(self, tracked: TrackingState, state: None) -> tuple[tuple[Any, Any], None]:
         """Return (v, w) [m/s, rad/s], and None."""
@@ -442,11 +442,10 @@ class Parking:
 
     def check(self, t: Array, speed: Array, yaw_rate: Array) -> None:
         """Raise `InvalidArgument` for a reference that moves."""
-        time = _first_time(t, np.hypot(speed, yaw_rate) > _SPEED_TOLERANCE)
-        if time is not None:
-            raise InvalidArgument(
-                f"reference moves at t = {time:g} s, expected a goal at rest, or the law UnicycleTracking()"
-            )
+        refuse_reference(
+            np.hypot(speed, yaw_rate) > _SPEED_TOLERANCE,
+            lambda k: f"moves at t = {t[k]:g} s, expected a goal at rest, or the law UnicycleTracking()",
+        )
 
     def __call__(self, tracked: TrackingState, state: None) -> tuple[tuple[Any, Any], None]:
         """Return (v, w) [m/s, rad/s], and None."""
@@ -520,12 +519,13 @@ class DynamicFeedback:
 
     def check(self, t: Array, speed: Array, yaw_rate: Array) -> None:
         """Raise `InvalidArgument` for a reference that rests or reverses."""
-        time = _first_time(t, speed * np.sign(speed[0]) < self.least)
-        if time is not None:
-            raise InvalidArgument(
-                f"reference has a speed of {speed[t == time][0]:.3g} m/s at t = {time:g} s, expected "
-                f"{self.least:g} m/s or more, always in one direction, or the law UnicycleTracking()"
-            )
+        refuse_reference(
+            speed * np.sign(speed[0]) < self.least,
+            lambda k: (
+                f"has a speed of {speed[k]:.3g} m/s at t = {t[k]:g} s, expected {self.least:g} m/s or "
+                "more, always in one direction, or the law UnicycleTracking()"
+            ),
+        )
 
     def __call__(
         self, tracked: TrackingState, state: tuple[Any, Any, Any]
@@ -672,13 +672,13 @@ class Backstepping:
         if self._steering_limit is not None:
             limit, pivot = self._steering_limit
             angle = np.abs(_steering_angle(self._axle, pivot, speed, w))
-            exceeds = angle > limit * (1 + _ANGLE_TOLERANCE)
-            if exceeds.any():
-                k = int(np.argmax(exceeds))
-                raise InvalidArgument(
-                    f"reference needs a steering angle of {angle[k]:.3g} rad at t = "
-                    f"{t[k]:g} s, expected at most {limit:.3g} rad"
-                )
+            refuse_reference(
+                angle > limit * (1 + _ANGLE_TOLERANCE),
+                lambda k: (
+                    f"needs a steering angle of {angle[k]:.3g} rad at t = {t[k]:g} s, expected at most "
+                    f"{limit:.3g} rad"
+                ),
+            )
         self.law.check(t, speed, w)
 
     def __call__(
@@ -760,13 +760,13 @@ def check_heading(t: Array, reference: Any) -> tuple[Array, Array]:
     """
     psi, w = reference.q[:, 2], reference.v[:, 2]
     jumps = np.abs(wrap_angle(np.diff(psi) - np.diff(t) * (w[1:] + w[:-1]) / 2))
-    if len(jumps) and jumps.max() > _HEADING_JUMP:
-        k = int(np.argmax(jumps > _HEADING_JUMP))
-        raise InvalidArgument(
-            f"reference has a jump of its heading by {jumps[k]:.3g} rad at t = {t[k + 1]:g} s, "
-            "expected one that "
+    refuse_reference(
+        jumps > _HEADING_JUMP,
+        lambda k: (
+            f"has a jump of its heading by {jumps[k]:.3g} rad at t = {t[k + 1]:g} s, expected one that "
             "the wheels can follow, such as Tangent(path, turn_time=...)"
-        )
+        ),
+    )
     return psi, w
 
 
@@ -879,7 +879,7 @@ class SwerveTracking:
 
     def _desired_twist(self, q: Array, v: Array, reference: State) -> list[DualNumber]:
         """Return the desired body twist, with its rate."""
-        errors, w = self.robot.difference(q, complete_reference(q, reference.q)), v[..., 2]
+        errors, w = self.robot.difference(q, full_configurations(q, reference.q)), v[..., 2]
         e_x, e_y = _body_components(q, errors)
         (vx, vy), (rx, ry), (ax, ay) = (_body_components(q, x) for x in (v, reference.v, reference.a))
         w_r = reference.v[..., 2]
@@ -915,14 +915,13 @@ def reference_speeds(axle: Array, t: Array, reference: Any) -> tuple[Array, Arra
     c, s = np.cos(psi), np.sin(psi)
     lateral = (a * c - b * s) * reference.v[:, 0] + (a * s + b * c) * reference.v[:, 1] + arm * w
     speed = (b * c + a * s) * reference.v[:, 0] + (b * s - a * c) * reference.v[:, 1]
-    wrong = np.abs(lateral) > _LATERAL_TOLERANCE * (1.0 + np.abs(speed))
-    if wrong.any():
-        k = int(np.argmax(wrong))
-        raise InvalidArgument(
-            f"reference moves sideways, at {lateral[k]:.3g} m/s across the fixed axle, at t = {t[k]:g} "
-            "s, expected "
+    refuse_reference(
+        np.abs(lateral) > _LATERAL_TOLERANCE * (1.0 + np.abs(speed)),
+        lambda k: (
+            f"moves sideways, at {lateral[k]:.3g} m/s across the fixed axle, at t = {t[k]:g} s, expected "
             "one that the wheels can follow, such as Tangent(path)"
-        )
+        ),
+    )
     return speed, w
 
 
@@ -931,7 +930,7 @@ def tracking_error(
 ) -> tuple[TrackingState, Array]:
     """Return the tracking error of a law, with its rates, and the errors of all coordinates."""
     a, b, arm = axle[..., 0], axle[..., 1], axle[..., 2]
-    errors = robot.difference(q, complete_reference(q, reference.q))
+    errors = robot.difference(q, full_configurations(q, reference.q))
     c, s = np.cos(q[..., 2]), np.sin(q[..., 2])
     c_r, s_r = np.cos(reference.q[..., 2]), np.sin(reference.q[..., 2])
     # Directions of motion of body and reference, and positions of both axles.

@@ -11,12 +11,12 @@ from weakref import WeakKeyDictionary
 import attrs
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, finite, frozen, shaped
+from pinmobile.arrays import Array, ArrayLike, bisect, finite, frozen, shaped
 from pinmobile.compiled import is_constant
-from pinmobile.controllers.controller import State, complete_reference
+from pinmobile.controllers.controller import State
 from pinmobile.errors import InvalidArgument, NotTraceable
 from pinmobile.parts import Electric, Followed, Linearized, Rolling, able, child, number, option, part
-from pinmobile.plant import Context, Input, inputs_of
+from pinmobile.plant import Context, Input, full_configurations, inputs_of
 
 _BASE = 3
 _CACHE_SIZE = 4  # cached designs per robot
@@ -196,11 +196,6 @@ def full_reference(context: Context, robot: Any) -> Any:
             "TorqueToVoltage(controller, robot) "
             "turns torques into volts"
         )
-    if context.reference is None:
-        raise InvalidArgument(
-            "context has no reference, along which the robot is linearised, expected "
-            "Context.of(plant, dt=..., t=..., reference=...)"
-        )
     return context.reference
 
 
@@ -259,7 +254,7 @@ def tracked_errors(robot: Any, q: Array, v: Array, reference: State, nu: Array) 
     """Return the errors of the tracked state, shape (..., n + m), from a reference and its nu."""
     if not able(robot, Rolling):
         return np.concatenate([robot.difference(q, reference.q), nu - v], axis=-1)
-    errors = robot.difference(q, complete_reference(q, reference.q))[..., : np.shape(reference.v)[-1]]
+    errors = robot.difference(q, full_configurations(q, reference.q))[..., : np.shape(reference.v)[-1]]
     return np.concatenate([errors, nu - robot.independent(q, v)], axis=-1)
 
 
@@ -315,10 +310,7 @@ def check_gains(gains: Callable[[], dict[str, Any]], loop: Callable[[float], Arr
     except (NotTraceable, TypeError):
         return
     words = ", ".join(f"{name} = {np.unique(gain).tolist()}" for name, gain in given.items())
-    good, bad = 0.0, dt
-    for _ in range(40):
-        middle = (good + bad) / 2
-        good, bad = (middle, bad) if is_stable(middle) else (good, middle)
+    good, _ = bisect(0.0, dt, is_stable)
     if good < _STEP_FRACTION * dt:
         raise InvalidArgument(f"gains {words} are unstable at any dt, expected other gains")
     raise InvalidArgument(

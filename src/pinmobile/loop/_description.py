@@ -7,7 +7,6 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from hashlib import sha256
 from importlib.metadata import version as installed
-from itertools import zip_longest
 from sysconfig import get_python_version
 from types import MappingProxyType
 from typing import Any, NamedTuple, final
@@ -29,8 +28,6 @@ from pinmobile.parts import is_part, parts_of, walk
 from pinmobile.plant import Coordinate, Input, Parameter
 from pinmobile.signals import Signal
 from pinmobile.trajectories import Reference, Trajectory
-
-_MIN_WIDTH = 28  # smallest width of a row's name
 
 
 def format_result(n: int, duration: float, errors: tuple[float, float], diverged: int, after: float) -> str:
@@ -67,50 +64,6 @@ def format_percent(part: int, n: int) -> str:
         return "all"
     share = 100 * part / n
     return f"{share:.2g} % of" if share < 99 else "more than 99 % of"
-
-
-def format_ranges(
-    max_distance: Array,
-    max_error: Array,
-    max_input: Array,
-    coordinates: Sequence[Coordinate],
-    inputs: Sequence[Input],
-    worst_metric: Array,
-    metrics: Sequence[Metric],
-) -> list[str]:
-    """Return one row per error, input and metric: smallest, median and largest value over the robots.
-
-    Parameters
-    ----------
-    max_distance : ndarray, shape (n,)
-        Largest distance from the desired position [m].
-    max_error, max_input : ndarray, shape (n, c), (n, nu)
-        Largest errors and inputs.
-    coordinates, inputs : sequence of Coordinate, sequence of Input
-        Names and units of the coordinates and inputs.
-    worst_metric : ndarray, shape (n, j)
-        Worst values of the metrics.
-    metrics : sequence of Metric
-        Names and units of the metrics.
-    """
-    columns = {"largest distance [m]": max_distance}
-    errors = zip([_title(f"error of {one.name}", one.unit) for one in coordinates], max_error.T, strict=True)
-    sizes = zip([_title(one.name, one.unit) for one in inputs], max_input.T, strict=True)
-    for pair in zip_longest(errors, sizes):
-        columns |= dict(filter(None, pair))
-    pairs = zip(metrics, worst_metric.T, strict=True)
-    columns |= {f"{one.worst} {one.title}": column for one, column in pairs if one.worst != "ever"}
-    rows, width = [], max(_MIN_WIDTH, *map(len, columns))
-    for name, values in columns.items():
-        finite = values[~np.isnan(values)]
-        if len(finite):
-            low, middle, high = map(format_si, (finite.min(), np.median(finite), finite.max()))
-            rows.append(f"{name:<{width}} least {low}, median {middle}, largest {high}")
-    return rows
-
-
-def _title(name: str, unit: str) -> str:
-    return f"largest {name} [{unit}]" if unit else f"largest {name}"
 
 
 _PARTS = ("robot", "controller", "trajectory", "integrator")

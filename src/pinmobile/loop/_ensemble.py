@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import zip_longest
 from os import PathLike
 from typing import Any, Generic, NamedTuple, TypeVar
 
@@ -25,7 +26,6 @@ from pinmobile.loop._description import (
     columns_of,
     content_of,
     dataset_of,
-    format_ranges,
     format_result,
     quantiles_of,
     share_quantile,
@@ -34,7 +34,7 @@ from pinmobile.loop._rollout import Rollout
 from pinmobile.loop._scenario import Scenario
 from pinmobile.loop._simulate import simulate
 from pinmobile.loop._spread import SameAs
-from pinmobile.metrics import Metric
+from pinmobile.metrics import Metric, format_si
 from pinmobile.parts import shorten
 from pinmobile.signals import Signal
 
@@ -172,6 +172,7 @@ def _cause(name: str, unit: str, values: Array, worst: NDArray[np.bool_], chance
 
 _FORMAT = "pinmobile ensemble 5"
 _SHARE, _MIN_ROBOTS, _MAX_CAUSES = 0.05, 40, 3  # share of the worst, robots that it needs, numbers in a line
+_MIN_WIDTH = 28  # smallest width of a row's name
 _V = TypeVar("_V")
 
 
@@ -719,17 +720,31 @@ class Ensemble:
 
     def __str__(self) -> str:
         samples = f"seed {self.scenario.seed}, {len(self.scenario.t)} samples each"
-        axes = self.scenario.coordinates, self.scenario.inputs
-        done = ~self.diverged
-        records = self.max_distance[done], self.max_error[done], self.max_input[done]
-        metrics = self.worst_metric[done], self.scenario.recorded_metrics
-        rows = format_ranges(*records, *axes, *metrics)
-        if rows and not done.all():
-            rows.insert(0, f"the {np.count_nonzero(done):,} robots that did not diverge:")
+        rows, count = self._format_ranges(), np.count_nonzero(~self.diverged)
+        if rows and count < len(self):
+            rows.insert(0, f"the {count:,} robots that did not diverge:")
         words = [str(self.scenario)] if isinstance(self.scenario, Outline) else []
         spread = Outline.of(self.scenario).spread_in_words
         lines = [*([f"spread: {spread}"] if spread else []), *self._failures(), *self.events, *self._causes()]
         return "\n".join([self._format_result(), samples, *lines, *rows, *words])
+
+    def _format_ranges(self) -> list[str]:
+        """Return one row per error, input and metric: its range over the robots that did not diverge."""
+        scenario, columns = self.scenario, {"largest distance [m]": self.max_distance}
+        names = [_title(f"error of {one.name}", one.unit) for one in scenario.coordinates]
+        errors = zip(names, self.max_error.T, strict=True)
+        sizes = zip([_title(x.name, x.unit) for x in scenario.inputs], self.max_input.T, strict=True)
+        for pair in zip_longest(errors, sizes):
+            columns |= dict(filter(None, pair))
+        pairs = zip(scenario.recorded_metrics, self.worst_metric.T, strict=True)
+        columns |= {f"{one.worst} {one.title}": column for one, column in pairs if one.worst != "ever"}
+        rows, width = [], max(_MIN_WIDTH, *map(len, columns))
+        for name, values in columns.items():
+            finite = values[~np.isnan(values) & ~self.diverged]
+            if len(finite):
+                low, middle, high = map(format_si, (finite.min(), np.median(finite), finite.max()))
+                rows.append(f"{name:<{width}} least {low}, median {middle}, largest {high}")
+        return rows
 
     def _failures(self) -> list[str]:
         """Return a line with the number of robots that failed and the reasons; no line if none did."""
@@ -750,3 +765,7 @@ class Ensemble:
     def _format_result(self) -> str:
         errors, counts = self.error_quantile(0.99), (int(self.diverged.sum()), self.scenario.after)
         return format_result(len(self), self.scenario.t[-1], (errors.distance, errors.heading), *counts)
+
+
+def _title(name: str, unit: str) -> str:
+    return f"largest {name} [{unit}]" if unit else f"largest {name}"

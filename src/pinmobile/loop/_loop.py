@@ -16,6 +16,7 @@ import numpy as np
 
 from pinmobile.arrays import Array, are_real, one_of
 from pinmobile.compiled import entries, has_symbols, place_of
+from pinmobile.controllers import evaluate, stamp
 from pinmobile.errors import InvalidArgument, NotTraceable, format_value
 from pinmobile.metrics import Metric, evaluate_metrics_of, size_of
 from pinmobile.parts import (
@@ -36,7 +37,7 @@ from pinmobile.parts import (
     option,
     part,
 )
-from pinmobile.plant import Context, coordinates_of, stated
+from pinmobile.plant import Context, coordinates_of, full_configurations, stated
 from pinmobile.signals import SignalSample, collect_signals, number as signal_number, signals_of
 from pinmobile.trajectories import Reference
 
@@ -418,10 +419,7 @@ def step(
 
 def control(loop: Loop, t: Any, q: Any, v: Any, reference: Reference, memory: Any) -> tuple[Any, Any]:
     """Return the applied input of a sample and the memory of the controller after it."""
-    answer = loop.controller(t, q.copy(), v.copy(), reference, memory)
-    if type(answer) is not tuple or len(answer) != 2:
-        raise InvalidArgument(f"controller returned {format_value(answer)}{stamp(t)}, expected (u, state)")
-    u, memory = answer
+    u, memory = evaluate(loop.controller, t, q.copy(), v.copy(), reference, memory)
     if type(u) is not np.ndarray or u.dtype != np.float64 or u.shape != (loop.law.nu,):
         u = _check_numbers("controller", u, t, (loop.law.nu,), advice(loop.plant))
     if loop.limits is not None:
@@ -438,11 +436,6 @@ def _check_numbers(name: str, value: Any, t: Any, shape: tuple[int, ...], hint: 
         expected = f"an array of shape {shape}{'' if are_real(array) else ' of real numbers'}"
         raise InvalidArgument(f"{name} returned {format_value(value)}{stamp(t)}, expected {expected}{hint}")
     return array
-
-
-def stamp(t: Any) -> str:
-    """Return a time as text for messages; "" for a symbol."""
-    return f" at t = {t:g} s" if isinstance(t, float) else ""
 
 
 def part_signals(
@@ -468,11 +461,8 @@ def _signal(name: str, value: Any) -> Any:
 
 def tracking_errors(plant: Any, q: Any, v: Any, reference: Reference) -> tuple[Any, Any]:
     """Return the errors of the reference's coordinates and of their rates, shape (n,) each."""
-    n, length = reference.v.shape[-1], reference.q.shape[-1]
-    desired = reference.q
-    if length != plant.nq:  # coordinates without a reference have no error
-        lead = np.shape(q)[:-1]
-        desired = np.concatenate([np.broadcast_to(desired, (*lead, length)), q[..., length:]], axis=-1)
+    n = reference.v.shape[-1]
+    desired = full_configurations(q, reference.q)  # coordinates without a reference have no error
     return plant.difference(q, desired)[..., :n], reference.v - v[..., :n]
 
 

@@ -144,7 +144,7 @@ def _metric_event(m: Metric, t: Array, values: Array) -> Event | None:
     return Event.of(kind, m.name, t, values, excess, words=words, unit=m.unit)
 
 
-_BASE = 3
+_BASE = 3  # x, y, psi
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -295,7 +295,6 @@ def _coordinates_of(plant: Any, frame: str) -> int:
     return int(next(counts, _BASE))
 
 
-_POSE = 3  # x, y, psi
 _ARRAY_NAMES = ("t", "q", "v", "a", "u", "error")
 _FORMAT = "pinmobile rollout 4"
 
@@ -473,7 +472,7 @@ class Rollout:
         InvalidArgument
             If the plant does not provide the pose of its body.
         """
-        return self._poses(full_configurations(self, self.q, self.reference.q))
+        return self._poses(full_configurations(self.q, self.reference.q))
 
     @property
     def distance(self) -> Array:
@@ -487,14 +486,9 @@ class Rollout:
         dx, dy, _ = (self.reference_poses - self.poses).T
         return np.asarray(np.hypot(dx, dy))
 
-    @property
-    def nq(self) -> int:
-        """Number of entries of q."""
-        return int(self.q.shape[1])
-
     def _poses(self, q: Array) -> Array:
-        if self.plant is None and self.nq >= _POSE:
-            return q[:, :_POSE]
+        if self.plant is None and q.shape[1] >= _BASE:
+            return q[:, :_BASE]
         if not callable(stated(self.plant, "pose")):
             kind = getattr(self.plant, "kind", type(self.plant).__name__)
             expected = "a plant with pose(q), which returns x, y and psi"
@@ -528,7 +522,7 @@ class Rollout:
     @property
     def _line_size(self) -> int:
         """Number of coordinates in one line of text: the smallest allowed size of a reference."""
-        return min(*reference_sizes_of(self.plant), self.error.shape[1]) if self.plant is not None else _POSE
+        return min(*reference_sizes_of(self.plant), self.error.shape[1]) if self.plant is not None else _BASE
 
     @property
     def _by_coordinate(self) -> bool:
@@ -604,7 +598,7 @@ class Rollout:
             return EndEffector(name, self.t, pose, target, orientation in self.signals)
         if self.error.shape[1] < _coordinates_of(plant, name):
             return EndEffector(name, self.t, pose)
-        desired = full_configurations(plant, self.q, self.reference.q)
+        desired = full_configurations(self.q, self.reference.q)
         return EndEffector(name, self.t, pose, plant.frame_pose(desired, name))
 
     @property

@@ -320,7 +320,7 @@ _initial_states = ResultCache()
 
 def errors_of(plant: Plant, q: Array, reference: Reference) -> Array:
     """Return the tracking errors of samples in the n coordinates of the reference, shape (N, n)."""
-    desired = full_configurations(plant, q, reference.q)
+    desired = full_configurations(q, reference.q)
     return all_samples(plant, "difference", q, desired)[:, : reference.v.shape[1]]
 
 

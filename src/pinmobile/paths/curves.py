@@ -8,7 +8,7 @@ from typing import Any, final
 import attrs
 import numpy as np
 
-from pinmobile.arrays import Array, bounded, increasing, shaped
+from pinmobile.arrays import Array, bounded, increasing, rotate, shaped
 from pinmobile.errors import InvalidArgument
 from pinmobile.parts import array, number, part
 from pinmobile.paths.path import (
@@ -19,7 +19,6 @@ from pinmobile.paths.path import (
     axes_of,
     check_sizes,
     hermite,
-    rotate,
 )
 
 
@@ -185,7 +184,8 @@ class Circle(_Figure):
     def _move(self, curve: Array, order: int) -> Array:
         centre = np.array([0.0, self.radius])
         if self._turn:
-            curve, centre = (rotate(each, self._turn) for each in (curve, centre))
+            turn = np.cos(self._turn), np.sin(self._turn)
+            curve, centre = rotate(*turn, curve), rotate(*turn, centre)
         if not order:
             curve += centre if self.centre is None else np.asarray(self.centre)
         return curve

@@ -17,6 +17,7 @@ from pinmobile.arrays import (
     check_integer,
     finite,
     frozen,
+    rotate,
     shaped,
 )
 from pinmobile.errors import InvalidArgument
@@ -419,14 +420,6 @@ def _tuples(value: object) -> object:
     return tuple(map(_tuples, value)) if isinstance(value, list) else value
 
 
-def rotate(vectors: Array, angle: float) -> Array:
-    """Return vectors rotated about the z axis by an angle [rad], shape (..., n) with n >= 2."""
-    rotated = np.array(vectors, np.float64)
-    c, s, x, y = np.cos(angle), np.sin(angle), vectors[..., 0], vectors[..., 1]
-    rotated[..., 0], rotated[..., 1] = c * x - s * y, s * x + c * y
-    return rotated
-
-
 @final
 @part
 class TransformedPath(Curve):
@@ -487,7 +480,9 @@ class TransformedPath(Curve):
 
     def _transform(self, vectors: Array, order: int) -> Array:
         """Return positions or derivatives after rotation and translation."""
-        result = rotate(vectors, self.angle) if self.angle else np.array(vectors, np.float64)
+        result = np.array(vectors, np.float64)
+        if self.angle:
+            result = rotate(np.cos(self.angle), np.sin(self.angle), result)
         if not order:
             result[..., :2] += self.x, self.y
         return result

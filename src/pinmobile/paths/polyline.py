@@ -436,7 +436,7 @@ class _Turn:
             nodes, weights = _quadrature()
             z = T * s * (weights * self._direction(s[..., None] * nodes, 0)).sum(axis=-1)
         offset = z.real[..., None] * self.axes[0] + z.imag[..., None] * self.axes[1]
-        return offset if order else self.point + offset
+        return np.asarray(offset if order else self.point + offset)
 
     def _direction(self, s: Array, order: int) -> NDArray[np.complex128]:
         """Return a derivative by s of z = exp(i theta h(s)), with Leibniz' rule for z' = i theta h' z."""

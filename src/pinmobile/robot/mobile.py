@@ -27,6 +27,7 @@ from pinmobile.arrays import (
     sequence,
     shaped,
     text,
+    word,
 )
 from pinmobile.dh import LECTURE_TABLE, DHTable, table_of
 from pinmobile.errors import InvalidArgument, NotTraceable
@@ -63,7 +64,7 @@ from pinmobile.robot.model_import import (
     rods_of,
     rows_of,
 )
-from pinmobile.robot.mounts import Mount, PayloadBody, assemble, checked_name, free_name, free_place
+from pinmobile.robot.mounts import Mount, PayloadBody, assemble, free_name, free_place
 from pinmobile.robot.pinocchio_backend import PinocchioBackend, UncheckedDynamics, in_public_order
 from pinmobile.robot.support_geometry import ArmMetrics, SupportGeometry, Undercarriage
 from pinmobile.robot.system import MultibodySystem, by_values
@@ -420,7 +421,6 @@ class MobileRobot(MultibodySystem):
         source: str = "made from a body",
         *,
         stance: SupportGeometry | None = None,
-        locked_joints: Sequence[str] = (),
     ) -> MobileRobot:
         """Return the robot with a given body, including all six moments and products of inertia.
 
@@ -436,8 +436,6 @@ class MobileRobot(MultibodySystem):
             Origin of the numbers, as text.
         stance : robot.SupportGeometry, optional
             Contact geometry; by default, the box of dimensions `size`.
-        locked_joints : sequence of str
-            Names of locked joints.
 
         Returns
         -------
@@ -450,14 +448,12 @@ class MobileRobot(MultibodySystem):
             If `body` or `stance` has another type, or `size` or `dh` is not what the class expects.
         """
         instance("body", body, urdf.Body, "a pinmobile.urdf.Body")
-        joints = sequence("locked_joints", locked_joints, "names of joints")
         return cls(  # type: ignore[call-arg]  # attrs names arguments without the underscore
             **fields_of_body(body),
             size=size,
             dh=dh,
             stance=stance,
             source=text("source", source),
-            locked_joints=tuple(text(f"locked_joints[{k}]", name) for k, name in enumerate(joints)),
         )
 
     @classmethod
@@ -750,7 +746,7 @@ class MobileRobot(MultibodySystem):
         shapes = {"visual": visual, "collision": collision}
         ready = read_arm(arm, package_dirs=package_dirs, rest=rest, locked=locked, **shapes)
         place = free_place(self.mounts, self.stance.top, ready) if at is None else at
-        prefix = checked_name(name if name is not None else Path(ready.origin.value).stem)
+        prefix = word("name", Path(ready.origin.value).stem if name is None else name, '/,"')
         names = {mount.name for mount in self.mounts}
         mount = Mount.create(self.nv, ready, free_name(prefix, names), place)
         return evolved(self, {"mounts": (*self.mounts, mount)})

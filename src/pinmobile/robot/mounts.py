@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from pinmobile.arrays import ArrayLike, finite, lengths, positive, text
-from pinmobile.errors import InvalidArgument, format_value
+from pinmobile.arrays import ArrayLike, finite, lengths, positive
+from pinmobile.errors import InvalidArgument
 from pinmobile.parts import array, by_value, children, declare, number, option, part, structure
 from pinmobile.robot.arms import (
     Arm,
@@ -143,17 +143,7 @@ class Mount:
     @cached_property
     def is_changed(self) -> bool:
         """Whether the numbers of links or motors differ from those of the file."""
-        return self != self.as_read
-
-    @property
-    def as_read(self) -> Mount:
-        """Mount with the links and motors of the file."""
-        return Mount.create(self.first, self.arm, self.name, self.at)
-
-    @property
-    def moving(self) -> range:
-        """Numbers of the arm's joints in the robot's `model`."""
-        return range(self.joints.start, self.joints.stop)
+        return self != Mount.create(self.first, self.arm, self.name, self.at)
 
     def joint_of(self, item: pin.GeometryObject) -> tuple[int, pin.SE3]:
         """Return the joint of the robot's `model` that carries a shape of the arm, and the placement.
@@ -282,21 +272,6 @@ def free_place(mounts: Sequence[Mount], top: float | None, arm: Arm) -> tuple[fl
             )
     depth = arm.reach_down()
     return 0.0, 0.0, top + depth if arm.stands or depth > top else top, 0.0
-
-
-def checked_name(name: str) -> str:
-    """Return the checked name of a mount.
-
-    Raises
-    ------
-    InvalidArgument
-        If the name is not text, is empty, or has a slash, a comma, a quotation mark or a control character.
-    """
-    if not isinstance(name, str) or not text("name", name).strip() or set('/,"') & set(name):
-        raise InvalidArgument(
-            f"name is {format_value(name)}, expected a word without slash, comma and quotation mark"
-        )
-    return name
 
 
 def free_name(name: str, taken: Iterable[str]) -> str:

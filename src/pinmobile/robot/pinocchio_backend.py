@@ -266,7 +266,7 @@ def mount_wrench(
     pin.rnea(model, data, q, v, a)
     twist = data.v[BODY_JOINT]
     wrench = fixed * data.a_gf[BODY_JOINT] + twist.cross(fixed * twist)
-    for joint in mount.moving:
+    for joint in range(mount.joints.start, mount.joints.stop):
         if model.parents[joint] == BODY_JOINT:
             wrench += data.liMi[joint].act(data.f[joint])
     to_mount = pin.SE3(np.eye(3), np.array(mount.at[:3])).inverse()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import cached_property, partial, wraps
-from math import isfinite, prod
+from math import isfinite
 from types import MappingProxyType
 from typing import Any, NamedTuple, TypeVar
 
@@ -15,15 +15,11 @@ from pinmobile.arrays import (
     LEAST_ANGLE,
     Array,
     ArrayLike,
-    affordable,
     broadcast,
-    check_integer,
     finite,
     finite_answer,
     frozen,
-    instance,
     one_of,
-    sequence,
     shaped,
     vector,
     wrap_angle,
@@ -303,16 +299,7 @@ class MultibodySystem:
         -------
         ndarray, shape (\*shape, nq)
             Configurations.
-
-        Raises
-        ------
-        InvalidArgument
-            If an argument has another type, or the result would not fit into memory.
         """
-        instance("generator", generator, np.random.Generator, "a numpy.random.Generator")
-        sizes = sequence("shape", shape, "a tuple of whole numbers")
-        shape = tuple(check_integer("shape", n, least=0) for n in sizes)
-        affordable("random configurations", 4.0 * self.nq * prod(shape), "draw fewer at a time")
         q = generator.uniform(-np.pi, np.pi, (*shape, self.nq))
         q[..., :2] /= np.pi
         bounded_rows = np.isfinite(self.lower) & np.isfinite(self.upper)

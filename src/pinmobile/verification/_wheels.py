@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from pinmobile import closed_form
-from pinmobile.arrays import Array
+from pinmobile.arrays import Array, rotate
 from pinmobile.compiled import vectorize
 from pinmobile.errors import InvalidArgument, NotTraceable
 from pinmobile.parts import Stepping, able, evolved
@@ -293,13 +293,15 @@ def _step_rows(robot: WheeledRobot, q: Array, v: Array, u: Array, f: Array, step
     """Yield the comparisons for a step on dry ground: mean forces balance at mid-step."""
     memory: Any = step.memory
     nv = robot.robot.nv
-    start, end = _rotate(-q[:, 2], v), _rotate(-step.q[:, 2], step.v)
+    pairs = (q[:, 2], v), (step.q[:, 2], step.v)
+    start, end = (rotate(np.cos(psi), -np.sin(psi), rates) for psi, rates in pairs)
     mean, rate = (start + end) / 2, (end - start) / _H
     middle = robot.integrate(q, _H / 2 * v)  # its shape is that which the first velocity leads to
     middle[:, 2] = q[:, 2] + _H / 2 * mean[:, 2]
     w = mean[:, 2]
     rate[:, 0], rate[:, 1] = rate[:, 0] - w * mean[:, 1], rate[:, 1] + w * mean[:, 0]
-    v_mid, a_mid = _rotate(middle[:, 2], mean), _rotate(middle[:, 2], rate)
+    turn = np.cos(middle[:, 2]), np.sin(middle[:, 2])
+    v_mid, a_mid = rotate(*turn, mean), rotate(*turn, rate)
     bodies = WheelBodies(robot, middle, v_mid)
     contact = bodies.contact(memory.forces[:, 0::2], memory.forces[:, 1::2])
     for k, wheel in enumerate(_resisted_wheels(robot)):
@@ -341,11 +343,3 @@ def _resisted_wheels(robot: WheeledRobot) -> list[int]:
         leader[row] = first
     resisted = {leader[k] for k, wheel in enumerate(robot.table.wheels) if wheel.friction.rolling}
     return sorted(resisted)
-
-
-def _rotate(angle: Array, x: Array) -> Array:
-    """Return rows with their first two entries rotated by an angle."""
-    c, s = np.cos(angle), np.sin(angle)
-    rows = x.copy()
-    rows[:, 0], rows[:, 1] = c * x[:, 0] - s * x[:, 1], s * x[:, 0] + c * x[:, 1]
-    return rows

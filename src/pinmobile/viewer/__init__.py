@@ -10,7 +10,7 @@ from pinmobile.viewer.viewer import Viewer
 
 if TYPE_CHECKING:
     from pinmobile.viewer.live_run import LiveRun, play
-    from pinmobile.viewer.window import LiveWindow
+    from pinmobile.viewer.server import LiveWindow
 
 __all__ = [
     "Arrows",
@@ -26,7 +26,7 @@ __all__ = [
 ]
 
 
-_MODULES = {"LiveRun": "live_run", "LiveWindow": "window", "play": "live_run"}  # a recording needs no server
+_MODULES = {"LiveRun": "live_run", "LiveWindow": "server", "play": "live_run"}  # a recording needs no server
 
 
 def __getattr__(name: str) -> object:

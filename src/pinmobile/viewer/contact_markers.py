@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-import pinmobile.viewer.shapes as shapes
+import pinmobile.viewer.scene_tree as shapes
 from pinmobile.arrays import Array
 from pinmobile.errors import InvalidArgument, PinmobileError, format_value
 from pinmobile.loop import EndEffector, Rollout

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-import pinmobile.viewer.shapes as shapes
-from pinmobile.arrays import Array, sequence
+import pinmobile.viewer.scene_tree as shapes
+from pinmobile.arrays import Array, rotate, sequence
 from pinmobile.controllers import Controller
 from pinmobile.errors import PinmobileError
 from pinmobile.loop import LoopStepper, Rollout, Scenario
@@ -28,7 +28,7 @@ from pinmobile.viewer.contact_markers import ABOVE, TRAIL, draw_contacts
 from pinmobile.viewer.motion import Channel, figure, pose_channels, row_of
 from pinmobile.viewer.scene import Scene, draw_path
 from pinmobile.viewer.scene_tree import Extent, Follow, Overlays, Stage
-from pinmobile.viewer.window import LiveWindow
+from pinmobile.viewer.server import LiveWindow
 
 _FPS = 60
 _CONTACT_STEP = 4  # frames between two looks at contacts, which take long
@@ -84,7 +84,7 @@ class _Drive:
         """Begin at the pose of the body, shape (3,), with its rate; arms keep their reference."""
         self.q = reference.q[0].copy()
         self.q[:3] = pose
-        self.twist = _rotate(-pose[2], rate) * (self.scale > 0)
+        self.twist = rotate(np.cos(pose[2]), -np.sin(pose[2]), rate) * (self.scale > 0)
 
     def ahead(self, keys: Array, count: int, dt: float) -> Reference:
         """Return the reference of the next samples for keys (ahead, turn, aside) from -1 to 1."""
@@ -95,17 +95,12 @@ class _Drive:
         for _ in range(count):
             change = np.clip(goal - self.twist, *(self.scale * dt / _RISE_TIME * np.array([[-1.0], [1.0]])))
             v, a = np.zeros((2, len(self.q)))
-            v[:3] = _rotate(self.q[2], self.twist)
-            a[:3] = _rotate(self.q[2], change / dt) + self.twist[2] * np.array([-v[1], v[0], 0.0])
+            turn = np.cos(self.q[2]), np.sin(self.q[2])
+            v[:3] = rotate(*turn, self.twist)
+            a[:3] = rotate(*turn, change / dt) + self.twist[2] * np.array([-v[1], v[0], 0.0])
             rows.append((self.q, v, a))
             self.q, self.twist = self.q + dt * v + dt**2 / 2 * a, self.twist + change
         return Reference(*map(np.array, zip(*rows, strict=True)))
-
-
-def _rotate(angle: float, twist: Array) -> Array:
-    """Return a twist with its first two entries rotated."""
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([c * twist[0] - s * twist[1], s * twist[0] + c * twist[1], twist[2]])
 
 
 class LiveRun:
@@ -338,7 +333,8 @@ class LiveRun:
         push = np.zeros(3) if self._can_drive else self._push * self._keys * (1, 1, self._arm)
         if self._time < self._pulse:
             push[1] += self._push
-        self._pushes = _rotate(float(self._plant.pose(self._last["q"])[2]), push)
+        heading = float(self._plant.pose(self._last["q"])[2])
+        self._pushes = rotate(np.cos(heading), np.sin(heading), push)
         force = self._force(self._pushes)
         if any(stepper.values[name] != x for name, x in force.items()):
             stepper.change(stepper.values | force)

@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pinmobile.arrays import Array, bounded, finite, shaped
+from pinmobile.arrays import Array, bounded, finite, instance, shaped
 from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.loop import Rollout
 from pinmobile.plant import all_samples, stated
@@ -183,12 +183,8 @@ class Drawing:
     def __init__(self, plant: Any) -> None:
         self.plant, self.size = plant, getattr(plant, "size", MobileRobot.box().size)
         self.mounts = tuple(getattr(plant, "mounts", ()))
-        given = stated(plant, "visual_model")
-        if not isinstance(given, pin.GeometryModel) or not given.ngeoms:
-            raise InvalidArgument(
-                f"plant is a {type(plant).__name__}, which has drawing(q) and visual_model "
-                f"{format_value(given)}, expected a pin.GeometryModel with objects"
-            )
+        words = "a pin.GeometryModel, since the plant has drawing(q)"
+        given = instance("plant.visual_model", stated(plant, "visual_model"), pin.GeometryModel, words)
         self.model, self.visual_model = pin.Model(), pin.GeometryModel()
         for item in given.geometryObjects:
             copy = item.copy()

@@ -11,15 +11,11 @@ from functools import cache
 from hashlib import sha256
 from html import escape
 from importlib.resources import files
-from math import isfinite
 from pathlib import Path
 from string import Template
 from threading import Lock
 from typing import Any, NamedTuple, Protocol, Self
 
-import numpy as np
-
-from pinmobile.arrays import finite
 from pinmobile.errors import InvalidArgument, ViewerError, format_value
 
 with warnings.catch_warnings():
@@ -139,39 +135,13 @@ def pack_command(command: Command) -> tuple[Key, bytes]:
     try:
         content = command.lower()
         kind, path = content["type"], content["path"]
-        payload = content[_KINDS[kind]]
+        _ = content[_KINDS[kind]]
         key = Key(kind, "/".join(filter(None, path.split("/"))), content.get("property", ""))
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise InvalidArgument(
             f"command is {format_value(command)}, expected a meshcat command ({', '.join(_KINDS)}): {error!r}"
         ) from error
-    _check(f"{kind} of {key.path or '/'}: {_KINDS[kind]}", payload)
-    if kind == "set_transform" and len(payload) != 16:
-        raise InvalidArgument(f"the transform of {key.path} has {len(payload)} numbers, expected 16")
-    try:
-        return key, pack_content(content)
-    except Exception as error:  # the packer's own errors have no common base
-        raise InvalidArgument(f"{kind} of {key.path or '/'} cannot be sent: {error}") from error
-
-
-def _check(name: str, value: object) -> None:
-    """Reject NaN and infinity at any depth. For a flat list of numbers, one sum is enough."""
-    if isinstance(value, float):
-        if not isfinite(value):
-            raise InvalidArgument(f"{name} is {value}, expected a finite number")
-    elif isinstance(value, list | tuple):
-        try:
-            if isfinite(sum(value)):
-                return
-        except TypeError:
-            pass
-        for index, item in enumerate(value):
-            _check(f"{name}[{index}]", item)
-    elif isinstance(value, dict):
-        for word, item in value.items():
-            _check(f"{name}.{word}", item)
-    elif isinstance(value, umsgpack.Ext) and value.type == _FLOAT32:
-        finite(name, np.frombuffer(value.data, np.float32))
+    return key, pack_content(content)
 
 
 # Nodes of the page before any command. The backlog keeps deletions of these nodes. For other nodes, it only

@@ -11,7 +11,7 @@ import numpy as np
 
 import pinmobile.viewer.contact_markers as markers
 import pinmobile.viewer.motion as motion
-import pinmobile.viewer.shapes as shapes
+import pinmobile.viewer.scene_tree as shapes
 from pinmobile.arrays import Array
 from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE, DHTable
 from pinmobile.errors import InvalidArgument
@@ -247,7 +247,7 @@ class Scene:
             is_full = _is_full(ghost, main.plant) and main.reference.q.shape == main.q.shape
             reference = main.reference.q if is_full else main.reference_poses
             if isinstance(ghost, motion.Drawing):  # coordinates without a reference keep their actual values
-                reference = full_configurations(ghost.plant, main.q, main.reference.q)
+                reference = full_configurations(main.q, main.reference.q)
             desired = motion.configurations(ghost, main.t, reference, times)
             self.channels += robot_channels("meshcat/desired", ghost, desired)
             self.legend.append(["desired pose", QUIET, "", 0.5])

@@ -21,11 +21,10 @@ from pinmobile.viewer.scene import Scene
 from pinmobile.viewer.scene_tree import Overlays, Stage
 
 if TYPE_CHECKING:
-    from pinmobile.viewer.window import LiveWindow
+    from pinmobile.viewer.server import LiveWindow
 
 Rollouts: TypeAlias = Rollout | Mapping[str, Rollout]
 
-_MAX_DISTANCE = 1e9  # [m]; nothing is visible beyond
 _LIVE_FPS = 50.0
 _PAUSE = 1.0  # [s] pause at the end of a recording before it repeats
 
@@ -96,7 +95,7 @@ class Viewer:
         self._recording: Recording | None = None
         self._window: LiveWindow | OfflineWindow = OfflineWindow()
         if live:
-            from pinmobile.viewer.window import LiveWindow  # here, since a recording needs no server
+            from pinmobile.viewer.server import LiveWindow  # here, since a recording needs no server
 
             self._window = LiveWindow(host, port)
 
@@ -147,8 +146,6 @@ class Viewer:
             If the viewer is closed.
         """
         pose = row_of(self._figure, self.plant, shaped("q", finite("q", q), (self.plant.nq,)))
-        if abs(pose[:2]).max() > _MAX_DISTANCE:
-            raise InvalidArgument(f"q is {pose.tolist()}, expected x and y within {_MAX_DISTANCE:g} m")
         with self._lock:
             self._check_open()
             if self._scene is None:

@@ -3,10 +3,10 @@
 from pinmobile.wheels._coulomb import Coulomb
 from pinmobile.wheels._drive import WheeledRobot
 from pinmobile.wheels._dynamics import WheeledDynamics as WheeledDynamics
-from pinmobile.wheels._kinematics import Kinematics as Kinematics, Mobility
+from pinmobile.wheels._kinematics import Allocation, Kinematics as Kinematics, Mobility, Reduced
 from pinmobile.wheels._loads import Forces
 from pinmobile.wheels._motors import MOTORS, Motor, MotorLaw as MotorLaw
-from pinmobile.wheels._rolling import Ground as Ground, Ramp, Rolling
+from pinmobile.wheels._rolling import Ground as Ground, OdometryFeedback, Ramp, Rolling
 from pinmobile.wheels._table import (
     AckermannSteering,
     DifferentialGear,
@@ -17,7 +17,6 @@ from pinmobile.wheels._table import (
     WheelTable,
 )
 from pinmobile.wheels._urdf_reader import read_wheels
-from pinmobile.wheels._velocities import Allocation, OdometryFeedback, Reduced
 from pinmobile.wheels._voltage_dynamics import ByVoltage
 
 __all__ = [

@@ -20,6 +20,7 @@ from pinmobile.plant import ContactLoads, Contacts, Coordinate, Input, SlipMargi
 from pinmobile.robot import BODY_JOINT, LOCKED, Linearization, MobileRobot, PayloadBody, describe, number
 from pinmobile.wheels._coulomb import Coulomb
 from pinmobile.wheels._dynamics import PlantOnWheels, of_ground
+from pinmobile.wheels._kinematics import Allocation, Reduced, rolling_motion
 from pinmobile.wheels._loads import (
     Forces,
     TimeScaledMotion,
@@ -32,7 +33,6 @@ from pinmobile.wheels._loads import (
 from pinmobile.wheels._rolling import Ground, Ramp, Rolling, RollingDynamics
 from pinmobile.wheels._table import WheelTable, column
 from pinmobile.wheels._urdf_reader import joint_signs, read_robot, read_wheels, source_of
-from pinmobile.wheels._velocities import Allocation, Reduced, rolling_motion
 from pinmobile.wheels._visuals import Tyres, WheelVisuals
 from pinmobile.wheels._voltage_dynamics import ByVoltage
 

@@ -34,11 +34,19 @@ from pinmobile.robot import (
     transpose,
     vector_of as stacked,
 )
-from pinmobile.wheels._kinematics import Kinematics, NullSpaceBasis, Row, RowSelection, solve_null_space
+from pinmobile.wheels._kinematics import (
+    Kinematics,
+    NullSpaceBasis,
+    Reduced,
+    Row,
+    RowSelection,
+    rolling_motion,
+    solve_null_space,
+    tracked_slopes,
+)
 from pinmobile.wheels._loads import evaluate_metrics, metrics_on_wheels
 from pinmobile.wheels._motors import ExternalForceFunction, constant_force
 from pinmobile.wheels._table import Axis, column
-from pinmobile.wheels._velocities import Reduced, rolling_motion, tracked_slopes
 
 _BASE = 3
 _INSTANT = 1e-5  # [s]: duration of the step whose mean acceleration is returned for a state

@@ -34,7 +34,7 @@ from pinmobile.robot import (
     vector_of as stacked,
 )
 from pinmobile.wheels._contact import iterate
-from pinmobile.wheels._velocities import ReferenceMotion, driving_inputs
+from pinmobile.wheels._kinematics import ReferenceMotion, driving_inputs
 
 _BASE = 3
 _MIN_YAW_RATE = 1e-9  # [rad/s]: a body with a lower yaw rate does not turn

@@ -117,17 +117,12 @@ class Motor:
     source: str = option(default="", check=text)
 
     def check(self) -> None:
-        """Raise `InvalidArgument` if numbers of an electric motor are missing, or too large."""
+        """Raise `InvalidArgument` if numbers of an electric motor are missing."""
         given = {name: getattr(self, name) for name in _ELECTRIC}
         missing = ", ".join(name for name, value in given.items() if value is None)
         if missing and any(value is not None for value in given.values()):
             raise InvalidArgument(
                 f"{missing} of a Motor is not given, expected all or none of {', '.join(_ELECTRIC)}"
-            )
-        if not np.isfinite(self.gear * self.gear * max(self.rotor_inertia, 1.0)):
-            raise InvalidArgument(
-                f"gear of a Motor is {self.gear:g} with a rotor inertia of {self.rotor_inertia:g} "
-                "kg m^2, expected gear^2 times rotor_inertia below 1.8e308"
             )
 
     @classmethod

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import combinations
 from math import cos, degrees, hypot, pi, radians, sin
 from typing import Any, NamedTuple, Self, TypeAlias, final
@@ -26,6 +26,7 @@ from pinmobile.arrays import (
     sequence,
     shaped,
     text,
+    word,
 )
 from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.parts import (
@@ -46,6 +47,7 @@ from pinmobile.wheels._kinematics import Mobility
 from pinmobile.wheels._motors import Motor
 
 _SAME_PLACE = 1e-6  # [m]
+_NAME_CHECK = partial(word, excluded='/,":.')
 _OF_BODY = "x", "y", "psi"
 _MAX_WHEELS = 1000  # largest number of wheels on a circle
 _Places: TypeAlias = Iterable[ArrayLike]
@@ -99,17 +101,6 @@ class WheelFriction:
     across: float = number(default=0.02, lower=0, doc="coefficient of friction across rollers")
     rolling: float = number(default=0.01, lower=0, doc="rolling resistance per load")
     slip: float = number(default=0.0, lower=0, unit="m/(N s)", doc="slip velocity per force")
-
-
-def _check_name(name: str, value: Any) -> str:
-    """Return a name after a check of its characters."""
-    word = text(name, value)
-    if not word.strip() or set('/,":.') & set(word):
-        raise InvalidArgument(
-            f"{name} is {format_value(word)}, expected a word without slash, comma, colon, dot and "
-            "quotation mark"
-        )
-    return word
 
 
 @final
@@ -175,7 +166,7 @@ class Wheel:
     -0.33 m
     """
 
-    name: str = option(check=_check_name)
+    name: str = option(check=_NAME_CHECK)
     x: float = number(unit="m", doc="position forward")
     y: float = number(unit="m", doc="position to the left")
     radius: float = number(unit="m", above=0, doc="radius")
@@ -357,7 +348,7 @@ class DifferentialGear:
 
     wheels: tuple[str, ...] = option(check=_names(2))
     motor: Motor = child(Motor, default=TORQUE, expected="a Motor")
-    name: str = option(default="differential", check=_check_name)
+    name: str = option(default="differential", check=_NAME_CHECK)
 
 
 @final
@@ -397,7 +388,7 @@ class AckermannSteering:
 
     wheels: tuple[str, ...] = option(check=_names(1))
     axle: float = number(default=0.0, unit="m", fixed=True, doc="position of the fixed axle, forward")
-    name: str = option(default="steering", check=_check_name)
+    name: str = option(default="steering", check=_NAME_CHECK)
 
 
 def column(values: Sequence[Any]) -> Any:

@@ -33,6 +33,7 @@ from pinmobile.robot import (
 )
 from pinmobile.wheels._contact import iterate, moved_by, within
 from pinmobile.wheels._dynamics import PlantOnWheels, WheeledDynamics, mass_columns, mean_acceleration
+from pinmobile.wheels._kinematics import ReferenceMotion
 from pinmobile.wheels._loads import evaluate_metrics, metrics_on_wheels
 from pinmobile.wheels._motors import (
     CONSTANTS,
@@ -45,7 +46,6 @@ from pinmobile.wheels._motors import (
 )
 from pinmobile.wheels._rolling import stop_axis, stop_of
 from pinmobile.wheels._table import column as column_of
-from pinmobile.wheels._velocities import ReferenceMotion
 
 _BASE = 3
 _PASSES = 3
