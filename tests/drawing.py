@@ -94,6 +94,6 @@ def drawn_child(name: str, declared: Child, rng: random.Random, depth: int) -> A
             try:
                 one = drawn(part, rng, depth + 1)
                 return [one, one] if declared.many else one
-            except (pm.InvalidArgument, ArithmeticError, AttributeError):
+            except (pm.InvalidArgument, ArithmeticError, AttributeError, RuntimeWarning):
                 continue
     raise pm.InvalidArgument(f"{name} is not drawn")

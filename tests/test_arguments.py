@@ -89,10 +89,6 @@ FAULTS: dict[str, list[tuple[Any, ...]]] = {
             lambda: urdf.write(pinmobile.dh.LECTURE_TABLE, NOTHING, size=(1, 1, 1)),
             "body is None, expected a pinmobile.urdf.Body",
         ),
-        (
-            lambda: pm.SameAs("mass", cast(Any, pm.SameAs("mass"))),
-            "factor is SameAs(name='mass', factor=1.0), expected",
-        ),
         (of_many(traces=b"a"), "traces is 97, expected at most"),
         (lambda: pm.verify(ROBOT, seed=NOTHING), "seed is None, expected a whole number >= 0"),
         (lambda: pm.WheelTable.swerve(NOTHING, 0.1), "places is None, expected (x, y) of each [m]"),

@@ -187,10 +187,6 @@ def test_each_joint_has_a_friction_of_its_own() -> None:
     spread = {"viscous.ur5/elbow_joint": pm.Uniform(0, 2), "coulomb.ur5/wrist_1_joint": pm.Uniform(0, 1)}
     runs = run(spread=spread, forces=[friction], n=2)
     assert_members(runs, 0, 1)
-    with pytest.raises(
-        pm.InvalidArgument, match=r"^numbers of coordinates are viscous 2, names 3, expected equal "
-    ):
-        pm.JointFriction([1.0, 2.0], names=["x", "y", "psi"])
 
 
 def test_the_engines_agree_and_the_bits_hang_on_nothing() -> None:

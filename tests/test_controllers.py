@@ -161,8 +161,6 @@ def test_configurations_that_do_not_fit_are_refused() -> None:
     rest = Reference(*np.zeros((3, 3)))
     with pytest.raises(InvalidArgument, match=r"q has shape \(2,\), expected .*, as in the reference"):
         asked(PD(1, 1), np.zeros(2), np.zeros(2), rest)
-    with pytest.raises(InvalidArgument, match=r"expected \(\.\.\., n\) with n >= 3"):
-        planar_difference(np.zeros(1), np.zeros(1))
 
 
 def test_gains_are_read_only_copies() -> None:

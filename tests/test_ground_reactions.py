@@ -295,7 +295,7 @@ def still(robot: Any, u: Any = None) -> MotionStates:
             lambda: contact_loads(still(BODY)),
             "^motion.plant is .*, which does not compute the loads of wheels",
         ),
-        (lambda: slip_margins(still(ROLLS)), "^motion.u is None"),
+        (lambda: slip_margins(still(ROLLS)), "^u is None"),
         (lambda: slip_margins(still(SKID, np.zeros(SKID.nu))), "^motion has no signals"),
         (lambda: max_path_speed(SKID, CIRCLE), "cannot roll without slip"),
         (lambda: max_path_speed(ROLLS, CIRCLE), "^reference differs by"),

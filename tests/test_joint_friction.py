@@ -81,7 +81,6 @@ test_what_is_no_friction_is_refused = refusals(
     (lambda: JointFriction(1, (1, -2)), "coulomb is -2.0 N or N m, expected >= 0"),
     (lambda: JointFriction(1, 1, 0), "speed is 0.0 m/s or rad/s, expected > 0"),
     (lambda: JointFriction(np.nan), "viscous is nan, expected a finite number"),
-    (lambda: JointFriction.of(3), "robot is 3, expected a MobileRobot"),
     (
         lambda: simulate(
             PANDA, law(lambda *_: np.zeros(12)), Resting(), dt=0.1, forces=[JointFriction((1, 2))]

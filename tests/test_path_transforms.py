@@ -337,7 +337,7 @@ test_paths_refuse = refusals(
     ),
     (
         lambda: TransformedPath(Hold((1, 2, 3, 4), 1), 1, 2),
-        "path has points of shape (4,), expected (2,) or (3,)",
+        "path at t = 0 has shape (4,), expected (2,) or (3,)",
     ),
     (lambda: Hold((1, 2), 1).moved(np.inf), "x is inf, expected a finite number"),
     (

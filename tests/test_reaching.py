@@ -418,7 +418,7 @@ def test_other_things_than_robots_targets_and_frames_are_refused() -> None:
     ("arguments", "text"),
     [
         ((3,), "path is 3, expected a path"),
-        ((pm.Spline([(0, 0), (1, 1)], [0, 1]),), r"path has points of shape \(2,\), expected \(3,\)"),
+        ((pm.Spline([(0, 0), (1, 1)], [0, 1]),), r"path at t = 0 has shape \(2,\), expected \(3,\)"),
         ((RING.path, np.eye(2)), r"rotation has shape \(2, 2\), expected \(3, 3\)"),
         ((RING.path, -np.eye(3)), r"rotation has R' R off by 0 and det R = -1, expected a rotation matrix"),
         ((RING.path, None, np.eye(3)), "final_rotation is given without rotation, expected both"),

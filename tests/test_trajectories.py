@@ -756,7 +756,7 @@ MAKERS: list[Callable[[Any], Trajectory]] = [Tangent, LectureHeading, lambda pat
         (None, "path is None, expected a path: path(t), path.derivative(t, order), path.duration"),
         (
             CubicVia((0, 0, 0), (1, 1, 1), (2, 2, 2), 1, 2),
-            "path has points of shape (3,), expected (2,), a path in the plane",
+            "path at t = 0 has shape (3,), expected (2,), a path in the plane",
         ),
         (Broken(0.0), "path.duration is 0.0 s, expected > 0"),
         (

@@ -22,7 +22,7 @@ from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE, DHTable
 from pinmobile.parts import evolved
 from pinmobile.robot import arms
 from pinmobile.robot.linkage import replace_continuous_joints
-from pinmobile.robot.pinocchio_backend import PinocchioBackend
+from pinmobile.robot.recursions import PinocchioBackend
 from pinmobile.verification import COMPILED
 from tests.wheeled import CORNERS
 

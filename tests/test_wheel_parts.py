@@ -207,7 +207,7 @@ def test_a_ground_of_ones_own_is_one_class() -> None:
     assert 0 < slips[1] < 0.3 * slips[0] < 0.3
     with pytest.raises(InvalidArgument, match="do not support electric motors"):
         robot.by_voltage()
-    with pytest.raises(InvalidArgument, match="has no ramp"):
+    with pytest.raises(TypeError, match="Viscous has no field 'ramp'"):
         robot.on_ramp(0.1)
     assert "ground.c" in parts.numbers(robot)
 

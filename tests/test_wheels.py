@@ -208,7 +208,7 @@ LITTLE = pm.MobileRobot(1.5, 1.0)
         (lambda: Wheel("a", 0, 0, 0.0), "radius is 0"),
         (
             lambda: Wheel("a", 0, 0, 0.1, roller=np.pi / 2),
-            "roller of wheel 'a' is 1.5708 rad, expected at most 89",
+            "roller is 1.5707963267948966 rad, expected >= -1.55334 and <= 1.55334",
         ),
         (
             lambda: table(Wheel("a", 0, 0, 0.1), Wheel("b", 0, 0, 0.2)),

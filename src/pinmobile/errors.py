@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copyreg
 from collections.abc import Iterable, Mapping
 from functools import partial
 from importlib import import_module
@@ -106,6 +107,10 @@ class PinmobileError(Exception):
     InvalidArgument
     """
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        # The error keeps its attributes when it returns from another process.
+        return copyreg.__newobj__, (type(self), *self.args), vars(self)  # type: ignore[attr-defined]
+
 
 class InvalidArgument(PinmobileError, ValueError):
     """Error of an argument: its name, its value and the expected value.
@@ -188,9 +193,6 @@ class NotTraceable(InvalidArgument):
     def reason(self) -> str:
         """Reason on one line: the place, the operation and the code to write instead."""
         return " ".join(f"{self.place and self.place + ': '}{self.obstacle}; {self.remedy}".split())
-
-    def __reduce__(self) -> tuple[type[NotTraceable], tuple[str, str, str]]:
-        return type(self), (self.obstacle, self.remedy, self.place)
 
 
 class FileError(PinmobileError, OSError):
@@ -278,9 +280,6 @@ class UnknownName(PinmobileError, KeyError):
         # KeyError would show the repr of the message instead of the message.
         return str(self.args[0])
 
-    def __reduce__(self) -> tuple[type[UnknownName], tuple[str, object, tuple[str, ...]]]:
-        return type(self), (self.kind, self.name, self.available)
-
 
 class NotFinite(PinmobileError, ArithmeticError):
     """Error of a result that exceeds the largest number of float64 although every argument is finite.
@@ -336,10 +335,6 @@ class Diverged(PinmobileError, ArithmeticError):
         super().__init__(message)
         self.time, self.q, self.v, self.rollout = time, q, v, rollout
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        # The error keeps its attributes when it returns from another process.
-        return partial(type(self), time=self.time, q=self.q, v=self.v, rollout=self.rollout), self.args
-
 
 class NotSolved(PinmobileError, ArithmeticError):
     """Error of a quadratic program that has no solution.
@@ -373,9 +368,6 @@ class NotSolved(PinmobileError, ArithmeticError):
         super().__init__(message)
         self.time, self.state, self.problem = time, state, problem
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        return partial(type(self), time=self.time, state=self.state, problem=self.problem), self.args
-
 
 class Unreachable(InvalidArgument):
     """Error of a pose that the robot cannot reach within its limits or with the required clearance.
@@ -405,9 +397,6 @@ class Unreachable(InvalidArgument):
     def __init__(self, message: str, *, time: float, resolved: Any) -> None:
         super().__init__(message)
         self.time, self.resolved = time, resolved
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return partial(type(self), time=self.time, resolved=self.resolved), self.args
 
 
 class SlowerEngine(UserWarning):

@@ -749,16 +749,7 @@ class JointFriction:
         -------
         friction : JointFriction
             Friction of all nv coordinates.
-
-        Raises
-        ------
-        InvalidArgument
-            If the robot has no such properties.
         """
-        attributes = ("joint_damping", "joint_friction", "coordinates")
-        missing = [name for name in attributes if not hasattr(robot, name)]
-        if isinstance(robot, type) or missing:
-            raise InvalidArgument(f"robot is {format_value(robot)}, expected a MobileRobot")
         names = [coordinate.name for coordinate in coordinates_of(robot)]
         return cls(robot.joint_damping, robot.joint_friction, speed, names)
 

@@ -290,7 +290,7 @@ def planar_difference(q0: Array, q1: Array) -> Array:
     Raises
     ------
     InvalidArgument
-        If the configurations have fewer than three coordinates.
+        If a number is not finite, or the shapes do not broadcast.
 
     See Also
     --------
@@ -303,11 +303,6 @@ def planar_difference(q0: Array, q1: Array) -> Array:
     array([1.   , 2.   , 0.283])
     """
     displacement = plain_difference(q0, q1)
-    if not displacement.ndim or displacement.shape[-1] < 3:
-        raise InvalidArgument(
-            f"configurations have shape {displacement.shape}, expected (..., n) with n >= 3; "
-            "without a heading, compare them with difference=plain_difference"
-        )
     # For one numeric configuration, this test saves arithmetic that would not change the angle.
     numbers = type(displacement) is np.ndarray and displacement.ndim == 1
     if not (numbers and LEAST_ANGLE < displacement[2] <= np.pi):

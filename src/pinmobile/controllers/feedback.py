@@ -541,23 +541,10 @@ class Decoupled(BodyLaw):
     def __call__(self, t: float, q: Array, v: Array, reference: State, state: None) -> tuple[Array, None]:
         """Return the generalised force, shape (..., n), and None."""
         command = reference.a + feedback(self, q, v, reference)
-        base = self.robot.inverse_dynamics(q, *map(_base_part, (v, command)))
-        arms = self.robot.inverse_dynamics(q, *map(_arm_part, (v, command)))
-        return np.concatenate([base[..., :_BASE], arms[..., _BASE:]], axis=-1), None
-
-
-def _base_part(rate: Array) -> Array:
-    """Return velocities or accelerations with zeros for the arms, shape (..., n)."""
-    part = np.zeros(rate.shape)
-    part[..., :_BASE] = rate[..., :_BASE]
-    return part
-
-
-def _arm_part(rate: Array) -> Array:
-    """Return velocities or accelerations with zeros for the base, shape (..., n)."""
-    part = np.zeros(rate.shape)
-    part[..., _BASE:] = rate[..., _BASE:]
-    return part
+        is_base = np.arange(v.shape[-1]) < _BASE
+        base = self.robot.inverse_dynamics(q, *(np.where(is_base, rate, 0.0) for rate in (v, command)))
+        arms = self.robot.inverse_dynamics(q, *(np.where(is_base, 0.0, rate) for rate in (v, command)))
+        return np.where(is_base, base, arms), None
 
 
 _REACH = "largest acceleration of the switching term"

@@ -229,7 +229,7 @@ class Scenario(RecordGrid):
             self._check_shared(str(error.name))
             raise
         check_supports(self.spread, self.numbers)
-        self._check_answers()
+        check_answers(self.nominal_loop, self.context, *self.start)
 
     def find(self, name: str, where: str = "spread") -> NumberRef:
         """Return the number of the loop that a name of the spread means.
@@ -265,10 +265,6 @@ class Scenario(RecordGrid):
                     f"spread has {name!r}, a whole number of a {type(leaf.owner).__name__}, which all "
                     "robots of an ensemble share: run one ensemble for each value, or a sweep over them"
                 )
-
-    def _check_answers(self) -> None:
-        """Reject parts that return arrays of wrong shapes, or different values for the same arguments."""
-        check_answers(self.nominal_loop, self.context, *self.start)
 
     def _set(self, **values: object) -> None:
         for name, value in values.items():

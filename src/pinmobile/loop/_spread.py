@@ -11,7 +11,7 @@ from zlib import crc32
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, finite, instance, scalar, shaped
-from pinmobile.errors import InvalidArgument, format_value
+from pinmobile.errors import InvalidArgument
 from pinmobile.parts import Number, NumberRef, by_value, match_refs, number, part
 from pinmobile.plant import stated
 
@@ -202,7 +202,7 @@ class SameAs:
     Raises
     ------
     InvalidArgument
-        If `name` is not text, or `factor` is a `SameAs` or a `Relative`.
+        If `name` is not text.
 
     See Also
     --------
@@ -230,7 +230,6 @@ class SameAs:
 
     def __post_init__(self) -> None:
         instance("name", self.name, str, "the name of a parameter")
-        _check_factor(self.factor)
 
 
 @final
@@ -244,11 +243,6 @@ class Relative:
     ----------
     factor : float, array_like of shape (n,) or distribution
         Factor of the nominal number.
-
-    Raises
-    ------
-    InvalidArgument
-        If `factor` is a `SameAs` or a `Relative`.
 
     See Also
     --------
@@ -269,17 +263,6 @@ class Relative:
     """
 
     factor: Distribution | ArrayLike
-
-    def __post_init__(self) -> None:
-        _check_factor(self.factor)
-
-
-def _check_factor(factor: object) -> None:
-    if isinstance(factor, SameAs | Relative):
-        raise InvalidArgument(
-            f"factor is {format_value(factor)}, expected a number, an array or a distribution: give the "
-            "other number its own entry in the spread"
-        )
 
 
 class _TrueModel(Mapping[str, SameAs]):
@@ -443,7 +426,11 @@ def check_draws(draws: Mapping[str, Array], numbers: Mapping[str, NumberRef]) ->
 
 def _check_source(label: str, source: Any, n: int) -> Any:
     if isinstance(source, SameAs | Relative):
-        return replace(source, factor=_check_source(f"{label}.factor", source.factor, n))
+        return replace(source, factor=_check_draws_of(f"{label}.factor", source.factor, n))
+    return _check_draws_of(label, source, n)
+
+
+def _check_draws_of(label: str, source: Any, n: int) -> Any:
     if isinstance(source, type):
         kind = f"the class {source.__name__}"
         raise InvalidArgument(f"{label} is {kind}, expected an object of a class, such as Uniform(1, 2)")

@@ -386,7 +386,20 @@ class Hold(PiecewisePath):
 
 
 @part
-class RestToRest(PiecewisePath):
+class _Straight(PiecewisePath):
+    """Abstract base of straight paths between two points."""
+
+    start: Any = array(unit="m", labels=axes_of, doc="start of the path")
+    end: Any = array(unit="m", labels=axes_of, doc="end of the path")
+    duration: float = number(above=0, unit="s", fixed=True, doc="duration of the path")
+
+    def check(self) -> None:
+        """Raise `InvalidArgument` if shapes differ."""
+        check_sizes(self, "end")
+
+
+@part
+class RestToRest(_Straight):
     """Straight line between two points, with zero velocity and acceleration at both ends.
 
     ::
@@ -420,14 +433,6 @@ class RestToRest(PiecewisePath):
     array([0.  , 3.75, 0.  ])
     """
 
-    start: Any = array(unit="m", labels=axes_of, doc="start of the path")
-    end: Any = array(unit="m", labels=axes_of, doc="end of the path")
-    duration: float = number(above=0, unit="s", fixed=True, doc="duration of the path")
-
-    def check(self) -> None:
-        """Raise `InvalidArgument` if shapes differ."""
-        check_sizes(self, "end")
-
     @cached_property
     def _curve(self) -> PiecewisePolynomial:
         T, line = self.duration, self.end - self.start
@@ -437,7 +442,7 @@ class RestToRest(PiecewisePath):
 
 
 @part
-class Line(PiecewisePath):
+class Line(_Straight):
     """Straight line between two points at constant speed.
 
     Parameters
@@ -464,14 +469,6 @@ class Line(PiecewisePath):
     >>> path.derivative(5.0, 1)  # [m/s]
     array([0.3, 0.4])
     """
-
-    start: Any = array(unit="m", labels=axes_of, doc="start of the path")
-    end: Any = array(unit="m", labels=axes_of, doc="end of the path")
-    duration: float = number(above=0, unit="s", fixed=True, doc="duration of the path")
-
-    def check(self) -> None:
-        """Raise `InvalidArgument` if shapes differ."""
-        check_sizes(self, "end")
 
     @cached_property
     def _curve(self) -> PiecewisePolynomial:

@@ -21,7 +21,7 @@ from pinmobile.arrays import (
     shaped,
 )
 from pinmobile.errors import InvalidArgument
-from pinmobile.parts import child, fields_of, number, part, require
+from pinmobile.parts import by_value, child, fields_of, number, part, require
 
 # Relative to the duration: tolerance for the rounding of `n * dt`.
 _ROUNDING = 4 * float(np.finfo(np.float64).eps)
@@ -229,10 +229,8 @@ def check_path(path: object, size: int) -> Path:
         If it is not a path, its points have another shape, or two pieces do not meet.
     """
     checked: Any = require("path", path, Path)
-    shape = np.shape(checked(0.0))
-    if shape != (size,):
-        region = "the plane" if size == 2 else "space"
-        raise InvalidArgument(f"path has points of shape {shape}, expected ({size},), a path in {region}")
+    region = "the plane" if size == 2 else "space"
+    shaped("path at t = 0", checked(0.0), (size,), words=f", a path in {region}")
     for left, right in pairwise(pieces_of(checked)):
         ends = left.derivative(left.end, 0), right.derivative(right.start, 0)
         if jumps(*ends, _JUMP_TOLERANCE):
@@ -317,20 +315,13 @@ def check_sizes(path: Any, *names: str) -> None:
             shaped(name, value, expected)
 
 
+@by_value
 class Value:
     """Abstract base of parts with equality, hash and repr by their fields, arrays as tuples."""
 
     def _values(self) -> dict[str, object]:
         values = {name: value for name, _, value in fields_of(self)}
         return {name: _tuples(v.tolist()) if isinstance(v, np.ndarray) else v for name, v in values.items()}
-
-    def __eq__(self, other: object) -> bool:
-        if type(other) is not type(self):
-            return NotImplemented
-        return self._values() == other._values()
-
-    def __hash__(self) -> int:
-        return hash((type(self), *self._values().values()))
 
     def __repr__(self) -> str:
         fields = ", ".join(f"{name}={value!r}" for name, value in self._values().items())
@@ -461,9 +452,7 @@ class TransformedPath(Curve):
 
     def check(self) -> None:
         """Raise `InvalidArgument` if points are neither in the plane nor in space."""
-        shape = np.shape(self.path(0.0))
-        if shape not in ((2,), (3,)):
-            raise InvalidArgument(f"path has points of shape {shape}, expected (2,) or (3,)")
+        shaped("path at t = 0", self.path(0.0), (2,), (3,))
 
     @property
     def duration(self) -> float:

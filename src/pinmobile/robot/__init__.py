@@ -33,7 +33,7 @@ from pinmobile.robot.linkage import (
 from pinmobile.robot.mobile import MobileRobot
 from pinmobile.robot.model_import import LOCKED as LOCKED, TOUCH as TOUCH
 from pinmobile.robot.mounts import Mount, PayloadBody, add_scope as add_scope, named_frames as named_frames
-from pinmobile.robot.pinocchio_backend import (
+from pinmobile.robot.recursions import (
     PinocchioBackend as PinocchioBackend,
     UncheckedDynamics,
     frames_of as frames_of,

@@ -65,7 +65,7 @@ from pinmobile.robot.model_import import (
     rows_of,
 )
 from pinmobile.robot.mounts import Mount, PayloadBody, assemble, free_name, free_place
-from pinmobile.robot.pinocchio_backend import PinocchioBackend, UncheckedDynamics, in_public_order
+from pinmobile.robot.recursions import PinocchioBackend, UncheckedDynamics, in_public_order
 from pinmobile.robot.support_geometry import ArmMetrics, SupportGeometry, Undercarriage
 from pinmobile.robot.system import MultibodySystem, by_values
 from pinmobile.robot.visuals import Solids, VisualFile, visuals_of

@@ -27,10 +27,10 @@ from pinmobile.arrays import (
 from pinmobile.errors import InvalidArgument, NotTraceable, format_value
 from pinmobile.parts import Desired, holds_symbols, is_tracing, numeric_context, require, structure
 from pinmobile.plant import Coordinate, Input
-from pinmobile.robot import pinocchio_backend
+from pinmobile.robot import recursions
 from pinmobile.robot.linkage import BODY_JOINT, circular_coordinates, joints_of
 from pinmobile.robot.mounts import Mount, PayloadBody, named_frames
-from pinmobile.robot.pinocchio_backend import PinocchioBackend
+from pinmobile.robot.recursions import PinocchioBackend
 
 _BASE = ("x", "m", "vx"), ("y", "m", "vy"), ("psi", "rad", "yaw_rate")
 _UNLIMITED = 1e8  # a limit beyond this value counts as no limit
@@ -474,7 +474,7 @@ class MultibodySystem:
         UnknownName
             If the robot has no such frame.
         """
-        return self._of_frame(pinocchio_backend.frame_pose, self._frame(frame)[1], q=q)
+        return self._of_frame(recursions.frame_pose, self._frame(frame)[1], q=q)
 
     @by_values()
     def frame_jacobian(self, q: ArrayLike, frame: str | None = None) -> Array:
@@ -495,7 +495,7 @@ class MultibodySystem:
         UnknownName
             If the robot has no such frame.
         """
-        return self._of_frame(pinocchio_backend.frame_jacobian, self._frame(frame)[1], q=self._at_origin(q))
+        return self._of_frame(recursions.frame_jacobian, self._frame(frame)[1], q=self._at_origin(q))
 
     @by_values()
     def frame_bias_acceleration(self, q: ArrayLike, v: ArrayLike, frame: str | None = None) -> Array:
@@ -518,7 +518,7 @@ class MultibodySystem:
         UnknownName
             If the robot has no such frame.
         """
-        return self._of_frame(pinocchio_backend.frame_bias_acceleration, self._frame(frame)[1], q=q, v=v)
+        return self._of_frame(recursions.frame_bias_acceleration, self._frame(frame)[1], q=q, v=v)
 
     @by_values()
     def manipulability(self, q: ArrayLike, frame: str | None = None) -> Array:
@@ -566,7 +566,7 @@ class MultibodySystem:
         return self._volume(number, arms[0].v, q)
 
     def _volume(self, number: int, part: slice, q: ArrayLike) -> Array:
-        return self._of_frame(pinocchio_backend.manipulability, number, part, q=self._at_origin(q))
+        return self._of_frame(recursions.manipulability, number, part, q=self._at_origin(q))
 
     def _frame(self, name: str | None) -> tuple[str, int]:
         name = self.end_effector if name is None else name
@@ -583,7 +583,7 @@ class MultibodySystem:
         q : array_like, shape (..., nq)
             Configuration [m, m, rad, ...].
         """
-        return self._of_frame(pinocchio_backend.joint_placements, q=q)
+        return self._of_frame(recursions.joint_placements, q=q)
 
     @by_values()
     def jacobian(self, q: ArrayLike) -> Array:
@@ -737,7 +737,7 @@ class MultibodySystem:
         v : array_like, shape (..., nv)
             Velocity [m/s, m/s, rad/s, ...].
         """
-        return self._each(pinocchio_backend.kinetic_energy, q=q, v=v)
+        return self._each(recursions.kinetic_energy, q=q, v=v)
 
     @by_values()
     def potential_energy(self, q: ArrayLike) -> Array:
@@ -774,7 +774,7 @@ class MultibodySystem:
         v, a : array_like, shape (..., nv)
             Velocity and acceleration [m/s, m/s, rad/s, ...; per s].
         """
-        return self._each(pinocchio_backend.regressor, q=q, v=v, a=a)
+        return self._each(recursions.regressor, q=q, v=v, a=a)
 
     @by_values()
     def linearize(self, q: ArrayLike, v: ArrayLike, tau: ArrayLike) -> Linearization:
@@ -797,7 +797,7 @@ class MultibodySystem:
         return self._linearization(q, v, tau=tau)
 
     def _linearization(self, q: ArrayLike, v: ArrayLike, **push: ArrayLike) -> Linearization:
-        derivative = self._each(pinocchio_backend.derivatives, q=self._at_origin(q), v=v, **push)
+        derivative = self._each(recursions.derivatives, q=self._at_origin(q), v=v, **push)
         by_q, by_v, by_tau = np.moveaxis(derivative, -3, 0)
         A = np.zeros((*by_q.shape[:-2], 2 * self.nv, 2 * self.nv))
         B = np.zeros((*by_q.shape[:-2], 2 * self.nv, self.nv))
@@ -843,7 +843,7 @@ class MultibodySystem:
         v, a : array_like, shape (..., nv)
             Velocity and acceleration [m/s, m/s, rad/s, ...; per s].
         """
-        return self._each(pinocchio_backend.ground_wrench, q=q, v=v, a=a)
+        return self._each(recursions.ground_wrench, q=q, v=v, a=a)
 
     @by_values()
     def mount_wrench(self, q: ArrayLike, v: ArrayLike, a: ArrayLike, mount: str | None = None) -> Array:
@@ -870,7 +870,7 @@ class MultibodySystem:
             If no arm has this name.
         """
         arm = self._mount(mount)
-        return self._each(partial(pinocchio_backend.mount_wrench, arm, self._fixed(arm)), q=q, v=v, a=a)
+        return self._each(partial(recursions.mount_wrench, arm, self._fixed(arm)), q=q, v=v, a=a)
 
     def _mount(self, name: str | None) -> Mount:
         if not self.mounts:

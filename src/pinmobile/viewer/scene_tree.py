@@ -18,7 +18,7 @@ from pinmobile.arrays import Array, ArrayLike, sequence
 from pinmobile.dh import DHTable
 from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.parts import array, by_value, child, number, option, part
-from pinmobile.robot import BODY
+from pinmobile.robot import BODY, mesh_of
 from pinmobile.viewer.motion import Channel, Drawn
 from pinmobile.viewer.pages import Content, Visualizer, pack_array
 
@@ -254,7 +254,7 @@ def simplify(shape: Any, share: float) -> Any:
     a, b, c = np.moveaxis(vertices[faces], 1, 0)
     area = float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()) / 2
     size = np.sqrt(3 * area / max(share * count, _MIN_TRIANGLES))  # a surface crosses 1.5 cells per size^2
-    return _make_mesh(*_cluster(vertices, faces, max(float(size), 1e-9)))
+    return mesh_of(*_cluster(vertices, faces, max(float(size), 1e-9)))
 
 
 def _cluster(vertices: Array, faces: NDArray[np.int64], cell: float) -> tuple[Array, NDArray[np.int64]]:
@@ -269,17 +269,6 @@ def _cluster(vertices: Array, faces: NDArray[np.int64], cell: float) -> tuple[Ar
     # The same three corners in the same sense are one triangle.
     first = np.take_along_axis(merged, (merged.argmin(axis=1)[:, None] + np.arange(3)) % 3, axis=1)
     return means, np.unique(first, axis=0)
-
-
-def _make_mesh(vertices: Array, faces: NDArray[np.int64]) -> Any:
-    import coal
-
-    mesh = coal.BVHModelOBBRSS()
-    mesh.beginModel(len(faces), len(vertices))
-    mesh.addVertices(vertices)
-    mesh.addTriangles(faces.astype(np.int32))
-    mesh.endModel()
-    return mesh
 
 
 _STAGE = "meshcat/stage"

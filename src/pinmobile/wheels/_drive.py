@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 from pinmobile.arrays import Array, ArrayLike, finite, finite_answer, frozen, shaped
-from pinmobile.errors import InvalidArgument, format_value
+from pinmobile.errors import InvalidArgument
 from pinmobile.integrators import rk4
 from pinmobile.parts import by_value, child, evolved, part, structure, takes
 from pinmobile.plant import ContactLoads, Contacts, Coordinate, Input, SlipMargins
@@ -226,12 +226,8 @@ class WheeledRobot(PlantOnWheels):
         Raises
         ------
         InvalidArgument
-            If the ground has no ramp, or an angle is out of range.
+            If an angle is out of range.
         """
-        if not hasattr(self.ground, "ramp"):
-            raise InvalidArgument(
-                f"ground is {format_value(self.ground)}, which has no ramp, expected Rolling() or Coulomb()"
-            )
         return WheeledRobot(self.robot, self.table, evolved(self.ground, ramp=Ramp(angle, direction)))
 
     # Dynamics on its ground
@@ -689,6 +685,7 @@ class WheeledRobot(PlantOnWheels):
         """
         return self._numeric.forward_dynamics(q, v, u, f)
 
+    @of_ground
     @takes(q="nq", v="nv", u="nu", f="nv")
     def constraint_forces(self, q: Any, v: Any, u: Any, f: Any = 0.0) -> Forces:
         """Return the forces of the ground on rolling wheels, and which of them rolling determines.
@@ -704,13 +701,9 @@ class WheeledRobot(PlantOnWheels):
 
         Raises
         ------
-        InvalidArgument
+        AttributeError
             If the wheels may slip.
         """
-        if self.array_dynamics.slips:
-            raise InvalidArgument(
-                "constraint_forces needs ground=Rolling(), expected the signals of a run on other ground"
-            )
         values = self._numeric.constraint_forces(q, v, u, f)
         finite_answer(values, q=q, v=v, u=u, f=f)
         return Forces(self.constraint_names, values, self.mobility.determined.copy())
@@ -965,10 +958,6 @@ class WheeledRobot(PlantOnWheels):
         self.check_stands()
         if self.array_dynamics.slips:
             return recorded_margins(self.array_dynamics, motion)
-        if motion.u is None:
-            raise InvalidArgument(
-                "motion.u is None, expected the input, on which the forces depend: MotionStates(..., u=u)"
-            )
         q, v, u, a = self._state(motion.q, motion.v, motion.u, motion.a)
         return rolling_margins(self._numeric, *self._proper_state(q, v, a), u, q)[1]
 

@@ -44,7 +44,7 @@ from pinmobile.wheels._kinematics import (
     solve_null_space,
     tracked_slopes,
 )
-from pinmobile.wheels._loads import evaluate_metrics, metrics_on_wheels
+from pinmobile.wheels._loads import metrics_on_wheels, values_on_wheels
 from pinmobile.wheels._motors import ExternalForceFunction, constant_force
 from pinmobile.wheels._table import Axis, column
 
@@ -121,6 +121,7 @@ class WheeledDynamics:
     robot: Any
 
     metrics = cached_property(metrics_on_wheels)
+    evaluate_metrics = values_on_wheels
     broadcasts: ClassVar[bool] = True
     slips: ClassVar[bool] = True
 
@@ -164,11 +165,6 @@ class WheeledDynamics:
     def stops(self) -> list[tuple[int, float]]:
         """Steering axes with a limit, each with its limit [rad]."""
         return [(k, axis.limit) for k, axis in enumerate(self.table.axes) if np.isfinite(axis.limit)]
-
-    def evaluate_metrics(self, t: Any, q: Any, v: Any, a: Any, u: Any, reference: Any) -> Any:
-        """Return the values of its metrics, shape (..., m)."""
-        del t
-        return evaluate_metrics(self, q, v, a, u, reference.q)
 
     @property
     def weight(self) -> Any:

@@ -369,7 +369,7 @@ def limits_of(body: Any) -> list[tuple[int, float]]:
 
 
 def metrics_on_wheels(body: Any) -> tuple[Metric, ...]:
-    """Return the metrics whose values `evaluate_metrics` returns.
+    """Return the metrics whose values `values_on_wheels` returns.
 
     Parameters
     ----------
@@ -397,21 +397,23 @@ def metrics_on_wheels(body: Any) -> tuple[Metric, ...]:
     return tuple(metrics)
 
 
-def evaluate_metrics(body: Any, q: Any, v: Any, a: Any, u: Any, desired: Any) -> Any:
+def values_on_wheels(body: Any, t: Any, q: Any, v: Any, a: Any, u: Any, reference: Any) -> Any:
     """Return the values of the metrics in a motion, shape (..., m).
 
     Parameters
     ----------
     body : WheeledDynamics
         The robot.
+    t : float
+        Time [s]; no metric depends on it.
     q, v, a, u : ndarray, shape (..., nq), (..., nv), (..., nv), (..., nu)
         State, acceleration and input.
-    desired : ndarray, shape (..., k)
-        First entries of q in the reference.
+    reference : Reference
+        Desired values of the first coordinates.
     """
     state, values, arms = body.state(q, v), [], arms_of(body)
     if arms is not None and arms.tips:
-        values += scalars(arms.pose_errors(body.robot, q[..., : int(body.robot.nq)], desired))
+        values += scalars(arms.pose_errors(body.robot, q[..., : int(body.robot.nq)], reference.q))
     limits = limits_of(body)
     if limits:
         inputs, effort = scalars(u), 0.0

@@ -12,13 +12,7 @@ import numpy as np
 
 from pinmobile.arrays import Array, bounded, frozen, rotate, scalar
 from pinmobile.compiled import choose
-from pinmobile.controllers import (
-    Controller,
-    State as ControlState,
-    check_controller,
-    evaluate,
-    notify_applied,
-)
+from pinmobile.controllers import Controller, State as ControlState, Wrapper, evaluate
 from pinmobile.errors import InvalidArgument
 from pinmobile.parts import by_value, child, integer, number as declared, part
 from pinmobile.plant import Context
@@ -302,7 +296,7 @@ def _solver(MS: Matrix, S: Matrix) -> Callable[[Vector], Vector]:
 
 @final
 @part
-class OdometryFeedback:
+class OdometryFeedback(Wrapper):
     """Wrapper that replaces the measured pose with the pose of wheel odometry.
 
     It starts at the true pose. Encoders measure the rotation of each wheel between samples. The displacement
@@ -362,7 +356,7 @@ class OdometryFeedback:
 
     def check(self) -> None:
         """Raise `InvalidArgument` if the wheels do not determine the body's motion."""
-        check_controller(self.controller)
+        Wrapper.check(self)
         self.table.mobility.check_odometry()
 
     @cached_property
@@ -380,10 +374,6 @@ class OdometryFeedback:
         noise = context.noise(f"odometry {self.seed}", len(self.table))
         inner = self.controller.initial_state(context)
         return inner, noise, float(context.dt), (np.zeros(3), joints, 0.0)
-
-    def applied(self, u: Array, state: Any) -> Any:
-        """Return the next state, with the applied input passed on, shape (..., nu)."""
-        return notify_applied(self.controller, u, state[0]), *state[1:]
 
     def signals(self, state: Any) -> dict[str, Any]:
         """Return the estimated pose [m, rad] beside the signals of the wrapped controller."""

@@ -53,7 +53,7 @@ _MAX_WHEELS = 1000  # largest number of wheels on a circle
 _Places: TypeAlias = Iterable[ArrayLike]
 FIXED, DRIVEN, FREE = "fixed", "driven", "free"
 _STEERING = (FIXED, DRIVEN, FREE)
-_LARGEST_ROLLER = 89.0  # [deg]: closer to 90, the wheel can hardly drive
+_LARGEST_ROLLER = radians(89)  # closer to a right angle, the wheel can hardly drive
 TORQUE = Motor()  # torque source without limits
 
 
@@ -177,7 +177,13 @@ class Wheel:
         (0.0, 0.0),
     )
     roller: float | None = number(
-        default=None, unit="rad", optional=True, fixed=True, doc="angle of the rollers' axes"
+        default=None,
+        unit="rad",
+        optional=True,
+        fixed=True,
+        lower=-_LARGEST_ROLLER,
+        upper=_LARGEST_ROLLER,
+        doc="angle of the rollers' axes",
     )
     mass: float = number(default=0.0, unit="kg", lower=0, fixed=True, doc="mass")
     spin_inertia: float = number(default=0.0, unit="kg m^2", lower=0, doc="inertia about the axle")
@@ -189,13 +195,6 @@ class Wheel:
     steering_limit: float = number(
         default=np.inf, unit="rad", above=0, endless=True, fixed=True, doc="largest steering angle"
     )
-
-    def check(self) -> None:
-        """Raise `InvalidArgument` if the axes of rollers are at right angles to the rolling direction."""
-        if self.roller is not None and not abs(self.roller) <= radians(_LARGEST_ROLLER):
-            raise InvalidArgument(
-                f"roller of wheel {self.name!r} is {self.roller:.6g} rad, expected at most 89 degrees"
-            )
 
     @property
     def centre(self) -> tuple[float, float]:
@@ -495,8 +494,6 @@ class WheelTable:
 
     def check(self) -> None:
         """Raise `InvalidArgument` if there are no wheels, or names, positions or couplings do not fit."""
-        for name in ("wheels", "supports", "couplings"):
-            sequence(name, getattr(self, name), "a sequence")
         if not self.wheels:
             raise InvalidArgument("wheels is empty, expected Wheel(...), one per row")
         _check_places(self.wheels, self.supports)

@@ -34,7 +34,7 @@ from pinmobile.robot import (
 from pinmobile.wheels._contact import iterate, moved_by, within
 from pinmobile.wheels._dynamics import PlantOnWheels, WheeledDynamics, mass_columns, mean_acceleration
 from pinmobile.wheels._kinematics import ReferenceMotion
-from pinmobile.wheels._loads import evaluate_metrics, metrics_on_wheels
+from pinmobile.wheels._loads import metrics_on_wheels, values_on_wheels
 from pinmobile.wheels._motors import (
     CONSTANTS,
     ExternalForceFunction,
@@ -99,16 +99,12 @@ class VoltageDynamics:
     inputs: tuple[Input, ...]
 
     metrics = cached_property(metrics_on_wheels)
+    evaluate_metrics = values_on_wheels
     broadcasts: ClassVar[bool] = True
     groups: ClassVar[tuple[()]] = ()  # slip margins need torques
 
     def __getattr__(self, name: str) -> Any:
         return of_wheeled(self, name)
-
-    def evaluate_metrics(self, t: Any, q: Any, v: Any, a: Any, u: Any, reference: Any) -> Any:
-        """Return the values of its metrics, shape (..., m)."""
-        del t
-        return evaluate_metrics(self, q, v, a, u, reference.q)
 
     def initial_state(self, context: Any = None) -> MotorState:
         """Return the memory before the first step: no current flows."""
