@@ -11,14 +11,7 @@ import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, frozen, rotate, seeded, sequence, shaped, text
 from pinmobile.errors import InvalidArgument, format_value
-from pinmobile.parts import (
-    Number,
-    array,
-    declare,
-    number,
-    option,
-    part,
-)
+from pinmobile.parts import Number, array, declare, number, option, part
 from pinmobile.plant import coordinates_of
 
 

@@ -101,9 +101,7 @@ def check_integrator(integrator: object) -> None:
             f"integrator is {format_value(integrator)}, a controller, expected one of pinmobile.integrators"
         )
     callable_as(
-        "integrator(acceleration, t, q, v, dt)",
-        integrator,
-        "one of pinmobile.integrators or such a step",
+        "integrator(acceleration, t, q, v, dt)", integrator, "one of pinmobile.integrators or such a step"
     )
 
 

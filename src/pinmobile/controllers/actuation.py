@@ -10,13 +10,7 @@ import numpy as np
 
 from pinmobile.arrays import Array, bounded, callable_as, frozen, vector
 from pinmobile.controllers.controller import ContextView, Controller, State, Wrapper, evaluate, notify_applied
-from pinmobile.controllers.kinematic_laws import (
-    LAW,
-    KinematicLaw,
-    check_law,
-    tracking_error,
-    value_of,
-)
+from pinmobile.controllers.kinematic_laws import LAW, KinematicLaw, check_law, tracking_error, value_of
 from pinmobile.errors import InvalidArgument
 from pinmobile.parts import (
     Child,

@@ -98,11 +98,7 @@ class DisturbanceObserver(Wrapper):
 
         The memory of the observer is (begun, integral, last input, estimate).
         """
-        check_gains(
-            lambda: {"gain": self.gain},
-            lambda dt: 1.0 - dt * self.gain[..., None, None],
-            context.dt,
-        )
+        check_gains(lambda: {"gain": self.gain}, lambda dt: 1.0 - dt * self.gain[..., None, None], context.dt)
         zeros = np.zeros(self.robot.nv)
         return self.controller.initial_state(context), (0.0, zeros, zeros, zeros), float(context.dt)
 

@@ -2,24 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 from math import perm
-from typing import TYPE_CHECKING, Any, Protocol, final, runtime_checkable
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, final, runtime_checkable
 
 import attrs
 import numpy as np
 
-from pinmobile.arrays import (
-    Array,
-    ArrayLike,
-    bounded,
-    check_integer,
-    finite,
-    frozen,
-    rotate,
-    shaped,
-)
+from pinmobile.arrays import Array, ArrayLike, bounded, check_integer, finite, frozen, rotate, shaped
 from pinmobile.errors import InvalidArgument
 from pinmobile.parts import by_value, child, fields_of, number, part, require
 
@@ -190,6 +182,14 @@ class Whole:
             The derivative [m/s^order].
         """
         return self.path.derivative(t, order)
+
+
+class MovedPiece(NamedTuple):
+    """Piece of a path that is moved in time or in space."""
+
+    start: float
+    end: float
+    derivative: Callable[[ArrayLike, int], Array]
 
 
 def pieces_of(path: Path) -> tuple[Piece, ...]:
@@ -462,7 +462,14 @@ class TransformedPath(Curve):
     @property
     def pieces(self) -> tuple[Piece, ...]:
         """Pieces of the path, transformed."""
-        return tuple(_TransformedPiece(self, piece) for piece in pieces_of(self.path))
+
+        def moved(piece: Piece) -> Piece:
+            def derivative(t: ArrayLike, order: int) -> Array:
+                return self._transform(piece.derivative(t, order), order)
+
+            return MovedPiece(piece.start, piece.end, derivative)
+
+        return tuple(map(moved, pieces_of(self.path)))
 
     def _at(self, t: Array, order: int) -> Array:
         return self._transform(self.path.derivative(t, order), order)
@@ -475,25 +482,6 @@ class TransformedPath(Curve):
         if not order:
             result[..., :2] += self.x, self.y
         return result
-
-
-@dataclass(frozen=True)
-class _TransformedPiece:
-    """Transformed piece of a path."""
-
-    path: TransformedPath
-    piece: Piece
-
-    @property
-    def start(self) -> float:
-        return self.piece.start
-
-    @property
-    def end(self) -> float:
-        return self.piece.end
-
-    def derivative(self, t: ArrayLike, order: int) -> Array:
-        return self.path._transform(self.piece.derivative(t, order), order)
 
 
 @dataclass(frozen=True, eq=False)

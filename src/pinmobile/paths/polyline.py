@@ -17,6 +17,7 @@ from pinmobile.errors import InvalidArgument
 from pinmobile.parts import array, children, number, part
 from pinmobile.paths.path import (
     Curve,
+    MovedPiece,
     Path,
     Piece,
     Polynomial,
@@ -91,7 +92,7 @@ class CompositePath(Curve):
     def pieces(self) -> tuple[Piece, ...]:
         """Pieces of all paths, in order."""
         pairs = zip(self._starts.tolist(), self.paths, strict=False)
-        return tuple(_ShiftedPiece(start, piece) for start, path in pairs for piece in pieces_of(path))
+        return tuple(_later(start, piece) for start, path in pairs for piece in pieces_of(path))
 
     def _at(self, t: Array, order: int) -> Array:
         indices = np.searchsorted(self._starts[1:-1], t, side="right")
@@ -103,31 +104,14 @@ class CompositePath(Curve):
         return values
 
 
-class _ShiftedPiece(NamedTuple):
-    """Piece of a path that starts later.
+def _later(offset: float, piece: Piece) -> Piece:
+    """Return a piece of a path that starts later [s]."""
 
-    Attributes
-    ----------
-    since : float
-        Start time of the path [s].
-    piece : Piece
-        The piece, in the time of its path.
-    """
+    def derivative(t: ArrayLike, order: int) -> Array:
+        times = np.asarray(t, np.float64) - offset
+        return piece.derivative(np.clip(times, piece.start, piece.end), order)
 
-    offset: float
-    piece: Piece
-
-    @property
-    def start(self) -> float:
-        return self.offset + float(self.piece.start)
-
-    @property
-    def end(self) -> float:
-        return self.offset + float(self.piece.end)
-
-    def derivative(self, t: ArrayLike, order: int) -> Array:
-        times = np.asarray(t, np.float64) - self.offset
-        return self.piece.derivative(np.clip(times, self.piece.start, self.piece.end), order)
+    return MovedPiece(offset + float(piece.start), offset + float(piece.end), derivative)
 
 
 def _check_joint(k: int, path: Path, next_path: Path, t: float) -> None:

@@ -449,11 +449,7 @@ class MobileRobot(MultibodySystem):
         """
         instance("body", body, urdf.Body, "a pinmobile.urdf.Body")
         return cls(  # type: ignore[call-arg]  # attrs names arguments without the underscore
-            **fields_of_body(body),
-            size=size,
-            dh=dh,
-            stance=stance,
-            source=text("source", source),
+            **fields_of_body(body), size=size, dh=dh, stance=stance, source=text("source", source)
         )
 
     @classmethod

@@ -280,12 +280,7 @@ class Impulses(NamedTuple):
 
 
 def impulses(
-    touches: list[WheelContact],
-    bounds: list[Bounds],
-    free: Vector,
-    M: Matrix,
-    guess: Impulses,
-    ground: Any,
+    touches: list[WheelContact], bounds: list[Bounds], free: Vector, M: Matrix, guess: Impulses, ground: Any
 ) -> Impulses:
     """Return the impulses, starting from earlier ones.
 
