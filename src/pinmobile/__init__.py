@@ -51,23 +51,13 @@ __version__ = "0.2.0"
 _NAMES = {
     name: tuple(names.split())
     for name, names in {
-        "accuracy": "",
-        "arrays": "",
-        "balance": "",
-        "closed_form": "",
         "compiled": "vectorize",
         "controllers": (
             "PD ControlAllocation Backstepping ComputedTorque MeasurementDelay MeasurementNoise "
             "PDGravity ADRC LQR MPC PID Adaptive DisturbanceObserver SlidingMode SuperTwisting "
             "InputSaturation UnicycleTracking law"
         ),
-        "derivation": "",
-        "derivatives": "",
-        "dh": "",
         "errors": "Diverged InvalidArgument PinmobileError",
-        "exercises": "",
-        "export": "",
-        "files": "",
         "forces": "ConstantForce JointFriction RollingResistance ViscousFriction",
         "identification": "Log VelocityRobot excitation identify identify_velocity",
         "integrators": "rk4",
@@ -75,25 +65,23 @@ _NAMES = {
             "Engine Ensemble Loop Normal PayloadTransfer Relative Rollout SameAs Scenario Uniform ensemble "
             "simulate"
         ),
-        "metrics": "",
-        "palette": "",
-        "parts": "",
         "paths": "Circle CompositePath CubicVia Hold Line Lissajous Polyline RestToRest Spline",
-        "plant": "",
-        "plots": "",
         "proximity": "clearance",
         "reaching": "EndEffectorTracking FrameTask PosePath solve_inverse_kinematics",
-        "realtime": "",
         "robot": "PayloadBody MobileRobot",
-        "signals": "",
         "sweeps": "Sweep sweep",
         "trajectories": "FixedHeading Reference Tangent WholeBody",
-        "urdf": "",
         "verification": "verify",
-        "viewer": "",
         "wheels": "Coulomb Motor Rolling WheelTable WheeledRobot",
     }.items()
-}
+} | dict.fromkeys(
+    (
+        *("accuracy", "arrays", "balance", "closed_form", "derivation", "derivatives", "dh"),
+        *("exercises", "export", "files", "metrics", "palette", "parts", "plant", "plots"),
+        *("realtime", "signals", "urdf", "viewer"),
+    ),
+    (),
+)
 _MODULE_OF = {name: module for module, names in _NAMES.items() for name in names}
 __all__ = sorted(_MODULE_OF)
 

@@ -181,19 +181,10 @@ def _code(text: str, folder: Path | None) -> Any:
     return value
 
 
-_PACKAGES = [
-    "controllers",
-    "dh",
-    "forces",
-    "identification",
-    "integrators",
-    "loop",
-    "paths",
-    "reaching",
-    "robot",
-    "trajectories",
-    "wheels",
-]
+_PACKAGES = (
+    *("controllers", "dh", "forces", "identification", "integrators", "loop"),
+    *("paths", "reaching", "robot", "trajectories", "wheels"),
+)
 
 
 @cache
@@ -293,8 +284,7 @@ def requirement(field: Field | None, *, one: bool = False) -> str:
         return f"a whole number >= {field.least}"
     if isinstance(field, Child):
         part_words = field.expected or ("" if isinstance(field.kind, tuple) else meaning(field.kind))
-        part_words = part_words.partition(":")[0]
-        part_words = part_words or "a part"
+        part_words = part_words.partition(":")[0] or "a part"
         return f"several, each {part_words}" if field.many and not one else part_words
     return "a value"
 

@@ -34,7 +34,6 @@ from pinmobile.parts._registry import (
 from pinmobile.parts._walk import Leaf, entries_of
 
 _INVALID = object()  # stands for a part that cannot be made
-_MAX_DEPTH = 50
 _FAILURES = TypeError, ValueError, LookupError, OSError, AttributeError, ArithmeticError, PinmobileError
 _NONE: Mapping[str, Any] = {}
 
@@ -130,17 +129,13 @@ class Reader:
         for key in tree:
             if key not in names:
                 place, takes = _join(path, str(key)), ", ".join(names) or "no fields"
-                owner, advice = (
-                    f"{kind.__name__} has" if path else "available:",
-                    suggest_name(str(key), names),
-                )
+                owner = f"{kind.__name__} has" if path else "available:"
+                advice = suggest_name(str(key), names)
                 advice = f"; {advice}" * (bool(path) or not advice.startswith("available"))
                 self._fail(place, f"{place} is unknown, {owner} {takes}{advice}")
 
     def part(self, field: Child, tree: Any, path: str, base: Any = None) -> Any:
         """Return the part of a tree; `base` is the part that a table without a type changes."""
-        if path.count(".") > _MAX_DEPTH:
-            return self._fail(path, f"{path} is nested too deep, expected at most {_MAX_DEPTH} levels")
         tree = read_call(tree) if isinstance(tree, str) else tree
         if not isinstance(tree, Mapping):
             form = requirement(field, one=True)
@@ -227,15 +222,7 @@ class Reader:
                 return make(*positional, **values)
         except InvalidArgument as error:
             return self._fail(_join(path, error.argument.partition("[")[0]), f"{path or 'file'}: {error}")
-        except (
-            TypeError,
-            ValueError,
-            KeyError,
-            OSError,
-            AttributeError,
-            IndexError,
-            ArithmeticError,
-        ) as error:
+        except _FAILURES as error:
             return self._fail(path, f"{path or 'file'} cannot be made: {error}")
 
     def _change(self, base: Any, tree: Mapping[str, Any], path: str) -> Any:

@@ -36,27 +36,14 @@ from pinmobile.files import write, write_file
 from pinmobile.viewer.pages import engine, loading_script, seal_page, stage_page
 
 _NAMES = (
-    "chromium",
-    "chromium-browser",
-    "google-chrome",
-    "google-chrome-stable",
-    "chrome",
-    "microsoft-edge",
+    *("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "microsoft-edge"),
     "/Applications/Google Chrome.app/Contents/MacOS/Google Chrome",
     "/Applications/Chromium.app/Contents/MacOS/Chromium",
 )
 _FLAGS = (
-    "--headless=new",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-    "--disable-background-networking",
-    "--disable-dev-shm-usage",
-    "--disable-extensions",
-    "--no-first-run",
-    "--hide-scrollbars",
-    "--mute-audio",
-    "--remote-debugging-pipe",
-    "about:blank",
+    *("--headless=new", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--remote-debugging-pipe"),
+    *("--disable-background-networking", "--disable-dev-shm-usage", "--disable-extensions"),
+    *("--no-first-run", "--hide-scrollbars", "--mute-audio", "about:blank"),
 )
 _NO_SANDBOX = "--no-sandbox"
 # Chromium reads commands from descriptor 3 and writes answers to descriptor 4.
