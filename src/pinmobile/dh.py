@@ -8,7 +8,8 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from enum import Enum
-from math import cos, pi, radians, sin
+from fractions import Fraction
+from math import cos, pi, sin
 from typing import Any
 
 import numpy as np
@@ -125,8 +126,12 @@ def _parse_number(name: str, text: str) -> float:
 
 def _reject_degrees(name: str, value: str, degrees: Any) -> None:
     """Raise `InvalidArgument` for an angle in degrees, with the number in rad to type."""
-    number = f"{radians(float(degrees)):.10g}"
-    raise InvalidArgument(f"{name} is {value}, expected a number in rad, at most 2 pi in size: {number}")
+    turns = Fraction(degrees) / 180
+    num = {1: "pi", -1: "-pi"}.get(turns.numerator, f"{turns.numerator}*pi")
+    fraction = "0" if turns == 0 else num if turns.denominator == 1 else f"{num}/{turns.denominator}"
+    number = f"{float(turns) * pi:.10g}"
+    exact = f"{fraction}, or {number}" if turns.denominator < 10**4 else number
+    raise InvalidArgument(f"{name} is {value}, expected a number in rad, at most 2 pi in size: {exact}")
 
 
 def _evaluate(node: Any) -> Any:

@@ -16,7 +16,8 @@ from pinmobile.arrays import Array, ArrayLike, instance, location, one_of, seque
 from pinmobile.errors import InvalidArgument, UnknownName, format_value
 from pinmobile.robot.arms import Arm, Origin
 from pinmobile.robot.linkage import convert_configuration, joints_of, replace_continuous_joints
-from pinmobile.robot.visuals import VisualFile, judge_links, urdf_model
+from pinmobile.robot.urdf_checks import judge_links, urdf_model
+from pinmobile.robot.visuals import VisualFile
 
 _FINGERS = (
     "its fingers have no inertia: lock bravo_finger1_joint and bravo_finger2_joint "

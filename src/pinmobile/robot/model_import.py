@@ -28,7 +28,8 @@ from pinmobile.robot.support_geometry import (
     triple,
     undercarriage_of,
 )
-from pinmobile.robot.visuals import VisualFile, inertia_of, judge_links, urdf_model
+from pinmobile.robot.urdf_checks import inertia_of, judge_links, urdf_model
+from pinmobile.robot.visuals import VisualFile
 from pinmobile.urdf import Body
 
 _SIZES = {"box": 3, "cylinder": 2, "capsule": 2, "sphere": 1, "mesh": 3}
