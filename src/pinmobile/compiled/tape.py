@@ -636,7 +636,7 @@ class LoopTape:
         Number of entries of the reference of a sample if each robot has its own, else 0.
     units : dict of str to str
         Units of the signals among the kept values, by name.
-    scheduled : int
+    schedule_size : int
         Number of entries of a sample from schedules; they follow the reference.
     tables : bool
         Whether long computations of time and reference become tables, computed before the run.

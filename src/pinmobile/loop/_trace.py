@@ -51,7 +51,7 @@ class _NumericSample(NamedTuple):
     ----------
     k : int
         Index of the sample.
-    memory, after : State
+    memory, next_state : State
         State at the sample and at the next one.
     record : Record
         Result of the recorder.

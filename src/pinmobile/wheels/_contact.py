@@ -76,13 +76,13 @@ class WheelContact:
         Slip velocity per velocity, and velocity per impulse, of both directions.
     spin : int
         Number of the velocity that is the wheel's rate.
-    spun : list of scalars
+    spin_column : list of scalars
         Velocity per angular impulse on this rate.
     is_disc : bool
         Whether friction is isotropic; otherwise each direction has its own bound.
     give : scalar
         Slip velocity per impulse before the wheel slides [1/kg].
-    held : bool
+    is_held : bool
         Whether dry friction holds the wheel's rate.
     """
 

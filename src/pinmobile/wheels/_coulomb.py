@@ -82,11 +82,11 @@ class _Pass(NamedTuple):
 
     Attributes
     ----------
-    after : list of scalars
+    velocities : list of scalars
         Velocities at the end of the step.
     impulses, multipliers
         As in `Impulses`.
-    assumed, missing, way : list of 6 scalars
+    guess, missing, way : list of 6 scalars
         Assumption of the pass: twist at the end of the step divided by the speed gained in a step of free
         fall, and fz, mx and my of the ground divided by the weight; residual of the pass before; and last
         change of the assumption.
@@ -163,7 +163,7 @@ class _Shape(NamedTuple):
         Function from a generalised force to the acceleration.
     touches : list of WheelContact
         Contacts of the wheels, in the velocities that `friction_rows` numbers.
-    touched, rest : list of int
+    friction_rows, rest : list of int
         Velocities that occur in rows of wheels, and the others.
     inertia : list of lists of scalars
         Reduced mass matrix of the former.

@@ -222,7 +222,7 @@ class AxleGroup(NamedTuple):
         Rows of the table.
     lateral : tuple of int
         Their lateral rows among those of the kinematics; none for wheels with rollers.
-    held : int
+    body_row : int
         Number of the row in ``choice.body``; -1: a row that determines a joint, or none.
     """
 
@@ -529,7 +529,7 @@ class TimeScaledMotion:
     ----------
     body : RollingDynamics
         Rolling dynamics.
-    along : ReferenceMotion
+    motion : ReferenceMotion
         Motion at the original speed.
     efforts : ndarray, shape (arms,)
         Largest torques of the arms' joints [N m].
