@@ -60,6 +60,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     items[:] = kept
 
 
+@pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers() -> int:
     """Return a worker more than there are processors: many tests wait for a browser or another process."""
     processors = len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count()
