@@ -315,7 +315,7 @@ def test_without_xarray_what_to_install_is_told(monkeypatch: pytest.MonkeyPatch)
 def test_another_kind_of_file_is_refused_either_way(tmp_path: Path) -> None:
     path = saved(DIVERGING, tmp_path)
     DIVERGING.traces[3].save(tmp_path / "run.npz")
-    with refused(r"run.npz', which is not a 'pinmobile ensemble 5' archive: its format is"):
+    with refused(r"run.npz', which is not a 'pinmobile ensemble 6' archive: its format is"):
         pm.Ensemble.load(tmp_path / "run.npz")
     with refused(r"saved.npz', which is not a 'pinmobile rollout 4' archive: its format is"):
         pm.Rollout.load(path)

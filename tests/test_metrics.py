@@ -251,7 +251,7 @@ def test_a_robot_that_diverges_has_no_margin() -> None:
 
 def test_sizes_of_margins_grow_with_them_and_lead_back() -> None:
     near = np.linspace(-1e-3, 1e-3, 401)
-    far = np.geomspace(1.1e-3, 500, 200)
+    far = np.geomspace(1.1e-3, 5e8, 400)
     margins = np.concatenate([-far[::-1], near, far])
     sizes = size_of(margins)
     assert (np.diff(sizes) > 0).all()
@@ -270,7 +270,21 @@ def test_quantiles_of_margins_are_those_of_the_sorted_ones_to_a_bin() -> None:
     exact = margins[1000 - np.maximum(1, np.ceil(levels * 1000)).astype(int)]
     np.testing.assert_allclose(found, exact, rtol=2**-4, atol=2e-5)
     assert quantiles(np.eye(BINS, dtype=int)[0], levels, margins=True).tolist() == [-np.inf] * 6
-    assert (quantiles(np.eye(BINS, dtype=int)[-1], levels, margins=True) >= 511).all()
+    assert (quantiles(np.eye(BINS, dtype=int)[-1], levels, margins=True) >= 5e8).all()
+
+
+@pytest.mark.parametrize("engine", [pm.Engine.COMPILED, pm.Engine.PYTHON])
+def test_bands_have_numbers_of_any_size(engine: pm.Engine) -> None:
+    """A force of kilonewtons, a load that falls, and a length below a nanometre, which all robots share."""
+    given = {
+        "force": Metric("force", "N", "of nothing", function=lambda sample: 2e4 * sample.t),
+        "load": Metric("load", "N", "of nothing", "smallest", lambda sample: 3e3 - 5e3 * sample.t),
+        "gap": Metric("gap", "m", "of nothing", function=lambda sample: 1e-12 * (1.0 + sample.t)),
+    }
+    bands = run_scenario(replace(scenario(), metrics=list(given.values())), engine=engine).bands([0.5])
+    exact = {"force": 2e4 * bands.t, "load": 3e3 - 5e3 * bands.t, "gap": 1e-12 * (1.0 + bands.t)}
+    for name, values in exact.items():
+        np.testing.assert_allclose(bands[name][0], values, rtol=2**-5, atol=1e-4 * np.abs(values).max())
 
 
 class Fenced(Pushed):

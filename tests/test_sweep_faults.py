@@ -169,7 +169,7 @@ def nodes(tree: dict[str, Any]) -> dict[str, Any]:
     [
         (of_ours(chunk=0), "damaged.*: its digest differs"),
         (of_ours(digest=None), "damaged.* it lacks 'digest'"),
-        (of_ours(determined_by={"format": 3}), "not the store of a sweep.* it has format 3, expected 4"),
+        (of_ours(determined_by={"format": 3}), "not the store of a sweep.* it has format 3, expected 5"),
         (edited(lambda tree: tree.pop("attributes")), "not the store of a sweep.* it lacks 'attributes'"),
         (edited(lambda tree: tree["attributes"].update(errors_from_s=1.0)), "damaged.* digest"),
         (lambda content: content[:1000], "not the store of a sweep.*: Unterminated string"),

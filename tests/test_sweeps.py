@@ -155,7 +155,7 @@ def test_the_store_has_named_dimensions_and_units(done: pm.Sweep) -> None:
     data = xarray.open_zarr(done.path)
     assert dict(data.sizes) == {
         **{"controller.kp": 2, "spread.mass": 2, "robot": 200, "coordinate": 3, "input": 3, "chunk": 4},
-        **{"time": 61, "channel": 2, "bin": 1410, "level": 3},
+        **{"time": 61, "channel": 2, "bin": 2690, "level": 3},
     }
     assert data.max_error.dims == ("controller.kp", "spread.mass", "robot", "coordinate")
     assert data["controller.kp"].attrs["units"] == "1/s^2"

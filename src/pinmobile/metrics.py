@@ -13,7 +13,7 @@ from pinmobile.parts import Measuring, able
 
 _WORST_KINDS = ("largest", "smallest", "ever")
 _SCALE = 2.0**-12  # bins of margins are linear below this size and logarithmic above
-_MAX_SIZE = 2.0**20  # margins below minus this size count as equal
+_MAX_SIZE = 2.0**30  # margins beyond this size count as equal
 _ROUNDING_ERROR = 1e-12  # SI units; smaller quantities of a ground robot are rounding errors
 
 
@@ -101,8 +101,8 @@ def size_of(margin: ArrayLike) -> Any:
     """Return a positive size that increases with a margin of any sign, for bins of a logarithm.
 
     The size is m + sqrt(m^2 + c^2). Its logarithm is asinh(m / c) plus a constant: linear near zero, and the
-    logarithm of m or of -1 / m elsewhere. Margins from -512 to 512 thus fall into the bins from 2^-34 to
-    2^10.
+    logarithm of m or of -1 / m elsewhere. Margins from -2^29 to 2^29 thus fall into the bins from 2^-54 to
+    2^30.
 
     Parameters
     ----------
@@ -126,8 +126,9 @@ def size_of(margin: ArrayLike) -> Any:
     >>> float(value_of(size_of(-0.1)))
     -0.1
     """
-    m = np.maximum(margin, -_MAX_SIZE)
-    return m + np.sqrt(m * m + _SCALE**2)
+    m = np.clip(margin, -_MAX_SIZE, _MAX_SIZE)
+    size = abs(m) + np.sqrt(m * m + _SCALE**2)
+    return np.where(m < 0.0, _SCALE**2 / size, size)  # a difference would lose its digits
 
 
 def value_of(size: Array) -> Array:

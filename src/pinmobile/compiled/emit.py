@@ -17,8 +17,8 @@ from pinmobile.compiled.tape import LoopTape, Rounds, ancestors, operands
 ENTRY = "pinmobile_loop"
 
 SHIFT = 47  # shift of a size's bits that leaves the exponent and 5 bits of the fraction
-_OCTAVES = 44
-FIRST = (1023 - 34) << (52 - SHIFT)  # bin of 2^-34
+_OCTAVES = 84
+FIRST = (1023 - 54) << (52 - SHIFT)  # bin of 2^-54
 BINS = 32 * _OCTAVES + 2  # including one bin below and one above
 
 _BINARY = {name: f"f{name}" for name in ("add", "sub", "mul", "div")}  # of floats

@@ -170,7 +170,7 @@ def _cause(name: str, unit: str, values: Array, worst: NDArray[np.bool_], chance
     return Cause(name, unit.replace("^2", "²"), values, difference, visible, low, high, outside)
 
 
-_FORMAT = "pinmobile ensemble 5"
+_FORMAT = "pinmobile ensemble 6"
 _SHARE, _MIN_ROBOTS, _MAX_CAUSES = 0.05, 40, 3  # share of the worst, robots that it needs, numbers in a line
 _MIN_WIDTH = 28  # smallest width of a row's name
 _V = TypeVar("_V")
@@ -200,7 +200,7 @@ class Bands(_Channels[Array]):
 
     ``bands["end effector"]``, shape (L, G), contains the quantiles of one of `Scenario.channels`. At each
     time, this share of the robots has at most this error, or at least this margin. The quantile is infinite
-    (of a margin: minus infinity) if too many robots have diverged.
+    (of a margin: minus infinity) if too many robots have diverged, or exceed 1e9 or, of a margin, 5e8.
 
     Attributes
     ----------

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pinmobile.arrays import Array, ArrayLike, finite, instance, label_items, one_of, sequence, shaped
 from pinmobile.derivatives import Poles, Sensitivities
 from pinmobile.errors import InvalidArgument
-from pinmobile.loop import Bands, Cause, Ensemble, causes, edges, worst_share
+from pinmobile.loop import Bands, Cause, Ensemble, causes, worst_share
 from pinmobile.metrics import Metric
 from pinmobile.palette import INK, QUIET
 from pinmobile.plots.parameter_curves import strip_above
@@ -44,6 +44,7 @@ from pinmobile.plots.style import (
 _DEFAULT_METRICS = "distance", "heading"
 _MAX_BAND_RATIO = 40.0  # largest ratio of the largest value and the smallest median on a linear axis
 _ROUNDING = 1e-9  # smallest value on a logarithmic axis, as a share of the largest
+_DRAWN_AS_ZERO = 2.0**-34  # [m, rad]
 _GREY = "#777777"
 _PLAIN_STYLE: Style = {"color": INK, "fontweight": "normal"}
 
@@ -180,7 +181,7 @@ def _band_quantiles(ensemble: Ensemble, levels: Array, names: Sequence[str]) -> 
     """Return the drawn quantiles, limited by the exact bound of `Ensemble.error_quantile`.
 
     The limit applies from `Scenario.after` on. The quantiles come from counts in bins, so their resolution is
-    the width of a bin. Values in the first bin count as zero.
+    the width of a bin. Errors that are rounding are drawn as zero.
     """
     bands = ensemble.bands(levels)
     bounds = [ensemble.error_quantile(level) for level in levels]
@@ -190,7 +191,7 @@ def _band_quantiles(ensemble: Ensemble, levels: Array, names: Sequence[str]) -> 
         one, bound = bands[name], np.array([each[name] for each in bounds])[:, None]
         is_margin = any(each.is_margin for each in ensemble.scenario.channels if each.name == name)
         limited = np.where(is_recorded, (np.maximum if is_margin else np.minimum)(one, bound), one)
-        quantiles[name] = limited if is_margin else np.where(one < edges()[1], 0.0, limited)
+        quantiles[name] = limited if is_margin else np.where(one < _DRAWN_AS_ZERO, 0.0, limited)
     return Bands(bands.t, bands.levels, quantiles)
 
 

@@ -328,7 +328,7 @@ def _set_entry(base: Any, ref: NumberRef, value: Any, size: int) -> Any:
     return array
 
 
-FORMAT = 4
+FORMAT = 5
 """Version of the store format."""
 
 _NUMBERS = ("n", "seed", "dt", "substeps", "limit", "after", "stride")
