@@ -94,6 +94,7 @@ def all_of(path: Path) -> list[tuple[float, ...]]:
     return [tuple(map(float, array.flat)) for array in kept]
 
 
+@pytest.mark.filterwarnings("ignore:robot.urdf. damping and friction")
 @pytest.mark.parametrize("number", SPELLED, ids=[f"{k}-{m[1]}" for k, m in enumerate(SPELLED)])
 def test_a_number_is_read_however_it_stands_or_named_and_no_part_is_dropped(
     number: "re.Match[str]", tmp_path: Path, capfd: pytest.CaptureFixture[str]

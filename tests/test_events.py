@@ -86,6 +86,13 @@ def test_a_motor_faster_than_without_load_is_an_event() -> None:
     )
 
 
+def test_a_wheel_faster_than_its_file_allows_is_an_event() -> None:
+    event = of_kind(turning(on_wheels(motor=pm.Motor(rate_limit=5.0)), rate=2.0), "speed limit")
+    assert (event.name, event.limit) == ("left", 5.0)
+    assert str(event).startswith("wheel of left turns at ")
+    assert "top speed" in on_wheels(motor=pm.Motor(rate_limit=5.0)).describe()
+
+
 def test_a_wheel_that_slides_is_an_event_with_its_fastest_slip() -> None:
     run = turning(on_wheels(Coulomb(0.05)))
     event, slides = of_kind(run, "slip"), run.signals["slides"].values > 0

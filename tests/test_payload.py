@@ -112,3 +112,17 @@ test_bad_arguments_are_refused = refusals(
         "which has its own step",
     ),
 )
+
+
+def test_the_inertia_of_a_box_follows_its_mass() -> None:
+    """m (l^2 + w^2) / 12 is the box's, unless an inertia is given."""
+    turn = pm.law(lambda t, q, v, reference: np.array([0.0, 0.0, 1.0]))
+    rest, masses = pm.FixedHeading(pm.Hold((0, 0), 1), 0), np.array([5.0, 50.0])
+    for inertia, expected in ((None, masses * 2 / 12), (np.eye(3), np.ones(2))):
+        load = pm.PayloadBody(5.0, (0.1, 0, 0), inertia, (1, 1, 0.2))
+        robot = pm.MobileRobot(30, 1.3).attach(load)
+        runs = pm.ensemble(robot, turn, rest, n=2, spread={"loads.0.mass": masses}, dt=0.1)
+        for member, moment in zip((0, 1), expected, strict=True):
+            m = masses[member]
+            whole = 1.3 + moment + 0.1**2 * m * 30 / (m + 30)  # about the common centre of mass
+            assert runs.member(member).a[0, 2] == pytest.approx(1 / whole, rel=1e-12)

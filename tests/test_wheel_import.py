@@ -169,7 +169,7 @@ def test_fetch_is_asked_for_its_radius_which_tells_the_ground_too(tmp_path: Path
     # The body's centre of mass is 1.4 mm above base_link, which is 5.075 mm above the ground.
     z = (70.1294 * 0.0014 + 2 * 4.3542 * 0.055325) / (70.1294 + 2 * 4.3542) + 0.0604 - 0.055325
     assert robot.robot.com[2] == pytest.approx(z)
-    motors = [Motor(8.85, source=f"joint {name}") for name in robot.table.names]
+    motors = [Motor(8.85, rate_limit=17.4, source=f"joint {name}") for name in robot.table.names]
     assert [wheel.motor for wheel in robot.table.wheels] == motors
     assert len(robot.table.supports) == 2
     assert "radius as given of all" in robot.source
@@ -186,7 +186,9 @@ def test_tiago_stands_on_swivelling_casters(tmp_path: Path) -> None:
     for side, y in (("left", 0.2022), ("right", -0.2022)):
         w = by_name[f"wheel_{side}_joint"]
         assert (w.x, w.y, w.radius, w.steering) == (0.0, y, 0.0985, "fixed")
-        assert w.motor == Motor(6.0, viscous=1.0, coulomb=2.0, source=f"joint {w.name}")
+        assert w.motor == Motor(
+            6.0, viscous=1.0, coulomb=2.0, rate_limit=10.152284263959391, source=f"joint {w.name}"
+        )
     casters = [by_name[name] for name in CASTERS]
     turns = {(w.steering, w.trail, w.radius, w.motor) for w in casters}
     assert turns == {("free", (-0.016, 0.0), 0.025, None)}

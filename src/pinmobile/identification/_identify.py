@@ -337,7 +337,7 @@ def _moments(loads: Sequence[PayloadBody | None] | None, count: int) -> list[Arr
     moments = []
     for each in given:
         load: Any = instance("loads", each, PayloadBody | None, expected)
-        m, x, y, inertia = (load.mass, *load.com[:2], load.inertia[2]) if load else (0.0,) * 4
+        m, x, y, inertia = (load.mass, *load.com[:2], load.moments[2]) if load else (0.0,) * 4
         moments.append(np.array([m, m * x, m * y, inertia + m * (x * x + y * y)]))
     if len(moments) != count or (loads is not None and all(np.array_equal(x, moments[0]) for x in moments)):
         raise InvalidArgument(f"loads is {format_value(loads)}, expected {expected}")

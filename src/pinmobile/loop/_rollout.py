@@ -49,6 +49,9 @@ _OVERSPEED = (
     "motor of {name} turns at {value} rad/s at t = {at} s, faster than {limit} rad/s, its speed without "
     "load, since t = {t} s"
 )
+_TOO_FAST = (
+    "wheel of {name} turns at {value} rad/s at t = {at} s, beyond its limit of {limit} rad/s since t = {t} s"
+)
 _CURRENT = f"current of {{name}} is at its limit of {{limit}} A {_SINCE}"
 _MARGIN = f"{{name}} is {{value}} {{unit}} at t = {{at}} s, below 0 {_SINCE}"
 _KINDS = {"load": "tip over", "tip-over margin": "tip over", "slip margin": "slip"}
@@ -113,8 +116,9 @@ def _motor_events(run: Any, plant: Any) -> Iterator[Event | None]:
             yield Event.of("current limit", motor.name, t, current, current - limit, **options)
     for motor in motors:
         rate = np.abs(run.v[:, run.v.shape[1] - len(motor.column) :] @ np.array(motor.column))
-        limit = motor.motor.no_load_rate() if motor.motor.is_electric else np.inf
-        options = {"words": _OVERSPEED, "limit": limit, "unit": "rad/s", "slack": 1e-6 * limit}
+        limit = min(motor.motor.no_load_rate() if motor.motor.is_electric else np.inf, motor.motor.rate_limit)
+        words = _TOO_FAST if limit == motor.motor.rate_limit else _OVERSPEED
+        options = {"words": words, "limit": limit, "unit": "rad/s", "slack": 1e-6 * limit}
         yield Event.of("speed limit", motor.name, t, rate, rate - limit, **options)
 
 

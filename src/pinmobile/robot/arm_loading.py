@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from functools import lru_cache
 from os import PathLike
@@ -380,4 +381,12 @@ def _from_urdf(path: Path, folders: tuple[str, ...], rest: ArrayLike | None, loc
         return np.asarray(model.inertias[joint].inertia)
 
     judge_links(root, path.name, body_of, stacklevel=5)
+    rubbing = model.damping + model.friction
+    rubs = [name for j, name in enumerate(model.names) if rubbing[model.idx_vs[j] :][: model.nvs[j]].any()]
+    if rubs:
+        warnings.warn(
+            f"{path.name}: damping and friction of {', '.join(rubs)} act only in a loop with "
+            "forces=[JointFriction.of(robot)]",
+            stacklevel=5,
+        )
     return arm

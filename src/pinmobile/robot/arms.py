@@ -81,14 +81,17 @@ def are_impossible(inertias: Array, masses: ArrayLike) -> NDArray[np.bool_]:
     return np.asarray(violates | (moments[..., 0] < -slack))
 
 
-def inertia_field(of: str) -> Any:
+def inertia_field(of: str, **options: Any) -> Any:
     """Declare an inertia, stored as (xx, yy, zz, xy, xz, yz)."""
     doc = f"inertia of {of} about its centre of mass"
-    return array(shapes=((6,),), unit="kg m^2", labels=_MOMENTS, doc=doc)
+    return array(shapes=((6,),), unit="kg m^2", labels=_MOMENTS, doc=doc, **options)
 
 
 class RigidBody(Protocol):
-    """A part with mass, com and inertia (xx, yy, zz, xy, xz, yz) of a rigid body."""
+    """A part with mass, com and inertia (xx, yy, zz, xy, xz, yz) of a rigid body.
+
+    `moments` is the inertia, of which `inertia` is the declared one.
+    """
 
     mass: float
     com: Any
@@ -98,6 +101,11 @@ class RigidBody(Protocol):
     def label(self) -> str:
         """Name of the body in messages."""
 
+    @property
+    def moments(self) -> Any:
+        """Inertia (xx, yy, zz, xy, xz, yz) about the centre of mass [kg m^2]."""
+        return self.inertia
+
     def impossible(self, values: Mapping[str, Array]) -> tuple[NDArray[np.bool_], str]:
         """Return which of several values no rigid body has, and the expected values as text."""
         mass = values.get("mass", self.mass)
@@ -105,13 +113,13 @@ class RigidBody(Protocol):
 
     def check(self) -> None:
         """Raise `InvalidArgument` if no rigid body has this inertia."""
-        if are_impossible(self.inertia, self.mass):
+        if are_impossible(self.moments, self.mass):
             raise InvalidArgument(f"inertia of {self.label} is one that no body has, {_EXPECTED}")
 
     @property
     def body(self) -> pin.Inertia:
         """Pinocchio inertia of the body in its frame."""
-        return pin.Inertia(self.mass, np.array(self.com), matrix_of_six(self.inertia))
+        return pin.Inertia(self.mass, np.array(self.com), matrix_of_six(self.moments))
 
 
 @by_value

@@ -311,7 +311,7 @@ class Solid(NamedTuple):
     @classmethod
     def of(cls, body: Any) -> Solid:
         """Return the parameters of a link or a load."""
-        return cls(single(body.mass), entries_of(body.com), entries_of(body.inertia))
+        return cls(single(body.mass), entries_of(body.com), entries_of(body.moments))
 
 
 def entries_of(x: Any) -> Vector:

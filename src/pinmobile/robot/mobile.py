@@ -638,7 +638,7 @@ class MobileRobot(MultibodySystem):
             bare = self.with_locked_arms()
             mass, inertia, (x, y) = bare.mass, bare.yaw_inertia, bare.com[:2]
         elif self.loads:
-            loads = [(each.mass, each.com, each.inertia[2]) for each in self.loads]
+            loads = [(each.mass, each.com, each.moments[2]) for each in self.loads]
             bodies: list[Any] = [(mass, self.com, inertia), *loads]
             mass = sum(m for m, _, _ in bodies)
             x, y = (sum(m * com[k] for m, com, _ in bodies) / mass for k in range(2))

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
-from pinmobile.arrays import ArrayLike, finite, lengths, positive
+from pinmobile.arrays import Array, ArrayLike, finite, lengths, positive
 from pinmobile.errors import InvalidArgument
 from pinmobile.parts import array, by_value, children, declare, number, option, part, structure
 from pinmobile.robot.arms import (
@@ -184,8 +185,8 @@ class PayloadBody(RigidBody):
         Centre of mass in the frame [m].
     inertia : array_like, shape (3, 3) or (6,), optional
         Inertia about the centre of mass, along the frame's axes [kg m^2]: a matrix, or its entries xx, yy,
-        zz, xy, xz, yz, the stored form. By default, the inertia of a homogeneous box of dimensions `size`;
-        zero (a point mass) without `size`.
+        zz, xy, xz, yz. By default, the inertia of a homogeneous box of this mass, also in a spread, and of
+        dimensions `size`; zero (a point mass) without `size`.
     size : sequence of 3 floats, optional
         Dimensions of the drawn box about the centre of mass [m].
     frame : str, optional
@@ -213,7 +214,7 @@ class PayloadBody(RigidBody):
 
     mass: float = number(unit="kg", above=0.0, doc="mass of the load")
     com: Any = com_field(shapes=((3,),), doc="centre of mass of the load")
-    inertia: Any = inertia_field("the load")
+    inertia: Any = inertia_field("the load", default=None, optional=True)
     size: tuple[float, float, float] | None = option(
         default=None, check=_checked_size, doc="dimensions of the drawn box"
     )
@@ -228,10 +229,7 @@ class PayloadBody(RigidBody):
         frame: str = "",
     ) -> None:
         six: Any = inertia
-        if inertia is None:
-            solid = np.zeros((3, 3)) if size is None else box_inertia(positive("mass", mass, "kg"), size)
-            six = six_of(solid)
-        elif finite("inertia", inertia).shape != (6,):
+        if inertia is not None and finite("inertia", inertia).shape != (6,):
             given = finite("inertia", inertia)
             six = six_of(Body(positive("mass", mass, "kg"), finite("com", com), given).inertia)
         self.__attrs_init__(mass, com, six, size, frame)  # type: ignore[attr-defined]
@@ -241,10 +239,24 @@ class PayloadBody(RigidBody):
         """Name of the load in messages."""
         return f"load at {self.frame}" if self.frame else "the load"
 
+    @property
+    def moments(self) -> Any:
+        """Inertia (xx, yy, zz, xy, xz, yz) about the centre of mass [kg m^2], by default that of the box."""
+        if self.inertia is not None:
+            return self.inertia
+        box = np.zeros(6) if self.size is None else six_of(box_inertia(1.0, self.size))
+        return self.mass * box
+
+    def impossible(self, values: Mapping[str, Array]) -> tuple[NDArray[np.bool_], str]:
+        """Return which of several values no rigid body has; a box has any mass."""
+        if self.inertia is None:
+            return np.zeros(np.shape(values.get("mass", self.mass)), bool), ""
+        return super().impossible(values)
+
     def __repr__(self) -> str:
-        matrix = matrix_of_six(self.inertia)
-        solid = np.zeros((3, 3)) if self.size is None else box_inertia(self.mass, self.size)
-        inertia = None if np.array_equal(matrix, solid) else tuple(map(tuple, matrix.tolist()))
+        inertia = None
+        if self.inertia is not None:
+            inertia = tuple(map(tuple, matrix_of_six(self.inertia).tolist()))
         return f"PayloadBody(mass={self.mass!r}, com={self.com!r}, inertia={inertia!r}, size={self.size!r})"
 
 

@@ -432,6 +432,8 @@ class WheelJoint(NamedTuple):
         Joints on the wheel, such as those of rollers.
     effort : float
         Largest torque of the joint [N m]; infinite for no limit.
+    rate : float
+        Largest rate of the joint [rad/s]; infinite for no limit.
     damping, friction : float
         Damping and friction of the joint [N m s/rad, N m].
     """
@@ -445,6 +447,7 @@ class WheelJoint(NamedTuple):
     swivels: tuple[Swivel, ...] = ()
     carried: tuple[str, ...] = ()
     effort: float = np.inf
+    rate: float = np.inf
     damping: float = 0.0
     friction: float = 0.0
 
@@ -544,10 +547,10 @@ def undercarriage_of(
         offset = np.array(wheel.centre) - [0, 0, ground] - hub
         v, centre = model.idx_vs[wheel.joint], triple(hub + (offset @ wheel.axis) * np.array(wheel.axis))
         lump = _lump_of(model, data, base, wheel.joint)
-        effort, damping, friction = (float(x[v]) for x in (model.effortLimit, model.damping, model.friction))
+        effort, rate = (float(x[v]) if x[v] > 0 else np.inf for x in (model.effortLimit, model.velocityLimit))
+        damping, friction = float(model.damping[v]), float(model.friction[v])
         joint_c = wheel._replace(centre=centre, lump=lump, swivels=tuple(swivels))
-        limit = effort if effort > 0 else np.inf
-        wheels_at.append(joint_c._replace(effort=limit, damping=damping, friction=friction))
+        wheels_at.append(joint_c._replace(effort=effort, rate=rate, damping=damping, friction=friction))
     return Undercarriage(tuple(wheels_at), tuple(supports))
 
 

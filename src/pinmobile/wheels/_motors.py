@@ -65,6 +65,8 @@ class Motor:
         Dry friction of the motor, >= 0 [N m].
     current : float
         Largest current to either side, > 0 [A].
+    rate_limit : float
+        Largest rate of the wheel, > 0 [rad/s]. It limits no motion: events of a run state a faster wheel.
     source : str
         Origin of the numbers as text.
 
@@ -113,6 +115,9 @@ class Motor:
     coulomb: float = declared(default=0.0, unit="N m", lower=0, doc="dry friction")
     current: float = declared(
         default=np.inf, unit="A", above=0, endless=True, fixed=True, doc="largest current"
+    )
+    rate_limit: float = declared(
+        default=np.inf, unit="rad/s", above=0, endless=True, fixed=True, doc="largest rate of the wheel"
     )
     source: str = option(default="", check=text)
 

@@ -326,6 +326,8 @@ class _Reader:
         tell(f"wheels with a motor{guess}:", lambda row, joint: row.motor)
         limit = "torque limit by the file's effort at"
         tell(limit, lambda row, joint: row.motor and np.isfinite(row.motor.torque_limit))
+        limit = "rate limit by the file's velocity at"
+        tell(limit, lambda row, joint: row.motor and np.isfinite(row.motor.rate_limit))
         words = "damping and friction of the joint are"
         tell(f"{words} the motor's at", lambda row, joint: row.motor and joint.name in rubs)
         tell(f"{words} left out at", lambda row, joint: not row.motor and joint.name in rubs)
@@ -356,10 +358,16 @@ def _offset(row: Wheel) -> float:
 
 def motor_of(joint: WheelJoint) -> Motor:
     """Return the motor of a wheel, from the numbers of its file."""
-    if not (np.isfinite(joint.effort) or joint.damping or joint.friction):
+    if not (np.isfinite([joint.effort, joint.rate]).any() or joint.damping or joint.friction):
         return Motor()
     viscous, coulomb = max(joint.damping, 0.0), max(joint.friction, 0.0)
-    return Motor(joint.effort, viscous=viscous, coulomb=coulomb, source=f"joint {joint.name}")
+    return Motor(
+        joint.effort,
+        viscous=viscous,
+        coulomb=coulomb,
+        rate_limit=joint.rate,
+        source=f"joint {joint.name}",
+    )
 
 
 def round_angle(angle: float) -> float:
