@@ -86,6 +86,19 @@ def test_a_motor_faster_than_without_load_is_an_event() -> None:
     )
 
 
+def test_an_ensemble_counts_robots_whose_joints_exceed_their_effort() -> None:
+    robot = pm.MobileRobot.box(60.0).mount("ur5", at=(0.2, 0, 0.3, 0))
+    still = pm.WholeBody(robot, pm.FixedHeading(pm.Hold([0, 0], 0.1), 0), pm.Hold([0, -0.8, 1, 0, 0, 0], 0.1))
+    law = pm.ComputedTorque(robot, 100, 20)
+    runs = pm.ensemble(
+        robot, law, still, n=2, spread={"start.ur5/elbow_joint": np.array([0.0, 2.0])}, dt=0.01
+    )
+    counted = [words for words in runs.events if "effort limit" in words]
+    assert "1 of 2 robots exceed the effort limit of ur5/elbow_joint, 150 N m" in counted
+    exceeding = {event.name for event in runs.member(1).events if event.kind == "effort limit"}
+    assert len(counted) == len(exceeding)
+
+
 def test_a_wheel_faster_than_its_file_allows_is_an_event() -> None:
     event = of_kind(turning(on_wheels(motor=pm.Motor(rate_limit=5.0)), rate=2.0), "speed limit")
     assert (event.name, event.limit) == ("left", 5.0)

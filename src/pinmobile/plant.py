@@ -1076,6 +1076,13 @@ def limit_events(plant: object, t: Array, q: Array, v: Array, u: Array | None = 
     return tuple(one for one in events if one is not None)
 
 
+def effort_limits_of(plant: object) -> tuple[tuple[Input, float], ...]:
+    """Return the inputs of the robot of a plant, with their effort limits; without such limits, none."""
+    robots = plant, stated(plant, "robot")
+    robot = next((entry for entry in robots if stated(entry, "effort_limit") is not None), None)
+    return () if robot is None else tuple(zip(inputs_of(robot), stated(robot, "effort_limit"), strict=True))
+
+
 def check_plant(plant: object) -> None:
     """Check that an object is a plant with consistent sizes.
 

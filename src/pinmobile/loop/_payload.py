@@ -216,6 +216,9 @@ class _Samples:
         self._plant, self._t = plant, t
         self.robot_at, self.shown = plant.robot_at, plant.shown
 
+    def __repr__(self) -> str:
+        return repr(self._plant)
+
     def __getattr__(self, name: str) -> Any:
         is_timed = _SAMPLE_NAMES.fullmatch(name)
         if not (is_timed or _SHARED_NAMES.fullmatch(name) or _VISUAL_NAMES.fullmatch(name)):

@@ -314,7 +314,7 @@ def solve_inverse_kinematics(
         If the robot has no such frame.
     Unreachable
         If an error exceeds its tolerance, or a distance is below `clearance`. The message names the time, the
-        target's position, and the limit that holds the robot back. The attribute ``trajectory`` of the error
+        target's position, and the limit that holds the robot back. The attribute ``resolved`` of the error
         holds the trajectory.
 
     Warns
@@ -471,7 +471,8 @@ def _limit_at(trajectory: InverseKinematicsTrajectory, limits: Limits, k: int) -
             if limits.velocity[n] - abs(rate[n]) <= tolerance[n]:
                 limit = f"speed limit, {limits.velocity[n]:.4g} {unit}/s"
             elif np.abs(stop[:, n] - rate[n]).min() <= tolerance[n]:
-                limit = f"position limit, {(limits.lower, limits.upper)[int(rate[n] >= 0)][n]:.4g} {unit}"
+                place, ends = positions[i, n], np.array([limits.lower[n], limits.upper[n]])
+                limit = f"position limit, {ends[np.abs(ends - place).argmin()]:.4g} {unit}"
             event = f"where {name} reaches its {limit}, at t = {trajectory.t[i]:g} s"
             return f"{event}, or it is out of reach"
     return "and no limit is reached before: it is out of reach, or the targets contradict each other"
