@@ -9,10 +9,10 @@
 
 #define BLOCK 64          /* robots that go through time together: their state stays in the first cache */
 #define LANES 8           /* a block is filled up to a whole number of vectors */
-#define OCTAVES 44        /* of the histograms: from 2^-34 to 2^10 */
+#define OCTAVES 84        /* of the histograms: from 2^-54 to 2^30 */
 #define BINS (32 * OCTAVES + 2) /* with the one below and the one above */
-#define LEAST 0x1.fcp-35        /* in the bin below */
-#define MOST 0x1p+10            /* in the bin above */
+#define LEAST 0x1.fcp-55        /* in the bin below */
+#define MOST 0x1p+30            /* in the bin above */
 #define PI 3.14159265358979312
 #define PI_REST 1.22464679914735321e-16 /* pi - PI */
 #define ROUND 0x1.8p52    /* added, it rounds to a whole number, whose parity is the last bit */

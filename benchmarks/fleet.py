@@ -14,7 +14,7 @@ from pinmobile import Circle, ComputedTorque, MobileRobot, Tangent, closed_form,
 NOMINAL = Body(mass=30.0, yaw_inertia=1.3, com=(0.1, 0.0))  # the robot that the controller believes in
 LECTURE = Task(0.1, body=NOMINAL)  # 601 samples
 EVERY = 10  # samples from one histogram to the next
-OCTAVES = (-34, 10)  # of the histograms' bins, powers of two
+OCTAVES = (-54, 30)  # of the histograms' bins, powers of two
 PER_OCTAVE = 5  # leading bits of the mantissa that tell bins apart: 32 bins
 BINS = ((OCTAVES[1] - OCTAVES[0]) << PER_OCTAVE) + 2  # with the one below and the one above
 CHECKED = 300  # robots whose figures are checked, at most: four blocks of 64 and a part of one

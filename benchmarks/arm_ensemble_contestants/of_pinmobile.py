@@ -22,12 +22,15 @@ from pinmobile import (
 )
 from pinmobile.compiled import LoopTape, Program, Shape, Target, processors
 from pinmobile.loop._run import plan_execution
+from pinmobile.urdf import box_inertia
 
 
 def words(fleet: ArmFleet) -> dict[str, object]:
     """Return what `ensemble` and `Scenario` are told."""
     arm = fleet.task.arm
-    robot = MobileRobot.box(MASS, SIZE).mount(arm, AT).attach(PayloadBody(PAYLOAD, LEVER, size=(SIDE,) * 3))
+    cube = (SIDE,) * 3
+    load = PayloadBody(PAYLOAD, LEVER, box_inertia(PAYLOAD, cube), cube)  # the same inertia for all
+    robot = MobileRobot.box(MASS, SIZE).mount(arm, AT).attach(load)
     start, way = motion(arm)
     joints = CubicVia(start, start + way, start, PERIOD / 2, PERIOD)
     spread = {"loads.0.mass": fleet.payload, "mass": fleet.mass, "viscous": fleet.friction}
