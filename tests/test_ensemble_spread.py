@@ -346,8 +346,14 @@ def test_noise_differs_from_robot_to_robot_and_not_from_run_to_run() -> None:
             {"spread": {"masss": 3}},
             "unknown parameter in spread 'masss', did you mean 'mass'? available: mass, ",
         ),
-        ({"spread": {"mass": "3"}}, "spread['mass'] is '3', expected real numbers"),
-        ({"spread": {"mass": np.ones(3)}}, "spread['mass'] has shape (3,), expected () or (1000,)"),
+        (
+            {"spread": {"mass": "3"}},
+            "spread['mass'] is '3', expected numbers or a distribution, such as Uniform",
+        ),
+        (
+            {"spread": {"mass": np.ones(3)}},
+            "spread['mass'] has shape (3,), expected () or (1000,), one number per robot, or a distribution",
+        ),
         ({"spread": {"mass": pm.Uniform}}, "spread['mass'] is the class Uniform, expected an object"),
         (
             {"spread": {"mass": pm.SameAs("mas")}},

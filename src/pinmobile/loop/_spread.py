@@ -434,10 +434,15 @@ def _check_draws_of(label: str, source: Any, n: int) -> Any:
     if isinstance(source, type):
         kind = f"the class {source.__name__}"
         raise InvalidArgument(f"{label} is {kind}, expected an object of a class, such as Uniform(1, 2)")
+    if isinstance(source, str):
+        raise InvalidArgument(
+            f"{label} is {source!r}, expected numbers or a distribution, such as Uniform(1, 2)"
+        )
     numbers = stated(source, "__array__") is not None  # a column of pandas has `sample` too
     if not numbers and any(stated(source, name) is not None for name in ("sample", "rvs")):
         return source
-    return shaped(label, finite(label, source), (), (n,)).copy()
+    words = ", one number per robot, or a distribution, such as Uniform(1, 2)"
+    return shaped(label, finite(label, source), (), (n,), words=words).copy()
 
 
 def _check_chain(name: str, source: SameAs, spread: Mapping[str, Any], find: Find) -> None:
