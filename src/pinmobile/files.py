@@ -17,16 +17,13 @@ from enum import Enum
 from importlib import import_module
 from os import PathLike
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, TypeVar
+from typing import IO, Any, TypeVar
 
 import attrs
 import numpy as np
 
 from pinmobile.arrays import Array, location
 from pinmobile.errors import FileError, InvalidArgument, PinmobileError
-
-if TYPE_CHECKING:
-    pass
 
 _T = TypeVar("_T")
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias
 
@@ -1062,8 +1062,7 @@ def limit_events(plant: object, t: Array, q: Array, v: Array, u: Array | None = 
     applied = {} if u is None else dict(zip((one.name for one in inputs_of(plant)), u.T, strict=False))
     for entry in inputs_of(plant) if applied else ():
         check("saturation", entry.name, applied[entry.name], entry.lower, entry.upper, entry.unit)
-    robots = plant, stated(plant, "robot")
-    robot: Any = next((entry for entry in robots if stated(entry, "effort_limit") is not None), None)
+    robot: Any = _limited_robot(plant)
     if robot is not None:
         rates = [one.name for one in coordinates]
         for one, motor, speed, effort in zip(
@@ -1076,11 +1075,26 @@ def limit_events(plant: object, t: Array, q: Array, v: Array, u: Array | None = 
     return tuple(one for one in events if one is not None)
 
 
-def effort_limits_of(plant: object) -> tuple[tuple[Input, float], ...]:
-    """Return the inputs of the robot of a plant, with their effort limits; without such limits, none."""
+def _limited_robot(plant: object) -> Any:
+    """Return the plant or its robot, whichever states effort limits; None if neither does."""
     robots = plant, stated(plant, "robot")
-    robot = next((entry for entry in robots if stated(entry, "effort_limit") is not None), None)
-    return () if robot is None else tuple(zip(inputs_of(robot), stated(robot, "effort_limit"), strict=True))
+    return next((entry for entry in robots if stated(entry, "effort_limit") is not None), None)
+
+
+def exceeded_efforts(plant: object, largest: Mapping[str, Array]) -> Iterator[tuple[Input, float, Any]]:
+    """Yield each input with an effort limit, the limit, and which robots exceed it, shape (n,).
+
+    Parameters
+    ----------
+    plant : plant
+        Plant of the robots.
+    largest : mapping of str to ndarray, shape (n,)
+        Largest size of each robot's input, by the input's name.
+    """
+    robot = _limited_robot(plant)
+    for entry, effort in () if robot is None else zip(inputs_of(robot), robot.effort_limit, strict=True):
+        if entry.name in largest:
+            yield entry, effort, largest[entry.name] > effort * (1 + _LIMIT_TOLERANCE)
 
 
 def check_plant(plant: object) -> None:

@@ -36,7 +36,7 @@ from pinmobile.loop._simulate import simulate
 from pinmobile.loop._spread import SameAs
 from pinmobile.metrics import Metric, format_si
 from pinmobile.parts import shorten
-from pinmobile.plant import effort_limits_of
+from pinmobile.plant import exceeded_efforts
 from pinmobile.signals import Signal
 
 _CHANCE = 0.01  # that any of the parameters without effect is named
@@ -407,11 +407,10 @@ class Ensemble:
         for entry, largest in zip(self.scenario.inputs, self.max_input.T, strict=True):
             words = f"have input {entry.name} at its limit of {entry.upper:.4g} {entry.unit}".rstrip()
             lines.append((False, words, largest >= max(abs(entry.lower), abs(entry.upper))))
-        names = [entry.name for entry in self.scenario.inputs]
-        for entry, effort in effort_limits_of(self.scenario.robot):
-            if entry.name in names:
-                words = f"exceed the effort limit of {entry.name}, {effort:.4g} {entry.unit}"
-                lines.append((False, words, self.max_input[:, names.index(entry.name)] > effort))
+        largest_inputs = dict(zip([x.name for x in self.scenario.inputs], self.max_input.T, strict=True))
+        for entry, effort, exceeds in exceeded_efforts(self.scenario.robot, largest_inputs):
+            words = f"exceed the effort limit of {entry.name}, {effort:.4g} {entry.unit}"
+            lines.append((False, words, exceeds))
         count = f"of {len(self):,} robots"
         return [(event, f"{fails.sum():,} {count} {words}") for event, words, fails in lines if fails.any()]
 
