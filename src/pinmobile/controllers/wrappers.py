@@ -689,7 +689,7 @@ class Sampled:
         self.controller.check(t, speed, yaw_rate)
 
     def initial_state(self, context: Context) -> tuple[Any, ...]:
-        """Return the law's state, the held output, the number of samples since, and whether it goes on."""
+        """Return the law's state, the held output, the number of samples since, and whether it continues."""
         requests: list[str] = []
 
         def delay(samples: int) -> Any:
@@ -715,7 +715,7 @@ class Sampled:
             schedule=schedule,
         )
         inner = self.controller.initial_state(slow)
-        return inner, 0.0, 0.0, "goes on" if requests else ""
+        return inner, 0.0, 0.0, "continues" if requests else ""
 
     def applied(self, u: Array, state: tuple[Any, ...]) -> tuple[Any, ...]:
         """Return the next state; the law receives the applied input of its own samples, shape (..., nu)."""
