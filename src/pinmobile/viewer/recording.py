@@ -43,7 +43,7 @@ _NAMES = (
 _FLAGS = (
     *("--headless=new", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--remote-debugging-pipe"),
     *("--disable-background-networking", "--disable-dev-shm-usage", "--disable-extensions"),
-    *("--no-first-run", "--hide-scrollbars", "--mute-audio", "about:blank"),
+    *("--no-first-run", "--hide-scrollbars", "--mute-audio", "--disable-gpu-compositing", "about:blank"),
 )
 _NO_SANDBOX = "--no-sandbox"
 # Chromium reads commands from descriptor 3 and writes answers to descriptor 4.
