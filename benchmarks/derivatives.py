@@ -22,7 +22,7 @@ from measuring import Row, about, console, interleaved, median_time, options, pr
 import pinmobile as pm
 from pinmobile.compiled import program as compiled_program
 from pinmobile.derivatives import _gradient, _problem, poles, tune
-from pinmobile.derivatives._poles import _PROBE, _Inputs, _linearize, _Probe
+from pinmobile.derivatives._poles import _PROBE, _eigenvalues, _Inputs, _linearize, _Probe
 
 TOLERANCE, STEP, SPREAD = 1e-9, 1e-5, {"mass": pm.Uniform(27, 33)}
 
@@ -155,18 +155,21 @@ def of_tuning(case: Case, rounds: int, **own: Any) -> list[str]:
 
 
 def of_poles(rounds: int, least: float) -> list[str]:
-    """Return the cells of the poles of a loop with delays: states, and microseconds."""
-    law, rest = pm.MeasurementDelay(pm.PID(BODY), samples=5), pm.FixedHeading(pm.Hold((0, 0), 1.0), 0.0)
+    """Return the cells of the poles of a loop with delays along a run: states, and microseconds each."""
+    law, rest = pm.MeasurementDelay(pm.PID(BODY), samples=3), pm.FixedHeading(pm.Hold((0, 0), 10.0), 0.0)
     parts, known = (BODY, _Probe(law, np.zeros(3)), rest), {"recorder": lambda _: _Inputs(), "by": [_PROBE]}
     problem = _problem.problem_of(*parts, dt=0.01, n=1, **known)
+    indices, times = range(1, 1001), 0.01 * np.arange(1, 1001)
     works: dict[str, Callable[[], Any]] = {
-        "matrix": lambda: _linearize(problem, 1, 1),
-        "eigenvalues": lambda: np.linalg.eigvals(_linearize(problem, 1, 1)[0][:, :states]),
-        "poles": lambda: poles(BODY, law, rest, dt=0.01),
+        "matrix": lambda: _linearize(problem, indices, 1),
+        "eigenvalues": lambda: [_eigenvalues(x[:, :states], 3) for x, _ in _linearize(problem, indices, 1)],
+        "poles": lambda: poles(BODY, law, rest, dt=0.01, at=times),
+        "one": lambda: poles(BODY, law, rest, dt=0.01),
     }
     states = len(problem.machine.tape.states)
     rows = timed(works, rounds, least)
-    return ["PID behind a delay", "", str(states), *(f"{1e6 * row.median:,.0f}" for row in rows.values())]
+    cells = [1e6 * row.median / (1 if name == "one" else len(times)) for name, row in rows.items()]
+    return ["PID behind a delay", "", str(states), *(f"{cell:,.0f}" for cell in cells)]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -180,7 +183,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     builds = table("\nBuilt before the first gradient, s", *columns)
     many = table("\n64 robots, in ensembles", "loop", "", "ensemble, ms", "forward", "reverse", "apart")
     tuned = table("\nTuning, s", "numbers", "", "trials", "loss", "to", "first", "known")
-    roots = table("\nPoles, us", "loop", "", "states", "matrix", "+ eigenvalues", "poles()")
+    columns = "loop", "", "states", "matrix", "+ eigenvalues", "poles()", "poles() of one sample"
+    roots = table("\nPoles of each of 1,000 samples, us", *columns)
     with tempfile.TemporaryDirectory() as folder, mock.patch.dict(os.environ, PINMOBILE_CACHE=folder):
         _gradient.evaluate_losses(known["PD"].problem(), {}, "reverse")  # what a process starts once
         for case in known.values():

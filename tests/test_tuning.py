@@ -214,6 +214,25 @@ def test_margins_are_those_of_the_closed_form(late: int) -> None:
     assert np.abs(beyond.values).max() == pytest.approx(1.0, abs=1e-6)
 
 
+@pytest.mark.parametrize("every", [1, 3])
+def test_poles_at_many_times_are_those_at_each(every: int) -> None:
+    circle = pm.Tangent(pm.Circle(2.0, 0.4, 6.0))
+    law, times = Sampled(pm.MeasurementDelay(pm.PD(20, 20), 2), every), [4.0, 0.5, 0.53, 5.9]
+    many = poles(BODY, law, circle, dt=0.01, at=times)
+    assert [one.t for one in many] == pytest.approx(times, abs=0.011)  # the start of a period
+    for time, one in zip(times, many, strict=True):
+        alone = poles(BODY, law, circle, dt=0.01, at=time)
+        np.testing.assert_array_equal(one.matrix, alone.matrix)
+        np.testing.assert_array_equal(one.values, alone.values)
+    assert np.abs(many[0].matrix - many[1].matrix).max() > 1e-4
+    for wrong, words in (([], "shape"), ([1.0, 7.0], "at"), ([[1.0]], "shape")):
+        with pytest.raises(pm.InvalidArgument, match=f"^at.*{words}"):
+            poles(BODY, law, circle, dt=0.01, at=wrong)  # type: ignore[call-overload]
+    unstable = Sampled(pm.MeasurementDelay(pm.PD(60, 60), 2), 3)
+    with pytest.raises(pm.InvalidArgument, match=r"^at is behind t = .* s, where the run diverges"):
+        poles(BODY, unstable, circle, dt=0.01, at=5.9)
+
+
 @pytest.mark.parametrize("at", [0.0, 0.53])
 def test_a_loop_with_a_slower_law_is_linearized_over_its_period(at: float) -> None:
     law = pm.PD(60, 60)

@@ -330,6 +330,41 @@ def tangent(loop: LoopTape, directions: Sequence[_Input]) -> LoopTape:
     )
 
 
+def linearized(loop: LoopTape, directions: Sequence[_Input]) -> LoopTape:
+    """Return a loop that keeps the tangents after each sample alone, ``"tangent state"``, from given states.
+
+    Its first references (tracks) are the n states of the samples. Its states are the tangents before each of
+    them, and do not change. Kept values have tangents as in `tangent`, which has the directions.
+
+    Parameters
+    ----------
+    loop : LoopTape
+        Loop with n states, without delays.
+    directions : sequence of operation
+        Inputs, such as ``("row", 3)``.
+    """
+    n = len(loop.states)
+    ends = {"state": ((n,), [next_node for _, next_node in loop.states])}
+    pair = tangent(replace(loop, counted=[], kept={**loop.kept, **ends}), directions)
+    inputs = _inputs("state", n, "track", 0) | _inputs("state", n, "state", 0, first=n)
+    copy = Copy(pair, inputs | _inputs("track", loop.tracks, "track", n))
+    seeds = [copy.tape.input("state", i).index for i in range(n)]
+    kept = {name: x for name, x in copy.loop(pair).kept.items() if name.startswith("tangent ")}
+    states = [(seed, seed) for seed in seeds]
+    return replace(pair, tape=copy.tape, states=states, kept=kept, tracks=n + pair.tracks)
+
+
+def _inputs(
+    kind: str, count: int, new: str, shift: int, first: int = 0
+) -> dict[_Input, Callable[[Tape], Node]]:
+    """Return functions that make inputs of another kind in place of some, as `Copy` takes them."""
+
+    def make(i: int) -> Callable[[Tape], Node]:
+        return lambda tape: tape.input(new, shift + i)
+
+    return {(kind, first + i): make(i) for i in range(count)}
+
+
 def expand_delays(loop: LoopTape) -> LoopTape:
     """Return the loop with delays as further states, the oldest number of each delay first."""
     if not loop.rings:
@@ -387,12 +422,7 @@ def adjoint(loop: LoopTape, params: Sequence[_Input], columns: int, samples: Seq
         If rounds have too many operations.
     """
     n = len(loop.states)
-
-    def make_input(kind: str, i: int) -> Callable[[Tape], Node]:
-        return lambda tape: tape.input(kind, i)
-
-    inputs: Any = {("state", i): make_input("track", i) for i in range(n)}
-    inputs |= {("track", i): make_input("track", n + i) for i in range(loop.tracks)}
+    inputs: Any = _inputs("state", n, "track", 0) | _inputs("track", loop.tracks, "track", n)
     inputs[COUNT] = lambda tape: tape.apply("bits", tape.input("sample", columns))
     copy = Copy(replace(loop, kept={}, counted=[]), inputs)
     tape, end = copy.tape, len(copy.tape)

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace as replaced
+from dataclasses import dataclass
 from functools import cached_property
 from math import lcm
-from typing import Any, NamedTuple, final
+from typing import Any, NamedTuple, TypedDict, Unpack, final, overload
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, bounded, scalar
-from pinmobile.compiled import tangent
+from pinmobile.arrays import Array, ArrayLike, bounded, finite, shaped
+from pinmobile.compiled import linearized
 from pinmobile.controllers import Controller, Wrapper, evaluate, notify_applied
 from pinmobile.derivatives._problem import Problem, loop_errors, problem_of
 from pinmobile.errors import InvalidArgument
@@ -27,7 +27,9 @@ _RANK_TOLERANCE = 1e-12  # relative size of singular values that are 0
 _UNIT_TOLERANCE = 1e-6  # distance from the unit circle that is rounding: multiple poles scatter
 _ZERO_TOLERANCE = 1e-6  # largest size of a pole that is 0 up to rounding
 _FREQUENCIES = 2000  # of the search for crossings, over five decades below half the sample rate
+_GROUP = 256  # samples that are linearized together
 _PROBE = "controller.probe"
+_RESPONSE = "input_matrix", "output_matrix", "feedthrough"
 
 
 @final
@@ -283,6 +285,17 @@ class Poles:
         return "\n".join(lines)
 
 
+class _Options(TypedDict, total=False):
+    """Further arguments of `poles`."""
+
+    q0: ArrayLike | None
+    v0: ArrayLike | None
+    integrator: Integrator | None
+    substeps: int
+    forces: Sequence[Force | OnCoordinates] | Mapping[str, Force | OnCoordinates]
+
+
+@overload
 def poles(
     plant: Plant,
     controller: Controller,
@@ -290,12 +303,35 @@ def poles(
     *,
     dt: float,
     at: float = 0.0,
+    **options: Unpack[_Options],
+) -> Poles: ...
+
+
+@overload
+def poles(
+    plant: Plant,
+    controller: Controller,
+    trajectory: Trajectory,
+    *,
+    dt: float,
+    at: Sequence[float] | Array,
+    **options: Unpack[_Options],
+) -> tuple[Poles, ...]: ...
+
+
+def poles(
+    plant: Plant,
+    controller: Controller,
+    trajectory: Trajectory,
+    *,
+    dt: float,
+    at: float | Sequence[float] | Array = 0.0,
     q0: ArrayLike | None = None,
     v0: ArrayLike | None = None,
     integrator: Integrator | None = None,
     substeps: int = 1,
     forces: Sequence[Force | OnCoordinates] | Mapping[str, Force | OnCoordinates] = (),
-) -> Poles:
+) -> Poles | tuple[Poles, ...]:
     """Return the poles of a sampled closed loop at a sample of its run.
 
     The loop with all its memory, delays and holds is linearized, exactly up to rounding. Eigenvalues inside
@@ -309,19 +345,19 @@ def poles(
     ----------
     plant, controller, trajectory, dt, q0, v0, integrator, substeps, forces
         Closed loop, see `simulate`.
-    at : float
-        Time of the sample [s]; the first sample, or period, counts as the second one, after which delays are
-        full.
+    at : float or array_like, shape (m,)
+        Time of the sample [s], or times of several samples of one run, such as all along a trajectory; the
+        first sample, or period, counts as the second one, after which delays are full.
 
     Returns
     -------
-    Poles
-        Eigenvalues, matrix, frequencies, damping ratios and margins of each input.
+    Poles or tuple of Poles
+        Eigenvalues, matrix, frequencies, damping ratios and margins of each input, at each time.
 
     Raises
     ------
     InvalidArgument
-        If an argument is invalid, or the loop cannot be compiled.
+        If an argument is invalid, the run diverges before, or the loop cannot be compiled.
 
     See Also
     --------
@@ -344,57 +380,79 @@ def poles(
     parts = plant, probe, trajectory
     problem = problem_of(*parts, lambda _: _Inputs(), [_PROBE], (q0, v0), n=1, **options)
     t = problem.scenario.t
-    bounded("at", scalar("at", at), least=0, most=t[-1], unit="s")
+    times = shaped("at", finite("at", at), (), ("n>=1",))
+    times = np.atleast_1d(bounded("at", times, least=0, most=t[-1], unit="s"))
     samples = lcm(*(stated(law, "step_samples") or 1 for _, law in parts_of(problem.loop)))
     dt, last = samples * problem.scenario.dt, len(t) // samples - 1
     if last < 1 < samples:
         raise InvalidArgument(
             f"the run has {len(t)} samples, expected at least {2 * samples}: two periods of its Sampled laws"
         )
-    k = samples * min(max(1, round(at / dt)), last)
+    indices = [samples * min(max(1, round(time / dt)), last) for time in times]
     with loop_errors():
-        matrix, output = _linearize(problem, k, samples)
-    n = len(problem.machine.tape.states)
-    matrix, input_matrix = matrix[:, :n], matrix[:, n:]
+        linear = _linearize(problem, indices, samples)
+    is_held = (stated(controller, "step_samples") or 1) == samples
+    n, longest = len(problem.machine.tape.states), problem.machine.longest
+    names = _names(problem), tuple(entry.name for entry in inputs_of(plant))
+    found = list[Poles]()
+    for k, (matrix, output) in zip(indices, linear, strict=True):
+        values, response = _eigenvalues(matrix[:, :n], longest), (matrix[:, n:], output[:, :n], output[:, n:])
+        options = dict(zip(_RESPONSE, response, strict=True)) if is_held else {}
+        found.append(Poles(values, matrix[:, :n], names[0], dt, float(t[k]), inputs=names[1], **options))
+    return tuple(found) if np.ndim(at) else found[0]
+
+
+def _eigenvalues(matrix: Array, longest: int) -> Any:
+    """Return the eigenvalues of the loop, the largest first; its longest delay lasts some samples."""
     # Chains of delays have poles 0, which rounding scatters: leave them out by the range of a power.
-    power = np.linalg.matrix_power(matrix, 1 + problem.machine.longest)
-    U, sizes, _ = np.linalg.svd(power)
+    U, sizes, _ = np.linalg.svd(np.linalg.matrix_power(matrix, 1 + longest))
     basis = U[:, sizes > _RANK_TOLERANCE * sizes[0]]
-    values = np.zeros(n, complex)
+    values = np.zeros(len(matrix), complex)
     values[: basis.shape[1]] = np.linalg.eigvals(basis.T @ matrix @ basis)
     values.imag[np.abs(values.imag) < _REAL_TOLERANCE] = 0.0
-    order = np.lexsort([-values.imag, -np.round(np.abs(values), 6)])
-    inputs = tuple(entry.name for entry in inputs_of(plant))
-    is_held = (stated(controller, "step_samples") or 1) == samples
-    response: Any = (input_matrix, output[:, :n], output[:, n:]) if is_held else (None, None, None)
-    outputs = *response, inputs
-    return Poles(values[order], matrix, _names(problem), dt, float(t[k]), *outputs)
+    return values[np.lexsort([-values.imag, -np.round(np.abs(values), 6)])]
 
 
-def _linearize(problem: Problem, k: int, samples: int) -> tuple[Array, Array]:
+def _linearize(problem: Problem, first: Sequence[int], samples: int) -> list[tuple[Array, Array]]:
     """Return the derivatives of state and input by state and probe, (n, n + nu), (nu, n + nu).
 
-    The state is that after some samples, from sample k on; the input is that of sample k.
+    The state is that after some samples, from each of the first samples on; the input is that of the first.
     """
     machine, inputs = problem.machine, problem.inputs({})
     n, leaf = len(machine.tape.states), machine.tape.parameters[_PROBE]
     columns = [("row", leaf.first + i) for i in range(int(np.prod(leaf.shape)))]
     m = n + len(columns)
-    history = inputs._replace(samples=inputs.samples[: k + samples])
+    history = inputs._replace(samples=inputs.samples[: max(first) + samples])
     record = machine.of("recording", machine.state_recorder, False)
-    kept = record[1].kept_samples(problem.run(record, history, slice(None))[1], 1)
-    program = machine.of("one sample", lambda: tangent(replaced(machine.tape, counted=[]), columns), True)
-    identity, effect, outputs = np.eye(m), np.eye(m), list[Array]()
-    for i in range(k, k + samples):
-        arguments = inputs._replace(
-            states=np.concatenate([np.tile(kept["state"][0, i][:, None], m), identity[:n]]),
-            rows=np.concatenate([np.tile(inputs.rows, m), identity[n:]]),
-            samples=inputs.samples[i : i + 1],
+    states = record[1].kept_samples(problem.run(record, history, slice(None))[1], 1)["state"][0]
+    if not (is_finite := np.isfinite(states).all(axis=1)).all():
+        time = history.samples[is_finite.argmin(), 0]
+        raise InvalidArgument(
+            f"at is behind t = {time:g} s, where the run diverges, expected earlier samples"
         )
-        final, kept_values = problem.run(program, arguments, slice(None), first=i, copies=m)
-        effect[:n] = final[n:] @ effect
-        outputs.append(kept_values)
-    return effect[:n], program[1].kept_samples(outputs[0], m)["tangent u"][:, 0].T
+    program = machine.of("linearized", lambda: linearized(machine.tape, columns), True)
+    identity = np.eye(m)
+    rows = np.concatenate([np.tile(inputs.rows, m), identity[n:]])
+    inputs = inputs._replace(states=identity[:n], rows=rows)
+    matrices, outputs = dict[int, Array](), dict[int, Array]()
+    indices = np.unique(np.add.outer(first, range(samples)))
+    for group in np.split(indices, np.flatnonzero(np.diff(indices) > 1) + 1):
+        for begin in range(group[0], group[-1] + 1, _GROUP):
+            end = min(begin + _GROUP, group[-1] + 1)
+            tracks = np.broadcast_to(states[begin:end, :, None], (end - begin, n, m))
+            tracks = np.concatenate([tracks, np.tile(inputs.tracks[begin:end], m)], axis=1)
+            arguments = inputs._replace(samples=inputs.samples[begin:end], tracks=tracks)
+            _, kept = problem.run(program, arguments, slice(None), first=begin, copies=m)
+            found = program[1].kept_samples(kept, m)
+            matrices |= zip(range(begin, end), found["tangent state"].transpose(1, 2, 0), strict=True)
+            outputs |= zip(range(begin, end), found["tangent u"].transpose(1, 2, 0), strict=True)
+    linear = list[tuple[Array, Array]]()
+    for k in first:
+        effect = identity.copy()
+        for i in range(k, k + samples):
+            effect[:n] = matrices[i] @ effect
+        linear.append((effect[:n], outputs[k]))
+    return linear
 
 
 def _names(problem: Problem) -> tuple[str, ...]:
