@@ -9,7 +9,7 @@ from importlib import import_module
 from typing import Any
 
 _MAX_LETTERS = 500  # letters of a value that a message shows
-_MAX_LIST = 4000  # letters of a list of names
+_MAX_LIST = 1000  # letters of a list of names
 
 
 def format_value(value: object) -> str:
@@ -58,7 +58,7 @@ def text_of(value: object) -> str:
 def format_names(names: Iterable[str]) -> str:
     """Return names as the text of a message, separated by commas.
 
-    The text contains the first 4000 letters of a long list. A name that a terminal cannot print is quoted.
+    The text contains the first 1000 letters of a long list. A name that a terminal cannot print is quoted.
 
     Parameters
     ----------

@@ -912,7 +912,8 @@ def reference_sizes_of(plant: object) -> Mapping[int, int]:
     return sizes
 
 
-_LIMIT_TOLERANCE = 1e-6  # relative to a limit: tolerance of integration errors
+LIMIT_TOLERANCE = 1e-6
+"""Tolerance of integration errors, relative to a limit."""
 _LIMIT_WORDS = {
     kind: begin + " {value} {unit} at t = {at} s, beyond its limit of {limit} {unit} since t = {t} s"
     for kind, begin in {
@@ -1052,7 +1053,7 @@ def limit_events(plant: object, t: Array, q: Array, v: Array, u: Array | None = 
         excess = np.maximum(lower - values, values - upper)
         k = int(excess.argmax())
         limit = lower if lower - values[k] >= values[k] - upper else upper
-        slack = _LIMIT_TOLERANCE * (-1.0 if kind == "saturation" else 1.0) * abs(limit)
+        slack = LIMIT_TOLERANCE * (-1.0 if kind == "saturation" else 1.0) * abs(limit)
         options: Any = {"words": _LIMIT_WORDS[kind], "limit": limit, "unit": unit, "slack": slack}
         events.append(Event.of(kind, name, t, values, excess, **options))
 
@@ -1094,7 +1095,7 @@ def exceeded_efforts(plant: object, largest: Mapping[str, Array]) -> Iterator[tu
     robot = _limited_robot(plant)
     for entry, effort in () if robot is None else zip(inputs_of(robot), robot.effort_limit, strict=True):
         if entry.name in largest:
-            yield entry, effort, largest[entry.name] > effort * (1 + _LIMIT_TOLERANCE)
+            yield entry, effort, largest[entry.name] > effort * (1 + LIMIT_TOLERANCE)
 
 
 def check_plant(plant: object) -> None:

@@ -55,6 +55,7 @@ _TOO_FAST = (
 _CURRENT = f"current of {{name}} is at its limit of {{limit}} A {_SINCE}"
 _MARGIN = f"{{name}} is {{value}} {{unit}} at t = {{at}} s, below 0 {_SINCE}"
 _KINDS = {"load": "tip over", "tip-over margin": "tip over", "slip margin": "slip"}
+_KINDS |= {f"exceed a {name}": name for name in ("position limit", "speed limit")}
 KINDS = (
     *("position limit", "speed limit", "effort limit", "saturation", "current limit"),
     *("tip over", "slip", "ground"),

@@ -32,7 +32,7 @@ from pinmobile.loop._rollout import Rollout, events_of, is_fault, kinds_of
 from pinmobile.parts import OnCoordinates, Starting, able
 from pinmobile.plant import Context, Plant, all_samples, coordinates_of, full_configurations, stated
 from pinmobile.signals import Signal, collect_time_signals
-from pinmobile.trajectories import Reference, Trajectory, check_limits
+from pinmobile.trajectories import Reference, Trajectory
 
 
 class Engine(Enum):
@@ -132,7 +132,7 @@ def simulate(
         Duration of the run [s], a whole number of dt, at most the duration of the trajectory; default: all
         whole steps of the trajectory.
     q0, v0 : array_like, shape (nq,) and (nv,), optional
-        Initial configuration and velocity, within the joint limits of the arms; default: the start of the
+        Initial configuration and velocity; default: the start of the
         reference, completed by the plant's ``start``.
     integrator : callable, optional
         Integrator of the plant, see `pinmobile.integrators`; default: the plant's own choice, else
@@ -299,8 +299,6 @@ def start_of(
 
     q = check_size("q0", q0, default_start[0], plant.nq)
     v = check_size("v0", v0, default_start[1], plant.nv)
-    if stated(plant, "velocity_limit") is not None:
-        check_limits(plant, q, v)
     check = stated(plant, "check_start")
     if check is not None:
         try:

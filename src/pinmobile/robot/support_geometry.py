@@ -16,6 +16,7 @@ from pinmobile.arrays import Array, ArrayLike, finite, frozen, lengths, shaped
 from pinmobile.errors import InvalidArgument
 from pinmobile.metrics import Metric
 from pinmobile.parts import by_value, number, option, part
+from pinmobile.plant import LIMIT_TOLERANCE
 from pinmobile.robot.linkage import Joint, turns_freely
 
 WEIGHTLESS = 1e-9  # share of the weight below which a vertical force of the ground counts as rounding
@@ -235,6 +236,8 @@ class ArmMetrics:
         Name of each arm and frame of its end effector.
     effort_limit : ndarray, shape (nv,)
         Limit of the absolute inputs [N, N m]; infinite for no limit.
+    positions, rates : (ndarray, ndarray)
+        Least and largest q and v [m, rad; per s]; infinite for no limit.
     footprint : ndarray, shape (k, 2), or None
         Support polygon [m]; None if the polygon or the height above the ground is unknown.
     rest : ndarray, shape (nq,)
@@ -243,6 +246,8 @@ class ArmMetrics:
 
     tips: tuple[tuple[str, str], ...]
     effort_limit: Array
+    positions: tuple[Array, Array]
+    rates: tuple[Array, Array]
     footprint: Array | None
     rest: Array
 
@@ -251,7 +256,9 @@ class ArmMetrics:
         """Return the metrics of a `MobileRobot`."""
         tips = tuple((mount.name, mount.tip) for mount in robot.mounts)
         stands = robot.footprint if robot.grounded else None
-        return cls(tips, robot.effort_limit, stands, robot.rest)
+        speed = robot.velocity_limit
+        ranges = (robot.lower, robot.upper), (-speed, speed)
+        return cls(tips, robot.effort_limit, *ranges, stands, robot.rest)
 
     @property
     def _limit_rows(self) -> list[int]:
@@ -272,7 +279,35 @@ class ArmMetrics:
         if self.footprint is not None:
             words = "distance of the zero-moment point inside the footprint's edge"
             metrics.append(Metric("tip-over margin", "m", words, "smallest"))
-        return tuple(metrics)
+        return (*metrics, *self.limit_metrics)
+
+    @cached_property
+    def limit_metrics(self) -> tuple[Metric, ...]:
+        """Metrics that `exceeded_limits` computes."""
+        words = {"position": "a joint leaves its range", "speed": "a joint is faster than its limit"}
+        pairs = zip(words.items(), self._limits, strict=True)
+        return tuple(
+            Metric(f"exceed a {name} limit", "", words, "ever") for (name, words), (rows, *_) in pairs if rows
+        )
+
+    @cached_property
+    def _limits(self) -> list[tuple[list[int], Array, Array]]:
+        """Indices of the entries of q and v with limits, and their limits with a tolerance."""
+        limits = []
+        for low, high in (self.positions, self.rates):
+            rows = np.flatnonzero(np.isfinite(low) | np.isfinite(high))
+            slack = [LIMIT_TOLERANCE * np.nan_to_num(abs(x[rows]), posinf=0.0) for x in (low, high)]
+            limits.append((rows.tolist(), low[rows] - slack[0], high[rows] + slack[1]))
+        return limits
+
+    def exceeded_limits(self, q: Array, v: Array) -> list[Any]:
+        """Return the values of `limit_metrics`, each of shape (...), from q and v of the robot."""
+        excesses = [
+            np.max(np.maximum(low - x[..., rows], x[..., rows] - high), axis=-1)
+            for x, (rows, low, high) in zip((q, v), self._limits, strict=True)
+            if rows
+        ]
+        return [np.where(excess > 0.0, 1.0, 0.0) for excess in excesses]
 
     def pose_errors(self, robot: Any, q: Array, desired: Array) -> Array:
         """Return each end effector's distance [m] and angle [rad] to its reference pose, shape (..., 2 k).
@@ -311,6 +346,7 @@ class ArmMetrics:
         if self.footprint is not None:
             wrench = robot.ground_wrench(q, v, a)
             values.append(margin_of_wrench(self.footprint, wrench, robot.weight))
+        values += self.exceeded_limits(q, v)
         return np.stack(np.broadcast_arrays(*values), axis=-1)
 
 

@@ -394,7 +394,7 @@ def metrics_on_wheels(body: Any) -> tuple[Metric, ...]:
     elif body.stands and body.groups:
         words = "smallest friction that a wheel, or an axle, has left before it slips"
         metrics.append(Metric("slip margin", "N", words, "smallest"))
-    return tuple(metrics)
+    return tuple(metrics) if arms is None else (*metrics, *arms.limit_metrics)
 
 
 def values_on_wheels(body: Any, t: Any, q: Any, v: Any, a: Any, u: Any, reference: Any) -> Any:
@@ -424,6 +424,9 @@ def values_on_wheels(body: Any, t: Any, q: Any, v: Any, a: Any, u: Any, referenc
         values += _of_ground(body, state, a, u, q)
     if body.slips:
         values.append(_slip(body, state))
+    if arms is not None and arms.limit_metrics:
+        exceeded = arms.exceeded_limits(q[..., : int(body.robot.nq)], v[..., : int(body.robot.nv)])
+        values += scalars(np.stack(exceeded, axis=-1))
     return stacked([number(x) for x in values], q)
 
 
