@@ -8,7 +8,6 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from pinmobile import (
-    InvalidArgument,
     MobileRobot,
     PayloadBody,
     WheeledRobot,
@@ -79,13 +78,6 @@ def test_printed_it_is_a_table() -> None:
 
 def test_what_is_near_the_end_of_rounding_agrees_within_bounds_and_does_not_crash() -> None:
     assert verify(MobileRobot(1, 1e-3, com=(9e2, 0)), states=5).passed
-    with pytest.raises(InvalidArgument, match="robot is 3, expected a MobileRobot"):
-        verify(3)  # type: ignore[arg-type]
-
-
-def test_no_states_are_refused() -> None:
-    with pytest.raises(InvalidArgument, match="states is 0, expected a whole number >= 1"):
-        verify(MobileRobot(10, 1.2), states=0)
 
 
 ARMS = {
@@ -110,11 +102,7 @@ def test_newton_and_euler_agree_with_what_is_assembled(kind: str) -> None:
     assert [row.quantity for row in verification.rows if row.against == PARTS] == ["M", "n", "tau", "f"]
 
 
-@pytest.mark.parametrize(
-    "robot",
-    [MobileRobot(10, 1.2, com=(0.15, 0.05)), ARMS["ur5"], ARMS["loads alone"]],
-    ids=["base", "ur5", "loads"],
-)
+@pytest.mark.parametrize("robot", [MobileRobot(10, 1.2, com=(0.15, 0.05)), ARMS["ur5"]], ids=["base", "ur5"])
 def test_machine_code_that_is_off_by_little_is_seen(
     robot: MobileRobot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -176,16 +164,6 @@ def test_a_bases_centre_of_mass_at_a_wrong_height_is_seen() -> None:
         assert max(found.values()) < 1e-14
 
 
-def test_gravity_that_is_tilted_is_seen() -> None:
-    robot = copy(ARMS["ur5"])
-    model = robot.model
-    model.gravity = pin.Motion(np.array([9.81 * np.sin(0.02), 0, -9.81 * np.cos(0.02)]), np.zeros(3))
-    found = differing(model, robot)
-    assert found["M"] < 1e-14
-    assert found["n"] > 1e-3
-    assert found["tau"] > 1e-3
-
-
 def heavier(model: pin.Model) -> None:
     body = model.inertias[6]
     model.inertias[6] = pin.Inertia(1.001 * body.mass, body.lever, body.inertia)
@@ -203,19 +181,16 @@ def geared(model: pin.Model) -> None:
     model.armature = np.array(model.armature) + 1e-6
 
 
-@pytest.mark.parametrize("wrong", [heavier, turned, shifted, geared])
+def tilted(model: pin.Model) -> None:
+    model.gravity = pin.Motion(np.array([9.81 * np.sin(0.02), 0, -9.81 * np.cos(0.02)]), np.zeros(3))
+
+
+@pytest.mark.parametrize("wrong", [heavier, turned, shifted, geared, tilted])
 def test_whatever_is_assembled_wrongly_is_seen(wrong: Callable[[pin.Model], None]) -> None:
     robot = copy(ARMS["ur5"])
     model = robot.model
     wrong(model)
     assert max(differing(model, robot).values()) > 1e-10
-
-
-def test_a_load_belongs_on_the_body_or_on_an_arm() -> None:
-    for frame in ("x", "y"):
-        with pytest.raises(InvalidArgument, match=f"frame is '{frame}', a virtual link, expected"):
-            MobileRobot.box().attach(PayloadBody(1.0), frame)
-    assert MobileRobot.box().attach(PayloadBody(1.0), "psi").with_locked_arms().mass == 31
 
 
 WHEEL: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006}
@@ -255,8 +230,10 @@ WHEELED = {
 }
 
 
-@pytest.mark.parametrize("ingredient", WRONG)
-@pytest.mark.parametrize("drive", WHEELED)
+@pytest.mark.parametrize(
+    ("drive", "ingredient"),
+    [*(("mecanum", each) for each in WRONG), ("two modules", "radius"), ("four modules", "angle")],
+)
 def test_wheels_that_are_off_by_little_on_one_route_are_seen(
     monkeypatch: pytest.MonkeyPatch, drive: str, ingredient: str
 ) -> None:
