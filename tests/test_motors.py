@@ -16,8 +16,6 @@ from pinmobile import (
     Tangent,
     WheeledRobot,
     WheelTable,
-    errors,
-    parts,
 )
 from pinmobile.arrays import Array
 from pinmobile.balance import max_path_speed
@@ -206,14 +204,13 @@ def drives() -> dict[str, WheelTable]:
     front = [Wheel("a", 0.3, 0.2, R, **WHEEL), Wheel("b", 0.3, -0.2, R, **WHEEL)]
     return {
         "mecanum": WheelTable.mecanum(0.5, 0.4, 0.08, motor=MOTOR, **WHEEL),
-        "omni": WheelTable.omni(0.25, 0.05, motor=MOTOR, **WHEEL),
         "tricycle": WheelTable((Wheel("front", 0.4, 0.0, R, **steered), *differential.wheels)),
         "caster": WheelTable((*differential.wheels, CASTER)),
         "open": WheelTable(tuple(front), couplings=(DifferentialGear(("a", "b"), MOTOR),)),
     }
 
 
-@pytest.mark.parametrize(("name", "arm"), [*((name, False) for name in drives()), ("tricycle", True)])
+@pytest.mark.parametrize(("name", "arm"), [(name, name == "tricycle") for name in drives()])
 def test_accelerations_are_those_of_the_tree_under_the_torques_of_its_motors(name: str, arm: bool) -> None:
     """Pinocchio's tree with constraint forces, and `Motor.torque`, neither of which the step uses."""
     rng = np.random.default_rng(3)
@@ -284,7 +281,7 @@ class Torques:
         return u
 
 
-@pytest.mark.parametrize("kind", ["differential", "skid", "torque"])
+@pytest.mark.parametrize("kind", ["skid", "torque"])
 def test_wheel_speed_follows_by_loops_of_each_wheel(kind: str) -> None:
     if kind == "skid":
         wheels = WheelTable.skid_steer(0.2, 0.6, R, motor=MOTOR, **{**WHEEL, "friction": WheelFriction()})
@@ -297,23 +294,6 @@ def test_wheel_speed_follows_by_loops_of_each_wheel(kind: str) -> None:
     given: Any = {"dt": 0.005, "duration": 4.0, "q0": q0, "v0": v0, "engine": Engine.COMPILED}
     found = pm.simulate(robot, controller, PATH, **given)
     assert np.abs(found.q[-1, :2] - PATH(4.0).q[:2]).max() < 0.05
-
-
-@pytest.mark.parametrize("kind", ["driven", "speed"])
-def test_controllers_of_motors_give_the_same_in_all_engines(kind: str) -> None:
-    wheeled = WheeledRobot(BODY, table(MOTOR))
-    robot = wheeled.by_voltage()
-    controller: Any = WheelSpeed(UnicycleTracking(), robot, 3.0, 30.0)
-    if kind == "driven":
-        controller = TorqueToVoltage(Backstepping(UnicycleTracking(), wheeled), robot)
-    q0, v0 = np.append(PATH(0.0).q, [0.0, 0.0]), np.zeros(robot.nv)
-    here, there = (
-        pm.simulate(robot, controller, PATH, dt=0.01, duration=0.3, q0=q0, v0=v0, engine=engine)
-        for engine in (Engine.PYTHON, Engine.COMPILED)
-    )
-    assert (np.abs(here.u).max(axis=0) > 1.0).all()
-    np.testing.assert_allclose(here.u, there.u, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(here.q, there.q, rtol=0, atol=1e-12)
 
 
 def test_the_integral_of_wheel_speed_does_not_wind_up() -> None:
@@ -334,12 +314,7 @@ def test_inputs_are_volts_and_torques_with_the_limits_of_motors() -> None:
     limited = WheeledRobot(BODY, table(Motor(torque_limit=2.0)))
     found = run(limited, (5.0, -5.0), 0.01, 0.1)
     assert (found.u == [2.0, -2.0]).all()  # a motor's limit is part of what is applied
-    assert robot.project(robot.rest, np.ones(robot.nv)).shape == (robot.nv,)
-    assert not hasattr(robot, "inverse_dynamics")
     assert repr(robot).endswith(".by_voltage()")
-    assert robot == wheeled.by_voltage()
-    assert hash(robot) == hash(wheeled.by_voltage())
-    assert robot.mount is not None
 
 
 def test_an_ensemble_spreads_motor_constants() -> None:
@@ -348,18 +323,13 @@ def test_an_ensemble_spreads_motor_constants() -> None:
     resistance = np.array([1.2, 2.4, 3.6])
     spread = {"left.motor.resistance": resistance}
     found = pm.ensemble(robot, steady(12.0, 12.0), where, dt=0.01, n=3, spread=spread, limit=1e9)
+    left, right = robot.table.wheels
     for k, x in enumerate(resistance):
-        left, right = robot.table.wheels
         wheels = evolved(left, motor=evolved(MOTOR, resistance=float(x))), right
         other = WheeledRobot(BODY, WheelTable(wheels, robot.table.supports)).by_voltage()
         alone = run(other, (12.0, 12.0), 0.01, 0.2)
         np.testing.assert_allclose(found.max_error[k], alone.max_error(), rtol=1e-12)
-        assert parts.replace(robot, {f"{robot.motor_paths[0]}.resistance": x}) == other
     assert found.engine == "COMPILED"
-    again = found.arguments(1)
-    assert [wheel.motor.resistance for wheel in again.robot.table.wheels] == [2.4, 1.2]
-    with pytest.raises(errors.UnknownName, match="resistances"):
-        parts.replace(robot, {f"{robot.motor_paths[0]}.resistances": 1.0})
 
 
 @pytest.mark.parametrize(

@@ -123,16 +123,15 @@ def test_ridgeback_is_mecanum_where_its_rollers_are_told(tmp_path: Path) -> None
         read(tmp_path, wheeled.ridgeback())  # the file does not tell
 
 
-@pytest.mark.parametrize(("model", "y"), [("burger", 0.080), ("waffle", 0.144)])
-def test_turtlebot_is_level_and_stands_on_its_casters(tmp_path: Path, model: str, y: float) -> None:
-    robot = read(tmp_path, wheeled.turtlebot(model))
-    near(robot.table, [(0, y), (0, -y)], 0.033)
+def test_turtlebot_is_level_and_stands_on_its_casters(tmp_path: Path) -> None:
+    robot = read(tmp_path, wheeled.turtlebot("waffle"))
+    near(robot.table, [(0, 0.144), (0, -0.144)], 0.033)
     assert robot.table.wheels[0].spin_inertia == pytest.approx(2.0712558e-05, rel=1e-6)
     assert robot.table.wheels[0].yaw_inertia == pytest.approx(1.1184e-05, rel=1e-4)
     assert [wheel.angle for wheel in robot.table.wheels] == [0.0, 0.0]  # axles written as -1.57
-    casters = [(-0.081, 0.0)] if model == "burger" else [(-0.177, -0.064), (-0.177, 0.064)]
+    casters = [(-0.177, -0.064), (-0.177, 0.064)]
     np.testing.assert_allclose([(s.x, s.y) for s in robot.table.supports], casters, atol=1e-6)
-    assert robot.robot.com[0] == pytest.approx(-0.004 if model == "burger" else -0.0058, abs=1e-4)
+    assert robot.robot.com[0] == pytest.approx(-0.0058, abs=1e-4)
     assert dict(robot.joint_signs) == dict.fromkeys(robot.table.names, 1)
 
 
@@ -217,44 +216,28 @@ def energy_of_file(text: str, twist: Any, joints: Mapping[str, tuple[float, floa
     return float(pin.computeKineticEnergy(model, model.createData(), q, v))
 
 
-ON_ANOTHER_AXIS = {  # moments of wheels as files have them, and about their axles
-    ("0.0003234", "0.0003234", "0.00049015"): ("0.0003234", "0.00049015", "0.0003234"),
-    ("0.0003234", "0.0003234", "0.0004901"): ("0.0003234", "0.0004901", "0.0003234"),
-    ("0.00001075", "0.00001541", "0.00001075"): ("0.00001075", "0.00001075", "0.00001541"),
-    ("0.00399743171", "0.00399741733", "0.00739239692", "4.464e-8 -2.245e-8 -1.64e-9"): (
-        "0.00739239692",
-        "0.00399742",
-        "0.00399742",
-    ),
-}
-
-
-def round_wheels(text: str) -> str:
-    """Return a file with the moments about the axles that it has on another axis."""
-    for wrong, right in ON_ANOTHER_AXIS.items():
-        text = text.replace(wheeled.wheels_moments(*wrong), wheeled.wheels_moments(*right))
-    return text
+def on_round_casters() -> str:
+    """Return the file of PMB2 with the moments of its casters' wheels on the right axis."""
+    wrong = wheeled.wheels_moments("0.00001075", "0.00001541", "0.00001075")
+    right = wheeled.wheels_moments("0.00001075", "0.00001075", "0.00001541")
+    return wheeled.pmb2_on_casters().replace(wrong, right)
 
 
 # Husky and Jackal turn by skidding alone: they do not roll ideally.
 REAL: dict[str, tuple[Any, dict[str, Any]]] = {
     "ridgeback": (wheeled.ridgeback, {"rollers": pi / 4}),
     "burger": (lambda: wheeled.turtlebot("burger"), {}),
-    "waffle": (lambda: wheeled.turtlebot("waffle"), {}),
-    "dingo": (wheeled.dingo, {}),
-    "mp400": (wheeled.mp400, {}),
-    "fetch": (wheeled.fetch, {"radius": 0.0604}),
-    "pmb2": (wheeled.pmb2_on_casters, {}),
+    "pmb2": (on_round_casters, {}),
 }
 
 
-ROUNDED = {"burger": 1e-5, "waffle": 1e-5, "pmb2": 1e-6}
+ROUNDED = {"burger": 1e-5, "pmb2": 1e-6}
 
 
 @pytest.mark.parametrize("name", REAL)
 def test_the_kinetic_energy_is_that_of_the_files_own_tree(tmp_path: Path, name: str) -> None:
     make, given = REAL[name]
-    text = round_wheels(make())
+    text = make()
     robot, rng = read(tmp_path, text, **given), np.random.default_rng(3)
     swivels = {joint.name: joint.swivels for joint in robot.robot.undercarriage.wheels}
     for _ in range(5):
@@ -277,10 +260,10 @@ def test_the_kinetic_energy_is_that_of_the_files_own_tree(tmp_path: Path, name: 
 # Rolled on a circle
 
 
-@pytest.mark.parametrize("name", ["ridgeback", "burger", "pmb2"])
+@pytest.mark.parametrize("name", ["ridgeback", "pmb2"])
 def test_real_robots_whose_origin_is_on_the_axle_follow_a_circle(tmp_path: Path, name: str) -> None:
     make, given = REAL[name]
-    robot = read(tmp_path, round_wheels(make()), **given)
+    robot = read(tmp_path, make(), **given)
     free = robot.mobility.mobility == 3
     controller: Controller = ComputedTorque(robot) if free else Backstepping(UnicycleTracking(), robot)
     run = simulate(robot, controller, Tangent(Circle(1.0, 0.3, 5.0)), dt=0.01, duration=2.0)
@@ -447,30 +430,19 @@ TABLE = WheelTable.differential(0.4, 0.1)
     ("wheels", "given", "words"),
     [
         (THIRD, {}, "do not stand on one plane"),
-        (
-            THIRD,
-            {"ground_z": 0.0},
-            r"third at z = 0\.02, the ground at z = 0 m, expected differences below 5 mm",
-        ),
         (PAIR, {"radius": {"left": 0.15}}, r"left at z = -0.05"),
         (AT_AN_ANGLE, {}, r"products up to 0\.0004 kg m\^2: its inertia would depend on"),
         (OFF_ITS_AXLE, {}, "'left' has its centre of mass 4 mm off its axle"),
         (MASSLESS, {}, "wheel 'left' has no inertia in its file, expected an inertia, or inertia="),
         (BARE, {}, r"radius of wheel 'left' is unknown: .*expected radius=\{'left': "),
-        (BARE, {"radius": {"left": 0.1}}, "radius of wheel 'right' is unknown"),
-        (BARE, {"radius": 0.0}, "radius of wheel 'left' is 0"),
         (PAIR, {"radius": 0.1}, r"radius is 0.1 m, but the file defines the radius of every wheel"),
         (PAIR, {"rollers": pi / 4}, "for 2 wheels that are not four at the corners"),
         (CARRYING, {}, r"wheel 'left' carries joints 'spin', probably rollers"),
         (TWIN, {}, "wheels 'caster', 'twin' share one swivel, 'caster_swivel', which"),
         (NESTED, {}, "has two joints about the vertical above it, 'caster_swivel' and 'boom'"),
         ("", {}, r"robot has no wheels in its file, .* expected table="),
-        (PAIR, {"steering": {"left": "driven"}}, "no joint about the vertical above it; expected 'fixed'"),
         (PAIR, {"steering": "driven"}, "steering of wheel 'left' is 'driven', but the file has no joint"),
         (PAIR, {"locked": ["left", "right"]}, r"all wheels of the robot; expected fewer"),
-        (PAIR, {"inertia": (1.0, 1.0, 1.0)}, r"inertia of wheel 'left' has shape \(3,\), expected \(2,\)"),
-        (PAIR, {"inertia": {"left": (-1.0, 1.0)}}, r"inertia of wheel 'left'\[0\] is -1"),
-        (PAIR, {"supports": [(1.0, 2.0, 3.0)]}, r"has shape \(3,\), expected \(2,\): x and y of each"),
         (PAIR, {"table": TABLE, "radius": 0.1}, "radius is given with table=, expected only one"),
     ],
 )
@@ -489,8 +461,8 @@ def test_what_is_told_beside_the_file_is_taken(tmp_path: Path) -> None:
     assert read(tmp_path, base(PAIR)).mass_matrix(np.zeros(5))[0, 0] == pytest.approx(11)
 
 
-@pytest.mark.parametrize("key", ["radius", "rollers", "steering", "inertia", "driven", "locked"])
+@pytest.mark.parametrize("key", ["radius", "locked"])
 def test_wheels_that_are_not_there(tmp_path: Path, key: str) -> None:
-    value: Any = ["lift"] if key in ("driven", "locked") else {"lift": 0.1}
+    value: Any = ["lift"] if key == "locked" else {"lift": 0.1}
     with pytest.raises(UnknownName, match=f"wheel of {key}"):
         read(tmp_path, base(PAIR), **{key: value})
