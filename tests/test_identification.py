@@ -16,7 +16,6 @@ from pinmobile.arrays import Array
 from pinmobile.controllers import TorqueToVoltage
 from pinmobile.errors import FileError, UnknownName
 from pinmobile.identification import Excitation, Identification
-from pinmobile.identification._filters import remove_outliers
 from pinmobile.parts import evolved
 from pinmobile.wheels import WheelFriction
 from tests.damage import answer, damaged
@@ -110,21 +109,6 @@ def test_rows_with_jitter_of_their_times_are_all_used(first: float, lost: tuple[
     assert even.q is not None
     assert even.q[0, 0] == pytest.approx(0.0, abs=1.5e-3)  # a sample at the mean of the jitter
     np.testing.assert_allclose(even.dt * even.u[1:-1].sum(axis=0), np.diff(t) @ u[:-1], atol=1e-9)
-
-
-@pytest.mark.parametrize("row", [0, 1, -1, 400])
-@pytest.mark.parametrize("size", [0.05, 0.1, 1.0])
-def test_a_wrong_pose_of_a_fast_robot_spoils_none_but_rows_between_it_and_the_end(
-    row: int, size: float
-) -> None:
-    for seed in range(10):
-        clean = np.sin(np.outer(0.05 * np.arange(800), [1.5, 2.0, 2.5])) / [1.5, 2.0, 2.5]  # 1 m/s
-        q = clean + np.random.default_rng(seed).normal(0, 1e-3, clean.shape)
-        q[row, 0] += size
-        filled, good, noise = remove_outliers(q, np.full(len(q), True), 0.05, 1e-4)
-        assert {row % len(q)} <= {*np.flatnonzero(~good)} <= {row % len(q), 0, 1, 799, 798}
-        assert np.abs(filled - clean).max() < 0.03
-        np.testing.assert_allclose(noise, 1e-3, rtol=0.1)
 
 
 def test_an_offset_that_a_motion_does_not_tell_from_friction_is_taken_as_zero_and_said() -> None:
@@ -671,11 +655,6 @@ def test_inputs_that_move_nothing_belong_to_no_clock() -> None:
 def changed(**new: Callable[[Array], Array]) -> pm.Log:
     parts = {"t": log().t, "q": log().q, "u": log().u}
     return pm.Log(*(new[name](np.array(x)) if name in new else x for name, x in parts.items()))  # type: ignore[arg-type]
-
-
-def holed(q: Array) -> Array:
-    q[300:330] = np.nan
-    return q
 
 
 def forces_in_body_frame() -> pm.Log:

@@ -63,23 +63,3 @@ def test_a_constant_acceleration_is_integrated_exactly(integrator: Any) -> None:
 def test_semi_implicit_euler_moves_with_the_new_velocity() -> None:
     q, v = semi_implicit_euler(lambda t, q, v: np.ones(3), 0.0, Q0, V0, 0.1)
     np.testing.assert_allclose(q, Q0 + 0.1 * v, rtol=1e-15)
-
-
-def test_rk4_asks_at_the_times_of_its_stages() -> None:
-    asked: list[float] = []
-
-    def record(t: float, q: Array, v: Array) -> Array:
-        asked.append(t)
-        return np.zeros(3)
-
-    rk4(record, 1.0, Q0, V0, 0.2)
-    assert asked == pytest.approx([1.0, 1.1, 1.1, 1.2])
-
-
-@pytest.mark.parametrize("integrator", [constant_acceleration, semi_implicit_euler, rk4])
-def test_many_states_are_stepped_at_once(integrator: Any) -> None:
-    q, v = np.random.default_rng(0).normal(size=(2, 5, 3))
-    many = integrator(acceleration, 0.0, q, v, 0.1)
-    for k in range(5):
-        one = integrator(acceleration, 0.0, q[k], v[k], 0.1)
-        np.testing.assert_allclose([many[0][k], many[1][k]], one, rtol=1e-14)

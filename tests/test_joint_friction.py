@@ -78,9 +78,6 @@ def test_it_slows_wheels_down_in_python_and_in_compiled_code() -> None:
 
 test_what_is_no_friction_is_refused = refusals(
     (lambda: JointFriction((1, -1)), "viscous is -1.0 N s/m or N m s/rad, expected >= 0"),
-    (lambda: JointFriction(1, (1, -2)), "coulomb is -2.0 N or N m, expected >= 0"),
-    (lambda: JointFriction(1, 1, 0), "speed is 0.0 m/s or rad/s, expected > 0"),
-    (lambda: JointFriction(np.nan), "viscous is nan, expected a finite number"),
     (
         lambda: simulate(
             PANDA, law(lambda *_: np.zeros(12)), Resting(), dt=0.1, forces=[JointFriction((1, 2))]

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pinmobile import InvalidArgument, MobileRobot, WheeledRobot, WheelTable
+from pinmobile import MobileRobot, WheeledRobot, WheelTable
 from pinmobile.arrays import Array
 from pinmobile.wheels import Motor
 
@@ -79,9 +79,3 @@ def test_many_states_are_each_its_own() -> None:
         one = robot.linearize_tracked(q[k], v[k], u[k])
         assert np.allclose(A[k], one.A, rtol=1e-12, atol=1e-12)
         assert np.allclose(B[k], one.B, rtol=1e-12, atol=1e-12)
-
-
-def test_wheels_that_steer_are_refused() -> None:
-    car = WheeledRobot(BODY, WheelTable.car(0.6, 0.4, 0.1, yaw_inertia=0.006))
-    with pytest.raises(InvalidArgument, match="steers wheels about 1 axes"):
-        car.linearize_tracked(car.rest, np.zeros(car.nv), np.zeros(car.nu))

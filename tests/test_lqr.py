@@ -107,20 +107,6 @@ def test_arms_follow_too() -> None:
     assert np.abs(run.q - run.reference.q)[-1].max() < 0.02
 
 
-@pytest.mark.parametrize("robot", [NOMINAL, WHEELED])
-def test_all_engines_agree(robot: Any) -> None:
-    noisy = pm.MeasurementNoise(pm.LQR(robot), 1e-3, 1e-3, seed=1)
-    noise = {"std_q": pm.Uniform(0.0, 1e-3)}  # the wrapper's, of which the gains know nothing
-    for spread in ({}, noise):
-        given: Any = {"dt": 0.01, "seed": 2, "n": 2, "spread": {"mass": pm.Uniform(25, 36), **spread}}
-        one, other = (
-            pm.ensemble(robot, pm.InputSaturation(noisy, 30), SHORT, duration=1.0, engine=engine, **given)
-            for engine in pm.Engine
-        )
-        # 100 samples of contracting loops: rounding does not grow.
-        assert np.abs(one.rms_error - other.rms_error).max() < 1e-12
-
-
 def test_rows_are_data_another_reference_gives_other_gains_and_the_same_program() -> None:
     given: Any = {"dt": 0.01, "integrator": pm.rk4, "engine": pm.Engine.COMPILED}
     other = pm.Tangent(pm.Circle(radius=1.0, rate=-0.9, duration=3))
@@ -134,8 +120,8 @@ def test_rows_are_data_another_reference_gives_other_gains_and_the_same_program(
         assert np.abs(fast.q - slow.q).max() < 1e-12
 
 
-@pytest.mark.parametrize("kind", [pm.LQR, pm.MPC])
-def test_the_weight_of_the_input_is_spread_one_robot_after_another(kind: Any) -> None:
+def test_the_weight_of_the_input_is_spread_one_robot_after_another() -> None:
+    kind = pm.LQR
     given: Any = {"dt": 0.01, "seed": 1, "duration": 0.2, "engine": pm.Engine.PYTHON}
     found = pm.ensemble(
         HEAVY, kind(NOMINAL), SHORT, n=2, spread={"input_weight": pm.Uniform(1, 100)}, **given
@@ -183,11 +169,8 @@ def test_a_schedule_gives_each_sample_its_row_in_all_engines() -> None:
 
 
 test_bad_arguments_are_refused = refusals(
-    (lambda: pm.LQR(NOMINAL, Q=[1, 2, 3]), r"Q has shape \(3, 3\), expected \(6, 6\), or its diag"),
     (lambda: pm.LQR(NOMINAL, R=[1, 2, 0]), r"R has the eigenvalue 0, expected a positive definite"),
     (lambda: pm.LQR(NOMINAL, Q=np.triu(np.ones((6, 6)))), "Q is not symmetric"),
-    (lambda: pm.LQR(NOMINAL, Q=[-1, 1, 1, 1, 1, 1]), "expected a positive semidefinite"),
-    (lambda: pm.LQR(pm.Tangent), "robot is .*, expected a MobileRobot"),
     (
         lambda: pm.LQR(pm.WheeledRobot(NOMINAL, pm.WheelTable.car(0.6, 0.4, 0.1, yaw_inertia=0.006))),
         "steers wheels about 1 axes",
@@ -203,10 +186,6 @@ test_bad_arguments_are_refused = refusals(
         "from any rolling motion",
     ),
     (lambda: pm.simulate(ARM, pm.LQR(ARM), SHORT, dt=0.01), "reference has 3 coordinates, expected all"),
-    (
-        lambda: Context.of(NOMINAL, dt=0.1).schedule(np.zeros((2, 3))),
-        r"rows has shape \(2, 3\), expected \(1, 3\)",
-    ),
 )
 
 
@@ -215,7 +194,3 @@ def test_a_drive_that_moves_in_every_direction_may_end_at_rest() -> None:
     straight = pm.FixedHeading(pm.RestToRest([0, 0], [1, 0], 2), 0.0)
     run = pm.simulate(mecanum, pm.LQR(mecanum), straight, dt=0.01, engine=pm.Engine.COMPILED)
     assert np.abs(run.q[-1, :2] - [1, 0]).max() < 1e-3
-    body = pm.simulate(
-        NOMINAL, pm.LQR(NOMINAL), straight, dt=0.01, engine=pm.Engine.COMPILED, integrator=pm.rk4
-    )
-    assert np.abs(body.q[-1, :2] - [1, 0]).max() < 1e-3

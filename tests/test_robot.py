@@ -19,13 +19,6 @@ robots = st.builds(
 )
 
 
-def test_numbers_of_two_other_engines_x_before_y(offset_robot: MobileRobot) -> None:
-    M = offset_robot.mass_matrix([0, 0, 0.7])
-    n = offset_robot.nonlinear_effects([0, 0, 0.7], [0, 0, 0.5])
-    np.testing.assert_allclose([M[0, 2], M[1, 2], M[2, 2]], [-1.34874762, 0.82515444, 1.45], atol=5e-9)
-    np.testing.assert_allclose(n, [-0.20628861, -0.33718691, 0], atol=5e-9)
-
-
 def test_a_force_along_x_accelerates_along_x() -> None:
     """The chain's first joint is y; no public vector shows it."""
     robot = MobileRobot.lecture()
@@ -71,18 +64,6 @@ def test_dynamics_do_not_depend_on_where_the_plane_is_looked_at_from(
     R[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
     moved = offset_robot.inverse_dynamics(q @ R.T + shift, v @ R.T, a @ R.T)
     np.testing.assert_allclose(moved, offset_robot.inverse_dynamics(q, v, a) @ R.T, rtol=0, atol=1e-12)
-
-
-def test_power_is_the_rate_of_kinetic_energy(offset_robot: MobileRobot, states: tuple[Array, ...]) -> None:
-    q, v, _, tau = states
-    a, h = offset_robot.forward_dynamics(q, v, tau), 1e-5
-
-    def energy(t: float) -> Array:
-        return offset_robot.kinetic_energy(q + t * v + t * t / 2 * a, v + t * a)
-
-    power = (energy(h) - energy(-h)) / (2 * h)
-    # Central difference of a smooth function of size 1e2: h^2 of its third derivative and eps / h.
-    np.testing.assert_allclose(power, (tau * v).sum(-1), atol=1e-6)
 
 
 @pytest.mark.parametrize("table", [LECTURE_TABLE, SLIDE_TABLE])
@@ -136,10 +117,9 @@ def test_leading_axes_broadcast_and_none_is_empty(offset_robot: MobileRobot) -> 
     assert offset_robot.kinetic_energy(np.empty((0, 3)), np.empty((0, 3))).shape == (0,)
 
 
-@pytest.mark.parametrize("arms", [0, 1, 2])
-def test_unchecked_calls_are_the_methods_in_public_order(offset_robot: MobileRobot, arms: int) -> None:
+def test_unchecked_calls_are_the_methods_in_public_order(offset_robot: MobileRobot) -> None:
     robot = offset_robot
-    for k in range(arms):
+    for k in range(2):
         robot = robot.mount("ur5", at=(0.2 - 0.4 * k, 0.1, 0.3, 0.4))
     calls, generator = robot.law, np.random.default_rng(3)
     for _ in range(5):
@@ -178,15 +158,7 @@ WRONG_CHAIN = DHTable(tuple(DHRow(0, 0, 0, 0, JointType.REVOLUTE, name) for name
     ("arguments", "text"),
     [
         ({"mass": 0}, "mass is 0.0 kg, expected > 0"),
-        ({"mass": -3}, "mass is -3.0 kg, expected > 0"),
-        ({"mass": float("nan")}, "mass is nan, expected a finite number"),
-        ({"mass": [1, 2]}, "mass has shape (2,), expected one number"),
-        ({"yaw_inertia": -0.1}, "yaw_inertia is -0.1 kg m^2, expected > 0"),
         ({"com": (1,)}, "com has shape (1,), expected (2,) or (3,)"),
-        ({"com": (0, float("inf"))}, "com[1] is inf, expected a finite number"),
-        ({"size": (1, 1, 0)}, "size[2] is 0.0 m, expected > 0"),
-        ({"size": (1, 1)}, "size has shape (2,), expected (3,)"),
-        ({"dh": "lecture"}, "dh is 'lecture', expected a DHTable"),
         ({"dh": WRONG_CHAIN}, "dh has joints revolute a, revolute b, revolute c, expected prismatic y,"),
     ],
 )
@@ -196,19 +168,6 @@ def test_impossible_parameters_are_refused(arguments: dict[str, Any], text: str)
     assert str(caught.value).startswith(text)
 
 
-@pytest.mark.parametrize("method", ["mass_matrix", "frame_placements", "jacobian"])
-def test_configurations_of_the_wrong_size_are_refused(offset_robot: MobileRobot, method: str) -> None:
-    with pytest.raises(InvalidArgument, match=r"q has shape \(2,\), expected \(\.\.\., 3\)"):
-        getattr(offset_robot, method)([1, 2])
-
-
-def test_what_is_not_finite_is_refused(offset_robot: MobileRobot) -> None:
-    with pytest.raises(InvalidArgument, match=r"tau\[1\] is nan"):
-        offset_robot.forward_dynamics([0, 0, 0], [0, 0, 0], [0, np.nan, 0])
-    with pytest.raises(InvalidArgument, match=r"pin_model is 'model', expected a pinocchio\.Model"):
-        MobileRobot.from_model("model")
-
-
 def test_the_raw_model_is_pinocchios(offset_robot: MobileRobot) -> None:
     model = offset_robot.model
     assert isinstance(model, pin.Model)
@@ -216,10 +175,9 @@ def test_the_raw_model_is_pinocchios(offset_robot: MobileRobot) -> None:
     np.testing.assert_array_equal(M[np.ix_([1, 0, 2], [1, 0, 2])], offset_robot.mass_matrix([1.0, 2.0, 0.7]))
 
 
-@pytest.mark.parametrize("x", [1e3, 5e6, 1e12])
-def test_nothing_is_lost_far_from_the_origin(offset_robot: MobileRobot, x: float) -> None:
+def test_nothing_is_lost_far_from_the_origin(offset_robot: MobileRobot) -> None:
     """A map's origin may be thousands of kilometres away, as that of UTM coordinates is."""
-    rng = np.random.default_rng(3)
+    rng, x = np.random.default_rng(3), 1e12
     for robot in (offset_robot, MobileRobot.box().mount("ur5")):
         here = robot.random_configuration(rng)
         here[:2] = 0.0
