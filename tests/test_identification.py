@@ -84,7 +84,7 @@ def test_a_delay_between_samples_is_found_by_the_weak_form_and_widens_its_interv
     assert ratio.max() > 1.05
 
 
-@pytest.mark.parametrize("row", [0, -1, 700])
+@pytest.mark.parametrize("row", [0, 700])
 def test_one_wrong_pose_is_one_outlier_at_the_ends_too(row: int) -> None:
     plain, q = log(1, 0, forces=False), np.array(log(1, 0, forces=False).q)
     q[row] += np.array([0.3, 0.0, -0.3])
@@ -95,8 +95,7 @@ def test_one_wrong_pose_is_one_outlier_at_the_ends_too(row: int) -> None:
     np.testing.assert_allclose(spoiled.noise, before.noise, rtol=0.02)
 
 
-@pytest.mark.parametrize("lost", [(), (100, 300, 301)])
-@pytest.mark.parametrize("first", [-0.4, 0.0, 0.4])
+@pytest.mark.parametrize(("first", "lost"), [(-0.4, (100, 300, 301)), (0.4, ())])
 def test_rows_with_jitter_of_their_times_are_all_used(first: float, lost: tuple[int, ...]) -> None:
     jitter = np.random.default_rng(0).normal(0, 0.2, 800).clip(-0.4, 0.4)
     jitter[0] = first
@@ -120,9 +119,8 @@ def test_an_offset_that_a_motion_does_not_tell_from_friction_is_taken_as_zero_an
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("ahead", "method"), [(1, "output error"), (3, "weak")])
-def test_poses_ahead_of_the_inputs_that_move_the_robot_are_refused(ahead: int, method: str) -> None:
-    read = log()
+def test_poses_ahead_of_the_inputs_that_move_the_robot_are_refused() -> None:
+    read, ahead, method = log(), 3, "weak"
     early = pm.Log(read.t[:-ahead], read.q[ahead:], read.u[:-ahead])  # type: ignore[index]
     with refused(r"^log has poses [24]0\S* ms \(\S+ samples\) ahead of the inputs that move"):
         pm.identify(early, method=method)
@@ -307,9 +305,8 @@ def weakly(read: pm.Log) -> tuple[Array, Array]:
     return weak.values[:10], np.sqrt(np.diag(weak.covariance))[:10]
 
 
-@pytest.mark.parametrize("far", [0.0, 1000.0])
-def test_the_weak_form_of_a_log_without_noise_is_exact_wherever_the_robot_is(far: float) -> None:
-    run = driven()
+def test_the_weak_form_of_a_log_without_noise_is_exact_wherever_the_robot_is() -> None:
+    run, far = driven(), 1000.0
     estimates, _ = weakly(pm.Log(run.t, run.q + np.array([far, -far, 0.0]), run.u))
     # Sums over windows of 31 samples, of forces that jump where dry friction does.
     np.testing.assert_allclose(estimates, list(TRUE.values()), rtol=5e-3)
@@ -451,11 +448,10 @@ def test_wheels_that_slip_are_told_from_those_that_roll_with_noise() -> None:
 
 @pytest.mark.long
 @pytest.mark.once
-@pytest.mark.parametrize(("rolling", "said"), [(0.0, "95 % interval"), (0.05, "95 %, not valid")])
-def test_resistance_that_depends_on_load_is_not_given_a_valid_interval(rolling: float, said: str) -> None:
+def test_resistance_that_depends_on_load_is_not_given_a_valid_interval() -> None:
     wheel: dict[str, Any] = {"supports": [(-0.3, 0)], "mass": 1.0, "spin_inertia": 0.005}
     body = pm.MobileRobot(30.0, 1.3, com=(0.06, 0.02, 0.5))
-    table = pm.WheelTable.differential(0.5, 0.1, friction=WheelFriction(rolling=rolling), **wheel)
+    table = pm.WheelTable.differential(0.5, 0.1, friction=WheelFriction(rolling=0.05), **wheel)
     rolls = pm.WheeledRobot(body, pm.WheelTable.differential(0.5, 0.1, **wheel))
     controller, slips = (
         pm.Backstepping(pm.UnicycleTracking(), rolls),
@@ -464,16 +460,15 @@ def test_resistance_that_depends_on_load_is_not_given_a_valid_interval(rolling: 
     run = pm.simulate(slips, controller, rolling_motion(), dt=0.02, engine=pm.Engine.COMPILED)
     read = pm.Log.from_rollout(run, 1e-3, seed=1)
     known = pm.identify(pm.Log(read.t, read.q, read.u), rolls.table)
-    assert said in str(known).splitlines()[0]
-    assert known.is_noise == (rolling < 0.05)
-    assert ("the structure of the model is wrong" in str(known)) == (rolling == 0.05)
+    assert "95 %, not valid" in str(known).splitlines()[0]
+    assert not known.is_noise
+    assert "the structure of the model is wrong" in str(known)
 
 
 @pytest.mark.long
 @pytest.mark.once
-@pytest.mark.parametrize("dry", [None, WheelFriction(rolling=0.0)])
-def test_wheels_that_roll_are_not_said_to_slip(dry: WheelFriction | None) -> None:
-    read = noisy(run_on_wheels(dry=dry), 0)
+def test_wheels_that_roll_are_not_said_to_slip() -> None:
+    read = noisy(run_on_wheels(dry=WheelFriction(rolling=0.0)), 0)
     for each in (read, pm.Log(read.t, read.q, read.u)):
         slippage = pm.identify(each, on_wheels(BODY), method="weak", delay=0.0).slippage
         assert slippage is not None
@@ -509,8 +504,7 @@ def test_a_known_load_tells_the_motors_constant() -> None:
     np.testing.assert_allclose(constants, 0.04, rtol=0.05)
 
 
-@pytest.mark.parametrize("rows", [9, 45])
-@pytest.mark.parametrize("dt", [0.5, 0.1])
+@pytest.mark.parametrize(("rows", "dt"), [(9, 0.5), (45, 0.1)])
 def test_short_and_coarse_logs_are_refused_with_the_reason(rows: int, dt: float) -> None:
     every = round(dt / 0.02)
     t, q, u = (np.array(x) for x in (log().t, log().q, log().u))
@@ -626,7 +620,7 @@ def test_sensors_with_times_of_their_own_become_one_log() -> None:
     assert read.dropped == 0
 
 
-@pytest.mark.parametrize(("rate", "offset"), [(2.03, 0.3), (1.0, 17.0), (0.998, -3.0)])
+@pytest.mark.parametrize(("rate", "offset"), [(2.03, 0.3), (0.998, -3.0)])
 def test_another_clock_is_found_and_corrected(rate: float, offset: float) -> None:
     t, q, u = (np.array(x) for x in (log().t, log().q, log().u))
     read = pm.Log.from_streams(t, q, (t - offset) / rate, u, one_clock=False)
@@ -674,10 +668,6 @@ test_a_log_that_tells_something_else_is_refused_with_what_it_is = refusals(
     (lambda: changed(q=lambda q: q * 1000 * 100), r"^q moves at .*: are these centimetres or millimetres\?$"),
     (lambda: changed(t=lambda t: t * 1000), r"^t has steps of 20 s, .*: are these milliseconds\?$"),
     (
-        lambda: changed(q=lambda q: q[:-1]),
-        r"^q has shape \(2200, 3\), expected \(2201, 3\), a row for each time$",
-    ),
-    (
         lambda: pm.identify(changed(u=lambda u: 1e-3 * u), method="weak"),
         r"^log leads to a radius of gyration of 0\.2\d+ m with a mass of 0\.03\d+ kg, .* forces in N,",
     ),
@@ -687,14 +677,6 @@ test_a_log_that_tells_something_else_is_refused_with_what_it_is = refusals(
     (
         lambda: pm.identify(forces_in_body_frame()),
         r"^log has forces that explain .* of the motion, 100% if they are in the body frame, .*: rotate",
-    ),
-    (
-        lambda: pm.identify(forces_in_body_frame(), delay=0.0),
-        r"^log has forces that explain .* of the motion, 100% if they are in the body frame, .*: rotate",
-    ),
-    (
-        lambda: pm.Log(log().t, log().q, log().u, units=("N", "N")),
-        r"^units is \('N', 'N'\), expected units of all 3 inputs, or none$",
     ),
     (lambda: changed(q=lambda q: q * np.nan), r"^q has 2201 rows, each with NaN, expected rows without NaN$"),
     (lambda: pm.identify(changed(q=drifting)), r"^log has a delay of the poses that changes by .*two clocks"),
@@ -707,7 +689,6 @@ test_a_log_that_tells_something_else_is_refused_with_what_it_is = refusals(
         r"^log has 2 inputs, expected 3: \(Fx, Fy, Mz\) .* identify_velocity; joints of arms",
     ),
     (lambda: pm.identify(log(), on_wheels(BODY)), r"^log has 3 inputs, expected 2: .* left, right; is the"),
-    (lambda: pm.identify("run.csv"), r"^log is 'run.csv', expected .*: use Log.from_csv$"),  # type: ignore[arg-type]
     (lambda: pm.identify(driven()), r"^log is .*, expected .*: use Log.from_rollout$"),  # type: ignore[arg-type]
     (
         lambda: changed(t=lambda t: np.floor(10 * t) / 10),
@@ -719,11 +700,6 @@ test_a_log_that_tells_something_else_is_refused_with_what_it_is = refusals(
         ),
         r"^log has 20 parts between gaps of .* the longest of 0\.02 s, expected 2 s and 16 measurements",
     ),
-    (
-        lambda: pm.identify(log(), loads=[None]),
-        r"^loads is \[None\], expected a PayloadBody or None for each of 1 logs: loads that differ",
-    ),
-    (lambda: pm.identify(log(), "robot"), r"^robot is 'robot', expected a MobileRobot"),
 )
 
 
@@ -740,7 +716,6 @@ PAIR = pm.WheelTable.differential(0.5, 0.1, supports=[(0.25, 0), (-0.25, 0)], **
     ("robot", "text"),
     [
         (lambda: on(PAIR, ground=pm.Coulomb()), f"with wheels that steer or slip, .*{ROLLING}"),
-        (lambda: on(PAIR).mount("ur5"), f"or arms, {ROLLING}"),
         (
             lambda: pm.MobileRobot.box().mount("ur5"),
             r"without arms \(robot.with_locked_arms\(\) has them locked\), .*",
@@ -755,11 +730,6 @@ def test_a_robot_that_is_not_identified_is_refused_with_what_is(robot: Any, text
 
 
 # -- files -----------------------------------------------------------------------------------------
-
-
-def test_units_have_one_spelling() -> None:
-    assert replace(log(), units=["N", "N", "Nm"]).units == ("N", "N", "N m")  # type: ignore[arg-type]
-    assert replace(log(), units=("N", "N", "N*m")).units == ("N", "N", "N m")
 
 
 def test_a_csv_is_read_with_its_units(tmp_path: Path) -> None:
@@ -802,8 +772,6 @@ def turned(columns: str) -> str:
         lines_of(FEW, between=";", point=","),
         lines_of(FEW, between="\t"),
         lines_of(FEW, between="  "),
-        lines_of(FEW, between=", "),
-        "# robot: mine, 3 kg\n# by hand\n" + lines_of(FEW),
         "# a robot\n# " + lines_of(FEW),
         "\ufeff" + lines_of(FEW, "Time (s),X (m),Y (m),Yaw (rad),FX [N],FY [N],MZ [N\u00b7m]"),
         lines_of(FEW * [1, 1, 1, 180 / np.pi, 1, 1, 1], "t,x,y,psi [\u00b0],Fx,Fy,Mz"),
@@ -826,12 +794,7 @@ def test_a_csv_is_read_as_others_write_it(content: str, tmp_path: Path) -> None:
     ("call", "said"),
     [
         (lambda: pm.identify(units("A", "A"), on_wheels(BODY).wheeled), "left in A, expected N m: .* loads="),
-        (
-            lambda: pm.identify(units("N m", "N m"), on_wheels(BODY)),
-            "left in N m, expected V: .* without elec",
-        ),
         (lambda: pm.identify(replace(log(), units=("N", "N", "N"))), "Mz in N, expected N m: .* robot=None"),
-        (lambda: pm.identify_velocity(units("V", "V")), "speed in V, expected m/s: .* wheels with electric"),
     ],
 )
 def test_inputs_in_units_of_another_robot_are_refused(call: Any, said: str) -> None:
@@ -841,6 +804,20 @@ def test_inputs_in_units_of_another_robot_are_refused(call: Any, said: str) -> N
 
 def units(*names: str) -> pm.Log:
     return replace(rolled(False), units=names)
+
+
+@pytest.mark.once
+def test_a_base_on_mecanum_wheels_is_identified() -> None:
+    table = pm.WheelTable.mecanum(0.4, 0.48, 0.09, mass=1.0, spin_inertia=0.005)
+    plant = pm.WheeledRobot(BODY, table)
+    run = pm.simulate(
+        plant, pm.ComputedTorque(plant), motion(), dt=0.02, substeps=4, engine=pm.Engine.COMPILED
+    )
+    prior = pm.WheeledRobot(pm.MobileRobot(20.0, 1.0), table)
+    known = pm.identify(pm.Log.from_rollout(run, 1e-3, 0.02, seed=1), prior, method="weak")
+    for name, value in {"mass": 30.0, "com_x": 0.06, "com_y": 0.02, "yaw_inertia": 1.3}.items():
+        low, high = known.interval(0.999)[name]
+        assert low < value < high
 
 
 def test_columns_have_units_and_other_names(tmp_path: Path) -> None:
@@ -876,7 +853,6 @@ def test_a_csv_of_wheels_has_their_rates(tmp_path: Path) -> None:
     "stamp",
     [
         lambda t: f"{1707676121 + t:.3f}",
-        lambda t: f"{1707676121000 + round(1e3 * t)}",
         lambda t: f"{1707676121000000000 + round(1e9 * t)}",
         lambda t: f"2024_02_11_18_28_{41 + t:06.3f}".replace(".", "_"),
         lambda t: f"2024-02-11T18:28:{41 + t:06.3f}Z",
@@ -905,20 +881,13 @@ def test_columns_of_a_file_without_a_header_have_numbers(tmp_path: Path) -> None
     [
         ("", "which is empty, expected a header that names the columns"),
         (lines_of(FEW).partition("\n")[2], "whose first line .* contains numbers, expected .*; without"),
-        (lines_of(FEW[:1]), "with 1 rows as long as its header, expected two or more"),
         (lines_of(FEW, "a,b,c,d,Fx,Fy,Mz"), "whose columns are a, b, .* none of them known for t, expected"),
         (
             lines_of(FEW, "t,b,c,d,Fx,Fy,Mz"),
             "whose columns are .*, none of them known for q or twist or wheel_rates or joints, expected co",
         ),
-        (
-            lines_of(FEW, "t,x,y,psi,a,b,c"),
-            "whose columns are .*, none of them known for u, expected columns=",
-        ),
         (lines_of(FEW, "t,x,y,psi,Fx,Fy,x"), "with two columns 'x', expected one column"),
         (lines_of(FEW).replace("0.", "zero"), "whose column 't' has no numbers, but 'zero0+', expected"),
-        ("a\0b", r"whose columns are .*, none of them known for t, expected columns="),
-        ("#\n" + lines_of(FEW).partition("\n")[2], "whose columns are , none of them known for t"),
         (lines_of(FEW, "time\u202e,x,y,psi,a,b,c"), r"whose columns are 'time\\u202e', x, "),
     ],
 )
@@ -929,7 +898,7 @@ def test_a_file_that_is_no_log_is_refused_with_what_it_has(content: str, text: s
         pm.Log.from_csv(path)
 
 
-@pytest.mark.parametrize("kind", ["SQLITE3", "MCAP", "ros1"])
+@pytest.mark.parametrize("kind", ["SQLITE3", "ros1"])
 def test_a_bag_is_read_without_ros(kind: str, tmp_path: Path) -> None:
     pytest.importorskip("rosbags", reason="needs the extra bags")
     path = written_bag(tmp_path, kind)
@@ -949,10 +918,9 @@ def test_a_bag_is_read_without_ros(kind: str, tmp_path: Path) -> None:
 TOPICS = {"q": "/odom", "u": "/wrench", "twist": "/odom"}
 
 
-@pytest.mark.parametrize("kind", ["SQLITE3", "MCAP"])
-def test_a_damaged_bag_is_told_as_such(kind: str, tmp_path: Path) -> None:
+def test_a_damaged_bag_is_told_as_such(tmp_path: Path) -> None:
     pytest.importorskip("rosbags", reason="needs the extra bags")
-    path = written_bag(tmp_path, kind)
+    path = written_bag(tmp_path, "MCAP")
     file, rng, told = next(x for x in path.iterdir() if x.suffix != ".yaml"), np.random.default_rng(1), 0
     good = file.read_bytes()
     # The header and page 2 of SQLite, the middle of a chunk and all of it, zeros, and anything else.
@@ -1036,9 +1004,8 @@ def test_a_prediction_is_as_good_as_the_noise_and_is_drawn() -> None:
         plots.prediction(other, ax=figure.axes[:2])
 
 
-@pytest.mark.parametrize("low", [-15.0, -1e9])
-def test_an_input_that_was_clipped_is_reported_and_its_intervals_are_not_valid(low: float) -> None:
-    read = changed(u=lambda u: np.column_stack([np.clip(u[:, 0], low, 15.0), u[:, 1:]]))
+def test_an_input_that_was_clipped_is_reported_and_its_intervals_are_not_valid() -> None:
+    read = changed(u=lambda u: np.column_stack([np.clip(u[:, 0], -15.0, 15.0), u[:, 1:]]))
     clipped = pm.identify(read, method="weak")
     assert re.match(r"input Fx of log stays at -\S+ or 15, its extremes, in \d+% of", clipped.clipped)
     assert clipped.clipped in clipped.notes
