@@ -117,15 +117,6 @@ def test_a_load_on_the_arms_foot_belongs_to_the_arm_and_one_on_the_body_does_not
     np.testing.assert_array_equal(body, alone)
 
 
-def test_at_rest_the_zero_moment_point_is_below_the_centre_of_mass() -> None:
-    q = UR5.random_configuration(np.random.default_rng(3))
-    com = UR5.with_locked_arms(q).body.com
-    point = zero_moment_point(at_rest(UR5, q))
-    turn = np.array([[np.cos(q[2]), -np.sin(q[2])], [np.sin(q[2]), np.cos(q[2])]])
-    np.testing.assert_allclose(point, q[:2] + turn @ com[:2], atol=1e-13)
-    assert required_friction(at_rest(UR5, q)) == pytest.approx(0, abs=1e-15)
-
-
 def test_acceleration_shifts_it_back_by_h_a_over_g() -> None:
     a = np.array([[1.5, 0, 0], [0, -2.0, 0], [0, 0, 3.0]])
     np.testing.assert_allclose(zero_moment_point(planar(a)), [1, 2] - HEIGHT * a[:, :2] / G, atol=1e-15)

@@ -2,7 +2,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, strategies as st
 
 from pinmobile import InvalidArgument, closed_form
 from pinmobile.arrays import Array
@@ -30,23 +29,6 @@ def test_numbers_of_mujoco_and_drake() -> None:
     mujoco.mj_mulM(model, data, column, np.array([0.0, 0.0, 1.0]))
     np.testing.assert_allclose(column, M[:, 2], rtol=0, atol=1e-14)
     np.testing.assert_allclose(data.qfrc_bias, n, rtol=0, atol=1e-14)
-
-
-@given(st.floats(0.1, 1e3), st.floats(1e-3, 1e3), st.floats(-2, 2), st.floats(-2, 2), st.floats(-10, 10))
-def test_mass_matrix_is_symmetric_positive_definite_and_its_inverse_is_forward_dynamics(
-    mass: float, inertia: float, xbc: float, ybc: float, psi: float
-) -> None:
-    body: dict[str, Any] = {"mass": mass, "yaw_inertia": inertia, "com": (xbc, ybc)}
-    q, v = np.array([0, 0, psi]), np.array([0.3, -0.2, 1.1])
-    M = closed_form.mass_matrix(q, **body)
-    assert (M == M.T).all()
-    # Schur complement of the translation: what is left of the yaw entry is Icz.
-    assert M[2, 2] - (M[0, 2] ** 2 + M[1, 2] ** 2) / mass > 0.5 * inertia - 1e-12 * M[2, 2]
-    tau = np.array([1.0, 2.0, -0.5])
-    a = closed_form.forward_dynamics(q, v, tau, **body)
-    back = closed_form.inverse_dynamics(q, v, a, **body)
-    scale = np.abs(M) @ np.abs(a) + mass * v @ v
-    assert (np.abs(back - tau) / scale).max() < 1e-14 * 100
 
 
 def test_inverse_dynamics_is_m_a_plus_n(states: tuple[Array, ...]) -> None:

@@ -6,7 +6,7 @@ import pytest
 from attrs import evolve
 from hypothesis import given, settings, strategies as st
 
-from pinmobile import PD, ComputedTorque, InvalidArgument, MobileRobot, Reference, law
+from pinmobile import PD, ComputedTorque, InvalidArgument, MobileRobot, Reference
 from pinmobile.arrays import Array
 from pinmobile.controllers import plain_difference, planar_difference
 from pinmobile.plant import Context
@@ -76,16 +76,6 @@ def test_pd_is_the_lectures(states: tuple[Array, ...], reference: Reference) -> 
     assert state == ROBOT.difference
 
 
-def test_computed_torque_makes_the_error_linear(states: tuple[Array, ...], reference: Reference) -> None:
-    q, v, _, _ = states
-    controller = ComputedTorque(ROBOT, kp=3, kd=2)
-    tau, _ = controller(0.0, q, v, reference, None)
-    a = ROBOT.forward_dynamics(q, v, tau)
-    expected = reference.a + 3 * planar_difference(q, reference.q) + 2 * (reference.v - v)
-    # Rounding, amplified by the condition number of M, about 10.
-    np.testing.assert_allclose(a, expected, rtol=1e-12, atol=1e-12)
-
-
 def test_a_scalar_a_vector_and_a_matrix_are_the_same_gain(
     states: tuple[Array, ...], reference: Reference
 ) -> None:
@@ -114,13 +104,6 @@ def test_pd_by_hand_starts_with_the_state_of_its_context() -> None:
         np.testing.assert_array_equal(again, tau)
         with pytest.raises(InvalidArgument, match=r"^state is None, .* Context\.of\(robot, dt=\.\.\.\)$"):
             controller(0.0, q, rest, at, None)  # type: ignore[arg-type]
-
-
-def test_a_law_is_a_controller_without_memory() -> None:
-    controller = law(lambda t, q, v, reference: [t, 2, 3])
-    assert controller.initial_state(CONTEXT) is None
-    tau, state = controller(1.0, np.zeros(3), np.zeros(3), None, None)
-    assert (tau.tolist(), state) == ([1, 2, 3], None)
 
 
 test_gains_and_arguments_that_do_not_fit_are_refused = refusals(

@@ -20,18 +20,6 @@ ROUNDING = 1e-13
 lengths, angles = st.floats(-100, 100), st.floats(-20, 20)
 
 
-@given(lengths, lengths, angles)
-def test_lecture_transforms_are_those_on_the_slide(y: float, x: float, psi: float) -> None:
-    c, s = np.cos(psi), np.sin(psi)
-    T01, T12, T23 = LECTURE_TABLE.transforms([y, x, psi])
-    expected: list[Any] = [
-        [[0, 1, 0, 0], [0, 0, 1, y], [1, 0, 0, 0], [0, 0, 0, 1]],
-        [[0, -1, 0, 0], [0, 0, 1, x], [-1, 0, 0, 0], [0, 0, 0, 1]],
-        [[-s, -c, 0, 0], [0, 0, -1, 0], [c, -s, 0, 0], [0, 0, 0, 1]],
-    ]
-    np.testing.assert_allclose([T01, T12, T23], expected, atol=ROUNDING)
-
-
 @pytest.mark.parametrize("table", [LECTURE_TABLE, SLIDE_TABLE])
 @given(lengths, lengths, angles)
 def test_both_tables_put_the_body_at_x_y_psi(table: DHTable, y: float, x: float, psi: float) -> None:

@@ -230,7 +230,7 @@ def test_what_rolls_is_judged_alike_in_all_engines() -> None:
         np.testing.assert_allclose(each.worst_metric, [worst, worst], atol=1e-7)
 
 
-def test_ensembles_tell_how_many_would_slip_and_how_many_do() -> None:
+def test_ensembles_tell_how_many_would_slip() -> None:
     table = WheelTable.differential(0.5, 0.1, supports=[(0.25, 0), (-0.25, 0)], **WHEEL)
     body, path = pm.MobileRobot(27.0, 2.3, com=(0.0, 0.0, 0.15)), pm.Tangent(pm.Circle(2, 0.8, 1))
     robot = WheeledRobot(body, table)
@@ -249,12 +249,6 @@ def test_ensembles_tell_how_many_would_slip_and_how_many_do() -> None:
     assert 0.2 < slides.mean() < 0.8
     assert mu[slides].max() < 1.05 * 2 * 1.6**2 / 2 / G < 1.1 * mu[~slides].min()
     assert rolling.worst(1, by="slip margin")[0] == rolling.largest("slip margin").argmin()
-    slipping = WheeledRobot(body, table, Coulomb())
-    allocated = ControlAllocation(PD(400, 60), robot)
-    found = pm.ensemble(slipping, allocated, path, n=60, dt=0.005, spread=spread, seed=1)
-    assert [one.name for one in found.scenario.recorded_metrics] == ["load", "tip over", "slip"]
-    did = found.largest("slip") > 1e-3
-    assert np.mean(did == slides) > 0.8
 
 
 LINE = WheeledRobot(BODY, WheelTable.differential(0.5, 0.1, **WHEEL))

@@ -14,7 +14,6 @@ from pinmobile.arrays import Array
 from pinmobile.cli import main
 from pinmobile.identification._excitation import _Search
 from pinmobile.identification._planar_model import PlanarModel, PlanarProblem
-from pinmobile.identification._plant import _segments as of_plant
 from pinmobile.identification._simulation import Segments, linearize, simulate
 from pinmobile.identification._velocity_model import CarModel, VelocityModel
 from pinmobile.parts import find, named, replace
@@ -77,27 +76,7 @@ def test_slopes_of_a_simulated_log_are_those_of_differences(case: str) -> None:
         assert np.abs(slope - best).max() < 1e-8 + 0.1 * error, j
 
 
-MECANUM = pm.WheelTable.mecanum(0.4, 0.48, 0.09, mass=1.0, spin_inertia=0.005)
 BODY = pm.MobileRobot(30.0, 1.3, com=(0.1, 0.05))
-
-
-@pytest.mark.parametrize(
-    ("robot", "reach"),
-    [(BODY, 0.1), (pm.WheeledRobot(BODY, MECANUM), 3.0)],
-)
-def test_the_gradient_of_the_information_is_that_of_differences(robot: Any, reach: float) -> None:
-    model, rng = PlanarModel.of(robot), np.random.default_rng(0)
-    limits = [np.array(x) for x in ((reach, reach, 3.0), (1.0, 1.0, 1.5), (1.5, 1.5, 3.0))]
-    search = _Search(model, model.prior(robot), (20.0, 60.0, 5), limits)
-    raw, way = rng.standard_normal((2, 5, 2, model.free))
-    _, gradient = search.smooth_cost(raw, 16.0)
-
-    def change(h: float) -> float:
-        ahead, behind = (search.smooth_cost(raw + x * way, 16.0)[0] for x in (h, -h))
-        return (ahead - behind) / (2 * h)
-
-    best, error = (4 * change(5e-5) - change(1e-4)) / 3, abs(change(5e-5) - change(1e-4))
-    assert abs((gradient * way).sum() - best) < 1e-7 + error
 
 
 def test_a_designed_motion_informs_more_than_any_of_many_random_ones() -> None:
@@ -162,24 +141,6 @@ def test_the_found_arm_is_an_ordinary_robot_and_predicts_another_log() -> None:
     assert float(find(robot, "wrist_3_link.mass").value) == found.parameters["wrist_3_link.mass"]
     assert robot.nq == ARM.nq
     assert "shoulder_lift_joint" in str(found.predict(other))
-
-
-def test_the_tangents_of_a_plant_are_those_of_differences() -> None:
-    log, _ = arm_log(0)
-    found = pm.identify(log.between(0.0, 2.0), ARM, by=["upper_arm_link.mass", "forearm_link.com"])
-    problem: Any = replaced(found.model, base=found.phi, basis=np.diag([1.0, 0.1, 0.1, 0.1]))
-    segments = of_plant([log], problem, 0.1).select(slice(2))
-    p, starts = np.zeros(4), segments.start
-    _, slopes = linearize(problem, segments, p, starts, np.arange(4))
-
-    def change(j: int, h: float) -> Array:
-        way = np.stack([h * np.eye(4 + 18)[j], -h * np.eye(4 + 18)[j]])
-        pair = simulate(problem, segments, p + way[:, :4], starts + way[:, None, 4:])
-        return np.asarray((pair[0] - pair[1]) / (2 * h))
-
-    for j in (0, 1, 3, 6, 8, 15, 20):
-        best, error = (4 * change(j, 5e-4) - change(j, 1e-3)) / 3, change(j, 5e-4) - change(j, 1e-3)
-        assert np.abs(slopes[j] - best).max() < 1e-9 + 0.1 * np.abs(error).max(), j
 
 
 def drive(scale: float = 1.0) -> Any:

@@ -22,7 +22,6 @@ from pinmobile.balance import max_path_speed
 from pinmobile.controllers import Backstepping, TorqueToVoltage, UnicycleTracking, WheelSpeed
 from pinmobile.parts import evolved
 from pinmobile.wheels import MOTORS, ByVoltage, DifferentialGear, Ramp, Support, Wheel, WheelFriction
-from pinmobile.wheels._motors import MotorLaw
 from tests.parts import steady
 from tests.refusals import refusals
 from tests.wheeled import BODY, CASTER, CENTRAL, WHEEL, G, run
@@ -82,31 +81,6 @@ def test_on_a_ramp_the_gear_takes_its_share_of_the_power_either_way(slope: float
     k, eta = 0.03, 0.8 if slope > 0 else 1 / 0.8
     expected = (k * volts / 1.2 - 0.004 - load / (eta * 20)) / (20 * (k * k / 1.2 + 1e-5))
     np.testing.assert_allclose(v[-2:], expected, rtol=1e-11)
-
-
-def test_the_smooth_law_of_a_motor_is_its_law_where_its_wheel_turns() -> None:
-    motor = evolved(MOTOR, torque_limit=6.0)
-    constants = [np.array([x]) for x in (1.2, 0.03, 1e-5, 0.004, 0.8, MOTOR.gear)]
-    law = MotorLaw([motor], *constants)
-    limited = 0
-    for volts, rate in np.random.default_rng(2).uniform(-1, 1, (200, 2)) * np.array([30.0, 60.0]):
-        torque = law.smooth_torque(0, law.volts(0, volts), rate, np.sign(rate))
-        assert torque == pytest.approx(float(motor.torque(volts, rate)), rel=1e-12, abs=1e-12)
-        limited += abs(torque) == 6.0
-    assert 0 < limited < 150
-    # Between both directions it has no jump.
-    at = [law.smooth_torque(0, 12.0, 0.0, sign) for sign in (-1.0, -1e-9, 0.0, 1e-9, 1.0)]
-    assert at[1] == pytest.approx(at[3], rel=1e-8)
-    assert at[4] == pytest.approx(float(motor.torque(12.0, 1e-12)), rel=1e-9)
-
-
-@GROUNDS
-def test_a_robot_too_heavy_to_move_feels_the_torque_of_a_held_motor(ground: Any) -> None:
-    heavy = MobileRobot(1e12, 1e12, com=(0.0, 0.0, 0.2))
-    robot = WheeledRobot(heavy, table(evolved(MOTOR, current=np.inf)), ground).by_voltage()
-    _, v, memory = steps(robot, (6.0, 6.0), 0.01, 1)
-    assert np.abs(v).max() < 1e-9
-    np.testing.assert_allclose(memory.torques, MOTOR.stall_torque(6.0), rtol=1e-6)
 
 
 @GROUNDS
@@ -246,7 +220,7 @@ def test_the_volts_for_torques_give_them_within_the_limits_of_motors() -> None:
 
 
 @GROUNDS
-def test_driven_follows_as_torques_would_and_is_told_what_was_applied(ground: Any) -> None:
+def test_driven_follows_as_torques_would(ground: Any) -> None:
     table_ = table(MOTOR)
     wheeled = WheeledRobot(BODY, table_, ground)
     ideal = WheeledRobot(BODY, table_)
@@ -256,29 +230,6 @@ def test_driven_follows_as_torques_would_and_is_told_what_was_applied(ground: An
     found = pm.simulate(wheeled.by_voltage(), controller, PATH, **given)
     assert found.engine == "COMPILED"
     assert np.abs(found.q[-1, :2] - PATH(2.0).q[:2]).max() < 0.02
-    limited = TorqueToVoltage(Torques(3.0, 100.0), wheeled)
-    nothing: Any = None
-    u, state = limited(0.0, q0, v0, nothing, limited.initial_state(nothing))
-    assert abs(u[1]) <= 24.0
-    inner, _ = limited.applied(u, state)
-    np.testing.assert_allclose(inner[0], 3.0, rtol=1e-12)
-    assert inner[1] < 10.0
-
-
-class Torques:
-    """Torques that stay, and what was applied as its state."""
-
-    def __init__(self, *u: float) -> None:
-        self.u = np.array(u)
-
-    def __call__(self, t: Any, q: Any, v: Any, reference: Any, state: Any) -> tuple[Array, Any]:
-        return self.u, state
-
-    def initial_state(self, context: Any) -> Any:
-        return np.zeros(2)
-
-    def applied(self, u: Array, state: Any) -> Any:
-        return u
 
 
 @pytest.mark.parametrize("kind", ["skid", "torque"])

@@ -364,20 +364,3 @@ def test_damping_and_friction_of_a_model_are_kept() -> None:
     # What else the file says of a joint comes through, too.
     for name in ("armature", "rotorInertia", "rotorGearRatio", "effortLimit", "velocityLimit"):
         np.testing.assert_array_equal(getattr(robot.model, name)[3:], getattr(model, name), name)
-
-
-@pytest.mark.filterwarnings("ignore:arm.urdf. damping and friction")
-def test_a_saved_rollout_knows_whether_damping_and_friction_are_what_they_were(
-    urdf: Path, tmp_path: Path
-) -> None:
-    urdf.write_text(RESISTED)
-    robot = BOX.mount(urdf, (0, 0, 0.2, 0))
-    file = tmp_path / "run.npz"
-    driven(robot).save(file)
-    loaded = pm.Rollout.load(file).plant
-    assert loaded == robot
-    assert loaded.joint_damping.tolist() == robot.joint_damping.tolist()
-    urdf.write_text(RESISTED.replace('friction="0.2"', 'friction="0.4"'))
-    changed = pm.Rollout.load(file).plant
-    assert isinstance(changed, PlantDescription)
-    assert "joints' damping, friction and rotors differ from the stored ones" in changed.reason

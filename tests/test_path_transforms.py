@@ -1,7 +1,6 @@
 """Paths that are put anywhere: circles by centre, rounded polylines, moved, one after another."""
 
 import re
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -12,13 +11,11 @@ from scipy.integrate import quad
 
 from pinmobile import PD, MobileRobot, Tangent, Uniform, ensemble
 from pinmobile.errors import InvalidArgument
-from pinmobile.parts import numbers
 from pinmobile.paths import (
     Circle,
     CompositePath,
     Hold,
     Line,
-    Lissajous,
     Path,
     Polyline,
     Spline,
@@ -68,16 +65,6 @@ def test_a_circle_starts_in_the_direction_of_its_heading(rate: float, centre: An
             assert (as_complex(path(0)) - complex(*centre)) / 2 == pytest.approx(
                 -1j * side * np.exp(1j * heading)
             )
-
-
-def test_without_more_words_a_circle_has_the_bits_of_the_lecture_s_figure() -> None:
-    circle, figure = Circle(3, 0.1, 60), Lissajous(3, 3, 0.1, 0.1, 60)
-    t = np.linspace(0, 60, 601)
-    for order in range(4):
-        assert circle.derivative(t, order).tobytes() == figure.derivative(t, order).tobytes()
-    assert list(numbers(circle)) == ["radius", "rate"]
-    assert Circle(3, 0.1, 60, (0, 3)) != circle
-    np.testing.assert_array_equal(Circle(3, 0.1, 60, (0, 3), -np.pi / 2)(t), circle(t))
 
 
 # -- lines and polylines ---------------------------------------------------------------------------
@@ -170,15 +157,6 @@ def test_a_path_is_turned_and_then_shifted(x: float, y: float, turn: float, orde
         assert (piece.start, piece.end) == (other.start, other.end)
 
 
-def test_a_reference_turns_with_its_path() -> None:
-    path = Lissajous(2, 2, 0.4, 0.2, 10)
-    here, there = Tangent(path), Tangent(path.moved(1, 2, 0.5))
-    t = np.linspace(0, 10, 40)
-    np.testing.assert_allclose(there(t).q[:, 2], here(t).q[:, 2] + 0.5, rtol=0, atol=1e-13)
-    for order in (1, 2):
-        np.testing.assert_allclose(there(t)[order][:, 2], here(t)[order][:, 2], rtol=0, atol=1e-12)
-
-
 # -- one after another -----------------------------------------------------------------------------
 
 
@@ -229,35 +207,6 @@ def test_rounding_is_no_jump() -> None:
     assert CompositePath([turn, Line(end, end + 2 * direction, 2)]).duration == 5
     with pytest.raises(InvalidArgument, match=r"1e-08 m from"):
         CompositePath([turn, Line(end + np.array([1e-8, 0]), end + 2 * direction, 2)])
-
-
-@dataclass(frozen=True)
-class Broken:
-    """Straight on, and at t = 1 s somewhere else."""
-
-    duration: float = 2.0
-
-    def __call__(self, t: Any) -> Any:
-        return self.derivative(t, 0)
-
-    def derivative(self, t: Any, order: int) -> Any:
-        t = np.asarray(t, float)
-        return np.stack(
-            [Line((0, 0), (2, 0), 2).derivative(t, order)[..., 0], (order == 0) * (t >= 1) * 0.25], -1
-        )
-
-    @property
-    def pieces(self) -> Any:
-        return (
-            pieces_of(Line((0, 0), (1, 0), 1))
-            + CompositePath([Line((0, 0), (1, 0), 1), Line((1, 0), (2, 0), 1)]).moved(0, 0.25).pieces[1:]
-        )
-
-
-def test_a_user_s_path_that_jumps_is_refused() -> None:
-    message = "path jumps from (1, 0) m to (1, 0.25) m at t = 1 s, expected pieces that meet"
-    with pytest.raises(InvalidArgument, match=f"^{re.escape(message)}$"):
-        Tangent(Broken())
 
 
 # -- in ensembles ----------------------------------------------------------------------------------

@@ -320,20 +320,6 @@ def test_a_pose_paths_twist_and_rate_are_its_slopes() -> None:
     np.testing.assert_allclose(ends.twist[:, 3:], 0, atol=1e-15)
 
 
-@pytest.mark.parametrize("axis", [(0, -1, 0), (-1, 1, 1), (-3, 0, 4)], ids=str)
-def test_half_a_turn_of_a_pose_has_one_sense_whatever_rounding_leaves(axis: Any) -> None:
-    unit = np.array(axis) / np.linalg.norm(axis)
-    leading = unit[np.flatnonzero(unit)[0]]
-    actual, target = np.tile(START, (20, 1, 1)), np.tile(START, (20, 1, 1))
-    rng = np.random.default_rng(7)
-    for k in range(20):
-        angle = np.pi + (0, 1e-15, -1e-15, 1e-9, -1e-9)[k % 5]
-        target[k, :3, :3] = pin.exp3(angle * unit) @ START[:3, :3] + rng.uniform(-1e-15, 1e-15, (3, 3))
-    turns = pose_error(target, actual)[:, 3:]
-    # log3 is good to the root of rounding here.
-    np.testing.assert_allclose(turns, np.tile(np.sign(leading) * np.pi * unit, (20, 1)), rtol=0, atol=1e-6)
-
-
 def test_manipulability_is_yoshikawas() -> None:
     q = UR5.random_configuration(np.random.default_rng(5), (4, 2))
     J = UR5.frame_jacobian(q)
@@ -351,16 +337,6 @@ def test_manipulability_is_yoshikawas() -> None:
     assert BOX.manipulability(np.zeros((2, 3))).tolist() == [0, 0]
     with pytest.raises(pm.InvalidArgument, match="frame is 'base_link', expected a frame of an arm"):
         UR5.arm_manipulability(q, "base_link")
-
-
-def test_a_frames_drift_is_the_rate_of_its_jacobian() -> None:
-    robot, rng, h = KINOVA, np.random.default_rng(6), 1e-5
-    q, v = robot.random_configuration(rng, (5,)), rng.normal(size=(5, robot.nv))
-    ahead, behind = (robot.frame_jacobian(robot.integrate(q, s * h * v)) for s in (1, -1))
-    slope = np.einsum("nij,nj->ni", ahead - behind, v) / (2 * h)
-    np.testing.assert_allclose(
-        robot.frame_bias_acceleration(q, v), slope, atol=1e-6
-    )  # eps / h times numbers of order 10
 
 
 @pytest.mark.parametrize(

@@ -111,30 +111,6 @@ def test_a_car_keeps_the_limit_of_its_steering_where_the_hand_wants_more() -> No
     pm.simulate(robot, pm.Backstepping(pm.UnicycleTracking(), robot), motion, dt=0.01, duration=0.1)
 
 
-def test_it_is_the_motion_of_damped_least_squares_in_the_independent_velocities() -> None:
-    """Without limits, one step of a differential base is the damped least-squares step of J S."""
-    robot, damping = ROBOTS["differential"], 1e-2
-    target, dt = sideways(), 0.05
-    motion = pm.solve_inverse_kinematics(robot, target, q0=BENT, dt=dt, posture_gain=0)
-    q, off = BENT.copy(), []
-    for t in motion.t[1:]:
-        for _ in range(6):
-            T = ARMED.frame_pose(q)
-            error = pm.reaching.pose_error(target(t).pose, T)
-            S = np.zeros((9, 8))
-            S[2:, 1:] = np.eye(7)
-            S[:2, 0] = np.cos(q[2]), np.sin(q[2])
-            A = np.vstack([ARMED.frame_jacobian(q) @ S, damping * np.eye(8)])
-            x = np.linalg.solve(A.T @ A, A[:6].T @ error)
-            c, s = np.cos(q[2] + x[1] / 2), np.sin(q[2] + x[1] / 2)
-            q = q + np.r_[c * x[0], s * x[0], x[1:]]
-        off.append(np.linalg.norm(error[:3]))
-    assert max(off) < 1e-9
-    # Both reach the pose by steps of least norm: the same redundant motion, up to the order of the step.
-    assert np.abs(motion(DURATION).q - q).max() < 5e-3
-    assert motion.max_error()[0] < 3e-4
-
-
 def test_limits_of_the_drive_hold_at_all_times_and_the_error_says_which_when_and_where() -> None:
     robot, most = ROBOTS["differential"], np.r_[0.4, 0.3, ARMED.velocity_limit[3:]]
     words = (
@@ -237,22 +213,6 @@ def test_an_opposite_axis_has_an_error_of_half_a_turn() -> None:
     error = task.error_of((np.zeros(3), np.eye(3)), pin.SE3(np.diag([1.0, -1, -1]), np.zeros(3)))
     assert np.linalg.norm(error) == pytest.approx(np.pi)
     assert error[2] == 0
-
-
-@pytest.mark.parametrize(
-    ("target", "options", "text"),
-    [
-        ([line((1, 0, 0)), line((1, 0, 0), 2.0)], {}, "^targets last 2 to 3 s, expected the same duration$"),
-        (
-            pm.FrameTask(line((1, 0, 0))),
-            {"frame": "x"},
-            "^frame is 'x' beside a FrameTask, expected FrameTask",
-        ),
-    ],
-)
-def test_other_tasks_are_refused(target: Any, options: Any, text: str) -> None:
-    with pytest.raises(pm.InvalidArgument, match=text):
-        pm.solve_inverse_kinematics(ROBOTS["differential"], target, **options)
 
 
 def test_other_weights_and_axes_are_refused() -> None:

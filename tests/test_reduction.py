@@ -15,10 +15,9 @@ from pinmobile.derivation import (
     RollerWheel,
     car,
     differential_drive,
-    lecture,
     roller_drive,
 )
-from pinmobile.errors import InvalidArgument, UnknownName
+from pinmobile.errors import InvalidArgument
 
 BODY = {"m": 30.0, "xbc": 0.05, "ybc": -0.02, "Icz": 2.3}
 HAND: dict[str, Any] = {"mass": 30.0, "com": (0.05, -0.02), "yaw_inertia": 2.3}
@@ -132,32 +131,6 @@ def test_a_robot_on_wheels_has_the_derived_model(kind: str) -> None:
     np.testing.assert_allclose(found.M, M, rtol=0, atol=10 * ROUNDING * np.abs(M).max())
     np.testing.assert_allclose(found.n, n[:, 0], rtol=0, atol=10 * ROUNDING * np.abs(M).max())
     np.testing.assert_allclose(found.B, B, rtol=0, atol=10 * ROUNDING * np.abs(B).max())
-
-
-@pytest.mark.parametrize("kind", ["roller", "car"])
-def test_steps_fit_each_other(kind: str) -> None:
-    derivation = DRIVES[kind]()
-
-    def at(name: str) -> Any:
-        return derivation.written_out(derivation[name].expression)
-
-    S, nu = at("S"), ImmutableMatrix(derivation.nu)
-    rng = np.random.default_rng(7)
-    values = {symbol: rng.uniform(0.3, 0.8) for symbol in at("A").free_symbols}
-    slips, rolling = (np.array(matrix.xreplace(values).evalf(), float) for matrix in (at("A"), S))
-    assert np.abs(slips @ rolling).max() < ROUNDING
-    assert rolling.shape == (len(derivation.coordinates), len(nu))
-    assert np.linalg.matrix_rank(rolling) == len(nu) == rolling.shape[0] - np.linalg.matrix_rank(slips)
-    body, n = lecture(), at("n")
-    assert at("M")[:3, :3] == body.mass_matrix
-    assert is_zero(n[:2, 0] - body.nonlinear_effects[:2, 0])
-    held = n[2].subs({symbols("deltadot"): 0})
-    assert is_zero(held - body.nonlinear_effects[2])
-    assert derivation["M_nu"].expression == derivation.mass_matrix
-    assert derivation["n_nu"].expression == derivation.nonlinear_effects
-    assert derivation["B_nu"].expression == derivation.input_matrix
-    with pytest.raises(UnknownName, match="unknown step 'S_dots', did you mean 'S_dot'"):
-        derivation["S_dots"]
 
 
 def test_mecanum_wheels_are_the_textbooks() -> None:

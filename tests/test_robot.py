@@ -106,34 +106,6 @@ def test_integrate_and_difference_are_inverse_and_psi_is_compared_on_the_circle(
     assert robot.integrate(q, [0, 0, 10])[2] == 13  # unwrapped
 
 
-def test_leading_axes_broadcast_and_none_is_empty(offset_robot: MobileRobot) -> None:
-    q = np.random.default_rng(0).normal(size=(2, 4, 3))
-    many = offset_robot.inverse_dynamics(q, [0.1, 0.2, 0.3], np.zeros((4, 3)))
-    assert many.shape == (2, 4, 3)
-    np.testing.assert_array_equal(
-        many[1, 3], offset_robot.inverse_dynamics(q[1, 3], [0.1, 0.2, 0.3], [0, 0, 0])
-    )
-    assert offset_robot.mass_matrix(np.empty((0, 3))).shape == (0, 3, 3)
-    assert offset_robot.kinetic_energy(np.empty((0, 3)), np.empty((0, 3))).shape == (0,)
-
-
-def test_unchecked_calls_are_the_methods_in_public_order(offset_robot: MobileRobot) -> None:
-    robot = offset_robot
-    for k in range(2):
-        robot = robot.mount("ur5", at=(0.2 - 0.4 * k, 0.1, 0.3, 0.4))
-    calls, generator = robot.law, np.random.default_rng(3)
-    for _ in range(5):
-        q, v, a = generator.normal(size=(3, robot.nv))
-        pairs = (
-            (calls.mass_matrix(q).copy(), robot.mass_matrix(q)),
-            (calls.nonlinear_effects(q, v).copy(), robot.nonlinear_effects(q, v)),
-            (calls.inverse_dynamics(q, v, a).copy(), robot.inverse_dynamics(q, v, a)),
-            (calls.forward_dynamics(q, v, a).copy(), robot.forward_dynamics(q, v, a)),
-        )
-        for found, expected in pairs:
-            np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
-
-
 def test_gravity_does_not_leak_into_the_level_plane(states: tuple[Array, ...]) -> None:
     """Rounded right angles would tilt the chain by 2e-16 rad: 1e-14 N for a robot that rests."""
     robot = MobileRobot(1000, 50, com=(0.3, -0.2, 0.5))

@@ -14,7 +14,6 @@ from pinmobile.controllers import WheelSpeed
 from pinmobile.verification._wheels import WheelTree
 from pinmobile.verification.bodies import tree_motion
 from pinmobile.wheels import GearTrain, Motor, Ramp, WheelFriction
-from pinmobile.wheels._loads import shared_loads
 from tests import wheeled
 from tests.parts import steady
 from tests.wheeled import BODY, CENTRAL, CORNERS, WHEEL, G, run
@@ -152,25 +151,6 @@ def test_of_two_solutions_a_step_takes_that_of_the_step_before_and_says_which() 
             assert (step.v[0] - v[0]) / 0.01 == pytest.approx(a, abs=1e-7)
             assert (memory.tips, memory.missed) == (tips, 0)
             assert memory.loads[:2].sum() == pytest.approx(30 * G * tips, abs=1e-6)
-
-
-def test_loads_that_balance_are_found_wherever_the_wheels_stand() -> None:
-    rng = np.random.default_rng(0)
-    for k in range(100):
-        places = rng.uniform(-0.5, 0.5, (8, 2))
-        loads = rng.dirichlet(np.full(8, 0.3)) if k % 2 else rng.dirichlet(np.ones(8)) * (rng.random(8) < 0.5)
-        if not loads.any():
-            continue
-        loads *= 300.0 / loads.sum()
-        rows = np.column_stack([np.ones(8), places[:, 1], -places[:, 0]])
-        found = shared_loads(places.tolist(), *(rows.T @ loads).tolist())
-        assert not found.tips
-        assert min(found.values) >= 0
-        # As near as the weight may press beyond the edge of all contacts and not tip.
-        size = 300.0 * np.sqrt(np.square(places).sum())
-        np.testing.assert_allclose(rows.T @ found.values, rows.T @ loads, rtol=0, atol=1e-5 * size)
-        # Of all loads that balance, those of springs have the least sum of squares.
-        assert np.square(found.values).sum() <= np.square(loads).sum() * (1 + 1e-5)
 
 
 def test_loads_on_a_ramp_and_of_spinning_wheels_are_those_of_the_tree() -> None:

@@ -1,7 +1,6 @@
 """How a robot stands: the ground below its wheels, its footprint and its top, against numbers by hand."""
 
 import pickle
-import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,6 @@ import pytest
 import pinmobile as pm
 from pinmobile import plots
 from pinmobile.balance import MotionStates, required_friction, tip_over_margin, zero_moment_point
-from pinmobile.robot.support_geometry import hull
 from pinmobile.urdf import Body
 from tests import wheeled
 from tests.refusals import refused
@@ -97,47 +95,18 @@ def test_ridgeback_stands_on_rocker_and_wheels_and_its_top_is_that_of_its_mesh(t
 # A differential drive stands on its casters too
 
 
-@pytest.mark.parametrize(
-    ("model", "mass", "corners", "top"),
-    [
-        ("burger", 0.82573504, [(-0.081, 0), (0, -0.08), (0, 0.08)], 0.010 + 0.172 - 0.0065 + 0.0315 / 2),
-        (
-            "waffle",
-            1.3729096,
-            [(-0.177, -0.064), (0, -0.144), (0, 0.144), (-0.177, 0.064)],
-            0.010 + 0.122 - 0.0065 + 0.0315 / 2,
-        ),
-    ],
-)
-def test_turtlebot_stands_on_two_wheels_and_its_casters(
-    tmp_path: Path, model: str, mass: float, corners: Any, top: float
-) -> None:
-    robot = read(tmp_path, wheeled.turtlebot(model))
-    burger = model == "burger"
-    scan = (-0.032, 0.0, 0.182) if burger else (-0.064, 0.0, 0.132)
-    casters = (0.005, (-0.081, 0, 0.006)) if burger else (0.010, (-0.177, 0, 0.006))
-    parts = ((mass, (0, 0, 0.010)), (2 * 0.028498940, (0, 0, 0.033)), casters, (0.114, scan))
+def test_turtlebot_stands_on_two_wheels_and_its_casters(tmp_path: Path) -> None:
+    robot = read(tmp_path, wheeled.turtlebot("waffle"))
+    casters, scan = (0.010, (-0.177, 0, 0.006)), (0.114, (-0.064, 0.0, 0.132))
+    parts = ((1.3729096, (0, 0, 0.010)), (2 * 0.028498940, (0, 0, 0.033)), casters, scan)
     total, x, y, z = by_hand(*parts)
     np.testing.assert_allclose([robot.mass, *robot.com], [total, x, y, z], atol=1e-12)
     # Angles of 1.57 turn the millimetre by which the caster's box is off its frame: 0.8 µm.
-    stands_on(robot, corners, 1e-6)
-    assert robot.top == pytest.approx(top, abs=1e-15)
+    stands_on(robot, [(-0.177, -0.064), (0, -0.144), (0, 0.144), (-0.177, 0.064)], 1e-6)
+    assert robot.top == pytest.approx(0.010 + 0.122 - 0.0065 + 0.0315 / 2, abs=1e-15)
     assert braking(robot, 0.0) == pytest.approx(-x, abs=1e-9)  # its wheels are the front edge
     assert braking(robot, -1.0) == pytest.approx(-(x + z / G), abs=1e-9)
     assert robot.grounded
-
-
-def test_wheels_with_limits_of_1e16_are_wheels(tmp_path: Path) -> None:
-    robot = read(tmp_path, wheeled.mp400())
-    # Their radius of 76.5 mm is more than the height of the axles, 74 mm above base_footprint.
-    assert "ground below its wheels by their radii, at z = -0.0025 m" in robot.source
-    mass, x, _, z = by_hand(
-        (30, (0, 0, 0.0025)), (2 * 1.82362, (0, 0, 0.0765)), (4 * 1.4, (-0.0275, 0, 0.0385))
-    )
-    np.testing.assert_allclose([robot.mass, robot.com[0], robot.com[2]], [mass, x, z], atol=1e-14)
-    half = [(-0.22, -0.155), (0, -0.26), (0.165, -0.155)]
-    stands_on(robot, [*half, *((x, -y) for x, y in half[::-1])])
-    assert robot.locked_joints == ("wheel_0_joint", "wheel_1_joint")
 
 
 def test_pmb2_is_read_and_the_link_that_no_body_is_is_named(tmp_path: Path) -> None:
@@ -371,28 +340,4 @@ def test_a_damaged_note_of_our_own_is_refused(tmp_path: Path, words: str) -> Non
         read(tmp_path, text)
 
 
-def test_the_hull_is_the_same_whatever_rounding_does() -> None:
-    points = np.array([*box(0.256, 0.2854), [0, 0.2854], [0, 0], [0.256, 0]])
-    expected = np.array(box(0.256, 0.2854))
-    rng = np.random.default_rng(3)
-    for _ in range(50):
-        noisy = rng.permutation(points) + rng.uniform(-1e-16, 1e-16, points.shape)
-        np.testing.assert_allclose(hull(noisy), expected, atol=1e-15)  # type: ignore[arg-type]
-    assert hull([(0, 0), (1, 0)]) is None
-    assert hull([(0, 0), (1, 0), (2, 1e-17), (1, 0)]) is None
-
-
 # What is drawn stands on the grid
-
-
-def test_a_wheeled_base_is_drawn_on_the_ground(tmp_path: Path) -> None:
-    seen = wheeled.husky().replace("<collision>", "<visual>").replace("</collision>", "</visual>")
-    robot = read(tmp_path, seen)  # what is drawn tells the radius where there is no collision geometry
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        items = robot.visual_model.geometryObjects
-    rolling = [item for item in items if item.name.startswith("wheel")]
-    assert len(rolling) == 4
-    for item in rolling:
-        assert item.placement.translation[2] == pytest.approx(0.1651, abs=1e-15)
-    assert robot.top == pytest.approx(0.35978, abs=1e-12)

@@ -1,7 +1,6 @@
 """Robots that take speeds for commands: their law, what it follows from, and loops around them."""
 
 import pickle
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -10,11 +9,9 @@ import sympy
 
 import pinmobile as pm
 from pinmobile import parts
-from pinmobile.arrays import Array
-from pinmobile.controllers import Kanayama, RandomSteps, TrackingState, VelocityCommand
+from pinmobile.controllers import Kanayama, RandomSteps, VelocityCommand
 from pinmobile.identification import VELOCITY_ROBOTS
 from pinmobile.parts import evolved
-from pinmobile.plant import Context
 from pinmobile.viewer import Viewer
 from tests.refusals import refusals
 
@@ -30,36 +27,6 @@ def on_wheels(x: float = 0.0, motor: pm.Motor = MOTOR, com: Any = (0.06, 0.0, 0.
     supports = [(-0.25, 0.0), (0.25, 0.0)]
     table = pm.WheelTable.differential(0.5, 0.1, x=x, motor=motor, supports=supports, **wheel)
     return pm.WheeledRobot(pm.MobileRobot(30.0, 2.3, com=com), table)
-
-
-class Fed:
-    """A kinematic law that asks for the reference's speed and yaw rate."""
-
-    def initial_state(self, context: Context) -> None:
-        return
-
-    def check(self, t: Array, speed: Array, yaw_rate: Array) -> None:
-        return
-
-    def __call__(self, tracked: TrackingState, state: None) -> tuple[tuple[Any, Any], None]:
-        return (tracked.speed, tracked.yaw_rate), state
-
-
-class Waves:
-    """A reference of which speed and yaw rate alone matter, of a point ahead of the axle."""
-
-    duration = 4.0
-
-    def __init__(self, ahead: float = 0.0) -> None:
-        self.ahead = ahead
-
-    def __call__(self, t: Any) -> pm.Reference:
-        t = np.asarray(t, float)
-        u, w = 0.5 + 0.3 * np.sin(1.7 * t), 0.3 + 0.8 * np.sin(1.3 * t)
-        psi, zero = 0.3 * t + 0.8 / 1.3 * (1 - np.cos(1.3 * t)), 0 * t
-        c, s, aside = np.cos(psi), np.sin(psi), self.ahead * w
-        v = np.stack([u * c - aside * s, u * s + aside * c, w], axis=-1)
-        return pm.Reference(np.stack([zero, zero, psi], axis=-1), v, 0 * v)
 
 
 def test_the_acceleration_is_the_derivative_of_the_velocity() -> None:
@@ -105,19 +72,6 @@ def test_steps_alone_are_exponentials() -> None:
     np.testing.assert_allclose(w, 0.5 * (1 - np.exp(-run.t / turning)), rtol=0, atol=1e-6)
     psi = 0.5 * (run.t - turning * (1 - np.exp(-run.t / turning)))
     np.testing.assert_allclose(run.q[:, 2], psi, rtol=0, atol=1e-6)
-
-
-def test_it_rolls_all_the_way_and_rk4_keeps_its_order() -> None:
-    robot = pm.VelocityRobot(THETA, ahead=0.2)
-    ends = []
-    for dt in (0.1, 0.05, 0.025, 0.0125):
-        run = pm.simulate(robot, VelocityCommand(Fed(), robot), Waves(0.2), dt=0.1, substeps=round(0.1 / dt))
-        across = run.v[:, 1] * np.cos(run.q[:, 2]) - run.v[:, 0] * np.sin(run.q[:, 2])
-        np.testing.assert_allclose(across, 0.2 * run.v[:, 2], rtol=0, atol=1e-13)
-        ends.append(run.q[-1])
-    steps = [np.abs(one - other).max() for one, other in pairwise(ends)]
-    orders = np.log2(np.divide(steps[:-1], steps[1:]))
-    assert (orders > 3.5).all()
 
 
 def test_accelerations_and_commands_are_limited() -> None:
@@ -187,13 +141,6 @@ def test_no_force_pushes_it_and_it_starts_rolling() -> None:
         robot.forward_dynamics(np.zeros(3), np.zeros(3), np.zeros(2), [1.0, 0.0, 0.0])
     with pytest.raises(pm.InvalidArgument, match=r"wheels that slide sideways at 0\.3 m/s"):
         pm.simulate(robot, command, circle, dt=0.1, q0=np.zeros(3), v0=[0.5, 0.3, 0.0])
-    with pytest.raises(pm.InvalidArgument, match="reference moves sideways"):
-        pm.simulate(
-            pm.VelocityRobot(THETA, ahead=0.2),
-            VelocityCommand(pm.UnicycleTracking(), pm.VelocityRobot(THETA, 0.2)),
-            circle,
-            dt=0.1,
-        )
 
 
 def test_backstepping_knows_how_late_the_firmware_is() -> None:

@@ -328,26 +328,6 @@ def on_swivel(at: str, wheel_at: str, name: str = "caster", **more: Any) -> str:
     return link(fork, own) + axis + wheel(name, wheel_at, fork)
 
 
-def test_a_caster_with_its_fork_has_the_energy_of_the_files_tree(tmp_path: Path) -> None:
-    text = base(PAIR, on_swivel("-0.3 0.05 0.1", "-0.04 0 0", fork_at="-0.01 0 0"))
-    robot = read(tmp_path, text)
-    (caster,) = [each for each in robot.table.wheels if each.name == "caster"]
-    assert (caster.steering, caster.trail, caster.motor) == ("free", (-0.04, 0.0), None)
-    assert (caster.x, caster.y) == (-0.3, 0.05)
-    # First moment of fork and wheel; what else the fork weighs is at the pivot.
-    assert caster.mass == pytest.approx((1 * 0.04 + 0.5 * 0.01) / 0.04)
-    about_pivot = 0.003 + 1 * 0.04**2 + 0.001 + 0.5 * 0.01**2
-    assert caster.yaw_inertia == pytest.approx(about_pivot - caster.mass * 0.04**2)
-    rng = np.random.default_rng(1)
-    for _ in range(5):
-        q, v = rng.normal(size=robot.nq), rng.normal(size=robot.nv)
-        c, s = cos(q[2]), sin(q[2])
-        twist = [c * v[0] + s * v[1], c * v[1] - s * v[0], v[2]]
-        joints = {name: (q[4 + k], v[4 + k]) for k, name in enumerate(robot.table.names)}
-        joints["caster_swivel"] = q[3], v[3]
-        assert robot.kinetic_energy(q, v) == pytest.approx(energy_of_file(text, twist, joints), rel=1e-12)
-
-
 def test_a_swivel_with_limits_is_driven(tmp_path: Path) -> None:
     limit = '<limit lower="-0.6" upper="0.5" effort="3" velocity="1"/>'
     robot = read(tmp_path, base(PAIR, on_swivel("0.5 0 0.1", "0 0 0", kind="revolute", limit=limit)))

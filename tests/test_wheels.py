@@ -242,25 +242,6 @@ def test_what_is_projected_rolls_and_is_nearest(kind: str) -> None:
     np.testing.assert_allclose(traced.project(q, v), near, atol=1e-11)
 
 
-@pytest.mark.parametrize(("kind", "substeps"), [("car", 2), ("casters", 1)])
-def test_compiled_it_rolls_as_in_python_from_the_start_that_is_given(kind: str, substeps: int) -> None:
-    """At dt = 0.02 a step leaves 1e-4 m/s for the projection to take: not to project would be seen."""
-    wheeled, rng = pm.WheeledRobot(BASE, ROLLING[kind]), np.random.default_rng(8)
-    q0, u = wheeled.rest.copy(), rng.normal(size=wheeled.nu) * 0.1
-    q0[2:] += rng.uniform(-0.3, 0.3, wheeled.nq - 2)
-    v0 = wheeled.project(q0, rng.normal(size=wheeled.nv))
-    v0 += 1e-11  # within what a start may slip
-    engines = pm.Engine.PYTHON, pm.Engine.COMPILED
-    runs = [run(wheeled, u, 0.02, 1.0, q0, v0, substeps=substeps, engine=engine) for engine in engines]
-    for name in ("q", "v", "a"):
-        one, other = (getattr(each, name) for each in runs)
-        np.testing.assert_allclose(other, one, rtol=1e-10, atol=1e-10)
-    for each in runs:
-        np.testing.assert_array_equal(each.v[0], v0)
-        slips = np.einsum("nij,nj->ni", wheeled.constraint_matrix(each.q), each.v)
-        assert np.abs(slips[1:]).max() < 1e-13
-
-
 # Runs
 
 

@@ -2,7 +2,6 @@
 
 import re
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -198,10 +197,6 @@ test_what_does_not_fit_together_is_refused = refusals(
         "base is Circle(radius=1.0, rate=1.0, duration=6.0), a path, which has no heading, expected a "
         "trajectory: wrap the path in Tangent or FixedHeading, such as Tangent(path)",
     ),
-    (
-        lambda: pm.WholeBody(UR5, pm.WholeBody(UR5, CIRCLE, None), None),
-        "base(0).q has shape (9,), expected (3,): x, y and psi",
-    ),
     (lambda: pm.WholeBody(UR5, CIRCLE), "joints has 0 paths, expected 1, one per arm of the robot"),
     (
         lambda: pm.WholeBody(TWO, CIRCLE, None, pm.Hold(np.zeros(5), 6)),
@@ -274,14 +269,6 @@ def test_decoupled_is_the_locked_load_and_the_arm_on_a_fixed_base(robot: pm.Mobi
     np.testing.assert_array_equal(single, tau[4])
 
 
-def test_without_arms_or_coupling_decoupled_is_computed_torque() -> None:
-    q, v, reference = drawn(BARE)
-    decoupled, whole = (
-        make(BARE, 3, 2)(0.0, q, v, reference, None)[0] for make in (Decoupled, pm.ComputedTorque)
-    )
-    np.testing.assert_array_equal(decoupled, whole)
-
-
 def test_the_whole_body_controller_tracks_and_the_decoupled_one_lags() -> None:
     """UR5 on a circle of 1 m at 0.5 rad/s, every joint through 0.5 rad and back in 6 s, dt = 1 ms."""
     trajectory, dt = there_and_back(UR5), 1e-3
@@ -297,26 +284,6 @@ def test_the_whole_body_controller_tracks_and_the_decoupled_one_lags() -> None:
     # Measured: 0.4 mm, 4 mrad. What it ignores does not vanish with dt.
     assert (decoupled > 100 * whole).all()
     assert decoupled.max() > 1e-3
-
-
-def test_forces_act_on_the_base_of_a_robot_with_arms() -> None:
-    robot = pm.MobileRobot.box().mount("kinova")
-    whole = pm.WholeBody(robot, pm.Tangent(pm.Circle(1, 0.5, 0.2)), None)
-    push, seen = np.array([5.0, -3.0, 0.4]), []
-
-    def wind(t: float, q: Array, v: Array) -> Array:
-        seen.append((q.shape, v.shape))
-        return push
-
-    free = pm.ComputedTorque(robot, 100, 20)
-    padded = np.append(push, np.zeros(robot.nv - 3))
-    held_too = pm.law(lambda t, q, v, reference: free(t, q, v, reference, None)[0] + padded)
-    options: dict[str, Any] = {"dt": 0.01, "integrator": pm.rk4}
-    held = pm.simulate(robot, held_too, whole, **options)
-    for force in (wind, pm.ConstantForce(push)):
-        run = pm.simulate(robot, free, whole, forces=[force], **options)
-        np.testing.assert_allclose(run.q, held.q, rtol=0, atol=1e-13)
-    assert set(seen) == {((3,), (3,))}
 
 
 def test_pd_with_gravity_comes_to_rest_at_the_goal_where_pd_sags() -> None:

@@ -122,23 +122,6 @@ def test_noise_has_one_line_in_each_part_of_the_band_and_nothing_beyond() -> Non
         assert all(np.abs(peaks - f).min() < 1 / 400 for f in own)
 
 
-def test_components_of_noise_are_not_correlated() -> None:
-    bandwidth, duration = 5.0, 800.0
-    f = noise_frequencies(bandwidth)
-    t = np.linspace(0, duration, 80_001)[:-1]  # 20 samples in the fastest cosine's period
-    values = NoiseForce((1, 1, 1), bandwidth, 0)(t, Q, V)
-    for one, other in ((0, 1), (0, 2), (1, 2)):
-        apart, sums = (np.abs(op.outer(f[:, one], f[:, other])) for op in (np.subtract, np.add))
-        assert apart.min() > 0.28 * bandwidth / 16
-        # The mean of cos(2 pi f t) cos(2 pi g t) over a time T, whatever the phases, is at most
-        # 1 / (2 pi T) (1 / |f - g| + 1 / (f + g)), and each of K^2 products has the weight 2 / K. Of samples
-        # a time h apart it is x / sin x times that, x = pi h (f + g) <= 0.32: 2 % more.
-        bound = (1 / apart + 1 / sums).sum() / (16 * np.pi * duration)
-        assert bound < 0.02
-        assert abs((values[:, one] * values[:, other]).mean()) < 1.02 * bound
-    assert np.abs(np.corrcoef(values.T) - np.eye(3)).max() < 0.03
-
-
 def test_a_seed_repeats_and_a_generator_goes_on() -> None:
     one, same = NoiseForce((1, 2, 3), 2.0, 5), NoiseForce((1, 2, 3), 2.0, np.random.default_rng(5))
     np.testing.assert_array_equal(one.phases, same.phases)
