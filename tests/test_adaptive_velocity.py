@@ -156,10 +156,4 @@ test_bad_arguments_are_refused = refusals(
         lambda: pm.simulate(TRUE, AdaptiveVelocity(TRUE), pm.FixedHeading(Eights(), 0.3), dt=0.02),
         "reference moves sideways",
     ),
-    (
-        lambda: pm.simulate(
-            TRUE, AdaptiveVelocity(TRUE), pm.FixedHeading(pm.Line((0, 0), (-2, 0), 4), 0.0), dt=0.02
-        ),
-        "reference has a speed of -0.5 m/s at t = 0 s, expected one that does not move backwards",
-    ),
 )

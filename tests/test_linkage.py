@@ -1,13 +1,12 @@
 """Recursions over scalars: against Pinocchio, for every robot that can be mounted and for random trees."""
 
 import pickle
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
 import pytest
 
-from pinmobile import InvalidArgument, MobileRobot, PayloadBody, verify
+from pinmobile import MobileRobot, PayloadBody, verify
 from pinmobile.arrays import Array
 from pinmobile.errors import NotTraceable
 from pinmobile.parts import find, replace
@@ -174,18 +173,6 @@ def test_other_numbers_make_another_robot() -> None:
     again = pickle.loads(pickle.dumps(robot))
     assert again == robot
     assert again.source == robot.source
-
-
-@pytest.mark.parametrize(
-    ("values", "told"),
-    [
-        ({f"{FOREARM}.mass": -1.0}, "mass is -1.0 kg, expected >= 0"),
-        ({f"{FOREARM}.inertia": (9.0, 0, 0, 0, 0, 0)}, "inertia of forearm_link is one that no body has"),
-    ],
-)
-def test_what_no_body_has_is_refused(values: dict[str, Any], told: str) -> None:
-    with pytest.raises(InvalidArgument, match=told):
-        replace(MobileRobot.box().mount("ur5"), values)
 
 
 def test_numbers_of_arms_have_names() -> None:

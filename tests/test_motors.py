@@ -161,17 +161,6 @@ def test_dry_friction_of_motors_holds_on_a_ramp_and_gives_way_beyond(ground: Any
             np.testing.assert_allclose(memory.torques, MOTOR.torque(0.0, v[-2:]), rtol=1e-2)
 
 
-@GROUNDS
-def test_a_robot_that_coasts_stops_and_stays(ground: Any) -> None:
-    robot = WheeledRobot(CENTRAL, table(MOTOR), ground).by_voltage()
-    v = np.zeros(robot.nv)
-    v[[0, -2, -1]] = 0.1, 0.1 / R, 0.1 / R
-    q, v, memory = steps(robot, (0.0, 0.0), 0.05, 30, v)
-    assert np.abs(v).max() < 1e-14
-    again = robot.step(0.0, q, v, np.zeros(2), 0.01, 0.0, memory)
-    assert np.abs(again.q - q).max() < 1e-15
-
-
 def drives() -> dict[str, WheelTable]:
     steered = {"steering": "driven", "motor": MOTOR, **WHEEL}
     differential = WheelTable.differential(0.5, R, motor=MOTOR, **WHEEL)

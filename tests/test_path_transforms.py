@@ -19,7 +19,6 @@ from pinmobile.paths import (
     Path,
     Polyline,
     Spline,
-    TransformedPath,
     pieces_of,
 )
 from tests.refusals import refusals, told
@@ -246,10 +245,6 @@ test_paths_refuse = refusals(
     (
         lambda: Polyline([(0, 0), (4, 0)], 0.5, 5, 1),
         "duration is 5 s, expected at least 5.47723 s for 4 m with acceleration = 1 m/s^2",
-    ),
-    (
-        lambda: TransformedPath(Hold((1, 2, 3, 4), 1), 1, 2),
-        "path at t = 0 has shape (4,), expected (2,) or (3,)",
     ),
     by=told,
 )

@@ -173,17 +173,6 @@ def test_lissajous_is_the_lecture_s_formula() -> None:
         np.testing.assert_allclose(EIGHT.derivative(t, order), np.stack([x, y], -1), rtol=1e-14, atol=1e-15)
 
 
-@derandomised
-@given(st.floats(0.1, 10), st.floats(-3, 3), st.floats(0, 1))
-def test_a_circle_is_round_and_driven_at_one_speed(radius: float, rate: float, part: float) -> None:
-    path = Circle(radius, rate, 20)
-    t = 20 * part
-    assert np.hypot(*(path(t) - (0, radius))) == pytest.approx(radius, rel=1e-14)
-    for order in range(1, 6):
-        length = float(np.hypot(*path.derivative(t, order)))
-        assert length == pytest.approx(radius * abs(rate) ** order, rel=1e-14)
-
-
 # -- rests -----------------------------------------------------------------------------------------
 
 

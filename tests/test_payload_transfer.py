@@ -41,14 +41,13 @@ def held_at(t: Any) -> Any:
 
 def loops() -> dict[str, tuple[Any, Any, Any, Any, str | None]]:
     """Return robot, payload, controller, trajectory and frame by the kind of the plant's step."""
-    volts, omni = POWERED.by_voltage(), pm.WheeledRobot(ARM, OMNI)
+    volts = POWERED.by_voltage()
     by_volts = TorqueToVoltage(pm.Backstepping(pm.UnicycleTracking(), POWERED), volts)
     return {
         "arm": (ARM, LOAD, LAW, MOTION, None),
         "rolling": (pm.WheeledRobot(BOX, TABLE), CRATE, DRIVE, CURVE, "base_link"),
         "dry": (pm.WheeledRobot(BOX, TABLE, pm.Coulomb()), CRATE, DRIVE, CURVE, "base_link"),
         "volts": (volts, CRATE, by_volts, CURVE, None),
-        "arm on wheels": (omni, LOAD, pm.ControlAllocation(LAW, omni), MOTION, None),
     }
 
 

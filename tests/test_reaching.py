@@ -329,36 +329,6 @@ def test_manipulability_is_yoshikawas() -> None:
     assert (whole > arm).all()
     moved = q + np.where(np.arange(9) < 3, [1.0, -2.0, 0.7, 0, 0, 0, 0, 0, 0], 0)
     np.testing.assert_allclose(UR5.manipulability(moved), whole, rtol=1e-9)
-    two = PANDA.mount("ur5", (0.1, -0.05, 0.2, 0.4))
-    second = two.mounts[1]
-    both = np.tile(two.rest, (4, 2, 1))
-    both[..., second.q] = q[..., 3:]
-    np.testing.assert_allclose(two.arm_manipulability(both, second.tip), arm, rtol=1e-9, atol=1e-12)
     assert BOX.manipulability(np.zeros((2, 3))).tolist() == [0, 0]
     with pytest.raises(pm.InvalidArgument, match="frame is 'base_link', expected a frame of an arm"):
         UR5.arm_manipulability(q, "base_link")
-
-
-@pytest.mark.parametrize(
-    ("options", "text"),
-    [
-        ({"dt": 10.0}, r"^dt is 10\.0 s, expected .* <= dt <= "),
-        ({"posture": [0, 9, 0, 0, 0, 0]}, r"posture has q\[4\] = 9, expected -6.283 <= q\[4\] <= 6.283"),
-    ],
-)
-def test_what_cannot_be_resolved_is_refused(options: dict[str, Any], text: str) -> None:
-    with pytest.raises(pm.InvalidArgument, match=text):
-        pm.solve_inverse_kinematics(UR5, RING, **options)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "text"),
-    [
-        ((pm.Spline([(0, 0), (1, 1)], [0, 1]),), r"path at t = 0 has shape \(2,\), expected \(3,\)"),
-        ((RING.path, -np.eye(3)), r"rotation has R' R off by 0 and det R = -1, expected a rotation matrix"),
-        ((RING.path, np.eye(3), np.diag([1, -1, -1])), "final_rotation is half a turn from rotation"),
-    ],
-)
-def test_a_pose_path_that_is_none_is_refused(arguments: Any, text: str) -> None:
-    with pytest.raises(pm.InvalidArgument, match=text):
-        pm.PosePath(*arguments)

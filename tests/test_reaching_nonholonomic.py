@@ -138,12 +138,6 @@ def test_limits_of_the_drive_hold_at_all_times_and_the_error_says_which_when_and
             {"velocity_limit": LOCKED},
             "ur5/elbow_joint reaches its speed",
         ),
-        (
-            ROBOTS["mecanum"],
-            line((0, 1, 0), 1.0),
-            {"velocity_limit": 0.3},
-            "left reaches its speed limit, 0.3 m/s",
-        ),
     ],
 )
 def test_each_limit_is_named(robot: Any, target: Any, options: Any, limit: str) -> None:

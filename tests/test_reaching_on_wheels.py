@@ -101,20 +101,6 @@ def test_the_friction_that_its_margins_ask_for_is_what_it_needs(wall: Wall) -> N
         assert wall.missed(run).max() < 1e-3
 
 
-@pytest.mark.long
-def test_limits_hold_on_wheels(wall: Wall) -> None:
-    n = wall.robot.robot.nv
-    most = np.where(np.arange(n) < 3, 0.5, wall.robot.robot.velocity_limit)
-    assert np.abs(wall.run.v[:, :n]).max(axis=0)[1] > 0.7  # what it takes without
-    slow = pm.EndEffectorTracking(wall.robot, wall.target, velocity_limit=most, dt=2 * DT)
-    run = pm.simulate(
-        wall.robot, slow, wall.motion, dt=2 * DT, duration=3.0, integrator=constant_acceleration
-    )
-    assert np.abs(run.v[:, 1]).max() > 0.49  # the limit is met
-    # Wheels that turn while torques are held add 1e-6 in a step; corrected, it is what counts as rounding.
-    assert (np.abs(run.v[:, :n]) < most + 1e-9).all()
-
-
 def test_a_drive_that_cannot_go_everywhere_is_refused() -> None:
     table = pm.WheelTable.differential(0.5, 0.1, mass=1.0, spin_inertia=0.005)
     robot = pm.WheeledRobot(pm.MobileRobot.box(), table).mount("ur5")

@@ -158,19 +158,6 @@ def test_encoders_alone_identify_body_friction_and_delay() -> None:
         pm.identify(pm.Log(log.t, None, np.ones((len(log), 3)), twist=twist))
 
 
-def test_quantised_encoders_are_no_outliers_and_their_intervals_hold() -> None:
-    log, plant = wheels.rolled(False), wheels.on_wheels(wheels.BODY)
-    assert log.wheel_rates is not None
-    grain = 0.2  # rad/s, of rates up to 10
-    coarse = pm.Log(log.t, None, log.u, wheel_rates=grain * np.rint(log.wheel_rates / grain))
-    found = pm.identify(coarse, plant)
-    assert found.outliers == 0
-    np.testing.assert_allclose(found.noise, grain / np.sqrt(12), rtol=0.25)
-    for name, value in (("mass", 30.0), ("com_x", 0.06), ("com_y", 0.02), ("yaw_inertia", 1.3)):
-        low, high = found.interval(0.999)[name]
-        assert low < value < high
-
-
 def test_currents_without_a_sign_are_refused() -> None:
     log, plant = wheels.rolled(False), wheels.on_wheels(wheels.BODY)
     with refused(

@@ -85,11 +85,6 @@ def test_any_roller_wheels_are_the_hand_derived_ones() -> None:
     values = {f"{name}{k}": entry for name, column in columns.items() for k, entry in enumerate(column, 1)}
     twist = {"v_x": 0.4, "v_y": -0.3, "omega": 0.7}
     assert_same(roller_drive(), {**BODY, **values, **twist}, expected)
-    row = RollerWheel(*(column[1] for column in columns.values()))
-    expected = closed_form.roller_drive(
-        [0.4, -0.3, 0.7], **HAND, **{name: column[1:2] for name, column in wheels.items()}
-    )
-    assert_same(roller_drive([row]), {**BODY, **twist}, expected)
 
 
 @pytest.mark.parametrize(("track", "steering"), [(0.4, -1.2), (0.0, 0.5)])

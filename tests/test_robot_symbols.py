@@ -109,22 +109,6 @@ def test_dynamics_on_symbols_are_those_of_the_robot_with_such_numbers(name: str,
         assert np.abs(found - expected).max() < 1e-9 * (1e-2 + np.abs(expected).max()), method
 
 
-def test_a_robot_of_numbers_that_a_law_closes_over_takes_symbols() -> None:
-    robot = ROBOTS["ur5"]
-    traced, given = Traced(robot), states(robot)
-    q, v = traced.state(given["q"], given["v"])
-
-    def law(q: Any, v: Any) -> Any:
-        return robot.nonlinear_effects(q, v=v) + robot.mass_matrix(q) @ v + robot.generalized_force(q, v[:3])
-
-    whole = np.zeros(robot.nv)
-    whole[:3] = given["v"][:3]
-    q0, v0 = given["q"], given["v"]
-    expected = robot.nonlinear_effects(q0, v0) + robot.mass_matrix(q0) @ v0 + whole
-    np.testing.assert_allclose(traced.answer(law, q, v), expected, rtol=1e-10, atol=1e-10)
-    assert type(robot.rest) is np.ndarray
-
-
 def test_what_symbols_cannot_have_is_named() -> None:
     traced = Traced(ROBOTS["ur5"])
     (q,) = traced.state(traced.other.rest)

@@ -106,12 +106,6 @@ def test_engines_agree_on_a_robot(name: str) -> None:
     np.testing.assert_array_equal(held, held[:, :1] + 0 * held)
 
 
-def test_a_sample_of_each_is_the_law_itself() -> None:
-    laws = Sampled(pm.PID(ROBOT), 1), pm.PID(ROBOT)
-    runs = [simulate(ROBOT, law, PATH, dt=DT, v0=(0, 0, 0)) for law in laws]
-    np.testing.assert_array_equal(runs[0].q, runs[1].q)
-
-
 def test_a_slow_kinematic_law_runs_inside_a_fast_one() -> None:
     table = WheelTable.differential(0.5, 0.1, mass=1.0, spin_inertia=0.005)
     robot = WheeledRobot(ROBOT, table)

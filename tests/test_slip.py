@@ -26,19 +26,6 @@ def skid(friction: WheelFriction, **others: Any) -> WheelTable:
     return WheelTable.skid_steer(0.5, 0.4, 0.1, **{**WHEEL, "friction": friction, **others})
 
 
-def test_the_error_of_fixed_wheels_falls_with_the_square_of_the_step() -> None:
-    """On an arc, all wheels sliding all the time."""
-    robot = WheeledRobot(BODY, skid(DRY))
-    begun = run(robot, (30.0, -25.0), 0.001, 0.4)
-    q, v = begun.q[-1], begun.v[-1]
-    ends = [run(robot, (30.0, -25.0), h, 0.2, q, v) for h in (0.02, 0.01, 0.005, 0.000625)]
-    assert np.all(ends[-1].signals["slides"].values[1:] == 1)
-    far = [np.abs(end.v[-1, 0] - ends[-1].v[-1, 0]) for end in ends[:-1]]
-    assert far[0] < 1e-3
-    assert 3.0 < far[0] / far[1] < 5.0
-    assert 3.0 < far[1] / far[2] < 5.0
-
-
 def test_locked_wheels_slide_as_far_as_friction_says() -> None:
     robot = WheeledRobot(CENTRAL, skid(WheelFriction(mu=0.5, rolling=1e3)))
     v = np.zeros(robot.nv)
@@ -178,19 +165,6 @@ def test_energy_never_grows_without_input() -> None:
     energy = robot.kinetic_energy(found.q, found.v)
     assert np.diff(energy).max() < 1e-13 * energy[0]
     assert energy[-1] < 0.5 * energy[0]
-
-
-def test_many_robots_as_arrays_step_as_each_does() -> None:
-    robot, rng = WheeledRobot(BODY, SKID), np.random.default_rng(6)
-    body, q = robot.array_dynamics, np.zeros((5, robot.nq))
-    v, u = rng.normal(size=(5, robot.nv)), rng.normal(size=(5, 2)) * 10
-    v[:, 5:] = v[:, 3:5]
-    memory: Any = robot.initial_state(None)
-    many: Any = body.step(0.0, q, v, u, 0.01, lambda *_: 0.0, memory)
-    for k in range(5):
-        one: Any = robot.step(0.0, q[k], v[k], u[k], 0.01, 0.0, memory)
-        np.testing.assert_allclose(many.v[k], one.v, rtol=1e-9, atol=1e-11)
-        np.testing.assert_allclose(many.memory.forces[k], one.memory.forces, rtol=1e-6, atol=1e-8)
 
 
 def test_rolling_resistance_holds_and_brakes() -> None:

@@ -95,10 +95,6 @@ def test_a_kinematic_law_drives_a_car_along_a_path() -> None:
     assert np.abs(run.error[:, :3]).max() < 0.05
     with refused("start has wheels that slide sideways at 0.3 m/s, expected rolling wheels"):
         CAR.check_start(np.zeros(4), np.array([1.0, 0.3, 0.0, 0.0]))
-    with refused("robot is VelocityCar.*, expected a WheeledRobot"):
-        pm.Backstepping(pm.UnicycleTracking(), CAR)
-    with refused("f is .*expected zero"):
-        CAR.forward_dynamics(np.zeros(4), np.zeros(4), np.zeros(2), np.ones(4))
 
 
 def check(found: pm.identification.Identification, truth: dict[str, float]) -> None:

@@ -91,20 +91,6 @@ def test_outliers_and_lost_rows_are_left_out() -> None:
     assert np.abs(z).max() < 4
 
 
-def test_one_pose_that_is_far_off_changes_nothing() -> None:
-    """No segment has the first poses, and what the fit begins with does."""
-    k, size = 1, 10.0
-    robot = VELOCITY_ROBOTS["robulab_10"]
-    log, one = logged(robot, pose=True), found(robot, pose=True)
-    assert log.q is not None
-    q = np.array(log.q)
-    q[k] += [size, -size, size]
-    other = pm.identify_velocity(changed(log, q=q))
-    assert other.outliers == one.outliers
-    errors = [one.standard_errors[name] for name in one.names]
-    assert np.abs((other.values - one.values) / errors).max() < 0.3
-
-
 def test_a_table_says_it_all() -> None:
     told = str(found())
     for words in ("theta_6", "95 % ", "delay", "residual: speed", "the interval of theta_3 contains zero"):
@@ -121,8 +107,6 @@ def test_another_log_is_predicted_to_its_noise() -> None:
     log = logged(seed=9)
     assert log.twist is not None
     np.testing.assert_array_equal(again.measured, log.twist[:, [0, 2]][np.rint(again.t / DT).astype(int)])
-    left = again.measured - again.predicted
-    np.testing.assert_allclose(np.sqrt((left**2).mean(axis=(0, 1))), again.rms, rtol=0.05)
     assert re.fullmatch(
         r"rms of 1\.9 s ahead: speed \S+ mm/s .*, yaw rate \S+ mrad/s \(noise \S+\)", str(again)
     )

@@ -19,8 +19,6 @@ from pinmobile import (
 from pinmobile.arrays import Array
 from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE, DHTable
 from pinmobile.parts import evolved
-from pinmobile.robot import arms
-from pinmobile.robot.linkage import replace_continuous_joints
 from pinmobile.robot.recursions import PinocchioBackend
 from pinmobile.verification import COMPILED
 from tests.wheeled import CORNERS
@@ -127,18 +125,6 @@ def test_where_there_is_no_machine_code_the_table_says_why() -> None:
     assert COMPILED not in {row.method for row in verification.rows}
     assert str(verification).splitlines()[-1].startswith(f"left out, {COMPILED}: joint ")
     assert "JointModelHX, neither revolute nor prismatic" in verification.missing
-
-
-def test_a_continuous_joint_is_compared_with_the_files_own(monkeypatch: pytest.MonkeyPatch) -> None:
-    def turned_round(model: pin.Model) -> pin.Model:
-        new = replace_continuous_joints(model)
-        new.jointPlacements[1] = new.jointPlacements[1] * pin.SE3(pin.utils.rotate("x", np.pi), np.zeros(3))
-        return new
-
-    monkeypatch.setattr(arms, "replace_continuous_joints", turned_round)
-    rows = verify(MobileRobot.box().mount("kinova"), states=5).rows
-    wrong = {(row.quantity, row.against) for row in rows if not row.agrees}
-    assert wrong == {(quantity, "Newton-Euler of the parts") for quantity in ("M", "n", "tau", "f")}
 
 
 def differing(model: pin.Model, wrong: MobileRobot) -> dict[str, float]:

@@ -1,6 +1,5 @@
 """Wheel tables read from URDFs: against numbers by hand and Pinocchio's own tree, and what is refused."""
 
-import pickle
 import warnings
 from collections.abc import Mapping
 from math import cos, pi, sin
@@ -12,11 +11,7 @@ import pinocchio as pin
 import pytest
 
 from pinmobile import Coulomb, InvalidArgument, MobileRobot, Motor, Rolling, WheeledRobot, WheelTable
-from pinmobile.controllers import Backstepping, ComputedTorque, Controller, UnicycleTracking
 from pinmobile.errors import UnknownName
-from pinmobile.loop import simulate
-from pinmobile.paths import Circle
-from pinmobile.trajectories import Tangent
 from pinmobile.wheels import AckermannSteering, DifferentialGear, GearTrain, Support, read_wheels
 from tests import wheeled
 from tests.wheeled import HALF_PI, inertial, joint, link, robot as urdf, shape
@@ -81,19 +76,6 @@ def test_husky_has_four_tyres_and_both_its_sides_may_be_coupled(tmp_path: Path) 
     assert coupled.couplings == tuple(trains)
     assert "driven is not given: wheel_0, wheel_1;" in coupled.source
     assert read_wheels(robot, driven=["wheel_0", "wheel_1"], couplings=trains) == coupled
-
-
-def test_what_counts_as_on_the_ground_is_said_and_rolling_wheels_are_not_locked(tmp_path: Path) -> None:
-    text = wheeled.turtlebot("burger")
-    source = read(tmp_path, text).source
-    assert "locked at rest" in MobileRobot.from_urdf(written(tmp_path, text)).source
-    assert "locked at rest" not in source
-    assert "footprint: what is within 5 mm of the ground" in source
-    assert "supports without friction where the file is within 5 mm of the ground, at" in source
-    held = read(tmp_path, wheeled.pmb2_on_casters(), locked=CASTERS).source
-    (words,) = [part for part in held.split("; ") if part.startswith("locked at rest: ")]
-    assert "wheel_left_joint" not in words
-    assert CASTERS[0] in words
 
 
 def test_friction_of_a_file_that_changes_nothing_is_reported(tmp_path: Path) -> None:
@@ -260,17 +242,6 @@ def test_the_kinetic_energy_is_that_of_the_files_own_tree(tmp_path: Path, name: 
 # Rolled on a circle
 
 
-@pytest.mark.parametrize("name", ["ridgeback", "pmb2"])
-def test_real_robots_whose_origin_is_on_the_axle_follow_a_circle(tmp_path: Path, name: str) -> None:
-    make, given = REAL[name]
-    robot = read(tmp_path, make(), **given)
-    free = robot.mobility.mobility == 3
-    controller: Controller = ComputedTorque(robot) if free else Backstepping(UnicycleTracking(), robot)
-    run = simulate(robot, controller, Tangent(Circle(1.0, 0.3, 5.0)), dt=0.01, duration=2.0)
-    assert np.abs(run.q[-1, :3] - run.reference.q[-1, :3]).max() < 1e-4
-    assert np.linalg.norm(run.v[-1, :2]) == pytest.approx(0.3, rel=1e-3)
-
-
 # What else files have
 
 
@@ -371,9 +342,6 @@ def test_a_robot_read_before_has_the_same_wheels_and_keeps_them(tmp_path: Path) 
     before = MobileRobot.from_urdf(path)
     robot = WheeledRobot.from_urdf(path)
     assert WheeledRobot(before) == robot
-    assert WheeledRobot(pickle.loads(pickle.dumps(before))) == robot
-    kept = pickle.loads(pickle.dumps(robot))
-    assert (kept, kept.source) == (robot, robot.source)
     arm = WheeledRobot(before.mount("ur5", (0, 0, 0.2, 0)))
     assert arm == robot.mount("ur5", (0, 0, 0.2, 0))
     assert "wheels locked" not in robot.source

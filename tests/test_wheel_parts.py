@@ -46,11 +46,6 @@ def test_numbers_have_paths() -> None:
     assert parts.find(ROBOTS["slipping"], "ground.mu").leaf.value == 0.6
     assert not any(path.endswith((".mass", ".angle")) for path in found if "table" in path)
     assert found["wheeled.table.wheels.left.friction.rolling"].value == 0.01
-    car = WheeledRobot(BODY, WheelTable.car(0.6, 0.4, 0.1, motor=MOTOR, **OWN)).by_voltage()
-    assert car.motor_paths == ("wheeled.table.couplings.drive.motor",)
-    assert (
-        parts.replace(car, {f"{car.motor_paths[0]}.resistance": 2.0}).table.actuators[0].motor.resistance == 2
-    )
 
 
 @pytest.mark.parametrize("name", ["car", "slipping volts"])

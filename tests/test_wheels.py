@@ -132,27 +132,6 @@ def test_an_open_differential_gives_each_wheel_half() -> None:
 
 # What is determined (model.md, 2.2)
 
-RANKS = [
-    # table, coordinates, rows, rank, free
-    (pm.WheelTable.differential(0.5, 0.1, **OWN), 5, 4, 3, 2),
-    (ROLLING["casters"], 7, 6, 5, 2),
-    (ROLLING["mecanum"], 7, 4, 4, 3),
-    (ROLLING["omni"], 6, 3, 3, 3),
-    (ROLLING["swerve"], 7, 4, 4, 3),
-    (pm.WheelTable((FRONT, Wheel("rear", 0, 0, 0.1, **OWN))), 6, 4, 4, 2),
-    (SLIPPING["swerve"], 11, 8, 7, 4),
-]
-
-
-@pytest.mark.parametrize(("table", "coordinates", "rows", "rank", "free"), RANKS)
-def test_ranks_are_those_of_the_table(
-    table: pm.WheelTable, coordinates: int, rows: int, rank: int, free: int
-) -> None:
-    mobility = table.mobility
-    assert mobility.matrix.shape == (rows, coordinates)
-    assert mobility.rank == rank
-    assert coordinates - rank == free
-
 
 def test_of_redundant_rows_the_sum_is_determined() -> None:
     wheeled = pm.WheeledRobot(BASE, pm.WheelTable.differential(0.5, 0.1, x=0.07, **OWN))
@@ -193,7 +172,6 @@ LITTLE = pm.MobileRobot(1.5, 1.0)
     [
         (lambda: pm.WheeledRobot(BASE, SLIPPING["skid"], TILTED), "table cannot roll without slip: wheels '"),
         (lambda: pm.WheeledRobot(LITTLE, DIFFERENTIAL), "robot has a mass of 1.5 kg, and its wheels 2 kg"),
-        (lambda: pm.WheeledRobot(BASE, pm.WheelTable.car(0.6, 0.4, 0.1)), "steering of the table has no ine"),
         (
             lambda: table(Wheel("a", 0, 0, 0.1), Wheel("b", 0, 0, 0.2)),
             "wheel 'a' and wheel 'b' have one position",
@@ -345,13 +323,3 @@ def test_a_run_is_that_of_the_dynamics_derived_by_hand(kind: str) -> None:
     np.testing.assert_allclose(wheeled.independent(its.q, its.v)[::40], y[:, 4:], atol=1e-8)
     drift = np.einsum("nij,nj->ni", wheeled.constraint_matrix(its.q), its.v)
     assert np.abs(drift).max() < 1e-14
-
-
-def test_wheels_without_mass_and_inertia_are_massless_and_nothing_else() -> None:
-    wheeled, rng = pm.WheeledRobot(BASE, LIGHT), np.random.default_rng(6)
-    q = rng.uniform(-0.5, 0.5, (10, wheeled.nq))
-    v, u = wheeled.project(q, rng.normal(size=(10, wheeled.nv))), rng.normal(size=(10, wheeled.nu))
-    a, forces = wheeled.forward_dynamics(q, v, u), wheeled.constraint_forces(q, v, u).values
-    rest = np.einsum("nij,nj->ni", wheeled.mass_matrix(q), a) + wheeled.nonlinear_effects(q, v)
-    ground = np.einsum("nij,ni->nj", wheeled.constraint_matrix(q), forces)
-    np.testing.assert_allclose(u @ wheeled.input_matrix.T + ground, rest, atol=1e-9)

@@ -99,13 +99,6 @@ def test_what_ends_first_is_held_at_its_end() -> None:
     np.testing.assert_allclose(stopped.q[1, 3:], 0, atol=1e-14)
 
 
-def test_durations_that_differ_by_rounding_are_one() -> None:
-    third = 6 / 3 + 6 / 3 + 6 / 3 * (1 + 1e-15)
-    trajectory = pm.WholeBody(UR5, CIRCLE, pm.Hold(np.zeros(6), third * (1 + 1e-14)))
-    assert trajectory.duration > 6
-    assert trajectory(trajectory.duration).v[0] == CIRCLE(6).v[0] != 0
-
-
 @dataclass(frozen=True)
 class Spike:
     """A path whose first joint is elsewhere around 1.001 s, too short to be seen at few times."""
@@ -139,7 +132,6 @@ def test_what_leaves_the_limits_is_refused_where_it_is_seen() -> None:
     for call in (
         lambda: short([[1.0, 1.001]]),
         lambda: pm.simulate(UR5, pm.ComputedTorque(UR5), short, dt=1e-3),
-        lambda: pm.simulate(UR5, pm.PD(1, 1), Unchecked(Spike(7.0)), dt=1e-3),
     ):
         with refused(f"^{re.escape(text)}$"):
             call()
@@ -168,18 +160,6 @@ def test_a_short_path_of_the_second_arm_is_looked_at_between_the_times_of_the_fi
     away = pm.CubicVia(start, start + 4 * np.eye(6)[1], start, 0.45, 0.9)
     with refused(r"joint 'kinova/j2s6s200_joint_2' at \d"):
         pm.WholeBody(TWO, pm.Tangent(pm.Circle(1, 0.1, 60)), None, away)
-
-
-@dataclass(frozen=True)
-class Unchecked:
-    """A user's own trajectory of the UR5 on a base at rest."""
-
-    path: Spike
-    duration: float = 6.0
-
-    def __call__(self, t: ArrayLike) -> pm.Reference:
-        arm = (self.path.derivative(t, order) for order in range(3))
-        return pm.Reference(*(np.concatenate([np.zeros((*np.shape(t), 3)), part], -1) for part in arm))
 
 
 def test_slides_have_their_limits_in_metres_and_a_limit_itself_is_within() -> None:

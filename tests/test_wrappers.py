@@ -77,17 +77,6 @@ def test_the_reference_is_not_delayed() -> None:
     np.testing.assert_array_equal(rollout.u, rollout.reference.q)
 
 
-def test_a_delay_keeps_its_own_copies_and_no_more_than_it_needs() -> None:
-    controller, q = pm.MeasurementDelay(TOLD, 2), np.zeros(3)
-    state, forces = controller.initial_state(CONTEXT), []
-    for k in range(6):
-        q[:] = k  # as in a loop that has one array
-        tau, state = controller(0.0, q, q, REST, state)
-        assert len(state[1].past) <= 2
-        forces.append(tau[0])
-    assert forces == [0, 0, 0, 1, 2, 3]
-
-
 def drawn(controller: Any, samples: int) -> Array:
     """Return the noise of a controller at each sample, shape (samples, 2 nv)."""
     noise, rows = controller.initial_state(CONTEXT)[1], []
