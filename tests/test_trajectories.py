@@ -310,7 +310,7 @@ LATE = 2.0**17
     ids=["close", "at the start", "at the end", "behind a knot", "late", "many", "in step with samples"],
 )
 def test_every_rest_is_found_in_its_place(path: Path, rests: ArrayLike) -> None:
-    expected = rests + np.arange(np.size(rests))
+    expected = np.asarray(rests) + np.arange(np.size(rests))
     np.testing.assert_allclose(Tangent(path, 1.0).turns, expected, rtol=1e-10, atol=0)
 
 

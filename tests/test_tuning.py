@@ -320,7 +320,7 @@ def test_a_gear_a_radius_and_a_path_are_tuned() -> None:
         ({"by": ["kp", "controller.kp"]}, "by has kp, controller.kp, of which two mean the same number"),
         ({"by": ["mass"]}, "by has 'plant.mass', which is in the spread, expected other numbers"),
         ({"constraints": [Constraint(force)]}, "Constraint has bounds -inf and inf, expected lower < upper"),
-        ({"constraints": [Constraint(force, upper="a")]}, "bounds"),
+        ({"constraints": [Constraint(force, upper="a")]}, "bounds"),  # type: ignore[arg-type]
         ({"controller": pm.PD(1e9, 1e9)}, "the loop diverges with the given numbers"),
     ],
 )
