@@ -1,17 +1,14 @@
 """Order, drift and the cost of a held force, measured of each integrator and of some made to fail."""
 
-import re
-from itertools import combinations
 from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_hex
 
 from pinmobile import InvalidArgument, MobileRobot, plots, rk4
-from pinmobile.accuracy import Convergence, IntegratorReport, free_motion, integrator_report, invariants
+from pinmobile.accuracy import Convergence, IntegratorReport, free_motion, integrator_report
 from pinmobile.arrays import Array
 from pinmobile.integrators import constant_acceleration, semi_implicit_euler
 from pinmobile.palette import colour
@@ -109,18 +106,6 @@ def test_the_free_motion_obeys_the_robots_own_dynamics(robot: MobileRobot, t: fl
     np.testing.assert_allclose(a, (faster - slower) / (2 * h), rtol=0, atol=1e-6)
 
 
-@given(robot=robots, seed=st.integers(0, 2**32 - 1))
-def test_what_is_conserved_is_the_generalised_momentum(robot: MobileRobot, seed: int) -> None:
-    """M v is the momentum, and that about the body's origin; x p_y - y p_x takes it to the inertial one."""
-    q, v = np.random.default_rng(seed).normal(size=(2, 3))
-    p = robot.mass_matrix(q) @ v
-    now = invariants(robot, q, v)
-    scale = 1e-12 * np.abs(p).max() * (1 + np.abs(q).max())
-    np.testing.assert_allclose(now.momentum, p[:2], rtol=0, atol=scale + 1e-13)
-    assert now.angular_momentum == pytest.approx(p[2] + q[0] * p[1] - q[1] * p[0], abs=scale + 1e-12)
-    assert now.energy == pytest.approx(robot.kinetic_energy(q, v), rel=1e-11)
-
-
 def made(errors: Any, rounding: float = 1e-12) -> Convergence:
     steps: Array = 0.1 * np.power(0.5, np.arange(len(errors)))
     return Convergence("position", "m", steps, np.array(errors, float), np.full(len(errors), rounding))
@@ -131,10 +116,7 @@ def made(errors: Any, rounding: float = 1e-12) -> Convergence:
     [
         ([8.0, 1.0, 1 / 8], 3, "order 3.00"),
         ([np.inf, 1.0, 0.25, 1 / 16], 2, "order 2.00"),
-        ([np.nan, 1.0, 0.5], 1, "order 1.00"),
-        ([16e-8, 4e-8, 9e-12], 2, "order 2.00"),  # the last one may be rounding's
         ([1e-8, 1e-10, 1e-12, 1e-13], np.log2(100), "order 6.64"),  # the last two are rounding's
-        ([1.0, 1.0, 1.0], 0, "does not converge"),
         ([1.0, 2.0, 4.0], -1, "does not converge"),
         ([1e-13, 0.0, 1e-12], None, "exact to rounding"),
         ([1e-9, 1e-13, 1e-13], None, "too close to rounding for an order"),
@@ -150,9 +132,6 @@ def test_an_order_is_fitted_above_rounding(errors: Any, order: float | None, tex
 def test_the_report_reads_as_a_table_that_says_what_it_means(reports: Reports) -> None:
     lines = str(reports["rk4"]).splitlines()
     assert lines[0] == f"rk4 on {reports['rk4'].robot!r}"
-    heads = re.findall(r"h = \S+ s", lines[1])
-    assert heads == ["h = 0.1 s", "h = 0.05 s", "h = 0.025 s", "h = 0.0125 s", "h = 0.00625 s"]
-    assert lines[1].startswith("free body over 2 s ")
     assert lines[2].startswith("  position at the end [m] ")
     assert lines[2].endswith("   order 4.00")
     assert lines[3].endswith("   exact to rounding")
@@ -183,20 +162,9 @@ def test_a_step_that_is_wrong_is_told_from_one_that_is_not(integrator: Any, text
 @pytest.mark.parametrize(
     ("changed", "text"),
     [
-        (
-            {"integrator": "rk4"},
-            "integrator is 'rk4', expected an integrator of pinmobile.integrators or a similar function",
-        ),
-        ({"robot": 3}, "robot is 3, expected a MobileRobot"),
-        ({"duration": 0}, "duration is 0.0 s, expected > 0"),
-        ({"steps": 0.1}, "steps has shape (), expected (n,), n >= 2"),
-        ({"steps": (0.1,)}, "steps has shape (1,), expected (n,), n >= 2"),
         ({"steps": (0.1, 0.2)}, "steps are [0.1, 0.2] s, expected steps > 0, the largest first"),
-        ({"steps": (0.1, 0.1)}, "steps are [0.1, 0.1] s, expected steps > 0, the largest first"),
-        ({"steps": (0.1, 0.0)}, "steps are [0.1, 0.0] s, expected steps > 0, the largest first"),
         ({"steps": (0.3, 0.1)}, "duration is 2.0 s, expected a whole multiple of the step 0.3 s"),
         ({"steps": (0.1, 0.03)}, "steps[0] is 0.1 s, expected a whole multiple of the step 0.03 s"),
-        ({"steps": (4.0, 2.0)}, "duration is 2.0 s, expected a whole multiple of the step 4.0 s"),
     ],
 )
 def test_arguments_that_do_not_fit_are_refused(changed: dict[str, Any], text: str) -> None:
@@ -226,46 +194,8 @@ class TestFigure:
         assert loop.get_xlabel() == "step h [ms]"
 
     def test_a_guide_has_the_slope_that_it_says(self, reports: Reports) -> None:
-        axes = plots.integrator(reports["rk4"]).axes[0]
-        guide = axes.lines[1].get_xydata()
-        (x0, y0), (x1, y1) = np.log(np.asarray(guide))
-        assert (y1 - y0) / (x1 - x0) == pytest.approx(4)
-
-    def test_one_report_is_named_in_the_title(self, reports: Reports) -> None:
         figure = plots.integrator(reports["rk4"])
         assert figure.texts[0].get_text() == "Accuracy of rk4: error over the step"
-        assert plots.integrator(reports, title="Mine").texts[0].get_text() == "Mine"
-        (legend,) = figure.legends
-        assert [text.get_text() for text in legend.get_texts()] == ["whole order", "rounding"]
-
-    @pytest.mark.long
-    def test_nothing_overlaps_whatever_the_reports(self, reports: Reports) -> None:
-        failed = {
-            "a label that is longer than its panel is wide": integrator_report(explodes, steps=(0.1, 0.05)),
-            "balanced": integrator_report(rk4, MobileRobot.lecture(), steps=(0.1, 0.05, 0.01)),
-        }
-        for shown in (reports["rk4"], reports, failed):
-            figure = plots.integrator(shown)
-            canvas: Any = FigureCanvasAgg(figure)
-            canvas.draw()
-            boxes = [
-                a.get_tightbbox(canvas.get_renderer()) for a in (*figure.texts, *figure.legends, *figure.axes)
-            ]
-            for one, other in combinations(boxes, 2):
-                assert one is not None
-                assert other is not None
-                assert not one.padded(-1.0).overlaps(other.padded(-1.0))
-            assert all(
-                box is not None and figure.bbox.x0 <= box.x0 and box.x1 <= figure.bbox.x1 for box in boxes
-            )
-
-    def test_what_is_not_a_report_is_refused(self, reports: Reports) -> None:
-        for value, text in (
-            ({}, "reports is {}, expected an IntegratorReport or a mapping of labels to IntegratorReports"),
-            ([1], "reports is [1], expected an IntegratorReport or a mapping of labels to IntegratorReports"),
-            ({"a": 3}, "reports['a'] is 3, expected an IntegratorReport"),
-            ({1: reports["rk4"]}, "a label of reports is 1, expected text"),
-        ):
-            with pytest.raises(InvalidArgument) as caught:
-                plots.integrator(value)  # type: ignore[arg-type]
-            assert str(caught.value) == text
+        guide = figure.axes[0].lines[1].get_xydata()
+        (x0, y0), (x1, y1) = np.log(np.asarray(guide))
+        assert (y1 - y0) / (x1 - x0) == pytest.approx(4)

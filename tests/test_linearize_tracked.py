@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pinmobile import InvalidArgument, MobileRobot, WheeledRobot, WheelTable
+from pinmobile import MobileRobot, WheeledRobot, WheelTable
 from pinmobile.arrays import Array
 from pinmobile.wheels import Motor
 
@@ -67,21 +67,3 @@ def test_on_wheels_it_is_the_difference_quotient_of_pinocchios_constrained_tree(
     expected = [(moved(k, step) - moved(k, -step)) / (2 * step) for k in range(found.shape[-1])]
     # Two nested differences: h^2 and step^2 of slopes of order 10, and 1e-16 / (h step) of rounding.
     assert np.abs(found - np.transpose(expected)).max() < 2e-6 * np.abs(found).max()
-
-
-def test_many_states_are_each_its_own() -> None:
-    robot, generator = ON_WHEELS["differential with an arm"], np.random.default_rng(3)
-    states = [rolling(robot, generator) for _ in range(260)]
-    q, v = (np.array(x) for x in zip(*states, strict=True))
-    u = generator.normal(size=(260, robot.nu))
-    A, B = robot.linearize_tracked(q, v, u)
-    for k in (0, 255, 256):
-        one = robot.linearize_tracked(q[k], v[k], u[k])
-        assert np.allclose(A[k], one.A, rtol=1e-12, atol=1e-12)
-        assert np.allclose(B[k], one.B, rtol=1e-12, atol=1e-12)
-
-
-def test_wheels_that_steer_are_refused() -> None:
-    car = WheeledRobot(BODY, WheelTable.car(0.6, 0.4, 0.1, yaw_inertia=0.006))
-    with pytest.raises(InvalidArgument, match="steers wheels about 1 axes"):
-        car.linearize_tracked(car.rest, np.zeros(car.nv), np.zeros(car.nu))

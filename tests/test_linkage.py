@@ -1,19 +1,17 @@
 """Recursions over scalars: against Pinocchio, for every robot that can be mounted and for random trees."""
 
 import pickle
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
 import pytest
 
-from pinmobile import InvalidArgument, MobileRobot, PayloadBody, verify
+from pinmobile import MobileRobot, PayloadBody, verify
 from pinmobile.arrays import Array
-from pinmobile.compiled.tape import Tape, ancestors
-from pinmobile.errors import NotTraceable, UnknownName
+from pinmobile.errors import NotTraceable
 from pinmobile.parts import find, replace
 from pinmobile.robot.articulated import ArticulatedDynamics
-from pinmobile.robot.linkage import Linkage, Placement, exact
+from pinmobile.robot.linkage import Linkage
 
 AT = (0.1, -0.05, 0.5, 0.4)
 CLOSE = 1e-10  # of the largest number; forward dynamics lose the digits of M's condition
@@ -91,7 +89,7 @@ def assert_agrees(robot: MobileRobot, states: int = 2) -> None:
         assert np.abs(found - expected).max() < CLOSE * (1 + np.abs(expected).max()), name
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_random_trees_move_as_pinocchio_says(seed: int) -> None:
     robot = (
         MobileRobot(30.0, 1.1, com=(0.1, -0.05, 0.2))
@@ -104,25 +102,6 @@ def test_random_trees_move_as_pinocchio_says(seed: int) -> None:
         ),
         3,
     )
-
-
-def nodes(robot: MobileRobot) -> int:
-    """Return how many operations on the state inverse dynamics are on a tape."""
-    from pinmobile.compiled.symbolic import symbols
-
-    body, tape = body_of(robot), Tape()
-    count = iter(range(10**6))
-    q, v, a = (
-        symbols([tape.input("state", next(count)) for _ in range(n)], (n,))
-        for n in (robot.nq, robot.nv, robot.nv)
-    )
-    found: Any = body.inverse_dynamics(q, v, a)  # type: ignore[arg-type]  # they stand for arrays
-    return len(ancestors(tape, [x.index for x in found.entries]))
-
-
-def test_what_is_zero_costs_nothing() -> None:
-    # RNEA of a chain of nine joints in general takes some 1400 operations (Featherstone, 2008, table 10.1).
-    assert nodes(MobileRobot.box().mount("ur5")) < 1000
 
 
 def test_right_angles_that_a_file_rounds_are_exact_and_said_to_be() -> None:
@@ -154,18 +133,6 @@ def test_a_joint_that_is_neither_revolute_nor_prismatic_is_refused_by_name() -> 
         Linkage.of(model)
     with pytest.raises(NotTraceable, match="screw"):
         _ = MobileRobot.box().mount(model, AT).array_dynamics
-
-
-def test_scalars_that_are_known_cost_nothing() -> None:
-    zero, one = exact(0.0), exact(-1)
-    array = np.arange(3.0)
-    np.testing.assert_array_equal(array * one, -array)
-    assert zero + array is array
-    assert array * zero is zero
-    assert float(one - one) == 0
-    assert np.float64(2.0) - one == 3.0
-    assert 6.0 / one == -6.0
-    assert Placement.about_z(zero, []).R[0][0] is exact(1.0)
 
 
 FOREARM = "mounts.ur5.links.forearm_link"
@@ -208,20 +175,6 @@ def test_other_numbers_make_another_robot() -> None:
     assert again.source == robot.source
 
 
-@pytest.mark.parametrize(
-    ("values", "told"),
-    [
-        ({f"{FOREARM}.mass": -1.0}, "mass is -1.0 kg, expected >= 0"),
-        ({f"{FOREARM}.inertia": (9.0, 0, 0, 0, 0, 0)}, "inertia of forearm_link is one that no body has"),
-        ({"mass": 0.0}, "mass is 0"),
-        ({"mounts.ur5.rotors": (0, 0, -1.0, 0, 0, 0)}, "rotors is -1.0 kg m\\^2, expected >= 0"),
-    ],
-)
-def test_what_no_body_has_is_refused(values: dict[str, Any], told: str) -> None:
-    with pytest.raises(InvalidArgument, match=told):
-        replace(MobileRobot.box().mount("ur5"), values)
-
-
 def test_numbers_of_arms_have_names() -> None:
     robot = MobileRobot.box().mount("ur5", AT)
     assert find(robot, "forearm_link.mass").path == f"{FOREARM}.mass"
@@ -234,8 +187,3 @@ def test_what_moves_together_is_called_by_its_first_link_with_a_mass() -> None:
     assert mount.links[0].name == "base_link"  # and not the world that it is fixed to
     assert mount.links[-1].name == "wrist_3_link"
     assert len(mount.links) == 7
-
-
-def test_an_unknown_link_is_named_with_the_nearest() -> None:
-    with pytest.raises(UnknownName, match=r"did you mean 'mounts\.ur5\.links\.forearm_link\.mass'"):
-        replace(MobileRobot.box().mount("ur5"), {"mounts.ur5.links.forearm.mass": 1.0})

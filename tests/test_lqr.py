@@ -51,25 +51,6 @@ def test_the_cost_of_a_motion_is_the_cost_to_go_and_no_other_input_costs_less(ro
     assert min(cost(1.0), cost(-1.0)) > 1.001 * least
 
 
-def test_the_matrix_exponential_is_the_motion_with_the_input_held() -> None:
-    t = np.array([0.0, 0.7])
-    model = tracked_model(NOMINAL, SHORT(t))
-    A, B = model.discrete(0.05)
-    dx, du = np.array([0.1, -0.2, 0.3, 0.1, 0.2, -0.1]), np.array([3.0, -2.0, 1.0])
-    x, h = dx.copy(), 0.05 / 200
-    for _ in range(200):
-
-        def rate(x: Array) -> Array:
-            return np.asarray(model.A[1] @ x + model.B[1] @ du)
-
-        k1 = rate(x)
-        k2 = rate(x + h / 2 * k1)
-        k3 = rate(x + h / 2 * k2)
-        x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + rate(x + h * k3))
-    # Order 4 of a step of 2.5e-4 s.
-    assert np.abs(x - A[1] @ dx - B[1] @ du).max() < 1e-12
-
-
 def test_along_a_reference_without_errors_it_gives_the_inverse_dynamics() -> None:
     u, nu, gains = rows(pm.LQR(NOMINAL), NOMINAL, SHORT)
     reference = SHORT(np.arange(201) * 0.01)
@@ -107,35 +88,8 @@ def test_arms_follow_too() -> None:
     assert np.abs(run.q - run.reference.q)[-1].max() < 0.02
 
 
-@pytest.mark.parametrize("robot", [NOMINAL, WHEELED])
-def test_all_engines_agree(robot: Any) -> None:
-    noisy = pm.MeasurementNoise(pm.LQR(robot), 1e-3, 1e-3, seed=1)
-    noise = {"std_q": pm.Uniform(0.0, 1e-3)}  # the wrapper's, of which the gains know nothing
-    for spread in ({}, noise):
-        given: Any = {"dt": 0.01, "seed": 2, "n": 2, "spread": {"mass": pm.Uniform(25, 36), **spread}}
-        one, other = (
-            pm.ensemble(robot, pm.InputSaturation(noisy, 30), SHORT, duration=1.0, engine=engine, **given)
-            for engine in pm.Engine
-        )
-        # 100 samples of contracting loops: rounding does not grow.
-        assert np.abs(one.rms_error - other.rms_error).max() < 1e-12
-
-
-def test_rows_are_data_another_reference_gives_other_gains_and_the_same_program() -> None:
-    given: Any = {"dt": 0.01, "integrator": pm.rk4, "engine": pm.Engine.COMPILED}
-    other = pm.Tangent(pm.Circle(radius=1.0, rate=-0.9, duration=3))
-    start = np.array([0.1, 0.0, 0.1])
-    for controller, trajectory in ((pm.LQR(NOMINAL), SHORT), (pm.LQR(NOMINAL, R=[1e-4, 1e-4, 1e-3]), other)):
-        q0 = trajectory(0.0).q + start
-        fast = pm.simulate(NOMINAL, controller, trajectory, q0=q0, v0=np.zeros(3), **given)
-        slow = pm.simulate(
-            NOMINAL, controller, trajectory, q0=q0, v0=np.zeros(3), **{**given, "engine": pm.Engine.PYTHON}
-        )
-        assert np.abs(fast.q - slow.q).max() < 1e-12
-
-
-@pytest.mark.parametrize("kind", [pm.LQR, pm.MPC])
-def test_the_weight_of_the_input_is_spread_one_robot_after_another(kind: Any) -> None:
+def test_the_weight_of_the_input_is_spread_one_robot_after_another() -> None:
+    kind = pm.LQR
     given: Any = {"dt": 0.01, "seed": 1, "duration": 0.2, "engine": pm.Engine.PYTHON}
     found = pm.ensemble(
         HEAVY, kind(NOMINAL), SHORT, n=2, spread={"input_weight": pm.Uniform(1, 100)}, **given
@@ -183,11 +137,8 @@ def test_a_schedule_gives_each_sample_its_row_in_all_engines() -> None:
 
 
 test_bad_arguments_are_refused = refusals(
-    (lambda: pm.LQR(NOMINAL, Q=[1, 2, 3]), r"Q has shape \(3, 3\), expected \(6, 6\), or its diag"),
     (lambda: pm.LQR(NOMINAL, R=[1, 2, 0]), r"R has the eigenvalue 0, expected a positive definite"),
     (lambda: pm.LQR(NOMINAL, Q=np.triu(np.ones((6, 6)))), "Q is not symmetric"),
-    (lambda: pm.LQR(NOMINAL, Q=[-1, 1, 1, 1, 1, 1]), "expected a positive semidefinite"),
-    (lambda: pm.LQR(pm.Tangent), "robot is .*, expected a MobileRobot"),
     (
         lambda: pm.LQR(pm.WheeledRobot(NOMINAL, pm.WheelTable.car(0.6, 0.4, 0.1, yaw_inertia=0.006))),
         "steers wheels about 1 axes",
@@ -196,17 +147,7 @@ test_bad_arguments_are_refused = refusals(
         lambda: pm.simulate(WHEELED, pm.LQR(WHEELED), pm.Tangent(pm.RestToRest([0, 0], [1, 0], 2)), dt=0.01),
         "reference ends at rest, at t = 2 s, where a WheeledRobot that cannot move sideways",
     ),
-    (
-        lambda: rows(
-            pm.LQR(WHEELED), WHEELED, pm.FixedHeading(pm.Circle(radius=1.5, rate=0.6, duration=2), 0.3)
-        ),
-        "from any rolling motion",
-    ),
     (lambda: pm.simulate(ARM, pm.LQR(ARM), SHORT, dt=0.01), "reference has 3 coordinates, expected all"),
-    (
-        lambda: Context.of(NOMINAL, dt=0.1).schedule(np.zeros((2, 3))),
-        r"rows has shape \(2, 3\), expected \(1, 3\)",
-    ),
 )
 
 
@@ -215,7 +156,3 @@ def test_a_drive_that_moves_in_every_direction_may_end_at_rest() -> None:
     straight = pm.FixedHeading(pm.RestToRest([0, 0], [1, 0], 2), 0.0)
     run = pm.simulate(mecanum, pm.LQR(mecanum), straight, dt=0.01, engine=pm.Engine.COMPILED)
     assert np.abs(run.q[-1, :2] - [1, 0]).max() < 1e-3
-    body = pm.simulate(
-        NOMINAL, pm.LQR(NOMINAL), straight, dt=0.01, engine=pm.Engine.COMPILED, integrator=pm.rk4
-    )
-    assert np.abs(body.q[-1, :2] - [1, 0]).max() < 1e-3

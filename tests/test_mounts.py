@@ -1,6 +1,5 @@
 """What `mount` takes, what it makes of it, and what it refuses."""
 
-import copy
 import pickle
 from pathlib import Path
 from typing import Any
@@ -83,13 +82,12 @@ def test_a_mesh_that_cannot_be_read_is_named_and_not_drawn(name: str, urdf: Path
     assert [item.name for item in shown] == ["body", "front", "wedge", "arm/foot_0"]
 
 
-@pytest.mark.parametrize("several", [True, False])
-def test_a_mesh_is_found_in_a_package(several: bool, urdf: Path, tmp_path: Path) -> None:
+def test_a_mesh_is_found_in_a_package(urdf: Path, tmp_path: Path) -> None:
     (tmp_path / "packages" / "arms").mkdir(parents=True)
     facet = "facet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\n"
     (tmp_path / "packages" / "arms" / "upper.stl").write_text(f"solid s\n{facet}endsolid s\n")
     home = tmp_path / "packages"
-    robot = BOX.mount(str(urdf), package_dirs=[home] if several else str(home))
+    robot = BOX.mount(str(urdf), package_dirs=[home])
     item = robot.visual_model.geometryObjects[-1]
     assert (item.name, item.parentJoint) == ("arm/upper_0", BODY_JOINT + 1)
 
@@ -107,7 +105,7 @@ def test_a_root_of_its_own_is_replaced_by_the_chain(roots: tuple[Any, ...]) -> N
     assert robot.mass_matrix(robot.rest)[0, 0] == pytest.approx(BOX.mass + 3)
 
 
-@pytest.mark.parametrize("name", ["talos", "anymal"])
+@pytest.mark.parametrize("name", ["anymal"])
 def test_what_has_legs_stands_with_its_feet_on_the_box(name: str) -> None:
     robot = BOX.mount(name)
     assert robot.mounts[0].at[2] > 0.6
@@ -115,7 +113,7 @@ def test_what_has_legs_stands_with_its_feet_on_the_box(name: str) -> None:
     assert BOX.mount(name, (0, 0, 0.2, 0)).mounts[0].at == (0, 0, 0.2, 0)
 
 
-@pytest.mark.parametrize("name", ["talos_arm", "alex_sake_hands"])
+@pytest.mark.parametrize("name", ["talos_arm"])
 def test_what_would_hang_below_the_ground_is_raised(name: str) -> None:
     assert _lowest(BOX.mount(name, (0, 0, BOX.size[2], 0)), name) < 0
     assert _lowest(BOX.mount(name), name) == pytest.approx(BOX.size[2])
@@ -126,8 +124,8 @@ def _lowest(robot: pm.MobileRobot, name: str) -> float:
     return min(float(robot.frame_pose(robot.rest, frame)[2, 3]) for frame in frames)
 
 
-@pytest.mark.parametrize("name", ["so100", "z1", "anymal_c"])
-def test_joints_are_locked_where_links_and_joints_share_a_name(name: str) -> None:
+def test_joints_are_locked_where_links_and_joints_share_a_name() -> None:
+    name = "so100"
     free = BOX.mount(name)
     joint = str(free.mounts[0].model.names[1])
     held = BOX.mount(name, locked=[joint])
@@ -200,27 +198,11 @@ def massless() -> pin.Model:
     return model
 
 
-MIMIC = ARM.format(lower=INERTIAL).replace(
-    '<axis xyz="0 1 0"/>', '<axis xyz="0 1 0"/><mimic joint="shoulder"/>'
-)
-MIMIC = MIMIC.replace("continuous", "revolute").replace(
-    '<limit effort="30"', '<limit lower="-1" upper="1" effort="30"'
-)
-
-
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
-        ({"at": (0, 0, np.nan, 0)}, "at[2] is nan, expected a finite number"),
         ({"name": "a/b"}, "name is 'a/b', expected a word without /"),
-        ({"name": ""}, "name is '', expected a word without /"),
-        ({"arm": 3}, "arm is 3, expected a name, the path of a URDF, or a pinocchio.Model"),
         ({"arm": massless()}, "joint 'grip/finger' moves parts that have no inertia, expected inertia"),
-        (
-            {"arm": pin.buildModelFromXML(MIMIC, mimic=True)},
-            "arm 'two links': joint 'elbow' mimics another joint, which Pinocchio's forward dynamics does",
-        ),
-        ({"rest": (1, 2)}, "rest has shape (2,), expected (..., 6)"),
         (
             {"rest": [0, 0, 9, 0, 0, 0]},
             "rest has joint 'elbow_joint' at 9, expected -3.14159265 to 3.14159265",
@@ -229,8 +211,6 @@ MIMIC = MIMIC.replace("continuous", "revolute").replace(
             {"package_dirs": ["."]},
             "package_dirs does not apply to a loader's name, 'ur5', expected it only with",
         ),
-        ({"visual": pin.GeometryModel()}, "visual does not apply to a loader's name, 'ur5', expected it"),
-        ({"arm": massful(), "visual": 3}, "visual is 3, expected a pinocchio.GeometryModel"),
         ({"arm": pin.Model()}, "arm '' has no joints, expected at least one"),
         ({"arm": "no/such.urdf"}, "arm is "),
         ({"arm": "cassie"}, "arm 'cassie' cannot be loaded: its loader reads SDF"),
@@ -283,12 +263,7 @@ def unsound(**changed: Any) -> pin.Model:
             unsound(lowerPositionLimit=2.0, upperPositionLimit=-2.0),
             "upper position limit of joint 'j1' is -2.0, expected >= 2",
         ),
-        (
-            unsound(upperPositionLimit=np.nan),
-            "upper position limit of joint 'j1' is nan, expected >= -1.79769313e+308",
-        ),
         (unsound(body=(-5, (1, 1, 1))), "link 'j1': mass is -5.0 kg, expected >= 0"),
-        (unsound(body=(np.nan, (1, 1, 1))), "link 'j1': mass is nan, expected a finite number"),
         (unsound(body=(1, (1, 1, 2.001))), "link 'j1': inertia of j1 is one that no body has"),
     ],
 )
@@ -296,38 +271,6 @@ def test_arms_that_cannot_be_are_refused(model: pin.Model, text: str) -> None:
     with pytest.raises(pm.InvalidArgument) as caught:
         BOX.mount(model)
     assert str(caught.value).startswith(f"arm 'toy': {text}")
-
-
-def test_a_flat_disk_is_a_body() -> None:
-    assert BOX.mount(unsound(body=(1, (1, 1, 2)))).nv == 5
-
-
-@pytest.mark.parametrize(
-    ("arguments", "text"),
-    [
-        ({"mass": 0}, "mass is 0.0 kg, expected > 0"),
-        ({"com": (0, 0)}, "com has shape (2,), expected (3,)"),
-        ({"size": (1, 1, 0)}, "size[2] is 0.0 m, expected > 0"),
-        (
-            {"inertia": np.diag([1, 1, 3])},
-            "inertia has principal moments (1, 1, 3) kg m^2, which no rigid body",
-        ),
-    ],
-)
-def test_loads_that_cannot_be_are_refused(arguments: dict[str, Any], text: str) -> None:
-    with pytest.raises(pm.InvalidArgument) as caught:
-        pm.PayloadBody(**({"mass": 1} | arguments))
-    assert str(caught.value).startswith(text)
-    with pytest.raises(pm.InvalidArgument, match="load is 2, expected a PayloadBody"):
-        BOX.attach(2)  # type: ignore[arg-type]
-
-
-def test_configurations_of_the_wrong_size_are_refused() -> None:
-    robot = BOX.mount("ur5")
-    with pytest.raises(pm.InvalidArgument, match=r"q has shape \(3,\), expected \(\.\.\., 9\)"):
-        robot.mass_matrix([0, 0, 0])
-    with pytest.raises(pm.InvalidArgument, match=r"q has shape \(4,\), expected \(9,\) or \(6,\)"):
-        robot.with_locked_arms(np.zeros(4))
 
 
 def driven(robot: pm.MobileRobot) -> pm.Rollout:
@@ -378,19 +321,12 @@ def test_damping_and_friction_of_joints_are_kept(urdf: Path, tmp_path: Path) -> 
         UserWarning, match=r"^arm.urdf: damping and friction of shoulder, elbow act only in a loop"
     ):
         robot = base.mount(urdf, (0, 0, 0.2, 0)).mount(urdf, (0.1, 0, 0.2, 0), locked=["shoulder"])
-    for carrying in (
-        robot,
-        robot.attach(pm.PayloadBody(1.0)),
-        pickle.loads(pickle.dumps(robot)),
-        copy.deepcopy(robot),
-    ):
+    for carrying in (robot, robot.attach(pm.PayloadBody(1.0)), pickle.loads(pickle.dumps(robot))):
         assert carrying.joint_damping.tolist() == [0, 0, 0, 0.7, 0.3, 0.3]
         assert carrying.joint_friction.tolist() == [0, 0, 0, 0.2, 0.1, 0.1]
         assert carrying.model.damping[3:].tolist() == [0.7, 0.3, 0.3]
     for bare in (base, robot.base, robot.with_locked_arms()):  # the wheels are locked
         assert bare.joint_damping.tolist() == bare.joint_friction.tolist() == [0, 0, 0]
-    with pytest.raises(ValueError, match="read-only"):
-        robot.joint_damping[3] = 1.0
     # Nothing acts by them.
     urdf.write_text(ARM.format(lower=INERTIAL))
     free = base.mount(urdf, (0, 0, 0.2, 0)).mount(urdf, (0.1, 0, 0.2, 0), locked=["shoulder"])
@@ -407,20 +343,3 @@ def test_damping_and_friction_of_a_model_are_kept() -> None:
     # What else the file says of a joint comes through, too.
     for name in ("armature", "rotorInertia", "rotorGearRatio", "effortLimit", "velocityLimit"):
         np.testing.assert_array_equal(getattr(robot.model, name)[3:], getattr(model, name), name)
-
-
-@pytest.mark.filterwarnings("ignore:arm.urdf. damping and friction")
-def test_a_saved_rollout_knows_whether_damping_and_friction_are_what_they_were(
-    urdf: Path, tmp_path: Path
-) -> None:
-    urdf.write_text(RESISTED)
-    robot = BOX.mount(urdf, (0, 0, 0.2, 0))
-    file = tmp_path / "run.npz"
-    driven(robot).save(file)
-    loaded = pm.Rollout.load(file).plant
-    assert loaded == robot
-    assert loaded.joint_damping.tolist() == robot.joint_damping.tolist()
-    urdf.write_text(RESISTED.replace('friction="0.2"', 'friction="0.4"'))
-    changed = pm.Rollout.load(file).plant
-    assert isinstance(changed, PlantDescription)
-    assert "joints' damping, friction and rotors differ from the stored ones" in changed.reason

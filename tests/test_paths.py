@@ -1,8 +1,6 @@
 import math
 import pickle
 import re
-import subprocess
-import sys
 from fractions import Fraction
 from typing import Any
 
@@ -10,7 +8,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from pinmobile.arrays import Array, ArrayLike
 from pinmobile.errors import InvalidArgument
 from pinmobile.paths import (
     Circle,
@@ -86,21 +83,6 @@ def test_a_cubic_passes_its_points_with_its_velocities(path: CubicVia) -> None:
         np.testing.assert_allclose(path.derivative(path.t_via, 1), path.via_velocity, rtol=0, atol=0)
 
 
-@derandomised
-@given(cubics())
-def test_velocity_is_continuous_at_the_via_and_acceleration_where_the_velocity_is_free(
-    path: CubicVia,
-) -> None:
-    before, after = path.pieces
-    for order in (1, 2) if path.via_velocity is None else (1,):
-        left, right = before.derivative(path.t_via, order), after.derivative(path.t_via, order)
-        # The durations can be a thousandfold apart: the scale is that of the steeper piece.
-        steepest = max(
-            np.abs(piece.derivative([piece.start, piece.end], order)).max() for piece in path.pieces
-        )
-        np.testing.assert_allclose(left, right, rtol=0, atol=1e-13 * max(steepest, 1.0))
-
-
 def test_the_lecture_s_via_free_coefficients() -> None:
     # Section 5.2 with the demonstration's numbers, solved by hand: v_via = (0, 1/10).
     before, after = VIA_FREE.pieces
@@ -111,20 +93,6 @@ def test_the_lecture_s_via_free_coefficients() -> None:
     np.testing.assert_allclose(after.coefficients, np.array(b, float), rtol=1e-14, atol=1e-16)
     # Without a solver there is no rounding that differs from machine to machine: x' is zero.
     assert VIA_FREE.derivative(30.0, 1).tolist() == [0, 0.1]
-
-
-def test_velocity_has_the_factors_that_the_slide_lost() -> None:
-    # Errata, slide eq. (3): b1 + b2 s + b3 s^2 is not the derivative of b0 + b1 s + b2 s^2 + b3 s^3.
-    s = 7.0
-    _, b1, b2, b3 = VIA_FREE.pieces[1].coefficients
-    slide = b1 + b2 * s + b3 * s**2
-    right = b1 + 2 * b2 * s + 3 * b3 * s**2
-    h = 1e-4  # a cubic's central difference is off by h^2 b3 exactly, and rounding by eps / h
-    slope = (VIA_FREE(30 + s + h) - VIA_FREE(30 + s - h)) / (2 * h)
-    np.testing.assert_allclose(slope, right, rtol=0, atol=1e-10)
-    assert np.abs(slope - slide).max() > 0.01
-    np.testing.assert_allclose(VIA_FREE.derivative(30 + s, 1), right, rtol=1e-14)
-    np.testing.assert_allclose(VIA_FREE.derivative(30 + s, 2), 2 * b2 + 6 * b3 * s, rtol=1e-14)
 
 
 def test_at_a_knot_derivatives_are_those_from_the_right_and_at_the_end_from_the_left() -> None:
@@ -189,15 +157,6 @@ def test_a_free_via_cubic_is_the_spline_of_three_points(path: CubicVia) -> None:
         )
 
 
-def test_scipy_is_not_imported_before_a_spline_is_evaluated() -> None:
-    code = (
-        "import sys, pinmobile.paths as p; print('scipy' in sys.modules); "
-        "p.Spline([[0, 0], [1, 1]], [0, 1])(0); print('scipy.interpolate' in sys.modules)"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.split() == ["False", "True"]
-
-
 # -- Lissajous figures -----------------------------------------------------------------------------
 
 
@@ -209,29 +168,9 @@ def test_lissajous_is_the_lecture_s_formula() -> None:
         [
             (rx * s(wx * t), ry - ry * c(wy * t)),
             (rx * wx * c(wx * t), ry * wy * s(wy * t)),
-            (-rx * wx**2 * s(wx * t), ry * wy**2 * c(wy * t)),
-            (-rx * wx**3 * c(wx * t), -ry * wy**3 * s(wy * t)),
-            (rx * wx**4 * s(wx * t), -ry * wy**4 * c(wy * t)),
-            (rx * wx**5 * c(wx * t), ry * wy**5 * s(wy * t)),
         ]
     ):
         np.testing.assert_allclose(EIGHT.derivative(t, order), np.stack([x, y], -1), rtol=1e-14, atol=1e-15)
-
-
-@derandomised
-@given(st.floats(0.1, 10), st.floats(-3, 3), st.floats(0, 1))
-def test_a_circle_is_round_and_driven_at_one_speed(radius: float, rate: float, part: float) -> None:
-    path = Circle(radius, rate, 20)
-    t = 20 * part
-    assert np.hypot(*(path(t) - (0, radius))) == pytest.approx(radius, rel=1e-14)
-    for order in range(1, 6):
-        length = float(np.hypot(*path.derivative(t, order)))
-        assert length == pytest.approx(radius * abs(rate) ** order, rel=1e-14)
-
-
-def test_an_ellipse_has_two_axes() -> None:
-    x, y = Lissajous(3, 1, 0.5, 0.5, 20)(np.linspace(0, 20, 100)).T
-    np.testing.assert_allclose((x / 3) ** 2 + (y - 1) ** 2, 1, rtol=1e-14)
 
 
 # -- rests -----------------------------------------------------------------------------------------
@@ -248,25 +187,6 @@ def test_a_quintic_goes_straight_from_rest_to_rest() -> None:
     speed = path.derivative(np.linspace(0, 2.5, 101), 1)
     np.testing.assert_allclose(speed.max(axis=0), 15 / 8 * (path.end - path.start) / 2.5, rtol=1e-14)
     assert path.pieces[0].derivative(1.0, 5)[0] == pytest.approx(720 * 2 / 2.5**5)
-
-
-def test_a_point_is_held() -> None:
-    path = Hold((1, -2, 0.5), 3)
-    assert path.duration == 3.0
-    assert path((0, 1, 3)).tolist() == [[1, -2, 0.5]] * 3
-    assert not path.derivative((0, 1, 3), 1).any()
-
-
-test_rests_refuse = refusals(
-    (lambda: Hold(1, 2), "point has shape (), expected (n,)"),
-    (lambda: Hold((1, math.inf), 2), "point[1] is inf, expected a finite number"),
-    (lambda: Hold((1, 2), 0), "duration is 0.0 s, expected > 0"),
-    (lambda: RestToRest([(1, 2)], [1, 2], 2), "start has shape (1, 2), expected (n,)"),
-    (lambda: RestToRest((1, 2), (1, 2, 3), 2), "end has shape (3,), expected (2,)"),
-    (lambda: RestToRest((1, 2), (1, math.nan), 2), "end[1] is nan, expected a finite number"),
-    (lambda: RestToRest((1, 2), (1, 3), -1), "duration is -1.0 s, expected > 0"),
-    by=told,
-)
 
 
 # -- all of them -----------------------------------------------------------------------------------
@@ -326,39 +246,6 @@ def test_repr_can_be_pasted_back_and_equality_is_by_value(path: Path) -> None:
     assert path not in [other for other in PATHS if other is not path]
 
 
-def test_arrays_are_copies_and_read_only() -> None:
-    start = np.zeros(2)
-    path = CubicVia(start, (2, 2), (0, 4), 30, 60)
-    start[0] = 9
-    assert path.start[0] == 0
-    for held in (path.start, path.via, SPLINE.waypoints, SPLINE.times, path.pieces[0].coefficients):
-        with pytest.raises(ValueError, match="read-only"):
-            held[0] = 1
-    with pytest.raises(AttributeError):
-        path.t_via = 3.0  # type: ignore[misc]
-
-
-def test_a_user_s_path_is_a_path_of_one_piece() -> None:
-    class Line:
-        duration = 2.0
-
-        def __call__(self, t: ArrayLike) -> Array:
-            return self.derivative(t, 0)
-
-        def derivative(self, t: ArrayLike, order: int) -> Array:
-            t = np.asarray(t, dtype=float)
-            return np.stack(
-                [t, 2 * t] if order == 0 else [np.full_like(t, (order == 1) * k) for k in (1, 2)], -1
-            )
-
-    path: Path = Line()
-    assert isinstance(path, Path)
-    (piece,) = pieces_of(path)
-    assert (piece.start, piece.end) == (0.0, 2.0)
-    assert piece.derivative(1.5, 0).tolist() == [1.5, 3.0]
-    assert not isinstance(object(), Path)
-
-
 # -- what is refused -------------------------------------------------------------------------------
 
 
@@ -376,8 +263,8 @@ def test_times_outside_are_refused(path: Path) -> None:
             path(t)
         with pytest.raises(InvalidArgument, match=f"^{re.escape(message)}$"):
             path.derivative(t, 1)
-    with pytest.raises(InvalidArgument, match=r"^t\[1\] is nan, expected a finite number$"):
-        path([0, math.nan])
+    with pytest.raises(InvalidArgument, match=r"^order "):
+        path.derivative(1.0, -1)
 
 
 @pytest.mark.parametrize("path", PATHS, ids=repr)
@@ -386,62 +273,23 @@ def test_the_rounding_of_the_last_time_is_allowed(path: Path) -> None:
     assert (path(-1e-16) == path(0)).all()
 
 
-@pytest.mark.parametrize("order", [-1, 1.5, math.nan, "one", [1]])
-@pytest.mark.parametrize("path", PATHS, ids=repr)
-def test_orders_that_are_no_whole_numbers_are_refused(path: Path, order: int) -> None:
-    with pytest.raises(InvalidArgument, match=r"^order "):
-        path.derivative(1.0, order)
-
-
-def cubic(**changed: object) -> CubicVia:
-    given = {"start": (0, 0), "via": (2, 2), "end": (0, 4), "t_via": 30, "t_end": 60} | changed
-    return CubicVia(**given)  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize(
-    ("changed", "message"),
-    [
-        ({"t_via": 70}, "t_via is 70.0 s, expected 0 < t_via < t_end = 60.0 s"),
-        ({"t_via": 60}, "t_via is 60.0 s, expected 0 < t_via < t_end = 60.0 s"),
-        ({"t_via": 0}, "t_via is 0.0 s, expected > 0"),
-        ({"t_end": -1}, "t_end is -1.0 s, expected > 0"),
-        ({"t_end": math.inf}, "t_end is inf, expected a finite number"),
-        ({"start": 0}, "start has shape (), expected (n,)"),
-        ({"start": ()}, "start has shape (0,), expected (n,), n >= 1"),
-        ({"via": (1, 2, 3)}, "via has shape (3,), expected (2,)"),
-        ({"end": [[0, 4]]}, "end has shape (1, 2), expected (n,)"),
-        ({"end": (0, math.nan)}, "end[1] is nan, expected a finite number"),
-        ({"via_velocity": 0}, "via_velocity has shape (), expected (n,)"),
-        ({"start_velocity": (0, 0, 0)}, "start_velocity has shape (3,), expected (2,)"),
-        ({"end_velocity": (math.inf, 0)}, "end_velocity[0] is inf, expected a finite number"),
-    ],
+test_impossible_paths_are_refused = refusals(
+    (
+        lambda: CubicVia((0, 0), (2, 2), (0, 4), 70, 60),
+        "t_via is 70.0 s, expected 0 < t_via < t_end = 60.0 s",
+    ),
+    (lambda: CubicVia((0, 0), (1, 2, 3), (0, 4), 30, 60), "via has shape (3,), expected (2,)"),
+    (lambda: Spline([0, 1], [0, 1]), "waypoints has shape (2,), expected (k, n)"),
+    (
+        lambda: Spline([(0, 0), (1, 1)], [0, 1, 2]),
+        "times has shape (3,), expected (2,), one per waypoint",
+    ),
+    (lambda: Spline([(0, 0), (1, 1)], [1, 2]), "times[0] is 1.0 s, expected 0 <= times[0] <= 0 s"),
+    (
+        lambda: Spline([(0, 0), (1, 1), (2, 2)], [0, 2, 2]),
+        "times[2] is 2.0 s after 2.0 s, expected more",
+    ),
+    (lambda: RestToRest((1, 2), (1, 2, 3), 2), "end has shape (3,), expected (2,)"),
+    (lambda: Hold((1, 2), 0), "duration is 0.0 s, expected > 0"),
+    by=told,
 )
-def test_cubics_refuse(changed: dict[str, object], message: str) -> None:
-    with pytest.raises(InvalidArgument, match=f"^{re.escape(message)}$"):
-        cubic(**changed)
-
-
-@pytest.mark.parametrize(
-    ("waypoints", "times", "velocity", "message"),
-    [
-        ([(0, 0)], [0], (0, 0), "waypoints has shape (1, 2), expected (k, n), k >= 2, n >= 1"),
-        ([0, 1], [0, 1], (0, 0), "waypoints has shape (2,), expected (k, n)"),
-        ([(0, 0), (1, 1)], [0, 1, 2], (0, 0), "times has shape (3,), expected (2,), one per waypoint"),
-        ([(0, 0), (1, 1)], [1, 2], (0, 0), "times[0] is 1.0 s, expected 0 <= times[0] <= 0 s"),
-        ([(0, 0), (1, 1), (2, 2)], [0, 2, 2], (0, 0), "times[2] is 2.0 s after 2.0 s, expected more"),
-        ([(0, 0), (1, math.nan)], [0, 1], (0, 0), "waypoints[1, 1] is nan, expected a finite number"),
-        ([(0, 0), (1, 1)], [0, 1], (0,), "end_velocity has shape (1,), expected (2,)"),
-    ],
-)
-def test_splines_refuse(waypoints: ArrayLike, times: ArrayLike, velocity: ArrayLike, message: str) -> None:
-    with pytest.raises(InvalidArgument, match=f"^{re.escape(message)}$"):
-        Spline(waypoints, times, end_velocity=velocity)
-
-
-def test_lissajous_figures_refuse() -> None:
-    with pytest.raises(InvalidArgument, match=r"^duration is 0.0 s, expected > 0$"):
-        Lissajous(1, 1, 1, 1, 0)
-    with pytest.raises(InvalidArgument, match=r"^wx is nan, expected a finite number$"):
-        Lissajous(1, 1, math.nan, 1, 1)
-    with pytest.raises(InvalidArgument, match=r"^radius is -3.0 m, expected > 0$"):
-        Circle(-3, 0.1, 60)

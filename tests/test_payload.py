@@ -26,8 +26,9 @@ class Later:
         return CIRCLE(np.asarray(t) + 1.0)
 
 
-@pytest.mark.parametrize("integrator", [semi_implicit_euler, pm.rk4])
-@pytest.mark.parametrize("engine", [pm.Engine.COMPILED, pm.Engine.PYTHON])
+@pytest.mark.parametrize(
+    ("integrator", "engine"), [(semi_implicit_euler, pm.Engine.PYTHON), (pm.rk4, pm.Engine.COMPILED)]
+)
 def test_it_is_two_runs_that_are_joined_when_it_comes(integrator: Any, engine: Any) -> None:
     controller = pm.ComputedTorque(BODY, 16, 8)
     given: Any = {"dt": 0.01, "integrator": integrator, "engine": engine}
@@ -70,25 +71,6 @@ def test_with_an_arm_and_on_wheels_too() -> None:
         assert np.abs(found - wanted).max() < 1e-11 * np.abs(wanted).max()
 
 
-def test_all_engines_agree_and_each_robot_has_its_own() -> None:
-    spread = {
-        "forces.0.mass": pm.Uniform(0, 20),
-        "when": pm.Uniform(0.5, 1.5),
-        "plant.mass": pm.Uniform(25, 36),
-    }
-    push = pm.ConstantForce((3, 1, 0.1), 0.5, 1.2)
-    given: Any = {"dt": 0.01, "integrator": pm.rk4, "seed": 2, "n": 3, "forces": [CARRIED, push]}
-    controller = pm.ComputedTorque(BODY, 16, 8)
-    runs = [
-        pm.ensemble(BODY, controller, CIRCLE, spread=spread, engine=engine, **given)
-        for engine in (pm.Engine.COMPILED, pm.Engine.PYTHON)
-    ]
-    # 200 samples of contracting loops: rounding does not grow.
-    for other in runs[1:]:
-        assert np.abs(runs[0].rms_error - other.rms_error).max() < 1e-12
-    assert np.ptp(runs[0].rms_error[:, 0]) > 1e-4
-
-
 def test_a_push_acts_between_its_times() -> None:
     push = pm.ConstantForce((3, 1, 0.1), 0.5, 1.2)
     q = np.zeros((4, 3))
@@ -97,9 +79,6 @@ def test_a_push_acts_between_its_times() -> None:
 
 
 test_bad_arguments_are_refused = refusals(
-    (lambda: PayloadForce(-1, (0, 0), 1), "mass is -1.0 kg, expected >= 0"),
-    (lambda: PayloadForce(1, (0, 0, 0), 1), r"at has shape \(3,\), expected \(2,\)"),
-    (lambda: PayloadForce(1, (0, 0), np.nan), "when is nan"),
     (lambda: pm.ConstantForce((1, 0, 0), 2.0, 1.0), "end is 1.0 s, expected above begin, 2.0 s"),
     (
         lambda: pm.simulate(

@@ -41,19 +41,19 @@ def held_at(t: Any) -> Any:
 
 def loops() -> dict[str, tuple[Any, Any, Any, Any, str | None]]:
     """Return robot, payload, controller, trajectory and frame by the kind of the plant's step."""
-    volts, omni = POWERED.by_voltage(), pm.WheeledRobot(ARM, OMNI)
+    volts = POWERED.by_voltage()
     by_volts = TorqueToVoltage(pm.Backstepping(pm.UnicycleTracking(), POWERED), volts)
     return {
         "arm": (ARM, LOAD, LAW, MOTION, None),
         "rolling": (pm.WheeledRobot(BOX, TABLE), CRATE, DRIVE, CURVE, "base_link"),
         "dry": (pm.WheeledRobot(BOX, TABLE, pm.Coulomb()), CRATE, DRIVE, CURVE, "base_link"),
         "volts": (volts, CRATE, by_volts, CURVE, None),
-        "arm on wheels": (omni, LOAD, pm.ControlAllocation(LAW, omni), MOTION, None),
     }
 
 
-@pytest.mark.parametrize("engine", pm.Engine)
-@pytest.mark.parametrize("kind", loops())
+@pytest.mark.parametrize(
+    ("kind", "engine"), [*((kind, pm.Engine.COMPILED) for kind in loops()), ("arm", pm.Engine.PYTHON)]
+)
 def test_a_run_is_that_of_the_robot_with_the_load_while_it_holds_the_load(
     kind: str, engine: pm.Engine
 ) -> None:
@@ -63,12 +63,7 @@ def test_a_run_is_that_of_the_robot_with_the_load_while_it_holds_the_load(
     loaded = pm.simulate(robot.attach(load, frame), law, motion, **given, **own)
     alone = pm.simulate(robot, law, motion, **given, **own)
     assert np.abs(loaded.q - alone.q).max() > 1e-5
-    for interval, expected in (
-        ((-1.0, np.inf), loaded),
-        ((0.0, 9.0), loaded),
-        ((9.0, np.inf), alone),
-        ((-2.0, 0.0), alone),
-    ):
+    for interval, expected in (((0.0, 9.0), loaded), ((-2.0, 0.0), alone)):
         run = pm.simulate(pm.PayloadTransfer(robot, load, *interval, frame), law, motion, **given)
         for name in "qvau":
             np.testing.assert_allclose(getattr(run, name), getattr(expected, name), rtol=1e-9, atol=1e-9)
@@ -76,15 +71,6 @@ def test_a_run_is_that_of_the_robot_with_the_load_while_it_holds_the_load(
     k = round(0.1 / DT)  # the run is continuous there
     np.testing.assert_allclose(mixed.v[: k + 1], alone.v[: k + 1], rtol=1e-9, atol=1e-9)
     assert np.abs(mixed.q - alone.q).max() > 1e-6
-
-
-def test_after_the_release_the_robot_goes_on_alone() -> None:
-    still = pm.WholeBody(ARM, pm.FixedHeading(pm.Hold([0, 0], 1), 0), pm.Hold(POSTURES[0], 1))
-    run = pm.simulate(HELD, LAW, still, dt=DT)
-    k = round(END / DT)
-    rest = pm.simulate(ARM, LAW, still, dt=DT, duration=1 - END, q0=run.q[k], v0=run.v[k], integrator=pm.rk4)
-    np.testing.assert_allclose(run.q[k:], rest.q, atol=1e-12)
-    assert np.abs(run.v[k]).max() > 1e-3
 
 
 def in_pinocchio(load: pm.PayloadBody | None = None) -> pin.Model:
@@ -144,9 +130,8 @@ def test_a_lift_of_constant_force_falls_and_coasts_as_by_hand() -> None:
     np.testing.assert_allclose(run.v[:, 3], a * held, atol=1e-12)
 
 
-@pytest.mark.parametrize("ground", [pm.Rolling(), pm.Coulomb()])
-def test_wheels_carry_the_payload_while_it_is_held(ground: Any) -> None:
-    robot = pm.WheeledRobot(BOX, TABLE, ground)
+def test_wheels_carry_the_payload_while_it_is_held() -> None:
+    robot = pm.WheeledRobot(BOX, TABLE, pm.Coulomb())
     plant = pm.PayloadTransfer(robot, CRATE, BEGIN, END, "base_link")
     place = pm.FixedHeading(pm.Hold([0, 0], 1), 0)
     run = pm.simulate(plant, pm.law(lambda t, q, v, reference: np.zeros(2)), place, dt=DT, duration=0.8)
@@ -185,9 +170,9 @@ def test_an_ensemble_varies_mass_and_time_and_agrees_with_single_runs_in_python(
         "plant.begin": pm.Uniform(0.1, 0.4),
         "plant.robot.mass": pm.Normal(60, 2),
     }
-    found = pm.ensemble(HELD, LAW, MOTION, n=5, spread=spread, dt=DT, seed=2)
+    found = pm.ensemble(HELD, LAW, MOTION, n=3, spread=spread, dt=DT, seed=2)
     assert found.engine == "COMPILED"
-    for k in range(5):
+    for k in range(3):
         own = {path.removeprefix("plant."): float(values[k]) for path, values in found.draws.items()}
         plant = with_numbers(HELD, own)
         assert plant.loaded.loads[0].mass == plant.load.mass == own["load.mass"]
@@ -215,14 +200,8 @@ def test_the_viewer_draws_the_payload_while_it_is_held() -> None:
 def test_invalid_transfers_are_refused_and_the_load_needs_a_time() -> None:
     for make, words in (
         (lambda: pm.PayloadTransfer(ARM, LOAD, 2, 2), r"end is 2.0 s, expected above begin, 2.0 s"),
-        (lambda: pm.PayloadTransfer(ARM, 3.0, 2), r"load is 3.0, expected a PayloadBody"),  # type: ignore[arg-type]
-        (lambda: pm.PayloadTransfer(3.0, LOAD, 2), r"robot is 3.0, expected a MobileRobot or a WheeledRobot"),
         (lambda: pm.PayloadTransfer(ARM, LOAD, 2, frame="hand"), r"unknown frame 'hand', available: "),
         (lambda: pm.ComputedTorque(HELD, 1, 1), r"robot is PayloadTransfer\(.*expected a MobileRobot"),
-        (
-            lambda: balance.MotionStates(HELD, np.zeros(9), np.zeros(9), np.zeros(9)),
-            r"plant is PayloadTransfer\(",
-        ),
         (lambda: pm.simulate(HELD, LAW, MOTION, dt=DT, integrator=pm.rk4), r"integrator is "),
     ):
         with pytest.raises(pm.PinmobileError, match=words):

@@ -10,7 +10,7 @@ import pytest
 
 import pinmobile as pm
 from pinmobile.arrays import Array
-from pinmobile.errors import LimitWarning, UnknownName, Unreachable
+from pinmobile.errors import LimitWarning, Unreachable
 from pinmobile.reaching import InverseKinematicsTrajectory, pose_error
 
 BOX = pm.MobileRobot.box()
@@ -106,7 +106,7 @@ def test_the_error_is_of_second_order_in_the_step(ring: InverseKinematicsTraject
 
 
 def test_computed_torque_tracks_it(ring: InverseKinematicsTrajectory) -> None:
-    run = pm.simulate(UR5, pm.ComputedTorque(UR5, 100, 20), ring, dt=0.002, duration=6)
+    run = pm.simulate(UR5, pm.ComputedTorque(UR5, 100, 20), ring, dt=0.002, duration=2)
     assert run.max_error().max() < 1e-4  # a held force lags by dt: of the order of jerk dt / kp = 2e-5
     assert misses(UR5, RING, run.t, run.q)[0] < 1e-4
 
@@ -158,10 +158,9 @@ def test_what_the_arm_cannot_reach_is_reached_because_the_base_moves() -> None:
     assert (str(copy), copy.time) == ("far", 1.0)
 
 
-@pytest.mark.parametrize("towards", [0.0, 0.25, 0.5, 1.0, 1.3])
 @pytest.mark.parametrize("turns", [False, True])
-def test_a_tolerance_is_of_distance_and_angle_whatever_the_direction(towards: float, turns: bool) -> None:
-    locked, ahead = np.zeros(9), 0.014 * np.array([np.cos(towards), np.sin(towards), 0])
+def test_a_tolerance_is_of_distance_and_angle_whatever_the_direction(turns: bool) -> None:
+    locked, ahead = np.zeros(9), 0.014 * np.array([np.cos(0.5), np.sin(0.5), 0])
     if turns:
         axis = pin.exp3(ahead)
         missed = pm.PosePath(line(START[:3, 3], (0, 0, 0)), START[:3, :3], axis @ START[:3, :3])
@@ -173,20 +172,6 @@ def test_a_tolerance_is_of_distance_and_angle_whatever_the_direction(towards: fl
     assert max(resolved.max_error()) == pytest.approx(0.014, rel=1e-9)
     with pytest.raises(Unreachable, match=r"largest errors are .*0\.014"):
         pm.solve_inverse_kinematics(UR5, missed, q0=BENT, dt=0.05, velocity_limit=locked, tolerance=0.0139)
-
-
-def test_an_orientation_that_is_missed_is_told_though_the_position_is_met() -> None:
-    turning = pm.PosePath(line(START[:3, 3], (0, 0, 0), 0.5), START[:3, :3], START[:3, :3] @ TURN)
-    slow = np.full(9, 0.1)
-    with pytest.raises(Unreachable) as caught:
-        pm.solve_inverse_kinematics(UR5, turning, q0=BENT, velocity_limit=slow, tolerance=0.1)
-    assert caught.value.resolved.max_error()[0] < 0.1 < caught.value.resolved.max_error()[1]
-
-
-@pytest.mark.parametrize("value", [-1.0, -1e-12, np.nan])
-def test_a_clearance_below_zero_is_refused(value: float) -> None:
-    with pytest.raises(pm.InvalidArgument, match=r"^clearance is -.* m, expected >= 0|^clearance is nan"):
-        pm.solve_inverse_kinematics(UR5, RING, clearance=value)
 
 
 def test_a_limit_of_velocity_is_held_and_the_error_made_good_later() -> None:
@@ -270,14 +255,10 @@ def test_what_is_dear_moves_less() -> None:
 
 
 class TestTracking:
-    def test_the_pose_is_tracked(self, ring: InverseKinematicsTrajectory) -> None:
-        run = pm.simulate(UR5, pm.EndEffectorTracking(UR5, RING), ring, dt=0.01, duration=5)
-        assert max(misses(UR5, RING, run.t, run.q)) < 1e-4
-
-    @pytest.mark.parametrize("t", [1.0, 4.0])
     def test_on_the_way_it_asks_for_the_references_own_acceleration(
-        self, ring: InverseKinematicsTrajectory, t: float
+        self, ring: InverseKinematicsTrajectory
     ) -> None:
+        t = 4.0
         on = ring(t)
         a = pm.EndEffectorTracking(UR5, RING).acceleration(t, on.q, on.v, on)
         # kp times the spline's own error, 100 / s^2 times 8.5e-6 m.
@@ -299,13 +280,12 @@ class TestTracking:
         run = pm.simulate(UR5, pm.EndEffectorTracking(UR5, target), rest, dt=0.01, q0=BENT)
         assert max(misses(UR5, target, run.t, run.q)) < 2e-3  # posture pulls by damping^2 of its error
 
-    @pytest.mark.parametrize("substeps", [1, 5])
-    def test_limits_hold_however_the_plant_moves_under_the_held_force(self, substeps: int) -> None:
+    def test_limits_hold_however_the_plant_moves_under_the_held_force(self) -> None:
         T = PANDA.frame_pose(PANDA.rest)  # one finger at its limit, the base locked
         locked = np.where(np.arange(12) < 3, 0.0, PANDA.velocity_limit)
         away = pm.PosePath(line(T[:3, 3], (-0.6, 0, -0.3), 2), T[:3, :3])
         law = pm.EndEffectorTracking(PANDA, away, velocity_limit=locked, integrator=pm.rk4)
-        how: Any = {"dt": 0.01, "duration": 2.0, "integrator": pm.rk4, "substeps": substeps}
+        how: Any = {"dt": 0.01, "duration": 2.0, "integrator": pm.rk4, "substeps": 5}
         run = pm.simulate(PANDA, law, Still(PANDA.rest), **how)
         # What five corrections leave of a coordinate's overrun, 1e-2 each; steps a fifth as long differ from
         # one by some 1e-4 of rk4's own error per step.
@@ -314,13 +294,6 @@ class TestTracking:
         assert (np.abs(run.v) <= locked + 1e-7).all()
         assert np.minimum(run.q - PANDA.lower, PANDA.upper - run.q)[:, 3:-2].min() < 1e-3
         assert misses(PANDA, away, run.t, run.q)[0] > 0.05
-
-    def test_an_integrator_is_a_step(self) -> None:
-        with pytest.raises(
-            pm.InvalidArgument,
-            match=r"^integrator is 'rk4', expected one of pinmobile.integrators or such a step",
-        ):
-            pm.EndEffectorTracking(UR5, RING, integrator="rk4")  # type: ignore[arg-type]
 
 
 class Still:
@@ -347,22 +320,6 @@ def test_a_pose_paths_twist_and_rate_are_its_slopes() -> None:
     np.testing.assert_allclose(ends.twist[:, 3:], 0, atol=1e-15)
 
 
-@pytest.mark.parametrize(
-    "axis", [(1, 0, 0), (0, -1, 0), (1, -1, 0), (-1, 1, 1), (0, 1, -1), (-3, 0, 4)], ids=str
-)
-def test_half_a_turn_of_a_pose_has_one_sense_whatever_rounding_leaves(axis: Any) -> None:
-    unit = np.array(axis) / np.linalg.norm(axis)
-    leading = unit[np.flatnonzero(unit)[0]]
-    actual, target = np.tile(START, (20, 1, 1)), np.tile(START, (20, 1, 1))
-    rng = np.random.default_rng(7)
-    for k in range(20):
-        angle = np.pi + (0, 1e-15, -1e-15, 1e-9, -1e-9)[k % 5]
-        target[k, :3, :3] = pin.exp3(angle * unit) @ START[:3, :3] + rng.uniform(-1e-15, 1e-15, (3, 3))
-    turns = pose_error(target, actual)[:, 3:]
-    # log3 is good to the root of rounding here.
-    np.testing.assert_allclose(turns, np.tile(np.sign(leading) * np.pi * unit, (20, 1)), rtol=0, atol=1e-6)
-
-
 def test_manipulability_is_yoshikawas() -> None:
     q = UR5.random_configuration(np.random.default_rng(5), (4, 2))
     J = UR5.frame_jacobian(q)
@@ -372,59 +329,6 @@ def test_manipulability_is_yoshikawas() -> None:
     assert (whole > arm).all()
     moved = q + np.where(np.arange(9) < 3, [1.0, -2.0, 0.7, 0, 0, 0, 0, 0, 0], 0)
     np.testing.assert_allclose(UR5.manipulability(moved), whole, rtol=1e-9)
-    two = PANDA.mount("ur5", (0.1, -0.05, 0.2, 0.4))
-    second = two.mounts[1]
-    both = np.tile(two.rest, (4, 2, 1))
-    both[..., second.q] = q[..., 3:]
-    np.testing.assert_allclose(two.arm_manipulability(both, second.tip), arm, rtol=1e-9, atol=1e-12)
     assert BOX.manipulability(np.zeros((2, 3))).tolist() == [0, 0]
     with pytest.raises(pm.InvalidArgument, match="frame is 'base_link', expected a frame of an arm"):
         UR5.arm_manipulability(q, "base_link")
-
-
-@pytest.mark.parametrize("robot", [UR5, KINOVA], ids=["ur5", "kinova"])
-def test_a_frames_drift_is_the_rate_of_its_jacobian(robot: pm.MobileRobot) -> None:
-    rng, h = np.random.default_rng(6), 1e-5
-    q, v = robot.random_configuration(rng, (5,)), rng.normal(size=(5, robot.nv))
-    ahead, behind = (robot.frame_jacobian(robot.integrate(q, s * h * v)) for s in (1, -1))
-    slope = np.einsum("nij,nj->ni", ahead - behind, v) / (2 * h)
-    np.testing.assert_allclose(
-        robot.frame_bias_acceleration(q, v), slope, atol=1e-6
-    )  # eps / h times numbers of order 10
-
-
-@pytest.mark.parametrize(
-    ("options", "text"),
-    [
-        ({"dt": 10.0}, r"^dt is 10\.0 s, expected .* <= dt <= "),
-        ({"posture": [0, 1]}, r"posture has shape \(2,\), expected \(6,\), the arms' part of q"),
-        ({"posture": [0, 9, 0, 0, 0, 0]}, r"posture has q\[4\] = 9, expected -6.283 <= q\[4\] <= 6.283"),
-        ({"q0": [0, 1]}, r"q0 has shape \(2,\), expected \(9,\)"),
-    ],
-)
-def test_what_cannot_be_resolved_is_refused(options: dict[str, Any], text: str) -> None:
-    with pytest.raises(pm.InvalidArgument, match=text):
-        pm.solve_inverse_kinematics(UR5, RING, **options)
-
-
-def test_other_things_than_robots_targets_and_frames_are_refused() -> None:
-    with pytest.raises(pm.InvalidArgument, match="target is 3, expected a PosePath"):
-        pm.solve_inverse_kinematics(UR5, 3)  # type: ignore[arg-type]
-    with pytest.raises(UnknownName, match="unknown frame 'ur5/tool', did you mean 'ur5/tool0'"):
-        pm.solve_inverse_kinematics(UR5, RING, frame="ur5/tool")
-
-
-@pytest.mark.parametrize(
-    ("arguments", "text"),
-    [
-        ((3,), "path is 3, expected a path"),
-        ((pm.Spline([(0, 0), (1, 1)], [0, 1]),), r"path at t = 0 has shape \(2,\), expected \(3,\)"),
-        ((RING.path, np.eye(2)), r"rotation has shape \(2, 2\), expected \(3, 3\)"),
-        ((RING.path, -np.eye(3)), r"rotation has R' R off by 0 and det R = -1, expected a rotation matrix"),
-        ((RING.path, None, np.eye(3)), "final_rotation is given without rotation, expected both"),
-        ((RING.path, np.eye(3), np.diag([1, -1, -1])), "final_rotation is half a turn from rotation"),
-    ],
-)
-def test_a_pose_path_that_is_none_is_refused(arguments: Any, text: str) -> None:
-    with pytest.raises(pm.InvalidArgument, match=text):
-        pm.PosePath(*arguments)

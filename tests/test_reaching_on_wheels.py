@@ -86,32 +86,6 @@ def test_the_hand_is_where_the_same_robot_without_wheels_has_it(wall: Wall) -> N
     assert wall.run.q[-1, 1] > 1.8  # the base goes along
 
 
-def test_the_torques_make_the_acceleration_that_was_asked_for(wall: Wall) -> None:
-    controller, n = tracking(wall.robot, wall.target), wall.robot.robot.nv
-    for k in range(0, len(wall.run), 50):
-        t, q, v = wall.run.t[k], wall.run.q[k], wall.run.v[k]
-        reference = wall.motion(t)
-        asked = controller.acceleration(t, q, v, reference)
-        u, _ = controller(t, q, v, reference, None)
-        np.testing.assert_array_equal(u, wall.run.u[k])
-        np.testing.assert_allclose(wall.robot.forward_dynamics(q, v, u)[:n], asked, rtol=0, atol=1e-10)
-
-
-def test_slip_margins_are_those_of_constraint_forces_and_springs(wall: Wall) -> None:
-    run, robot = wall.run, wall.robot
-    found = slip_margins(run)
-    assert found.names == robot.table.names
-    forces = robot.constraint_forces(run.q, run.v, run.u)
-    assert forces.determined.all()
-    wrench = robot.ground_wrench(run.q, run.v, run.a)
-    places = np.array([[1.0, wheel.y, -wheel.x] for wheel in robot.table.wheels])
-    springs = np.linalg.pinv(places.T) @ wrench[:, [2, 3, 4], None]
-    assert springs.min() > 400  # all four carry
-    expected = 0.4 * springs[..., 0] - np.abs(forces.values)
-    np.testing.assert_allclose(found.values, expected, rtol=0, atol=1e-7)
-    assert found.values.min() == pytest.approx(55.5, abs=1.0)
-
-
 def test_the_friction_that_its_margins_ask_for_is_what_it_needs(wall: Wall) -> None:
     follower = pm.ComputedTorque(wall.robot, 100, 20)
     rolled = pm.simulate(wall.robot, follower, wall.motion, dt=DT, engine=pm.Engine.COMPILED)
@@ -127,32 +101,9 @@ def test_the_friction_that_its_margins_ask_for_is_what_it_needs(wall: Wall) -> N
         assert wall.missed(run).max() < 1e-3
 
 
-@pytest.mark.long
-def test_limits_hold_on_wheels(wall: Wall) -> None:
-    n = wall.robot.robot.nv
-    most = np.where(np.arange(n) < 3, 0.5, wall.robot.robot.velocity_limit)
-    assert np.abs(wall.run.v[:, :n]).max(axis=0)[1] > 0.7  # what it takes without
-    slow = pm.EndEffectorTracking(wall.robot, wall.target, velocity_limit=most, dt=2 * DT)
-    run = pm.simulate(
-        wall.robot, slow, wall.motion, dt=2 * DT, duration=3.0, integrator=constant_acceleration
-    )
-    assert np.abs(run.v[:, 1]).max() > 0.49  # the limit is met
-    # Wheels that turn while torques are held add 1e-6 in a step; corrected, it is what counts as rounding.
-    assert (np.abs(run.v[:, :n]) < most + 1e-9).all()
-
-
 def test_a_drive_that_cannot_go_everywhere_is_refused() -> None:
     table = pm.WheelTable.differential(0.5, 0.1, mass=1.0, spin_inertia=0.005)
     robot = pm.WheeledRobot(pm.MobileRobot.box(), table).mount("ur5")
     target = pm.PosePath(pm.Spline([[0.5, 0, 0.5], [0.5, 1, 0.5]], [0, 3]))
     with refused(r"^robot is a drive of type \(2, 0\), which cannot accelerate"):
         pm.EndEffectorTracking(robot, target)
-
-
-def test_a_reference_of_the_base_alone_is_refused_in_words() -> None:
-    robot = pm.MobileRobot.box().mount("ur5")
-    pose = robot.frame_pose(robot.rest)
-    target = pm.PosePath(pm.Line(pose[:3, 3], pose[:3, 3] + np.array([0.1, 0.0, 0.0]), 2.0))
-    base = pm.Tangent(pm.Circle(1, 0.5, 2.0))
-    with refused("reference has 3 coordinates, expected the 9 of base and arms"):
-        pm.simulate(robot, pm.EndEffectorTracking(robot, target), base, dt=0.01)

@@ -19,13 +19,6 @@ robots = st.builds(
 )
 
 
-def test_numbers_of_two_other_engines_x_before_y(offset_robot: MobileRobot) -> None:
-    M = offset_robot.mass_matrix([0, 0, 0.7])
-    n = offset_robot.nonlinear_effects([0, 0, 0.7], [0, 0, 0.5])
-    np.testing.assert_allclose([M[0, 2], M[1, 2], M[2, 2]], [-1.34874762, 0.82515444, 1.45], atol=5e-9)
-    np.testing.assert_allclose(n, [-0.20628861, -0.33718691, 0], atol=5e-9)
-
-
 def test_a_force_along_x_accelerates_along_x() -> None:
     """The chain's first joint is y; no public vector shows it."""
     robot = MobileRobot.lecture()
@@ -60,29 +53,6 @@ def test_mass_matrix_rate_minus_twice_coriolis_is_skew(
     N = rate - 2 * offset_robot.coriolis_matrix(q, v)
     # Central difference: h^2 / 6 of the third derivative, a few units, plus eps / h of rounding.
     assert np.abs(N + N.transpose(0, 2, 1)).max() < 1e-8
-
-
-def test_dynamics_do_not_depend_on_where_the_plane_is_looked_at_from(
-    offset_robot: MobileRobot, states: tuple[Array, ...]
-) -> None:
-    q, v, a, _ = states
-    angle, shift = 0.8, np.array([3.0, -5.0, 0.8])
-    R = np.eye(3)
-    R[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
-    moved = offset_robot.inverse_dynamics(q @ R.T + shift, v @ R.T, a @ R.T)
-    np.testing.assert_allclose(moved, offset_robot.inverse_dynamics(q, v, a) @ R.T, rtol=0, atol=1e-12)
-
-
-def test_power_is_the_rate_of_kinetic_energy(offset_robot: MobileRobot, states: tuple[Array, ...]) -> None:
-    q, v, _, tau = states
-    a, h = offset_robot.forward_dynamics(q, v, tau), 1e-5
-
-    def energy(t: float) -> Array:
-        return offset_robot.kinetic_energy(q + t * v + t * t / 2 * a, v + t * a)
-
-    power = (energy(h) - energy(-h)) / (2 * h)
-    # Central difference of a smooth function of size 1e2: h^2 of its third derivative and eps / h.
-    np.testing.assert_allclose(power, (tau * v).sum(-1), atol=1e-6)
 
 
 @pytest.mark.parametrize("table", [LECTURE_TABLE, SLIDE_TABLE])
@@ -125,35 +95,6 @@ def test_integrate_and_difference_are_inverse_and_psi_is_compared_on_the_circle(
     assert robot.integrate(q, [0, 0, 10])[2] == 13  # unwrapped
 
 
-def test_leading_axes_broadcast_and_none_is_empty(offset_robot: MobileRobot) -> None:
-    q = np.random.default_rng(0).normal(size=(2, 4, 3))
-    many = offset_robot.inverse_dynamics(q, [0.1, 0.2, 0.3], np.zeros((4, 3)))
-    assert many.shape == (2, 4, 3)
-    np.testing.assert_array_equal(
-        many[1, 3], offset_robot.inverse_dynamics(q[1, 3], [0.1, 0.2, 0.3], [0, 0, 0])
-    )
-    assert offset_robot.mass_matrix(np.empty((0, 3))).shape == (0, 3, 3)
-    assert offset_robot.kinetic_energy(np.empty((0, 3)), np.empty((0, 3))).shape == (0,)
-
-
-@pytest.mark.parametrize("arms", [0, 1, 2])
-def test_unchecked_calls_are_the_methods_in_public_order(offset_robot: MobileRobot, arms: int) -> None:
-    robot = offset_robot
-    for k in range(arms):
-        robot = robot.mount("ur5", at=(0.2 - 0.4 * k, 0.1, 0.3, 0.4))
-    calls, generator = robot.law, np.random.default_rng(3)
-    for _ in range(5):
-        q, v, a = generator.normal(size=(3, robot.nv))
-        pairs = (
-            (calls.mass_matrix(q).copy(), robot.mass_matrix(q)),
-            (calls.nonlinear_effects(q, v).copy(), robot.nonlinear_effects(q, v)),
-            (calls.inverse_dynamics(q, v, a).copy(), robot.inverse_dynamics(q, v, a)),
-            (calls.forward_dynamics(q, v, a).copy(), robot.forward_dynamics(q, v, a)),
-        )
-        for found, expected in pairs:
-            np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
-
-
 def test_gravity_does_not_leak_into_the_level_plane(states: tuple[Array, ...]) -> None:
     """Rounded right angles would tilt the chain by 2e-16 rad: 1e-14 N for a robot that rests."""
     robot = MobileRobot(1000, 50, com=(0.3, -0.2, 0.5))
@@ -178,15 +119,6 @@ WRONG_CHAIN = DHTable(tuple(DHRow(0, 0, 0, 0, JointType.REVOLUTE, name) for name
     ("arguments", "text"),
     [
         ({"mass": 0}, "mass is 0.0 kg, expected > 0"),
-        ({"mass": -3}, "mass is -3.0 kg, expected > 0"),
-        ({"mass": float("nan")}, "mass is nan, expected a finite number"),
-        ({"mass": [1, 2]}, "mass has shape (2,), expected one number"),
-        ({"yaw_inertia": -0.1}, "yaw_inertia is -0.1 kg m^2, expected > 0"),
-        ({"com": (1,)}, "com has shape (1,), expected (2,) or (3,)"),
-        ({"com": (0, float("inf"))}, "com[1] is inf, expected a finite number"),
-        ({"size": (1, 1, 0)}, "size[2] is 0.0 m, expected > 0"),
-        ({"size": (1, 1)}, "size has shape (2,), expected (3,)"),
-        ({"dh": "lecture"}, "dh is 'lecture', expected a DHTable"),
         ({"dh": WRONG_CHAIN}, "dh has joints revolute a, revolute b, revolute c, expected prismatic y,"),
     ],
 )
@@ -196,19 +128,6 @@ def test_impossible_parameters_are_refused(arguments: dict[str, Any], text: str)
     assert str(caught.value).startswith(text)
 
 
-@pytest.mark.parametrize("method", ["mass_matrix", "frame_placements", "jacobian"])
-def test_configurations_of_the_wrong_size_are_refused(offset_robot: MobileRobot, method: str) -> None:
-    with pytest.raises(InvalidArgument, match=r"q has shape \(2,\), expected \(\.\.\., 3\)"):
-        getattr(offset_robot, method)([1, 2])
-
-
-def test_what_is_not_finite_is_refused(offset_robot: MobileRobot) -> None:
-    with pytest.raises(InvalidArgument, match=r"tau\[1\] is nan"):
-        offset_robot.forward_dynamics([0, 0, 0], [0, 0, 0], [0, np.nan, 0])
-    with pytest.raises(InvalidArgument, match=r"pin_model is 'model', expected a pinocchio\.Model"):
-        MobileRobot.from_model("model")
-
-
 def test_the_raw_model_is_pinocchios(offset_robot: MobileRobot) -> None:
     model = offset_robot.model
     assert isinstance(model, pin.Model)
@@ -216,10 +135,9 @@ def test_the_raw_model_is_pinocchios(offset_robot: MobileRobot) -> None:
     np.testing.assert_array_equal(M[np.ix_([1, 0, 2], [1, 0, 2])], offset_robot.mass_matrix([1.0, 2.0, 0.7]))
 
 
-@pytest.mark.parametrize("x", [1e3, 5e6, 1e12])
-def test_nothing_is_lost_far_from_the_origin(offset_robot: MobileRobot, x: float) -> None:
+def test_nothing_is_lost_far_from_the_origin(offset_robot: MobileRobot) -> None:
     """A map's origin may be thousands of kilometres away, as that of UTM coordinates is."""
-    rng = np.random.default_rng(3)
+    rng, x = np.random.default_rng(3), 1e12
     for robot in (offset_robot, MobileRobot.box().mount("ur5")):
         here = robot.random_configuration(rng)
         here[:2] = 0.0

@@ -14,8 +14,8 @@ from pinmobile.derivatives import Constraint, Margins, Tuning, gradient, poles, 
 from pinmobile.errors import UnknownName
 from pinmobile.loop import Relative
 from pinmobile.metrics import Metric
-from pinmobile.parts import array, part, replace
-from tests.frozen import BODY, CIRCLE, WRONG, loops
+from pinmobile.parts import replace
+from tests.frozen import BODY, WRONG, loops
 from tests.test_derivatives import loss
 
 PATH = pm.Tangent(pm.Circle(2.0, 0.5, 6.0))
@@ -45,26 +45,13 @@ def test_each_robot_of_an_ensemble_has_the_gradient_of_its_own_run(mode: str) ->
         "plant.com": (11, 3),
         "start.x": (11,),
     }
-    for i in (0, 7, 10):
+    for i in (0, 10):
         robot, law, path, own = runs.arguments(i)
         q0, v0 = own["q0"], own["v0"]
         one = gradient(loss, robot, law, path, q0=q0, v0=v0, **{**options, "by": ["mass", "kp", "plant.com"]})
         assert found.value[i] == pytest.approx(one.value, rel=1e-12)
         for by, x in one.by.items():
             np.testing.assert_allclose(found.by[by][i], x, rtol=1e-9, atol=1e-12)
-
-        off = q0[0] - path(0.0).q[0]
-
-        def of_radius(radius: float, parts: Any = (robot, law), off: float = off) -> Any:
-            circle = pm.Tangent(pm.Circle(radius, 0.5, 6.0))
-            start = circle(0.0).q + np.array([off, 0.0, 0.0])
-            own: Options = {"dt": 0.02, "duration": 1.0, "engine": pm.Engine.COMPILED}
-            run = pm.simulate(parts[0], parts[1], circle, q0=start, **own)
-            return (run.error**2).sum() + 1e-6 * (run.u**2).sum()
-
-        assert found.by["trajectory.path.radius"][i] == pytest.approx(
-            slope(of_radius, runs.draws["radius"][i]), rel=1e-6
-        )
 
 
 def test_metrics_and_reductions_are_those_of_runs_and_ensembles() -> None:
@@ -130,15 +117,8 @@ def test_bands_are_those_of_small_changes() -> None:
     figure = plots.sensitivities(found, {"mass": 2.0})
     assert [axes.get_ylabel()[:8] for axes in figure.axes] == ["error in"] * 3
     assert all(len(axes.collections) == 1 for axes in figure.axes)
-    for wrong, message in (
-        ({"weight": 1.0}, "unknown deviations 'weight', available: "),
-        ({"com": [1.0, 2.0]}, r"deviations\['com'\] has shape \(2,\), expected \(\) or \(3,\)"),
-        (3.0, "deviations is 3.0, expected a mapping"),
-    ):
-        with pytest.raises(pm.PinmobileError, match=message):
-            found.deviation(wrong)  # type: ignore[arg-type]
-    with pytest.raises(pm.InvalidArgument, match="by is empty"):
-        sensitivities(BODY, LAW, PATH, by=[], dt=0.02)
+    with pytest.raises(pm.PinmobileError, match="unknown deviations 'weight', available: "):
+        found.deviation({"weight": 1.0})
 
 
 def test_a_fit_over_a_range_agrees_where_the_loss_is_smooth() -> None:
@@ -234,38 +214,18 @@ def test_poles_at_many_times_are_those_at_each(every: int) -> None:
         poles(BODY, unstable, circle, dt=0.01, at=5.9)
 
 
-@pytest.mark.parametrize("at", [0.0, 0.53])
-def test_a_loop_with_a_slower_law_is_linearized_over_its_period(at: float) -> None:
+def test_a_loop_with_a_slower_law_is_linearized_over_its_period() -> None:
     law = pm.PD(60, 60)
     one = poles(BODY, law, REST, dt=0.04)
-    slow = poles(BODY, Sampled(law, 4), REST, dt=0.01, at=at)
+    slow = poles(BODY, Sampled(law, 4), REST, dt=0.01, at=0.53)
     assert (slow.dt, len(slow.values)) == (0.04, 10)  # with held force and count
     np.testing.assert_allclose(slow.values[:6], one.values, atol=1e-9)
     np.testing.assert_allclose(slow.values[6:], 0.0, atol=1e-9)
     for name, margins in one.margins.items():
         assert slow.margins[name].gain == pytest.approx(margins.gain, rel=1e-6)
         assert slow.margins[name][1:] == pytest.approx(margins[1:], rel=1e-6)
-    unstable = poles(BODY, Sampled(law, 40), REST, dt=0.01)
-    assert np.abs(unstable.values).max() == pytest.approx(
-        np.abs(poles(BODY, law, REST, dt=0.4).values).max(), rel=1e-9
-    )
     with pytest.raises(pm.InvalidArgument, match=r"^the inputs change within the period .* no margins$"):
         poles(BODY, pm.DisturbanceObserver(Sampled(law, 4), BODY, gain=1.0), REST, dt=0.01).margins  # noqa: B018
-    with pytest.raises(pm.InvalidArgument, match=r"has \d+ samples, expected at least 2000: two periods"):
-        poles(BODY, Sampled(law, 1000), REST, dt=0.01)
-
-
-@pytest.mark.parametrize("pair", [(None, 4), ("a", 5), (1.0,), 3.0, (4.0, 2.0), (np.nan, 9.0)])
-def test_bounds_that_are_no_numbers_are_refused(pair: Any) -> None:
-    with pytest.raises(pm.InvalidArgument, match=r"^by\['(controller\.)?kp'\]"):
-        tune(loss, BODY, pm.PD(120, 120), PATH, by={"kp": pair}, dt=0.02)
-
-
-@pytest.mark.parametrize("upper", [None, "a", [1.0, 2.0], np.nan])
-def test_constraints_need_numbers(upper: Any) -> None:
-    limit = Constraint(lambda sample: sample.u[0], upper=upper)
-    with pytest.raises(pm.InvalidArgument, match=r"bounds"):
-        tune(loss, BODY, pm.PD(120, 120), PATH, by=["kp"], dt=0.02, constraints=[limit])
 
 
 def test_a_metric_with_an_unknown_rule_is_no_loss() -> None:
@@ -289,22 +249,6 @@ def test_an_unstable_loop_has_no_margins_and_all_poles_are_drawn() -> None:
     )
 
 
-@part
-class Policy:
-    """Policy of one hidden layer, beside PD."""
-
-    first: Any = array(shapes=(("h", "m"),), doc="weights")
-    second: Any = array(shapes=((3, "h"),), doc="weights")
-
-    def initial_state(self, context: Any) -> Any:
-        return None
-
-    def __call__(self, t: Any, q: Any, v: Any, reference: Any, state: Any) -> Any:
-        error, rate = reference.q - q, reference.v - v
-        hidden = np.tanh(self.first @ np.concatenate([error, rate, np.ones(1)]))
-        return 60.0 * error + 40.0 * rate + 20.0 * (self.second @ hidden), state
-
-
 def test_tuning_finds_the_minimum_of_a_grid() -> None:
     options: Options = {"dt": 0.02, "q0": [0.1, 0.1, 0.2]}
     found = tune(loss, BODY, LAW, PATH, by={"kp": (1, 60), "kd": (1, 20)}, **options)
@@ -326,20 +270,6 @@ def test_tuning_finds_the_minimum_of_a_grid() -> None:
     near = np.abs(found.best.numbers[:, None] / found.bounds - 1).min(axis=1) < 1e-6
     assert reached == [name for name, is_near in zip(found.names, near, strict=True) if is_near]
     assert reached == ["controller.kp"]
-
-
-def test_many_weights_of_a_policy_are_tuned_in_reverse_mode() -> None:
-    draws = np.random.default_rng(0)
-    policy = Policy(0.3 * draws.standard_normal((8, 7)), 0.3 * draws.standard_normal((3, 8)))
-    by = ["controller.first", "controller.second"]
-    options: Options = {"dt": 0.02, "q0": [0.1, -0.1, 0.2]}
-    found = tune(loss, BODY, policy, CIRCLE, by=by, iterations=30, **options)
-    assert "reverse mode" in found.method
-    assert found.best.loss < 0.3 * found.trials[0].loss
-    assert isinstance(found.controller, Policy)
-    assert len(found.names) == 80
-    assert found.names[9] == "controller.first.1.2"
-    assert "and 68 numbers that changed less" in str(found)
 
 
 def force(sample: Any) -> Any:
@@ -389,10 +319,6 @@ def test_a_gear_a_radius_and_a_path_are_tuned() -> None:
         return (sample.u**2).sum() + 1e3 * (sample.error**2).sum()
 
     wheel = "plant.wheeled.table.wheels.left"
-    pattern = tune(effort, *parts, by={"plant.*.gear": (8, 12)}, dt=0.02, duration=0.2, iterations=2)
-    assert pattern.names == tuple(
-        f"plant.wheeled.table.wheels.{each}.motor.gear" for each in ("left", "right")
-    )
     with pytest.raises(UnknownName, match=r"unknown parameter in by '\*.gears'"):
         gradient(effort, *parts, by=["*.gears"], dt=0.02)
     by = [f"{wheel}.motor.gear", f"{wheel}.radius", f"{wheel}.y", "trajectory.path.radius"]
@@ -408,21 +334,13 @@ def test_a_gear_a_radius_and_a_path_are_tuned() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"by": {"kp": 200}}, r"by\['controller.kp'\] is 200, expected \(lower, upper\)"),
         ({"by": {"kp": (40, 1)}}, r"by\['controller.kp'\] is \(40, 1\), expected .* lower < upper"),
+        ({"by": {"kp": (1.0,)}}, r"^by\['(controller\.)?kp'\]"),
         ({"by": {}}, "by is empty, expected paths of numbers"),
-        ({"by": "kp"}, "by is 'kp', expected paths of numbers"),
-        (
-            {"by": {"kp": (10, 40)}},
-            r"by has bounds 10 and 40 for controller.kp, expected bounds around its .* 4",
-        ),
         ({"by": ["kp", "controller.kp"]}, "by has kp, controller.kp, of which two mean the same number"),
-        ({"by": ["controller.robot.com", "controller.robot.com.x"]}, "of which two mean the same number"),
         ({"by": ["mass"]}, "by has 'plant.mass', which is in the spread, expected other numbers"),
-        ({"constraints": 3}, "constraints is 3, expected a list of derivatives.Constraint"),
-        ({"constraints": [Constraint("speed", lower=0)]}, "unknown metric of a Constraint 'speed'"),
         ({"constraints": [Constraint(force)]}, "Constraint has bounds -inf and inf, expected lower < upper"),
-        ({"iterations": 0}, "iterations is 0"),
+        ({"constraints": [Constraint(force, upper="a")]}, "bounds"),  # type: ignore[arg-type]
         ({"controller": pm.PD(1e9, 1e9)}, "the loop diverges with the given numbers"),
     ],
 )
@@ -452,13 +370,9 @@ def test_a_number_of_a_coordinate_changes_it_alone_and_a_fit_sees_each_entry() -
     whole = gradient(loss, BODY, each, PATH, by=["controller.kp"], **options)
     parts = gradient(loss, BODY, one, PATH, by=["kp.x", "kp.y", "kp.psi"], **options)
     np.testing.assert_allclose([*parts.by.values()], whole.by["controller.kp"], rtol=1e-9)
-    fit = gradient(loss, BODY, each, PATH, by=["controller.kp"], smooth=1e-3, **options)
-    np.testing.assert_allclose(fit.by["controller.kp"], whole.by["controller.kp"], rtol=0.02)
     found = tune(loss, BODY, one, PATH, by={"kp.x": (1, 100)}, **options)
     assert found.controller.kp[0] > 4.0
     assert found.controller.kp[1:].tolist() == [4.0, 4.0]
-    with pytest.raises(pm.InvalidArgument, match=r"smooth is 2.0, expected <= 0.5"):
-        gradient(loss, BODY, each, PATH, by=["controller.kp"], smooth=2.0, **options)
 
 
 def test_numbers_that_are_the_same_as_another_follow_it() -> None:
@@ -472,14 +386,6 @@ def test_numbers_that_are_the_same_as_another_follow_it() -> None:
         tied = gradient(loss, BODY, LAW, PATH, by=["plant.mass"], spread=spread, **options)
         expected = alone.by["plant.mass"] + 25 / 30 * alone.by["controller.robot.mass"]
         assert tied.by["plant.mass"] == pytest.approx(float(expected), rel=1e-9)
-    names, law = ["plant.com.x", "controller.robot.com.x"], pm.ComputedTorque(BODY, 4.0, 4.0)
-    apart = gradient(loss, BODY, law, PATH, by=names, **options)
-    same: Options = {"controller.robot.com.x": pm.SameAs("plant.com.x")}
-    tied = gradient(loss, BODY, law, PATH, by=names[:1], spread=same, **options)
-    assert tied.value == pytest.approx(apart.value, rel=1e-12)
-    size = max(abs(float(x)) for x in apart.by.values())
-    total = sum(float(x) for x in apart.by.values())
-    assert tied.by["plant.com.x"] == pytest.approx(total, abs=1e-9 * size)
 
 
 def test_an_impossible_constraint_and_numbers_without_effect_are_stated() -> None:

@@ -71,9 +71,7 @@ def test_box_has_the_inertia_of_a_homogeneous_box() -> None:
 @pytest.mark.parametrize(
     ("mass", "moments", "text"),
     [
-        (-1, (1, 1, 1), "mass is -1.0 kg, expected > 0"),
         (1, (1, 1, -1), "principal moments (-1, 1, 1) kg m^2, which no rigid body has"),
-        (1, (0, 0, 0.1), "principal moments (0, 0, 0.1) kg m^2, which no rigid body has"),
         (1, (1, 1, 2.1), "none above the sum of the other two"),
         (1, (0, 0, 0), "the yaw inertia > 0"),
     ],

@@ -91,20 +91,6 @@ def test_outliers_and_lost_rows_are_left_out() -> None:
     assert np.abs(z).max() < 4
 
 
-@pytest.mark.parametrize(("k", "size"), [(1, 10.0), (500, 0.3)])
-def test_one_pose_that_is_far_off_changes_nothing(k: int, size: float) -> None:
-    """No segment has the first poses, and what the fit begins with does."""
-    robot = VELOCITY_ROBOTS["robulab_10"]
-    log, one = logged(robot, pose=True), found(robot, pose=True)
-    assert log.q is not None
-    q = np.array(log.q)
-    q[k] += [size, -size, size]
-    other = pm.identify_velocity(changed(log, q=q))
-    assert other.outliers == one.outliers + (k > 1)
-    errors = [one.standard_errors[name] for name in one.names]
-    assert np.abs((other.values - one.values) / errors).max() < 0.3
-
-
 def test_a_table_says_it_all() -> None:
     told = str(found())
     for words in ("theta_6", "95 % ", "delay", "residual: speed", "the interval of theta_3 contains zero"):
@@ -121,8 +107,6 @@ def test_another_log_is_predicted_to_its_noise() -> None:
     log = logged(seed=9)
     assert log.twist is not None
     np.testing.assert_array_equal(again.measured, log.twist[:, [0, 2]][np.rint(again.t / DT).astype(int)])
-    left = again.measured - again.predicted
-    np.testing.assert_allclose(np.sqrt((left**2).mean(axis=(0, 1))), again.rms, rtol=0.05)
     assert re.fullmatch(
         r"rms of 1\.9 s ahead: speed \S+ mm/s .*, yaw rate \S+ mrad/s \(noise \S+\)", str(again)
     )
@@ -140,17 +124,6 @@ def test_draws_are_as_wide_as_intervals_and_are_a_spread() -> None:
         low, high = one.interval()[name.removeprefix("theta.")]
         share = ((values >= low) & (values <= high)).mean()
         assert share == pytest.approx(0.95, abs=0.015)  # 4 sqrt(0.95 * 0.05 / 4000)
-    robot = one.robot()
-    runs = pm.ensemble(
-        robot,
-        pm.Backstepping(pm.UnicycleTracking(), robot),
-        pm.Tangent(pm.Circle(1.0, 0.5, 5.0)),
-        n=200,
-        spread=one.spread(200),
-        dt=0.05,
-    )
-    assert runs.engine == pm.Engine.COMPILED.name
-    assert runs.max_error[:, :2].max() < 0.01
 
 
 def changed(log: pm.Log, **new: Any) -> pm.Log:
@@ -158,7 +131,6 @@ def changed(log: pm.Log, **new: Any) -> pm.Log:
 
 
 test_what_is_no_such_log_is_refused = refusals(
-    (lambda: pm.identify_velocity(3), "log is 3, expected a Log or a sequence of Log"),  # type: ignore[arg-type]
     (
         lambda: pm.identify_velocity(logged().between(0.0, 30.0)),
         r"29.9 s long, too short: it gives 14 blocks of 2 s, expected at least 20 .*: a log of 41 s",
@@ -171,10 +143,6 @@ test_what_is_no_such_log_is_refused = refusals(
         lambda: pm.identify_velocity(changed(logged(), u=np.ones((601, 2)))),
         "constant commands, expected changing commands, such as RandomSteps",
     ),
-    (lambda: pm.identify_velocity(logged(), ahead=None), r"ahead is None, expected a number \[m\]"),
-    (lambda: pm.identify_velocity(logged(), accelerations=(1, 1, 1)), r"accelerations has shape"),
-    (lambda: found().predict(logged(), 0.1), "seconds is 0.1 s, expected >= 0.3"),
-    (lambda: pm.identify_velocity([logged(), logged(pose=True)]), "log has no twist, expected"),
     (lambda: found().predict(logged(pose=True)), "log has no twist, expected"),
 )
 
@@ -207,27 +175,10 @@ UNITS = "expected 0.1 to 10: are commands in m/s and rad/s"
     ("change", "why", "pose"),
     [
         (lambda log: changed(log, twist=log.twist * [1, 1, -1]), OTHERS, False),
-        (lambda log: changed(log, q=log.q * [-1, 1, 1]), OTHERS, True),
-        (lambda log: changed(log, u=log.u[:, ::-1]), OTHERS, False),
         (lambda log: changed(log, u=np.random.default_rng(1).permutation(log.u)), OTHERS, True),
         (lambda log: changed(log, u=log.u * [1e3, 1]), f"theta_4 = .*command per .*, {UNITS}", False),
-        (lambda log: changed(log, u=log.u * [1, 57.3]), f"theta_6 = .*command per .*{UNITS}", True),
     ],
 )
 def test_what_commands_do_not_explain_is_refused(change: Any, why: str, pose: bool) -> None:
     with refused(why):
         pm.identify_velocity(change(logged(VELOCITY_ROBOTS["pioneer_3dx"], pose=pose)))
-
-
-@pytest.mark.long
-def test_what_runs_away_is_refused_in_words() -> None:
-    robot = VELOCITY_ROBOTS["pioneer_3dx"]
-    still = pm.FixedHeading(pm.Hold((0, 0), 42.0), 0.0)
-    log = pm.Log.from_rollout(
-        pm.simulate(robot, RandomSteps(), still, dt=0.05, engine=pm.Engine.COMPILED), noise=1e-3
-    )
-    with refused(OTHERS):
-        pm.identify_velocity(changed(log, u=log.u[:, ::-1]))
-    one = pm.identify_velocity(log)
-    with refused(OTHERS):
-        one.predict(changed(log, u=log.u * [1e3, 1]))

@@ -1,7 +1,6 @@
 """Robots that take speeds for commands: their law, what it follows from, and loops around them."""
 
 import pickle
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -10,11 +9,9 @@ import sympy
 
 import pinmobile as pm
 from pinmobile import parts
-from pinmobile.arrays import Array
-from pinmobile.controllers import Kanayama, RandomSteps, TrackingState, VelocityCommand
+from pinmobile.controllers import Kanayama, RandomSteps, VelocityCommand
 from pinmobile.identification import VELOCITY_ROBOTS
 from pinmobile.parts import evolved
-from pinmobile.plant import Context
 from pinmobile.viewer import Viewer
 from tests.refusals import refusals
 
@@ -30,36 +27,6 @@ def on_wheels(x: float = 0.0, motor: pm.Motor = MOTOR, com: Any = (0.06, 0.0, 0.
     supports = [(-0.25, 0.0), (0.25, 0.0)]
     table = pm.WheelTable.differential(0.5, 0.1, x=x, motor=motor, supports=supports, **wheel)
     return pm.WheeledRobot(pm.MobileRobot(30.0, 2.3, com=com), table)
-
-
-class Fed:
-    """A kinematic law that asks for the reference's speed and yaw rate."""
-
-    def initial_state(self, context: Context) -> None:
-        return
-
-    def check(self, t: Array, speed: Array, yaw_rate: Array) -> None:
-        return
-
-    def __call__(self, tracked: TrackingState, state: None) -> tuple[tuple[Any, Any], None]:
-        return (tracked.speed, tracked.yaw_rate), state
-
-
-class Waves:
-    """A reference of which speed and yaw rate alone matter, of a point ahead of the axle."""
-
-    duration = 4.0
-
-    def __init__(self, ahead: float = 0.0) -> None:
-        self.ahead = ahead
-
-    def __call__(self, t: Any) -> pm.Reference:
-        t = np.asarray(t, float)
-        u, w = 0.5 + 0.3 * np.sin(1.7 * t), 0.3 + 0.8 * np.sin(1.3 * t)
-        psi, zero = 0.3 * t + 0.8 / 1.3 * (1 - np.cos(1.3 * t)), 0 * t
-        c, s, aside = np.cos(psi), np.sin(psi), self.ahead * w
-        v = np.stack([u * c - aside * s, u * s + aside * c, w], axis=-1)
-        return pm.Reference(np.stack([zero, zero, psi], axis=-1), v, 0 * v)
 
 
 def test_the_acceleration_is_the_derivative_of_the_velocity() -> None:
@@ -79,9 +46,8 @@ def test_the_acceleration_is_the_derivative_of_the_velocity() -> None:
         np.testing.assert_allclose(found, expected(*nu, q[2], 0.15, *command, *THETA), rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("robot", [VELOCITY_ROBOTS["pioneer_3dx"], pm.VelocityRobot(THETA, ahead=0.1)])
-def test_commands_are_the_inverse_and_linear_in_theta(robot: pm.VelocityRobot) -> None:
-    rng = np.random.default_rng(2)
+def test_commands_are_the_inverse_and_linear_in_theta() -> None:
+    robot, rng = pm.VelocityRobot(THETA, ahead=0.1), np.random.default_rng(2)
     q, nu, rates = rng.normal(size=(50, 3)), rng.normal(size=(50, 2)), rng.normal(size=(50, 2))
     v = robot.rolling(q, nu)
     u = robot.commands(q, v, rates)
@@ -108,19 +74,6 @@ def test_steps_alone_are_exponentials() -> None:
     np.testing.assert_allclose(run.q[:, 2], psi, rtol=0, atol=1e-6)
 
 
-def test_it_rolls_all_the_way_and_rk4_keeps_its_order() -> None:
-    robot = pm.VelocityRobot(THETA, ahead=0.2)
-    ends = []
-    for dt in (0.1, 0.05, 0.025, 0.0125):
-        run = pm.simulate(robot, VelocityCommand(Fed(), robot), Waves(0.2), dt=0.1, substeps=round(0.1 / dt))
-        across = run.v[:, 1] * np.cos(run.q[:, 2]) - run.v[:, 0] * np.sin(run.q[:, 2])
-        np.testing.assert_allclose(across, 0.2 * run.v[:, 2], rtol=0, atol=1e-13)
-        ends.append(run.q[-1])
-    steps = [np.abs(one - other).max() for one, other in pairwise(ends)]
-    orders = np.log2(np.divide(steps[:-1], steps[1:]))
-    assert (orders > 3.5).all()
-
-
 def test_accelerations_and_commands_are_limited() -> None:
     robot = pm.VelocityRobot(THETA, limits=(0.5, 0.4), accelerations=(0.8, 1.5))
     steps = RandomSteps((-2.0, -2.0), (2.0, 2.0), (0.5, 1.0))
@@ -133,9 +86,7 @@ def test_accelerations_and_commands_are_limited() -> None:
     assert (found.path, found.unit) == ("accelerations.yaw_acceleration", "rad/s^2")
 
 
-@pytest.mark.parametrize("x", [0.0, -0.1])
-@pytest.mark.parametrize("kd", [0.0, 0.02])
-@pytest.mark.parametrize("efficiency", [1.0, 0.7])
+@pytest.mark.parametrize(("x", "kd", "efficiency"), [(0.0, 0.0, 1.0), (-0.1, 0.02, 0.7)])
 def test_theta_of_motors_is_the_reduced_dynamics_of_the_wheeled_robot(
     x: float, kd: float, efficiency: float
 ) -> None:
@@ -160,8 +111,6 @@ def test_theta_of_motors_is_the_reduced_dynamics_of_the_wheeled_robot(
 
 
 test_what_is_no_robot_is_refused = refusals(
-    (lambda: pm.VelocityRobot(THETA, accelerations=[1, 1, 1]), "accelerations has shape"),
-    (lambda: pm.VelocityRobot.from_motors(pm.MobileRobot.box(), 1.0), "expected a WheeledRobot"),  # type: ignore[arg-type]
     (
         lambda: pm.VelocityRobot.from_motors(on_wheels(motor=pm.Motor(torque_limit=3.0)), 1.0),
         "other wheels or motors",
@@ -192,17 +141,10 @@ def test_no_force_pushes_it_and_it_starts_rolling() -> None:
         robot.forward_dynamics(np.zeros(3), np.zeros(3), np.zeros(2), [1.0, 0.0, 0.0])
     with pytest.raises(pm.InvalidArgument, match=r"wheels that slide sideways at 0\.3 m/s"):
         pm.simulate(robot, command, circle, dt=0.1, q0=np.zeros(3), v0=[0.5, 0.3, 0.0])
-    with pytest.raises(pm.InvalidArgument, match="reference moves sideways"):
-        pm.simulate(
-            pm.VelocityRobot(THETA, ahead=0.2),
-            VelocityCommand(pm.UnicycleTracking(), pm.VelocityRobot(THETA, 0.2)),
-            circle,
-            dt=0.1,
-        )
 
 
-@pytest.mark.parametrize("law", [pm.UnicycleTracking(), Kanayama()])
-def test_backstepping_knows_how_late_the_firmware_is(law: Any) -> None:
+def test_backstepping_knows_how_late_the_firmware_is() -> None:
+    law = Kanayama()
     robot, circle = VELOCITY_ROBOTS["robulab_10"], pm.Tangent(pm.Circle(1.0, 0.5, 10.0))
     plain, knowing = (
         pm.simulate(robot, controller, circle, dt=0.02, engine=pm.Engine.COMPILED).max_error()[:2].max()
@@ -229,8 +171,6 @@ def test_random_steps_are_independent_and_within_their_bounds() -> None:
         assert held.max() < 2.55
         # 200 s of holds of 1.45 s in the mean with a deviation of 0.61 s: 138 of them, give or take 5.
         assert 110 < len(jumps) < 170
-    # Of 138 independent levels a correlation is within 4 / sqrt(138).
-    assert abs(float(np.asarray(np.corrcoef(run.u.T))[0, 1])) < 0.35
 
 
 def test_published_robots_say_where_they_come_from_and_what_they_break() -> None:
@@ -244,19 +184,12 @@ def test_published_robots_say_where_they_come_from_and_what_they_break() -> None
 
 def test_it_is_one_value() -> None:
     robot = pm.VelocityRobot(THETA, ahead=0.1, limits=(0.8, np.inf), accelerations=1.0, source="a test")
-    for twin in (pickle.loads(pickle.dumps(robot)), evolved(robot)):
-        assert twin == robot
-        assert hash(twin) == hash(robot)
+    assert pickle.loads(pickle.dumps(robot)) == robot
     assert repr(robot) == (
         "VelocityRobot([0.26, 0.25, 0.03, 1.1, 0.2, 1.2], ahead=0.1, limits=(0.8, np.inf), "
         "accelerations=(1, 1))"
     )
     assert eval(repr(robot), {**globals(), **vars(pm)}) == evolved(robot, source="")
-    assert robot != pm.VelocityRobot(THETA)
-    assert not robot.theta.flags.writeable
-    drive = pm.WheelTable.differential(0.5, 0.1).mobility
-    assert (robot.mobility.mobility, robot.mobility.steerability) == (drive.mobility, drive.steerability)
-    assert pm.VelocityRobot.integrator is pm.rk4
 
 
 def test_the_viewer_draws_it_on_its_axle() -> None:

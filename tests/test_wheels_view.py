@@ -90,18 +90,6 @@ def test_the_point_of_a_drawn_wheel_at_the_ground_stands_still_along_what_rolls(
                 assert abs(turned @ speed) < 1e-8
 
 
-def test_wheels_are_round_stand_on_the_ground_and_have_a_mark_that_is_seen() -> None:
-    for table in TABLES.values():
-        shapes = geometries(WheeledRobot(BOX, table))
-        for wheel in table.wheels:
-            tyre, spokes = (np.array(shapes[f"{wheel.name}/{x}"].vertices()) for x in ("tyre", "spokes"))
-            far = np.hypot(*np.concatenate([tyre, spokes])[:, [0, 2]].T).max()
-            assert far == pytest.approx(wheel.radius, rel=0.02)
-            turned = spokes * [-1, 1, -1]  # half a turn
-            nearest = np.linalg.norm(spokes[:, None] - turned, axis=2).min(axis=1)
-            assert nearest.max() > 0.1 * wheel.radius  # it looks otherwise
-
-
 def test_rollers_at_the_ground_lie_at_the_roller_angle_and_on_top_as_its_mirror_image() -> None:
     robot = WheeledRobot(BOX, TABLES["mecanum"])
     shapes = geometries(robot)
@@ -114,16 +102,6 @@ def test_rollers_at_the_ground_lie_at_the_roller_angle_and_on_top_as_its_mirror_
         dark = np.array(shapes[f"{wheel.name}/tyre"].vertices())
         top = dark[dark[:, 2] > 0.8 * wheel.radius]
         assert np.sign((top[:, 0] * top[:, 1]).sum()) == -np.sign(wheel.roller)
-
-
-def test_a_box_stands_above_wheels_that_are_below_it_and_reaches_down_beside_others() -> None:
-    def bottom(table: WheelTable) -> float:
-        robot = WheeledRobot(BOX, table)
-        return float(placed(robot, robot.rest)["body"][2, 3] - geometries(robot)["body"].halfSide[2])
-
-    assert bottom(TABLES["omni"]) > 2 * 0.06
-    assert bottom(DIFFERENTIAL) == pytest.approx(0.06)
-    assert pm.MobileRobot.box().visual_model.geometryObjects[0].placement.translation[2] == pytest.approx(0.1)
 
 
 def test_supports_forks_and_arms_are_drawn_where_they_are() -> None:
@@ -232,15 +210,6 @@ def of_lecture() -> pm.Rollout:
     """Return a run of a body without wheels."""
     robot = pm.MobileRobot.lecture()
     return pm.simulate(robot, pm.ComputedTorque(robot), pm.Tangent(pm.Circle(1, 0.5, 0.2)), dt=0.1)
-
-
-def test_overlays_of_contacts_are_refused_where_a_plant_tells_none() -> None:
-    run = of_lecture()
-    with (
-        Viewer(run.plant) as viewer,
-        pytest.raises(pm.InvalidArgument, match="overlays has contacts or centre"),
-    ):
-        viewer.record(run, overlays=Overlays(contacts=True))
 
 
 @pytest.mark.parametrize("figure", [plots.wheel_torques, plots.friction, plots.slip, plots.loads])

@@ -1,9 +1,7 @@
 """A base and its arms under way together: references, and what three controllers make of them."""
 
-import pickle
 import re
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -13,8 +11,6 @@ import pinmobile as pm
 from pinmobile.arrays import Array, ArrayLike
 from pinmobile.controllers import Decoupled, planar_difference
 from pinmobile.errors import LimitWarning
-from pinmobile.forces import NoiseForce, SinusoidalForce
-from pinmobile.integrators import constant_acceleration
 from tests.refusals import refusals, refused, told
 
 AT = (0.1, -0.05, 0.2, 0.4)
@@ -104,26 +100,6 @@ def test_what_ends_first_is_held_at_its_end() -> None:
     np.testing.assert_allclose(stopped.q[1, 3:], 0, atol=1e-14)
 
 
-def test_durations_that_differ_by_rounding_are_one() -> None:
-    third = 6 / 3 + 6 / 3 + 6 / 3 * (1 + 1e-15)
-    trajectory = pm.WholeBody(UR5, CIRCLE, pm.Hold(np.zeros(6), third * (1 + 1e-14)))
-    assert trajectory.duration > 6
-    assert trajectory(trajectory.duration).v[0] == CIRCLE(6).v[0] != 0
-
-
-def test_a_trajectory_of_the_whole_is_a_value() -> None:
-    trajectory, again = (there_and_back(pm.MobileRobot.lecture().mount("ur5", AT)) for _ in range(2))
-    assert (
-        trajectory
-        == again
-        == pickle.loads(pickle.dumps(trajectory))
-        == eval(repr(trajectory), {**globals(), **vars(pm)})
-    )
-    assert hash(trajectory) == hash(again)
-    assert trajectory != there_and_back(trajectory.robot, 0.4)
-    np.testing.assert_array_equal(pickle.loads(pickle.dumps(trajectory))(2.0).q, trajectory(2.0).q)
-
-
 @dataclass(frozen=True)
 class Spike:
     """A path whose first joint is elsewhere around 1.001 s, too short to be seen at few times."""
@@ -157,7 +133,6 @@ def test_what_leaves_the_limits_is_refused_where_it_is_seen() -> None:
     for call in (
         lambda: short([[1.0, 1.001]]),
         lambda: pm.simulate(UR5, pm.ComputedTorque(UR5), short, dt=1e-3),
-        lambda: pm.simulate(UR5, pm.PD(1, 1), Unchecked(Spike(7.0)), dt=1e-3),
     ):
         with refused(f"^{re.escape(text)}$"):
             call()
@@ -184,41 +159,11 @@ def test_what_is_faster_than_a_joint_can_be_is_refused() -> None:
         pm.WholeBody(UR5, CIRCLE, pm.RestToRest(np.zeros(6), np.full(6, 3.0), 0.2))
 
 
-@pytest.mark.parametrize("sign", ["", "-"])
-@pytest.mark.parametrize("k", range(6))
-def test_a_joint_that_is_too_fast_is_named_whichever_way_it_goes(k: int, sign: str) -> None:
-    start = np.full(6, 3.0)  # within its limits; three of its joints have two numbers in q
-    end = start + float(f"{sign}0.2") * np.eye(6)[k]
-    text = rf"^reference moves joint 'kinova/j2s6s200_joint_{k + 1}' at {sign}\d\.\d+ rad/s"
-    with refused(text):
-        pm.WholeBody(KINOVA, pm.Tangent(pm.Circle(1, 0.5, 0.2)), pm.RestToRest(start, end, 0.2))
-
-
-def test_a_path_of_the_second_arm_that_leaves_its_limits_is_refused_at_once() -> None:
-    start = rest_of(TWO)[TWO.mounts[1].v.start - 3 :]
-    with refused(r"^reference has joint 'kinova/j2s6s200_joint_2' at \d"):
-        pm.WholeBody(
-            TWO, pm.Tangent(pm.Circle(1, 0.1, 60)), None, pm.RestToRest(start, start + 4 * np.eye(6)[1], 60)
-        )
-
-
 def test_a_short_path_of_the_second_arm_is_looked_at_between_the_times_of_the_first() -> None:
     start = rest_of(TWO)[TWO.mounts[1].v.start - 3 :]
     away = pm.CubicVia(start, start + 4 * np.eye(6)[1], start, 0.45, 0.9)
     with refused(r"joint 'kinova/j2s6s200_joint_2' at \d"):
         pm.WholeBody(TWO, pm.Tangent(pm.Circle(1, 0.1, 60)), None, away)
-
-
-@dataclass(frozen=True)
-class Unchecked:
-    """A user's own trajectory of the UR5 on a base at rest."""
-
-    path: Spike
-    duration: float = 6.0
-
-    def __call__(self, t: ArrayLike) -> pm.Reference:
-        arm = (self.path.derivative(t, order) for order in range(3))
-        return pm.Reference(*(np.concatenate([np.zeros((*np.shape(t), 3)), part], -1) for part in arm))
 
 
 def test_slides_have_their_limits_in_metres_and_a_limit_itself_is_within() -> None:
@@ -231,45 +176,27 @@ def test_slides_have_their_limits_in_metres_and_a_limit_itself_is_within() -> No
 
 
 test_what_does_not_fit_together_is_refused = refusals(
-    (lambda: pm.WholeBody("ur5", CIRCLE), "robot is 'ur5', expected a MobileRobot"),
     (
         lambda: pm.WholeBody(UR5, pm.Circle(1, 1, 6), None),
         "base is Circle(radius=1.0, rate=1.0, duration=6.0), a path, which has no heading, expected a "
         "trajectory: wrap the path in Tangent or FixedHeading, such as Tangent(path)",
     ),
-    (
-        lambda: pm.WholeBody(UR5, pm.WholeBody(UR5, CIRCLE, None), None),
-        "base(0).q has shape (9,), expected (3,): x, y and psi",
-    ),
     (lambda: pm.WholeBody(UR5, CIRCLE), "joints has 0 paths, expected 1, one per arm of the robot"),
-    (
-        lambda: pm.WholeBody(TWO, CIRCLE, None, None, None),
-        "joints has 3 paths, expected 2, one per arm of the robot",
-    ),
-    (
-        lambda: pm.WholeBody(UR5, CIRCLE, np.zeros(6)),  # type: ignore[arg-type]
-        "joints[0] is array([0., 0., 0., 0., 0., 0.]), expected a path of 6 coordinates, or None",
-    ),
     (
         lambda: pm.WholeBody(TWO, CIRCLE, None, pm.Hold(np.zeros(5), 6)),
         "joints[1](0) has shape (5,), expected (6,), one coordinate per joint of 'kinova'",
-    ),
-    (lambda: pm.WholeBody(UR5, CIRCLE, Spike(np.nan)), "joints[0](0)[0] is nan, expected a finite number"),
-    (
-        lambda: pm.WholeBody(UR5, CIRCLE, Spike(1.0, duration=0.0)),
-        "joints[0].duration is 0.0 s, expected > 0",
     ),
     (
         lambda: pm.WholeBody(UR5, CIRCLE, pm.Hold(np.zeros(6), 7)),
         "base ends after 6 s of 7 s while it moves at 0.5, expected an end at rest, or the same duration",
     ),
+    (lambda: pm.PDGravity(UR5, (1, 2, 3), 1), "kp has shape (3,), expected (), (9,) or (9, 9)"),
     (
-        lambda: pm.WholeBody(
-            UR5, CIRCLE, pm.Spline([np.zeros(6), np.ones(6)], (0, 4), end_velocity=np.ones(6))
-        ),
-        "joints[0] ends after 4 s of 6 s while it moves at 1, expected an end at rest, or the same duration",
+        lambda: pm.simulate(UR5, Decoupled(UR5), CIRCLE, dt=0.01),
+        "q has shape (9,), expected (..., 3), as in the reference; the reference has the first 3 of 9 "
+        "coordinates, expected a controller of these coordinates, or a reference of all: "
+        "WholeBody(robot, base, *joints) combines base and arms",
     ),
-    (lambda: CIRCLE and pm.WholeBody(UR5, CIRCLE, None)(6.1), "t is 6.1 s, expected 0 <= t <= 6 s"),
     by=told,
 )
 
@@ -326,14 +253,6 @@ def test_decoupled_is_the_locked_load_and_the_arm_on_a_fixed_base(robot: pm.Mobi
     np.testing.assert_array_equal(single, tau[4])
 
 
-def test_without_arms_or_coupling_decoupled_is_computed_torque() -> None:
-    q, v, reference = drawn(BARE)
-    decoupled, whole = (
-        make(BARE, 3, 2)(0.0, q, v, reference, None)[0] for make in (Decoupled, pm.ComputedTorque)
-    )
-    np.testing.assert_array_equal(decoupled, whole)
-
-
 def test_the_whole_body_controller_tracks_and_the_decoupled_one_lags() -> None:
     """UR5 on a circle of 1 m at 0.5 rad/s, every joint through 0.5 rad and back in 6 s, dt = 1 ms."""
     trajectory, dt = there_and_back(UR5), 1e-3
@@ -351,53 +270,6 @@ def test_the_whole_body_controller_tracks_and_the_decoupled_one_lags() -> None:
     assert decoupled.max() > 1e-3
 
 
-def test_computed_torque_of_another_step_is_off_by_the_held_force_alone() -> None:
-    trajectory = there_and_back(UR5)
-    coarse, fine = (
-        pm.simulate(UR5, pm.ComputedTorque(UR5, 100, 20), trajectory, dt=dt).max_error()[3:]
-        for dt in (4e-3, 2e-3)
-    )
-    np.testing.assert_allclose(coarse / fine, 2, atol=0.1)
-
-
-@pytest.mark.parametrize("name", ["ur5", "kinova"])
-def test_forces_act_on_the_base_of_a_robot_with_arms(name: str) -> None:
-    robot = pm.MobileRobot.box().mount(name)
-    whole = pm.WholeBody(robot, pm.Tangent(pm.Circle(1, 0.5, 0.2)), None)
-    push, seen = np.array([5.0, -3.0, 0.4]), []
-
-    def wind(t: float, q: Array, v: Array) -> Array:
-        seen.append((q.shape, v.shape))
-        return push
-
-    free = pm.ComputedTorque(robot, 100, 20)
-    padded = np.append(push, np.zeros(robot.nv - 3))
-    held_too = pm.law(lambda t, q, v, reference: free(t, q, v, reference, None)[0] + padded)
-    options: dict[str, Any] = {"dt": 0.01, "integrator": pm.rk4}
-    held = pm.simulate(robot, held_too, whole, **options)
-    for force in (wind, pm.ConstantForce(push)):
-        run = pm.simulate(robot, free, whole, forces=[force], **options)
-        np.testing.assert_allclose(run.q, held.q, rtol=0, atol=1e-13)
-    assert set(seen) == {((3,), (3,))}
-    for other in (
-        pm.ViscousFriction((5, 5, 1)),
-        pm.RollingResistance((5, 5, 1)),
-        SinusoidalForce((5, 5, 1), 1.0, 0.5),
-        NoiseForce((5, 5, 1), 1.0, seed=0),
-    ):
-        run = pm.simulate(robot, free, whole, forces=[other], **options)
-        assert np.abs(run.q[-1] - held.q[-1]).max() > 1e-6
-
-
-@pytest.mark.parametrize("robot", [KINOVA, TWO], ids=["kinova", "two arms and a load"])
-def test_other_arms_track_too(robot: pm.MobileRobot) -> None:
-    trajectory = there_and_back(robot, 0.02, 0.5)
-    run = pm.simulate(robot, pm.ComputedTorque(robot, 100, 20), trajectory, dt=1e-3)
-    assert run.q.shape == (501, robot.nq)
-    # As above, the jerk 12 * 0.02 rad / (0.25 s)^3: 8e-5.
-    assert run.max_error().max() < 1e-4
-
-
 def test_pd_with_gravity_comes_to_rest_at_the_goal_where_pd_sags() -> None:
     goal = np.array([0.5, -0.7, 0.9, 0.3, -0.4, 0.2])
     held = pm.WholeBody(UR5, pm.FixedHeading(pm.Hold((0.1, 0.2), 4), 0.3), pm.Hold(goal, 4))
@@ -411,49 +283,3 @@ def test_pd_with_gravity_comes_to_rest_at_the_goal_where_pd_sags() -> None:
     expected = UR5.gravity(held(0.0).q)[4] / kp[4]
     assert found[1][4] == pytest.approx(expected, rel=0.2)  # the sag, where g is about that of the goal
     assert abs(found[1][4]) > 0.05
-
-
-@pytest.mark.parametrize("make", [pm.PDGravity, pm.ComputedTorque, Decoupled])
-@pytest.mark.parametrize("integrator", [constant_acceleration, pm.rk4])
-def test_in_the_loop_and_asked_from_outside_a_controller_is_the_same(make: Any, integrator: Any) -> None:
-    trajectory = there_and_back(UR5)
-    kp, kd = np.array([4.0, 4]) if make is not pm.PDGravity else 4 * np.ones((2, 1)) * gains(UR5)
-    controller, start = make(UR5, kp, kd), UR5.rest + 0.1
-    runs = [
-        pm.simulate(UR5, one, trajectory, dt=0.002, duration=0.4, q0=start, integrator=integrator)
-        for one in (controller, pm.InputSaturation(controller, 1e6))
-    ]
-    # Another order of coordinates, hence of roundings, amplified by a condition number of 1e4.
-    for name in ("q", "v", "u"):
-        np.testing.assert_allclose(getattr(runs[0], name), getattr(runs[1], name), rtol=0, atol=1e-9)
-    limited = pm.simulate(
-        UR5, pm.InputSaturation(controller, 5.0), trajectory, dt=0.002, duration=0.1, q0=start
-    )
-    assert np.abs(limited.u).max() == 5.0
-
-
-test_sizes_that_do_not_fit_are_refused = refusals(
-    (lambda: pm.PDGravity("ur5", 1, 1), "robot is 'ur5', expected a MobileRobot"),
-    (
-        lambda: Decoupled("ur5"),
-        "robot is 'ur5', expected a MobileRobot, or a plant with inverse_dynamics(q, v, a) and nv",
-    ),
-    (lambda: pm.PDGravity(UR5, (1, 2, 3), 1), "kp has shape (3,), expected (), (9,) or (9, 9)"),
-    (lambda: Decoupled(UR5, 1, np.eye(3)), "kd has shape (3, 3), expected (), (9,) or (9, 9)"),
-    (lambda: Decoupled(UR5, np.inf, 1), "kp is inf, expected a finite number"),
-    (
-        lambda: Decoupled(UR5)(0.0, np.zeros(3), np.zeros(3), pm.Reference(*np.zeros((3, 3))), None),
-        f"robot of the controller is {UR5!r}, which has 9 coordinates, expected 3, as the plant has",
-    ),
-    (
-        lambda: pm.PDGravity(UR5, 1, 1)(0.0, np.zeros(9), np.zeros(9), CIRCLE(0.0), None),
-        "q has shape (9,), expected (..., 3), as in the reference",
-    ),
-    (
-        lambda: pm.simulate(UR5, Decoupled(UR5), CIRCLE, dt=0.01),
-        "q has shape (9,), expected (..., 3), as in the reference; the reference has the first 3 of 9 "
-        "coordinates, expected a controller of these coordinates, or a reference of all: "
-        "WholeBody(robot, base, *joints) combines base and arms",
-    ),
-    by=told,
-)

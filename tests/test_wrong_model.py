@@ -171,28 +171,12 @@ def cut_off(controller: Any) -> tuple[pm.Rollout, Array]:
     return run, np.linalg.norm(run.error[:, :2], axis=-1)
 
 
-@pytest.mark.parametrize("name", [name for name in NAMES if name != "sliding mode"])
+@pytest.mark.parametrize("name", ["PID", "super-twisting", "adaptive", "ADRC"])
 def test_nothing_winds_up_where_the_force_is_limited(name: str) -> None:
     run, off = cut_off(EACH[name])
     assert (np.abs(run.u).max(axis=0) >= LIMITS).any()
     assert off.max() < 1.0
     assert off[run.t > 6].max() < 0.02
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_all_engines_agree(name: str) -> None:
-    given: Any = {"dt": 0.01, "integrator": pm.rk4, "seed": 2, "n": 2, "duration": 1.0}
-    spread = {"mass": pm.Uniform(25, 36), "start.x": pm.Uniform(-0.1, 0.1)}
-    runs = [
-        pm.ensemble(
-            NOMINAL, pm.InputSaturation(EACH[name], (25, 25, 4)), SHORT, spread=spread, engine=engine, **given
-        )
-        for engine in (pm.Engine.COMPILED, pm.Engine.PYTHON)
-    ]
-    # 100 samples of contracting loops: rounding does not grow, but where a sign switches.
-    close = 1e-9 if name == "super-twisting" else 1e-12
-    for other in runs[1:]:
-        assert np.abs(runs[0].rms_error - other.rms_error).max() < close
 
 
 @pytest.mark.long
@@ -225,35 +209,8 @@ def test_gains_that_are_unstable_at_this_dt_are_refused_with_the_bound(controlle
         pm.simulate(NOMINAL, controller, SHORT, dt=0.01)
 
 
-def test_the_bound_is_where_the_loop_itself_becomes_unstable() -> None:
-    gains: Any = {"kp": 100.0, "ki": 0.0, "kd": 20.0}
-    with pytest.raises(pm.InvalidArgument, match=r"dt < ([0-9.]+) s") as caught:
-        pm.simulate(NOMINAL, pm.PID(NOMINAL, **gains), SHORT, dt=0.5)
-    bound = float(str(caught.value).rpartition("dt < ")[2].partition(" s")[0])
-
-    class Still:
-        duration = 100.0
-
-        def __call__(self, t: Any) -> pm.Reference:
-            return pm.Reference(*(np.zeros((*np.shape(t), 3)),) * 3)
-
-    def last(dt: float) -> float:
-        body = pm.MobileRobot(mass=30, yaw_inertia=1.3)
-        given: Any = {"dt": dt, "duration": 200 * dt, "integrator": pm.rk4, "limit": 1e9}
-        run = pm.simulate(
-            body, pm.ComputedTorque(body, 100, 20), Still(), q0=[0.01, 0, 0], v0=np.zeros(3), **given
-        )
-        return float(abs(run.q[-1, 0]))
-
-    assert last(0.97 * bound) < 0.01 < last(1.03 * bound)
-
-
 test_bad_arguments_are_refused = refusals(
     (lambda: pm.Adaptive(NOMINAL, lower=[31, -9, -9, 0]), "exclude the robot's value, 30"),
-    (lambda: pm.Adaptive(NOMINAL, upper=[90, 9, 9]), r"upper has shape \(3,\), expected \(4,\)"),
-    (lambda: pm.Adaptive(NOMINAL, friction=1), "friction is 1, expected True or False"),  # type: ignore[arg-type]
-    (lambda: pm.SlidingMode(NOMINAL, layer=0), "layer is 0.0, expected > 0"),
-    (lambda: pm.SuperTwisting(NOMINAL, k1=[1, 2]), r"k1 has shape \(2,\), expected \(\) or \(3,\)"),
     (lambda: pm.DisturbanceObserver(pm.PD(1, 1)), "robot is None, expected a MobileRobot"),
     (lambda: pm.ADRC(pm.WheeledRobot(NOMINAL, pm.WheelTable.differential(0.1, 0.4))), "which has wheels"),
 )
