@@ -109,7 +109,7 @@ def test_what_stands_in_axes_stays() -> None:
     assert axes.get_title() == "Mine"
 
 
-@pytest.mark.parametrize("value", [3, "axes", [], [1, 2], None, {}])
+@pytest.mark.parametrize("value", ["axes", [1, 2], None])
 def test_other_things_than_axes_are_refused(value: Any) -> None:
     if value is not None:
         with pytest.raises(

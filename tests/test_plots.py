@@ -92,24 +92,6 @@ class TestPath:
         mixed = np.append(astray.reference.q[0, :2], astray.q[0, 2])
         assert np.abs(drawn[0] - corners(mixed, 0.6, 0.4)).max() > 1
 
-    def test_the_nose_points_along_the_body(self, astray: Rollout) -> None:
-        (axes,) = plots.path(astray, times=0.0).axes
-        outline, nose = (np.asarray(p.get_xy())[:-1] for p in axes.patches if isinstance(p, Polygon))
-        psi = astray.q[0, 2]
-        ahead = (nose - outline.mean(axis=0)) @ np.array([np.cos(psi), np.sin(psi)])
-        assert ahead.max() == pytest.approx(0.48 * 0.6)
-        assert ahead.min() > -0.1 * 0.6 - 1e-12
-
-    def test_between_two_samples_the_pose_lies_between(self, astray: Rollout) -> None:
-        (axes,) = plots.path(astray, times=[0.05]).axes
-        np.testing.assert_allclose(robots(axes)[0], corners(astray.q[:2].mean(axis=0), 0.6, 0.4), atol=1e-12)
-
-    def test_size_is_the_robots(self) -> None:
-        robot = MobileRobot(30, 1, size=(2, 1, 0.5))
-        run = simulate(robot, ComputedTorque(robot), CIRCLE, dt=0.1)
-        (axes,) = plots.path(run, times=[7]).axes
-        np.testing.assert_allclose(robots(axes)[0], corners(run.q[70], 2, 1), atol=1e-12)
-
     def test_lines_are_the_desired_and_the_travelled_path(self, circle: Runs) -> None:
         for axes, run in zip(plots.path(circle).axes, circle.values(), strict=True):
             desired, travelled = axes.lines
@@ -123,11 +105,6 @@ class TestPath:
             centres = [box.mean(axis=0) for box in robots(axes)]
             assert 5 <= len(centres) <= 8
             assert min(np.hypot(*(a - b)) for a, b in combinations(centres, 2)) > np.hypot(0.6, 0.4)
-
-    def test_rollouts_of_one_reference_are_drawn_at_the_same_instants(self, circle: Runs) -> None:
-        first, second = ([text.get_text() for text in axes.texts[1:]] for axes in plots.path(circle).axes)
-        assert first == second
-        assert {"0 s", "60 s"} < set(first)
 
     def test_both_axes_have_one_scale_and_all_panels_the_same_window(self, circle: Runs) -> None:
         panels = plots.path(circle).axes
@@ -146,13 +123,6 @@ class TestPath:
             tip = arrow[np.argmax(np.hypot(*(arrow - astray.q[0, :2]).T))] - astray.q[0, :2]
             assert np.arctan2(tip[1], tip[0]) == pytest.approx(2.5)
 
-    def test_a_robot_that_never_moves_is_drawn_once(self, circle: Runs) -> None:
-        rest = np.tile([1.0, 2.0, 0.5], (601, 1))
-        run = replace(circle["PD"], q=rest, reference=Reference(rest, 0 * rest, 0 * rest))
-        for plant in (ROBOT, None):
-            (axes,) = plots.path(replace(run, plant=plant)).axes
-            assert len(robots(axes)) == 1
-
     def test_times(self, circle: Runs) -> None:
         with pytest.raises(InvalidArgument, match=r"^times\[1\] is 61.0 s, expected 0 <= times <= 60 s$"):
             plots.path(circle, times=[0, 61])
@@ -168,11 +138,6 @@ class TestSeries:
                 np.testing.assert_array_equal(line.get_xydata(), np.stack([run.t, run.q[:, k]], axis=-1))
             np.testing.assert_array_equal(desired.get_ydata(), circle["PD"].reference.q[:, k])
             assert desired.is_dashed()
-
-    def test_each_reference_is_drawn_once(self, circle: Runs) -> None:
-        figure = plots.states({**circle, "via stop": both(VIA_STOP)["PD"]})
-        assert [line.get_label() for line in figure.axes[0].lines].count("desired") == 2
-        assert legend_of(figure) == ["desired", "PD", "computed torque", "via stop"]
 
     def test_errors_are_the_recorded(self, circle: Runs) -> None:
         grid = np.reshape(np.array(plots.errors(circle).axes), (3, 2))
@@ -247,14 +212,6 @@ class TestFigures:
             assert line.get_marker() == "o"  # a line of one point is nothing
             assert axes.get_ylim()[0] < run.u[0, k] < axes.get_ylim()[1]
 
-    def test_of_one_sample_the_robot_stands_where_it_was(self, astray: Rollout) -> None:
-        (axes,) = plots.path(shortened(astray, 1)).axes
-        (box,) = robots(axes)
-        np.testing.assert_allclose(box, corners(astray.q[0], 0.6, 0.4), atol=1e-12)
-        low, high = np.array([axes.get_xlim(), axes.get_ylim()]).T
-        places = np.array([*box, astray.reference.q[0, :2]])
-        assert ((low < places) & (places < high)).all()
-
     def test_arms_are_drawn_where_their_frames_are(self) -> None:
         arm = pm.MobileRobot.box().mount("ur5", at=(0.2, 0.1, 0.3, 0.5))
         robot = pm.WheeledRobot(arm, pm.WheelTable.mecanum(0.4, 0.5, 0.1))
@@ -284,21 +241,11 @@ class TestFigures:
         for draw in (*DRAWN, animate):
             for wrong, message in (
                 ({}, r"^rollouts is {}, expected a Rollout or a mapping"),
-                ([circle["PD"]], r"^rollouts is .*, expected a Rollout or a mapping"),
                 ({"a": 3}, r"^rollouts\['a'\] is 3, expected a Rollout$"),
                 ({1: circle["PD"]}, r"^a label of rollouts is 1, expected text"),
             ):
                 with pytest.raises(InvalidArgument, match=message):
                     draw(wrong)
-
-    def test_a_path_needs_a_pose(self, circle: Runs) -> None:
-        run = circle["PD"]
-        desired = run.reference._replace(q=run.reference.q[:, :2])
-        flat = replace(run, plant=None, q=run.q[:, :2], reference=desired)
-        with pytest.raises(
-            InvalidArgument, match=r"^rollouts\['a'\].plant is a NoneType, which has no pose of its body"
-        ):
-            plots.path({"a": flat})
 
     def test_pyplot_and_settings_are_left_alone(self, circle: Runs, tmp_path: Path) -> None:
         before = dict(matplotlib.rcParams)
@@ -370,13 +317,6 @@ class TestAnimate:
         assert len(rows) > 50
         assert columns.min() > 0.6 * pixels.shape[1]
         assert rows.max() < 0.5 * pixels.shape[0]
-
-    def test_a_shorter_rollout_waits_at_its_end(self, circle: Runs, tmp_path: Path) -> None:
-        runs = {"long": shortened(circle["PD"], 21), "short": shortened(circle["PD"], 6)}
-        frames, _ = gif(plots.animate(runs, tmp_path / "robot.gif"))
-        right = [np.asarray(frame)[60:, frame.width // 2 :] for frame in frames]
-        np.testing.assert_array_equal(right[8], right[-1])
-        assert (right[0] != right[-1]).any()
 
     def test_bad_arguments(self, circle: Runs, tmp_path: Path) -> None:
         with pytest.raises(InvalidArgument, match=r"^path is '.*', expected a name that ends in '.gif'$"):
@@ -488,14 +428,6 @@ def test_reaction_draws_six_components_with_their_units() -> None:
     for axes, column in zip(figure.axes, reaction_wrench(run).T, strict=True):
         np.testing.assert_array_equal(axes.lines[0].get_ydata(), column)
     assert len(figure.legends) == 1
-
-
-@pytest.mark.parametrize("draw", [plots.balance, plots.reaction])
-def test_what_is_no_rollout_of_a_robot_is_refused(draw: Any) -> None:
-    with pytest.raises(pm.InvalidArgument, match="rollouts is 3, expected a Rollout"):
-        draw(3)
-    with pytest.raises(pm.InvalidArgument, match=r"rollouts\['a'\].plant is None, expected a MobileRobot"):
-        draw({"a": replace(driven(1.0), plant=None)})
 
 
 def test_a_reaction_needs_an_arm_of_that_name() -> None:
