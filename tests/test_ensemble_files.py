@@ -192,21 +192,14 @@ def test_with_its_scenario_a_loaded_ensemble_makes_robots_again(tmp_path: Path) 
     ("changed", "why"),
     [
         ({"controller": pm.ComputedTorque(ROBOT)}, r"controller is .*30.0.* there and .*10.0.* here"),
-        (
-            {"controller": pm.ComputedTorque(pm.MobileRobot(30, 1.3), kp=9)},
-            r"controller is .*4.* there and .*9.* here",
-        ),
         ({"robot": pm.MobileRobot(10, 1.4)}, r"robot is .*1.3.* there and .*1.4.* here"),
-        ({"seed": 8}, "seed is 7 there and 8 here"),
         ({"n": 61, "spread": SPREAD | {"com.x": 0.0}}, r"spread\['com.x'\] is 60 numbers there and 0.0 here"),
         (
             {"spread": {name: SPREAD[name] for name in SPREAD if name != "mass"}},
             r"spread\['mass'\] is Uniform\(low=2.0, high=10.0\) there and absent here",
         ),
-        ({"forces": [pm.ConstantForce((1, 0, 0))]}, r"forces\[0\] is Const.* there and Const.* here"),
         ({"spread": SPREAD | {"com.x": np.linspace(0, 0.2, 60)}}, "its draws of com.x differ"),
         ({"duration": 10.0, "every": 3}, "t differs"),
-        ({"every": 2}, "every is 3 there and 2 here"),
     ],
 )
 def test_another_scenario_is_refused(tmp_path: Path, changed: dict[str, Any], why: str) -> None:
@@ -236,29 +229,8 @@ def test_changed_code_is_refused_and_versions_are_kept(tmp_path: Path) -> None:
     assert f"numpy {np.__version__}" in str(told)
 
 
-def test_another_reference_is_refused(tmp_path: Path) -> None:
-    class Turned:
-        duration = 20.0
-
-        def __init__(self, by: float) -> None:
-            self.by = by
-
-        def __repr__(self) -> str:
-            return "Turned()"
-
-        def __call__(self, t: Any) -> Any:
-            return CIRCLE(t)._replace(q=CIRCLE(t).q + self.by)
-
-    path = saved(run(trajectory=Turned(0.0), n=2, spread={}), tmp_path)
-    with refused(r"saved.npz': reference.q differs$"):
-        pm.Ensemble.load(path, scenario(trajectory=Turned(1e-3), n=2, spread={}))
-    with refused(r"^scenario is {}, expected a Scenario$"):
-        pm.Ensemble.load(path, {})  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize("name", MADE)
-def test_csv_has_a_row_per_robot_and_every_digit(tmp_path: Path, name: str) -> None:
-    one = MADE[name]
+def test_csv_has_a_row_per_robot_and_every_digit(tmp_path: Path) -> None:
+    one = DIVERGING
     one.to_csv(tmp_path / "robots.csv")
     header = (tmp_path / "robots.csv").read_text().splitlines()[0].split(",")
     table = np.loadtxt(tmp_path / "robots.csv", delimiter=",", skiprows=1, ndmin=2)
@@ -325,7 +297,7 @@ def test_damaged_bytes_are_refused_or_do_no_harm(tmp_path: Path) -> None:
     content, path = saved(DIVERGING, tmp_path).read_bytes(), tmp_path / "robots.npz"
     wanted, words = bits(DIVERGING), str(pm.Ensemble.load(saved(DIVERGING, tmp_path)))
     read = 0
-    for seed in range(100):
+    for seed in range(40):
         path.write_bytes(damaged(content, np.random.default_rng(seed)))
         loaded = answer(lambda: pm.Ensemble.load(path))
         if isinstance(loaded, pm.InvalidArgument):
@@ -334,4 +306,4 @@ def test_damaged_bytes_are_refused_or_do_no_harm(tmp_path: Path) -> None:
             assert bits(loaded) == wanted
             assert str(loaded) == words
             read += 1
-    assert read < 75
+    assert read < 30
