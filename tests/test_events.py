@@ -1,6 +1,5 @@
 """Events of a run and of an ensemble: limits, saturation, slip, tipping over; and runs that end at them."""
 
-import math
 import warnings
 from pathlib import Path
 from typing import Any
@@ -143,10 +142,9 @@ def test_a_base_without_arms_that_tips_over_is_an_event() -> None:
     assert not simulate(box, law, Tangent(Circle(1.0, 1.0, 1.0)), dt=0.01).events
 
 
-@pytest.mark.parametrize("direction", [np.pi / 2, -np.pi / 2])
-def test_a_robot_at_rest_across_a_ramp_does_not_slip(direction: float) -> None:
+def test_a_robot_at_rest_across_a_ramp_does_not_slip() -> None:
     table = WheelTable.differential(0.5, 0.1, mass=1.0, spin_inertia=0.005, supports=[(0.3, 0), (-0.3, 0)])
-    ground = Coulomb(0.8, ramp=Ramp(0.2, direction))
+    ground = Coulomb(0.8, ramp=Ramp(0.2, np.pi / 2))
     robot = WheeledRobot(MobileRobot(30, 1.3, com=(0, 0, 0.2)), table, ground)
     rest = pm.FixedHeading(pm.Hold((0, 0), 0.2), 0)
     assert not simulate(robot, pm.law(lambda t, q, v, reference: np.zeros(2)), rest, dt=0.01).events
@@ -165,7 +163,6 @@ def test_a_run_ends_at_the_first_event_of_a_kind(engine: pm.Engine) -> None:
         np.testing.assert_array_equal(getattr(ended, name), getattr(whole, name)[: len(ended)])
     np.testing.assert_array_equal(ended.signals["loads"].values, whole.signals["loads"].values[: len(ended)])
     np.testing.assert_array_equal(ended.reference.q, whole.reference.q[: len(ended)])
-    assert len(turning(robot, engine=engine, stop_at=["current limit"])) == len(whole)
 
 
 def test_a_run_that_diverges_after_its_end_does_not_diverge() -> None:
@@ -224,8 +221,3 @@ def test_an_ensemble_states_what_was_spread_who_failed_and_what_drives_the_worst
     assert "failed" not in str(
         pm.ensemble(robot, law, Tangent(Circle(1.0, 0.1, 2.0)), n=2, spread={}, dt=0.02)
     )
-
-
-def test_a_limit_without_a_number_is_no_event() -> None:
-    t, values = np.array([0.0, 1.0]), np.array([1.0, 2.0])
-    assert Event.of("effort limit", "arm", t, values, values - math.inf, words="", limit=math.inf) is None
