@@ -2,7 +2,6 @@
 
 from copy import copy
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -189,16 +188,6 @@ def test_each_joint_has_a_friction_of_its_own() -> None:
     assert_members(runs, 0, 1)
 
 
-def test_the_engines_agree_and_the_bits_hang_on_nothing() -> None:
-    runs, few = run(n=20, threads=2), run(n=3, threads=1)
-    for engine in (pm.Engine.COMPILED, pm.Engine.PYTHON):
-        other = run(n=3, engine=engine)
-        assert other.engine == engine.name
-        np.testing.assert_allclose(other.max_error, few.max_error, rtol=1e-9, atol=CLOSE)
-    np.testing.assert_array_equal(runs.max_error[:3], few.max_error)
-    np.testing.assert_array_equal(runs.max_input[:3], few.max_input)
-
-
 def test_six_seconds_of_a_closed_loop_are_those_of_pinocchio() -> None:
     robot = ALL_KINDS["kinova"]
     runs = run(
@@ -236,15 +225,6 @@ def test_the_bits_of_arms_are_those_of_every_processor() -> None:
     for other in found[1:]:
         for one, same in zip(found[0], other, strict=True):
             np.testing.assert_array_equal(one, same)
-
-
-def test_a_member_whose_links_differ_is_kept_in_a_file(tmp_path: Path) -> None:
-    member = run(n=1).arguments(0)
-    alone = pm.simulate(*member[:3], **member.options)
-    alone.save(tmp_path / "run.npz")
-    again = pm.Rollout.load(tmp_path / "run.npz").plant
-    assert again == member.robot
-    np.testing.assert_array_equal(again.inertial_parameters, member.robot.inertial_parameters)
 
 
 def test_inertias_that_no_body_has_are_refused_with_their_share() -> None:
