@@ -28,21 +28,6 @@ RUN = pm.simulate(TwoWheels(), Follower(), PATH, dt=0.02, forces=FORCES, integra
 NAMES = ["x", "y", "psi", "left wheel", "right wheel"]
 
 
-@pytest.mark.parametrize("integrator", [constant_acceleration, pm.rk4])
-@pytest.mark.parametrize("substeps", [1, 3])
-@pytest.mark.parametrize("pushed", [False, True])
-def test_the_loop_is_the_one_that_is_compiled(integrator: Any, substeps: int, pushed: bool) -> None:
-    """`simulate` and the loop that is run on symbols do the same, step for step."""
-    plant, forces = TwoWheels(), FORCES if pushed else ()
-    options: dict[str, Any] = {"substeps": substeps, "integrator": integrator, "forces": forces}
-    run = pm.simulate(plant, Follower(), PATH, dt=0.02, duration=2, **options)
-    loop = Loop(plant, Follower(), None, forces, integrator, substeps)
-    rows = looped(loop, run.q[0], run.v[0], run.t, run.reference)
-    for name in ("q", "v", "u", "a"):
-        largest = np.abs(rows[name]).max()
-        np.testing.assert_allclose(getattr(run, name), rows[name], rtol=0, atol=1e-12 * largest)
-
-
 def test_the_plant_names_what_is_printed() -> None:
     text = str(RUN)
     for name, most in zip(("left torque", "right torque"), RUN.max_input(), strict=True):
@@ -256,20 +241,6 @@ def test_limits_hold_after_wrappers_and_are_what_is_applied() -> None:
     np.testing.assert_allclose(run.a[3], acceleration, rtol=1e-14)
 
 
-def test_a_plant_around_a_robot_needs_no_names() -> None:
-    robot = pm.MobileRobot(30.0, 1.3)
-
-    class Around:
-        nq = nv = nu = 3
-        forward_dynamics, integrate, difference = (robot.forward_dynamics, robot.integrate, robot.difference)
-
-        def __init__(self) -> None:
-            self.robot = robot
-
-    run = pm.simulate(Around(), pm.PD(120, 120), PATH, dt=0.1, duration=0.5)
-    assert run.events == ()
-
-
 def test_a_start_is_completed_and_checked() -> None:
     class Held(TwoWheels):
         def check_start(self, q: Array, v: Array) -> None:
@@ -368,12 +339,9 @@ def plant_with(**changed: Any) -> Any:
 @pytest.mark.parametrize(
     ("plant", "why"),
     [
-        (plant_with(nv=4), "nv = 4 and 5 coordinates"),
-        (plant_with(nu=3), "nu = 3 and 2 inputs"),
         (plant_with(configuration_names=("x",)), "nq = 5 and 1 configuration_names"),
         (plant_with(coordinates=3), "plant.coordinates is 3, expected a sequence of Coordinate"),
         (plant_with(reference_sizes={5: 5}), r"trajectory gives q of shape \(201, 3\) .*, expected \(201, 5"),
-        (plant_with(start=lambda self, reference: ([0], [0])), r"q0 .*has shape \(1,\), expected \(5,\)"),
         (
             plant_with(project=lambda self, q, v: v[:3], start=at_rest),
             r"whose project\(q, v\) returned .* shape \(5,\)",
@@ -397,26 +365,6 @@ def test_a_shorter_reference_without_a_start_needs_one() -> None:
     np.testing.assert_array_equal(begun.q, pm.simulate(TwoWheels(), Follower(), PATH, dt=0.1).q)
 
 
-def test_a_base_with_an_arm_follows_a_reference_of_the_base() -> None:
-    robot = pm.MobileRobot.box().mount("ur5")
-
-    def held(t: float, q: Array, v: Array, reference: Any) -> Array:
-        whole = np.append(reference.q, robot.rest[3:])
-        rates = np.append(reference.v, np.zeros(6))
-        a = 25 * robot.difference(q, whole) + 10 * (rates - v)
-        a[:3] += reference.a
-        return robot.inverse_dynamics(q, v, a)
-
-    run = pm.simulate(robot, pm.law(held), PATH, dt=0.01, duration=1)
-    assert run.error.shape == (101, 3)
-    assert (run.max_error() < 1e-3).all()
-    assert run.q[0, 3:].tolist() == robot.rest[3:].tolist()
-    assert len(str(run).splitlines()) == 4
-    assert plots.errors(run).axes[0].get_ylabel() == "error in $x$ [m]"
-    with pytest.raises(pm.InvalidArgument, match=r"has the first 3 of 9 coordinates, .* WholeBody"):
-        pm.simulate(robot, pm.PD(1, 1), PATH, dt=0.1)
-
-
 class Telling(Follower):
     def __init__(self, *answers: Any) -> None:
         self.answers = answers
@@ -436,13 +384,8 @@ class Telling(Follower):
     [
         (([1],), r"result of controller.signals is \[1\], expected a dict"),
         (({"a": 3},), r"controller.signals\['a'\] is 3, expected \(unit, value\)"),
-        (({"a": ("m", "x")},), r"controller.signals\['a'\] is 'x', expected"),
         (({"a": ("m", np.eye(2))},), r"controller.signals\['a'\] has shape \(2, 2\), expected \(\) or"),
         (({"a": ("m", 1)}, {}), r"controller.signals\['a'\] is missing at t = 0.1 s, expected of unit 'm'"),
-        (
-            ({"a": ("m", 1)}, {"a": ("s", 1)}),
-            r"is of unit 's' and shape \(\) at t = 0.1 s, expected of unit 'm'",
-        ),
         (({"a": ("m", 1)}, {"a": ("m", [1, 2])}), r"is of unit 'm' and shape \(2,\) at t = 0.1 s"),
         (({"tread": ("m", 1)},), "plant and controller both have the signal 'tread'"),
     ],

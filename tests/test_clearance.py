@@ -1,7 +1,6 @@
 """How far links are from one another and from the ground: beside MuJoCo, brute force and closed forms."""
 
 import pickle
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -136,9 +135,7 @@ def slider(*shapes: tuple[int, Any], rest: float = 1.0) -> pm.MobileRobot:
     [
         (0.5, np.hypot(0.1, 0.26) - 0.05),  # to the rim
         (0.12, 0.05),
-        (0.08, 0.01),
         (0.06, -0.01),
-        (-1.0, 0.95),
     ],
 )
 def test_a_mesh_that_is_hollow_counts_as_it_is(height: float, distance: float) -> None:
@@ -294,12 +291,6 @@ def test_a_robot_without_collision_shapes_is_refused(tmp_path: Path) -> None:
         pm.clearance(pm.MobileRobot.from_urdf(tmp_path / "ridgeback.urdf"), lost.rest)
 
 
-@pytest.mark.parametrize("robot", [3, pm.MobileRobot, Mapping, None])
-def test_other_things_than_robots_are_refused(robot: Any) -> None:
-    with pytest.raises(pm.InvalidArgument, match="which has no collision geometry, expected a Mobile"):
-        pm.clearance(robot, [0, 0, 0])
-
-
 def test_shapes_for_an_arm_are_those_of_a_model_alone() -> None:
     with pytest.raises(pm.InvalidArgument, match=r"collision is 3, expected a pinocchio.GeometryModel"):
         BOX.mount("ur5", AT, collision=3)
@@ -337,13 +328,3 @@ def test_resolve_reports_the_smallest_clearance_and_refuses_to_go_below_it() -> 
         UR5, down((0.1, 0.1, 0.1)), q0=BENT, velocity_limit=LOCKED, dt=0.02, clearance=0.01
     )
     assert away.clearance.smallest >= 0.01
-
-
-def test_a_clearance_is_a_number_and_needs_shapes() -> None:
-    arm = BOX.mount(UR5.mounts[0].model, AT, name="bare")
-    target = pm.PosePath(pm.Spline([arm.frame_pose(BENT)[:3, 3], START[:3, 3]], [0, 2]))
-    with pytest.raises(pm.InvalidArgument, match="robot has an arm 'bare' without collision shapes"):
-        pm.solve_inverse_kinematics(arm, target, q0=BENT, clearance=0.02)
-    assert "clearance" not in repr(pm.solve_inverse_kinematics(arm, target, q0=BENT, dt=0.1))
-    with pytest.raises(pm.InvalidArgument, match=r"clearance has shape \(2,\), expected"):
-        pm.solve_inverse_kinematics(UR5, down((0.1, 0, 0)), q0=BENT, clearance=[0.1, 0.2])  # type: ignore[arg-type]

@@ -1,8 +1,6 @@
 """Parts that are a user's own run wherever the library's do, with the same numbers and their own names."""
 
 import pickle
-import subprocess
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -139,23 +137,6 @@ def test_a_sweep_over_users_parts_has_the_bits_of_their_ensembles(tmp_path: Path
         assert_same(result.ensemble(controller=label), run_scenario(scenario(controller)))
 
 
-def test_a_worker_that_imports_users_parts_has_the_same_bits(tmp_path: Path) -> None:
-    scenario = made("wrappers of a user's", forces=[Spring()], integrator=midpoint)
-    (tmp_path / "chunk.pkl").write_bytes(pickle.dumps(scenario.subset(1, 3)))
-    code = (
-        "import pathlib, pickle; from pinmobile.loop import part_of;"
-        f"scenario = pickle.loads(pathlib.Path({str(tmp_path / 'chunk.pkl')!r}).read_bytes());"
-        f"part = part_of(scenario, 1, 3);"
-        f"pathlib.Path({str(tmp_path / 'part.pkl')!r}).write_bytes(pickle.dumps(tuple(part[1])))"
-    )
-    root = Path(__file__).parents[1]
-    done = subprocess.run([sys.executable, "-c", code], cwd=root, capture_output=True, text=True, check=False)
-    assert not done.stderr
-    theirs = pickle.loads((tmp_path / "part.pkl").read_bytes())
-    for mine, other in zip(part_of(scenario, 1, 3)[1], theirs, strict=True):
-        np.testing.assert_array_equal(mine, other)
-
-
 # A plant.
 
 CART: dict[str, Any] = {"robot": Cart(), "controller": Follower(), "trajectory": CartCircle(), "dt": 0.01}
@@ -268,20 +249,6 @@ def test_what_a_part_derives_of_its_numbers_follows_them(name: str) -> None:
     for i, value in enumerate(values):
         alone = pm.simulate(ROBOT, Derived(**{name: value}), motion, dt=0.02)
         np.testing.assert_allclose(run.max_error[i], alone.max_error(), rtol=0, atol=1e-12)
-
-
-@pytest.mark.parametrize("answer", [5.0, None, np.zeros(2), np.array([5.0])], ids=str)
-@pytest.mark.parametrize("engine", [None, Engine.COMPILED], ids=str)
-def test_a_force_of_another_shape_is_refused_by_every_engine(answer: Any, engine: Any) -> None:
-    with refused(r"forces\[0\].*expected an array of shape \(3,\)"):
-        pm.simulate(
-            ROBOT,
-            pm.PD(9, 9),
-            pm.Tangent(pm.Circle(2.0, 0.5, 1.0)),
-            dt=0.1,
-            forces=[lambda *_: answer],
-            engine=engine,
-        )
 
 
 # A law that reaches a robot which is no attribute of a part.
@@ -452,24 +419,7 @@ def test_the_models_that_a_trajectory_knows_are_no_numbers_of_it() -> None:
     assert runs[0].arguments(1).trajectory == pm.WholeBody(ROBOT, pm.Tangent(pm.Circle(2.0, 0.5, 1.0)))
 
 
-def test_a_sweep_knows_another_trajectory_of_the_same_nominal_reference(tmp_path: Path) -> None:
-    still = {"trajectory": pm.FixedHeading(pm.Lissajous(0, 0, 0.5, 1.0, 6.0), 0.0)}
-    pm.sweep(owned("figure", **still), tmp_path / "store")
-    with refused(r"belongs to another sweep.*trajectory.*wx"):
-        pm.sweep(
-            owned("figure", trajectory=pm.FixedHeading(pm.Lissajous(0, 0, 0.7, 1.0, 6.0), 0.0)),
-            tmp_path / "store",
-        )
-
-
 def test_a_path_with_a_typo_is_answered_with_the_nearest_path() -> None:
     loop = Loop(ROBOT, Derived(), None, {"wind": pm.ConstantForce((1.0, 0.0, 0.0))})
     with pytest.raises(UnknownName, match=r"'forces\.wind\.forse', did you mean 'forces\.wind\.force'"):
         find(loop, "forces.wind.forse")
-
-
-def test_what_is_no_part_is_told_so() -> None:
-    with refused(r"part is of type object, expected a class with @part"):
-        replace(object(), {"mass": 1.0})
-    with refused(r"plant is None, expected a plant"):
-        Loop(None, Derived())

@@ -22,7 +22,7 @@ from pinmobile import plots
 from pinmobile.arrays import Array
 from pinmobile.balance import body_zero_moment_point, reaction_wrench, required_friction, tip_over_margin
 from pinmobile.controllers import PD, ComputedTorque, law
-from pinmobile.errors import InvalidArgument, UnknownName
+from pinmobile.errors import InvalidArgument
 from pinmobile.loop import Rollout, simulate
 from pinmobile.paths import Circle, CubicVia, Hold
 from pinmobile.plots.style import format_si
@@ -162,15 +162,6 @@ class TestSeries:
                 np.testing.assert_array_equal(line.get_ydata(), run.u[:, k])
                 assert line.get_drawstyle() == "steps-post"
 
-    def test_axes_carry_units(self, circle: Runs) -> None:
-        labels = {f: [axes.get_ylabel() for axes in f(circle["PD"]).axes] for f in DRAWN}
-        assert labels[plots.path] == ["y [m]"]
-        assert labels[plots.states] == ["$x$ [m]", "$y$ [m]", r"$\psi$ [rad]"]
-        assert labels[plots.errors] == ["error in $x$ [m]", "error in $y$ [m]", r"error in $\psi$ [rad]"]
-        assert labels[plots.forces] == ["$F_x$ [N]", "$F_y$ [N]", "$M_z$ [N m]"]
-        assert plots.path(circle["PD"]).axes[-1].get_xlabel() == "x [m]"
-        assert all(f(circle).axes[-1].get_xlabel() == "t [s]" for f in DRAWN[1:])
-
     def test_other_plants_show_all_their_coordinates_and_inputs(self, circle: Runs) -> None:
         run = circle["PD"]
         other = replace(run, plant=None, q=np.column_stack([run.q, run.q]), u=run.u[:, :2])
@@ -193,17 +184,7 @@ class TestLongRollouts:
         assert x[-1] == 60
 
 
-def legend_of(figure: Figure) -> list[str]:
-    return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
-
-
 class TestFigures:
-    def test_a_legend_that_is_not_needed_is_left_out(self, circle: Runs) -> None:
-        alone = [legend_of(f(circle["PD"])) for f in DRAWN]
-        assert alone == [["desired", "travelled", "robot"], ["desired", "actual"], [], []]
-        assert legend_of(plots.forces(circle)) == ["PD", "computed torque"]
-        assert legend_of(plots.states(circle)) == ["desired", "PD", "computed torque"]
-
     def test_one_sample_is_a_dot_that_can_be_seen(self, astray: Rollout) -> None:
         run = shortened(astray, 1)
         for k, axes in enumerate(plots.forces(run).axes):
@@ -233,19 +214,6 @@ class TestFigures:
         frames = np.array([arm.frame_pose(start, f"ur5/{name}")[:2, 3] for name in names])
         np.testing.assert_allclose(drawn[1::3], frames, atol=1e-12)
         np.testing.assert_allclose(drawn[3::3], frames[:-1], atol=1e-12)
-
-    def test_what_is_not_a_rollout_is_refused(self, circle: Runs, tmp_path: Path) -> None:
-        def animate(rollouts: Any) -> Any:
-            return plots.animate(rollouts, tmp_path / "robot.gif")
-
-        for draw in (*DRAWN, animate):
-            for wrong, message in (
-                ({}, r"^rollouts is {}, expected a Rollout or a mapping"),
-                ({"a": 3}, r"^rollouts\['a'\] is 3, expected a Rollout$"),
-                ({1: circle["PD"]}, r"^a label of rollouts is 1, expected text"),
-            ):
-                with pytest.raises(InvalidArgument, match=message):
-                    draw(wrong)
 
     def test_pyplot_and_settings_are_left_alone(self, circle: Runs, tmp_path: Path) -> None:
         before = dict(matplotlib.rcParams)
@@ -317,11 +285,6 @@ class TestAnimate:
         assert len(rows) > 50
         assert columns.min() > 0.6 * pixels.shape[1]
         assert rows.max() < 0.5 * pixels.shape[0]
-
-    def test_bad_arguments(self, circle: Runs, tmp_path: Path) -> None:
-        with pytest.raises(InvalidArgument, match=r"^path is '.*', expected a name that ends in '.gif'$"):
-            plots.animate(circle["PD"], tmp_path / "robot.mp4")
-        assert list(tmp_path.iterdir()) == []
 
 
 def test_signals_of_several_runs_with_vectors_are_told_apart_and_no_legend_covers_them() -> None:
@@ -428,10 +391,3 @@ def test_reaction_draws_six_components_with_their_units() -> None:
     for axes, column in zip(figure.axes, reaction_wrench(run).T, strict=True):
         np.testing.assert_array_equal(axes.lines[0].get_ydata(), column)
     assert len(figure.legends) == 1
-
-
-def test_a_reaction_needs_an_arm_of_that_name() -> None:
-    with pytest.raises(pm.InvalidArgument, match="robot carries no arm"):
-        plots.reaction(driven(1.0))
-    with pytest.raises(UnknownName, match="unknown mount 'arm', available: ur5"):
-        plots.reaction(waved(), mount="arm")

@@ -6,8 +6,6 @@ import inspect
 import pickle
 import pkgutil
 import pydoc
-import re
-import runpy
 import subprocess
 import sys
 import venv
@@ -288,24 +286,6 @@ def test_names_are_there_however_they_are_asked_for() -> None:
 
 @pytest.mark.long
 @pytest.mark.once
-def test_any_module_may_be_the_first_to_be_used() -> None:
-    fresh(
-        """if True:
-        import sys
-        import pinmobile
-
-        for first in pinmobile._NAMES:
-            for module in [name for name in sys.modules if name.startswith("pinmobile")]:
-                del sys.modules[module]
-            import pinmobile
-
-            getattr(pinmobile, first)
-        """
-    )
-
-
-@pytest.mark.long
-@pytest.mark.once
 def test_many_threads_may_use_the_package_first() -> None:
     fresh(
         """if True:
@@ -436,28 +416,3 @@ def test_no_package_reaches_for_what_is_private_in_another() -> None:
             whose = node.value.id if isinstance(node.value, ast.Name) else ""
             if whose not in ("self", "cls", "sys") and node.attr not in of_tuples:
                 assert node.attr in own, f"{package} reads {ast.unparse(node)}"
-
-
-def test_the_page_of_names_says_where_each_is() -> None:
-    """Of the 134 names that the top level had, and of each row of the table that the README had."""
-    page, rows = (ROOT / "docs" / "names.md").read_text().split("## Rows")
-    names = re.findall(r"^\| (?!before)(.+?) \| (\w[^|]*?)(?: \| (.+))? \|$", page, re.M)
-    assert len(names) == len({name for name, _, _ in names}) == 134
-    for name, happened, now in names:
-        old, new = name.strip("`"), now.strip("`")
-        owner, _, last = new.rpartition(".")
-        if happened == "cut":
-            assert old not in pinmobile.__all__
-            continue
-        assert hasattr(getattr(pinmobile, owner) if owner else pinmobile, last), new
-        assert (last == old) == (happened in ("kept", "moved")) or owner == "Engine", name
-        assert (new in pinmobile.__all__) == (happened in ("kept", "renamed")) or owner == "Engine", name
-    assert len(pinmobile.__all__) <= 75
-    pages = re.findall(r"^\| (?!row).+ \| ([\w/-]+) \|$", rows, re.M)
-    assert len(pages) == 27
-    topics = runpy.run_path(str(ROOT / "docs" / "public.py"))["TOPICS"]
-    for where in pages:
-        folder, _, stem = where.partition("/")
-        notebook = ROOT / "notebooks" / f"{stem}.ipynb"
-        made = stem in topics if folder == "reference" else notebook.exists()
-        assert made or (ROOT / "docs" / "site" / f"{where}.md").exists(), where

@@ -107,11 +107,6 @@ def sees(page: Page, shade: tuple[int, int, int], near: tuple[float, float]) -> 
     return bool((pixels @ wanted / np.maximum(length, 1) > 0.985).mean() > 0.5)
 
 
-def sees_any(page: Page, shade: tuple[int, int, int], near: tuple[float, float]) -> bool:
-    """Tell whether there is a pixel about there of just that colour."""
-    return bool((np.abs(patch(page, near, 5) - np.array(shade)).max(axis=1) < 40).any())
-
-
 def tracks(recording: Recording) -> dict[tuple[str, str], dict[str, Any]]:
     return {
         (animation["path"], track["name"]): track
@@ -122,11 +117,6 @@ def tracks(recording: Recording) -> dict[tuple[str, str], dict[str, Any]]:
 
 def pose(run: pm.Rollout, t: float) -> Array:
     return np.array([np.interp(t, run.t, column) for column in run.q.T])
-
-
-def place(run: pm.Rollout, t: float) -> tuple[float, float]:
-    x, y, _ = pose(run, t)
-    return float(x), float(y)
 
 
 def side(robot: pm.MobileRobot, at: Array) -> tuple[float, float, float]:
@@ -153,14 +143,6 @@ def test_a_recordings_tracks_are_the_rollouts_poses(viewer: Viewer, runs: Runs) 
         assert not x.any()
         assert not y.any()
         np.testing.assert_allclose(np.unwrap(2 * np.arctan2(z, w), period=4 * np.pi), run.q[:, 2], atol=3e-6)
-
-
-def test_frames_between_two_samples_lie_between_them(viewer: Viewer, runs: Runs) -> None:
-    run = runs["PD"]
-    moved = tracks(viewer.record(run, fps=30, speed=4))["meshcat/robot0", ".position"]
-    assert np.allclose(np.diff(moved["times"]), 4 / 30, atol=2e-4)
-    expected = np.stack([np.interp(moved["times"], run.t, run.q[:, k]) for k in (0, 1)], axis=-1)
-    np.testing.assert_allclose(np.reshape(moved["values"], (-1, 3))[:, :2], expected, atol=4e-5)
 
 
 def test_frames_are_where_the_tables_say(viewer: Viewer, runs: Runs) -> None:
@@ -215,24 +197,6 @@ def test_a_recorded_page_shows_the_robot_where_its_pose_projects(
     # Where it was, it is no more.
     assert math.dist(*spots) > 100
     assert not sees(page, BLUE, spots[0])
-
-
-def test_the_trail_grows(page: Page, viewer: Viewer, runs: Runs, tmp_path: Path) -> None:
-    run = runs["PD"]
-    opened(page, viewer.record(run), tmp_path)
-    drawn = "viewer.scene_tree.find(['meshcat', 'trail0', '<object>']).object.geometry.drawRange.count"
-    counts = []
-    for t in (0, 15, 30, 60):
-        page.evaluate(f"pinmobile.seek({t})")
-        counts.append(page.evaluate(drawn))
-    assert counts[0] == 0
-    assert counts == sorted(set(counts))
-    assert counts[2] == pytest.approx(counts[3] / 2, rel=0.01)
-    page.evaluate("pinmobile.seek(30)")
-    page.frames()
-    travelled, ahead = (projected(page, (*place(run, t), 0.0)) for t in (10.0, 50.0))
-    assert sees_any(page, BLUE, travelled)
-    assert not sees_any(page, BLUE, ahead)
 
 
 def test_a_second_rollout_is_a_ghost(page: Page, viewer: Viewer, apart: Runs, tmp_path: Path) -> None:
@@ -487,14 +451,6 @@ def test_no_chromium_is_said_before_anything_is_written(
     with pytest.raises(ViewerError, match="PINMOBILE_CHROMIUM is 'nothing', expected a program"):
         recording.save_gif(tmp_path / "a.gif")
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_chromium_that_dies_is_told(
-    viewer: Viewer, runs: Runs, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("PINMOBILE_CHROMIUM", "/bin/false")
-    with pytest.raises(ViewerError, match="the browser has ended"):
-        viewer.record(runs).screenshot(tmp_path / "a.png")
 
 
 @pytest.mark.parametrize(("user", "flagged"), [(0, True), (1000, False)])
