@@ -10,11 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
 
 import pinmobile as pm
 from pinmobile import plots
-from pinmobile.errors import UnknownName
 from pinmobile.loop import Engine, causes, worst_share
 from pinmobile.plots.style import format_percent
 
@@ -100,24 +98,6 @@ class TestBands:
                     points = np.asarray(band.get_paths()[0].vertices)
                     assert points[:, 1].max() == pytest.approx(top.max())
 
-    def test_what_a_start_costs_is_drawn_though_errors_count_later(self) -> None:
-        aside, circle = {"start.x": pm.Uniform(0.01, 0.02)}, pm.Tangent(pm.Circle(3, 0.1, 20))
-        made = pm.ensemble(ROBOT, TRUE, circle, n=50, spread=aside, dt=0.1, engine=Engine.COMPILED, after=10)
-        axes = plots.bands(made).axes[0]
-        assert axes.get_title(loc="left").endswith(" from 10 s on")
-        line, begin = axes.lines[-2], axes.lines[-1]
-        assert np.ravel(begin.get_xdata()).tolist() == [10, 10]
-        assert np.asarray(line.get_ydata())[0] == pytest.approx(1e3 * made.bands(0.99).distance[0, 0])
-        assert np.asarray(line.get_ydata())[0] > 100 * 1e3 * made.error_quantile().distance
-
-    def test_controllers_share_their_axes(self, pair: Pair) -> None:
-        for row, unit in zip(rows(plots.bands(pair), 2), ("[mm]", "[mrad]"), strict=True):
-            assert row[0].get_ylim() == row[1].get_ylim()
-            assert row[0].get_ylabel().endswith(unit)
-            assert row[0].get_yscale() == "linear"
-            assert row[0].get_ylim()[0] == 0
-        assert [axes.get_xlabel() for axes in rows(plots.bands(pair), 2)[1]] == ["t [s]"] * 2
-
     def test_errors_that_differ_by_orders_have_logarithmic_axes(self, pair: Pair) -> None:
         exact = run(TRUE, {"mass": pm.Uniform(24, 36), "controller.mass": pm.SameAs("mass")}, n=50)
         distance, heading = (row[0] for row in rows(plots.bands({"PD": pair["PD"], "exact": exact}), 2))
@@ -198,15 +178,6 @@ class TestHeatmap:
         figure = plots.heatmap([[1.0, largest, np.inf]], x=GAINS, y=("one", "", [1]), label="error [m]")
         assert figure.axes[1].get_yscale() == scale
 
-    def test_numbers_are_left_out_where_there_is_no_room(self) -> None:
-        count = 60
-        grid = np.add.outer(np.arange(count), np.arange(count))
-        figure = plots.heatmap(
-            grid, x=("a", "", range(count)), y=("b", "m", np.linspace(0, 1, count)), label="sum"
-        )
-        assert not figure.axes[0].texts
-        assert figure.bbox.width < 1400
-
     @pytest.mark.parametrize(
         ("changes", "message"),
         [
@@ -246,11 +217,6 @@ class TestCurves:
         assert top_ticks(axes, height) == ["diverges"]
         assert len(axes.get_yticks()) > 3
 
-    def test_the_lowest_mark_of_negative_numbers_is_whole(self) -> None:
-        low, high = plots.curves({"a": [-2.0, -1.0, 1.0]}, x=self.X, label="margin [m]").axes[0].get_ylim()
-        assert (low, high) == pytest.approx((-2.15, 1.15))
-        assert plots.curves({"a": [0.0, 1.0, 2.0]}, x=self.X, label="margin [m]").axes[0].get_ylim()[0] == 0
-
 
 class TestDrivers:
     def test_the_title_names_what_drives_the_worst(self, pair: Pair) -> None:
@@ -279,30 +245,6 @@ class TestDrivers:
             title = plots.drivers(made, share=0.1).axes[0].get_title(loc="left")
             assert title == f"{first.place}:\n{shares[0]} of the worst, {shares[1]} of the others"
         assert first.place == f"above {first.low:.3g} kg"
-
-    def test_where_the_worst_are_is_shaded(self, pair: Pair) -> None:
-        for label in pair:
-            made = pair[label]
-            first = causes(made, worst_share(made, 0.1))[0]
-            least, most = made.draws["mass"].min(), made.draws["mass"].max()
-            places = [(least, first.low), (first.high, most)] if first.outside else [(first.low, most)]
-            shaded = [p for p in plots.drivers(made, share=0.1).axes[0].patches if p.get_alpha() == 0.12]
-            found = [(p.get_x(), p.get_x() + p.get_width()) for p in shaded if isinstance(p, Rectangle)]
-            np.testing.assert_allclose(found, places)
-
-    def test_the_worst_may_be_those_of_the_heading(self) -> None:
-        made = run(TRUE, {"force.x": pm.Normal(0, 0.04), "force.moment": pm.Normal(0, 0.04)})
-        assert plots.drivers(made).texts[0].get_text() == "force.x drives the worst 5 % most"
-        figure = plots.drivers(made, by="heading")
-        assert figure.texts[0].get_text() == "force.moment drives the worst 5 % of headings most"
-        scatter = figure.axes[-1]
-        assert scatter.get_ylabel() == "largest error of the heading [rad]"
-        (worst,) = (
-            np.asarray(line.get_ydata()) for line in scatter.lines if len(np.asarray(line.get_xdata())) == 15
-        )
-        np.testing.assert_array_equal(np.sort(worst), np.sort(made.max_error[:, 2])[-15:])
-        with pytest.raises(UnknownName, match="unknown error 'z', available: distance, heading, x, y, psi"):
-            plots.drivers(made, by="z")
 
     def test_crosses_of_diverged_robots_stand_at_their_own_word_above_all_numbers(
         self, diverging: pm.Ensemble
@@ -339,11 +281,8 @@ class TestDrivers:
         drivers: Any = plots.drivers
         with pytest.raises(pm.InvalidArgument, match=r"^ensemble is \{.*, expected an Ensemble$"):
             drivers(pair)
-        for share in (0, 1, 1e-4):
-            with pytest.raises(
-                pm.InvalidArgument, match=rf"^share is {float(share)}, \d+ of 300 robots, exp"
-            ):
-                drivers(pair["PD"], share=share)
+        with pytest.raises(pm.InvalidArgument, match=r"^share is 0.0001, 0 of 300 robots, exp"):
+            drivers(pair["PD"], share=1e-4)
         with pytest.raises(pm.InvalidArgument, match=r"^ensemble has robots with the same parameters"):
             drivers(run(TRUE, {"mass": 31}, n=20))
 

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import matplotlib
@@ -111,18 +110,6 @@ class TestPath:
         assert all(axes.get_aspect() == 1 for axes in panels)
         assert len({(axes.get_xlim(), axes.get_ylim()) for axes in panels}) == 1
 
-    def test_titles_tell_the_largest_distance(self, circle: Runs) -> None:
-        titles = [axes.get_title() for axes in plots.path(circle).axes]
-        assert titles == ["position error at most 7.5 mm", "position error at most 35 µm"]
-
-    def test_a_plant_without_size_is_an_arrowhead(self, astray: Rollout) -> None:
-        for size in ({}, {"size": 3}, {"size": (1, -1, 1)}):  # a number is no length and width
-            plant = SimpleNamespace(pose=lambda q: q, **size)
-            (axes,) = plots.path(replace(astray, plant=plant), times=[0]).axes
-            (arrow,) = robots(axes)
-            tip = arrow[np.argmax(np.hypot(*(arrow - astray.q[0, :2]).T))] - astray.q[0, :2]
-            assert np.arctan2(tip[1], tip[0]) == pytest.approx(2.5)
-
     def test_times(self, circle: Runs) -> None:
         with pytest.raises(InvalidArgument, match=r"^times\[1\] is 61.0 s, expected 0 <= times <= 60 s$"):
             plots.path(circle, times=[0, 61])
@@ -161,13 +148,6 @@ class TestSeries:
             for line, run in zip(axes.lines, circle.values(), strict=True):
                 np.testing.assert_array_equal(line.get_ydata(), run.u[:, k])
                 assert line.get_drawstyle() == "steps-post"
-
-    def test_other_plants_show_all_their_coordinates_and_inputs(self, circle: Runs) -> None:
-        run = circle["PD"]
-        other = replace(run, plant=None, q=np.column_stack([run.q, run.q]), u=run.u[:, :2])
-        labels = [axes.get_ylabel() for axes in plots.states({"other": other, "PD": run}).axes]
-        assert labels == ["[0]", "[1]", "[2]", "[3]", "[4]", "[5]"]
-        assert [axes.get_ylabel() for axes in plots.forces(other).axes] == ["[0]", "[1]"]
 
 
 class TestLongRollouts:
@@ -268,13 +248,6 @@ class TestAnimate:
         assert frames[0].getpixel((0, 0)) == (255, 255, 255)
         assert 500 < frames[0].width <= 720
 
-    def test_speed_and_frame_rate(self, circle: Runs, tmp_path: Path) -> None:
-        run = shortened(circle["PD"], 31)  # 3 s
-        for options, count, total in (({"speed": 2, "fps": 30}, 46, 2500), ({"fps": 7}, 22, 4000)):
-            frames, durations = gif(plots.animate(run, tmp_path / "robot.gif", **options))  # type: ignore[arg-type]
-            assert len(frames) == count
-            assert sum(durations) == pytest.approx(total, abs=80)
-
     def test_the_robot_is_where_it_was_not_where_it_should_be(self, circle: Runs, tmp_path: Path) -> None:
         run = shortened(circle["PD"], 2)
         q, desired = np.tile([2.0, 1.0, 0.3], (2, 1)), np.tile([-2.0, -1.0, 0.3], (2, 1))
@@ -352,15 +325,6 @@ def test_balance_draws_margin_friction_and_the_zero_moment_point() -> None:
     np.testing.assert_allclose(np.ptp(outline.get_path().vertices, axis=0), [0.6, 0.4])
     (legend,) = figure.legends
     assert [text.get_text() for text in legend.get_texts()] == ["slow", "fast"]
-
-
-def test_a_footprint_of_ones_own_is_drawn_and_counts() -> None:
-    run, triangle = driven(1.0), [(-0.3, -0.2), (0.4, 0), (-0.3, 0.2)]
-    figure = plots.balance(run, footprint=triangle)
-    np.testing.assert_array_equal(figure.axes[0].lines[0].get_ydata(), tip_over_margin(run, triangle))
-    assert not figure.legends
-    with pytest.raises(pm.InvalidArgument, match="footprint has shape"):
-        plots.balance(run, footprint=[(0, 0)])
 
 
 def test_where_the_ground_does_not_carry_the_robot_there_is_a_gap() -> None:

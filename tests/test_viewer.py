@@ -15,7 +15,6 @@ import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import coal
 import numpy as np
@@ -218,13 +217,6 @@ def test_a_second_rollout_is_a_ghost(page: Page, viewer: Viewer, apart: Runs, tm
     assert legend.split("\n") == ["good", "bad"]
 
 
-def test_the_desired_pose_is_a_ghost_too(viewer: Viewer, apart: Runs) -> None:
-    run = apart["bad"]
-    found = tracks(viewer.record(run, fps=20, overlays=Overlays(desired=True)))
-    moved = np.reshape(found["meshcat/desired", ".position"]["values"], (-1, 3))
-    np.testing.assert_allclose(moved[:, :2], run.reference.q[:, :2], atol=6e-6)
-
-
 def test_a_camera_follows_or_stays(page: Page, viewer: Viewer, runs: Runs, tmp_path: Path) -> None:
     run = runs["PD"]
     opened(page, viewer.record(run, overlays=Overlays(camera=Follow(3.0))), tmp_path)
@@ -240,32 +232,6 @@ def test_a_camera_follows_or_stays(page: Page, viewer: Viewer, runs: Runs, tmp_p
         page.evaluate(f"pinmobile.seek({t})")
         assert page.evaluate("viewer.camera.position.toArray()") == pytest.approx([5, 6, 4])
         assert math.dist(projected(page, (1, 1, 0)), (450, 300)) < 1
-
-
-def test_the_whole_path_is_seen_at_the_first_glance(
-    page: Page, viewer: Viewer, runs: Runs, tmp_path: Path
-) -> None:
-    size = (420, 800)
-    page.resize(*size)
-    opened(page, viewer.record(runs), tmp_path)
-    page.frames(3)
-    for x, y in runs["PD"].reference.q[::50, :2]:
-        at = projected(page, (x, y, 0))
-        assert 0 < at[0] < size[0]
-        assert 0 < at[1] < size[1] - 60  # above the player
-    spread = [projected(page, (x, 3, 0))[0] for x in (-3, 3)]
-    assert spread[1] - spread[0] > 0.4 * min(size[0], 1.5 * size[1])
-
-
-def test_a_robot_that_stands_can_be_recorded(page: Page, viewer: Viewer, runs: Runs, tmp_path: Path) -> None:
-    run = runs["PD"]
-    parts = {name: getattr(run, name)[:1] for name in ("t", "v", "a", "u", "error")}
-    still = np.zeros((1, 3))
-    stands = pm.Rollout(plant=run.plant, q=still, reference=type(run.reference)(still, still, still), **parts)
-    overlays = Overlays(arrows=Arrows(), desired=True, body_frame=True, frames=(SLIDE_TABLE,))
-    opened(page, viewer.record(stands, overlays=overlays), tmp_path)
-    page.evaluate("pinmobile.seek(0)")
-    assert sees(page, BLUE, projected(page, side(viewer.plant, np.zeros(3))))
 
 
 # Live
@@ -335,21 +301,6 @@ def test_a_screenshot_is_of_the_time_that_is_asked_for(
     with Image.open(late) as picture:
         assert picture.size == (300, 200)
     assert late.read_bytes() != early
-
-
-def test_caption_and_legend_never_overlap(page: Page, viewer: Viewer, runs: Runs, tmp_path: Path) -> None:
-    page.resize(300, 560)
-    opened(page, viewer.record(runs), tmp_path)
-    page.frames()
-    boxes = page.evaluate(
-        "['caption', 'legend'].map((id) => { const b = document.getElementById(id).getBoundingClientRect();"
-        "return [b.left, b.top, b.right, b.bottom]; })"
-    )
-    caption, legend = np.array(boxes)
-    assert legend[1] >= caption[3]
-    for box in (caption, legend):
-        assert (box >= 0).all()
-        assert box[2] <= 300
 
 
 @pytest.mark.long
@@ -531,26 +482,6 @@ def test_the_box_stands_for_a_mesh_that_is_missing_or_damaged(tmp_path: Path, me
     with pytest.warns(UserWarning, match=rf"truck.urdf: not drawn, since {words}"):
         shown = robot.visual_model
     assert [item.name for item in shown.geometryObjects] == ["body", "front", "wedge", "wheel_0"]
-
-
-def test_collision_shapes_stand_for_meshes_that_are_missing(tmp_path: Path) -> None:
-    path = tmp_path / "truck" / "truck.urdf"
-    truck(tmp_path, "gone")
-    tree = ElementTree.parse(path)
-    link = tree.find("link")
-    assert link is not None
-    for shape in ('<cylinder radius="0.2" length="0.5"/>', '<mesh filename="package://truck/gone too.stl"/>'):
-        link.append(ElementTree.fromstring(f"<collision><geometry>{shape}</geometry></collision>"))
-    tree.write(path)
-    robot = pm.MobileRobot.from_urdf(path, [tmp_path])
-    name = link.get("name")
-    words = rf"missing: package://truck/gone.stl; their collision shapes replace the visuals of {name}$"
-    with pytest.warns(UserWarning, match=words):
-        shown = robot.visual_model
-    hull, wheel = shown.geometryObjects
-    assert type(hull.geometry).__name__ == "Cylinder"
-    assert (hull.geometry.radius, 2 * hull.geometry.halfLength) == (0.2, 0.5)
-    assert wheel.name == "wheel_0"
 
 
 def test_the_box_stands_on_the_ground_and_shows_its_front() -> None:

@@ -100,19 +100,6 @@ def test_fault_the_browser_is_reloaded_and_closed_and_another_comes(page: Page, 
         other.close()
 
 
-def test_a_picture_of_the_live_scene(page: Page) -> None:
-    with LiveWindow() as window:
-        page.open(window.url)
-        assert window.wait(10)
-        draw_box(window, HERE)
-        picture = window.get_image()  # what was sent before is in it
-        colours = picture.convert("RGB").getcolors(WIDTH * HEIGHT)
-        assert picture.size == (WIDTH, HEIGHT)
-        assert RED in [colour for _, colour in colours or []]
-        assert window.get_image(100, 50).size == (100, 50)
-        assert window.get_image(w=120).size == (120, 90)
-
-
 def test_a_page_with_a_token_draws_and_each_request_carries_it(page: Page) -> None:
     with pytest.warns(UserWarning, match="the viewer listens on"):
         window = LiveWindow("127.0.0.2")

@@ -2,7 +2,6 @@
 
 import gc
 import os
-import signal
 import socket
 import subprocess
 import sys
@@ -182,19 +181,6 @@ def test_fault_a_token_missing_or_wrong_is_refused(query: str) -> None:
             assert w.browsers == 0
 
 
-def test_with_its_token_everything_is_served() -> None:
-    with LiveWindow(token="right") as w:
-        assert w.url.endswith("/?token=right")
-        assert "right" not in repr(w)
-        status, page = ask(w.url)
-        assert status == 200
-        assert 'src="main.min.js?token=right"' in page
-        assert "socket?token=right`" in page
-        assert ask(w.url, path="/main.min.js")[0] == 200
-        with WebSocket(w.url) as browser:
-            assert browser.status == 101
-
-
 def test_another_host_is_asked_for_by_name_warned_about_and_needs_a_token() -> None:
     with pytest.warns(UserWarning, match=r"listens on 127\.0\.0\.2: everybody who can reach") as warned:
         windows = LiveWindow("127.0.0.2"), LiveWindow("127.0.0.2")
@@ -328,67 +314,6 @@ def test_a_window_that_nobody_holds_is_closed() -> None:
     assert not listens(port)
 
 
-def test_fault_a_signal_ends_the_script_and_nothing_listens() -> None:
-    script = """
-        while True:
-            w.send(type("Say", (), {"lower": lambda self: {
-                "type": "set_property", "path": "a", "property": "x", "value": 1}})())
-    """
-    with run(script, stderr=subprocess.DEVNULL) as process:
-        try:
-            assert process.stdout is not None
-            port = int(process.stdout.readline())
-            with WebSocket(f"http://127.0.0.1:{port}/") as browser:
-                assert eventually(lambda: browser.commands)
-                process.send_signal(signal.SIGINT)
-                assert process.wait(60) != 0
-                assert browser.closed.wait(20)
-            assert not listens(port)
-        finally:
-            process.kill()
-
-
-def test_fault_ctrl_c_in_send_leaves_a_window_that_works() -> None:
-    script = """
-        class Say:
-            def __init__(self, value):
-                self.value = value
-            def lower(self):
-                path = f"a{self.value % 7}"
-                return {"type": "set_property", "path": path, "property": "x", "value": self.value}
-        w.wait(30)
-        for stop in range(5):
-            try:
-                print("ready", flush=True)
-                k = 0
-                while True:
-                    k += 1
-                    w.send(Say(k))
-            except KeyboardInterrupt:
-                pass
-        for k in range(7):
-            w.send(Say(1_000_000 + k))
-        print(w.flush(10), flush=True)
-        w.close()
-    """
-    with run(script) as process:
-        try:
-            assert process.stdout is not None
-            port = int(process.stdout.readline())
-            with WebSocket(f"http://127.0.0.1:{port}/") as browser:
-                for _ in range(5):
-                    assert process.stdout.readline() == "ready\n"
-                    time.sleep(0.1)
-                    process.send_signal(signal.SIGINT)
-                assert process.stdout.readline() == "True\n"
-                assert process.wait(10) == 0
-                assert browser.closed.wait(20)
-            values = {path: browser.last(path)["value"] for path in (f"a{k}" for k in range(7))}
-            assert set(values.values()) == set(range(1_000_000, 1_000_007))
-        finally:
-            process.kill()
-
-
 def test_a_script_that_ends_leaves_nothing_and_says_nothing() -> None:
     with run("raise SystemExit(3)", stderr=subprocess.PIPE) as process:
         out, err = process.communicate(timeout=30)
@@ -406,23 +331,6 @@ def test_a_request_that_never_ends_is_ended(request_: bytes, monkeypatch: pytest
     with LiveWindow() as w, socket.create_connection(("127.0.0.1", w.port), timeout=120) as connection:
         connection.sendall(request_)
         assert connection.recv(1) == b""
-
-
-def test_a_header_of_many_lines_is_not_read() -> None:
-    lines = b"X: y\r\n" * 20_000
-    with LiveWindow() as w, socket.create_connection(("127.0.0.1", w.port), timeout=120) as connection:
-        asked = f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{w.port}\r\n".encode() + lines + b"\r\n"
-        assert not exchanged(connection, asked).startswith(b"HTTP/1.1 200")
-
-
-def exchanged(connection: socket.socket, data: bytes) -> bytes:
-    """Return what is answered until the end; a connection may be reset while it is written to."""
-    answer = b""
-    with suppress(ConnectionError):
-        connection.sendall(data)
-        while part := connection.recv(1 << 16):
-            answer += part
-    return answer
 
 
 def test_a_forked_child_has_no_part_in_the_window() -> None:
