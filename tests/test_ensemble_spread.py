@@ -15,7 +15,6 @@ from pinmobile.forces import NoiseForce, PayloadForce, SinusoidalForce
 from pinmobile.loop import TRUE_MODEL, ErrorQuantile, Relative, causes, run_scenario
 from pinmobile.loop._description import bins_of, quantiles
 from pinmobile.parts import evolved
-from pinmobile.plant import Context
 from tests.refusals import refused
 
 ROBOT = pm.MobileRobot(30.0, 1.3, com=(0.1, 0.02))
@@ -204,39 +203,6 @@ def test_gains_of_coordinates_leave_those_that_couple_them() -> None:
     np.testing.assert_array_equal(controller.kp, [[7, 1, 0], [0, 8, 0], [0, 2, 9]])
 
 
-def test_a_member_has_all_else_of_its_scenario() -> None:
-    robot = pm.MobileRobot(30, 1.3, com=(0.1, 0.02, 0.4), size=(1, 2, 3))
-    scenario = made(n=2, robot=robot, spread={"com.y": 0.05}, limit=7.0, substeps=3, duration=0.5)
-    member = run_scenario(scenario).arguments(1)
-    assert (member.robot.mass, member.robot.com, member.robot.size) == (30, (0.1, 0.05, 0.4), (1, 2, 3))
-    assert member.options["limit"] == 7
-    assert (member.options["substeps"], member.options["duration"]) == (3, 0.5)
-    assert member.options["integrator"] is scenario.integrator
-
-
-def test_two_noises_of_one_robot_are_not_the_same() -> None:
-    noisy = pm.MeasurementNoise(pm.MeasurementNoise(pm.PD(40, 40), 1e-2, 0.0, seed=0), 1e-2, 0.0, seed=0)
-    noise = NoiseForce((1, 1, 1), 1.0, seed=0)
-    member = run_scenario(made(n=2, controller=noisy, forces=(noise, noise))).arguments(1)
-    one, other = (force.phases for force in member.options["forces"])
-    assert not np.isin(one, other).any()
-    state: Any = member.controller.initial_state(Context.of(ROBOT, dt=0.1))
-    outer, inner = state[1].draw()[0], state[0][1].draw()[0]
-    assert not np.isin(outer, inner).any()
-
-
-def test_noise_differs_from_robot_to_robot_and_not_from_run_to_run() -> None:
-    noisy = pm.MeasurementNoise(pm.PD(40, 40), 1e-2, 0.0, seed=0)
-    noise: dict[str, Any] = {"forces": (NoiseForce((1, 1, 1), 1.0, seed=0),)}
-    for changes in ({"controller": noisy}, noise, {"controller": noisy, **noise}):
-        scenario = made(n=3, duration=5.0, **changes)
-        one, again = run_scenario(scenario), run_scenario(scenario)
-        np.testing.assert_array_equal(one.max_error, again.max_error)
-        assert len(np.unique(one.max_error[:, 0])) == 3
-    phases = [run.options["forces"][0].phases for run in (one.arguments(0), one.arguments(1))]
-    assert not np.array_equal(*phases)
-
-
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
@@ -361,15 +327,6 @@ def test_options_of_a_run_are_checked_before_it(options: Any, text: str) -> None
         run_scenario(made(), **options)
 
 
-def test_quantiles_from_counts_are_right_to_the_width_of_a_bin() -> None:
-    values = np.random.default_rng(0).lognormal(-6, 2, 50_000)
-    counts = np.bincount(bins_of(values), minlength=BINS)
-    levels = np.array([0.01, 0.5, 0.9, 0.99])
-    np.testing.assert_allclose(quantiles(counts, levels), np.quantile(values, levels), rtol=2**-5)
-    halves = [np.bincount(bins_of(part), minlength=BINS) for part in (values[:7], values[7:])]
-    np.testing.assert_array_equal(sum(halves), counts)
-
-
 def test_a_share_of_whole_robots_is_that_many() -> None:
     n = 100
     # 0.07 * 100 = 7.000000000000001, and the seventh of a hundred is meant.
@@ -424,19 +381,6 @@ def test_an_ensemble_tells_least_median_and_largest_of_each_record() -> None:
         low, middle, high = np.quantile(values[1:], (0, 0.5, 1))  # the first has none: it diverged at once
         told = [f" {each:.4g}" if each >= 1e-12 else " < 1e-12" for each in (low, middle, high)]
         assert rows[name].strip() == "least{}, median{}, largest{}".format(*told), name
-
-
-def test_rows_of_an_ensemble_leave_out_robots_that_diverged() -> None:
-    gains = np.array([10.0, 100.0, 1e6, 2e6])
-    law = pm.PD((120, 120, 12), (120, 120, 12))
-    run = run_scenario(made(controller=law, n=4, spread={"kp": gains}, dt=0.05))
-    assert run.diverged.tolist() == [False, False, True, True]
-    lines = str(run).splitlines()
-    row = lines.index("the 2 robots that did not diverge:") + 1
-    low, high = sorted(run.max_distance[:2])
-    assert f"least {low:.4g}, median {(low + high) / 2:.4g}, largest {high:.4g}" in lines[row]
-    lost = run_scenario(made(controller=law, n=2, spread={"kp": gains[2:]}, dt=0.05))
-    assert " least " not in str(lost)
 
 
 def test_what_came_of_an_ensemble_cannot_be_overwritten() -> None:

@@ -15,10 +15,8 @@ from pinmobile.controllers import plain_difference, planar_difference
 from pinmobile.forces import NoiseForce, SinusoidalForce
 from pinmobile.integrators import RungeKuttaNystrom
 from pinmobile.loop import Engine, part_of, run_scenario
-from pinmobile.loop._description import format_result
 from pinmobile.trajectories import LectureHeading
 from tests.memory import PEAK
-from tests.users import PID
 
 ROBOT = pm.MobileRobot(30.0, 1.3, com=(0.1, 0.02))
 CIRCLE = pm.Tangent(pm.Circle(3.0, 0.1, 60.0))
@@ -158,22 +156,6 @@ def test_two_of_a_kind_and_what_is_ones_own_are_as_simulated(what: str) -> None:
     assert (run.engine, run.fallback_reason) == ("COMPILED", "")
     assert_close(run, run_scenario(scenario, engine=Engine.PYTHON))
     assert_is_simulated(run, 2)
-
-
-@pytest.mark.parametrize("noise", [0.0, 1e-3])
-def test_a_users_integral_is_told_what_is_applied_as_in_simulate(noise: float) -> None:
-    """Each robot is told of its own limited force: those that start far away do not wind up."""
-    runs = []
-    for back in (2.0, 0.0):
-        inner = pm.MeasurementDelay(pm.InputSaturation(PID(25.0, 12.0, 30.0, back), (9.0, 9.0, 1.0)), 1)
-        controller = pm.MeasurementNoise(inner, noise, noise, seed=3)
-        spread = {"start.x": np.array([-4.0, -0.5, 4.0])}
-        runs.append(run_scenario(made(controller=controller, spread=spread, n=3, dt=0.05, duration=10.0)))
-        assert runs[-1].engine == "COMPILED"
-        for i in range(3):
-            assert_is_simulated(runs[-1], i)
-    told, wound = runs
-    assert (np.abs(told.rms_error - wound.rms_error)[[0, 2], 0] > 1e-3).all()
 
 
 @pytest.mark.parametrize("difference", [planar_difference, plain_difference])
@@ -358,22 +340,6 @@ def test_ensemble_takes_what_a_scenario_takes_with_the_same_defaults() -> None:
     own = {"traces", "engine", "threads", "progress"}
     assert set(taken) == {*fields, *own}
     assert {name: taken[name].default for name in fields} == {n: p.default for n, p in fields.items()}
-
-
-@pytest.mark.parametrize(
-    ("n", "within", "diverged", "text"),
-    [
-        (1, (0.01, 0.02), 0, "1 robot over 6 s: stays within 0.01 m and 0.02 rad"),
-        (200, (np.inf, np.inf), 3, "200 robots over 6 s: 3 diverged, 1.5 %"),
-        (200, (0.01, 0.02), 1, "200 robots over 6 s: 99 % stay within 0.01 m and 0.02 rad, 1 diverged"),
-    ],
-)
-def test_a_judgement_tells_the_share_that_diverged(
-    n: int, within: tuple[float, float], diverged: int, text: str
-) -> None:
-    assert format_result(n, 6.0, within, diverged, 0.0) == text
-    since = format_result(n, 6.0, within, diverged, 2.0)
-    assert since == (text if within[0] == np.inf else text.replace(" s: ", " s: from 2 s on "))
 
 
 def test_progress_counts_robots() -> None:

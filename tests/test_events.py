@@ -72,19 +72,6 @@ def test_a_motor_at_its_current_is_an_event() -> None:
     assert (event.name, event.limit, event.samples) == ("left", 1.0, at.sum())
 
 
-def test_a_motor_faster_than_without_load_is_an_event() -> None:
-    motor = pm.Motor(resistance=2, torque_constant=0.5, voltage=4)
-    run = turning(on_wheels(motor=motor), rate=2.0)
-    event, rates = of_kind(run, "speed limit"), np.abs(run.v[:, 3:])
-    assert event.limit == motor.no_load_rate() == 8.0  # the voltage over the torque constant [rad/s]
-    assert event.name == "left"
-    assert event.value == rates[:, 0].max()
-    assert (
-        of_kind(turning(on_wheels(motor=motor), rate=2.0, stop_at=["speed limit"]), "speed limit").samples
-        == 1
-    )
-
-
 def test_an_ensemble_counts_robots_whose_joints_exceed_their_effort() -> None:
     robot = pm.MobileRobot.box(60.0).mount("ur5", at=(0.2, 0, 0.3, 0))
     still = pm.WholeBody(robot, pm.FixedHeading(pm.Hold([0, 0], 0.1), 0), pm.Hold([0, -0.8, 1, 0, 0, 0], 0.1))

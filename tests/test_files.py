@@ -75,12 +75,6 @@ def test_a_full_disk_leaves_the_file_that_was_there(tmp_path: Path, name: str) -
     assert held(tmp_path) == {}
 
 
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="Linux alone has a device that is full")
-def test_a_device_that_is_full_is_named() -> None:
-    with pytest.raises(FileError, match="path is '/dev/full', which cannot be written: No space left on dev"):
-        RUN.to_csv(Path("/dev/full"))
-
-
 @pytest.mark.parametrize("failure", [KeyboardInterrupt, MemoryError])
 def test_whatever_ends_a_write_leaves_the_file_that_was_there(
     tmp_path: Path, failure: type[BaseException]

@@ -1,7 +1,6 @@
 """MCAP files of rollouts: bit for bit by the library, and standard messages for all other programs."""
 
 import json
-import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from fractions import Fraction
@@ -255,13 +254,3 @@ def test_a_file_that_cannot_be_is_refused(
     with pytest.raises(pm.InvalidArgument, match=why):
         run_of("body").to_mcap(tmp_path / name, **options)
     assert (tmp_path / "run.mcap").read_bytes() == b"kept"
-
-
-def test_a_missing_package_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    for module in ("mcap.writer", "mcap.reader"):
-        monkeypatch.setitem(sys.modules, module, None)
-    for call in (run_of("body").to_mcap, pm.Rollout.from_mcap, pm.Log.from_bag):
-        with pytest.raises(
-            pm.InvalidArgument, match=r"^an MCAP file needs mcap.*pip install rosbags mcap, or"
-        ):
-            call(tmp_path / "run.mcap")

@@ -220,17 +220,6 @@ def test_a_store_runs_no_code(copy: Path, monkeypatch: pytest.MonkeyPatch) -> No
     assert not (copy / "attacked").exists()
 
 
-def test_a_sweep_may_go_to_another_process_and_others_may_write_metadata(copy: Path) -> None:
-    zarr = pytest.importorskip("zarr")
-    group = zarr.open_group(copy, mode="r+", use_consolidated=False)
-    group.update_attributes({"author": "somebody"})
-    group.create_array("note", shape=(2,), dtype="f8", dimension_names=["extra"])
-    with pytest.warns(UserWarning, match="Consolidated metadata"):
-        zarr.consolidate_metadata(copy)
-    found = Sweep.open(copy)
-    assert small(copy).answer() == found.answer() == pickle.loads(pickle.dumps(found)).answer()
-
-
 def numbers(path: Path) -> dict[str, Any]:
     """Return all that can be read of a store."""
     found = Sweep.open(path, scenario(n=20), grid=GRID)

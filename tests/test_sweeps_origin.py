@@ -6,11 +6,11 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cached_property, partial, wraps
+from functools import cached_property, partial
 from importlib.metadata import version
 from pathlib import Path
 from types import ModuleType
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +18,6 @@ import pytest
 import pinmobile as pm
 from pinmobile import law
 from pinmobile.arrays import Array
-from pinmobile.controllers import planar_difference
 from pinmobile.sweeps import Points
 from pinmobile.sweeps._points import describe, differences
 from tests.sweeping import points, scenario
@@ -49,17 +48,6 @@ def closure(gain: Any) -> Any:
     return law(lambda t, q, v, reference: push(gain, t, q, v, reference))
 
 
-def dressed(gain: float) -> Any:
-    def twice(q0: Array, q1: Array) -> Array:
-        return 2.0 * planar_difference(q0, q1)
-
-    def thrice(q0: Array, q1: Array) -> Array:
-        return 3.0 * planar_difference(q0, q1)
-
-    mine = wraps(planar_difference)(twice if gain == 3 else thrice)
-    return pm.ComputedTorque(pm.MobileRobot.lecture(), difference=mine)
-
-
 class Held:
     def __init__(self, gain: Any) -> None:
         self.gain = gain
@@ -77,19 +65,10 @@ def of_class(base: type = Held, **members: Any) -> Any:
     return type("Mine", (base,), members)(3.0)
 
 
-class Table(dict[str, Any]):
-    pass
-
-
 class Caching(Held):
     @cached_property
     def twice(self) -> Any:
         return 2 * self.gain
-
-
-class Gains(NamedTuple):
-    kp: float
-    kd: float
 
 
 def seed(k: float) -> Any:
@@ -104,13 +83,10 @@ DIFFERENT: dict[str, Callable[[float], Any]] = {
     "the sign of zero": lambda k: closure(0.0 if k == 3 else -0.0),
     "the order of a dict": lambda k: closure(dict.fromkeys("ab" if k == 3 else "ba", 1.0)),
     "a set": lambda k: closure({"a", "b", str(k)}),
-    "a wrapped function of the library": dressed,
     "the state of an object": Held,
     "a bound method": lambda k: law(Held(k).law),
     "a bound method of an array": lambda k: closure(np.array([k, 1.0]).dot),
-    "a dict of one's own type": lambda k: closure(Table(a=k)),
     "a static method": lambda k: of_class(f=staticmethod(partial(push, k))),
-    "a named tuple": lambda k: closure(Gains(k, 1.0)),
     "a generator of random numbers": lambda k: closure(np.random.default_rng(int(k))),
     "the seed sequence of one": lambda k: pm.MeasurementNoise(closure(1.0), 1e-3, 1e-3, seed=seed(k)),
 }
