@@ -21,26 +21,8 @@ SHORT = 2.0  # s
 @pytest.fixture
 def bench(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     monkeypatch.syspath_prepend(BENCHMARKS)
-    ensembles = ("ensemble_contestants", "ensemble_costs", "ensemble_race", "ensembles", "fleet")
-    arms = "arm_ensemble_contestants", "arm_ensembles", "arm_fleet"
-    names = (
-        *arms,
-        "batches",
-        "calls",
-        "contestants",
-        "identification",
-        "imports",
-        "loop",
-        "loop_work",
-        "measuring",
-        "memory",
-        "mpc",
-        "rollout",
-        "task",
-        "viewing",
-        *ensembles,
-    )
-    return SimpleNamespace(**{name: import_module(name) for name in names})
+    names = "batches", "contestants", "ensemble_contestants", "fleet", "rollout", "task"
+    return SimpleNamespace(**{name: import_module(name) for name in (*names, "arm_ensemble_contestants")})
 
 
 def stand_in(name: str, prepare: Any, **peer: Any) -> SimpleNamespace:

@@ -29,7 +29,7 @@ from pinmobile.errors import SchedulerError
 from pinmobile.parts import parameters
 from tests.chromium import Chromium
 from tests.damage import full_disk
-from tests.test_identification import log, rolled
+from tests.test_identification import log
 from tests.test_velocity_identification import logged
 from tests.webclient import eventually
 
@@ -301,21 +301,7 @@ def test_help_teaches_and_loads_no_library(typed: Typed) -> None:
         code, out, _ = typed(*words)
         assert code == 0
         assert "pinmobile write > mine.toml" in " ".join(out.split())
-        for verb in [
-            "run",
-            "ensemble",
-            "sweep",
-            "view",
-            "play",
-            "export",
-            "write",
-            "parts",
-            "identify",
-            "verify",
-            "derive",
-            "lecture",
-            "exercises",
-        ]:
+        for verb in [name for task in TASKS.values() for name in task]:
             assert f"\n  {verb} " in out
             assert "Example: pinmobile " in typed(verb, "--help")[1] or verb == "lecture"
     assert "Folder of records and figures;" in " ".join(typed("run", "--help")[1].split())
@@ -513,8 +499,6 @@ def test_view_says_why_it_does_not_know_the_robot_of_a_file(typed: Typed, tmp_pa
 # -- logs ------------------------------------------------------------------------------------------
 
 HEAD = "t,x,y,psi,Fx,Fy,Mz"
-MOTOR = "Motor(resistance=1.2, torque_constant=0.04, voltage=24, gear=30, rotor_inertia=2e-5)"
-WHEELS = f"robot=WheelTable.differential(0.5, 0.1, spin_inertia=0.005, motor={MOTOR})"
 
 
 def rows(read: Any = None) -> Any:
@@ -556,23 +540,6 @@ def test_identify_takes_commands_and_columns_of_other_names(typed: Typed, tmp_pa
     for speed in (0.1, 0):
         code, _, err = typed(*words, f"rolling_speed={speed}")
         assert (code, err) == (2, f"pinmobile: {said}\n")
-
-
-@pytest.mark.once
-@pytest.mark.long
-def test_volts_of_wheels_give_the_robot_and_loads_the_scale(typed: Typed, tmp_path: Path) -> None:
-    paths = []
-    for k in range(2):
-        read = rolled(bool(k))
-        head = f"{HEAD[:9]},u_left [V],u_right [V],rate_left,rate_right"
-        paths.append(
-            written(tmp_path / f"{k}.csv", np.column_stack([rows(read), np.asarray(read.wheel_rates)]), head)
-        )
-    words = [WHEELS, "method=weak", "--out", str(tmp_path)]
-    load = 'loads=["none", "PayloadBody(8, (0.1, 0.05, 0), (0.0533, 0.0533, 0.0533, 0, 0, 0))"]'
-    code, told, err = typed("identify", *paths, load, *words)
-    assert (code, err) == (0, "")
-    assert estimate("input_scale", told) == pytest.approx(1.0, abs=0.02)
 
 
 def reverse(table: Any) -> Any:
@@ -638,11 +605,3 @@ def test_a_lost_cluster_is_a_failure_and_no_wrong_word(
     monkeypatch.setattr("pinmobile.cli.results.connect", lost)
     code, _, told = typed("sweep", "rivals", f"--out={tmp_path}", "--scheduler=tcp://127.0.0.1:1")
     assert (code, told) == (1, "pinmobile: scheduler is 'tcp://127.0.0.1:1', which does not answer\n")
-
-
-def test_one_path_of_an_arm_needs_no_list(typed: Typed, tmp_path: Path) -> None:
-    arm = "Hold([0, 0, 0, 0, 0, 0], 1)"
-    motion = f"WholeBody(MobileRobot.box().mount('ur5'), Tangent(Circle(1, 0.5, 1)), {arm})"
-    code, said, _ = typed("write", "ur5", f"trajectory={motion}")
-    assert code == 0
-    assert "Hold" in said
