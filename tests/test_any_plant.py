@@ -1,8 +1,5 @@
 """Plants that are no `MobileRobot`: all that the library does with them, by what they say of themselves."""
 
-import csv
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import coal
@@ -15,7 +12,7 @@ from pinmobile import plots
 from pinmobile.arrays import Array
 from pinmobile.integrators import constant_acceleration
 from pinmobile.loop import Loop
-from pinmobile.plant import Context, Coordinate, Input, PlantDescription, Step
+from pinmobile.plant import Context, Coordinate, Input, Step
 from pinmobile.viewer import Overlays, Viewer
 from pinmobile.viewer.motion import configurations, figure, links
 from tests.looping import looped
@@ -25,36 +22,6 @@ from tests.users import Follower, TwoWheels
 PATH = pm.Tangent(pm.Circle(2, 0.25, 20))
 FORCES = (pm.ViscousFriction([2, 0, 0.1]), Axle(0.01))
 RUN = pm.simulate(TwoWheels(), Follower(), PATH, dt=0.02, forces=FORCES, integrator=pm.rk4)
-NAMES = ["x", "y", "psi", "left wheel", "right wheel"]
-
-
-def test_the_plant_names_what_is_printed() -> None:
-    text = str(RUN)
-    for name, most in zip(("left torque", "right torque"), RUN.max_input(), strict=True):
-        assert f"{name} {most:.4g} N m" in text
-    assert [line.split(": x ")[0] for line in text.splitlines()[1:3]] == ["largest error", "rms error"]
-    assert "Fx" not in text
-
-
-def test_csv_has_its_names_and_units(tmp_path: Path) -> None:
-    RUN.to_csv(tmp_path / "run.csv")
-    with (tmp_path / "run.csv").open(newline="") as file:
-        header, *rows = list(csv.reader(file))
-    units = ["m", "m", "rad", "rad", "rad"]
-    named = list(zip(NAMES, units, strict=True))
-    assert header == [
-        "t [s]",
-        *(f"{name} [{unit}]" for name, unit in named),
-        *(f"v_{name} [{unit}/s]" for name, unit in named),
-        *(f"a_{name} [{unit}/s^2]" for name, unit in named),
-        *("u_left torque [N m]", "u_right torque [N m]"),
-        *(f"error_{name} [{unit}]" for name, unit in named[:3]),
-        *(f"desired_{name} [{unit}]" for name, unit in named[:3]),
-        "signal_error across [m]",
-    ]
-    table = np.array(rows, float)
-    np.testing.assert_array_equal(table[:, header.index("u_right torque [N m]")], RUN.u[:, 1])
-    np.testing.assert_array_equal(table[:, -1], RUN.signals["error across"].values)
 
 
 def test_figures_have_its_names_and_units() -> None:
@@ -102,38 +69,6 @@ def test_the_distance_is_that_of_poses_whatever_the_coordinates() -> None:
     mixed = np.hypot(*run.error[:, :2].T).max()
     assert abs(mixed / expected.max() - 1) > 0.1
     assert f"at most {1e3 * expected.max():.3g} mm" in plots.path(run).axes[0].get_title()
-
-
-def test_a_file_keeps_every_number_name_and_limit(tmp_path: Path) -> None:
-    RUN.save(tmp_path / "run.npz")
-    kept = pm.Rollout.load(tmp_path / "run.npz")
-    for name in ("t", "q", "v", "a", "u", "error", "reference"):
-        np.testing.assert_array_equal(getattr(kept, name), getattr(RUN, name))
-    assert kept.plant == PlantDescription.of(TwoWheels(), RUN.q)
-    assert (kept.plant.coordinates, kept.plant.inputs) == (TwoWheels.coordinates, TwoWheels.inputs)
-    np.testing.assert_array_equal(kept.poses, RUN.poses)
-    assert kept.signals["error across"].unit == "m"
-    np.testing.assert_array_equal(kept.signals["error across"].values, RUN.signals["error across"].values)
-    kept.save(tmp_path / "again.npz")
-    assert pm.Rollout.load(tmp_path / "again.npz").plant == kept.plant
-
-
-class Boxed(TwoWheels):
-    size = (0.4, 0.3, 0.15)
-
-
-def test_the_viewer_draws_a_box_at_its_pose() -> None:
-    assert figure(Boxed()).size == Boxed.size
-    with Viewer(Boxed()) as viewer:
-        viewer.display(RUN.q[10])
-        page = viewer.static_html()
-        viewer.record(RUN)
-    assert page
-    times = RUN.t[::50]
-    expected = np.column_stack([RUN.q[::50, :2], np.unwrap(RUN.q[:, 2])[::50]])
-    np.testing.assert_allclose(
-        configurations(figure(RUN.plant), RUN.t, RUN.poses, times), expected, atol=1e-12
-    )
 
 
 class Drawn(TwoWheels):
@@ -195,50 +130,6 @@ def test_a_plant_draws_itself_live_recorded_and_as_a_ghost() -> None:
 
 def scene_text(viewer: Viewer) -> str:
     return "".join(repr(command) for command in viewer._window.commands())
-
-
-def test_members_of_an_ensemble_are_drawn_as_they_are() -> None:
-    @dataclass(frozen=True)
-    class Wide(Drawn):
-        track: float = 0.5
-
-        def __post_init__(self) -> None:
-            Drawn.__init__(self)
-
-        def drawing(self, q: Array) -> Any:
-            body, *_ = found = super().drawing(q)
-            for wheel, side in zip(found[1:], (0.5, -0.5), strict=True):
-                wheel.translation = (
-                    body * pin.SE3(np.eye(3), np.array([0.0, side * self.track, 0]))
-                ).translation
-            return found
-
-    options: Any = {"n": 2, "spread": {"track": [0.4, 0.6]}, "dt": 0.05, "duration": 0.5}
-    runs = pm.ensemble(Wide(), Follower(), PATH, **options)
-    aside: list[Any] = []
-    for i in range(2):
-        run = runs.member(i)
-        channels = links("", figure(run.plant), configurations(figure(run.plant), run.t, run.q, run.t[:1]))
-        aside.append(channels[2].values[0][1])
-    np.testing.assert_allclose(aside, [0.2, 0.3], rtol=1e-12)
-
-
-def test_limits_hold_after_wrappers_and_are_what_is_applied() -> None:
-    told: list[Array] = []
-
-    class Loud(Follower):
-        def __call__(self, t: float, q: Array, v: Array, reference: Any, state: Any) -> tuple[Array, Any]:
-            return np.array([5.0, -0.5]), state
-
-        def applied(self, u: Array, state: Any) -> Any:
-            told.append(u.copy())
-            return state
-
-    run = pm.simulate(TwoWheels(), Loud(), PATH, dt=0.1, duration=0.5)
-    assert np.array_equal(run.u, [[2.0, -0.5]] * 6)
-    np.testing.assert_array_equal(told, run.u)
-    acceleration = TwoWheels().forward_dynamics(run.q[3], run.v[3], run.u[3])
-    np.testing.assert_allclose(run.a[3], acceleration, rtol=1e-14)
 
 
 def test_a_start_is_completed_and_checked() -> None:
@@ -328,10 +219,6 @@ def test_a_plant_chooses_its_integrator() -> None:
     assert np.abs(chosen - usual).max() > 1e-9
 
 
-def at_rest(self: Any, reference: Any) -> tuple[Array, Array]:
-    return np.zeros(5), np.zeros(5)
-
-
 def plant_with(**changed: Any) -> Any:
     return type("Changed", (TwoWheels,), changed)()
 
@@ -340,29 +227,13 @@ def plant_with(**changed: Any) -> Any:
     ("plant", "why"),
     [
         (plant_with(configuration_names=("x",)), "nq = 5 and 1 configuration_names"),
-        (plant_with(coordinates=3), "plant.coordinates is 3, expected a sequence of Coordinate"),
         (plant_with(reference_sizes={5: 5}), r"trajectory gives q of shape \(201, 3\) .*, expected \(201, 5"),
-        (
-            plant_with(project=lambda self, q, v: v[:3], start=at_rest),
-            r"whose project\(q, v\) returned .* shape \(5,\)",
-        ),
         (plant_with(step=lambda self, *_: 3), r"plant.step returned 3 at t = 0 s, expected a Step"),
     ],
 )
 def test_a_plant_that_contradicts_itself_is_refused(plant: Any, why: str) -> None:
     with pytest.raises(pm.InvalidArgument, match=why):
         pm.simulate(plant, Follower(), PATH, dt=0.1)
-
-
-def test_a_shorter_reference_without_a_start_needs_one() -> None:
-    plant: Any = plant_with()
-    del_start = type("NoStart", (TwoWheels,), {"start": property(lambda self: self.nothing)})()
-    assert not hasattr(del_start, "start")
-    with pytest.raises(pm.InvalidArgument, match=r"has no start\(reference\), .*: give q0 and v0"):
-        pm.simulate(del_start, Follower(), PATH, dt=0.1)
-    q0, v0 = plant.start(PATH(0.0))
-    begun = pm.simulate(del_start, Follower(), PATH, dt=0.1, q0=q0, v0=v0)
-    np.testing.assert_array_equal(begun.q, pm.simulate(TwoWheels(), Follower(), PATH, dt=0.1).q)
 
 
 class Telling(Follower):

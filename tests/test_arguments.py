@@ -32,7 +32,6 @@ from pinmobile.errors import NotFinite, UnknownName
 from pinmobile.loop import TRUE_MODEL
 from pinmobile.urdf import shipped_urdf
 from pinmobile.viewer import Viewer
-from tests import arguments
 from tests.arguments import ROWS
 
 ROOT = Path(__file__).parents[1]
@@ -74,7 +73,6 @@ FAULTS: dict[str, list[tuple[Any, ...]]] = {
     "another kind": [
         (lambda: shipped_urdf(NOTHING), "unknown shipped URDF None, available: ", UnknownName),
         (lambda: ROBOT.attach(pm.PayloadBody(1), frame=EMPTY), "unknown frame [], available: ", UnknownName),
-        (of_many(traces=b"a"), "traces is 97, expected at most"),
         (
             lambda: ON_WHEELS.forward_dynamics(np.zeros(5), np.zeros(5), [1, 1], 3.0),
             "f has shape (), expected (..., 5)",
@@ -94,14 +92,8 @@ FAULTS: dict[str, list[tuple[Any, ...]]] = {
             "the result is -inf for |q| up to 0, |v| up to 1e+308",
             NotFinite,
         ),
-        (
-            lambda: ON_WHEELS.check_start(np.zeros(5), np.full(5, 1.7e308)),
-            "the result is inf for |q| up to 0, |v| up to 1.7e+308",
-            NotFinite,
-        ),
     ],
     "too much": [
-        (of_loop(substeps=10**22), "substeps is 10000000000000000000000, expected at most"),
         (of_many(substeps=10**12), "substeps is 1000000000000, expected at most 166,389,351"),
         (of_loop(dt=6e-07), "the records of 100,000,001 samples take 38.4 GB"),
     ],
@@ -125,7 +117,6 @@ FAULTS: dict[str, list[tuple[Any, ...]]] = {
             lambda: pm.law(cast(Any, lambda t, q: np.zeros(3))),
             "which cannot be called as function(t, q, v, reference): too many positional arguments",
         ),
-        (of_loop(controller=arguments), "expected a controller: wrap a function in law(...)"),
         (
             of_loop(integrator=lambda q, v: (q, v)),
             "which cannot be called as integrator(acceleration, t, q, v, dt): too many",
@@ -298,10 +289,3 @@ def test_packages_of_extras_are_those_of_the_project() -> None:
 
     for extra, packages in pm.errors.EXTRAS.items():
         assert set(packages) == names(extra)
-
-
-def test_a_stable_friction_has_no_hint() -> None:
-    strong = pm.ConstantForce([1e9, 0, 0])
-    with pytest.raises(pm.Diverged) as caught:
-        pm.simulate(**LOOP | {"forces": [pm.ViscousFriction([1, 1, 0.1]), strong]})
-    assert "friction" not in str(caught.value)

@@ -26,18 +26,6 @@ def empty_set(q: Any) -> Any:
     return x
 
 
-def zeros_like_set(q: Any) -> Any:
-    x = np.zeros_like(q)
-    x[..., 2] = q[..., 0]
-    return x
-
-
-def full_set(q: Any) -> Any:
-    x = np.full((2, 3), 1.5)
-    x[1] = q
-    return x
-
-
 def matrix_set(q: Any) -> Any:
     m = np.eye(3) * q[0]
     m[0, 1] = q[1]
@@ -55,11 +43,6 @@ def mask_add(q: Any) -> Any:
     x = q.copy()
     x[2] = np.mod(x[2] + np.pi, 2 * np.pi) - np.pi
     return x
-
-
-def rotation(q: Any) -> Any:
-    c, s = np.cos(q[..., 2]), np.sin(q[..., 2])
-    return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ q
 
 
 def solved(q: Any) -> Any:
@@ -159,10 +142,7 @@ IDIOMS: dict[str, Callable[[Any], Any]] = {
     "column stack": lambda q: np.column_stack([q, 2 * q]) @ np.array([1.0, 2.0]),
     "block": stacked_blocks,
     "append": lambda q: np.append(q, 1.0),
-    "array of lists": rotation,
     "empty and set": empty_set,
-    "zeros_like and set": zeros_like_set,
-    "full and set": full_set,
     "matrix and set": matrix_set,
     "mask and set": mask_set,
     "entry and set": mask_add,
@@ -233,25 +213,12 @@ IDIOMS: dict[str, Callable[[Any], Any]] = {
     "triu": lambda q: np.triu(np.outer(q, q)),
     "ptp": lambda q: np.ptp(q),
     "more axes": lambda q: np.array(q, ndmin=2),
-    "median of columns": lambda q: np.median(ROWS * q, axis=0) + np.median(ROWS * q, axis=1, keepdims=True),
-    "median of the first two": lambda q: np.median(q[:2], keepdims=True),
-    "median of more axes": lambda q: np.median(np.outer(q, q), keepdims=True),
     "deviation of columns": lambda q: np.std(ROWS * q, axis=0, keepdims=True) + (ROWS * q).var(0, ddof=1),
     "largest and an initial value": lambda q: np.max(ROWS * q, axis=0, initial=0.5) + q.min(initial=-0.3),
-    "largest behind a mask": lambda q: np.max(ROWS * q, axis=1, where=ROWS < 2, initial=-9.0),
-    "truths behind a mask": lambda q: np.where(np.any(ROWS * q > 1, axis=0, where=ROWS < 2), 1.0, 0.0),
-    "all behind a mask": lambda q: np.where(np.all(ROWS * q > -1, axis=1, where=ROWS > 0), 1.0, 0.0),
-    "count of columns": lambda q: np.count_nonzero(ROWS * q > 0, axis=0, keepdims=True),
-    "range of columns": lambda q: np.ptp(ROWS * q, axis=0, keepdims=True),
-    "columns in a row": lambda q: np.outer(q, ROWS[0]).flatten("F"),
     "nan_to_num by place": lambda q: np.nan_to_num(q, True, 1.0),
-    "clip by names": lambda q: np.clip(q, min=-0.5, max=0.5) + q.clip(max=0.1),
-    "no infinite one is close": lambda q: np.where(np.isclose(q, np.inf), 1.0, 0.0),
     "arrays of two shapes": lambda q: q * float(np.array_equal(q, q[:1])),
     "filled in another shape": lambda q: np.full_like(q, q[0], shape=(2, 2)),
-    "truths like an array": lambda q: np.where(np.zeros_like(q, dtype=bool) | (q > 0), 1.0, 0.0),
     "upper triangle": lambda q: np.linalg.cholesky(np.outer(q, q) + 9.0 * np.eye(3), upper=True),
-    "norm of rows": lambda q: np.linalg.norm(ROWS * q, 2, axis=1, keepdims=True),
     "norm of two axes": lambda q: np.linalg.norm(ROWS * q, axis=(0, 1)),
 }
 

@@ -12,7 +12,7 @@ from pinmobile.forces import SinusoidalForce
 from pinmobile.integrators import RungeKuttaNystrom, constant_acceleration, rk4, semi_implicit_euler
 from pinmobile.loop import Loop, Samples
 from pinmobile.loop._engines import Compiled
-from pinmobile.parts import evolved, replace
+from pinmobile.parts import evolved
 from pinmobile.trajectories import Reference
 from tests.looping import CIRCLE, PD, SEED, TIMES, Body, assert_near, looped, told
 
@@ -95,61 +95,3 @@ class Motored(Body):
 def test_a_plant_with_a_step_and_a_memory_of_its_own_needs_no_integrator() -> None:
     loop = Loop(Motored(), PD(20.0, 30.0), None, (ConstantForce((1, 1, 1)),), None, 2)
     assert_alike(loop, CIRCLE.q[0] + 0.1, CIRCLE.v[0])
-
-
-@dataclass
-class Memory:
-    """A tree of a user's own."""
-
-    past: Any
-    on: bool
-    inner: tuple[Any, ...]
-
-
-def test_memory_is_any_tree_with_truths_and_numbers() -> None:
-    class Switching(PD):
-        def initial_state(self, context: Any) -> Memory:
-            return Memory({"e": [np.zeros((2, 3)), 0]}, False, (None, "name", np.float64(1.0)))
-
-        def __call__(self, t: Any, q: Any, v: Any, reference: Any, state: Memory) -> Any:
-            e = reference.q - q
-            rows, count = state.past["e"]
-            rows = np.vstack([e, rows[:1]])
-            on = state.on | (np.abs(e[0]) < 0.05)
-            u = np.where(on, self.kp * e, 5.0 * rows.mean(axis=0)) + self.kd * (reference.v - v)
-            return u, Memory({"e": [rows, count + 1]}, on, (None, "name", state.inner[2] * 0.9))
-
-    loop = Loop(Body(), Switching(30.0, 40.0), None, (), rk4)
-    assert_alike(loop, CIRCLE.q[0] + 0.2, CIRCLE.v[0])
-
-
-@dataclass(frozen=True)
-class Team(PD):
-    """The sum of several controllers, and of a model."""
-
-    controllers: Any = ()
-    model: Any = None
-
-    def initial_state(self, context: Any) -> Any:
-        return [each.initial_state(context) for each in self.controllers]
-
-    def __call__(self, t: Any, q: Any, v: Any, reference: Any, state: Any) -> Any:
-        answers = [each(t, q, v, reference, s) for each, s in zip(self.controllers, state, strict=True)]
-        total = sum(answer[0] for answer in answers)
-        own = self.kp * (reference.q - q)
-        return total + own + self.model.inverse_dynamics(q, v, 0.1 * reference.a), state
-
-
-def test_numbers_of_parts_within_parts_are_found() -> None:
-    team = Team(1.0, 2.0, (PD((20.0, 20.0, 20.0), 30.0), PD((5.0, 5.0, 5.0), 1.0)), Body(14.0))
-    loop = Loop(Body(), team, None, (), rk4)
-    own = {
-        "controller.controllers.1.kp": np.array([[9.0, 8.0, 7.0], [1.0, 2.0, 3.0]]),
-        "controller.model.mass": np.array([3.0, 50.0]),
-        "controller.kp": np.array([5.0, 7.0]),
-    }
-    q, v = np.tile(CIRCLE.q[0] + 0.1, (2, 1)), np.tile(CIRCLE.v[0], (2, 1))
-    found = compiled(loop, q, v, values=own)
-    for i in (0, 1):
-        expected = looped(replace(loop, {path: x[i] for path, x in own.items()}), q[i], v[i])
-        assert_near({name: x[i] for name, x in found.items()}, expected, 1e-10)

@@ -91,10 +91,6 @@ TWO = poses([R0, R1], [(0, 0, 0), (1, 0, 0)])
 
 test_poses_that_make_no_path_are_refused = refusals(
     (lambda: pm.PosePath.through(TWO), r"times is not given, expected the time of each pose"),
-    (
-        lambda: pm.PosePath.through([*TWO, TWO[0]], [0, 1, 1]),
-        r"times\[2\] is 1\.0 s after 1\.0 s, expected more",
-    ),
     (lambda: pm.PosePath.through(2 * TWO, [0, 1]), r"poses has last rows off by 1"),
     (
         lambda: pm.PosePath.through(poses([R0, turned(("z", np.pi))], [(0, 0, 0)] * 2), [0, 1]),
@@ -237,13 +233,8 @@ def test_signals_of_all_samples_at_once_are_checked() -> None:
             return self.answer
 
     box = pm.MobileRobot.box()
-    for answer, text in (
-        (3, "result of Told.signals_at is 3, expected a dict of signals"),
-        ({"a": ("m", np.zeros(2))}, r"Told.signals_at\['a'\] has shape \(2,\), expected \(3,\) or \(3, k\)"),
-        ({"a": ("m", ["x"])}, r"Told.signals_at\['a'\]"),
-    ):
-        with refused(text):
-            pm.simulate(box, pm.ComputedTorque(box, 1, 1), Told(answer), dt=0.05)
+    with refused("result of Told.signals_at is 3, expected a dict of signals"):
+        pm.simulate(box, pm.ComputedTorque(box, 1, 1), Told(3), dt=0.05)
     told = Told({"a": ("m", [1.0, 2.0, 3.0])})
     run = pm.simulate(box, pm.ComputedTorque(box, 1, 1), told, dt=0.05)
     assert run.signals["a"].values.tolist() == [1, 2, 3]

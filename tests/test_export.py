@@ -321,43 +321,6 @@ def test_a_trajectory_is_a_table_with_interpolation_of_order_5(tmp_path: Path) -
     assert not a[611:].any()
 
 
-def test_references_of_single_precision_are_exact_at_samples_and_smooth_between(tmp_path: Path) -> None:
-    path = pm.Tangent(pm.Circle(2.0, 0.5, 12.0))
-    export_c(LAW, BODY, tmp_path, dt=0.002, trajectory=path, precision="single")
-    main = """
-    #include "robot.h"
-    #include <math.h>
-    #include <stdio.h>
-    static void print(float t)
-    {
-        robot_reference r;
-        robot_reference_at(t, &r);
-        for (int i = 0; i < 3; ++i) printf("%a %a %a ", (double)r.q[i], (double)r.v[i], (double)r.a[i]);
-    }
-    int main(void)
-    {
-        for (int k = 0; k <= 6000; ++k) {
-            print((float)k * ROBOT_DT);
-            print((float)(k * 0.002));
-            print(((float)k + 0.37f) * ROBOT_DT);
-        }
-        print(-1.0f);
-        print(-INFINITY);
-        print(INFINITY);
-        return 0;
-    }
-    """
-    words = [float.fromhex(word) for word in run_program(tmp_path, main, *SANITIZED).split()]
-    *_, before, long_before, after = np.array(words).reshape(-1, 3, 3)[..., 0]
-    found = np.moveaxis(np.array(words[:-27]).reshape(6001, 3, 3, 3), 3, 0)
-    assert np.array_equal((before, long_before, after), found[0][[0, 0, -1], 0])
-    k = np.arange(6001)
-    for x, knots, between in zip(found, path(k * 0.002), path((k[:-1] + 0.37) * 0.002), strict=True):
-        assert (x[:, 0] == knots.astype(np.float32)).all()
-        assert (x[:, 1] == knots.astype(np.float32)).all()
-        assert np.abs(x[:-1, 2] - between).max() < 1e-6 * np.abs(knots).max()
-
-
 def unary(name: str) -> Any:
     def law(t: Any, q: Any, v: Any, reference: Any) -> Any:
         positive = np.where(q > 0, q, 1.0)
@@ -413,21 +376,6 @@ def test_the_readme_states_memory_and_stack(tmp_path: Path) -> None:
     header = (tmp_path / "robot.h").read_text()
     for each in ("q[2]: psi [rad]", "u[2]: Mz [N m]", "kp: proportional gain [1/s^2]", "disturbance"):
         assert each in header
-
-
-def test_the_header_states_frames_and_limits(tmp_path: Path) -> None:
-    export_c(LAW, BODY, tmp_path, dt=DT)
-    header = (tmp_path / "robot.h").read_text()
-    frame = ", in the inertial frame"
-    for each in ("/* q[1]: y [m]{} */", "v[0]: vx [m/s]{}", "a[0]: acceleration of x [m/s^2]{}"):
-        assert each.format(frame) in header
-    assert "q[2]: psi [rad], unwrapped: without a jump at pi" in header
-    assert "a[2]: acceleration of psi [rad/s^2] */" in header
-    assert f"u[0]: Fx [N]{frame}, without limits\n" in header
-    robot = pm.WheeledRobot(BODY, pm.WheelTable.differential(0.5, 0.1, motor=pm.Motor(torque_limit=2.5)))
-    export_c(pm.law(lambda t, q, v, reference: q[3:]), robot, tmp_path, dt=DT)
-    header = (tmp_path / "robot.h").read_text()
-    assert "u[0]: left [N m], from -2.5 to 2.5\n" in header
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,6 @@ import sys
 import weakref
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -90,22 +89,9 @@ def armed(mass: float) -> Any:
 
 ALIKE: dict[str, Callable[[float], Any]] = {
     "gains and a model": lambda x: run(pm.ComputedTorque(pm.MobileRobot(x, 1.3, com=(0.1, 0.1)), x, 5)),
-    "forces": lambda x: run(
-        pm.PD(9, 9), forces=[pm.RollingResistance((x, x, x), 0.05), pm.ViscousFriction((x, x, 1))]
-    ),
     "wrappers": lambda x: run(
         pm.InputSaturation(pm.MeasurementNoise(pm.MeasurementDelay(pm.PD(x, 9), 1), 0.1, 0.1, 3), x)
     ),
-    "a start, a reference and a step": lambda x: pm.simulate(
-        ROBOT,
-        pm.PD(9, 9),
-        pm.Tangent(pm.Circle(x, 0.2, 1.0)),
-        dt=x / 300,
-        duration=x / 30,
-        v0=[x, 0, 0],
-        engine=pm.Engine.COMPILED,
-    ),
-    "wheels": rolling,
     "wheels on a ground": lambda x: rolling(x, pm.Coulomb(0.02 * x)),
     "an arm": armed,
 }
@@ -150,18 +136,6 @@ class Queue(deque[float]):
 OWN_QUEUE = Queue([2.0])
 
 
-@dataclass(slots=True)
-class Slotted:
-    k: float = 2.0
-
-
-class Beside(Slotted):
-    """It has slots of its base and a dictionary beside these."""
-
-
-BESIDE = Beside()
-
-
 class Plan:
     k = 2.0
 
@@ -185,10 +159,6 @@ def by(gain: str) -> Any:
     found: dict[str, Any] = {}
     exec(f"def by(t, q, v, reference): return {gain} * (reference.q - q) - v", globals(), found)
     return found["by"]
-
-
-def by_default(t: float, q: Any, v: Any, reference: Any, gains: Any = GAINS) -> Any:
-    return gains[0] * (reference.q - q) - v
 
 
 def by_keyword(t: float, q: Any, v: Any, reference: Any, *, gains: Any = GAINS) -> Any:
@@ -230,8 +200,6 @@ CHANGES: dict[str, tuple[Any, Callable[[float], Any]]] = {
         lambda x: SETTINGS["inner"]["w"].__setitem__(0, x),
     ),
     "subclass of a deque": (by("OWN_QUEUE[0]"), lambda x: OWN_QUEUE.__setitem__(0, x)),
-    "slots and a dictionary": (by("BESIDE.k"), lambda x: setattr(BESIDE, "k", x)),
-    "entry of a default": (by_default, lambda x: GAINS.__setitem__(0, x)),
     "default by keyword": (by_keyword, lambda x: setattr(by_keyword, "__kwdefaults__", {"gains": [x]})),
     "attribute of a function": (by_attribute, lambda x: setattr(by_attribute, "gain", x)),
     "bound method": (by("BOUND()"), lambda x: setattr(Plan, "k", x)),

@@ -107,7 +107,6 @@ WRONG = {
         chain(*SLIDES, masses=(0, 2, 5)),
         "joint 'slide_forward' moves a link of 2 kg, expected a massless virtual link",
     ),
-    "no mass": (chain(*SLIDES, masses=(0, 0, 0)), "mass of the body is 0.0 kg, expected > 0"),
     "an arm": (
         robot(
             link("base", 5),

@@ -274,25 +274,7 @@ def test_a_law_that_cannot_be_traced_runs_slower_and_says_so_or_is_refused(what:
 # Names of parameters.
 
 
-def test_names_that_two_parts_claim_are_asked_for_by_path() -> None:
-    parts = BODY | {"forces": [Spring(), Spring(4.0)]}
-    with refused(
-        r"^spread has 'stiffness', which forces\.0\.stiffness and forces\.1\.stiffness have, "
-        r"expected one of them: 'forces\.0\.stiffness' or 'forces\.1\.stiffness' "
-        r"or 'forces\.\*\.stiffness', which means all$"
-    ):
-        in_ensemble(parts, spread={"stiffness": pm.Uniform(1, 2)})
-    run = in_ensemble(parts, spread={"forces.1.stiffness": pm.Uniform(1, 2)})
-    assert len(np.unique(run.max_error[:, 0])) == 5
-
-
 # What is no row of real numbers, or not two of them.
-
-
-class Starting(Cart):
-    def start(self, reference: Any) -> Any:
-        q, v = super().start(reference)
-        return q * (1 + 0j), v
 
 
 class Turning(Cart):
@@ -320,10 +302,6 @@ class Pushing:
 
 
 UNREAL: dict[str, tuple[dict[str, Any], str]] = {
-    "complex start": (
-        CART | {"robot": Starting()},
-        r"(?s)^q0? of plant.start is .*j.*, expected real numbers$",
-    ),
     "complex input": (
         BODY | {"controller": Complex()},
         r"(?s)^controller returned .*j.*, expected real numbers$",
@@ -353,32 +331,6 @@ UNREAL: dict[str, tuple[dict[str, Any], str]] = {
 @pytest.mark.parametrize("what", UNREAL)
 def test_what_is_not_made_of_real_numbers_is_refused(what: str) -> None:
     assert_refused(*UNREAL[what])
-
-
-class Late(Cart):
-    def forward_dynamics(self, q: Any, v: Any, u: Any, f: Any = 0.0) -> Any:
-        found = super().forward_dynamics(q, v, u, f)
-        return found if v[0] > 0.9 else found * (1 + 0j)
-
-
-@pytest.mark.parametrize(
-    ("parts", "why"),
-    [
-        (
-            BODY | {"controller": pm.law(lambda t, q, v, r: (1j if t > 1 else 1.0) * (r.q - q))},
-            r"(?s)^(robot 0: )?function of the law returned .*j.* at t = 1.02 s, expected an input",
-        ),
-        (
-            CART | {"robot": Late()},
-            r"(?s)^(robot 0: )?plant.forward_dynamics returned .*j.* at t = .*, expected an array of",
-        ),
-    ],
-)
-def test_what_stops_being_real_is_told_when_it_does(parts: dict[str, Any], why: str) -> None:
-    runs: Any = simulated, lambda parts: in_ensemble(parts, n=1, engine=Engine.PYTHON)
-    for run in runs:
-        with refused(why):
-            run(parts)
 
 
 class Growing:

@@ -1,6 +1,5 @@
 """Parts that are a user's own run wherever the library's do, with the same numbers and their own names."""
 
-import pickle
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,7 @@ import pytest
 
 import pinmobile as pm
 from pinmobile.errors import SlowerEngine, UnknownName
-from pinmobile.loop import Engine, Loop, part_of, run_scenario
+from pinmobile.loop import Engine, Loop, run_scenario
 from pinmobile.loop._description import ROBOT_ARRAYS
 from pinmobile.parts import find, replace
 from pinmobile.trajectories import LectureHeading
@@ -125,18 +124,6 @@ def test_a_parameter_that_a_user_bounds_is_refused_beyond() -> None:
         run_scenario(made("controller", {"width": np.array([0.5, 0.0, 0.5, 0.5])}))
 
 
-def test_a_sweep_over_users_parts_has_the_bits_of_their_ensembles(tmp_path: Path) -> None:
-    controllers = {"PID": Smoothed(PID()), "sliding mode": SlidingMode()}
-
-    def scenario(controller: Any) -> pm.Scenario:
-        return made("force", controller=controller)
-
-    base = scenario(PID())
-    result = pm.sweep(base, tmp_path / "store", grid={"controller": controllers}, chunk=2)
-    for label, controller in controllers.items():
-        assert_same(result.ensemble(controller=label), run_scenario(scenario(controller)))
-
-
 # A plant.
 
 CART: dict[str, Any] = {"robot": Cart(), "controller": Follower(), "trajectory": CartCircle(), "dt": 0.01}
@@ -211,18 +198,6 @@ def test_an_ensemble_of_a_users_plant_is_told_by_its_names_and_units(tmp_path: P
 _WHEELS = ("left [rad]", "right [rad]")
 
 
-class Nameless(Cart):
-    coordinates: Any = property(lambda self: self.nothing)
-    inputs: Any = property(lambda self: self.nothing)
-
-
-def test_plants_without_names_have_numbers_for_names(tmp_path: Path) -> None:
-    run = run_scenario(carted(robot=Nameless(), spread={"mass": OF_CART["mass"], "start.[1]": 0.1}))
-    assert "largest error of [3] " in str(run)
-    run.to_csv(tmp_path / "runs.csv")
-    assert "max_input_[1]" in (tmp_path / "runs.csv").read_text().splitlines()[0].split(",")
-
-
 @dataclass(frozen=True)
 class Derived:
     """A controller that makes a number of its own when it is made, and keeps one in its state alone."""
@@ -291,23 +266,6 @@ def test_a_law_that_reaches_a_robot_by_a_name_is_compiled(function: Any) -> None
     assert_close(*runs)
 
 
-def test_what_a_robot_does_by_pinocchio_alone_is_refused_with_the_line() -> None:
-    def function(t: float, q: Any, v: Any, reference: Any) -> Any:
-        return ROBOT.jacobian(q).T[:, :3] @ (reference.q - q)
-
-    what = "jacobian of a MobileRobot, which accepts only numbers; call it outside the law, with numbers"
-    with refused(rf"function, line \d+ of test_parts\.py .*: {what}"):
-        pm.ensemble(
-            ROBOT,
-            pm.law(function),
-            pm.Tangent(pm.Circle(2.0, 0.5, 1.0)),
-            n=2,
-            spread={},
-            dt=0.1,
-            engine=Engine.COMPILED,
-        )
-
-
 # Parameters of paths and headings: each robot has a reference of its own.
 
 STEADY = pm.PD((100, 100, 5), (100, 100, 5))
@@ -359,18 +317,6 @@ def test_each_robot_follows_a_reference_of_its_own_by_all_engines(what: str) -> 
 def scenario_member_reference(run: pm.Ensemble, i: int) -> Any:
     member = run.arguments(i)
     return pm.simulate(*member[:3], **member.options).reference
-
-
-def test_own_references_have_the_same_bits_however_the_robots_are_divided(tmp_path: Path) -> None:
-    scenario = owned("circle", n=7, spread={"radius": pm.Uniform(1, 3), "mass": pm.Uniform(25, 35)})
-    whole = run_scenario(scenario, threads=1)
-    for other in (
-        run_scenario(scenario, threads=3),
-        pm.sweep(scenario, tmp_path / "store", chunk=3).ensemble(),
-    ):
-        assert_same(other, whole)
-    pieces = [part_of(pickle.loads(pickle.dumps(scenario.subset(k, k + 1))), k, k + 1)[1] for k in range(7)]
-    np.testing.assert_array_equal(np.concatenate([each.max_error for each in pieces]), whole.max_error)
 
 
 def test_a_trajectory_that_cannot_be_made_is_told_with_the_robots_number() -> None:

@@ -12,10 +12,8 @@ import pinmobile as pm
 from pinmobile.arrays import Array
 from pinmobile.controllers import plain_difference
 from pinmobile.integrators import constant_acceleration, semi_implicit_euler
-from pinmobile.plant import Context
 
 ROBOT = pm.MobileRobot(10, 1.2, com=(0.15, 0.05))
-UR5 = pm.MobileRobot.box().mount("ur5")
 CIRCLE = pm.FixedHeading(pm.Circle(1.0, 0.5, 12.0), 0.3)
 START = {"q0": (0.2, -0.1, 0.9), "v0": (0.1, 0.0, -0.4)}
 
@@ -166,45 +164,6 @@ def test_the_force_is_held_over_dt_whatever_the_substeps() -> None:
     pm.simulate(ROBOT, pm.law(push), CIRCLE, dt=0.5, duration=2.0, substeps=10, integrator=pm.rk4)
     # Before the loop it is asked three times whether it answers alike.
     assert asked == [0.0, 0.0, 0.0, 0.0, 0.5, 1.0, 1.5, 2.0]
-
-
-class Counter:
-    def initial_state(self, context: Any) -> int:
-        return 0
-
-    def __call__(self, t: float, q: Array, v: Array, reference: Any, state: int) -> tuple[Array, int]:
-        return np.array([float(state), 0, 0]), state + 1
-
-
-def test_a_controllers_memory_is_handed_on() -> None:
-    rollout = pm.simulate(ROBOT, Counter(), CIRCLE, dt=0.5, duration=2.0)
-    assert rollout.u[:, 0].tolist() == [0, 1, 2, 3, 4]
-
-
-def test_a_controller_is_told_of_its_loop_and_of_nothing_that_the_plant_does() -> None:
-    contexts: list[Context] = []
-
-    class Listening:
-        def initial_state(self, context: Context) -> None:
-            contexts.append(context)
-
-        def __call__(self, t: float, q: Array, v: Array, reference: Any, state: None) -> tuple[Array, None]:
-            return np.zeros(len(v)), None
-
-    for robot, trajectory in ((ROBOT, CIRCLE), (UR5, pm.WholeBody(UR5, CIRCLE, None))):
-        rollout = pm.simulate(
-            robot, pm.InputSaturation(Listening(), 1.0), trajectory, dt=0.5, duration=2.0, limit=1e9
-        )
-        context = contexts.pop()
-        assert (context.dt, context.t.tolist()) == (0.5, rollout.t.tolist())
-        assert context.trajectory is trajectory
-        np.testing.assert_array_equal(context.reference.q, rollout.reference.q)
-        assert (context.difference, context.integrate) == (robot.difference, robot.integrate)
-        assert [one.name for one in context.coordinates] == ["x", "y", "psi", *robot.model.names[4:]]
-        assert [one.unit for one in context.coordinates] == ["m", "m", *["rad"] * (robot.nv - 2)]
-        assert tuple(one[:2] for one in context.inputs[:3]) == (("Fx", "N"), ("Fy", "N"), ("Mz", "N m"))
-        assert all(one.unit == "N m" for one in context.inputs[3:])
-        assert not any(hasattr(context, name) for name in ("plant", "robot", "forward_dynamics"))
 
 
 def test_a_controller_cannot_write_into_the_record() -> None:

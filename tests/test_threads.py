@@ -1,15 +1,11 @@
 """One robot, several threads: every public method gives each of them the answer that it gives alone."""
 
-import gc
 import inspect
-import pickle
 import sys
 import threading
 import time
-import weakref
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from copy import deepcopy
 from typing import Any
 
 import numpy as np
@@ -193,21 +189,6 @@ def test_a_robot_on_wheels_answers_several_threads_as_it_does_one() -> None:
     assert together(task) == [0] * THREADS
 
 
-def test_loops_of_one_robot_run_side_by_side() -> None:
-    robot = ROBOTS["lecture"]
-    motion = pm.Tangent(pm.Circle(radius=1, rate=0.5, duration=2))
-
-    def run(number: int) -> Any:
-        def force(t: float, q: Array, v: Array, reference: Any) -> Array:
-            error = reference.q[:2] - robot.frame_placements(q)[-1, :2, 3]
-            error = np.append(error, reference.q[2] - q[2])
-            return robot.inverse_dynamics(q, v, (number + 1) * error + 2 * (reference.v - v))
-
-        return plain(pm.simulate(robot, pm.law(force), motion, dt=0.01).q)
-
-    assert together(run) == [run(number) for number in range(THREADS)]
-
-
 def test_ensembles_whose_laws_ask_one_robot_run_side_by_side() -> None:
     robot = pm.MobileRobot(30, 1.3, com=(0.1, 0.05))
     motion, spread = pm.Tangent(pm.Circle(radius=3, rate=0.1, duration=2)), {"mass": pm.Uniform(20, 40)}
@@ -235,30 +216,3 @@ def test_ensembles_whose_laws_ask_one_robot_run_side_by_side() -> None:
 def fresh(robot: Any) -> Any:
     """Return a robot with nothing cached."""
     return evolved(robot)
-
-
-def workspace(robot: pm.MobileRobot) -> Any:
-    """Return Pinocchio's data of a robot in this thread."""
-    engine: Any = robot._engine
-    return engine.data
-
-
-def test_a_dead_threads_workspace_goes_away() -> None:
-    robot = pm.MobileRobot(10, 1.2)
-    here = weakref.ref(workspace(robot))
-    with ThreadPoolExecutor(1) as pool:
-        there = pool.submit(lambda: weakref.ref(workspace(robot))).result()
-        assert there() is not None
-        assert there() is not here()
-    gc.collect()
-    assert there() is None
-    assert here() is workspace(robot)
-
-
-@pytest.mark.parametrize("remade", [deepcopy, lambda robot: pickle.loads(pickle.dumps(robot))])
-def test_a_copy_has_a_workspace_of_its_own(remade: Callable[[pm.MobileRobot], pm.MobileRobot]) -> None:
-    robot = ROBOTS["ur5"]
-    other = remade(robot)
-    assert other == robot
-    assert workspace(other) is not workspace(robot)
-    assert plain(other.mass_matrix(robot.rest)) == plain(robot.mass_matrix(robot.rest))

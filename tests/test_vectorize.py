@@ -153,26 +153,6 @@ def test_what_cannot_be_compiled_says_why() -> None:
         vectorize(ROBOTS["bare"].linearize)(*np.zeros((3, 5, 3)))
 
 
-def test_what_is_another_function_each_time_is_refused() -> None:
-    count = [0]
-
-    def counting(x: Any) -> Any:
-        count[0] += 1
-        return x * count[0]
-
-    with pytest.raises(NotTraceable, match="with symbols, the function computes something else"):
-        vectorize(counting, keep=False)(np.ones((4, 3)))
-
-
-def test_a_direction_that_is_lost_has_no_volume() -> None:
-    robot = MobileRobot.box().mount("ur5")
-    q = np.zeros((COUNT, robot.nq))  # the wrist's two axes and the arm are in line
-    q[1:] = states(robot, COUNT - 1)[0]
-    volumes = vectorize(robot.arm_manipulability, keep=False)(q)
-    assert 0 <= volumes[0] < 1e-12
-    assert volumes[1:].max() > 0.01
-
-
 def test_kinetic_energy_knows_motors_on_axes_of_their_own() -> None:
     model = pin.Model()
     joint = model.addJoint(0, pin.JointModelRevoluteUnaligned(1.0, -2.0, 0.5), pin.SE3.Identity(), "j")
