@@ -236,6 +236,12 @@ def test_a_plant_that_contradicts_itself_is_refused(plant: Any, why: str) -> Non
         pm.simulate(plant, Follower(), PATH, dt=0.1)
 
 
+def test_a_shorter_reference_without_a_start_needs_one() -> None:
+    plant: Any = type("NoStart", (TwoWheels,), {"start": property(lambda self: self.nothing)})()
+    with pytest.raises(pm.InvalidArgument, match=r"has no start\(reference\), .*: give q0 and v0"):
+        pm.simulate(plant, Follower(), PATH, dt=0.1)
+
+
 class Telling(Follower):
     def __init__(self, *answers: Any) -> None:
         self.answers = answers

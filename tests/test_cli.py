@@ -304,6 +304,7 @@ def test_help_teaches_and_loads_no_library(typed: Typed) -> None:
         for verb in [name for task in TASKS.values() for name in task]:
             assert f"\n  {verb} " in out
             assert "Example: pinmobile " in typed(verb, "--help")[1] or verb == "lecture"
+    assert typed("--version")[:2] == (0, f"pinmobile {pm.__version__}\n")
     assert "Folder of records and figures;" in " ".join(typed("run", "--help")[1].split())
     assert "Folder of the C files;" in " ".join(typed("export", "--help")[1].split())
     text = "import sys; from pinmobile.cli import main; main(['run', '--help']); print(*sys.modules)"
@@ -548,21 +549,20 @@ def reverse(table: Any) -> Any:
 
 
 @pytest.mark.parametrize(
-    ("change", "words", "text"),
+    ("change", "text"),
     [
-        (reverse, "", r"log has inputs that explain .*another robot.*"),
+        (reverse, r"log has inputs that explain .*another robot.*"),
         (
             lambda table: table[np.r_[:300, 200:2101]],
-            "",
             r"t\[300\] is 4\.0\d* s after 5\.98\d* s, expected more: sort the rows by time, or split the .*",
         ),
     ],
 )
 def test_a_bad_log_is_answered_in_one_line(
-    change: Callable[[Any], Any], words: str, text: str, typed: Typed, tmp_path: Path
+    change: Callable[[Any], Any], text: str, typed: Typed, tmp_path: Path
 ) -> None:
     path = written(tmp_path / "run.csv", change(rows()))
-    code, told, err = typed("identify", path, *words.split(), "--out", str(tmp_path))
+    code, told, err = typed("identify", path, "--out", str(tmp_path))
     assert (code, told.strip()) == (2, "")
     assert re.fullmatch(rf"pinmobile: LOG is '\S+run\.csv': {text}\n", err), err
 
@@ -605,3 +605,11 @@ def test_a_lost_cluster_is_a_failure_and_no_wrong_word(
     monkeypatch.setattr("pinmobile.cli.results.connect", lost)
     code, _, told = typed("sweep", "rivals", f"--out={tmp_path}", "--scheduler=tcp://127.0.0.1:1")
     assert (code, told) == (1, "pinmobile: scheduler is 'tcp://127.0.0.1:1', which does not answer\n")
+
+
+def test_one_path_of_an_arm_needs_no_list(typed: Typed, tmp_path: Path) -> None:
+    arm = "Hold([0, 0, 0, 0, 0, 0], 1)"
+    motion = f"WholeBody(MobileRobot.box().mount('ur5'), Tangent(Circle(1, 0.5, 1)), {arm})"
+    code, said, _ = typed("write", "ur5", f"trajectory={motion}")
+    assert code == 0
+    assert "Hold" in said

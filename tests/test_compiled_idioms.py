@@ -1,7 +1,6 @@
 """NumPy as people write it, on symbols: what it gives on numbers, or what to write instead."""
 
 import math
-import re
 from collections.abc import Callable
 from typing import Any
 
@@ -9,7 +8,7 @@ import numpy as np
 import pytest
 from numpy import linalg
 
-from pinmobile import Circle, Engine, InvalidArgument, MobileRobot, Tangent, errors, law, simulate
+from pinmobile import errors
 from pinmobile.compiled.functions import tracing
 from pinmobile.compiled.symbolic import entries, symbols
 from pinmobile.compiled.tape import Node, Tape, evaluate
@@ -273,22 +272,6 @@ def test_what_cannot_be_traced_is_refused_with_the_line_and_what_to_write(name: 
     assert instead in caught.value.remedy
     assert "test_compiled_idioms.py" in caught.value.place
     assert any(f"line {line + more} of" in caught.value.place for more in range(3))
-
-
-def test_a_compiled_solver_in_a_law_is_refused_at_the_user_s_line_with_the_engine_that_takes_it() -> None:
-    daqp = pytest.importorskip("daqp", reason="the extra mpc is not installed")
-
-    def held(t: Any, q: Any, v: Any, reference: Any) -> Any:
-        pull, most = 4 * (q - reference.q) + 4 * (v - reference.v), np.full(3, 10.0)
-        return daqp.solve(np.eye(3), pull, np.zeros((0, 3)), most, -most, np.zeros(3, np.int32))[0]
-
-    circle, robot = Tangent(Circle(1, 0.5, 0.1)), MobileRobot.lecture()
-    with pytest.raises(InvalidArgument) as caught:
-        simulate(robot, law(held), circle, dt=0.01, engine=Engine.COMPILED)
-    assert re.search(r"held, line \d+ of test_compiled_idioms\.py \(`return daqp\.solve", str(caught.value))
-    assert "View.MemoryView" not in str(caught.value)
-    assert str(caught.value).endswith("or run it with engine=Engine.PYTHON")
-    assert len(simulate(robot, law(held), circle, dt=0.01)) == 11
 
 
 def test_numpy_is_itself_again_afterwards_and_for_other_threads() -> None:

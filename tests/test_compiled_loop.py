@@ -1,7 +1,6 @@
 """Compiled loops beside the same loops in Python; their bits; what cannot be compiled."""
 
 from collections.abc import Callable
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -161,22 +160,6 @@ def test_a_program_that_has_run_for_long_is_optimised(tmp_path: Path) -> None:
     assert sorted(files()) == ["optimised", "quick"]
     assert program.code(1) is optimised
     assert Program(program.tape, cache=Cache(tmp_path)).code(1) is optimised  # which is known
-
-
-@pytest.mark.parametrize("name", ["all", "wheels, forces"])
-def test_the_bits_of_a_robot_do_not_depend_on_threads_nor_on_who_runs_beside_it(name: str) -> None:
-    compiled, n = built(COMPOSITIONS[name](), recorder=Worst()), 333
-
-    def some(begin: int, end: int, threads: int) -> Any:
-        out = ran(compiled, end - begin, begin, every=10, threads=threads)
-        return compiled.recorder_memory(out), out.counts
-
-    whole, counts = some(0, n, 1)
-    for cut in ((0, n), (0, 1, n), (0, 100, 200, n)):
-        pieces = [some(begin, end, 3) for begin, end in pairwise(cut)]
-        np.testing.assert_array_equal(counts, sum(piece[1] for piece in pieces))
-        for name, array in whole.items():
-            np.testing.assert_array_equal(array, np.concatenate([piece[0][name] for piece in pieces]))
 
 
 # What cannot be compiled, and bad input.

@@ -95,3 +95,23 @@ class Motored(Body):
 def test_a_plant_with_a_step_and_a_memory_of_its_own_needs_no_integrator() -> None:
     loop = Loop(Motored(), PD(20.0, 30.0), None, (ConstantForce((1, 1, 1)),), None, 2)
     assert_alike(loop, CIRCLE.q[0] + 0.1, CIRCLE.v[0])
+
+
+@dataclass
+class Last:
+    """A memory of a user's own."""
+
+    u: Any
+
+
+def test_memory_may_be_an_object_of_fields() -> None:
+    class Remembering(PD):
+        def initial_state(self, context: Any) -> Last:
+            return Last([np.zeros(3)])
+
+        def __call__(self, t: Any, q: Any, v: Any, reference: Any, state: Last) -> Any:
+            u = self.kp * (reference.q - q) + self.kd * (reference.v - v) + 0.1 * state.u[0]
+            return u, Last([u])
+
+    loop = Loop(Body(), Remembering(30.0, 40.0), None, (), rk4)
+    assert_alike(loop, CIRCLE.q[0] + 0.2, CIRCLE.v[0])

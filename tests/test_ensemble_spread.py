@@ -15,7 +15,7 @@ from pinmobile.forces import NoiseForce, PayloadForce, SinusoidalForce
 from pinmobile.loop import TRUE_MODEL, ErrorQuantile, Relative, causes, run_scenario
 from pinmobile.loop._description import bins_of, quantiles
 from pinmobile.parts import evolved
-from tests.refusals import refused
+from tests.refusals import refusals, refused
 
 ROBOT = pm.MobileRobot(30.0, 1.3, com=(0.1, 0.02))
 TRAJECTORY = pm.Tangent(pm.Circle(3.0, 0.1, 60.0))
@@ -314,6 +314,12 @@ def test_a_distribution_that_gives_no_numbers_is_refused() -> None:
         run_scenario(made(spread={"mass": Broken(np.nan)}))
 
 
+test_distributions_check_themselves = refusals(
+    (lambda: pm.Uniform(2, 1), "low is 2.0, expected at most high, 1.0"),
+    (lambda: pm.SameAs(3), "name is 3, expected the name of a parameter"),  # type: ignore[arg-type]
+)
+
+
 @pytest.mark.parametrize(
     ("options", "text"),
     [
@@ -362,25 +368,6 @@ def test_an_ensemble_says_what_came_of_it() -> None:
     for levels in (-0.1, [], [2.0]):
         with refused("levels"):
             run.bands(levels)
-
-
-def test_an_ensemble_tells_least_median_and_largest_of_each_record() -> None:
-    run = run_scenario(
-        made(n=50, spread={"mass": pm.Uniform(20, 40), "start.x": np.array([2e3, *[0.1] * 49])})
-    )
-    told = str(run).splitlines()[2:]
-    assert [line.partition(":")[0] for line in told[:2]] == ["spread", "failed"]
-    assert told[1] == "failed: 1 of 50 robots (1 diverged)"
-    rows = {line[:28].strip(): line[28:] for line in told if " least " in line}
-    records = {"largest distance [m]": run.max_distance}
-    for k, (error, force) in enumerate((("x [m]", "Fx [N]"), ("y [m]", "Fy [N]"), ("psi [rad]", "Mz [N m]"))):
-        records[f"largest error of {error}"] = run.max_error[:, k]
-        records[f"largest {force}"] = run.max_input[:, k]
-    assert set(rows) == set(records)
-    for name, values in records.items():
-        low, middle, high = np.quantile(values[1:], (0, 0.5, 1))  # the first has none: it diverged at once
-        told = [f" {each:.4g}" if each >= 1e-12 else " < 1e-12" for each in (low, middle, high)]
-        assert rows[name].strip() == "least{}, median{}, largest{}".format(*told), name
 
 
 def test_what_came_of_an_ensemble_cannot_be_overwritten() -> None:

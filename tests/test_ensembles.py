@@ -204,8 +204,6 @@ def test_diverging_robots_are_flagged_as_by_simulate_and_the_others_untouched() 
     assert run.worst(7, "heading").tolist() == expected != run.worst(7).tolist()
     assert run.error_quantile(0.97).distance < 0.01
     assert run.error_quantile(0.99).distance == np.inf
-    # In the bands they are beyond everything from then on: 3 of 130 are more than 1 %, less than 5 %.
-    assert np.isinf(run.bands((0.95, 0.99)).distance[:, -1]).tolist() == [False, True]
     few = spread | {"kp": gains[[0, 3, 64, 100]]}
     slow = run_scenario(made(n=4, spread=few, duration=15.0), engine=Engine.PYTHON)
     assert np.flatnonzero(slow.diverged).tolist() == [1, 2, 3]

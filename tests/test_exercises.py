@@ -18,7 +18,7 @@ import pytest
 
 from pinmobile import InvalidArgument, dh
 from pinmobile.cli import main
-from pinmobile.exercises import check_exercises, load_exercise, start_exercises
+from pinmobile.exercises import check_exercises, list_exercises, load_exercise, start_exercises
 from pinmobile.exercises._exercise import EXERCISE_NAMES, Question, Verdict, read_exercise
 from pinmobile.exercises._tool import run_cells
 
@@ -213,6 +213,14 @@ def test_wrong_entries_are_named_where_no_mistake_is_known() -> None:
     assert verdict.words == "differs from the reference. Wrong are the entries [1, 3], counted from 0."
 
 
+def test_an_unfinished_answer_is_empty() -> None:
+    def unfinished(*_: object) -> None:
+        raise NotImplementedError
+
+    for answer in (None, (..., ...), unfinished):
+        assert load_exercise("01_equations").transform.check(answer).state == "empty"
+
+
 def library(code: str) -> Verdict:
     """Return the verdict on a mass matrix that uses the library."""
     names: dict[str, Any] = {"__name__": "__main__"}
@@ -333,6 +341,8 @@ def solved(tmp_path: Path) -> Path:
 
 
 def test_start_writes_notebooks_and_leaves_those_that_exist(typed: Typed, tmp_path: Path) -> None:
+    assert typed("list") == (0, f"{list_exercises()}\n", "")
+    assert len(re.findall(r"^\w+ +[67] questions, 12 points", list_exercises(), re.MULTILINE)) == 6
     folder = tmp_path / "new" / "course"
     code, out, _ = typed("start", folder, "--seed", "ROB-26")
     assert code == 0

@@ -3,6 +3,7 @@
 import subprocess
 import sys
 import warnings
+from html import unescape
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 
 import pinmobile as pm
+from pinmobile.cli import main
 from pinmobile.errors import SlowerEngine
 
 CIRCLE = pm.Tangent(pm.Circle(2, 0.25, 2))
@@ -46,6 +48,29 @@ def test_a_sweep_tells_once_which_part_makes_it_slower_and_where(tmp_path: Path)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         pm.sweep(*plan, grid=grid, chunk=4)  # nothing is left to run
+
+
+def test_the_command_prints_it_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "own.py").write_text(
+        "class Sign:\n"
+        "    def initial_state(self, context):\n"
+        "        return None\n"
+        "    def __call__(self, t, q, v, reference, state):\n"
+        "        pull = 9.0 if q[0] > reference.q[0] else 10.0\n"
+        "        return pull * (reference.q - q) - v, state\n"
+    )
+    (tmp_path / "plan.toml").write_text(
+        'n = 6\ncontroller = "own:Sign"\ntrajectory.path.duration = 1\n'
+        '[spread]\nstart.x = "Uniform(0, 0.1)"\n[grid]\nsubsteps = [1, 2]\n'
+    )
+    words = ["sweep", str(tmp_path / "plan.toml"), "--out", str(tmp_path / "out")]
+    with warnings.catch_warnings():
+        warnings.simplefilter("default")  # as outside of the tests, where warnings are no errors
+        assert main([*words, "--allow-code"]) == 0
+    printed = capsys.readouterr().err
+    assert 'controller = "own:Sign"' in unescape((tmp_path / "out" / "index.html").read_text())
+    assert printed.count("runs by PYTHON") == 1
+    assert "own.py" in printed
 
 
 def test_a_rollout_says_why_and_its_file_keeps_it(tmp_path: Path) -> None:

@@ -87,6 +87,15 @@ def test_a_part_of_a_figure_is_filled() -> None:
     assert len(whole.axes) == 1
 
 
+def test_other_things_than_axes_are_refused() -> None:
+    with pytest.raises(
+        InvalidArgument, match=r"^ax is 'axes', expected matplotlib's Axes, a sequence of them"
+    ):
+        plots.states(RUNS, ax="axes")
+    with pytest.raises(InvalidArgument, match=r"^width is 3, expected None with ax, because its figure"):
+        plots.states(RUNS, ax=Figure(), width=3)
+
+
 def test_letters_sizes_and_cycles_are_the_users() -> None:
     own: dict[Any, Any] = {
         "font.size": 7.0,

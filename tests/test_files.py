@@ -120,22 +120,6 @@ def test_permissions_are_those_that_open_gives(tmp_path: Path) -> None:
     assert permissions(tmp_path / "run.npz") == 0o604
 
 
-def test_a_file_that_open_refuses_is_refused(tmp_path: Path) -> None:
-    """That its folder can be written to is not enough; an administrator may write to either."""
-    (tmp_path / "file").write_bytes(b"good")
-    (tmp_path / "file").chmod(0o444)
-    try:
-        (tmp_path / "file").open("ab").close()
-    except PermissionError:
-        with refused("file', which cannot be written: Permission denied"):
-            write(tmp_path / "file", b"new")
-        assert held(tmp_path) == {"file": b"good"}
-    else:
-        write(tmp_path / "file", b"new")
-        assert held(tmp_path) == {"file": b"new"}
-        assert permissions(tmp_path / "file") == 0o444
-
-
 def test_a_link_stays_and_what_it_leads_to_is_replaced(tmp_path: Path) -> None:
     (tmp_path / "there").mkdir()
     (tmp_path / "there" / "file").write_bytes(b"old")

@@ -165,10 +165,6 @@ def by_keyword(t: float, q: Any, v: Any, reference: Any, *, gains: Any = GAINS) 
     return gains[0] * (reference.q - q) - v
 
 
-def by_attribute(t: float, q: Any, v: Any, reference: Any) -> Any:
-    return by_attribute.gain * (reference.q - q) - v  # type: ignore[attr-defined]
-
-
 def by_code(t: float, q: Any, v: Any, reference: Any) -> Any:
     return 2.0 * (reference.q - q) - v
 
@@ -201,7 +197,6 @@ CHANGES: dict[str, tuple[Any, Callable[[float], Any]]] = {
     ),
     "subclass of a deque": (by("OWN_QUEUE[0]"), lambda x: OWN_QUEUE.__setitem__(0, x)),
     "default by keyword": (by_keyword, lambda x: setattr(by_keyword, "__kwdefaults__", {"gains": [x]})),
-    "attribute of a function": (by_attribute, lambda x: setattr(by_attribute, "gain", x)),
     "bound method": (by("BOUND()"), lambda x: setattr(Plan, "k", x)),
     "partial": (by("PARTIAL()"), lambda x: SETTINGS["inner"]["w"].__setitem__(0, x)),
 }

@@ -134,13 +134,6 @@ def test_a_choice_judges_that_alone(runs: pm.Ensemble) -> None:
     none = run_scenario(scenario(metrics=()))
     assert none.worst_metric.shape == (3, 0)
     np.testing.assert_array_equal(none.max_error, some.max_error)
-    bare = replace(
-        scenario(spread={"mass": pm.Uniform(20, 30)}),
-        robot=pm.MobileRobot.box(),
-        controller=pm.PD(40, 20),
-        trajectory=pm.FixedHeading(pm.RestToRest((0, 0), (0.1, 0), 0.6), psi=0),
-    )
-    assert bare.recorded_metrics == ()
 
 
 @pytest.mark.parametrize(

@@ -266,6 +266,12 @@ def test_a_law_that_reaches_a_robot_by_a_name_is_compiled(function: Any) -> None
     assert_close(*runs)
 
 
+def test_what_a_robot_does_by_pinocchio_alone_is_refused_with_the_line() -> None:
+    controller = pm.law(lambda t, q, v, reference: ROBOT.jacobian(q).T[:, :3] @ (reference.q - q))
+    with refused(r"line \d+ of test_parts\.py .*: jacobian of a MobileRobot, which accepts only numbers"):
+        pm.simulate(ROBOT, controller, OWN["circle"][0], dt=0.1, engine=Engine.COMPILED)
+
+
 # Parameters of paths and headings: each robot has a reference of its own.
 
 STEADY = pm.PD((100, 100, 5), (100, 100, 5))

@@ -195,6 +195,13 @@ class TestFigures:
         np.testing.assert_allclose(drawn[1::3], frames, atol=1e-12)
         np.testing.assert_allclose(drawn[3::3], frames[:-1], atol=1e-12)
 
+    def test_a_path_needs_a_pose(self, circle: Runs) -> None:
+        run = circle["PD"]
+        desired = run.reference._replace(q=run.reference.q[:, :2])
+        flat = replace(run, plant=None, q=run.q[:, :2], reference=desired)
+        with pytest.raises(InvalidArgument, match=r"^rollouts\['a'\].plant is a NoneType, which has no pose"):
+            plots.path({"a": flat})
+
     def test_pyplot_and_settings_are_left_alone(self, circle: Runs, tmp_path: Path) -> None:
         before = dict(matplotlib.rcParams)
         for draw in DRAWN:

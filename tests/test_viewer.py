@@ -15,6 +15,7 @@ import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import coal
 import numpy as np
@@ -232,6 +233,14 @@ def test_a_camera_follows_or_stays(page: Page, viewer: Viewer, runs: Runs, tmp_p
         page.evaluate(f"pinmobile.seek({t})")
         assert page.evaluate("viewer.camera.position.toArray()") == pytest.approx([5, 6, 4])
         assert math.dist(projected(page, (1, 1, 0)), (450, 300)) < 1
+
+
+def test_a_robot_that_stands_can_be_recorded(viewer: Viewer, runs: Runs) -> None:
+    run, still = runs["PD"], np.zeros((1, 3))
+    parts = {name: getattr(run, name)[:1] for name in ("t", "v", "a", "u", "error")}
+    stands = pm.Rollout(plant=run.plant, q=still, reference=type(run.reference)(still, still, still), **parts)
+    overlays = Overlays(arrows=Arrows(), desired=True, body_frame=True, frames=(SLIDE_TABLE,))
+    assert ("meshcat/body", ".position") in tracks(viewer.record(stands, overlays=overlays))
 
 
 # Live
@@ -482,6 +491,26 @@ def test_the_box_stands_for_a_mesh_that_is_missing_or_damaged(tmp_path: Path, me
     with pytest.warns(UserWarning, match=rf"truck.urdf: not drawn, since {words}"):
         shown = robot.visual_model
     assert [item.name for item in shown.geometryObjects] == ["body", "front", "wedge", "wheel_0"]
+
+
+def test_collision_shapes_stand_for_meshes_that_are_missing(tmp_path: Path) -> None:
+    path = tmp_path / "truck" / "truck.urdf"
+    truck(tmp_path, "gone")
+    tree = ElementTree.parse(path)
+    link = tree.find("link")
+    assert link is not None
+    for shape in ('<cylinder radius="0.2" length="0.5"/>', '<mesh filename="package://truck/gone too.stl"/>'):
+        link.append(ElementTree.fromstring(f"<collision><geometry>{shape}</geometry></collision>"))
+    tree.write(path)
+    robot = pm.MobileRobot.from_urdf(path, [tmp_path])
+    name = link.get("name")
+    words = rf"missing: package://truck/gone.stl; their collision shapes replace the visuals of {name}$"
+    with pytest.warns(UserWarning, match=words):
+        shown = robot.visual_model
+    hull, wheel = shown.geometryObjects
+    assert type(hull.geometry).__name__ == "Cylinder"
+    assert (hull.geometry.radius, 2 * hull.geometry.halfLength) == (0.2, 0.5)
+    assert wheel.name == "wheel_0"
 
 
 def test_the_box_stands_on_the_ground_and_shows_its_front() -> None:
