@@ -7,7 +7,6 @@ own.
 """
 
 import copy
-import csv
 import inspect
 import json
 import pickle
@@ -26,17 +25,13 @@ import pytest
 
 import pinmobile
 import pinmobile as pm
-from pinmobile import closed_form, plots, urdf
-from pinmobile.arrays import MEMORY, Array, affordable, finite, frozen
+from pinmobile import closed_form
+from pinmobile.arrays import finite, frozen
 from pinmobile.cli import main
-from pinmobile.dh import DHTable
 from pinmobile.errors import NotFinite, UnknownName
-from pinmobile.integrators import constant_acceleration
 from pinmobile.loop import TRUE_MODEL
 from pinmobile.urdf import shipped_urdf
 from pinmobile.viewer import Viewer
-from pinmobile.wheels import GearTrain
-from tests import arguments
 from tests.arguments import ROWS
 
 ROOT = Path(__file__).parents[1]
@@ -64,11 +59,6 @@ def hidden() -> Any:
     return [np.ma.masked_array([1.0, 2.0], [False, True]), [3.0, 4.0]]
 
 
-def masked_entry() -> Any:
-    """Return a list with an entry that is masked."""
-    return [1.0, np.ma.masked]
-
-
 def of_many(**changed: Any) -> Callable[[], Any]:
     """Return a call of `ensemble` with some arguments changed."""
     return lambda: pm.ensemble(**MANY | changed)
@@ -81,19 +71,8 @@ def of_loop(**changed: Any) -> Callable[[], Any]:
 
 FAULTS: dict[str, list[tuple[Any, ...]]] = {
     "another kind": [
-        (lambda: DHTable(NOTHING), "rows is None, expected a sequence of DHRow"),
         (lambda: shipped_urdf(NOTHING), "unknown shipped URDF None, available: ", UnknownName),
-        (lambda: ROBOT.mount("ur5", locked=NOTHING), "locked is None, expected a sequence of"),
         (lambda: ROBOT.attach(pm.PayloadBody(1), frame=EMPTY), "unknown frame [], available: ", UnknownName),
-        (
-            lambda: urdf.write(pinmobile.dh.LECTURE_TABLE, NOTHING, size=(1, 1, 1)),
-            "body is None, expected a pinmobile.urdf.Body",
-        ),
-        (of_many(traces=b"a"), "traces is 97, expected at most"),
-        (lambda: pm.verify(ROBOT, seed=NOTHING), "seed is None, expected a whole number >= 0"),
-        (lambda: pm.WheelTable.swerve(NOTHING, 0.1), "places is None, expected (x, y) of each [m]"),
-        (lambda: pm.WheeledRobot(ROBOT, EMPTY), "table is [], expected a WheelTable"),
-        (lambda: GearTrain(("a", "b"), cast(Any, "ab")), "ratios is 'ab', expected real numbers"),
         (
             lambda: ON_WHEELS.forward_dynamics(np.zeros(5), np.zeros(5), [1, 1], 3.0),
             "f has shape (), expected (..., 5)",
@@ -101,15 +80,11 @@ FAULTS: dict[str, list[tuple[Any, ...]]] = {
     ],
     "no numbers": [
         (lambda: pm.InputSaturation(pm.PD(1, 1), RAGGED), "limits is [[1, 2], [3]], expected real numbers"),
-        (lambda: pm.PayloadBody(1, inertia=RAGGED), "inertia is [[1, 2], [3]], expected real numbers"),
     ],
     "masked numbers": [
         (lambda: pm.ConstantForce(MASKED), "force is a masked array, expected an array without a mask"),
         (lambda: finite("q", hidden()), "q is a masked array, expected an array without a mask"),
-        (lambda: finite("q", masked_entry()), "q is a masked array, expected an array without"),
-        (of_loop(q0=MASKED), "q0 is a masked array"),
         (lambda: closed_form.mass_matrix(MASKED, mass=1, yaw_inertia=1), "q is a masked array"),
-        (lambda: ROBOT.mass_matrix(MASKED), "q is a masked array"),
     ],
     "beyond the largest number": [
         (
@@ -117,21 +92,13 @@ FAULTS: dict[str, list[tuple[Any, ...]]] = {
             "the result is -inf for |q| up to 0, |v| up to 1e+308",
             NotFinite,
         ),
-        (
-            lambda: ON_WHEELS.check_start(np.zeros(5), np.full(5, 1.7e308)),
-            "the result is inf for |q| up to 0, |v| up to 1.7e+308",
-            NotFinite,
-        ),
     ],
     "too much": [
-        (of_loop(substeps=10**22), "substeps is 10000000000000000000000, expected at most"),
-        (of_loop(substeps=10**12), "substeps is 1000000000000, expected at most 166,389,351"),
         (of_many(substeps=10**12), "substeps is 1000000000000, expected at most 166,389,351"),
         (of_loop(dt=6e-07), "the records of 100,000,001 samples take 38.4 GB"),
     ],
     "no text": [
         (lambda: ROBOT.mount("ur5", name="a,b"), "name is 'a,b', expected a word without / ,"),
-        (lambda: plots.path(pm.simulate(**LOOP), title=EMPTY), "title is [], expected text"),
         (lambda: Viewer(ROBOT, live=True, host="[::1"), "host is '[::1', expected a name or an address"),
     ],
     "another part": [
@@ -139,23 +106,16 @@ FAULTS: dict[str, list[tuple[Any, ...]]] = {
             of_loop(trajectory=CIRCLE),
             "a path, which has no heading, expected a trajectory: wrap the path in Tangent or",
         ),
-        (of_many(trajectory=CIRCLE), "expected a trajectory: wrap the path in Tangent or FixedHeading,"),
         (
             of_loop(trajectory=pm.PosePath(pm.Spline([[0, 0, 1], [1, 0, 1]], [0, 1]))),
             "a path of poses of an end effector, expected a trajectory of the robot's coordinates, such as",
         ),
         (of_loop(integrator=pm.PD(1, 1)), "a controller, expected one of pinmobile.integrators"),
-        (of_many(engine="COMPILED"), "expected Engine.PYTHON, Engine.COMPILED or None"),
     ],
     "another signature": [
         (
             lambda: pm.law(cast(Any, lambda t, q: np.zeros(3))),
             "which cannot be called as function(t, q, v, reference): too many positional arguments",
-        ),
-        (of_loop(controller=arguments), "expected a controller: wrap a function in law(...)"),
-        (
-            of_loop(forces=[lambda t, q: np.zeros(3)]),
-            "which cannot be called as forces[0](t, q, v): too many",
         ),
         (
             of_loop(integrator=lambda q, v: (q, v)),
@@ -165,16 +125,11 @@ FAULTS: dict[str, list[tuple[Any, ...]]] = {
             lambda: pm.PD(1, 1, difference=lambda q: q),
             "which cannot be called as difference(q0, q1): too many",
         ),
-        (of_many(progress=lambda: None), "which cannot be called as progress(done, n): too"),
     ],
     "another shape returned": [
         (
             of_loop(controller=pm.law(lambda t, q, v, reference: [1.0, 2.0])),
             "controller returned array([1., 2.]) at t = 0 s, expected an array of shape (3,)",
-        ),
-        (
-            of_loop(controller=pm.law(lambda t, q, v, reference: NOTHING)),
-            "function of the law returned None at t = 0 s, expected an input: nu numbers",
         ),
         (
             of_loop(forces=[lambda t, q, v: np.zeros(2)]),
@@ -264,17 +219,6 @@ def test_frozen_copies_what_it_has_not_made_itself() -> None:
         made.setflags(write=True)
 
 
-def test_a_number_of_any_type_is_a_number() -> None:
-    assert finite("mass", 10**22).item() == 1e22
-    assert finite("q", np.array([1e308, 1e308, -1e308])).tolist() == [1e308, 1e308, -1e308]
-
-
-def test_what_is_affordable_is_not_refused() -> None:
-    affordable("arrays", MEMORY / 8, "nothing")
-    with pytest.raises(pm.InvalidArgument, match=r"^arrays take 16 GB, expected at most 16 GB: less$"):
-        affordable("arrays", MEMORY / 8 + 1, "less")
-
-
 @pytest.mark.parametrize("one", [pm.Engine.PYTHON, pm.Engine.COMPILED, TRUE_MODEL], ids=["P", "C", "T"])
 def test_engines_and_the_true_model_come_back_as_themselves(one: Any) -> None:
     assert pickle.loads(pickle.dumps(one)) is one
@@ -288,21 +232,6 @@ def test_the_true_model_is_read_only() -> None:
         TRUE_MODEL["controller.mass"] = pm.SameAs("yaw_inertia")  # type: ignore[index]
 
 
-def test_names_of_joints_are_one_column_each_in_a_csv_file(tmp_path: Path) -> None:
-    model = arguments.small_arm()
-    model.names[1], model.names[2] = "lift, or\nnot", 'the "elbow"'
-    robot = ROBOT.mount(model, (0, 0, 0.2, 0), name="arm")
-    still = np.zeros((2, 5))
-    rollout = pm.Rollout(
-        robot, np.arange(2.0), still, still, still, still, still, pinmobile.Reference(*[still] * 3)
-    )
-    rollout.to_csv(tmp_path / "a.csv")
-    with (tmp_path / "a.csv").open(newline="") as file:
-        rows = list(csv.reader(file))
-    assert [len(row) for row in rows] == [31, 31, 31]
-    assert rows[0][4:6] == ["arm/lift, or\nnot [rad]", 'arm/the "elbow" [rad]']
-
-
 def test_a_scenario_file_may_be_nested_deep(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "deep.toml"
     file.write_text("a = " + "[" * 5_000 + "]" * 5_000)
@@ -312,8 +241,8 @@ def test_a_scenario_file_may_be_nested_deep(tmp_path: Path, capsys: pytest.Captu
     assert "deep.toml: its values are nested too deep" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("letters", [300, 4_000])
-def test_a_mesh_whose_name_no_file_can_have_is_missing(tmp_path: Path, letters: int) -> None:
+def test_a_mesh_whose_name_no_file_can_have_is_missing(tmp_path: Path) -> None:
+    letters = 4_000
     mesh = f'<visual><geometry><mesh filename="{"x" * letters}.stl"/></geometry></visual>'
     text = shipped_urdf("box").read_text()
     file = tmp_path / "mesh.urdf"
@@ -338,7 +267,7 @@ sys.exit(main())
 """
 
 
-@pytest.mark.parametrize("module", ["numpy", "typer", "pinmobile.cli.verbs", "pinmobile.loop"])
+@pytest.mark.parametrize("module", ["typer", "pinmobile.loop"])
 def test_an_interrupt_while_the_command_loads_shows_no_traceback(module: str) -> None:
     words = [sys.executable, "-c", INTERRUPTED.format(module=module)]
     done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=600)
@@ -360,33 +289,3 @@ def test_packages_of_extras_are_those_of_the_project() -> None:
 
     for extra, packages in pm.errors.EXTRAS.items():
         assert set(packages) == names(extra)
-
-
-def test_a_missing_package_is_named_with_how_to_get_it() -> None:
-    with pytest.raises(
-        pm.InvalidArgument, match=r"^a sweep needs nothing_of_it, which is not installed: pip install da"
-    ):
-        pm.errors.import_extra("nothing_of_it", "sweeps", "a sweep")
-
-
-def test_a_stable_friction_has_no_hint() -> None:
-    strong = pm.ConstantForce([1e9, 0, 0])
-    with pytest.raises(pm.Diverged) as caught:
-        pm.simulate(**LOOP | {"forces": [pm.ViscousFriction([1, 1, 0.1]), strong]})
-    assert "friction" not in str(caught.value)
-
-
-def test_what_a_users_own_function_raises_comes_through() -> None:
-    def broken(t: float, q: Array, v: Array, reference: Any) -> Array:
-        raise TypeError("mine")
-
-    with pytest.raises(TypeError, match=r"^mine$"):
-        pm.simulate(**LOOP | {"controller": pm.law(broken)})
-
-
-def test_scenarios_hold_plain_numbers() -> None:
-    named = {name: value for name, value in MANY.items() if name != "engine"}
-    scenario = pm.Scenario(**named | {"dt": np.array(0.1), "duration": np.array(6.0)})
-    assert (type(scenario.dt), type(scenario.duration)) == (float, float)
-    assert scenario.integrator is constant_acceleration
-    assert pm.FixedHeading(CIRCLE, 0)(0.0).q.shape == pm.Hold([0, 0, 0], 1)(0.0).shape

@@ -2,12 +2,10 @@
 
 from copy import copy
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
-import pinocchio as pin
 import pytest
 
 import pinmobile as pm
@@ -182,23 +180,6 @@ def test_rk4_substeps_and_pushes_on_the_base_are_compiled() -> None:
     assert_members(runs, 1)
 
 
-def test_each_joint_has_a_friction_of_its_own() -> None:
-    friction = pm.JointFriction.of(UR5)
-    spread = {"viscous.ur5/elbow_joint": pm.Uniform(0, 2), "coulomb.ur5/wrist_1_joint": pm.Uniform(0, 1)}
-    runs = run(spread=spread, forces=[friction], n=2)
-    assert_members(runs, 0, 1)
-
-
-def test_the_engines_agree_and_the_bits_hang_on_nothing() -> None:
-    runs, few = run(n=20, threads=2), run(n=3, threads=1)
-    for engine in (pm.Engine.COMPILED, pm.Engine.PYTHON):
-        other = run(n=3, engine=engine)
-        assert other.engine == engine.name
-        np.testing.assert_allclose(other.max_error, few.max_error, rtol=1e-9, atol=CLOSE)
-    np.testing.assert_array_equal(runs.max_error[:3], few.max_error)
-    np.testing.assert_array_equal(runs.max_input[:3], few.max_input)
-
-
 def test_six_seconds_of_a_closed_loop_are_those_of_pinocchio() -> None:
     robot = ALL_KINDS["kinova"]
     runs = run(
@@ -238,15 +219,6 @@ def test_the_bits_of_arms_are_those_of_every_processor() -> None:
             np.testing.assert_array_equal(one, same)
 
 
-def test_a_member_whose_links_differ_is_kept_in_a_file(tmp_path: Path) -> None:
-    member = run(n=1).arguments(0)
-    alone = pm.simulate(*member[:3], **member.options)
-    alone.save(tmp_path / "run.npz")
-    again = pm.Rollout.load(tmp_path / "run.npz").plant
-    assert again == member.robot
-    np.testing.assert_array_equal(again.inertial_parameters, member.robot.inertial_parameters)
-
-
 def test_inertias_that_no_body_has_are_refused_with_their_share() -> None:
     spread = {"forearm_link.inertia.zz": pm.Uniform(0.05, 0.15)}  # above 0.0989 a body has none
     with pytest.raises(pm.InvalidArgument) as caught:
@@ -265,14 +237,3 @@ def test_a_tree_that_is_too_large_runs_slower_and_says_so() -> None:
     with pytest.warns(SlowerEngine, match="runs by PYTHON.*not COMPILED.*more than 30000 operations"):
         runs = run(robot, spread={"mass": pm.Uniform(24, 36)}, n=2, dt=0.3)
     assert runs.engine == pm.Engine.PYTHON.name  # few robots are faster one by one than side by side
-
-
-def test_a_helical_joint_runs_one_state_at_a_time_and_says_why() -> None:
-    model = pin.Model()
-    model.name = "toy"
-    joint = model.addJoint(0, pin.JointModelHX(0.1), pin.SE3.Identity(), "screw")
-    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.array([0, 0, 0.3]), np.eye(3)), pin.SE3.Identity())
-    robot = pm.MobileRobot.box().mount(model, AT)
-    with pytest.warns(SlowerEngine, match="joint 'toy/screw' is a JointModelHX, neither revolute nor"):
-        runs = run(robot, spread={"kp": pm.Uniform(90, 110)}, n=2)
-    assert runs.engine == pm.Engine.PYTHON.name

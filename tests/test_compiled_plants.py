@@ -1,21 +1,19 @@
 """What a plant may be, and what parts may hold: the capabilities that the compiled loop asks for."""
 
-import threading
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 
-from pinmobile import ConstantForce, Coulomb, Rolling, Uniform, ensemble, errors
+from pinmobile import ConstantForce
 from pinmobile.compiled import robot_keys
 from pinmobile.forces import SinusoidalForce
 from pinmobile.integrators import RungeKuttaNystrom, constant_acceleration, rk4, semi_implicit_euler
-from pinmobile.loop import Loop, Samples, _trace
+from pinmobile.loop import Loop, Samples
 from pinmobile.loop._engines import Compiled
-from pinmobile.parts import evolved, replace
+from pinmobile.parts import evolved
 from pinmobile.trajectories import Reference
-from tests.frozen import loops
 from tests.looping import CIRCLE, PD, SEED, TIMES, Body, assert_near, looped, told
 
 
@@ -99,122 +97,21 @@ def test_a_plant_with_a_step_and_a_memory_of_its_own_needs_no_integrator() -> No
     assert_alike(loop, CIRCLE.q[0] + 0.1, CIRCLE.v[0])
 
 
-def test_forces_on_a_body_that_cannot_be_pushed_are_refused() -> None:
-    class Fixed(Body):
-        def generalized_force(self, q: Any, wrench: Any) -> None:
-            return None
-
-    loop = Loop(Fixed(), PD(1.0, 1.0), None, (ConstantForce((1, 1, 1)),), constant_acceleration)
-    with pytest.raises(errors.InvalidArgument, match="accepts no wrench"):
-        compiled(loop, CIRCLE.q[:1], CIRCLE.v[:1])
-
-
 @dataclass
-class Memory:
-    """A tree of a user's own."""
+class Last:
+    """A memory of a user's own."""
 
-    past: Any
-    on: bool
-    inner: tuple[Any, ...]
+    u: Any
 
 
-def test_memory_is_any_tree_with_truths_and_numbers() -> None:
-    class Switching(PD):
-        def initial_state(self, context: Any) -> Memory:
-            return Memory({"e": [np.zeros((2, 3)), 0]}, False, (None, "name", np.float64(1.0)))
+def test_memory_may_be_an_object_of_fields() -> None:
+    class Remembering(PD):
+        def initial_state(self, context: Any) -> Last:
+            return Last([np.zeros(3)])
 
-        def __call__(self, t: Any, q: Any, v: Any, reference: Any, state: Memory) -> Any:
-            e = reference.q - q
-            rows, count = state.past["e"]
-            rows = np.vstack([e, rows[:1]])
-            on = state.on | (np.abs(e[0]) < 0.05)
-            u = np.where(on, self.kp * e, 5.0 * rows.mean(axis=0)) + self.kd * (reference.v - v)
-            return u, Memory({"e": [rows, count + 1]}, on, (None, "name", state.inner[2] * 0.9))
+        def __call__(self, t: Any, q: Any, v: Any, reference: Any, state: Last) -> Any:
+            u = self.kp * (reference.q - q) + self.kd * (reference.v - v) + 0.1 * state.u[0]
+            return u, Last([u])
 
-    loop = Loop(Body(), Switching(30.0, 40.0), None, (), rk4)
+    loop = Loop(Body(), Remembering(30.0, 40.0), None, (), rk4)
     assert_alike(loop, CIRCLE.q[0] + 0.2, CIRCLE.v[0])
-
-
-@dataclass(frozen=True)
-class Team(PD):
-    """The sum of several controllers, and of a model."""
-
-    controllers: Any = ()
-    model: Any = None
-
-    def initial_state(self, context: Any) -> Any:
-        return [each.initial_state(context) for each in self.controllers]
-
-    def __call__(self, t: Any, q: Any, v: Any, reference: Any, state: Any) -> Any:
-        answers = [each(t, q, v, reference, s) for each, s in zip(self.controllers, state, strict=True)]
-        total = sum(answer[0] for answer in answers)
-        own = self.kp * (reference.q - q)
-        return total + own + self.model.inverse_dynamics(q, v, 0.1 * reference.a), state
-
-
-def test_numbers_of_parts_within_parts_are_found() -> None:
-    team = Team(1.0, 2.0, (PD((20.0, 20.0, 20.0), 30.0), PD((5.0, 5.0, 5.0), 1.0)), Body(14.0))
-    loop = Loop(Body(), team, None, (), rk4)
-    own = {
-        "controller.controllers.1.kp": np.array([[9.0, 8.0, 7.0], [1.0, 2.0, 3.0]]),
-        "controller.model.mass": np.array([3.0, 50.0]),
-        "controller.kp": np.array([5.0, 7.0]),
-    }
-    q, v = np.tile(CIRCLE.q[0] + 0.1, (2, 1)), np.tile(CIRCLE.v[0], (2, 1))
-    found = compiled(loop, q, v, values=own)
-    for i in (0, 1):
-        expected = looped(replace(loop, {path: x[i] for path, x in own.items()}), q[i], v[i])
-        assert_near({name: x[i] for name, x in found.items()}, expected, 1e-10)
-
-
-@pytest.mark.long
-@pytest.mark.once
-def test_many_threads_trace_and_use_numpy_at_once() -> None:
-    wrong: list[Any] = []
-    stop = threading.Event()
-
-    def use_numpy() -> None:
-        while not stop.is_set():
-            made = np.zeros(3), np.array([1.0, 2.0]), np.asarray([1.0]), np.eye(2), np.sin(np.ones(2))
-            wrong.extend(x for x in made if type(x) is not np.ndarray)
-            np.random.default_rng(0).normal(size=2)
-
-    def trace() -> None:
-        try:
-            for k in range(2):
-                loop = Loop(Body(), PD(20.0, 30.0), None, (SinusoidalForce((1, 1, 1), 0.5),), rk4, 1 + k)
-                compiled(loop, CIRCLE.q[:1], CIRCLE.v[:1])
-        except Exception as error:
-            wrong.append(error)
-
-    user = threading.Thread(target=use_numpy)
-    tracers = [threading.Thread(target=trace) for _ in range(3)]
-    for thread in (user, *tracers):
-        thread.start()
-    for thread in tracers:
-        thread.join()
-    stop.set()
-    user.join()
-    assert wrong == []
-
-
-@pytest.mark.parametrize("ground", [Rolling(), Coulomb()])
-def test_what_robots_on_wheels_begin_with_is_computed_once_for_all(
-    ground: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Neither the constraints' velocities nor the loads at rest are computed robot by robot in Python."""
-    calls: list[Any] = []
-
-    def counted(*given: Any, **options: Any) -> Any:
-        calls.append(given)
-        return replace(*given, **options)
-
-    monkeypatch.setattr(_trace, "replace", counted)
-    drive = {name: parts for name, parts, _ in loops()}[f"differential {type(ground).__name__}"]
-    asked = []
-    for n in (4, 40):
-        calls.clear()
-        run = ensemble(*drive, n=n, spread={"com.x": Uniform(-0.05, 0.05)}, dt=0.02, duration=0.1)
-        assert run.engine == "COMPILED"
-        asked.append(len(calls))
-    assert asked[1] <= asked[0] < 10  # the first run traces the loop

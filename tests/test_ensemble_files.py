@@ -111,8 +111,6 @@ def test_what_is_loaded_answers_as_what_was_saved(tmp_path: Path, name: str) -> 
 
 USERS = """
 from dataclasses import dataclass
-import numpy as np
-from pinmobile.trajectories import Reference
 
 @dataclass
 class Lazy:
@@ -121,14 +119,6 @@ class Lazy:
     def __call__(self, t, q, v, reference, state):
         return self.gain * (reference.q - q) + self.gain * (reference.v - v), state
 
-class Wide:
-    def sample(self, generator, size): return generator.uniform(9, 11, size)
-
-class Still:
-    duration = 4.0
-    def __call__(self, t):
-        shape = (*np.shape(t), 3)
-        return Reference(np.ones(shape), np.zeros(shape), np.zeros(shape))
 """
 
 
@@ -142,7 +132,7 @@ def test_a_file_is_read_where_the_users_classes_are_not(
     import usersown  # type: ignore[import-not-found]
 
     one = pm.ensemble(
-        ROBOT, usersown.Lazy(), usersown.Still(), n=5, spread={"mass": usersown.Wide()}, dt=0.1, traces=[2]
+        ROBOT, usersown.Lazy(), CIRCLE, n=5, spread={"mass": pm.Uniform(9, 11)}, dt=0.1, traces=[2]
     )
     path = saved(one, tmp_path)
     code = f"""
@@ -164,9 +154,8 @@ except ValueError as error:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path)
     assert not done.stderr
     assert done.stdout.startswith(f"{one!r}\n{one.traces[2]}\n")
-    controller = "controller: Lazy(gain=3.0)\ntrajectory: <usersown.Still object>\n"
-    assert controller in done.stdout
-    assert "\nspread['mass']: <usersown.Wide object>\nn 5, seed 0, dt 0.1, substeps 1, " in done.stdout
+    assert "controller: Lazy(gain=3.0)\ntrajectory: Tangent(" in done.stdout
+    assert "\nn 5, seed 0, dt 0.1, substeps 1, " in done.stdout
     assert "i is 1, a robot that cannot be made again: a file keeps the scenario as text" in done.stdout
     assert (
         "(its controller is Lazy(gain=3.0)); expected the ensemble of Ensemble.load(path, scenario), with"
@@ -192,21 +181,14 @@ def test_with_its_scenario_a_loaded_ensemble_makes_robots_again(tmp_path: Path) 
     ("changed", "why"),
     [
         ({"controller": pm.ComputedTorque(ROBOT)}, r"controller is .*30.0.* there and .*10.0.* here"),
-        (
-            {"controller": pm.ComputedTorque(pm.MobileRobot(30, 1.3), kp=9)},
-            r"controller is .*4.* there and .*9.* here",
-        ),
         ({"robot": pm.MobileRobot(10, 1.4)}, r"robot is .*1.3.* there and .*1.4.* here"),
-        ({"seed": 8}, "seed is 7 there and 8 here"),
         ({"n": 61, "spread": SPREAD | {"com.x": 0.0}}, r"spread\['com.x'\] is 60 numbers there and 0.0 here"),
         (
             {"spread": {name: SPREAD[name] for name in SPREAD if name != "mass"}},
             r"spread\['mass'\] is Uniform\(low=2.0, high=10.0\) there and absent here",
         ),
-        ({"forces": [pm.ConstantForce((1, 0, 0))]}, r"forces\[0\] is Const.* there and Const.* here"),
         ({"spread": SPREAD | {"com.x": np.linspace(0, 0.2, 60)}}, "its draws of com.x differ"),
         ({"duration": 10.0, "every": 3}, "t differs"),
-        ({"every": 2}, "every is 3 there and 2 here"),
     ],
 )
 def test_another_scenario_is_refused(tmp_path: Path, changed: dict[str, Any], why: str) -> None:
@@ -236,29 +218,8 @@ def test_changed_code_is_refused_and_versions_are_kept(tmp_path: Path) -> None:
     assert f"numpy {np.__version__}" in str(told)
 
 
-def test_another_reference_is_refused(tmp_path: Path) -> None:
-    class Turned:
-        duration = 20.0
-
-        def __init__(self, by: float) -> None:
-            self.by = by
-
-        def __repr__(self) -> str:
-            return "Turned()"
-
-        def __call__(self, t: Any) -> Any:
-            return CIRCLE(t)._replace(q=CIRCLE(t).q + self.by)
-
-    path = saved(run(trajectory=Turned(0.0), n=2, spread={}), tmp_path)
-    with refused(r"saved.npz': reference.q differs$"):
-        pm.Ensemble.load(path, scenario(trajectory=Turned(1e-3), n=2, spread={}))
-    with refused(r"^scenario is {}, expected a Scenario$"):
-        pm.Ensemble.load(path, {})  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize("name", MADE)
-def test_csv_has_a_row_per_robot_and_every_digit(tmp_path: Path, name: str) -> None:
-    one = MADE[name]
+def test_csv_has_a_row_per_robot_and_every_digit(tmp_path: Path) -> None:
+    one = DIVERGING
     one.to_csv(tmp_path / "robots.csv")
     header = (tmp_path / "robots.csv").read_text().splitlines()[0].split(",")
     table = np.loadtxt(tmp_path / "robots.csv", delimiter=",", skiprows=1, ndmin=2)
@@ -306,12 +267,6 @@ def test_a_dataset_is_what_a_sweep_of_the_same_has(tmp_path: Path) -> None:
     assert one.max_error.any()
 
 
-def test_without_xarray_what_to_install_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "xarray", None)
-    with refused(r"^a Dataset needs xarray, which is not installed: pip install "):
-        DIVERGING.to_xarray()
-
-
 def test_another_kind_of_file_is_refused_either_way(tmp_path: Path) -> None:
     path = saved(DIVERGING, tmp_path)
     DIVERGING.traces[3].save(tmp_path / "run.npz")
@@ -325,7 +280,7 @@ def test_damaged_bytes_are_refused_or_do_no_harm(tmp_path: Path) -> None:
     content, path = saved(DIVERGING, tmp_path).read_bytes(), tmp_path / "robots.npz"
     wanted, words = bits(DIVERGING), str(pm.Ensemble.load(saved(DIVERGING, tmp_path)))
     read = 0
-    for seed in range(100):
+    for seed in range(40):
         path.write_bytes(damaged(content, np.random.default_rng(seed)))
         loaded = answer(lambda: pm.Ensemble.load(path))
         if isinstance(loaded, pm.InvalidArgument):
@@ -334,4 +289,4 @@ def test_damaged_bytes_are_refused_or_do_no_harm(tmp_path: Path) -> None:
             assert bits(loaded) == wanted
             assert str(loaded) == words
             read += 1
-    assert read < 75
+    assert read < 30

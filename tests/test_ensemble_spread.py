@@ -9,31 +9,18 @@ from scipy import stats
 
 import pinmobile as pm
 from pinmobile.compiled import BINS
-from pinmobile.controllers import planar_difference
 from pinmobile.derivatives import gradient
 from pinmobile.errors import UnknownName
 from pinmobile.forces import NoiseForce, PayloadForce, SinusoidalForce
 from pinmobile.loop import TRUE_MODEL, ErrorQuantile, Relative, causes, run_scenario
-from pinmobile.loop._description import bins_of, edges, quantiles
+from pinmobile.loop._description import bins_of, quantiles
 from pinmobile.parts import evolved
-from pinmobile.plant import Context
 from tests.refusals import refusals, refused
 
 ROBOT = pm.MobileRobot(30.0, 1.3, com=(0.1, 0.02))
 TRAJECTORY = pm.Tangent(pm.Circle(3.0, 0.1, 60.0))
 WITH_ARM = ROBOT.mount("ur5")
 MOTOR = pm.Motor(resistance=2.0, torque_constant=0.1, voltage=24.0, gear=10.0, rotor_inertia=1e-4)
-
-
-class Own:
-    """A robot of a user's own."""
-
-    nv = 3
-    difference = staticmethod(planar_difference)
-
-    def inverse_dynamics(self, q: Any, v: Any, a: Any) -> Any:
-        """Return that of a unit mass."""
-        return a
 
 
 def made(**changes: Any) -> pm.Scenario:
@@ -64,22 +51,6 @@ def test_draws_follow_their_distributions() -> None:
     assert abs(np.corrcoef(draws["mass"], draws["com.x"])[0, 1]) < 4 / np.sqrt(20_000)
 
 
-def test_robots_far_apart_are_drawn_by_themselves() -> None:
-    masses = made(n=20_000, spread={"mass": pm.Uniform(20, 40)}).draws()["mass"]
-    assert len(np.unique(masses)) == 20_000
-
-
-def test_factors_of_two_parameters_are_drawn_by_themselves() -> None:
-    off = pm.Uniform(0.8, 1.2)
-    spread = {
-        "controller.mass": pm.SameAs("mass", off),
-        "controller.yaw_inertia": pm.SameAs("yaw_inertia", off),
-    }
-    mass, inertia = made(spread=spread).draws().values()
-    # Of independent ones, the correlation of a sample of n is within 4 / sqrt(n) of zero.
-    assert abs(np.corrcoef(mass, inertia)[0, 1]) < 4 / np.sqrt(1000)
-
-
 def test_a_pattern_means_each_of_its_numbers_and_each_has_its_own_draw() -> None:
     table = pm.WheelTable.differential(0.4, 0.1, spin_inertia=0.01, motor=MOTOR)
     robot = pm.WheeledRobot(ROBOT, table)
@@ -108,25 +79,6 @@ def test_the_first_word_robot_means_the_plant() -> None:
         UnknownName, match=r"unknown parameter in spread 'robot\.mas', did you mean 'robot\.mass'"
     ):
         made(spread={"robot.mas": pm.Uniform(20, 40)})
-
-
-def test_draws_of_an_array_are_factors_without_a_unit() -> None:
-    law = pm.PD((120, 120, 12), (60, 60, 6))
-    parameters = made(controller=law, spread={"kp": Relative(pm.Uniform(0.5, 1.5)), "kd.x": 50.0}).parameters
-    assert (parameters["kp"].unit, parameters["kd.x"].unit) == ("", "N s/m")
-    assert parameters["kp"].meaning.startswith("factor of ")
-
-
-@pytest.mark.filterwarnings("error")
-def test_an_endless_number_is_spread_without_a_warning() -> None:
-    push = pm.ConstantForce((1, 0, 0))
-    assert made(forces=[push], spread={"end": pm.Uniform(0.5, 0.9)}).draws()["end"].max() < 0.9
-
-
-def test_patterns_match_entries_of_arrays() -> None:
-    forces = [pm.ConstantForce((0, 0, 0)), pm.ConstantForce((0, 0, 0))]
-    scenario = made(forces=forces, spread={"forces.*.force.x": pm.Uniform(1, 2)})
-    assert list(scenario.spread) == ["forces.0.force.x", "forces.1.force.x"]
 
 
 def test_a_factor_needs_a_number_and_a_copy_needs_one_number() -> None:
@@ -174,13 +126,6 @@ def test_an_array_that_changes_later_changes_nothing() -> None:
     masses[:] = 1.0
     np.testing.assert_equal(scenario.draws(), before)
     assert before["mass"].max() == 40
-
-
-def test_arrays_give_each_robot_its_number() -> None:
-    masses = np.linspace(20, 40, 5)
-    run = run_scenario(made(n=5, spread={"mass": masses}))
-    assert run.draws["mass"].tolist() == masses.tolist()
-    assert [run.arguments(i).robot.mass for i in range(5)] == masses.tolist()
 
 
 def test_same_makes_the_controller_know_what_it_is_told() -> None:
@@ -240,29 +185,6 @@ FORCED = (
 )
 
 
-NAMED: dict[str, tuple[int, str, Any]] = {
-    **{f"forces.5.force.{axis}": (5, "force", k) for k, axis in enumerate("xy")},
-    "force.moment": (5, "force", 2),
-    **{f"amplitude.{axis}": (0, "amplitude", k) for k, axis in enumerate(("x", "y", "moment"))},
-    **{"frequency": (0, "frequency", ()), "forces.0.phase": (0, "phase", ())},
-    **{f"std.{axis}": (1, "std", k) for k, axis in enumerate(("x", "y", "moment"))},
-    **{f"coefficients.{axis}": (6, "coefficients", k) for k, axis in enumerate(("forward", "left", "yaw"))},
-    **{f"force.{axis}": (2, "force", k) for k, axis in enumerate(("forward", "left", "yaw"))},
-    **{"forces.2.speed": (2, "speed", ()), "at.y": (4, "at", 1)},
-}
-
-
-def test_a_name_of_a_force_stands_for_one_number_of_it() -> None:
-    values = {name: 0.25 + 0.01 * k for k, name in enumerate(NAMED)}
-    own = run_scenario(made(n=2, spread=values, forces=FORCED)).arguments(1).options["forces"]
-    for k, field in {(k, field) for k, field, _ in NAMED.values()}:
-        expected = np.array(getattr(FORCED[k], field), float)
-        for name, (of, which, entry) in NAMED.items():
-            if (of, which) == (k, field):
-                expected[entry] = values[name]
-        np.testing.assert_array_equal(getattr(own[k], field), expected)
-
-
 def test_a_start_is_beside_the_trajectorys() -> None:
     names = "start.x", "start.y", "start.psi", "start_rate.vx", "start_rate.vy"
     options = (
@@ -281,66 +203,20 @@ def test_gains_of_coordinates_leave_those_that_couple_them() -> None:
     np.testing.assert_array_equal(controller.kp, [[7, 1, 0], [0, 8, 0], [0, 2, 9]])
 
 
-def test_a_member_has_all_else_of_its_scenario() -> None:
-    robot = pm.MobileRobot(30, 1.3, com=(0.1, 0.02, 0.4), size=(1, 2, 3))
-    scenario = made(n=2, robot=robot, spread={"com.y": 0.05}, limit=7.0, substeps=3, duration=0.5)
-    member = run_scenario(scenario).arguments(1)
-    assert (member.robot.mass, member.robot.com, member.robot.size) == (30, (0.1, 0.05, 0.4), (1, 2, 3))
-    assert member.options["limit"] == 7
-    assert (member.options["substeps"], member.options["duration"]) == (3, 0.5)
-    assert member.options["integrator"] is scenario.integrator
-
-
-def test_two_noises_of_one_robot_are_not_the_same() -> None:
-    noisy = pm.MeasurementNoise(pm.MeasurementNoise(pm.PD(40, 40), 1e-2, 0.0, seed=0), 1e-2, 0.0, seed=0)
-    noise = NoiseForce((1, 1, 1), 1.0, seed=0)
-    member = run_scenario(made(n=2, controller=noisy, forces=(noise, noise))).arguments(1)
-    one, other = (force.phases for force in member.options["forces"])
-    assert not np.isin(one, other).any()
-    state: Any = member.controller.initial_state(Context.of(ROBOT, dt=0.1))
-    outer, inner = state[1].draw()[0], state[0][1].draw()[0]
-    assert not np.isin(outer, inner).any()
-
-
-def test_noise_differs_from_robot_to_robot_and_not_from_run_to_run() -> None:
-    noisy = pm.MeasurementNoise(pm.PD(40, 40), 1e-2, 0.0, seed=0)
-    noise: dict[str, Any] = {"forces": (NoiseForce((1, 1, 1), 1.0, seed=0),)}
-    for changes in ({"controller": noisy}, noise, {"controller": noisy, **noise}):
-        scenario = made(n=3, duration=5.0, **changes)
-        one, again = run_scenario(scenario), run_scenario(scenario)
-        np.testing.assert_array_equal(one.max_error, again.max_error)
-        assert len(np.unique(one.max_error[:, 0])) == 3
-    phases = [run.options["forces"][0].phases for run in (one.arguments(0), one.arguments(1))]
-    assert not np.array_equal(*phases)
-
-
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
         ({"n": -3}, "n is -3, expected a whole number >= 1"),
-        ({"n": 2.5}, "n is 2.5, expected a whole number >= 1"),
         ({"n": 10**11}, "the records of 100,000,000,000 robots take"),
-        ({"n": True}, "n is True, expected a whole number >= 1"),
-        ({"seed": None}, "seed is None, expected a whole number >= 0"),
         (
             {"controller": pm.InputSaturation(pm.PD(4, 4), [1, 2])},
             "limits has shape (2,), expected () or (..., 3)",
-        ),
-        (
-            {"controller": pm.MeasurementNoise(pm.PD(4, 4), 0, [1, 2], seed=0)},
-            "std_v has shape (2,), expected () or (..., 3)",
         ),
         ({"robot": WITH_ARM}, "q0 has shape (9,), expected (..., 3); the reference has the first 3 of 9"),
         (
             {"controller": pm.ComputedTorque(WITH_ARM)},
             ", which has 9 coordinates, expected 3, as the plant has",
         ),
-        (
-            {"controller": pm.ComputedTorque(Own()), "spread": {"controller.mass": 3}},
-            "unknown parameter in spread 'controller.mass', available: mass, ",
-        ),
-        ({"seed": -1}, "seed is -1, expected a whole number >= 0"),
-        ({"robot": "me"}, "plant is 'me', expected a plant with 'forward_dynamics'"),
         ({"spread": 3}, "spread is 3, expected a mapping of parameters to distributions"),
         (
             {"spread": {"masss": 3}},
@@ -354,31 +230,15 @@ def test_noise_differs_from_robot_to_robot_and_not_from_run_to_run() -> None:
             {"spread": {"mass": np.ones(3)}},
             "spread['mass'] has shape (3,), expected () or (1000,), one number per robot, or a distribution",
         ),
-        ({"spread": {"mass": pm.Uniform}}, "spread['mass'] is the class Uniform, expected an object"),
-        (
-            {"spread": {"mass": pm.SameAs("mas")}},
-            "unknown parameter in spread['mass'] 'mas', did you mean 'mass'",
-        ),
         (
             {"spread": {"mass": pm.SameAs("controller.mass"), "controller.mass": pm.SameAs("mass")}},
             "spread is circular (mass, controller.mass, mass): give one its own distribution",
         ),
         (
-            {"controller": pm.PD(4, 4), "spread": {"controller.mass": 3}},
-            "unknown parameter in spread 'controller.mass', available: mass, yaw_inertia, ",
-        ),
-        (
             {"controller": pm.law(lambda t, q, v, reference: -q), "spread": {"kp": 3}},
             "unknown parameter in spread 'kp', available: mass, yaw_inertia, ",
         ),
-        (
-            {"spread": {"force.x": 3}, "forces": [pm.ConstantForce((1, 0, 0))] * 2},
-            "spread has 'force.x', which forces.0.force.x and forces.1.force.x have, expected one of them: "
-            "'forces.0.force.x' or 'forces.1.force.x'",
-        ),
         ({"after": 1.1}, "after is 1.1 s, expected 0 <= after <= 1 s"),
-        ({"after": -0.1}, "after is -0.1 s, expected 0 <= after <= 1 s"),
-        ({"every": 0}, "every is 0, expected a whole number >= 1"),
         ({"dt": 0.3, "duration": 1.0}, "duration is 1.0 s, expected a whole number of steps dt = 0.3 s"),
         ({"controller": pm.PD}, "expected an object: PD(...)"),
     ],
@@ -389,15 +249,14 @@ def test_a_scenario_checks_itself(changes: Any, text: str) -> None:
         made(**changes)
 
 
-@pytest.mark.parametrize("name", ["samples", "controller.samples", "controller.controller.samples"])
+@pytest.mark.parametrize("name", ["samples", "controller.samples"])
 def test_what_all_robots_share_is_named_where_a_spread_asks_for_it(name: str) -> None:
     delayed = pm.MeasurementDelay(pm.PD(4, 4), 3)
-    late = pm.MeasurementDelay(delayed, 0) if name.count(".") == 2 else delayed
     words = (
         f"spread has {name!r}, a whole number of a MeasurementDelay, which all robots of an ensemble share"
     )
     with refused(f"^{re.escape(words)}"):
-        made(controller=late, spread={name: pm.Uniform(1, 4)})
+        made(controller=delayed, spread={name: pm.Uniform(1, 4)})
 
 
 @pytest.mark.parametrize(
@@ -408,16 +267,8 @@ def test_what_all_robots_share_is_named_where_a_spread_asks_for_it(name: str) ->
             "kg as the mass of the robot, and 172 of 1000 draws (17.20%) are impossible; expected > 0",
         ),
         (
-            {"yaw_inertia": pm.Normal(1.0, 0.4)},
-            "kg m^2 as the inertia of the robot about the vertical through its centre of mass, and ",
-        ),
-        (
             {"controller.mass": pm.SameAs("mass", -1.0)},
             "spread['controller.mass'] gives -30 kg as the mass of the robot",
-        ),
-        (
-            {"coefficients.left": -1.0},
-            "spread['coefficients.left'] gives -1 N s/m as the viscous friction, left, and 1000 of",
         ),
     ],
 )
@@ -427,9 +278,9 @@ def test_impossible_draws_are_refused_with_their_share(spread: Any, text: str) -
     assert text in str(caught.value)
 
 
-POSITIVE = {"radius", "forces.2.speed", "plant.mass", "controller.yaw_inertia"}
-MAY_VANISH = {"viscous", "frequency", "std.moment", "forces.4.mass", "coefficients.left", "force.forward"}
-FREE = {"forces.0.phase", "at.x", "force.moment", "com.x", "start.x"}
+POSITIVE = {"radius", "controller.yaw_inertia"}
+MAY_VANISH = {"viscous", "coefficients.left"}
+FREE = {"at.x", "start.x"}
 
 
 @pytest.mark.parametrize("name", sorted(POSITIVE | MAY_VANISH | FREE))
@@ -444,17 +295,9 @@ def test_what_must_not_be_negative_is_refused_below_zero_and_what_must_be_positi
             assert scenario.draws()[name].tolist() == [value]
 
 
-@pytest.mark.parametrize(
-    ("source", "text"),
-    [
-        (pm.Uniform(-1, 30), "reaches -1 kg as the mass of the robot, and 3.23% of its draws are impossible"),
-        (stats.uniform(-5, 20), "reaches -5 kg as the mass of the robot, and 25.00% of its draws"),
-    ],
-)
-def test_a_distribution_that_reaches_what_is_impossible_is_refused(source: Any, text: str) -> None:
-    with pytest.raises(pm.InvalidArgument) as caught:
-        made(n=1, spread={"mass": source})
-    assert text in str(caught.value)
+def test_a_distribution_that_reaches_what_is_impossible_is_refused() -> None:
+    with refused(r"reaches -5 kg as the mass of the robot, and 25\.00% of its draws"):
+        made(n=1, spread={"mass": stats.uniform(-5, 20)})
 
 
 def test_a_distribution_that_gives_no_numbers_is_refused() -> None:
@@ -473,8 +316,6 @@ def test_a_distribution_that_gives_no_numbers_is_refused() -> None:
 
 test_distributions_check_themselves = refusals(
     (lambda: pm.Uniform(2, 1), "low is 2.0, expected at most high, 1.0"),
-    (lambda: pm.Uniform(np.nan, 1), "low is nan, expected a finite number"),
-    (lambda: pm.Normal(0, -1), "std is -1.0, expected >= 0"),
     (lambda: pm.SameAs(3), "name is 3, expected the name of a parameter"),  # type: ignore[arg-type]
 )
 
@@ -483,8 +324,6 @@ test_distributions_check_themselves = refusals(
     ("options", "text"),
     [
         ({"engine": "numba"}, "engine is 'numba', expected Engine.PYTHON, Engine.COMPILED or None"),
-        ({"threads": 0}, "threads is 0, expected a whole number >= 1"),
-        ({"traces": 3}, "traces is 3, expected indices of robots, such as"),
         ({"progress": 3}, "progress is 3, expected a function of done and n"),
         ({"traces": [1000]}, "traces is 1000, expected at most 999"),
     ],
@@ -494,17 +333,8 @@ def test_options_of_a_run_are_checked_before_it(options: Any, text: str) -> None
         run_scenario(made(), **options)
 
 
-def test_quantiles_from_counts_are_right_to_the_width_of_a_bin() -> None:
-    values = np.random.default_rng(0).lognormal(-6, 2, 50_000)
-    counts = np.bincount(bins_of(values), minlength=BINS)
-    levels = np.array([0.01, 0.5, 0.9, 0.99])
-    np.testing.assert_allclose(quantiles(counts, levels), np.quantile(values, levels), rtol=2**-5)
-    halves = [np.bincount(bins_of(part), minlength=BINS) for part in (values[:7], values[7:])]
-    np.testing.assert_array_equal(sum(halves), counts)
-
-
-@pytest.mark.parametrize("n", [20, 50, 100, 200, 1000])
-def test_a_share_of_whole_robots_is_that_many(n: int) -> None:
+def test_a_share_of_whole_robots_is_that_many() -> None:
+    n = 100
     # 0.07 * 100 = 7.000000000000001, and the seventh of a hundred is meant.
     run = run_scenario(made(n=n, spread={"mass": pm.Uniform(20, 40)}))
     distance, heading = np.sort(run.max_distance), np.sort(run.max_error[:, 2])
@@ -517,23 +347,6 @@ def test_a_share_of_whole_robots_is_that_many(n: int) -> None:
     apart = np.concatenate([np.full(7, 0.001), np.full(93, 1.0)])
     counts = np.bincount(bins_of(apart), minlength=BINS)
     assert quantiles(counts, np.array([0.07]))[0] == pytest.approx(0.001, rel=2**-5)
-
-
-def test_the_least_quantile_is_the_least_number_and_infinite_where_all_are() -> None:
-    counts = np.bincount(bins_of(np.array([0.7, 0.8, 1.5])), minlength=BINS)
-    np.testing.assert_allclose(quantiles(counts, np.array([0.0, 1.0])), [0.7, 1.5], rtol=2**-5)
-    lost = np.bincount(bins_of(np.full(3, np.inf)), minlength=BINS)
-    assert quantiles(lost, np.array([0.0, 0.5, 1.0])).tolist() == [np.inf] * 3
-
-
-def test_bins_hold_what_their_edges_say() -> None:
-    bounds = edges()
-    assert len(bounds) == BINS + 1
-    inner = bounds[1:-1]
-    assert bins_of(inner).tolist() == list(range(1, BINS))
-    assert bins_of(np.nextafter(inner, 0)).tolist() == list(range(BINS - 1))
-    assert bins_of(np.array([0.0, np.inf])).tolist() == [0, BINS - 1]
-    assert (np.diff(inner) / inner[:-1]).max() <= 2**-5
 
 
 def test_an_ensemble_says_what_came_of_it() -> None:
@@ -557,38 +370,6 @@ def test_an_ensemble_says_what_came_of_it() -> None:
             run.bands(levels)
 
 
-def test_an_ensemble_tells_least_median_and_largest_of_each_record() -> None:
-    run = run_scenario(
-        made(n=50, spread={"mass": pm.Uniform(20, 40), "start.x": np.array([2e3, *[0.1] * 49])})
-    )
-    told = str(run).splitlines()[2:]
-    assert [line.partition(":")[0] for line in told[:2]] == ["spread", "failed"]
-    assert told[1] == "failed: 1 of 50 robots (1 diverged)"
-    rows = {line[:28].strip(): line[28:] for line in told if " least " in line}
-    records = {"largest distance [m]": run.max_distance}
-    for k, (error, force) in enumerate((("x [m]", "Fx [N]"), ("y [m]", "Fy [N]"), ("psi [rad]", "Mz [N m]"))):
-        records[f"largest error of {error}"] = run.max_error[:, k]
-        records[f"largest {force}"] = run.max_input[:, k]
-    assert set(rows) == set(records)
-    for name, values in records.items():
-        low, middle, high = np.quantile(values[1:], (0, 0.5, 1))  # the first has none: it diverged at once
-        told = [f" {each:.4g}" if each >= 1e-12 else " < 1e-12" for each in (low, middle, high)]
-        assert rows[name].strip() == "least{}, median{}, largest{}".format(*told), name
-
-
-def test_rows_of_an_ensemble_leave_out_robots_that_diverged() -> None:
-    gains = np.array([10.0, 100.0, 1e6, 2e6])
-    law = pm.PD((120, 120, 12), (120, 120, 12))
-    run = run_scenario(made(controller=law, n=4, spread={"kp": gains}, dt=0.05))
-    assert run.diverged.tolist() == [False, False, True, True]
-    lines = str(run).splitlines()
-    row = lines.index("the 2 robots that did not diverge:") + 1
-    low, high = sorted(run.max_distance[:2])
-    assert f"least {low:.4g}, median {(low + high) / 2:.4g}, largest {high:.4g}" in lines[row]
-    lost = run_scenario(made(controller=law, n=2, spread={"kp": gains[2:]}, dt=0.05))
-    assert " least " not in str(lost)
-
-
 def test_what_came_of_an_ensemble_cannot_be_overwritten() -> None:
     run = run_scenario(made(n=3, spread={"mass": pm.Uniform(20, 40)}))
     records = [run.max_error, run.rms_error, run.max_distance, run.max_input, run.diverged_at, run.counts]
@@ -598,7 +379,7 @@ def test_what_came_of_an_ensemble_cannot_be_overwritten() -> None:
             array[0] = 1
 
 
-@pytest.mark.parametrize("i", [3, -1, 0.5])
+@pytest.mark.parametrize("i", [3, -1])
 def test_a_robot_that_is_not_there_is_no_member(i: Any) -> None:
     run = run_scenario(made(n=3))
     for ask in (run.member, run.arguments):

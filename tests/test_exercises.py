@@ -4,15 +4,12 @@ import functools
 import importlib
 import inspect
 import json
-import os
 import re
-import subprocess
 import sys
 import time
-import warnings
 from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import ModuleType
 from typing import Any
 
 import nbformat
@@ -127,7 +124,7 @@ def test_each_diagnosis_belongs_to_one_mistake_in_any_course(
 ) -> None:
     monkeypatch.setattr("pinmobile.exercises._exercise._call", lambda answer, state: answer(*state))
     total = set()
-    for course in map(str, range(6)):
+    for course in map(str, range(2)):
         for question in read_exercise(name).questions(course):
             total |= {words for _, words in question.mistakes}
             assert len({words for _, words in question.mistakes}) == len(question.mistakes)
@@ -160,55 +157,12 @@ def test_hints_come_one_by_one(question: Question, capsys: pytest.CaptureFixture
     assert lines[-1] == lines[-2] == "That was the last hint. The notebook of the lecture has the derivation."
 
 
-def test_the_questions_are_listed_with_their_points_alone() -> None:
-    lines = repr(load_exercise("01_equations")).splitlines()
-    assert lines[0] == "transform (2 points)"
-    assert lines[-1] == "coupling (1 point)"
-    assert len(lines) == 6
-
-
-class Odd:
-    """An object whose methods fail."""
-
-    def __float__(self) -> float:
-        raise ValueError("odd")
-
-    def __array__(self, *_: object, **__: object) -> Any:
-        raise SystemExit(3)
-
-    def __eq__(self, other: object) -> bool:
-        raise RuntimeError("odd")
-
-    __hash__ = None  # type: ignore[assignment]
-
-
-class Unprintable(Exception):
-    """An error without a text."""
-
-    def __str__(self) -> str:
-        raise RuntimeError
-
-
 def _stop(*_: object) -> None:
     sys.exit(0)
 
 
-def _unprintable(*_: object) -> None:
-    raise Unprintable
-
-
 def _endless(*given: object) -> object:
     return _endless(*given)
-
-
-def _loud(*_: object) -> float:
-    print("x" * 100_000)
-    return 0.0
-
-
-def _warn(*_: object) -> float:
-    warnings.warn("careful", stacklevel=1)
-    return 0.0
 
 
 def _change(*given: Any) -> Any:
@@ -220,24 +174,14 @@ def _change(*given: Any) -> Any:
 
 JUNK: dict[str, Any] = {
     "text": "text",
-    "list": [],
-    "nan": np.nan,
-    "complex": 1j,
-    "true": True,
     "object": object(),
-    "odd": Odd(),
     "array": np.zeros((2, 3)),
     "huge": 10**400,
     "no arguments": lambda: 1,
     "shape": lambda *_: np.eye(7),
-    "ragged": lambda *_: [[1], [2, 3]],
     "not finite": lambda *_: np.full((3, 3), np.nan),
-    "odd result": lambda *_: Odd(),
     "exit": _stop,
-    "unprintable": _unprintable,
     "recursion": _endless,
-    "loud": _loud,
-    "warning": _warn,
     "change": _change,
     "generator": lambda *_: (yield 1),
 }
@@ -257,9 +201,6 @@ def test_junk_earns_no_points_and_raises_no_error(
     assert capsys.readouterr().out in ("", "0\n")
 
 
-EMPTY: list[Any] = [None, ..., (..., ...), [None, 1], lambda *_: None, lambda *_: ...]
-
-
 def test_wrong_entries_are_named_where_no_mistake_is_known() -> None:
     def one_cosine_wrong(alpha: float, a: float, theta: float, d: float) -> Any:
         T = dh.transform(alpha, a, theta, d)
@@ -272,15 +213,12 @@ def test_wrong_entries_are_named_where_no_mistake_is_known() -> None:
     assert verdict.words == "differs from the reference. Wrong are the entries [1, 3], counted from 0."
 
 
-@pytest.mark.parametrize("answer", EMPTY)
-def test_empty_answers_are_told_from_wrong_ones(answer: object) -> None:
+def test_an_unfinished_answer_is_empty() -> None:
     def unfinished(*_: object) -> None:
         raise NotImplementedError
 
-    for one in (answer, unfinished):
-        verdict = load_exercise("01_equations").transform.check(one)
-        assert verdict.state == "empty"
-        assert verdict.words.startswith("nothing is written yet")
+    for answer in (None, (..., ...), unfinished):
+        assert load_exercise("01_equations").transform.check(answer).state == "empty"
 
 
 def library(code: str) -> Verdict:
@@ -297,8 +235,6 @@ def library(code: str) -> Verdict:
     "code",
     [
         "answer = pinmobile.MobileRobot(30, 1.3).mass_matrix",
-        "robot = pinmobile.MobileRobot(30, 1.3)\ndef answer(q): return robot.mass_matrix(q)",
-        "def answer(q):\n    from pinmobile import urdf\n    return urdf.shipped_urdf('lecture')",
         "answer = functools.partial(pinmobile.closed_form.mass_matrix, mass=1, yaw_inertia=1, com=(0, 0))",
         "ask = pinmobile.exercises.load_exercise('01_equations').mass_matrix\n"
         "def answer(q): return ask.reference(ask.numbers, q)",
@@ -338,8 +274,6 @@ def test_a_function_that_remembers_or_changes_its_results_is_refused() -> None:
     [
         (-1, "sign"),
         (1e3, "mm and m"),
-        (1e-3, "mm and m"),
-        (100, "cm and m"),
         (57.29578, "degrees"),
         (0.5, "factor of 2"),
     ],
@@ -374,16 +308,10 @@ EXPECTED = {
 }
 
 
-@pytest.mark.parametrize("seed", ['a"b', "a\nb", 3, "(x)", "ä/ö"])
+@pytest.mark.parametrize("seed", ["a\nb", 3])
 def test_a_course_that_a_notebook_cannot_store_is_refused(seed: Any) -> None:
     with pytest.raises(InvalidArgument, match=r"^seed is .*, expected letters, digits, spaces and _ "):
         load_exercise("01_equations", seed=seed)
-
-
-def test_an_unknown_exercise_is_answered_with_the_nearest() -> None:
-    with pytest.raises(KeyError, match="01_equations"):
-        load_exercise("01_equation")
-    assert isinstance(load_exercise("01_equations"), SimpleNamespace)
 
 
 # The command
@@ -412,16 +340,9 @@ def solved(tmp_path: Path) -> Path:
     return path
 
 
-def test_the_list_names_all_exercises_with_their_points(typed: Typed) -> None:
-    code, out, err = typed("list")
-    assert (code, err) == (0, "")
-    assert out.strip() == list_exercises()
-    assert (
-        re.findall(r"^(\w+) +[67] questions, 12 points  Exercise \d: ", out, re.MULTILINE) == EXERCISE_NAMES
-    )
-
-
 def test_start_writes_notebooks_and_leaves_those_that_exist(typed: Typed, tmp_path: Path) -> None:
+    assert typed("list") == (0, f"{list_exercises()}\n", "")
+    assert len(re.findall(r"^\w+ +[67] questions, 12 points", list_exercises(), re.MULTILINE)) == 6
     folder = tmp_path / "new" / "course"
     code, out, _ = typed("start", folder, "--seed", "ROB-26")
     assert code == 0
@@ -449,29 +370,14 @@ def test_check_prints_points_and_says_whether_all_is_complete(typed: Typed, solv
     assert "the notebook has the numbers of course ROB-26, expected another" in out
 
 
-def test_check_goes_on_after_a_file_that_it_cannot_read(typed: Typed, solved: Path) -> None:
-    code, out, err = typed("check", "missing.ipynb", solved)
-    assert code == 2
-    assert "FILE is 'missing.ipynb', expected a notebook" in err
-    assert out.startswith(f"{solved}, course ROB-26: 12 of 12 points")
-    (first, *_) = check_exercises(["missing.ipynb"])
-    assert not first.is_complete
-
-
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["check"], "Missing argument"),
         (["check", "missing.ipynb"], "FILE is 'missing.ipynb', expected a notebook"),
         (["check", "other.py"], "no cell calls load_exercise"),
-        (["check", "broken.ipynb"], "JSONDecodeError"),
         (["check", "list.ipynb"], "TypeError"),
-        (["check", "unknown.py"], "no cell calls load_exercise"),
         (["check", "good.py", "--limit", "0"], "limit is 0.0, expected a number of seconds > 0"),
         (["check", "good.py", "--seed", "a/b"], "seed is 'a/b'"),
-        (["start", "a", "b"], "unexpected extra argument"),
-        (["grade"], "No such command 'grade'"),
-        ([], "Missing command"),
     ],
 )
 def test_wrong_words_end_with_code_2(
@@ -479,9 +385,7 @@ def test_wrong_words_end_with_code_2(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("other.py").write_text("# load_exercise('01_equations')\n")
-    Path("broken.ipynb").write_text("{")
     Path("list.ipynb").write_text("[1]")
-    Path("unknown.py").write_text("ask = load_exercise('09_nothing')\n")
     Path("good.py").write_text("ask = load_exercise('01_equations')\n")
     code, out, err = typed(*words)
     assert (code, out) == (2, "")
@@ -591,18 +495,3 @@ def test_records_that_a_notebook_makes_up_are_not_believed(tmp_path: Path) -> No
     (report,) = check_exercises([path], limit=30)
     assert str(report).splitlines()[0] == f"{path}: 0 of 12 points"
     assert len(str(report)) < 2000
-
-
-def test_help_loads_neither_numpy_nor_pinocchio() -> None:
-    text = (
-        "import sys; from pinmobile.cli import main\n"
-        "assert main(['exercises', '--help']) == main(['exercises', 'check', '--help']) == 0\n"
-        "assert not {'numpy', 'pinocchio'} & set(sys.modules)\n"
-        "assert main(['exercises', 'list']) == 0\n"
-        "assert 'pinocchio' not in sys.modules\n"
-    )
-    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[1] / "src")}
-    done = subprocess.run(
-        [sys.executable, "-c", text], capture_output=True, text=True, env=environment, check=False
-    )
-    assert done.returncode == 0, done.stderr

@@ -92,13 +92,6 @@ def test_a_rollout_says_why_and_its_file_keeps_it(tmp_path: Path) -> None:
         assert (kept.engine, kept.fallback_reason) == (run.engine, run.fallback_reason)
 
 
-def test_traces_of_an_ensembles_file_say_it_too(tmp_path: Path) -> None:
-    runs = pm.ensemble(pm.MobileRobot.box(), pm.PD(9, 9), CIRCLE, n=2, spread={}, dt=0.2, traces=[1])
-    runs.save(tmp_path / "runs.npz")
-    kept = pm.Ensemble.load(tmp_path / "runs.npz").traces[1]
-    assert (kept.engine, kept.fallback_reason) == ("PYTHON", NOT_ASKED)
-
-
 _NOT_EXECUTABLE = """
 import ctypes, sys, warnings
 if ctypes.CDLL(None).prctl(65, 1, 0, 0, 0):  # PR_SET_MDWE, of Linux 6.3

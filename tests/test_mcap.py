@@ -1,7 +1,6 @@
 """MCAP files of rollouts: bit for bit by the library, and standard messages for all other programs."""
 
 import json
-import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from fractions import Fraction
@@ -197,27 +196,6 @@ def test_a_log_is_read_from_the_samples_or_from_standard_topics(tmp_path: Path) 
     assert show_identification([str(file), "method=weak", "delay=0"], tmp_path / "out") == 0
 
 
-def test_a_plant_without_pose_has_joints_and_inputs(tmp_path: Path) -> None:
-    class Slider:
-        nq = nv = nu = 1
-
-        def forward_dynamics(self, q: Any, v: Any, u: Any, f: Any = 0.0) -> Any:
-            return u
-
-        def integrate(self, q: Any, dq: Any) -> Any:
-            return q + dq
-
-        def difference(self, q0: Any, q1: Any) -> Any:
-            return np.subtract(q1, q0)
-
-    run = run_of("user")
-    one = {name: getattr(run, name)[:, :1] for name in ("q", "v", "a", "u", "error")}
-    reference = pm.Reference(*(part[:, :1] for part in run.reference))
-    path = written(pm.Rollout(Slider(), run.t, **one, reference=reference), tmp_path)
-    assert {topic for topic, *_ in messages(path)} == {"/pinmobile/sample", "/joint_states", "/input"}
-    assert pm.Rollout.from_mcap(path).plant.nq == 1
-
-
 def foreign(path: Path) -> None:
     from mcap.writer import Writer
 
@@ -250,30 +228,23 @@ def test_damage_is_found_or_does_no_harm(tmp_path: Path) -> None:
     run = run_of("body")
     path = written(run, tmp_path)
     good, read = path.read_bytes(), 0
-    for seed in range(150):
+    for seed in range(50):
         path.write_bytes(damaged(good, np.random.default_rng(seed)))
         loaded = answer(lambda: pm.Rollout.from_mcap(path))
         assert isinstance(loaded, FileError) or content(loaded) == content(run)
         read += not isinstance(loaded, FileError)
-    assert read < 50  # standard messages may be damaged, but no sample and no metadata
+    assert read < 20  # standard messages may be damaged, but no sample and no metadata
 
 
 @pytest.mark.parametrize(
     ("name", "options", "why"),
     [
         ("run.bag", {}, r"^path is '.*run.bag', expected a name that ends in '.mcap'$"),
-        ("no/run.mcap", {}, r"^path is .*, which cannot be written: there is no folder"),
-        (
-            "run.mcap",
-            {"start": -1},
-            r"^start is -1, which gives samples from -1 to 2\.\d+ s since 1970, expected",
-        ),
         (
             "run.mcap",
             {"start": 2.0**31 - 1},
             r"^start is 2.147.*, expected at least 0 and less than 2147483648 s$",
         ),
-        ("run.mcap", {"start": np.nan}, r"^start is nan, expected a finite number"),
     ],
 )
 def test_a_file_that_cannot_be_is_refused(
@@ -283,13 +254,3 @@ def test_a_file_that_cannot_be_is_refused(
     with pytest.raises(pm.InvalidArgument, match=why):
         run_of("body").to_mcap(tmp_path / name, **options)
     assert (tmp_path / "run.mcap").read_bytes() == b"kept"
-
-
-def test_a_missing_package_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    for module in ("mcap.writer", "mcap.reader"):
-        monkeypatch.setitem(sys.modules, module, None)
-    for call in (run_of("body").to_mcap, pm.Rollout.from_mcap, pm.Log.from_bag):
-        with pytest.raises(
-            pm.InvalidArgument, match=r"^an MCAP file needs mcap.*pip install rosbags mcap, or"
-        ):
-            call(tmp_path / "run.mcap")

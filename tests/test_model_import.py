@@ -99,10 +99,6 @@ WRONG = {
         chain(*SLIDES[:2], joint("turn", "revolute", "two", "body", "0 0 -1")),
         "joint 'turn' is revolute along (0, 0, -1), expected a revolute joint along (0, 0, 1)",
     ),
-    "turn about x": (
-        chain(*SLIDES[:2], joint("roll", "revolute", "two", "body", "1 0 0")),
-        "joint 'roll' is revolute along (1, 0, 0), expected a revolute joint along (0, 0, 1)",
-    ),
     "turn away from the origin": (
         chain(*SLIDES[:2], joint("turn", "revolute", "two", "body", "0 0 1", xyz="0.1 0 0")),
         "the axis of joint 'turn' does not pass through the origin",
@@ -111,7 +107,6 @@ WRONG = {
         chain(*SLIDES, masses=(0, 2, 5)),
         "joint 'slide_forward' moves a link of 2 kg, expected a massless virtual link",
     ),
-    "no mass": (chain(*SLIDES, masses=(0, 0, 0)), "mass of the body is 0.0 kg, expected > 0"),
     "an arm": (
         robot(
             link("base", 5),
@@ -125,10 +120,6 @@ WRONG = {
     "an impossible body": (
         robot(link("base", 5, i="1 0 0 1 0 3")),
         "inertia has principal moments (1, 1, 3) kg m^2, which no rigid body has",
-    ),
-    "a negative inertia": (
-        robot(link("base", 5, i="1 0 0 1 0 -1")),
-        "inertia has principal moments (-1, 1, 1) kg m^2, which no rigid body has",
     ),
 }
 
@@ -212,25 +203,11 @@ def test_a_wheel_may_hang_on_suspension_and_steering() -> None:
     assert "locked at rest: spring, steer, roll" in read.source
 
 
-def test_a_chain_may_carry_wheels() -> None:
-    wheel = (link("wheel", 1), joint("spin", "continuous", "body", "wheel", "0 1 0", xyz="0 0.5 0"))
-    model = pin.buildModelFromXML(chain(*SLIDES, *wheel))
-    read = MobileRobot.from_model(model)
-    assert read.mass == 6
-    assert read.com[1] == pytest.approx(0.5 / 6)
-    assert "locked at rest: spin" in read.source
-
-
 def test_the_users_model_is_left_alone() -> None:
     model = pin.buildModelFromXML(chain(*SLIDES))
     copy = model.copy()
     assert MobileRobot.from_model(model).model is not model
     assert model == copy
-
-
-def test_an_arm_among_the_loaders_robots_is_refused() -> None:
-    with pytest.raises(InvalidArgument, match="is neither a wheel"):
-        MobileRobot.from_model(pin.buildSampleModelManipulator())
 
 
 @pytest.mark.parametrize(
@@ -239,7 +216,6 @@ def test_an_arm_among_the_loaders_robots_is_refused() -> None:
         (None, "which cannot be read"),
         ("<robot", "is not well-formed XML"),
         ("<gazebo/>", "is not a URDF: expected a <robot> with links, got <gazebo>"),
-        ('<robot name="empty"/>', "is not a URDF: expected a <robot> with links"),
         (robot(link("a"), link("a")), "link 'a' appears twice"),
         (robot(link("a"), joint("j", "hinge", "a", "a")), "joint 'j' has type 'hinge', expected one"),
         (robot(link("a"), joint("j", "fixed", "a", "b")), "joint 'j' has child link 'b', which is not in"),
@@ -247,14 +223,9 @@ def test_an_arm_among_the_loaders_robots_is_refused() -> None:
             (robot(link("a", 5), link("b", 1).replace(*change), joint("j", "fixed", "a", "b")), text)
             for change, text in (
                 (
-                    ('value="1"', 'value="nan"'),
-                    "link 'b' has <mass> with value 'nan', expected a finite number",
-                ),
-                (
                     ('value="1"', 'value="${m}"'),
                     "link 'b' has <mass> with value '${m}', expected a finite number",
                 ),
-                (('value="1"', 'value="-1"'), "link 'b' has mass -1 kg, expected >= 0"),
                 (("<mass", "<ms"), "link 'b' has an <inertial> without <mass>, expected both"),
             )
         ),

@@ -46,15 +46,6 @@ WHEELED = {
     "swerve": pm.WheeledRobot(BASE, pm.WheelTable.swerve([(0.2, 0.1), (-0.2, -0.1)], 0.06, **WHEELS)),
     "car": pm.WheeledRobot(BASE.mount("ur5"), pm.WheelTable.car(0.5, 0.46, 0.1, **WHEELS)),
 }
-DRIVES: dict[str, tuple[Any, dict[str, Any]]] = {
-    "differential_drive": (closed_form.differential_drive, {"nu": np.ones(2), "track": 0.4, "radius": 0.1}),
-    "roller_drive": (
-        closed_form.roller_drive,
-        {"twist": np.ones(3), "x": np.ones(4), "y": np.ones(4), "angle": np.ones(4), "roller": np.ones(4)}
-        | {"radius": 0.1},
-    ),
-    "car": (closed_form.car, {"nu": np.ones(2), "steering": 0.3, "wheelbase": 0.6, "radius": 0.1}),
-}
 
 
 def why_not(function: Any, arguments: dict[str, Any]) -> str:

@@ -1,6 +1,5 @@
 """What is wrong with a part of a loop is told at once, by its own error, in every engine."""
 
-import math
 from typing import Any
 
 import numpy as np
@@ -86,7 +85,6 @@ LACKING: dict[str, tuple[dict[str, Any], str]] = {
         BODY | {"controller": Stateless()},
         r"controller is .*Stateless.*expected a controller: wrap a function in law",
     ),
-    "path for a trajectory": (BODY | {"trajectory": Eight()}, "a path, which has no heading, .* Tangent"),
     "plant without dynamics": (BODY | {"robot": NoDynamics()}, "expected a plant with 'forward_dynamics'"),
     "no pose to push": (
         BODY | {"robot": Plain(), "forces": [Spring()]},
@@ -157,8 +155,8 @@ class Inputs(Cart):
                 rf"a Short with nq = 5, nv = 5 and nu = 2, whose {name}\(.*\) returned .*\({size},\)$",
             )
             for name, size in (
-                *(("forward_dynamics", 5), ("integrate", 5), ("difference", 5)),
-                *(("pose", 3), ("pose_rate", 3), ("generalized_force", 5)),
+                ("forward_dynamics", 5),
+                ("pose_rate", 3),
             )
         ),
         (Short("project"), r"which starts with v of shape \(2,\), expected \(5,\)|v0 has shape \(2,\)"),
@@ -193,11 +191,8 @@ def _step(acceleration: Any, t: float, q: Any, v: Any, h: float) -> Any:
     return q + h * v, v + h * acceleration(t, q, v)
 
 
-GENERATOR = np.random.default_rng(0)
 FORGETFUL: dict[str, dict[str, Any]] = {
     "controller": BODY | {"controller": pm.law(lambda t, q, v, r: np.random.normal(size=3))},  # noqa: NPY002
-    "counter": BODY | {"controller": pm.law(Counting(lambda t, q, v, r: r.q - q))},
-    "force": BODY | {"forces": [lambda t, pose, rate: GENERATOR.normal(size=3)]},
     "np.random": BODY | {"forces": [lambda t, pose, rate: np.random.normal(size=3)]},  # noqa: NPY002
     "counting force": BODY | {"forces": [Spring(), Counting(lambda t, pose, rate: np.ones(3))]},
     "integrator": BODY | {"integrator": Counting(_step)},
@@ -240,10 +235,6 @@ def _branching(t: float, q: Any, v: Any, reference: Any) -> Any:
     return 100.0 * error + 120.0 * (reference.v - v)
 
 
-def _by_math(t: float, pose: Any, rate: Any) -> Any:
-    return np.array([math.sin(pose[2]), 0.0, 0.0])
-
-
 def _by_eigenvalues(t: float, q: Any, v: Any, reference: Any) -> Any:
     largest = np.linalg.eigvalsh(q[..., :, None] * q[..., None, :])
     return 100.0 * (reference.q - q) + 120.0 * (reference.v - v) + largest
@@ -255,7 +246,6 @@ UNTRACED: dict[str, tuple[dict[str, Any], Any, str]] = {
         Engine.PYTHON,
         r"_branching, line \d+ of test_.*np\.where",
     ),
-    "math": (BODY | {"forces": [_by_math]}, Engine.PYTHON, r"_by_math, line \d+ of test_.*NumPy's function"),
     "eigenvalues": (
         BODY | {"controller": pm.law(_by_eigenvalues)},
         Engine.PYTHON,
@@ -284,25 +274,7 @@ def test_a_law_that_cannot_be_traced_runs_slower_and_says_so_or_is_refused(what:
 # Names of parameters.
 
 
-def test_names_that_two_parts_claim_are_asked_for_by_path() -> None:
-    parts = BODY | {"forces": [Spring(), Spring(4.0)]}
-    with refused(
-        r"^spread has 'stiffness', which forces\.0\.stiffness and forces\.1\.stiffness have, "
-        r"expected one of them: 'forces\.0\.stiffness' or 'forces\.1\.stiffness' "
-        r"or 'forces\.\*\.stiffness', which means all$"
-    ):
-        in_ensemble(parts, spread={"stiffness": pm.Uniform(1, 2)})
-    run = in_ensemble(parts, spread={"forces.1.stiffness": pm.Uniform(1, 2)})
-    assert len(np.unique(run.max_error[:, 0])) == 5
-
-
 # What is no row of real numbers, or not two of them.
-
-
-class Starting(Cart):
-    def start(self, reference: Any) -> Any:
-        q, v = super().start(reference)
-        return q * (1 + 0j), v
 
 
 class Turning(Cart):
@@ -330,10 +302,6 @@ class Pushing:
 
 
 UNREAL: dict[str, tuple[dict[str, Any], str]] = {
-    "complex start": (
-        CART | {"robot": Starting()},
-        r"(?s)^q0? of plant.start is .*j.*, expected real numbers$",
-    ),
     "complex input": (
         BODY | {"controller": Complex()},
         r"(?s)^controller returned .*j.*, expected real numbers$",
@@ -341,14 +309,6 @@ UNREAL: dict[str, tuple[dict[str, Any], str]] = {
     "complex law": (
         BODY | {"controller": pm.law(lambda t, q, v, r: 1j * q)},
         r"(?s)^function of the law returned .*j.*, expected an input: nu numbers$",
-    ),
-    "no numbers": (
-        BODY | {"controller": pm.law(lambda t, q, v, r: np.array([1, 2, None]))},
-        r"(?s)^function of the law returned .*None.*, expected an input: nu numbers$",
-    ),
-    "complex force": (
-        BODY | {"forces": [Spring(), lambda t, pose, rate: 1j * pose]},
-        r"(?s)^forces\[1\] returned .*j.*, expected an array of shape \(3,\) of real num",
     ),
     "complex force on coordinates": (
         BODY | {"forces": [Pushing()]},
@@ -363,7 +323,7 @@ UNREAL: dict[str, tuple[dict[str, Any], str]] = {
             CART | {"robot": Turning(name)},
             rf"(?s)^plant is a Turning .*, whose {name}\(.*\) returned .*j.*, expected real numbers$",
         )
-        for name in ("forward_dynamics", "integrate", "difference", "pose", "pose_rate", "generalized_force")
+        for name in ("integrate", "generalized_force")
     },
 }
 
@@ -371,44 +331,6 @@ UNREAL: dict[str, tuple[dict[str, Any], str]] = {
 @pytest.mark.parametrize("what", UNREAL)
 def test_what_is_not_made_of_real_numbers_is_refused(what: str) -> None:
     assert_refused(*UNREAL[what])
-
-
-class Late(Cart):
-    def forward_dynamics(self, q: Any, v: Any, u: Any, f: Any = 0.0) -> Any:
-        found = super().forward_dynamics(q, v, u, f)
-        return found if v[0] > 0.9 else found * (1 + 0j)
-
-
-def _late_integrator(acceleration: Any, t: float, q: Any, v: Any, h: float) -> Any:
-    return q + h * v, v + h * acceleration(t, q, v) + (0j if t > 1 else 0.0)
-
-
-@pytest.mark.parametrize(
-    ("parts", "why"),
-    [
-        (
-            BODY | {"controller": pm.law(lambda t, q, v, r: (1j if t > 1 else 1.0) * (r.q - q))},
-            r"(?s)^(robot 0: )?function of the law returned .*j.* at t = 1.02 s, expected an input",
-        ),
-        (
-            BODY | {"forces": [lambda t, pose, rate: (1j if t > 1 else 1.0) * pose]},
-            r"(?s)^(robot 0: )?forces\[0\] returned .*j.* at t = 1.0\d s, expected an array of shape \(3,\)",
-        ),
-        (
-            BODY | {"integrator": _late_integrator},
-            r"(?s)^(robot 0: )?integrator returned .*j.* at t = 1.02 s, expected \(q,",
-        ),
-        (
-            CART | {"robot": Late()},
-            r"(?s)^(robot 0: )?plant.forward_dynamics returned .*j.* at t = .*, expected an array of",
-        ),
-    ],
-)
-def test_what_stops_being_real_is_told_when_it_does(parts: dict[str, Any], why: str) -> None:
-    runs: Any = simulated, lambda parts: in_ensemble(parts, n=1, engine=Engine.PYTHON)
-    for run in runs:
-        with refused(why):
-            run(parts)
 
 
 class Growing:

@@ -1,8 +1,5 @@
 """Parts that are a user's own run wherever the library's do, with the same numbers and their own names."""
 
-import pickle
-import subprocess
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,7 +9,7 @@ import pytest
 
 import pinmobile as pm
 from pinmobile.errors import SlowerEngine, UnknownName
-from pinmobile.loop import Engine, Loop, part_of, run_scenario
+from pinmobile.loop import Engine, Loop, run_scenario
 from pinmobile.loop._description import ROBOT_ARRAYS
 from pinmobile.parts import find, replace
 from pinmobile.trajectories import LectureHeading
@@ -127,35 +124,6 @@ def test_a_parameter_that_a_user_bounds_is_refused_beyond() -> None:
         run_scenario(made("controller", {"width": np.array([0.5, 0.0, 0.5, 0.5])}))
 
 
-def test_a_sweep_over_users_parts_has_the_bits_of_their_ensembles(tmp_path: Path) -> None:
-    controllers = {"PID": Smoothed(PID()), "sliding mode": SlidingMode()}
-
-    def scenario(controller: Any) -> pm.Scenario:
-        return made("force", controller=controller)
-
-    base = scenario(PID())
-    result = pm.sweep(base, tmp_path / "store", grid={"controller": controllers}, chunk=2)
-    for label, controller in controllers.items():
-        assert_same(result.ensemble(controller=label), run_scenario(scenario(controller)))
-
-
-def test_a_worker_that_imports_users_parts_has_the_same_bits(tmp_path: Path) -> None:
-    scenario = made("wrappers of a user's", forces=[Spring()], integrator=midpoint)
-    (tmp_path / "chunk.pkl").write_bytes(pickle.dumps(scenario.subset(1, 3)))
-    code = (
-        "import pathlib, pickle; from pinmobile.loop import part_of;"
-        f"scenario = pickle.loads(pathlib.Path({str(tmp_path / 'chunk.pkl')!r}).read_bytes());"
-        f"part = part_of(scenario, 1, 3);"
-        f"pathlib.Path({str(tmp_path / 'part.pkl')!r}).write_bytes(pickle.dumps(tuple(part[1])))"
-    )
-    root = Path(__file__).parents[1]
-    done = subprocess.run([sys.executable, "-c", code], cwd=root, capture_output=True, text=True, check=False)
-    assert not done.stderr
-    theirs = pickle.loads((tmp_path / "part.pkl").read_bytes())
-    for mine, other in zip(part_of(scenario, 1, 3)[1], theirs, strict=True):
-        np.testing.assert_array_equal(mine, other)
-
-
 # A plant.
 
 CART: dict[str, Any] = {"robot": Cart(), "controller": Follower(), "trajectory": CartCircle(), "dt": 0.01}
@@ -230,18 +198,6 @@ def test_an_ensemble_of_a_users_plant_is_told_by_its_names_and_units(tmp_path: P
 _WHEELS = ("left [rad]", "right [rad]")
 
 
-class Nameless(Cart):
-    coordinates: Any = property(lambda self: self.nothing)
-    inputs: Any = property(lambda self: self.nothing)
-
-
-def test_plants_without_names_have_numbers_for_names(tmp_path: Path) -> None:
-    run = run_scenario(carted(robot=Nameless(), spread={"mass": OF_CART["mass"], "start.[1]": 0.1}))
-    assert "largest error of [3] " in str(run)
-    run.to_csv(tmp_path / "runs.csv")
-    assert "max_input_[1]" in (tmp_path / "runs.csv").read_text().splitlines()[0].split(",")
-
-
 @dataclass(frozen=True)
 class Derived:
     """A controller that makes a number of its own when it is made, and keeps one in its state alone."""
@@ -268,20 +224,6 @@ def test_what_a_part_derives_of_its_numbers_follows_them(name: str) -> None:
     for i, value in enumerate(values):
         alone = pm.simulate(ROBOT, Derived(**{name: value}), motion, dt=0.02)
         np.testing.assert_allclose(run.max_error[i], alone.max_error(), rtol=0, atol=1e-12)
-
-
-@pytest.mark.parametrize("answer", [5.0, None, np.zeros(2), np.array([5.0])], ids=str)
-@pytest.mark.parametrize("engine", [None, Engine.COMPILED], ids=str)
-def test_a_force_of_another_shape_is_refused_by_every_engine(answer: Any, engine: Any) -> None:
-    with refused(r"forces\[0\].*expected an array of shape \(3,\)"):
-        pm.simulate(
-            ROBOT,
-            pm.PD(9, 9),
-            pm.Tangent(pm.Circle(2.0, 0.5, 1.0)),
-            dt=0.1,
-            forces=[lambda *_: answer],
-            engine=engine,
-        )
 
 
 # A law that reaches a robot which is no attribute of a part.
@@ -325,20 +267,9 @@ def test_a_law_that_reaches_a_robot_by_a_name_is_compiled(function: Any) -> None
 
 
 def test_what_a_robot_does_by_pinocchio_alone_is_refused_with_the_line() -> None:
-    def function(t: float, q: Any, v: Any, reference: Any) -> Any:
-        return ROBOT.jacobian(q).T[:, :3] @ (reference.q - q)
-
-    what = "jacobian of a MobileRobot, which accepts only numbers; call it outside the law, with numbers"
-    with refused(rf"function, line \d+ of test_parts\.py .*: {what}"):
-        pm.ensemble(
-            ROBOT,
-            pm.law(function),
-            pm.Tangent(pm.Circle(2.0, 0.5, 1.0)),
-            n=2,
-            spread={},
-            dt=0.1,
-            engine=Engine.COMPILED,
-        )
+    controller = pm.law(lambda t, q, v, reference: ROBOT.jacobian(q).T[:, :3] @ (reference.q - q))
+    with refused(r"line \d+ of test_parts\.py .*: jacobian of a MobileRobot, which accepts only numbers"):
+        pm.simulate(ROBOT, controller, OWN["circle"][0], dt=0.1, engine=Engine.COMPILED)
 
 
 # Parameters of paths and headings: each robot has a reference of its own.
@@ -394,18 +325,6 @@ def scenario_member_reference(run: pm.Ensemble, i: int) -> Any:
     return pm.simulate(*member[:3], **member.options).reference
 
 
-def test_own_references_have_the_same_bits_however_the_robots_are_divided(tmp_path: Path) -> None:
-    scenario = owned("circle", n=7, spread={"radius": pm.Uniform(1, 3), "mass": pm.Uniform(25, 35)})
-    whole = run_scenario(scenario, threads=1)
-    for other in (
-        run_scenario(scenario, threads=3),
-        pm.sweep(scenario, tmp_path / "store", chunk=3).ensemble(),
-    ):
-        assert_same(other, whole)
-    pieces = [part_of(pickle.loads(pickle.dumps(scenario.subset(k, k + 1))), k, k + 1)[1] for k in range(7)]
-    np.testing.assert_array_equal(np.concatenate([each.max_error for each in pieces]), whole.max_error)
-
-
 def test_a_trajectory_that_cannot_be_made_is_told_with_the_robots_number() -> None:
     with refused(r"^robot 1: t_via is 7.0 s, expected 0 < t_via < t_end"):
         run_scenario(owned("turns", spread={"t_via": np.array([3.0, 7.0])}))
@@ -452,24 +371,7 @@ def test_the_models_that_a_trajectory_knows_are_no_numbers_of_it() -> None:
     assert runs[0].arguments(1).trajectory == pm.WholeBody(ROBOT, pm.Tangent(pm.Circle(2.0, 0.5, 1.0)))
 
 
-def test_a_sweep_knows_another_trajectory_of_the_same_nominal_reference(tmp_path: Path) -> None:
-    still = {"trajectory": pm.FixedHeading(pm.Lissajous(0, 0, 0.5, 1.0, 6.0), 0.0)}
-    pm.sweep(owned("figure", **still), tmp_path / "store")
-    with refused(r"belongs to another sweep.*trajectory.*wx"):
-        pm.sweep(
-            owned("figure", trajectory=pm.FixedHeading(pm.Lissajous(0, 0, 0.7, 1.0, 6.0), 0.0)),
-            tmp_path / "store",
-        )
-
-
 def test_a_path_with_a_typo_is_answered_with_the_nearest_path() -> None:
     loop = Loop(ROBOT, Derived(), None, {"wind": pm.ConstantForce((1.0, 0.0, 0.0))})
     with pytest.raises(UnknownName, match=r"'forces\.wind\.forse', did you mean 'forces\.wind\.force'"):
         find(loop, "forces.wind.forse")
-
-
-def test_what_is_no_part_is_told_so() -> None:
-    with refused(r"part is of type object, expected a class with @part"):
-        replace(object(), {"mass": 1.0})
-    with refused(r"plant is None, expected a plant"):
-        Loop(None, Derived())

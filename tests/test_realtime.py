@@ -1,12 +1,9 @@
 """Control in real time: the bits of `simulate`, memory, records, deadlines, and how a run ends."""
 
 import gc
-import multiprocessing
 import os
 import re
 import signal
-import socket
-import struct
 import threading
 import time
 import tracemalloc
@@ -20,10 +17,11 @@ import pinmobile as pm
 from pinmobile import InvalidArgument, Reference
 from pinmobile.errors import NotFinite, UnknownName
 from pinmobile.realtime import RealtimeReport, Stepper, _realtime, run_realtime
-from pinmobile.wheels import OdometryFeedback
-from tests.frozen import BODY, CIRCLE, WRONG, branching, by_lapack, loops, table
+from tests.frozen import BODY, CIRCLE, WRONG, branching, by_lapack, loops
 
-LOOPS = {name: (parts, options) for name, parts, options in chain(loops(), by_lapack())}
+# Loops with the controllers of others.
+AGAIN = ("via", "line", "spline", "semi-implicit", "constant", "sine", "viscous", "resistance", "payload")
+LOOPS = {name: (parts, options) for name, parts, options in chain(loops(), by_lapack()) if name not in AGAIN}
 PD = pm.PD((120, 110, 5), (120, 110, 5))
 STILL = Reference(*np.zeros((3, 3)))
 
@@ -57,34 +55,14 @@ def test_the_inputs_have_the_bits_of_simulate(name: str) -> None:
     assert str(found)  # limits and events work
 
 
-def test_odometry_without_noise_runs() -> None:
-    drive = pm.WheeledRobot(BODY, table("differential"))
-    law = OdometryFeedback(pm.Backstepping(pm.UnicycleTracking(), drive), drive.table)
-    run = pm.simulate(drive, law, CIRCLE, dt=0.02, engine=pm.Engine.COMPILED)
-    stepper = Stepper(law, drive, dt=0.02, trajectory=CIRCLE)
-    assert np.array_equal(answers(stepper, run), run.u)
-
-
-def test_the_gains_of_a_schedule_follow_the_time() -> None:
-    controller = pm.LQR(WRONG)
-    run = pm.simulate(BODY, controller, CIRCLE, dt=0.02, engine=pm.Engine.COMPILED)
-    stepper = Stepper(controller, BODY, dt=0.02, trajectory=CIRCLE)
-    assert np.array_equal(stepper.step(run.t[50], run.q[50], run.v[50]), run.u[50])
-
-
 @pytest.mark.parametrize(
     "controller",
-    [
-        pm.law(branching),
-        pm.controllers.PID(WRONG),
-        pm.MPC(BODY, horizon=4, step=0.02),
-        pm.MeasurementDelay(PD, 2),
-    ],
-    ids=["branching", "PID", "MPC", "delay"],
+    [pm.law(branching), pm.MPC(BODY, horizon=4, step=0.02), pm.MeasurementDelay(PD, 2)],
+    ids=["branching", "MPC", "delay"],
 )
 def test_what_cannot_be_compiled_runs_as_in_python(controller: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     run = pm.simulate(BODY, controller, CIRCLE, dt=0.02, engine=pm.Engine.PYTHON)
-    if type(controller).__name__ in ("PID", "MeasurementDelay"):  # which can be compiled
+    if type(controller).__name__ == "MeasurementDelay":  # which can be compiled
         error = pm.errors.NotTraceable("a reason", "some advice")
         monkeypatch.setattr("pinmobile.realtime._stepper.Law", lambda *_: (_ for _ in ()).throw(error))
     stepper = Stepper(controller, BODY, dt=0.02, trajectory=CIRCLE)
@@ -101,7 +79,7 @@ def test_what_cannot_be_compiled_runs_as_in_python(controller: Any, monkeypatch:
     assert found.signals.keys() == run.signals.keys()
 
 
-@pytest.mark.parametrize("name", ["PID", "delayed", "observer", "ADRC", "leaky", "super-twisting"])
+@pytest.mark.parametrize("name", ["PID", "delayed", "leaky"])
 def test_a_memory_that_is_saved_and_set_continues_bit_for_bit(name: str) -> None:
     (plant, controller, trajectory), _ = LOOPS[name]
     run = pm.simulate(plant, controller, trajectory, dt=0.02, engine=pm.Engine.COMPILED)
@@ -156,19 +134,15 @@ def test_limits_of_the_inputs_are_applied() -> None:
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ((0.0, [0, 0, 0], [0, 0, 0]), r"^t is 0.0 s, expected a time >= 0, after the last sample at 0.5 s"),
         ((0.5, [0, 0, 0], [0, 0, 0]), r"^t is 0.5 s, expected a time >= 0, after the last sample at 0.5 s"),
         ((np.nan, [0, 0, 0], [0, 0, 0]), r"^t "),
-        ((np.inf, [0, 0, 0], [0, 0, 0]), r"^t "),
         ((1.0, [0, np.nan, 0], [0, 0, 0]), r"^q.* is nan"),
         ((1.0, [0, 0, 0], [0, np.inf, 0]), r"^v.1. is inf, expected a finite number"),
         ((1.0, [0, 0], [0, 0, 0]), r"^q has shape \(2,\), expected \(3,\)"),
-        ((1.0, [0, 0, "a"], [0, 0, 0]), r"^q is "),
         (
             (1.0, [0, 0, 0], [0, 0, 0], Reference(np.full(3, np.nan), *np.zeros((2, 3)))),
             r"^reference.q.0. is nan",
         ),
-        ((1.0, [0, 0, 0], [0, 0, 0], Reference(*np.zeros((3, 2)))), r"^reference.q has shape \(2,\)"),
     ],
 )
 def test_an_invalid_measurement_changes_nothing(given: Any, message: str) -> None:
@@ -202,16 +176,6 @@ def test_the_record_keeps_the_last_samples() -> None:
     assert np.array_equal(found.u, run.u[-50:])
     np.testing.assert_allclose(found.a[:-1], run.a[-50:-1], atol=1e-9)
     assert np.array_equal(found.a[-1], found.a[-2])
-
-
-def test_a_record_identifies_the_robot_as_a_simulation_does() -> None:
-    path = pm.excitation(BODY, duration=30.0)
-    run = pm.simulate(BODY, pm.ComputedTorque(WRONG), path, dt=0.02, engine=pm.Engine.COMPILED)
-    stepper = Stepper(pm.ComputedTorque(WRONG), BODY, dt=0.02, trajectory=path)
-    answers(stepper, run)
-    logs = [pm.Log.from_rollout(each) for each in (stepper.rollout(), run)]
-    found, expected = (pm.identify(log, BODY).theta for log in logs)
-    assert np.array_equal(found, expected)
 
 
 def test_calls_leave_no_objects_and_no_memory() -> None:
@@ -365,20 +329,6 @@ def test_a_large_error_stops_the_robot_before_its_input_is_written(robot: Robot)
     assert report.rollout is None
 
 
-def test_the_record_contains_the_written_inputs_only(robot: Robot) -> None:
-    robot.given = [0.0, 0.0, 0.0], [0.5, 0.0, 0.0]
-    stepper = Stepper(PD, BODY, dt=0.001, trajectory=CIRCLE, capacity=50)
-    report = robot.run(stepper, limit=0.6)
-    assert report.reason == "limit"
-    assert report.details == "error of x is 0.600586 m, expected at most 0.6"
-    assert report.deadlines == len(robot.written) > 50
-    assert report.rollout is not None
-    assert np.array_equal(report.rollout.u, robot.written[-49:])
-    for _ in range(50):
-        stepper.remove_last()
-    assert len(stepper) == 0
-
-
 def test_an_error_of_the_user_is_raised_after_the_stop(robot: Robot) -> None:
     stepper = stepper_of()
 
@@ -401,7 +351,6 @@ def test_an_error_of_the_user_is_raised_after_the_stop(robot: Robot) -> None:
     [
         ((0.0, [0, np.nan, 0], [0, 0, 0]), "^q.1. is nan"),
         ((5.0, [0, 0, 0], [0, 0, 0]), "ahead of the clock, expected times of time.monotonic"),
-        ((np.nan, [0, 0, 0], [0, 0, 0]), "ahead of the clock, expected times of time.monotonic"),
         ([0, 0, 0], r"^read returned \[0, 0, 0\], expected \(t, q, v\) or None"),
     ],
 )
@@ -497,58 +446,3 @@ def test_a_run_in_another_thread_works() -> None:
     thread.start()
     thread.join()
     assert found[0].reason == "duration"
-
-
-def robot_until_silent(port: int, back: int, samples: int) -> None:
-    """Send states over UDP, then nothing, and return when the other side stops the robot."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as line:
-        line.bind(("127.0.0.1", back))
-        line.settimeout(60.0)
-        for _ in range(samples):
-            state = time.monotonic(), 0.0, 0.0, 0.0, 0.5, 0.0, 0.5
-            line.sendto(struct.pack("<7d", *state), ("127.0.0.1", port))
-            time.sleep(0.005)
-        while line.recv(1024) != b"stop":
-            pass
-
-
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as line:
-        line.bind(("127.0.0.1", 0))
-        return int(line.getsockname()[1])
-
-
-def test_a_lost_connection_to_another_process_stops_the_robot() -> None:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as line:
-        line.bind(("127.0.0.1", 0))
-        back, stopped = free_port(), list[float]()
-        port, stepper = line.getsockname()[1], stepper_of(0.005)
-        process = multiprocessing.get_context("spawn").Process(
-            target=robot_until_silent, args=(port, back, 40), daemon=True
-        )
-        process.start()
-        line.settimeout(60.0)
-        line.recv(1024, socket.MSG_PEEK)  # the robot is ready
-        line.setblocking(False)
-
-        def read() -> Any:
-            found = None
-            while True:
-                try:
-                    found = struct.unpack("<7d", line.recv(1024))
-                except BlockingIOError:
-                    break
-            return None if found is None else (found[0], found[1:4], found[4:])
-
-        def write(u: Any) -> None:
-            line.sendto(u.tobytes(), ("127.0.0.1", back))
-
-        def stop() -> None:
-            stopped.append(time.monotonic())
-            line.sendto(b"stop", ("127.0.0.1", back))
-
-        report = run_realtime(stepper, read, write, stop=stop, stale=0.2, duration=60.0, priority=None)
-        assert report.reason == "stale measurement"
-        assert len(stopped) == 1
-        process.join(60.0)
-        assert process.exitcode == 0

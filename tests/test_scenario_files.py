@@ -46,7 +46,7 @@ def test_a_part_is_the_same_after_toml_bit_for_bit(name: str) -> None:
         again = Reader().root(holder, tomllib.loads(text)).one
         assert fields(again) == fields(part), text
         found += 1
-        if found == 8:
+        if found == 3:
             break
     assert found
 
@@ -110,24 +110,11 @@ def test_all_wrong_entries_are_told_at_once_with_their_lines(tmp_path: Path) -> 
     [
         (["controler.kp=9"], "controler.kp=9: controler is unknown, available: robot, controller, "),
         (["controller=pid2"], "controller is 'pid2', expected a controller, did you mean 'PID'?"),
-        (["controller=Circle"], "controller is 'Circle', expected a controller, available: ADRC, "),
         (["controller=PD(4, 4"], "controller is 'PD(4, 4', which cannot be read: '(' was never closed"),
         (["controller=PD(not 1, 4)"], "which cannot be read: not 1 is no number, text or part"),
-        (["robot=MobileRobot.from_dh([[0, 0, -pi/2, 0, revolute, a]], [])"], "table has 1 rows and bodies 0"),
-        (["controller=simulate"], "controller is 'simulate', expected a controller, available: "),
-        (
-            ["controller.kp=[1,2"],
-            "controller.kp is '[1,2', expected a number, or numbers of shape (n,) or (n, n)",
-        ),
         (["robot.mass=30 kg"], "robot.mass=30 kg: robot.mass is '30 kg', expected a number > 0 [kg]"),
-        (["robot.com.w=1"], "robot.com is {'w': 1}, expected numbers of shape (2,) or (3,) [m]"),
-        (["robot=MobileRobot.to_urdf"], "robot is 'MobileRobot.to_urdf', expected a robot, "),
-        (["robot=MobileRobot.from_urdf('none.urdf')"], "none.urdf"),
-        (["robot=MobileRobot.box().mount('ur6')"], "did you mean 'ur5'"),
-        (["dt=10ms"], "dt is '10ms', expected a number > 0 [s]"),
         (["controller=mine:PD"], "code of the module 'mine', which runs only with --allow-code"),
         (["grid.robot.mas=[1, 2]"], "grid.robot.mas=[1, 2]: robot.mas is unknown, MobileRobot has mass, "),
-        (["grid.controller=[1]"], "grid.controller=[1]: controller is 1, expected a controller"),
         (
             ['grid.controller=["PD(9, 9)", "PDD"]'],
             "controller is 'PDD', expected a controller, did you mean 'PD'?",
@@ -138,9 +125,7 @@ def test_all_wrong_entries_are_told_at_once_with_their_lines(tmp_path: Path) -> 
             "robot is a drive of type (2, 0), which cannot accelerate in every direction",
         ),
         (["grid=3"], "grid is 3, expected a table of PATH = VALUE"),
-        (["forces=3"], "forces is 3, expected a list"),
         (["rivalz"], "FILE is 'rivalz', neither a file nor a shipped scenario, did you mean 'rivals'?"),
-        (["none.toml"], "FILE is 'none.toml', which cannot be read"),
         (["lecture", "other"], "'other' is a second FILE beside 'lecture', expected PATH=VALUE"),
     ],
 )
@@ -148,9 +133,7 @@ def test_a_wrong_word_is_told_with_what_is_expected(words: list[str], said: str)
     assert said in problems(*words)
 
 
-@pytest.mark.parametrize(
-    "text", ["a = " + "[" * 5_000 + "]" * 5_000, "a = [1", "robot.robot.robot = 1\nrobot = 2"]
-)
+@pytest.mark.parametrize("text", ["a = [1", "robot.robot.robot = 1\nrobot = 2"])
 def test_a_file_that_is_no_toml_is_told(text: str, tmp_path: Path) -> None:
     (tmp_path / "no.toml").write_text(text)
     assert "no.toml: " in problems(str(tmp_path / "no.toml"))
@@ -190,12 +173,12 @@ def test_wrong_trees_are_refused_as_wrong_entries_and_nothing_else() -> None:
     rng, refused = random.Random(0), 0
     files = ["lecture", "rivals", "mecanum", "velocity", "ensemble", "differential"]
     texts = [tomllib.loads(LoadedFile([name]).to_toml()) for name in files]
-    for _ in range(250):
+    for _ in range(120):
         try:
             Reader().root(ScenarioFile, mutated(rng.choice(texts), rng))
         except InvalidEntries:
             refused += 1
-    assert 100 < refused < 250
+    assert 48 < refused < 120
 
 
 def test_paths_change_what_stands_there_and_names_what_is_new() -> None:

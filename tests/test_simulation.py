@@ -1,9 +1,7 @@
 """`simulate` against closed forms, and what it does with what it cannot do."""
 
 import pickle
-from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,10 +12,8 @@ import pinmobile as pm
 from pinmobile.arrays import Array
 from pinmobile.controllers import plain_difference
 from pinmobile.integrators import constant_acceleration, semi_implicit_euler
-from pinmobile.plant import Context
 
 ROBOT = pm.MobileRobot(10, 1.2, com=(0.15, 0.05))
-UR5 = pm.MobileRobot.box().mount("ur5")
 CIRCLE = pm.FixedHeading(pm.Circle(1.0, 0.5, 12.0), 0.3)
 START = {"q0": (0.2, -0.1, 0.9), "v0": (0.1, 0.0, -0.4)}
 
@@ -29,19 +25,6 @@ class Hold:
 
     def __call__(self, t: Any) -> pm.Reference:
         return pm.Reference(*np.zeros((3, *np.shape(t), 3)))
-
-
-class Rest:
-    """A reference at rest as a robot rests."""
-
-    duration = 1.0
-
-    def __init__(self, robot: pm.MobileRobot) -> None:
-        self.robot = robot
-
-    def __call__(self, t: Any) -> pm.Reference:
-        v, a = np.zeros((2, *np.shape(t), self.robot.nv))
-        return pm.Reference(np.broadcast_to(self.robot.rest, (*np.shape(t), self.robot.nq)), v, a)
 
 
 class Asked:
@@ -73,14 +56,11 @@ class OtherPlant:
         return ROBOT.difference(q0, q1)
 
 
-@pytest.mark.parametrize("integrator", [constant_acceleration, semi_implicit_euler, pm.rk4])
-@pytest.mark.parametrize("substeps", [1, 3])
 @pytest.mark.parametrize(
-    "controller", [pm.ComputedTorque(pm.MobileRobot(8, 1), 3, (2, 3, 4)), pm.PD(40 * np.eye(3), 20)]
+    ("integrator", "substeps"), [(constant_acceleration, 1), (semi_implicit_euler, 3), (pm.rk4, 1)]
 )
-def test_the_librarys_own_loop_and_a_users_are_the_same(
-    integrator: Any, substeps: int, controller: Any
-) -> None:
+def test_the_librarys_own_loop_and_a_users_are_the_same(integrator: Any, substeps: int) -> None:
+    controller = pm.ComputedTorque(pm.MobileRobot(8, 1), 3, (2, 3, 4))
     options: dict[str, Any] = {"dt": 0.05, "integrator": integrator, "substeps": substeps, **START}
     own = pm.simulate(ROBOT, controller, CIRCLE, **options)
     for plant in (ROBOT, OtherPlant()):
@@ -91,38 +71,17 @@ def test_the_librarys_own_loop_and_a_users_are_the_same(
 
 
 @pytest.mark.parametrize("substeps", [1, 2])
-@pytest.mark.parametrize("plant", [ROBOT, pm.MobileRobot.box().mount("kinova")])
-def test_an_integrator_may_write_into_what_it_is_given(plant: pm.MobileRobot, substeps: int) -> None:
-    def heun(acceleration: Any, t: float, q: Array, v: Array, dt: float) -> tuple[Array, Array]:
-        a = acceleration(t, q, v)
-        b = acceleration(t + dt, q + dt * v, v + dt * a)
-        return q + dt * v + dt**2 / 2 * a, v + dt / 2 * (a + b)
-
+def test_an_integrator_may_write_into_what_it_is_given(substeps: int) -> None:
     def careless(acceleration: Any, t: float, q: Array, v: Array, dt: float) -> tuple[Array, Array]:
-        a = acceleration(t, q, v)
-        step = dt * v + dt**2 / 2 * a
+        v += dt * acceleration(t, q, v)
         q += dt * v
-        v += dt * a
-        b = acceleration(t + dt, q, v)
-        q += step - dt * (v - dt * a)
-        v += dt / 2 * (b - a)
         return q, v
 
     one, other = (
-        pm.simulate(
-            plant,
-            pm.law(lambda t, q, v, reference: np.zeros(plant.nv)),
-            Rest(plant),
-            dt=0.02,
-            duration=0.2,
-            v0=np.linspace(-0.5, 0.4, plant.nv),
-            integrator=step,
-            substeps=substeps,
-        )
-        for step in (heun, careless)
+        pm.simulate(ROBOT, pm.PD(9, 9), CIRCLE, dt=0.02, integrator=step, substeps=substeps)
+        for step in (semi_implicit_euler, careless)
     )
-    for name in ("q", "v", "a", "u"):
-        np.testing.assert_allclose(getattr(other, name), getattr(one, name), rtol=0, atol=1e-10)
+    np.testing.assert_allclose(other.q, one.q, rtol=0, atol=1e-10)
 
 
 def by_hand(plant: pm.MobileRobot, controller: Any, dt: float, n: int) -> tuple[Array, Array]:
@@ -170,21 +129,6 @@ def test_the_last_sample_is_at_the_duration_to_the_last_digit(duration: Any, las
     assert rollout.t[-1] == last
 
 
-def test_a_rollout_holds_read_only_copies() -> None:
-    rollout = pm.simulate(ROBOT, pm.ComputedTorque(ROBOT), CIRCLE, dt=0.1, **START)  # type: ignore[arg-type]
-    names = ("t", "q", "v", "a", "u", "error")
-    given: Any = {name: np.array(getattr(rollout, name)) for name in names}
-    reference = pm.Reference(*map(np.array, rollout.reference))
-    copy = replace(rollout, reference=reference, **given)
-    for array in (*given.values(), *reference):
-        array[...] = 9
-    held = [(getattr(copy, name), getattr(rollout, name)) for name in names]
-    for array, expected in (*held, *zip(copy.reference, rollout.reference, strict=True)):
-        np.testing.assert_array_equal(array, expected)
-        with pytest.raises(ValueError, match="read-only"):
-            array[0] = 1
-
-
 def test_error_follows_the_exact_recurrence_under_a_held_force() -> None:
     """At rest with com = 0, M is constant: one step maps (e, e_dot) by a matrix, exactly."""
     kp, kd, dt = 4.0, 3.0, 0.1
@@ -210,12 +154,6 @@ def test_error_tends_to_that_of_the_continuous_loop() -> None:
     assert slope == pytest.approx(1, abs=0.15)
 
 
-def test_a_wrong_model_in_the_controller_is_not_the_plants() -> None:
-    right = pm.simulate(ROBOT, pm.ComputedTorque(ROBOT), CIRCLE, dt=0.01)
-    wrong = pm.simulate(ROBOT, pm.ComputedTorque(pm.MobileRobot(20, 1.2)), CIRCLE, dt=0.01)
-    assert wrong.max_error()[0] > 10 * right.max_error()[0]
-
-
 def test_the_force_is_held_over_dt_whatever_the_substeps() -> None:
     asked: list[float] = []
 
@@ -226,55 +164,6 @@ def test_the_force_is_held_over_dt_whatever_the_substeps() -> None:
     pm.simulate(ROBOT, pm.law(push), CIRCLE, dt=0.5, duration=2.0, substeps=10, integrator=pm.rk4)
     # Before the loop it is asked three times whether it answers alike.
     assert asked == [0.0, 0.0, 0.0, 0.0, 0.5, 1.0, 1.5, 2.0]
-
-
-class Counter:
-    def initial_state(self, context: Any) -> int:
-        return 0
-
-    def __call__(self, t: float, q: Array, v: Array, reference: Any, state: int) -> tuple[Array, int]:
-        return np.array([float(state), 0, 0]), state + 1
-
-
-def test_a_controllers_memory_is_handed_on() -> None:
-    rollout = pm.simulate(ROBOT, Counter(), CIRCLE, dt=0.5, duration=2.0)
-    assert rollout.u[:, 0].tolist() == [0, 1, 2, 3, 4]
-
-
-def test_a_controller_is_told_of_its_loop_and_of_nothing_that_the_plant_does() -> None:
-    contexts: list[Context] = []
-
-    class Listening:
-        def initial_state(self, context: Context) -> None:
-            contexts.append(context)
-
-        def __call__(self, t: float, q: Array, v: Array, reference: Any, state: None) -> tuple[Array, None]:
-            return np.zeros(len(v)), None
-
-    for robot, trajectory in ((ROBOT, CIRCLE), (UR5, pm.WholeBody(UR5, CIRCLE, None))):
-        rollout = pm.simulate(
-            robot, pm.InputSaturation(Listening(), 1.0), trajectory, dt=0.5, duration=2.0, limit=1e9
-        )
-        context = contexts.pop()
-        assert (context.dt, context.t.tolist()) == (0.5, rollout.t.tolist())
-        assert context.trajectory is trajectory
-        np.testing.assert_array_equal(context.reference.q, rollout.reference.q)
-        assert (context.difference, context.integrate) == (robot.difference, robot.integrate)
-        assert [one.name for one in context.coordinates] == ["x", "y", "psi", *robot.model.names[4:]]
-        assert [one.unit for one in context.coordinates] == ["m", "m", *["rad"] * (robot.nv - 2)]
-        assert tuple(one[:2] for one in context.inputs[:3]) == (("Fx", "N"), ("Fy", "N"), ("Mz", "N m"))
-        assert all(one.unit == "N m" for one in context.inputs[3:])
-        assert not any(hasattr(context, name) for name in ("plant", "robot", "forward_dynamics"))
-
-
-def test_a_plant_that_cannot_compare_configurations_is_refused_before_the_loop() -> None:
-    def asked(*_: Any) -> Any:
-        raise AssertionError("the loop was begun")
-
-    sizes = {"nq": 3, "nv": 3, "nu": 3}
-    plant: Any = SimpleNamespace(**sizes, forward_dynamics=asked, integrate=np.add, difference=np.subtract)
-    with pytest.raises(pm.InvalidArgument, match="plain_difference"):
-        pm.simulate(plant, pm.law(asked), CIRCLE, dt=0.5)
 
 
 def test_a_controller_cannot_write_into_the_record() -> None:
@@ -302,13 +191,6 @@ def test_divergence_is_reported_with_everything_before_it() -> None:
     assert (str(copy), copy.time, len(copy.rollout)) == (str(error), error.time, len(error.rollout))
 
 
-def test_without_a_limit_the_numbers_overflow_and_that_is_reported_too() -> None:
-    robot = pm.MobileRobot(30, 0.1, com=(0.1, 0.05))
-    with pytest.raises(pm.Diverged, match="not finite") as caught:
-        pm.simulate(robot, pm.PD((120, 120, 0.4), (120, 120, 0.4)), CIRCLE, dt=0.1, limit=1e300, **START)  # type: ignore[arg-type]
-    assert np.isfinite(caught.value.rollout.u).all()
-
-
 def test_a_spinning_heading_is_divergence_though_its_error_stays_on_the_circle() -> None:
     robot = pm.MobileRobot(30, 0.1)
     with pytest.raises(pm.Diverged, match="the rate of psi"):
@@ -328,10 +210,6 @@ def test_not_a_number_from_a_controller_is_divergence_at_that_sample() -> None:
     with pytest.raises(pm.Diverged, match=r"at t = 1.1 s .* u not finite") as caught:
         pm.simulate(ROBOT, pm.law(fails), CIRCLE, dt=0.1)
     assert len(caught.value.rollout) == 11
-
-
-def zero(t: float, q: Array, v: Array, reference: Any) -> Array:
-    return np.zeros(3)
 
 
 class TauAlone:
@@ -369,34 +247,19 @@ class ScalarOnly:
     ("changed", "text"),
     [
         ({"dt": 0}, "dt is 0.0 s, expected > 0"),
-        ({"dt": float("nan")}, "dt is nan, expected a finite number"),
         (
             {"dt": 0.7, "duration": 12},
             "duration is 12.0 s, expected a whole number of steps dt = 0.7 s, such as 11.9 s",
         ),
-        ({"duration": -1}, "duration is -1.0 s, expected > 0"),
         ({"duration": 13}, "duration is 13.0 s, expected at most the trajectory's 12.0 s"),
-        ({"duration": 0.04}, "dt is 0.1 s, expected at most the duration, 0.04 s"),
-        ({"substeps": 0}, "substeps is 0, expected a whole number >= 1"),
-        ({"limit": 0}, "limit is 0.0, expected > 0"),
         ({"q0": (1, 2)}, "q0 has shape (2,), expected (3,)"),
-        ({"q0": np.zeros((2, 3))}, "q0 has shape (2, 3), expected (3,)"),
-        ({"v0": (0, np.inf, 0)}, "v0[1] is inf, expected a finite number"),
-        ({"controller": zero}, "expected a controller: wrap a function in law(...)"),
-        (
-            {"controller": pm.law(lambda *_: [1, 2])},
-            "controller returned array([1., 2.]) at t = 0 s, expected an",
-        ),
         ({"dt": 1e-9}, "dt is 1e-09 s, expected at most the duration, 12.0 s, and at least 1.2e-07 s"),
-        ({"integrator": "rk4"}, "integrator is 'rk4', expected one of pinmobile.integrators or such a step"),
         ({"controller": pm.ComputedTorque}, "expected an object: ComputedTorque(...)"),
         ({"controller": TauAlone()}, "controller returned array([0., 0., 0.]) at t = 0 s, expected (u,"),
         (
             {"controller": pm.PD(1, 1, difference=plain_difference), "trajectory": ScalarOnly()},
             "array of 121 times",
         ),
-        ({"trajectory": None}, "trajectory is None, expected a trajectory"),
-        ({"plant": 3}, "plant is 3, expected a plant with 'forward_dynamics'"),
     ],
 )
 def test_arguments_that_do_not_fit_are_refused(changed: dict[str, Any], text: str) -> None:

@@ -23,7 +23,6 @@ from pinmobile.metrics import Metric
 from pinmobile.parts import evolved
 from pinmobile.sweeps import Axis, Points
 from pinmobile.sweeps._points import _NAMES, change_scenario
-from pinmobile.sweeps._sweep import format_length, summarize
 from tests.refusals import refused
 from tests.sweeping import CHUNK, GRID, ROBOT, contents, points, scenario, swept
 
@@ -64,29 +63,20 @@ def copy(done: pm.Sweep, tmp_path: Path) -> Path:
     ("changes", "read", "value"),
     [
         ({"robot.mass": 20}, lambda s: s.robot.mass, 20),
-        ({"mass": 20, "yaw_inertia": 2.0}, lambda s: (s.robot.mass, s.robot.yaw_inertia), (20, 2)),
         ({"plant.com.y": 0.1}, lambda s: s.robot.com[1], 0.1),
         ({"controller.robot.mass": 25}, lambda s: (s.controller.robot.mass, s.robot.mass), (25, 30)),
         ({"controller.kp.y": 9}, lambda s: s.controller.kp.tolist(), [4, 9, 4]),
-        ({"kp.x": 1, "kp.psi": 2}, lambda s: s.controller.kp.tolist(), [1, 4, 2]),
         (
             {"controller.kp": 9, "controller": pm.PD(1, 2)},
             lambda s: (s.controller.kp, s.controller.kd),
             (9, 2),
         ),
-        (
-            {"radius": 2, "trajectory": pm.FixedHeading(pm.Circle(3, 0.1, 6), 0)},
-            lambda s: s.trajectory.path.radius,
-            2,
-        ),
         ({"trajectory.path.duration": 3.0}, lambda s: s.t[-1], 3.0),
         ({"forces.push": PUSH}, lambda s: s.forces, {"push": PUSH}),
         ({"forces": [PUSH], "forces.0.force.y": 3}, lambda s: s.forces[0].force.tolist(), [10, 3, 0]),
-        ({"robot": pm.MobileRobot.box(), "mass": 7.0}, lambda s: s.robot.mass, 7),
         ({"integrator": pm.rk4, "substeps": 2}, lambda s: (s.integrator, s.substeps), (pm.rk4, 2)),
         ({"dt": 0.05, "seed": 3}, lambda s: (s.dt, s.seed, s.grid[1]), (0.05, 3, 0.1)),
         ({"spread.mass": pm.Uniform(1, 2)}, lambda s: (*s.spread,), ("start.x", "mass")),
-        ({"spread": {"mass": 3.0}}, lambda s: (*s.spread,), ("mass",)),
         ({"start.y": 0.5}, lambda s: float(s.spread["start.y"]), 0.5),
     ],
 )
@@ -101,30 +91,17 @@ def test_a_path_changes_what_it_names_and_nothing_else(changes: Any, read: Any, 
     ("options", "text"),
     [
         ({"grid": {"mass": 4}}, "mass is 4, expected different finite numbers or texts"),
-        ({"grid": {"mass": [4, 4]}}, "mass is .*4, 4.*, expected different"),
-        ({"grid": {"mass": [NAN]}}, "expected different finite numbers"),
         ({"grid": {"controller": [pm.PD(1, 1)]}}, "or a mapping of them"),
         ({"grid": {"mass": [4, -1]}}, r"mass is -1.* kg, expected > 0 \(at mass = -1\)"),
         ({"grid": {"time": [4]}}, "grid has 'time', which is also a name in the store"),
-        ({"grid": 3}, "grid is 3, expected a mapping with text as keys"),
-        ({"cases": {"a": {"mass": -1.0}}}, r"mass is -1.0 kg, expected > 0 \(at case = a\)"),
         ({"grid": {"n": [4, 5]}}, "n is 4 at n = 4 and 5 at n = 5, expected the same"),
         ({"grid": {"duration": [3.0, 6.0]}}, "time of the bands is every 0.1 s, 31 times at duration = 3 s"),
         (
             {"grid": {"controller.kp": [1.0, 2.0]}, "cases": {"stiff": {"controller.kp": 3.0}}},
             "grid and cases both change 'controller.kp', expected one of them",
         ),
-        (
-            {"grid": {"mass": [4, 5]}, "cases": {"light": {"robot.mass": 3.0}}},
-            "grid and cases both change '.*mass', expected one of them",
-        ),
         ({"grid": {"mass": range(1, 1001), "kp": range(1, 1001)}}, "grid and cases have 1,000,000 points"),
         ({"client": "tcp://"}, "client is 'tcp://', expected a distributed.Client"),
-        ({"version": " "}, "version is ' ', expected a word"),
-        (
-            {"grid": {"spread.mass": {"wide": pm.SameAs("start.x")}}},
-            r"are impossible; .*at spread.mass = wide",
-        ),
         (
             {"grid": {"mass": [1, 2]}, "cases": {"spread": {"spread.mass": pm.Uniform(1, 2)}}},
             "grid or cases have 'plant.mass', which the spread replaces for each robot",
@@ -258,15 +235,7 @@ RIVALS = {"controller": (("PD", "wild"),), "error": ((0.1, 0.2, 0.4),)}
     ("axes", "within", "diverged", "text"),
     [
         ({"kp": ((4, 9),)}, [1, INF], [0, 10], "with kp = 9, the robots diverge in 50 % of runs"),
-        ({"kp": ((4, 9),)}, [1, 2], 0, "with kp = 9, the robots stay within 2 m in 90 % of runs"),
         ({"e": ((1, 2),), "kp": ((4,), "1/s^2")}, [[1], [2]], 0, "with e = 2, the robots stay within 2 m"),
-        ({"kp": ((4, 9), "1/s^2")}, [1, 2], 0, "with kp = 9 1/s^2, the robots stay within 2 m"),
-        (
-            {"kp": ((4, 9, 16),)},
-            [INF, INF, INF],
-            [10, 19, 19],
-            "with kp = 9, the robots diverge in 95 % of runs",
-        ),
         (
             RIVALS,  # a rival that diverges everywhere leaves it to the other where the worst happens
             [[0.001, 0.004, 0.002], [INF, INF, INF]],
@@ -300,35 +269,16 @@ def test_the_answer_is_the_worst_case(axes: Any, within: Any, diverged: Any, tex
     assert len(axes) == 1 or text in turned.answer(0.9)
 
 
-def test_lengths_and_shares_in_words() -> None:
-    assert [format_length(x) for x in (2.5, 0.012, 3e-5, 1e-9, INF)] == [
-        "2.5 m",
-        "12 mm",
-        "30 µm",
-        "1 nm",
-        "unbounded",
-    ]
-    for exact, text in ((1.0, "1 m"), (1e-3, "1 mm"), (1e-6, "1 µm")):
-        assert [format_length(exact * (1 + off)) for off in (0, 1e-15, -1e-15, -1e-9)] == [text] * 4
-    alone = summarize({"PD": 0.1, "wild": INF}, 0.99, {"PD": 0, "wild": 1}, 1)
-    assert alone == "PD stays within 100 mm, wild diverges"
-    many = summarize({"the robots": INF}, 0.99, {"the robots": 19_285}, 19_286)
-    assert many == "the robots diverge in more than 99 % of runs"
-
-
 @pytest.mark.long
-@pytest.mark.parametrize("robots", [0, 264])
 @pytest.mark.once
-def test_a_killed_sweep_resumes_and_ends_with_the_same_store(
-    done: pm.Sweep, tmp_path: Path, robots: int
-) -> None:
+def test_a_killed_sweep_resumes_and_ends_with_the_same_store(done: pm.Sweep, tmp_path: Path) -> None:
     store = tmp_path / "store"
-    words = [sys.executable, "-m", "tests.sweeping", str(store), str(robots)]
+    words = [sys.executable, "-m", "tests.sweeping", str(store), "264"]
     assert subprocess.run(words, cwd=ROOT, check=False, timeout=100).returncode == -signal.SIGKILL
     (store / ".writing").write_bytes(b"half")  # as of a process that dies while it writes a file
     heard: list[int] = []
     swept(store, chunk=None, progress=lambda now, total: heard.append(now))
-    assert (heard[0], heard[-1]) == (robots, 800)
+    assert (heard[0], heard[-1]) == (264, 800)
     assert contents(store) == contents(done.path)
 
 
@@ -353,12 +303,8 @@ def test_a_sweep_on_its_way_says_how_much_is_done(done: pm.Sweep, tmp_path: Path
     ("file", "robots"),
     [
         ("max_error/c/1/0/2/0", 736),
-        ("diverged_at/c/0/1/0", 736),
-        ("drawn_mass/c/1/1/3", 792),
         ("counts/c/0/0/0/0/0/0", 736),
-        ("quantiles/c/1/1/0/0/0", 800),
         ("controller.kp/c/0", 800),
-        ("max_error/zarr.json", 800),
     ],
 )
 def test_a_file_that_is_gone_is_computed_again(done: pm.Sweep, copy: Path, file: str, robots: int) -> None:
@@ -373,23 +319,6 @@ def test_a_file_that_is_gone_is_computed_again(done: pm.Sweep, copy: Path, file:
 
 
 @pytest.mark.parametrize(
-    "damage", [lambda b: b[: len(b) // 2], lambda b: b"", lambda b: b[:-9] + bytes([b[-9] ^ 1]) + b[-8:]]
-)
-@pytest.mark.parametrize("file", ["max_distance/c/1/0/2", "counts/c/1/0/0/0/0/0"])
-def test_a_file_that_cannot_be_read_is_named(
-    done: pm.Sweep, copy: Path, file: str, damage: Callable[[bytes], bytes]
-) -> None:
-    path = copy / file
-    path.write_bytes(damage(path.read_bytes()))
-    found = pm.Sweep.open(copy, scenario(), grid=GRID)
-    with refused(rf"in which '.*{file}' cannot be read: .*; remove that file"):
-        found.ensemble(**{"controller.kp": 16, "spread.mass": 0.1})
-    path.unlink()
-    swept(copy)
-    assert contents(copy) == contents(done.path)
-
-
-@pytest.mark.parametrize(
     ("base", "grid", "text"),
     [
         (
@@ -397,14 +326,7 @@ def test_a_file_that_cannot_be_read_is_named(
             {**GRID, "controller.kp": [4, 25]},
             r"axis controller\.kp is \[4, 16\] there and \[4, 25\] here",
         ),
-        ({"n": 100}, GRID, "n is 200 there and 100 here"),
         ({"seed": 2}, GRID, "seed is 1 there and 2 here"),
-        ({"dt": 0.05}, GRID, r"dt is 0\.1 there and 0\.05 here"),
-        (
-            {"trajectory": pm.Tangent(pm.Circle(2, 0.1, 6))},
-            GRID,
-            r"trajectory\.path\.radius is 3\.0 there and 2\.0",
-        ),
     ],
 )
 def test_a_store_of_another_sweep_is_refused(done: pm.Sweep, base: Any, grid: Any, text: str) -> None:
@@ -430,24 +352,11 @@ def test_wrong_labels(done: pm.Sweep) -> None:
         done.error_quantile(2)
 
 
-def test_a_missing_package_names_the_extra(done: pm.Sweep, tmp_path: Path) -> None:
-    code = f"""if True:
-        import sys
-        from pinmobile import InvalidArgument, Sweep
-        from tests.sweeping import *
-
-        for name in ("zarr", "xarray"):
-            sys.modules[name] = None
-            for call in (lambda: Sweep.open({str(done.path)!r}), lambda: swept({str(tmp_path / "new")!r})):
-                try:
-                    call()
-                except InvalidArgument as error:
-                    assert f"needs {{name}}, which is not installed: pip install dask" in str(error)
-                else:
-                    raise AssertionError
-            del sys.modules[name]
-        """
-    subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True, timeout=100)
+def test_a_missing_package_names_the_extra(done: pm.Sweep) -> None:
+    code = "import sys; sys.modules['zarr'] = None; from pinmobile import Sweep; Sweep.open(sys.argv[1])"
+    words = [sys.executable, "-c", code, str(done.path)]
+    ended = subprocess.run(words, capture_output=True, text=True, check=False, timeout=100)
+    assert "a sweep needs zarr, which is not installed: pip install dask" in ended.stderr
 
 
 def test_a_robot_may_be_an_axis(tmp_path: Path) -> None:

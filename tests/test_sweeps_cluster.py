@@ -7,9 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import suppress
 from pathlib import Path
-from threading import Thread
 from typing import Any
 
 import pytest
@@ -112,20 +110,7 @@ def test_what_is_no_scheduler_is_given_up() -> None:
             SchedulerError, match=r"which does not answer .* expected an address such as tcp://"
         ):
             connect(wrong, timeout=0.5)
-    with socket.create_server(("127.0.0.1", 0)) as other:
-
-        def serve() -> None:
-            with suppress(OSError), other.accept()[0] as answered:
-                answered.sendall(b"HTTP/1.1 400 Bad Request\r\n\r\n" * 4)
-                answered.recv(1)
-
-        serving = Thread(target=serve)
-        serving.start()
-        with pytest.raises(SchedulerError, match=r"which does not answer within 5 s"):
-            connect(f"tcp://127.0.0.1:{other.getsockname()[1]}", timeout=5)
-        other.shutdown(socket.SHUT_RDWR)
-        serving.join()
-    assert time.monotonic() - before < 20
+    assert time.monotonic() - before < 15
 
 
 def test_a_closed_client_and_a_cluster_without_workers_are_refused(

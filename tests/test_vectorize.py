@@ -1,7 +1,6 @@
 """Functions of one state, evaluated over leading axes by machine code: against one state after another."""
 
 import sys
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,6 @@ from pinmobile import InvalidArgument, MobileRobot, PayloadBody, arrays, vectori
 from pinmobile.arrays import Array
 from pinmobile.errors import NotFinite, NotTraceable
 from pinmobile.urdf import Body
-from tests.looping import Body as Plain
 from tests.test_linkage import AT, arm_of
 
 CLOSE = 1e-10  # of the largest number; forward dynamics lose the digits of M's condition
@@ -113,13 +111,6 @@ def test_several_arrays_of_any_axes_come_back() -> None:
     np.testing.assert_allclose(times, np.sin(np.arange(5.0))[:, None] * x, rtol=1e-12, atol=1e-14)
 
 
-def test_methods_of_any_object_are_taken() -> None:
-    body = Plain(12.0, 0.9, (0.2, -0.1))
-    q, v, u = RNG.normal(size=(3, 103, 3))
-    forward = vectorize(body.forward_dynamics, keep=False)
-    np.testing.assert_allclose(forward(q, v, u), body.forward_dynamics(q, v, u), rtol=1e-12, atol=1e-13)
-
-
 def test_what_is_refused() -> None:
     robot = ROBOTS["ur5"]
     q, v, _ = states(robot)
@@ -160,36 +151,6 @@ def test_what_cannot_be_compiled_says_why() -> None:
         vectorize(ROBOTS["bare"].frame_pose)(np.zeros((5, 3)), "x")
     with pytest.raises(NotTraceable, match="linearize of a MobileRobot"):
         vectorize(ROBOTS["bare"].linearize)(*np.zeros((3, 5, 3)))
-
-
-def test_what_is_another_function_each_time_is_refused() -> None:
-    count = [0]
-
-    def counting(x: Any) -> Any:
-        count[0] += 1
-        return x * count[0]
-
-    with pytest.raises(NotTraceable, match="with symbols, the function computes something else"):
-        vectorize(counting, keep=False)(np.ones((4, 3)))
-
-
-def test_threads_share_it() -> None:
-    robot = ROBOTS["bare"]
-    q, v, _ = states(robot)
-    law = vectorize(robot.nonlinear_effects, keep=False)
-    expected = law(q, v)
-    with ThreadPoolExecutor(4) as pool:
-        for found in pool.map(lambda _: law(q, v), range(16)):
-            np.testing.assert_array_equal(found, expected)
-
-
-def test_a_direction_that_is_lost_has_no_volume() -> None:
-    robot = MobileRobot.box().mount("ur5")
-    q = np.zeros((COUNT, robot.nq))  # the wrist's two axes and the arm are in line
-    q[1:] = states(robot, COUNT - 1)[0]
-    volumes = vectorize(robot.arm_manipulability, keep=False)(q)
-    assert 0 <= volumes[0] < 1e-12
-    assert volumes[1:].max() > 0.01
 
 
 def test_kinetic_energy_knows_motors_on_axes_of_their_own() -> None:

@@ -1,7 +1,6 @@
 """The viewer: what it records and shows is where the rollout says, in a real browser without a screen."""
 
 import io
-import json
 import math
 import os
 import re
@@ -28,7 +27,7 @@ from pinmobile.arrays import Array
 from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE
 from pinmobile.errors import ViewerError
 from pinmobile.palette import colour
-from pinmobile.viewer import Arrows, FixedCamera, Follow, Overlays, Recording, Viewer, scene_tree as shapes
+from pinmobile.viewer import Arrows, FixedCamera, Follow, Overlays, Recording, Viewer
 from pinmobile.viewer.recording import Browser, gif as encoded_gif
 from pinmobile.viewer.scene_tree import Stage, simplify
 from tests.chromium import Chromium, Page
@@ -108,11 +107,6 @@ def sees(page: Page, shade: tuple[int, int, int], near: tuple[float, float]) -> 
     return bool((pixels @ wanted / np.maximum(length, 1) > 0.985).mean() > 0.5)
 
 
-def sees_any(page: Page, shade: tuple[int, int, int], near: tuple[float, float]) -> bool:
-    """Tell whether there is a pixel about there of just that colour."""
-    return bool((np.abs(patch(page, near, 5) - np.array(shade)).max(axis=1) < 40).any())
-
-
 def tracks(recording: Recording) -> dict[tuple[str, str], dict[str, Any]]:
     return {
         (animation["path"], track["name"]): track
@@ -123,11 +117,6 @@ def tracks(recording: Recording) -> dict[tuple[str, str], dict[str, Any]]:
 
 def pose(run: pm.Rollout, t: float) -> Array:
     return np.array([np.interp(t, run.t, column) for column in run.q.T])
-
-
-def place(run: pm.Rollout, t: float) -> tuple[float, float]:
-    x, y, _ = pose(run, t)
-    return float(x), float(y)
 
 
 def side(robot: pm.MobileRobot, at: Array) -> tuple[float, float, float]:
@@ -154,14 +143,6 @@ def test_a_recordings_tracks_are_the_rollouts_poses(viewer: Viewer, runs: Runs) 
         assert not x.any()
         assert not y.any()
         np.testing.assert_allclose(np.unwrap(2 * np.arctan2(z, w), period=4 * np.pi), run.q[:, 2], atol=3e-6)
-
-
-def test_frames_between_two_samples_lie_between_them(viewer: Viewer, runs: Runs) -> None:
-    run = runs["PD"]
-    moved = tracks(viewer.record(run, fps=30, speed=4))["meshcat/robot0", ".position"]
-    assert np.allclose(np.diff(moved["times"]), 4 / 30, atol=2e-4)
-    expected = np.stack([np.interp(moved["times"], run.t, run.q[:, k]) for k in (0, 1)], axis=-1)
-    np.testing.assert_allclose(np.reshape(moved["values"], (-1, 3))[:, :2], expected, atol=4e-5)
 
 
 def test_frames_are_where_the_tables_say(viewer: Viewer, runs: Runs) -> None:
@@ -218,37 +199,6 @@ def test_a_recorded_page_shows_the_robot_where_its_pose_projects(
     assert not sees(page, BLUE, spots[0])
 
 
-def test_a_recorded_page_plays_at_once_and_again(
-    page: Page, viewer: Viewer, runs: Runs, tmp_path: Path
-) -> None:
-    opened(page, viewer.record(runs, speed=100), tmp_path)
-    page.wait_for_changes("viewer.animator.time", 1, -1)
-    assert page.evaluate("document.getElementById('speed').value") == "100"
-    page.evaluate("document.getElementById('toggle').click()")
-    page.frames()
-    stood = page.evaluate("viewer.animator.time")
-    page.frames(3)
-    assert page.evaluate("viewer.animator.time") == stood
-
-
-def test_the_trail_grows(page: Page, viewer: Viewer, runs: Runs, tmp_path: Path) -> None:
-    run = runs["PD"]
-    opened(page, viewer.record(run), tmp_path)
-    drawn = "viewer.scene_tree.find(['meshcat', 'trail0', '<object>']).object.geometry.drawRange.count"
-    counts = []
-    for t in (0, 15, 30, 60):
-        page.evaluate(f"pinmobile.seek({t})")
-        counts.append(page.evaluate(drawn))
-    assert counts[0] == 0
-    assert counts == sorted(set(counts))
-    assert counts[2] == pytest.approx(counts[3] / 2, rel=0.01)
-    page.evaluate("pinmobile.seek(30)")
-    page.frames()
-    travelled, ahead = (projected(page, (*place(run, t), 0.0)) for t in (10.0, 50.0))
-    assert sees_any(page, BLUE, travelled)
-    assert not sees_any(page, BLUE, ahead)
-
-
 def test_a_second_rollout_is_a_ghost(page: Page, viewer: Viewer, apart: Runs, tmp_path: Path) -> None:
     opened(page, viewer.record(apart, overlays=Overlays(trail=False, path=False)), tmp_path)
     t = float(apart["bad"].t[np.abs(apart["bad"].error[:, 0]).argmax()])
@@ -268,13 +218,6 @@ def test_a_second_rollout_is_a_ghost(page: Page, viewer: Viewer, apart: Runs, tm
     assert legend.split("\n") == ["good", "bad"]
 
 
-def test_the_desired_pose_is_a_ghost_too(viewer: Viewer, apart: Runs) -> None:
-    run = apart["bad"]
-    found = tracks(viewer.record(run, fps=20, overlays=Overlays(desired=True)))
-    moved = np.reshape(found["meshcat/desired", ".position"]["values"], (-1, 3))
-    np.testing.assert_allclose(moved[:, :2], run.reference.q[:, :2], atol=6e-6)
-
-
 def test_a_camera_follows_or_stays(page: Page, viewer: Viewer, runs: Runs, tmp_path: Path) -> None:
     run = runs["PD"]
     opened(page, viewer.record(run, overlays=Overlays(camera=Follow(3.0))), tmp_path)
@@ -292,47 +235,12 @@ def test_a_camera_follows_or_stays(page: Page, viewer: Viewer, runs: Runs, tmp_p
         assert math.dist(projected(page, (1, 1, 0)), (450, 300)) < 1
 
 
-@pytest.mark.parametrize("size", [(900, 600), (420, 800)])
-def test_the_whole_path_is_seen_at_the_first_glance(
-    page: Page, viewer: Viewer, runs: Runs, tmp_path: Path, size: tuple[int, int]
-) -> None:
-    page.resize(*size)
-    opened(page, viewer.record(runs), tmp_path)
-    page.frames(3)
-    for x, y in runs["PD"].reference.q[::50, :2]:
-        at = projected(page, (x, y, 0))
-        assert 0 < at[0] < size[0]
-        assert 0 < at[1] < size[1] - 60  # above the player
-    spread = [projected(page, (x, 3, 0))[0] for x in (-3, 3)]
-    assert spread[1] - spread[0] > 0.4 * min(size[0], 1.5 * size[1])
-
-
-def test_a_robot_that_stands_can_be_recorded(page: Page, viewer: Viewer, runs: Runs, tmp_path: Path) -> None:
-    run = runs["PD"]
+def test_a_robot_that_stands_can_be_recorded(viewer: Viewer, runs: Runs) -> None:
+    run, still = runs["PD"], np.zeros((1, 3))
     parts = {name: getattr(run, name)[:1] for name in ("t", "v", "a", "u", "error")}
-    still = np.zeros((1, 3))
     stands = pm.Rollout(plant=run.plant, q=still, reference=type(run.reference)(still, still, still), **parts)
     overlays = Overlays(arrows=Arrows(), desired=True, body_frame=True, frames=(SLIDE_TABLE,))
-    opened(page, viewer.record(stands, overlays=overlays), tmp_path)
-    page.evaluate("pinmobile.seek(0)")
-    assert sees(page, BLUE, projected(page, side(viewer.plant, np.zeros(3))))
-
-
-def test_overlays_are_equal_by_value() -> None:
-    def given() -> Overlays:
-        return Overlays(arrows=Arrows(0.5), camera=FixedCamera((1.0, 2.0, 3.0), (0.0, 0.0, 0.0)))
-
-    assert given() == given()
-    assert len({given(), given(), Overlays(), Overlays(trail=False)}) == 3
-
-
-def test_a_page_is_one_file_that_names_no_other(viewer: Viewer, runs: Runs, tmp_path: Path) -> None:
-    text = viewer.record(runs, title="<b> & more").save_html(tmp_path / "scene.html").read_text()
-    assert "<title>&lt;b&gt; &amp; more</title>" in text
-    assert not re.search(r'(src|href)="(?!data:)', text)
-    animation = re.search(r'id="animation">(.*?)</script>', text)
-    assert animation is not None
-    assert json.loads(animation[1])["end"] == 60
+    assert ("meshcat/body", ".position") in tracks(viewer.record(stands, overlays=overlays))
 
 
 # Live
@@ -365,31 +273,18 @@ def test_play_goes_through_the_rollout_in_its_time(page: Page, live: Viewer, apa
     page.open(live.url)
     live.wait(20)
     began = time.perf_counter()
-    playing = threading.Thread(target=live.play, args=(apart["good"],), kwargs={"speed": 5})
+    playing = threading.Thread(target=live.play, args=(apart["good"],), kwargs={"speed": 10})
     playing.start()
     page.wait_for("document.getElementById('caption').textContent.includes('t = 1')")
     page.wait_for("viewer.scene_tree.find(['meshcat', 'trail0', '<object>']).object.drawn > 100")
     playing.join()
-    assert 4.0 <= time.perf_counter() - began < 20  # 4.0 on a machine that does nothing else
+    assert 2.0 <= time.perf_counter() - began < 20  # 2.0 on a machine that does nothing else
     page.wait_for("document.getElementById('caption').textContent.includes('t = 20.0 s')")
     page.frames()
     assert sees(page, BLUE, projected(page, side(live.plant, apart["good"].q[-1])))
     live.display((1, 1, 0))  # the same scene, and the robot elsewhere
     page.wait_for("viewer.scene_tree.find(['meshcat', 'robot0']).object.position.y === 1")
     assert page.evaluate("document.getElementById('legend').innerText") == "desired\ntravelled"
-
-
-def test_display_is_safe_from_several_threads(live: Viewer) -> None:
-    def move(k: int) -> None:
-        for step in range(200):
-            live.display((k, step / 100, 0))
-
-    threads = [threading.Thread(target=move, args=(k,)) for k in range(4)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join(30)
-    assert not any(thread.is_alive() for thread in threads)
 
 
 def test_ctrl_c_ends_play_and_the_viewer_goes_on(live: Viewer, apart: Runs) -> None:
@@ -410,33 +305,11 @@ def test_a_screenshot_is_of_the_time_that_is_asked_for(
     viewer: Viewer, runs: Runs, browser: Chromium, tmp_path: Path
 ) -> None:
     recording = viewer.record(runs["PD"])
-    early = recording.screenshot(tmp_path / "early.png", t=3, size=(600, 400)).read_bytes()
-    late = viewer.screenshot(tmp_path / "late.png", t=50, size=(600, 400))
+    early = recording.screenshot(tmp_path / "early.png", t=3, size=(300, 200)).read_bytes()
+    late = viewer.screenshot(tmp_path / "late.png", t=50, size=(300, 200))
     with Image.open(late) as picture:
-        assert picture.size == (600, 400)
+        assert picture.size == (300, 200)
     assert late.read_bytes() != early
-    assert (
-        recording.screenshot(tmp_path / "again.png", t=50, size=(600, 400)).read_bytes() == late.read_bytes()
-    )
-
-
-@pytest.mark.parametrize("width", [300, 1000])
-def test_caption_and_legend_never_overlap(
-    page: Page, viewer: Viewer, runs: Runs, tmp_path: Path, width: int
-) -> None:
-    page.resize(width, 560)
-    opened(page, viewer.record(runs), tmp_path)
-    page.frames()
-    boxes = page.evaluate(
-        "['caption', 'legend'].map((id) => { const b = document.getElementById(id).getBoundingClientRect();"
-        "return [b.left, b.top, b.right, b.bottom]; })"
-    )
-    caption, legend = np.array(boxes)
-    assert bool(legend[1] >= caption[3]) or width > 300
-    assert legend[1] >= caption[3] or legend[0] >= caption[2]
-    for box in (caption, legend):
-        assert (box >= 0).all()
-        assert box[2] <= width
 
 
 @pytest.mark.long
@@ -444,16 +317,16 @@ def test_gifs_and_films(viewer: Viewer, runs: Runs, browser: Chromium, tmp_path:
     recording = viewer.record(runs, speed=60)
     seen: list[tuple[int, int]] = []
     path = recording.save_gif(
-        tmp_path / "a.gif", fps=8, size=(240, 160), progress=lambda *step: seen.append(step)
+        tmp_path / "a.gif", fps=4, size=(240, 160), progress=lambda *step: seen.append(step)
     )
     with Image.open(path) as gif:
-        assert (gif.size, getattr(gif, "n_frames", 0)) == ((240, 160), 9)
-    assert seen == [(k, 9) for k in range(1, 10)]
+        assert (gif.size, getattr(gif, "n_frames", 0)) == ((240, 160), 5)
+    assert seen == [(k, 5) for k in range(1, 6)]
     with pytest.raises(ZeroDivisionError):  # an interrupt leaves no browser and no file
-        recording.save_gif(tmp_path / "b.gif", fps=8, size=(240, 160), progress=lambda *step: 1 // 0)
+        recording.save_gif(tmp_path / "b.gif", fps=4, size=(240, 160), progress=lambda *step: 1 // 0)
     assert not (tmp_path / "b.gif").exists()
     pytest.importorskip("imageio_ffmpeg", reason="needs the extra mp4")
-    film = recording.save_mp4(tmp_path / "a.mp4", fps=8, size=(240, 160)).read_bytes()
+    film = recording.save_mp4(tmp_path / "a.mp4", fps=4, size=(240, 160)).read_bytes()
     assert film[4:8] == b"ftyp"
 
 
@@ -476,28 +349,18 @@ def test_a_gif_has_the_colours_of_what_comes_late() -> None:
     ("call", "text"),
     [
         (lambda v, r: v.display((1, np.nan, 0)), "q[1] is nan, expected a finite number"),
-        (lambda v, r: v.display((1, 2)), "q has shape (2,), expected (3,)"),
         (lambda v, r: v.record(r.q), "expected a Rollout or a mapping"),
-        (lambda v, r: v.record({"a": 3}), "rollout['a'] is 3, expected a Rollout"),
-        (lambda v, r: v.record(r, fps=0), "fps is 0.0 1/s, expected > 0"),
         (lambda v, r: v.record(r, fps=1e9), "expected <= 200000"),
-        (lambda v, r: v.record(r, speed=-1), "speed is -1.0, expected > 0"),
-        (lambda v, r: v.record(r, overlays="trail"), "overlays is 'trail', expected Overlays"),
         (lambda v, r: v.play(r), "play needs a live viewer: Viewer(plant, live=True)"),
         (lambda v, r: v.screenshot("a.png", t=1), "call record first"),
         (lambda v, r: v.screenshot("a.png"), "call display or play first"),
         (lambda v, r: v.record(r).screenshot("a.png", t=61), "t is 61.0 s, expected 0 <= t <= 60 s"),
-        (lambda v, r: v.record(r).screenshot("a.png", size=3), "size is 3, expected width"),
         (lambda v, r: v.record(r).save_gif("a.gif", fps=80), "expected 0 < fps <= 50 1/s"),
         (lambda v, r: v.record(r).save_html("a.htm"), "expected a name that ends in '.html'"),
         (lambda v, r: v.record(r).save_gif("/no/a.gif"), "which cannot be written"),
         (lambda v, r: v.record(r).save_mp4("a.mp4", size=(99, 100)), "expected even numbers"),
         (lambda v, r: Viewer("robot"), "plant is 'robot', expected a MobileRobot, or a plant with pose(q)"),
         (lambda v, r: Overlays(frames=("lecture",)), "frames has 'lecture', expected tables"),  # type: ignore[arg-type]
-        (lambda v, r: Overlays(camera=None), "camera is None, expected"),  # type: ignore[arg-type]
-        (lambda v, r: Follow(-1), "distance is -1.0 m, expected > 0"),
-        (lambda v, r: FixedCamera(eye=(1, 2)), "eye has shape (2,), expected (3,)"),
-        (lambda v, r: Arrows(force=0), "force is 0.0 m/N, expected > 0"),
     ],
 )
 def test_what_cannot_be_shown_is_refused(
@@ -548,14 +411,6 @@ def test_no_chromium_is_said_before_anything_is_written(
     with pytest.raises(ViewerError, match="PINMOBILE_CHROMIUM is 'nothing', expected a program"):
         recording.save_gif(tmp_path / "a.gif")
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_chromium_that_dies_is_told(
-    viewer: Viewer, runs: Runs, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("PINMOBILE_CHROMIUM", "/bin/false")
-    with pytest.raises(ViewerError, match="the browser has ended"):
-        viewer.record(runs).screenshot(tmp_path / "a.png")
 
 
 @pytest.mark.parametrize(("user", "flagged"), [(0, True), (1000, False)])
@@ -667,13 +522,7 @@ def test_the_box_stands_on_the_ground_and_shows_its_front() -> None:
     assert wedge.placement.translation.tolist() == [0, 0, 0.2]
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert pm.MobileRobot.from_urdf(_shipped()).visual_model.ngeoms == 3
-
-
-def _shipped() -> Path:
-    from pinmobile.urdf import shipped_urdf
-
-    return shipped_urdf("lecture")
+        assert pm.MobileRobot.from_urdf(pm.urdf.shipped_urdf("lecture")).visual_model.ngeoms == 3
 
 
 # The command
@@ -747,29 +596,12 @@ def test_a_coarse_mesh_has_about_that_share_and_the_same_shape() -> None:
     assert (outward > -1e-12).mean() > 0.99  # seen from outside still
 
 
-def test_what_is_fine_enough_or_no_mesh_stays() -> None:
-    few, fine, box = sphere(4), sphere(20), coal.Box(1, 1, 1)
-    assert simplify(fine, 1.0) is fine
-    assert simplify(few, 0.01) is few
-    assert simplify(fine, 0.001).num_tris > 100
-    assert simplify(box, 0.1) is box
-
-
 @pytest.mark.long
 def test_a_page_of_a_robot_with_hundreds_of_thousands_of_triangles_stays_small() -> None:
     robot = pm.MobileRobot.box().mount("g1")  # 290,000
     with Viewer(robot) as viewer:
         viewer.display(robot.rest)
         assert len(viewer.static_html()) < 6e6
-
-
-def test_bands_along_many_lines_are_the_ribbon_of_each() -> None:
-    lines = np.random.default_rng(0).normal(size=(5, 2, 2))
-    vertices, faces = shapes.merge([shapes.ribbon(line, 0.01) for line in lines])
-    found = shapes.bands(lines, 0.01)
-    np.testing.assert_array_equal(found[0], vertices)
-    np.testing.assert_array_equal(found[1], faces)
-    assert found[1].dtype == faces.dtype
 
 
 def test_a_ramp_inclines_the_scene_and_gravity_points_down(monkeypatch: pytest.MonkeyPatch) -> None:
