@@ -95,6 +95,20 @@ def test_one_wrong_pose_is_one_outlier_at_the_ends_too(row: int) -> None:
     np.testing.assert_allclose(spoiled.noise, before.noise, rtol=0.02)
 
 
+def test_rows_with_jitter_of_their_times_are_all_used() -> None:
+    jitter = np.random.default_rng(0).normal(0, 0.2, 800).clip(-0.4, 0.4)
+    jitter[0], lost = -0.4, (100, 300, 301)
+    t = 0.05 * np.delete(np.arange(800) + jitter, lost)
+    u = np.pad(np.random.default_rng(1).normal(size=(len(t) - 4, 3)), ((2, 2), (0, 0)))
+    even = pm.Log(t, np.outer(t, [1, 0, 0]), u).samples("q")
+    assert even.dt == pytest.approx(0.05, rel=2e-5)
+    assert len(even.t) - even.is_valid.sum() == len(lost)
+    assert even.is_valid.sum() == len(t)
+    assert even.q is not None
+    assert even.q[0, 0] == pytest.approx(0.0, abs=1.5e-3)  # a sample at the mean of the jitter
+    np.testing.assert_allclose(even.dt * even.u[1:-1].sum(axis=0), np.diff(t) @ u[:-1], atol=1e-9)
+
+
 def test_an_offset_that_a_motion_does_not_tell_from_friction_is_taken_as_zero_and_said() -> None:
     forward = pm.identify(straight(), pm.MobileRobot(30.0, 1.5), method="weak")
     assert not any(name.startswith("offset") for name in forward.names)
