@@ -8,7 +8,7 @@ from hypothesis import given, strategies as st
 from matplotlib.colors import to_hex
 
 from pinmobile import InvalidArgument, MobileRobot, plots, rk4
-from pinmobile.accuracy import Convergence, IntegratorReport, free_motion, integrator_report
+from pinmobile.accuracy import Convergence, IntegratorReport, free_motion, integrator_report, invariants
 from pinmobile.arrays import Array
 from pinmobile.integrators import constant_acceleration, semi_implicit_euler
 from pinmobile.palette import colour
@@ -104,6 +104,18 @@ def test_the_free_motion_obeys_the_robots_own_dynamics(robot: MobileRobot, t: fl
     np.testing.assert_allclose(v, (after - before) / (2 * h), rtol=0, atol=1e-6)
     a = robot.forward_dynamics(q, v, np.zeros(3))
     np.testing.assert_allclose(a, (faster - slower) / (2 * h), rtol=0, atol=1e-6)
+
+
+@given(robot=robots, seed=st.integers(0, 2**32 - 1))
+def test_what_is_conserved_is_the_generalised_momentum(robot: MobileRobot, seed: int) -> None:
+    """M v is the momentum, and that about the body's origin; x p_y - y p_x takes it to the inertial one."""
+    q, v = np.random.default_rng(seed).normal(size=(2, 3))
+    p = robot.mass_matrix(q) @ v
+    now = invariants(robot, q, v)
+    scale = 1e-12 * np.abs(p).max() * (1 + np.abs(q).max())
+    np.testing.assert_allclose(now.momentum, p[:2], rtol=0, atol=scale + 1e-13)
+    assert now.angular_momentum == pytest.approx(p[2] + q[0] * p[1] - q[1] * p[0], abs=scale + 1e-12)
+    assert now.energy == pytest.approx(robot.kinetic_energy(q, v), rel=1e-11)
 
 
 def made(errors: Any, rounding: float = 1e-12) -> Convergence:
