@@ -13,18 +13,11 @@ from pinmobile.arrays import Array
 from pinmobile.integrators import constant_acceleration, semi_implicit_euler
 from pinmobile.palette import colour
 
-ROBOT = MobileRobot(10, 1.2, com=(0.15, 0.05))
 ORDERS = {"constant_acceleration": 1, "semi_implicit_euler": 1, "rk4": 4}
 KEPT = ("position", "momentum", "angular_momentum", "energy")
 
 
 Reports = dict[str, IntegratorReport]
-
-
-def heun(acceleration: Any, t: float, q: Array, v: Array, dt: float) -> tuple[Array, Array]:
-    a = acceleration(t, q, v)
-    b = acceleration(t + dt, q + dt * v, v + dt * a)
-    return q + dt * v + dt**2 / 2 * a, v + dt / 2 * (a + b)
 
 
 def twice_as_fast(acceleration: Any, t: float, q: Array, v: Array, dt: float) -> tuple[Array, Array]:
@@ -60,15 +53,6 @@ def test_in_the_loop_the_order_is_the_methods_within_a_sample_and_one_over_sampl
 ) -> None:
     report = reports[name]
     assert report.substeps.order == pytest.approx(ORDERS[name], abs=0.05)
-    assert report.sampling.order == pytest.approx(1, abs=0.05)
-
-
-def test_a_users_own_method_shows_its_order() -> None:
-    """Heun's is of order 2; its quadrature of the free body is the trapezoidal rule."""
-    report = integrator_report(heun, ROBOT, steps=(0.08, 0.04, 0.02), duration=1.6)
-    assert report.integrator == "heun"
-    for row in (*(getattr(report, name) for name in KEPT), report.substeps):
-        assert row.order == pytest.approx(2, abs=0.1), row.name
     assert report.sampling.order == pytest.approx(1, abs=0.05)
 
 
