@@ -8,23 +8,16 @@ from hypothesis import given, strategies as st
 from matplotlib.colors import to_hex
 
 from pinmobile import InvalidArgument, MobileRobot, plots, rk4
-from pinmobile.accuracy import Convergence, IntegratorReport, free_motion, integrator_report
+from pinmobile.accuracy import Convergence, IntegratorReport, free_motion, integrator_report, invariants
 from pinmobile.arrays import Array
 from pinmobile.integrators import constant_acceleration, semi_implicit_euler
 from pinmobile.palette import colour
 
-ROBOT = MobileRobot(10, 1.2, com=(0.15, 0.05))
 ORDERS = {"constant_acceleration": 1, "semi_implicit_euler": 1, "rk4": 4}
 KEPT = ("position", "momentum", "angular_momentum", "energy")
 
 
 Reports = dict[str, IntegratorReport]
-
-
-def heun(acceleration: Any, t: float, q: Array, v: Array, dt: float) -> tuple[Array, Array]:
-    a = acceleration(t, q, v)
-    b = acceleration(t + dt, q + dt * v, v + dt * a)
-    return q + dt * v + dt**2 / 2 * a, v + dt / 2 * (a + b)
 
 
 def twice_as_fast(acceleration: Any, t: float, q: Array, v: Array, dt: float) -> tuple[Array, Array]:
@@ -63,15 +56,6 @@ def test_in_the_loop_the_order_is_the_methods_within_a_sample_and_one_over_sampl
     assert report.sampling.order == pytest.approx(1, abs=0.05)
 
 
-def test_a_users_own_method_shows_its_order() -> None:
-    """Heun's is of order 2; its quadrature of the free body is the trapezoidal rule."""
-    report = integrator_report(heun, ROBOT, steps=(0.08, 0.04, 0.02), duration=1.6)
-    assert report.integrator == "heun"
-    for row in (*(getattr(report, name) for name in KEPT), report.substeps):
-        assert row.order == pytest.approx(2, abs=0.1), row.name
-    assert report.sampling.order == pytest.approx(1, abs=0.05)
-
-
 def test_what_holding_costs_does_not_depend_on_the_integrator(reports: Reports) -> None:
     held = [report.hold_error for report in reports.values()]
     assert max(held) == min(held)
@@ -104,6 +88,18 @@ def test_the_free_motion_obeys_the_robots_own_dynamics(robot: MobileRobot, t: fl
     np.testing.assert_allclose(v, (after - before) / (2 * h), rtol=0, atol=1e-6)
     a = robot.forward_dynamics(q, v, np.zeros(3))
     np.testing.assert_allclose(a, (faster - slower) / (2 * h), rtol=0, atol=1e-6)
+
+
+@given(robot=robots, seed=st.integers(0, 2**32 - 1))
+def test_what_is_conserved_is_the_generalised_momentum(robot: MobileRobot, seed: int) -> None:
+    """M v is the momentum, and that about the body's origin; x p_y - y p_x takes it to the inertial one."""
+    q, v = np.random.default_rng(seed).normal(size=(2, 3))
+    p = robot.mass_matrix(q) @ v
+    now = invariants(robot, q, v)
+    scale = 1e-12 * np.abs(p).max() * (1 + np.abs(q).max())
+    np.testing.assert_allclose(now.momentum, p[:2], rtol=0, atol=scale + 1e-13)
+    assert now.angular_momentum == pytest.approx(p[2] + q[0] * p[1] - q[1] * p[0], abs=scale + 1e-12)
+    assert now.energy == pytest.approx(robot.kinetic_energy(q, v), rel=1e-11)
 
 
 def made(errors: Any, rounding: float = 1e-12) -> Convergence:

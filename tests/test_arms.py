@@ -164,19 +164,6 @@ def test_locked_arms_are_a_load(robot: pm.MobileRobot) -> None:
     assert robot.base == pm.MobileRobot.box()
 
 
-@pytest.mark.parametrize("robot", [KINOVA, TWO, pm.MobileRobot.box().mount(pendulum(continuous=True), AT)])
-def test_integrate_and_difference_go_around_the_circle(robot: pm.MobileRobot) -> None:
-    q, v, _ = states(robot)
-    moved = robot.integrate(q, v)
-    assert moved.shape == (12, robot.nq)
-    np.testing.assert_allclose(robot.difference(q, moved), v, atol=1e-12)
-    np.testing.assert_array_equal(moved, q + v)  # unwrapped
-    circle = robot.mounts[-1].v.start  # the first joint of the last arm is one
-    turned = robot.integrate(q, 2 * np.pi * np.eye(robot.nv)[circle])
-    np.testing.assert_allclose(robot.difference(q, turned), 0, atol=1e-14)
-    np.testing.assert_array_equal(robot.integrate(q[:1], v)[4], robot.integrate(q[0], v[4]))
-
-
 def test_a_run_beyond_limits_reports_which_when_and_how_far_once() -> None:
     push = pm.law(lambda t, q, v, reference: np.where(np.arange(9) == 5, 1000.0, 0.0))
     with pytest.warns(LimitWarning) as told:

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-import pinmobile as pm
 from pinmobile import Coulomb, MobileRobot, Motor, PayloadBody, WheeledRobot, WheelTable
 
 MOTOR = Motor(resistance=2, torque_constant=0.5, voltage=24, current=3, source="data sheet")
@@ -72,9 +71,3 @@ def test_wheels_have_motors_with_stall_torque_and_top_speed() -> None:
     assert "supports        3 corners" in str(robot)
     car = WheelTable.car(0.5, 0.4, 0.1, spin_inertia=0.01, yaw_inertia=0.01, steering_limit=0.6)
     assert "+-0.6 rad" in str(WheeledRobot(MobileRobot(30.0, 1.3), car))
-
-
-def test_a_robot_without_known_supports_says_so() -> None:
-    line = WheeledRobot(MobileRobot(30.0, 1.3), WheelTable.differential(0.5, 0.1, spin_inertia=0.01))
-    assert str(line).endswith("supports are unknown, or lie on one line")
-    assert pm.MobileRobot.lecture().describe().startswith("body\n  mass            30 kg")

@@ -105,13 +105,6 @@ def test_at_a_knot_derivatives_are_those_from_the_right_and_at_the_end_from_the_
     assert (jerks[-1] == jerks[-2]).all()
 
 
-def test_where_the_origin_is_does_not_matter() -> None:
-    far = CubicVia((1e6, 1e6), (1e6 + 2, 1e6 + 2), (1e6, 1e6 + 4), 30, 60)
-    for order in (1, 2, 3):
-        t = np.linspace(0, 60, 50)
-        assert (far.derivative(t, order) == VIA_FREE.derivative(t, order)).all()
-
-
 # -- splines ---------------------------------------------------------------------------------------
 
 

@@ -320,6 +320,15 @@ def test_a_pose_paths_twist_and_rate_are_its_slopes() -> None:
     np.testing.assert_allclose(ends.twist[:, 3:], 0, atol=1e-15)
 
 
+def test_half_a_turn_of_a_pose_has_one_sense_whatever_rounding_leaves() -> None:
+    rng, unit = np.random.default_rng(7), np.array([-1, 1, 1]) / np.sqrt(3)
+    for off in (0, 1e-15, -1e-15, 1e-9, -1e-9):
+        target = START.copy()
+        target[:3, :3] = pin.exp3((np.pi + off) * unit) @ START[:3, :3] + rng.uniform(-1e-15, 1e-15, (3, 3))
+        # log3 is good to the root of rounding here; the leading entry of the axis is taken as positive.
+        np.testing.assert_allclose(pose_error(target, START)[3:], -np.pi * unit, rtol=0, atol=1e-6)
+
+
 def test_manipulability_is_yoshikawas() -> None:
     q = UR5.random_configuration(np.random.default_rng(5), (4, 2))
     J = UR5.frame_jacobian(q)

@@ -11,7 +11,6 @@ from pinmobile.arrays import Array
 from pinmobile.compiled.functions import tracing
 from pinmobile.compiled.symbolic import Symbols, entries, symbols
 from pinmobile.compiled.tape import Node, Tape, evaluate
-from pinmobile.errors import NotTraceable
 from pinmobile.parts import numbers, replace
 
 AT = (0.1, -0.05, 0.5, 0.4)
@@ -107,14 +106,3 @@ def test_dynamics_on_symbols_are_those_of_the_robot_with_such_numbers(name: str,
         found = traced.answer(getattr(traced.robot, method), *(on_tape[x] for x in letters), *options)
         assert found.shape == np.shape(expected), method
         assert np.abs(found - expected).max() < 1e-9 * (1e-2 + np.abs(expected).max()), method
-
-
-def test_what_symbols_cannot_have_is_named() -> None:
-    traced = Traced(ROBOTS["ur5"])
-    (q,) = traced.state(traced.other.rest)
-    with pytest.raises(NotTraceable, match="frame_placements of a MobileRobot, which accepts only numbers"):
-        traced.robot.frame_placements(q)
-    with pytest.raises(NotTraceable, match="the Pinocchio model of a MobileRobot with symbols as parameters"):
-        _ = traced.robot.model
-    with pytest.raises(NotTraceable, match="frame 'x', which is on a virtual link of the chain"):
-        ROBOTS["ur5"].frame_pose(q, "x")

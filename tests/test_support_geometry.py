@@ -186,10 +186,6 @@ def test_the_ground_may_be_given_in_place_of_the_files(tmp_path: Path) -> None:
     assert robot.com[2] == pytest.approx(0.18884 + 0.2 - 0.13228, abs=5e-6)
     assert robot.footprint is None  # no wheel is near it
     assert "ground as given, at z = -0.2 m" in robot.source
-    with refused(r"ground is nan, expected a finite number"):
-        read(tmp_path, wheeled.husky(), ground=np.nan)
-    with refused(r"ground has shape \(2,\), expected one number"):
-        read(tmp_path, wheeled.husky(), ground=[0, 0])
 
 
 def test_ground_above_the_centre_of_mass_is_refused(tmp_path: Path) -> None:

@@ -1,6 +1,5 @@
 """Robots that take speeds for commands: their law, what it follows from, and loops around them."""
 
-import pickle
 from typing import Any
 
 import numpy as np
@@ -180,16 +179,6 @@ def test_published_robots_say_where_they_come_from_and_what_they_break() -> None
         assert all(each in robot.source for each in robot.problems)
         _, _, three, four, five, six = robot.theta
         assert bool(robot.problems) == (four < 1 or six < 1 or three * five < 0) == (name != "robulab_10")
-
-
-def test_it_is_one_value() -> None:
-    robot = pm.VelocityRobot(THETA, ahead=0.1, limits=(0.8, np.inf), accelerations=1.0, source="a test")
-    assert pickle.loads(pickle.dumps(robot)) == robot
-    assert repr(robot) == (
-        "VelocityRobot([0.26, 0.25, 0.03, 1.1, 0.2, 1.2], ahead=0.1, limits=(0.8, np.inf), "
-        "accelerations=(1, 1))"
-    )
-    assert eval(repr(robot), {**globals(), **vars(pm)}) == evolved(robot, source="")
 
 
 def test_the_viewer_draws_it_on_its_axle() -> None:
