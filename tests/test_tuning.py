@@ -14,8 +14,8 @@ from pinmobile.derivatives import Constraint, Margins, Tuning, gradient, poles, 
 from pinmobile.errors import UnknownName
 from pinmobile.loop import Relative
 from pinmobile.metrics import Metric
-from pinmobile.parts import replace
-from tests.frozen import BODY, WRONG, loops
+from pinmobile.parts import array, part, replace
+from tests.frozen import BODY, CIRCLE, WRONG, loops
 from tests.test_derivatives import loss
 
 PATH = pm.Tangent(pm.Circle(2.0, 0.5, 6.0))
@@ -395,3 +395,33 @@ def test_an_impossible_constraint_and_numbers_without_effect_are_stated() -> Non
     assert "of them exceed a constraint, by up to " in str(found)
     still = tune("distance", BODY, LAW, PATH, by=["kp"], dt=0.02, q0=[5.0, 0.0, 0.0], duration=0.04)
     assert "no number changes the loss" in still.method
+
+
+@part
+class Policy:
+    """Policy of one hidden layer, beside PD."""
+
+    first: Any = array(shapes=(("h", "m"),), doc="weights")
+    second: Any = array(shapes=((3, "h"),), doc="weights")
+
+    def initial_state(self, context: Any) -> Any:
+        return None
+
+    def __call__(self, t: Any, q: Any, v: Any, reference: Any, state: Any) -> Any:
+        error, rate = reference.q - q, reference.v - v
+        hidden = np.tanh(self.first @ np.concatenate([error, rate, np.ones(1)]))
+        return 60.0 * error + 40.0 * rate + 20.0 * (self.second @ hidden), state
+
+
+def test_many_weights_of_a_policy_are_tuned_in_reverse_mode() -> None:
+    draws = np.random.default_rng(0)
+    policy = Policy(0.3 * draws.standard_normal((8, 7)), 0.3 * draws.standard_normal((3, 8)))
+    by = ["controller.first", "controller.second"]
+    options: Options = {"dt": 0.02, "q0": [0.1, -0.1, 0.2]}
+    found = tune(loss, BODY, policy, CIRCLE, by=by, iterations=30, **options)
+    assert "reverse mode" in found.method
+    assert found.best.loss < 0.3 * found.trials[0].loss
+    assert isinstance(found.controller, Policy)
+    assert len(found.names) == 80
+    assert found.names[9] == "controller.first.1.2"
+    assert "and 68 numbers that changed less" in str(found)
