@@ -128,7 +128,7 @@ def test_a_seed_repeats_and_a_generator_goes_on() -> None:
     generator = np.random.default_rng(5)
     first, second = (NoiseForce((1, 2, 3), 2.0, generator).phases for _ in range(2))
     assert (first != second).all()
-    given_back = NoiseForce.of_phases((1, 2, 3), 2.0, one.phases)
+    given_back = NoiseForce((1, 2, 3), 2.0, None, phases=one.phases)
     for copy in (given_back, pickle.loads(pickle.dumps(one)), pickle.loads(pickle.dumps(given_back))):
         np.testing.assert_array_equal(copy(1.2, Q, V), one(1.2, Q, V))
     assert repr(one) == "NoiseForce(std=array([1., 2., 3.]), bandwidth=2.0, seed=5)"
@@ -137,7 +137,7 @@ def test_a_seed_repeats_and_a_generator_goes_on() -> None:
 test_parameters_that_do_not_fit_are_refused = refusals(
     (lambda: ConstantForce((1, 2)), "force has shape (2,), expected (3,)"),
     (
-        lambda: NoiseForce.of_phases((1, 1, 1), 1, np.zeros((3, 16))),
+        lambda: NoiseForce((1, 1, 1), 1, None, phases=np.zeros((3, 16))),
         "phases has shape (3, 16), expected (16, 3)",
     ),
     (lambda: ViscousFriction(left=-1), "coefficients is -1.0 N s/m, expected >= 0"),

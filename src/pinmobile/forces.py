@@ -320,21 +320,6 @@ class NoiseForce:
     in_phase: Any = _phase_field("cosines of the phases", np.cos)
     quadrature: Any = _phase_field("sines of the phases", np.sin)
 
-    @classmethod
-    def of_phases(cls, std: ArrayLike, bandwidth: float, phases: ArrayLike) -> Self:
-        """Return the noise with given phases of the cosines; its seed is None.
-
-        Parameters
-        ----------
-        std : array_like, shape (3,)
-            Root mean square of (Fx, Fy, Mz) [N, N, N m].
-        bandwidth : float
-            Highest frequency [Hz].
-        phases : array_like, shape (TERMS, 3)
-            Phases of the cosines [rad].
-        """
-        return cls(std, bandwidth, None, phases=phases)
-
     def _uniform(self, generator: np.random.Generator, *count: int) -> Array:
         """Return random phases, shape (..., TERMS, 3) [rad]."""
         return generator.uniform(0, 2 * np.pi, (*count, self.TERMS, 3))

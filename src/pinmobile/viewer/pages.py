@@ -171,12 +171,6 @@ class Backlog:
         """Number of the newest command."""
         return self._latest
 
-    @property
-    def size(self) -> int:
-        """Size of all commands [byte]."""
-        with self.lock:
-            return sum(len(data) for _, data in self._entries.values())
-
     def put(self, command: Command) -> None:
         """Add a meshcat command.
 
@@ -280,11 +274,6 @@ class SceneWindow:
 
     def __exit__(self, *error: object) -> None:
         self.close()
-
-    @property
-    def scene_size(self) -> int:
-        """Size of all commands of the scene [byte]."""
-        return self._backlog.size
 
     def commands(self) -> list[bytes]:
         """Return the packed commands of the scene; animations come last."""
