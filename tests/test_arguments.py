@@ -241,16 +241,6 @@ def test_a_scenario_file_may_be_nested_deep(tmp_path: Path, capsys: pytest.Captu
     assert "deep.toml: its values are nested too deep" in capsys.readouterr().err
 
 
-def test_a_mesh_whose_name_no_file_can_have_is_missing(tmp_path: Path) -> None:
-    letters = 4_000
-    mesh = f'<visual><geometry><mesh filename="{"x" * letters}.stl"/></geometry></visual>'
-    text = shipped_urdf("box").read_text()
-    file = tmp_path / "mesh.urdf"
-    file.write_text(re.sub(r"(<link name=\"base_link\">)", rf"\1{mesh}", text))
-    with pytest.warns(UserWarning, match=f"x{{{letters}}}"):
-        assert pm.MobileRobot.from_urdf(file).visual_model.ngeoms >= 1
-
-
 INTERRUPTED = """
 import sys
 

@@ -81,6 +81,13 @@ def test_the_first_word_robot_means_the_plant() -> None:
         made(spread={"robot.mas": pm.Uniform(20, 40)})
 
 
+def test_draws_of_an_array_are_factors_without_a_unit() -> None:
+    law = pm.PD((120, 120, 12), (60, 60, 6))
+    parameters = made(controller=law, spread={"kp": Relative(pm.Uniform(0.5, 1.5)), "kd.x": 50.0}).parameters
+    assert (parameters["kp"].unit, parameters["kd.x"].unit) == ("", "N s/m")
+    assert parameters["kp"].meaning.startswith("factor of ")
+
+
 def test_a_factor_needs_a_number_and_a_copy_needs_one_number() -> None:
     law = pm.PD((120, 120, 12), (60, 60, 6))
     for other, source in (("kd", "kp"), ("kd.psi", "kp.psi")):

@@ -54,12 +54,8 @@ def test_a_figure_too_narrow_for_its_words_is_refused() -> None:
         assert "$" not in str(told.value)
     with rc_context({"font.size": 30}), pytest.raises(InvalidArgument, match=r"font.size'\] = 30$"):
         plots.states(RUNS, width=3.5)
-    for width, words in (
-        (0, "width is 0.0 in, expected 0.5 <= width <= 100 in"),
-        (1e3, "width is 1000.0 in, expected 0.5 <= width <= 100 in"),
-    ):
-        with pytest.raises(InvalidArgument, match=words):
-            plots.states(RUNS, width=width)
+    with pytest.raises(InvalidArgument, match=r"^width is 1000.0 in, expected 0.5 <= width <= 100 in"):
+        plots.states(RUNS, width=1e3)
 
 
 @pytest.mark.parametrize("name", PANELS)
