@@ -26,7 +26,7 @@ import pytest
 import pinmobile
 import pinmobile as pm
 from pinmobile import closed_form
-from pinmobile.arrays import finite, frozen
+from pinmobile.arrays import finite
 from pinmobile.cli import main
 from pinmobile.errors import NotFinite, UnknownName
 from pinmobile.loop import TRUE_MODEL
@@ -204,19 +204,6 @@ def test_wrong_values_end_in_an_error_of_the_library_or_a_right_answer(
     name: str, fuzzed: dict[str, Any]
 ) -> None:
     assert fuzzed[name]["wrong"] == []
-
-
-def test_frozen_copies_what_it_has_not_made_itself() -> None:
-    mine = np.ones(3)
-    mine.setflags(write=False)
-    robot_force = pm.ConstantForce(mine)
-    mine.setflags(write=True)
-    mine[0] = 7
-    assert np.asarray(robot_force.force).tolist() == [1, 1, 1]
-    made = frozen(mine)
-    assert frozen(made) is made
-    with pytest.raises(ValueError, match="cannot set WRITEABLE flag"):
-        made.setflags(write=True)
 
 
 @pytest.mark.parametrize("one", [pm.Engine.PYTHON, pm.Engine.COMPILED, TRUE_MODEL], ids=["P", "C", "T"])

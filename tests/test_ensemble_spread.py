@@ -377,6 +377,15 @@ def test_an_ensemble_says_what_came_of_it() -> None:
             run.bands(levels)
 
 
+def test_rows_of_an_ensemble_leave_out_robots_that_diverged() -> None:
+    law, gains = pm.PD((120, 120, 12), (120, 120, 12)), np.array([10.0, 100.0, 1e6])
+    run = run_scenario(made(controller=law, n=3, spread={"kp": gains}, dt=0.05))
+    lines = str(run).splitlines()
+    low, high = sorted(run.max_distance[:2])
+    row = lines[lines.index("the 2 robots that did not diverge:") + 1]
+    assert f"least {low:.4g}, median {(low + high) / 2:.4g}, largest {high:.4g}" in row
+
+
 def test_what_came_of_an_ensemble_cannot_be_overwritten() -> None:
     run = run_scenario(made(n=3, spread={"mass": pm.Uniform(20, 40)}))
     records = [run.max_error, run.rms_error, run.max_distance, run.max_input, run.diverged_at, run.counts]

@@ -378,7 +378,9 @@ def test_the_readme_states_memory_and_stack(tmp_path: Path) -> None:
         assert each in header
     robot = pm.WheeledRobot(BODY, pm.WheelTable.differential(0.5, 0.1, motor=pm.Motor(torque_limit=2.5)))
     export_c(pm.law(lambda t, q, v, reference: q[3:]), robot, tmp_path, dt=DT)
-    assert "u[0]: left [N m], from -2.5 to 2.5\n" in (tmp_path / "robot.h").read_text()
+    other = (tmp_path / "robot.h").read_text()
+    assert "u[0]: left [N m], from -2.5 to 2.5\n" in other
+    assert re.findall('ROBOT_HASH "(.*)"', header) != re.findall('ROBOT_HASH "(.*)"', other)
 
 
 @pytest.mark.parametrize(

@@ -256,6 +256,12 @@ class TestAnimate:
         assert frames[0].getpixel((0, 0)) == (255, 255, 255)
         assert 500 < frames[0].width <= 720
 
+    def test_speed_and_frame_rate(self, circle: Runs, tmp_path: Path) -> None:
+        run = shortened(circle["PD"], 31)  # 3 s
+        frames, durations = gif(plots.animate(run, tmp_path / "robot.gif", speed=2, fps=10))
+        assert len(frames) == 16
+        assert sum(durations) == pytest.approx(2500, abs=80)
+
     def test_the_robot_is_where_it_was_not_where_it_should_be(self, circle: Runs, tmp_path: Path) -> None:
         run = shortened(circle["PD"], 2)
         q, desired = np.tile([2.0, 1.0, 0.3], (2, 1)), np.tile([-2.0, -1.0, 0.3], (2, 1))
