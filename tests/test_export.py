@@ -47,7 +47,7 @@ LOOPS |= {
     ),
     "sampled": ((BODY, pm.controllers.Sampled(PID(WRONG), 5), CIRCLE), {}),
 }
-SHOWN = ("computed torque", "volts", "mecanum Rolling", "ur5")
+SHOWN = ("mecanum Rolling", "ur5")
 SIZES = (3, 3, 3)
 LAW = pm.ComputedTorque(BODY, 4.0, 4.0)
 
@@ -86,7 +86,7 @@ def test_a_controller_has_the_bits_of_the_library(name: str, tmp_path: Path) -> 
 def test_each_compiler_and_optimisation_gives_the_same_bits(name: str, tmp_path: Path) -> None:
     run = exported(tmp_path, name)
     for compiler in compilers():
-        for level in ("-O0", "-O1", "-O2", "-O3"):
+        for level in ("-O0", "-O3"):
             found = computed(tmp_path, run, level, "-march=native", compiler=compiler)
             assert found.tobytes() == run.u.tobytes(), (compiler, level)
 
@@ -102,7 +102,6 @@ PLANTS = (
     "differential Rolling",
     "mecanum Rolling",
     "mecanum Coulomb",
-    "skid-steer",
     "volts",
     "commanded",
 )

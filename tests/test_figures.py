@@ -87,7 +87,7 @@ def test_other_things_than_axes_are_refused() -> None:
     with pytest.raises(
         InvalidArgument, match=r"^ax is 'axes', expected matplotlib's Axes, a sequence of them"
     ):
-        plots.states(RUNS, ax="axes")
+        plots.states(RUNS, ax="axes")  # type: ignore[arg-type]
     with pytest.raises(InvalidArgument, match=r"^width is 3, expected None with ax, because its figure"):
         plots.states(RUNS, ax=Figure(), width=3)
 
