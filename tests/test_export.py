@@ -38,6 +38,7 @@ NOISY = ("noisy", "all")
 AGAIN = (
     *("via", "lissajous", "line", "spline", "semi-implicit", "constant", "sine", "noise"),
     *("viscous", "resistance", "joints", "payload", "all forces"),
+    *("PD, matrix", "skid-steer", "differential Coulomb", "LQR on wheels", "ur5, base alone"),
 )
 DRIVE = pm.WheeledRobot(BODY, table("differential"))
 LOOPS |= {
