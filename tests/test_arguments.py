@@ -26,7 +26,7 @@ import pytest
 import pinmobile
 import pinmobile as pm
 from pinmobile import closed_form
-from pinmobile.arrays import finite, frozen
+from pinmobile.arrays import finite
 from pinmobile.cli import main
 from pinmobile.errors import NotFinite, UnknownName
 from pinmobile.loop import TRUE_MODEL
@@ -206,19 +206,6 @@ def test_wrong_values_end_in_an_error_of_the_library_or_a_right_answer(
     assert fuzzed[name]["wrong"] == []
 
 
-def test_frozen_copies_what_it_has_not_made_itself() -> None:
-    mine = np.ones(3)
-    mine.setflags(write=False)
-    robot_force = pm.ConstantForce(mine)
-    mine.setflags(write=True)
-    mine[0] = 7
-    assert np.asarray(robot_force.force).tolist() == [1, 1, 1]
-    made = frozen(mine)
-    assert frozen(made) is made
-    with pytest.raises(ValueError, match="cannot set WRITEABLE flag"):
-        made.setflags(write=True)
-
-
 @pytest.mark.parametrize("one", [pm.Engine.PYTHON, pm.Engine.COMPILED, TRUE_MODEL], ids=["P", "C", "T"])
 def test_engines_and_the_true_model_come_back_as_themselves(one: Any) -> None:
     assert pickle.loads(pickle.dumps(one)) is one
@@ -239,16 +226,6 @@ def test_a_scenario_file_may_be_nested_deep(tmp_path: Path, capsys: pytest.Captu
         tomllib.loads(file.read_text())
     assert main(["sweep", str(file)]) == 2
     assert "deep.toml: its values are nested too deep" in capsys.readouterr().err
-
-
-def test_a_mesh_whose_name_no_file_can_have_is_missing(tmp_path: Path) -> None:
-    letters = 4_000
-    mesh = f'<visual><geometry><mesh filename="{"x" * letters}.stl"/></geometry></visual>'
-    text = shipped_urdf("box").read_text()
-    file = tmp_path / "mesh.urdf"
-    file.write_text(re.sub(r"(<link name=\"base_link\">)", rf"\1{mesh}", text))
-    with pytest.warns(UserWarning, match=f"x{{{letters}}}"):
-        assert pm.MobileRobot.from_urdf(file).visual_model.ngeoms >= 1
 
 
 INTERRUPTED = """

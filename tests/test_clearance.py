@@ -268,7 +268,7 @@ def test_a_robot_without_collision_shapes_is_refused(tmp_path: Path) -> None:
     with pytest.raises(pm.InvalidArgument, match="robot has a body without collision shapes"):
         pm.clearance(no_shapes, no_shapes.rest)
     with pytest.raises(pm.InvalidArgument, match="robot is 3, which has no collision geometry"):
-        pm.clearance(3, [0, 0, 0])  # type: ignore[arg-type]
+        pm.clearance(3, [0, 0, 0])
     seen = written(tmp_path, wheeled.turtlebot("burger").replace("collision", "visual"))
     drawn = pm.MobileRobot.from_urdf(seen, ground=0.0)
     with pytest.raises(pm.InvalidArgument, match=r"without collision shapes \(base.urdf is "):

@@ -233,7 +233,7 @@ def test_a_long_command_writes_lines_of_progress_where_no_terminal_is(
     typed: Typed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("pinmobile.cli.output._MINUTE", 0.02)
-    code, text, err = typed("run", "duration=60", "--out", str(tmp_path))
+    code, text, err = typed("run", "duration=6", "--out", str(tmp_path))
     assert code == 0
     lines = err.splitlines()
     assert any(line.startswith("drawing ") for line in lines)
@@ -419,7 +419,7 @@ def test_a_sweep_is_printed_drawn_and_kept(
 
 
 def test_a_sweep_of_two_numbers_is_drawn_as_maps(typed: Typed, swept: list[str], tmp_path: Path) -> None:
-    assert typed(*swept, "grid.trajectory.path.rate=[0.05, 0.1]")[0] == 0
+    assert typed(*swept, "n=5", "grid.trajectory.path.rate=[0.05, 0.1]")[0] == 0
     assert (tmp_path / "out" / "index.html").read_text().count("<img") == 2
 
 

@@ -81,6 +81,13 @@ def test_the_first_word_robot_means_the_plant() -> None:
         made(spread={"robot.mas": pm.Uniform(20, 40)})
 
 
+def test_draws_of_an_array_are_factors_without_a_unit() -> None:
+    law = pm.PD((120, 120, 12), (60, 60, 6))
+    parameters = made(controller=law, spread={"kp": Relative(pm.Uniform(0.5, 1.5)), "kd.x": 50.0}).parameters
+    assert (parameters["kp"].unit, parameters["kd.x"].unit) == ("", "N s/m")
+    assert parameters["kp"].meaning.startswith("factor of ")
+
+
 def test_a_factor_needs_a_number_and_a_copy_needs_one_number() -> None:
     law = pm.PD((120, 120, 12), (60, 60, 6))
     for other, source in (("kd", "kp"), ("kd.psi", "kp.psi")):
@@ -368,6 +375,15 @@ def test_an_ensemble_says_what_came_of_it() -> None:
     for levels in (-0.1, [], [2.0]):
         with refused("levels"):
             run.bands(levels)
+
+
+def test_rows_of_an_ensemble_leave_out_robots_that_diverged() -> None:
+    law, gains = pm.PD((120, 120, 12), (120, 120, 12)), np.array([10.0, 100.0, 1e6])
+    run = run_scenario(made(controller=law, n=3, spread={"kp": gains}, dt=0.05))
+    lines = str(run).splitlines()
+    low, high = sorted(run.max_distance[:2])
+    row = lines[lines.index("the 2 robots that did not diverge:") + 1]
+    assert f"least {low:.4g}, median {(low + high) / 2:.4g}, largest {high:.4g}" in row
 
 
 def test_what_came_of_an_ensemble_cannot_be_overwritten() -> None:

@@ -158,6 +158,17 @@ def test_two_of_a_kind_and_what_is_ones_own_are_as_simulated(what: str) -> None:
     assert_is_simulated(run, 2)
 
 
+def test_a_noisy_robot_is_run_alone_by_any_engine() -> None:
+    member = run_scenario(made(controller=CONTROLLERS["noisy"], n=3, duration=3.0)).arguments(2)
+    alone = [
+        pm.simulate(*member[:3], **member.options, engine=engine)
+        for engine in (Engine.PYTHON, Engine.COMPILED)
+    ]
+    np.testing.assert_allclose(alone[1].q, alone[0].q, rtol=0, atol=1e-12)
+    other = pm.simulate(*member[:3], **{**member.options, "member": 1})
+    assert np.abs(other.u - alone[0].u).max() > 1e-3
+
+
 @pytest.mark.parametrize("difference", [planar_difference, plain_difference])
 def test_a_start_that_is_a_turn_ahead_is_seen_as_simulate_and_its_controller_see_it(
     difference: Any,

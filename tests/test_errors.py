@@ -57,11 +57,6 @@ def test_an_argument_is_known_by_name_and_may_be_called_otherwise() -> None:
     assert InvalidArgument("kp has shape (2,), expected ()").argument == "kp"
 
 
-def test_diverged_carries_time_state_and_what_was_recorded() -> None:
-    error = Diverged("gone", time=1.5, q=[1], v=[2], rollout="so far")
-    assert (error.time, error.q, error.v, error.rollout) == (1.5, [1], [2], "so far")
-
-
 def test_file_error_has_what_the_system_said_also_from_another_process() -> None:
     error = FileError("disk is full", errno=28, filename="a/b")
     copy = pickle.loads(pickle.dumps(error))

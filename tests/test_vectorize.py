@@ -7,7 +7,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from pinmobile import InvalidArgument, MobileRobot, PayloadBody, arrays, vectorize
+from pinmobile import InvalidArgument, MobileRobot, PayloadBody, vectorize
 from pinmobile.arrays import Array
 from pinmobile.errors import NotFinite, NotTraceable
 from pinmobile.urdf import Body
@@ -130,14 +130,6 @@ def test_what_is_refused() -> None:
         law(3.0)
     with pytest.raises(InvalidArgument, match=r"q has shape \(8,\), expected \(\.\.\., 9\)"):
         law(q[:, :-1], v)
-
-
-def test_more_than_memory_holds_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    robot = ROBOTS["bare"]
-    law = vectorize(robot.mass_matrix, keep=False)
-    monkeypatch.setattr(arrays, "MEMORY", 1e5)
-    with pytest.raises(InvalidArgument, match=r"^results for 200,000 states take 0\.0144 GB, expected"):
-        law(np.broadcast_to(robot.rest, (200_000, 3)))
 
 
 def test_what_cannot_be_compiled_says_why() -> None:
