@@ -1,6 +1,7 @@
 """Exported C beside the library: bits of controllers and plants, single precision, statuses, files."""
 
 import ctypes
+import platform
 import re
 import shutil
 import subprocess
@@ -478,3 +479,25 @@ def test_what_cannot_be_exported_is_refused(law: Any, options: Any, message: str
     with pytest.raises((pm.InvalidArgument, pm.PinmobileError), match=message):
         export_c(law, BODY, tmp_path, **{"dt": DT, **options})
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.skipif(platform.machine() != "x86_64", reason="instructions are those of x86")
+def test_no_compiler_fuses_a_product_and_a_sum(tmp_path: Path) -> None:
+    exported(tmp_path, "computed torque")
+    for compiler in compilers():
+        words = [compiler, "-std=c99", "-ffp-contract=off", "-O3", "-march=x86-64-v3", "-S", "robot.c"]
+        subprocess.run(words, cwd=tmp_path, check=True)
+        text = (tmp_path / "robot.s").read_text()
+        assert "mulsd" in text
+        assert not re.search(r"\bvfn?m(add|sub)", text), compiler
+
+
+def test_the_hash_follows_the_content(tmp_path: Path) -> None:
+    def text(kp: float, folder: str) -> str:
+        export_c(pm.PD(kp, 9.0), BODY, tmp_path / folder, dt=DT)
+        return (tmp_path / folder / "robot.h").read_text()
+
+    (one,), (other,) = (re.findall('ROBOT_HASH "(.*)"', text(kp, "a")) for kp in (9.0, 9.5))
+    assert one != other
+    assert text(9.0, "b") == text(9.0, "c")
+    assert one in text(9.0, "b")

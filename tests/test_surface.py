@@ -6,10 +6,13 @@ import inspect
 import pickle
 import pkgutil
 import pydoc
+import re
+import runpy
 import subprocess
 import sys
 import venv
 import zipfile
+from collections import Counter
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -350,3 +353,47 @@ def test_no_package_reaches_for_what_is_private_in_another() -> None:
             whose = node.value.id if isinstance(node.value, ast.Name) else ""
             if whose not in ("self", "cls", "sys") and node.attr not in of_tuples:
                 assert node.attr in own, f"{package} reads {ast.unparse(node)}"
+
+
+ALONE = {"derivation", "viewer"}  # packages with a module of the same name
+
+
+def test_no_name_of_a_file_occurs_twice() -> None:
+    names = Counter(path.stem for path in FILES if path.stem not in ("__init__", "__main__"))
+    assert [name for name, count in names.items() if count > 1] == []
+    packages = {path.parent.name for path in FILES if path.name == "__init__.py"}
+    assert packages & set(names) <= ALONE
+
+
+def test_a_small_file_has_several_who_import_it() -> None:
+    known = {module_of(path): path for path in FILES if path.name not in ("__init__.py", "__main__.py")}
+    users: Counter[str] = Counter()
+    for path in FILES:
+        users.update({name for name in imports(path) if name in known})
+    for name, path in known.items():
+        assert users[name] > 1 or len(path.read_text().splitlines()) >= 120, name
+
+
+def test_the_page_of_names_says_where_each_is() -> None:
+    """Of the 134 names that the top level had, and of each row of the table that the README had."""
+    page, rows = (ROOT / "docs" / "names.md").read_text().split("## Rows")
+    names = re.findall(r"^\| (?!before)(.+?) \| (\w[^|]*?)(?: \| (.+))? \|$", page, re.M)
+    assert len(names) == len({name for name, _, _ in names}) == 134
+    for name, happened, now in names:
+        old, new = name.strip("`"), now.strip("`")
+        owner, _, last = new.rpartition(".")
+        if happened == "cut":
+            assert old not in pinmobile.__all__
+            continue
+        assert hasattr(getattr(pinmobile, owner) if owner else pinmobile, last), new
+        assert (last == old) == (happened in ("kept", "moved")) or owner == "Engine", name
+        assert (new in pinmobile.__all__) == (happened in ("kept", "renamed")) or owner == "Engine", name
+    assert len(pinmobile.__all__) <= 75
+    pages = re.findall(r"^\| (?!row).+ \| ([\w/-]+) \|$", rows, re.M)
+    assert len(pages) == 27
+    topics = runpy.run_path(str(ROOT / "docs" / "public.py"))["TOPICS"]
+    for where in pages:
+        folder, _, stem = where.partition("/")
+        notebook = ROOT / "notebooks" / f"{stem}.ipynb"
+        made = stem in topics if folder == "reference" else notebook.exists()
+        assert made or (ROOT / "docs" / "site" / f"{where}.md").exists(), where
