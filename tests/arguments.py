@@ -372,6 +372,7 @@ ROWS: dict[str, Row] = {
             "q": WORLD.log.q,
             "t_u": WORLD.log.t,
             "u": WORLD.log.u,
+            "units": ("N", "N", "N m"),
             "twist": None,
             "wheel_rates": None,
         }

@@ -535,7 +535,8 @@ class Log:
         count = max(int(lost_rows({name: x}).sum()) for name, (_, x) in streams.items())
         gaps = int(lost_rows(rows).sum()) - count  # rows between measurements are not lost
         rows = {"q": None, "u": _mean_inputs(times_u, inputs, t)} | rows
-        return cls(t, **rows, dropped=-gaps, units=tuple(units), clock=(offset, rate))
+        names = tuple(sequence("units", units, "units of all inputs"))
+        return cls(t, **rows, dropped=-gaps, units=names, clock=(offset, rate))
 
     @classmethod
     def from_rollout(
