@@ -202,7 +202,8 @@ def test_a_motor_s_torque_limits_the_ramp_and_less_of_it_at_speed_the_path() -> 
 def test_what_rolls_is_judged_alike_in_all_engines() -> None:
     robot = WheeledRobot(BODY.mount("ur5"), TABLES["mecanum"])
     names = "end effector", "end effector angle", "tip-over margin", "load", "tip over", "slip margin"
-    assert tuple(one.name for one in robot.metrics) == names
+    limits = "exceed a position limit", "exceed a speed limit"
+    assert tuple(one.name for one in robot.metrics) == (*names, *limits)
     path = pm.WholeBody(robot.robot, pm.Tangent(pm.Circle(2, 0.3, 0.1)), pm.RestToRest(BENT, BENT + 0.1, 0.1))
     law = pm.ComputedTorque(robot)
     run, other = (pm.simulate(robot, law, path, dt=0.01, engine=engine) for engine in pm.Engine)

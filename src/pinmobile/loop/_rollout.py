@@ -128,7 +128,7 @@ def _ground_events(run: Any, plant: Any) -> Iterator[Event | None]:
     table, t, signals = stated(plant, "table"), run.t, run.signals
     states = {name: signals[name].values for name in ("tips", "missed") if name in signals}
     if stated(plant, "contact_loads"):
-        if "tips" not in states and any(metric.worst == "ever" for metric in metrics_of(plant)):
+        if "tips" not in states and any(metric.name == "tip over" for metric in metrics_of(plant)):
             states["tips"] = 1.0 * plant.contact_loads(run.q, run.v, run.a).tips  # rolling wheels: no signal
         for kind, name in {"tip over": "tips", "ground": "missed"}.items():
             if name in states:
