@@ -425,3 +425,29 @@ def test_many_weights_of_a_policy_are_tuned_in_reverse_mode() -> None:
     assert len(found.names) == 80
     assert found.names[9] == "controller.first.1.2"
     assert "and 68 numbers that changed less" in str(found)
+
+
+@pytest.mark.parametrize("ground", [pm.Rolling(), pm.Coulomb()])
+def test_numbers_that_follow_another_are_those_of_the_tuned_parts(ground: Any) -> None:
+    def plant(radius: float) -> pm.WheeledRobot:
+        casters = [(0.3, 0.0), (-0.3, 0.0)]
+        table = pm.WheelTable.differential(0.5, radius, supports=casters, mass=1.0, spin_inertia=0.005)
+        return pm.WheeledRobot(pm.MobileRobot(30.0, 2.3, (0.1, 0.05, 0.2)), table, ground)
+
+    law, path = pm.Backstepping(pm.UnicycleTracking(), plant(0.1)), pm.Tangent(pm.Circle(1.0, 0.5, 1.0))
+
+    def value(parts: tuple[Any, Any]) -> float:
+        run = pm.simulate(*parts, path, dt=0.01, engine=pm.Engine.COMPILED)
+        return 1e4 * float((run.error[:, :2] ** 2).sum())
+
+    def own_loss(sample: Any) -> Any:
+        return 1e4 * (sample.error[:2] ** 2).sum()
+
+    options: Any = {"spread": {"right.radius": pm.SameAs("left.radius")}, "dt": 0.01}
+    found = gradient(own_loss, plant(0.09), law, path, by=["left.radius"], **options)
+    (derivative,) = found.by.values()
+    expected = slope(lambda radius: value((plant(radius), law)), 0.09)
+    assert float(derivative) == pytest.approx(expected, rel=1e-6)
+    best = tune(own_loss, plant(0.09), law, path, by={"left.radius": (0.085, 0.105)}, **options)
+    assert best.plant.table.wheels[0].radius == best.plant.table.wheels[1].radius
+    assert value((best.plant, best.controller)) == pytest.approx(best.best.loss, rel=1e-9, abs=1e-12)

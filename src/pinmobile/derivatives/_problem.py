@@ -225,7 +225,8 @@ class Problem:
     def inputs(self, changes: Mapping[str, Any]) -> Inputs:
         """Return the inputs of the machine code for other numbers than the given ones, by path."""
         n, tape = self.n, self.machine.tape
-        scenario, loop = self._vary(changes) if changes else (self.scenario, self.loop)
+        both = {**changes, **self.copies(changes)}
+        scenario, loop = self._vary(both) if changes else (self.scenario, self.loop)
         values = dict(self.values)
         for path, value in changes.items():
             if path in values or path.startswith("start"):
@@ -264,8 +265,11 @@ class Problem:
         samples = np.concatenate([scenario.t[:, None], *scenario.reference, *schedules], axis=1)
         return Inputs(states, rows, uniforms, samples, tracks)
 
-    def _scale_copies(self, changes: Mapping[str, Any], values: dict[str, Array]) -> None:
-        """Change the numbers of the spread that are the same as changed numbers, in proportion."""
+    def _copied(self, changes: Mapping[str, Any]) -> Iterator[tuple[NumberRef, str, Any, Array]]:
+        """Yield the numbers of the spread that are the same as changed numbers.
+
+        With each come path and place of the changed number, and the factor of each robot.
+        """
         scenario = self.scenario
         for name, number in scenario.numbers.items() if changes else ():
             source: Any = scenario.spread[name]
@@ -275,12 +279,29 @@ class Problem:
                 names = [key for key, ref in scenario.numbers.items() if ref.path == source_number.path]
                 source = scenario.spread[names[0]] if names else None
             path = source_number.leaf.path
-            if source_number is number or path not in changes:
-                continue
+            if source_number is not number and path in changes:
+                place = (
+                    source_number.place(np.ndim(changes[path])) if source_number.entry is not None else ...
+                )
+                whole = self.draws[names[0]] if names else float(source_number.value)
+                yield number, path, place, self.draws[name] / whole
+
+    def copies(self, changes: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the numbers that are the same as changed ones, by path, with the mean factor of robots."""
+        copied = dict[str, Any]()
+        for number, path, place, share in self._copied(changes):
+            key = number.leaf.path
+            value = float(np.ravel(np.asarray(changes[path], float)[place])[0])
+            new = np.array(copied.get(key, changes.get(key, self.nominal[key])), float)
+            new[number.place(new.ndim) if number.entry is not None else ...] = share.mean() * value
+            copied[key] = new if new.ndim else float(new)
+        return copied
+
+    def _scale_copies(self, changes: Mapping[str, Any], values: dict[str, Array]) -> None:
+        """Change the numbers of the spread that are the same as changed numbers, in proportion."""
+        for number, path, place, share in self._copied(changes):
             old, new = (np.asarray(x, float) for x in (self.nominal[path], changes[path]))
-            place = source_number.place(old.ndim) if source_number.entry is not None else ...
             change = float(np.ravel((new - old)[place])[0])
-            share = self.draws[name] / (self.draws[names[0]] if names else float(source_number.value))
             column: Any = values[number.leaf.path].copy()
             index: Any = (slice(None), *number.place(column.ndim - 1)) if number.entry is not None else ...
             column[index] += (share * change).reshape(-1, *(1,) * (column[index].ndim - 1))

@@ -512,7 +512,7 @@ def tune(
         print(file=sys.stderr)
     best = min(search.trials, key=lambda one: (max(one.excess, _EXCESS_TOLERANCE), one.loss))
     changes = variables.changes(best.numbers)
-    loop = replace(problem.scenario.nominal_loop, changes)
+    loop = replace(problem.scenario.nominal_loop, {**changes, **problem.copies(changes)})
     others: tuple[Array, ...] = ()
     excesses = np.zeros(0)
     if problem.n > 1:
