@@ -451,3 +451,20 @@ def test_numbers_that_follow_another_are_those_of_the_tuned_parts(ground: Any) -
     best = tune(own_loss, plant(0.09), law, path, by={"left.radius": (0.085, 0.105)}, **options)
     assert best.plant.table.wheels[0].radius == best.plant.table.wheels[1].radius
     assert value((best.plant, best.controller)) == pytest.approx(best.best.loss, rel=1e-9, abs=1e-12)
+
+
+def test_a_number_that_follows_one_that_is_zero_has_derivatives() -> None:
+    robot, model, circle = (
+        pm.MobileRobot(30.0, 1.3),
+        pm.MobileRobot(25.0, 1.3),
+        pm.Tangent(pm.Circle(2, 0.5, 3)),
+    )
+    options: Any = {"spread": {"controller.robot.com.x": pm.SameAs("plant.com.x", 0.5)}, "dt": 0.01}
+    found = gradient(loss, robot, pm.ComputedTorque(model), circle, by=["plant.com.x"], **options)
+
+    def value(x: float) -> float:
+        plant, law = (replace(one, {"com": (k * x, 0.0)}) for one, k in ((robot, 1.0), (model, 0.5)))
+        return float(gradient(loss, plant, pm.ComputedTorque(law), circle, by=["kp"], dt=0.01).value)
+
+    (derivative,) = found.by.values()
+    assert float(derivative) == pytest.approx(slope(value, 0.0), rel=1e-6)

@@ -36,6 +36,7 @@ from pinmobile.loop import (
     Scenario,
     Trace,
     arrays_of,
+    draw_values,
     initial_memories,
     initial_memory,
     sample_reference,
@@ -265,46 +266,43 @@ class Problem:
         samples = np.concatenate([scenario.t[:, None], *scenario.reference, *schedules], axis=1)
         return Inputs(states, rows, uniforms, samples, tracks)
 
-    def _copied(self, changes: Mapping[str, Any]) -> Iterator[tuple[NumberRef, str, Any, Array]]:
+    def _find_copies(self, changes: Mapping[str, Any]) -> Iterator[tuple[NumberRef, str, Any, Array]]:
         """Yield the numbers of the spread that are the same as changed numbers.
 
-        With each come path and place of the changed number, and the factor of each robot.
+        With each come path and place of the changed number, and the factor of each robot, shape (n,).
         """
         scenario = self.scenario
+        keys = {ref.path: key for key, ref in scenario.numbers.items()}
         for name, number in scenario.numbers.items() if changes else ():
-            source: Any = scenario.spread[name]
-            source_number, names = number, list[str]()
-            while isinstance(source, SameAs):
-                source_number = scenario.find(source.name)
-                names = [key for key, ref in scenario.numbers.items() if ref.path == source_number.path]
-                source = scenario.spread[names[0]] if names else None
-            path = source_number.leaf.path
-            if source_number is not number and path in changes:
-                place = (
-                    source_number.place(np.ndim(changes[path])) if source_number.entry is not None else ...
-                )
-                whole = self.draws[names[0]] if names else float(source_number.value)
-                yield number, path, place, self.draws[name] / whole
+            origin, factor, key = number, np.ones(self.n), name
+            while isinstance(source := scenario.spread.get(key), SameAs):
+                factor *= draw_values(f"{key} factor", source.factor, scenario.seed, 0, self.n)
+                origin = scenario.find(source.name)
+                key = keys.get(origin.path, "")
+            path = origin.leaf.path
+            if origin is not number and path in changes:
+                place: Any = origin.place(np.ndim(changes[path])) if origin.entry is not None else ...
+                yield number, path, place, factor
 
     def copies(self, changes: Mapping[str, Any]) -> dict[str, Any]:
         """Return the numbers that are the same as changed ones, by path, with the mean factor of robots."""
-        copied = dict[str, Any]()
-        for number, path, place, share in self._copied(changes):
+        copies = dict[str, Any]()
+        for number, path, place, factor in self._find_copies(changes):
             key = number.leaf.path
             value = float(np.ravel(np.asarray(changes[path], float)[place])[0])
-            new = np.array(copied.get(key, changes.get(key, self.nominal[key])), float)
-            new[number.place(new.ndim) if number.entry is not None else ...] = share.mean() * value
-            copied[key] = new if new.ndim else float(new)
-        return copied
+            new = np.array(copies.get(key, changes.get(key, self.nominal[key])), float)
+            new[number.place(new.ndim) if number.entry is not None else ...] = factor.mean() * value
+            copies[key] = new if new.ndim else float(new)
+        return copies
 
     def _scale_copies(self, changes: Mapping[str, Any], values: dict[str, Array]) -> None:
         """Change the numbers of the spread that are the same as changed numbers, in proportion."""
-        for number, path, place, share in self._copied(changes):
+        for number, path, place, factor in self._find_copies(changes):
             old, new = (np.asarray(x, float) for x in (self.nominal[path], changes[path]))
             change = float(np.ravel((new - old)[place])[0])
             column: Any = values[number.leaf.path].copy()
             index: Any = (slice(None), *number.place(column.ndim - 1)) if number.entry is not None else ...
-            column[index] += (share * change).reshape(-1, *(1,) * (column[index].ndim - 1))
+            column[index] += (factor * change).reshape(-1, *(1,) * (column[index].ndim - 1))
             values[number.leaf.path] = column
 
     def _initial_states(

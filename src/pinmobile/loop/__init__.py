@@ -68,6 +68,7 @@ from pinmobile.loop._spread import (
     SameAs,
     Source as Source,
     Uniform,
+    draw_values as draw_values,
 )
 from pinmobile.loop._trace import (
     Trace as Trace,

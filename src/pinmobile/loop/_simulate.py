@@ -132,8 +132,8 @@ def simulate(
         Duration of the run [s], a whole number of dt, at most the duration of the trajectory; default: all
         whole steps of the trajectory.
     q0, v0 : array_like, shape (nq,) and (nv,), optional
-        Initial configuration and velocity; default: the start of the
-        reference, completed by the plant's ``start``.
+        Initial configuration and velocity; default: the start of the reference, completed by
+        the plant's ``start``.
     integrator : callable, optional
         Integrator of the plant, see `pinmobile.integrators`; default: the plant's own choice, else
         `pinmobile.integrators.constant_acceleration`.

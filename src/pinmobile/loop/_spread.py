@@ -517,9 +517,9 @@ def draw(spread: Mapping[str, Any], seed: int, start: int, stop: int, find: Find
                     base: Any = value_of(other.path, other)
                 else:
                     base = 1.0 if number.is_array else number.value
-                values[path] = base * _values(f"{name} factor", source.factor, seed, start, stop)
+                values[path] = base * draw_values(f"{name} factor", source.factor, seed, start, stop)
             elif name is not None:
-                values[path] = _values(name, source, seed, start, stop)
+                values[path] = draw_values(name, source, seed, start, stop)
             elif number.is_array:
                 message = f"spread refers to {path!r}, an array of different numbers"
                 raise InvalidArgument(f"{message}, expected a single number")
@@ -559,7 +559,8 @@ def slice_spread(spread: Mapping[str, Any], start: int, stop: int) -> dict[str, 
     return {name: part(source) for name, source in spread.items()}
 
 
-def _values(name: str, source: Any, seed: int, start: int, stop: int) -> Array:
+def draw_values(name: str, source: Any, seed: int, start: int, stop: int) -> Array:
+    """Return the values of a source for the robots from `start` to before `stop`, shape (stop - start,)."""
     if isinstance(source, _SpreadSlice):
         return source.values[start - source.start : stop - source.start].copy()
     if isinstance(source, np.ndarray):
