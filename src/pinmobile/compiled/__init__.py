@@ -6,7 +6,7 @@ from pinmobile.compiled.differentiation import (
     adjoint as adjoint,
     expand_delays as expand_delays,
     index_bits as index_bits,
-    linearized as linearized,
+    linearization as linearization,
     sample_index as sample_index,
     sides as sides,
     tangent as tangent,

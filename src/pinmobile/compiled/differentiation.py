@@ -330,7 +330,7 @@ def tangent(loop: LoopTape, directions: Sequence[_Input]) -> LoopTape:
     )
 
 
-def linearized(loop: LoopTape, directions: Sequence[_Input]) -> LoopTape:
+def linearization(loop: LoopTape, directions: Sequence[_Input]) -> LoopTape:
     """Return a loop that keeps the tangents after each sample alone, ``"tangent state"``, from given states.
 
     Its first references (tracks) are the n states of the samples. Its states are the tangents before each of

@@ -6,12 +6,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import lcm
-from typing import Any, NamedTuple, TypedDict, Unpack, final, overload
+from typing import Any, NamedTuple, final
 
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, bounded, finite, shaped
-from pinmobile.compiled import linearized
+from pinmobile.compiled import linearization
 from pinmobile.controllers import Controller, Wrapper, evaluate, notify_applied
 from pinmobile.derivatives._problem import Problem, loop_errors, problem_of
 from pinmobile.errors import InvalidArgument
@@ -285,54 +285,20 @@ class Poles:
         return "\n".join(lines)
 
 
-class _Options(TypedDict, total=False):
-    """Further arguments of `poles`."""
-
-    q0: ArrayLike | None
-    v0: ArrayLike | None
-    integrator: Integrator | None
-    substeps: int
-    forces: Sequence[Force | OnCoordinates] | Mapping[str, Force | OnCoordinates]
-
-
-@overload
 def poles(
     plant: Plant,
     controller: Controller,
     trajectory: Trajectory,
     *,
     dt: float,
-    at: float = 0.0,
-    **options: Unpack[_Options],
-) -> Poles: ...
-
-
-@overload
-def poles(
-    plant: Plant,
-    controller: Controller,
-    trajectory: Trajectory,
-    *,
-    dt: float,
-    at: Sequence[float] | Array,
-    **options: Unpack[_Options],
-) -> tuple[Poles, ...]: ...
-
-
-def poles(
-    plant: Plant,
-    controller: Controller,
-    trajectory: Trajectory,
-    *,
-    dt: float,
-    at: float | Sequence[float] | Array = 0.0,
+    at: ArrayLike = 0.0,
     q0: ArrayLike | None = None,
     v0: ArrayLike | None = None,
     integrator: Integrator | None = None,
     substeps: int = 1,
     forces: Sequence[Force | OnCoordinates] | Mapping[str, Force | OnCoordinates] = (),
-) -> Poles | tuple[Poles, ...]:
-    """Return the poles of a sampled closed loop at a sample of its run.
+) -> Any:
+    """Return the poles of a sampled closed loop at a sample of its run, or at several.
 
     The loop with all its memory, delays and holds is linearized, exactly up to rounding. Eigenvalues inside
     the unit circle mean that small deviations decay if the loop stays at this sample, such as at rest or on
@@ -413,16 +379,16 @@ def _eigenvalues(matrix: Array, longest: int) -> Any:
     return values[np.lexsort([-values.imag, -np.round(np.abs(values), 6)])]
 
 
-def _linearize(problem: Problem, first: Sequence[int], samples: int) -> list[tuple[Array, Array]]:
+def _linearize(problem: Problem, starts: Sequence[int], samples: int) -> list[tuple[Array, Array]]:
     """Return the derivatives of state and input by state and probe, (n, n + nu), (nu, n + nu).
 
-    The state is that after some samples, from each of the first samples on; the input is that of the first.
+    The state is that after some samples, from each start on; the input is that of the start.
     """
     machine, inputs = problem.machine, problem.inputs({})
     n, leaf = len(machine.tape.states), machine.tape.parameters[_PROBE]
     columns = [("row", leaf.first + i) for i in range(int(np.prod(leaf.shape)))]
     m = n + len(columns)
-    history = inputs._replace(samples=inputs.samples[: max(first) + samples])
+    history = inputs._replace(samples=inputs.samples[: max(starts) + samples])
     record = machine.of("recording", machine.state_recorder, False)
     states = record[1].kept_samples(problem.run(record, history, slice(None))[1], 1)["state"][0]
     if not (is_finite := np.isfinite(states).all(axis=1)).all():
@@ -430,12 +396,12 @@ def _linearize(problem: Problem, first: Sequence[int], samples: int) -> list[tup
         raise InvalidArgument(
             f"at is behind t = {time:g} s, where the run diverges, expected earlier samples"
         )
-    program = machine.of("linearized", lambda: linearized(machine.tape, columns), True)
+    program = machine.of("linearization", lambda: linearization(machine.tape, columns), True)
     identity = np.eye(m)
     rows = np.concatenate([np.tile(inputs.rows, m), identity[n:]])
     inputs = inputs._replace(states=identity[:n], rows=rows)
     matrices, outputs = dict[int, Array](), dict[int, Array]()
-    indices = np.unique(np.add.outer(first, range(samples)))
+    indices = np.unique(np.add.outer(starts, range(samples)))
     for group in np.split(indices, np.flatnonzero(np.diff(indices) > 1) + 1):
         for begin in range(group[0], group[-1] + 1, _GROUP):
             end = min(begin + _GROUP, group[-1] + 1)
@@ -447,7 +413,7 @@ def _linearize(problem: Problem, first: Sequence[int], samples: int) -> list[tup
             matrices |= zip(range(begin, end), found["tangent state"].transpose(1, 2, 0), strict=True)
             outputs |= zip(range(begin, end), found["tangent u"].transpose(1, 2, 0), strict=True)
     linear = list[tuple[Array, Array]]()
-    for k in first:
+    for k in starts:
         effect = identity.copy()
         for i in range(k, k + samples):
             effect[:n] = matrices[i] @ effect

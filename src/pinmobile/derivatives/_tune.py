@@ -124,7 +124,7 @@ class Tuning:
     Attributes
     ----------
     plant, controller, trajectory, forces
-        Parts with the best numbers.
+        Parts with the best numbers, and with those that follow them in the spread by `SameAs`.
     names : tuple of str
         Path of each tuned number; entries of an array have their index.
     units : tuple of str
