@@ -57,6 +57,8 @@ def random_states(robot: pm.MobileRobot, count: int) -> tuple[Array, ...]:
 
 def test_metrics_of_an_arm_are_those_of_its_own_kinematics_limits_and_balance() -> None:
     q, v, a, u, desired = random_states(UR5, 20)
+    q[::3, 5] += np.copysign(np.pi, q[::3, 5])  # beyond the range of the elbow
+    v[::4, 6] *= 10
     assert [one.name for one in UR5.metrics] == [*NAMES, *LIMITS]
     found = UR5.evaluate_metrics(0.0, q, v, a, u, pm.Reference(desired, v, a))
     apart = error_sizes(pose_error(UR5.frame_pose(desired), UR5.frame_pose(q)))
@@ -66,8 +68,11 @@ def test_metrics_of_an_arm_are_those_of_its_own_kinematics_limits_and_balance() 
         found[:, 3], tip_over_margin(MotionStates(UR5, q, v, a)), rtol=CLOSE, atol=CLOSE
     )
     beyond = (q[:, 3:] < UR5.lower[3:]) | (q[:, 3:] > UR5.upper[3:])
+    assert 0 < beyond.any(axis=1).sum() < len(q)
     np.testing.assert_array_equal(found[:, 4], beyond.any(axis=1))
-    np.testing.assert_array_equal(found[:, 5], (np.abs(v) > UR5.velocity_limit).any(axis=1))
+    too_fast = (np.abs(v) > UR5.velocity_limit).any(axis=1)
+    assert 0 < too_fast.sum() < len(v)
+    np.testing.assert_array_equal(found[:, 5], too_fast)
     symbolic = UR5.array_dynamics.evaluate_metrics(0.0, q, v, a, u, pm.Reference(desired, v, a))  # type: ignore[union-attr]
     np.testing.assert_allclose(symbolic, found, rtol=CLOSE, atol=CLOSE)
 
