@@ -281,8 +281,8 @@ def solve_inverse_kinematics(
         Largest time between control points [s]. The error is about a dt^2 / 6 for a frame with acceleration
         a.
     posture_gain : float
-        Rate of convergence toward the posture [1/s], >= 0. This motion goes on where the targets rest, so the
-        trajectory ends at rest only for 0.
+        Rate of convergence toward the posture [1/s], >= 0. This motion continues where the targets rest,
+        so the trajectory ends at rest only for 0.
     cost : array_like, shape () or (nv,) or (m,)
         Relative cost of each coordinate's motion, > 0. A coordinate with a high cost moves little.
     velocity_limit : array_like, shape () or (nv,) or (m,), optional
