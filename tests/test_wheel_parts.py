@@ -6,9 +6,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pinmobile import Coulomb, InvalidArgument, Motor, VelocityRobot, WheeledRobot, WheelTable, parts
+from pinmobile import (
+    Coulomb,
+    InvalidArgument,
+    Motor,
+    Uniform,
+    VelocityRobot,
+    WheeledRobot,
+    WheelTable,
+    ensemble,
+    law,
+    parts,
+)
 from pinmobile.controllers import Backstepping, UnicycleTracking
-from pinmobile.loop import Engine, simulate
+from pinmobile.loop import Engine, Relative, Scenario, simulate
 from pinmobile.paths import Circle
 from pinmobile.trajectories import Tangent
 from pinmobile.wheels import WheeledDynamics
@@ -135,3 +146,48 @@ def test_theta_has_a_name_for_each_entry() -> None:
     robot = VelocityRobot([0.26, 0.25, 0.03, 1.1, 0.2, 1.2], ahead=0.1)
     assert [*parts.named(robot)][1] == "theta.theta_1"
     assert parts.find(robot, "theta.theta_3").label == "theta_3"
+
+
+@pytest.mark.parametrize("varied", [Tangent(Circle(1.0, 0.5, 1.0)), Tangent(Circle(1.1, 0.5, 1.0))])
+@pytest.mark.parametrize("name", ["differential", "mecanum", "slipping", "volts", "swerve"])
+def test_robots_of_an_ensemble_start_with_their_own_wheels(name: str, varied: Tangent) -> None:
+    places = [(0.25, 0.2), (0.25, -0.2), (-0.25, 0.2), (-0.25, -0.2)]
+    swerve = WheeledRobot(BODY, WheelTable.swerve(places, 0.1, **OWN), Coulomb())
+    robot = swerve if name == "swerve" else ROBOTS[name]
+    wheel, last = robot.table.names[0], robot.table.names[-1]
+    spread: dict[str, Any] = {
+        f"{wheel}.radius": Uniform(0.08, 0.12),
+        f"{last}.y": Relative(Uniform(0.9, 1.1)),
+    }
+    if varied.path.radius != 1.0:  # each robot has its own reference
+        spread["trajectory.path.radius"] = Uniform(1.0, 1.2)
+    zero = law(lambda t, q, v, reference: np.zeros(robot.nu))
+    scenario = Scenario(robot=robot, controller=zero, trajectory=varied, n=5, spread=spread, dt=0.01)
+    values = scenario.values(scenario.draws(), 0, 5)
+    q, v = scenario.starts(values, 5, scenario.references(values, 5))
+    for i in range(5):
+        loop = parts.replace(scenario.loop, {path: x[i] for path, x in values.items()})
+        reference = loop.trajectory(0.0)
+        alone = loop.plant.start(reference)
+        # The projection on rolling, and the other order of its operations, round.
+        np.testing.assert_allclose(q[i], alone[0], rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(v[i], alone[1], rtol=1e-12, atol=1e-12)
+    assert np.ptp(v[:, -1]) + np.ptp(v[:, -len(robot.table)]) > 0.1
+
+
+def test_a_plant_with_its_own_start_starts_each_robot_in_python() -> None:
+    @parts.part
+    class Own(WheeledRobot):  # type: ignore[misc]  # final: a user's plant would be written anew
+        """Robot that starts at half the speed."""
+
+        def start(self, reference: Any) -> Any:
+            q, v = super().start(reference)
+            return q, 0.5 * v
+
+    own, path = Own(BODY, PAIR, Coulomb()), Tangent(Circle(1.0, 0.5, 1.0))
+    zero = law(lambda t, q, v, reference: np.zeros(own.nu))
+    spread = {"left.radius": np.array([0.0813, 0.1, 0.1177])}
+    runs = ensemble(own, zero, path, n=3, dt=0.01, spread=spread)
+    for i, radius in enumerate(spread["left.radius"]):
+        left = parts.replace(own, {"table.wheels.left.radius": radius})
+        np.testing.assert_array_equal(runs.member(i).v[0], left.start(path(0.0))[1])

@@ -39,7 +39,7 @@ from pinmobile.loop._spread import (
     expand_patterns,
     slice_spread,
 )
-from pinmobile.loop._trace import initial_memory, initial_velocities
+from pinmobile.loop._trace import initial_memory, initial_states, initial_velocities
 from pinmobile.metrics import Metric, channels_of, select_metrics
 from pinmobile.parts import (
     Constrained,
@@ -465,7 +465,12 @@ class Scenario(RecordGrid):
         """
         plant, zeros = self.robot, np.zeros((count, self.robot.nv))
         dqs, rates = values.get("start", zeros), values.get("start_rate", zeros)
-        if references is None:
+        plant_values = {path: value for path, value in values.items() if path.startswith("plant.")}
+        if self._start_paths & plant_values.keys():  # such as radii of wheels
+            first = (np.broadcast_to(x[0], (count, *x.shape[-1:])) for x in references or self.reference)
+            q, v = initial_states(self.loop, plant_values, Reference(*first))
+            q, v = np.asarray(all_samples(plant, "integrate", q, dqs)), v + rates
+        elif references is None:
             start = self.start
             rows = np.broadcast_to(start[0], (count, plant.nq))
             q, v = all_samples(plant, "integrate", rows, dqs), start[1] + rates
@@ -473,10 +478,26 @@ class Scenario(RecordGrid):
             states = [self._start(Reference(*(part[0, i] for part in references))) for i in range(count)]
             q = np.array([plant.integrate(q, dq) for (q, _), dq in zip(states, dqs, strict=True)], np.float64)
             v = np.array([v for _, v in states]) + rates
-        plant_values = {path: value for path, value in values.items() if path.startswith("plant.")}
         if able(plant, Constrained) and (plant_values or values.keys() & {"start", "start_rate"}):
             return q, initial_velocities(self.loop, plant_values, q, v)  # such as rolling
         return q, v
+
+    @cached_property
+    def _start_paths(self) -> set[str]:
+        """Paths of the plant's numbers in the spread that change its start at the reference."""
+        first = Reference(*(part[0] for part in self.reference))
+        is_starting, start = able(self.robot, Starting) is not None, self.start
+        paths = {number.leaf.path for number in self.numbers.values()} if is_starting else set()
+
+        def is_changed(path: str) -> bool:
+            value = np.asarray(self.find(path).leaf.value, np.float64)
+            try:
+                varied = replaced(self.loop, {path: value * 1.001 + 1e-6}).plant.start(first)
+            except InvalidArgument:  # beyond the bounds of the number
+                return True
+            return not all(map(np.array_equal, varied, start))
+
+        return {path for path in paths if path.startswith("plant.") and is_changed(path)}
 
     @property
     def start(self) -> tuple[Array, Array]:

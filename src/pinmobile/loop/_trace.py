@@ -530,6 +530,43 @@ def initial_memories(
         return [np.array(column) for column in zip(*rows, strict=True)]
 
 
+def initial_states(loop: Loop, spread: Mapping[str, Array], first: Reference) -> tuple[Array, Array]:
+    """Return the states of n robots at the start of their references, shape (n, nq) and (n, nv).
+
+    `start` of the plant runs once, with symbols. If it does not accept symbols, or its result differs, it
+    runs for each robot.
+
+    Parameters
+    ----------
+    loop : Loop
+        Nominal loop, whose plant has ``start``.
+    spread : mapping of str to ndarray, shape (n, ...)
+        Numbers of the robots, by path.
+    first : Reference
+        First samples of the references, shape (n, ...).
+    """
+    n = len(first.q)
+
+    def start(i: int) -> tuple[Array, Array]:
+        varied = replace(loop, {path: x[i] for path, x in _rows(spread, n).items()})
+        q, v = varied.plant.start(Reference(*(x[i].copy() for x in first)))
+        return np.asarray(q, np.float64), np.asarray(v, np.float64)
+
+    ends = [np.array(x) for x in zip(start(0), start(n - 1), strict=True)]
+    try:
+        with tracing():
+            rows = _evaluate_symbols(lambda x, *row: x.law.start(Reference(*row)), loop, spread, n, *first)
+        rows = [np.broadcast_to(x, (n, *x.shape[-1:])) for x in rows]
+        is_same = [
+            np.allclose(x[[0, -1]], end, rtol=1e-9, atol=1e-9) for x, end in zip(rows, ends, strict=True)
+        ]
+    except (NotTraceable, AttributeError):
+        is_same = [False]
+    if not all(is_same):
+        rows = [np.array(x) for x in zip(*map(start, range(n)), strict=True)]
+    return rows[0], rows[1]
+
+
 def initial_velocities(loop: Loop, spread: Mapping[str, Array], q: Array, v: Array) -> Array:
     """Return the initial velocities of n robots after projection on their constraints, shape (n, nv).
 

@@ -147,7 +147,8 @@ class _Coordinates(Protocol):
     def start(self, reference: Any) -> tuple[Array, Array]:
         """Return the initial q and v for a reference; coordinates without a reference are at rest."""
         n = reference.v.shape[-1]
-        return np.append(reference.q, self.rest[n:]), np.append(reference.v, np.zeros(self.nv - n))
+        q = np.concatenate([reference.q, self.rest[n:]])
+        return q, np.concatenate([reference.v, np.zeros(self.nv - n)])
 
 
 @final

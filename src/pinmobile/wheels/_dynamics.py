@@ -514,29 +514,32 @@ class WheeledDynamics:
             rows.append([x[i], y[i] if axis.ackermann is None else ZERO, exact(self.table.wheels[i].angle)])
         return matrix_of(rows, self.x)
 
-    def start(self, reference: Any) -> tuple[Array, Array]:
+    def start(self, reference: Any) -> tuple[Any, Any]:
         """Return the state at the start of a reference, see `WheeledRobot.start`."""
-        q, v = self.robot.start(reference)
-        q, v = np.append(q, np.zeros(self.joints)), np.append(v, np.zeros(self.joints))
         n, ns = self.of_body, len(self.table.axes)
-        twist = [float(number(x)) for x in self.state(q, v).twist]
+        body, rates = self.robot.start(reference)
+        q, v = [*scalars(body), *[ZERO] * self.joints], [*scalars(rates), *[ZERO] * self.joints]
+        twist = [number(x) for x in self.state(stacked(q, body), stacked(v, body)).twist]
         q[n : n + ns] = [self.steered_to(axis, twist) for axis in self.table.axes]
-        rows = self.rows(self.state(q, v))
+        rows = self.rows(self.state(stacked(q, body), stacked(v, body)))
         for joint, i in self.choice.joints:
-            row = [float(number(x)) for x in rows[i].joints]
-            slip = float(number(dot(rows[i].base, twist))) + float(np.dot(row, v[n:]))
+            row = [number(x) for x in rows[i].joints]
+            slip = number(dot(rows[i].base, twist)) + number(dot(row, v[n:]))
             v[n + joint] = -(slip - row[joint] * v[n + joint]) / row[joint]
-        return q, v
+        return stacked(q, body), stacked(v, body)
 
-    def steered_to(self, axis: Axis, twist: Sequence[float]) -> float:
+    def steered_to(self, axis: Axis, twist: Sequence[Any]) -> Any:
         """Return the steering angle at which a wheel points in its direction of motion; 0 at rest."""
-        wheel = self.table.wheels[axis.wheels[0]]
-        x, y = (wheel.x - axis.ackermann, 0.0) if axis.ackermann is not None else (wheel.x, wheel.y)
-        forward, left = twist[0] - twist[2] * y, twist[1] + twist[2] * x
-        angle = float(np.arctan2(left, forward)) - wheel.angle if forward or left else 0.0
+        i = axis.wheels[0]
+        wheel, x, y = self.table.wheels[i], number(scalars(self.x)[i]), number(scalars(self.y)[i])
+        if axis.ackermann is not None:
+            x, y = x - axis.ackermann, 0.0
+        velocity = stacked([twist[0] - twist[2] * y, twist[1] + twist[2] * x], np.zeros(1))
+        forward, left = velocity[..., 0], velocity[..., 1]
+        angle = np.where((forward == 0.0) & (left == 0.0), 0.0, np.arctan2(left, forward) - wheel.angle)
         if wheel.motor is not None or axis.ackermann is not None:  # it can also run backwards
             angle = (angle + np.pi / 2) % np.pi - np.pi / 2
-        return angle
+        return number(scalars(angle[..., None])[0])
 
 
 def mean_acceleration(body: Any, q: Any, v: Any, u: Any, f: Any) -> Any:
