@@ -226,16 +226,14 @@ class Problem:
     def inputs(self, changes: Mapping[str, Any]) -> Inputs:
         """Return the inputs of the machine code for other numbers than the given ones, by path."""
         n, tape = self.n, self.machine.tape
-        both = {**changes, **self.copies(changes)}
-        scenario, loop = self._vary(both) if changes else (self.scenario, self.loop)
+        scenario, loop = self._vary({**changes, **self.copies(changes)})
         values = dict(self.values)
         for path, value in changes.items():
             if path in values or path.startswith("start"):
                 values[path] = values.get(path, np.zeros((n, 1))) + (np.asarray(value) - self.nominal[path])
         self._scale_copies(changes, values)
         q, v, tracks = self._initial_states(scenario, loop, values)
-        states: Array = np.zeros((len(tape.states), n))
-        rows: Array = np.zeros((tape.rows, n))
+        states, rows = np.zeros((len(tape.states), n)), np.zeros((tape.rows, n))
         uniforms: Array = np.zeros(tape.uniforms)
         uniforms[0] = scenario.dt / loop.substeps
         states[: len(q) + len(v)] = np.concatenate([q, v])
@@ -253,12 +251,10 @@ class Problem:
         for path, leaf in tape.parameters.items():
             put(leaf, np.asarray(values[path] if path in values else numbers[path], float))
         memories = arrays_of(initial_memory(loop, scenario.context))
-        paths = {path: x for path, x in self.values.items() if path in self.spread}
-        owners = {path.partition(".")[0] for path in paths}
+        varied = {path: values[path] for path in self.values if path in self.spread}
+        owners = {path.partition(".")[0] for path in varied}
         if any(leaf.owner in owners for leaf in tape.leaves):
-            memories = initial_memories(
-                loop, scenario.context, {path: values[path] for path in paths}, n, self.identity
-            )
+            memories = initial_memories(loop, scenario.context, varied, n, self.identity)
         for leaf, value in zip(tape.leaves, memories, strict=True):
             put(leaf, np.asarray(value, float))
         schedules = scheduled_rows(loop, scenario.context) if tape.schedule_size else []
@@ -279,19 +275,16 @@ class Problem:
                 factor *= draw_values(f"{key} factor", source.factor, scenario.seed, 0, self.n)
                 origin = scenario.find(source.name)
                 key = keys.get(origin.path, "")
-            path = origin.leaf.path
-            if origin is not number and path in changes:
-                place: Any = origin.place(np.ndim(changes[path])) if origin.entry is not None else ...
-                yield number, path, place, factor
+            if origin is not number and (path := origin.leaf.path) in changes:
+                yield number, path, _index_of(origin, np.ndim(changes[path])), factor
 
     def copies(self, changes: Mapping[str, Any]) -> dict[str, Any]:
         """Return the numbers that are the same as changed ones, by path, with the mean factor of robots."""
         copies = dict[str, Any]()
         for number, path, place, factor in self._find_copies(changes):
             key = number.leaf.path
-            value = float(np.ravel(np.asarray(changes[path], float)[place])[0])
             new = np.array(copies.get(key, changes.get(key, self.nominal[key])), float)
-            new[number.place(new.ndim) if number.entry is not None else ...] = factor.mean() * value
+            new[_index_of(number, new.ndim)] = factor.mean() * np.ravel(np.asarray(changes[path])[place])[0]
             copies[key] = new if new.ndim else float(new)
         return copies
 
@@ -626,6 +619,11 @@ def loop_errors() -> Iterator[None]:
         raise InvalidArgument(f"this loop has no derivative: {error.reason}") from error
 
 
+def _index_of(number: NumberRef, ndim: int) -> Any:
+    """Return the index of a number in the array of its leaf; all entries if it is the array."""
+    return number.place(ndim) if number.entry is not None else ...
+
+
 def _minus(a: Array, b: Array) -> Array:
     """Return a - b; 0 for equal infinite numbers, such as the smallest value of no sample."""
     return np.where(a == b, 0.0, a - b)
@@ -633,5 +631,5 @@ def _minus(a: Array, b: Array) -> Array:
 
 def _equal(key: list[Any], other: list[Any]) -> bool:
     """Return whether keys contain the same objects or equal arrays."""
-    pairs = zip(key, other, strict=False)
-    return len(key) == len(other) and all(x is y or np.array_equal(x, y) for x, y in pairs)
+    is_same = (x is y or np.array_equal(x, y) for x, y in zip(key, other, strict=False))
+    return len(key) == len(other) and all(is_same)

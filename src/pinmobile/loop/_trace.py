@@ -533,9 +533,6 @@ def initial_memories(
 def initial_states(loop: Loop, spread: Mapping[str, Array], first: Reference) -> tuple[Array, Array]:
     """Return the states of n robots at the start of their references, shape (n, nq) and (n, nv).
 
-    `start` of the plant runs once, with symbols. If it does not accept symbols, or its result differs, it
-    runs for each robot.
-
     Parameters
     ----------
     loop : Loop
@@ -545,33 +542,12 @@ def initial_states(loop: Loop, spread: Mapping[str, Array], first: Reference) ->
     first : Reference
         First samples of the references, shape (n, ...).
     """
-    n = len(first.q)
-
-    def start(i: int) -> tuple[Array, Array]:
-        varied = replace(loop, {path: x[i] for path, x in _rows(spread, n).items()})
-        q, v = varied.plant.start(Reference(*(x[i].copy() for x in first)))
-        return np.asarray(q, np.float64), np.asarray(v, np.float64)
-
-    ends = [np.array(x) for x in zip(start(0), start(n - 1), strict=True)]
-    try:
-        with tracing():
-            rows = _evaluate_symbols(lambda x, *row: x.law.start(Reference(*row)), loop, spread, n, *first)
-        rows = [np.broadcast_to(x, (n, *x.shape[-1:])) for x in rows]
-        is_same = [
-            np.allclose(x[[0, -1]], end, rtol=1e-9, atol=1e-9) for x, end in zip(rows, ends, strict=True)
-        ]
-    except (NotTraceable, AttributeError):
-        is_same = [False]
-    if not all(is_same):
-        rows = [np.array(x) for x in zip(*map(start, range(n)), strict=True)]
-    return rows[0], rows[1]
+    q, v = _evaluate_robots(lambda plant, *row: plant.start(Reference(*row)), loop, spread, *first)
+    return q, v
 
 
 def initial_velocities(loop: Loop, spread: Mapping[str, Array], q: Array, v: Array) -> Array:
     """Return the initial velocities of n robots after projection on their constraints, shape (n, nv).
-
-    `project` runs once, with symbols. If it does not accept symbols, or its result differs, it runs for each
-    robot.
 
     Parameters
     ----------
@@ -582,21 +558,35 @@ def initial_velocities(loop: Loop, spread: Mapping[str, Array], q: Array, v: Arr
     q, v : ndarray, shape (n, nq), (n, nv)
         Initial configurations and velocities.
     """
-    n = len(q)
+    return _evaluate_robots(lambda plant, *row: [plant.project(*row)], loop, spread, q, v)[0]
 
-    def project(i: int) -> Array:
+
+def _evaluate_robots(
+    compute: Callable[..., Sequence[Any]], loop: Loop, spread: Mapping[str, Array], *rows: Array
+) -> list[Array]:
+    """Return what a function of the plant answers for n robots, arrays of shape (n, k).
+
+    The function runs once, with symbols. If it does not accept symbols, or its answer differs from that of
+    the plant itself, it runs for each robot.
+    """
+    n = len(rows[0])
+
+    def alone(i: int) -> list[Array]:
         varied = replace(loop, {path: x[i] for path, x in _rows(spread, n).items()})
-        return np.asarray(varied.plant.project(q[i].copy(), v[i].copy()), np.float64)
+        return [np.asarray(x, np.float64) for x in compute(varied.plant, *(row[i].copy() for row in rows))]
 
-    ends = np.array([project(0), project(n - 1)])
+    ends = [np.array(x) for x in zip(alone(0), alone(n - 1), strict=True)]
     try:
         with tracing():
-            (rows,) = _evaluate_symbols(lambda x, q, v: [x.law.project(q, v)], loop, spread, n, q, v)
+            answers = _evaluate_symbols(lambda x, *row: compute(x.law, *row), loop, spread, n, *rows)
     except NotTraceable:
-        rows = np.zeros(0)
-    if rows.shape == v.shape and np.allclose(rows[[0, -1]], ends, rtol=1e-9, atol=1e-9):
-        return rows
-    return np.array([*map(project, range(n))])
+        answers = []
+    answers = [np.broadcast_to(x, (n, *x.shape[-1:])) for x in answers]
+    is_same = len(answers) == len(ends) and all(
+        x.shape[1:] == end.shape[1:] and np.allclose(x[[0, -1]], end, rtol=1e-9, atol=1e-9)
+        for x, end in zip(answers, ends, strict=True)
+    )
+    return answers if is_same else [np.array(x) for x in zip(*map(alone, range(n)), strict=True)]
 
 
 def _rows(spread: Mapping[str, Array], n: int) -> dict[str, Array]:
