@@ -99,10 +99,11 @@ def test_an_ensemble_counts_robots_whose_motors_are_faster_than_without_load(
 ) -> None:
     robot: Any = on_wheels(motor=pm.Motor(resistance=2, torque_constant=0.5, voltage=24))
     law, constants = WheelSpeed(pm.UnicycleTracking(), robot, kp=0.5), np.array([0.4, 0.5, 0.55])
-    parts = (robot.by_voltage(), TorqueToVoltage(law, robot.by_voltage())) if takes_volts else (robot, law)
+    powered = robot.by_voltage()
+    plant, controller = (powered, TorqueToVoltage(law, powered)) if takes_volts else (robot, law)
     path, spread = Tangent(Circle(2.0, 2.4, 0.1)), {"plant.*.torque_constant": constants}
     with pytest.warns(LimitWarning, match="exceed a speed limit"):
-        found = pm.ensemble(*parts, path, spread=spread, n=3, dt=0.01, engine=engine)
+        found = pm.ensemble(plant, controller, path, spread=spread, n=3, dt=0.01, engine=engine)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         kinds = [{event.kind for event in found.member(i).events} for i in range(3)]
