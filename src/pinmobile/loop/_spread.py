@@ -376,8 +376,8 @@ def check_spread(spread: Mapping[str, Source], n: int, find: Find) -> dict[str, 
             _check_set(name, number)
             if not (number.is_array or number.value):
                 raise InvalidArgument(
-                    f"spread[{name!r}] is a factor of {number.path}, which is 0, expected a distribution of the "
-                    "number itself, such as Uniform(-1, 1)"
+                    f"spread[{name!r}] is a factor of {number.path}, which is 0, expected a distribution of "
+                    "the number itself, such as Uniform(-1, 1)"
                 )
         if isinstance(source, SameAs):
             _check_chain(name, source, spread, find)
