@@ -92,6 +92,13 @@ def test_mujoco_has_the_same_distances(robot: pm.MobileRobot) -> None:
     assert (np.abs(found.distances - theirs)[~apart] < 1e-6).mean() > 0.8
 
 
+def test_a_depth_that_coal_finds_only_roughly_is_that_of_mujoco() -> None:
+    q = np.array([[0.7501, 0.4451, 0.4379, -1.0698, 1.7357, 2.9176, 4.8073, 5.1743, -4.2202]])
+    found, pair = pm.clearance(PRIMITIVE, q), ("ur5/base_link", "ur5/wrist_1_link")
+    theirs = by_mujoco(PRIMITIVE, q, [pair])
+    np.testing.assert_allclose(found.distances[:, found.pairs.index(pair)], theirs[0], rtol=0, atol=1e-6)
+
+
 def mesh(points: Any, faces: Any) -> Any:
     """Return a mesh as a file's is."""
     made = coal.BVHModelOBBRSS()

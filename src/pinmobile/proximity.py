@@ -381,7 +381,9 @@ class _Scene:
                 request.cached_gjk_guess, request.cached_support_func_guess = _GUESS
             pin.computeDistances(model, data)
             row_minima[:] = [result.min_distance for result in results]
-        minima[minima < _MIN_DEPTH] = -_TOUCH_TOLERANCE  # they overlap
+        for row, k in np.argwhere(minima < _MIN_DEPTH):
+            pair = model.collisionPairs[int(k)]
+            minima[row, k] = self._hull_distance(pair.first, pair.second, placements[row])
         return np.asarray(np.minimum.reduceat(minima, starts, axis=1))
 
     def _shapes(self, pair: _Numbers) -> list[_Numbers]:
@@ -423,18 +425,30 @@ class _Scene:
     def _shape_distance(self, i: int, j: int, placements: Array) -> float:
         import coal
 
+        hulls = self._hull_distance(i, j, placements)
+        if j == len(self._convex) - 1 or (self._meshes[i] is None and self._meshes[j] is None):
+            return hulls
         poses = [self._place(k, placements) for k in (i, j)]
         request, result = coal.DistanceRequest(), coal.DistanceResult()
         _set_tolerances(request)
-        hulls = float(coal.distance(self._convex[i], poses[0], self._convex[j], poses[1], request, result))
-        hulls = hulls if hulls > _MIN_DEPTH else -_TOUCH_TOLERANCE
-        if j == len(self._convex) - 1 or (self._meshes[i] is None and self._meshes[j] is None):
-            return hulls
-        result = coal.DistanceResult()
         solid = float(coal.distance(self._solid(i), poses[0], self._solid(j), poses[1], request, result))
         if solid <= _TOUCH_TOLERANCE or (hulls < 0 and self._encloses(i, j, placements)):
             return min(hulls, solid)
         return solid
+
+    def _hull_distance(self, i: int, j: int, placements: Array) -> float:
+        """Return the distance of the convex hulls of two shapes [m]."""
+        import coal
+
+        hulls = self._convex[i], self._place(i, placements), self._convex[j], self._place(j, placements)
+        for tolerance in _DEPTH_TOLERANCE * 10.0 ** np.arange(6):  # coal finds some depths only roughly
+            request = coal.DistanceRequest()
+            _set_tolerances(request)
+            request.epa_tolerance = tolerance
+            distance = float(coal.distance(*hulls, request, coal.DistanceResult()))
+            if distance > _MIN_DEPTH:
+                return distance
+        return -_TOUCH_TOLERANCE  # they overlap
 
     def overlaps(self, placements: Array, pair: _Numbers) -> bool:
         """Return whether two links overlap."""
