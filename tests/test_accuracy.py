@@ -4,11 +4,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, strategies as st
 from matplotlib.colors import to_hex
 
-from pinmobile import InvalidArgument, MobileRobot, plots, rk4
-from pinmobile.accuracy import Convergence, IntegratorReport, free_motion, integrator_report, invariants
+from pinmobile import InvalidArgument, plots, rk4
+from pinmobile.accuracy import Convergence, IntegratorReport, integrator_report
 from pinmobile.arrays import Array
 from pinmobile.integrators import constant_acceleration, semi_implicit_euler
 from pinmobile.palette import colour
@@ -62,44 +61,6 @@ def test_what_holding_costs_does_not_depend_on_the_integrator(reports: Reports) 
     fine = reports["rk4"]
     # The loop by rk4 is off by what holding costs, and by what rk4 does.
     assert abs(fine.sampling.errors[0] - fine.hold_error) <= fine.substeps.errors[0] + 1e-12
-
-
-def test_with_the_centre_of_mass_at_the_origin_a_held_force_is_integrated_exactly() -> None:
-    """M is constant, so the acceleration is: nothing is left but what holding the force costs."""
-    report = integrator_report(constant_acceleration, MobileRobot.lecture())
-    assert all(row.exact for row in (*report.free, report.substeps))
-    assert report.sampling.errors[0] == pytest.approx(report.hold_error, rel=1e-11)
-    assert report.sampling.order == pytest.approx(1, abs=0.05)
-    assert str(report.energy) == "exact to rounding"
-    assert report.energy.order is None
-
-
-robots = st.builds(
-    lambda m, i, x, y: MobileRobot(m, i, com=(x, y)),
-    st.floats(0.1, 100), st.floats(0.01, 10), st.floats(-1, 1), st.floats(-1, 1),
-)  # fmt: skip
-
-
-@given(robot=robots, t=st.floats(0, 10))
-def test_the_free_motion_obeys_the_robots_own_dynamics(robot: MobileRobot, t: float) -> None:
-    h = 1e-3
-    (q, before, after), (v, slower, faster) = free_motion(robot, np.array([t, t - h, t + h]))
-    # Central differences: h^2 / 6 of the third derivative, at most |com| spin^3.
-    np.testing.assert_allclose(v, (after - before) / (2 * h), rtol=0, atol=1e-6)
-    a = robot.forward_dynamics(q, v, np.zeros(3))
-    np.testing.assert_allclose(a, (faster - slower) / (2 * h), rtol=0, atol=1e-6)
-
-
-@given(robot=robots, seed=st.integers(0, 2**32 - 1))
-def test_what_is_conserved_is_the_generalised_momentum(robot: MobileRobot, seed: int) -> None:
-    """M v is the momentum, and that about the body's origin; x p_y - y p_x takes it to the inertial one."""
-    q, v = np.random.default_rng(seed).normal(size=(2, 3))
-    p = robot.mass_matrix(q) @ v
-    now = invariants(robot, q, v)
-    scale = 1e-12 * np.abs(p).max() * (1 + np.abs(q).max())
-    np.testing.assert_allclose(now.momentum, p[:2], rtol=0, atol=scale + 1e-13)
-    assert now.angular_momentum == pytest.approx(p[2] + q[0] * p[1] - q[1] * p[0], abs=scale + 1e-12)
-    assert now.energy == pytest.approx(robot.kinetic_energy(q, v), rel=1e-11)
 
 
 def made(errors: Any, rounding: float = 1e-12) -> Convergence:

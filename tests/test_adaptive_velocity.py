@@ -9,26 +9,14 @@ import pinmobile as pm
 from pinmobile.arrays import Array
 from pinmobile.controllers import AdaptiveVelocity
 from pinmobile.plant import Context
+from tests.parts import Eight
 from tests.refusals import refusals
 
 TRUE = pm.VelocityRobot([0.26, 0.25, 0.03, 1.1, 0.2, 1.2])
 WRONG = pm.VelocityRobot(TRUE.theta * [1.3, 0.7, 1.3, 0.7, 0.7, 1.3])
 
 
-class Eights:
-    """Eights, 1 m sin 0.5 t, 0.5 m sin t, again and again."""
-
-    duration = 60.0
-
-    def __call__(self, t: Any) -> Array:
-        return self.derivative(t, 0)
-
-    def derivative(self, t: Any, order: int) -> Array:
-        rate, size = np.array([0.5, 1.0]), np.array([1.0, 0.5])
-        return np.asarray(size * rate**order * np.sin(rate * np.asarray(t)[..., None] + order * np.pi / 2))
-
-
-EIGHT = pm.Tangent(Eights())
+EIGHT = pm.Tangent(Eight(1.0, 60.0, 4 * np.pi))  # 1 m sin 0.5 t, 0.5 m sin t
 OFF = np.array([0.15, -0.1, 0.3])
 
 
@@ -46,7 +34,7 @@ def wanted(run: pm.Rollout, controller: AdaptiveVelocity, ahead: float) -> Array
     return np.stack([c * rate[:, 0] + s * rate[:, 1], (c * rate[:, 1] - s * rate[:, 0]) / a], axis=-1)
 
 
-@pytest.mark.parametrize(("ahead", "path"), [(0.0, EIGHT), (0.15, pm.FixedHeading(Eights(), 0.3))])
+@pytest.mark.parametrize(("ahead", "path"), [(0.0, EIGHT), (0.15, pm.FixedHeading(EIGHT.path, 0.3))])
 def test_velocities_of_an_exact_model_fall_to_the_law_as_the_gain_says(ahead: float, path: Any) -> None:
     """Which they do only where the rates of the law's velocities are right."""
     robot, dt, k = pm.VelocityRobot(TRUE.theta, ahead), 1e-3, np.array([3.0, 5.0])
@@ -153,7 +141,7 @@ test_bad_arguments_are_refused = refusals(
         r"k = \[30.0\].*expected dt < 0.0",
     ),
     (
-        lambda: pm.simulate(TRUE, AdaptiveVelocity(TRUE), pm.FixedHeading(Eights(), 0.3), dt=0.02),
+        lambda: pm.simulate(TRUE, AdaptiveVelocity(TRUE), pm.FixedHeading(EIGHT.path, 0.3), dt=0.02),
         "reference moves sideways",
     ),
 )

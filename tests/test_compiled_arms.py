@@ -16,7 +16,7 @@ from pinmobile.controllers import Decoupled
 from pinmobile.errors import SlowerEngine
 from pinmobile.integrators import rk4
 from pinmobile.loop._run import plan_execution
-from tests.looping import Swing
+from tests.parts import Waving
 from tests.test_arms import mjcf
 from tests.test_compiled_loop import targets
 
@@ -52,7 +52,7 @@ SPREAD: dict[str, Any] = {
 def given(robot: pm.MobileRobot = UR5, controller: Any = None, spread: Any = SPREAD, **options: Any) -> Any:
     """Return the words of a scenario."""
     controller = pm.ComputedTorque(robot, 100, 20) if controller is None else controller
-    trajectory = Swing(robot, options.pop("lasts", 0.6))
+    trajectory = Waving(robot, options.pop("lasts", 0.6))
     words = {"robot": robot, "controller": controller, "trajectory": trajectory, "spread": spread}
     return {
         "n": 5,

@@ -8,10 +8,11 @@ import pytest
 import pinmobile as pm
 from pinmobile.controllers import TorqueToVoltage
 from pinmobile.wheels import Motor
+from tests.parts import Eight
 
 pytestmark = pytest.mark.once
 
-DT, SECONDS = 0.01, 25.0
+DT = 0.01
 VOLTS = 6.0
 MOTOR = pm.wheels.Motor(
     resistance=1.2,
@@ -37,18 +38,7 @@ MODEL = pm.WheeledRobot(pm.MobileRobot(30.0, 2.3, com=(0.05, 0.0, 0.2)), TABLE)
 HEAVY = pm.WheeledRobot(pm.MobileRobot(36.0, 2.76, com=(0.05, 0.0, 0.2)), TABLE, pm.Coulomb())
 
 
-class Eight:
-    duration = SECONDS
-
-    def __call__(self, t: Any) -> Any:
-        return self.derivative(t, 0)
-
-    def derivative(self, t: Any, order: int) -> Any:
-        rate, size = np.array([0.5, 1.0]), np.array([1.0, 0.5])
-        return size * rate**order * np.sin(rate * np.asarray(t)[..., None] + order * np.pi / 2)
-
-
-EIGHT = pm.Tangent(Eight())
+EIGHT = pm.Tangent(Eight(1.0, 25.0, 4 * np.pi))  # 1 m sin 0.5 t, 0.5 m sin t
 
 
 def controllers() -> dict[str, Any]:

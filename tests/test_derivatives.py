@@ -16,7 +16,7 @@ from pinmobile.parts import named, parts_of, replace
 from tests.frozen import BODY, CIRCLE, MOTOR, WHEEL, WRONG, by_lapack, loops, table, turning
 from tests.quick import every_fifth
 
-DT, DURATION = 0.01, 2.0
+DT, DURATION = 0.01, 1.5
 DRY = ("differential Coulomb", "mecanum Coulomb", "skid-steer")
 LOOPS = {name: (parts, options) for name, parts, options in (*loops(), *by_lapack())}
 

@@ -25,7 +25,7 @@ from pinmobile.errors import LimitWarning, UnknownName
 from pinmobile.plant import Event
 from pinmobile.viewer.scene import _captions
 from pinmobile.wheels import Ramp
-from tests.looping import Swing
+from tests.parts import Waving
 
 WHEEL: Any = {"mass": 1.0, "spin_inertia": 0.01, "supports": [(0.3, 0)]}
 
@@ -113,7 +113,7 @@ def test_rolling_that_the_ground_cannot_hold_is_slip() -> None:
 
 def test_an_arm_whose_base_tips_over_is_an_event() -> None:
     robot = MobileRobot(3.0, 1.0, com=(0, 0, 0.1)).mount("ur5", (0.3, 0, 0.2, 0))
-    run = simulate(robot, pm.ComputedTorque(robot, 100, 20), Swing(robot), dt=0.01, duration=0.2)
+    run = simulate(robot, pm.ComputedTorque(robot, 100, 20), Waving(robot, 0.6), dt=0.01, duration=0.2)
     assert of_kind(run, "tip over").value == run.metrics()["tip-over margin"].values.min() < 0
 
 

@@ -738,20 +738,6 @@ def units(*names: str) -> pm.Log:
     return replace(rolled(False), units=names)
 
 
-@pytest.mark.once
-def test_a_base_on_mecanum_wheels_is_identified() -> None:
-    table = pm.WheelTable.mecanum(0.4, 0.48, 0.09, mass=1.0, spin_inertia=0.005)
-    plant = pm.WheeledRobot(BODY, table)
-    run = pm.simulate(
-        plant, pm.ComputedTorque(plant), motion(), dt=0.02, substeps=4, engine=pm.Engine.COMPILED
-    )
-    prior = pm.WheeledRobot(pm.MobileRobot(20.0, 1.0), table)
-    known = pm.identify(pm.Log.from_rollout(run, 1e-3, 0.02, seed=1), prior, method="weak")
-    for name, value in {"mass": 30.0, "com_x": 0.06, "com_y": 0.02, "yaw_inertia": 1.3}.items():
-        low, high = known.interval(0.999)[name]
-        assert low < value < high
-
-
 def test_columns_have_units_and_other_names(tmp_path: Path) -> None:
     path = tmp_path / "run.csv"
     path.write_text(lines_of(FEW * [1, 1, 1, 1, 1e-3, 1e-3, 1e3], "t,px,y,psi,Fx [kN],Fy [kN],Mz [mN m]"))

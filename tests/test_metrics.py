@@ -17,7 +17,8 @@ from pinmobile.loop import run_scenario
 from pinmobile.metrics import Metric
 from pinmobile.reaching.poses import error_sizes, pose_error
 from pinmobile.urdf import Body
-from tests.looping import Body as Pushed, Swing
+from tests.looping import Body as Pushed
+from tests.parts import Waving
 
 CLOSE = 1e-10
 # The base's products of inertia, which the ground alone feels, and its height.
@@ -40,7 +41,9 @@ SPREAD: dict[str, Any] = {
 
 def scenario(**options: Any) -> pm.Scenario:
     given = {"n": 3, "dt": 0.02, "seed": 3, "after": 0.1, "spread": SPREAD, **options}
-    return pm.Scenario(robot=UR5, controller=pm.ComputedTorque(UR5, 100, 20), trajectory=Swing(UR5), **given)
+    return pm.Scenario(
+        robot=UR5, controller=pm.ComputedTorque(UR5, 100, 20), trajectory=Waving(UR5, 0.6), **given
+    )
 
 
 @pytest.fixture(scope="module")
