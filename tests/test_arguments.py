@@ -102,10 +102,7 @@ FAULTS: dict[str, list[tuple[Any, ...]]] = {
         (lambda: Viewer(ROBOT, live=True, host="[::1"), "host is '[::1', expected a name or an address"),
     ],
     "another part": [
-        (
-            of_loop(trajectory=CIRCLE),
-            "a path, which has no heading, expected a trajectory: wrap the path in Tangent or",
-        ),
+        (of_loop(trajectory=CIRCLE), "a path, which has no heading, expected a trajectory: wrap the path"),
         (
             of_loop(trajectory=pm.PosePath(pm.Spline([[0, 0, 1], [1, 0, 1]], [0, 1]))),
             "a path of poses of an end effector, expected a trajectory of the robot's coordinates, such as",
@@ -113,28 +110,16 @@ FAULTS: dict[str, list[tuple[Any, ...]]] = {
         (of_loop(integrator=pm.PD(1, 1)), "a controller, expected one of pinmobile.integrators"),
     ],
     "another signature": [
-        (
-            lambda: pm.law(cast(Any, lambda t, q: np.zeros(3))),
-            "which cannot be called as function(t, q, v, reference): too many positional arguments",
-        ),
-        (
-            of_loop(integrator=lambda q, v: (q, v)),
-            "which cannot be called as integrator(acceleration, t, q, v, dt): too many",
-        ),
-        (
-            lambda: pm.PD(1, 1, difference=lambda q: q),
-            "which cannot be called as difference(q0, q1): too many",
-        ),
+        (lambda: pm.law(cast(Any, lambda t, q: np.zeros(3))), "which cannot be called as function("),
+        (of_loop(integrator=lambda q, v: (q, v)), "which cannot be called as integrator("),
+        (lambda: pm.PD(1, 1, difference=lambda q: q), "which cannot be called as difference(q0, q1)"),
     ],
     "another shape returned": [
         (
             of_loop(controller=pm.law(lambda t, q, v, reference: [1.0, 2.0])),
             "controller returned array([1., 2.]) at t = 0 s, expected an array of shape (3,)",
         ),
-        (
-            of_loop(forces=[lambda t, q, v: np.zeros(2)]),
-            "forces[0] returned array([0., 0.]) at t = 0 s, expected an array of shape (3,)",
-        ),
+        (of_loop(forces=[lambda t, q, v: np.zeros(2)]), "forces[0] returned array([0., 0.]) at t = 0 s"),
         (of_loop(integrator=lambda acceleration, t, q, v, dt: q), "expected (q, v) of shapes (3,) and (3,)"),
     ],
     "too long a step": [

@@ -241,10 +241,7 @@ def test_many_numbers_select_reverse_mode_and_elementary_functions_have_their_sl
         ({"by": ["controller.kq"]}, "unknown parameter in by 'controller.kq'"),
         ({"loss": lambda sample: sample.error}, r"loss returned .*, expected a number"),
         ({"loss": lambda sample: 1.0 if sample.u[0] > 0 else 0.0}, "this loop has no derivative: .*np.where"),
-        (
-            {"controller": pm.PD(1e9, 1e9)},
-            "loss is nan with derivatives .*, expected finite numbers",
-        ),
+        ({"controller": pm.PD(1e9, 1e9)}, "loss is nan with derivatives .*, expected finite numbers"),
         ({"controller": pm.MPC(BODY), "dt": 0.05}, "this loop has no derivative: .*MPC"),
     ],
 )

@@ -215,28 +215,13 @@ def test_gains_of_coordinates_leave_those_that_couple_them() -> None:
     [
         ({"n": -3}, "n is -3, expected a whole number >= 1"),
         ({"n": 10**11}, "the records of 100,000,000,000 robots take"),
-        (
-            {"controller": pm.InputSaturation(pm.PD(4, 4), [1, 2])},
-            "limits has shape (2,), expected () or (..., 3)",
-        ),
+        ({"controller": pm.InputSaturation(pm.PD(4, 4), [1, 2])}, "limits has shape (2,), expected ()"),
         ({"robot": WITH_ARM}, "q0 has shape (9,), expected (..., 3); the reference has the first 3 of 9"),
-        (
-            {"controller": pm.ComputedTorque(WITH_ARM)},
-            ", which has 9 coordinates, expected 3, as the plant has",
-        ),
+        ({"controller": pm.ComputedTorque(WITH_ARM)}, ", which has 9 coordinates, expected 3, "),
         ({"spread": 3}, "spread is 3, expected a mapping of parameters to distributions"),
-        (
-            {"spread": {"masss": 3}},
-            "unknown parameter in spread 'masss', did you mean 'mass'? available: mass, ",
-        ),
-        (
-            {"spread": {"mass": "3"}},
-            "spread['mass'] is '3', expected numbers or a distribution, such as Uniform",
-        ),
-        (
-            {"spread": {"mass": np.ones(3)}},
-            "spread['mass'] has shape (3,), expected () or (1000,), one number per robot, or a distribution",
-        ),
+        ({"spread": {"masss": 3}}, "unknown parameter in spread 'masss', did you mean 'mass'? available"),
+        ({"spread": {"mass": "3"}}, "spread['mass'] is '3', expected numbers or a distribution"),
+        ({"spread": {"mass": np.ones(3)}}, "spread['mass'] has shape (3,), expected () or (1000,)"),
         (
             {"spread": {"mass": pm.SameAs("controller.mass"), "controller.mass": pm.SameAs("mass")}},
             "spread is circular (mass, controller.mass, mass): give one its own distribution",
@@ -269,14 +254,8 @@ def test_what_all_robots_share_is_named_where_a_spread_asks_for_it(name: str) ->
 @pytest.mark.parametrize(
     ("spread", "text"),
     [
-        (
-            {"mass": pm.Normal(5, 5)},
-            "kg as the mass of the robot, and 172 of 1000 draws (17.20%) are impossible; expected > 0",
-        ),
-        (
-            {"controller.mass": pm.SameAs("mass", -1.0)},
-            "spread['controller.mass'] gives -30 kg as the mass of the robot",
-        ),
+        ({"mass": pm.Normal(5, 5)}, "kg as the mass of the robot, and 172 of 1000 draws (17.20%)"),
+        ({"controller.mass": pm.SameAs("mass", -1.0)}, "spread['controller.mass'] gives -30 kg as the mass"),
     ],
 )
 def test_impossible_draws_are_refused_with_their_share(spread: Any, text: str) -> None:

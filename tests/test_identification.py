@@ -624,34 +624,22 @@ test_a_log_that_tells_something_else_is_refused_with_what_it_is = refusals(
     (lambda: pm.identify(log().between(0, 12)), r"^log is 12 s long, too short, expected at least"),
     (lambda: pm.identify(changed(q=lambda q: 0 * q, u=lambda u: 0 * u)), r"^log has poses that move by 0 m"),
     (lambda: pm.identify(changed(u=lambda u: u[::-1])), r"^log has inputs that explain"),
-    (
-        lambda: pm.identify(forces_in_body_frame()),
-        r"^log has forces that explain .* of the motion, 100% if they are in the body frame, .*: rotate",
-    ),
+    (lambda: pm.identify(forces_in_body_frame()), r"^log has forces .*, 100% if they are in the body frame"),
     (lambda: pm.identify(changed(q=drifting)), r"^log has a delay of the poses that changes by .*two clocks"),
     (
         lambda: pm.Log.from_streams(log().t, log().q, log().t + 1e9, log().u),
         r"^t_u is from 1e\+09 to .* one clock",
     ),
-    (
-        lambda: pm.identify(changed(u=lambda u: u[:, :2])),
-        r"^log has 2 inputs, expected 3: \(Fx, Fy, Mz\) .* identify_velocity; joints of arms",
-    ),
+    (lambda: pm.identify(changed(u=lambda u: u[:, :2])), r"^log has 2 inputs, expected 3: \(Fx, Fy, Mz\)"),
     (lambda: pm.identify(log(), on_wheels(BODY)), r"^log has 3 inputs, expected 2: .* left, right; is the"),
-    (
-        lambda: changed(t=lambda t: np.floor(10 * t) / 10),
-        r"^t has the time of the row before in 1[0-9]+ of 2201 rows, expected increasing times: were they",
-    ),
+    (lambda: changed(t=lambda t: np.floor(10 * t) / 10), r"^t has the time of the row before in 1[0-9]+"),
 )
 
 
 @pytest.mark.parametrize(
     ("robot", "text"),
     [
-        (
-            lambda: pm.MobileRobot.box().mount("ur5"),
-            r"without arms \(robot.with_locked_arms\(\) has them locked\), .*",
-        ),
+        (lambda: pm.MobileRobot.box().mount("ur5"), r"without arms \(robot.with_locked_arms\(\) "),
         (lambda: pm.VelocityRobot([0.3, 0.3, 0, 1, 0, 1]), "use identify_velocity$"),
     ],
 )
@@ -794,10 +782,7 @@ def test_columns_of_a_file_without_a_header_have_numbers(tmp_path: Path) -> None
         ("", "which is empty, expected a header that names the columns"),
         (lines_of(FEW).partition("\n")[2], "whose first line .* contains numbers, expected .*; without"),
         (lines_of(FEW, "a,b,c,d,Fx,Fy,Mz"), "whose columns are a, b, .* none of them known for t, expected"),
-        (
-            lines_of(FEW, "t,b,c,d,Fx,Fy,Mz"),
-            "whose columns are .*, none of them known for q or twist or wheel_rates or joints, expected co",
-        ),
+        (lines_of(FEW, "t,b,c,d,Fx,Fy,Mz"), "whose columns are .*, none of them known for q or twist"),
         (lines_of(FEW, "t,x,y,psi,Fx,Fy,x"), "with two columns 'x', expected one column"),
         (lines_of(FEW).replace("0.", "zero"), "whose column 't' has no numbers, but 'zero0+', expected"),
         (lines_of(FEW, "time\u202e,x,y,psi,a,b,c"), r"whose columns are 'time\\u202e', x, "),

@@ -9,7 +9,7 @@ import pytest
 from pinmobile import MobileRobot, PayloadBody, verify
 from pinmobile.arrays import Array
 from pinmobile.errors import NotTraceable
-from pinmobile.parts import find, replace
+from pinmobile.parts import replace
 from pinmobile.robot.articulated import ArticulatedDynamics
 from pinmobile.robot.linkage import Linkage
 
@@ -173,17 +173,3 @@ def test_other_numbers_make_another_robot() -> None:
     again = pickle.loads(pickle.dumps(robot))
     assert again == robot
     assert again.source == robot.source
-
-
-def test_numbers_of_arms_have_names() -> None:
-    robot = MobileRobot.box().mount("ur5", AT)
-    assert find(robot, "forearm_link.mass").path == f"{FOREARM}.mass"
-    assert find(robot, "rotors.elbow_joint").entry == (2,)
-    assert find(robot, "at.yaw").leaf.value == AT
-
-
-def test_what_moves_together_is_called_by_its_first_link_with_a_mass() -> None:
-    (mount,) = MobileRobot.box().mount("ur5").mounts
-    assert mount.links[0].name == "base_link"  # and not the world that it is fixed to
-    assert mount.links[-1].name == "wrist_3_link"
-    assert len(mount.links) == 7
