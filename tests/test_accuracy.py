@@ -33,9 +33,7 @@ def reports() -> Reports:
 
 
 @pytest.mark.parametrize("name", ORDERS)
-def test_pose_momentum_and_energy_of_the_free_body_are_held_to_the_order_of_the_method(
-    name: str, reports: Reports
-) -> None:
+def test_invariants_of_the_free_body_are_held_to_the_order_of_the_method(name: str, reports: Reports) -> None:
     """The heading turns uniformly, so v is a quadrature: a left Riemann sum, of order 1, or Simpson's, of 4.
 
     The position's own sum adds terms of order 1 for Euler's methods; none of them cancels.

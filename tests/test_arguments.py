@@ -173,7 +173,7 @@ def is_made(value: Any) -> bool:
 @pytest.fixture(scope="module")
 def fuzzed(request: pytest.FixtureRequest) -> dict[str, Any]:
     """Run the trials in a process of their own: a crash, or memory without bound, ends only that process."""
-    test = test_wrong_values_end_in_an_error_of_the_library_or_a_right_answer.__name__
+    test = test_wrong_values_end_in_an_error_of_the_library_or_an_answer.__name__
     asked = {item.name for item in request.session.items}
     names = [name for name in sorted(ROWS) if f"{test}[{name}]" in asked]
     words = [sys.executable, "-W", "ignore::DeprecationWarning", "-m", "tests.arguments", *names]
@@ -185,9 +185,7 @@ def fuzzed(request: pytest.FixtureRequest) -> dict[str, Any]:
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", ROWS)
-def test_wrong_values_end_in_an_error_of_the_library_or_a_right_answer(
-    name: str, fuzzed: dict[str, Any]
-) -> None:
+def test_wrong_values_end_in_an_error_of_the_library_or_an_answer(name: str, fuzzed: dict[str, Any]) -> None:
     assert fuzzed[name]["wrong"] == []
 
 

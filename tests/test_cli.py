@@ -267,9 +267,7 @@ def test_wrong_words_are_answered_in_a_line_each(typed: Typed, tmp_path: Path, w
     assert err.count("\n") == 1 + ("kd=b" in words)
 
 
-def test_an_output_folder_that_cannot_be_written_is_refused_before_any_work(
-    typed: Typed, tmp_path: Path
-) -> None:
+def test_an_output_folder_that_is_a_file_is_refused_before_any_work(typed: Typed, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     code, out, err = typed("run", "--out", str(tmp_path / "file" / "out"))
     assert code == 2
@@ -398,9 +396,7 @@ def test_a_sweep_of_two_numbers_is_drawn_as_maps(typed: Typed, swept: list[str],
     assert (tmp_path / "out" / "index.html").read_text().count("<img") == 2
 
 
-def test_an_interrupted_sweep_says_how_to_go_on(
-    typed: Typed, swept: list[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_sweep_says_how_to_go_on(typed: Typed, swept: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupt(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
@@ -434,9 +430,7 @@ REFUSED = "pinmobile: duration=0: duration is 0, expected .*\npinmobile: page of
     ("closed", "options", "code", "text"),
     [(">&-", "duration=0", 2, REFUSED), (">&- 2>&-", "duration=1", 0, "")],
 )
-def test_a_closed_output_is_no_output(
-    closed: str, options: str, code: int, text: str, tmp_path: Path
-) -> None:
+def test_closed_output_is_no_output(closed: str, options: str, code: int, text: str, tmp_path: Path) -> None:
     words = f"exec {shlex.quote(sys.executable)} -m pinmobile write {options} {closed}"
     done = subprocess.run(["sh", "-c", words], capture_output=True, text=True, timeout=100, cwd=tmp_path)
     assert done.returncode == code
@@ -546,9 +540,7 @@ def test_a_bad_log_is_answered_in_one_line(
         ("robot=3", "LOG is missing, expected at least one file, such as run.csv"),
     ],
 )
-def test_words_about_no_log_are_answered_in_one_line(
-    words: str, message: str, typed: Typed, tmp_path: Path
-) -> None:
+def test_words_about_no_log_have_one_answer(words: str, message: str, typed: Typed, tmp_path: Path) -> None:
     written(tmp_path / "run.csv", rows())
     told = [str(tmp_path / word) if word.endswith(".csv") else word for word in words.split()]
     code, _, err = typed("identify", *told, "--out", str(tmp_path))
@@ -562,9 +554,7 @@ def test_the_help_of_identify_names_every_path() -> None:
         assert re.search(rf"Paths: .*\b{name}\b", words), name
 
 
-def test_a_lost_cluster_is_a_failure_and_no_wrong_word(
-    typed: Typed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_lost_cluster_is_a_failure(typed: Typed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def lost(address: str) -> None:
         raise SchedulerError(f"scheduler is {address!r}, which does not answer")
 

@@ -31,9 +31,7 @@ def test_numbers_of_mujoco_and_drake() -> None:
     np.testing.assert_allclose(data.qfrc_bias, n, rtol=0, atol=1e-14)
 
 
-def test_mass_matrix_rate_minus_twice_coriolis_is_skew(
-    states: tuple[Array, ...],
-) -> None:
+def test_mass_matrix_rate_minus_twice_coriolis_is_skew(states: tuple[Array, ...]) -> None:
     q, v, _, _ = states
     h = 1e-5
     rate = (closed_form.mass_matrix(q + h * v, **BODY) - closed_form.mass_matrix(q - h * v, **BODY)) / (2 * h)

@@ -145,9 +145,7 @@ def check_hand(hand: EndEffector, run: pm.Rollout, q: Array | None = None) -> No
     assert hand.max_error() == (hand.distance.max(), hand.angle.max())
 
 
-def test_a_rollout_tells_where_its_end_effector_was_and_should_have_been(
-    run: pm.Rollout, tmp_path: Path
-) -> None:
+def test_a_rollout_has_the_poses_and_targets_of_its_end_effector(run: pm.Rollout, tmp_path: Path) -> None:
     hand = run.end_effector()
     assert (hand.frame, hand.is_oriented) == ("ur5/tool0", True)
     check_hand(hand, run)

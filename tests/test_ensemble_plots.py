@@ -232,9 +232,7 @@ class TestDrivers:
             assert title == f"{first.place}:\n{shares[0]} of the worst, {shares[1]} of the others"
         assert first.place == f"above {first.low:.3g} kg"
 
-    def test_crosses_of_diverged_robots_stand_at_their_own_word_above_all_numbers(
-        self, diverging: pm.Ensemble
-    ) -> None:
+    def test_diverged_robots_are_crosses_at_their_own_word_above_all(self, diverging: pm.Ensemble) -> None:
         figure = plots.drivers(diverging)
         assert figure.axes[0].get_title(loc="left").startswith("below ")
         assert texts(figure)[-1] == "diverged"

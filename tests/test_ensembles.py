@@ -170,9 +170,7 @@ def test_a_noisy_robot_is_run_alone_by_any_engine() -> None:
 
 
 @pytest.mark.parametrize("difference", [planar_difference, plain_difference])
-def test_a_start_that_is_a_turn_ahead_is_seen_as_simulate_and_its_controller_see_it(
-    difference: Any,
-) -> None:
+def test_a_start_a_turn_ahead_is_seen_as_simulate_and_its_controller_see_it(difference: Any) -> None:
     controller: Any = pm.PD((40, 50, 4), (60, 50, 4), difference=difference)
     scenario = made(
         controller=controller,

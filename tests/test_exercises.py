@@ -119,9 +119,7 @@ def test_mistakes_of_size_and_shape_and_of_designs_are_named(name: str) -> None:
 
 
 @each
-def test_each_diagnosis_belongs_to_one_mistake_in_any_course(
-    name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_diagnosis_belongs_to_one_mistake_in_any_course(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("pinmobile.exercises._exercise._call", lambda answer, state: answer(*state))
     total = set()
     for course in map(str, range(2)):
@@ -188,9 +186,7 @@ JUNK: dict[str, Any] = {
 
 
 @asked
-def test_junk_earns_no_points_and_raises_no_error(
-    question: Question, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_junk_earns_no_points_nor_an_error(question: Question, capsys: pytest.CaptureFixture[str]) -> None:
     for name, junk in JUNK.items():
         for answer in (junk, (junk, junk)) if is_design(question) else (junk,):
             verdict = question.check(answer)

@@ -392,9 +392,7 @@ def test_the_readme_states_memory_and_stack(tmp_path: Path) -> None:
         "mecanum --plant",
     ],
 )
-def test_the_command_exports_a_scenario(
-    words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_command_exports_a_scenario(words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     name = "base" if "base" in words else "robot"
     assert main(["export", *words.split(), "--out", str(tmp_path)]) == 0
     out = capsys.readouterr().out
@@ -405,9 +403,7 @@ def test_the_command_exports_a_scenario(
     assert ("allowed: 0\n" in done.stdout) == ("single" not in words)
 
 
-def test_the_command_states_which_loop_of_a_grid_it_uses(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_states_its_loop_of_a_grid(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     note = (
         "no effect here: spread, grid, cases of the file; the controller is {}, select another by controller="
     )

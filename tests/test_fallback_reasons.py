@@ -152,9 +152,7 @@ def _branching_torques(t: float, q: Any, v: Any, reference: Any) -> Any:
 
 
 @pytest.mark.parametrize(("ground", "substeps"), [(pm.Rolling(), 3), (pm.Coulomb(), 1)])
-def test_plant_and_forces_are_compiled_where_the_controller_alone_cannot_be(
-    ground: Any, substeps: int
-) -> None:
+def test_plant_and_forces_are_compiled_where_a_controller_cannot_be(ground: Any, substeps: int) -> None:
     wheel: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006}
     table = pm.WheelTable.differential(0.5, 0.1, supports=[(-0.3, 0.0)], **wheel)
     robot = pm.WheeledRobot(pm.MobileRobot(30.0, 1.3, com=(0.1, 0.05, 0.2)), table, ground)

@@ -76,9 +76,7 @@ def test_a_full_disk_leaves_the_file_that_was_there(tmp_path: Path, name: str) -
 
 
 @pytest.mark.parametrize("failure", [KeyboardInterrupt, MemoryError])
-def test_whatever_ends_a_write_leaves_the_file_that_was_there(
-    tmp_path: Path, failure: type[BaseException]
-) -> None:
+def test_a_write_that_ends_leaves_the_file_that_was(tmp_path: Path, failure: type[BaseException]) -> None:
     write(tmp_path / "file", b"good")
 
     def stop(done: int, total: int) -> None:

@@ -319,9 +319,7 @@ def test_another_process_finds_the_loop_whatever_its_seed_of_hashes(process: Pro
     assert process.loops == before
 
 
-def test_no_file_is_used_where_the_source_is_not_what_was_loaded(
-    process: Process, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_file_of_another_source_is_used(process: Process, monkeypatch: pytest.MonkeyPatch) -> None:
     run(pm.PD(100, 20))
     identity._source.cache_clear()
     monkeypatch.setattr(identity, "_START", 0.0)
@@ -361,9 +359,7 @@ def test_a_loop_whose_machine_code_is_gone_is_built_and_not_traced(process: Proc
     assert process.traced == 0
 
 
-def test_where_nothing_can_be_written_a_loop_is_built(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_loop_is_built_without_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "file").write_text("")
     Process(tmp_path / "file" / "inside", monkeypatch)
     assert_as_python(pm.PD(9, 9))

@@ -247,9 +247,7 @@ def test_damage_is_found_or_does_no_harm(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_a_file_that_cannot_be_is_refused(
-    tmp_path: Path, name: str, options: dict[str, Any], why: str
-) -> None:
+def test_impossible_files_are_refused(tmp_path: Path, name: str, options: dict[str, Any], why: str) -> None:
     (tmp_path / "run.mcap").write_bytes(b"kept")
     with pytest.raises(pm.InvalidArgument, match=why):
         run_of("body").to_mcap(tmp_path / name, **options)

@@ -125,9 +125,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize("case", WRONG)
-def test_what_is_neither_chain_nor_base_is_refused_by_the_joint_that_is_wrong(
-    tmp_path: Path, case: str
-) -> None:
+def test_what_is_neither_chain_nor_base_is_refused_by_its_joint(tmp_path: Path, case: str) -> None:
     urdf, text = WRONG[case]
     with pytest.raises(InvalidArgument) as caught:
         MobileRobot.from_urdf(saved(tmp_path, urdf))
