@@ -357,15 +357,10 @@ ROWS: dict[str, Row] = {
     "Log.from_csv": row(path=the("log_csv")),
     "Log.from_rollout": row(rollout=the("rollout")),
     "Log.from_streams": Row(
-        lambda: {
-            "t_q": WORLD.log.t,
-            "q": WORLD.log.q,
-            "t_u": WORLD.log.t,
-            "u": WORLD.log.u,
-            "units": ("N", "N", "N m"),
-            "twist": None,
-            "wheel_rates": None,
-        }
+        lambda: (
+            dict(t_q=WORLD.log.t, q=WORLD.log.q, t_u=WORLD.log.t, u=WORLD.log.u)
+            | {"units": ("N", "N", "N m"), "twist": None, "wheel_rates": None}
+        )
     ),
     "identify": row(log=the("log")),
     "identify_velocity": row(log=the("commands")),
@@ -378,12 +373,7 @@ ROWS: dict[str, Row] = {
     "Rollout.end_effector": row(),
     "integrator_report": row(integrator=pm.rk4, steps=(0.1, 0.05), duration=0.2),
     "solve_inverse_kinematics": row(
-        12,
-        robot=the("armed"),
-        target=the("target"),
-        q0=np.array([0, 0, 0, 0.1, 0.1]),
-        dt=0.1,
-        tolerance=1.0,
+        12, robot=the("armed"), target=the("target"), q0=np.array([0, 0, 0, 0.1, 0.1]), dt=0.1, tolerance=1.0
     ),
     "shipped_urdf": row(name="box"),
     "mountable": row(),
@@ -408,13 +398,8 @@ ROWS: dict[str, Row] = {
     ),
     "plots.heatmap": row(
         24,
-        values=[[1, 2], [3, 4]],
-        x=("a", "m", [1, 2]),
-        y=("b", "m", [1, 2]),
-        label="c",
-        title="a title",
-        ax=None,
-        width=6.0,
+        **{"values": [[1, 2], [3, 4]], "x": ("a", "m", [1, 2]), "y": ("b", "m", [1, 2]), "label": "c"},
+        **{"title": "a title", "ax": None, "width": 6.0},
     ),
     "plots.animate": row(
         rollouts=the("rollout"), path=partial(lambda: WORLD.folder / "a.gif"), fps=2, speed=2

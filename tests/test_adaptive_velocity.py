@@ -40,16 +40,8 @@ def test_velocities_of_an_exact_model_fall_to_the_law_as_the_gain_says(ahead: fl
     robot, dt, k = pm.VelocityRobot(TRUE.theta, ahead), 1e-3, np.array([3.0, 5.0])
     controller = AdaptiveVelocity(robot, k=k, gamma=0.0)
     q0 = path(0.0).q + OFF
-    run = pm.simulate(
-        *(robot, controller, path),
-        **{
-            "dt": dt,
-            "duration": 1.5,
-            "q0": q0,
-            "v0": robot.rolling(q0, [-0.1, 0.3]),
-            "engine": pm.Engine.COMPILED,
-        },
-    )
+    given: Any = {"q0": q0, "v0": robot.rolling(q0, [-0.1, 0.3]), "engine": pm.Engine.COMPILED}
+    run = pm.simulate(robot, controller, path, dt=dt, duration=1.5, **given)
     found = wanted(run, controller, ahead) - robot.independent(run.q, run.v)
     expected = found[0] * np.exp(-np.outer(run.t, k))
     assert np.abs(found[0]).min() > 0.1

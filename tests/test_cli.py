@@ -27,7 +27,6 @@ from pinmobile.cli.results import IdentifyPaths
 from pinmobile.cli.verbs import TASKS, app, complete
 from pinmobile.errors import SchedulerError
 from pinmobile.parts import parameters
-from tests import wheeled
 from tests.chromium import Chromium
 from tests.damage import full_disk
 from tests.test_identification import log, rolled
@@ -588,17 +587,3 @@ def test_volts_of_wheels_give_the_robot_and_loads_the_scale(typed: Typed, tmp_pa
     code, told, err = typed("identify", *paths, load, *words)
     assert (code, err) == (0, "")
     assert estimate("input_scale", told) == pytest.approx(1.0, abs=0.02)
-
-
-@pytest.mark.once
-def test_wheels_of_a_urdf_are_kept_where_the_log_says_nothing(typed: Typed, tmp_path: Path) -> None:
-    t, noise = 0.02 * np.arange(1500), np.random.default_rng(1).normal(0, 1e-3, (1500, 3))
-    u = -0.0256 * np.sin(t)  # of 1.55 kg on wheels of 33 mm
-    q = np.column_stack([np.sin(t), 0 * t, 0 * t]) + noise
-    path = written(tmp_path / "run.csv", np.column_stack([t, q, u, u]), "t,x,y,psi,u_a,u_b")
-    urdf = tmp_path / "waffle.urdf"
-    urdf.write_text(wheeled.turtlebot("waffle").replace("${namespace}", ""))
-    robot = f"robot=WheeledRobot.from_urdf({str(urdf)!r})"
-    code, told, err = typed("identify", path, robot, "method=weak", "--out", str(tmp_path))
-    assert (code, err) == (0, "")
-    assert "the motion does not" in told

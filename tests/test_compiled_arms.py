@@ -53,15 +53,9 @@ def given(robot: pm.MobileRobot = UR5, controller: Any = None, spread: Any = SPR
     """Return the words of a scenario."""
     controller = pm.ComputedTorque(robot, 100, 20) if controller is None else controller
     trajectory = Waving(robot, options.pop("lasts", 0.6))
-    words = {"robot": robot, "controller": controller, "trajectory": trajectory, "spread": spread}
-    return {
-        "n": 5,
-        "dt": 0.02,
-        "seed": 3,
-        "forces": [pm.JointFriction(np.zeros(robot.nv))],
-        **words,
-        **options,
-    }
+    words: Any = {"robot": robot, "controller": controller, "trajectory": trajectory, "spread": spread}
+    words |= {"n": 5, "dt": 0.02, "seed": 3, "forces": [pm.JointFriction(np.zeros(robot.nv))]}
+    return words | options
 
 
 def run(*parts: Any, **options: Any) -> Any:
@@ -111,10 +105,8 @@ def by_mujoco(robot: pm.MobileRobot, states: Any, force: Array) -> Any:
         mujoco.mj_fullM(model, data, M)
         link = frame.parentJoint + 2  # of the bodies, after the world, the base and the arm's foot
         R = data.xmat[link].reshape(3, 3)
-        pose[:3, :3], pose[:3, 3] = (
-            R @ frame.placement.rotation,
-            data.xpos[link] + R @ frame.placement.translation,
-        )
+        pose[:3, :3] = R @ frame.placement.rotation
+        pose[:3, 3] = data.xpos[link] + R @ frame.placement.translation
         mujoco.mj_jac(model, data, J[:3], J[3:], pose[:3, 3], link)
         yield M, data.qfrc_bias.copy(), asked, data.qacc.copy(), pose, J
 

@@ -14,26 +14,11 @@ pytestmark = pytest.mark.once
 
 DT = 0.01
 VOLTS = 6.0
-MOTOR = pm.wheels.Motor(
-    resistance=1.2,
-    torque_constant=0.03,
-    voltage=VOLTS,
-    gear=20.0,
-    rotor_inertia=1e-5,
-    viscous=1e-5,
-    coulomb=0.004,
-    efficiency=0.8,
-)
-TABLE = pm.WheelTable.differential(
-    0.5,
-    0.1,
-    motor=MOTOR,
-    supports=[(-0.2, 0.0), (0.2, 0.0)],
-    friction=pm.wheels.WheelFriction(mu=0.3),
-    mass=1.0,
-    spin_inertia=0.01,
-    yaw_inertia=0.006,
-)
+COIL: dict[str, Any] = {"resistance": 1.2, "torque_constant": 0.03, "voltage": VOLTS, "gear": 20.0}
+MOTOR = Motor(**COIL, rotor_inertia=1e-5, viscous=1e-5, coulomb=0.004, efficiency=0.8)
+WHEEL: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006, "motor": MOTOR}
+WHEEL |= {"supports": [(-0.2, 0.0), (0.2, 0.0)], "friction": pm.wheels.WheelFriction(mu=0.3)}
+TABLE = pm.WheelTable.differential(0.5, 0.1, **WHEEL)
 MODEL = pm.WheeledRobot(pm.MobileRobot(30.0, 2.3, com=(0.05, 0.0, 0.2)), TABLE)
 HEAVY = pm.WheeledRobot(pm.MobileRobot(36.0, 2.76, com=(0.05, 0.0, 0.2)), TABLE, pm.Coulomb())
 
@@ -112,8 +97,7 @@ def test_limits_beyond_those_of_the_motors_are_refused_as_the_robot_would_cut_in
 
 
 def test_volts_cost_by_default_what_their_torque_costs() -> None:
-    plain = Motor(resistance=1.2, torque_constant=0.03, voltage=VOLTS, gear=20.0)
-    robot = pm.WheeledRobot(MODEL.robot, pm.WheelTable.differential(0.5, 0.1, motor=plain))
+    robot = pm.WheeledRobot(MODEL.robot, pm.WheelTable.differential(0.5, 0.1, motor=Motor(**COIL)))
     # 0.03 N m/A times 20, over 1.2 ohm
     np.testing.assert_allclose(np.diag(np.asarray(pm.LQR(robot.by_voltage()).R)), 0.02 * 0.5**2, rtol=1e-12)
 

@@ -25,16 +25,9 @@ MOTOR = pm.Motor(resistance=2.0, torque_constant=0.1, voltage=24.0, gear=10.0, r
 
 
 def made(**changes: Any) -> pm.Scenario:
-    chosen: dict[str, Any] = {
-        "robot": ROBOT,
-        "controller": pm.ComputedTorque(ROBOT),
-        "trajectory": TRAJECTORY,
-        "n": 1000,
-        "spread": {},
-        "dt": 0.1,
-        "duration": 1.0,
-    }
-    return pm.Scenario(**(chosen | changes))
+    chosen: dict[str, Any] = {"robot": ROBOT, "controller": pm.ComputedTorque(ROBOT)}
+    chosen |= {"trajectory": TRAJECTORY, "n": 1000, "spread": {}, "dt": 0.1, "duration": 1.0}
+    return pm.Scenario(**chosen | changes)
 
 
 def test_draws_follow_their_distributions() -> None:

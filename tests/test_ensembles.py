@@ -69,15 +69,8 @@ RECORDS = ("max_error", "rms_error", "max_distance", "max_input", "diverged_at")
 
 def made(**changes: Any) -> pm.Scenario:
     """Return a scenario of the circle, unless something else is asked for."""
-    chosen: dict[str, Any] = {
-        "robot": ROBOT,
-        "controller": pm.ComputedTorque(ROBOT),
-        "trajectory": CIRCLE,
-        "n": 70,
-        "spread": SPREAD,
-        "dt": 0.1,
-    }
-    return pm.Scenario(**(chosen | changes))
+    chosen: dict[str, Any] = {"robot": ROBOT, "controller": pm.ComputedTorque(ROBOT), "trajectory": CIRCLE}
+    return pm.Scenario(**chosen | {"n": 70, "spread": SPREAD, "dt": 0.1} | changes)
 
 
 def assert_close(one: pm.Ensemble, other: pm.Ensemble) -> None:
@@ -85,13 +78,12 @@ def assert_close(one: pm.Ensemble, other: pm.Ensemble) -> None:
     size = 1 + np.abs(np.hstack(one.scenario.reference)).max()
     force = 1 + one.max_input.max()
     for name in RECORDS:
-        np.testing.assert_allclose(
+        within, here, there = (
+            1e-12 * (force if name == "max_input" else size),
             getattr(one, name),
             getattr(other, name),
-            rtol=0,
-            atol=1e-12 * (force if name == "max_input" else size),
-            err_msg=name,
         )
+        np.testing.assert_allclose(here, there, rtol=0, atol=within, err_msg=name)
     np.testing.assert_array_equal(one.counts, other.counts)
 
 
@@ -115,9 +107,7 @@ def assert_is_simulated(run: pm.Ensemble, i: int) -> None:
 # Each controller and each trajectory once and more; the pairs of all parts are in test_engines_agree.
 @pytest.mark.parametrize(
     ("controller", "trajectory"),
-    [
-        *zip(CONTROLLERS, cycle(TRAJECTORIES), strict=False),
-    ],
+    [*zip(CONTROLLERS, cycle(TRAJECTORIES), strict=False)],
 )
 def test_both_engines_agree_with_simulate(controller: str, trajectory: str) -> None:
     parts = {"controller": CONTROLLERS[controller], "trajectory": TRAJECTORIES[trajectory]}

@@ -99,14 +99,7 @@ def test_sanitizers_find_nothing(name: str, precision: str, tmp_path: Path) -> N
     run_test_program(tmp_path, *SANITIZED, compiler="gcc")
 
 
-PLANTS = (
-    "PD",
-    "differential Rolling",
-    "mecanum Rolling",
-    "mecanum Coulomb",
-    "volts",
-    "commanded",
-)
+PLANTS = "PD", "differential Rolling", "mecanum Rolling", "mecanum Coulomb", "volts", "commanded"
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")
@@ -140,11 +133,9 @@ int drive(long n, const double *t, const double *r, double *q)
         control_reference reference;
         control_real mq[NQ], mv[NV], u[NU];
         body_real applied[NU];
-        for (int i = 0; i < 3; ++i) {
-            reference.q[i] = (control_real)r[9 * k + i];
-            reference.v[i] = (control_real)r[9 * k + 3 + i];
-            reference.a[i] = (control_real)r[9 * k + 6 + i];
-        }
+        for (int i = 0; i < 3; ++i) reference.q[i] = (control_real)r[9 * k + i];
+        for (int i = 0; i < 3; ++i) reference.v[i] = (control_real)r[9 * k + 3 + i];
+        for (int i = 0; i < 3; ++i) reference.a[i] = (control_real)r[9 * k + 6 + i];
         for (int i = 0; i < NQ; ++i) mq[i] = (control_real)(q[NQ * k + i] = body.q[i]);
         for (int i = 0; i < NV; ++i) mv[i] = (control_real)body.v[i];
         if (control_step((control_real)t[k], mq, mv, &reference, &control, u) != CONTROL_OK) return 1;
@@ -181,37 +172,32 @@ def test_arguments_that_are_not_finite_or_stale_change_nothing(tmp_path: Path) -
     #include <math.h>
     #include <stdio.h>
     #include <string.h>
+    #define STEP(t) printf(" %d", robot_step(t, q, v, &reference, &memory, u));
+    #define WITH(number, other, usual) number = other; STEP(0.006) number = usual;
     int main(void)
     {
         robot_memory memory, before;
         robot_reference reference = {{0, 0, 0}, {0, 0, 0}, {0, 0, 0}};
         double q[3] = {0.1, 0.2, 0.3}, v[3] = {0, 0, 0}, u[3], same[3];
         robot_init(&memory);
-        printf("%d", robot_step(0, q, v, &reference, &memory, u));
-        printf(" %d", robot_step(0.003, q, v, &reference, &memory, u));
+        STEP(0)
+        STEP(0.003)
         before = memory;
         memcpy(same, u, sizeof u);
         const double bad[3] = {NAN, INFINITY, -INFINITY};
         for (int i = 0; i < 3; ++i) {
-            q[i] = bad[i];
-            printf(" %d", robot_step(0.006, q, v, &reference, &memory, u));
-            q[i] = 0.1;
-            v[i] = bad[i];
-            printf(" %d", robot_step(0.006, q, v, &reference, &memory, u));
-            v[i] = 0;
-            reference.a[i] = bad[i];
-            printf(" %d", robot_step(0.006, q, v, &reference, &memory, u));
-            reference.a[i] = 0;
-            printf(" %d", robot_step(bad[i], q, v, &reference, &memory, u));
+            WITH(q[i], bad[i], 0.1)
+            WITH(v[i], bad[i], 0)
+            WITH(reference.a[i], bad[i], 0)
+            STEP(bad[i])
         }
-        q[0] = 1e308; /* the result overflows */
         v[0] = 1e308;
-        printf(" %d", robot_step(0.006, q, v, &reference, &memory, u));
-        q[0] = v[0] = 0;
-        printf(" %d", robot_step(0.003, q, v, &reference, &memory, u));
-        printf(" %d", robot_step(0.001, q, v, &reference, &memory, u));
+        WITH(q[0], 1e308, 0) /* the result overflows */
+        v[0] = 0;
+        STEP(0.003)
+        STEP(0.001)
         printf(" %d", memcmp(&before, &memory, sizeof memory) || memcmp(same, u, sizeof u));
-        printf(" %d\\n", robot_step(0.0031, q, v, &reference, &memory, u));
+        STEP(0.0031)
         return 0;
     }
     """
@@ -384,14 +370,10 @@ def test_the_readme_states_memory_and_stack(tmp_path: Path) -> None:
     assert re.findall('ROBOT_HASH "(.*)"', header) != re.findall('ROBOT_HASH "(.*)"', other)
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        "differential --tunable controller.k --name base",
-        "ur5 --precision single",
-        "mecanum --plant",
-    ],
-)
+TUNED = "differential --tunable controller.k --name base"
+
+
+@pytest.mark.parametrize("words", [TUNED, "ur5 --precision single", "mecanum --plant"])
 def test_a_command_exports_a_scenario(words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     name = "base" if "base" in words else "robot"
     assert main(["export", *words.split(), "--out", str(tmp_path)]) == 0

@@ -37,16 +37,13 @@ def motion() -> Excitation:
 
 @cache
 def driven(trajectory: Any = None, rate: int = 50) -> pm.Rollout:
-    return pm.simulate(
-        ROBOT,
-        pm.ComputedTorque(ROBOT, kp=16, kd=8),
-        trajectory or motion(),
-        dt=1 / rate,
-        integrator=pm.rk4,
-        substeps=400 // rate,
-        forces=FRICTION,
-        engine=pm.Engine.COMPILED,
-    )
+    return run_of(ROBOT, trajectory or motion(), FRICTION, rate)
+
+
+def run_of(robot: pm.MobileRobot, trajectory: Any, friction: Any, rate: int = 50) -> pm.Rollout:
+    how: dict[str, Any] = {"dt": 1 / rate, "substeps": 400 // rate, "integrator": pm.rk4}
+    law = pm.ComputedTorque(robot, kp=16, kd=8)
+    return pm.simulate(robot, law, trajectory, **how, forces=friction, engine=pm.Engine.COMPILED)
 
 
 @cache
@@ -164,16 +161,8 @@ def test_what_is_said_to_be_identifiable_holds_true_values_whatever_the_prior() 
         weave = np.zeros((5, 2, 3))  # along a line, with little yaw
         weave[:, 0, 0] = [0.5, -0.3, 0.2, -0.3, -0.1]
         weave[:, 0, 2] = np.array([0.4, -0.2, -0.4, 0.1, 0.1]) * [0.02, 0.1][seed % 2]
-        run = pm.simulate(
-            robot,
-            pm.ComputedTorque(robot, kp=16, kd=8),
-            Excitation(weave, 20.0, 44.0),
-            dt=0.02,
-            integrator=pm.rk4,
-            substeps=8,
-            forces=[pm.ViscousFriction(viscous), pm.RollingResistance(dry)],
-            engine=pm.Engine.COMPILED,
-        )
+        friction = [pm.ViscousFriction(viscous), pm.RollingResistance(dry)]
+        run = run_of(robot, Excitation(weave, 20.0, 44.0), friction)
         read = pm.Log.from_rollout(run, 1e-3, (1.0, 1.0, 0.15) if seed % 3 else 0.0, seed=seed)
         known = pm.identify(read, pm.MobileRobot(30.0, 1.5))
         assert known.unseen
@@ -248,16 +237,7 @@ def test_an_estimate_below_zero_stays_and_is_told_in_words() -> None:
 
 @cache
 def straight() -> pm.Log:
-    run = pm.simulate(
-        ROBOT,
-        pm.ComputedTorque(ROBOT, kp=16, kd=8),
-        pm.FixedHeading(pm.Line((0, 0), (20, 0), 44.0), 0.0),
-        dt=0.02,
-        integrator=pm.rk4,
-        substeps=8,
-        forces=FRICTION,
-        engine=pm.Engine.COMPILED,
-    )
+    run = run_of(ROBOT, pm.FixedHeading(pm.Line((0, 0), (20, 0), 44.0), 0.0), FRICTION)
     return pm.Log.from_rollout(run, 1e-3, (1.0, 1.0, 0.15))
 
 
@@ -295,12 +275,9 @@ def on_wheels(
     body: pm.MobileRobot, motor: pm.Motor = MOTOR, radius: float = 0.1, dry: WheelFriction | None = None
 ) -> Any:
     wheel: dict[str, Any] = {"supports": [(-0.3, 0)], "mass": 1.0, "spin_inertia": 0.005}
-    if dry is None:
-        return pm.WheeledRobot(
-            body, pm.WheelTable.differential(0.5, radius, motor=motor, **wheel)
-        ).by_voltage()
-    table = pm.WheelTable.differential(0.5, radius, motor=motor, friction=dry, **wheel)
-    return pm.WheeledRobot(body, table, pm.Coulomb()).by_voltage()
+    own = {} if dry is None else {"friction": dry}
+    table = pm.WheelTable.differential(0.5, radius, motor=motor, **own, **wheel)
+    return pm.WheeledRobot(body, table, pm.Rolling() if dry is None else pm.Coulomb()).by_voltage()
 
 
 @cache
@@ -842,11 +819,8 @@ def written_bag(folder: Path, kind: str) -> Path:
     ros1 = kind == "ros1"
     store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
     path = folder / ("run.bag" if ros1 else "run")
-    writer: Any = (
-        rosbag1.Writer(path)
-        if ros1
-        else rosbag2.Writer(path, version=9, storage_plugin=rosbag2.StoragePlugin[kind])
-    )
+    options: Any = {} if ros1 else {"version": 9, "storage_plugin": rosbag2.StoragePlugin[kind]}
+    writer: Any = (rosbag1 if ros1 else rosbag2).Writer(path, **options)
     kinds = {"/odom": "nav_msgs/msg/Odometry", "/wrench": "geometry_msgs/msg/WrenchStamped"}
     with writer as bag:
         topics = {name: bag.add_connection(name, each, typestore=store) for name, each in kinds.items()}
@@ -871,22 +845,11 @@ def messages(types: Any, at: int, q: Array, u: Array) -> dict[str, Any]:
     turn = made("geometry_msgs/msg/Quaternion", 0.0, 0.0, np.sin(q[2] / 2), np.cos(q[2] / 2))
     pose = made("geometry_msgs/msg/Pose", made("geometry_msgs/msg/Point", q[0], q[1], 0.0), turn)
     twist = made("geometry_msgs/msg/Twist", zero, zero)
-    unknown = np.zeros(36)
-    odometry = made(
-        "nav_msgs/msg/Odometry",
-        head,
-        "base",
-        made("geometry_msgs/msg/PoseWithCovariance", pose, unknown),
-        made("geometry_msgs/msg/TwistWithCovariance", twist, unknown),
-    )
-    force = (
-        made("geometry_msgs/msg/Vector3", u[0], u[1], 0.0),
-        made("geometry_msgs/msg/Vector3", 0.0, 0.0, u[2]),
-    )
-    return {
-        "/odom": odometry,
-        "/wrench": made("geometry_msgs/msg/WrenchStamped", head, made("geometry_msgs/msg/Wrench", *force)),
-    }
+    pose = made("geometry_msgs/msg/PoseWithCovariance", pose, np.zeros(36))
+    twist = made("geometry_msgs/msg/TwistWithCovariance", twist, np.zeros(36))
+    force = (made("geometry_msgs/msg/Vector3", *x) for x in ((u[0], u[1], 0.0), (0.0, 0.0, u[2])))
+    wrench = made("geometry_msgs/msg/WrenchStamped", head, made("geometry_msgs/msg/Wrench", *force))
+    return {"/odom": made("nav_msgs/msg/Odometry", head, "base", pose, twist), "/wrench": wrench}
 
 
 def test_a_prediction_is_as_good_as_the_noise_and_is_drawn() -> None:

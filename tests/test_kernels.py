@@ -15,16 +15,8 @@ ROOT = Path(__file__).parents[1]
 
 
 def collected(kernel: str, *words: str) -> subprocess.CompletedProcess[str]:
-    command = [
-        sys.executable,
-        "-m",
-        "pytest",
-        "--collect-only",
-        "tests/test_errors.py",
-        "-p",
-        "no:cacheprovider",
-        *words,
-    ]
+    pytest_words = ["-m", "pytest", "--collect-only", "tests/test_errors.py", "-p", "no:cacheprovider"]
+    command = [sys.executable, *pytest_words, *words]
     environment = os.environ | {"OPENBLAS_CORETYPE": kernel, "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
     return subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
 

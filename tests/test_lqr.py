@@ -87,14 +87,8 @@ def test_on_wheels_it_comes_back_to_the_reference_and_without_errors_stays() -> 
 
 def test_arms_follow_too() -> None:
     start = Waving(ARM)(0.0).q + 0.05
-    given: Any = {
-        "dt": 0.01,
-        "integrator": pm.rk4,
-        "engine": pm.Engine.COMPILED,
-        "q0": start,
-        "v0": np.zeros(ARM.nv),
-    }
-    run = pm.simulate(ARM, pm.LQR(ARM), Waving(ARM), **given)
+    given: Any = {"integrator": pm.rk4, "engine": pm.Engine.COMPILED, "q0": start, "v0": np.zeros(ARM.nv)}
+    run = pm.simulate(ARM, pm.LQR(ARM), Waving(ARM), dt=0.01, **given)
     assert np.abs(run.q - run.reference.q)[-1].max() < 0.02
 
 
