@@ -38,16 +38,10 @@ ROOT = Path(__file__).parents[1]
 ROBOT = pm.MobileRobot.box()
 ON_WHEELS = pm.WheeledRobot(ROBOT, pm.WheelTable.differential(0.4, 0.1))
 CIRCLE = pm.Circle(radius=3, rate=0.1, duration=60)
-LOOP: dict[str, Any] = {
-    "plant": ROBOT,
-    "controller": pm.PD(10, 10),
-    "trajectory": pm.Tangent(CIRCLE),
-    "dt": 0.1,
-}
-MANY: dict[str, Any] = {
-    **{"robot": ROBOT, "controller": pm.PD(120, 120), "trajectory": pm.Tangent(CIRCLE), "dt": 0.1},
-    **{"n": 3, "spread": {"mass": pm.Uniform(29, 31)}, "engine": pm.Engine.COMPILED},
-}
+PARTS = ROBOT, pm.PD(120, 120), pm.Tangent(CIRCLE)
+LOOP: dict[str, Any] = {**dict(zip(("plant", "controller", "trajectory"), PARTS, strict=True)), "dt": 0.1}
+MANY: dict[str, Any] = {**dict(zip(("robot", "controller", "trajectory"), PARTS, strict=True)), "dt": 0.1}
+MANY |= {"n": 3, "spread": {"mass": pm.Uniform(29, 31)}, "engine": pm.Engine.COMPILED}
 MASKED: Any = np.ma.masked_array([1.0, 2.0, 3.0], [False, True, False])
 RAGGED: Any = [[1, 2], [3]]
 NOTHING: Any = None

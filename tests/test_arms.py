@@ -19,12 +19,7 @@ AT = (0.1, -0.05, 0.2, 0.4)
 UR5 = pm.MobileRobot.box().mount("ur5", AT)
 PANDA = pm.MobileRobot.box().mount("panda", AT)
 KINOVA = pm.MobileRobot.box().mount("kinova", AT)  # four of its joints are continuous
-TWO = (
-    pm.MobileRobot.box()
-    .mount("panda", AT)
-    .mount("kinova", (-0.1, 0, 0.2, 0))
-    .attach(pm.PayloadBody(1.5, (0, 0, 0.1)))
-)
+TWO = PANDA.mount("kinova", (-0.1, 0, 0.2, 0)).attach(pm.PayloadBody(1.5, (0, 0, 0.1)))
 ROBOTS = pytest.mark.parametrize("robot", [UR5, KINOVA, TWO], ids=["ur5", "kinova", "two arms and a load"])
 
 

@@ -277,10 +277,7 @@ def test_odometry_of_the_true_table_is_nearly_the_pose_and_a_smaller_wheel_drift
 
 
 S = {"start.x": pm.Uniform(-0.2, 0.2), "start.psi": pm.Uniform(-0.3, 0.3)}
-ON_TWO, OF_CAR = (
-    pm.Backstepping(pm.UnicycleTracking(), DIFFERENTIAL),
-    pm.Backstepping(pm.UnicycleTracking(), CAR),
-)
+ON_TWO, OF_CAR = (pm.Backstepping(pm.UnicycleTracking(), robot) for robot in (DIFFERENTIAL, CAR))
 CASES: dict[str, tuple[Any, Any, Any]] = {
     "parking": (DIFFERENTIAL, pm.Backstepping(Parking(), DIFFERENTIAL), Posed((1.0, 0.5, 0.3))),
     "swerve": (SWERVE, SwerveTracking(SWERVE), Crab()),

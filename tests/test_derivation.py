@@ -108,12 +108,8 @@ def general_parameters(bodies: Sequence[Any | None]) -> dict[str, float]:
         if body is not None:
             params[f"m{k}"] = body.mass
             params |= {f"{axis}c{k}": body.lever[i] for i, axis in enumerate("xyz")}
-            params |= {
-                f"I{a}{b}{k}": body.inertia[i, j]
-                for i, a in enumerate("xyz")
-                for j, b in enumerate("xyz")
-                if i <= j
-            }
+            pairs = [(i, j) for i in range(3) for j in range(i, 3)]
+            params |= {f"I{'xyz'[i]}{'xyz'[j]}{k}": body.inertia[i, j] for i, j in pairs}
     return params
 
 
@@ -177,11 +173,7 @@ def test_lecture_steps_have_the_expressions_of_the_script() -> None:
     assert at("T_2_3") == ImmutableMatrix([[-s, -c, 0, 0], [0, 0, -1, 0], [c, -s, 0, 0], [0, 0, 0, 1]])
     assert at("T_0_3") == ImmutableMatrix([[c, -s, 0, x], [s, c, 0, y], [0, 0, 1, 0], [0, 0, 0, 1]])
     assert at("p") == ImmutableMatrix([x, y, 0])
-    assert (at("n"), at("s"), at("a")) == (
-        ImmutableMatrix([c, s, 0]),
-        ImmutableMatrix([-s, c, 0]),
-        ImmutableMatrix([0, 0, 1]),
-    )
+    assert at("n").row_join(at("s")).row_join(at("a")) == ImmutableMatrix([[c, -s, 0], [s, c, 0], [0, 0, 1]])
     assert at("v_0_3") == ImmutableMatrix([xd, yd, 0])
     assert at("omega_0_3") == ImmutableMatrix([0, 0, psid])
     assert at("a_0_3") == ImmutableMatrix([xdd, ydd, 0])
@@ -318,12 +310,7 @@ def test_numeric_broadcasts_states_against_parameters() -> None:
     numeric = lecture().numeric()
     rng = np.random.default_rng(0)
     q, v, a = rng.normal(size=(3, 5, 1, 3))
-    params: dict[str, Any] = {
-        "m": rng.uniform(1, 2, 4),
-        "xbc": 0.1,
-        "ybc": rng.normal(size=(2, 1, 1)),
-        "Icz": 0.3,
-    }
+    params: Any = {"m": rng.uniform(1, 2, 4), "xbc": 0.1, "ybc": rng.normal(size=(2, 1, 1)), "Icz": 0.3}
     M = numeric.mass_matrix(q, params)
     n = numeric.nonlinear_effects(q, v, params)
     tau = numeric.inverse_dynamics(q, v, a, params)

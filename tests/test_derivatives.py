@@ -60,7 +60,6 @@ LOOPS["coupled"][1]["v0"] = [0.0] * 5
 NO_PARTS = {
     *("DualNumber", "Controller", "KinematicLaw", "State", "TrackingState", "Force", "Integrator"),
     *("Allocation", "Forces", "Mobility", "Reduced", "Arm", "Linearization", "Mountable", "Mountables"),
-    "SupportGeometry",
     *("MultibodySystem", "UncheckedDynamics", "ContactState", "MotorState", "SupportGeometry"),
 }
 REFUSED = ("MPC",)

@@ -26,9 +26,8 @@ def test_a_robot_with_its_mass_outside_its_supports_cannot_stand(x: float, words
     assert last.startswith(words)
     wheeled = WheeledRobot(MobileRobot(30.0, 1.3, com=(x, 0, 0.2)), DRIVE, Coulomb(0.8))
     tips = wheeled.contact_loads(wheeled.rest, np.zeros(wheeled.nv), np.zeros(wheeled.nv)).tips
-    assert bool(tips) == str(wheeled).splitlines()[-1].startswith(
-        "cannot stand"
-    )  # the balance of loads agrees
+    said = str(wheeled).splitlines()[-1].startswith("cannot stand")
+    assert bool(tips) == said  # the balance of loads agrees
 
 
 @pytest.mark.parametrize(("angle", "words"), [(0.7, "stands: "), (0.8, "cannot stand: ")])

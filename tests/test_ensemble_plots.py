@@ -247,11 +247,8 @@ class TestDrivers:
         apart(figure)
 
     def test_of_a_multiple_the_factor_counts(self) -> None:
-        spread = {
-            "mass": pm.Uniform(20, 40),
-            "controller.mass": pm.SameAs("mass", pm.Uniform(0.8, 1.2)),
-            "com.x": 0.01,
-        }
+        factor = {"controller.mass": pm.SameAs("mass", pm.Uniform(0.8, 1.2))}
+        spread = {"mass": pm.Uniform(20, 40), **factor, "com.x": 0.01}
         made = run(TRUE, spread | {"controller.yaw_inertia": pm.SameAs("yaw_inertia", 1.1)})
         figure = plots.drivers(made)
         assert figure.texts[0].get_text() == "controller.mass / mass drives the worst 5 % most"

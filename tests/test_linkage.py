@@ -127,7 +127,12 @@ FOREARM = "mounts.ur5.links.forearm_link"
 def changed() -> MobileRobot:
     robot = MobileRobot.box().mount("ur5", AT).attach(PayloadBody(1.0, size=(0.1, 0.1, 0.1)))
     link = next(link for link in robot.mounts[0].links if link.name == "forearm_link")
-    changes = {"mass": 40.0, "yaw_inertia": 2.0, f"{FOREARM}.mass": 5.0, "loads.0.mass": 2.5}
+    changes: dict[str, object] = {
+        "mass": 40.0,
+        "yaw_inertia": 2.0,
+        f"{FOREARM}.mass": 5.0,
+        "loads.0.mass": 2.5,
+    }
     changes |= {f"{FOREARM}.com": (link.com[0], 0.02, link.com[2])}
     changes |= {f"{FOREARM}.inertia": (0.05, *link.inertia[1:]), "mounts.ur5.at": (*AT[:3], 1.0)}
     return replace(robot, changes | {"mounts.ur5.rotors": (0, 0, 0.3, 0, 0, 0)})
