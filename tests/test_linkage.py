@@ -135,7 +135,7 @@ def changed() -> MobileRobot:
     }
     changes |= {f"{FOREARM}.com": (link.com[0], 0.02, link.com[2])}
     changes |= {f"{FOREARM}.inertia": (0.05, *link.inertia[1:]), "mounts.ur5.at": (*AT[:3], 1.0)}
-    return replace(robot, changes | {"mounts.ur5.rotors": (0, 0, 0.3, 0, 0, 0)})
+    return replace(robot, changes | {"mounts.ur5.rotors": (0, 0, 0.3, 0, 0, 0), "loads.0.mass": 2.5})
 
 
 def test_other_numbers_make_another_robot() -> None:
