@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_hex
 
-from pinmobile import InvalidArgument, plots, rk4
-from pinmobile.accuracy import Convergence, IntegratorReport, integrator_report
+from pinmobile import InvalidArgument, MobileRobot, plots, rk4
+from pinmobile.accuracy import Convergence, IntegratorReport, integrator_report, invariants
 from pinmobile.arrays import Array
 from pinmobile.integrators import constant_acceleration, semi_implicit_euler
 from pinmobile.palette import colour
@@ -59,6 +59,17 @@ def test_what_holding_costs_does_not_depend_on_the_integrator(reports: Reports) 
     fine = reports["rk4"]
     # The loop by rk4 is off by what holding costs, and by what rk4 does.
     assert abs(fine.sampling.errors[0] - fine.hold_error) <= fine.substeps.errors[0] + 1e-12
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_is_conserved_is_the_generalised_momentum(seed: int) -> None:
+    """M v is the momentum, and that about the body's origin; x p_y - y p_x takes it to the inertial one."""
+    rng = np.random.default_rng(seed)
+    (q, v), robot = rng.normal(size=(2, 3)), MobileRobot(3.0, 0.7, com=rng.uniform(-1, 1, 2))
+    p, now = robot.mass_matrix(q) @ v, invariants(robot, q, v)
+    np.testing.assert_allclose(now.momentum, p[:2], rtol=0, atol=1e-12)
+    assert now.angular_momentum == pytest.approx(p[2] + q[0] * p[1] - q[1] * p[0], abs=1e-12)
+    assert now.energy == pytest.approx(robot.kinetic_energy(q, v), rel=1e-11)
 
 
 def made(errors: Any, rounding: float = 1e-12) -> Convergence:

@@ -36,6 +36,13 @@ def test_wrapped_angle_lies_in_the_half_open_interval_and_points_the_same_way(an
     assert abs(turns - round(turns)) < 1e-9
 
 
+def test_frozen_is_a_read_only_copy() -> None:
+    source = np.ones(3)
+    copy = arrays.frozen(source)
+    source[0] = 5
+    assert (copy[0], copy.flags.writeable) == (1, False)
+
+
 @pytest.mark.parametrize("turns", [-7, 1, 3])
 def test_rounding_does_not_choose_the_side_of_half_a_turn(turns: int) -> None:
     exact = turns * np.pi

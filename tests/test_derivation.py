@@ -197,6 +197,36 @@ def test_shaking_force_and_moment_are_the_rates_of_the_momenta() -> None:
 # Motion: what the recursion propagates are derivatives with respect to time
 
 
+CHAINS = {
+    "twisted RRP": TWISTED,
+    "PR with a free angle": DHTable((DHRow(0.3, 0.1, 0.2, 0, P, "d"), DHRow(-0.7, 0.2, 0.1, 0.4, R, "phi"))),
+}
+
+
+@pytest.mark.parametrize("name", CHAINS)
+def test_velocities_and_accelerations_in_the_base_are_time_derivatives(name: str) -> None:
+    table = CHAINS[name]
+    derivation, last = derive(table, [None] * len(table)), len(table)
+
+    def at(name: str) -> ImmutableMatrix:
+        return derivation[name].expression
+
+    rotation = at(f"T_0_{last}")[:3, :3]
+    spin = in_time(derivation, rotation) * rotation.T
+    for expected, found in (
+        (in_time(derivation, at("p")), at(f"v_0_{last}")),
+        (in_time(derivation, at(f"v_0_{last}")), at(f"a_0_{last}")),
+        (Matrix([spin[2, 1], spin[0, 2], spin[1, 0]]), at(f"omega_0_{last}")),
+        (in_time(derivation, at(f"omega_0_{last}")), at(f"alpha_0_{last}")),
+    ):
+        values = {
+            symbol: sympy.Rational(k, 7) for k, symbol in enumerate(sorted(expected.free_symbols, key=str), 1)
+        }
+        residual = np.array((expected - found).subs(values).evalf(30), dtype=float)
+        assert np.abs(residual).max() < 1e-20
+        assert any(found)
+
+
 def test_gyroscopic_term_is_turned_before_the_cross_product() -> None:
     # The lecture has R'(a2 + w2 x z psi_dot): the rate is along the z axis of the next frame, not of this.
     derivation = derive(TWISTED, [None] * 3)
