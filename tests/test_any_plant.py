@@ -78,11 +78,8 @@ class Drawn(TwoWheels):
         super().__init__()
         model = pin.GeometryModel()
         object.__setattr__(self, "visual_model", model)
-        for name, shape in (
-            ("body", coal.Box(0.4, 0.3, 0.1)),
-            ("left", coal.Cylinder(0.1, 0.04)),
-            ("right", coal.Cylinder(0.1, 0.04)),
-        ):
+        wheel = coal.Cylinder(0.1, 0.04)
+        for name, shape in (("body", coal.Box(0.4, 0.3, 0.1)), ("left", wheel), ("right", wheel)):
             model.addGeometryObject(pin.GeometryObject(name, 0, pin.SE3.Identity(), shape))
 
     def drawing(self, q: Array) -> Any:
@@ -101,11 +98,9 @@ def test_a_plant_draws_itself_live_recorded_and_as_a_ghost() -> None:
     times = np.array([0.0, 1.013, 4.0])
     rows = configurations(drawn, run.t, run.q, times)
     channels = links("meshcat/robot0", drawn, rows)
-    assert [(one.path, one.name) for one in channels] == [
-        (f"meshcat/robot0/visuals/{name}", what)
-        for name in ("body", "left", "right")
-        for what in ("position", "quaternion")
-    ]
+    nodes = [f"meshcat/robot0/visuals/{name}" for name in ("body", "left", "right")]
+    expected = [(node, what) for node in nodes for what in ("position", "quaternion")]
+    assert [(one.path, one.name) for one in channels] == expected
     for k in (0, 2):  # node and object together are where the plant says
         pose, expected = rows[k, :3], run.plant.drawing(run.q[0 if k == 0 else -1])
         node = pin.SE3(pin.utils.rotate("z", pose[2]), np.array([pose[0], pose[1], 0.0]))

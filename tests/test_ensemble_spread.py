@@ -289,17 +289,11 @@ test_distributions_check_themselves = refusals(
 )
 
 
-@pytest.mark.parametrize(
-    ("options", "text"),
-    [
-        ({"engine": "numba"}, "engine is 'numba', expected Engine.PYTHON, Engine.COMPILED or None"),
-        ({"progress": 3}, "progress is 3, expected a function of done and n"),
-        ({"traces": [1000]}, "traces is 1000, expected at most 999"),
-    ],
+test_options_of_a_run_are_checked_before_it = refusals(
+    (lambda: run_scenario(made(), engine="numba"), "engine is 'numba', expected Engine.PYTHON, "),  # type: ignore[arg-type]
+    (lambda: run_scenario(made(), progress=3), "progress is 3, expected a function of done and n"),  # type: ignore[arg-type]
+    (lambda: run_scenario(made(), traces=[1000]), "traces is 1000, expected at most 999"),
 )
-def test_options_of_a_run_are_checked_before_it(options: Any, text: str) -> None:
-    with refused(text):
-        run_scenario(made(), **options)
 
 
 def test_a_share_of_whole_robots_is_that_many() -> None:
@@ -357,12 +351,12 @@ def test_what_came_of_an_ensemble_cannot_be_overwritten() -> None:
             array[0] = 1
 
 
-@pytest.mark.parametrize("i", [3, -1])
-def test_a_robot_that_is_not_there_is_no_member(i: Any) -> None:
+def test_a_robot_that_is_not_there_is_no_member() -> None:
     run = run_scenario(made(n=3))
-    for ask in (run.member, run.arguments):
-        with refused(rf"^i is {i}, expected "):
-            ask(i)
+    for i in (3, -1):
+        for ask in (run.member, run.arguments):
+            with refused(rf"^i is {i}, expected "):
+                ask(i)
     assert run.arguments(2).robot.mass == 30
 
 

@@ -155,3 +155,10 @@ def test_other_numbers_make_another_robot() -> None:
     again = pickle.loads(pickle.dumps(robot))
     assert again == robot
     assert again.source == robot.source
+
+
+def test_what_moves_together_is_called_by_its_first_link_with_a_mass() -> None:
+    (mount,) = MobileRobot.box().mount("ur5").mounts
+    assert mount.links[0].name == "base_link"  # and not the world that it is fixed to
+    assert mount.links[-1].name == "wrist_3_link"
+    assert len(mount.links) == 7

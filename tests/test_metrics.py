@@ -162,10 +162,8 @@ def test_measures_that_there_are_not_are_refused(metrics: Any, error: Any, words
 
 def test_files_and_tables_keep_measures(runs: pm.Ensemble, tmp_path: Path) -> None:
     runs.save(tmp_path / "runs.npz")
-    for loaded in (
-        pm.Ensemble.load(tmp_path / "runs.npz"),
-        pm.Ensemble.load(tmp_path / "runs.npz", runs.scenario),
-    ):
+    for known in (None, runs.scenario):
+        loaded = pm.Ensemble.load(tmp_path / "runs.npz", known)
         np.testing.assert_array_equal(loaded.worst_metric, runs.worst_metric)
         np.testing.assert_array_equal(loaded.rms_metric, runs.rms_metric)
         assert loaded.scenario.recorded_metrics == runs.scenario.recorded_metrics
@@ -237,13 +235,9 @@ def fenced(plant: Any, **options: Any) -> pm.Scenario:
 
 
 def test_a_plant_of_ones_own_states_measures_in_plain_numpy() -> None:
-    made = [
-        run_scenario(fenced(Fenced(), after=0.6), engine=each)
-        for each in (pm.Engine.COMPILED, pm.Engine.PYTHON)
-    ]
-    for other in made[1:]:
-        np.testing.assert_allclose(other.worst_metric, made[0].worst_metric, rtol=CLOSE, atol=CLOSE)
-        np.testing.assert_allclose(other.rms_metric, made[0].rms_metric, rtol=CLOSE, atol=CLOSE)
+    made = [run_scenario(fenced(Fenced(), after=0.6), engine=each) for each in pm.Engine]
+    np.testing.assert_allclose(made[1].worst_metric, made[0].worst_metric, rtol=CLOSE, atol=CLOSE)
+    np.testing.assert_allclose(made[1].rms_metric, made[0].rms_metric, rtol=CLOSE, atol=CLOSE)
     clearance = made[0].largest("clearance")
     assert clearance.min() < 0 < clearance.max()  # some overshoot into the wall
     trace = made[0].member(2)
@@ -359,15 +353,9 @@ def test_kept_signals_end_where_a_robot_diverges() -> None:
     ("metrics", "words"),
     [
         ({"distance": abs}, "metrics has 'distance' twice, or as the name of an error"),
-        (
-            {"gap": lambda sample: sample.q},
-            r"^metrics has 'gap', whose function returned .* expected a number$",
-        ),
+        ({"gap": lambda sample: sample.q}, r"^metrics has 'gap', whose function returned .* a number$"),
         ({"gap": lambda sample: np.nan * sample.q[0]}, "^robot 0: .*NaN as 'gap'"),
-        (
-            {"gap": lambda sample: float(sample.q[0])},
-            "metrics has 'gap': float.*or give engine=Engine.PYTHON$",
-        ),
+        ({"gap": lambda sample: float(sample.q[0])}, "metrics has 'gap': float.*or give engine=Engine.P"),
         ([Metric("gap", "m", "gap", "least", abs)], "worst of the metric 'gap'.*largest, smallest, ever"),
     ],
 )
