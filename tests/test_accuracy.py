@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_hex
 
-from pinmobile import InvalidArgument, MobileRobot, plots, rk4
+from pinmobile import MobileRobot, plots, rk4
 from pinmobile.accuracy import Convergence, IntegratorReport, integrator_report, invariants
 from pinmobile.arrays import Array
 from pinmobile.integrators import constant_acceleration, semi_implicit_euler
 from pinmobile.palette import colour
+from tests.refusals import begun, refusals
 
 ORDERS = {"constant_acceleration": 1, "semi_implicit_euler": 1, "rk4": 4}
 KEPT = ("position", "momentum", "angular_momentum", "energy")
@@ -125,19 +126,12 @@ def test_a_step_that_is_wrong_is_told_from_one_that_is_not(integrator: Any, text
     )
 
 
-@pytest.mark.parametrize(
-    ("changed", "text"),
-    [
-        ({"steps": (0.1, 0.2)}, "steps are [0.1, 0.2] s, expected steps > 0, the largest first"),
-        ({"steps": (0.3, 0.1)}, "duration is 2.0 s, expected a whole multiple of the step 0.3 s"),
-        ({"steps": (0.1, 0.03)}, "steps[0] is 0.1 s, expected a whole multiple of the step 0.03 s"),
-    ],
+test_arguments_that_do_not_fit_are_refused = refusals(
+    (lambda: integrator_report(rk4, steps=(0.1, 0.2)), "steps are [0.1, 0.2] s, expected steps > 0, the "),
+    (lambda: integrator_report(rk4, steps=(0.3, 0.1)), "duration is 2.0 s, expected a whole multiple of "),
+    (lambda: integrator_report(rk4, steps=(0.1, 0.03)), "steps[0] is 0.1 s, expected a whole multiple of"),
+    by=begun,
 )
-def test_arguments_that_do_not_fit_are_refused(changed: dict[str, Any], text: str) -> None:
-    arguments: dict[str, Any] = {"integrator": rk4} | changed
-    with pytest.raises(InvalidArgument) as caught:
-        integrator_report(**arguments)
-    assert str(caught.value) == text
 
 
 class TestFigure:

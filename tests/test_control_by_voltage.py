@@ -84,12 +84,9 @@ def test_volts_of_the_reference_are_those_of_its_torques_and_rates() -> None:
 def test_limits_beyond_those_of_the_motors_are_refused_as_the_robot_would_cut_inputs_off() -> None:
     volts, weak = MODEL.by_voltage(), pm.WheelTable.differential(0.5, 0.1, motor=Motor(torque_limit=4.0))
     torques = pm.WheeledRobot(MODEL.robot, weak)
-    for robot, limits, words in (
-        (volts, 7.0, "has 7 V for left, expected at most 6 V, the limit of its motor"),
-        (volts, [6.0, 6.1], "has 6.1 V for right, expected at most 6 V"),
-        (torques, 4.5, "has 4.5 N m for left, expected at most 4 N m"),
-    ):
-        with pytest.raises(pm.InvalidArgument, match=f"^limits {words}"):
+    rows: Any = (volts, 7.0, "7 V for left"), (volts, [6.0, 6.1], "6.1 V for right")
+    for robot, limits, words in (*rows, (torques, 4.5, "4.5 N m for left")):
+        with pytest.raises(pm.InvalidArgument, match=f"^limits has {words}, expected at most [46] "):
             pm.MPC(robot, limits=limits)
     assert pm.MPC(volts, limits=VOLTS).range[1].tolist() == pm.MPC(volts).range[1].tolist() == [VOLTS, VOLTS]
     # Where one is endless, the motor's own stays.

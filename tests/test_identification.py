@@ -603,17 +603,13 @@ test_a_log_that_tells_something_else_is_refused_with_what_it_is = refusals(
 )
 
 
-@pytest.mark.parametrize(
-    ("robot", "text"),
-    [
-        (lambda: pm.MobileRobot.box().mount("ur5"), r"without arms \(robot.with_locked_arms\(\) "),
-        (lambda: pm.VelocityRobot([0.3, 0.3, 0, 1, 0, 1]), "use identify_velocity$"),
-    ],
+ARM, OF_SPEEDS = pm.MobileRobot.box().mount("ur5"), pm.VelocityRobot([0.3, 0.3, 0, 1, 0, 1])
+test_a_robot_that_is_not_identified_is_refused_with_what_is = refusals(
+    (lambda: pm.identify(log(), ARM), r"^robot is .*without arms \(robot.with_locked_arms\(\) has them"),
+    (lambda: pm.excitation(ARM), r"^robot is .*without arms \(robot.with_locked_arms\(\) has them"),
+    (lambda: pm.identify(log(), OF_SPEEDS), "^robot is .*use identify_velocity$"),
+    (lambda: pm.excitation(OF_SPEEDS), "^robot is .*use identify_velocity$"),
 )
-def test_a_robot_that_is_not_identified_is_refused_with_what_is(robot: Any, text: str) -> None:
-    for call in (lambda: pm.identify(log(), robot()), lambda: pm.excitation(robot())):
-        with refused(rf"^robot is .*{text}"):
-            call()
 
 
 # -- files -----------------------------------------------------------------------------------------
@@ -677,20 +673,13 @@ def test_a_csv_is_read_as_others_write_it(content: str, tmp_path: Path) -> None:
     np.testing.assert_allclose(read.u, expected.u, rtol=0, atol=1e-8)
 
 
-@pytest.mark.parametrize(
-    ("call", "said"),
-    [
-        (lambda: pm.identify(units("A", "A"), on_wheels(BODY).wheeled), "left in A, expected N m: .* loads="),
-        (lambda: pm.identify(replace(log(), units=("N", "N", "N"))), "Mz in N, expected N m: .* robot=None"),
-    ],
+test_inputs_in_units_of_another_robot_are_refused = refusals(
+    (
+        lambda: pm.identify(replace(rolled(False), units=("A", "A")), on_wheels(BODY).wheeled),
+        "^log has input left in A, expected N m: .* loads=",
+    ),
+    (lambda: pm.identify(replace(log(), units=("N", "N", "N"))), "^log has input Mz in N, expected N m: .*"),
 )
-def test_inputs_in_units_of_another_robot_are_refused(call: Any, said: str) -> None:
-    with refused(f"^log has input {said}"):
-        call()
-
-
-def units(*names: str) -> pm.Log:
-    return replace(rolled(False), units=names)
 
 
 def test_columns_have_units_and_other_names(tmp_path: Path) -> None:
