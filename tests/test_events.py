@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import pinmobile as pm
+from pinmobile import plots
 from pinmobile.controllers import TorqueToVoltage, WheelSpeed
 from pinmobile.errors import LimitWarning, UnknownName
 from pinmobile.plant import Event
@@ -161,7 +162,7 @@ def test_an_unknown_kind_of_event_is_refused() -> None:
 
 def test_figures_and_captions_name_events() -> None:
     run = turning(on_wheels(pm.Coulomb(0.3), height=0.5))
-    for figure in (pm.plots.errors(run), pm.plots.states(run), pm.plots.forces(run)):
+    for figure in (plots.errors(run), plots.states(run), plots.forces(run)):
         words = {text.get_text() for text in figure.axes[0].texts}
         assert {"slip", "tip over"} <= {kind for text in words for kind in text.split(", ")}
         assert not any("slip" in text.get_text() for text in figure.axes[1].texts)
