@@ -91,6 +91,13 @@ def test_a_factor_needs_a_number_and_a_copy_needs_one_number() -> None:
     for spread in ({"phase": Relative(1.0)}, {"heading": pm.SameAs("phase")}):
         with refused(r"is a factor of trajectory.path.phase, .* which is not set: expected a number there"):
             made(spread=spread)
+    still = pm.MobileRobot(30, 1.3)
+    with refused(r"^spread\['com.x'\] is a factor of plant.com.x, which is 0, expected a distribution"):
+        made(robot=still, spread={"com.x": Relative(1.5)})
+    assert list(made(robot=still, spread={"plant.*": Relative(1.5)}).spread) == [
+        "plant.mass",
+        "plant.yaw_inertia",
+    ]
     with refused(r"^by has 'phase', angle of the start on the circle, which is not set"):
         gradient("distance", ROBOT, law, TRAJECTORY, by=["phase"], dt=0.1)
 

@@ -84,6 +84,25 @@ def test_a_wheel_faster_than_its_file_allows_is_an_event() -> None:
     assert "top speed" in on_wheels(motor=pm.Motor(rate_limit=5.0)).describe()
 
 
+@pytest.mark.parametrize("takes_volts", [False, True])
+@pytest.mark.parametrize("engine", [pm.Engine.COMPILED, pm.Engine.PYTHON])
+def test_an_ensemble_counts_robots_whose_motors_are_faster_than_without_load(
+    engine: pm.Engine, takes_volts: bool
+) -> None:
+    robot: Any = on_wheels(motor=pm.Motor(resistance=2, torque_constant=0.5, voltage=24))
+    law, constants = WheelSpeed(pm.UnicycleTracking(), robot, kp=0.5), np.array([0.4, 0.5, 0.55])
+    powered = robot.by_voltage()
+    plant, controller = (powered, TorqueToVoltage(law, powered)) if takes_volts else (robot, law)
+    path, spread = Tangent(Circle(2.0, 2.4, 0.1)), {"plant.*.torque_constant": constants}
+    with pytest.warns(LimitWarning, match="exceed a speed limit"):
+        found = pm.ensemble(plant, controller, path, spread=spread, n=3, dt=0.01, engine=engine)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        kinds = [{event.kind for event in found.member(i).events} for i in range(3)]
+    counts = found.largest("exceed a speed limit")
+    assert counts.tolist() == ["speed limit" in each for each in kinds] == [False, True, True]
+
+
 def test_a_wheel_that_slides_is_an_event_with_its_fastest_slip() -> None:
     run = turning(on_wheels(pm.Coulomb(0.05)))
     event, slides = of_kind(run, "slip"), run.signals["slides"].values > 0

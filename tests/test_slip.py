@@ -271,7 +271,7 @@ def test_a_divergence_of_a_robot_that_tips_over_says_so() -> None:
     circle = pm.Tangent(pm.Circle(1.0, 2.5, 2.0))
     words = r"the error in .*; no loads of wheels and supports balance the robot"
     with pytest.raises(errors.Diverged, match=words):
-        simulate(robot, WheelSpeed(pm.UnicycleTracking(), robot, kp=50), circle, dt=0.02, limit=1.0)
+        simulate(robot, WheelSpeed(pm.UnicycleTracking(), robot, kp=2), circle, dt=0.02, limit=1.0)
 
 
 @pytest.mark.parametrize(
@@ -281,7 +281,7 @@ def test_a_run_warns_of_a_robot_that_tips_over(ground: Any, engine: pm.Engine) -
     path, words = pm.Tangent(pm.Circle(1.0, 1.5, 2.0)), r"it tips over, which is not simulated \(from t = "
     for height, tips in ((0.1, False), (0.9, True)):
         robot = on_casters(height, ground)
-        law = WheelSpeed(pm.UnicycleTracking(), robot, kp=5)
+        law = WheelSpeed(pm.UnicycleTracking(), robot, kp=2)
         with warnings.catch_warnings(record=True) as told:
             warnings.simplefilter("always")
             found = simulate(robot, law, path, dt=0.02, duration=0.4, engine=engine)

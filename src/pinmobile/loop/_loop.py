@@ -611,7 +611,7 @@ def initial_state(loop: Loop, context: Context, q: Any = None, v: Any = None) ->
     return State(q, v, plant, controller, record)
 
 
-LARGEST = 1e97
+LARGEST = 1e9
 """Largest sum of inputs and accelerations of a loop that has not diverged, as a multiple of its limit."""
 
 

@@ -117,7 +117,7 @@ def _motor_events(run: Any, plant: Any) -> Iterator[Event | None]:
             yield Event.of("current limit", motor.name, t, current, current - limit, **options)
     for motor in motors:
         rate = np.abs(run.v[:, run.v.shape[1] - len(motor.column) :] @ np.array(motor.column))
-        limit = min(motor.motor.no_load_rate() if motor.motor.is_electric else np.inf, motor.motor.rate_limit)
+        limit = float(motor.motor.largest_rate)
         words = _TOO_FAST if limit == motor.motor.rate_limit else _OVERSPEED
         options = {"words": words, "limit": limit, "unit": "rad/s", "slack": 1e-6 * limit}
         yield Event.of("speed limit", motor.name, t, rate, rate - limit, **options)

@@ -145,7 +145,7 @@ def simulate(
         v)`` returns a generalized force, shape (nv,).
     limit : float
         Largest error of a coordinate or velocity [m, rad, m/s, rad/s]. The loop has diverged if an error
-        exceeds this limit.
+        exceeds this limit, or the sum of inputs and accelerations 1e9 times its number.
     stop_at : sequence of str
         Kinds of events at which the rollout ends, such as ``["tip over", "slip"]``, see `plant.Event`.
     engine : Engine, optional
@@ -345,8 +345,8 @@ def _first_invalid(
     if count < end - begin:
         parts = ("q", "v", "a", "u")
         names = [n for n, part in zip(parts, samples, strict=True) if not np.isfinite(part[count]).all()]
-        reason = f"{', '.join(names)} not finite" if names else f"a or u beyond {LARGEST * limit:g}"
-        return begin + count, reason
+        huge = f"a or u beyond {LARGEST * limit:g}, is a gain too high for this dt?"
+        return begin + count, f"{', '.join(names)} not finite" if names else huge
     return None, ""
 
 

@@ -330,9 +330,13 @@ def expand_patterns(
     """Return a spread in which each pattern, such as ``"*.mu"``, is replaced by the paths that it means."""
     expanded = dict[str, Source]()
     for name, source in spread.items():
-        is_pattern = "*" in str(name)
-        paths = [ref.path for ref in match_refs(given, name, numbers, "spread")] if is_pattern else [name]
-        expanded |= dict.fromkeys(paths, source)
+        if "*" in str(name):
+            refs = match_refs(given, name, numbers, "spread")
+            if isinstance(source, Relative):  # a factor leaves zeros as they are
+                refs = [ref for ref in refs if ref.is_array or ref.value] or refs
+            expanded |= dict.fromkeys([ref.path for ref in refs], source)
+        else:
+            expanded[name] = source
     return expanded
 
 
@@ -370,6 +374,11 @@ def check_spread(spread: Mapping[str, Source], n: int, find: Find) -> dict[str, 
         sources[name] = _check_source(f"spread[{name!r}]", source, n)
         if isinstance(source, Relative):
             _check_set(name, number)
+            if not (number.is_array or number.value):
+                raise InvalidArgument(
+                    f"spread[{name!r}] is a factor of {number.path}, which is 0, expected a distribution of "
+                    "the number itself, such as Uniform(-1, 1)"
+                )
         if isinstance(source, SameAs):
             _check_chain(name, source, spread, find)
     return sources

@@ -98,8 +98,7 @@ def of_wheels(wheeled: Any) -> list[str]:
     radii = {each.name: each.radius for each in table.wheels}
     for each in table.actuators:
         motor, speed = each.motor, "none"
-        rate = min(motor.no_load_rate() if motor.is_electric else np.inf, motor.rate_limit)
-        if np.isfinite(rate):
+        if np.isfinite(rate := motor.largest_rate):
             speed_text = f", {numbers(rate * radii[each.name], 'm/s')}" if each.name in radii else ""
             speed = numbers(rate, "rad/s") + speed_text
         limits = (motor.largest_torque, "N m"), (motor.voltage or np.inf, "V"), (motor.current, "A")

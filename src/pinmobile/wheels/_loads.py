@@ -16,7 +16,7 @@ from pinmobile.arrays import Array
 from pinmobile.compiled import choose, scalar_max, square_root
 from pinmobile.errors import InvalidArgument
 from pinmobile.metrics import Metric
-from pinmobile.plant import ContactLoads, Contacts, SlipMargins, TorqueMargins
+from pinmobile.plant import LIMIT_TOLERANCE, ContactLoads, Contacts, SlipMargins, TorqueMargins
 from pinmobile.robot import (
     ONE,
     ZERO,
@@ -37,6 +37,7 @@ from pinmobile.wheels._contact import iterate
 from pinmobile.wheels._kinematics import ReferenceMotion, driving_inputs
 
 _BASE = 3
+_FAST = "exceed a speed limit"
 _MIN_YAW_RATE = 1e-9  # [rad/s]: a body with a lower yaw rate does not turn
 _FORCES = "along", "across", "loads"
 _SECOND = "lateral", "across"  # kinds of rows that are a wheel's second direction
@@ -368,6 +369,12 @@ def limits_of(body: Any) -> list[tuple[int, float]]:
     return [(k, limit) for k, limit in limits if np.isfinite(limit)]
 
 
+def fast_actuators(body: Any) -> list[int]:
+    """Return the numbers of the actuators whose rate has a limit."""
+    motors = enumerate(each.motor for each in body.table.actuators)
+    return [k for k, motor in motors if motor.is_electric or np.isfinite(motor.rate_limit)]
+
+
 def metrics_on_wheels(body: Any) -> tuple[Metric, ...]:
     """Return the metrics whose values `values_on_wheels` returns.
 
@@ -394,7 +401,11 @@ def metrics_on_wheels(body: Any) -> tuple[Metric, ...]:
     elif body.stands and body.groups:
         words = "smallest friction that a wheel, or an axle, has left before it slips"
         metrics.append(Metric("slip margin", "N", words, "smallest"))
-    return tuple(metrics) if arms is None else (*metrics, *arms.limit_metrics)
+    limits = {} if arms is None else {metric.name: metric for metric in arms.limit_metrics}
+    if fast_actuators(body):
+        words = "a joint or motor is faster than its limit, or than without load"
+        limits[_FAST] = Metric(_FAST, "", words, "ever")
+    return (*metrics, *limits.values())
 
 
 def values_on_wheels(body: Any, t: Any, q: Any, v: Any, a: Any, u: Any, reference: Any) -> Any:
@@ -424,9 +435,16 @@ def values_on_wheels(body: Any, t: Any, q: Any, v: Any, a: Any, u: Any, referenc
         values += _of_ground(body, state, a, u, q)
     if body.slips:
         values.append(_slip(body, state))
+    exceeded: dict[str, Any] = {}
     if arms is not None and arms.limit_metrics:
-        exceeded = arms.exceeded_limits(q[..., : int(body.robot.nq)], v[..., : int(body.robot.nv)])
-        values += scalars(np.stack(exceeded, axis=-1))
+        values_of_arms = arms.exceeded_limits(q[..., : int(body.robot.nq)], v[..., : int(body.robot.nv)])
+        names = [metric.name for metric in arms.limit_metrics]
+        exceeded = dict(zip(names, scalars(np.stack(values_of_arms, axis=-1)), strict=True))
+    for k in fast_actuators(body):
+        limit = body.table.actuators[k].motor.largest_rate * (1.0 + LIMIT_TOLERANCE)
+        is_fast = abs(body.actuator_rates(state.rates)[k]) > limit
+        exceeded[_FAST] = choose(is_fast, 1.0, exceeded.get(_FAST, 0.0))
+    values += exceeded.values()
     return stacked([number(x) for x in values], q)
 
 

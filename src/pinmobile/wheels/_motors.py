@@ -24,7 +24,7 @@ from pinmobile.arrays import (
     scalar,
     text,
 )
-from pinmobile.compiled import choose
+from pinmobile.compiled import choose, scalar_max
 from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.parts import by_value, number as declared, option, part
 from pinmobile.robot import ONE, ZERO, Vector, number, scalars
@@ -279,9 +279,7 @@ class Motor:
     @finite_result
     def _free(self, volts: float | None) -> Array:
         """Return the no-load rate of the wheel, negative below the starting voltage [rad/s]."""
-        R, k = self._law._numbers[0][:2]
-        slope = self.gear * (k * k / R + self.viscous)
-        return np.asarray((k * self._volts(volts) / R - self.coulomb) / slope)
+        return np.asarray(self._law.no_load_rate(0, self._volts(volts)))
 
     def _volts(self, volts: float | None) -> float:
         """Return a voltage, by default the largest [V]."""
@@ -296,6 +294,14 @@ class Motor:
             Voltage [V]; default: the largest.
         """
         return max(float(self._free(volts)), 0.0)
+
+    @property
+    def largest_rate(self) -> Any:
+        """Largest rate of the wheel [rad/s]: `rate_limit`, or less where it is slower without load."""
+        if not self.is_electric:
+            return self.rate_limit
+        rate = scalar_max(self._law.no_load_rate(0, self._volts(None)), 0.0)
+        return choose(rate < self.rate_limit, rate, self.rate_limit)
 
     def stall_torque(self, volts: float | None = None) -> float:
         """Return the torque at the wheel at rest [N m].
@@ -501,6 +507,11 @@ class MotorLaw:
         driving, braking = share + 1.0 / share, share - 1.0 / share
         torque = (0.5 * G) * (driving * shaft + braking * abs(shaft) * sign)
         return within(torque, motor.torque_limit) if np.isfinite(motor.torque_limit) else torque
+
+    def no_load_rate(self, k: int, volts: Any) -> Any:
+        """Return the rate of a wheel without load at a voltage, negative below the starting voltage."""
+        R, kt, b, dry, _, G = (number(x) for x in self._numbers[k])
+        return (kt * volts / R - dry) / (G * (kt * kt / R + b))
 
     def slopes(self, k: int, volts: Any, rate: Any) -> tuple[Any, Any]:
         """Return the decrease of a motor's torque per rate of the wheel, and its increase per volt.
