@@ -93,7 +93,7 @@ def test_an_ensemble_counts_robots_whose_motors_are_faster_than_without_load(
     law, constants = WheelSpeed(pm.UnicycleTracking(), robot, kp=0.5), np.array([0.4, 0.5, 0.55])
     powered = robot.by_voltage()
     plant, controller = (powered, TorqueToVoltage(law, powered)) if takes_volts else (robot, law)
-    path, spread = Tangent(Circle(2.0, 2.4, 0.1)), {"plant.*.torque_constant": constants}
+    path, spread = pm.Tangent(pm.Circle(2.0, 2.4, 0.1)), {"plant.*.torque_constant": constants}
     with pytest.warns(LimitWarning, match="exceed a speed limit"):
         found = pm.ensemble(plant, controller, path, spread=spread, n=3, dt=0.01, engine=engine)
     with warnings.catch_warnings():
