@@ -107,6 +107,16 @@ def test_rolling_resistance_stops_the_robot_where_it_must() -> None:
     assert abs(rollout.v[-1, 0]) < 1e-12
 
 
+def test_friction_takes_exactly_the_energy_that_is_lost() -> None:
+    rollout = run(pm.ViscousFriction((2, 8, 0.5)), pm.rk4, 0.01, ROBOT)
+    power = np.sum(FORCES[3](rollout.t, rollout.q, rollout.v) * rollout.v, axis=1)
+    energy = ROBOT.kinetic_energy(rollout.q, rollout.v)
+    work = np.sum((power[:-1] + power[1:]) / 2) * 0.01
+    # The trapezoidal rule: (T / 12) h^2 |power''|, with power'' of order 1 W/s^2.
+    assert energy[-1] - energy[0] == pytest.approx(work, abs=1e-4)
+    assert (np.diff(energy) < 0).all()
+
+
 def test_a_force_cannot_write_into_the_record() -> None:
     def vandal(t: float, q: Array, v: Array) -> Array:
         q[:] = v[:] = 99
