@@ -79,16 +79,8 @@ def small_arm() -> pin.Model:
     parent = 0
     for k in range(2):
         place = pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.3 * k]))
-        joint = model.addJoint(
-            parent,
-            pin.JointModelRY(),
-            place,
-            f"j{k}",
-            np.full(1, 50.0),
-            np.full(1, 5.0),
-            np.full(1, -2.0),
-            np.full(1, 2.0),
-        )
+        limits = (np.full(1, limit) for limit in (50.0, 5.0, -2.0, 2.0))
+        joint = model.addJoint(parent, pin.JointModelRY(), place, f"j{k}", *limits)
         model.appendBodyToJoint(
             joint, pin.Inertia(1.0, np.array([0.0, 0.0, 0.15]), 0.01 * np.eye(3)), pin.SE3.Identity()
         )
@@ -153,6 +145,11 @@ def _commands() -> Any:
     return pm.Log(run.t, q, run.u)
 
 
+def _saved(one: Any, name: str) -> Any:
+    one.save(WORLD.folder / name)
+    return WORLD.folder / name
+
+
 def _sweep() -> Any:
     return pm.sweep(_scenario(), WORLD.folder / "sweep.zarr", grid={"controller.kp": [1.0, 2.0]})
 
@@ -204,11 +201,8 @@ MADE: dict[str, Callable[[], Any]] = {
     "body": lambda: urdf.Body(10.0, np.zeros(3), np.eye(3)),
     "urdf": lambda: pm.urdf.shipped_urdf("box"),
     "ensemble_scenario": lambda: WORLD.ensemble.scenario,
-    "saved_ensemble": lambda: (
-        WORLD.ensemble.save(WORLD.folder / "ensemble.npz"),
-        WORLD.folder / "ensemble.npz",
-    )[1],
-    "saved": lambda: (WORLD.rollout.save(WORLD.folder / "saved.npz"), WORLD.folder / "saved.npz")[1],
+    "saved_ensemble": lambda: _saved(WORLD.ensemble, "ensemble.npz"),
+    "saved": lambda: _saved(WORLD.rollout, "saved.npz"),
 }
 WORLD: Any = World()
 
@@ -315,7 +309,6 @@ ROWS: dict[str, Row] = {
     "LQR": row(robot=the("robot")),
     "MPC": row(robot=the("robot"), horizon=4),
     "AdaptiveVelocity": row(robot=the("commanded")),
-    "RandomSteps": row(),
     "EndEffectorTracking": row(robot=the("armed"), target=the("target"), dt=0.01),
     "law": row(function=lambda t, q, v, reference: np.zeros(3)),
     "plain_difference": row(q0=Q, q1=V),
@@ -328,7 +321,6 @@ ROWS: dict[str, Row] = {
     "Circle.derivative": row(t=[0.1, 0.2], order=1),
     "Tangent.__call__": row(t=[0.1, 0.5]),
     "Circle.moved": row(),
-    "NoiseForce": row(std=[1, 2, 3], bandwidth=2, seed=1),
     "PayloadBody": row(mass=1),
     "MotionStates": row(plant=the("robot"), q=Q, v=V, a=A),
     "MotionLimit": row(value=1.5, event="left slips"),
@@ -341,8 +333,6 @@ ROWS: dict[str, Row] = {
     "contact_loads": row(motion=the("wheeled_motion")),
     "slip_margins": row(motion=the("wheeled_motion")),
     "clearance": row(robot=the("robot"), q=Q),
-    "Uniform": row(low=1, high=2),
-    "Normal": row(mean=1, std=2),
     "Relative": row(factor=pm.Normal(1, 0.1)),
     "SameAs": row(name="mass"),
     "Scenario": Row(lambda: {k: v for k, v in ENSEMBLE().items() if k not in ("engine", "traces")}),
@@ -367,15 +357,10 @@ ROWS: dict[str, Row] = {
     "Log.from_csv": row(path=the("log_csv")),
     "Log.from_rollout": row(rollout=the("rollout")),
     "Log.from_streams": Row(
-        lambda: {
-            "t_q": WORLD.log.t,
-            "q": WORLD.log.q,
-            "t_u": WORLD.log.t,
-            "u": WORLD.log.u,
-            "units": ("N", "N", "N m"),
-            "twist": None,
-            "wheel_rates": None,
-        }
+        lambda: (
+            dict(t_q=WORLD.log.t, q=WORLD.log.q, t_u=WORLD.log.t, u=WORLD.log.u)
+            | {"units": ("N", "N", "N m"), "twist": None, "wheel_rates": None}
+        )
     ),
     "identify": row(log=the("log")),
     "identify_velocity": row(log=the("commands")),
@@ -388,12 +373,7 @@ ROWS: dict[str, Row] = {
     "Rollout.end_effector": row(),
     "integrator_report": row(integrator=pm.rk4, steps=(0.1, 0.05), duration=0.2),
     "solve_inverse_kinematics": row(
-        12,
-        robot=the("armed"),
-        target=the("target"),
-        q0=np.array([0, 0, 0, 0.1, 0.1]),
-        dt=0.1,
-        tolerance=1.0,
+        12, robot=the("armed"), target=the("target"), q0=np.array([0, 0, 0, 0.1, 0.1]), dt=0.1, tolerance=1.0
     ),
     "shipped_urdf": row(name="box"),
     "mountable": row(),
@@ -418,13 +398,8 @@ ROWS: dict[str, Row] = {
     ),
     "plots.heatmap": row(
         24,
-        values=[[1, 2], [3, 4]],
-        x=("a", "m", [1, 2]),
-        y=("b", "m", [1, 2]),
-        label="c",
-        title="a title",
-        ax=None,
-        width=6.0,
+        **{"values": [[1, 2], [3, 4]], "x": ("a", "m", [1, 2]), "y": ("b", "m", [1, 2]), "label": "c"},
+        **{"title": "a title", "ax": None, "width": 6.0},
     ),
     "plots.animate": row(
         rollouts=the("rollout"), path=partial(lambda: WORLD.folder / "a.gif"), fps=2, speed=2

@@ -15,7 +15,17 @@ from typing import Any
 import numpy as np
 
 import pinmobile as pm
-from pinmobile.controllers import ADRC, PID, Adaptive, SlidingMode, SuperTwisting
+from pinmobile.controllers import (
+    ADRC,
+    PID,
+    Adaptive,
+    Kanayama,
+    SlidingMode,
+    SuperTwisting,
+    TorqueToVoltage,
+    VelocityCommand,
+    WheelSpeed,
+)
 
 FILE = Path(__file__).parent / "data" / "frozen.json"
 COMPILED = pm.Engine.COMPILED
@@ -120,11 +130,8 @@ def loops() -> Iterator[tuple[str, tuple[Any, ...], dict[str, Any]]]:
     for name, force in forces.items():
         yield name, (BODY, pd, CIRCLE), {"forces": (force,), "integrator": pm.rk4, "substeps": 2}
     yield "all forces", (BODY, pd, CIRCLE), {"forces": tuple(forces.values())}
-    yield (
-        "semi-implicit",
-        (BODY, pd, CIRCLE),
-        {"integrator": pm.integrators.semi_implicit_euler, "substeps": 3},
-    )
+    options = {"integrator": pm.integrators.semi_implicit_euler, "substeps": 3}
+    yield "semi-implicit", (BODY, pd, CIRCLE), options
     push: dict[str, Any] = {"limit": 1e6}
     held = pm.law(turning)
     for ground in (pm.Rolling(), pm.Coulomb()):
@@ -137,41 +144,23 @@ def loops() -> Iterator[tuple[str, tuple[Any, ...], dict[str, Any]]]:
     skid = pm.WheeledRobot(BODY, table("skid_steer"), pm.Coulomb())
     yield "skid-steer", (skid, held, CIRCLE), push
     drive = pm.WheeledRobot(BODY, table("differential"))
-    yield "backstepping", (drive, pm.Backstepping(pm.UnicycleTracking(), drive), CIRCLE), {}
-    yield (
-        "wheel speed",
-        (drive, pm.controllers.WheelSpeed(pm.controllers.Kanayama(), drive, 0.5, 0.1), CIRCLE),
-        {},
-    )
+    unicycle = pm.UnicycleTracking()
+    yield "backstepping", (drive, pm.Backstepping(unicycle, drive), CIRCLE), {}
+    yield "wheel speed", (drive, WheelSpeed(Kanayama(), drive, 0.5, 0.1), CIRCLE), {}
     electric = pm.WheeledRobot(BODY, table("differential", motor=MOTOR))
-    yield (
-        "volts",
-        (
-            electric.by_voltage(),
-            pm.controllers.TorqueToVoltage(pm.Backstepping(pm.UnicycleTracking(), electric), electric),
-            CIRCLE,
-        ),
-        {},
-    )
+    by_torque = pm.Backstepping(unicycle, electric)
+    yield "volts", (electric.by_voltage(), TorqueToVoltage(by_torque, electric), CIRCLE), {}
     commanded = pm.VelocityRobot([0.26, 0.25, 0.03, 1.1, 0.2, 1.2], accelerations=(2.0, 4.0))
-    yield (
-        "commanded",
-        (commanded, pm.controllers.VelocityCommand(pm.UnicycleTracking(), commanded), CIRCLE),
-        {},
-    )
+    yield "commanded", (commanded, VelocityCommand(unicycle, commanded), CIRCLE), {}
     bare = pm.MobileRobot.box().mount("ur5")
     arm = bare.attach(pm.PayloadBody(2.0))
     base = pm.Tangent(pm.Circle(3.0, 0.1, 2.0))
     motion: Any = Rounded(pm.WholeBody(arm, base, pm.Hold(arm.rest[3:], 2.0)))
     yield "ur5", (arm, pm.ComputedTorque(bare, 9, 6), motion), {}
-    yield (
-        "ur5, base alone",
-        (arm, pm.law(lambda t, q, v, r: _of_base(q, v, r)), Rounded(base)),
-        {"limit": 1e6},
-    )
+    yield "ur5, base alone", (arm, pm.law(_of_base), Rounded(base)), {"limit": 1e6}
 
 
-def _of_base(q: Any, v: Any, reference: Any) -> Any:
+def _of_base(t: Any, q: Any, v: Any, reference: Any) -> Any:
     force = 90.0 * (reference.q - q[:3]) + 90.0 * (reference.v - v[:3])
     return np.concatenate([force, -0.5 * v[3:]])
 

@@ -183,17 +183,3 @@ def assert_near(found: Mapping[str, Any], expected: Mapping[str, Any], within: f
     for name, rows in expected.items():
         largest = np.maximum(np.abs(rows).max(axis=0), 1e-3)
         assert (np.abs(found[name] - rows) <= within * largest).all(), name
-
-
-class Swing:
-    """All coordinates of a robot to and fro."""
-
-    def __init__(self, robot: pm.MobileRobot, duration: float = 0.6) -> None:
-        self.robot, self.duration = robot, duration
-        self.way = 0.2 * np.arange(1, robot.nv + 1) / robot.nv
-
-    def __call__(self, t: Any) -> Reference:
-        angle = 3.0 * np.asarray(t)[..., None]
-        off = self.way * (1 - np.cos(angle))
-        q = self.robot.integrate(np.broadcast_to(self.robot.rest, (*off.shape[:-1], self.robot.nq)), off)
-        return Reference(q, self.way * 3 * np.sin(angle), self.way * 9 * np.cos(angle))

@@ -111,16 +111,17 @@ def midpoint(acceleration: Callable[..., Any], t: float, q: Any, v: Any, h: floa
 
 @dataclass(frozen=True)
 class Eight:
-    """A path: an eight, once."""
+    """A path: an eight, once, or for another duration."""
 
     size: float = 2.0  # [m]
     duration: float = 12.0  # [s]
+    period: float = 0.0  # [s], where it is another
 
     def __call__(self, t: Any) -> Any:
         return self.derivative(t, 0)
 
     def derivative(self, t: Any, order: int) -> Any:
-        rate, turned = 2 * np.pi / self.duration, order * np.pi / 2
+        rate, turned = 2 * np.pi / (self.period or self.duration), order * np.pi / 2
         x = rate**order * np.sin(rate * np.asarray(t) + turned)
         y = (2 * rate) ** order * np.sin(2 * rate * np.asarray(t) + turned)
         return self.size * np.stack([x, y / 2], axis=-1)

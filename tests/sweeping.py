@@ -19,15 +19,9 @@ GRID: dict[str, Any] = {
 
 
 def scenario(**changed: Any) -> pm.Scenario:
-    given: dict[str, Any] = {
-        "robot": ROBOT,
-        "controller": pm.ComputedTorque(ROBOT, 4, 4),
-        "trajectory": pm.Tangent(pm.Circle(3, 0.1, 6)),
-        "n": 200,
-        "spread": {"start.x": pm.Normal(0, 0.01)},
-        "dt": 0.1,
-        "seed": 1,
-    }
+    given: dict[str, Any] = {"n": 200, "spread": {"start.x": pm.Normal(0, 0.01)}, "dt": 0.1, "seed": 1}
+    given |= {"robot": ROBOT, "controller": pm.ComputedTorque(ROBOT, 4, 4)}
+    given |= {"trajectory": pm.Tangent(pm.Circle(3, 0.1, 6))}
     return pm.Scenario(**given | changed)
 
 

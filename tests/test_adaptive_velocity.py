@@ -9,26 +9,14 @@ import pinmobile as pm
 from pinmobile.arrays import Array
 from pinmobile.controllers import AdaptiveVelocity
 from pinmobile.plant import Context
+from tests.parts import Eight
 from tests.refusals import refusals
 
 TRUE = pm.VelocityRobot([0.26, 0.25, 0.03, 1.1, 0.2, 1.2])
 WRONG = pm.VelocityRobot(TRUE.theta * [1.3, 0.7, 1.3, 0.7, 0.7, 1.3])
 
 
-class Eights:
-    """Eights, 1 m sin 0.5 t, 0.5 m sin t, again and again."""
-
-    duration = 60.0
-
-    def __call__(self, t: Any) -> Array:
-        return self.derivative(t, 0)
-
-    def derivative(self, t: Any, order: int) -> Array:
-        rate, size = np.array([0.5, 1.0]), np.array([1.0, 0.5])
-        return np.asarray(size * rate**order * np.sin(rate * np.asarray(t)[..., None] + order * np.pi / 2))
-
-
-EIGHT = pm.Tangent(Eights())
+EIGHT = pm.Tangent(Eight(1.0, 60.0, 4 * np.pi))  # 1 m sin 0.5 t, 0.5 m sin t
 OFF = np.array([0.15, -0.1, 0.3])
 
 
@@ -46,22 +34,14 @@ def wanted(run: pm.Rollout, controller: AdaptiveVelocity, ahead: float) -> Array
     return np.stack([c * rate[:, 0] + s * rate[:, 1], (c * rate[:, 1] - s * rate[:, 0]) / a], axis=-1)
 
 
-@pytest.mark.parametrize(("ahead", "path"), [(0.0, EIGHT), (0.15, pm.FixedHeading(Eights(), 0.3))])
+@pytest.mark.parametrize(("ahead", "path"), [(0.0, EIGHT), (0.15, pm.FixedHeading(EIGHT.path, 0.3))])
 def test_velocities_of_an_exact_model_fall_to_the_law_as_the_gain_says(ahead: float, path: Any) -> None:
     """Which they do only where the rates of the law's velocities are right."""
     robot, dt, k = pm.VelocityRobot(TRUE.theta, ahead), 1e-3, np.array([3.0, 5.0])
     controller = AdaptiveVelocity(robot, k=k, gamma=0.0)
     q0 = path(0.0).q + OFF
-    run = pm.simulate(
-        *(robot, controller, path),
-        **{
-            "dt": dt,
-            "duration": 1.5,
-            "q0": q0,
-            "v0": robot.rolling(q0, [-0.1, 0.3]),
-            "engine": pm.Engine.COMPILED,
-        },
-    )
+    given: Any = {"q0": q0, "v0": robot.rolling(q0, [-0.1, 0.3]), "engine": pm.Engine.COMPILED}
+    run = pm.simulate(robot, controller, path, dt=dt, duration=1.5, **given)
     found = wanted(run, controller, ahead) - robot.independent(run.q, run.v)
     expected = found[0] * np.exp(-np.outer(run.t, k))
     assert np.abs(found[0]).min() > 0.1
@@ -144,16 +124,10 @@ def test_estimates_stay_within_their_bounds() -> None:
 
 test_bad_arguments_are_refused = refusals(
     (lambda: AdaptiveVelocity(pm.MobileRobot.box()), "robot is .*, expected a VelocityRobot"),
+    (lambda: AdaptiveVelocity(TRUE, upper=[1, 1, 1, 1, 1, 2]), "lower and upper of theta_4 are 0.11 and 1"),
+    (lambda: pm.simulate(TRUE, AdaptiveVelocity(TRUE, k=30), EIGHT, dt=0.1), r"k = \[30.0\].*expected dt <"),
     (
-        lambda: AdaptiveVelocity(TRUE, upper=[1, 1, 1, 1, 1, 2]),
-        "lower and upper of theta_4 are 0.11 and 1, which exclude the robot's value, 1.1",
-    ),
-    (
-        lambda: pm.simulate(TRUE, AdaptiveVelocity(TRUE, k=30), EIGHT, dt=0.1),
-        r"k = \[30.0\].*expected dt < 0.0",
-    ),
-    (
-        lambda: pm.simulate(TRUE, AdaptiveVelocity(TRUE), pm.FixedHeading(Eights(), 0.3), dt=0.02),
+        lambda: pm.simulate(TRUE, AdaptiveVelocity(TRUE), pm.FixedHeading(EIGHT.path, 0.3), dt=0.02),
         "reference moves sideways",
     ),
 )

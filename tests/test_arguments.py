@@ -38,16 +38,10 @@ ROOT = Path(__file__).parents[1]
 ROBOT = pm.MobileRobot.box()
 ON_WHEELS = pm.WheeledRobot(ROBOT, pm.WheelTable.differential(0.4, 0.1))
 CIRCLE = pm.Circle(radius=3, rate=0.1, duration=60)
-LOOP: dict[str, Any] = {
-    "plant": ROBOT,
-    "controller": pm.PD(10, 10),
-    "trajectory": pm.Tangent(CIRCLE),
-    "dt": 0.1,
-}
-MANY: dict[str, Any] = {
-    **{"robot": ROBOT, "controller": pm.PD(120, 120), "trajectory": pm.Tangent(CIRCLE), "dt": 0.1},
-    **{"n": 3, "spread": {"mass": pm.Uniform(29, 31)}, "engine": pm.Engine.COMPILED},
-}
+PARTS = ROBOT, pm.PD(120, 120), pm.Tangent(CIRCLE)
+LOOP: dict[str, Any] = {**dict(zip(("plant", "controller", "trajectory"), PARTS, strict=True)), "dt": 0.1}
+MANY: dict[str, Any] = {**dict(zip(("robot", "controller", "trajectory"), PARTS, strict=True)), "dt": 0.1}
+MANY |= {"n": 3, "spread": {"mass": pm.Uniform(29, 31)}, "engine": pm.Engine.COMPILED}
 MASKED: Any = np.ma.masked_array([1.0, 2.0, 3.0], [False, True, False])
 RAGGED: Any = [[1, 2], [3]]
 NOTHING: Any = None
@@ -102,10 +96,7 @@ FAULTS: dict[str, list[tuple[Any, ...]]] = {
         (lambda: Viewer(ROBOT, live=True, host="[::1"), "host is '[::1', expected a name or an address"),
     ],
     "another part": [
-        (
-            of_loop(trajectory=CIRCLE),
-            "a path, which has no heading, expected a trajectory: wrap the path in Tangent or",
-        ),
+        (of_loop(trajectory=CIRCLE), "a path, which has no heading, expected a trajectory: wrap the path"),
         (
             of_loop(trajectory=pm.PosePath(pm.Spline([[0, 0, 1], [1, 0, 1]], [0, 1]))),
             "a path of poses of an end effector, expected a trajectory of the robot's coordinates, such as",
@@ -113,28 +104,16 @@ FAULTS: dict[str, list[tuple[Any, ...]]] = {
         (of_loop(integrator=pm.PD(1, 1)), "a controller, expected one of pinmobile.integrators"),
     ],
     "another signature": [
-        (
-            lambda: pm.law(cast(Any, lambda t, q: np.zeros(3))),
-            "which cannot be called as function(t, q, v, reference): too many positional arguments",
-        ),
-        (
-            of_loop(integrator=lambda q, v: (q, v)),
-            "which cannot be called as integrator(acceleration, t, q, v, dt): too many",
-        ),
-        (
-            lambda: pm.PD(1, 1, difference=lambda q: q),
-            "which cannot be called as difference(q0, q1): too many",
-        ),
+        (lambda: pm.law(cast(Any, lambda t, q: np.zeros(3))), "which cannot be called as function("),
+        (of_loop(integrator=lambda q, v: (q, v)), "which cannot be called as integrator("),
+        (lambda: pm.PD(1, 1, difference=lambda q: q), "which cannot be called as difference(q0, q1)"),
     ],
     "another shape returned": [
         (
             of_loop(controller=pm.law(lambda t, q, v, reference: [1.0, 2.0])),
             "controller returned array([1., 2.]) at t = 0 s, expected an array of shape (3,)",
         ),
-        (
-            of_loop(forces=[lambda t, q, v: np.zeros(2)]),
-            "forces[0] returned array([0., 0.]) at t = 0 s, expected an array of shape (3,)",
-        ),
+        (of_loop(forces=[lambda t, q, v: np.zeros(2)]), "forces[0] returned array([0., 0.]) at t = 0 s"),
         (of_loop(integrator=lambda acceleration, t, q, v, dt: q), "expected (q, v) of shapes (3,) and (3,)"),
     ],
     "too long a step": [
@@ -188,7 +167,7 @@ def is_made(value: Any) -> bool:
 @pytest.fixture(scope="module")
 def fuzzed(request: pytest.FixtureRequest) -> dict[str, Any]:
     """Run the trials in a process of their own: a crash, or memory without bound, ends only that process."""
-    test = test_wrong_values_end_in_an_error_of_the_library_or_a_right_answer.__name__
+    test = test_wrong_values_end_in_an_error_of_the_library_or_an_answer.__name__
     asked = {item.name for item in request.session.items}
     names = [name for name in sorted(ROWS) if f"{test}[{name}]" in asked]
     words = [sys.executable, "-W", "ignore::DeprecationWarning", "-m", "tests.arguments", *names]
@@ -200,9 +179,7 @@ def fuzzed(request: pytest.FixtureRequest) -> dict[str, Any]:
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", ROWS)
-def test_wrong_values_end_in_an_error_of_the_library_or_a_right_answer(
-    name: str, fuzzed: dict[str, Any]
-) -> None:
+def test_wrong_values_end_in_an_error_of_the_library_or_an_answer(name: str, fuzzed: dict[str, Any]) -> None:
     assert fuzzed[name]["wrong"] == []
 
 

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
-import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -20,12 +19,7 @@ AT = (0.1, -0.05, 0.2, 0.4)
 UR5 = pm.MobileRobot.box().mount("ur5", AT)
 PANDA = pm.MobileRobot.box().mount("panda", AT)
 KINOVA = pm.MobileRobot.box().mount("kinova", AT)  # four of its joints are continuous
-TWO = (
-    pm.MobileRobot.box()
-    .mount("panda", AT)
-    .mount("kinova", (-0.1, 0, 0.2, 0))
-    .attach(pm.PayloadBody(1.5, (0, 0, 0.1)))
-)
+TWO = PANDA.mount("kinova", (-0.1, 0, 0.2, 0)).attach(pm.PayloadBody(1.5, (0, 0, 0.1)))
 ROBOTS = pytest.mark.parametrize("robot", [UR5, KINOVA, TWO], ids=["ur5", "kinova", "two arms and a load"])
 
 
@@ -119,33 +113,6 @@ def mjcf(robot: pm.MobileRobot, mount: Mount, geoms: Mapping[int, str] = Mapping
         f"{geoms.get(-1, '')}<body>{joints}{inertial(base)}{geoms.get(0, '')}{link(0)}</body>"
         "</worldbody></mujoco>"
     )
-
-
-@ROBOTS
-def test_gravity_is_the_slope_of_the_potential_energy(robot: pm.MobileRobot) -> None:
-    q, _, _ = states(robot)
-    h = 1e-5
-    slope = [
-        (robot.potential_energy(robot.integrate(q, e)) - robot.potential_energy(robot.integrate(q, -e)))
-        / (2 * h)
-        for e in h * np.eye(robot.nv)
-    ]
-    # h^2 of the third derivative, and eps / h of some 1e2 J.
-    np.testing.assert_allclose(np.stack(slope, axis=-1), robot.gravity(q), atol=1e-7)
-
-
-@ROBOTS
-def test_a_frames_jacobian_is_the_slope_of_its_pose(robot: pm.MobileRobot) -> None:
-    q, v, _ = states(robot)
-    h = 1e-6
-    for frame in (robot.end_effector, "base_link"):
-        ahead, behind = (robot.frame_pose(robot.integrate(q, s * h * v), frame) for s in (1, -1))
-        rate = (ahead - behind) / (2 * h)
-        twist = np.einsum("nij,nj->ni", robot.frame_jacobian(q, frame), v)
-        turning = rate[:, :3, :3] @ robot.frame_pose(q, frame)[:, :3, :3].transpose(0, 2, 1)
-        # eps / h of some metres.
-        np.testing.assert_allclose(twist[:, :3], rate[:, :3, 3], atol=1e-8)
-        np.testing.assert_allclose(twist[:, 3:], turning[:, [2, 0, 1], [1, 2, 0]], atol=1e-8)
 
 
 @ROBOTS
@@ -276,37 +243,3 @@ def test_the_reference_posture_of_a_continuous_joint_is_an_angle() -> None:
     np.testing.assert_array_equal(turned.rest[3:], [7.0, 0.1])
     with pytest.raises(pm.InvalidArgument, match=r"^rest has shape \(3,\), expected \(\.\.\., 2\)$"):
         pm.MobileRobot.box().mount(model, AT, rest=[np.cos(2.5), np.sin(2.5), 0.1])
-
-
-# -- joints by their names -------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def run() -> pm.Rollout:
-    """Return a run of an arm whose joints have no limits; each goes 0.1 rad and comes back."""
-    robot = pm.MobileRobot.box().mount("kinova")
-    rest = robot.rest[3:]
-    way = pm.CubicVia(rest, rest + 0.1, rest, 0.5, 1.0)
-    motion = pm.WholeBody(robot, pm.Tangent(pm.Circle(1.0, 0.5, 1.0)), way)
-    return pm.simulate(robot, pm.ComputedTorque(robot, 100.0, 20.0), motion, dt=0.02)
-
-
-@pytest.mark.parametrize("robot", [UR5, PANDA], ids=["ur5", "panda"])
-def test_mujoco_has_the_same_mass_matrix_forces_and_inverse_dynamics(robot: pm.MobileRobot) -> None:
-    model = mujoco.MjModel.from_xml_string(mjcf(robot, robot.mounts[0]))
-    data = mujoco.MjData(model)
-    assert model.nv == robot.nv
-    for q, v, a in zip(*states(robot), strict=True):
-        data.qpos[:], data.qvel[:], data.qacc[:] = q, v, a
-        mujoco.mj_inverse(model, data)
-        tau = data.qfrc_inverse.copy()
-        data.qpos[:], data.qvel[:] = q, v
-        mujoco.mj_forward(model, data)
-        M = np.zeros((model.nv, model.nv))
-        mujoco.mj_fullM(model, data, M)
-        for ours, theirs in (
-            (robot.mass_matrix(q), M),
-            (robot.nonlinear_effects(q, v), data.qfrc_bias),
-            (robot.inverse_dynamics(q, v, a), tau),
-        ):
-            np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-9 * np.abs(theirs).max())

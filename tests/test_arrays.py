@@ -28,22 +28,6 @@ test_what_is_not_expected_is_refused_by_name = refusals(
 )
 
 
-def test_what_is_expected_comes_back_as_float64() -> None:
-    assert arrays.vector("q", np.ones((4, 3), np.float32), 3).dtype == np.float64
-    assert arrays.positive("dt", 1) == 1.0
-    assert arrays.check_integer("substeps", np.int64(3)) == 3
-    assert arrays.check_integer("order", 0, least=0) == 0
-
-
-def test_frozen_is_a_read_only_copy() -> None:
-    source = np.ones(3)
-    copy = arrays.frozen(source)
-    source[0] = 5
-    assert copy[0] == 1
-    with pytest.raises(ValueError, match="read-only"):
-        copy[0] = 2
-
-
 @given(st.floats(-1e6, 1e6))
 def test_wrapped_angle_lies_in_the_half_open_interval_and_points_the_same_way(angle: float) -> None:
     wrapped = float(arrays.wrap_angle(np.array(angle)))
@@ -52,8 +36,11 @@ def test_wrapped_angle_lies_in_the_half_open_interval_and_points_the_same_way(an
     assert abs(turns - round(turns)) < 1e-9
 
 
-def test_half_a_turn_to_either_side_is_plus_pi() -> None:
-    assert arrays.wrap_angle(np.array([np.pi, -np.pi, 3 * np.pi])).tolist() == [np.pi] * 3
+def test_frozen_is_a_read_only_copy() -> None:
+    source = np.ones(3)
+    copy = arrays.frozen(source)
+    source[0] = 5
+    assert (copy[0], copy.flags.writeable) == (1, False)
 
 
 @pytest.mark.parametrize("turns", [-7, 1, 3])

@@ -277,10 +277,7 @@ def test_odometry_of_the_true_table_is_nearly_the_pose_and_a_smaller_wheel_drift
 
 
 S = {"start.x": pm.Uniform(-0.2, 0.2), "start.psi": pm.Uniform(-0.3, 0.3)}
-ON_TWO, OF_CAR = (
-    pm.Backstepping(pm.UnicycleTracking(), DIFFERENTIAL),
-    pm.Backstepping(pm.UnicycleTracking(), CAR),
-)
+ON_TWO, OF_CAR = (pm.Backstepping(pm.UnicycleTracking(), robot) for robot in (DIFFERENTIAL, CAR))
 CASES: dict[str, tuple[Any, Any, Any]] = {
     "parking": (DIFFERENTIAL, pm.Backstepping(Parking(), DIFFERENTIAL), Posed((1.0, 0.5, 0.3))),
     "swerve": (SWERVE, SwerveTracking(SWERVE), Crab()),
@@ -301,10 +298,7 @@ def test_the_engines_agree(name: str) -> None:
 def test_a_reference_that_wheels_cannot_follow_is_refused_with_its_time() -> None:
     late = Posed((0.0, 0.0, 0.0), (0.3, 0.1, 0.0))
     for trajectory, message in (
-        (
-            pm.FixedHeading(EIGHT.path, 0.0),
-            "reference moves sideways, at 0.5 m/s across the fixed axle, at t = 0 s",
-        ),
+        (pm.FixedHeading(EIGHT.path, 0.0), "reference moves sideways, at 0.5 m/s across the fixed axle"),
         (late, "reference moves sideways, at 0.1 m/s across the fixed axle, at t = 0 s"),
     ):
         for controller in (ON_TWO, pm.ControlAllocation(pm.PD(60, 60), DIFFERENTIAL)):
@@ -318,21 +312,10 @@ def test_a_reference_that_wheels_cannot_follow_is_refused_with_its_time() -> Non
 
 
 test_wrong_parts_are_refused_when_they_are_made = refusals(
-    (
-        lambda: pm.ComputedTorque(DIFFERENTIAL),
-        "robot is a drive of type (2, 0), which cannot accelerate in every direction and so has no "
-        "inverse dynamics; expected an omnidirectional drive, or Backstepping(law, robot)",
-    ),
-    (
-        lambda: pm.Backstepping(pm.UnicycleTracking(), MECANUM),
-        "robot is a drive of type (3, 0), expected a drive with a fixed axle: for this one, "
-        "ComputedTorque(robot)",
-    ),
+    (lambda: pm.ComputedTorque(DIFFERENTIAL), "robot is a drive of type (2, 0), which cannot accelerate"),
+    (lambda: pm.Backstepping(pm.UnicycleTracking(), MECANUM), "robot is a drive of type (3, 0)"),
     (lambda: pm.Backstepping(pm.PD(1, 1), DIFFERENTIAL), "law is PD("),
-    (
-        lambda: pm.Backstepping(pm.UnicycleTracking(), _one_motor()),
-        "robot has 1 motors and 2 independent velocities, expected a motor for each",
-    ),
+    (lambda: pm.Backstepping(pm.UnicycleTracking(), _one_motor()), "robot has 1 motors and 2"),
     by=begun,
 )
 

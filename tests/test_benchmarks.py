@@ -67,9 +67,7 @@ def test_simulate_and_the_raw_loop_do_the_same_work(bench: SimpleNamespace, work
         assert run is not None, f"{one.name}: {word}"
 
 
-def test_batches_are_right_of_all_who_are_there(
-    bench: SimpleNamespace, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_batches_of_all_are_right(bench: SimpleNamespace, capsys: pytest.CaptureFixture[str]) -> None:
     assert bench.batches.main(["--quick"]) == 0
     printed = capsys.readouterr().out
     assert "WRONG" not in printed

@@ -127,29 +127,6 @@ def test_the_smallest_and_the_largest_noise_are_right(size: int) -> None:
     np.testing.assert_allclose(_minus_two_log(np.float64(u)), -2 * math.log(u), rtol=5e-11, atol=0)
 
 
-def test_noise_is_white_and_normal() -> None:
-    # All statistics in their own standard deviations; these numbers are the same on every machine.
-    keys = robot_keys(11, "measurement", range(2000))
-    with np.errstate(over="ignore"):
-        x = np.array([normals(keys, np.full(2000, k, np.uint64), 6) for k in range(50)])
-    flat = x.ravel()
-    n = flat.size
-    assert abs(flat.mean() * n**0.5) < 4
-    assert abs((flat.var() - 1) * (n / 2) ** 0.5) < 4
-    assert abs((flat**3).mean() * (n / 15) ** 0.5) < 4
-    assert abs(((flat**4).mean() - 3) * (n / 96) ** 0.5) < 4
-    for other in (x[1:] * x[:-1], x[:, 1:] * x[:, :-1], x[:, :, 1:] * x[:, :, :-1]):
-        assert abs(other.mean() * other.size**0.5) < 4
-    assert 4 < np.abs(flat).max() < 6
-    # Of a pair, size and direction are independent, and no direction is preferred.
-    one, two = x[:, ::2].ravel(), x[:, 1::2].ravel()
-    size, angle = one**2 + two**2 - 2, np.arctan2(two, one)
-    for harmonic in (1, 2, 3, 4, 8):
-        for wave in (np.cos(harmonic * angle), np.sin(harmonic * angle)):
-            assert abs(wave.mean() * (2 * wave.size) ** 0.5) < 4
-            assert abs((wave * size).mean() * (wave.size / 2) ** 0.5) < 4
-
-
 def test_keys_follow_from_seed_name_and_robot() -> None:
     keys = robot_keys(1, "measurement", range(100))
     assert len(set(keys.tolist())) == 100

@@ -14,68 +14,57 @@ from pinmobile.integrators import constant_acceleration
 from pinmobile.loop import Loop, Worst
 from pinmobile.parts import replace
 from pinmobile.plant import Input
-from tests.looping import (
-    CIRCLE,
-    COMPOSITIONS,
-    COUNT,
-    PD,
-    Body,
-    assert_near,
-    built,
-    looped,
-    ran,
-    started,
-)
+from tests import looping
 from tests.parts import PID
 
 
 def plain(controller: Any, plant: Any = None, integrator: Any = constant_acceleration) -> Loop:
-    return Loop(Body() if plant is None else plant, controller, None, (), integrator)
+    return Loop(looping.Body() if plant is None else plant, controller, None, (), integrator)
 
 
-@pytest.mark.parametrize("name", COMPOSITIONS)
+@pytest.mark.parametrize("name", looping.COMPOSITIONS)
 def test_a_compiled_loop_is_the_loop_in_python(name: str) -> None:
-    loop = COMPOSITIONS[name]()
-    found = ran(built(loop), 19)
-    q, v = started(loop.plant, 19)
+    loop = looping.COMPOSITIONS[name]()
+    found = looping.ran(looping.built(loop), 19)
+    q, v = looping.started(loop.plant, 19)
     for i in (0, 18):
         mine = replace(loop, {"plant.mass": np.linspace(0.8, 1.2, 400)[i] * loop.plant.mass})
-        expected = looped(mine, q[i], v[i], member=i)
+        expected = looping.looped(mine, q[i], v[i], member=i)
         # What contracts keeps the last bits of sine and tanh, which are NumPy's own there, small.
-        assert_near({each: rows[i] for each, rows in found.kept.items()}, expected, 1e-10)
+        looping.assert_near({each: rows[i] for each, rows in found.kept.items()}, expected, 1e-10)
 
 
 def test_the_summary_is_that_of_the_samples() -> None:
-    loop, n, every = COMPOSITIONS["pid"](), 21, 7
-    counted = built(loop, recorder=Worst(limit=1e3, begin=50.0))
-    summary, kept = ran(counted, n, every=every), ran(built(loop), n).kept
-    error = np.array([[loop.plant.difference(*pair) for pair in zip(q, CIRCLE.q)] for q in kept["q"]])  # noqa: B905
+    loop, n, every = looping.COMPOSITIONS["pid"](), 21, 7
+    counted = looping.built(loop, recorder=Worst(limit=1e3, begin=50.0))
+    summary, kept = looping.ran(counted, n, every=every), looping.ran(looping.built(loop), n).kept
+    error = np.array([[loop.plant.difference(*pair) for pair in zip(q, looping.CIRCLE.q)] for q in kept["q"]])  # noqa: B905
     record = counted.recorder_memory(summary)
-    assert (record["lived"] == COUNT).all()
+    assert (record["lived"] == looping.COUNT).all()
     np.testing.assert_array_equal(record["largest"], np.abs(error[:, 50:]).max(axis=1))
     far = np.square(error[..., :2]).sum(axis=2)
     np.testing.assert_array_equal(record["farthest"][:, 0], far[:, 50:].max(axis=1))
     np.testing.assert_allclose(record["squares"], np.square(error[:, 50:]).sum(axis=1), rtol=1e-13)
     np.testing.assert_array_equal(record["inputs"], np.abs(kept["u"]).max(axis=1))
     for j, sizes in enumerate((np.sqrt(far), np.abs(error[..., 2]))):
-        for row, k in enumerate(range(0, COUNT, every)):
+        for row, k in enumerate(range(0, looping.COUNT, every)):
             bins = (np.ascontiguousarray(sizes[:, k]).view(np.int64) >> SHIFT) - FIRST + 1
             expected = np.bincount(np.clip(bins, 0, BINS - 1), minlength=BINS)
             np.testing.assert_array_equal(summary.counts[row, j], expected)
 
 
 def test_what_diverges_is_counted_so_far_and_in_the_last_bin() -> None:
-    compiled = built(plain(PD(-400.0, -400.0), integrator=rk4), recorder=Worst(limit=5.0))
-    found = ran(compiled, 5, every=COUNT - 1)
+    compiled = looping.built(plain(looping.PD(-400.0, -400.0), integrator=rk4), recorder=Worst(limit=5.0))
+    found = looping.ran(compiled, 5, every=looping.COUNT - 1)
     record = compiled.recorder_memory(found)
     assert (record["alive"] == 0).all()
-    assert (record["lived"] < COUNT).all()
+    assert (record["lived"] < looping.COUNT).all()
     assert (record["largest"] <= 5).all()
     np.testing.assert_array_equal(found.counts[1, :, -1], [5, 5])
 
 
 def test_a_law_may_write_into_what_it_is_given() -> None:
-    class Writing(PD):
+    class Writing(looping.PD):
         def initial_state(self, context: Any) -> Any:
             return {"sum": np.zeros(3)}
 
@@ -86,26 +75,28 @@ def test_a_law_may_write_into_what_it_is_given() -> None:
             return self.kp * reference.q + self.kd * (reference.v - v) + state["sum"], state
 
     loop = plain(Writing(), integrator=rk4)
-    q, v = started(loop.plant, 2)
-    expected = looped(loop, q[1], v[1])
-    assert_near({name: x[1] for name, x in ran(built(loop, {}), 2).kept.items()}, expected)
-    summary = built(loop, {}, Worst())
-    error = [loop.plant.difference(a, b) for a, b in zip(expected["q"], CIRCLE.q, strict=True)]
-    largest = summary.recorder_memory(ran(summary, 2))["largest"]
+    q, v = looping.started(loop.plant, 2)
+    expected = looping.looped(loop, q[1], v[1])
+    looping.assert_near(
+        {name: x[1] for name, x in looping.ran(looping.built(loop, {}), 2).kept.items()}, expected
+    )
+    summary = looping.built(loop, {}, Worst())
+    error = [loop.plant.difference(a, b) for a, b in zip(expected["q"], looping.CIRCLE.q, strict=True)]
+    largest = summary.recorder_memory(looping.ran(summary, 2))["largest"]
     np.testing.assert_allclose(largest[1], np.abs(error).max(axis=0), rtol=1e-11)
 
 
 def test_limits_of_the_plant_are_kept_and_told_to_the_controller() -> None:
-    class Weak(Body):
+    class Weak(looping.Body):
         inputs = tuple(Input(f"u{x}", "N", -x, x) for x in (15.0, 1e9, 2.0))
 
     loop = plain(PID(120.0, 20.0, 120.0), Weak())
-    found = ran(built(loop), 4).kept
+    found = looping.ran(looping.built(loop), 4).kept
     assert np.abs(found["u"]).max(axis=(0, 1))[0] == 15.0
     assert np.abs(found["u"]).max(axis=(0, 1))[1] > 15.0
-    q, v = started(loop.plant, 4)
-    expected = looped(replace(loop, {"plant.mass": 0.8 * 30.0}), q[0], v[0])
-    assert_near({name: x[0] for name, x in found.items()}, expected)
+    q, v = looping.started(loop.plant, 4)
+    expected = looping.looped(replace(loop, {"plant.mass": 0.8 * 30.0}), q[0], v[0])
+    looping.assert_near({name: x[0] for name, x in found.items()}, expected)
 
 
 # Bits.
@@ -134,11 +125,13 @@ def targets() -> dict[str, tuple[Target, Shape]]:
 def test_the_bits_are_those_of_every_processor(name: str) -> None:
     found = {}
     for label, (target, shape) in targets().items():
-        compiled = built(COMPOSITIONS[name](), recorder=Worst(limit=1e3), target=target, shape=shape)
+        compiled = looping.built(
+            looping.COMPOSITIONS[name](), recorder=Worst(limit=1e3), target=target, shape=shape
+        )
         for optimised in (False, True):
             if optimised:
                 compiled.program.code()
-            out = ran(compiled, 37, every=20)
+            out = looping.ran(compiled, 37, every=20)
             found[f"{label}, optimised: {optimised}"] = (*compiled.recorder_memory(out).values(), out.counts)
     first = next(iter(found.values()))
     for label, arrays in found.items():
@@ -151,7 +144,7 @@ def test_a_program_that_has_run_for_long_is_optimised(tmp_path: Path) -> None:
         return ["quick" if "quick" in file.name else "optimised" for file in tmp_path.iterdir()]
 
     functions.clear()  # as in a new process
-    program = built(COMPOSITIONS["pid"](), cache=Cache(tmp_path)).program
+    program = looping.built(looping.COMPOSITIONS["pid"](), cache=Cache(tmp_path)).program
     assert files() == []  # before it is known how long it runs
     quick = program.code(60_000)
     assert files() == ["quick"]
@@ -204,14 +197,14 @@ REFUSED: dict[str, tuple[Any, Any, str, str, str]] = {
 def test_a_law_that_cannot_be_compiled_is_refused_with_what_to_write(name: str) -> None:
     function, state, what, instead, place = REFUSED[name]
     with pytest.raises(errors.NotTraceable) as caught:
-        built(plain(Law(function, state)), {})
+        looping.built(plain(Law(function, state)), {})
     assert what in caught.value.obstacle
     assert instead in caught.value.remedy
     assert place in caught.value.place
 
 
 def test_a_delay_that_is_pushed_twice_is_refused() -> None:
-    class Twice(PD):
+    class Twice(looping.PD):
         def initial_state(self, context: Any) -> Any:
             return context.delay(2)
 
@@ -221,7 +214,7 @@ def test_a_delay_that_is_pushed_twice_is_refused() -> None:
             return reference.v - old, line
 
     with pytest.raises(errors.NotTraceable, match="pushed twice"):
-        built(plain(Twice()), {})
+        looping.built(plain(Twice()), {})
 
 
 def test_a_laws_own_error_comes_as_it_is() -> None:
@@ -229,6 +222,6 @@ def test_a_laws_own_error_comes_as_it_is() -> None:
         raise KeyError("mine")
 
     with pytest.raises(KeyError, match="mine"):
-        built(plain(Law(broken)), {})
+        looping.built(plain(Law(broken)), {})
     with pytest.raises(errors.InvalidArgument, match=r"expected an array of shape \(3,\)"):
-        built(plain(Law(lambda t, q, v, reference, state: (q[:2], state))), {})
+        looping.built(plain(Law(lambda t, q, v, reference, state: (q[:2], state))), {})

@@ -1,12 +1,11 @@
 """What a plant may be, and what parts may hold: the capabilities that the compiled loop asks for."""
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pytest
 
-from pinmobile import ConstantForce
 from pinmobile.compiled import robot_keys
 from pinmobile.forces import SinusoidalForce
 from pinmobile.integrators import RungeKuttaNystrom, constant_acceleration, rk4, semi_implicit_euler
@@ -72,29 +71,6 @@ def test_a_heading_of_cosine_and_sine_is_turned_by_displacements(integrator: Run
     assert_alike(loop, q, v, lifted)
     turned = compiled(loop, q[None], v[None], lifted)["q"][0, :, 2:]
     np.testing.assert_allclose(np.hypot(*turned.T), 1.0, rtol=1e-13)
-
-
-class Step(NamedTuple):
-    q: Any
-    v: Any
-    memory: Any
-
-
-class Motored(Body):
-    """A body with a step of its own: its force follows the input with a lag that it remembers."""
-
-    def initial_state(self, context: Any) -> Any:
-        return {"force": np.zeros(3)}
-
-    def step(self, t: Any, q: Any, v: Any, u: Any, h: Any, f: Any, memory: Any) -> Step:
-        force = memory["force"] + h / 0.05 * (u - memory["force"])
-        v1 = v + h * self.forward_dynamics(q, v, force, f(t, q, v))
-        return Step(q + h * v1, v1, {"force": force})
-
-
-def test_a_plant_with_a_step_and_a_memory_of_its_own_needs_no_integrator() -> None:
-    loop = Loop(Motored(), PD(20.0, 30.0), None, (ConstantForce((1, 1, 1)),), None, 2)
-    assert_alike(loop, CIRCLE.q[0] + 0.1, CIRCLE.v[0])
 
 
 @dataclass

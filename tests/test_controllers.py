@@ -7,23 +7,12 @@ from attrs import evolve
 from hypothesis import given, settings, strategies as st
 
 from pinmobile import PD, ComputedTorque, InvalidArgument, MobileRobot, Reference
-from pinmobile.arrays import Array
 from pinmobile.controllers import plain_difference, planar_difference
 from pinmobile.plant import Context
 from tests.refusals import refusals, told
 
 ROBOT = MobileRobot(10, 1.2, com=(0.15, 0.05))
 CONTEXT = Context.of(ROBOT, dt=0.1)
-
-
-def asked(controller: Any, q: Array, v: Array, reference: Reference) -> Array:
-    """Return the force of a controller at its first sample."""
-    return np.asarray(controller(0.0, q, v, reference, controller.initial_state(CONTEXT))[0])
-
-
-@pytest.fixture
-def reference() -> Reference:
-    return Reference(*np.random.default_rng(3).normal(size=(3, 40, 3)))
 
 
 def test_planar_difference_is_on_the_circle_and_the_lectures_is_not() -> None:
@@ -65,30 +54,6 @@ def test_a_controller_of_another_robot_compares_as_that_one() -> None:
     moved = evolve(controller, robot=ROBOT, kp=4, kd=4)
     tau, _ = moved(0.0, np.zeros(3), np.zeros(3), goal, None)
     np.testing.assert_array_equal(tau, 0)
-
-
-def test_pd_is_the_lectures(states: tuple[Array, ...], reference: Reference) -> None:
-    q, v, _, _ = states
-    controller = PD((120, 120, 0.4), (10, 20, 0.5))
-    tau, state = controller(0.0, q, v, reference, controller.initial_state(CONTEXT))
-    expected = planar_difference(q, reference.q) * [120, 120, 0.4] + (reference.v - v) * [10, 20, 0.5]
-    np.testing.assert_allclose(tau, expected, rtol=1e-14)
-    assert state == ROBOT.difference
-
-
-def test_a_scalar_a_vector_and_a_matrix_are_the_same_gain(
-    states: tuple[Array, ...], reference: Reference
-) -> None:
-    q, v, _, _ = states
-    forces = [asked(PD(k, k), q, v, reference) for k in (2, (2, 2, 2), 2 * np.eye(3))]
-    np.testing.assert_allclose(forces[1:], [forces[0]] * 2, rtol=1e-14)
-
-
-def test_a_matrix_couples_coordinates() -> None:
-    kp = np.array([[0, 1, 0], [0, 0, 0], [0, 0, 0.0]])
-    here, there = Reference(*np.zeros((3, 3))), Reference(np.array([0, 5, 0.0]), np.zeros(3), np.zeros(3))
-    tau, _ = PD(kp, 0)(0.0, here.q, here.v, there, CONTEXT.difference)
-    assert tau.tolist() == [5, 0, 0]  # an error in y pushes along x
 
 
 def test_pd_by_hand_starts_with_the_state_of_its_context() -> None:

@@ -14,7 +14,7 @@ from hypothesis import Phase, given, settings, strategies as st
 from sympy import Expr, ImmutableMatrix, Matrix, cos, sin, symbols, zeros
 
 from pinmobile.arrays import Array
-from pinmobile.derivation import Derivation, Link, Step, derive, difference, lagrange, lecture
+from pinmobile.derivation import Derivation, Link, derive, difference, lagrange, lecture
 from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE, DHRow, DHTable, JointType
 from pinmobile.errors import InvalidArgument, UnknownName
 from tests.refusals import begun, refusals
@@ -108,12 +108,8 @@ def general_parameters(bodies: Sequence[Any | None]) -> dict[str, float]:
         if body is not None:
             params[f"m{k}"] = body.mass
             params |= {f"{axis}c{k}": body.lever[i] for i, axis in enumerate("xyz")}
-            params |= {
-                f"I{a}{b}{k}": body.inertia[i, j]
-                for i, a in enumerate("xyz")
-                for j, b in enumerate("xyz")
-                if i <= j
-            }
+            pairs = [(i, j) for i in range(3) for j in range(i, 3)]
+            params |= {f"I{'xyz'[i]}{'xyz'[j]}{k}": body.inertia[i, j] for i, j in pairs}
     return params
 
 
@@ -166,14 +162,6 @@ def test_right_angles_of_four_decimals_are_right_and_reported() -> None:
     assert found.nonlinear_effects == exact.nonlinear_effects
 
 
-def test_lecture_prints_the_factored_form() -> None:
-    M, n = lecture().mass_matrix, lecture().nonlinear_effects
-    assert M == LECTURE_M
-    assert str(M[0, 2]) == "-m*(xbc*sin(psi) + ybc*cos(psi))"
-    assert str(M[2, 2]) == "Icz + m*(xbc**2 + ybc**2)"
-    assert str(n[0]) == "-m*psidot**2*(xbc*cos(psi) - ybc*sin(psi))"
-
-
 def test_lecture_steps_have_the_expressions_of_the_script() -> None:
     derivation = lecture()
 
@@ -185,11 +173,7 @@ def test_lecture_steps_have_the_expressions_of_the_script() -> None:
     assert at("T_2_3") == ImmutableMatrix([[-s, -c, 0, 0], [0, 0, -1, 0], [c, -s, 0, 0], [0, 0, 0, 1]])
     assert at("T_0_3") == ImmutableMatrix([[c, -s, 0, x], [s, c, 0, y], [0, 0, 1, 0], [0, 0, 0, 1]])
     assert at("p") == ImmutableMatrix([x, y, 0])
-    assert (at("n"), at("s"), at("a")) == (
-        ImmutableMatrix([c, s, 0]),
-        ImmutableMatrix([-s, c, 0]),
-        ImmutableMatrix([0, 0, 1]),
-    )
+    assert at("n").row_join(at("s")).row_join(at("a")) == ImmutableMatrix([[c, -s, 0], [s, c, 0], [0, 0, 1]])
     assert at("v_0_3") == ImmutableMatrix([xd, yd, 0])
     assert at("omega_0_3") == ImmutableMatrix([0, 0, psid])
     assert at("a_0_3") == ImmutableMatrix([xdd, ydd, 0])
@@ -259,21 +243,6 @@ def test_gyroscopic_term_is_turned_before_the_cross_product() -> None:
 
 
 # Equations of motion
-
-
-def test_two_link_arm_has_the_textbook_equations() -> None:
-    derivation = rr()
-    m1, m2, lc1, lc2, I1, I2, g = symbols("m1 m2 lc1 lc2 I1 I2 g")
-    (q1, q2), (v1, v2), l1 = derivation.q, derivation.v, sympy.Rational(7, 10)
-    h = m2 * l1 * lc2 * sin(q2)
-    M11 = m1 * lc1**2 + m2 * (l1**2 + lc2**2 + 2 * l1 * lc2 * cos(q2)) + I1 + I2
-    M12 = m2 * (lc2**2 + l1 * lc2 * cos(q2)) + I2
-    weight = (m1 * lc1 + m2 * l1) * g * cos(q1) + m2 * lc2 * g * cos(q1 + q2)
-    n = [-h * v2**2 - 2 * h * v1 * v2 + weight, h * v1**2 + m2 * lc2 * g * cos(q1 + q2)]
-    # Spong, Hutchinson, Vidyasagar, Robot Modeling and Control, 2006, section 6.4.2.
-    assert is_zero(derivation.mass_matrix - Matrix([[M11, M12], [M12, m2 * lc2**2 + I2]]))
-    assert is_zero(derivation.nonlinear_effects - Matrix(n))
-    assert derivation["T_0_2"].expression[0, 0] == cos(q1 + q2)
 
 
 @pytest.mark.parametrize("table", [LECTURE_TABLE, SLIDE_TABLE])
@@ -371,12 +340,7 @@ def test_numeric_broadcasts_states_against_parameters() -> None:
     numeric = lecture().numeric()
     rng = np.random.default_rng(0)
     q, v, a = rng.normal(size=(3, 5, 1, 3))
-    params: dict[str, Any] = {
-        "m": rng.uniform(1, 2, 4),
-        "xbc": 0.1,
-        "ybc": rng.normal(size=(2, 1, 1)),
-        "Icz": 0.3,
-    }
+    params: Any = {"m": rng.uniform(1, 2, 4), "xbc": 0.1, "ybc": rng.normal(size=(2, 1, 1)), "Icz": 0.3}
     M = numeric.mass_matrix(q, params)
     n = numeric.nonlinear_effects(q, v, params)
     tau = numeric.inverse_dynamics(q, v, a, params)
@@ -429,14 +393,6 @@ def test_latex_of_the_lecture_has_its_symbols() -> None:
     assert "I_{zz1}" in derive(ONE)["M"].latex()
 
 
-def test_steps_are_looked_up_by_name() -> None:
-    step = lecture()["alpha_3"]
-    assert isinstance(step, Step)
-    assert step.expression == Matrix([0, 0, psidd])
-    with pytest.raises(UnknownName, match=r"unknown step 'alpha_4', did you mean 'alpha_3' or 'alpha_2'"):
-        lecture()["alpha_4"]
-
-
 # Arguments
 
 
@@ -446,22 +402,10 @@ ONE = DHTable((DHRow(0, 0, 0, 0, R, "q1"),))
 test_what_cannot_be_derived_is_refused = refusals(
     (lambda: derive(ONE, [None, None]), "links is (None, None), expected 1 of Link or None"),
     (lambda: derive(ONE, order=["q7"]), "order is ('q7',), expected a permutation of ('q1',)"),
-    (
-        lambda: derive(ONE, [Link(symbols("q1"), (0, 0, 0), zeros(3, 3))]),
-        "links and table give ['q1'] two meanings, expected distinct names",
-    ),
+    (lambda: derive(ONE, [Link(symbols("q1"), (0, 0, 0), zeros(3, 3))]), "links and table give ['q1']"),
     (lambda: lecture(ONE), "table is "),
-    (
-        lambda: Link("heavy", (0, 0, 0), np.eye(3)),
-        "mass is 'heavy', expected a finite real number or a sympy expression",
-    ),
-    (
-        lambda: Link(1, (0, 0, 0), [[1, 2, 0], [0, 1, 0], [0, 0, 1]]),
-        "inertia is [[1, 2, 0], [0, 1, 0], [0, 0, 1]], expected a symmetric matrix",
-    ),
-    (
-        lambda: lecture().numeric().mass_matrix([1, 2, 3], {"m": 1}),
-        "params lacks xbc, ybc, Icz, expected m, xbc, ybc, Icz",
-    ),
+    (lambda: Link("heavy", (0, 0, 0), np.eye(3)), "mass is 'heavy', expected a finite real number"),
+    (lambda: Link(1, (0, 0, 0), [[1, 2, 0], [0, 1, 0], [0, 0, 1]]), "inertia is [[1, 2, 0], "),
+    (lambda: lecture().numeric().mass_matrix([1, 2, 3], {"m": 1}), "params lacks xbc, ybc, Icz"),
     by=begun,
 )

@@ -67,13 +67,7 @@ def test_a_number_may_be_text_with_pi(text: str) -> None:
     assert (row.alpha, row.a, row.joint) == (NUMBERS[text], NUMBERS[text], JointType.REVOLUTE)
 
 
-@pytest.mark.parametrize(
-    ("text", "typed"),
-    [
-        ("90 deg", "pi/2, or 1.570796327"),
-        ("-180°", "-pi, or -3.14"),
-    ],
-)
+@pytest.mark.parametrize(("text", "typed"), [("90 deg", "pi/2, or 1.570796327"), ("-180°", "-pi, or -3.14")])
 def test_degrees_are_refused_with_the_number_to_type(text: str, typed: str) -> None:
     with refused(rf"^theta is '{text}', expected a number in rad, at most 2 pi in size: {typed}"):
         DHRow(0, 0, text, 0, "revolute", "q")  # type: ignore[arg-type]

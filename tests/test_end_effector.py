@@ -145,9 +145,7 @@ def check_hand(hand: EndEffector, run: pm.Rollout, q: Array | None = None) -> No
     assert hand.max_error() == (hand.distance.max(), hand.angle.max())
 
 
-def test_a_rollout_tells_where_its_end_effector_was_and_should_have_been(
-    run: pm.Rollout, tmp_path: Path
-) -> None:
+def test_a_rollout_has_the_poses_and_targets_of_its_end_effector(run: pm.Rollout, tmp_path: Path) -> None:
     hand = run.end_effector()
     assert (hand.frame, hand.is_oriented) == ("ur5/tool0", True)
     check_hand(hand, run)
@@ -249,12 +247,8 @@ def test_the_figure_has_path_height_and_both_errors(run: pm.Rollout) -> None:
         figure.draw_without_rendering()
         above, height, way, turn = figure.axes
         assert len({round(axes.get_position().x0, 1) for axes in figure.axes}) == columns
-        assert [axes.get_ylabel().replace("\n", " ") for axes in figure.axes] == [
-            "y [m]",
-            "z [m]",
-            "distance [m]",
-            "angle [rad]",
-        ]
+        labels = [axes.get_ylabel().replace("\n", " ") for axes in figure.axes]
+        assert labels == ["y [m]", "z [m]", "distance [m]", "angle [rad]"]
         np.testing.assert_array_equal(above.lines[0].get_xydata(), hand.position[:, :2])
         np.testing.assert_array_equal(height.lines[0].get_ydata(), hand.position[:, 2])
         np.testing.assert_array_equal(way.lines[0].get_ydata(), hand.distance)

@@ -230,9 +230,7 @@ def test_the_engines_agree(k: int) -> None:
 
 
 @pytest.mark.parametrize("k", range(0, len(compositions()), 3))
-def test_the_bits_hang_on_no_thread_chunk_or_number_of_robots(
-    k: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_bits_hang_on_no_thread_chunk_or_number_of_robots(k: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("pinmobile.compiled.program._THREAD_WORK", 1.0)  # every block is worth a thread
     scenario, run = compiled(k)
     many = run_scenario(made(compositions()[k], 20 * N), engine=Engine.COMPILED, threads=3)

@@ -232,9 +232,7 @@ class TestDrivers:
             assert title == f"{first.place}:\n{shares[0]} of the worst, {shares[1]} of the others"
         assert first.place == f"above {first.low:.3g} kg"
 
-    def test_crosses_of_diverged_robots_stand_at_their_own_word_above_all_numbers(
-        self, diverging: pm.Ensemble
-    ) -> None:
+    def test_diverged_robots_are_crosses_at_their_own_word_above_all(self, diverging: pm.Ensemble) -> None:
         figure = plots.drivers(diverging)
         assert figure.axes[0].get_title(loc="left").startswith("below ")
         assert texts(figure)[-1] == "diverged"
@@ -249,11 +247,8 @@ class TestDrivers:
         apart(figure)
 
     def test_of_a_multiple_the_factor_counts(self) -> None:
-        spread = {
-            "mass": pm.Uniform(20, 40),
-            "controller.mass": pm.SameAs("mass", pm.Uniform(0.8, 1.2)),
-            "com.x": 0.01,
-        }
+        factor = {"controller.mass": pm.SameAs("mass", pm.Uniform(0.8, 1.2))}
+        spread = {"mass": pm.Uniform(20, 40), **factor, "com.x": 0.01}
         made = run(TRUE, spread | {"controller.yaw_inertia": pm.SameAs("yaw_inertia", 1.1)})
         figure = plots.drivers(made)
         assert figure.texts[0].get_text() == "controller.mass / mass drives the worst 5 % most"

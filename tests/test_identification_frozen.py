@@ -31,10 +31,8 @@ def short(log: pm.Log, offset: Any = 0.0) -> pm.Log:
 def run_by_torques() -> pm.Rollout:
     """Return the run of a differential drive by torques."""
     plant = forces.on_wheels(forces.BODY).wheeled
-    path, law = (
-        pm.excitation(plant, duration=31.0, period=11.0),
-        pm.Backstepping(pm.UnicycleTracking(), plant),
-    )
+    path = pm.excitation(plant, duration=31.0, period=11.0)
+    law = pm.Backstepping(pm.UnicycleTracking(), plant)
     return pm.simulate(plant, law, path, dt=0.02, substeps=4, engine=pm.Engine.COMPILED)
 
 

@@ -55,13 +55,12 @@ def process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Process:
 
 
 def run(controller: Any, **options: Any) -> Any:
-    given: dict[str, Any] = {
-        "n": 3,
-        "spread": {"mass": pm.Uniform(20, 40)},
-        "dt": 0.1,
-        "engine": pm.Engine.COMPILED,
-    }
-    return pm.ensemble(ROBOT, controller, CIRCLE, **given | options)
+    given: dict[str, Any] = {"n": 3, "spread": {"mass": pm.Uniform(20, 40)}, "dt": 0.1} | options
+    return pm.ensemble(ROBOT, controller, CIRCLE, engine=pm.Engine.COMPILED, **given)
+
+
+def wrapped(controller: Any) -> Any:
+    return pm.MeasurementNoise(pm.MeasurementDelay(controller, 2), 0.1, 0.1, 3)
 
 
 # Other numbers are no other program.
@@ -90,9 +89,7 @@ def armed(mass: float) -> Any:
 
 ALIKE: dict[str, Callable[[float], Any]] = {
     "gains and a model": lambda x: run(pm.ComputedTorque(pm.MobileRobot(x, 1.3, com=(0.1, 0.1)), x, 5)),
-    "wrappers": lambda x: run(
-        pm.InputSaturation(pm.MeasurementNoise(pm.MeasurementDelay(pm.PD(x, 9), 1), 0.1, 0.1, 3), x)
-    ),
+    "wrappers": lambda x: run(pm.InputSaturation(wrapped(pm.PD(x, 9)), x)),
     "wheels on a ground": lambda x: rolling(x, pm.Coulomb(0.02 * x)),
     "an arm": armed,
 }
@@ -152,6 +149,10 @@ def halved(settings: Any) -> Any:
     return settings["inner"]["w"][0]
 
 
+def in_settings(x: float) -> None:
+    SETTINGS["inner"]["w"][0] = x
+
+
 PARTIAL = partial(halved, SETTINGS)
 
 
@@ -189,7 +190,7 @@ CHANGES: dict[str, tuple[Any, Callable[[float], Any]]] = {
     "subclass of a deque": (by("OWN_QUEUE[0]"), lambda x: OWN_QUEUE.__setitem__(0, x)),
     "default by keyword": (by_keyword, lambda x: setattr(by_keyword, "__kwdefaults__", {"gains": [x]})),
     "bound method": (by("BOUND()"), lambda x: setattr(Plan, "k", x)),
-    "partial": (by("PARTIAL()"), lambda x: SETTINGS["inner"]["w"].__setitem__(0, x)),
+    "partial": (by("PARTIAL()"), in_settings),
 }
 
 
@@ -259,10 +260,8 @@ def test_a_module_that_is_reloaded_is_traced_anew(tmp_path: Path, monkeypatch: p
 
 def _run_and_forgotten() -> list[weakref.ref[Any]]:
     robot, large = pm.MobileRobot(31.0, 1.4), np.ones(1_000)
-    torque, force = (
-        pm.InputSaturation(pm.ComputedTorque(robot, 4, 5), [50, 50, 50]),
-        pm.ViscousFriction([1, 2, 3]),
-    )
+    torque = pm.InputSaturation(pm.ComputedTorque(robot, 4, 5), [50, 50, 50])
+    force = pm.ViscousFriction([1, 2, 3])
     trajectory = pm.Tangent(pm.Circle(2.0, 0.1, 5.0))
     pm.ensemble(robot, torque, trajectory, n=2, spread={"mass": pm.Normal(31, 1)}, dt=0.1, forces=[force])
     pm.simulate(robot, torque, trajectory, dt=0.1, forces=[force], engine=pm.Engine.COMPILED)
@@ -278,15 +277,9 @@ def test_nothing_that_was_run_is_kept_alive() -> None:
 # Another process.
 
 LOOPS: dict[str, Callable[[], Any]] = {
-    "wrappers": lambda: run(
-        pm.MeasurementNoise(
-            pm.MeasurementDelay(pm.InputSaturation(pm.PD(100, 20), [9, 9, 3]), 2), 0.1, 0.1, 3
-        )
-    ),
+    "wrappers": lambda: run(wrapped(pm.InputSaturation(pm.PD(100, 20), [9, 9, 3]))),
     "a law": lambda: run(pm.law(lambda t, q, v, reference: 9.0 * (reference.q - q) - np.tanh(v))),
-    "spread of the start": lambda: run(
-        pm.PD(9, 2), spread={"start.x": pm.Normal(0, 0.1), "kp": pm.Uniform(3, 5)}
-    ),
+    "spread": lambda: run(pm.PD(9, 2), spread={"start.x": pm.Normal(0, 0.1), "kp": pm.Uniform(3, 5)}),
 }
 
 
@@ -319,9 +312,7 @@ def test_another_process_finds_the_loop_whatever_its_seed_of_hashes(process: Pro
     assert process.loops == before
 
 
-def test_no_file_is_used_where_the_source_is_not_what_was_loaded(
-    process: Process, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_file_of_another_source_is_used(process: Process, monkeypatch: pytest.MonkeyPatch) -> None:
     run(pm.PD(100, 20))
     identity._source.cache_clear()
     monkeypatch.setattr(identity, "_START", 0.0)
@@ -361,9 +352,7 @@ def test_a_loop_whose_machine_code_is_gone_is_built_and_not_traced(process: Proc
     assert process.traced == 0
 
 
-def test_where_nothing_can_be_written_a_loop_is_built(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_loop_is_built_without_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "file").write_text("")
     Process(tmp_path / "file" / "inside", monkeypatch)
     assert_as_python(pm.PD(9, 9))

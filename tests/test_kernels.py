@@ -15,34 +15,20 @@ ROOT = Path(__file__).parents[1]
 
 
 def collected(kernel: str, *words: str) -> subprocess.CompletedProcess[str]:
-    command = [
-        sys.executable,
-        "-m",
-        "pytest",
-        "--collect-only",
-        "tests/test_errors.py",
-        "-p",
-        "no:cacheprovider",
-        *words,
-    ]
+    pytest_words = ["-m", "pytest", "--collect-only", "tests/test_errors.py", "-p", "no:cacheprovider"]
+    command = [sys.executable, *pytest_words, *words]
     environment = os.environ | {"OPENBLAS_CORETYPE": kernel, "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
     return subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
 
 
-def test_a_kernel_that_is_not_in_force_is_refused() -> None:
+def test_the_kernel_in_force_stands_in_the_head_of_a_run_and_another_is_refused() -> None:
     run = collected("Haswel")
     assert run.returncode == pytest.ExitCode.USAGE_ERROR
     assert "OPENBLAS_CORETYPE is 'Haswel'" in run.stderr
-
-
-def test_the_kernel_in_force_stands_in_the_head_of_a_run() -> None:
     kernels = list(in_force().values())
     run = collected(kernels[0] if kernels else "")
     assert run.returncode == 0, run.stderr
     assert f"OpenBLAS: {', '.join(kernels) or 'none'}" in run.stdout.splitlines()
-
-
-def test_this_run_has_the_kernel_that_it_is_asked_for() -> None:
     assert refusal(os.environ.get("OPENBLAS_CORETYPE")) == ""
 
 

@@ -17,7 +17,8 @@ from pinmobile.loop import run_scenario
 from pinmobile.metrics import Metric
 from pinmobile.reaching.poses import error_sizes, pose_error
 from pinmobile.urdf import Body
-from tests.looping import Body as Pushed, Swing
+from tests.looping import Body as Pushed
+from tests.parts import Waving
 
 CLOSE = 1e-10
 # The base's products of inertia, which the ground alone feels, and its height.
@@ -40,7 +41,9 @@ SPREAD: dict[str, Any] = {
 
 def scenario(**options: Any) -> pm.Scenario:
     given = {"n": 3, "dt": 0.02, "seed": 3, "after": 0.1, "spread": SPREAD, **options}
-    return pm.Scenario(robot=UR5, controller=pm.ComputedTorque(UR5, 100, 20), trajectory=Swing(UR5), **given)
+    return pm.Scenario(
+        robot=UR5, controller=pm.ComputedTorque(UR5, 100, 20), trajectory=Waving(UR5, 0.6), **given
+    )
 
 
 @pytest.fixture(scope="module")
@@ -159,10 +162,8 @@ def test_measures_that_there_are_not_are_refused(metrics: Any, error: Any, words
 
 def test_files_and_tables_keep_measures(runs: pm.Ensemble, tmp_path: Path) -> None:
     runs.save(tmp_path / "runs.npz")
-    for loaded in (
-        pm.Ensemble.load(tmp_path / "runs.npz"),
-        pm.Ensemble.load(tmp_path / "runs.npz", runs.scenario),
-    ):
+    for known in (None, runs.scenario):
+        loaded = pm.Ensemble.load(tmp_path / "runs.npz", known)
         np.testing.assert_array_equal(loaded.worst_metric, runs.worst_metric)
         np.testing.assert_array_equal(loaded.rms_metric, runs.rms_metric)
         assert loaded.scenario.recorded_metrics == runs.scenario.recorded_metrics
@@ -234,13 +235,9 @@ def fenced(plant: Any, **options: Any) -> pm.Scenario:
 
 
 def test_a_plant_of_ones_own_states_measures_in_plain_numpy() -> None:
-    made = [
-        run_scenario(fenced(Fenced(), after=0.6), engine=each)
-        for each in (pm.Engine.COMPILED, pm.Engine.PYTHON)
-    ]
-    for other in made[1:]:
-        np.testing.assert_allclose(other.worst_metric, made[0].worst_metric, rtol=CLOSE, atol=CLOSE)
-        np.testing.assert_allclose(other.rms_metric, made[0].rms_metric, rtol=CLOSE, atol=CLOSE)
+    made = [run_scenario(fenced(Fenced(), after=0.6), engine=each) for each in pm.Engine]
+    np.testing.assert_allclose(made[1].worst_metric, made[0].worst_metric, rtol=CLOSE, atol=CLOSE)
+    np.testing.assert_allclose(made[1].rms_metric, made[0].rms_metric, rtol=CLOSE, atol=CLOSE)
     clearance = made[0].largest("clearance")
     assert clearance.min() < 0 < clearance.max()  # some overshoot into the wall
     trace = made[0].member(2)
@@ -276,7 +273,7 @@ def test_a_measure_that_becomes_nan_is_refused(engine: pm.Engine) -> None:
 
 
 CART = pm.MobileRobot(mass=30.0, yaw_inertia=1.3)
-ROUND = pm.Tangent(pm.Circle(1.0, 0.5, 4.0))
+ROUND = pm.Tangent(pm.Circle(1.0, 0.5, 2.0))
 WALL = Metric("gap", "m", "distance from the wall", "smallest", lambda sample: 1.02 - sample.q[0])
 
 
@@ -303,7 +300,8 @@ def test_a_function_of_a_sample_is_a_metric(engine: pm.Engine) -> None:
     assert found.rms("heading") is not None
     assert found.error_quantile(1.0)["gap"] == found.largest("gap").min()
     assert found.worst(1, "gap")[0] == gaps.min(axis=1).argmin()
-    np.testing.assert_allclose(found.bands([1.0])["speed"][0], speeds[:, ::3].max(axis=0), rtol=1 / 32)
+    fastest = speeds[:, :: found.scenario.stride].max(axis=0)
+    np.testing.assert_allclose(found.bands([1.0])["speed"][0], fastest, rtol=1 / 32)
     assert "smallest gap [m]" in str(found)
     plots.bands(found, by=["gap", "speed"])
     plots.drivers(found, by="gap", share=0.3)
@@ -355,15 +353,9 @@ def test_kept_signals_end_where_a_robot_diverges() -> None:
     ("metrics", "words"),
     [
         ({"distance": abs}, "metrics has 'distance' twice, or as the name of an error"),
-        (
-            {"gap": lambda sample: sample.q},
-            r"^metrics has 'gap', whose function returned .* expected a number$",
-        ),
+        ({"gap": lambda sample: sample.q}, r"^metrics has 'gap', whose function returned .* a number$"),
         ({"gap": lambda sample: np.nan * sample.q[0]}, "^robot 0: .*NaN as 'gap'"),
-        (
-            {"gap": lambda sample: float(sample.q[0])},
-            "metrics has 'gap': float.*or give engine=Engine.PYTHON$",
-        ),
+        ({"gap": lambda sample: float(sample.q[0])}, "metrics has 'gap': float.*or give engine=Engine.P"),
         ([Metric("gap", "m", "gap", "least", abs)], "worst of the metric 'gap'.*largest, smallest, ever"),
     ],
 )
@@ -381,7 +373,7 @@ def test_an_unknown_signal_is_refused() -> None:
 @pytest.mark.parametrize("robot", [UR5, pm.WheeledRobot(UR5, pm.WheelTable.mecanum(0.5, 0.4, 0.1))])
 def test_robots_whose_joints_exceed_limits_are_counted(robot: Any, engine: pm.Engine) -> None:
     joint = "start_rate.ur5/elbow_joint_rate"
-    rest = pm.WholeBody(UR5, pm.FixedHeading(pm.Hold((0, 0), 0.2), 0.0), None)
+    rest = pm.WholeBody(UR5, pm.FixedHeading(pm.Hold((0, 0), 0.1), 0.0), None)
     spread = {joint: pm.Uniform(-6.0, 6.0)}
     parts = robot, pm.ComputedTorque(robot, 9, 6), rest
     with pytest.warns(LimitWarning, match=r"robots exceed a speed limit: a joint is faster than its limit$"):
