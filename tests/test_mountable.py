@@ -82,12 +82,7 @@ def test_an_exception_that_works_is_none(name: str) -> None:
         pm.MobileRobot.box().mount(name)
 
 
-@pytest.mark.parametrize(
-    ("name", "locked"),
-    [
-        ("icub", ("neck_roll",)),
-    ],
-)
+@pytest.mark.parametrize(("name", "locked"), [("icub", ("neck_roll",))])
 def test_what_exceptions_say_helps_helps(name: str, locked: tuple[str, ...]) -> None:
     robot = pm.MobileRobot.box().mount(name, locked=locked)
     assert robot.nv + len(locked) - 3 == robot.mounts[0].arm.whole.nv

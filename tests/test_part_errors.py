@@ -154,10 +154,7 @@ class Inputs(Cart):
                 Short(name),
                 rf"a Short with nq = 5, nv = 5 and nu = 2, whose {name}\(.*\) returned .*\({size},\)$",
             )
-            for name, size in (
-                ("forward_dynamics", 5),
-                ("pose_rate", 3),
-            )
+            for name, size in (("forward_dynamics", 5), ("pose_rate", 3))
         ),
         (Short("project"), r"which starts with v of shape \(2,\), expected \(5,\)|v0 has shape \(2,\)"),
     ],

@@ -11,16 +11,7 @@ from scipy.integrate import quad
 
 from pinmobile import PD, MobileRobot, Tangent, Uniform, ensemble
 from pinmobile.errors import InvalidArgument
-from pinmobile.paths import (
-    Circle,
-    CompositePath,
-    Hold,
-    Line,
-    Path,
-    Polyline,
-    Spline,
-    pieces_of,
-)
+from pinmobile.paths import Circle, CompositePath, Hold, Line, Path, Polyline, Spline, pieces_of
 from tests.refusals import refusals, told
 
 derandomised = settings(derandomize=True, deadline=None, max_examples=40)

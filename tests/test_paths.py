@@ -158,10 +158,7 @@ def test_lissajous_is_the_lecture_s_formula() -> None:
     t = np.linspace(0, 60, 601)
     s, c = np.sin, np.cos
     for order, (x, y) in enumerate(
-        [
-            (rx * s(wx * t), ry - ry * c(wy * t)),
-            (rx * wx * c(wx * t), ry * wy * s(wy * t)),
-        ]
+        [(rx * s(wx * t), ry - ry * c(wy * t)), (rx * wx * c(wx * t), ry * wy * s(wy * t))]
     ):
         np.testing.assert_allclose(EIGHT.derivative(t, order), np.stack([x, y], -1), rtol=1e-14, atol=1e-15)
 
@@ -273,15 +270,9 @@ test_impossible_paths_are_refused = refusals(
     ),
     (lambda: CubicVia((0, 0), (1, 2, 3), (0, 4), 30, 60), "via has shape (3,), expected (2,)"),
     (lambda: Spline([0, 1], [0, 1]), "waypoints has shape (2,), expected (k, n)"),
-    (
-        lambda: Spline([(0, 0), (1, 1)], [0, 1, 2]),
-        "times has shape (3,), expected (2,), one per waypoint",
-    ),
+    (lambda: Spline([(0, 0), (1, 1)], [0, 1, 2]), "times has shape (3,), expected (2,), one per waypoint"),
     (lambda: Spline([(0, 0), (1, 1)], [1, 2]), "times[0] is 1.0 s, expected 0 <= times[0] <= 0 s"),
-    (
-        lambda: Spline([(0, 0), (1, 1), (2, 2)], [0, 2, 2]),
-        "times[2] is 2.0 s after 2.0 s, expected more",
-    ),
+    (lambda: Spline([(0, 0), (1, 1), (2, 2)], [0, 2, 2]), "times[2] is 2.0 s after 2.0 s, expected more"),
     (lambda: RestToRest((1, 2), (1, 2, 3), 2), "end has shape (3,), expected (2,)"),
     (lambda: Hold((1, 2), 0), "duration is 0.0 s, expected > 0"),
     by=told,

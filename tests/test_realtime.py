@@ -299,10 +299,7 @@ def test_time_begins_with_the_first_measurement(robot: Robot) -> None:
     assert len(report.rollout) == 100
     robot.silent = 0.0, 99.0
     report = robot.run(stepper_of(), stale=0.05)
-    assert (report.reason, report.details) == (
-        "stale measurement",
-        "no measurement arrived within 0.05 s",
-    )
+    assert (report.reason, report.details) == ("stale measurement", "no measurement arrived within 0.05 s")
     assert len(robot.stops) == 2
 
 

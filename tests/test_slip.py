@@ -108,8 +108,7 @@ def test_locked_wheels_slide_straight_at_speed_whatever_the_step() -> None:
     """Friction of all wheels is against the way; it turns the body back, and never into a spin."""
     motor = Motor(resistance=1.2, torque_constant=0.05, voltage=24, gear=10, coulomb=50)
     robot = WheeledRobot(
-        MobileRobot(30.0, 0.5, com=(0.0, 0.0, 0.2)),
-        skid(DRY, motor=motor, mass=0.05, yaw_inertia=0.003),
+        MobileRobot(30.0, 0.5, com=(0.0, 0.0, 0.2)), skid(DRY, motor=motor, mass=0.05, yaw_inertia=0.003)
     )
     found = run(robot.by_voltage(), (0, 0), 0.05, 2.0, v=np.array([30.0, 0.1, 0.1, 0, 0, 0, 0]))
     assert np.abs(found.v[:, 2]).max() < 0.2

@@ -290,10 +290,7 @@ def test_locked_wheels_are_told(tmp_path: Path) -> None:
     assert repr(robot.mount("ur5")).endswith(f" with {said}")
 
 
-TEXTS: dict[str, Callable[[], str]] = {
-    "husky": wheeled.husky,
-    "fetch": wheeled.fetch,
-}
+TEXTS: dict[str, Callable[[], str]] = {"husky": wheeled.husky, "fetch": wheeled.fetch}
 
 
 @pytest.mark.parametrize("name", TEXTS)

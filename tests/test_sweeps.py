@@ -301,11 +301,7 @@ def test_a_sweep_on_its_way_says_how_much_is_done(done: pm.Sweep, tmp_path: Path
 
 @pytest.mark.parametrize(
     ("file", "robots"),
-    [
-        ("max_error/c/1/0/2/0", 736),
-        ("counts/c/0/0/0/0/0/0", 736),
-        ("controller.kp/c/0", 800),
-    ],
+    [("max_error/c/1/0/2/0", 736), ("counts/c/0/0/0/0/0/0", 736), ("controller.kp/c/0", 800)],
 )
 def test_a_file_that_is_gone_is_computed_again(done: pm.Sweep, copy: Path, file: str, robots: int) -> None:
     (copy / file).unlink()

@@ -107,10 +107,7 @@ KINOVA = pm.MobileRobot.box().mount("kinova")  # four of its joints are continuo
 
 @pytest.mark.parametrize(
     "inner",
-    [
-        pm.PD(9, 6),
-        pm.InputSaturation(pm.MeasurementDelay(pm.ComputedTorque(KINOVA, 9, 6), 0), 1e9),
-    ],
+    [pm.PD(9, 6), pm.InputSaturation(pm.MeasurementDelay(pm.ComputedTorque(KINOVA, 9, 6), 0), 1e9)],
     ids=["PD", "within others"],
 )
 def test_noise_moves_the_joints_of_an_arm(inner: Any) -> None:
