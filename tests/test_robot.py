@@ -128,13 +128,6 @@ def test_impossible_parameters_are_refused(arguments: dict[str, Any], text: str)
     assert str(caught.value).startswith(text)
 
 
-def test_the_raw_model_is_pinocchios(offset_robot: MobileRobot) -> None:
-    model = offset_robot.model
-    assert isinstance(model, pin.Model)
-    M = pin.crba(model, model.createData(), np.array([2.0, 1.0, 0.7]))  # y before x
-    np.testing.assert_array_equal(M[np.ix_([1, 0, 2], [1, 0, 2])], offset_robot.mass_matrix([1.0, 2.0, 0.7]))
-
-
 def test_nothing_is_lost_far_from_the_origin(offset_robot: MobileRobot) -> None:
     """A map's origin may be thousands of kilometres away, as that of UTM coordinates is."""
     rng, x = np.random.default_rng(3), 1e12

@@ -10,7 +10,7 @@ import pinmobile as pm
 from pinmobile.arrays import Array
 from pinmobile.controllers import InputDelay
 from pinmobile.plant import Context
-from tests.users import PID
+from tests.parts import PID
 
 ROBOT = pm.MobileRobot(10, 1.2, com=(0.15, 0.05))
 CIRCLE = pm.FixedHeading(pm.Circle(1.0, 0.5, 12.0), 0.3)
