@@ -301,15 +301,22 @@ def test_ctrl_c_ends_play_and_the_viewer_goes_on(live: Viewer, apart: Runs) -> N
 
 
 @pytest.mark.long
-def test_a_screenshot_is_of_the_time_that_is_asked_for(
-    viewer: Viewer, runs: Runs, browser: Chromium, tmp_path: Path
+def test_a_screenshot_is_of_the_time_that_is_asked_for_and_leaves_nothing_behind(
+    runs: Runs, browser: Chromium, tmp_path: Path
 ) -> None:
-    recording = viewer.record(runs["PD"])
-    early = recording.screenshot(tmp_path / "early.png", t=3, size=(300, 200)).read_bytes()
-    late = viewer.screenshot(tmp_path / "late.png", t=50, size=(300, 200))
+    def children() -> int:
+        return len(Path(f"/proc/self/task/{os.getpid()}/children").read_text().split())
+
+    descriptors, threads, before = len(os.listdir("/proc/self/fd")), threading.active_count(), children()
+    with Viewer(pm.MobileRobot.lecture(), live=True) as viewer:
+        early = viewer.record(runs["PD"]).screenshot(tmp_path / "early.png", t=3, size=(300, 200))
+        late = viewer.screenshot(tmp_path / "late.png", t=50, size=(300, 200))
     with Image.open(late) as picture:
         assert picture.size == (300, 200)
-    assert late.read_bytes() != early
+    assert late.read_bytes() != early.read_bytes()
+    assert children() == before
+    assert threading.active_count() == threads
+    assert len(os.listdir("/proc/self/fd")) <= descriptors
 
 
 @pytest.mark.long
@@ -552,18 +559,6 @@ def test_the_command_serves_until_it_is_told_to_end(page: Page, runs: Runs, tmp_
 def end(process: subprocess.Popen[str]) -> None:
     process.kill()
     process.communicate()
-
-
-def test_nothing_is_left_behind(runs: Runs, browser: Chromium, tmp_path: Path) -> None:
-    def children() -> int:
-        return len(Path(f"/proc/self/task/{os.getpid()}/children").read_text().split())
-
-    descriptors, threads, before = len(os.listdir("/proc/self/fd")), threading.active_count(), children()
-    with Viewer(pm.MobileRobot.lecture(), live=True) as viewer:
-        viewer.record(runs["PD"]).screenshot(tmp_path / "a.png", t=1, size=(200, 150))
-    assert children() == before
-    assert threading.active_count() == threads
-    assert len(os.listdir("/proc/self/fd")) <= descriptors
 
 
 # Meshes of fewer triangles

@@ -40,7 +40,7 @@ SLIPPING = {
 
 ARMED = BASE.mount("ur5", (0.1, 0, 0.3, 0))
 STEP, ROLLS = {"tau", "loads", "cone", "power"}, {"M", "a", "lambda", "nu'", "M of nu"}
-TILTED, SLOPE = pm.Rolling(Ramp(0.3, 1.0)), pm.Coulomb(ramp=Ramp(0.2, 0.5))
+TILTED = pm.Rolling(Ramp(0.3, 1.0))
 LIGHT = pm.WheelTable.differential(0.5, 0.1, x=0.07)
 VERIFIED: dict[str, tuple[pm.WheelTable, Any, set[str]]] = {
     **{kind: (table, pm.Rolling(), ROLLS) for kind, table in ROLLING.items()},
