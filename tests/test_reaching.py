@@ -105,12 +105,6 @@ def test_the_error_is_of_second_order_in_the_step(ring: InverseKinematicsTraject
     assert coarse.max_error()[0] / ring.max_error()[0] == pytest.approx(4, rel=0.05)
 
 
-def test_computed_torque_tracks_it(ring: InverseKinematicsTrajectory) -> None:
-    run = pm.simulate(UR5, pm.ComputedTorque(UR5, 100, 20), ring, dt=0.002, duration=2)
-    assert run.max_error().max() < 1e-4  # a held force lags by dt: of the order of jerk dt / kp = 2e-5
-    assert misses(UR5, RING, run.t, run.q)[0] < 1e-4
-
-
 def test_the_position_alone_leaves_the_orientation_free() -> None:
     target = pm.PosePath(RING.path)
     resolved = pm.solve_inverse_kinematics(UR5, target, q0=BENT)
@@ -188,9 +182,7 @@ def test_a_limit_of_velocity_is_held_and_the_error_made_good_later() -> None:
 
 def test_torques_beyond_limits_are_reported_when_and_how_far() -> None:
     heavy, up = UR5.attach(pm.PayloadBody(40.0), "ur5/tool0"), np.array([[0, 0, 0], [0, 0, 0.1], [0, 0, 0.2]])
-    with pytest.warns(
-        LimitWarning, match=r"^input of ur5/shoulder_lift_joint reaches -?[\d.]+ N m at"
-    ) as told:
+    with pytest.warns(LimitWarning, match=r"^input of ur5/shoulder_lift_joint reaches -?[\d.]+ N m") as told:
         found = pm.solve_inverse_kinematics(
             heavy, pm.PosePath(pm.Spline(START[:3, 3] + up, [0.0, 0.5, 1.0])), q0=BENT, dt=0.1
         )

@@ -165,9 +165,7 @@ def test_encoders_alone_identify_body_friction_and_delay() -> None:
 
 def test_currents_without_a_sign_are_refused() -> None:
     log, plant = wheels.rolled(False), wheels.on_wheels(wheels.BODY)
-    with refused(
-        "log has input left from .*, but its wheel turns both ways, expected an input with a sign: of a"
-    ):
+    with refused("log has input left from .*, but its wheel turns both ways, expected an input with a"):
         pm.identify(pm.Log(log.t, log.q, np.abs(log.u), wheel_rates=log.wheel_rates), plant)
 
 

@@ -1,7 +1,6 @@
 """`simulate` against closed forms, and what it does with what it cannot do."""
 
 import pickle
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -146,9 +145,7 @@ class TauAlone:
 
 def test_without_a_duration_a_run_takes_the_whole_steps_of_the_trajectory_s_and_reports_it() -> None:
     circle = pm.Tangent(pm.Circle(1, 0.5, 10))
-    with pytest.warns(
-        UserWarning, match=r"^the last sample is at t = 9\.99 s: the trajectory's 10 s are not"
-    ) as told:
+    with pytest.warns(UserWarning, match=r"^the last sample is at t = 9\.99 s: the trajectory's 10") as told:
         run = pm.simulate(pm.MobileRobot.lecture(), pm.PD(4, 4), circle, dt=0.03)
     assert len(told) == 1
     assert (len(run), run.t[-1]) == (334, pytest.approx(9.99, abs=1e-12))
@@ -169,10 +166,7 @@ class ScalarOnly:
     ("changed", "text"),
     [
         ({"dt": 0}, "dt is 0.0 s, expected > 0"),
-        (
-            {"dt": 0.7, "duration": 12},
-            "duration is 12.0 s, expected a whole number of steps dt = 0.7 s, such as 11.9 s",
-        ),
+        ({"dt": 0.7, "duration": 12}, "duration is 12.0 s, expected a whole number of steps dt = 0.7 s,"),
         ({"duration": 13}, "duration is 13.0 s, expected at most the trajectory's 12.0 s"),
         ({"q0": (1, 2)}, "q0 has shape (2,), expected (3,)"),
         ({"dt": 1e-9}, "dt is 1e-09 s, expected at most the duration, 12.0 s, and at least 1.2e-07 s"),
@@ -190,19 +184,6 @@ def test_arguments_that_do_not_fit_are_refused(changed: dict[str, Any], text: st
     with pytest.raises(pm.InvalidArgument) as caught:
         pm.simulate(**arguments)
     assert text in str(caught.value)
-
-
-def test_csv_has_a_header_and_every_digit(tmp_path: Path) -> None:
-    rollout = pm.simulate(ROBOT, pm.PD(1, 1), CIRCLE, dt=0.1, **START)  # type: ignore[arg-type]
-    with pytest.raises(pm.InvalidArgument, match=r"nowhere.*which cannot be written"):
-        rollout.to_csv(tmp_path / "nowhere" / "run.csv")
-    rollout.to_csv(tmp_path / "run.csv")
-    header = (tmp_path / "run.csv").read_text().splitlines()[0].split(",")
-    assert header[:5] == ["t [s]", "x [m]", "y [m]", "psi [rad]", "v_x [m/s]"]
-    table = np.loadtxt(tmp_path / "run.csv", delimiter=",", skiprows=1)
-    assert table.shape == (121, len(header))
-    np.testing.assert_array_equal(table[:, header.index("u_Mz [N m]")], rollout.u[:, 2])
-    np.testing.assert_array_equal(table[:, header.index("desired_x [m]")], rollout.reference.q[:, 0])
 
 
 def test_a_rollout_says_what_came_of_it() -> None:

@@ -106,9 +106,7 @@ def test_what_is_no_scheduler_is_given_up() -> None:
         ):
             connect(address, timeout=0.5)
     for wrong in (address, "tcp//1"):
-        with pytest.raises(
-            SchedulerError, match=r"which does not answer .* expected an address such as tcp://"
-        ):
+        with pytest.raises(SchedulerError, match=r"which does not answer .* expected an address such as"):
             connect(wrong, timeout=0.5)
     assert time.monotonic() - before < 15
 

@@ -348,19 +348,9 @@ class Broken(Cycloid):
 TORN = Polynomial(0.0, 1.0, np.zeros((2, 2))), Polynomial(1.5, 3.0, np.zeros((2, 2)))
 
 test_tangent_refuses = refusals(
-    (
-        lambda: Tangent(VIA_STOP),
-        "turn_time is None, expected > 0 s: the path rests at t = 30.0 s and its direction jumps there, "
-        "from 45 deg to 135 deg",
-    ),
-    (
-        lambda: Tangent(Drawn([0, 1, 2], ([1], [0]), ([0], [2])), 5.0),
-        "path has a corner at t = 1.0 s, from 0 deg to 90 deg, passed at 1 m/s; expected no corner, or",
-    ),
-    (
-        lambda: Tangent(CubicVia((5, 5), (5, 5), (5, 5), 1, 2)),
-        "path never moves, so it has no tangent; expected",
-    ),
+    (lambda: Tangent(VIA_STOP), "turn_time is None, expected > 0 s: the path rests at t = 30.0 s and its"),
+    (lambda: Tangent(Drawn([0, 1, 2], ([1], [0]), ([0], [2])), 5.0), "path has a corner at t = 1.0 s,"),
+    (lambda: Tangent(CubicVia((5, 5), (5, 5), (5, 5), 1, 2)), "path never moves, so it has no tangent;"),
     (
         lambda: Tangent(Drawn([0, 1], (roots(*[0] * 7), roots(*[0] * 7)))),
         "path has no direction at t = 0.0 s: its first 7 derivatives vanish there",
@@ -369,10 +359,7 @@ test_tangent_refuses = refusals(
         lambda: Tangent(CubicVia((0, 0, 0), (1, 1, 1), (2, 2, 2), 1, 2)),
         "path at t = 0 has shape (3,), expected (2,), a path in the plane",
     ),
-    (
-        lambda: Tangent(Broken(3.0, TORN)),
-        "path.pieces has (start, end) [(0.0, 1.0), (1.5, 3.0)], expected consec",
-    ),
+    (lambda: Tangent(Broken(3.0, TORN)), "path.pieces has (start, end) [(0.0, 1.0), (1.5, 3.0)], expected"),
     (lambda: Tangent(Broken(3.0, spoilt=math.nan)), "path has no finite derivative of order 1 at t = "),
     by=begun,
 )

@@ -58,21 +58,6 @@ def test_commands_are_the_inverse_and_linear_in_theta() -> None:
     np.testing.assert_allclose(robot.independent(q, v), nu, rtol=0, atol=1e-12)
 
 
-def test_steps_alone_are_exponentials() -> None:
-    """Without coupling, speed and yaw rate follow exp(-t / T) to the gain 1 / theta_4, 1 / theta_6."""
-    robot = pm.VelocityRobot([0.3, 0.2, 0.0, 1.5, 0.0, 0.8])
-    steps = RandomSteps((0.6, 0.4), (0.6, 0.4), (9.0, 9.0))
-    run = pm.simulate(robot, steps, pm.FixedHeading(pm.Hold((0, 0), 2.0), 0.0), dt=0.02)
-    slow, turning = robot.time_constants
-    assert (slow, turning) == pytest.approx((0.2, 0.25))
-    speed, w = robot.independent(run.q, run.v).T
-    # rk4's error a step is (h / T)^5 / 120 = 8e-8 of what is left.
-    np.testing.assert_allclose(speed, 0.4 * (1 - np.exp(-run.t / slow)), rtol=0, atol=1e-6)
-    np.testing.assert_allclose(w, 0.5 * (1 - np.exp(-run.t / turning)), rtol=0, atol=1e-6)
-    psi = 0.5 * (run.t - turning * (1 - np.exp(-run.t / turning)))
-    np.testing.assert_allclose(run.q[:, 2], psi, rtol=0, atol=1e-6)
-
-
 def test_accelerations_and_commands_are_limited() -> None:
     robot = pm.VelocityRobot(THETA, limits=(0.5, 0.4), accelerations=(0.8, 1.5))
     steps = RandomSteps((-2.0, -2.0), (2.0, 2.0), (0.5, 1.0))

@@ -60,13 +60,6 @@ def test_a_route_that_is_off_by_little_is_seen(
     assert "DIFFERS" in str(verification)
 
 
-def test_printed_it_is_a_table() -> None:
-    lines = str(pm.verify(pm.MobileRobot(10, 1.2), states=5)).splitlines()
-    assert lines[0] == "5 random states, each method against the closed form"
-    assert len(lines) == 18
-    assert lines[2].startswith("M   Pinocchio (CRBA, RNEA, ABA)")
-
-
 def test_what_is_near_the_end_of_rounding_agrees_within_bounds_and_does_not_crash() -> None:
     assert pm.verify(pm.MobileRobot(1, 1e-3, com=(9e2, 0)), states=5).passed
 
@@ -226,9 +219,3 @@ def test_wheels_that_are_off_by_little_on_one_route_are_seen(
     monkeypatch.setattr(kind, "dynamics", off)
     found = pm.verify(pm.WheeledRobot(of.robot, of.table, of.ground), states=4)
     assert not found.passed, str(found)
-
-
-@pytest.mark.parametrize("drive", WHEELED)
-def test_wheels_of_which_nothing_is_off_agree(drive: str) -> None:
-    found = pm.verify(WHEELED[drive], states=8)
-    assert found.passed, str(found)
