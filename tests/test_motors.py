@@ -240,7 +240,7 @@ def test_an_ensemble_spreads_motor_constants() -> None:
         ("faulhaber_1331t012sr", 12.0, 9.9e-3, 0.876, 9900.0),
     ],
 )
-def test_real_motors_stall_and_run_free_as_their_sheets_say(
+def test_real_motors_are_their_sheets(
     name: str, voltage: float, stall: float, current: float, rpm: float
 ) -> None:
     """The last one's sheet has its constants; stall and free run follow, to what it rounds."""

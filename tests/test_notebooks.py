@@ -150,9 +150,7 @@ def test_it_runs_without_a_warning_and_its_claim_holds(source: Path, shell: Any)
 
 @pytest.mark.once
 @pytest.mark.long
-def test_the_notebook_keeps_a_picture_of_the_scene_that_moves_in_the_converted_page(
-    executed: Path, browser: Chromium, tmp_path: Path
-) -> None:
+def test_the_scene_moves_in_the_converted_page(executed: Path, browser: Chromium, tmp_path: Path) -> None:
     scene = 'class="scene"'
     (cell,) = (cell for cell in stored(VIEWING).cells if "scene" in cell.metadata.get("tags", ()))
     (output,) = cell.outputs
@@ -180,7 +178,7 @@ def test_the_notebook_keeps_a_picture_of_the_scene_that_moves_in_the_converted_p
     opened.close()
 
 
-def test_without_a_chromium_the_viewing_notebook_says_so_and_runs(
+def test_without_a_chromium_it_runs(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("PINMOBILE_CHROMIUM", "no-such-program")

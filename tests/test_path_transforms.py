@@ -26,9 +26,7 @@ def as_complex(points: Any) -> Any:
 
 @derandomised
 @given(st.floats(0.1, 10), st.floats(-3, 3), st.tuples(angle, angle), angle, st.integers(0, 5))
-def test_a_circle_goes_round_its_centre_from_its_phase(
-    radius: float, rate: float, centre: tuple[float, float], phase: float, order: int
-) -> None:
+def test_circle(radius: float, rate: float, centre: tuple[float, float], phase: float, order: int) -> None:
     path, t = Circle(radius, rate, 20, centre, phase), np.linspace(0, 20, 30)
     expected = (1j * rate) ** order * radius * np.exp(1j * (rate * t + phase))
     if not order:
@@ -96,9 +94,7 @@ def test_a_polyline_is_continuous_up_to_its_jerk_and_keeps_its_speed(corners: An
 
 
 @pytest.mark.parametrize(("theta", "side"), [(0.01, 1), (1.0, -1), (3.05, 1)])
-def test_a_corner_is_the_integral_of_its_direction_and_no_tighter_than_its_radius(
-    theta: float, side: int
-) -> None:
+def test_a_corner_is_no_tighter_than_its_radius(theta: float, side: int) -> None:
     radius, far = 0.4, 80.0
     way = [(0, 0), (far, 0), (far + far * np.cos(theta), side * far * np.sin(theta))]
     path = Polyline(way, radius, 160)

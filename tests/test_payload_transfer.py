@@ -54,9 +54,7 @@ def loops() -> dict[str, tuple[Any, Any, Any, Any, str | None]]:
 @pytest.mark.parametrize(
     ("kind", "engine"), [*((kind, pm.Engine.COMPILED) for kind in loops()), ("arm", pm.Engine.PYTHON)]
 )
-def test_a_run_is_that_of_the_robot_with_the_load_while_it_holds_the_load(
-    kind: str, engine: pm.Engine
-) -> None:
+def test_a_run_is_that_of_the_robot_with_the_load_while_held(kind: str, engine: pm.Engine) -> None:
     robot, load, law, motion, frame = loops()[kind]
     own: dict[str, Any] = {"integrator": pm.rk4} if kind == "arm" else {}
     given: dict[str, Any] = {"dt": DT, "duration": 0.2, "engine": engine}

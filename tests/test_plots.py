@@ -99,21 +99,16 @@ class TestPath:
             np.testing.assert_array_equal(travelled.get_xydata(), run.q[:, :2])
             assert desired.is_dashed()
             assert travelled.get_linestyle() == "-"
+            assert axes.get_aspect() == 1
+        assert len({(axes.get_xlim(), axes.get_ylim()) for axes in plots.path(circle).axes}) == 1
+        with pytest.raises(InvalidArgument, match=r"^times\[1\] is 61.0 s, expected 0 <= times <= 60 s$"):
+            plots.path(circle, times=[0, 61])
 
     def test_drawn_robots_do_not_overlap(self, circle: Runs) -> None:
         for axes in (*plots.path(circle).axes, *plots.path(both(VIA_STOP)).axes):
             centres = [box.mean(axis=0) for box in robots(axes)]
             assert 5 <= len(centres) <= 8
             assert min(np.hypot(*(a - b)) for a, b in combinations(centres, 2)) > np.hypot(0.6, 0.4)
-
-    def test_both_axes_have_one_scale_and_all_panels_the_same_window(self, circle: Runs) -> None:
-        panels = plots.path(circle).axes
-        assert all(axes.get_aspect() == 1 for axes in panels)
-        assert len({(axes.get_xlim(), axes.get_ylim()) for axes in panels}) == 1
-
-    def test_times(self, circle: Runs) -> None:
-        with pytest.raises(InvalidArgument, match=r"^times\[1\] is 61.0 s, expected 0 <= times <= 60 s$"):
-            plots.path(circle, times=[0, 61])
 
 
 class TestSeries:
@@ -130,15 +125,10 @@ class TestSeries:
             for line, run in zip(plots.forces(circle).axes[k].lines, runs, strict=True):
                 np.testing.assert_array_equal(line.get_ydata(), run.u[:, k])
                 assert line.get_drawstyle() == "steps-post"
-
-    def test_the_largest_error_is_written(self, circle: Runs) -> None:
-        titles = [axes.get_title(loc="right") for axes in plots.errors(circle).axes]
-        assert titles[:2] == [r"largest $7.48\cdot 10^{-3}$ m", r"largest $3.49\cdot 10^{-5}$ m"]
-
-    def test_rounding_is_drawn_as_zero(self, circle: Runs) -> None:
-        psi = plots.errors(circle).axes[-1]
-        assert 0 < np.abs(psi.lines[0].get_ydata()).max() < 1e-13
-        assert psi.get_ylim() == (-1e-12, 1e-12)
+        errors = plots.errors(circle).axes
+        assert errors[0].get_title(loc="right") == r"largest $7.48\cdot 10^{-3}$ m"
+        assert 0 < np.abs(errors[-1].lines[0].get_ydata()).max() < 1e-13
+        assert errors[-1].get_ylim() == (-1e-12, 1e-12)  # rounding is drawn as zero
 
 
 class TestLongRollouts:

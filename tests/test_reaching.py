@@ -89,9 +89,7 @@ def test_base_and_arm_together_stay_on_a_ring_in_space(ring: InverseKinematicsTr
     assert np.abs(reference.a).max() < 2
 
 
-def test_velocity_and_acceleration_are_the_derivatives_of_the_configuration(
-    ring: InverseKinematicsTrajectory,
-) -> None:
+def test_velocity_and_acceleration_are_derivatives(ring: InverseKinematicsTrajectory) -> None:
     t = np.linspace(0.1, 6, 50) + 1e-5  # beside the knots, where jerk jumps
     h = 1e-4
     ahead, here, behind = (ring(t + k * h) for k in (1, 0, -1))
@@ -247,9 +245,7 @@ def test_what_is_dear_moves_less() -> None:
 
 
 class TestTracking:
-    def test_on_the_way_it_asks_for_the_references_own_acceleration(
-        self, ring: InverseKinematicsTrajectory
-    ) -> None:
+    def test_it_asks_for_the_references_own_acceleration(self, ring: InverseKinematicsTrajectory) -> None:
         t = 4.0
         on = ring(t)
         a = pm.EndEffectorTracking(UR5, RING).acceleration(t, on.q, on.v, on)

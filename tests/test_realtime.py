@@ -407,9 +407,7 @@ def test_ctrl_c_ends_a_run_and_calls_stop() -> None:
     assert signal.getsignal(signal.SIGINT) is before
 
 
-def test_the_scheduler_is_restored_and_the_report_states_what_is_not_allowed(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_scheduler_is_restored_and_refusals_are_stated(monkeypatch: pytest.MonkeyPatch) -> None:
     before = os.sched_getscheduler(0), os.sched_getparam(0).sched_priority
     during: list[int] = []
 

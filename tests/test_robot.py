@@ -44,9 +44,7 @@ def test_dynamics_hold_together(robot: MobileRobot, psi: float, seed: int) -> No
     assert (np.abs(robot.regressor(q, v, a) @ robot.inertial_parameters - tau) <= 1e-14 * scale).all()
 
 
-def test_mass_matrix_rate_minus_twice_coriolis_is_skew(
-    offset_robot: MobileRobot, states: tuple[Array, ...]
-) -> None:
+def test_mass_rate_minus_twice_coriolis_is_skew(offset_robot: MobileRobot, states: tuple[Array, ...]) -> None:
     q, v, _, _ = states
     h = 1e-5
     rate = (offset_robot.mass_matrix(q + h * v) - offset_robot.mass_matrix(q - h * v)) / (2 * h)
@@ -68,9 +66,7 @@ def test_jacobian_turns_the_body_twist_into_velocity() -> None:
     np.testing.assert_allclose(J @ J.transpose(0, 2, 1), [np.eye(3)] * 2, atol=1e-15)
 
 
-def test_derivatives_are_those_of_finite_differences(
-    offset_robot: MobileRobot, states: tuple[Array, ...]
-) -> None:
+def test_derivatives_are_finite_differences(offset_robot: MobileRobot, states: tuple[Array, ...]) -> None:
     q, v, _, tau = states
     q, v, tau = q[:6], v[:6], tau[:6]
     h, f = 1e-6, offset_robot.forward_dynamics

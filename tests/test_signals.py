@@ -59,9 +59,7 @@ WRAPPED = pm.MeasurementNoise(pm.MeasurementDelay(pm.InputSaturation(TellingPID(
         ),
     ],
 )
-def test_every_part_tells_the_same_in_each_engine(
-    plant: Any, controller: Any, where: Any, forces: Any, units: dict[str, str]
-) -> None:
+def test_engines_agree(plant: Any, controller: Any, where: Any, forces: Any, units: dict[str, str]) -> None:
     trajectory, options = where
     runs = [
         pm.simulate(plant, controller, trajectory, forces=forces, engine=engine, **options)

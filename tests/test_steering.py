@@ -114,9 +114,7 @@ def test_errors_of_the_place_decay_as_two_poles_by_dynamic_feedback() -> None:
         (Parking(), np.maximum(T - 0.45, 0.0), 0 * T, "reference moves at t = 0.5 s, expected a goal at"),
     ],
 )
-def test_a_law_refuses_a_reference_that_it_cannot_follow(
-    law: KinematicLaw, speed: Any, yaw_rate: Any, message: str
-) -> None:
+def test_a_law_refuses_a_reference(law: KinematicLaw, speed: Any, yaw_rate: Any, message: str) -> None:
     with pytest.raises(InvalidArgument) as error:
         law.check(T, np.where(np.abs(speed) < 1e-12, 0.0, speed), yaw_rate)
     assert str(error.value).startswith(message)

@@ -254,7 +254,12 @@ RIVALS = {"controller": (("PD", "wild"),), "error": ((0.1, 0.2, 0.4),)}
             0,
             "with error = 0.2, PD stays within 2 mm in 90 % of runs, wild within 1 mm",
         ),
-        (RIVALS, [[1, NAN, 2], [INF, INF, NAN]], [[0, 0, 0], [20, 20, 0]], "error = 0.1, PD stays within 1 m"),
+        (
+            RIVALS,
+            [[1, NAN, 2], [INF, INF, NAN]],
+            [[0, 0, 0], [20, 20, 0]],
+            "error = 0.1, PD stays within 1 m",
+        ),
     ],
 )
 def test_the_answer_is_the_worst_case(axes: Any, within: Any, diverged: Any, text: str) -> None:

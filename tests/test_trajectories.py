@@ -119,9 +119,7 @@ def test_a_cycloid_keeps_its_rate_into_and_out_of_its_cusps() -> None:
 
 @pytest.mark.parametrize("rounds", [1, 1000])
 @pytest.mark.parametrize("rate", [0.1, -0.1])
-def test_a_circle_s_heading_grows_with_time_through_vertical_tangents_and_many_rounds(
-    rate: float, rounds: int
-) -> None:
+def test_a_circle_s_heading_grows_with_time_through_many_rounds(rate: float, rounds: int) -> None:
     path = Circle(3, rate, rounds * 2 * np.pi / abs(rate))
     start = 0 if rate > 0 else np.pi
     t = np.sort(np.append(np.linspace(0, path.duration, 4 * rounds + 1), np.linspace(0, path.duration, 999)))
@@ -141,9 +139,7 @@ def test_a_circle_s_heading_grows_with_time_through_vertical_tangents_and_many_r
 @example([0.5] * 6, -1, 2)
 @example([0.25] + [0.5] * 5, 0, 0)
 @example([0.0] * 3 + [1.0] * 3, 0, 1)
-def test_rests_of_any_order_are_passed_as_their_parity_says(
-    rests: list[float], slope: int, level: int
-) -> None:
+def test_rests_of_any_order_have_a_parity(rests: list[float], slope: int, level: int) -> None:
     # v = (t - r_1) (t - r_2) ... (1, level + slope t), so that psi = atan(level + slope t), or its opposite.
     speed = roots(*rests)
     path = Drawn([0, 1], (speed, np.convolve(speed, [level, slope])))

@@ -44,9 +44,7 @@ LAWS = {"mass_matrix": "M", "nonlinear_effects": "n", "inverse_dynamics": "tau",
 
 
 @pytest.mark.parametrize(("function", "quantity"), LAWS.items())
-def test_a_route_that_is_off_by_little_is_seen(
-    monkeypatch: pytest.MonkeyPatch, function: str, quantity: str
-) -> None:
+def test_a_route_off_by_little_is_seen(monkeypatch: pytest.MonkeyPatch, function: str, quantity: str) -> None:
     right = getattr(closed_form, function)
 
     def off(*arguments: Array, **body: Array) -> Array:
@@ -89,9 +87,7 @@ def test_newton_and_euler_agree_with_what_is_assembled(kind: str) -> None:
 @pytest.mark.parametrize(
     "robot", [pm.MobileRobot(10, 1.2, com=(0.15, 0.05)), ARMS["ur5"]], ids=["base", "ur5"]
 )
-def test_machine_code_that_is_off_by_little_is_seen(
-    robot: pm.MobileRobot, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_machine_code_off_by_little_is_seen(robot: pm.MobileRobot, monkeypatch: pytest.MonkeyPatch) -> None:
     right = routes._dynamics
 
     def off(*given: Any) -> Any:
@@ -204,9 +200,7 @@ WHEELED = {
     ("drive", "ingredient"),
     [*(("mecanum", each) for each in WRONG), ("two modules", "radius"), ("four modules", "angle")],
 )
-def test_wheels_that_are_off_by_little_on_one_route_are_seen(
-    monkeypatch: pytest.MonkeyPatch, drive: str, ingredient: str
-) -> None:
+def test_wheels_off_by_little_are_seen(monkeypatch: pytest.MonkeyPatch, drive: str, ingredient: str) -> None:
     of = WHEELED[drive]
     kind: Any = type(of.ground)
     right = kind.dynamics

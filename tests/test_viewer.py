@@ -181,9 +181,7 @@ def test_captions_tell_time_and_error(viewer: Viewer, runs: Runs) -> None:
     assert said["values"][300] == "t = 30.0 s\nposition error\nPD  7.48 mm\ncomputed torque  34.9 µm"
 
 
-def test_a_recorded_page_shows_the_robot_where_its_pose_projects(
-    page: Page, viewer: Viewer, runs: Runs, tmp_path: Path
-) -> None:
+def test_a_recorded_page_shows_the_robot(page: Page, viewer: Viewer, runs: Runs, tmp_path: Path) -> None:
     run = runs["computed torque"]
     opened(page, viewer.record(run, speed=2), tmp_path)
     page.evaluate("document.body.classList.add('bare')")
@@ -301,9 +299,7 @@ def test_ctrl_c_ends_play_and_the_viewer_goes_on(live: Viewer, apart: Runs) -> N
 
 
 @pytest.mark.long
-def test_a_screenshot_is_of_the_time_that_is_asked_for_and_leaves_nothing_behind(
-    runs: Runs, browser: Chromium, tmp_path: Path
-) -> None:
+def test_a_screenshot_of_a_time_leaves_nothing_behind(runs: Runs, browser: Chromium, tmp_path: Path) -> None:
     def children() -> int:
         return len(Path(f"/proc/self/task/{os.getpid()}/children").read_text().split())
 
@@ -434,7 +430,7 @@ def test_the_sandbox_is_given_up_as_root_alone_and_one_that_cannot_start_is_told
     assert ("--no-sandbox" in (tmp_path / "flags").read_text().split()) is flagged
 
 
-def test_no_encoder_is_told_with_the_extra_that_has_it(
+def test_no_encoder_is_told(
     viewer: Viewer, runs: Runs, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)

@@ -181,9 +181,7 @@ SEEN = """(() => {
 
 
 @pytest.mark.parametrize("size", [(400, 700), (400, 240)], ids=str)
-def test_nothing_covers_the_picture_in_a_narrow_window(
-    page: Page, recorded: Path, size: tuple[int, int]
-) -> None:
+def test_nothing_covers_the_picture_if_narrow(page: Page, recorded: Path, size: tuple[int, int]) -> None:
     page.resize(*size)
     page.open(recorded.as_uri())
     page.wait_for("pinmobile.ready()")
@@ -198,9 +196,7 @@ def test_nothing_covers_the_picture_in_a_narrow_window(
     page.wait_for("document.querySelector('canvas').clientHeight == 700")
 
 
-def test_the_player_has_names_and_a_visible_focus_and_follows_the_keyboard(
-    page: Page, recorded: Path
-) -> None:
+def test_the_player_has_names_and_a_focus_and_follows_keys(page: Page, recorded: Path) -> None:
     page.open(recorded.as_uri())
     page.wait_for("pinmobile.ready()")
     page.evaluate("pinmobile.seek(1)")

@@ -224,7 +224,7 @@ def test_fault_no_browser() -> None:
             w.get_image()
 
 
-def test_the_token_is_in_the_address_and_nowhere_else(
+def test_the_token_is_in_the_address_alone(
     caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with LiveWindow(token="my-secret") as w:

@@ -288,7 +288,7 @@ def test_a_run_is_that_of_the_reduced_dynamics(kind: str) -> None:
     found = solve_ivp(rates, (0, T), start, "DOP853", samples, rtol=1e-11, atol=1e-12)
     assert found.success
     y = found.y.T
-    np.testing.assert_allclose(its.q[::40], y[:, : wheeled.nq], atol=1e-7)
+    np.testing.assert_allclose(its.q[::40], y[:, : wheeled.nq], atol=1e-8)
     np.testing.assert_allclose(wheeled.independent(its.q, its.v)[::40], y[:, wheeled.nq :], atol=1e-8)
     drift = np.einsum("nij,nj->ni", wheeled.constraint_matrix(its.q), its.v)
     assert np.abs(drift).max() < 1e-14

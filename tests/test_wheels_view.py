@@ -181,9 +181,7 @@ def test_contacts_of_what_slides_are_the_signals_at_the_limit(slides: pm.Rollout
     assert np.all(found.slips[2:, :, 0] * found.forces[2:, :, 0] < 0)  # friction brakes what slides
 
 
-def test_a_page_has_discs_forces_and_the_centre_and_colours_of_what_slides(
-    rolls: pm.Rollout, slides: pm.Rollout
-) -> None:
+def test_a_page_has_discs_forces_centre_and_colours(rolls: pm.Rollout, slides: pm.Rollout) -> None:
     shown = Overlays(contacts=True, centre=True)
     for run, paint, other in ((rolls, QUIET, SLIDES), (slides, SLIDES, QUIET)):
         with Viewer(run.plant, overlays=shown) as viewer:
@@ -213,7 +211,7 @@ def of_lecture() -> pm.Rollout:
 
 
 @pytest.mark.parametrize("figure", [plots.wheel_torques, plots.friction, plots.slip, plots.loads])
-def test_figures_of_wheels_have_a_line_for_each_and_units(
+def test_figures_have_lines_and_units(
     figure: Callable[..., Any], rolls: pm.Rollout, slides: pm.Rollout
 ) -> None:
     drawn = figure({"rolls": rolls, "slides": slides})
