@@ -70,18 +70,6 @@ def test_a_urdf_is_mounted_and_a_mesh_that_is_missing_is_named(urdf: Path) -> No
     assert foot.placement.translation[2] == pytest.approx(0.2)
 
 
-@pytest.mark.parametrize("name", ["upper.stl", "upper.step"])
-def test_a_mesh_that_cannot_be_read_is_named_and_not_drawn(name: str, urdf: Path, tmp_path: Path) -> None:
-    (tmp_path / name).write_text("garbage")
-    urdf.write_text(ARM.format(lower=INERTIAL).replace("package://arms/upper.stl", name))
-    robot = BOX.mount(urdf)
-    text = rf"^arm\.urdf: not drawn, since damaged or of an unknown format: .*{name}$"
-    with pytest.warns(UserWarning, match=text) as caught:
-        shown = robot.visual_model.geometryObjects
-    assert caught[0].filename == __file__
-    assert [item.name for item in shown] == ["body", "front", "wedge", "arm/foot_0"]
-
-
 def test_a_mesh_is_found_in_a_package(urdf: Path, tmp_path: Path) -> None:
     (tmp_path / "packages" / "arms").mkdir(parents=True)
     facet = "facet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\n"

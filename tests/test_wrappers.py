@@ -48,18 +48,13 @@ def test_a_force_beyond_its_limit_is_the_limit() -> None:
     assert np.isnan(asked(pm.InputSaturation(TOLD, 1), np.full((1, 3), np.nan))).all()
 
 
-def test_a_delayed_controller_is_told_of_the_state_that_many_samples_ago() -> None:
+def test_delays_of_state_and_input_are_that_many_samples() -> None:
     for samples in (0, 1, 3):
         expected = QS[np.maximum(np.arange(600) - samples, 0)]
-        np.testing.assert_array_equal(asked(pm.MeasurementDelay(TOLD, samples), QS), expected)
+        for delayed in (InputDelay, pm.MeasurementDelay):
+            np.testing.assert_array_equal(asked(delayed(TOLD, samples), QS), expected)
     both = asked(pm.MeasurementDelay(pm.law(lambda t, q, v, reference: v), 2), QS, VS)
     np.testing.assert_array_equal(both, VS[np.maximum(np.arange(600) - 2, 0)])
-
-
-def test_a_delayed_input_is_that_of_the_sample_that_many_before() -> None:
-    for samples in (0, 1, 3):
-        expected = QS[np.maximum(np.arange(600) - samples, 0)]
-        np.testing.assert_array_equal(asked(InputDelay(TOLD, samples), QS), expected)
     inner = pm.ComputedTorque(ROBOT, 4, 4)
     late = pm.simulate(ROBOT, InputDelay(inner, 3), CIRCLE, dt=0.1, **START)
     for k in (0, 2, 3, 50):
