@@ -14,6 +14,7 @@ import pytest
 import pinmobile
 from pinmobile import controllers, forces, paths, trajectories
 from pinmobile.parts._registry import public_names
+from tests.test_surface import nodes_of
 
 ROOT = Path(__file__).parents[1]
 CONTRIBUTING = (ROOT / "CONTRIBUTING.md").read_text()
@@ -82,12 +83,6 @@ def test_every_file_and_folder_that_is_named_is_there() -> None:
     assert len(named) > 8
     for path in named:
         assert (ROOT / path).exists() or (ROOT / "src" / path).exists(), path
-
-
-@cache
-def nodes_of(file: Path) -> list[ast.AST]:
-    """Return what a file is made of."""
-    return [*ast.walk(ast.parse(file.read_text()))]
 
 
 @cache

@@ -235,7 +235,7 @@ def composed() -> Iterator[Chromium]:
 
 @pytest.fixture
 def page(composed: Chromium) -> Iterator[Page]:
-    opened = composed.page(800, 500)
+    opened = composed.page(480, 360)
     yield opened
     opened.close()
     assert opened.errors == []

@@ -53,13 +53,6 @@ def test_mass_rate_minus_twice_coriolis_is_skew(offset_robot: MobileRobot, state
     assert np.abs(N + N.transpose(0, 2, 1)).max() < 1e-8
 
 
-@pytest.mark.parametrize("table", [LECTURE_TABLE, SLIDE_TABLE])
-def test_frames_are_the_products_of_the_dh_transforms(table: DHTable, states: tuple[Array, ...]) -> None:
-    robot, q = MobileRobot(3, 1, dh=table), states[0]
-    expected = table.placements(q[:, [1, 0, 2]])
-    np.testing.assert_allclose(robot.frame_placements(q), expected, rtol=0, atol=1e-14)
-
-
 def test_jacobian_turns_the_body_twist_into_velocity() -> None:
     J = MobileRobot.lecture().jacobian([[0, 0, np.pi / 2], [0, 0, 0.3]])
     np.testing.assert_allclose(J[0] @ [1, 0, 0], [0, 1, 0], atol=1e-15)  # forward, facing +y

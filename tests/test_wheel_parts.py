@@ -20,8 +20,7 @@ from pinmobile import (
     parts,
     wheels,
 )
-from pinmobile.controllers import Backstepping, UnicycleTracking
-from pinmobile.loop import Engine, Relative, Scenario, simulate
+from pinmobile.loop import Relative, Scenario
 from pinmobile.paths import Circle
 from pinmobile.trajectories import Tangent
 from pinmobile.wheels import Wheel, WheeledDynamics
@@ -74,64 +73,25 @@ def test_robots_and_what_they_are_made_of_are_values(name: str) -> None:
 
 
 @parts.part
-class Viscous:
-    """A ground whose force on a wheel is in proportion to its slip, along and across."""
+class Film:
+    """A ground of one's own, whose wheels slip without any force."""
 
-    c: float = parts.number(default=500.0, unit="N s/m", above=0, doc="force per slip")
+    depth: float = parts.number(default=1.0, unit="mm", above=0, doc="depth")
 
-    def dynamics(self, wheeled: Any) -> "ViscousDynamics":
+    def dynamics(self, wheeled: Any) -> WheeledDynamics:
         """Return the dynamics of a robot on it."""
-        own = ViscousDynamics(wheeled, wheeled.robot.array_dynamics)
-        object.__setattr__(own, "c", self.c)
-        return own
+        return WheeledDynamics(wheeled, wheeled.robot.array_dynamics)
 
 
-class ViscousDynamics(WheeledDynamics):
-    """A robot whose wheels slip against a viscous film."""
-
-    c: Any
-
-    def _rows(self, state: Any) -> list[Any]:
-        return [row for row in self.rows(state, across=True) if row.wheel >= 0]
-
-    def forward_dynamics(self, q: Any, v: Any, u: Any, f: Any = 0.0) -> Any:
-        """Return the acceleration, shape (nv,)."""
-        state = self.state(q, v)
-        force = self.input_force(state, u, f)
-        for row in self._rows(state):
-            pull = -self.c * row.slip(state)
-            for i, x in enumerate([*row.base, *row.joints]):
-                force[i] = force[i] + x * pull
-        rest = [a - b for a, b in zip(force, self.effects(state, q), strict=True)]
-        M = np.stack([np.stack([x + 0.0 * q[0] for x in row]) for row in self.inertia(state, q)])
-        a = np.linalg.solve(M, np.stack([x + 0.0 * q[0] for x in rest]))
-        return self.in_plane(state, [a[i] for i in range(self.nv)], q)
-
-    def signals(self, t: Any, q: Any, v: Any, u: Any, f: Any, memory: Any) -> dict[str, tuple[str, Any]]:
-        """Return the slip of each wheel."""
-        state = self.state(q, v)
-        slips = [row.slip(state) + 0.0 * q[0] for row in self._rows(state)]
-        return {"slip": ("m/s", np.stack(slips))}
-
-
-def test_a_ground_of_ones_own_is_one_class() -> None:
-    """The stiffer the film, the less the wheels slip."""
-    slips = []
-    for c in (30.0, 200.0):
-        robot = WheeledRobot(BODY, PAIR, Viscous(c))
-        assert not hasattr(robot, "project")
-        assert not hasattr(robot, "step")
-        rolling = WheeledRobot(BODY, PAIR)
-        law = Backstepping(UnicycleTracking(), rolling)
-        run = simulate(robot, law, Tangent(Circle(1.5, 0.4, 0.6)), dt=0.002, engine=Engine.PYTHON)
-        slips.append(np.abs(run.signals["slip"].values[100:]).max())
-        assert [one.name for one in robot.metrics] == ["effort", "load", "tip over", "slip"]
-    assert 0 < slips[1] < 0.3 * slips[0] < 0.3
+def test_a_ground_of_ones_own_has_what_its_dynamics_have() -> None:
+    robot = WheeledRobot(BODY, PAIR, Film())
+    assert not hasattr(robot, "project")
+    assert not hasattr(robot, "step")
     with pytest.raises(InvalidArgument, match="do not support electric motors"):
         robot.by_voltage()
-    with pytest.raises(TypeError, match="Viscous has no field 'ramp'"):
+    with pytest.raises(TypeError, match="Film has no field 'ramp'"):
         robot.on_ramp(0.1)
-    assert "ground.c" in parts.numbers(robot)
+    assert "ground.depth" in parts.numbers(robot)
 
 
 test_what_is_declared_is_checked = refusals(
