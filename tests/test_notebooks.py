@@ -151,7 +151,7 @@ def test_the_scene_moves_in_the_converted_page(executed: Path, browser: Chromium
     (output,) = cell.outputs
     assert set(output.data) == {"image/png", "text/plain"}
     page = tmp_path / "viewing.html"
-    text, _ = HTMLExporter().from_filename(str(executed))
+    text, _ = HTMLExporter().from_filename(str(executed))  # type: ignore[no-untyped-call]
     page.write_text(text, encoding="utf-8")
     (frame,) = re.findall(r"<iframe [^>]*>", text)
     assert scene in frame

@@ -86,7 +86,7 @@ def test_a_cubic_passes_its_points_with_its_velocities(path: CubicVia) -> None:
     else:
         bends = [piece.derivative(path.t_via, 2) for piece in path.pieces]
         size = max(np.abs(path.derivative(times, 2)).max(), 1e-300)
-        np.testing.assert_allclose(*bends, rtol=0, atol=1e-12 * size)
+        np.testing.assert_allclose(bends[0], bends[1], rtol=0, atol=1e-12 * size)
 
 
 def test_the_lecture_s_via_free_coefficients() -> None:

@@ -264,7 +264,7 @@ class TestTracking:
 
     def test_the_rest_follows_a_posture_that_has_another_pose(self) -> None:
         target = pm.PosePath(line(START[:3, 3], (1.0, 0.5, 0.1), 4), START[:3, :3])
-        rest = Still(BENT)  # it would stay where it is
+        rest = still(UR5, BENT)  # it would stay where it is
         run = pm.simulate(UR5, pm.EndEffectorTracking(UR5, target), rest, dt=0.01, q0=BENT)
         assert max(misses(UR5, target, run.t, run.q)) < 2e-3  # posture pulls by damping^2 of its error
 
@@ -274,7 +274,7 @@ class TestTracking:
         away = pm.PosePath(line(T[:3, 3], (-0.6, 0, -0.3), 2), T[:3, :3])
         law = pm.EndEffectorTracking(PANDA, away, velocity_limit=locked, integrator=pm.rk4)
         how: Any = {"dt": 0.01, "duration": 2.0, "integrator": pm.rk4, "substeps": 5}
-        run = pm.simulate(PANDA, law, Still(PANDA.rest), **how)
+        run = pm.simulate(PANDA, law, still(PANDA, PANDA.rest), **how)
         # What five corrections leave of a coordinate's overrun, 1e-2 each; steps a fifth as long differ from
         # one by some 1e-4 of rk4's own error per step.
         assert (run.q > PANDA.lower - 1e-10).all()
@@ -284,17 +284,9 @@ class TestTracking:
         assert misses(PANDA, away, run.t, run.q)[0] > 0.05
 
 
-class Still:
-    """A reference at rest at a configuration."""
-
-    duration = 4.0
-
-    def __init__(self, q: Array) -> None:
-        self.q = q
-
-    def __call__(self, t: Any) -> pm.Reference:
-        v, a = np.zeros((2, *np.shape(t), len(self.q)))
-        return pm.Reference(np.broadcast_to(self.q, v.shape), v, a)
+def still(robot: pm.MobileRobot, q: Array) -> pm.WholeBody:
+    """Return a reference at rest at a configuration."""
+    return pm.WholeBody(robot, pm.FixedHeading(pm.Hold(q[:2], 4.0), q[2]), pm.Hold(q[3:], 4.0))
 
 
 def test_a_pose_paths_twist_and_rate_are_its_slopes() -> None:

@@ -10,6 +10,7 @@ import pinmobile as pm
 from pinmobile.arrays import Array
 from pinmobile.controllers import InputDelay
 from pinmobile.plant import Context
+from tests.test_simulation import TauAlone
 
 ROBOT = pm.MobileRobot(10, 1.2, com=(0.15, 0.05))
 CIRCLE = pm.FixedHeading(pm.Circle(1.0, 0.5, 12.0), 0.3)
@@ -148,16 +149,6 @@ def test_what_is_applied_is_told_inward_once_a_sample() -> None:
     rollout = pm.simulate(ROBOT, nested, CIRCLE, dt=0.5, duration=2.0, substeps=3, integrator=pm.rk4)
     assert seen == [(k, [2.0, -3.0, 0.1]) for k in range(5)]
     np.testing.assert_array_equal(rollout.u, [[2.0, -3.0, 0.1]] * 5)
-
-
-class TauAlone:
-    """A controller that forgets to return its state."""
-
-    def initial_state(self, context: Any) -> None:
-        return None
-
-    def __call__(self, *_: Any) -> Array:
-        return np.zeros(3)
 
 
 def once(controller: Any) -> Any:
