@@ -139,6 +139,22 @@ def test_a_program_that_fails_keeps_its_state_and_problem(monkeypatch: pytest.Mo
     assert solve(H, f, A, upper, lower, sense)[2] == 1
 
 
+def test_rows_of_a_program_are_what_its_inputs_do_to_the_model() -> None:
+    box = np.array([1.0, np.inf, np.inf, np.inf, 1.0, np.inf])
+    controller = pm.MPC(NOMINAL, 9, 0.05, upper=box)
+    plan = controller.initial_state(Context.of(NOMINAL, dt=0.01, t=T, reference=SHORT(T)))[0]
+    A, B = tracked_model(NOMINAL, SHORT(T)).discrete(0.05)
+    for k in (0, 180):  # from the second, the horizon reaches beyond the end
+        at, z = plan.samples(k), np.cos(np.arange(27.0))
+        program = plan.program(at, np.zeros((9, 5)), np.zeros((9, 5)))
+        x, wanted = np.zeros(6), []
+        for i, own in zip(at[:-1], z.reshape(9, 3), strict=True):
+            u = plan.scales[i] @ own - plan.K[i] @ x
+            x = A[i] @ x + B[i] @ u
+            wanted.append([*u, x[0], x[4]])
+        assert np.abs(program.A @ z - np.ravel(wanted)).max() < 1e-12 * np.abs(wanted).max()
+
+
 test_bad_arguments_are_refused = refusals(
     (
         lambda: pm.simulate(NOMINAL, pm.MPC(NOMINAL, limits=5), SHORT, dt=0.01),
