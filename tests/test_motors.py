@@ -26,7 +26,6 @@ ELECTRIC: Any = {
 }
 MOTOR = Motor(**ELECTRIC, viscous=1e-5, coulomb=0.004, efficiency=0.8, current=15.0)
 PLAIN = evolved(MOTOR, viscous=0.0, coulomb=0.0, efficiency=1.0, current=np.inf)
-PATH = pm.Tangent(pm.Circle(2.0, 0.3, 20.0))
 R = 0.1
 
 
@@ -178,21 +177,6 @@ def test_the_volts_for_torques_give_them_within_the_limits_of_motors() -> None:
     free &= np.abs(np.abs(MOTOR.armature_current(u, v[:, -2:])) - 15.0) > 1e-9
     np.testing.assert_allclose(given[free], wanted[free], rtol=1e-10)
     assert 20 < free.sum() < 190
-
-
-@pytest.mark.parametrize("kind", ["skid", "torque"])
-def test_wheel_speed_follows_by_loops_of_each_wheel(kind: str) -> None:
-    if kind == "skid":
-        wheels = WheelTable.skid_steer(0.2, 0.6, R, motor=MOTOR, **{**WHEEL, "friction": WheelFriction()})
-    else:
-        wheels = table(MOTOR)
-    wheeled = WheeledRobot(CENTRAL, wheels)
-    robot = wheeled if kind == "torque" else wheeled.by_voltage()
-    controller = WheelSpeed(UnicycleTracking(), robot, kp=1.0, ki=20.0)
-    q0, v0 = np.append(PATH(0.0).q, np.zeros(robot.nq - 3)), np.zeros(robot.nv)
-    given: Any = {"dt": 0.005, "duration": 4.0, "q0": q0, "v0": v0, "engine": Engine.COMPILED}
-    found = pm.simulate(robot, controller, PATH, **given)
-    assert np.abs(found.q[-1, :2] - PATH(4.0).q[:2]).max() < 0.05
 
 
 def test_the_integral_of_wheel_speed_does_not_wind_up() -> None:

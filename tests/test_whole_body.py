@@ -10,7 +10,6 @@ import pytest
 import pinmobile as pm
 from pinmobile.arrays import Array, ArrayLike
 from pinmobile.controllers import Decoupled, planar_difference
-from pinmobile.errors import LimitWarning
 from tests.refusals import begun, refusals, refused
 
 AT = (0.1, -0.05, 0.2, 0.4)
@@ -125,21 +124,6 @@ def test_what_leaves_the_limits_is_refused_where_it_is_seen() -> None:
     ):
         with refused(f"^{re.escape(text)}$"):
             call()
-
-
-def test_a_start_outside_the_joint_limits_is_reported() -> None:
-    reference = pm.WholeBody(UR5, CIRCLE, None)
-    beyond, fast = UR5.rest.copy(), np.zeros(9)
-    beyond[5], fast[4] = 7.0, -4.0
-    for start, text in (
-        ({"q0": beyond}, "ur5/elbow_joint reaches 7 rad at t = 0 s, beyond its limit of 3.142 rad"),
-        (
-            {"v0": fast},
-            "ur5/shoulder_lift_joint moves at -4 rad/s at t = 0 s, beyond its limit of -3.15 rad/s",
-        ),
-    ):
-        with pytest.warns(LimitWarning, match=re.escape(text)):
-            pm.simulate(UR5, pm.ComputedTorque(UR5), reference, dt=1e-3, **start)
 
 
 def test_what_is_faster_than_a_joint_can_be_is_refused() -> None:
