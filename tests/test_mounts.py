@@ -93,18 +93,13 @@ def test_a_root_of_its_own_is_replaced_by_the_chain(roots: tuple[Any, ...]) -> N
     assert robot.mass_matrix(robot.rest)[0, 0] == pytest.approx(BOX.mass + 3)
 
 
-@pytest.mark.parametrize("name", ["anymal"])
-def test_what_has_legs_stands_with_its_feet_on_the_box(name: str) -> None:
-    robot = BOX.mount(name)
+def test_feet_stand_on_the_box_and_what_would_hang_below_the_ground_is_raised() -> None:
+    robot = BOX.mount("anymal")
     assert robot.mounts[0].at[2] > 0.6
-    assert _lowest(robot, name) == pytest.approx(BOX.size[2])
-    assert BOX.mount(name, (0, 0, 0.2, 0)).mounts[0].at == (0, 0, 0.2, 0)
-
-
-@pytest.mark.parametrize("name", ["talos_arm"])
-def test_what_would_hang_below_the_ground_is_raised(name: str) -> None:
-    assert _lowest(BOX.mount(name, (0, 0, BOX.size[2], 0)), name) < 0
-    assert _lowest(BOX.mount(name), name) == pytest.approx(BOX.size[2])
+    assert _lowest(robot, "anymal") == pytest.approx(BOX.size[2])
+    assert BOX.mount("anymal", (0, 0, 0.2, 0)).mounts[0].at == (0, 0, 0.2, 0)
+    assert _lowest(BOX.mount("talos_arm", (0, 0, BOX.size[2], 0)), "talos_arm") < 0
+    assert _lowest(BOX.mount("talos_arm"), "talos_arm") == pytest.approx(BOX.size[2])
 
 
 def _lowest(robot: pm.MobileRobot, name: str) -> float:

@@ -44,14 +44,14 @@ def test_a_number_of_a_users_part_is_spread_by_name_and_by_path() -> None:
 
 def test_a_parameter_that_a_user_bounds_is_refused_beyond() -> None:
     with refused(r"spread\['width'\] gives 0 m/s as the width .*expected > 0"):
+        law: Any = SlidingMode()
         width = {"width": np.array([0.5, 0.0])}
-        pm.ensemble(ROBOT, SlidingMode(), Nodding(Eight()), n=2, spread=width, dt=0.02)
+        pm.ensemble(ROBOT, law, Nodding(Eight()), n=2, spread=width, dt=0.02)
 
 
 def test_an_ensemble_of_a_users_plant_is_told_by_its_names_and_units() -> None:
-    run = pm.ensemble(
-        Cart(), Follower(), CartCircle(), n=2, spread={"start.y": np.array([0.2, -0.2])}, dt=0.01
-    )
+    law: Any = Follower()
+    run = pm.ensemble(Cart(), law, CartCircle(), n=2, spread={"start.y": np.array([0.2, -0.2])}, dt=0.01)
     rows = str(run).split("\n", 3)[3].splitlines()
     assert rows[2].startswith("largest left_torque [N m]")
     assert rows[6].startswith("largest error of left [rad]")
@@ -176,12 +176,9 @@ def test_each_robot_follows_a_reference_of_its_own_by_all_engines(what: str) -> 
         )
         size = alone.max_error().max()
         np.testing.assert_allclose(runs[0].max_error[i], alone.max_error(), rtol=0, atol=1e-12 * size)
-        np.testing.assert_array_equal(scenario_member_reference(runs[0], i).q, alone.reference.q)
-
-
-def scenario_member_reference(run: pm.Ensemble, i: int) -> Any:
-    member = run.arguments(i)
-    return pm.simulate(*member[:3], **member.options).reference
+        member = runs[0].arguments(i)
+        reference = pm.simulate(*member[:3], **member.options).reference
+        np.testing.assert_array_equal(reference.q, alone.reference.q)
 
 
 def test_a_trajectory_that_cannot_be_made_is_told_with_the_robots_number() -> None:

@@ -65,16 +65,12 @@ class Traced:
         return np.array(values, float).reshape(table.shape)
 
 
-def states(robot: MobileRobot) -> dict[str, Array]:
-    rng = np.random.default_rng(5)
-    v, a = rng.normal(size=(2, robot.nv))
-    return {"q": robot.random_configuration(rng), "v": v, "a": a}
-
-
 @pytest.mark.parametrize(("name", "zeros"), [("loaded", True), ("ur5", True), ("two", False)])
 def test_dynamics_on_symbols_are_those_of_the_robot_with_such_numbers(name: str, zeros: bool) -> None:
     traced = Traced(ROBOTS[name], zeros=zeros)
-    given = states(traced.other)
+    rng, other = np.random.default_rng(5), traced.other
+    v, a = rng.normal(size=(2, other.nv))
+    given = {"q": other.random_configuration(rng), "v": v, "a": a}
     on_tape = dict(zip(given, traced.state(*given.values()), strict=True))
     methods = asked(traced.other) | {"coriolis_matrix": ("qv",), "integrate": ("qv",), "difference": ("qv",)}
     for method, (letters, *options) in (methods | {"pose": ("q",), "pose_rate": ("qv",)}).items():

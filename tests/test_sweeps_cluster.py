@@ -43,12 +43,8 @@ def client(cluster: Any) -> Iterator[Any]:
         yield client
 
 
-def _process() -> int:
-    return os.getpid()
-
-
 def test_a_killed_worker_changes_nothing_in_the_store(done: Sweep, client: Any, tmp_path: Path) -> None:
-    workers = list(client.run(_process).values())
+    workers = list(client.run(os.getpid).values())
     assert len(set(workers) - {os.getpid()}) == 2
 
     def kill(now: int, total: int) -> None:
