@@ -82,15 +82,9 @@ def test_an_exception_that_works_is_none(name: str) -> None:
         pm.MobileRobot.box().mount(name)
 
 
-@pytest.mark.parametrize(
-    ("name", "locked"),
-    [
-        ("icub", ("neck_roll",)),
-    ],
-)
-def test_what_exceptions_say_helps_helps(name: str, locked: tuple[str, ...]) -> None:
-    robot = pm.MobileRobot.box().mount(name, locked=locked)
-    assert robot.nv + len(locked) - 3 == robot.mounts[0].arm.whole.nv
+def test_what_an_exception_says_helps() -> None:
+    robot = pm.MobileRobot.box().mount("icub", locked=("neck_roll",))
+    assert robot.nv + 1 - 3 == robot.mounts[0].arm.whole.nv
 
 
 def test_a_row_is_found_by_its_name() -> None:

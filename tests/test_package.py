@@ -54,15 +54,7 @@ def test_the_source_distribution_has_all_that_it_takes_to_show_and_test_it(tmp_p
     folders = (".ci", ".github", "benchmarks", "docs", "examples", "models", "notebooks", "src", "tests")
     kept = [path for folder in folders for path in (ROOT / folder).rglob("*") if path.is_file()]
     wanted = {path.relative_to(ROOT).as_posix() for path in kept if "__pycache__" not in path.parts}
-    alone = {
-        "Makefile",
-        "README.md",
-        "CHANGELOG.md",
-        "CITATION.cff",
-        "CONTRIBUTING.md",
-        "LICENSE",
-        "pyproject.toml",
-    }
+    alone = {path.name for path in ROOT.iterdir() if path.is_file() and path.name[:1] != "."}
     assert not wanted - names
     assert {*alone, "hatch_build.py", ".pre-commit-config.yaml", ".readthedocs.yaml", ".gitignore"} <= names
     assert not [name for name in names if "__pycache__" in name or name.startswith(("out/", ".venv/"))]

@@ -124,13 +124,13 @@ def test_a_controllers_robot_without_its_dynamics_is_told_so() -> None:
         pm.ComputedTorque(Cart())
 
 
-class Short(Cart):
-    """Three numbers where there should be five."""
+class Spoilt(Cart):
+    """A plant one of whose methods returns something else: by default two numbers of five."""
 
-    def __init__(self, wrong: str) -> None:
+    def __init__(self, wrong: str, change: Any = lambda x: x[..., :2]) -> None:
         super().__init__()
         method = getattr(super(), wrong)
-        setattr(self, wrong, lambda *given: method(*given)[..., :2])
+        setattr(self, wrong, lambda *given: change(method(*given)))
 
 
 # A plant whose sizes contradict each other.
@@ -151,15 +151,12 @@ class Inputs(Cart):
         (Inputs(), "plant has nu = 2 and 1 inputs, expected equal numbers"),
         *(
             (
-                Short(name),
-                rf"a Short with nq = 5, nv = 5 and nu = 2, whose {name}\(.*\) returned .*\({size},\)$",
+                Spoilt(name),
+                rf"a Spoilt with nq = 5, nv = 5 and nu = 2, whose {name}\(.*\) returned .*\({size},\)$",
             )
-            for name, size in (
-                ("forward_dynamics", 5),
-                ("pose_rate", 3),
-            )
+            for name, size in (("forward_dynamics", 5), ("pose_rate", 3))
         ),
-        (Short("project"), r"which starts with v of shape \(2,\), expected \(5,\)|v0 has shape \(2,\)"),
+        (Spoilt("project"), r"which starts with v of shape \(2,\), expected \(5,\)|v0 has shape \(2,\)"),
     ],
 )
 def test_a_plant_that_contradicts_itself_is_refused(plant: Any, why: str) -> None:
@@ -277,15 +274,6 @@ def test_a_law_that_cannot_be_traced_runs_slower_and_says_so_or_is_refused(what:
 # What is no row of real numbers, or not two of them.
 
 
-class Turning(Cart):
-    """A plant one of whose methods returns complex numbers."""
-
-    def __init__(self, wrong: str) -> None:
-        super().__init__()
-        method = getattr(super(), wrong)
-        setattr(self, wrong, lambda *given: method(*given) * (1 + 0j))
-
-
 class Complex:
     """A controller that is none of the library's `law`."""
 
@@ -320,8 +308,8 @@ UNREAL: dict[str, tuple[dict[str, Any], str]] = {
     ),
     **{
         f"complex {name}": (
-            CART | {"robot": Turning(name)},
-            rf"(?s)^plant is a Turning .*, whose {name}\(.*\) returned .*j.*, expected real numbers$",
+            CART | {"robot": Spoilt(name, lambda x: x * (1 + 0j))},
+            rf"(?s)^plant is a Spoilt .*, whose {name}\(.*\) returned .*j.*, expected real numbers$",
         )
         for name in ("integrate", "generalized_force")
     },

@@ -1,7 +1,6 @@
 """Parts that are a user's own run wherever the library's do, with the same numbers and their own names."""
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,51 +11,10 @@ from pinmobile.errors import SlowerEngine, UnknownName
 from pinmobile.loop import Engine, Loop, run_scenario
 from pinmobile.loop._description import ROBOT_ARRAYS
 from pinmobile.parts import find, replace
-from pinmobile.trajectories import LectureHeading
-from tests.parts import (
-    PID,
-    Axle,
-    Cart,
-    CartCircle,
-    Eight,
-    Follower,
-    Nodding,
-    SlidingMode,
-    Smoothed,
-    Spring,
-    midpoint,
-)
+from tests.parts import PID, Cart, CartCircle, Eight, Follower, Nodding, SlidingMode, Smoothed
 from tests.refusals import refused
 
 ROBOT = pm.MobileRobot(30.0, 1.3, com=(0.1, 0.05))
-N = 4
-LIMITS = (120.0, 110.0, 6.0)  # which all robots reach at first
-STARTS = {"start.x": np.array([0.1, -0.1, 0.3, 0.0]), "start.psi": np.array([0.2, 0.5, -0.3, 0.1])}
-PARTS: dict[str, dict[str, Any]] = {
-    "controller with memory": {"controller": pm.InputSaturation(PID(), LIMITS)},
-    "controller": {"controller": SlidingMode()},
-    "force": {"controller": pm.PD(100, 120), "forces": [Spring()]},
-    "wrapper": {"controller": Smoothed(pm.ComputedTorque(ROBOT))},
-    "wrappers of a user's": {"controller": pm.InputSaturation(Smoothed(PID()), LIMITS)},
-    "integrator": {"controller": pm.PD(100, 120), "integrator": midpoint},
-    "path": {"controller": pm.ComputedTorque(ROBOT), "trajectory": pm.Tangent(Eight())},
-    "heading": {"controller": pm.ComputedTorque(ROBOT), "trajectory": Nodding(pm.Circle(1.0, 0.5, 12.0))},
-}
-# A number of each part, by its name and by its path: values, and the unit that files tell.
-NAMED: dict[str, tuple[str, str, Any, str]] = {
-    "controller with memory": ("ki", "controller.controller.ki", [5.0, 10.0, 15.0, 20.0], ""),
-    "controller": ("width", "controller.width", [0.3, 0.4, 0.5, 0.6], "m/s"),
-    "force": ("at.0", "forces.0.at.0", [-1.0, 0.0, 1.0, 2.0], ""),
-    "wrapper": ("share", "controller.share", [0.6, 0.7, 0.8, 0.9], ""),
-    "wrappers of a user's": ("back", "controller.controller.controller.back", [0.0, 1.0, 2.0, 3.0], ""),
-    "path": ("size", "trajectory.path.size", [1.0, 1.5, 2.0, 2.5], ""),
-    "heading": ("angle", "trajectory.angle", [0.0, 0.2, 0.4, 0.6], ""),
-}
-
-
-def made(what: str, spread: Any = STARTS, **options: Any) -> pm.Scenario:
-    chosen: dict[str, Any] = {"robot": ROBOT, "trajectory": Nodding(Eight()), "dt": 0.02, "duration": 6.0}
-    return pm.Scenario(**(chosen | PARTS[what] | {"n": N, "spread": spread} | options))
 
 
 def assert_close(one: pm.Ensemble, other: pm.Ensemble) -> None:
@@ -67,135 +25,40 @@ def assert_close(one: pm.Ensemble, other: pm.Ensemble) -> None:
         np.testing.assert_allclose(here, there, rtol=0, atol=1e-12 * size, err_msg=name)
 
 
-def assert_same(one: pm.Ensemble, other: pm.Ensemble) -> None:
+def test_a_number_of_a_users_part_is_spread_by_name_and_by_path() -> None:
+    controller, values = pm.InputSaturation(Smoothed(PID()), (120.0, 110.0, 6.0)), [0.0, 1.0, 2.0, 3.0]
+    given: dict[str, Any] = {"n": 4, "dt": 0.02, "duration": 6.0}
+    paths, starts = (
+        ("back", "controller.controller.controller.back"),
+        {"start.x": np.array([0.1, -0.1, 0.3, 0.0])},
+    )
+    by_name, by_path = (
+        pm.ensemble(ROBOT, controller, Nodding(Eight()), spread={**starts, each: np.array(values)}, **given)
+        for each in paths
+    )
     for name in (*ROBOT_ARRAYS, "counts"):
-        np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
-
-
-@pytest.mark.parametrize("what", PARTS)
-def test_a_users_part_has_the_same_numbers_by_all_engines(what: str) -> None:
-    name, _, values, _ = NAMED.get(what, ("mass", "", [25.0, 28.0, 31.0, 34.0], ""))
-    scenario = made(what, {**STARTS, name: np.array(values)})
-    runs = [run_scenario(scenario, engine=engine) for engine in (Engine.COMPILED, Engine.PYTHON)]
-    assert [run.engine for run in runs] == ["COMPILED", "PYTHON"]
-    assert not runs[0].diverged.any()
-    assert_close(*runs)
-    assert run_scenario(scenario).engine == "COMPILED"
-
-
-@pytest.mark.parametrize("what", PARTS)
-def test_a_users_part_is_simulated_and_traced(what: str) -> None:
-    scenario = made(what)
-    member = run_scenario(scenario, traces=[2]).arguments(2)
-    rollout = pm.simulate(*member[:3], **member.options)
-    traced = run_scenario(scenario, traces=[2]).traces[2]
-    np.testing.assert_array_equal(traced.q, rollout.q)
-    compiled = pm.simulate(*member[:3], **member.options, engine=Engine.COMPILED)
-    assert_as_simulated(compiled, rollout)
-
-
-def assert_as_simulated(one: pm.Rollout, other: pm.Rollout) -> None:
-    """Compare all samples to 1e-12 of the largest number of each kind."""
-    for name in ("q", "v", "a", "u", "error"):
-        here, there = getattr(one, name), getattr(other, name)
-        np.testing.assert_allclose(here, there, rtol=0, atol=1e-12 * np.abs(there).max(), err_msg=name)
-
-
-@pytest.mark.parametrize("what", NAMED)
-def test_a_number_of_a_users_part_is_spread_by_name_and_by_path(what: str, tmp_path: Path) -> None:
-    name, path, values, unit = NAMED[what]
-    by_name, by_path = (run_scenario(made(what, {each: np.array(values)})) for each in (name, path))
-    assert_same(by_name, by_path)
-    assert len(np.unique(by_name.rms_error, axis=0)) == N, "each robot has a value of its own"
-    assert by_name.draws[name].tolist() == by_path.draws[path].tolist() == values
-    by_name.save(tmp_path / "runs.npz")
-    loaded = pm.Ensemble.load(tmp_path / "runs.npz")
-    assert loaded.draws[name].tolist() == values
-    assert loaded.scenario.parameters[name].unit == unit
-    by_name.to_csv(tmp_path / "runs.csv")
-    title = f"drawn_{name} [{unit}]" if unit else f"drawn_{name}"
-    header = (tmp_path / "runs.csv").read_text().splitlines()[0].split(",")
-    table = np.loadtxt(tmp_path / "runs.csv", delimiter=",", skiprows=1)
-    assert table[:, header.index(title)].tolist() == values
+        np.testing.assert_array_equal(getattr(by_name, name), getattr(by_path, name), err_msg=name)
+    assert len(np.unique(by_name.rms_error, axis=0)) == 4, "each robot has a value of its own"
+    assert by_name.draws[paths[0]].tolist() == by_path.draws[paths[1]].tolist() == values
 
 
 def test_a_parameter_that_a_user_bounds_is_refused_beyond() -> None:
     with refused(r"spread\['width'\] gives 0 m/s as the width .*expected > 0"):
-        run_scenario(made("controller", {"width": np.array([0.5, 0.0, 0.5, 0.5])}))
+        law: Any = SlidingMode()
+        width = {"width": np.array([0.5, 0.0])}
+        pm.ensemble(ROBOT, law, Nodding(Eight()), n=2, spread=width, dt=0.02)
 
 
-# A plant.
-
-CART: dict[str, Any] = {"robot": Cart(), "controller": Follower(), "trajectory": CartCircle(), "dt": 0.01}
-OF_CART: dict[str, Any] = {
-    "mass": np.array([17.0, 19.0, 21.0, 23.0]),
-    "along": np.array([6.0, 7.0, 8.0, 9.0]),
-    "start.y": np.array([0.2, -0.2, 0.3, -0.3]),
-}
-NAMES, INPUTS = ["x", "y", "psi", "left", "right"], ["left_torque", "right_torque"]
-
-
-def carted(**changes: Any) -> pm.Scenario:
-    return pm.Scenario(**(CART | {"n": N, "spread": OF_CART} | changes))
-
-
-CARTED: dict[str, dict[str, Any]] = {
-    "all coordinates": {},
-    "pose alone": {"trajectory": pm.Tangent(pm.Circle(2.0, 0.5, 6.0))},
-    "wrapped": {"controller": pm.InputSaturation(Smoothed(Follower(), 0.8), 0.5)},
-    "pushed": {
-        "forces": [Spring(), pm.ViscousFriction((3.0, 3.0, 0.3))],
-        "integrator": pm.rk4,
-        "substeps": 2,
-    },
-    "one wheel runs heavily": {"forces": [Axle()], "integrator": midpoint},
-}
-
-
-@pytest.mark.parametrize("what", CARTED)
-def test_a_users_plant_has_the_same_numbers_by_all_engines(what: str) -> None:
-    scenario = carted(duration=1.0, **CARTED[what])
-    runs = [run_scenario(scenario, engine=engine) for engine in (Engine.COMPILED, Engine.PYTHON)]
-    assert not runs[0].diverged.any()
-    assert runs[0].max_error.shape == (N, 3 if what == "pose alone" else 5)
-    assert runs[0].max_input.shape == (N, 2)
-    assert_close(*runs)
-    assert run_scenario(scenario).engine == "COMPILED"
-    member = runs[0].arguments(1)
-    of_pinocchio, compiled = (
-        pm.simulate(*member[:3], **member.options, engine=engine)
-        for engine in (Engine.PYTHON, Engine.COMPILED)
-    )
-    assert_as_simulated(compiled, of_pinocchio)
-
-
-def test_an_ensemble_of_a_users_plant_is_told_by_its_names_and_units(tmp_path: Path) -> None:
-    run = run_scenario(carted())
-    rows = [line.partition("least")[0].rstrip() for line in str(run).splitlines()[3:]]
-    assert rows == [
-        "largest distance [m]",
-        "largest error of x [m]",
-        "largest left_torque [N m]",
-        "largest error of y [m]",
-        "largest right_torque [N m]",
-        "largest error of psi [rad]",
-        "largest error of left [rad]",
-        "largest error of right [rad]",
-    ]
-    run.to_csv(tmp_path / "runs.csv")
-    header = (tmp_path / "runs.csv").read_text().splitlines()[0].split(",")
-    assert header[1:4] == ["drawn_mass", "drawn_along", "drawn_start.y [m]"]
-    assert header[4:9] == ["max_error_" + each for each in ("x [m]", "y [m]", "psi [rad]", *_WHEELS)]
-    assert header[14:16] == ["max_input_left_torque [N m]", "max_input_right_torque [N m]"]
-    table = np.loadtxt(tmp_path / "runs.csv", delimiter=",", skiprows=1)
-    np.testing.assert_array_equal(table[:, 14:16], run.max_input)
+def test_an_ensemble_of_a_users_plant_is_told_by_its_names_and_units() -> None:
+    law: Any = Follower()
+    run = pm.ensemble(Cart(), law, CartCircle(), n=2, spread={"start.y": np.array([0.2, -0.2])}, dt=0.01)
+    rows = str(run).split("\n", 3)[3].splitlines()
+    assert rows[2].startswith("largest left_torque [N m]")
+    assert rows[6].startswith("largest error of left [rad]")
     data = run.to_xarray()
-    assert data.coordinate.values.tolist() == NAMES
-    assert data.input.values.tolist() == INPUTS
+    assert data.coordinate.values.tolist() == ["x", "y", "psi", "left", "right"]
+    assert data.input.values.tolist() == ["left_torque", "right_torque"]
     assert data.max_input.attrs["units"] == "N m, N m"
-
-
-_WHEELS = ("left [rad]", "right [rad]")
 
 
 @dataclass(frozen=True)
@@ -278,12 +141,8 @@ STEADY = pm.PD((100, 100, 5), (100, 100, 5))
 VIA = pm.CubicVia((0, 0), (2, 2), (0, 4), 3.0, 6.0, via_velocity=(0, 0))
 OWN: dict[str, tuple[Any, dict[str, Any]]] = {
     "circle": (pm.Tangent(pm.Circle(2.0, 0.5, 6.0)), {"radius": (1.0, 3.0), "rate": (0.3, 0.6)}),
-    "figure": (pm.FixedHeading(pm.Lissajous(2, 1, 0.5, 1.0, 6.0), 0.2), {"ry": (0.5, -1), "psi": (0, 3)}),
     "turns": (pm.Tangent(VIA, 1.0), {"via.x": (1.0, 3.0), "t_via": (2.5, 4.0), "turn_time": (1.5, 1.0)}),
-    "spline": (pm.Tangent(pm.Spline([[0, 0], [1, 1], [2, 0]], [0, 3, 6])), {"waypoints.1.y": (0.5, 1.5)}),
     "way": (pm.FixedHeading(pm.RestToRest([0, 0], [1, 1], 6.0), 0.0), {"end.y": (0.5, 1.5)}),
-    "point": (pm.FixedHeading(pm.Hold([0, 0], 6.0), 0.0), {"point.x": (0.5, 1.5)}),
-    "lecture's heading": (LectureHeading(pm.Circle(2.0, 0.5, 6.0)), {"radius": (1.0, 3.0)}),
     "user's": (Nodding(Eight(2.0, 6.0)), {"size": (1.0, 2.0), "angle": (0.1, 0.3)}),
 }
 
@@ -317,12 +176,9 @@ def test_each_robot_follows_a_reference_of_its_own_by_all_engines(what: str) -> 
         )
         size = alone.max_error().max()
         np.testing.assert_allclose(runs[0].max_error[i], alone.max_error(), rtol=0, atol=1e-12 * size)
-        np.testing.assert_array_equal(scenario_member_reference(runs[0], i).q, alone.reference.q)
-
-
-def scenario_member_reference(run: pm.Ensemble, i: int) -> Any:
-    member = run.arguments(i)
-    return pm.simulate(*member[:3], **member.options).reference
+        member = runs[0].arguments(i)
+        reference = pm.simulate(*member[:3], **member.options).reference
+        np.testing.assert_array_equal(reference.q, alone.reference.q)
 
 
 def test_a_trajectory_that_cannot_be_made_is_told_with_the_robots_number() -> None:
@@ -346,9 +202,7 @@ class Ahead:
 
 
 def test_a_controller_that_looks_ahead_sees_its_own_robots_reference() -> None:
-    with pytest.warns(
-        SlowerEngine, match="reads the reference of its context, which differs from robot to robot"
-    ):
+    with pytest.warns(SlowerEngine, match="reads the reference of its context, which differs from robot to"):
         run = pm.ensemble(
             *(ROBOT, Ahead(), OWN["way"][0]), n=2, spread={"end.y": np.array([0.5, 1.5])}, dt=0.05
         )

@@ -54,9 +54,7 @@ def loops() -> dict[str, tuple[Any, Any, Any, Any, str | None]]:
 @pytest.mark.parametrize(
     ("kind", "engine"), [*((kind, pm.Engine.COMPILED) for kind in loops()), ("arm", pm.Engine.PYTHON)]
 )
-def test_a_run_is_that_of_the_robot_with_the_load_while_it_holds_the_load(
-    kind: str, engine: pm.Engine
-) -> None:
+def test_a_run_is_that_of_the_robot_with_the_load_while_held(kind: str, engine: pm.Engine) -> None:
     robot, load, law, motion, frame = loops()[kind]
     own: dict[str, Any] = {"integrator": pm.rk4} if kind == "arm" else {}
     given: dict[str, Any] = {"dt": DT, "duration": 0.2, "engine": engine}
@@ -206,9 +204,7 @@ def test_invalid_transfers_are_refused_and_the_load_needs_a_time() -> None:
     ):
         with pytest.raises(pm.PinmobileError, match=words):
             make()
-    with pytest.raises(
-        AttributeError, match=r"no mass_matrix: use its method robot_at\(t\), robot or loaded"
-    ):
+    with pytest.raises(AttributeError, match=r"no mass_matrix: use its method robot_at\(t\), robot or"):
         _ = HELD.mass_matrix
     assert HELD.robot_at(BEGIN) is HELD.loaded
     assert HELD.robot_at(END) is ARM

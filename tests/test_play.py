@@ -13,68 +13,50 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 
-from pinmobile import (
-    PD,
-    Circle,
-    ComputedTorque,
-    ConstantForce,
-    Engine,
-    FixedHeading,
-    Hold,
-    InvalidArgument,
-    MeasurementDelay,
-    MeasurementNoise,
-    MobileRobot,
-    Rollout,
-    Scenario,
-    Tangent,
-    law,
-    simulate,
-)
+import pinmobile as pm
 from pinmobile.cli.scenario_file import LoadedFile
 from pinmobile.errors import UnknownName
 from pinmobile.loop import LoopStepper
 from pinmobile.parts import evolved
-from pinmobile.trajectories import Reference
 from pinmobile.viewer import LiveRun, play, recording
 from pinmobile.viewer.live_run import _Drive
 from tests.chromium import Chromium, Page, chromium
 from tests.quick import every_fifth
 from tests.webclient import WebSocket, eventually
 
-ROBOT = MobileRobot(30.0, 1.3)
-CIRCLE = Tangent(Circle(1.0, 0.5, 4.0))
+ROBOT = pm.MobileRobot(30.0, 1.3)
+CIRCLE = pm.Tangent(pm.Circle(1.0, 0.5, 4.0))
 
 
-def scenario(controller: Any = None, trajectory: Any = CIRCLE, **options: Any) -> Scenario:
-    own = PD(120, 120) if controller is None else controller
+def scenario(controller: Any = None, trajectory: Any = CIRCLE, **options: Any) -> pm.Scenario:
+    own = pm.PD(120, 120) if controller is None else controller
     parts = {"robot": ROBOT, "controller": own, "trajectory": trajectory}
-    return Scenario(**parts | {"n": 1, "spread": {}, "dt": 0.02} | options)
+    return pm.Scenario(**parts | {"n": 1, "spread": {}, "dt": 0.02} | options)
 
 
-def shipped(name: str, *words: str) -> Scenario:
+def shipped(name: str, *words: str) -> pm.Scenario:
     return evolved(LoadedFile([name, *words]).content, n=1, spread={}, grid={}, cases={}).scenario()  # type: ignore[no-any-return]
 
 
-NOISY = MeasurementNoise(
-    MeasurementDelay(PD((60, 60, 3), (60, 60, 3)), samples=3), std_q=1e-3, std_v=1e-3, seed=2
+NOISY = pm.MeasurementNoise(
+    pm.MeasurementDelay(pm.PD((60, 60, 3), (60, 60, 3)), samples=3), std_q=1e-3, std_v=1e-3, seed=2
 )
 
 
 @pytest.mark.parametrize(
     "loop",
     [
-        scenario(NOISY, forces={"wind": ConstantForce((1, 0, 0), begin=1.0)}, seed=5, substeps=3),
+        scenario(NOISY, forces={"wind": pm.ConstantForce((1, 0, 0), begin=1.0)}, seed=5, substeps=3),
         shipped("differential", "duration=3"),
         shipped("skid-steer", "duration=1"),
     ],
     ids=["noise, delay and force", "rolling", "slipping"],
 )
-def test_samples_in_pieces_are_those_of_simulate_bit_for_bit(loop: Scenario) -> None:
-    whole = simulate(
+def test_samples_in_pieces_are_those_of_simulate_bit_for_bit(loop: pm.Scenario) -> None:
+    whole = pm.simulate(
         loop.robot, loop.controller, loop.trajectory, dt=loop.dt, duration=loop.duration, forces=loop.forces,
         integrator=None if loop.integrator is None else loop.integrator,
-        substeps=loop.substeps, seed=loop.seed, engine=Engine.COMPILED,
+        substeps=loop.substeps, seed=loop.seed, engine=pm.Engine.COMPILED,
     )  # fmt: skip
     stepper, pieces = LoopStepper(loop), np.random.default_rng(1)
     for again in range(2):
@@ -88,12 +70,14 @@ def test_samples_in_pieces_are_those_of_simulate_bit_for_bit(loop: Scenario) -> 
 
 
 def test_a_number_changes_between_two_samples_as_in_two_runs() -> None:
-    place = FixedHeading(Hold([0.3, 0.2], 4.0), psi=0.5)
-    options: dict[str, Any] = {"dt": 0.02, "engine": Engine.COMPILED}
-    first = simulate(ROBOT, PD(60, 20), place, duration=1.0, q0=np.zeros(3), **options)
-    second = simulate(ROBOT, PD(240, 20), place, duration=1.0, q0=first.q[-1], v0=first.v[-1], **options)
+    place = pm.FixedHeading(pm.Hold([0.3, 0.2], 4.0), psi=0.5)
+    options: dict[str, Any] = {"dt": 0.02, "engine": pm.Engine.COMPILED}
+    first = pm.simulate(ROBOT, pm.PD(60, 20), place, duration=1.0, q0=np.zeros(3), **options)
+    second = pm.simulate(
+        ROBOT, pm.PD(240, 20), place, duration=1.0, q0=first.q[-1], v0=first.v[-1], **options
+    )
     start = {"start.x": -0.3, "start.y": -0.2, "start.psi": -0.5}
-    stepper = LoopStepper(scenario(PD(60, 20), place, spread=start | {"controller.kp": 60.0}))
+    stepper = LoopStepper(scenario(pm.PD(60, 20), place, spread=start | {"controller.kp": 60.0}))
     stepper.advance(50)
     stepper.change(stepper.values | {"controller.kp": 240.0})
     stepper.advance(51)
@@ -121,7 +105,7 @@ def test_the_reference_rests_after_its_end_and_the_run_goes_on() -> None:
 def test_a_driven_reference_is_a_motion(curves: bool) -> None:
     drive, dt = _Drive(ROBOT, CIRCLE(np.linspace(0, 4, 9))), 0.01
     drive.curves = curves
-    drive.begin(np.array([1.0, 2.0, 0.4]), np.zeros(3), Reference(*np.zeros((3, 1, 3))))
+    drive.begin(np.array([1.0, 2.0, 0.4]), np.zeros(3), pm.Reference(*np.zeros((3, 1, 3))))
     keys = [(1.0, 0.0, 0.0)] * 100 + [(1.0, 1.0, 0.0)] * 1400 + [(0.0, 1.0, 0.0)] * 100
     steps = [drive.ahead(np.array(each), 1, dt) for each in keys]
     q, v, a = (np.concatenate(each) for each in zip(*steps, strict=True))
@@ -138,13 +122,13 @@ def test_a_driven_reference_is_a_motion(curves: bool) -> None:
 
 
 def test_wrong_arguments_are_refused() -> None:
-    parts = ROBOT, PD(120, 120), CIRCLE
+    parts = ROBOT, pm.PD(120, 120), CIRCLE
     with pytest.raises(UnknownName, match=r"unknown parameter in sliders 'controller\.kx'"):
         play(*parts, dt=0.02, sliders=["controller.kx"])
-    with pytest.raises(InvalidArgument, match="sliders"):
+    with pytest.raises(pm.InvalidArgument, match="sliders"):
         play(*parts, dt=0.02, sliders="controller.kp")
-    branching = law(lambda t, q, v, reference: np.zeros(3) if q[0] > 0 else np.ones(3))
-    with pytest.raises(InvalidArgument, match=r"this loop cannot run in real time: .*if q\[0\]"):
+    branching = pm.law(lambda t, q, v, reference: np.zeros(3) if q[0] > 0 else np.ones(3))
+    with pytest.raises(pm.InvalidArgument, match=r"this loop cannot run in real time: .*if q\[0\]"):
         play(ROBOT, branching, CIRCLE, dt=0.02)
 
 
@@ -164,7 +148,7 @@ class Client:
 
 def test_one_page_drives_and_others_watch() -> None:
     with (
-        play(ROBOT, ComputedTorque(ROBOT), CIRCLE, dt=0.01, sliders=["controller.kp"]) as run,
+        play(ROBOT, pm.ComputedTorque(ROBOT), CIRCLE, dt=0.01, sliders=["controller.kp"]) as run,
         WebSocket(run.url) as one,
         WebSocket(run.url) as two,
     ):
@@ -226,7 +210,7 @@ def test_slip_and_tipping_are_stated_when_they_happen() -> None:
 
 def test_a_run_that_diverges_pauses_and_says_so() -> None:
     with (
-        play(ROBOT, PD(120, 120), CIRCLE, dt=0.1, sliders=["controller.kd"]) as run,
+        play(ROBOT, pm.PD(120, 120), CIRCLE, dt=0.1, sliders=["controller.kd"]) as run,
         WebSocket(run.url) as page,
     ):
         client = Client(page, "one")
@@ -251,13 +235,13 @@ def composed() -> Iterator[Chromium]:
 
 @pytest.fixture
 def page(composed: Chromium) -> Iterator[Page]:
-    opened = composed.page(800, 500)
+    opened = composed.page(480, 360)
     yield opened
     opened.close()
     assert opened.errors == []
 
 
-def pushed(run: Rollout) -> float:
+def pushed(run: pm.Rollout) -> float:
     """Return the largest force of a push [N]."""
     along = [run.signals[f"forces.hand.force.{axis}"].values for axis in "xy"]
     return float(np.hypot(*along).max())
@@ -321,7 +305,7 @@ def test_the_page_in_a_browser(page: Page, composed: Chromium) -> None:
 
 
 def test_a_page_that_draws_slowly_reduces_its_resolution(page: Page) -> None:
-    with play(ROBOT, ComputedTorque(ROBOT), Tangent(Circle(3.0, 0.1, 60.0)), dt=0.01) as run:
+    with play(ROBOT, pm.ComputedTorque(ROBOT), pm.Tangent(pm.Circle(3.0, 0.1, 60.0)), dt=0.01) as run:
         page.open(run.url)
         page.wait_for("window.pinmobile?.play?.rows().length > 0")
         full = page.evaluate("viewer.renderer.getPixelRatio()")
@@ -346,6 +330,6 @@ def test_the_command_saves_the_run_at_ctrl_c(tmp_path: Path) -> None:
     told, _ = process.communicate(timeout=60)
     assert process.returncode == 0, told
     assert f"wrote {file}\nsee it move: pinmobile view {file}\n" in told
-    run = Rollout.load(file)
+    run = pm.Rollout.load(file)
     assert run.t[-1] > 0.5
     assert "controller.kp" in run.signals

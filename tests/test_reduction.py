@@ -10,13 +10,7 @@ from sympy import Expr, ImmutableMatrix, Symbol, symbols
 
 from pinmobile import MobileRobot, Motor, WheeledRobot, WheelTable, closed_form
 from pinmobile.arrays import Array
-from pinmobile.derivation import (
-    ReducedDerivation,
-    RollerWheel,
-    car,
-    differential_drive,
-    roller_drive,
-)
+from pinmobile.derivation import ReducedDerivation, RollerWheel, car, differential_drive, roller_drive
 from pinmobile.errors import InvalidArgument
 
 BODY = {"m": 30.0, "xbc": 0.05, "ybc": -0.02, "Icz": 2.3}

@@ -44,9 +44,7 @@ def test_dynamics_hold_together(robot: MobileRobot, psi: float, seed: int) -> No
     assert (np.abs(robot.regressor(q, v, a) @ robot.inertial_parameters - tau) <= 1e-14 * scale).all()
 
 
-def test_mass_matrix_rate_minus_twice_coriolis_is_skew(
-    offset_robot: MobileRobot, states: tuple[Array, ...]
-) -> None:
+def test_mass_rate_minus_twice_coriolis_is_skew(offset_robot: MobileRobot, states: tuple[Array, ...]) -> None:
     q, v, _, _ = states
     h = 1e-5
     rate = (offset_robot.mass_matrix(q + h * v) - offset_robot.mass_matrix(q - h * v)) / (2 * h)
@@ -55,22 +53,13 @@ def test_mass_matrix_rate_minus_twice_coriolis_is_skew(
     assert np.abs(N + N.transpose(0, 2, 1)).max() < 1e-8
 
 
-@pytest.mark.parametrize("table", [LECTURE_TABLE, SLIDE_TABLE])
-def test_frames_are_the_products_of_the_dh_transforms(table: DHTable, states: tuple[Array, ...]) -> None:
-    robot, q = MobileRobot(3, 1, dh=table), states[0]
-    expected = table.placements(q[:, [1, 0, 2]])
-    np.testing.assert_allclose(robot.frame_placements(q), expected, rtol=0, atol=1e-14)
-
-
 def test_jacobian_turns_the_body_twist_into_velocity() -> None:
     J = MobileRobot.lecture().jacobian([[0, 0, np.pi / 2], [0, 0, 0.3]])
     np.testing.assert_allclose(J[0] @ [1, 0, 0], [0, 1, 0], atol=1e-15)  # forward, facing +y
     np.testing.assert_allclose(J @ J.transpose(0, 2, 1), [np.eye(3)] * 2, atol=1e-15)
 
 
-def test_derivatives_are_those_of_finite_differences(
-    offset_robot: MobileRobot, states: tuple[Array, ...]
-) -> None:
+def test_derivatives_are_finite_differences(offset_robot: MobileRobot, states: tuple[Array, ...]) -> None:
     q, v, _, tau = states
     q, v, tau = q[:6], v[:6], tau[:6]
     h, f = 1e-6, offset_robot.forward_dynamics
@@ -126,13 +115,6 @@ def test_impossible_parameters_are_refused(arguments: dict[str, Any], text: str)
     with pytest.raises(InvalidArgument) as caught:
         MobileRobot(**({"mass": 1, "yaw_inertia": 1} | arguments))
     assert str(caught.value).startswith(text)
-
-
-def test_the_raw_model_is_pinocchios(offset_robot: MobileRobot) -> None:
-    model = offset_robot.model
-    assert isinstance(model, pin.Model)
-    M = pin.crba(model, model.createData(), np.array([2.0, 1.0, 0.7]))  # y before x
-    np.testing.assert_array_equal(M[np.ix_([1, 0, 2], [1, 0, 2])], offset_robot.mass_matrix([1.0, 2.0, 0.7]))
 
 
 def test_nothing_is_lost_far_from_the_origin(offset_robot: MobileRobot) -> None:

@@ -12,9 +12,9 @@ from pinmobile.compiled.functions import tracing
 from pinmobile.compiled.symbolic import Symbols, entries, symbols
 from pinmobile.compiled.tape import Node, Tape, evaluate
 from pinmobile.parts import numbers, replace
+from tests.test_vectorize import LOAD, asked
 
 AT = (0.1, -0.05, 0.5, 0.4)
-LOAD = PayloadBody(1.5, (0.1, 0, 0.2), size=(0.1, 0.2, 0.3))
 ROBOTS = {
     "bare": MobileRobot(30.0, 1.1, com=(0.1, -0.05, 0.2)),
     "loaded": MobileRobot(30.0, 1.1, com=(0.1, -0.05, 0.2)).attach(LOAD).attach(PayloadBody(2.0)),
@@ -65,43 +65,15 @@ class Traced:
         return np.array(values, float).reshape(table.shape)
 
 
-def states(robot: MobileRobot) -> dict[str, Array]:
-    rng = np.random.default_rng(5)
-    v, a, u = rng.normal(size=(3, robot.nv))
-    return {"q": robot.random_configuration(rng), "v": v, "a": a, "u": u}
-
-
-def methods(robot: MobileRobot) -> dict[str, tuple[Any, ...]]:
-    arms = {"mount_wrench": ("qva",), "arm_manipulability": ("q",)} if robot.mounts else {}
-    return {
-        "mass_matrix": ("q",),
-        "nonlinear_effects": ("qv",),
-        "inverse_dynamics": ("qva",),
-        "forward_dynamics": ("qvu",),
-        "coriolis_matrix": ("qv",),
-        "gravity": ("q",),
-        "kinetic_energy": ("qv",),
-        "potential_energy": ("q",),
-        "regressor": ("qva",),
-        "ground_wrench": ("qva",),
-        "frame_pose": ("q", "base_link"),
-        "frame_jacobian": ("q", robot.end_effector),
-        "frame_bias_acceleration": ("qv", robot.end_effector),
-        "manipulability": ("q",),
-        "integrate": ("qv",),
-        "difference": ("qv",),
-        "pose": ("q",),
-        "pose_rate": ("qv",),
-        **arms,
-    }
-
-
 @pytest.mark.parametrize(("name", "zeros"), [("loaded", True), ("ur5", True), ("two", False)])
 def test_dynamics_on_symbols_are_those_of_the_robot_with_such_numbers(name: str, zeros: bool) -> None:
     traced = Traced(ROBOTS[name], zeros=zeros)
-    given = states(traced.other)
+    rng, other = np.random.default_rng(5), traced.other
+    v, a = rng.normal(size=(2, other.nv))
+    given = {"q": other.random_configuration(rng), "v": v, "a": a}
     on_tape = dict(zip(given, traced.state(*given.values()), strict=True))
-    for method, (letters, *options) in methods(traced.other).items():
+    methods = asked(traced.other) | {"coriolis_matrix": ("qv",), "integrate": ("qv",), "difference": ("qv",)}
+    for method, (letters, *options) in (methods | {"pose": ("q",), "pose_rate": ("qv",)}).items():
         expected = getattr(traced.other, method)(*(given[x] for x in letters), *options)
         found = traced.answer(getattr(traced.robot, method), *(on_tape[x] for x in letters), *options)
         assert found.shape == np.shape(expected), method

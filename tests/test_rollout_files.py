@@ -51,9 +51,7 @@ def test_what_no_rollout_holds_is_refused(tmp_path: Path, changed: dict[str, Any
 
 
 @pytest.mark.parametrize("ground", [pm.Rolling(), pm.Coulomb(0.5)], ids=["rolls", "slips"])
-def test_a_run_on_wheels_comes_back_with_its_signals_and_the_names_of_its_wheels(
-    tmp_path: Path, ground: pm.Rolling | pm.Coulomb
-) -> None:
+def test_a_run_on_wheels_comes_back_with_its_signals(tmp_path: Path, ground: pm.Rolling | pm.Coulomb) -> None:
     table = pm.WheelTable.differential(
         0.46, 0.1, supports=[(0.2, 0), (-0.2, 0)], mass=1.0, spin_inertia=0.005, motor=pm.Motor(5.0)
     )
@@ -77,9 +75,7 @@ def test_a_run_on_wheels_comes_back_with_its_signals_and_the_names_of_its_wheels
 
 def test_what_is_no_archive_is_not_called_one_that_may_be_loaded_unsafely(tmp_path: Path) -> None:
     (tmp_path / "run.npz").write_bytes(b"\x80\x04K\x01.")
-    with pytest.raises(
-        pm.InvalidArgument, match=r"which is not a 'pinmobile rollout 4' archive: it is not an \.npz file"
-    ):
+    with pytest.raises(pm.InvalidArgument, match=r"which is not a 'pinmobile rollout 4' archive: it is not"):
         pm.Rollout.load(tmp_path / "run.npz")
 
 

@@ -68,9 +68,7 @@ def started(command: list[str], environment: dict[str, str]) -> Iterator[subproc
 
 
 @pytest.mark.parametrize("end", ["stale", "nan", "late", "interrupt"])
-def test_the_node_has_the_inputs_of_a_stepper_and_stops(
-    end: str, python: str, environment: dict[str, str]
-) -> None:
+def test_the_node_has_a_steppers_inputs_and_stops(end: str, python: str, environment: dict[str, str]) -> None:
     stale = 5.0 if end == "stale" else 2 * PATIENCE
     node = [python, str(NODE), "--ros-args", "-p", f"stale:={stale}"]
     robot = [python, str(ROOT / "tests" / "ros_robot.py"), str(NODE), str(SAMPLES), end]

@@ -18,138 +18,10 @@ from pinmobile.export import export_c
 from tests.c_code import rows
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "ros2" / "ros2_control"
+STAND_INS = Path(__file__).parent / "data" / "ros2_control"
 DT = 0.01
 
 pytestmark = pytest.mark.once
-
-INTERFACE = """
-#pragma once
-#include <cmath>
-#include <cstdint>
-#include <cstdio>
-#include <map>
-#include <memory>
-#include <optional>
-#include <string>
-#include <vector>
-namespace rclcpp {
-struct Duration {
-    std::int64_t ns;
-    double seconds() const { return static_cast<double>(ns) / 1e9; }
-};
-struct Time { std::int64_t ns = 0; };
-inline Duration operator-(const Time & a, const Time & b) { return {a.ns - b.ns}; }
-}
-namespace rclcpp_lifecycle {
-struct State {};
-using Names = std::vector<std::string>;
-struct Parameter {
-    Names value;
-    Names as_string_array() const { return value; }
-};
-struct LifecycleNode {
-    std::map<std::string, Names> parameters;
-    Parameter get_parameter(const std::string & name) const { return {parameters.at(name)}; }
-    int get_logger() const { return 0; }
-};
-}
-namespace hardware_interface {
-struct LoanedStateInterface {
-    std::optional<double> value;
-    std::optional<double> get_optional() const { return value; }
-};
-struct LoanedCommandInterface {
-    double value;
-    [[nodiscard]] bool set_value(double x) { value = x; return true; }
-};
-}
-namespace controller_interface {
-enum class return_type : std::uint8_t { OK = 0, ERROR = 1 };
-enum class CallbackReturn : std::uint8_t { SUCCESS = 97, FAILURE = 98, ERROR = 99 };
-enum class interface_configuration_type : std::uint8_t { ALL = 0, INDIVIDUAL = 1, NONE = 2 };
-struct InterfaceConfiguration {
-    interface_configuration_type type;
-    std::vector<std::string> names;
-};
-class ControllerInterface {
-public:
-    virtual ~ControllerInterface() = default;
-    virtual CallbackReturn on_init() = 0;
-    virtual CallbackReturn on_configure(const rclcpp_lifecycle::State &) = 0;
-    virtual CallbackReturn on_activate(const rclcpp_lifecycle::State &) = 0;
-    virtual CallbackReturn on_deactivate(const rclcpp_lifecycle::State &) = 0;
-    virtual InterfaceConfiguration state_interface_configuration() const = 0;
-    virtual InterfaceConfiguration command_interface_configuration() const = 0;
-    virtual return_type update(const rclcpp::Time &, const rclcpp::Duration &) = 0;
-    std::shared_ptr<rclcpp_lifecycle::LifecycleNode> get_node() { return node; }
-    unsigned int get_update_rate() const { return rate; }
-    template <typename T> void auto_declare(const std::string & name, const T & x)
-    {
-        node->parameters.emplace(name, x);
-    }
-    std::shared_ptr<rclcpp_lifecycle::LifecycleNode> node =
-        std::make_shared<rclcpp_lifecycle::LifecycleNode>();
-    unsigned int rate = 100;
-    std::vector<hardware_interface::LoanedStateInterface> state_interfaces_;
-    std::vector<hardware_interface::LoanedCommandInterface> command_interfaces_;
-};
-}
-"""
-LOGGING = """
-#pragma once
-#include <cstdio>
-#define RCLCPP_ERROR(logger, ...) ((void)(logger), (void)std::printf(__VA_ARGS__))
-"""
-PLUGIN = """
-#pragma once
-#define PLUGINLIB_EXPORT_CLASS(type, base) static_assert(sizeof(type) >= sizeof(base));
-"""
-DRIVER = """
-#include "robot_controller/robot_controller.hpp"
-#include <cstdlib>
-#include <new>
-static long allocations = 0;
-void * operator new(std::size_t n) { ++allocations; return std::malloc(n); }
-void operator delete(void * p) noexcept { std::free(p); }
-void operator delete(void * p, std::size_t) noexcept { std::free(p); }
-
-using controller_interface::CallbackReturn;
-
-// For each sample, u and status; returns the number of allocations, or a negative number.
-extern "C" int drive(
-    long n, const double * t, const double * q, const double * v, double rate, double * u, double * status)
-{
-    robot_controller::RobotController controller;
-    controller.rate = static_cast<unsigned int>(rate);
-    if (controller.on_init() != CallbackReturn::SUCCESS) return -1;
-    controller.node->parameters["configuration"] = {"x", "y", "psi"};
-    controller.node->parameters["velocity"] = {"vx", "vy", "yaw_rate"};
-    controller.node->parameters["input"] = {"fx", "fy", "mz"};
-    if (controller.on_configure({}) != CallbackReturn::SUCCESS) return -2;
-    controller.state_interfaces_.resize(controller.state_interface_configuration().names.size());
-    controller.command_interfaces_.resize(controller.command_interface_configuration().names.size());
-    if (controller.on_activate({}) != CallbackReturn::SUCCESS) return -3;
-    const long before = allocations;
-    if (before == 0) return -4;
-    rclcpp::Time last;
-    for (long k = 0; k < n; ++k) {
-        for (int i = 0; i < 3; ++i) {
-            controller.state_interfaces_[i].value = q[3 * k + i];
-            controller.state_interfaces_[3 + i].value = v[3 * k + i];
-        }
-        if (std::isinf(q[3 * k])) controller.state_interfaces_[0].value.reset();
-        const rclcpp::Time now{1700000000123456789 + std::llround(1e9 * t[k])};
-        status[k] = static_cast<double>(controller.update(now, now - last));
-        last = now;
-        for (int i = 0; i < 3; ++i) u[3 * k + i] = controller.command_interfaces_[i].value;
-    }
-    const long counted = allocations - before;
-    for (auto & one : controller.command_interfaces_) one.value = 1.0;
-    controller.on_deactivate({});
-    for (auto & one : controller.command_interfaces_) if (one.value != 0.0) return -5;
-    return static_cast<int>(counted);
-}
-"""
 
 
 @pytest.fixture(scope="module")
@@ -169,15 +41,7 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Any:
     robot = MobileRobot(mass=30, yaw_inertia=1.3, com=(0.1, 0.05))
     circle = Tangent(Circle(radius=2, rate=0.5, duration=2))
     export_c(ComputedTorque(robot, 4, 4), robot, folder, dt=DT, trajectory=circle)
-    texts = {
-        "controller_interface/controller_interface.hpp": INTERFACE,
-        "rclcpp/logging.hpp": LOGGING,
-        "pluginlib/class_list_macros.hpp": PLUGIN,
-        "drive.cpp": DRIVER,
-    }
-    for name, text in texts.items():
-        (folder / name).parent.mkdir(exist_ok=True)
-        (folder / name).write_text(text)
+    shutil.copytree(STAND_INS, folder, dirs_exist_ok=True)
     flags = ["-O1", "-fPIC", "-ffp-contract=off", "-Wall", "-Wextra", "-Werror", f"-I{folder}"]
     flags += [f"-I{EXAMPLE / 'include'}"]
     sources = "drive.cpp", str(EXAMPLE / "src" / "robot_controller.cpp"), "robot.o"

@@ -115,10 +115,7 @@ def test_all_wrong_entries_are_told_at_once_with_their_lines(tmp_path: Path) -> 
         (["robot.mass=30 kg"], "robot.mass=30 kg: robot.mass is '30 kg', expected a number > 0 [kg]"),
         (["controller=mine:PD"], "code of the module 'mine', which runs only with --allow-code"),
         (["grid.robot.mas=[1, 2]"], "grid.robot.mas=[1, 2]: robot.mas is unknown, MobileRobot has mass, "),
-        (
-            ['grid.controller=["PD(9, 9)", "PDD"]'],
-            "controller is 'PDD', expected a controller, did you mean 'PD'?",
-        ),
+        (['grid.controller=["PD(9, 9)", "PDD"]'], "controller is 'PDD', expected a controller, did you"),
         (["cases.heavy.robot.mass=-1"], "robot.mass is -1, expected a number > 0 [kg]"),
         (
             ["robot=WheeledRobot(MobileRobot.box(), WheelTable.differential(0.4, 0.1))"],
@@ -225,9 +222,7 @@ def test_robots_of_files_and_lists_of_parts_are_stated(tmp_path: Path) -> None:
 
 
 def test_grids_and_cases_change_what_they_name_and_no_model() -> None:
-    with pytest.raises(
-        pm.InvalidArgument, match=r"robot\.mass is an axis of the grid too, expected one of them"
-    ):
+    with pytest.raises(pm.InvalidArgument, match=r"robot\.mass is an axis of the grid too, expected one of"):
         LoadedFile(["rivals", "grid.mass=[30, 40]"]).points()
     points = LoadedFile(
         [

@@ -59,9 +59,7 @@ WRAPPED = pm.MeasurementNoise(pm.MeasurementDelay(pm.InputSaturation(TellingPID(
         ),
     ],
 )
-def test_every_part_tells_the_same_in_each_engine(
-    plant: Any, controller: Any, where: Any, forces: Any, units: dict[str, str]
-) -> None:
+def test_engines_agree(plant: Any, controller: Any, where: Any, forces: Any, units: dict[str, str]) -> None:
     trajectory, options = where
     runs = [
         pm.simulate(plant, controller, trajectory, forces=forces, engine=engine, **options)
@@ -108,9 +106,7 @@ def test_a_name_that_two_parts_claim_is_refused(engine: Any) -> None:
 
 
 def test_signals_that_cannot_be_compiled_are_told_with_their_line() -> None:
-    with pytest.raises(
-        pm.InvalidArgument, match=r"^engine is Engine.COMPILED, .*Branching.signals, line \d+.*where"
-    ):
+    with pytest.raises(pm.InvalidArgument, match=r"^engine is Engine.COMPILED, .*Branching.signals, line"):
         pm.simulate(ROBOT, Branching(), BODY[0], engine=pm.Engine.COMPILED, **BODY[1])
     # An ensemble keeps no signals, and asks for none.
     assert pm.ensemble(ROBOT, Branching(), BODY[0], n=2, spread={}, **BODY[1]).engine == "COMPILED"
@@ -126,6 +122,8 @@ def test_files_and_figures_have_their_names_and_units(tmp_path: Path) -> None:
     run.to_csv(tmp_path / "run.csv")
     with (tmp_path / "run.csv").open(newline="") as file:
         header, *rows = list(csv.reader(file))
+    assert header[:5] == ["t [s]", "x [m]", "y [m]", "psi [rad]", "v_x [m/s]"]
+    np.testing.assert_array_equal(np.array(rows, float)[:, 3], run.q[:, 2])
     assert header[-7:] == [
         *(f"signal_integral[{k}] [N]" for k in range(3)),
         "signal_applied [N]",

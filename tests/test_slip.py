@@ -26,15 +26,6 @@ def skid(friction: WheelFriction, **others: Any) -> WheelTable:
     return WheelTable.skid_steer(0.5, 0.4, 0.1, **{**WHEEL, "friction": friction, **others})
 
 
-def test_locked_wheels_slide_as_far_as_friction_says() -> None:
-    robot = WheeledRobot(CENTRAL, skid(WheelFriction(mu=0.5, rolling=1e3)))
-    v = np.zeros(robot.nv)
-    v[0] = 2.0
-    found = run(robot, (0.0, 0.0), 0.01, 1.0, v=v)
-    assert abs(found.q[-1, 0] - 4.0 / (2 * 0.5 * G)) < 5e-5
-    assert np.abs(found.v[-1]).max() < 1e-14
-
-
 @pytest.mark.once
 def test_what_friction_can_hold_on_a_ramp_stays_and_what_it_cannot_accelerates() -> None:
     direction = 0.7  # of the ramp, neither ahead nor aside
@@ -108,8 +99,7 @@ def test_locked_wheels_slide_straight_at_speed_whatever_the_step() -> None:
     """Friction of all wheels is against the way; it turns the body back, and never into a spin."""
     motor = Motor(resistance=1.2, torque_constant=0.05, voltage=24, gear=10, coulomb=50)
     robot = WheeledRobot(
-        MobileRobot(30.0, 0.5, com=(0.0, 0.0, 0.2)),
-        skid(DRY, motor=motor, mass=0.05, yaw_inertia=0.003),
+        MobileRobot(30.0, 0.5, com=(0.0, 0.0, 0.2)), skid(DRY, motor=motor, mass=0.05, yaw_inertia=0.003)
     )
     found = run(robot.by_voltage(), (0, 0), 0.05, 2.0, v=np.array([30.0, 0.1, 0.1, 0, 0, 0, 0]))
     assert np.abs(found.v[:, 2]).max() < 0.2

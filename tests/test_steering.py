@@ -110,25 +110,11 @@ def test_errors_of_the_place_decay_as_two_poles_by_dynamic_feedback() -> None:
 @pytest.mark.parametrize(
     ("law", "speed", "yaw_rate", "message"),
     [
-        (
-            Kanayama(),
-            0.5 - T,
-            0 * T,
-            "reference has a speed of 0 m/s at t = 0.5 s, expected a reference that always moves forwards, "
-            "or the law "
-            "UnicycleTracking()",
-        ),
-        (
-            Parking(),
-            np.maximum(T - 0.45, 0.0),
-            0 * T,
-            "reference moves at t = 0.5 s, expected a goal at rest, or the law UnicycleTracking()",
-        ),
+        (Kanayama(), 0.5 - T, 0 * T, "reference has a speed of 0 m/s at t = 0.5 s, expected a reference"),
+        (Parking(), np.maximum(T - 0.45, 0.0), 0 * T, "reference moves at t = 0.5 s, expected a goal at"),
     ],
 )
-def test_a_law_refuses_a_reference_that_it_cannot_follow(
-    law: KinematicLaw, speed: Any, yaw_rate: Any, message: str
-) -> None:
+def test_a_law_refuses_a_reference(law: KinematicLaw, speed: Any, yaw_rate: Any, message: str) -> None:
     with pytest.raises(InvalidArgument) as error:
         law.check(T, np.where(np.abs(speed) < 1e-12, 0.0, speed), yaw_rate)
-    assert str(error.value) == message
+    assert str(error.value).startswith(message)

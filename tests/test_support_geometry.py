@@ -93,20 +93,6 @@ def test_ridgeback_stands_on_rocker_and_wheels_and_its_top_is_that_of_its_mesh(t
 # A differential drive stands on its casters too
 
 
-def test_turtlebot_stands_on_two_wheels_and_its_casters(tmp_path: Path) -> None:
-    robot = read(tmp_path, wheeled.turtlebot("waffle"))
-    casters, scan = (0.010, (-0.177, 0, 0.006)), (0.114, (-0.064, 0.0, 0.132))
-    parts = ((1.3729096, (0, 0, 0.010)), (2 * 0.028498940, (0, 0, 0.033)), casters, scan)
-    total, x, y, z = by_hand(*parts)
-    np.testing.assert_allclose([robot.mass, *robot.com], [total, x, y, z], atol=1e-12)
-    # Angles of 1.57 turn the millimetre by which the caster's box is off its frame: 0.8 µm.
-    stands_on(robot, [(-0.177, -0.064), (0, -0.144), (0, 0.144), (-0.177, 0.064)], 1e-6)
-    assert robot.top == pytest.approx(0.010 + 0.122 - 0.0065 + 0.0315 / 2, abs=1e-15)
-    assert braking(robot, 0.0) == pytest.approx(-x, abs=1e-9)  # its wheels are the front edge
-    assert braking(robot, -1.0) == pytest.approx(-(x + z / G), abs=1e-9)
-    assert robot.grounded
-
-
 def test_pmb2_is_read_and_the_link_that_no_body_is_is_named(tmp_path: Path) -> None:
     text, folder = wheeled.pmb2()
     with pytest.warns(UserWarning, match="link 'base_antenna_(left|right)_link'") as caught:
@@ -290,10 +276,7 @@ def test_locked_wheels_are_told(tmp_path: Path) -> None:
     assert repr(robot.mount("ur5")).endswith(f" with {said}")
 
 
-TEXTS: dict[str, Callable[[], str]] = {
-    "husky": wheeled.husky,
-    "fetch": wheeled.fetch,
-}
+TEXTS: dict[str, Callable[[], str]] = {"husky": wheeled.husky, "fetch": wheeled.fetch}
 
 
 @pytest.mark.parametrize("name", TEXTS)

@@ -50,9 +50,7 @@ def begun(path: Path, robots: int) -> Path:
 
 
 @pytest.mark.parametrize(("room", "before"), [(0, 16), (30, 40), (300, 0), (1000, None)])
-def test_a_full_disk_leaves_the_store_as_good_as_it_was(
-    done: Path, tmp_path: Path, room: int, before: int | None
-) -> None:
+def test_a_full_disk_leaves_the_store_good(done: Path, tmp_path: Path, room: int, before: int | None) -> None:
     store = tmp_path / "there" / "store"
     if before is not None:
         begun(store, before)
@@ -87,7 +85,7 @@ def test_what_others_have_inside_a_store_stays(done: Path, tmp_path: Path) -> No
     assert Sweep.open(store).answer() == Sweep.open(done).answer()
 
 
-def test_a_store_may_be_a_folder_of_a_process_that_died_at_once(
+def test_a_store_may_be_of_a_dead_process(
     done: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     here = tmp_path / "here"
@@ -164,9 +162,7 @@ def of_ours(**changed: Any) -> Callable[[bytes], bytes]:
         (lambda content: b"[" * 100_000, "not the store of a sweep.*recursion"),
     ],
 )
-def test_a_store_that_does_not_say_what_it_is_is_named(
-    copy: Path, damage: Callable[[bytes], bytes], why: str
-) -> None:
+def test_a_store_of_unknown_kind_is_named(copy: Path, damage: Callable[[bytes], bytes], why: str) -> None:
     file = copy / "zarr.json"
     content = file.read_bytes()
     file.write_bytes(damage(content))

@@ -258,7 +258,7 @@ RIVALS = {"controller": (("PD", "wild"),), "error": ((0.1, 0.2, 0.4),)}
             RIVALS,
             [[1, NAN, 2], [INF, INF, NAN]],
             [[0, 0, 0], [20, 20, 0]],
-            "with error = 0.1, PD stays within 1 m",
+            "error = 0.1, PD stays within 1 m",
         ),
     ],
 )
@@ -301,11 +301,7 @@ def test_a_sweep_on_its_way_says_how_much_is_done(done: pm.Sweep, tmp_path: Path
 
 @pytest.mark.parametrize(
     ("file", "robots"),
-    [
-        ("max_error/c/1/0/2/0", 736),
-        ("counts/c/0/0/0/0/0/0", 736),
-        ("controller.kp/c/0", 800),
-    ],
+    [("max_error/c/1/0/2/0", 736), ("counts/c/0/0/0/0/0/0", 736), ("controller.kp/c/0", 800)],
 )
 def test_a_file_that_is_gone_is_computed_again(done: pm.Sweep, copy: Path, file: str, robots: int) -> None:
     (copy / file).unlink()
@@ -321,11 +317,7 @@ def test_a_file_that_is_gone_is_computed_again(done: pm.Sweep, copy: Path, file:
 @pytest.mark.parametrize(
     ("base", "grid", "text"),
     [
-        (
-            {},
-            {**GRID, "controller.kp": [4, 25]},
-            r"axis controller\.kp is \[4, 16\] there and \[4, 25\] here",
-        ),
+        ({}, {**GRID, "controller.kp": [4, 25]}, r"axis controller\.kp is \[4, 16\] there and \[4, 25\]"),
         ({"seed": 2}, GRID, "seed is 1 there and 2 here"),
     ],
 )

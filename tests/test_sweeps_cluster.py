@@ -43,14 +43,8 @@ def client(cluster: Any) -> Iterator[Any]:
         yield client
 
 
-def _process() -> int:
-    return os.getpid()
-
-
-def test_a_worker_may_be_killed_and_the_store_is_that_of_one_process(
-    done: Sweep, client: Any, tmp_path: Path
-) -> None:
-    workers = list(client.run(_process).values())
+def test_a_killed_worker_changes_nothing_in_the_store(done: Sweep, client: Any, tmp_path: Path) -> None:
+    workers = list(client.run(os.getpid).values())
     assert len(set(workers) - {os.getpid()}) == 2
 
     def kill(now: int, total: int) -> None:
@@ -106,16 +100,12 @@ def test_what_is_no_scheduler_is_given_up() -> None:
         ):
             connect(address, timeout=0.5)
     for wrong in (address, "tcp//1"):
-        with pytest.raises(
-            SchedulerError, match=r"which does not answer .* expected an address such as tcp://"
-        ):
+        with pytest.raises(SchedulerError, match=r"which does not answer .* expected an address such as"):
             connect(wrong, timeout=0.5)
     assert time.monotonic() - before < 15
 
 
-def test_a_closed_client_and_a_cluster_without_workers_are_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_closed_client_and_no_workers_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("pinmobile.sweeps._sweep._ANSWER_TIME", 0.5)
     with distributed.LocalCluster(n_workers=0, processes=False, dashboard_address=":0") as empty:
         client = distributed.Client(empty)
@@ -125,9 +115,7 @@ def test_a_closed_client_and_a_cluster_without_workers_are_refused(
             swept(tmp_path / "store", client=client)
 
 
-def test_a_lost_scheduler_is_told_and_what_is_done_is_kept(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_lost_scheduler_is_told_and_results_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("pinmobile.sweeps._sweep._CHECK_TIME", 0.1)
     file = str(tmp_path / "scheduler.json")
     words = ("--host", "127.0.0.1", "--port", "0", "--no-dashboard"), ("--no-nanny",)

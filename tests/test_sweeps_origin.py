@@ -167,9 +167,7 @@ def test_globals_and_modules_are_told_and_caches_are_not(monkeypatch: pytest.Mon
 def test_what_cannot_be_recognised_needs_a_word_of_its_user(tmp_path: Path) -> None:
     first = replace(scenario(n=3), controller=closure(item for item in "ab"), duration=0.5)
     path = tmp_path / "store"
-    with pytest.raises(
-        pm.InvalidArgument, match=r"controller\.function has .*<genexpr>, .*version=\"1\"\): change this word"
-    ):
+    with pytest.raises(pm.InvalidArgument, match=r"controller\.function has .*<genexpr>,"):
         pm.sweep(first, path)
     pm.sweep(first, path, version="stiff")
     assert len(pm.sweep(first, path, version="stiff").ensemble().max_distance) == 3

@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -29,21 +30,15 @@ NAMES = [name for name in dir(pm.MobileRobot) if not name.startswith("_") and na
 ON_ARMS = {"arm_manipulability", "mount_wrench"}  # of a bare robot they are errors
 CASES = [(kind, name) for kind in ROBOTS for name in NAMES if kind == "ur5" or name not in ON_ARMS]
 
+RATES = "v", "a", "tau", "dq", "f", "u"
 # What to give a parameter of that name, for a robot and the number of a state.
 VALUES: dict[str, Callable[[pm.MobileRobot, int], Any]] = {
-    "q": lambda robot, k: configuration(robot, k),
-    "q0": lambda robot, k: configuration(robot, k),
+    **dict.fromkeys(("q", "q0", "value"), lambda robot, k: configuration(robot, k)),
     "q1": lambda robot, k: configuration(robot, k + 1),
-    "v": lambda robot, k: rate(robot, 1, k),
-    "a": lambda robot, k: rate(robot, 2, k),
-    "tau": lambda robot, k: rate(robot, 3, k),
+    **{name: partial(lambda seed, robot, k: rate(robot, seed, k), seed) for seed, name in enumerate(RATES)},
     "t": lambda robot, k: 0.1 * k,
-    "u": lambda robot, k: rate(robot, 7, k),
-    "value": lambda robot, k: configuration(robot, k),
-    "f": lambda robot, k: rate(robot, 5, k),
     "wrench": lambda robot, k: rate(robot, 6, k)[:3],
     "reference": lambda robot, k: pm.Reference(*(rate(robot, seed, k)[:3] for seed in (7, 8, 9))),
-    "dq": lambda robot, k: rate(robot, 4, k),
     "generator": lambda robot, k: np.random.default_rng(k),
     "path": lambda robot, k: shipped_urdf("lecture"),
     "pin_model": lambda robot, k: robot.base.model,

@@ -1,5 +1,6 @@
 """`identify` for a car with a torque and a measured steering angle."""
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ from pinmobile.arrays import Array
 from pinmobile.wheels import DifferentialGear, WheelFriction
 from tests.refusals import refused
 
-MASS, INERTIA, COM, REAR, FRONT = 3.0, 0.05, 0.13, 0.0, 0.3
+MASS, INERTIA, COM, FRONT = 3.0, 0.05, 0.13, 0.3
 VISCOUS, COULOMB, STIFF = 8e-3, 0.02, (60.0, 90.0)  # of the drive; front and rear [N s/m]
 RADIUS, SPIN = 0.05, 1.2e-4
 DT = 0.02
@@ -66,9 +67,10 @@ def rates(t: float, z: Array, tau: float, rolls: bool) -> Array:
     return np.array([u * np.cos(psi) - v * np.sin(psi), u * np.sin(psi) + v * np.cos(psi), r, *d])
 
 
+@cache
 def logged(rolls: bool, kind: str = "poses", seconds: float = 60.0, seed: int = 0) -> pm.Log:
     """Return a log with noise of 1 mm and 1 mrad, or 5 mm/s and 5 mrad/s."""
-    t, rng, substeps = np.arange(0, seconds, DT), np.random.default_rng(seed), 4
+    t, rng, substeps = np.arange(0, seconds, DT), np.random.default_rng(seed), 2
     z, found, h = np.zeros(6), [], DT / substeps
     for now in t:
         found.append(z)

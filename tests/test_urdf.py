@@ -17,9 +17,7 @@ BODY = Body(10.0, np.array([0.15, 0.05, 0.02]), np.diag([1.0, 1.1, 1.2]))
 
 @pytest.mark.parametrize("table", [LECTURE_TABLE, SLIDE_TABLE])
 @given(st.floats(-100, 100), st.floats(-100, 100), st.floats(-20, 20))
-def test_joint_frames_read_by_pinocchio_are_the_dh_frames(
-    table: DHTable, y: float, x: float, psi: float
-) -> None:
+def test_joint_frames_are_the_dh_frames(table: DHTable, y: float, x: float, psi: float) -> None:
     model = pin.buildModelFromXML(write(table, BODY, size=(1, 1, 1)))
     data, q = model.createData(), np.array([y, x, psi])
     pin.forwardKinematics(model, data, q)

@@ -131,10 +131,7 @@ def changed(log: pm.Log, **new: Any) -> pm.Log:
 
 
 test_what_is_no_such_log_is_refused = refusals(
-    (
-        lambda: pm.identify_velocity(logged().between(0.0, 30.0)),
-        r"29.9 s long, too short: it gives 14 blocks of 2 s, expected at least 20 .*: a log of 41 s",
-    ),
+    (lambda: pm.identify_velocity(logged().between(0.0, 30.0)), r"29.9 s long, too short: it gives 14"),
     (
         lambda: pm.identify_velocity(changed(logged(), u=np.zeros((601, 3)))),
         "log has 3 inputs, expected two, commands of speed and yaw rate: for forces, torques",

@@ -58,21 +58,6 @@ def test_commands_are_the_inverse_and_linear_in_theta() -> None:
     np.testing.assert_allclose(robot.independent(q, v), nu, rtol=0, atol=1e-12)
 
 
-def test_steps_alone_are_exponentials() -> None:
-    """Without coupling, speed and yaw rate follow exp(-t / T) to the gain 1 / theta_4, 1 / theta_6."""
-    robot = pm.VelocityRobot([0.3, 0.2, 0.0, 1.5, 0.0, 0.8])
-    steps = RandomSteps((0.6, 0.4), (0.6, 0.4), (9.0, 9.0))
-    run = pm.simulate(robot, steps, pm.FixedHeading(pm.Hold((0, 0), 2.0), 0.0), dt=0.02)
-    slow, turning = robot.time_constants
-    assert (slow, turning) == pytest.approx((0.2, 0.25))
-    speed, w = robot.independent(run.q, run.v).T
-    # rk4's error a step is (h / T)^5 / 120 = 8e-8 of what is left.
-    np.testing.assert_allclose(speed, 0.4 * (1 - np.exp(-run.t / slow)), rtol=0, atol=1e-6)
-    np.testing.assert_allclose(w, 0.5 * (1 - np.exp(-run.t / turning)), rtol=0, atol=1e-6)
-    psi = 0.5 * (run.t - turning * (1 - np.exp(-run.t / turning)))
-    np.testing.assert_allclose(run.q[:, 2], psi, rtol=0, atol=1e-6)
-
-
 def test_accelerations_and_commands_are_limited() -> None:
     robot = pm.VelocityRobot(THETA, limits=(0.5, 0.4), accelerations=(0.8, 1.5))
     steps = RandomSteps((-2.0, -2.0), (2.0, 2.0), (0.5, 1.0))
@@ -86,9 +71,7 @@ def test_accelerations_and_commands_are_limited() -> None:
 
 
 @pytest.mark.parametrize(("x", "kd", "efficiency"), [(0.0, 0.0, 1.0), (-0.1, 0.02, 0.7)])
-def test_theta_of_motors_is_the_reduced_dynamics_of_the_wheeled_robot(
-    x: float, kd: float, efficiency: float
-) -> None:
+def test_theta_of_motors_is_the_reduced_dynamics(x: float, kd: float, efficiency: float) -> None:
     """M nu' + n = B torques, by Pinocchio's tree, with the motors' and the firmware's law solved for nu'."""
     motor = evolved(MOTOR, efficiency=efficiency)
     wheeled = on_wheels(x, motor)
@@ -114,21 +97,12 @@ test_what_is_no_robot_is_refused = refusals(
         lambda: pm.VelocityRobot.from_motors(on_wheels(motor=pm.Motor(torque_limit=3.0)), 1.0),
         "other wheels or motors",
     ),
+    (lambda: pm.LQR(pm.VelocityRobot(THETA)), "use Backstepping, VelocityCommand or"),
+    (lambda: pm.MPC(pm.VelocityRobot(THETA)), "use Backstepping, VelocityCommand or"),
+    (lambda: pm.ComputedTorque(pm.VelocityRobot(THETA)), "use Backstepping, VelocityCommand or"),
     (lambda: pm.VelocityRobot.from_motors(on_wheels().mount("ur5"), 1.0), "wheeled has arms"),
     (lambda: VelocityCommand(pm.UnicycleTracking(), pm.MobileRobot.box()), "expected a VelocityRobot"),
 )
-
-
-def test_errors_of_other_controllers_name_those_of_commands() -> None:
-    robot, circle = pm.VelocityRobot(THETA), pm.Tangent(pm.Circle(1.0, 0.5, 1.0))
-    for make in (
-        pm.LQR,
-        pm.MPC,
-        pm.ComputedTorque,
-        lambda robot: pm.simulate(robot, pm.PD(4, 4), circle, dt=0.1),
-    ):
-        with pytest.raises(pm.InvalidArgument, match="use Backstepping, VelocityCommand or"):
-            make(robot)
 
 
 def test_no_force_pushes_it_and_it_starts_rolling() -> None:

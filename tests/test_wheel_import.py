@@ -117,9 +117,7 @@ def test_turtlebot_is_level_and_stands_on_its_casters(tmp_path: Path) -> None:
     assert dict(robot.joint_signs) == dict.fromkeys(robot.table.names, 1)
 
 
-def test_dingo_and_mp400_are_asked_for_the_inertia_that_their_files_have_on_another_axis(
-    tmp_path: Path,
-) -> None:
+def test_dingo_and_mp400_have_their_inertia_on_another_axis(tmp_path: Path) -> None:
     words = r"about its axle: moments are 0\.0003234 about it, 0\.0003234 and 0\.00049\d* across.*or iner"
     with pytest.raises(InvalidArgument, match=rf"wheel 'wheel_0' is not a solid of revolution {words}"):
         read(tmp_path, wheeled.dingo())

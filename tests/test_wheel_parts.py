@@ -9,6 +9,7 @@ import pytest
 from pinmobile import (
     Coulomb,
     InvalidArgument,
+    MobileRobot,
     Motor,
     Uniform,
     VelocityRobot,
@@ -17,12 +18,12 @@ from pinmobile import (
     ensemble,
     law,
     parts,
+    wheels,
 )
-from pinmobile.controllers import Backstepping, UnicycleTracking
-from pinmobile.loop import Engine, Relative, Scenario, simulate
+from pinmobile.loop import Relative, Scenario
 from pinmobile.paths import Circle
 from pinmobile.trajectories import Tangent
-from pinmobile.wheels import WheeledDynamics
+from pinmobile.wheels import Wheel, WheeledDynamics
 from tests.refusals import begun, refusals
 from tests.wheeled import BODY, WHEEL as OWN
 
@@ -72,64 +73,25 @@ def test_robots_and_what_they_are_made_of_are_values(name: str) -> None:
 
 
 @parts.part
-class Viscous:
-    """A ground whose force on a wheel is in proportion to its slip, along and across."""
+class Film:
+    """A ground of one's own, whose wheels slip without any force."""
 
-    c: float = parts.number(default=500.0, unit="N s/m", above=0, doc="force per slip")
+    depth: float = parts.number(default=1.0, unit="mm", above=0, doc="depth")
 
-    def dynamics(self, wheeled: Any) -> "ViscousDynamics":
+    def dynamics(self, wheeled: Any) -> WheeledDynamics:
         """Return the dynamics of a robot on it."""
-        own = ViscousDynamics(wheeled, wheeled.robot.array_dynamics)
-        object.__setattr__(own, "c", self.c)
-        return own
+        return WheeledDynamics(wheeled, wheeled.robot.array_dynamics)
 
 
-class ViscousDynamics(WheeledDynamics):
-    """A robot whose wheels slip against a viscous film."""
-
-    c: Any
-
-    def _rows(self, state: Any) -> list[Any]:
-        return [row for row in self.rows(state, across=True) if row.wheel >= 0]
-
-    def forward_dynamics(self, q: Any, v: Any, u: Any, f: Any = 0.0) -> Any:
-        """Return the acceleration, shape (nv,)."""
-        state = self.state(q, v)
-        force = self.input_force(state, u, f)
-        for row in self._rows(state):
-            pull = -self.c * row.slip(state)
-            for i, x in enumerate([*row.base, *row.joints]):
-                force[i] = force[i] + x * pull
-        rest = [a - b for a, b in zip(force, self.effects(state, q), strict=True)]
-        M = np.stack([np.stack([x + 0.0 * q[0] for x in row]) for row in self.inertia(state, q)])
-        a = np.linalg.solve(M, np.stack([x + 0.0 * q[0] for x in rest]))
-        return self.in_plane(state, [a[i] for i in range(self.nv)], q)
-
-    def signals(self, t: Any, q: Any, v: Any, u: Any, f: Any, memory: Any) -> dict[str, tuple[str, Any]]:
-        """Return the slip of each wheel."""
-        state = self.state(q, v)
-        slips = [row.slip(state) + 0.0 * q[0] for row in self._rows(state)]
-        return {"slip": ("m/s", np.stack(slips))}
-
-
-def test_a_ground_of_ones_own_is_one_class() -> None:
-    """The stiffer the film, the less the wheels slip."""
-    slips = []
-    for c in (30.0, 200.0):
-        robot = WheeledRobot(BODY, PAIR, Viscous(c))
-        assert not hasattr(robot, "project")
-        assert not hasattr(robot, "step")
-        rolling = WheeledRobot(BODY, PAIR)
-        law = Backstepping(UnicycleTracking(), rolling)
-        run = simulate(robot, law, Tangent(Circle(1.5, 0.4, 0.6)), dt=0.002, engine=Engine.PYTHON)
-        slips.append(np.abs(run.signals["slip"].values[100:]).max())
-        assert [one.name for one in robot.metrics] == ["effort", "load", "tip over", "slip"]
-    assert 0 < slips[1] < 0.3 * slips[0] < 0.3
+def test_a_ground_of_ones_own_has_what_its_dynamics_have() -> None:
+    robot = WheeledRobot(BODY, PAIR, Film())
+    assert not hasattr(robot, "project")
+    assert not hasattr(robot, "step")
     with pytest.raises(InvalidArgument, match="do not support electric motors"):
         robot.by_voltage()
-    with pytest.raises(TypeError, match="Viscous has no field 'ramp'"):
+    with pytest.raises(TypeError, match="Film has no field 'ramp'"):
         robot.on_ramp(0.1)
-    assert "ground.c" in parts.numbers(robot)
+    assert "ground.depth" in parts.numbers(robot)
 
 
 test_what_is_declared_is_checked = refusals(
@@ -191,3 +153,43 @@ def test_a_plant_with_its_own_start_starts_each_robot_in_python() -> None:
     for i, radius in enumerate(spread["left.radius"]):
         left = parts.replace(own, {"table.wheels.left.radius": radius})
         np.testing.assert_array_equal(runs.member(i).v[0], left.start(path(0.0))[1])
+
+
+def test_a_table_tells_what_no_motor_drives() -> None:
+    rows = tuple(Wheel(f"wheel {k}", 0.3 - k, 0.2 - k, 0.1, roller=0.0) for k in range(3))
+    told = "moves by (forward, left, turn) = (0, 1, 0) while no wheel turns: no motor drives that"
+    assert told in str(WheelTable(rows))
+    with pytest.raises(InvalidArgument, match="does not determine the body's motion by the rates"):
+        WheeledRobot(MobileRobot.box(), WheelTable(rows)).odometry([1.0, 1.0, 1.0])
+    assert "no motor" not in str(WheelTable.omni(0.2, 0.05, **OWN))
+
+
+def test_a_table_prints_its_rows_and_the_type_of_the_drive() -> None:
+    table = WheelTable.differential(track=0.5, radius=0.1, supports=[(-0.3, 0)], **OWN)
+    assert str(table).splitlines() == [
+        "wheel  x [m]  y [m]  radius [m]  rolls to  steering  rollers at  motor",
+        "left   0      0.25   0.1         0 deg     fixed                 yes",
+        "right  0      -0.25  0.1         0 deg     fixed                 yes",
+        "supports without friction: (-0.3, 0) m",
+        *str(table.mobility).splitlines(),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("table", "told"),
+    [
+        (WheelTable.differential(0.5, 0.1, **OWN), "type (2, 0), differential"),
+        (WheelTable.mecanum(0.5, 0.4, 0.08, **OWN), "type (3, 0), omnidirectional"),
+        (WheelTable.omni(0.3, 0.05), "type (3, 0), omnidirectional"),
+        (WheelTable.swerve([(0.3, 0.1), (-0.3, -0.1)], 0.06), "type (1, 2), two steered axles"),
+        (
+            WheelTable.car(0.6, 0.4, 0.1),
+            "AckermannSteering of front_left, front_right\ntype (1, 1), car-like",
+        ),
+        (WheelTable.skid_steer(0.5, 0.4, 0.1), "cannot roll without slip: wheels 'front_left'"),
+    ],
+    ids=["differential", "mecanum", "omni", "swerve", "car", "skid steer"],
+)
+def test_each_drive_tells_its_type(table: WheelTable, told: str) -> None:
+    assert told in str(table)
+    assert eval(repr(table), {**vars(wheels), "inf": float("inf")}) == table

@@ -184,14 +184,8 @@ def test_wheels_with_rollers_go_sideways_as_they_roll_and_carry_as_much(kind: st
     run = ours(table, u, T)
     assert abs(run.q[-1, 1]) > 0.8
     assert np.linalg.norm(path[-1, :2] - run.q[-1, :2]) < 0.02 * length(run.q)
-    check_loads(loads, table, u, T)
-
-
-def check_loads(loads: Array, table: pm.WheelTable, u: Array, T: float) -> None:
-    """Check means over some twenty rollers, each of which takes the load from the one before.
-
-    Where contacts give way, the one that comes carries a little more than the one that goes: rollers at 45
-    degrees carry a millimetre off the wheel's middle, of 450 between two, and no wheel more or less than half
-    a percent. Loads at rest are off by five.
-    """
+    # Of some twenty rollers each takes the load from the one before. Where contacts give way, the one that
+    # comes carries a little more than the one that goes: rollers at 45 degrees carry a millimetre off the
+    # wheel's middle, of 450 between two, and no wheel more or less than half a percent. Loads at rest are
+    # off by five.
     np.testing.assert_allclose(loads, loads_of(table, u, T), rtol=0.01)

@@ -181,9 +181,7 @@ def test_contacts_of_what_slides_are_the_signals_at_the_limit(slides: pm.Rollout
     assert np.all(found.slips[2:, :, 0] * found.forces[2:, :, 0] < 0)  # friction brakes what slides
 
 
-def test_a_page_has_discs_forces_and_the_centre_and_colours_of_what_slides(
-    rolls: pm.Rollout, slides: pm.Rollout
-) -> None:
+def test_a_page_has_discs_forces_centre_and_colours(rolls: pm.Rollout, slides: pm.Rollout) -> None:
     shown = Overlays(contacts=True, centre=True)
     for run, paint, other in ((rolls, QUIET, SLIDES), (slides, SLIDES, QUIET)):
         with Viewer(run.plant, overlays=shown) as viewer:
@@ -206,14 +204,8 @@ def test_a_page_has_discs_forces_and_the_centre_and_colours_of_what_slides(
             assert place["values"][-3:] == pytest.approx([*found.places[-1, 0], 0.0], abs=1e-4)
 
 
-def of_lecture() -> pm.Rollout:
-    """Return a run of a body without wheels."""
-    robot = pm.MobileRobot.lecture()
-    return pm.simulate(robot, pm.ComputedTorque(robot), pm.Tangent(pm.Circle(1, 0.5, 0.2)), dt=0.1)
-
-
 @pytest.mark.parametrize("figure", [plots.wheel_torques, plots.friction, plots.slip, plots.loads])
-def test_figures_of_wheels_have_a_line_for_each_and_units(
+def test_figures_have_lines_and_units(
     figure: Callable[..., Any], rolls: pm.Rollout, slides: pm.Rollout
 ) -> None:
     drawn = figure({"rolls": rolls, "slides": slides})
@@ -222,7 +214,8 @@ def test_figures_of_wheels_have_a_line_for_each_and_units(
     assert re.search(r"\[(N m|-|m/s|N)\]", first.get_ylabel())
     assert len({line.get_color() for line in second.lines[:4]}) == 4
     assert len({str(line._dash_pattern) for line in second.lines[:4]}) == 4
-    bare = of_lecture()
+    still = pm.FixedHeading(pm.Hold((0, 0), 0.1), 0)
+    bare = pm.simulate(pm.MobileRobot.lecture(), pm.PD(1, 1), still, dt=0.1)
     with pytest.raises(pm.InvalidArgument, match=r"rollouts.plant is .*, expected a WheeledRobot"):
         figure(bare)
 

@@ -10,12 +10,11 @@ import pinmobile as pm
 from pinmobile.arrays import Array
 from pinmobile.controllers import InputDelay
 from pinmobile.plant import Context
-from tests.users import PID
+from tests.test_simulation import TauAlone
 
 ROBOT = pm.MobileRobot(10, 1.2, com=(0.15, 0.05))
 CIRCLE = pm.FixedHeading(pm.Circle(1.0, 0.5, 12.0), 0.3)
 START: dict[str, Any] = {"q0": (0.2, -0.1, 0.9), "v0": (0.1, 0.0, -0.4)}
-HOLD = pm.FixedHeading(pm.Hold((1.0, 0.0), 20.0), 0.3)
 REST = pm.Reference(*np.zeros((3, 3)))
 CONTEXT = Context.of(ROBOT, dt=0.1)
 TOLD = pm.law(lambda t, q, v, reference: q)  # its force is the configuration that it is told of
@@ -50,18 +49,13 @@ def test_a_force_beyond_its_limit_is_the_limit() -> None:
     assert np.isnan(asked(pm.InputSaturation(TOLD, 1), np.full((1, 3), np.nan))).all()
 
 
-def test_a_delayed_controller_is_told_of_the_state_that_many_samples_ago() -> None:
+def test_delays_of_state_and_input_are_that_many_samples() -> None:
     for samples in (0, 1, 3):
         expected = QS[np.maximum(np.arange(600) - samples, 0)]
-        np.testing.assert_array_equal(asked(pm.MeasurementDelay(TOLD, samples), QS), expected)
+        for delayed in (InputDelay, pm.MeasurementDelay):
+            np.testing.assert_array_equal(asked(delayed(TOLD, samples), QS), expected)
     both = asked(pm.MeasurementDelay(pm.law(lambda t, q, v, reference: v), 2), QS, VS)
     np.testing.assert_array_equal(both, VS[np.maximum(np.arange(600) - 2, 0)])
-
-
-def test_a_delayed_input_is_that_of_the_sample_that_many_before() -> None:
-    for samples in (0, 1, 3):
-        expected = QS[np.maximum(np.arange(600) - samples, 0)]
-        np.testing.assert_array_equal(asked(InputDelay(TOLD, samples), QS), expected)
     inner = pm.ComputedTorque(ROBOT, 4, 4)
     late = pm.simulate(ROBOT, InputDelay(inner, 3), CIRCLE, dt=0.1, **START)
     for k in (0, 2, 3, 50):
@@ -107,10 +101,7 @@ KINOVA = pm.MobileRobot.box().mount("kinova")  # four of its joints are continuo
 
 @pytest.mark.parametrize(
     "inner",
-    [
-        pm.PD(9, 6),
-        pm.InputSaturation(pm.MeasurementDelay(pm.ComputedTorque(KINOVA, 9, 6), 0), 1e9),
-    ],
+    [pm.PD(9, 6), pm.InputSaturation(pm.MeasurementDelay(pm.ComputedTorque(KINOVA, 9, 6), 0), 1e9)],
     ids=["PD", "within others"],
 )
 def test_noise_moves_the_joints_of_an_arm(inner: Any) -> None:
@@ -137,23 +128,6 @@ def test_they_nest_in_any_order_and_so_do_their_states() -> None:
     assert asked(controller, QS[:6])[:, 0].tolist() == [0, 1, 2, 3, 3, 3]
 
 
-def test_an_integral_that_is_told_what_is_applied_does_not_wind_up() -> None:
-    """Sent from 4 m away with 4 N, an integral grows until it comes by, and throws the robot far beyond."""
-
-    def wrapped(inner: Any) -> Any:
-        limited = pm.InputSaturation(inner, 9.0)
-        return pm.InputSaturation(pm.MeasurementDelay(limited, 0), (4.0, 4.0, 1.0))
-
-    far: dict[str, Any] = {"dt": 0.02, "q0": CIRCLE(0.0).q - [4.0, 0, 0], "v0": np.zeros(3)}
-    told, wound = (
-        pm.simulate(ROBOT, wrapped(PID(25.0, 12.0, 30.0, back)), HOLD, limit=1e6, **far)
-        for back in (2.0, 0.0)
-    )
-    beyond = [-min(0.0, float(run.error[:, 0].min())) for run in (told, wound)]
-    assert beyond[0] < 0.3 * beyond[1]
-    assert wound.max_input()[0] == pytest.approx(4.0)
-
-
 def test_what_is_applied_is_told_inward_once_a_sample() -> None:
     seen: list[tuple[float, list[float]]] = []
 
@@ -177,16 +151,6 @@ def test_what_is_applied_is_told_inward_once_a_sample() -> None:
     np.testing.assert_array_equal(rollout.u, [[2.0, -3.0, 0.1]] * 5)
 
 
-class TauAlone:
-    """A controller that forgets to return its state."""
-
-    def initial_state(self, context: Any) -> None:
-        return None
-
-    def __call__(self, *_: Any) -> Array:
-        return np.zeros(3)
-
-
 def once(controller: Any) -> Any:
     return controller(0.5, np.zeros(3), np.zeros(3), REST, controller.initial_state(CONTEXT))
 
@@ -202,16 +166,13 @@ def once(controller: Any) -> Any:
             lambda: pm.MeasurementNoise(TOLD, 1, 1, np.random.default_rng(0)),
             "seed is Generator(PCG64), expected a whole number >= 0",
         ),
-        (
-            lambda: once(pm.MeasurementDelay(TauAlone(), 1)),
-            "controller returned array([0., 0., 0.]) at t = 0.5 s, expected (u, state)",
-        ),
+        (lambda: once(pm.MeasurementDelay(TauAlone(), 1)), "controller returned array([0., 0., 0.]) at t"),
     ],
 )  # fmt: skip
 def test_what_does_not_fit_is_refused(call: Any, text: str) -> None:
     with pytest.raises(pm.InvalidArgument) as caught:
         call()
-    assert re.sub(r" at 0x[0-9A-F]+", "", str(caught.value)) == text
+    assert re.sub(r" at 0x[0-9A-F]+", "", str(caught.value)).startswith(text)
 
 
 def test_an_infinite_limit_is_none() -> None:
