@@ -1,15 +1,17 @@
 """`simulate` against closed forms, and what it does with what it cannot do."""
 
 import pickle
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 import pinmobile as pm
 from pinmobile.arrays import Array
 from pinmobile.controllers import plain_difference
-from pinmobile.integrators import semi_implicit_euler
+from pinmobile.integrators import constant_acceleration, semi_implicit_euler
 
 ROBOT = pm.MobileRobot(10, 1.2, com=(0.15, 0.05))
 CIRCLE = pm.FixedHeading(pm.Circle(1.0, 0.5, 12.0), 0.3)
@@ -25,6 +27,49 @@ class Hold:
         return pm.Reference(*np.zeros((3, *np.shape(t), 3)))
 
 
+class Asked:
+    """A controller in the user's own class: `simulate` cannot know that it is the library's."""
+
+    def __init__(self, inner: Any) -> None:
+        self.inner = inner
+
+    def initial_state(self, context: Any) -> Any:
+        return self.inner.initial_state(context)
+
+    def __call__(self, t: float, q: Array, v: Array, reference: Any, state: Any) -> tuple[Array, Any]:
+        tau, state = self.inner(t, q, v, reference, state)
+        return tau, state
+
+
+class OtherPlant:
+    """A plant that is only what the protocol asks for."""
+
+    nq = nv = nu = 3
+
+    def forward_dynamics(self, q: Array, v: Array, u: Array) -> Array:
+        return ROBOT.forward_dynamics(q, v, u)
+
+    def integrate(self, q: Array, dq: Array) -> Array:
+        return ROBOT.integrate(q, dq)
+
+    def difference(self, q0: Array, q1: Array) -> Array:
+        return ROBOT.difference(q0, q1)
+
+
+@pytest.mark.parametrize(
+    ("integrator", "substeps"), [(constant_acceleration, 1), (semi_implicit_euler, 3), (pm.rk4, 1)]
+)
+def test_the_librarys_own_loop_and_a_users_are_the_same(integrator: Any, substeps: int) -> None:
+    controller = pm.ComputedTorque(pm.MobileRobot(8, 1), 3, (2, 3, 4))
+    options: dict[str, Any] = {"dt": 0.05, "integrator": integrator, "substeps": substeps, **START}
+    own = pm.simulate(ROBOT, controller, CIRCLE, **options)
+    for plant in (ROBOT, OtherPlant()):
+        users = pm.simulate(plant, Asked(controller), CIRCLE, **options)
+        for name in ("q", "v", "a", "u", "error"):
+            # The same sums in another order, over 240 steps of a stable loop.
+            np.testing.assert_allclose(getattr(users, name), getattr(own, name), rtol=0, atol=1e-12)
+
+
 @pytest.mark.parametrize("substeps", [1, 2])
 def test_an_integrator_may_write_into_what_it_is_given(substeps: int) -> None:
     def careless(acceleration: Any, t: float, q: Array, v: Array, dt: float) -> tuple[Array, Array]:
@@ -38,6 +83,27 @@ def test_an_integrator_may_write_into_what_it_is_given(substeps: int) -> None:
     )
     for name in ("q", "v", "a", "u"):
         np.testing.assert_allclose(getattr(other, name), getattr(one, name), rtol=0, atol=1e-10)
+
+
+def by_hand(plant: pm.MobileRobot, controller: Any, dt: float, n: int) -> tuple[Array, Array]:
+    """Return q and tau of the lecture's loop, written as the lecture writes it."""
+    q, v = np.array(START["q0"]), np.array(START["v0"])
+    qs, taus = [], []
+    for k in range(n + 1):
+        tau, _ = controller(k * dt, q, v, CIRCLE(min(k * dt, 12.0)), None)
+        a = np.linalg.solve(plant.mass_matrix(q), tau - plant.nonlinear_effects(q, v))
+        qs.append(q)
+        taus.append(tau)
+        q, v = q + dt * v + dt**2 / 2 * a, v + dt * a
+    return np.array(qs), np.array(taus)
+
+
+def test_every_sample_is_that_of_the_loop_written_by_hand() -> None:
+    controller = pm.ComputedTorque(pm.MobileRobot(12, 1.0, com=(0.1, 0.0)))
+    rollout = pm.simulate(ROBOT, controller, CIRCLE, dt=0.1, **START)  # type: ignore[arg-type]
+    q, tau = by_hand(ROBOT, controller, 0.1, 120)
+    np.testing.assert_allclose(rollout.q, q, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(rollout.u, tau, rtol=0, atol=1e-11)
 
 
 def test_the_record_is_consistent_and_includes_the_last_sample() -> None:
@@ -73,6 +139,20 @@ def test_error_follows_the_exact_recurrence_under_a_held_force() -> None:
     e = np.stack([-rollout.q, -rollout.v], axis=1)  # (N + 1, 2, 3)
     expected = np.stack([np.linalg.matrix_power(step, k) @ e[0] for k in range(61)])
     np.testing.assert_allclose(e, expected, rtol=0, atol=1e-14)
+
+
+def test_error_tends_to_that_of_the_continuous_loop() -> None:
+    """e'' + Kd e' + Kp e = 0 as dt goes to 0; what the held force costs is of first order."""
+    kp, kd = 4.0, 3.0
+    flow = expm(6.0 * np.array([[0, 1], [-kp, -kd]])) @ -np.array([START["q0"], START["v0"]])
+    steps = np.array([0.02, 0.01, 0.005])
+    off = []
+    for dt in steps:
+        controller = pm.ComputedTorque(ROBOT, kp, kd)
+        rollout = pm.simulate(ROBOT, controller, Hold(), dt=float(dt), integrator=pm.rk4, **START)  # type: ignore[arg-type]
+        off.append(np.abs(rollout.error[-1] - flow[0]).max())
+    slope = np.polyfit(np.log(steps), np.log(off), 1)[0]
+    assert slope == pytest.approx(1, abs=0.15)
 
 
 def test_the_force_is_held_over_dt_whatever_the_substeps() -> None:
@@ -145,7 +225,9 @@ class TauAlone:
 
 def test_without_a_duration_a_run_takes_the_whole_steps_of_the_trajectory_s_and_reports_it() -> None:
     circle = pm.Tangent(pm.Circle(1, 0.5, 10))
-    with pytest.warns(UserWarning, match=r"^the last sample is at t = 9\.99 s: the trajectory's 10") as told:
+    with pytest.warns(
+        UserWarning, match=r"^the last sample is at t = 9\.99 s: the trajectory's 10 s are not"
+    ) as told:
         run = pm.simulate(pm.MobileRobot.lecture(), pm.PD(4, 4), circle, dt=0.03)
     assert len(told) == 1
     assert (len(run), run.t[-1]) == (334, pytest.approx(9.99, abs=1e-12))
@@ -166,7 +248,10 @@ class ScalarOnly:
     ("changed", "text"),
     [
         ({"dt": 0}, "dt is 0.0 s, expected > 0"),
-        ({"dt": 0.7, "duration": 12}, "duration is 12.0 s, expected a whole number of steps dt = 0.7 s,"),
+        (
+            {"dt": 0.7, "duration": 12},
+            "duration is 12.0 s, expected a whole number of steps dt = 0.7 s, such as 11.9 s",
+        ),
         ({"duration": 13}, "duration is 13.0 s, expected at most the trajectory's 12.0 s"),
         ({"q0": (1, 2)}, "q0 has shape (2,), expected (3,)"),
         ({"dt": 1e-9}, "dt is 1e-09 s, expected at most the duration, 12.0 s, and at least 1.2e-07 s"),
@@ -184,6 +269,19 @@ def test_arguments_that_do_not_fit_are_refused(changed: dict[str, Any], text: st
     with pytest.raises(pm.InvalidArgument) as caught:
         pm.simulate(**arguments)
     assert text in str(caught.value)
+
+
+def test_csv_has_a_header_and_every_digit(tmp_path: Path) -> None:
+    rollout = pm.simulate(ROBOT, pm.PD(1, 1), CIRCLE, dt=0.1, **START)  # type: ignore[arg-type]
+    with pytest.raises(pm.InvalidArgument, match=r"nowhere.*which cannot be written"):
+        rollout.to_csv(tmp_path / "nowhere" / "run.csv")
+    rollout.to_csv(tmp_path / "run.csv")
+    header = (tmp_path / "run.csv").read_text().splitlines()[0].split(",")
+    assert header[:5] == ["t [s]", "x [m]", "y [m]", "psi [rad]", "v_x [m/s]"]
+    table = np.loadtxt(tmp_path / "run.csv", delimiter=",", skiprows=1)
+    assert table.shape == (121, len(header))
+    np.testing.assert_array_equal(table[:, header.index("u_Mz [N m]")], rollout.u[:, 2])
+    np.testing.assert_array_equal(table[:, header.index("desired_x [m]")], rollout.reference.q[:, 0])
 
 
 def test_a_rollout_says_what_came_of_it() -> None:

@@ -23,7 +23,7 @@ with warnings.catch_warnings():
 Window = OfflineWindow | LiveWindow
 
 WIDTH, HEIGHT = 480, 360
-RED = (255, 0, 0)
+RED, GREEN = (255, 0, 0), (0, 255, 0)
 HERE, THERE = (0.5, -0.8, 0.2), (-0.3, 0.9, 0.4)
 
 
@@ -63,6 +63,25 @@ def colour_at(page: Page, point: tuple[float, float, float]) -> tuple[int, ...]:
     return colour
 
 
+def test_a_box_is_drawn_where_its_pose_projects(page: Page) -> None:
+    with LiveWindow() as window:
+        draw_box(window, HERE)
+        page.open(window.url)
+        assert window.wait(10)
+        assert eventually(lambda: colour_at(page, HERE) == RED)
+        assert colour_at(page, THERE) != RED
+        move_box(window, THERE)
+        assert window.flush()
+        assert eventually(lambda: colour_at(page, THERE) == RED)
+        assert colour_at(page, HERE) != RED
+        Visualizer(window=window).delete()
+        assert eventually(lambda: colour_at(page, THERE) != RED)
+        draw_box(window, HERE, 0x00FF00)
+        assert eventually(lambda: colour_at(page, HERE) == GREEN)
+        hosts = {urlsplit(url).netloc for url in page.requests if not url.startswith("data:")}
+        assert hosts == {f"127.0.0.1:{window.port}"}
+
+
 def test_fault_the_browser_is_reloaded_and_closed_and_another_comes(page: Page, browser: Chromium) -> None:
     with LiveWindow() as window:
         page.open(window.url)
@@ -91,6 +110,18 @@ def test_a_page_with_a_token_draws_and_each_request_carries_it(page: Page) -> No
         own = [url for url in page.requests if not url.startswith("data:")]
         assert len(own) == 3
         assert all(url.endswith(window.url.partition("/?")[2]) for url in own)
+
+
+def test_an_offline_page_draws_from_the_file_system(page: Page, tmp_path: Path) -> None:
+    with OfflineWindow() as window:
+        draw_box(window, HERE)
+        file = tmp_path / "scene.html"
+        file.write_text(window.static_html(), encoding="utf-8")
+    page.open(file.as_uri())
+    assert eventually(lambda: colour_at(page, HERE) == RED)
+    assert colour_at(page, THERE) != RED
+    assert [url for url in page.requests if not url.startswith("data:")] == [file.as_uri()]
+    assert_sealed(page)
 
 
 def assert_sealed(page: Page) -> None:
@@ -149,25 +180,27 @@ SEEN = """(() => {
 })()"""
 
 
-def test_nothing_covers_the_picture_in_a_narrow_window(page: Page, recorded: Path) -> None:
+@pytest.mark.parametrize("size", [(400, 700), (400, 240)], ids=str)
+def test_nothing_covers_the_picture_in_a_narrow_window(
+    page: Page, recorded: Path, size: tuple[int, int]
+) -> None:
+    page.resize(*size)
     page.open(recorded.as_uri())
     page.wait_for("pinmobile.ready()")
-    for width, height in ((400, 700), (400, 240)):
-        page.resize(width, height)
-        page.wait_for(f"innerWidth == {width} && innerHeight == {height}")
-        page.frames()
-        for time in (0, 2, 4, 6):
-            page.evaluate(f"pinmobile.seek({time})")
-            assert page.evaluate(SEEN) == "CANVAS"
-        assert page.evaluate(f"{BOX % 'told'}.bottom") <= page.evaluate(f"{BOX % 'meshcat-pane'}.top") + 1
-        assert page.evaluate(f"{BOX % 'player'}.top") >= page.evaluate(f"{BOX % 'meshcat-pane'}.bottom") - 1
-        assert page.evaluate("document.querySelector('canvas').clientHeight") > 0.6 * height
-        assert page.evaluate("document.documentElement.scrollWidth") <= width
+    for time in (0, 2, 4, 6):
+        page.evaluate(f"pinmobile.seek({time})")
+        assert page.evaluate(SEEN) == "CANVAS"
+    assert page.evaluate(f"{BOX % 'told'}.bottom") <= page.evaluate(f"{BOX % 'meshcat-pane'}.top") + 1
+    assert page.evaluate(f"{BOX % 'player'}.top") >= page.evaluate(f"{BOX % 'meshcat-pane'}.bottom") - 1
+    assert page.evaluate("document.querySelector('canvas').clientHeight") > 0.6 * size[1]
+    assert page.evaluate("document.documentElement.scrollWidth") <= size[0]
     page.resize(1200, 700)
     page.wait_for("document.querySelector('canvas').clientHeight == 700")
 
 
-def test_the_player_has_names_and_a_focus_and_follows_keys(page: Page, recorded: Path) -> None:
+def test_the_player_has_names_and_a_visible_focus_and_follows_the_keyboard(
+    page: Page, recorded: Path
+) -> None:
     page.open(recorded.as_uri())
     page.wait_for("pinmobile.ready()")
     page.evaluate("pinmobile.seek(1)")

@@ -15,10 +15,11 @@ from pinmobile.plant import Context
 from tests import rivals
 from tests.parts import Waving
 from tests.refusals import refusals
-from tests.rivals import CIRCLE, NOMINAL, RIVALS
+from tests.rivals import CIRCLE, HEAVY, NOMINAL, RIVALS
 
 ARM = pm.MobileRobot.box().mount("ur5")
 SHORT = pm.Tangent(pm.Circle(radius=1.5, rate=0.6, duration=2))
+GAIN = (120.0, 120.0, 6.0)
 LIMITS = (22.0, 22.0, 3.0)
 NAMES = "PID", "sliding mode", "super-twisting", "adaptive", "adaptive, friction", "observer", "ADRC"
 EACH: Mapping[str, Any] = {name: RIVALS[name] for name in NAMES}
@@ -62,6 +63,70 @@ def test_torque_keeps_the_robot_passive_and_is_what_the_regressor_says() -> None
         adaptive = pm.Adaptive(robot)
         Y = adaptive._regressor(q, v, velocity, acceleration)
         assert np.abs(Y @ adaptive._nominal - wanted).max() < 1e-13 * scale
+
+
+def test_coriolis_matrix_of_the_tree_on_arrays_is_pinocchios() -> None:
+    generator = np.random.default_rng(4)
+    q, v = ARM.random_configuration(generator), generator.normal(size=ARM.nv)
+    mine, its = ARM.array_dynamics.coriolis_matrix(q, v), ARM.coriolis_matrix(q, v)
+    # Any C with C v = n and dM/dt - 2 C skew gives the same transposed product, all that a law takes of it.
+    assert np.abs(mine @ v - its @ v).max() < 1e-13 * np.abs(its @ v).max()
+    assert np.abs(mine.T @ v - its.T @ v).max() < 1e-13 * np.abs(its @ v).max()
+
+
+class Rich:
+    """All coordinates to and fro, with frequencies of their own."""
+
+    duration = 40.0
+
+    def __call__(self, t: Any) -> pm.Reference:
+        t = np.asarray(t)
+        size, rate, phase = np.array([1.2, 0.8, 0.8]), np.array([0.9, 1.3, 0.7]), np.array([0, 0.4, 0])
+        angle = rate * t[..., None] + phase
+        return pm.Reference(
+            size * np.sin(angle), size * rate * np.cos(angle), -size * rate**2 * np.sin(angle)
+        )
+
+
+def test_estimates_become_right_where_the_motion_is_rich_and_not_on_a_circle() -> None:
+    true = np.array([36.0, 3.6, 1.8, 1.56 + 36 * (0.1**2 + 0.05**2)])
+
+    def last(trajectory: Any) -> Array:
+        given: Any = {"dt": 0.01, "integrator": pm.rk4, "engine": pm.Engine.COMPILED, "duration": 30.0}
+        told = pm.simulate(HEAVY, EACH["adaptive"], trajectory, **given).signals
+        parts = [told[name].values[-1] for name in ("mass", "first_moment", "inertia")]
+        return np.hstack(parts)
+
+    rich, circle = last(Rich()), last(CIRCLE)
+    assert abs(rich[0] - 36) < 0.2
+    assert np.abs(rich[1:3] - true[1:3]).max() < 0.15
+    # Four numbers of which a circle at constant speed shows two: the mass stays far from what it is.
+    assert abs(circle[0] - 36) > 5 * abs(rich[0] - 36)
+
+
+def test_the_sum_of_squares_of_adaptive_control_falls_in_each_step() -> None:
+    dt = 2e-4
+    run = pm.simulate(
+        HEAVY,
+        pm.Adaptive(NOMINAL, kd=GAIN),
+        Rich(),
+        dt=dt,
+        duration=1.0,
+        integrator=pm.rk4,
+        engine=pm.Engine.COMPILED,
+        q0=Rich()(0.0).q + np.array([0.1, -0.05, 0.1]),
+        v0=Rich()(0.0).v,
+    )
+    told = run.signals
+    phi = np.column_stack([told["mass"].values, told["first_moment"].values, told["inertia"].values])
+    true = np.array([36.0, 3.6, 1.8, 1.56 + 36 * (0.1**2 + 0.05**2)])
+    gamma = np.array([2 / 3, 1 / 15, 1 / 15, 1 / 50]) * 30
+    s = run.reference.v - run.v + 4 * (run.reference.q - run.q)
+    kinetic = np.einsum("ki,kij,kj->k", s, HEAVY.mass_matrix(run.q), s) / 2
+    # A signal is told after its sample, when the estimate has been brought on.
+    total = kinetic[1:] + ((phi - true) ** 2 / gamma).sum(axis=-1)[:-1] / 2
+    assert total[0] > 1
+    assert (np.diff(total) < 0).all()
 
 
 def test_leakage_takes_estimates_back_to_the_first_at_its_rate() -> None:
