@@ -6,10 +6,20 @@ import numpy as np
 import pytest
 
 import pinmobile as pm
-from pinmobile import Circle, Coulomb, Engine, MobileRobot, Motor, Rolling, Tangent, WheeledRobot, WheelTable
+from pinmobile import (
+    Circle,
+    Coulomb,
+    Engine,
+    MobileRobot,
+    Motor,
+    Rolling,
+    Tangent,
+    WheeledRobot,
+    WheelTable,
+)
 from pinmobile.arrays import Array
 from pinmobile.balance import max_path_speed
-from pinmobile.controllers import TorqueToVoltage, UnicycleTracking, WheelSpeed
+from pinmobile.controllers import Backstepping, TorqueToVoltage, UnicycleTracking, WheelSpeed
 from pinmobile.parts import evolved
 from pinmobile.wheels import MOTORS, ByVoltage, DifferentialGear, Ramp, Support, Wheel, WheelFriction
 from tests.parts import steady
@@ -26,6 +36,7 @@ ELECTRIC: Any = {
 }
 MOTOR = Motor(**ELECTRIC, viscous=1e-5, coulomb=0.004, efficiency=0.8, current=15.0)
 PLAIN = evolved(MOTOR, viscous=0.0, coulomb=0.0, efficiency=1.0, current=np.inf)
+PATH = pm.Tangent(pm.Circle(2.0, 0.3, 20.0))
 R = 0.1
 
 
@@ -101,6 +112,24 @@ def test_the_error_falls_with_the_square_of_the_step_and_engines_agree(ground: A
     np.testing.assert_allclose(here.v, ends[0].v, rtol=0, atol=1e-13)
     for name, signal in here.signals.items():
         np.testing.assert_allclose(signal.values, ends[0].signals[name].values, atol=1e-10, err_msg=name)
+
+
+def test_electrical_energy_is_what_moves_and_what_is_lost() -> None:
+    robot = WheeledRobot(BODY, table(MOTOR)).by_voltage()
+    left = []
+    for dt in (0.02, 0.01):
+        found = run(robot, (12.0, 8.0), dt, 1.0)
+        V, i, torque = (found.signals[name].values[1:] for name in ("volts", "currents", "torques"))
+        W = (V - 1.2 * i) / (0.03 * 20)  # mean rate, by back-EMF
+        assert (W > 0).all()
+        shaft = 0.03 * i - 1e-5 * 20 * W - 0.004
+        lost = 1.2 * i**2 + 1e-5 * (20 * W) ** 2 + 0.004 * 20 * W + (20 * shaft - torque) * W
+        assert (20 * shaft * W - torque * W >= -1e-12).all()
+        gained = float(robot.kinetic_energy(found.q[-1], found.v[-1]))
+        left.append(dt * float((V * i - lost).sum()) - gained)
+        assert dt * float((V * i).sum()) > 50.0
+    assert abs(left[0]) < 0.2
+    assert 3.5 < left[0] / left[1] < 4.5
 
 
 @GROUNDS
@@ -179,6 +208,34 @@ def test_the_volts_for_torques_give_them_within_the_limits_of_motors() -> None:
     assert 20 < free.sum() < 190
 
 
+@GROUNDS
+def test_driven_follows_as_torques_would(ground: Any) -> None:
+    table_ = table(MOTOR)
+    wheeled = WheeledRobot(BODY, table_, ground)
+    ideal = WheeledRobot(BODY, table_)
+    q0, v0 = ideal.start(PATH(0.0))
+    controller = TorqueToVoltage(Backstepping(UnicycleTracking(), ideal), wheeled)
+    given: Any = {"dt": 0.005, "duration": 2.0, "q0": q0, "v0": v0, "engine": Engine.COMPILED}
+    found = pm.simulate(wheeled.by_voltage(), controller, PATH, **given)
+    assert found.engine == "COMPILED"
+    assert np.abs(found.q[-1, :2] - PATH(2.0).q[:2]).max() < 0.02
+
+
+@pytest.mark.parametrize("kind", ["skid", "torque"])
+def test_wheel_speed_follows_by_loops_of_each_wheel(kind: str) -> None:
+    if kind == "skid":
+        wheels = WheelTable.skid_steer(0.2, 0.6, R, motor=MOTOR, **{**WHEEL, "friction": WheelFriction()})
+    else:
+        wheels = table(MOTOR)
+    wheeled = WheeledRobot(CENTRAL, wheels)
+    robot = wheeled if kind == "torque" else wheeled.by_voltage()
+    controller = WheelSpeed(UnicycleTracking(), robot, kp=1.0, ki=20.0)
+    q0, v0 = np.append(PATH(0.0).q, np.zeros(robot.nq - 3)), np.zeros(robot.nv)
+    given: Any = {"dt": 0.005, "duration": 4.0, "q0": q0, "v0": v0, "engine": Engine.COMPILED}
+    found = pm.simulate(robot, controller, PATH, **given)
+    assert np.abs(found.q[-1, :2] - PATH(4.0).q[:2]).max() < 0.05
+
+
 def test_the_integral_of_wheel_speed_does_not_wind_up() -> None:
     robot = WheeledRobot(CENTRAL, table(MOTOR)).by_voltage()
     controller = WheelSpeed(UnicycleTracking(), robot, kp=1.0, ki=20.0)
@@ -224,7 +281,7 @@ def test_an_ensemble_spreads_motor_constants() -> None:
         ("faulhaber_1331t012sr", 12.0, 9.9e-3, 0.876, 9900.0),
     ],
 )
-def test_real_motors_are_their_sheets(
+def test_real_motors_stall_and_run_free_as_their_sheets_say(
     name: str, voltage: float, stall: float, current: float, rpm: float
 ) -> None:
     """The last one's sheet has its constants; stall and free run follow, to what it rounds."""
@@ -240,7 +297,10 @@ OPEN = evolved(drives()["open"], supports=(Support(-0.3, 0.0),))
 
 
 test_what_has_no_volts_is_refused = refusals(
-    (lambda: WheeledRobot(BODY, table(Motor())).by_voltage(), "table has no electric motor, which takes"),
+    (
+        lambda: WheeledRobot(BODY, table(Motor())).by_voltage(),
+        "table has no electric motor, which takes volts",
+    ),
     (lambda: WheeledRobot(BODY, OPEN, Coulomb()).by_voltage(), "slip independently, expected"),
     (lambda: TorqueToVoltage(steady(0.0), BODY), "expected a WheeledRobot with electric motors"),
     (lambda: WheelSpeed(UnicycleTracking(), WheeledRobot(BODY, drives()["tricycle"]), 1.0), "that steer"),
