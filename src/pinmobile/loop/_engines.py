@@ -203,19 +203,19 @@ class _PlantStep:
 
     def __getattr__(self, name: str) -> Any:
         if name in ("nq", "nv", "nu", "integrate", "difference", "coordinates"):
-            return getattr(self.inner.law, name)
+            return getattr(self.inner.dynamics, name)
         raise AttributeError(name)
 
     def initial_state(self, context: object) -> Any:
         """Return the memory of the plant before the first sample."""
-        begin = stated(self.inner.law, "initial_state")
+        begin = stated(self.inner.dynamics, "initial_state")
         return None if begin is None else begin(context)
 
     def step(self, t: Any, q: Any, v: Any, u: Any, h: Any, f: Any, memory: Any) -> RecordedStep:
         """Return the state one sample later."""
         loop = self.inner
         a, q, v, memory = advance(loop, t, h / loop.substeps, q, v, u, memory)
-        return RecordedStep(q, loop.law.project(q, v) if loop.is_constrained else v, memory, a)
+        return RecordedStep(q, loop.dynamics.project(q, v) if loop.is_constrained else v, memory, a)
 
     def signals(self, t: Any, q: Any, v: Any, u: Any, f: Any, memory: Any) -> dict[str, Any]:
         """Return the signals of plant and forces."""

@@ -131,21 +131,21 @@ class Loop:
     )
 
     @cached_property
-    def law(self) -> Any:
+    def dynamics(self) -> Any:
         """Plant as the loop calls it: its unchecked dynamics if the plant offers them."""
-        law = stated(self.plant, "law")
-        return self.plant if law is None else law
+        dynamics = stated(self.plant, "dynamics")
+        return self.plant if dynamics is None else dynamics
 
     @cached_property
     def integrate(self) -> Callable[[Any, Any], Any]:
         """Function that adds a displacement to a configuration."""
-        function = stated(self.law, "integrate")
+        function = stated(self.dynamics, "integrate")
         return np.add if function is None else function
 
     @cached_property
     def steps(self) -> bool:
         """Whether the plant has its own step method."""
-        return able(self.law, Stepping) is not None
+        return able(self.dynamics, Stepping) is not None
 
     @cached_property
     def is_constrained(self) -> bool:
@@ -154,7 +154,7 @@ class Loop:
         A recorder with ``as_measured = True`` keeps velocities as they are, like those that sensors measure.
         """
         projects = not (self.steps or stated(self.recorder, "as_measured"))
-        return projects and able(self.law, Constrained) is not None
+        return projects and able(self.dynamics, Constrained) is not None
 
     @cached_property
     def displaced(self) -> Callable[..., tuple[Any, Any]]:
@@ -216,7 +216,7 @@ class Loop:
     @cached_property
     def signals(self) -> bool:
         """Whether the recorder keeps signals and a part has some."""
-        parts = self.law, self.controller, *self.all_forces
+        parts = self.dynamics, self.controller, *self.all_forces
         is_kept = stated(self.recorder, "signals")
         return is_kept and any(able(part, Signalling) for part in parts)
 
@@ -397,7 +397,7 @@ def step(
     >>> float(after.v[0])  # 60 N / 30 kg * 0.1 s [m/s]
     0.2
     """
-    plant = loop.law
+    plant = loop.dynamics
     q, v, memory, law_memory, record_state = state
     if loop.is_constrained:
         # Here, not after the step: this sample's dynamics need the same mass matrix, which a tape has once.
@@ -420,8 +420,8 @@ def step(
 def control(loop: Loop, t: Any, q: Any, v: Any, reference: Reference, memory: Any) -> tuple[Any, Any]:
     """Return the applied input of a sample and the memory of the controller after it."""
     u, memory = evaluate(loop.controller, t, q.copy(), v.copy(), reference, memory)
-    if type(u) is not np.ndarray or u.dtype != np.float64 or u.shape != (loop.law.nu,):
-        u = _check_numbers("controller", u, t, (loop.law.nu,), advice(loop.plant))
+    if type(u) is not np.ndarray or u.dtype != np.float64 or u.shape != (loop.dynamics.nu,):
+        u = _check_numbers("controller", u, t, (loop.dynamics.nu,), advice(loop.plant))
     if loop.limits is not None:
         u = np.clip(u, *loop.limits)
     if loop.is_informed:
@@ -442,7 +442,7 @@ def part_signals(
     loop: Loop, t: Any, q: Any, v: Any, u: Any, memory: object, law_signals: Any = None
 ) -> Iterator[tuple[str, Any]]:
     """Yield the path and the signals of each part at a sample; `law_signals` are those of the controller."""
-    plant = loop.law
+    plant = loop.dynamics
     if able(plant, Signalling):
         f = _total_force(loop, t, q, v, u) + np.zeros(plant.nv)
         yield "plant", plant.signals(t, q.copy(), v.copy(), u.copy(), f, memory)
@@ -468,7 +468,7 @@ def tracking_errors(plant: Any, q: Any, v: Any, reference: Reference) -> tuple[A
 
 def _applied_force(loop: Loop, t: Any, q: Any, v: Any) -> Any:
     """Return the external forces on the coordinates, shape (nv,), or 0."""
-    plant, total = loop.law, 0.0
+    plant, total = loop.dynamics, 0.0
     if loop.wrenches:
         pose, rate = plant.pose(q), plant.pose_rate(q, v)
         wrench: Any = 0.0
@@ -488,7 +488,7 @@ def _applied_force(loop: Loop, t: Any, q: Any, v: Any) -> Any:
 
 def _total_force(loop: Loop, t: Any, q: Any, v: Any, u: Any) -> Any:
     """Return the external forces, with the reaction of carried inertia, shape (nv,), or 0."""
-    plant, applied = loop.law, _applied_force(loop, t, q, v)
+    plant, applied = loop.dynamics, _applied_force(loop, t, q, v)
     if not loop.carries:
         return applied
     forces = loop.all_forces
@@ -538,7 +538,7 @@ def advance(loop: Loop, t: Any, h: Any, q: Any, v: Any, u: Any, memory: object) 
 
 def _integrator_steps(loop: Loop, t: Any, h: Any, q: Any, v: Any, u: Any, memory: object) -> Any:
     """Return the acceleration and the state after the substeps, which the integrator computes."""
-    plant, integrate, first = loop.law, loop.integrate, None
+    plant, integrate, first = loop.dynamics, loop.integrate, None
     for j in range(loop.substeps):
         time = t + j * h if j else t
         if j and loop.is_constrained:
@@ -556,7 +556,7 @@ def _integrator_steps(loop: Loop, t: Any, h: Any, q: Any, v: Any, u: Any, memory
 
 def _acceleration(loop: Loop, t: Any, q: Any, v: Any, u: Any) -> Any:
     """Return the acceleration of the plant, shape (nv,)."""
-    plant = loop.law
+    plant = loop.dynamics
     if loop.forces:
         a = plant.forward_dynamics(q, v, u, _total_force(loop, t, q, v, u))
     else:
@@ -571,7 +571,7 @@ def _plant_steps(loop: Loop, t: Any, h: Any, q: Any, v: Any, u: Any, memory: obj
     acceleration = None
     for j in range(loop.substeps):
         time = t + j * h if j else t
-        end = loop.law.step(time, q, v, u, h, partial(_applied_force, loop), memory)
+        end = loop.dynamics.step(time, q, v, u, h, partial(_applied_force, loop), memory)
         if not all(hasattr(end, name) for name in ("q", "v", "memory")):
             message = f"plant.step returned {format_value(end)}{stamp(t)}"
             raise InvalidArgument(f"{message}, expected a Step(q, v, memory)")
@@ -604,7 +604,7 @@ def displace(integrator: Any, acceleration: Any, first: Any, t: Any, v: Any, h: 
 
 def initial_state(loop: Loop, context: Context, q: Any = None, v: Any = None) -> State:
     """Return the state before the first sample, with the memory of the parts."""
-    begin, recorder = stated(loop.law, "initial_state"), loop.recorder
+    begin, recorder = stated(loop.dynamics, "initial_state"), loop.recorder
     plant = None if begin is None else begin(context)
     controller = loop.controller.initial_state(context)
     record = None if recorder is None else recorder.initial_state(context.size, loop.plant.nu)

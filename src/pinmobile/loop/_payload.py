@@ -177,18 +177,20 @@ class PayloadTransfer:
         """
 
         def step_of(robot: Any) -> Any:
-            law = stated(robot, "law") or robot
-            if stated(law, "step"):
-                return law.step(t, q, v, u, h, f, memory)
+            dynamics = stated(robot, "dynamics") or robot
+            if stated(dynamics, "step"):
+                return dynamics.step(t, q, v, u, h, f, memory)
 
             def acceleration(time: Any, dq: Any, rate: Any) -> Any:
-                position = law.integrate(q, dq)
-                return law.forward_dynamics(position, rate, u, f(time, position, rate))
+                position = dynamics.integrate(q, dq)
+                return dynamics.forward_dynamics(position, rate, u, f(time, position, rate))
 
             a = acceleration(t, 0.0 * v, v)
             shift, v_end = rk4.displaced(acceleration, a, t, v, h)
-            end = law.integrate(q, shift)
-            return RecordedStep(end, law.project(end, v_end) if stated(law, "project") else v_end, memory, a)
+            end = dynamics.integrate(q, shift)
+            return RecordedStep(
+                end, dynamics.project(end, v_end) if stated(dynamics, "project") else v_end, memory, a
+            )
 
         return self._select(t, step_of)
 

@@ -106,7 +106,7 @@ class _PythonCode:
         desired = Reference(*(x.copy() for x in reference))
         with np.errstate(all="ignore"):
             u, next_state = control(self._loop, float(t[0]), q, v, desired, self._state)
-            errors = tracking_errors(self._loop.law, q, v, desired)
+            errors = tracking_errors(self._loop.dynamics, q, v, desired)
         signals = (signal.value for signal in self._signals(next_state).values())
         self._answer[...] = np.concatenate([*map(np.ravel, (u, *errors, *signals))])
         self._state = next_state

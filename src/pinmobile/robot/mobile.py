@@ -655,7 +655,7 @@ class MobileRobot(MultibodySystem):
         return self.array_dynamics, self._dynamics_of
 
     @property
-    def law(self) -> Any:
+    def dynamics(self) -> Any:
         """Unchecked dynamics of one state that a loop calls, for the current thread only.
 
         Read this property once before a loop. For a robot with numeric parameters, it is a

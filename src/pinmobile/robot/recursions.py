@@ -312,15 +312,15 @@ class UncheckedDynamics:
 
     See Also
     --------
-    MobileRobot.law : property that returns this object
+    MobileRobot.dynamics : property that returns this object
     vectorize : compile a function for many states
 
     Examples
     --------
     >>> import numpy as np
     >>> from pinmobile import MobileRobot
-    >>> law = MobileRobot.lecture().law  # once, before the loop
-    >>> law.forward_dynamics(np.zeros(3), np.zeros(3), np.ones(3))
+    >>> dynamics = MobileRobot.lecture().dynamics  # once, before the loop
+    >>> dynamics.forward_dynamics(np.zeros(3), np.zeros(3), np.ones(3))
     array([ 0.0333,  0.0333, 10.    ])
     """
 

@@ -576,7 +576,7 @@ class PlantOnWheels:
         return holds_symbols(self)
 
     @property
-    def law(self) -> Any:
+    def dynamics(self) -> Any:
         """Dynamics for a loop: the robot itself, or its `array_dynamics` if it contains symbols."""
         return self.array_dynamics if self._is_symbolic else self
 

@@ -51,7 +51,7 @@ _BASE = 3
 _PASSES = 3
 _ROUNDS, _ENOUGH = 200, 1e-13  # dry friction: most iterations, and tolerance relative to the largest impulse
 _OF_TORQUES = re.compile(
-    "_.*|array_dynamics|law|nominal|terms|(check_)?inverse_dynamics|torques|allocate(_scaled)?|constraint_forces|"
+    "_.*|array_dynamics|dynamics|nominal|terms|(check_)?inverse_dynamics|torques|allocate(_scaled)?|constraint_forces|"
     "input_matrix|calls|slip_margins"
 )
 
