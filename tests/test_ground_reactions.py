@@ -280,6 +280,7 @@ def test_a_robot_by_voltage_tells_loads_and_takes_no_volts_for_torques() -> None
         errors.InvalidArgument, match=r"^motion.plant is ByVoltage\(...\), .* simulate motion"
     ):
         slip_margins(at)
-    assert [one.name for one in electric.metrics] == ["effort", "load", "tip over"]
-    assert [one.name for one in robot.metrics] == ["effort", "load", "tip over", "slip margin"]
+    names, fast = ["effort", "load", "tip over"], "exceed a speed limit"
+    assert [one.name for one in electric.metrics] == [*names, fast]
+    assert [one.name for one in robot.metrics] == [*names, "slip margin", fast]
     assert max_slope(electric) == max_slope(robot)
