@@ -8,7 +8,7 @@ import pytest
 
 import pinmobile as pm
 from pinmobile.arrays import Array
-from pinmobile.controllers import InputDelay
+from pinmobile.controllers import ControlAllocation, InputDelay, TorqueToVoltage
 from pinmobile.plant import Context
 from tests.test_simulation import TauAlone
 
@@ -63,6 +63,54 @@ def test_delays_of_state_and_input_are_that_many_samples() -> None:
         reference = pm.Reference(*(part[j] for part in late.reference))
         expected, _ = inner(0.0, late.q[j], late.v[j], reference, None)
         np.testing.assert_allclose(late.u[k], expected, rtol=0, atol=1e-13)
+
+
+def on_mecanum() -> tuple[pm.MobileRobot, pm.WheeledRobot]:
+    body, wheel = pm.MobileRobot(30, 1.3, com=(0, 0, 0.1)), {"mass": 1.0, "spin_inertia": 0.003}
+    motor = pm.Motor(resistance=1.0, torque_constant=0.05, voltage=24, gear=50)
+    return body, pm.WheeledRobot(body, pm.WheelTable.mecanum(0.4, 0.35, 0.08, motor=motor, **wheel))
+
+
+BASE, MECANUM = on_mecanum()
+INTEGRALS: dict[str, tuple[Any, Any]] = {
+    "late": (ROBOT, InputDelay(pm.PID(ROBOT), 3)),
+    "late and limited": (ROBOT, InputDelay(pm.InputSaturation(pm.PID(ROBOT), 20), 3)),
+    "late twice": (ROBOT, InputDelay(InputDelay(pm.PID(ROBOT), 1), 2)),
+    "observed and late": (ROBOT, InputDelay(pm.DisturbanceObserver(pm.PID(ROBOT)), 1)),
+    "observed": (ROBOT, pm.DisturbanceObserver(pm.InputSaturation(pm.PID(ROBOT), 30))),
+    "by wheels": (MECANUM, ControlAllocation(pm.PID(BASE), MECANUM)),
+    "by volts": (MECANUM.by_voltage(), TorqueToVoltage(ControlAllocation(pm.PID(BASE), MECANUM), MECANUM)),
+}
+
+
+@pytest.mark.parametrize("name", INTEGRALS)
+def test_an_integral_removes_the_error_of_a_force_inside_each_wrapper(name: str) -> None:
+    """Without the integral, 9 N leave 6 to 19 mm: 9 N / (30 or 10 kg) / 48."""
+    plant, controller = INTEGRALS[name]
+    still, push = pm.FixedHeading(pm.Hold([0, 0], 12.0), 0.0), [pm.ConstantForce([9, -6, 0.4])]
+    runs = [
+        pm.simulate(plant, controller, still, dt=0.01, forces=push, engine=engine)
+        for engine in (pm.Engine.PYTHON, pm.Engine.COMPILED)
+    ]
+    for run in runs:
+        assert np.abs(run.error[-1]).max() < 1e-5  # e^-4t, slower by volts
+    np.testing.assert_allclose(runs[0].q, runs[1].q, rtol=0, atol=1e-12)
+
+
+def test_an_integral_and_an_estimate_behind_a_delay_stop_at_limits_alone() -> None:
+    still, push = pm.FixedHeading(pm.Hold([0, 0], 4.0), 0.0), [pm.ConstantForce([30, 0, 0])]
+    limited = pm.InputSaturation(InputDelay(pm.PID(ROBOT), 3), 20)
+    run = pm.simulate(ROBOT, limited, still, dt=0.01, forces=push)
+    at_limit = np.abs(run.u[:, 0]) == 20
+    assert at_limit[200:].all()
+    steps = np.diff(run.signals["integral"].values, axis=0)[at_limit[1:]]
+    np.testing.assert_allclose(steps, 0.0, atol=1e-16)  # the last increment is added and taken back
+    law, path = pm.Adaptive(pm.MobileRobot(20, 1.3)), pm.Tangent(pm.Circle(0.4, 2.0, 20.0))
+    late = pm.simulate(BASE, InputDelay(law, 1), path, dt=0.01, engine=pm.Engine.COMPILED)
+    at_once = pm.simulate(BASE, law, path, dt=0.01, engine=pm.Engine.COMPILED)
+    masses = [each.signals["mass"].values[-1] for each in (late, at_once)]
+    assert masses[0] == pytest.approx(masses[1], rel=0.02)
+    assert masses[0] > 25
 
 
 def test_the_reference_is_not_delayed() -> None:

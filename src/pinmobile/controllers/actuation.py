@@ -9,7 +9,16 @@ import attrs
 import numpy as np
 
 from pinmobile.arrays import Array, bounded, callable_as, frozen, vector
-from pinmobile.controllers.controller import ContextView, Controller, State, Wrapper, evaluate, notify_applied
+from pinmobile.controllers.controller import (
+    AntiWindup,
+    ContextView,
+    Controller,
+    State,
+    Wrapper,
+    evaluate,
+    is_equal_input,
+    notify_applied,
+)
 from pinmobile.controllers.kinematic_laws import LAW, KinematicLaw, check_law, tracking_error, value_of
 from pinmobile.errors import InvalidArgument
 from pinmobile.parts import (
@@ -97,10 +106,11 @@ class TorqueToVoltage(Wrapper):
         inner: Any = ContextView(context, inputs=self.robot.wheeled.inputs)
         return self.controller.initial_state(inner), np.zeros(self.robot.nv)
 
-    def applied(self, u: Array, state: tuple[Any, Any]) -> tuple[Any, Any]:
+    def applied(self, u: Array, state: tuple[Any, Any], shift: Array | None = None) -> tuple[Any, Any]:
         """Return the next state; the wrapped controller receives the torques of the applied voltages."""
-        inner, v = state
-        return notify_applied(self.controller, self.robot.torques_at(v, u), inner), v
+        (inner, v), tau = state, self.robot.torques_at(state[1], u)
+        change = None if shift is None else self.robot.torques_at(v, u + shift) - tau
+        return notify_applied(self.controller, tau, inner, change), v
 
     def __call__(
         self, t: float, q: Array, v: Array, reference: State, state: tuple[Any, Any]
@@ -112,7 +122,7 @@ class TorqueToVoltage(Wrapper):
 
 @final
 @part
-class WheelSpeed:
+class WheelSpeed(AntiWindup):
     """Wheel speed control: a kinematic law sets wheel rates, and a PI loop per motor tracks them.
 
     Firmware of many robots works in this way::
@@ -209,8 +219,8 @@ class WheelSpeed:
     def applied(self, u: Array, state: tuple[Any, Any, Any, Any, Any]) -> tuple[Any, Any, Any, Any, Any]:
         """Return the state without the increments that a limit makes useless, shape (..., nu)."""
         law, integral, gain, law_input, dt = state
-        excess = np.where((law_input - u) * gain > 0.0, gain, 0.0)
-        return law, integral - excess, gain, law_input, dt
+        is_useless = ((law_input - u) * gain > 0.0) & ~is_equal_input(u, law_input)
+        return law, integral - np.where(is_useless, gain, 0.0), gain, law_input, dt
 
     def __call__(
         self, t: float, q: Array, v: Array, reference: State, state: tuple[Any, Any, Any, Any, Any]

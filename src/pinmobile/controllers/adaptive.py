@@ -9,7 +9,7 @@ import attrs
 import numpy as np
 
 from pinmobile.arrays import Array, bounded, frozen, instance, scalar, shaped, vector
-from pinmobile.controllers.controller import State, combined_error, passive_torque
+from pinmobile.controllers.controller import AntiWindup, State, combined_error, is_equal_input, passive_torque
 from pinmobile.controllers.feedback import SLOPE, BodyLaw, bound, check_bounds, comparison, coordinates_of
 from pinmobile.controllers.kinematic_laws import (
     DualNumber,
@@ -40,7 +40,7 @@ _self_default = partial(attrs.Factory, takes_self=True)
 
 @final
 @part
-class AdaptiveVelocity:
+class AdaptiveVelocity(AntiWindup):
     """Adaptive control of a robot that takes speed and yaw rate; it estimates theta.
 
     A point at a distance a ahead of the axle follows the reference. The kinematic law commands the speed and
@@ -216,7 +216,7 @@ class AdaptiveVelocity:
     def applied(self, u: Array, state: tuple[Any, Any, Any, Any, float]) -> tuple[Any, Any, Any, Any, float]:
         """Return the state without the increments that a limit makes useless, shape (..., 2)."""
         theta, previous, errors, command, dt = state
-        windup = (command - u) * errors
+        windup = np.where(is_equal_input(u, command), 0.0, (command - u) * errors)
         return np.where(_expand_to_theta(windup) > 0.0, previous, theta), previous, errors, command, dt
 
     def signals(self, state: tuple[Any, Any, Any, Any, float]) -> dict[str, Any]:
@@ -299,7 +299,6 @@ _SPATIAL = 10  # parameters of a body in space, as in `regressor`
 _BODY_GAINS = (2 / 3, 1 / 15, 1 / 15, 1 / 50)  # gains of the estimates of a body in the plane, per kg of it
 _FRICTION_GAINS = (2.0, 1.0)  # gains of viscous and dry friction, per diagonal entry of M
 _ANGLE_FACTOR = 1.8  # factor of these gains if a coordinate is an angle
-_FORCE_TOLERANCE = 1e-9  # relative tolerance for the equality of applied and desired force
 _INERTIA_RATIO = 0.04  # smallest ratio of the estimated and nominal inertia about the centre of mass
 
 
@@ -310,7 +309,7 @@ def _flag(name: str, value: Any) -> bool:
 
 @final
 @part
-class Adaptive(BodyLaw):
+class Adaptive(BodyLaw, AntiWindup):
     """Adaptive control (Slotine and Li, 1987): it estimates the model's parameters phi in the run.
 
     ::
@@ -454,7 +453,7 @@ class Adaptive(BodyLaw):
     def applied(self, u: Array, state: tuple[Any, ...]) -> tuple[Any, ...]:
         """Return the next state for the applied force, shape (..., n)."""
         change, previous, tau, dt = state
-        is_unlimited = np.all(np.abs(u - tau) <= _FORCE_TOLERANCE * (1 + np.abs(tau)), axis=-1)[..., None]
+        is_unlimited = np.all(is_equal_input(u, tau), axis=-1)[..., None]
         return np.where(is_unlimited, change, previous), previous, tau, dt
 
     def signals(self, state: tuple[Any, ...]) -> dict[str, Any]:

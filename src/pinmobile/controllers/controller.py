@@ -25,6 +25,7 @@ from pinmobile.plant import Context
 from pinmobile.signals import signals_of
 
 _TOL = 1e-9  # tolerance of two results for the same arguments
+_INPUT_TOLERANCE = 1e-9  # relative tolerance of equal inputs
 
 
 class State(Protocol):
@@ -239,10 +240,41 @@ def check_memory(controller: Controller, context: Context, q: Array, v: Array) -
         )
 
 
-def notify_applied(controller: Controller, u: Array, state: object) -> Any:
-    """Return the state of a controller after its optional call ``applied(u, state)``."""
-    listener = able(controller, Informed)
-    return listener.applied(u, state) if listener else state
+class AntiWindup:
+    """Base class of laws whose memory stops where limits change their input.
+
+    Behind an `InputDelay`, their method ``applied`` receives their last input, changed as the limits change
+    the delayed one. Observers receive the input that moves the robot.
+    """
+
+
+def notify_applied(controller: Controller, u: Array, state: object, shift: Array | None = None) -> Any:
+    """Return the state of a controller after its optional call ``applied(u, state)``.
+
+    Parameters
+    ----------
+    controller : controller
+        Controller.
+    u : ndarray, shape (..., nu)
+        Applied input.
+    state : any
+        State of the controller.
+    shift : ndarray, shape (..., nu), optional
+        Last input of the controller minus the earlier one that is applied now; None without an `InputDelay`.
+    """
+    listener: Any = able(controller, Informed)
+    if listener is None:
+        return state
+    if shift is None:
+        return listener.applied(u, state)
+    if isinstance(controller, AntiWindup):
+        return listener.applied(u + shift, state)
+    return listener.applied(u, state, *([shift] if isinstance(controller, Wrapper) else []))
+
+
+def is_equal_input(u: Array, command: Array) -> Any:
+    """Return whether an applied input is a law's input but for rounding, shape (..., nu)."""
+    return np.abs(u - command) <= _INPUT_TOLERANCE * (1.0 + np.abs(command))
 
 
 class Wrapper:
@@ -254,9 +286,9 @@ class Wrapper:
         """Raise `InvalidArgument` if the wrapped object is not a controller."""
         check_controller(self.controller)
 
-    def applied(self, u: Array, state: Any) -> Any:
-        """Return the next state, with the applied input passed on, shape (..., nu)."""
-        return notify_applied(self.controller, u, state[0]), *state[1:]
+    def applied(self, u: Array, state: Any, shift: Array | None = None) -> Any:
+        """Return the next state, with the applied input passed on, see `notify_applied`."""
+        return notify_applied(self.controller, u, state[0], shift), *state[1:]
 
     def signals(self, state: Any) -> Any:
         """Return the signals of the wrapped controller: name to (unit, value)."""

@@ -8,7 +8,7 @@ from typing import Any, final
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, endless_or_finite, finite, frozen, real, shaped
-from pinmobile.controllers.controller import State, combined_error, passive_torque
+from pinmobile.controllers.controller import AntiWindup, State, combined_error, is_equal_input, passive_torque
 from pinmobile.controllers.lqr import check_gains, diagonal, double_integrators
 from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.parts import (
@@ -406,7 +406,7 @@ class ComputedTorque:
 
 @final
 @part
-class PID(BodyLaw):
+class PID(BodyLaw, AntiWindup):
     """Computed torque with an integral, tau = M(q) (a_d + kd de/dt + kp e + ki z) + n(q, v), dz/dt = e.
 
     The integral removes the steady-state error of a constant force, or of a wrong mass on a steady path. It
@@ -469,8 +469,8 @@ class PID(BodyLaw):
     def applied(self, u: Array, state: tuple[Any, Any, Any, float]) -> tuple[Any, Any, Any, float]:
         """Return the next state; without the last increment if the applied input differs from the law's."""
         integral, gain, law_input, dt = state
-        differs = np.max(np.abs(u - law_input), axis=-1, keepdims=True) > 0
-        return integral - np.where(differs, gain, 0.0), gain, law_input, dt
+        is_equal = np.all(is_equal_input(u, law_input), axis=-1)[..., None]
+        return integral - np.where(is_equal, 0.0, gain), gain, law_input, dt
 
     def signals(self, state: tuple[Any, Any, Any, float]) -> dict[str, Any]:
         """Return the integral of the error [m s, rad s]."""
@@ -633,7 +633,7 @@ class SlidingMode(BodyLaw):
 
 @final
 @part
-class SuperTwisting(BodyLaw):
+class SuperTwisting(BodyLaw, AntiWindup):
     """Super-twisting control (Levant, 1993): sliding mode of second order with a continuous force.
 
     ::
@@ -697,7 +697,7 @@ class SuperTwisting(BodyLaw):
     def applied(self, u: Array, state: tuple[Any, Any, Any, float]) -> tuple[Any, Any, Any, float]:
         """Return the next state; without the last increment of z where another input is applied."""
         z, gain, law_input, dt = state
-        return z - np.where(u != law_input, gain, 0.0), gain, law_input, dt
+        return z - np.where(is_equal_input(u, law_input), 0.0, gain), gain, law_input, dt
 
     def signals(self, state: tuple[Any, Any, Any, float]) -> dict[str, Any]:
         """Return the integral z, an estimate of the unmodelled acceleration [m/s^2, rad/s^2]."""

@@ -32,6 +32,13 @@ from pinmobile.plant import Context, inputs_of, reference_sizes_of
 from pinmobile.signals import signals_of
 
 
+def _robot_of(controller: Any) -> Any:
+    """Return the model of a controller, or of the controller that it wraps."""
+    while isinstance(controller, Wrapper) and not hasattr(controller, "robot"):
+        controller = controller.controller
+    return getattr(controller, "robot", None)
+
+
 @final
 @part
 class DisturbanceObserver(Wrapper):
@@ -83,7 +90,7 @@ class DisturbanceObserver(Wrapper):
     controller: Any = child(Controller, doc="wrapped controller")
     robot: Any = child(
         Observable,
-        default=attrs.Factory(lambda self: getattr(self.controller, "robot", None), takes_self=True),
+        default=attrs.Factory(lambda self: _robot_of(self.controller), takes_self=True),
         doc="model of the momentum",
     )
     gain: Any = each(default=10.0, above=0.0, unit="1/s", doc="rate of the estimate", size=coordinates_of)
@@ -102,10 +109,10 @@ class DisturbanceObserver(Wrapper):
         zeros = np.zeros(self.robot.nv)
         return self.controller.initial_state(context), (0.0, zeros, zeros, zeros), float(context.dt)
 
-    def applied(self, u: Array, state: tuple[Any, ...]) -> tuple[Any, ...]:
+    def applied(self, u: Array, state: tuple[Any, ...], shift: Array | None = None) -> tuple[Any, ...]:
         """Return the next state for the applied force; the wrapped controller receives its own share."""
         inner, (is_ready, integral, law_input, estimate), dt = state
-        inner = notify_applied(self.controller, u + estimate, inner)
+        inner = notify_applied(self.controller, u + estimate, inner, shift)
         return inner, (is_ready, integral + dt * (u - law_input), u, estimate), dt
 
     def signals(self, state: tuple[Any, ...]) -> dict[str, Any]:
@@ -325,9 +332,9 @@ class InputSaturation(Wrapper):
         """Return the first state of the wrapped controller."""
         return self.controller.initial_state(context)
 
-    def applied(self, u: Array, state: Any) -> Any:
+    def applied(self, u: Array, state: Any, shift: Array | None = None) -> Any:
         """Return the wrapped controller's next state for the applied input, shape (..., n)."""
-        return notify_applied(self.controller, u, state)
+        return notify_applied(self.controller, u, state, shift)
 
     def signals(self, state: Any) -> Any:
         """Return the signals of the wrapped controller: name to (unit, value)."""
@@ -400,8 +407,9 @@ class MeasurementDelay(Wrapper):
 class InputDelay(Wrapper):
     """Wrapper that delays the input by some samples, as a network or firmware delays commands.
 
-    Until the first delayed input, the robot receives the first one. The wrapped controller receives the
-    input that is applied, not the one that it has just computed.
+    Until the first delayed input, the robot receives the first one. Observers in the wrapped controller
+    receive the input that is applied, not the one that they have just computed. An integral or an estimate
+    stops only where a limit changes the delayed input.
 
     Parameters
     ----------
@@ -436,17 +444,24 @@ class InputDelay(Wrapper):
     controller: Any = child(Controller, doc="wrapped controller")
     samples: int = integer(doc="delay of the input in samples")
 
-    def initial_state(self, context: Context) -> tuple[Any, Any]:
-        """Return the first state of the wrapped controller, and an empty delay line."""
-        return self.controller.initial_state(context), context.delay(self.samples)
+    def initial_state(self, context: Context) -> tuple[Any, ...]:
+        """Return the first state of the wrapped controller, an empty delay line, and no shift."""
+        shift = np.zeros(len(context.inputs))
+        return self.controller.initial_state(context), context.delay(self.samples), shift
+
+    def applied(self, u: Array, state: tuple[Any, ...], shift: Array | None = None) -> tuple[Any, ...]:
+        """Return the next state, see `notify_applied`; the shift covers this delay and those outside."""
+        inner, line, own = state
+        total = own if shift is None else own + shift
+        return notify_applied(self.controller, u, inner, total), line, own
 
     def __call__(
-        self, t: float, q: Array, v: Array, reference: State, state: tuple[Any, Any]
-    ) -> tuple[Array, tuple[Any, Any]]:
-        """Return the input, shape (..., nu), and the next state: the wrapped one and the delay line."""
+        self, t: float, q: Array, v: Array, reference: State, state: tuple[Any, ...]
+    ) -> tuple[Array, tuple[Any, ...]]:
+        """Return the input, shape (..., nu), and the next state: the wrapped one, delay line and shift."""
         tau, inner = evaluate(self.controller, t, q, v, reference, state[0])
         (old,), line = state[1].push((tau,))
-        return old, (inner, line)
+        return old, (inner, line, tau - old)
 
 
 @final
@@ -613,7 +628,7 @@ class ControlAllocation(Wrapper):
         zeros = np.zeros(body.nv)
         return self.controller.initial_state(view), zeros, zeros
 
-    def applied(self, u: Array, state: Any) -> Any:
+    def applied(self, u: Array, state: Any, shift: Array | None = None) -> Any:
         """Return the next state; the wrapped controller receives the force of the wheels, shape (..., n)."""
         return notify_applied(self.controller, state[2], state[0]), *state[1:]
 
@@ -717,11 +732,11 @@ class Sampled:
         inner = self.controller.initial_state(slow)
         return inner, 0.0, 0.0, "continues" if requests else ""
 
-    def applied(self, u: Array, state: tuple[Any, ...]) -> tuple[Any, ...]:
+    def applied(self, u: Array, state: tuple[Any, ...], shift: Array | None = None) -> tuple[Any, ...]:
         """Return the next state; the law receives the applied input of its own samples, shape (..., nu)."""
         inner, *rest = state
         is_due = rest[1] == 1.0 % self.every  # the law has just run
-        return _select_memory(is_due, notify_applied(self.controller, u, inner), inner), *rest
+        return _select_memory(is_due, notify_applied(self.controller, u, inner, shift), inner), *rest
 
     def signals(self, state: tuple[Any, ...]) -> Any:
         """Return the signals of the law: name to (unit, value)."""

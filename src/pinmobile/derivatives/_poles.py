@@ -44,9 +44,9 @@ class _Probe(Wrapper):
         """Return the state of the controller."""
         return (self.controller.initial_state(context),)
 
-    def applied(self, u: Array, state: Any) -> Any:
+    def applied(self, u: Array, state: Any, shift: Array | None = None) -> Any:
         """Return the next state; the controller receives its own share."""
-        return (notify_applied(self.controller, u - self.probe, state[0]),)
+        return (notify_applied(self.controller, u - self.probe, state[0], shift),)
 
     def __call__(self, t: Any, q: Any, v: Any, reference: Any, state: Any) -> Any:
         """Return the input and the next state."""
