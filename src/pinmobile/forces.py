@@ -131,6 +131,9 @@ AXES = ("x", "y", "moment")
 class ConstantForce:
     """Constant force in the inertial frame, such as a steady wind, or a push.
 
+    An integrator evaluates the force at the times of its stages. So give `begin` and `end` as multiples of
+    `dt`, or of the substep: a push that begins or ends between them is lost in part, or is too large.
+
     Parameters
     ----------
     force : array_like, shape (..., 3)

@@ -612,7 +612,7 @@ def initial_state(loop: Loop, context: Context, q: Any = None, v: Any = None) ->
 
 
 LARGEST = 1e9
-"""Largest sum of inputs and accelerations of a loop that has not diverged, as a multiple of its limit."""
+"""Largest sum of the sizes of inputs and accelerations, per limit, of a loop that has not diverged."""
 
 
 def is_near(errors: Any, limit: Any) -> Any:
@@ -631,8 +631,8 @@ def is_near(errors: Any, limit: Any) -> Any:
 def is_alive(errors: Any, limit: Any, u: Any, a: Any) -> Any:
     """Return whether samples have not diverged, shape (...): the rule of all engines.
 
-    A loop has diverged if an error or its rate exceeds the limit, or if its input or acceleration exceeds
-    `LARGEST` limits or is not a number.
+    A loop has diverged if an error or its rate exceeds the limit, or if the sum of the sizes of inputs and
+    accelerations exceeds `LARGEST` limits or is not a number.
 
     Parameters
     ----------
@@ -641,7 +641,12 @@ def is_alive(errors: Any, limit: Any, u: Any, a: Any) -> Any:
     u, a : ndarray, shape (..., nu), (..., nv)
         Input and acceleration.
     """
-    return is_near(errors, limit) & (np.abs(np.sum(u, axis=-1) + np.sum(a, axis=-1)) < LARGEST * limit)
+    return is_near(errors, limit) & is_small(u, a, limit)
+
+
+def is_small(u: Any, a: Any, limit: Any) -> Any:
+    """Return whether inputs and accelerations are those of a loop that has not diverged, shape (...)."""
+    return np.sum(np.abs(u), axis=-1) + np.sum(np.abs(a), axis=-1) < LARGEST * limit
 
 
 class UntraceableMetric(NotTraceable):

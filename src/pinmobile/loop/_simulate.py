@@ -27,7 +27,7 @@ from pinmobile.forces import Force
 from pinmobile.integrators import Integrator
 from pinmobile.loop._checks import ResultCache, check_answers, check_run, sample_reference
 from pinmobile.loop._engines import CompiledRun, PythonRun, Run, compile_plant
-from pinmobile.loop._loop import LARGEST, Loop, is_near
+from pinmobile.loop._loop import LARGEST, Loop, is_near, is_small
 from pinmobile.loop._rollout import Rollout, events_of, is_fault, kinds_of
 from pinmobile.parts import OnCoordinates, Starting, able
 from pinmobile.plant import Context, Plant, all_samples, coordinates_of, full_configurations, stated
@@ -145,7 +145,7 @@ def simulate(
         v)`` returns a generalized force, shape (nv,).
     limit : float
         Largest error of a coordinate or velocity [m, rad, m/s, rad/s]. The loop has diverged if an error
-        exceeds this limit, or the sum of inputs and accelerations 1e9 times its number.
+        exceeds this limit, or the sum of the sizes of inputs and accelerations 1e9 times its number.
     stop_at : sequence of str
         Kinds of events at which the rollout ends, such as ``["tip over", "slip"]``, see `plant.Event`.
     engine : Engine, optional
@@ -328,8 +328,8 @@ def _first_invalid(
     """Return the first sample that is not acceptable and the reason, or None and ""."""
     samples = loop.samples(begin, end)
     with np.errstate(all="ignore"):
-        is_small = np.abs(sum(part.sum(axis=1) for part in samples[2:])) < LARGEST * limit
-    is_finite = np.all([is_small, *(np.isfinite(part).all(axis=1) for part in samples)], axis=0)
+        small = is_small(*samples[2:], limit)
+    is_finite = np.all([small, *(np.isfinite(part).all(axis=1) for part in samples)], axis=0)
     count = int(np.argmin(is_finite)) if not is_finite.all() else end - begin
     if count:
         q, v = (part[:count] for part in samples[:2])
