@@ -114,13 +114,10 @@ def guard(integrator: Integrator) -> Integrator:
     Returns
     -------
     callable
-        The same step. It raises `InvalidArgument` for a result other than q and v, and `Diverged` for a
-        result that is not finite or exceeds `FAR`.
+        The same step. It raises `Diverged` for a result that is not finite or exceeds `FAR`.
 
     Raises
     ------
-    InvalidArgument
-        If a step does not return q and v of the right shape.
     Diverged
         If a step returns values that are not finite or exceed `FAR`.
 

@@ -113,7 +113,7 @@ class Scenario(RecordGrid):
     spread : mapping of str to Distribution, number or array of shape (n,)
         Distributions of numbers, by path: ``"plant.mass"``, ``"forces.0.force.x"``, ``"controller.kp"``,
         ``"trajectory.path.radius"``, ``"start.x"``. The end of a path is enough: ``"mass"`` is the plant's
-        number if it has one, otherwise the one nearest to the loop. A pattern, such as ``"plant.*.mu"``,
+        number if it has one, otherwise the one nearest to the loop. A pattern, such as ``"*.friction.mu"``,
         means all that fit, each with its own draw. All other numbers are nominal. The
         controller model keeps its own numbers unless the spread names them, such as ``"controller.mass"``;
         `pinmobile.loop.TRUE_MODEL` gives it those of each robot.

@@ -97,7 +97,7 @@ class Reader:
         self._raise()
         return part
 
-    def change(self, root: Any, changes: Mapping[str, Any], path: str = "") -> Any:
+    def change(self, root: Any, changes: Mapping[str, Any]) -> Any:
         """Return a part with other values at paths; models of controllers keep the original robot.
 
         Raises
@@ -105,7 +105,7 @@ class Reader:
         InvalidEntries
             If a value is invalid.
         """
-        part = self._change(root, make_tree(changes), path)
+        part = self._change(root, make_tree(changes), "")
         self._raise()
         return part
 

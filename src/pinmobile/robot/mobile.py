@@ -40,14 +40,13 @@ from pinmobile.parts import (
     declare,
     evolved,
     fields_of,
-    is_symbolic,
+    holds_symbols,
     number,
     numeric,
     option,
     part,
     require,
     structure,
-    walk,
 )
 from pinmobile.robot.arm_loading import KeptArm, existing_folders, read_arm
 from pinmobile.robot.arms import check_whole, com_field, matrix_of_six
@@ -187,7 +186,7 @@ class MobileRobot(MultibodySystem):
 
     @cached_property
     def _is_symbolic(self) -> bool:
-        return any(is_symbolic(leaf.value) for leaf in walk(self))
+        return holds_symbols(self)
 
     @numeric
     def body(self) -> urdf.Body:

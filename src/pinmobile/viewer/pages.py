@@ -90,7 +90,6 @@ _KINDS = {
     "set_animation": "animations",
     "delete": "path",
 }
-_FLOAT32 = 0x17  # MessagePack extension of meshcat for arrays of floats
 
 
 class Command(Protocol):

@@ -138,8 +138,9 @@ def merge(parts: Sequence[Triangles]) -> Triangles:
     return np.concatenate([vertices for vertices, _ in parts]), np.concatenate(faces).astype(np.uint32)
 
 
-def arrow(thickness: float = 0.05, sides: int = 20) -> Triangles:
+def arrow(thickness: float = 0.05) -> Triangles:
     """Return an arrow of length 1 along x, round, with a head: the surface of revolution of its profile."""
+    sides = 20
     profile = [(0, 0), (0, thickness / 2), (0.72, thickness / 2), (0.72, 1.6 * thickness), (1, 0)]
     angle = np.linspace(0, 2 * np.pi, sides, endpoint=False)
     circle = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
