@@ -24,7 +24,7 @@ from pinmobile.controllers import PD, ComputedTorque, law
 from pinmobile.errors import InvalidArgument
 from pinmobile.loop import Rollout, simulate
 from pinmobile.paths import Circle, CubicVia, Hold
-from pinmobile.plots.style import format_si
+from pinmobile.plots.style import format_si, layout_problem
 from pinmobile.robot import MobileRobot
 from pinmobile.trajectories import FixedHeading, Reference, Tangent, Trajectory
 from pinmobile.wheels import Coulomb, WheeledRobot, WheelTable
@@ -91,6 +91,13 @@ class TestPath:
         # The lecture's animation: the desired position with the actual heading.
         mixed = np.append(astray.reference.q[0, :2], astray.q[0, 2])
         assert np.abs(drawn[0] - corners(mixed, 0.8, 0.3)).max() > 1
+
+    def test_signs_and_two_decimals_of_ticks_leave_room_for_the_label(self) -> None:
+        arc = Tangent(Circle(1.0, 0.5, 3.0))
+        figure = plots.path(simulate(MobileRobot(30, 1.3), PD(300, 150), arc, dt=0.01))
+        figure.draw_without_rendering()
+        assert "\N{MINUS SIGN}0.25" in [tick.get_text() for tick in figure.axes[0].get_yticklabels()]
+        assert layout_problem(figure, figure.axes) == ""
 
     def test_lines_are_the_desired_and_the_travelled_path(self, circle: Runs) -> None:
         for axes, run in zip(plots.path(circle).axes, circle.values(), strict=True):

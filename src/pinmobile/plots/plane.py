@@ -287,7 +287,7 @@ def _place_axes(
     """
     em = font_size() / 72
     rows, columns = (1 + max(rectangle) for rectangle in zip(*spots, strict=True))
-    left, right, gap = 4.7 * em, 1.4 * em, 2.2 * em
+    left, right, gap = 6.0 * em, 1.4 * em, 2.2 * em
     bottom, row_gap, top = keys + 3.4 * em, (titles + 1.8) * em, titles * em + heading
     width = (sheet.width - left - right - gap * (columns - 1)) / columns
     span = max(width, em) * shape[1] / shape[0]
