@@ -287,7 +287,7 @@ class Wrapper:
         check_controller(self.controller)
 
     def applied(self, u: Array, state: Any, shift: Array | None = None) -> Any:
-        """Return the next state, with the applied input passed on, see `notify_applied`."""
+        """Return the next state, with the applied input and the shift of a delay passed on, (..., nu)."""
         return notify_applied(self.controller, u, state[0], shift), *state[1:]
 
     def signals(self, state: Any) -> Any:

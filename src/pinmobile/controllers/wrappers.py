@@ -450,7 +450,7 @@ class InputDelay(Wrapper):
         return self.controller.initial_state(context), context.delay(self.samples), shift
 
     def applied(self, u: Array, state: tuple[Any, ...], shift: Array | None = None) -> tuple[Any, ...]:
-        """Return the next state, see `notify_applied`; the shift covers this delay and those outside."""
+        """Return the next state; the shift that is passed on covers this delay and those outside."""
         inner, line, own = state
         total = own if shift is None else own + shift
         return notify_applied(self.controller, u, inner, total), line, own
