@@ -578,7 +578,7 @@ def _evaluate_robots(
     ends = [np.array(x) for x in zip(alone(0), alone(n - 1), strict=True)]
     try:
         with tracing():
-            answers = _evaluate_symbols(lambda x, *row: compute(x.law, *row), loop, spread, n, *rows)
+            answers = _evaluate_symbols(lambda x, *row: compute(x.dynamics, *row), loop, spread, n, *rows)
     except NotTraceable:
         answers = []
     answers = [np.broadcast_to(x, (n, *x.shape[-1:])) for x in answers]
