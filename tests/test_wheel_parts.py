@@ -137,6 +137,25 @@ def test_robots_of_an_ensemble_start_with_their_own_wheels(name: str, varied: Ta
     assert np.ptp(v[:, -1]) + np.ptp(v[:, -len(robot.table)]) > 0.1
 
 
+def test_starts_of_many_robots_are_evaluated_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    robot, starts = ROBOTS["slipping"], list[Any]()
+    start = type(robot).start
+
+    def counted(*given: Any) -> Any:
+        starts.append(given)
+        return start(*given)
+
+    zero = law(lambda t, q, v, reference: np.zeros(robot.nu))
+    spread: Any = {f"{robot.table.names[0]}.radius": Uniform(0.08, 0.12)}
+    path = Tangent(Circle(1.0, 0.5, 1.0))
+    scenario = Scenario(robot=robot, controller=zero, trajectory=path, n=50, spread=spread, dt=0.01)
+    values = scenario.values(scenario.draws(), 0, 50)
+    scenario.starts(values, 50, None)  # finds out which numbers change the start
+    monkeypatch.setattr(type(robot), "start", counted)
+    scenario.starts(values, 50, None)
+    assert len(starts) == 2  # the first and the last robot, to compare
+
+
 def test_a_plant_with_its_own_start_starts_each_robot_in_python() -> None:
     @parts.part
     class Own(WheeledRobot):  # type: ignore[misc]  # final: a user's plant would be written anew

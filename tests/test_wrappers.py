@@ -8,7 +8,7 @@ import pytest
 
 import pinmobile as pm
 from pinmobile.arrays import Array
-from pinmobile.controllers import ControlAllocation, InputDelay, TorqueToVoltage
+from pinmobile.controllers import ControlAllocation, InputDelay, Sampled, TorqueToVoltage
 from pinmobile.plant import Context
 from tests.test_simulation import TauAlone
 
@@ -77,6 +77,8 @@ INTEGRALS: dict[str, tuple[Any, Any]] = {
     "late and limited": (ROBOT, InputDelay(pm.InputSaturation(pm.PID(ROBOT), 20), 3)),
     "late twice": (ROBOT, InputDelay(InputDelay(pm.PID(ROBOT), 1), 2)),
     "observed and late": (ROBOT, InputDelay(pm.DisturbanceObserver(pm.PID(ROBOT)), 1)),
+    "late and sampled": (ROBOT, InputDelay(Sampled(pm.PID(ROBOT), 2), 2)),
+    "sampled and late": (ROBOT, Sampled(InputDelay(pm.PID(ROBOT), 1), 2)),
     "observed": (ROBOT, pm.DisturbanceObserver(pm.InputSaturation(pm.PID(ROBOT), 30))),
     "by wheels": (MECANUM, ControlAllocation(pm.PID(BASE), MECANUM)),
     "by volts": (MECANUM.by_voltage(), TorqueToVoltage(ControlAllocation(pm.PID(BASE), MECANUM), MECANUM)),

@@ -21,7 +21,7 @@ from pinmobile.arrays import (
 )
 from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.parts import Informed, able, option, part, require
-from pinmobile.plant import Context
+from pinmobile.plant import Context, stated
 from pinmobile.signals import signals_of
 
 _TOL = 1e-9  # tolerance of two results for the same arguments
@@ -241,15 +241,19 @@ def check_memory(controller: Controller, context: Context, q: Array, v: Array) -
 
 
 class AntiWindup:
-    """Base class of laws whose memory stops where limits change their input.
+    """Base class of laws with a memory that stops where limits change the input."""
 
-    Behind an `InputDelay`, their method ``applied`` receives their last input, changed as the limits change
-    the delayed one. Observers receive the input that moves the robot.
-    """
+    def applied_late(self, u: Array, shift: Array, state: Any) -> Any:
+        """Return the next state; a limit changes the last input as it changes the delayed one."""
+        law: Any = self
+        return law.applied(u + shift, state)
 
 
 def notify_applied(controller: Controller, u: Array, state: object, shift: Array | None = None) -> Any:
     """Return the state of a controller after its optional call ``applied(u, state)``.
+
+    Behind an `InputDelay`, the call is ``applied_late(u, shift, state)``, if the controller has this method.
+    Laws with an integral have it, and wrappers. Observers receive the input that moves the robot.
 
     Parameters
     ----------
@@ -265,15 +269,12 @@ def notify_applied(controller: Controller, u: Array, state: object, shift: Array
     listener: Any = able(controller, Informed)
     if listener is None:
         return state
-    if shift is None:
-        return listener.applied(u, state)
-    if isinstance(controller, AntiWindup):
-        return listener.applied(u + shift, state)
-    return listener.applied(u, state, *([shift] if isinstance(controller, Wrapper) else []))
+    late = None if shift is None else stated(controller, "applied_late")
+    return late(u, shift, state) if late else listener.applied(u, state)
 
 
 def is_equal_input(u: Array, command: Array) -> Any:
-    """Return whether an applied input is a law's input but for rounding, shape (..., nu)."""
+    """Return whether an applied input equals the input of a law up to rounding, shape (..., nu)."""
     return np.abs(u - command) <= _INPUT_TOLERANCE * (1.0 + np.abs(command))
 
 
@@ -289,6 +290,10 @@ class Wrapper:
     def applied(self, u: Array, state: Any, shift: Array | None = None) -> Any:
         """Return the next state, with the applied input and the shift of a delay passed on, (..., nu)."""
         return notify_applied(self.controller, u, state[0], shift), *state[1:]
+
+    def applied_late(self, u: Array, shift: Array, state: Any) -> Any:
+        """Return the next state behind an `InputDelay`, see `applied`."""
+        return self.applied(u, state, shift)
 
     def signals(self, state: Any) -> Any:
         """Return the signals of the wrapped controller: name to (unit, value)."""

@@ -28,15 +28,17 @@ from pinmobile.controllers.feedback import check_wheelless, coordinates_of
 from pinmobile.controllers.kinematic_laws import has_axle, reference_of, reference_speeds, value_of
 from pinmobile.controllers.lqr import check_gains
 from pinmobile.parts import Allocating, Integrating, Observable, child, each, integer, option, part, structure
-from pinmobile.plant import Context, inputs_of, reference_sizes_of
+from pinmobile.plant import Context, inputs_of, reference_sizes_of, stated
 from pinmobile.signals import signals_of
 
 
 def _robot_of(controller: Any) -> Any:
     """Return the model of a controller, or of the controller that it wraps."""
-    while isinstance(controller, Wrapper) and not hasattr(controller, "robot"):
+    robot = stated(controller, "robot")
+    while robot is None and stated(controller, "controller") is not None:
         controller = controller.controller
-    return getattr(controller, "robot", None)
+        robot = stated(controller, "robot")
+    return robot
 
 
 @final
@@ -737,6 +739,10 @@ class Sampled:
         inner, *rest = state
         is_due = rest[1] == 1.0 % self.every  # the law has just run
         return _select_memory(is_due, notify_applied(self.controller, u, inner, shift), inner), *rest
+
+    def applied_late(self, u: Array, shift: Array, state: tuple[Any, ...]) -> tuple[Any, ...]:
+        """Return the next state behind an `InputDelay`, see `applied`."""
+        return self.applied(u, state, shift)
 
     def signals(self, state: tuple[Any, ...]) -> Any:
         """Return the signals of the law: name to (unit, value)."""

@@ -536,7 +536,7 @@ def initial_states(loop: Loop, spread: Mapping[str, Array], first: Reference) ->
     Parameters
     ----------
     loop : Loop
-        Nominal loop, whose plant has ``start``.
+        Nominal loop; its plant has ``start``.
     spread : mapping of str to ndarray, shape (n, ...)
         Numbers of the robots, by path.
     first : Reference

@@ -370,7 +370,7 @@ def limits_of(body: Any) -> list[tuple[int, float]]:
 
 
 def fast_actuators(body: Any) -> list[int]:
-    """Return the numbers of the actuators whose rate has a limit."""
+    """Return the numbers of the actuators with a limit of their rate."""
     motors = enumerate(each.motor for each in body.table.actuators)
     return [k for k, motor in motors if motor.is_electric or np.isfinite(motor.rate_limit)]
 
