@@ -292,7 +292,7 @@ class Wrapper:
         return notify_applied(self.controller, u, state[0], shift), *state[1:]
 
     def applied_late(self, u: Array, shift: Array, state: Any) -> Any:
-        """Return the next state behind an `InputDelay`, see `applied`."""
+        """Return the next state behind a delay of the input, shape (..., nu)."""
         return self.applied(u, state, shift)
 
     def signals(self, state: Any) -> Any:

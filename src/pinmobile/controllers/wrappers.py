@@ -741,7 +741,7 @@ class Sampled:
         return _select_memory(is_due, notify_applied(self.controller, u, inner, shift), inner), *rest
 
     def applied_late(self, u: Array, shift: Array, state: tuple[Any, ...]) -> tuple[Any, ...]:
-        """Return the next state behind an `InputDelay`, see `applied`."""
+        """Return the next state behind a delay of the input, shape (..., nu)."""
         return self.applied(u, state, shift)
 
     def signals(self, state: tuple[Any, ...]) -> Any:
