@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -18,6 +19,7 @@ import pytest
 import pinmobile as pm
 from pinmobile import law
 from pinmobile.arrays import Array
+from pinmobile.compiled import identity
 from pinmobile.sweeps import Points
 from pinmobile.sweeps._points import describe, differences
 from tests.sweeping import points, scenario
@@ -141,11 +143,24 @@ def test_whatever_changes_the_numbers_is_told(one: Any, other: Any, told: str) -
 
 def test_versions_and_machine_are_told() -> None:
     there = account()
-    names = ("numpy", "scipy", "llvmlite", "pin", "pinmobile")
+    names = ("numpy", "scipy", "llvmlite", "pin")
     assert {name: there["versions"][name] for name in names} == {name: version(name) for name in names}
+    assert re.fullmatch(rf"{re.escape(pm.__version__)} \([0-9a-f]{{12}}\)", there["versions"]["pinmobile"])
     other = {**there, "machine": "abacus", "versions": {**there["versions"], "numpy": "0"}}
     assert "version of numpy is" in differences(there, other)
     assert "machine is" in differences(there, other)
+
+
+def test_an_edited_library_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(identity, "__file__", str(tmp_path / "pinmobile/compiled/identity.py"))
+    told = []
+    for text in ("force = 1\n", "force = 2\n"):
+        (tmp_path / "pinmobile").mkdir(exist_ok=True)
+        (tmp_path / "pinmobile/forces.py").write_text(text)
+        identity.code_of_library.cache_clear()
+        told.append(account())
+    identity.code_of_library.cache_clear()
+    assert differences(*told).startswith("version of pinmobile is 0.")
 
 
 def test_globals_and_modules_are_told_and_caches_are_not(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -23,6 +23,7 @@ from pinmobile.compiled.functions import (
 from pinmobile.compiled.identity import (
     Contents as Contents,
     Identity as Identity,
+    code_of_library as code_of_library,
     is_constant as is_constant,
     is_traced as is_traced,
 )

@@ -369,6 +369,15 @@ def _slots(kind: Any) -> tuple[str, ...]:
 
 
 @functools.cache
+def code_of_library() -> str:
+    """Return a digest of the library's files, which differ between two commits of one version."""
+    folder, digest = Path(__file__).parents[1], hashlib.sha256()
+    for file in sorted(folder.rglob("*.py")):
+        digest.update(file.relative_to(folder).as_posix().encode() + b"\0" + file.read_bytes())
+    return digest.hexdigest()[:12]
+
+
+@functools.cache
 def _source() -> str | None:
     """Return a text for the code of library, Python and NumPy; None if a file has just changed."""
     files = [(file, file.stat()) for file in sorted(Path(__file__).parents[1].rglob("*.py"))]

@@ -18,7 +18,7 @@ from typing import Any, TypeAlias, final
 import numpy as np
 
 from pinmobile.arrays import instance
-from pinmobile.compiled import Contents
+from pinmobile.compiled import Contents, code_of_library
 from pinmobile.errors import InvalidArgument, UnknownName, format_value
 from pinmobile.loop import (
     ROBOT_ARRAYS,
@@ -353,10 +353,11 @@ def describe(points: Points, version: str | None = None) -> dict[str, Any]:
         If there are such objects, but no such word.
     """
     rows = [_describe_scenario(scenario, version) for scenario in points.scenarios]
+    releases = versions()
     description: dict[str, Any] = {
         "format": FORMAT,
         "machine": machine(),
-        "versions": versions(),
+        "versions": releases | {"pinmobile": f"{releases['pinmobile']} ({code_of_library()})"},
         "axes": {name: {"values": axis.values, "unit": axis.unit} for name, axis in points.axes.items()},
     }
     for name in sorted(set().union(*rows)):
