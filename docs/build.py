@@ -14,6 +14,7 @@ import sys
 import time
 from base64 import b64decode
 from collections.abc import Callable, Iterator
+from functools import cache
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -261,17 +262,19 @@ def broken(html: Path) -> Iterator[str]:
         for each in html.rglob("*.html")
         if not {"_static", "recordings"} & set(each.relative_to(html).parts)
     ]
-    pages = {path.resolve(): Page(path.read_text()) for path in paths}
+    pages = {os.path.realpath(path): Page(path.read_text()) for path in paths}
+    exists = cache(os.path.exists)
     for path, page in pages.items():
-        for link in [*page.links, *page.loaded]:
+        for link in {*page.links, *page.loaded}:
             address = urlsplit(link)
             if address.scheme or address.netloc:
                 if link in page.loaded and address.scheme != "data":
                     yield f"{path}: loads {link}"
                 continue
-            target = (path.parent / unquote(address.path)).resolve() if address.path else path
+            place = os.path.join(os.path.dirname(path), unquote(address.path))
+            target = os.path.normpath(place) if address.path else path
             ids = pages[target].ids if target in pages else None
-            if not target.exists() or (
+            if not exists(target) or (
                 address.fragment and ids is not None and unquote(address.fragment) not in ids
             ):
                 yield f"{path}: no {link}"
