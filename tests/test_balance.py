@@ -154,6 +154,8 @@ def test_the_distance_from_the_edge_is_signed_and_to_the_corner_outside(corners:
     points = np.array([[1, 1], [1, 0.25], [5, 6], [1, -3], [np.nan, 0]])
     margin = margin_inside(np.array(SQUARE, dtype=float), points)
     np.testing.assert_allclose(margin, [1, 0.25, -5, -3, np.nan], atol=1e-15)
+    outside = margin_inside(np.array(SQUARE, dtype=float), np.array([[1, -1e-15], [1, -1e-6]]))
+    assert outside[0] >= 0 > outside[1]  # rounding is no edge passed
 
 
 def test_a_footprint_is_in_the_bodys_frame() -> None:

@@ -54,6 +54,18 @@ def test_an_input_at_its_limit_is_an_event_without_a_warning() -> None:
     assert f"input left is at its limit of {event.limit:g} N m (from t = {event.t:g} s" in str(run)
 
 
+@pytest.mark.parametrize(("x", "falls"), [(0.0, False), (-1e-4, True)])
+def test_a_caster_that_carries_nothing_lets_no_robot_tip_over(x: float, falls: bool) -> None:
+    robot = pm.WheeledRobot(pm.MobileRobot(30, 3, com=(x, 0.1, 0.1)), on_wheels().table)
+    law, path = pm.Backstepping(pm.UnicycleTracking(), robot), pm.Tangent(pm.Circle(1, 0.5, 4))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", LimitWarning)
+        run = pm.simulate(robot, law, path, dt=0.01)
+        many = pm.ensemble(robot, law, path, dt=0.01, n=20, spread={"mass": pm.Uniform(20, 40)})
+    assert bool(run.events) == falls
+    assert many.faults.get("load below 0", np.zeros(20)).all() == falls
+
+
 def test_a_motor_at_its_current_is_an_event() -> None:
     robot = on_wheels(motor=pm.Motor(resistance=2, torque_constant=0.5, voltage=24, current=1.0))
     by_voltage = robot.by_voltage()

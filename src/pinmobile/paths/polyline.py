@@ -35,8 +35,8 @@ _JOINT_TOLERANCE = 1e-9  # [m, m/s], and relative to their size: tolerance for r
 class CompositePath(Curve):
     """Paths one after another: each starts at the end of the one before, with its velocity.
 
-    The acceleration may jump, as at the via point of a `CubicVia`. The method ``moved`` of a path places it
-    at the end of another.
+    The acceleration may jump, as at the via point of a `CubicVia`: where a line meets a circle, so does the
+    yaw rate of `Tangent`. The method ``moved`` of a path places it at the end of another.
 
     Parameters
     ----------

@@ -21,7 +21,7 @@ from pinmobile.robot.linkage import Joint, turns_freely
 
 WEIGHTLESS = 1e-9  # share of the weight below which a vertical force of the ground counts as rounding
 
-_STRAIGHT = 1e-9  # largest distance of a straight corner inside the hull, as a share of the footprint
+_STRAIGHT = 1e-9  # distance from an edge that is rounding, as a share of the footprint or of the edge
 _FLAT = 1e-12  # area of a straight corner by rounding, as a share of a square about the footprint
 
 
@@ -97,7 +97,8 @@ def margin_inside(corners: Array, points: Array) -> Array:
     share = np.clip((from_corner * shares).sum(axis=-1), 0.0, 1.0)
     square = np.square(from_corner - share[..., None] * edges).sum(axis=-1)
     distance: Array = np.sqrt(np.min(square, axis=-1))
-    is_inside = np.all(_cross(edges, from_corner) >= 0, axis=-1)
+    on_edge = -_STRAIGHT * np.square(edges).sum(axis=-1)  # a point may lie outside by rounding
+    is_inside = np.all(_cross(edges, from_corner) >= on_edge, axis=-1)
     return np.where(is_inside, distance, -distance)
 
 

@@ -43,6 +43,7 @@ _FORCES = "along", "across", "loads"
 _SECOND = "lateral", "across"  # kinds of rows that are a wheel's second direction
 _FLAT = 1e-9  # relative tolerance of the determinant of contacts on a line
 _NOTHING = 1e-12  # relative to the weight: tolerance of a load of zero
+_NO_FORCE = 1e-9  # relative to the sum of the loads: rounding of a load or margin in a motion
 _SOFT = 1e-7  # relative to the moments of all springs: additional stiffness for contacts on a line
 _EDGE = 1e-5  # relative to the size of the polygon: tolerance of its edge before the robot tips
 
@@ -458,10 +459,16 @@ def _of_ground(body: Any, state: Any, a: Any, u: Any, q: Any) -> Vector:
         values += scalars(margin_of_wrench(corners, wrench, body.weight)[..., None])
     places = places_of(body, state.steering)
     loads = shared_loads(places, fz, mx, my)
-    values += [reduce(lower, loads.springs), loads.tips]
+    values += [_settled(reduce(lower, loads.springs), fz), loads.tips]
     if not body.slips and body.groups:
-        values.append(reduce(lower, margin(body, state, proper_a, u, loads.values, q)[2]))
+        margins = margin(body, state, proper_a, u, loads.values, q)[2]
+        values.append(_settled(reduce(lower, margins), fz))
     return values
+
+
+def _settled(force: Any, fz: Any) -> Any:
+    """Return a force without rounding: a caster carries nothing if the centre of mass is over the axle."""
+    return choose(abs(number(force)) > _NO_FORCE * abs(number(fz)), force, 0.0)
 
 
 def _slip(body: Any, state: Any) -> Any:
