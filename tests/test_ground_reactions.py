@@ -284,3 +284,19 @@ def test_a_robot_by_voltage_tells_loads_and_takes_no_volts_for_torques() -> None
     assert [one.name for one in electric.metrics] == [*names, fast]
     assert [one.name for one in robot.metrics] == [*names, "slip margin", fast]
     assert max_slope(electric) == max_slope(robot)
+
+
+@pytest.mark.parametrize("ground", [Rolling(Ramp(0.1)), Coulomb()])
+@pytest.mark.parametrize("body", [BODY, BODY.mount("ur5", at=(0.1, 0, 0.3, 0))])
+def test_metrics_of_a_motion_by_voltage_are_those_of_its_torques(body: Any, ground: Any) -> None:
+    motor = Motor(resistance=0.4, torque_constant=0.05, voltage=48.0, gear=30.0)
+    wheels = WheelTable.differential(0.5, 0.1, motor=motor, **WHEEL).wheels
+    robot = WheeledRobot(body, WheelTable((*wheels, CASTER)), ground)
+    q = np.append(body.rest, np.zeros(robot.nq - body.nq))
+    v, a, u = np.full(robot.nv, 0.3), np.ones(robot.nv), np.full(robot.nu, 2.0)
+    names = [metric.name for metric in robot.metrics]
+    states = q, v, a, u, pm.Reference(body.rest, *np.zeros((2, body.nv)))
+    torques, volts = (plant.evaluate_metrics(0, *states) for plant in (robot, robot.by_voltage()))
+    for metric, x in zip(robot.by_voltage().metrics, volts, strict=True):
+        if metric.name != "effort":
+            assert x == torques[names.index(metric.name)], metric.name

@@ -156,7 +156,7 @@ def test_metrics_margins_and_figures_of_each_sample_are_those_of_its_robot() -> 
         assert not np.array_equal(loaded, alone)
         expected = np.where(held.reshape(-1, *(1,) * (loaded.ndim - 1)), loaded, alone)
         np.testing.assert_array_equal(ask(run), expected)
-    for draw in (plots.loads, plots.friction, plots.wheel_torques, plots.balance):
+    for draw in (plots.loads, plots.friction, plots.wheel_torques, plots.balance, plots.path):
         draw(run)
     drawn = np.sum([np.asarray(line.get_ydata()) for line in plots.loads(run).axes[0].lines[:4]], axis=0)
     np.testing.assert_allclose(drawn, balance.contact_loads(run).values.sum(1), rtol=1e-9)

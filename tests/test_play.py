@@ -192,6 +192,26 @@ def test_keys_drive_each_drive_ahead(name: str) -> None:
     np.testing.assert_allclose(found.reference.q[0], shipped(name).reference.q[0])  # the trajectory, at first
 
 
+def test_a_payload_is_seen_and_weighs_while_it_is_held() -> None:
+    scenario = shipped("mobile-manipulator", "dt=0.01")
+    robot, crate = scenario.robot, pm.PayloadBody(3.0, size=(0.2, 0.2, 0.2))
+    plant = pm.PayloadTransfer(robot, crate, begin=1.0)
+    with LiveRun(evolved(scenario, robot=plant, integrator=None)) as run, WebSocket(run.url) as page:
+        client, mass = Client(page, "one"), robot.mass_matrix(robot.rest)[0, 0]
+        weight = 9.81 * mass
+        assert run._can_drive
+        assert run._mass == pytest.approx(mass)
+
+        def state() -> Any:
+            moves = client.last("moves")
+            held = [x for path, name, x in json.loads(moves or "[]") if name == "visible" and "load" in path]
+            contacts = run._newest_contacts
+            return bool(held and held[0]), 0.0 if contacts is None else float(contacts.loads.sum())
+
+        assert eventually(lambda: state() == (False, pytest.approx(weight, rel=0.02)))
+        assert eventually(lambda: state() == (True, pytest.approx(weight + 3 * 9.81, rel=0.02)))
+
+
 def test_slip_and_tipping_are_stated_when_they_happen() -> None:
     tall = shipped("differential", "robot.ground=Coulomb(0.9)", "robot.robot.com.z=0.4")
     with LiveRun(tall) as run, WebSocket(run.url) as page:

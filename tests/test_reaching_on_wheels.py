@@ -1,5 +1,6 @@
 """A UR5 on a Ridgeback follows an end effector's path by the torques of its wheels and joints."""
 
+import warnings
 from dataclasses import dataclass
 from math import pi
 
@@ -9,6 +10,7 @@ import pytest
 import pinmobile as pm
 from pinmobile.arrays import Array
 from pinmobile.balance import contact_loads, slip_margins
+from pinmobile.errors import LimitWarning, Unreachable
 from pinmobile.integrators import constant_acceleration
 from pinmobile.parts import evolved
 from pinmobile.plant import ContactLoads, SlipMargins
@@ -99,6 +101,36 @@ def test_the_friction_that_its_margins_ask_for_is_what_it_needs(wall: Wall) -> N
         assert slip > 1e-2 if slides else slip < 1e-12
         assert bool(run.signals["slides"].values.any()) == slides
         assert wall.missed(run).max() < 1e-3
+
+
+def test_the_hand_that_meets_a_tyre_is_refused() -> None:
+    body = pm.MobileRobot.box(mass=60, size=(0.8, 0.5, 0.3)).mount("ur5", at=(0.2, 0, 0.3, 0))
+    robot = pm.WheeledRobot(body, pm.WheelTable.mecanum(0.6, 0.8, 0.15, mass=1.0, spin_inertia=0.01))
+    start = np.array([0, 0, 0, 0.9, -1.0, 1.9, -0.6, 1.57, 0])
+    toward_hub = pm.PosePath(pm.RestToRest(body.frame_pose(start)[:3, 3], (0.3, 0.4, 0.2), duration=4))
+    with pytest.raises(Unreachable, match="ur5/wrist_3_link and front_left/tyre") as found:
+        pm.solve_inverse_kinematics(
+            robot, toward_hub, q0=start, dt=0.05, clearance=0.0, velocity_limit=[0] * 3 + [3] * 6
+        )
+    motion = found.value.resolved
+    q = np.hstack([motion(motion.t).q, np.zeros((len(motion.t), 4))])
+    assert motion.clearance.smallest == pm.clearance(robot, q).smallest < -0.05
+
+
+def test_joints_carry_their_load_on_the_slope() -> None:
+    body = pm.MobileRobot.box(mass=60, size=(0.8, 0.6, 0.3)).mount("ur5", at=(0.2, 0, 0.3, 0))
+    body = body.attach(pm.PayloadBody(8, com=(0, 0, 0.35)))
+    level = pm.WheeledRobot(body, pm.WheelTable.differential(0.6, 0.1, mass=2.3, spin_inertia=0.01))
+    start = np.array([0, 0, 0, -0.05, 1.67, -1.39, 0.57, 1.66, 0.41])
+    place = body.frame_pose(start)
+    held = pm.PosePath(pm.Hold(place[:3, 3], 1.0), place[:3, :3])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        pm.solve_inverse_kinematics(level, held, q0=start)
+    ramp = level.on_ramp(0.5)
+    torque = ramp.nonlinear_effects(np.append(start, [0, 0]), np.zeros(11))[6]
+    with pytest.warns(LimitWarning, match=rf"ur5/wrist_1_joint reaches {torque:.4g} N m .*limit of -28 N m"):
+        pm.solve_inverse_kinematics(ramp, held, q0=start)
 
 
 def test_a_drive_that_cannot_go_everywhere_is_refused() -> None:

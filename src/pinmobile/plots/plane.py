@@ -23,7 +23,7 @@ from pinmobile.arrays import Array, ArrayLike, bounded, callable_as, finite, pos
 from pinmobile.errors import InvalidArgument
 from pinmobile.files import write_file
 from pinmobile.loop import Rollout
-from pinmobile.plant import stated
+from pinmobile.plant import robot_at, stated
 from pinmobile.plots.style import (
     Layout,
     Rollouts,
@@ -110,7 +110,8 @@ class RobotPatches:
 
 def arm_links(run: Rollout, times: Array) -> Array:
     """Return the links of arms from above at `times`, shape (n, 3 k, 2) [m]: each two ends, and NaN."""
-    robot = run.plant if stated(run.plant, "frame_placements") is not None else stated(run.plant, "robot")
+    plant = robot_at(run.plant, 0.0)
+    robot = plant if stated(plant, "frame_placements") is not None else stated(plant, "robot")
     mounts = stated(robot, "mounts") or ()
     if not mounts:
         return np.zeros((len(times), 0, 2))

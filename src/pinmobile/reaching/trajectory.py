@@ -26,7 +26,7 @@ from pinmobile.errors import InvalidArgument, LimitWarning, PinmobileError, Unre
 from pinmobile.integrators import Integrator, check_integrator, constant_acceleration
 from pinmobile.parts import Constrained, able
 from pinmobile.paths import within
-from pinmobile.plant import Context, limit_events
+from pinmobile.plant import Context, Event, limit_events
 from pinmobile.proximity import Clearance, clearance as clearance_of
 from pinmobile.reaching.drive import Drive
 from pinmobile.reaching.poses import FrameTask, PosePath, error_sizes, pose_error
@@ -219,7 +219,28 @@ class InverseKinematicsTrajectory:
         InvalidArgument
             If the robot has no collision geometry.
         """
-        return clearance_of(self.robot, self(self.t).q)
+        robot, q, _ = self._states(self(self.t))
+        return clearance_of(robot, q)
+
+    def _states(self, motion: Reference) -> tuple[Any, Array, Array]:
+        """Return the robot with its wheels, and q and v at the times `t`, where wheels do not spin."""
+        if self.drive is None:
+            return self.robot, motion.q, motion.v
+        wheeled, n = self.drive.wheeled, len(self.t)
+        q, v = (np.hstack([x, np.zeros((n, wheeled.nv - x.shape[1]))]) for x in (motion.q, motion.v))
+        if self.drive.is_car:
+            q[:, wheeled.of_body] = self._curve(self.t)[:, -1]
+        return wheeled, q, v
+
+    @property
+    def _events(self) -> tuple[Event, ...]:
+        """Limits of position, speed, force and torque of the arms that the trajectory exceeds."""
+        motion = self(self.t)
+        robot, q, v = self._states(motion)
+        M, n = robot.mass_matrix(q), robot.nonlinear_effects(q, v)
+        size = motion.v.shape[1]
+        u = np.einsum("kij,kj->ki", M[:, :size, :size], motion.a) + n[:, :size]
+        return limit_events(self.robot, self.t, motion.q, motion.v, u)
 
     def max_error(self) -> tuple[float, float]:
         """Return the largest distance [m] and the largest angle [rad] from frame to target, see `error`."""
@@ -377,9 +398,7 @@ def solve_inverse_kinematics(
     controls = solver.steps(start, preferred, gain, count)
     trajectory = InverseKinematicsTrajectory(body, tasks, start, controls, drive)
     _check_errors(trajectory, limits, tolerance, min_distance)
-    motion = trajectory(trajectory.t)
-    events = limit_events(body, trajectory.t, motion.q, motion.v, body.inverse_dynamics(*motion))
-    if events:
+    if events := trajectory._events:
         warn("; ".join(map(str, events)), LimitWarning, stacklevel=2)
     return trajectory
 

@@ -20,13 +20,13 @@ from pinmobile.errors import PinmobileError
 from pinmobile.loop import LoopStepper, Rollout, Scenario
 from pinmobile.palette import QUIET, colour
 from pinmobile.parts import Driven, NumberRef, Pushable, Tabled, Touching, able, array, entries_of, part
-from pinmobile.plant import Contacts, Plant, stated
+from pinmobile.plant import Contacts, Plant, robot_at, stated
 from pinmobile.robot import MobileRobot
 from pinmobile.signals import Signal
 from pinmobile.trajectories import Reference, Trajectory
 from pinmobile.viewer.contact_markers import ABOVE, TRAIL, draw_contacts
 from pinmobile.viewer.motion import Channel, figure, pose_channels, row_of
-from pinmobile.viewer.scene import Scene, draw_path
+from pinmobile.viewer.scene import Scene, draw_path, time_channels
 from pinmobile.viewer.scene_tree import Extent, Follow, Overlays, Stage
 from pinmobile.viewer.server import LiveWindow
 
@@ -163,7 +163,8 @@ class LiveRun:
         host: str = "127.0.0.1",
         port: int | None = None,
     ) -> None:
-        self._plant = plant = scenario.robot
+        self._plant = plant = robot_at(scenario.robot, 0.0)
+        self._drawn = drawn = robot_at(scenario.robot, np.zeros(1))  # also with what it holds at other times
         self._has_hand, forces = able(plant, Pushable) is not None, scenario.forces
         if self._has_hand:
             forces = {**dict(entries_of(forces)), "hand": _Hand()}
@@ -185,7 +186,7 @@ class LiveRun:
         self._driver: object = None
         self._lock, self._end, self._pace = threading.RLock(), threading.Event(), 1.0
         self._window = LiveWindow(host, port)
-        self._stage, self._figure = Stage(self._window), figure(plant)
+        self._stage, self._figure = Stage(self._window), figure(drawn)
         try:
             self._begin()
             self._draw_scene()
@@ -369,9 +370,15 @@ class LiveRun:
         self._has_event = bool(events)
         self._events |= {name: (text, self._time + _EVENT_TIME) for name, text in events.items()}
 
+    @property
+    def _newest_time(self) -> float:
+        """Time of the newest sample [s]."""
+        return self._stepper.scenario.dt * (self._stepper.k - 1)
+
     def _contacts(self) -> Contacts | None:
         """Return the contacts at the newest sample; None if the plant has none, or cannot compute them."""
-        plant, units = able(self._plant, Touching), self._stepper.units
+        plant = able(robot_at(self._stepper.scenario.robot, self._newest_time), Touching)
+        units = self._stepper.units
         if plant is None:
             return None
         states = (self._last[name][None] for name in "qvau")
@@ -389,7 +396,7 @@ class LiveRun:
         q, scenario = self._last["q"], self._stepper.scenario
         overlays = Overlays(camera=Follow(distance=4.5 * max(self._figure.size[:2])))
         self._scene = scene = Scene(self._stage, self._figure, overlays)
-        pose = row_of(self._figure, self._plant, q)
+        pose = row_of(self._figure, self._drawn, q)
         scene.draw_robot(pose, _GROUND_SIZE)
         self._extent = Extent(pose[:2] - _GROUND_SIZE, pose[:2] + _GROUND_SIZE, self._figure.size)
         self._stage.set("meshcat/scale", "visible", False)  # the grid goes along with the robot
@@ -472,8 +479,9 @@ class LiveRun:
         share = np.clip(1 + self._time / dt - (self._stepper.k - 1), 0.0, 1.0)
         previous = self._previous["q"]
         q = np.asarray(plant.integrate(previous, share * np.asarray(plant.difference(previous, last["q"]))))
-        row = row_of(self._figure, plant, q)
+        row = row_of(self._figure, self._drawn, q)
         channels = [one for attachment in self._scene.attachments for one in attachment(row[None])]
+        channels += time_channels("meshcat/robot0", self._drawn, np.array([self._newest_time]))
         channels += pose_channels("meshcat/desired", self._desired[None, :3])
         if self._frames % _CONTACT_STEP == 0 and self._newest_contacts is not None:
             self._contact_channels = self._draw_contacts(self._newest_contacts)[0]

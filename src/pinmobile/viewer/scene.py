@@ -220,7 +220,7 @@ class Scene:
         for index, (label, run) in enumerate(runs.items()):
             path = f"meshcat/robot{index}"
             self.stage.robot(path, robots[index], colour(index), ghost=index > 0)
-            self.channels += _time_channels(path, run.plant, times)
+            self.channels += time_channels(path, run.plant, times)
             if index == 0:
                 self._attach(partial(robot_channels, path, robots[0]), poses[0])
             else:
@@ -243,7 +243,7 @@ class Scene:
         if self.overlays.desired:
             ghost = robots[0]
             self.stage.robot("meshcat/desired", ghost, QUIET, ghost=True)
-            self.channels += _time_channels("meshcat/desired", main.plant, times)
+            self.channels += time_channels("meshcat/desired", main.plant, times)
             is_full = _is_full(ghost, main.plant) and main.reference.q.shape == main.q.shape
             reference = main.reference.q if is_full else main.reference_poses
             if isinstance(ghost, motion.Drawing):  # coordinates without a reference keep their actual values
@@ -373,7 +373,7 @@ def robot_channels(path: str, robot: Drawn, configurations: Array) -> list[Chann
     return [*pose_channels(path, configurations), *motion.links(path, robot, configurations)]
 
 
-def _time_channels(path: str, plant: object, times: Array) -> list[Channel]:
+def time_channels(path: str, plant: object, times: Array) -> list[Channel]:
     """Return the channels of the objects of a robot that exist at some times only."""
     visible = timed.shown(times) if (timed := able(plant, TimeVarying)) else {}
     return [Channel(f"{path}/visuals/{name}", "visible", x[:, None]) for name, x in visible.items()]

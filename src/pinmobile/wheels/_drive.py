@@ -909,7 +909,7 @@ class WheeledRobot(PlantOnWheels):
         mount : str, optional
             Name of the arm.
         """
-        n, slack = self.robot.nv, self.array_dynamics._slack
+        n, slack = self.robot.nv, self.array_dynamics.gravity_slack
         q, v, a = q[..., :n], v[..., :n], a[..., :n].copy()
         a[..., :2] -= self.fall[:2]  # gravity in the plane acts like an acceleration of the plane against it
         wrench, zeros = self.robot.mount_wrench(q, v, a, mount), np.zeros_like(v)

@@ -170,7 +170,7 @@ class WheeledDynamics:
     def weight(self) -> Any:
         """Component of the weight across the plane [N]."""
         weight = self.robot.weight if self.na else self.robot.mass * float(np.linalg.norm(self.fall))
-        return weight * (1.0 - self._slack)
+        return weight * (1.0 - self.gravity_slack)
 
     def state(self, q: Any, v: Any) -> State:
         """Return a public state as velocities along the body's axes."""
@@ -211,7 +211,7 @@ class WheeledDynamics:
         M[2][at], M[at][2] = M[2][at] + turn, M[at][2] + turn
         if not (wheel.mass and any(wheel.trail)):
             return
-        m, places = exact(wheel.mass), self._centres(row, state)
+        m, places = exact(wheel.mass), self.centres(row, state)
         for sign, (o, p) in zip((1.0, -1.0), places, strict=True):
             J = {0: [exact(1.0), ZERO], 1: [ZERO, exact(1.0)], 2: [-p[1], p[0]]}
             if sign > 0:
@@ -220,7 +220,7 @@ class WheeledDynamics:
                 for j, b in J.items():
                     M[i][j] = M[i][j] + exact(sign) * m * dot(a, b)
 
-    def _centres(self, row: int, state: State) -> tuple[tuple[Vector, Vector], tuple[Vector, Vector]]:
+    def centres(self, row: int, state: State) -> tuple[tuple[Vector, Vector], tuple[Vector, Vector]]:
         """Return a wheel's centre from its pivot and from the origin: at present, and at angle zero."""
         zeros: Vector = [ZERO] * len(state.steering)
         return self.kinematics.centre(row, state.steering), self.kinematics.centre(row, zeros)
@@ -231,10 +231,10 @@ class WheeledDynamics:
         at_zero = stacked([ZERO, ZERO, ZERO, *state.arms], q)
         arms_n = self.robot.nonlinear_effects(at_zero, stacked([*state.twist, *state.arm_rates], q))
         n[: self.of_body] = scalars(arms_n)
-        if self.na and self._slack:
+        if self.na and self.gravity_slack:
             weights = scalars(self.robot.gravity(at_zero))
             for i in range(_BASE, self.of_body):
-                n[i] = n[i] - self._slack * weights[i]
+                n[i] = n[i] - self.gravity_slack * weights[i]
         for row, k in self._steering_pairs:
             wheel, head = self.table.wheels[row], self.kinematics.heading(row, state.steering)
             i_axis, w = self.of_body + k, state.twist[2]
@@ -243,7 +243,7 @@ class WheeledDynamics:
             n[2], n[i_axis] = n[2] + moment, n[i_axis] + moment * head.first
             if not (wheel.mass and any(wheel.trail)):
                 continue
-            m, ((o, p), (_, p0)) = exact(wheel.mass), self._centres(row, state)
+            m, ((o, p), (_, p0)) = exact(wheel.mass), self.centres(row, state)
             yaw = w + head.first * state.rates[k]
             pull = [-(w * w * (p[i] - o[i])) - yaw * yaw * o[i] for i in range(2)]
             pull = [pull[0] - rate_sq * o[1], pull[1] + rate_sq * o[0]]
@@ -255,7 +255,7 @@ class WheeledDynamics:
         return n
 
     @cached_property
-    def _slack(self) -> float:
+    def gravity_slack(self) -> float:
         """Fraction by which a ramp reduces gravity across the plane."""
         size = float(np.linalg.norm(self.fall))
         return 1.0 + float(self.fall[2]) / size if size and (self.fall[0] or self.fall[1]) else 0.0

@@ -184,7 +184,7 @@ def ground_reaction(body: Any, state: Any, a: Vector, q: Any) -> Vector:
         my = my + head.c * faster - head.s * slower
         wheel = body.table.wheels[row]
         if axis >= 0 and wheel.mass and any(wheel.trail):  # its centre moves about the pivot
-            (o, p), (o0, p0) = body._centres(row, state)
+            (o, p), (o0, p0) = body.centres(row, state)
             weight = -wheel.mass * float(body.fall[2])
             mx, my = mx + weight * (p[1] - p0[1]), my - weight * (p[0] - p0[0])
             turning = a[2] + head.first * a[first + axis] + head.second * rates[axis] * rates[axis]
@@ -202,10 +202,10 @@ def _body_reaction(body: Any, state: Any, a: Vector, q: Any) -> Vector:
         q_arms, zeros = stacked([ZERO, ZERO, ZERO, *state.arms], q), stacked([ZERO] * n, q)
         v = stacked([*state.twist, *state.arm_rates], q)
         reaction = scalars(body.robot.ground_wrench(q_arms, v, stacked(a[:n], q)))[2:5]
-        if not body._slack:
+        if not body.gravity_slack:
             return reaction
         weights = scalars(body.robot.ground_wrench(q_arms, zeros, zeros))[2:5]
-        return [x - body._slack * y for x, y in zip(reaction, weights, strict=True)]
+        return [x - body.gravity_slack * y for x, y in zip(reaction, weights, strict=True)]
     robot = body.robot
     m, x, y = (single(each) for each in (robot.mass, robot.com_x, robot.com_y))
     (height, xz, yz), w, spin, g = scalars(body.upright), state.twist[2], a[2], -float(body.fall[2])
