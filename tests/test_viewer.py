@@ -192,6 +192,13 @@ def test_a_recorded_page_shows_the_robot(page: Page, viewer: Viewer, runs: Runs,
         spots.append(projected(page, side(viewer.plant, pose(run, t))))
         assert sees(page, BLUE, spots[-1])
         assert f"t = {t:.1f} s" in page.evaluate("document.getElementById('caption').textContent")
+    captions = page.evaluate(
+        "[...Array(40).keys()].map((k) => { pinmobile.seek(k / 10);"
+        " return document.getElementById('caption').textContent.slice(4, 7); })"
+    )
+    # Frames are 0.2 s apart; also where 32 bits round their time up.
+    assert captions == [f"{k // 2 / 5:.1f}" for k in range(40)]
+    page.evaluate("pinmobile.seek(41)")
     # Where it was, it is no more.
     assert math.dist(*spots) > 100
     assert not sees(page, BLUE, spots[0])

@@ -158,7 +158,8 @@
     ready: () => coming === 0,
     seek(time) {
       animator.pause();
-      animator.seek(time);
+      // Keys have four digits in single precision: without this, a frame shows the key before its own.
+      animator.seek(Math.fround(Math.round(1e4 * time) / 1e4));
       animator.display_progress(time);
       slider.ariaValueText = `${time.toFixed(1)} s`;
       viewer.set_dirty();
