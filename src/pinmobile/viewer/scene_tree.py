@@ -233,6 +233,9 @@ def _picture(text: str, colour: str) -> tuple[str, float]:
     return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode(), width / _TEXT_HEIGHT
 
 
+_MOST_FINER = 6  # halvings of the first guess of a cell
+
+
 def simplify(shape: Any, share: float) -> Any:
     """Return a mesh with about a share of its triangles; other shapes and small meshes remain unchanged.
 
@@ -253,9 +256,16 @@ def simplify(shape: Any, share: float) -> Any:
     triangles = (shape.tri_indices(k) for k in range(count))
     faces = np.array([[triangle[0], triangle[1], triangle[2]] for triangle in triangles])
     a, b, c = np.moveaxis(vertices[faces], 1, 0)
-    area = float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()) / 2
-    size = np.sqrt(3 * area / max(share * count, _MIN_TRIANGLES))  # a surface crosses 1.5 cells per size^2
-    return mesh_of(*_cluster(vertices, faces, max(float(size), 1e-9)))
+    area, most = float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()) / 2, share * count
+    # A surface crosses 1.5 cells per size^2. Where small triangles are crowded, many fit into such a cell.
+    cell = max(np.sqrt(3 * area / max(most, _MIN_TRIANGLES)), 1e-9)
+    coarse = _cluster(vertices, faces, cell)
+    for k in range(1, 2 * _MOST_FINER + 1):
+        finer = _cluster(vertices, faces, cell * 2 ** (-k / 2))
+        if len(finer[1]) > most:
+            break
+        coarse = finer
+    return mesh_of(*coarse)
 
 
 def _cluster(vertices: Array, faces: NDArray[np.int64], cell: float) -> tuple[Array, NDArray[np.int64]]:
