@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from itertools import islice
 from pathlib import Path
+from textwrap import shorten
 from typing import Any
 
 import attrs
@@ -111,8 +112,8 @@ def show_run(words: Sequence[str], out: Path, film: Path | None, *, allow_code: 
     text = "\n".join([str(rollout), *_metrics(rollout)])
     if diverged is not None:
         text = f"{diverged}\n\nup to there:\n{text}"
-    robot = str(file.content.robot)
-    console.print(f"robot: {robot if len(robot) < _LIMIT else f'{robot[:_LIMIT]}...'}\n{text}")
+    words = ", ".join(" ".join(line.split()) for line in str(file.content.robot).splitlines())
+    console.print(f"robot: {shorten(words, _LIMIT, placeholder=' ...')}\n{text}")
     page = index_page(folder, file.title, [Section("Results", text, pictures), _source_section(file)])
     console.print(f"wrote {folder / 'rollout.npz'}, rollout.csv and figures: open {page}")
     command = f"open {film}" if film is not None else f"pinmobile view {folder / 'rollout.npz'}"
