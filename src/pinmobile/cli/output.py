@@ -47,7 +47,8 @@ class Section:
 def progress(total: int, name: str = "running") -> Iterator[Progress]:
     """Show a progress bar with one task of `total` steps; without a terminal, write a line per minute."""
     columns = SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn()
-    with Progress(*columns, console=console, transient=True) as bar:
+    hidden = not console.is_terminal  # rich would write an empty line
+    with Progress(*columns, console=console, transient=True, disable=hidden) as bar:
         bar.add_task(name, total=total)
         task, stop = bar.tasks[0], Event()
 
