@@ -141,6 +141,16 @@ def test_wheels_carry_the_payload_while_it_is_held() -> None:
     assert not run.events
 
 
+def test_a_box_tips_over_only_while_it_holds_what_is_too_far_ahead() -> None:
+    box = pm.MobileRobot.box(mass=10.0, size=(0.4, 0.4, 0.2))
+    plant = pm.PayloadTransfer(box, pm.PayloadBody(10.0, com=(0.5, 0, 0.2)), BEGIN, END, "base_link")
+    place = pm.FixedHeading(pm.Hold([0, 0], 0.8), 0)
+    run = pm.simulate(plant, pm.PD(100, 100), place, dt=DT)
+    (event,) = run.events
+    assert (event.kind, event.t, event.samples) == ("tip over", BEGIN, held_at(run.t).sum())
+    assert event.value == pytest.approx(0.2 - 0.25)  # half the length, and where half the weight is
+
+
 def test_metrics_margins_and_figures_of_each_sample_are_those_of_its_robot() -> None:
     robot = pm.WheeledRobot(ARM, OMNI)
     law = pm.ControlAllocation(LAW, robot)

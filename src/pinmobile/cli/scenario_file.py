@@ -22,6 +22,7 @@ from pinmobile.loop import Rollout
 from pinmobile.parts import (
     InvalidEntries,
     OnCoordinates,
+    Stepping,
     Values,
     are_nested,
     child,
@@ -87,7 +88,10 @@ class ScenarioFile:
     """A closed loop, the number of its runs, and their differences; default: the circle of the lecture."""
 
     robot: Any = child(
-        Plant, default=attrs.Factory(MobileRobot.lecture), doc="simulated system", expected="a robot"
+        (Plant, Stepping),
+        default=attrs.Factory(MobileRobot.lecture),
+        doc="simulated system",
+        expected="a robot",
     )
     controller: Any = child(
         Controller,

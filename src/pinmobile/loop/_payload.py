@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from functools import cached_property
-from operator import methodcaller
+from operator import attrgetter, methodcaller
 from typing import Any, final
 
 import numpy as np
@@ -222,6 +222,8 @@ class _Samples:
         return repr(self._plant)
 
     def __getattr__(self, name: str) -> Any:
+        if name == "weight":
+            return self._plant._select(self._t, attrgetter(name))
         is_timed = _SAMPLE_NAMES.fullmatch(name)
         if not (is_timed or _SHARED_NAMES.fullmatch(name) or _VISUAL_NAMES.fullmatch(name)):
             raise AttributeError(f"a PayloadTransfer at several times has no {name}")
