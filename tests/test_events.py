@@ -54,6 +54,15 @@ def test_an_input_at_its_limit_is_an_event_without_a_warning() -> None:
     assert f"input left is at its limit of {event.limit:g} N m (from t = {event.t:g} s" in str(run)
 
 
+def test_a_joint_at_a_limit_of_zero_does_not_pass_it_by_rounding() -> None:
+    robot = pm.MobileRobot.box(100, (1, 0.8, 0.3)).mount("tiago_no_hand", at=(0, 0, 0.3, 0))
+    law, path = pm.ComputedTorque(robot, 100, 20), pm.Tangent(pm.Circle(1, 0.5, 1))
+    run = pm.simulate(robot, law, pm.WholeBody(robot, path, None), dt=0.01)
+    assert run.q[:, 3].min() <= 0 == robot.coordinates[3].lower
+    assert not run.events
+    assert not run.metrics()["exceed a position limit"].values.any()
+
+
 @pytest.mark.parametrize(("x", "falls"), [(0.0, False), (-1e-4, True)])
 def test_a_caster_that_carries_nothing_lets_no_robot_tip_over(x: float, falls: bool) -> None:
     robot = pm.WheeledRobot(pm.MobileRobot(30, 3, com=(x, 0.1, 0.1)), on_wheels().table)

@@ -1053,7 +1053,8 @@ def limit_events(plant: object, t: Array, q: Array, v: Array, u: Array | None = 
         excess = np.maximum(lower - values, values - upper)
         k = int(excess.argmax())
         limit = lower if lower - values[k] >= values[k] - upper else upper
-        slack = LIMIT_TOLERANCE * (-1.0 if kind == "saturation" else 1.0) * abs(limit)
+        size = max((abs(end) for end in (lower, upper) if np.isfinite(end)), default=0.0)  # an end may be 0
+        slack = LIMIT_TOLERANCE * (-abs(limit) if kind == "saturation" else size)
         options: Any = {"words": _LIMIT_WORDS[kind], "limit": limit, "unit": unit, "slack": slack}
         events.append(Event.of(kind, name, t, values, excess, **options))
 

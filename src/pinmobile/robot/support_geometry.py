@@ -297,8 +297,9 @@ class ArmMetrics:
         limits = []
         for low, high in (self.positions, self.rates):
             rows = np.flatnonzero(np.isfinite(low) | np.isfinite(high))
-            slack = [LIMIT_TOLERANCE * np.nan_to_num(abs(x[rows]), posinf=0.0) for x in (low, high)]
-            limits.append((rows.tolist(), low[rows] - slack[0], high[rows] + slack[1]))
+            ends = low[rows], high[rows]
+            slack = LIMIT_TOLERANCE * np.max([np.nan_to_num(abs(x), posinf=0.0) for x in ends], axis=0)
+            limits.append((rows.tolist(), ends[0] - slack, ends[1] + slack))
         return limits
 
     def exceeded_limits(self, q: Array, v: Array) -> list[Any]:

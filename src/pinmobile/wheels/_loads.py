@@ -459,7 +459,8 @@ def _of_ground(body: Any, state: Any, a: Any, u: Any, q: Any) -> Vector:
         values += scalars(margin_of_wrench(corners, wrench, body.weight)[..., None])
     places = places_of(body, state.steering)
     loads = shared_loads(places, fz, mx, my)
-    values += [_settled(reduce(lower, loads.springs), fz), loads.tips]
+    pulls, least = reduce(lower, loads.springs), reduce(lower, loads.values)  # of four, one may lift off
+    values += [_settled(choose(loads.tips > 0.0, pulls, least), fz), loads.tips]
     if not body.slips and body.groups:
         margins = margin(body, state, proper_a, u, loads.values, q)[2]
         values.append(_settled(reduce(lower, margins), fz))
