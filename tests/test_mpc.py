@@ -123,6 +123,8 @@ def test_an_ensemble_says_why_it_is_slow_and_how_long_many_would_take() -> None:
     assert found.engine == "PYTHON"
     with pytest.raises(pm.InvalidArgument, match="10,000 robots"):
         pm.ensemble(NOMINAL, pm.MPC(NOMINAL), SHORT, engine=pm.Engine.COMPILED, **given)
+    with pytest.raises(pm.InvalidArgument, match="quadratic program at each of 11 samples; use LQR"):
+        pm.ensemble(NOMINAL, pm.MPC(NOMINAL, limits=50), SHORT, engine=pm.Engine.COMPILED, **given)
 
 
 def test_a_program_that_fails_keeps_its_state_and_problem(monkeypatch: pytest.MonkeyPatch) -> None:

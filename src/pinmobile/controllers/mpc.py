@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from functools import cached_property
 from time import process_time
 from typing import Any, NamedTuple, final
@@ -373,12 +374,11 @@ class MPC(WeightedLaw):
         """Return the input, shape (nu,), and the next state."""
         plan, k, memory, last, duals = state
         if not (type(q) is np.ndarray and q.ndim == 1):
-            hours = _EXAMPLE_ROBOTS * len(plan.u) * self._solve_time(plan) / 3600
-            raise NotTraceable(
-                f"MPC solves a quadratic program at each of {len(plan.u):,} samples, so that "
-                f"{_EXAMPLE_ROBOTS:,} robots take some {hours:.2g} h of a processor",
-                "use LQR in InputSaturation, which is compiled",
-            )
+            words = f"MPC solves a quadratic program at each of {len(plan.u):,} samples"
+            with suppress(TypeError):  # limits are symbols here, and the solver needs numbers
+                hours = _EXAMPLE_ROBOTS * len(plan.u) * self._solve_time(plan) / 3600
+                words += f", so that {_EXAMPLE_ROBOTS:,} robots take some {hours:.2g} h of a processor"
+            raise NotTraceable(words, "use LQR in InputSaturation, which is compiled")
         dx = -tracked_errors(self.robot, q, v, reference, plan.x[k][np.shape(reference.v)[-1] :])
         if self.observer > 0:
             memory = self._observe(plan, k, q, v, dx, memory, last)

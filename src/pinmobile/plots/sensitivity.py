@@ -248,9 +248,9 @@ def _bounds(sheet: Sheet, column: NDArray[Any], rows: Sequence[Metric], one: Ens
     for axes, channel in zip(column, rows, strict=True):
         size = bounds[channel.name]
         verb = "have at least" if channel.is_margin else "stay within"
-        if channel.is_margin and np.isfinite(size) and size:
-            digit = 10.0 ** (np.floor(np.log10(abs(size))) - 1)
-            size = float(digit * np.floor(size / digit + 1e-9))  # a margin is never rounded up
+        if np.isfinite(size) and size:  # a margin is never rounded up, and an error never down
+            digit, way = 10.0 ** (np.floor(np.log10(abs(size))) - 1), -1.0 if channel.is_margin else 1.0
+            size = float(way * digit * np.ceil(way * size / digit - 1e-9))
         bound = f"{_format_size(size, channel.unit)} {period}" if np.isfinite(size) else "no bound"
         sheet.write_above(axes, f"{format_percent(level)} {verb} {bound}", loc="left")
         if begin:
