@@ -112,8 +112,8 @@ def show_run(words: Sequence[str], out: Path, film: Path | None, *, allow_code: 
     text = "\n".join([str(rollout), *_metrics(rollout)])
     if diverged is not None:
         text = f"{diverged}\n\nup to there:\n{text}"
-    words = ", ".join(" ".join(line.split()) for line in str(file.content.robot).splitlines())
-    console.print(f"robot: {shorten(words, _LIMIT, placeholder=' ...')}\n{text}")
+    robot = shorten(repr(file.content.robot), _LIMIT, placeholder=" ...")
+    console.print(f"robot: {robot}\n{text}")
     page = index_page(folder, file.title, [Section("Results", text, pictures), _source_section(file)])
     console.print(f"wrote {folder / 'rollout.npz'}, rollout.csv and figures: open {page}")
     command = f"open {film}" if film is not None else f"pinmobile view {folder / 'rollout.npz'}"
@@ -151,7 +151,8 @@ def _metrics(run: Rollout) -> list[str]:
     for each in metrics_of(run.plant) if signals else ():
         values = signals[each.name].values
         worst = np.nanmin(values) if each.is_margin else np.nanmax(np.abs(values))
-        lines.append(f"{each.worst} {each.title}: {format_si(float(worst))}")
+        words = f"{each.worst} {each.title}: {format_si(float(worst))}"
+        lines.append(f"{each.name}: {'yes' if worst else 'no'}" if each.worst == "ever" else words)
     return lines
 
 
