@@ -94,7 +94,7 @@ def test_ci_runs_each_python_under_another_kernel_and_leaves_none_out(machine: P
 def test_ci_runs_everything_once_and_repeats_another_twelfth_on_each_other_python(machine: Path) -> None:
     lines = [line for line in ran(machine, 3).stdout.splitlines() if "] make test-all" in line]
     given = {line[1:5]: re.findall(r"ARGS=(.*) under", line)[0] for line in reversed(lines)}
-    whole = "--cov=pinmobile --cov-report=term:skip-covered"
+    whole = "--assert=plain --showlocals --cov=pinmobile --cov-report=term:skip-covered"
     plain = "-n 0 --assert=plain"
     assert given == {"3.13": whole, "3.12": f"--part=0/12 {plain}", "3.11": f"--part=1/12 {plain}"}
 
