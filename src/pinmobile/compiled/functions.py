@@ -8,6 +8,7 @@ import gc
 import linecache
 import operator
 import sys
+import sysconfig
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from functools import reduce
@@ -390,6 +391,7 @@ REFUSALS.update(_REFUSALS)
 _lock = threading.RLock()
 _FOLDER = str(Path(__file__).parent)
 _LIBRARY = str(Path(__file__).parents[1])
+_STANDARD = sysconfig.get_paths()["stdlib"]
 _OWN_PATHS = (_FOLDER, str(Path(np.__file__).parent), "<__array_function__", "<frozen")
 _MACHINERY = "pinmobile.compiled.", "pinmobile.loop._trace"
 FOREIGN = (
@@ -516,20 +518,21 @@ def _holds_laws(name: str) -> bool:
 def place_of(traceback: TracebackType | None) -> str:
     """Return the last line of a law in a traceback: function, line, file and text.
 
-    A line of a user's law takes precedence. Compiled modules have no lines of text, and lines of other
-    packages are not a user's.
+    A line of a user's law takes precedence, then one of the library. Compiled modules have no lines of text;
+    lines of other packages are not a user's, and those of the standard library are no law's.
     """
-    user_line, law_line = "", ""
+    user_line, own_line, law_line = "", "", ""
     while traceback is not None:
         code, line = traceback.tb_frame.f_code, traceback.tb_lineno
         file = code.co_filename
-        if not file.startswith(_OWN_PATHS):
+        is_package, is_own = "-packages" in file, file.startswith(_LIBRARY)
+        if not file.startswith(_OWN_PATHS) and (is_package or not file.startswith(_STANDARD)):
             law_line = _format_line(code, line)
-            is_users = "site-packages" not in file and not file.startswith(_LIBRARY)
-            if is_users and linecache.getline(file, line):
+            own_line = law_line if is_own else own_line
+            if not is_package and not is_own and linecache.getline(file, line):
                 user_line = law_line
         traceback = traceback.tb_next
-    return user_line or law_line
+    return user_line or own_line or law_line
 
 
 def law_place() -> str:
