@@ -11,7 +11,7 @@ import pinmobile as pm
 from pinmobile import plots
 from pinmobile.controllers import TorqueToVoltage, WheelSpeed
 from pinmobile.errors import LimitWarning, UnknownName
-from pinmobile.plant import Event
+from pinmobile.plant import Event, first_times
 from pinmobile.viewer.scene import _captions
 from pinmobile.wheels import Ramp
 from tests.parts import Waving
@@ -52,6 +52,14 @@ def test_an_input_at_its_limit_is_an_event_without_a_warning() -> None:
     assert (event.name, event.t, event.samples) == ("left", run.t[at.argmax()], at.sum())
     assert abs(event.value) == abs(event.limit) == 0.5
     assert f"input left is at its limit of {event.limit:g} N m (from t = {event.t:g} s" in str(run)
+
+
+def test_the_first_of_several_events_of_a_kind_gives_its_time() -> None:
+    late, early = (
+        Event("speed limit", name, t, t, 9.0, 1.0, "rad/s", 3, "") for name, t in (("a", 6), ("b", 3))
+    )
+    other = Event("slip", "c", 4, 4, 9.0, 0.0, "m/s", 3, "")
+    assert list(first_times((late, other, early)).items()) == [("speed limit", 3), ("slip", 4)]
 
 
 def test_a_joint_at_a_limit_of_zero_does_not_pass_it_by_rounding() -> None:

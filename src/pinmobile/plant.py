@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias
 
@@ -1012,6 +1012,14 @@ class Event(NamedTuple):
         fields = {"value": f"{value:.4g}", "limit": f"{limit:.4g}", "unit": unit, "name": name}
         fields |= {"at": f"{t_worst:g}", "t": f"{first:g}", "count": f"{count} of {len(t)} samples"}
         return cls(kind, name, first, t_worst, value, float(limit), unit, count, words.format(**fields))
+
+
+def first_times(events: Iterable[Event]) -> dict[str, float]:
+    """Return the time of the first event of each kind [s], in the order of these times."""
+    times: dict[str, float] = {}
+    for event in sorted(events, key=lambda event: event.t):
+        times.setdefault(event.kind, event.t)
+    return times
 
 
 def limit_events(plant: object, t: Array, q: Array, v: Array, u: Array | None = None) -> tuple[Event, ...]:

@@ -45,6 +45,7 @@ from pinmobile.plots.style import (
     line_style,
     reference_groups,
     reference_style,
+    rounded_out,
     thin_samples,
     title_offset,
     wrap_text,
@@ -189,7 +190,7 @@ def path(rollouts: Rollouts, *, times: ArrayLike | None = None, **layout: Unpack
     >>> run = simulate(robot, PD(120, 120), motion, dt=0.02)
     >>> figure = plots.path(run)
     >>> figure.axes[0].get_title()
-    'position error at most 200 mm'
+    'position error at most 210 mm'
     """
     runs = label_rollouts(rollouts)
     evaluate_each(runs, lambda run: run.poses)
@@ -241,7 +242,7 @@ def make_panels(
     window = _window(runs, sheet.width / columns)
     shape = _window_sides(window)
     room = (sheet.width - 5.5 * font_size() / 72) / columns
-    max_errors = [format_si(float(run.distance.max()), "m") for run in runs.values()]
+    max_errors = [format_si(rounded_out(float(run.distance.max())), "m") for run in runs.values()]
     notes = [wrap_text(f"position error at most {each}", font_size(0.95), room) for each in max_errors]
     labels = [wrap_text(label, font_size(1.2), room, weight="bold") for label in runs]
     height, spots = 0.0, [divmod(k, columns) for k in range(len(runs))]

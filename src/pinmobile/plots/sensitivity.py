@@ -35,6 +35,7 @@ from pinmobile.plots.style import (
     format_si,
     ink,
     label_style,
+    rounded_out,
     tint,
     title_offset,
     wrap_label,
@@ -248,9 +249,7 @@ def _bounds(sheet: Sheet, column: NDArray[Any], rows: Sequence[Metric], one: Ens
     for axes, channel in zip(column, rows, strict=True):
         size = bounds[channel.name]
         verb = "have at least" if channel.is_margin else "stay within"
-        if np.isfinite(size) and size:  # a margin is never rounded up, and an error never down
-            digit, way = 10.0 ** (np.floor(np.log10(abs(size))) - 1), -1.0 if channel.is_margin else 1.0
-            size = float(way * digit * np.ceil(way * size / digit - 1e-9))
+        size = rounded_out(size, margin=channel.is_margin)
         bound = f"{_format_size(size, channel.unit)} {period}" if np.isfinite(size) else "no bound"
         sheet.write_above(axes, f"{format_percent(level)} {verb} {bound}", loc="left")
         if begin:

@@ -25,7 +25,7 @@ from pinmobile.identification import Prediction
 from pinmobile.loop import Rollout
 from pinmobile.palette import INK, QUIET, SLIDES
 from pinmobile.parts import Grounded, Touching
-from pinmobile.plant import Contacts, Plant, configuration_names_of, coordinates_of
+from pinmobile.plant import Contacts, Plant, configuration_names_of, coordinates_of, first_times
 from pinmobile.plots.style import (
     Layout,
     Rollouts,
@@ -296,9 +296,8 @@ def _draw_runs(
 
 def mark_events(panels: Iterable[Axes], run: Rollout, color: Any) -> None:
     """Draw a line at the first sample of each kind of event, with its name in the first panel."""
-    first_times = {event.kind: event.t for event in reversed(run.events)}
     times: dict[float, list[str]] = {}
-    for kind, t in sorted(first_times.items(), key=lambda pair: pair[1]):
+    for kind, t in first_times(run.events).items():
         mark = next((each for each in times if t - each < _EVENT_TOLERANCE * run.t[-1]), t)
         times.setdefault(mark, []).append(kind)
     for row, axes in enumerate(panels):
@@ -580,7 +579,7 @@ def wheel_torques(rollouts: Rollouts, **layout: Unpack[Layout]) -> Figure:
     """
     runs = check_plants(rollouts, *_WHEEL_CONTACTS)
     units = {one.unit for run in runs.values() for one in _wheel_inputs(run)}
-    name = f"torque [{units.pop()}]" if len(units) == 1 else "input"
+    name = {"N m": "torque [N m]", "V": "voltage [V]"}[units.pop()] if len(units) == 1 else "input"
     sheet, grid = _make_axes(runs, [name], layout)
     for run, axes in zip(runs.values(), grid[0], strict=True):
         inputs = _wheel_inputs(run)

@@ -104,6 +104,14 @@ def check_title(title: str | None) -> str | None:
     return title if title is None or (isinstance(title, str) and not title) else text("title", title)
 
 
+def rounded_out(size: float, *, margin: bool = False) -> float:
+    """Return a bound with two digits: an error is never rounded down, and a margin never up."""
+    if not size or not np.isfinite(size):
+        return size
+    digit, way = 10.0 ** (np.floor(np.log10(abs(size))) - 1), -1.0 if margin else 1.0
+    return float(way * digit * np.ceil(way * size / digit - 1e-9))
+
+
 def text_width(line: str, size: float, **font: Any) -> float:
     """Return the length of a line of text of a font size [pt] in inches."""
     properties = FontProperties(family=rcParams["font.family"], size=size, **font)

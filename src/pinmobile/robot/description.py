@@ -46,6 +46,8 @@ def stands(place: Array, corners: Array | None) -> str:
     margin = float(margin_inside(corners, place))
     if margin < 0:
         return f"cannot stand: its centre of mass lies {-margin:.2g} m outside its supports"
+    if margin < 1e-9:
+        return "balances: its centre of mass is over the edge of its supports"
     return f"stands: its centre of mass is {margin:.2g} m inside the edge of its supports"
 
 

@@ -18,7 +18,7 @@ from pinmobile.errors import InvalidArgument
 from pinmobile.loop import EndEffector, Rollout
 from pinmobile.palette import AXES, INK, QUIET, colour
 from pinmobile.parts import TimeVarying, able
-from pinmobile.plant import full_configurations
+from pinmobile.plant import first_times, full_configurations
 from pinmobile.viewer.motion import Channel, Drawn, frame_channels, interpolate, pose_channels, samples_before
 from pinmobile.viewer.scene_tree import Arrows, Extent, Follow, Overlays, Stage, View, overview
 
@@ -53,7 +53,7 @@ def _captions(
 
     path_errors = rows({label: _error_columns(run) for label, run in runs.items()})
     pose_errors = rows({label: markers.effector_errors(effectors.get(label)) for label in runs})
-    events = {label: {e.kind: e.t for e in reversed(run.events)} for label, run in runs.items()}
+    events = {label: first_times(run.events) for label, run in runs.items()}
     texts: dict[int, str] = {}
     for k in np.unique(first):
         lines = [f"t = {times[k]:.1f} s", "position error", *_format_errors(path_errors, int(k), ", joint ")]
