@@ -80,6 +80,7 @@ def test_a_caster_that_carries_nothing_lets_no_robot_tip_over(x: float, falls: b
         run = pm.simulate(robot, law, path, dt=0.01)
         many = pm.ensemble(robot, law, path, dt=0.01, n=20, spread={"mass": pm.Uniform(20, 40)})
     assert bool(run.events) == falls
+    assert ("balances: its centre of mass is over the edge" in str(robot)) != falls
     assert many.faults.get("load below 0", np.zeros(20)).all() == falls
 
 

@@ -579,7 +579,8 @@ def wheel_torques(rollouts: Rollouts, **layout: Unpack[Layout]) -> Figure:
     """
     runs = check_plants(rollouts, *_WHEEL_CONTACTS)
     units = {one.unit for run in runs.values() for one in _wheel_inputs(run)}
-    name = {"N m": "torque [N m]", "V": "voltage [V]"}[units.pop()] if len(units) == 1 else "input"
+    word = "voltage" if units == {"V"} else "torque"
+    name = f"{word} [{units.pop()}]" if len(units) == 1 else "input"
     sheet, grid = _make_axes(runs, [name], layout)
     for run, axes in zip(runs.values(), grid[0], strict=True):
         inputs = _wheel_inputs(run)
