@@ -69,7 +69,8 @@ def test_the_distance_is_that_of_poses_whatever_the_coordinates() -> None:
     np.testing.assert_allclose(run.distance, expected, rtol=1e-12, atol=0)
     mixed = np.hypot(*run.error[:, :2].T).max()
     assert abs(mixed / expected.max() - 1) > 0.1
-    assert f"at most {1e3 * expected.max():.3g} mm" in plots.path(run).axes[0].get_title()
+    assert 0.1 < expected.max() < 1
+    assert f"at most {10 * np.ceil(100 * expected.max()):.0f} mm" in plots.path(run).axes[0].get_title()
 
 
 class Drawn(TwoWheels):
