@@ -19,7 +19,7 @@ from pinmobile.parts import by_value, number, option, part
 from pinmobile.plant import LIMIT_TOLERANCE
 from pinmobile.robot.linkage import Joint, turns_freely
 
-WEIGHTLESS = 1e-9  # share of the weight below which a vertical force of the ground counts as rounding
+WEIGHTLESS = 1e-9  # share of the weight below which a force of the ground counts as rounding
 
 _STRAIGHT = 1e-9  # distance from an edge that is rounding, as a share of the footprint or of the edge
 _FLAT = 1e-12  # area of a straight corner by rounding, as a share of a square about the footprint

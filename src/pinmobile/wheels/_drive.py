@@ -909,11 +909,11 @@ class WheeledRobot(PlantOnWheels):
         mount : str, optional
             Name of the arm.
         """
-        n, slack = self.robot.nv, self.array_dynamics.gravity_slack
+        n, reduction = self.robot.nv, self.array_dynamics.gravity_reduction
         q, v, a = q[..., :n], v[..., :n], a[..., :n].copy()
         a[..., :2] -= self.fall[:2]  # gravity in the plane acts like an acceleration of the plane against it
         wrench, zeros = self.robot.mount_wrench(q, v, a, mount), np.zeros_like(v)
-        return wrench - slack * self.robot.mount_wrench(q, zeros, zeros, mount) if slack else wrench
+        return wrench - reduction * self.robot.mount_wrench(q, zeros, zeros, mount) if reduction else wrench
 
     @takes(q="nq", v="nv", a="nv")
     def contact_loads(self, q: Any, v: Any, a: Any) -> ContactLoads:

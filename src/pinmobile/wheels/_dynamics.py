@@ -170,7 +170,7 @@ class WheeledDynamics:
     def weight(self) -> Any:
         """Component of the weight across the plane [N]."""
         weight = self.robot.weight if self.na else self.robot.mass * float(np.linalg.norm(self.fall))
-        return weight * (1.0 - self.gravity_slack)
+        return weight * (1.0 - self.gravity_reduction)
 
     def state(self, q: Any, v: Any) -> State:
         """Return a public state as velocities along the body's axes."""
@@ -231,10 +231,10 @@ class WheeledDynamics:
         at_zero = stacked([ZERO, ZERO, ZERO, *state.arms], q)
         arms_n = self.robot.nonlinear_effects(at_zero, stacked([*state.twist, *state.arm_rates], q))
         n[: self.of_body] = scalars(arms_n)
-        if self.na and self.gravity_slack:
+        if self.na and self.gravity_reduction:
             weights = scalars(self.robot.gravity(at_zero))
             for i in range(_BASE, self.of_body):
-                n[i] = n[i] - self.gravity_slack * weights[i]
+                n[i] = n[i] - self.gravity_reduction * weights[i]
         for row, k in self._steering_pairs:
             wheel, head = self.table.wheels[row], self.kinematics.heading(row, state.steering)
             i_axis, w = self.of_body + k, state.twist[2]
@@ -255,7 +255,7 @@ class WheeledDynamics:
         return n
 
     @cached_property
-    def gravity_slack(self) -> float:
+    def gravity_reduction(self) -> float:
         """Fraction by which a ramp reduces gravity across the plane."""
         size = float(np.linalg.norm(self.fall))
         return 1.0 + float(self.fall[2]) / size if size and (self.fall[0] or self.fall[1]) else 0.0

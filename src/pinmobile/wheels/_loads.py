@@ -19,6 +19,7 @@ from pinmobile.metrics import Metric
 from pinmobile.plant import LIMIT_TOLERANCE, ContactLoads, Contacts, SlipMargins, TorqueMargins
 from pinmobile.robot import (
     ONE,
+    WEIGHTLESS,
     ZERO,
     Matrix,
     Vector,
@@ -43,7 +44,6 @@ _FORCES = "along", "across", "loads"
 _SECOND = "lateral", "across"  # kinds of rows that are a wheel's second direction
 _FLAT = 1e-9  # relative tolerance of the determinant of contacts on a line
 _NOTHING = 1e-12  # relative to the weight: tolerance of a load of zero
-_NO_FORCE = 1e-9  # relative to the sum of the loads: rounding of a load or margin in a motion
 _SOFT = 1e-7  # relative to the moments of all springs: additional stiffness for contacts on a line
 _EDGE = 1e-5  # relative to the size of the polygon: tolerance of its edge before the robot tips
 
@@ -202,10 +202,10 @@ def _body_reaction(body: Any, state: Any, a: Vector, q: Any) -> Vector:
         q_arms, zeros = stacked([ZERO, ZERO, ZERO, *state.arms], q), stacked([ZERO] * n, q)
         v = stacked([*state.twist, *state.arm_rates], q)
         reaction = scalars(body.robot.ground_wrench(q_arms, v, stacked(a[:n], q)))[2:5]
-        if not body.gravity_slack:
+        if not body.gravity_reduction:
             return reaction
         weights = scalars(body.robot.ground_wrench(q_arms, zeros, zeros))[2:5]
-        return [x - body.gravity_slack * y for x, y in zip(reaction, weights, strict=True)]
+        return [x - body.gravity_reduction * y for x, y in zip(reaction, weights, strict=True)]
     robot = body.robot
     m, x, y = (single(each) for each in (robot.mass, robot.com_x, robot.com_y))
     (height, xz, yz), w, spin, g = scalars(body.upright), state.twist[2], a[2], -float(body.fall[2])
@@ -393,7 +393,7 @@ def metrics_on_wheels(body: Any) -> tuple[Metric, ...]:
         words = "distance of the zero-moment point from the edge of the support polygon"
         metrics.append(Metric("tip-over margin", "m", words, "smallest"))
     if body.stands:
-        words = "smallest load of a wheel or support; negative where it would have to pull"
+        words = "smallest load of a wheel or support; negative where the robot tips over"
         metrics.append(Metric("load", "N", words, "smallest"))
         words = "no loads of wheels and supports balance them; tipping over is not simulated"
         metrics.append(Metric("tip over", "", words, "ever"))
@@ -460,16 +460,16 @@ def _of_ground(body: Any, state: Any, a: Any, u: Any, q: Any) -> Vector:
     places = places_of(body, state.steering)
     loads = shared_loads(places, fz, mx, my)
     pulls, least = reduce(lower, loads.springs), reduce(lower, loads.values)  # of four, one may lift off
-    values += [_settled(choose(loads.tips > 0.0, pulls, least), fz), loads.tips]
+    values += [_without_rounding(choose(loads.tips > 0.0, pulls, least), fz), loads.tips]
     if not body.slips and body.groups:
         margins = margin(body, state, proper_a, u, loads.values, q)[2]
-        values.append(_settled(reduce(lower, margins), fz))
+        values.append(_without_rounding(reduce(lower, margins), fz))
     return values
 
 
-def _settled(force: Any, fz: Any) -> Any:
-    """Return a force without rounding: a caster carries nothing if the centre of mass is over the axle."""
-    return choose(abs(number(force)) > _NO_FORCE * abs(number(fz)), force, 0.0)
+def _without_rounding(force: Any, fz: Any) -> Any:
+    """Return a force, or 0 if it is rounding of the sum of the loads."""
+    return choose(abs(number(force)) > WEIGHTLESS * abs(number(fz)), force, 0.0)
 
 
 def _slip(body: Any, state: Any) -> Any:
