@@ -1014,6 +1014,12 @@ class Event(NamedTuple):
         return cls(kind, name, first, t_worst, value, float(limit), unit, count, words.format(**fields))
 
 
+def limit_slack(lower: ArrayLike, upper: ArrayLike) -> Array:
+    """Return the excess over limits that is no event, shape (...): a share of the larger finite limit."""
+    sizes = (np.where(np.isfinite(limit), np.abs(limit), 0.0) for limit in (lower, upper))
+    return np.asarray(LIMIT_TOLERANCE * np.maximum(*sizes))
+
+
 def first_times(events: Iterable[Event]) -> dict[str, float]:
     """Return the time of the first event of each kind [s], in the order of these times."""
     times: dict[str, float] = {}
@@ -1061,8 +1067,7 @@ def limit_events(plant: object, t: Array, q: Array, v: Array, u: Array | None = 
         excess = np.maximum(lower - values, values - upper)
         k = int(excess.argmax())
         limit = lower if lower - values[k] >= values[k] - upper else upper
-        size = max((abs(end) for end in (lower, upper) if np.isfinite(end)), default=0.0)  # an end may be 0
-        slack = LIMIT_TOLERANCE * (-abs(limit) if kind == "saturation" else size)
+        slack = -LIMIT_TOLERANCE * abs(limit) if kind == "saturation" else float(limit_slack(lower, upper))
         options: Any = {"words": _LIMIT_WORDS[kind], "limit": limit, "unit": unit, "slack": slack}
         events.append(Event.of(kind, name, t, values, excess, **options))
 

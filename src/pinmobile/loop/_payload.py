@@ -28,7 +28,7 @@ _SHARED_NAMES = re.compile(  # attributes on which the load has no effect
 _TIMED_NAMES = re.compile("evaluate_metrics|signals")
 _SAMPLE_NAMES = re.compile(
     "(ground|mount)_wrench|contact_loads|slip_margins|contacts|evaluate_metrics|signals|mass_matrix|gravity|"
-    "nonlinear_effects|(inverse|forward)_dynamics|(kinetic|potential)_energy"
+    "nonlinear_effects|(inverse|forward)_dynamics|(kinetic|potential)_energy|weight"
 )
 _VISUAL_NAMES = re.compile("visual_model|model|drawing|frame_placements|top|table|robot|ground")
 
@@ -222,10 +222,12 @@ class _Samples:
         return repr(self._plant)
 
     def __getattr__(self, name: str) -> Any:
-        if name == "weight":
-            return self._plant._select(self._t, attrgetter(name))
         is_timed = _SAMPLE_NAMES.fullmatch(name)
         if not (is_timed or _SHARED_NAMES.fullmatch(name) or _VISUAL_NAMES.fullmatch(name)):
             raise AttributeError(f"a PayloadTransfer at several times has no {name}")
         x = getattr(self._plant.loaded, name)
-        return (lambda *given: self._plant._select(self._t, methodcaller(name, *given))) if is_timed else x
+        if not is_timed:
+            return x
+        if not callable(x):
+            return self._plant._select(self._t, attrgetter(name))
+        return lambda *given: self._plant._select(self._t, methodcaller(name, *given))

@@ -16,7 +16,7 @@ from pinmobile.arrays import Array, ArrayLike, finite, frozen, lengths, shaped
 from pinmobile.errors import InvalidArgument
 from pinmobile.metrics import Metric
 from pinmobile.parts import by_value, number, option, part
-from pinmobile.plant import LIMIT_TOLERANCE
+from pinmobile.plant import limit_slack
 from pinmobile.robot.linkage import Joint, turns_freely
 
 WEIGHTLESS = 1e-9  # share of the weight below which a force of the ground counts as rounding
@@ -297,9 +297,8 @@ class ArmMetrics:
         limits = []
         for low, high in (self.positions, self.rates):
             rows = np.flatnonzero(np.isfinite(low) | np.isfinite(high))
-            ends = low[rows], high[rows]
-            slack = LIMIT_TOLERANCE * np.max([np.nan_to_num(abs(x), posinf=0.0) for x in ends], axis=0)
-            limits.append((rows.tolist(), ends[0] - slack, ends[1] + slack))
+            slack = limit_slack(low[rows], high[rows])
+            limits.append((rows.tolist(), low[rows] - slack, high[rows] + slack))
         return limits
 
     def exceeded_limits(self, q: Array, v: Array) -> list[Any]:
