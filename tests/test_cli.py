@@ -230,6 +230,8 @@ def test_run_draws_what_wheels_do_and_prints_metrics(typed: Typed, tmp_path: Pat
     assert code == 0
     assert re.search(r"^smallest load \[N\]: \d+", out, re.MULTILINE)
     assert re.search(r"^largest slip \[m/s\]: 0\.\d+", out, re.MULTILINE)
+    assert re.match(r"robot: WheeledRobot\(MobileRobot\(mass=30\.0, .* \.\.\.\n", out)
+    assert "\ntip over: no\n" in out
     names = {path.name for path in tmp_path.iterdir()}
     assert {"a.gif", "wheel_torques.png", "friction.png", "slip.png", "loads.png"} < names
 

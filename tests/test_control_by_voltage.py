@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import pinmobile as pm
+from pinmobile import plots
 from pinmobile.controllers import TorqueToVoltage
 from pinmobile.wheels import Motor
 from tests.parts import Eight
@@ -68,6 +69,7 @@ def test_volts_are_limited_and_a_model_with_limits_comes_back_sooner_than_a_regu
         assert (np.abs(found.u) == VOLTS).any(axis=-1).mean() > 0.1
         late[name] = np.sqrt((distance(found)[200:] ** 2).mean())
     assert late["MPC"] < 0.7 * late["LQR"]
+    assert plots.wheel_torques(found).axes[0].get_ylabel() == "voltage [V]"
 
 
 def test_volts_of_the_reference_are_those_of_its_torques_and_rates() -> None:

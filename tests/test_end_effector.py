@@ -172,7 +172,10 @@ def test_the_target_is_that_of_controller_trajectory_or_reference(
     check_hand(tracked.end_effector(), tracked)
     compiled = pm.simulate(ROBOT, pm.ComputedTorque(ROBOT, 100, 20), way, dt=0.02, engine=pm.Engine.COMPILED)
     check_hand(compiled.end_effector(), compiled)
-    wrapped = pm.InputSaturation(pm.EndEffectorTracking(ROBOT, HAND, dt=0.02), 1e4)
+    law = pm.EndEffectorTracking(ROBOT, HAND, dt=0.02)
+    with pytest.raises(pm.InvalidArgument, match=r"line \d+ of (curves|trajectory)\.py"):  # none of Python's
+        pm.simulate(ROBOT, law, way, dt=0.02, engine=pm.Engine.COMPILED)
+    wrapped = pm.InputSaturation(law, 1e4)
     rest = pm.simulate(ROBOT, wrapped, way, dt=0.02, duration=1.0)
     check_hand(rest.end_effector(), rest)
     # A posture that is another one than the pose's: the controller's target counts.

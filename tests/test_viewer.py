@@ -594,6 +594,13 @@ def test_a_coarse_mesh_has_about_that_share_and_the_same_shape() -> None:
     assert (outward > -1e-12).mean() > 0.99  # seen from outside still
 
 
+def test_uneven_meshes_keep_that_share_of_their_triangles_too() -> None:
+    for item in pm.MobileRobot.box().mount("ur5").visual_model.geometryObjects:
+        count = getattr(item.geometry, "num_tris", 0)
+        if count > 1000:
+            assert 0.25 < simplify(item.geometry, 0.5).num_tris / count < 0.6, item.name
+
+
 @pytest.mark.long
 def test_a_page_of_a_robot_with_hundreds_of_thousands_of_triangles_stays_small() -> None:
     robot = pm.MobileRobot.box().mount("g1")  # 290,000
