@@ -575,6 +575,7 @@ def test_one_path_of_an_arm_needs_no_list(typed: Typed, tmp_path: Path) -> None:
 def test_a_plant_with_its_own_step_is_a_robot_of_a_file(typed: Typed) -> None:
     plant = "robot=PayloadTransfer(MobileRobot.box(), PayloadBody(3.0), 0.5)"
     assert "PayloadBody" in typed("write", plant, "controller=PD(100, 100)")[1]
+    assert "MPC" not in typed("run", "robot=Nothing()")[2]  # it has a step, too: a time
 
 
 MOTOR = "Motor(resistance=1.2, torque_constant=0.04, voltage=24, gear=30, rotor_inertia=2e-5)"

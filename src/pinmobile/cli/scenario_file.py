@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import attrs
 
@@ -22,6 +22,7 @@ from pinmobile.loop import Rollout
 from pinmobile.parts import (
     InvalidEntries,
     OnCoordinates,
+    Pushable,
     Stepping,
     Values,
     are_nested,
@@ -83,12 +84,16 @@ def _cases(name: str, value: Any) -> dict[str, dict[str, Any]]:
     return {case: _paths(f"{name}.{case}", changes) for case, changes in value.items()}
 
 
+class _SteppingPlant(Stepping, Pushable, Protocol):
+    """A plant with a body, and with its own step instead of ``forward_dynamics``."""
+
+
 @part
 class ScenarioFile:
     """A closed loop, the number of its runs, and their differences; default: the circle of the lecture."""
 
     robot: Any = child(
-        (Plant, Stepping),
+        (Plant, _SteppingPlant),
         default=attrs.Factory(MobileRobot.lecture),
         doc="simulated system",
         expected="a robot",
