@@ -77,7 +77,8 @@ def test_the_node_has_a_steppers_inputs_and_stops(end: str, python: str, environ
         line = plant.stdout.readline()
         if end == "interrupt":
             controller.send_signal(signal.SIGINT)
-        out, err = plant.communicate(timeout=PATIENCE)
+        out = plant.stdout.read()  # `communicate` would leave out what `readline` has buffered
+        _, err = plant.communicate(timeout=PATIENCE)
         assert line == "done\n", err
         assert plant.returncode == 0, err
         if end != "interrupt":
