@@ -121,7 +121,20 @@ def test_a_wheel_that_lifts_off_lets_no_robot_tip_over() -> None:
     np.testing.assert_allclose([loads.sum(), x @ loads, y @ loads], 30 * G * np.array([1, 0.15, 0.125]))
     assert loads.min() == 0
     assert tip_over_margin(run).min() == pytest.approx(0.05)
-    assert (run.metrics()["load"].values.max(), run.events) == (0, ())
+    assert run.metrics()["load"].values.max() == 0
+    (lift,) = run.events
+    assert (lift.kind, lift.name, lift.samples) == ("lift", "rear_right", len(run))
+
+
+def test_a_driven_wheel_in_the_air_is_an_event_until_it_is_down_again() -> None:
+    body = pm.MobileRobot(30, 1.3, com=(0.12, 0.12, 0.2))
+    robot = WheeledRobot(body, WheelTable.mecanum(0.5, 0.4, 0.1, spin_inertia=0.01), pm.Coulomb())
+    law, hold = pm.law(lambda t, q, v, reference: np.ones(4)), pm.FixedHeading(pm.Hold((0, 0), 1.0), 0)
+    run = pm.simulate(robot, law, hold, dt=0.01)
+    lift, in_air = next(x for x in run.events if x.kind == "lift"), run.signals["loads"].values[:, 3] == 0
+    assert (lift.name, lift.t, lift.samples) == ("rear_right", 0.0, in_air.sum())
+    # Nothing but its own inertia holds it: 1 N m / 0.01 kg m^2.
+    np.testing.assert_allclose(np.diff(run.v[:, -1])[in_air[1:]], 100 * 0.01)
 
 
 def test_balance_takes_robots_on_wheels_with_arms() -> None:

@@ -932,8 +932,8 @@ class Event(NamedTuple):
     kind : str
         ``"position limit"``, ``"speed limit"`` or ``"effort limit"``, which a value exceeds;
         ``"saturation"`` of an input, or ``"current limit"``, which a value reaches; ``"tip over"``;
-        ``"slip"``; ``"ground"``, whose loads did not converge; or the name of a metric of the plant: a margin
-        below 0, or what happens.
+        ``"lift"`` of a driven wheel; ``"slip"``; ``"ground"``, whose loads did not converge; or the name of a
+        metric of the plant: a margin below 0, or what happens.
     name : str
         Coordinate, input, motor, wheel or metric.
     t : float

@@ -33,17 +33,20 @@ from pinmobile.plant import (
     stated,
 )
 from pinmobile.reaching import error_sizes, pose_error, target_names
-from pinmobile.robot import margin_of_wrench
+from pinmobile.robot import WEIGHTLESS, margin_of_wrench
 from pinmobile.signals import Signal
 from pinmobile.trajectories import Reference
 
 _SINCE = "(from t = {t} s, {count})"
-_GROUND = {
-    "tip over": "no loads of wheels and supports balance the robot: it tips over, which is not simulated "
-    + _SINCE,
-    "ground": f"loads and forces of the ground did not converge to their tolerance {_SINCE}; "
-    "compare with half the time step",
-}
+_TIPS_OVER = (
+    "no loads of wheels and supports balance the robot: it tips over, which is not simulated "
+    f"{_SINCE}; tip-over margin {{value}} m at t = {{at}} s"
+)
+_MISSED = (
+    f"loads and forces of the ground did not converge to their tolerance {_SINCE}; "
+    "compare with half the time step and with Coulomb(tolerance=1e-6)"
+)
+_LIFTS = f"lifted: {{name}}, a driven wheel without load, which cannot push and may spin up {_SINCE}"
 _SLIDES = f"sliding: {{name}}, at up to {{value}} m/s at t = {{at}} s {_SINCE}"
 _OVERSPEED = (
     "motor of {name} turns at {value} rad/s at t = {at} s, faster than {limit} rad/s, its speed without "
@@ -58,10 +61,10 @@ _KINDS = {"load": "tip over", "tip-over margin": "tip over", "slip margin": "sli
 _KINDS |= {f"exceed a {name}": name for name in ("position limit", "speed limit")}
 KINDS = (
     *("position limit", "speed limit", "effort limit", "saturation", "current limit"),
-    *("tip over", "slip", "ground"),
+    *("tip over", "lift", "slip", "ground"),
 )
 """Kinds of events of every plant; margins and events among the metrics of a plant are further kinds."""
-_SIMULATED_KINDS = {"saturation", "current limit", "slip"}
+_SIMULATED_KINDS = {"saturation", "current limit", "lift", "slip"}
 """Kinds of events that a run simulates."""
 _LEAST_SLIP = 1e-9  # [m/s], slower slip is rounding
 _TIPS = Metric("tip-over margin", "m", "distance of the zero-moment point from the edge", "smallest")
@@ -124,15 +127,27 @@ def _motor_events(run: Any, plant: Any) -> Iterator[Event | None]:
 
 
 def _ground_events(run: Any, plant: Any) -> Iterator[Event | None]:
-    """Yield the events of a robot on the ground: it tips over, its loads do not converge, wheels slide."""
+    """Yield the events of a robot on wheels: it tips over, wheels lift or slide, loads do not converge."""
     table, t, signals = stated(plant, "table"), run.t, run.signals
-    states = {name: signals[name].values for name in ("tips", "missed") if name in signals}
-    if stated(plant, "contact_loads"):
-        if "tips" not in states and any(metric.name == "tip over" for metric in metrics_of(plant)):
-            states["tips"] = 1.0 * plant.contact_loads(run.q, run.v, run.a).tips  # rolling wheels: no signal
-        for kind, name in {"tip over": "tips", "ground": "missed"}.items():
-            if name in states:
-                yield Event.of(kind, "", t, states[name], states[name], words=_GROUND[kind])
+    recorded = {name: signals[name].values for name in ("loads", "tips", "missed") if name in signals}
+    stands = table is not None and plant.grounded and plant.footprint is not None
+    if stands or "tips" in recorded:
+        if "tips" not in recorded:  # rolling wheels
+            computed = plant.contact_loads(run.q, run.v, run.a)
+            recorded |= {"loads": computed.values, "tips": 1.0 * computed.tips}
+        wrench, tips = plant.ground_wrench(run.q, run.v, run.a), recorded["tips"] > 0
+        margin = margin_of_wrench(plant.footprint, wrench, 0.0)
+        depth = np.where(tips, np.maximum(-margin, np.finfo(float).tiny), 0.0)
+        yield Event.of("tip over", "", t, margin, depth, words=_TIPS_OVER, unit="m")
+        joints = {k for motor in table.actuators for k, x in enumerate(motor.column) if x}
+        driven = [row for row in range(len(table)) if len(table.axes) + row in joints]
+        lifted = recorded["loads"][:, driven] <= WEIGHTLESS * wrench[:, 2:3]
+        lifted[tips | (margin < 0)] = False
+        name, count = ", ".join(np.array(table.names)[driven][lifted.any(axis=0)]), 1.0 * lifted.sum(axis=1)
+        yield Event.of("lift", name, t, count, count, words=_LIFTS)
+    if "missed" in recorded:
+        missed = recorded["missed"]
+        yield Event.of("ground", "", t, missed, missed, words=_MISSED)
     if table is not None and "slides" in signals:
         speeds = np.hypot(signals["slip_along"].values, signals["slip_across"].values)
         slides = np.where(speeds > _LEAST_SLIP, speeds * signals["slides"].values, 0.0)
