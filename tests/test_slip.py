@@ -277,7 +277,7 @@ def test_a_run_warns_of_a_robot_that_tips_over(ground: Any, engine: pm.Engine) -
             found = simulate(robot, law, path, dt=0.02, duration=0.4, engine=engine)
         assert [bool(re.search(words, str(each.message))) for each in told] == [True] * tips
         margin = pm.balance.tip_over_margin(found).min()
-        worst = [(each.value, each.unit) for each in found.events if each.kind == "tip over"]
+        worst: list[Any] = [(each.value, each.unit) for each in found.events if each.kind == "tip over"]
         assert worst == [(pytest.approx(margin), "m")] * tips
 
 
