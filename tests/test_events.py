@@ -1,11 +1,13 @@
 """Events of a run and of an ensemble: limits, saturation, slip, tipping over; and runs that end at them."""
 
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.text import Annotation
 
 import pinmobile as pm
 from pinmobile import plots
@@ -211,10 +213,15 @@ def test_an_unknown_kind_of_event_is_refused() -> None:
 
 def test_figures_and_captions_name_events() -> None:
     run = turning(on_wheels(pm.Coulomb(0.3), height=0.5))
-    for figure in (plots.errors(run), plots.states(run), plots.forces(run)):
+    for figure in (plots.errors(run), plots.states(run), plots.forces(run), plots.loads(run)):
         words = {text.get_text() for text in figure.axes[0].texts}
         assert {"slip", "tip over"} <= {kind for text in words for kind in text.split(", ")}
-        assert not any("slip" in text.get_text() for text in figure.axes[1].texts)
+        assert not any("slip" in text.get_text() for axes in figure.axes[1:] for text in axes.texts)
+    powered = on_wheels(motor=pm.Motor(resistance=2, torque_constant=0.5, voltage=24)).by_voltage()
+    both = plots.forces({"one": run, "two": replace(run, plant=powered)}).axes
+    assert [axes.get_ylabel() for axes in both] == ["left [N m or V]", "right [N m or V]"]
+    heights = {text.xyann[1] for text in both[0].texts if isinstance(text, Annotation)}
+    assert len(heights) == 2  # neither run's words hide the other's
     times, first = np.array([0.0, 2.0]), of_kind(run, "tip over").t
     before, after = _captions({"": run}, times, {})
     assert first > 0

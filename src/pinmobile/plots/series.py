@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from pinmobile.arrays import Array, ArrayLike, instance
 from pinmobile.balance import (
     body_zero_moment_point,
+    contact_loads,
     footprint_of,
     reaction_wrench,
     required_friction,
@@ -25,7 +26,7 @@ from pinmobile.identification import Prediction
 from pinmobile.loop import Rollout
 from pinmobile.palette import INK, QUIET, SLIDES
 from pinmobile.parts import Grounded, Touching
-from pinmobile.plant import Contacts, Plant, configuration_names_of, coordinates_of, first_times
+from pinmobile.plant import Contacts, Plant, configuration_names_of, coordinates_of, first_times, stated
 from pinmobile.plots.style import (
     Layout,
     Rollouts,
@@ -290,12 +291,12 @@ def _draw_runs(
     sheet, panels = _make_panels(names, layout)
     for index, run in enumerate(runs.values()):
         draw(panels, run.t, values(run), **style, **line_style(index, len(runs)))
-        mark_events(panels, run, line_style(index, len(runs))["color"])
+        mark_events(panels, run, line_style(index, len(runs))["color"], line=index)
     return sheet, panels
 
 
-def mark_events(panels: Iterable[Axes], run: Rollout, color: Any) -> None:
-    """Draw a line at the first sample of each kind of event, with its name in the first panel."""
+def mark_events(panels: Iterable[Axes], run: Rollout, color: Any, *, line: int = 0) -> None:
+    """Draw a line at the first sample of each kind of event, with its name in a line of the first panel."""
     times: dict[float, list[str]] = {}
     for kind, t in first_times(run.events).items():
         mark = next((each for each in times if t - each < _EVENT_TOLERANCE * run.t[-1]), t)
@@ -306,8 +307,10 @@ def mark_events(panels: Iterable[Axes], run: Rollout, color: Any) -> None:
             if row == 0:
                 flips = t > run.t[-1] / 2
                 style: Any = {"ha": "right" if flips else "left", "va": "top", "textcoords": "offset points"}
-                style |= {"xytext": (-3 if flips else 3, -2), "xycoords": ("data", "axes fraction")}
-                axes.annotate(", ".join(kinds), (t, 1), fontsize=font_size(0.85), color=color, **style)
+                size = font_size(0.85)
+                style |= {"xytext": (-3 if flips else 3, -2 - 1.2 * size * line)}
+                style |= {"xycoords": ("data", "axes fraction"), "fontsize": size, "color": color}
+                axes.annotate(", ".join(kinds), (t, 1), **style)
 
 
 def _make_panels(names: Sequence[tuple[str, str]], layout: Layout) -> tuple[Sheet, list[Axes]]:
@@ -354,10 +357,13 @@ def _style_time_axes(sheet: Sheet, grid: NDArray[Any]) -> NDArray[Any]:
 
 
 def _panel_names(candidates: Iterable[tuple[object, Sequence[tuple[str, str]]]]) -> list[tuple[str, str]]:
-    """Return symbol and unit for each panel, from the first plant with the largest number of columns."""
-    plant, pairs = max(candidates, key=lambda one: len(one[1]))
+    """Return symbol and units for each panel, from the first plant with the largest number of columns."""
+    every = list(candidates)
+    plant, pairs = max(every, key=lambda one: len(one[1]))
     single = len(getattr(plant, "mounts", ())) == 1
-    return [(_symbol(name.partition("/")[2] or name if single else name), unit) for name, unit in pairs]
+    units = [dict.fromkeys(each[k][1] for _, each in every if k < len(each)) for k in range(len(pairs))]
+    names = [_symbol(name.partition("/")[2] or name if single else name) for name, _ in pairs]
+    return [(name, " or ".join(filter(None, unit))) for name, unit in zip(names, units, strict=True)]
 
 
 def _symbol(name: str) -> str:
@@ -711,7 +717,7 @@ def slip(rollouts: Rollouts, **layout: Unpack[Layout]) -> Figure:
 
 
 def loads(rollouts: Rollouts, **layout: Unpack[Layout]) -> Figure:
-    """Draw the load (normal force) of each wheel over time.
+    """Draw the load (normal force) of each wheel and support over time.
 
     Parameters
     ----------
@@ -754,11 +760,16 @@ def loads(rollouts: Rollouts, **layout: Unpack[Layout]) -> Figure:
     sheet, grid = _make_axes(runs, ["load [N]"], layout)
     for run, axes in zip(runs.values(), grid[0], strict=True):
         contacts = _contacts(run)
-        _draw_lines(sheet, axes, run.t, contacts.loads, contacts.names)
-        if not np.isfinite(contacts.loads).any():
+        names, values, is_known = contacts.names, contacts.loads, np.isfinite(contacts.loads).any()
+        if is_known and stated(run.plant, "contact_loads"):  # with supports
+            names, values, *_ = contact_loads(run)
+            values = run.signals["loads"].values if "loads" in run.signals else values
+        _draw_lines(sheet, axes, run.t, values, names)
+        if not is_known:
             _write_note(axes, "unknown", (0.5, 0.5))
         axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
-    return sheet.finish("Loads of the wheels")
+        mark_events([axes], run, ink())
+    return sheet.finish("Loads of wheels and supports")
 
 
 def odometry(rollouts: Rollouts, **layout: Unpack[Layout]) -> Figure:
