@@ -90,13 +90,11 @@ def test_an_integral_removes_the_error_of_a_force_inside_each_wrapper(name: str)
     """Without the integral, 9 N leave 6 to 19 mm: 9 N / (30 or 10 kg) / 48."""
     plant, controller = INTEGRALS[name]
     still, push = pm.FixedHeading(pm.Hold([0, 0], 12.0), 0.0), [pm.ConstantForce([9, -6, 0.4])]
-    runs = [
-        pm.simulate(plant, controller, still, dt=0.01, forces=push, engine=engine)
-        for engine in (pm.Engine.PYTHON, pm.Engine.COMPILED)
-    ]
-    for run in runs:
-        assert np.abs(run.error[-1]).max() < 1e-5  # e^-4t, slower by volts
-    np.testing.assert_allclose(runs[0].q, runs[1].q, rtol=0, atol=1e-12)
+    loop: Any = {"dt": 0.01, "forces": push}
+    run = pm.simulate(plant, controller, still, engine=pm.Engine.COMPILED, **loop)
+    assert np.abs(run.error[-1]).max() < 1e-5  # e^-4t, slower by volts
+    begin = pm.simulate(plant, controller, still, engine=pm.Engine.PYTHON, duration=2.0, **loop)
+    np.testing.assert_allclose(begin.q, run.q[:201], rtol=0, atol=1e-12)
 
 
 def test_an_integral_and_an_estimate_behind_a_delay_stop_at_limits_alone() -> None:
