@@ -1,5 +1,6 @@
 """What results and warnings say of the engine that ran a loop, and of why it was no faster one."""
 
+import statistics
 import subprocess
 import sys
 import warnings
@@ -48,6 +49,15 @@ def test_a_sweep_tells_once_which_part_makes_it_slower_and_where(tmp_path: Path)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         pm.sweep(*plan, grid=grid, chunk=4)  # nothing is left to run
+
+
+def test_the_line_is_that_of_the_law_and_not_one_of_python() -> None:
+    def leaning(t: float, q: Any, v: Any, reference: Any) -> Any:
+        return statistics.median(q) * (reference.q - q)
+
+    words = r"leaning, line \d+ of test_fallback_reasons\.py \(`return statistics"
+    with pytest.raises(pm.InvalidArgument, match=words):
+        pm.simulate(pm.MobileRobot.box(), pm.law(leaning), CIRCLE, dt=0.1, engine=pm.Engine.COMPILED)
 
 
 def test_the_command_prints_it_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
