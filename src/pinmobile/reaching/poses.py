@@ -23,7 +23,8 @@ from pinmobile.arrays import (
     positive_or_endless,
     shaped,
 )
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, NotTraceable
+from pinmobile.parts import holds_symbols
 from pinmobile.paths import Path, Spline, check_path, within
 
 _HALF_TURN = 1e-6  # [rad]: closer to half a turn, rounding would decide the sense of rotation
@@ -337,6 +338,11 @@ class PosePath:
     _orientation: Orientation | None = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        if holds_symbols(self.path):
+            raise NotTraceable(
+                "target poses of a law are numbers, such as those of EndEffectorTracking",
+                "plan by solve_inverse_kinematics and track by ComputedTorque, which is compiled",
+            )
         check_path(self.path, 3)
         given = {name: getattr(self, name) is not None for name in ("final_rotation", "turn", "times")}
         names = [name for name, is_given in given.items() if is_given]

@@ -22,7 +22,7 @@ from pinmobile.arrays import (
     positive_or_endless,
     shaped,
 )
-from pinmobile.errors import InvalidArgument, LimitWarning, NotTraceable, PinmobileError, Unreachable
+from pinmobile.errors import InvalidArgument, LimitWarning, PinmobileError, Unreachable
 from pinmobile.integrators import Integrator, check_integrator, constant_acceleration
 from pinmobile.parts import Constrained, able
 from pinmobile.paths import within
@@ -662,11 +662,6 @@ class EndEffectorTracking:
         state : None
             Unused memory.
         """
-        if type(q) is not np.ndarray:
-            raise NotTraceable(
-                "EndEffectorTracking solves a least-squares problem with bounds at each sample",
-                "plan by solve_inverse_kinematics and track by ComputedTorque, which is compiled",
-            )
         return self._command(t, q, v, reference)[1], None
 
     def acceleration(self, t: float, q: Array, v: Array, reference: Reference) -> Array:
