@@ -346,3 +346,18 @@ def test_a_million_robots_fit_in_a_gigabyte() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert float(done.stdout) < 1e6
+
+
+@pytest.mark.parametrize("engine", [pm.Engine.COMPILED, pm.Engine.PYTHON])
+def test_an_impossible_robot_among_possible_ones_is_refused_by_its_number(engine: pm.Engine) -> None:
+    wheels: Any = {"mass": 1.0, "spin_inertia": 0.005, "yaw_inertia": 0.003}
+    car = pm.WheeledRobot(
+        pm.MobileRobot(30, 1.3, com=(0.2, 0, 0.1)), pm.WheelTable.car(0.5, 0.4, 0.1, **wheels)
+    )
+    law, path = pm.Backstepping(pm.UnicycleTracking(), car), pm.Tangent(pm.Circle(2, 0.4, 0.1))
+    loop: Any = {"n": 4, "dt": 0.01, "engine": engine}
+    impossible = {"plant.robot.mass": (2.0, "wheels 4 kg"), "rear_left.x": (0.1, "cannot roll without slip")}
+    for name, (value, words) in impossible.items():
+        usual = 30.0 if name.endswith("mass") else 0.0
+        with pytest.raises(pm.InvalidArgument, match=rf"^robot 2: .*{words}"):
+            pm.ensemble(car, law, path, spread={name: np.array([usual, usual, value, usual])}, **loop)

@@ -431,14 +431,34 @@ class Scenario(RecordGrid):
             Draws of these robots, see `draws`.
         start, stop : int
             Range of robots.
+
+        Raises
+        ------
+        InvalidArgument
+            If a robot with the least or the largest value of a number is impossible.
         """
         arrays = self._spread_values(draws, stop - start)
+        self._check_extremes(arrays, start)
         for path, part in self._random_parts.items():
             owner, _, name = path.rpartition(".")
             stream = f"{_stream_name(owner)} of {crc32(part.stream)}"
             last = self._last_draws.setdefault(path, {})
             arrays[path] = draw_blocks(stream, partial(_draw, part, name), self.seed, start, stop, last)
         return arrays
+
+    def _check_extremes(self, values: Mapping[str, Array], first: int) -> None:
+        """Raise the error of an impossible robot: machine code checks no number.
+
+        A check takes a millisecond. These are the robots with the least and the largest value of each number.
+        """
+        varied = {x: y for x, y in values.items() if x.partition(".")[0] in ("plant", "controller", "forces")}
+        columns = [np.reshape(x, (len(x), -1)) for x in varied.values()]
+        ends = [(column.argmin(axis=0), column.argmax(axis=0)) for column in columns]
+        for i in np.unique(np.concatenate([np.zeros((2, 0), int), *ends], axis=1)).tolist():
+            try:
+                replaced(self.loop, {path: x[i] for path, x in varied.items()})
+            except InvalidArgument as error:
+                raise InvalidArgument(f"robot {first + i}: {error}") from error
 
     @cached_property
     def entries(self) -> dict[str, Any]:
