@@ -105,8 +105,7 @@ def test_a_plant_has_the_bits_of_the_library(name: str, tmp_path: Path) -> None:
     t, u, q, v = c_code.rows(run.t, run.u, np.zeros_like(run.q), np.zeros_like(run.v))
     assert c_code.call(drive, t, u, q, v) == 0
     assert np.array_equal(q, run.q)
-    # On rolling wheels, the library records v after its projection, which rounds.
-    assert np.abs(v - run.v).max() <= (1e-12 if "olling" in name or name == "commanded" else 0)
+    assert np.array_equal(v, run.v)
     c_code.run_test_program(tmp_path, "-O1", compiler=compiler)
 
 

@@ -58,6 +58,11 @@ class InputRecorder:
     errors: bool = option(default=False)
     signals = True
 
+    @property
+    def projects_after(self) -> bool:
+        """Whether the velocities after a sample fulfil the constraints: those of a plant in C."""
+        return not self.as_measured
+
     def initial_state(self, n: int, nu: int) -> None:
         """Return None: the recorder has no memory."""
 

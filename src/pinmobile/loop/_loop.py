@@ -157,6 +157,11 @@ class Loop:
         return projects and able(self.dynamics, Constrained) is not None
 
     @cached_property
+    def projects_after(self) -> bool:
+        """Whether a sample ends with the projection instead of beginning with it, which has the same bits."""
+        return self.is_constrained and bool(stated(self.recorder, "projects_after"))
+
+    @cached_property
     def displaced(self) -> Callable[..., tuple[Any, Any]]:
         """Integrator as a function of displacements, which receives the acceleration at the start."""
         method = stated(self.integrator, "displaced")
@@ -399,12 +404,13 @@ def step(
     """
     plant = loop.dynamics
     q, v, memory, law_memory, record_state = state
-    if loop.is_constrained:
+    if loop.is_constrained and not loop.projects_after:
         # Here, not after the step: this sample's dynamics need the same mass matrix, which a tape has once.
         v = np.where(k == 0.0, v, plant.project(q, v))  # the initial velocity stays as given
     error, error_rate = tracking_errors(plant, q, v, reference) if loop.records_errors else (None, None)
     u, law_memory = control(loop, t, q, v, reference, law_memory)
     a, q1, v1, next_memory = advance(loop, t, h, q, v, u, memory)
+    v1 = plant.project(q1, v1) if loop.projects_after else v1
     signals: Mapping[str, SignalSample] = {}
     if loop.signals:
         law_signals = signals_of(loop.controller, law_memory)
