@@ -135,6 +135,16 @@ def test_an_ensemble_counts_robots_whose_motors_are_faster_than_without_load(
     assert counts.tolist() == ["speed limit" in each for each in kinds] == [False, True, True]
 
 
+def test_a_torque_that_its_motor_lacks_at_its_rate_is_an_event() -> None:
+    motors = pm.Motor(resistance=2, torque_constant=0.5, voltage=4)
+    run = turning(on_wheels(motor=motors), rate=0.4, v0=np.zeros(5))
+    event, motor = of_kind(run, "effort limit"), run.plant.table.actuators[0].motor
+    assert (event.name, event.unit) == ("left", "N m")
+    margin = motor.margin(run.u[:, 0], run.v[:, -2])
+    assert event.value == pytest.approx(-margin.min())
+    assert event.samples == (margin < 0).sum()
+
+
 def test_a_wheel_that_slides_is_an_event_with_its_fastest_slip() -> None:
     run = turning(on_wheels(pm.Coulomb(0.05)))
     event, slides = of_kind(run, "slip"), run.signals["slides"].values > 0

@@ -276,7 +276,8 @@ def test_a_run_warns_of_a_robot_that_tips_over(ground: Any, engine: pm.Engine) -
             warnings.simplefilter("always")
             found = simulate(robot, law, path, dt=0.02, duration=0.4, engine=engine)
         assert [bool(re.search(words, str(each.message))) for each in told] == [True] * tips
-        margin = pm.balance.tip_over_margin(found).min()
+        # Dry ground records the loads of the step before.
+        margin = pm.balance.tip_over_margin(found)[: -1 if isinstance(ground, Coulomb) else None].min()
         worst: list[Any] = [(each.value, each.unit) for each in found.events if each.kind == "tip over"]
         assert worst == [(pytest.approx(margin), "m")] * tips
 

@@ -18,6 +18,7 @@ from pinmobile.files import pack, read_archive, unpack, write_archive, write_tab
 from pinmobile.loop._mcap import Columns, read_mcap, write_mcap
 from pinmobile.metrics import Metric, evaluate_metrics_of, format_si, metrics_of
 from pinmobile.plant import (
+    LIMIT_TOLERANCE,
     Coordinate,
     Event,
     Input,
@@ -55,6 +56,7 @@ _OVERSPEED = (
 _TOO_FAST = (
     "wheel of {name} turns at {value} rad/s at t = {at} s, beyond its limit of {limit} rad/s since t = {t} s"
 )
+_TOO_WEAK = "torque of {name} is {value} N m more than its motor has at its rate at t = {at} s " + _SINCE
 _CURRENT = f"current of {{name}} is at its limit of {{limit}} A {_SINCE}"
 _MARGIN = f"{{name}} is {{value}} {{unit}} at t = {{at}} s, below 0 {_SINCE}"
 _KINDS = {"load": "tip over", "tip-over margin": "tip over", "slip margin": "slip"}
@@ -109,7 +111,7 @@ def events_of(run: Any, *, with_metrics: bool = True) -> tuple[Event, ...]:
 
 
 def _motor_events(run: Any, plant: Any) -> Iterator[Event | None]:
-    """Yield the events of motors: currents at their limits, speeds above those without load."""
+    """Yield the events of motors: currents at limits, torques that they lack, too high speeds."""
     table, t = stated(plant, "table"), run.t
     motors = table.actuators if table is not None else ()
     if "currents" in run.signals:
@@ -118,9 +120,15 @@ def _motor_events(run: Any, plant: Any) -> Iterator[Event | None]:
             limit = float(motor.motor.current)
             options: Any = {"words": _CURRENT, "limit": limit, "unit": "A", "slack": -1e-6 * limit}
             yield Event.of("current limit", motor.name, t, current, current - limit, **options)
-    for motor in motors:
-        rate = np.abs(run.v[:, run.v.shape[1] - len(motor.column) :] @ np.array(motor.column))
+    inputs = list(zip(run.inputs, run.u.T, strict=True))[len(run.inputs) - len(motors) :]
+    for motor, (taken, torque) in zip(motors, inputs, strict=True):
+        rate = run.v[:, run.v.shape[1] - len(motor.column) :] @ np.array(motor.column)
         limit = float(motor.motor.largest_rate)
+        if motor.motor.is_electric and taken.unit == "N m":
+            lacks = np.where(np.abs(rate) <= limit, -motor.motor.margin(torque, rate), 0.0)
+            options = {"unit": "N m", "slack": LIMIT_TOLERANCE * float(motor.motor.largest_torque)}
+            yield Event.of("effort limit", motor.name, t, lacks, lacks, words=_TOO_WEAK, **options)
+        rate = np.abs(rate)
         words = _TOO_FAST if limit == motor.motor.rate_limit else _OVERSPEED
         options = {"words": words, "limit": limit, "unit": "rad/s", "slack": 1e-6 * limit}
         yield Event.of("speed limit", motor.name, t, rate, rate - limit, **options)
@@ -137,6 +145,8 @@ def _ground_events(run: Any, plant: Any) -> Iterator[Event | None]:
             recorded |= {"loads": computed.values, "tips": 1.0 * computed.tips}
         wrench, tips = plant.ground_wrench(run.q, run.v, run.a), recorded["tips"] > 0
         margin = margin_of_wrench(plant.footprint, wrench, 0.0)
+        if "tips" in signals:  # of the step before
+            margin = np.concatenate([margin[:1], margin[:-1]])
         depth = np.where(tips, np.maximum(-margin, np.finfo(float).tiny), 0.0)
         yield Event.of("tip over", "", t, margin, depth, words=_TIPS_OVER, unit="m")
         joints = {k for motor in table.actuators for k, x in enumerate(motor.column) if x}
