@@ -288,29 +288,33 @@ def _draw_runs(
     **style: Any,
 ) -> tuple[Sheet, list[Axes]]:
     """Draw a line of each rollout in the axes of each name, and return the sheet and the axes."""
-    sheet, panels = _make_panels(names, layout)
+    (sheet, panels), line = _make_panels(names, layout), 0
     for index, run in enumerate(runs.values()):
         draw(panels, run.t, values(run), **style, **line_style(index, len(runs)))
-        mark_events(panels, run, line_style(index, len(runs))["color"], line=index)
+        line += mark_events(panels, run, line_style(index, len(runs))["color"], line=line)
     return sheet, panels
 
 
-def mark_events(panels: Iterable[Axes], run: Rollout, color: Any, *, line: int = 0) -> None:
-    """Draw a line at the first sample of each kind of event, with its name in a line of the first panel."""
+def mark_events(panels: Iterable[Axes], run: Rollout, color: Any, *, line: int = 0) -> int:
+    """Draw a line at the first sample of each kind of event, and return the number of marks.
+
+    Their names stand in the first panel, each mark's in a line of its own, from line number `line` on.
+    """
     times: dict[float, list[str]] = {}
     for kind, t in first_times(run.events).items():
         mark = next((each for each in times if t - each < _EVENT_TOLERANCE * run.t[-1]), t)
         times.setdefault(mark, []).append(kind)
     for row, axes in enumerate(panels):
-        for t, kinds in times.items():
+        for k, (t, kinds) in enumerate(times.items(), start=line):
             axes.axvline(t, color=color, linewidth=1.0, linestyle=":", zorder=2)
             if row == 0:
                 flips = t > run.t[-1] / 2
                 style: Any = {"ha": "right" if flips else "left", "va": "top", "textcoords": "offset points"}
                 size = font_size(0.85)
-                style |= {"xytext": (-3 if flips else 3, -2 - 1.2 * size * line)}
+                style |= {"xytext": (-3 if flips else 3, -2 - 1.2 * size * k)}
                 style |= {"xycoords": ("data", "axes fraction"), "fontsize": size, "color": color}
                 axes.annotate(", ".join(kinds), (t, 1), **style)
+    return len(times)
 
 
 def _make_panels(names: Sequence[tuple[str, str]], layout: Layout) -> tuple[Sheet, list[Axes]]:
