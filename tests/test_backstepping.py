@@ -153,6 +153,11 @@ def test_two_modules_steer_and_drive_along_a_pose() -> None:
     assert errors[200] == pytest.approx(OFF[2] / 3 * np.exp(-4.0), rel=1.5)
     with refused(r"type \(2, 0\) with 2 inputs, expected two modules that steer"):
         SwerveTracking(DIFFERENTIAL)
+    speeds = pm.VelocityRobot([0.3, 0.2, 0.01, 1.1, 0.02, 0.95])
+    with refused("expected two modules that steer"):
+        SwerveTracking(speeds)
+    with refused("which has no inverse_dynamics"):
+        pm.ADRC(speeds)
 
 
 def test_a_robot_whose_wheels_slip_a_little_follows_by_the_model_of_one_that_rolls() -> None:

@@ -121,6 +121,19 @@ def test_a_slow_kinematic_law_runs_inside_a_fast_one() -> None:
     assert 0 < np.abs(errors[0] - errors[1]).max() < 5e-3  # at most 0.01 s late, at 0.5 m/s
 
 
+def test_a_held_kinematic_law_steers_a_car() -> None:
+    wheels: Any = {"mass": 1.0, "spin_inertia": 0.005, "yaw_inertia": 0.003}
+    car = WheeledRobot(MobileRobot(30.0, 1.3, com=(0.2, 0)), WheelTable.car(0.5, 0.4, 0.1, **wheels))
+    law = pm.Backstepping(Sampled(UnicycleTracking(), 5), car)
+    aside = simulate(car, law, PATH, dt=0.01, duration=0.01).q[0] + np.array([0.02, 0.01, 0, 0, 0, 0, 0, 0])
+    one, other = (
+        simulate(car, law, PATH, dt=0.01, q0=aside, engine=engine)
+        for engine in (pm.Engine.COMPILED, pm.Engine.PYTHON)
+    )
+    np.testing.assert_allclose(one.q, other.q, atol=1e-11)
+    assert np.abs(one.error[-1, :2]).max() < 0.3 * 0.02
+
+
 def test_a_law_in_python_runs_only_when_its_sample_is_due() -> None:
     calls = []
 

@@ -15,6 +15,7 @@ import pytest
 import pinmobile as pm
 from pinmobile.cli.results import IdentifyPaths
 from pinmobile.cli.scenario_file import LoadedFile, ScenarioFile, shipped_names
+from pinmobile.controllers import Sampled, WheelSpeed
 from pinmobile.parts import Child, InvalidEntries, Reader, schema_of, write_text
 from pinmobile.wheels import MOTORS
 from tests.drawing import APART, PARTS, drawn
@@ -240,6 +241,19 @@ def test_grids_and_cases_change_what_they_name_and_no_model() -> None:
         if at["controller"] == "computed torque":
             assert scenario.controller.robot.mass == 30
     assert points.axes["mass"].unit == "kg"
+
+
+def test_a_slower_law_stands_around_a_controller_and_in_one() -> None:
+    around, inside = (
+        LoadedFile(["differential", f"controller={text}"]).content
+        for text in (
+            "Sampled(WheelSpeed(UnicycleTracking(), kp=5), 2)",
+            "WheelSpeed(Sampled(UnicycleTracking(), 2), kp=5)",
+        )
+    )
+    law = pm.UnicycleTracking()
+    assert around.controller == Sampled(WheelSpeed(law, around.robot, kp=5), 2)
+    assert inside.controller == WheelSpeed(Sampled(law, 2), inside.robot, kp=5)
 
 
 def test_text_makes_what_python_makes() -> None:

@@ -717,12 +717,13 @@ class Backstepping:
         limit, _ = self._steering_limit or (np.inf, None)
         angle = q[..., self._n]
         desired = self._angle(*command)
-        exceeds = np.abs(desired.value) > limit
-        desired = select(exceeds, np.sign(desired.value) * limit, desired)
-        rate = self._angle(error_state.speed, error_state.yaw_rate).rate
+        size = value_of(desired)
+        desired = select(np.abs(size) > limit, np.sign(size) * limit, desired)
+        rate = rate_of(self._angle(error_state.speed, error_state.yaw_rate))
         acceleration = has_rate * (rate - last_rate) / dt
-        desired_rate = desired.rate + self.steer * (desired.value - angle)
-        turn = DualNumber(desired_rate, acceleration + self.steer * (desired.rate - nu[..., -1]))
+        turning = rate_of(desired)  # 0 for a held command
+        desired_rate = turning + self.steer * (value_of(desired) - angle)
+        turn = DualNumber(desired_rate, acceleration + self.steer * (turning - nu[..., -1]))
         return turn, (rate, 1.0 + 0.0 * has_rate, dt)
 
     def _angle(self, speed: Any, yaw_rate: Any) -> Any:
@@ -832,8 +833,8 @@ class SwerveTracking:
         kind = robot.mobility.mobility, robot.mobility.steerability
         if kind != (1, 2) or max(robot.reference_sizes) > _BASE or len(robot.inputs) != 4:
             raise InvalidArgument(
-                f"robot is {robot.mobility.kind} with {len(robot.inputs)} inputs, expected two modules "
-                "that steer and drive, without arms"
+                f"robot is of type {kind} with {len(robot.inputs)} inputs, expected two modules that steer "
+                "and drive, without arms"
             )
         check_wheels(robot)
 

@@ -25,9 +25,27 @@ from pinmobile.controllers.controller import (
     notify_applied,
 )
 from pinmobile.controllers.feedback import check_wheelless, coordinates_of
-from pinmobile.controllers.kinematic_laws import has_axle, reference_of, reference_speeds, value_of
+from pinmobile.controllers.kinematic_laws import (
+    LAW,
+    KinematicLaw,
+    has_axle,
+    reference_of,
+    reference_speeds,
+    value_of,
+)
 from pinmobile.controllers.lqr import check_gains
-from pinmobile.parts import Allocating, Integrating, Observable, child, each, integer, option, part, structure
+from pinmobile.parts import (
+    Allocating,
+    Integrating,
+    Observable,
+    child,
+    each,
+    integer,
+    option,
+    part,
+    require,
+    structure,
+)
 from pinmobile.plant import Context, inputs_of, reference_sizes_of, stated
 from pinmobile.signals import signals_of
 
@@ -159,7 +177,10 @@ def estimate_force(
 def _inertia_at_rest(controller: Any) -> Array:
     """Return the diagonal of the mass matrix in the reference configuration, shape (n,)."""
     check_wheelless(controller)
-    return np.diagonal(controller.robot.mass_matrix(controller.robot.rest))
+    robot = controller.robot
+    if stated(robot, "mass_matrix") is None:
+        require("robot", robot, Observable)
+    return np.diagonal(robot.mass_matrix(robot.rest))
 
 
 @final
@@ -693,7 +714,11 @@ class Sampled:
     array([10, 20, 30, 40])
     """
 
-    controller: Any = child(Controller, doc="law that runs at the slower rate")
+    controller: Any = child(
+        (Controller, KinematicLaw),
+        doc="law that runs at the slower rate",
+        expected="a controller or " + LAW[2:],
+    )
     every: int = integer(default=10, least=1, doc="samples of the loop per sample of the law")
 
     @property

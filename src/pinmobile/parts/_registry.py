@@ -234,10 +234,12 @@ def _is_like(name: str, kind: Any, value: Any) -> bool:
     if isinstance(value, type) and "__call__" not in dir(value):
         return False
     required, offered = (
-        [word for word in inspect.signature(call).parameters if word != "self"]
+        [word for word in inspect.signature(call).parameters.values() if word.name != "self"]
         for call in (kind.__call__, vars(value).get("__call__", member) if isinstance(value, type) else value)
     )
-    return len(required) == len(offered) and required[0] == offered[0]
+    if [word.kind for word in offered] == [inspect.Parameter.VAR_POSITIONAL]:
+        return True  # a wrapper of laws of any kind, such as `Sampled`
+    return len(required) == len(offered) and required[0].name == offered[0].name
 
 
 def suggest_name(name: str, names: Iterable[str]) -> str:
