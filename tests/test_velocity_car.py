@@ -89,6 +89,15 @@ def test_the_firmware_limits_acceleration_and_steering_rate() -> None:
     np.testing.assert_array_equal(run.u[0], [1.0, 0.3])
 
 
+def test_steering_beyond_what_the_model_describes_is_an_event() -> None:
+    run = pm.simulate(CAR, pm.law(lambda t, q, v, r: np.array([0.1, 1.6])), STILL, dt=0.01, duration=2)
+    (event,) = run.events
+    assert (event.kind, event.name, event.limit) == ("position limit", "steering", 1.4)
+    for name in ("speed_gain", "steering_gain"):
+        with refused(f"{name} is 0, expected another number"):
+            pm.parts.evolved(CAR, **{name: 0.0})
+
+
 def test_a_kinematic_law_drives_a_car_along_a_path() -> None:
     path = pm.Tangent(pm.Circle(radius=2.0, rate=0.5, duration=20))
     run = pm.simulate(CAR, VelocityCommand(pm.UnicycleTracking(), CAR), path, dt=0.02)

@@ -605,6 +605,9 @@ class VelocityCar(VelocityInputs):
     q = (x, y, psi, delta) is the pose of a point at distance a ahead of the rear axle and the steering angle,
     and v = dq/dt.
 
+    The curvature is that of 1.4 rad at larger steering angles, which are an event of a run. With oversteer
+    it is infinite at the speed sqrt(-L / K).
+
     The model accepts no forces. The integrator is `rk4`. It needs time steps, or substeps, shorter than T_u
     and T_d.
 
@@ -687,8 +690,17 @@ class VelocityCar(VelocityInputs):
     nu: ClassVar[int] = 2
     commanded: ClassVar[Any] = ("speed command", "m/s"), ("steering command", "rad")
     unforced: ClassVar[str] = "the model does not describe how a car"
-    coordinates: ClassVar[Any] = *VelocityRobot.coordinates, Coordinate("steering", "rad")
+    coordinates: ClassVar[Any] = (
+        *VelocityRobot.coordinates,
+        Coordinate("steering", "rad", -_MAX_ANGLE, _MAX_ANGLE),
+    )
     rest: ClassVar[Array] = frozen(np.zeros(4))
+
+    def check(self) -> None:
+        """Raise `InvalidArgument` if commands have no effect."""
+        for name in ("speed_gain", "steering_gain"):
+            if getattr(self, name) == 0.0:
+                raise InvalidArgument(f"{name} is 0, expected another number: no command moves this car")
 
     # Kinematics
 
