@@ -499,9 +499,9 @@ def test_identify_takes_commands_and_columns_of_other_names(typed: Typed, tmp_pa
     assert code == 0
     assert re.search(r"^theta_6 +1\.0\d+", told, re.MULTILINE)
     said = "rolling_speed does not apply to a log of commands of speed and yaw rate"
-    for speed in (0.1, 0):
-        code, _, err = typed(*words, f"rolling_speed={speed}")
-        assert (code, err) == (2, f"pinmobile: {said}\n")
+    for word in ("rolling_speed=0.1", "rolling_speed=0", "method=weak"):
+        code, _, err = typed(*words, word)
+        assert (code, err) == (2, f"pinmobile: {said.replace('rolling_speed', word.partition('=')[0])}\n")
 
 
 def reverse(table: Any) -> Any:
@@ -539,6 +539,8 @@ def test_a_bad_log_is_answered_in_one_line(
             "topics is .*, expected topics of u and of q, twist, wheel_rates or joi.*",
         ),
         ("robot=3", "LOG is missing, expected at least one file, such as run.csv"),
+        ("run.csv loads=2", "loads is 2, expected one for each log: .*"),
+        ("run.csv columns.u=1.5", r"columns\.u=1\.5: columns is 1\.5, expected NAME or NAME,NAME"),
     ],
 )
 def test_words_about_no_log_have_one_answer(words: str, message: str, typed: Typed, tmp_path: Path) -> None:

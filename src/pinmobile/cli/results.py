@@ -31,7 +31,7 @@ from pinmobile import (
     identify_velocity,
     plots,
 )
-from pinmobile.arrays import Array
+from pinmobile.arrays import Array, one_of, sequence
 from pinmobile.cli.output import (
     Picture,
     Section,
@@ -436,6 +436,9 @@ def _roles(name: str, value: Any) -> dict[str, Any]:
         raise InvalidArgument(
             f"{name} is {value!r}, expected {name}.ROLE=NAME,NAME, such as {name}.q=px,py,angle"
         )
+    for role, names in value.items():
+        if isinstance(names, bool) or not isinstance(names, (str, int, list)):
+            raise InvalidArgument(f"{name}.{role} is {names!r}, expected NAME or NAME,NAME")
     return {role: _split_names(names) for role, names in value.items()}
 
 
@@ -502,17 +505,21 @@ def show_identification(words: Sequence[str], out: Path) -> int:
     logs = [_load_log(path, given) for path in paths]
     log, path = max(zip(logs, paths, strict=True), key=lambda each: len(each[0]))
     are_commands = log.u.shape[1] == _COMMAND_COUNT and given.robot is None
-    loads = given.loads and [None if each == "none" else each for each in given.loads]
+    loads = given.loads
+    if loads is not None:
+        expected = 'one for each log: ["none", "PayloadBody(mass, com, inertia)"]'
+        loads = [None if each == "none" else each for each in sequence("loads", loads, expected)]
+    method = one_of("method", given.method, METHODS)
     with progress(2) as bar, _name_files(paths):
         begin(bar, "identifying")
         if are_commands:
-            for name in ("by", "loads", "rolling_speed"):
-                if getattr(given, name) not in (None, ()):
+            for name in ("by", "loads", "rolling_speed", "method"):
+                if getattr(given, name) not in (None, (), METHODS[0]):
                     raise InvalidArgument(f"{name} does not apply to a log of commands of speed and yaw rate")
             result: Any = identify_velocity(logs, delay=given.delay, wheelbase=given.wheelbase)
         else:
-            numbers = {name: getattr(given, name) for name in ("by", "method", "delay", "rolling_speed")}
-            result = identify(logs, given.robot, loads=loads, **numbers)
+            numbers = {name: getattr(given, name) for name in ("by", "delay", "rolling_speed")}
+            result = identify(logs, given.robot, loads=loads, method=method, **numbers)
         begin(bar, "drawing")
         prediction, figure = result.predict(log), folder / f"{path.stem}.png"
         save_figure(plots.prediction(prediction, title=f"{path.name}: measured and predicted"), figure)
