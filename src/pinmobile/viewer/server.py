@@ -282,15 +282,16 @@ class Browser(_Handler, WebSocketHandler):
                 self.received = latest
                 self.server.notify()
             return
-        self._writing = True
+        self._writing, writes = True, list[Any]()
         try:
-            writes = [self.write_message(command, binary=True) for command in commands]
+            for command in commands:
+                writes.append(self.write_message(command, binary=True))
             self._unanswered.append(latest)
             self.ping(b"%d" % latest)
-            await asyncio.gather(*writes, return_exceptions=True)
         except WebSocketClosedError:
             pass
         finally:
+            await asyncio.gather(*writes, return_exceptions=True)  # a page may close while it is sent
             self._writing = False
             self.server.notify()
 
