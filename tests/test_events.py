@@ -230,8 +230,8 @@ def test_figures_and_captions_name_events() -> None:
     powered = on_wheels(motor=pm.Motor(resistance=2, torque_constant=0.5, voltage=24)).by_voltage()
     both = plots.forces({"one": run, "two": replace(run, plant=powered)}).axes
     assert [axes.get_ylabel() for axes in both] == ["left [N m or V]", "right [N m or V]"]
-    heights = {text.xyann[1] for text in both[0].texts if isinstance(text, Annotation)}
-    assert len(heights) == 2  # neither run's words hide the other's
+    heights = [text.xyann[1] for text in both[0].texts if isinstance(text, Annotation)]
+    assert len({*heights}) == len(heights) > 2  # no words hide others, of any run
     times, first = np.array([0.0, 2.0]), of_kind(run, "tip over").t
     before, after = _captions({"": run}, times, {})
     assert first > 0

@@ -245,15 +245,15 @@ def test_grids_and_cases_change_what_they_name_and_no_model() -> None:
 
 def test_a_slower_law_stands_around_a_controller_and_in_one() -> None:
     around, inside = (
-        LoadedFile(["differential", f"controller={text}"]).content
+        LoadedFile(["differential", f"controller={text}"]).content.controller
         for text in (
             "Sampled(WheelSpeed(UnicycleTracking(), kp=5), 2)",
             "WheelSpeed(Sampled(UnicycleTracking(), 2), kp=5)",
         )
     )
-    law = pm.UnicycleTracking()
-    assert around.controller == Sampled(WheelSpeed(law, around.robot, kp=5), 2)
-    assert inside.controller == WheelSpeed(Sampled(law, 2), inside.robot, kp=5)
+    assert isinstance(around, Sampled)
+    assert isinstance(around.controller, WheelSpeed)
+    assert (inside.law.every, type(inside.law.controller), inside.kp) == (2, pm.UnicycleTracking, 5)
 
 
 def test_text_makes_what_python_makes() -> None:
