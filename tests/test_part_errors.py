@@ -83,7 +83,7 @@ class Posed(Plain):
 LACKING: dict[str, tuple[dict[str, Any], str]] = {
     "controller without a state": (
         BODY | {"controller": Stateless()},
-        r"controller is .*Stateless.*expected a controller: wrap a function in law",
+        r"controller is .*Stateless.*expected a controller: .* or law\(function\)",
     ),
     "plant without dynamics": (BODY | {"robot": NoDynamics()}, "expected a plant with 'forward_dynamics'"),
     "no pose to push": (

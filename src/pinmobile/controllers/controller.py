@@ -57,7 +57,7 @@ class State(Protocol):
 
 
 class Controller(Protocol):
-    """A controller: wrap a function in law(...).
+    """A controller: initial_state(context) and __call__(t, q, v, reference, state), or law(function).
 
     A class is a controller if it has both methods. The loop calls an optional method ``applied(u, state) ->
     state`` once per sample with the applied input, shape (..., nu), after all wrappers. It returns the next

@@ -17,7 +17,7 @@ import numpy as np
 from pinmobile.arrays import Array, are_real, one_of
 from pinmobile.compiled import entries, has_symbols, place_of
 from pinmobile.controllers import evaluate, stamp
-from pinmobile.errors import InvalidArgument, NotTraceable, format_value
+from pinmobile.errors import InvalidArgument, NotTraceable, UnknownName, format_value
 from pinmobile.metrics import Metric, evaluate_metrics_of, size_of
 from pinmobile.parts import (
     Carried,
@@ -819,6 +819,8 @@ def _value(metric: Metric, sample: Sample) -> Any:
     try:
         value = metric.function(sample)  # type: ignore[misc]
     except Exception as error:
+        if isinstance(error, KeyError) and error.args and error.args[0] not in sample.signals:
+            raise UnknownName("signal", error.args[0], sample.signals) from error
         if not has_symbols(sample.q):
             place = f"for the sample at t = {sample.t:g} s"
             error.add_note(f"in the function of the metric {metric.name!r}, {place}")

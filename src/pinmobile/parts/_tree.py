@@ -223,7 +223,9 @@ class Reader:
         except InvalidArgument as error:
             return self._fail(_join(path, error.argument.partition("[")[0]), f"{path or 'file'}: {error}")
         except _FAILURES as error:
-            return self._fail(path, f"{path or 'file'} cannot be made: {error}")
+            known = ", ".join(name for name in names if name != "**")
+            words = f"; expected {known}" if "unexpected keyword" in str(error) else ""
+            return self._fail(path, f"{path or 'file'} cannot be made: {error}{words}")
 
     def _change(self, base: Any, tree: Mapping[str, Any], path: str) -> Any:
         """Return a part with other values of its fields."""

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from fnmatch import fnmatchcase
+from operator import attrgetter
 from typing import Any, NamedTuple, TypeVar
 
 import attrs
@@ -328,6 +330,13 @@ def find(part: Any, name: str, refs: Mapping[str, NumberRef] | None = None, plac
     if not ends:
         from difflib import get_close_matches  # here, because only this error needs the module
 
+        owner, _, last = name.rpartition(".")
+        with suppress(AttributeError):
+            if isinstance(getattr(attrgetter(owner)(part), last), int | float) and owner:
+                raise InvalidArgument(
+                    f"{place or 'name'} has {user_name!r}, an attribute of a class that is neither a frozen "
+                    "dataclass nor a `part`, so that it is constant; expected a field of one of these"
+                )
         matches = get_close_matches(name, refs, cutoff=0.85) if rest else []
         names = [*matches, *short_names(refs)]
         if user_name != name:  # the user calls the plant robot
