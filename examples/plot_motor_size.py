@@ -12,6 +12,7 @@ import numpy as np
 
 from pinmobile import (
     Backstepping,
+    Coulomb,
     FixedHeading,
     MobileRobot,
     Motor,
@@ -30,7 +31,7 @@ motors = {
     "gear 100:1": Motor.from_sheet(12.0, 4.12, 5.5, 10.45, 0.2, gear=100),
 }
 wheels = WheelTable.differential(0.5, 0.1, supports=[(0.3, 0), (-0.3, 0)], mass=1.0, spin_inertia=0.005)
-level = WheeledRobot(MobileRobot(34, 1.3, com=(0.05, 0, 0.15)), wheels)
+level = WheeledRobot(MobileRobot(34, 1.3, com=(0.05, 0, 0.15)), wheels, Coulomb())  # with rolling resistance
 path = FixedHeading(RestToRest((0, 0), (3, 0), duration=10), psi=0)
 slopes = np.arange(0, 13, 2)
 left = {name: [] for name in motors}
