@@ -211,7 +211,7 @@ def recordings(folder: Path) -> None:
     robot = MobileRobot(mass=30, yaw_inertia=1.3, com=(0.1, 0.05))
     circle = Tangent(Circle(radius=3, rate=0.1, duration=60))
     rivals = {"PD": PD(120, 120), "computed torque": ComputedTorque(robot, kp=4, kd=4)}
-    runs = {name: simulate(robot, each, circle, dt=0.02) for name, each in rivals.items()}
+    runs = {name: simulate(robot, each, circle, dt=0.01) for name, each in rivals.items()}
     record("circle", robot, runs, 12, speed=4)
     ur5 = MobileRobot.box(mass=60, size=(0.8, 0.6, 0.3)).mount("ur5", at=(0.2, 0, 0.3, 0))
     bend = Spline([[0.0] * 6, [-0.5] * 6, [0.0] * 6], [0, 3, 6])

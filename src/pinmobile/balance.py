@@ -630,8 +630,9 @@ def footprint_of(robot: Any, footprint: ArrayLike | None = None) -> Array:
 def required_friction(motion: MotionLike) -> Array:
     """Return the required friction coefficient, the ratio of horizontal and vertical force, shape (...).
 
-    The condition is necessary. It is sufficient if the moment about the vertical axis is small, since this
-    moment also needs friction.
+    The condition is necessary. It is sufficient only if each contact has friction in all directions and the
+    moment about the vertical axis, which also needs friction, is small. A robot on wheels needs more, because
+    casters and free wheels neither drive nor brake: `slip_margins` has the friction left at each wheel.
 
     Parameters
     ----------

@@ -720,7 +720,7 @@ class VelocityCar(VelocityInputs):
 
     @arrays(q=4, nu=2)
     def rolling(self, q: Any, nu: Any) -> Any:
-        """Return v for independent velocities `nu`, shape (..., 4) [m/s, m/s, rad/s, rad/s]."""
+        """Return v, shape (..., 4), for speed and steering rate `nu`, shape (..., 2) [m/s, rad/s]."""
         speed = nu[..., 0]
         twist = stack(speed, speed * self.curvature(speed, q[..., 3]))
         return np.concatenate([rolling_of(self.ahead, q, twist), nu[..., 1:]], axis=-1)
