@@ -15,6 +15,7 @@ import pinmobile as pm
 from pinmobile.cli import main
 from pinmobile.controllers import PID
 from pinmobile.export import export_c
+from pinmobile.identification import VelocityCar
 from pinmobile.parts import replace
 from pinmobile.wheels import OdometryFeedback
 from tests import c_code
@@ -107,6 +108,14 @@ def test_a_plant_has_the_bits_of_the_library(name: str, tmp_path: Path) -> None:
     assert np.array_equal(q, run.q)
     assert np.array_equal(v, run.v)
     c_code.run_test_program(tmp_path, "-O1", compiler=compiler)
+
+
+def test_a_number_that_moves_the_start_of_a_plant_is_tunable_without_a_trajectory(tmp_path: Path) -> None:
+    car, turn = VelocityCar(0.4, 0.3, 0.2), pm.Tangent(pm.Circle(2.0, 0.4, 4.0))
+    with pytest.raises(pm.InvalidArgument, match="tunable has 'wheelbase', from which the start"):
+        export_c(None, car, tmp_path, dt=DT, trajectory=turn, tunable=["wheelbase"])
+    export_c(None, car, tmp_path, dt=DT, tunable=["wheelbase"])
+    assert "wheelbase" in (tmp_path / "robot.h").read_text()
 
 
 LOOP_IN_C = """

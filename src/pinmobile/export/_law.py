@@ -20,6 +20,7 @@ from pinmobile.loop import (
     arrays_of,
     initial_memory,
     scheduled_rows,
+    start_of,
     traced_numbers,
 )
 from pinmobile.parts import COORDINATES, NumberRef, find, named, option, part, replace
@@ -192,6 +193,13 @@ class Law:
             raise InvalidArgument(
                 f"tunable has {name!r}, from which the law computes its memory before the first sample, "
                 "expected a number that the law reads at each sample: export again with another value"
+            )
+        has_start = self.is_plant and self.loop.trajectory is not None
+        starts = (start_of(x.plant, self.context.reference, None, None) for x in loops if has_start)
+        if len({np.concatenate(start).tobytes() for start in starts}) > 1:
+            raise InvalidArgument(
+                f"tunable has {name!r}, from which the start on the trajectory follows, expected another "
+                "number, or no trajectory: then the plant starts at rest"
             )
         return number
 
