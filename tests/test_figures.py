@@ -16,7 +16,7 @@ from matplotlib.text import Text
 
 from pinmobile import palette, plots
 from pinmobile.errors import InvalidArgument
-from pinmobile.plots.style import DASHES, line_style
+from pinmobile.plots.style import DASHES, line_style, wrap_text
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "docs"))
@@ -159,3 +159,8 @@ def test_pyplot_shows_what_comes_back(tmp_path: Path) -> None:
     environment = {"PYTHONPATH": f"{tmp_path}:{ROOT / 'src'}", "PATH": "", "HOME": str(tmp_path)}
     done = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
     assert done.stdout.splitlines() == ["shown [1]", "shown []", "[]"]
+
+
+def test_a_unit_stays_on_the_line_of_its_bracket_or_number() -> None:
+    assert wrap_text("estimate [kg m]", 10, 0.1).split("\n") == ["estimate", "[kg m]"]
+    assert wrap_text("99 % stay within 77 mm", 10, 0.1).split("\n") == ["99 %", "stay", "within", "77 mm"]

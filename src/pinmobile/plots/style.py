@@ -123,12 +123,16 @@ def text_width(line: str, size: float, **font: Any) -> float:
     return float(width) / 72
 
 
+# Formulas, units in brackets, and numbers with their units stay on one line.
+_WORD = re.compile(r"(?:\\\$|\$[^$]*\$|\[[^\]]{1,12}\]|(?<=\d) (?=(?:%|[mkµ]?m|m?rad|[NVAs])(?:\s|$))|\S)+")
+
+
 def wrap_text(words: str, size: float, room: float, **font: Any) -> str:
     """Return text in lines no longer than `room` [in], except for longer words."""
     lines = []
     for line in words.split("\n"):
         current = ""
-        for word in re.findall(r"(?:\\\$|\$[^$]*\$|\S)+", line):
+        for word in _WORD.findall(line):
             longer = f"{current} {word}".lstrip()
             if current and text_width(longer, size, **font) > room:
                 lines.append(current)
