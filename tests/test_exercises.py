@@ -90,7 +90,7 @@ def test_the_notebook_of_a_student_has_no_answers_and_they_are_empty(name: str) 
     assert not any(cell["outputs"] for cell in own)
     written = run([cell["source"] for cell in own])
     assert {state for state, _ in written} == {"empty"}
-    assert all(words.startswith("nothing is written yet") for _, words in written)
+    assert all(words.startswith("nothing is written yet, or `return` is missing") for _, words in written)
 
 
 @each

@@ -33,7 +33,7 @@ _FACTORS = {
     180 / np.pi: "It is wrong by a factor of 57.3: check degrees and radians.",
     2 * np.pi: "It is wrong by a factor of 2 pi: check turns and radians.",
 }
-_EMPTY = "nothing is written yet; replace the dots"
+_EMPTY = "nothing is written yet, or `return` is missing; replace the dots"
 
 
 class Fault(Exception):

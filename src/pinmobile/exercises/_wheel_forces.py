@@ -129,10 +129,10 @@ def _without_steiner(p: Numbers, a: Array) -> Array:
 
 @WHEELS(1, unit="N m")
 def slip_torque(p: Numbers) -> float:
-    """Give the torque at which a wheel starts to slip on level ground, at rest.
+    """Give the torque that the largest friction of a wheel has about its axle, on level ground, at rest.
 
-    The centre of mass is x_bc ahead of the axle, and the caster l_s; take y_bc = 0 here. The coefficient of
-    friction is mu.
+    A wheel without inertia of its own starts to slip at this torque of its motor. The centre of mass is x_bc
+    ahead of the axle, and the caster l_s; take y_bc = 0 here. The coefficient of friction is mu.
 
     ? The caster carries a part of the weight. Take moments about it.
     ? Each wheel carries half of what the axle carries. Which force can it transmit at most?
