@@ -110,6 +110,7 @@ def test_a_plant_has_the_bits_of_the_library(name: str, tmp_path: Path) -> None:
     c_code.run_test_program(tmp_path, "-O1", compiler=compiler)
 
 
+@pytest.mark.filterwarnings("ignore::UserWarning")
 def test_a_number_that_moves_the_start_of_a_plant_is_tunable_without_a_trajectory(tmp_path: Path) -> None:
     car, turn = VelocityCar(0.4, 0.3, 0.2), pm.Tangent(pm.Circle(2.0, 0.4, 4.0))
     with pytest.raises(pm.InvalidArgument, match="tunable has 'wheelbase', from which the start"):

@@ -538,7 +538,9 @@ def format_missing(part: object, kind: type) -> str:
 
 def advice(part: object) -> str:
     """Return a text that names the controllers of a robot with commands as inputs; "" for other parts."""
-    return ": use Backstepping, VelocityCommand or AdaptiveVelocity" if offers(part, Commanded) else ""
+    if offers(part, Commanded):
+        return ": use Backstepping, VelocityCommand or AdaptiveVelocity"
+    return ": use VelocityCommand" if hasattr(part, "command_for") else ""
 
 
 def meaning(kind: type, part: object = None) -> str:

@@ -206,7 +206,9 @@ def _mapping(name: str, value: Any) -> Mapping[str, Any]:
 def _shared_fields(scenario: Scenario) -> dict[str, Any]:
     """Return the properties that all scenarios of a store must share."""
     texts = {
-        name: ", ".join(f"{entry.name} [{entry.unit}]" for entry in getattr(scenario, name)) or "none"
+        name.removeprefix("recorded_"): (
+            ", ".join(f"{entry.name} [{entry.unit}]" for entry in getattr(scenario, name)) or "none"
+        )
         for name in ("coordinates", "inputs", "recorded_metrics")
     }
     times = f"every {scenario.dt * scenario.stride:.9g} s, {len(scenario.grid)} times"
