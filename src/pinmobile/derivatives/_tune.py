@@ -507,7 +507,8 @@ def tune(
     except KeyboardInterrupt:
         reason = "stopped"
     if np.abs(first.slopes[0] * variables.slopes(variables.first)).max() <= _SLOPE_TOLERANCE * size:
-        reason = "no number changes the loss"
+        is_largest = reduction == "largest" or (reduction is None and isinstance(loss, str))
+        reason = "no number changes the loss" + ", such as the largest error at the start" * is_largest
     if progress is None and sys.stderr.isatty():
         print(file=sys.stderr)
     best = min(search.trials, key=lambda one: (max(one.excess, _EXCESS_TOLERANCE), one.loss))
