@@ -125,9 +125,11 @@ def _motor_events(run: Any, plant: Any) -> Iterator[Event | None]:
         rate = run.v[:, run.v.shape[1] - len(motor.column) :] @ np.array(motor.column)
         limit = float(motor.motor.largest_rate)
         if motor.motor.is_electric and taken.unit == "N m":
-            lacks = np.where(np.abs(rate) <= limit, -motor.motor.margin(torque, rate), 0.0)
-            options = {"unit": "N m", "slack": LIMIT_TOLERANCE * float(motor.motor.largest_torque)}
-            yield Event.of("effort limit", motor.name, t, lacks, lacks, words=_TOO_WEAK, **options)
+            largest = float(motor.motor.largest_torque)
+            if (np.abs(torque) > largest * (1 - np.abs(rate) / limit)).any():  # a motor has this, and more
+                lacks = np.where(np.abs(rate) <= limit, -motor.motor.margin(torque, rate), 0.0)
+                options = {"words": _TOO_WEAK, "unit": "N m", "slack": LIMIT_TOLERANCE * largest}
+                yield Event.of("effort limit", motor.name, t, lacks, lacks, **options)
         rate = np.abs(rate)
         words = _TOO_FAST if limit == motor.motor.rate_limit else _OVERSPEED
         options = {"words": words, "limit": limit, "unit": "rad/s", "slack": 1e-6 * limit}
@@ -143,16 +145,18 @@ def _ground_events(run: Any, plant: Any) -> Iterator[Event | None]:
         if "tips" not in recorded:  # rolling wheels
             computed = plant.contact_loads(run.q, run.v, run.a)
             recorded |= {"loads": computed.values, "tips": 1.0 * computed.tips}
-        wrench, tips = plant.ground_wrench(run.q, run.v, run.a), recorded["tips"] > 0
-        margin = margin_of_wrench(plant.footprint, wrench, 0.0)
-        if "tips" in signals:  # of the step before
-            margin = np.concatenate([margin[:1], margin[:-1]])
-        depth = np.where(tips, np.maximum(-margin, np.finfo(float).tiny), 0.0)
-        yield Event.of("tip over", "", t, margin, depth, words=_TIPS_OVER, unit="m")
+        loads, tips = recorded["loads"], recorded["tips"] > 0
+        if tips.any():
+            margin = margin_of_wrench(plant.footprint, plant.ground_wrench(run.q, run.v, run.a), 0.0)
+            if "tips" in signals:  # of the step before
+                margin = np.concatenate([margin[:1], margin[:-1]])
+            depth = np.where(tips, np.maximum(-margin, np.finfo(float).tiny), 0.0)
+            yield Event.of("tip over", "", t, margin, depth, words=_TIPS_OVER, unit="m")
+            tips[:1] |= tips[1:2]  # before the first step, signals have the loads at rest
         joints = {k for motor in table.actuators for k, x in enumerate(motor.column) if x}
         driven = [row for row in range(len(table)) if len(table.axes) + row in joints]
-        lifted = recorded["loads"][:, driven] <= WEIGHTLESS * wrench[:, 2:3]
-        lifted[tips | (margin < 0)] = False
+        lifted = loads[:, driven] <= WEIGHTLESS * loads.sum(axis=1, keepdims=True)
+        lifted[tips] = False
         name, count = ", ".join(np.array(table.names)[driven][lifted.any(axis=0)]), 1.0 * lifted.sum(axis=1)
         yield Event.of("lift", name, t, count, count, words=_LIFTS)
     if "missed" in recorded:
