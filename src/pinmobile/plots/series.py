@@ -313,10 +313,8 @@ def mark_events(panels: Iterable[Axes], run: Rollout, color: Any, *, line: int =
                 size = font_size(0.85)
                 style |= {"xytext": (-3 if flips else 3, -2 - 1.2 * size * k)}
                 style |= {"xycoords": ("data", "axes fraction"), "fontsize": size, "color": color}
-                style |= {
-                    "bbox": {"facecolor": axes.get_facecolor(), "alpha": 0.7, "pad": 0.5, "linewidth": 0}
-                }
-                axes.annotate(", ".join(kinds), (t, 1), **style)
+                ground = {"facecolor": axes.get_facecolor(), "alpha": 0.7, "pad": 0.5, "linewidth": 0}
+                axes.annotate(", ".join(kinds), (t, 1), bbox=ground, zorder=6, **style)
     return len(times)
 
 
