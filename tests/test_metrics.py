@@ -384,3 +384,16 @@ def test_robots_whose_joints_exceed_limits_are_counted(robot: Any, engine: pm.En
     with pytest.warns(LimitWarning, match=r"^ur5/elbow_joint moves at "):
         member = runs.member(int(fast.argmax()))
     assert [event.kind for event in member.events] == ["speed limit"]
+
+
+@pytest.mark.parametrize("engine", [pm.Engine.COMPILED, pm.Engine.PYTHON])
+def test_an_unknown_signal_in_a_metric_is_named_and_another_missing_key_is_the_users(
+    engine: pm.Engine,
+) -> None:
+    loop: Any = {"n": 2, "spread": {}, "dt": 0.1, "engine": engine}
+    parts = pm.MobileRobot.box(), pm.PD(1, 1), pm.Tangent(pm.Circle(1, 1, 0.2))
+    with pytest.raises(Exception, match="unknown signal 'mas'"):
+        pm.ensemble(*parts, metrics={"m": lambda sample: sample.signals["mas"].value}, **loop)
+    with pytest.raises(Exception, match="mine") as caught:
+        pm.ensemble(*parts, metrics={"m": lambda sample: dict[str, Any]()["mine"]}, **loop)
+    assert "unknown signal" not in str(caught.value)

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, frozen, instance, real, shaped
-from pinmobile.errors import InvalidArgument, format_value
+from pinmobile.errors import InvalidArgument, UnknownName, format_value
 
 _MAX_DEPTH = 100  # nested wrappers
 
@@ -127,6 +127,16 @@ def number(name: str, value: ArrayLike) -> Array:
     return shaped(name, np.array(real(name, value)), (), ("n",))
 
 
+class _Samples(dict[str, SignalSample]):
+    """Signals by name; an unknown name, such as in the function of a metric, raises `UnknownName`."""
+
+    def __missing__(self, name: str) -> SignalSample:
+        raise UnknownName("signal", name, self)
+
+
+NO_SIGNALS: Mapping[str, SignalSample] = _Samples()
+
+
 def collect_signals(
     parts: Iterable[tuple[str, Any]], value_of: Callable[[str, Any], Any] = number
 ) -> dict[str, SignalSample]:
@@ -160,7 +170,7 @@ def collect_signals(
     >>> found["push"].part, float(found["push"].value)
     ('forces[0]', 3.0)
     """
-    samples: dict[str, SignalSample] = {}
+    samples = _Samples()
     for part, signals in parts:
         instance(f"result of {part}.signals", signals, Mapping, "a dict of name to (unit, value)")
         for name, pair in signals.items():

@@ -17,7 +17,7 @@ import numpy as np
 from pinmobile.arrays import Array, are_real, one_of
 from pinmobile.compiled import entries, has_symbols, place_of
 from pinmobile.controllers import evaluate, stamp
-from pinmobile.errors import InvalidArgument, NotTraceable, UnknownName, format_value
+from pinmobile.errors import InvalidArgument, NotTraceable, format_value
 from pinmobile.metrics import Metric, evaluate_metrics_of, size_of
 from pinmobile.parts import (
     Carried,
@@ -38,7 +38,7 @@ from pinmobile.parts import (
     part,
 )
 from pinmobile.plant import Context, coordinates_of, full_configurations, stated
-from pinmobile.signals import SignalSample, collect_signals, number as signal_number, signals_of
+from pinmobile.signals import NO_SIGNALS, SignalSample, collect_signals, number as signal_number, signals_of
 from pinmobile.trajectories import Reference
 
 
@@ -411,7 +411,7 @@ def step(
     u, law_memory = control(loop, t, q, v, reference, law_memory)
     a, q1, v1, next_memory = advance(loop, t, h, q, v, u, memory)
     v1 = plant.project(q1, v1) if loop.projects_after else v1
-    signals: Mapping[str, SignalSample] = {}
+    signals: Mapping[str, SignalSample] = NO_SIGNALS
     if loop.signals:
         law_signals = signals_of(loop.controller, law_memory)
         signals = collect_signals(part_signals(loop, t, q, v, u, memory, law_signals), _signal)
@@ -819,8 +819,6 @@ def _value(metric: Metric, sample: Sample) -> Any:
     try:
         value = metric.function(sample)  # type: ignore[misc]
     except Exception as error:
-        if isinstance(error, KeyError) and error.args and error.args[0] not in sample.signals:
-            raise UnknownName("signal", error.args[0], sample.signals) from error
         if not has_symbols(sample.q):
             place = f"for the sample at t = {sample.t:g} s"
             error.add_note(f"in the function of the metric {metric.name!r}, {place}")
