@@ -361,3 +361,22 @@ def test_an_impossible_robot_among_possible_ones_is_refused_by_its_number(engine
         usual = 30.0 if name.endswith("mass") else 0.0
         with pytest.raises(pm.InvalidArgument, match=rf"^robot 2: .*{words}"):
             pm.ensemble(car, law, path, spread={name: np.array([usual, usual, value, usual])}, **loop)
+
+
+def test_a_number_of_an_ordinary_class_is_constant_and_that_of_a_part_is_unknown() -> None:
+    class Pull:
+        def __init__(self) -> None:
+            self.k = 1.0
+
+        def initial_state(self, context: Any) -> None:
+            pass
+
+        def __call__(self, t: float, q: Any, v: Any, reference: Any, state: None) -> Any:
+            return self.k * (reference.q - q), state
+
+    loop: Any = {"n": 2, "dt": 0.1}
+    parts = pm.MobileRobot.box(), Pull(), pm.Tangent(pm.Circle(1, 1, 0.2))
+    with pytest.raises(pm.InvalidArgument, match=r"spread has 'controller\.k', an attribute of a class"):
+        pm.ensemble(*parts, spread={"controller.k": pm.Uniform(1, 2)}, **loop)
+    with pytest.raises(pm.errors.UnknownName, match=r"unknown parameter in spread 'plant\.nv'"):
+        pm.ensemble(*parts, spread={"plant.nv": pm.Uniform(1, 2)}, **loop)

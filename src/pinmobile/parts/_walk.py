@@ -330,9 +330,10 @@ def find(part: Any, name: str, refs: Mapping[str, NumberRef] | None = None, plac
     if not ends:
         from difflib import get_close_matches  # here, because only this error needs the module
 
-        owner, _, last = name.rpartition(".")
+        path, _, last = name.rpartition(".")
         with suppress(AttributeError):
-            if isinstance(getattr(attrgetter(owner)(part), last), int | float) and owner:
+            owner = attrgetter(path)(part)
+            if not is_part(owner) and isinstance(getattr(owner, last), int | float):
                 raise InvalidArgument(
                     f"{place or 'name'} has {user_name!r}, an attribute of a class that is neither a frozen "
                     "dataclass nor a `part`, so that it is constant; expected a field of one of these"
