@@ -540,7 +540,7 @@ def advice(part: object) -> str:
     """Return a text that names the controllers of a robot with commands as inputs; "" for other parts."""
     if offers(part, Commanded):
         return ": use Backstepping, VelocityCommand or AdaptiveVelocity"
-    return ": use VelocityCommand" if hasattr(part, "command_for") else ""
+    return ": use VelocityCommand" if offers(part, Driven) else ""
 
 
 def meaning(kind: type, part: object = None) -> str:
