@@ -540,7 +540,7 @@ def test_the_box_stands_on_the_ground_and_shows_its_front() -> None:
 
 def test_the_command_serves_until_it_is_told_to_end(page: Page, runs: Runs, tmp_path: Path) -> None:
     runs["PD"].save(tmp_path / "rollout.npz")
-    words = [sys.executable, "-m", "pinmobile", "view", str(tmp_path / "rollout.npz")]
+    words = [sys.executable, "-m", "pinmobile", "view", str(tmp_path)]  # the folder of a run
     process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     try:
         assert process.stdout is not None

@@ -307,8 +307,8 @@ def _unit(values: Array) -> tuple[str, float]:
 
 def show_live(words: Sequence[str], *, host: str, port: int | None, allow_code: bool) -> int:
     """Serve a run, or saved rollouts, until Ctrl-C or SIGTERM; the folder of a run stands for its rollout."""
-    files = {word: Path(word) / "rollout.npz" for word in words}
-    words = [str(file) if file.is_file() else word for word, file in files.items()]
+    files = [(word, Path(word) / "rollout.npz") for word in words]
+    words = [str(file) if file.is_file() else word for word, file in files]
     paths = [Path(word) for word in words if word.endswith(".npz")]
     if paths and len(paths) < len(words):
         others = [word for word in words if not word.endswith(".npz")]
