@@ -932,7 +932,7 @@ class Event(NamedTuple):
     kind : str
         ``"position limit"``, ``"speed limit"`` or ``"effort limit"``, which a value exceeds;
         ``"saturation"`` of an input, or ``"current limit"``, which a value reaches; ``"tip over"``;
-        ``"lift"`` of a driven wheel; ``"slip"``; ``"ground"``, whose loads did not converge; or the name of a
+        ``"lift"`` of a driven wheel; ``"slip"``; ``"ground"``: its loads did not converge; or the name of a
         metric of the plant: a margin below 0, or what happens.
     name : str
         Coordinate, input, motor, wheel or metric.

@@ -721,7 +721,7 @@ class Backstepping:
         desired = select(np.abs(size) > limit, np.sign(size) * limit, desired)
         rate = rate_of(self._angle(error_state.speed, error_state.yaw_rate))
         acceleration = has_rate * (rate - last_rate) / dt
-        turning = rate_of(desired)  # 0 for a held command
+        turning = rate_of(desired)  # 0 for a command that is constant between samples
         desired_rate = turning + self.steer * (value_of(desired) - angle)
         turn = DualNumber(desired_rate, acceleration + self.steer * (turning - nu[..., -1]))
         return turn, (rate, 1.0 + 0.0 * has_rate, dt)

@@ -507,7 +507,7 @@ def tune(
     except KeyboardInterrupt:
         reason = "stopped"
     if np.abs(first.slopes[0] * variables.slopes(variables.first)).max() <= _SLOPE_TOLERANCE * size:
-        is_largest = reduction == "largest" or (reduction is None and isinstance(loss, str))
+        is_largest = Loss.read(loss, reduction, problem.scenario).reduction == "largest"
         reason = "no number changes the loss" + ", such as the largest error at the start" * is_largest
     if progress is None and sys.stderr.isatty():
         print(file=sys.stderr)

@@ -144,7 +144,7 @@ def _ground_events(run: Any, plant: Any) -> Iterator[Event | None]:
     if stands or "tips" in recorded:
         if "tips" not in recorded:  # rolling wheels
             computed = plant.contact_loads(run.q, run.v, run.a)
-            recorded |= {"loads": computed.values, "tips": 1.0 * computed.tips}
+            recorded |= {"loads": computed.values, "tips": computed.tips}
         loads, tips = recorded["loads"], recorded["tips"] > 0
         if tips.any():
             margin = margin_of_wrench(plant.footprint, plant.ground_wrench(run.q, run.v, run.a), 0.0)
