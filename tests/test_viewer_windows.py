@@ -1,5 +1,6 @@
 """The windows behind meshcat, without a browser: what they keep, whom they answer, and every fault."""
 
+import asyncio
 import gc
 import os
 import socket
@@ -11,16 +12,18 @@ import time
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from tornado.websocket import WebSocketClosedError
 
 from pinmobile import InvalidArgument
 from pinmobile.errors import ViewerError
 from pinmobile.viewer import server
 from pinmobile.viewer.pages import OfflineWindow, Visualizer
-from pinmobile.viewer.server import LiveWindow
+from pinmobile.viewer.server import Browser, LiveWindow
 from tests.webclient import WebSocket, ask, eventually, listens, resident
 
 pytestmark = pytest.mark.once
@@ -352,3 +355,28 @@ def test_a_forked_child_has_no_part_in_the_window() -> None:
         with WebSocket(f"http://127.0.0.1:{port}/"):
             assert process.stdout.readline() == "ViewerError the window is closed\n"
             assert process.stdout.readline() == "1 True\n"
+
+
+def test_a_page_that_closes_while_it_is_sent_leaves_no_error_behind() -> None:
+    told: list[Any] = []
+
+    async def closed() -> None:
+        raise WebSocketClosedError
+
+    def write(command: bytes, binary: bool) -> Any:
+        if command == b"second":
+            raise WebSocketClosedError
+        return asyncio.ensure_future(closed())
+
+    async def send() -> None:
+        asyncio.get_running_loop().set_exception_handler(lambda _, context: told.append(context))
+        backlog = SimpleNamespace(commands_after=lambda sent: ([b"first", b"second"], 2))
+        server = SimpleNamespace(backlog=backlog, notify=lambda: None)
+        browser: Any = SimpleNamespace(is_ready=True, server=server, sent=0, write_message=write)
+        await Browser.feed(browser)
+        assert not browser._writing
+        await asyncio.sleep(0)
+        gc.collect()
+
+    asyncio.run(send())
+    assert told == []
