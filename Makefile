@@ -13,8 +13,8 @@ help: ## say what there is
 demo: $(BIN)/.installed ## the whole lecture: derivation, verification, six runs, figures under out/
 	$(BIN)/pinmobile lecture
 
-# Each processor has a test: threads of linear algebra would only wait for one another.
-test test-all: export OPENBLAS_NUM_THREADS = 1
+# Each processor has a process: threads of linear algebra would only wait for one another.
+test test-all docs: export OPENBLAS_NUM_THREADS = 1
 
 test: $(BIN)/.installed-test ## the tests on all processors, without the long ones
 	$(BIN)/python -m pytest -n logical --dist loadfile --no-loadscope-reorder -m "not long" $(ARGS)
@@ -25,7 +25,7 @@ test-all: $(BIN)/.installed-test ## all tests on all processors
 lint: $(BIN)/.installed-lint ## ruff and mypy
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy
+	$(BIN)/mypy $(ARGS)
 
 docs: $(BIN)/.installed-docs ## the documentation site, under out/site
 	$(BIN)/python docs/build.py $(ARGS)

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 from collections.abc import Iterator
 from importlib.resources import files
 from pathlib import Path
@@ -10,6 +11,7 @@ import pytest
 from tests.chromium import Chromium, Page, chromium
 
 SITE = Path(os.environ.get("SITE", Path(__file__).parents[1] / "out" / "site")) / "html"
+EXAMPLES = Path(__file__).parents[1] / "examples"
 KINDS = (
     "index",
     "start/first-run",
@@ -101,3 +103,15 @@ def test_pages_fit_a_narrow_screen(page: Page, name: str) -> None:
     page.resize(400, 800)
     opened(page, name)
     assert page.evaluate("document.documentElement.scrollWidth") <= 400
+
+
+@pytest.mark.parametrize("script", sorted(EXAMPLES.glob("plot_*.py")), ids=lambda path: path.stem)
+def test_a_script_of_the_gallery_prints_and_shows_something(script: Path) -> None:
+    text = (SITE / "gallery" / f"{script.stem}.html").read_text()
+    printed = re.findall(r'"sphx-glr-script-out.*?<pre>(.*?)</pre>', text, re.DOTALL)
+    assert 1 <= len("".join(printed).strip().splitlines()) <= 3
+    assert 'class="sphx-glr-single-img"' in text
+
+
+def test_the_scripts_of_the_gallery_write_nothing_beside_them() -> None:
+    assert {path.suffix for path in EXAMPLES.iterdir() if path.is_file()} == {".py", ".rst", ".urdf"}
