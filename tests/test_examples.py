@@ -1,4 +1,4 @@
-"""Examples run, or say in one sentence which package they lack; the site's build runs those of the gallery."""
+"""Examples run, or say which package they lack; the build of the site runs those of the gallery."""
 
 import ast
 import subprocess

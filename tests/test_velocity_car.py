@@ -138,8 +138,12 @@ def test_a_known_wheelbase_identifies_the_gain_of_the_steering() -> None:
     found = pm.identify_velocity(pm.Log(log.t, None, log.u, twist=log.twist), wheelbase=0.3)
     check(found, {"steering_gain": -0.8, "steering_offset": 0.03, "understeer": 0.02})
     assert found.robot().wheelbase == 0.3
+    assert "the car turns to the other side than its commands: are they positive to the left?" in found.notes
     with refused("log has steering commands that turn the car to the other side"):
         pm.identify_velocity(log)
+    degrees = pm.Log(log.t, None, log.u * [1.0, -57.3], twist=log.twist)
+    notes = pm.identify_velocity(degrees, wheelbase=0.3).notes
+    assert "steering_gain is near pi / 180: are the steering commands in degrees?" in notes
 
 
 @pytest.mark.parametrize(

@@ -685,11 +685,11 @@ def logs_of(log: object) -> list[Log]:
     return logs
 
 
-_TAKEN_BY = {  # arguments or function for inputs of each unit
-    "N": "robot=None or a MobileRobot",
-    "N m": "wheels without electric motors",
-    "V": "wheels with electric motors",
-    "A": "loads=[None, load], which makes the torque per ampere identifiable",
+_TAKEN_BY = {  # function, with its arguments, for inputs of each unit
+    "N": "identify with robot=None or a MobileRobot",
+    "N m": "identify with wheels without electric motors",
+    "V": "identify with wheels with electric motors",
+    "A": "identify with loads=[None, load], which makes the torque per ampere identifiable",
     **dict.fromkeys(("m/s", "rad/s"), "identify_velocity"),
 }
 

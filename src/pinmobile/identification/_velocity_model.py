@@ -51,6 +51,7 @@ _TOP = 100.0  # value of a limit that the log does not show, per first estimate
 _GAINS = 0.1, 10.0  # range of the command per steady speed or yaw rate
 _LONGEST, _STEERING_GAINS = (0.03, 10.0), (1e-4, 1e4)  # ranges of the wheelbase [m], and of gains
 _AT_SPEED = "understeer", "cornering_drag"
+_NEAR_DEGREES = 0.3  # relative difference of a gain from that of commands in degrees
 _ZEROS = "steering_offset", *_AT_SPEED  # neutral numbers of a car
 _STEERING = 4  # index of the wheelbase, or of the gain of the steering if the wheelbase is known
 
@@ -428,8 +429,13 @@ class CarModel(VelocityModel):
         return VelocityCar(**{"wheelbase": self.fixed.get("wheelbase")} | values, **self.fields(estimates))
 
     def problems(self, estimates: Identification, neutral: Sequence[str]) -> list[str]:
-        """Return no problems."""
-        return []
+        """Return gains that other signs or units of the commands would explain, in words."""
+        gain, found = (estimates.theta[_STEERING] if "wheelbase" in self.fixed else 1.0), []
+        if gain < 0:
+            found.append("the car turns to the other side than its commands: are they positive to the left?")
+        if abs(abs(gain) / np.radians(1.0) - 1.0) < _NEAR_DEGREES:
+            found.append("steering_gain is near pi / 180: are the steering commands in degrees?")
+        return found
 
     def lags(self, p: Array) -> list[Lag]:
         """Return the lags of speed and curvature."""
