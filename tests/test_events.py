@@ -135,6 +135,20 @@ def test_an_ensemble_counts_robots_whose_motors_are_faster_than_without_load(
     assert counts.tolist() == ["speed limit" in each for each in kinds] == [False, True, True]
 
 
+@pytest.mark.parametrize("engine", [pm.Engine.COMPILED, pm.Engine.PYTHON])
+def test_an_ensemble_counts_robots_whose_motors_lack_torque(engine: pm.Engine) -> None:
+    robot: Any = on_wheels(motor=pm.Motor(resistance=2, torque_constant=0.5, voltage=24, efficiency=0.8))
+    path, spread = pm.Tangent(pm.Circle(2.0, 1.0, 0.5)), {"plant.*.resistance": np.array([0.2, 2.0, 20.0])}
+    law = pm.Backstepping(pm.UnicycleTracking(), robot)
+    with pytest.warns(LimitWarning, match="exceed an effort limit"):
+        found = pm.ensemble(robot, law, path, spread=spread, n=3, dt=0.01, engine=engine)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        kinds = [{event.kind for event in found.member(i).events} for i in range(3)]
+    counts = found.largest("exceed an effort limit")
+    assert counts.tolist() == ["effort limit" in each for each in kinds] == [False, False, True]
+
+
 def test_a_torque_that_its_motor_lacks_at_its_rate_is_an_event() -> None:
     motors = pm.Motor(resistance=2, torque_constant=0.5, voltage=4)
     run = turning(on_wheels(motor=motors), rate=0.4, v0=np.zeros(5))

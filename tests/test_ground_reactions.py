@@ -311,7 +311,7 @@ def test_a_robot_by_voltage_tells_loads_and_takes_no_volts_for_torques() -> None
         slip_margins(at)
     names, fast = ["effort", "load", "tip over"], "exceed a speed limit"
     assert [one.name for one in electric.metrics] == [*names, fast]
-    assert [one.name for one in robot.metrics] == [*names, "slip margin", fast]
+    assert [one.name for one in robot.metrics] == [*names, "slip margin", fast, "exceed an effort limit"]
     assert max_slope(electric) == max_slope(robot)
 
 

@@ -61,6 +61,7 @@ _CURRENT = f"current of {{name}} is at its limit of {{limit}} A {_SINCE}"
 _MARGIN = f"{{name}} is {{value}} {{unit}} at t = {{at}} s, below 0 {_SINCE}"
 _KINDS = {"load": "tip over", "tip-over margin": "tip over", "slip margin": "slip"}
 _KINDS |= {f"exceed a {name}": name for name in ("position limit", "speed limit")}
+_KINDS["exceed an effort limit"] = "effort limit"
 KINDS = (
     *("position limit", "speed limit", "effort limit", "saturation", "current limit"),
     *("tip over", "lift", "slip", "ground"),

@@ -38,7 +38,7 @@ from pinmobile.wheels._contact import iterate
 from pinmobile.wheels._kinematics import ReferenceMotion, driving_inputs
 
 _BASE = 3
-_FAST = "exceed a speed limit"
+_FAST, _WEAK = "exceed a speed limit", "exceed an effort limit"
 _MIN_YAW_RATE = 1e-9  # [rad/s]: a body with a lower yaw rate does not turn
 _FORCES = "along", "across", "loads"
 _SECOND = "lateral", "across"  # kinds of rows that are a wheel's second direction
@@ -376,6 +376,13 @@ def fast_actuators(body: Any) -> list[int]:
     return [k for k, motor in motors if motor.is_electric or np.isfinite(motor.rate_limit)]
 
 
+def weak_actuators(body: Any) -> list[int]:
+    """Return the numbers of the actuators whose inputs are torques of electric motors."""
+    inputs = body.inputs[len(body.inputs) - len(body.table.actuators) :]
+    pairs = enumerate(zip(body.table.actuators, inputs, strict=True))
+    return [k for k, (each, taken) in pairs if each.motor.is_electric and taken.unit == "N m"]
+
+
 def metrics_on_wheels(body: Any) -> tuple[Metric, ...]:
     """Return the metrics whose values `values_on_wheels` returns.
 
@@ -406,6 +413,8 @@ def metrics_on_wheels(body: Any) -> tuple[Metric, ...]:
     if fast_actuators(body):
         words = "a joint or motor is faster than its limit, or than without load"
         limits[_FAST] = Metric(_FAST, "", words, "ever")
+    if weak_actuators(body):
+        limits[_WEAK] = Metric(_WEAK, "", "a torque is larger than its motor has at its rate", "ever")
     return (*metrics, *limits.values())
 
 
@@ -445,6 +454,10 @@ def values_on_wheels(body: Any, t: Any, q: Any, v: Any, a: Any, u: Any, referenc
         limit = body.table.actuators[k].motor.largest_rate * (1.0 + LIMIT_TOLERANCE)
         is_fast = abs(body.actuator_rates(state.rates)[k]) > limit
         exceeded[_FAST] = choose(is_fast, 1.0, exceeded.get(_FAST, 0.0))
+    for k in weak_actuators(body):
+        torque, rate = scalars(u)[k - len(body.table.actuators)], body.actuator_rates(state.rates)[k]
+        is_weak = body.table.actuators[k].motor.lacks(number(torque), number(rate))
+        exceeded[_WEAK] = choose(is_weak, 1.0, exceeded.get(_WEAK, 0.0))
     values += exceeded.values()
     return stacked([number(x) for x in values], q)
 

@@ -27,6 +27,7 @@ from pinmobile.arrays import (
 from pinmobile.compiled import choose, scalar_max
 from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.parts import by_value, number as declared, option, part
+from pinmobile.plant import LIMIT_TOLERANCE
 from pinmobile.robot import ONE, ZERO, Vector, number, scalars
 from pinmobile.wheels._contact import within
 
@@ -352,10 +353,13 @@ class Motor:
         """
         if self.voltage is None:
             return np.asarray(self.torque_limit - np.abs(torque))
-        way = np.where(torque < 0, -1.0, 1.0)
-        left = self.torque(way * self.voltage, rate) * way - np.abs(torque)
-        margin = np.abs(torque) - self.torque(-way * self.voltage, rate) * way
-        return np.asarray(np.where(margin < 0, np.minimum(left, margin), left))
+        return np.asarray(self._law.margin(0, np.asarray(torque), finite("rate", rate)))
+
+    def lacks(self, torque: Any, rate: Any) -> Any:
+        """Return whether an electric motor lacks a torque at a rate <= `largest_rate`: numbers or symbols."""
+        tolerance = LIMIT_TOLERANCE * self._law.torque(0, self.voltage, 0.0)
+        is_weak = self._law.margin(0, torque, rate) < -tolerance
+        return choose(abs(rate) > self.largest_rate, False, is_weak)
 
 
 class TorqueSpeedLine(NamedTuple):
@@ -489,6 +493,14 @@ class MotorLaw:
             return torque
         friction = choose(rate > 0.0, push.hold, choose(rate < 0.0, -push.hold, within(torque, push.hold)))
         return torque - friction
+
+    def margin(self, k: int, torque: Any, rate: Any) -> Any:
+        """Return the remaining torque of a motor at a rate, see `Motor.margin`."""
+        size, voltage = abs(torque), float(self.motors[k].voltage or 0.0)
+        way = choose(torque < 0.0, -1.0, 1.0)
+        left = self.torque(k, way * voltage, rate) * way - size
+        back = size - self.torque(k, -way * voltage, rate) * way
+        return choose(back < 0.0, choose(left < back, left, back), left)
 
     def smooth_torque(self, k: int, volts: Any, rate: Any, sign: Any) -> Any:
         """Return the torque of a motor with a smooth sign in dry friction and gear losses.
