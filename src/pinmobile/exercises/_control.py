@@ -320,7 +320,7 @@ def gains(p: Numbers, gain_p: float, gain_d: float) -> list[Requirement]:
     late = run.t[np.abs(error) > 5e-3].max()
     return [
         ("settling time", float(late) + 0.05, 2.8, "s"),
-        ("overshoot", float(-1e3 * error.min()), 5, "mm"),
+        ("overshoot", max(0.0, float(-1e3 * error.min())), 5, "mm"),
         ("force", float(np.abs(run.u[:, 0]).max()), 3.6 * p.m, "N"),
     ]
 

@@ -280,7 +280,8 @@ def requirement(field: Field | None, *, one: bool = False) -> str:
         words = f"numbers of shape {shapes}" if shapes else "a number"
         if shapes and () in field.shapes:
             words = f"a number, or {words}"
-        unit = f"[{field.unit}]" if field.unit and not callable(field.unit) else ""
+        units = "" if callable(field.unit) else ", ".join(x or "-" for x in field.unit.split(", "))
+        unit = f"[{units}]" if units.strip("-") else ""
         return " ".join(filter(None, [words, field.bound, unit]))
     if isinstance(field, Whole):
         return f"a whole number >= {field.least}"
