@@ -17,6 +17,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon
 from matplotlib.patheffects import withStroke
+from matplotlib.text import Annotation
+from matplotlib.transforms import Bbox
 from PIL import Image
 
 from pinmobile.arrays import Array, ArrayLike, bounded, callable_as, finite, positive, scalar, shaped
@@ -46,6 +48,7 @@ from pinmobile.plots.style import (
     reference_groups,
     reference_style,
     rounded_out,
+    text_width,
     thin_samples,
     title_offset,
     wrap_text,
@@ -161,7 +164,8 @@ def path(rollouts: Rollouts, *, times: ArrayLike | None = None, **layout: Unpack
     rollouts : Rollout or mapping of str to Rollout
         Rollouts by label, one panel each. All panels show the same part of the plane.
     times : array_like, shape (n,), optional
-        Times at which the robot is drawn [s]; default: up to 8 times, spread along the path.
+        Times at which the robot is drawn [s]; default: up to 8 times, spread along the path, written where
+        there is room.
     **layout
         ``title``, ``ax`` and ``width``, see `plots.states`.
 
@@ -205,6 +209,7 @@ def path(rollouts: Rollouts, *, times: ArrayLike | None = None, **layout: Unpack
     figure, axes = make_panels(runs, "Desired and travelled path", **layout)
     arrow_length = _arrow_length(axes[0])
     for index, (label, run) in enumerate(runs.items()):
+        written: list[Bbox] = []
         draw_curve(axes[index], *run.poses[:, :2].T, color=colour(index), label="travelled", **_path_style())
         drawings = zip(
             instants[label], poses(run, instants[label]), arm_links(run, instants[label]), strict=True
@@ -213,7 +218,9 @@ def path(rollouts: Rollouts, *, times: ArrayLike | None = None, **layout: Unpack
             RobotPatches(axes[index], run.plant, colour(index), arrow_length, zorder=5).move(pose)
             if len(arms):
                 axes[index].plot(*arms.T, **_ARM_STYLE, zorder=5.5)
-            _write_time(axes[index], t, pose, 0.5 * diagonal(run.plant, arrow_length))
+            words = _write_time(axes[index], t, pose, 0.5 * diagonal(run.plant, arrow_length))
+            if times is None and not _is_clear(words, written):
+                words.remove()
     return figure
 
 
@@ -345,13 +352,29 @@ def _window(runs: Mapping[str, Rollout], width: float) -> Array:
     return np.stack([low - margin - room, high + margin + room])
 
 
-def _write_time(axes: Axes, t: float, pose: Array, distance: float) -> None:
+def _write_time(axes: Axes, t: float, pose: Array, distance: float) -> Annotation:
     """Write the time to the right of the robot."""
     right = float(np.sin(pose[2])), float(-np.cos(pose[2]))
     spot = pose[0] + distance * right[0], pose[1] + distance * right[1]
     offset = font_size(1.8) * right[0], font_size(0.9) * right[1]  # text is wider than high
     text: Style = {"ha": "center", "va": "center", "fontsize": font_size(0.9), "color": ink(), "zorder": 6}
-    axes.annotate(f"{t:.3g} s", spot, offset, textcoords="offset points", **text)
+    return axes.annotate(f"{t:.3g} s", spot, offset, textcoords="offset points", **text)
+
+
+def _is_clear(words: Annotation, written: list[Bbox]) -> bool:
+    """Return whether text clears the ticks of its axes and the text that is written, and note its place."""
+    axes, size = words.axes, font_size(0.9)
+    assert axes is not None
+    axes.apply_aspect()
+    pixels = axes.get_figure(root=True).dpi  # type: ignore[union-attr]
+    middle = axes.transData.transform(words.xy) + np.array(words.xyann) * pixels / 72
+    half = 0.5 * pixels * np.array([text_width(words.get_text(), size), 1.2 * size / 72])
+    box, (lowest, highest) = Bbox([middle - half, middle + half]), axes.bbox.get_points()
+    is_inside = (box.min >= lowest).all() and (box.max <= highest + pixels * size / 72).all()
+    if not is_inside or any(box.overlaps(other) for other in written):
+        return False
+    written.append(box)
+    return True
 
 
 def _drawing_times(run: Rollout) -> Array:
