@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from fnmatch import fnmatchcase
@@ -262,16 +263,21 @@ def _is_derived(leaf: Leaf) -> bool:
 
 
 def short_names(numbers: Mapping[str, NumberRef]) -> list[str]:
-    """Return the shortest unique end of each path."""
+    """Return the shortest end of each path by which `find` finds it."""
     names, used_ends = [], set[str]()
+    ends = {path: [path.split(".", k)[-1] for k in range(path.count(".") + 1)] for path in numbers}
+    equally_near = Counter((_nearness(path), end) for path in numbers for end in ends[path])
     for path in sorted(numbers, key=_nearness):
-        words = path.split(".")
-        count = 2 if numbers[path].label else 1
-        first = [k for k in range(len(words) - count, -1, -1) if not (k and words[k].isdigit())]
-        ends = (".".join(words[k:]) for k in first)
-        name = next(end for end in ends if not (end in used_ends or end.startswith("robot.")) or end == path)
-        used_ends |= {".".join(words[k:]) for k in range(len(words))}
-        if not words[-1].isdigit():
+        fit = ends[path] if not numbers[path].label else ends[path][:-1]
+        free = (
+            end
+            for end in reversed(fit)
+            if not (end[0].isdigit() or end in used_ends or end.startswith("robot."))
+            if equally_near[_nearness(path), end] == 1
+        )
+        name = next(free, path)
+        used_ends.update(ends[path])
+        if not path.rpartition(".")[2].isdigit():
             names.append(name)
     return names
 
