@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, broadcast, finite, instance, one_of, scalar, sequence, vector
-from pinmobile.errors import InvalidArgument, PinmobileError, format_value
+from pinmobile.errors import InvalidArgument, PinmobileError, argument_errors, format_value
 
 
 class JointType(Enum):
@@ -285,10 +285,8 @@ def table_of(table: object) -> DHTable:
     """
     if isinstance(table, DHTable):
         return table
-    try:
+    with argument_errors(argument="table"):
         return DHTable(sequence("table", table, "a DHTable, or its rows"))
-    except InvalidArgument as error:
-        raise InvalidArgument(str(error), "table") from None
 
 
 def transform(alpha: float, a: float, theta: ArrayLike, d: ArrayLike) -> Array:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import copyreg
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from functools import partial
 from importlib import import_module
 from typing import Any
@@ -155,6 +156,50 @@ class InvalidArgument(PinmobileError, ValueError):
             Error with the same value and the same expected value.
         """
         return InvalidArgument(name + str(self).removeprefix(self.argument), name)
+
+
+@contextmanager
+def argument_errors(
+    before: str = "",
+    after: str = "",
+    argument: str | None = None,
+    *,
+    of: type[Exception] | tuple[type[Exception], ...] = InvalidArgument,
+) -> Iterator[None]:
+    """Convert errors within a ``with`` block to `InvalidArgument` with more text, such as the argument.
+
+    Parameters
+    ----------
+    before, after : str
+        Text before and after the message of the error.
+    argument : str, optional
+        Name of the argument; default: the first word of the new message.
+    of : type or tuple of types
+        Errors to convert. The errors of pinmobile remain if it names none of them.
+
+    Raises
+    ------
+    InvalidArgument
+        In place of an error within the block.
+
+    Examples
+    --------
+    >>> from pinmobile import MobileRobot
+    >>> from pinmobile.errors import argument_errors
+    >>> with argument_errors("robot 7: "):
+    ...     MobileRobot(mass=-1.0, yaw_inertia=1.3)
+    Traceback (most recent call last):
+        ...
+    pinmobile.errors.InvalidArgument: robot 7: mass is -1.0 kg, expected > 0
+    """
+    kinds = of if isinstance(of, tuple) else (of,)
+    try:
+        yield
+    except kinds as error:
+        if isinstance(error, PinmobileError) and not any(issubclass(kind, PinmobileError) for kind in kinds):
+            raise
+        text = error.reason if isinstance(error, NotTraceable) else error
+        raise InvalidArgument(f"{before}{text}{after}", argument) from error
 
 
 class NotTraceable(InvalidArgument):

@@ -19,7 +19,7 @@ from pinmobile.arrays import (
     shaped,
     wrap_angle,
 )
-from pinmobile.errors import InvalidArgument, format_value
+from pinmobile.errors import InvalidArgument, argument_errors, format_value
 from pinmobile.parts import Informed, able, option, part, require
 from pinmobile.plant import Context, stated
 from pinmobile.signals import signals_of
@@ -154,10 +154,8 @@ def check_controller(controller: object) -> None:
     """
     typed = require("controller", controller, Controller)
     callable_as("controller(t, q, v, reference, state)", controller)
-    try:
+    with argument_errors(after=": write def initial_state(self, context)"):
         callable_as("controller.initial_state(context)", typed.initial_state)
-    except InvalidArgument as error:
-        raise InvalidArgument(f"{error}: write def initial_state(self, context)") from None
     if listener := able(controller, Informed):
         callable_as("controller.applied(u, state)", listener.applied)
 

@@ -14,7 +14,7 @@ import numpy as np
 from pinmobile.arrays import Array, ArrayLike, bisect, finite, frozen, shaped
 from pinmobile.compiled import is_constant
 from pinmobile.controllers.controller import State
-from pinmobile.errors import InvalidArgument, NotTraceable
+from pinmobile.errors import InvalidArgument, NotTraceable, argument_errors
 from pinmobile.parts import Electric, Followed, Linearized, Rolling, able, child, number, option, part
 from pinmobile.plant import Context, Input, full_configurations, inputs_of
 
@@ -429,13 +429,12 @@ def riccati(A: Array, B: Array, Q: Array, R: Array, stride: int = 1) -> tuple[Ar
     from scipy.linalg import solve_discrete_are
 
     K, P = np.empty(B.swapaxes(-1, -2).shape), np.empty((len(A) + stride, *Q.shape))
-    try:
+    with argument_errors(
+        "robot has no controllable linear model at the end of the reference: ",
+        "; expected a motor for each degree of freedom, and Q that weighs every coordinate",
+        of=(np.linalg.LinAlgError, ValueError),
+    ):
         last = solve_discrete_are(A[-1], B[-1], Q, R)
-    except (np.linalg.LinAlgError, ValueError) as error:
-        raise InvalidArgument(
-            f"robot has no controllable linear model at the end of the reference: {error}; expected a "
-            "motor for each degree of freedom, and Q that weighs every coordinate"
-        ) from error
     P[len(A) :] = (last + last.T) / 2
     for k in reversed(range(len(A))):
         BP = B[k].T @ P[k + stride]

@@ -29,7 +29,7 @@ from pinmobile.compiled import (
     sides,
     tangent,
 )
-from pinmobile.errors import InvalidArgument, NotTraceable
+from pinmobile.errors import InvalidArgument, NotTraceable, argument_errors
 from pinmobile.loop import (
     Loop,
     SameAs,
@@ -612,11 +612,9 @@ def _part_arguments(loop: Loop) -> dict[str, Any]:
 @contextmanager
 def loop_errors() -> Iterator[None]:
     """Enter a context in which a loop without derivative raises `InvalidArgument`."""
-    try:
-        with np.errstate(all="ignore"), pause_gc():
-            yield
-    except NotTraceable as error:
-        raise InvalidArgument(f"this loop has no derivative: {error.reason}") from error
+    unable = argument_errors("this loop has no derivative: ", of=NotTraceable)
+    with unable, np.errstate(all="ignore"), pause_gc():
+        yield
 
 
 def _index_of(number: NumberRef, ndim: int) -> Any:

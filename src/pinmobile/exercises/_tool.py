@@ -24,6 +24,7 @@ from pinmobile.exercises._exercise import (
     describe,
     read_exercise,
 )
+from pinmobile.files import file_errors
 
 _LOADED = re.compile(
     r"""^[^#\n]*load_exercise\(\s*["'](\w+)["'](?:\s*,\s*seed\s*=\s*["']([\w .:+-]*)["'])?\s*\)""", re.M
@@ -94,7 +95,7 @@ def start_exercises(folder: str | os.PathLike[str] = "exercises", *, seed: str =
     """
     home, lines = Path(folder), []
     check_course(seed)
-    try:
+    with file_errors("written", "FOLDER", home):
         home.mkdir(parents=True, exist_ok=True)
         for name in EXERCISE_NAMES:
             path = home / f"{name}.ipynb"
@@ -104,10 +105,6 @@ def start_exercises(folder: str | os.PathLike[str] = "exercises", *, seed: str =
                 lines.append(str(path))
             else:
                 lines.append(f"{path} exists, left as it is")
-    except OSError as error:
-        raise InvalidArgument(
-            f"FOLDER is {format_value(str(folder))}, expected a folder to write to ({error.strerror})"
-        ) from None
     return lines
 
 

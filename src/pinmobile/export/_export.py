@@ -13,7 +13,7 @@ import numpy as np
 from pinmobile.arrays import Array, location, one_of, positive, sequence
 from pinmobile.compiled import pause_gc
 from pinmobile.controllers import Controller, check_controller
-from pinmobile.errors import InvalidArgument, NotTraceable, format_value
+from pinmobile.errors import InvalidArgument, NotTraceable, argument_errors, format_value
 from pinmobile.export._law import InputRecorder, InputSchedule, Law
 from pinmobile.export._project import Project
 from pinmobile.files import file_errors, write
@@ -138,19 +138,12 @@ def export_c(
         select_integrator(plant, integrator),
         check_substeps(substeps, 1),
     )
-    try:
-        with pause_gc(), np.errstate(all="ignore"):
-            context, start, first = initial_context(plant, loop.controller, step, trajectory)
-            law = Law(
-                evolved(loop, {"recorder": InputRecorder(as_measured=controller is not None)}),
-                context,
-                start,
-                first,
-                paths,
-            )
-    except NotTraceable as error:
-        argument = "plant" if controller is None else "controller"
-        raise InvalidArgument(f"{argument} cannot be exported: {error.reason}", argument) from error
+    argument = "plant" if controller is None else "controller"
+    unable = argument_errors(f"{argument} cannot be exported: ", of=NotTraceable)
+    with unable, pause_gc(), np.errstate(all="ignore"):
+        context, start, first = initial_context(plant, loop.controller, step, trajectory)
+        recorder = InputRecorder(as_measured=controller is not None)
+        law = Law(evolved(loop, {"recorder": recorder}), context, start, first, paths)
     title = (
         type(plant).__name__
         if controller is None

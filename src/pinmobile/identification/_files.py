@@ -20,6 +20,7 @@ from pinmobile.errors import (
     InvalidArgument,
     PinmobileError,
     UnknownName,
+    argument_errors,
     format_names,
     format_value,
     import_extra,
@@ -139,12 +140,10 @@ def _table(file: Path, bare: bool) -> tuple[list[str], list[list[str]]]:
         raise _file_error(file, problem, expected)
     header = re.sub(r"\[[^][]*\]|\([^()]*\)", "", lines[0])  # units may contain blanks
     separator = next((each for each in _SEPARATORS if each in header), ",")
-    try:
+    with argument_errors(f"path is {str(file)!r}, expected a CSV file: ", of=csv.Error):
         read = csv.reader(lines, delimiter=separator, skipinitialspace=True)
         rows = [[cell.strip() for cell in row] for row in read]
         head = [str(k) for k in range(1, len(rows[0]) + 1)] if headless else rows.pop(0)
-    except csv.Error as error:
-        raise InvalidArgument(f"path is {str(file)!r}, expected a CSV file: {error}") from error
     if separator != ",":  # a comma then is a decimal comma
         rows = [[cell.replace(",", ".") for cell in row] for row in rows]
     return head, rows

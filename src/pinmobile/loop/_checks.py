@@ -24,7 +24,7 @@ from pinmobile.arrays import (
 )
 from pinmobile.compiled import is_constant
 from pinmobile.controllers import check_controller, check_memory
-from pinmobile.errors import InvalidArgument, format_value
+from pinmobile.errors import InvalidArgument, argument_errors, format_value
 from pinmobile.integrators import Integrator, check_integrator, constant_acceleration
 from pinmobile.loop._engines import size_error
 from pinmobile.loop._loop import Loop, displace, named_forces
@@ -172,12 +172,9 @@ def sample_reference(trajectory: Trajectory, t: Array, plant: Plant) -> Referenc
     entry: tuple[Reference, Callable[[], Plant | None]] | None = _references.get(trajectory, key)
     if entry is not None and entry[1]() is plant:  # and no other with its id
         return entry[0]
-    try:
+    words = f"trajectory does not accept an array of {len(t)} times: "
+    with argument_errors(words, of=(TypeError, ValueError)):
         reference = trajectory(t)
-    except InvalidArgument:
-        raise  # the message already names the cause, such as a joint limit
-    except (TypeError, ValueError) as error:
-        raise InvalidArgument(f"trajectory does not accept an array of {len(t)} times: {error}") from error
     reference_sizes = reference_sizes_of(plant)
     count = np.asarray(stated(reference, "v")).shape[-1:]
     n = count[0] if count and count[0] in reference_sizes else max(reference_sizes)

@@ -14,7 +14,14 @@ import numpy as np
 from pinmobile.arrays import Array, callable_as, check_integer, instance
 from pinmobile.compiled import BINS, aligned, call, processors, robot_keys
 from pinmobile.controllers import Controller
-from pinmobile.errors import InvalidArgument, LimitWarning, NotFinite, NotTraceable, SlowerEngine
+from pinmobile.errors import (
+    InvalidArgument,
+    LimitWarning,
+    NotFinite,
+    NotTraceable,
+    SlowerEngine,
+    argument_errors,
+)
 from pinmobile.forces import Force
 from pinmobile.integrators import Integrator
 from pinmobile.loop._checks import sample_reference
@@ -570,7 +577,7 @@ class LoopStepper:
         self.scenario = scenario
         metrics = tuple((k, metric.is_margin) for k, metric in enumerate(scenario.recorded_metrics))
         loop = evolved(scenario.loop, {"recorder": Samples(errors=True, metrics=metrics)})
-        try:
+        with argument_errors("this loop cannot run in real time: ", of=NotTraceable):
             self.follows = True
             try:
                 self._compiled = compile_loop(scenario, loop, hides_reference=True)
@@ -579,8 +586,6 @@ class LoopStepper:
                     raise
                 self.follows = False
                 self._compiled = compile_loop(scenario, loop, hides_reference=False)
-        except NotTraceable as error:
-            raise InvalidArgument(f"this loop cannot run in real time: {error.reason}") from error
         self._code = self._compiled.program.code()
         self._rows = scheduled_rows(loop, scenario.context) if self._compiled.tape.schedule_size else []
         self.reset({name: float(drawn[0]) for name, drawn in scenario.draws().items()})

@@ -24,7 +24,7 @@ from pinmobile.arrays import (
     text,
 )
 from pinmobile.compiled import BINS, Noise, is_traced
-from pinmobile.errors import InvalidArgument, UnknownName
+from pinmobile.errors import InvalidArgument, UnknownName, argument_errors
 from pinmobile.integrators import Integrator
 from pinmobile.loop._checks import check_answers, check_run, sample_reference
 from pinmobile.loop._loop import Loop, Sample
@@ -390,11 +390,9 @@ class Scenario(RecordGrid):
         for i in range(count):
             numbers = {path: value[i] for path, value in paths.items()}
             key = b"".join(np.asarray(value).tobytes() for value in numbers.values())
-            try:
-                if key not in cache:
+            if key not in cache:
+                with argument_errors(f"robot {first + i}: "):
                     cache[key] = self._own_reference(replaced(self.trajectory, numbers))
-            except InvalidArgument as error:
-                raise InvalidArgument(f"robot {first + i}: {error}") from error
             for rows, part in zip(references, cache[key], strict=True):
                 rows[:, i] = part
         return references
@@ -455,10 +453,8 @@ class Scenario(RecordGrid):
         columns = [np.reshape(x, (len(x), -1)) for x in varied.values()]
         ends = [(column.argmin(axis=0), column.argmax(axis=0)) for column in columns]
         for i in np.unique(np.concatenate([np.zeros((2, 0), int), *ends], axis=1)).tolist():
-            try:
+            with argument_errors(f"robot {first + i}: "):
                 replaced(self.loop, {path: x[i] for path, x in varied.items()})
-            except InvalidArgument as error:
-                raise InvalidArgument(f"robot {first + i}: {error}") from error
 
     @cached_property
     def entries(self) -> dict[str, Any]:

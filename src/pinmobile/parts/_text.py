@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, argument_errors
 from pinmobile.parts._fields import Child, Number, Values, Whole
 from pinmobile.parts._registry import (
     Parameter,
@@ -37,26 +37,12 @@ def read_file(path: Path) -> str:
     InvalidArgument
         If the file cannot be read, or is too large.
     """
-    try:
+    with argument_errors(f"FILE is {str(path)!r}, which cannot be read: ", of=(OSError, ValueError)):
         with path.open("rb") as file:
             data = file.read(_MAX_BYTES + 1)  # a special file may be endless
         if len(data) > _MAX_BYTES:
             raise InvalidArgument(f"FILE is {str(path)!r}, larger than {_MAX_BYTES >> 20} MiB, expected less")
         return data.decode("utf-8-sig").replace("\r\n", "\n")
-    except (OSError, UnicodeDecodeError, ValueError) as error:
-        if isinstance(error, InvalidArgument):
-            raise
-        raise InvalidArgument(f"FILE is {str(path)!r}, which cannot be read: {error}") from error
-
-
-def read_tree(text: str, name: str) -> dict[str, Any]:
-    """Return the tables of TOML text; errors begin with the name of the file."""
-    try:
-        return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise InvalidArgument(f"{name}: {error}, expected TOML") from error
-    except RecursionError:
-        raise InvalidArgument(f"{name}: its values are nested too deep") from None
 
 
 def read_value(text: str) -> Any:
@@ -96,20 +82,17 @@ def read_entries(
     InvalidEntries
         If entries are wrong; the message has a line for each, with the line of the file, or the word.
     """
-    tree = read_tree(text, name)
-    sets = dict(word.split("=", 1) for word in words)
-    for path, value in sets.items():
-        try:
-            put(tree, path, read_value(value))
-        except (InvalidArgument, AttributeError, TypeError) as error:
-            raise InvalidArgument(f"{path}={value}: {error}") from None
-    reader = Reader(folder)
+    reader, sets = Reader(folder), dict(word.split("=", 1) for word in words)
     try:
-        return reader.root(kind, {key: value for key, value in tree.items() if key not in unused}), reader
+        with argument_errors(f"{name}: its values are nested too deep: ", of=RecursionError):
+            with argument_errors(f"{name}: ", ", expected TOML", of=tomllib.TOMLDecodeError):
+                tree = tomllib.loads(text)
+            for path, value in sets.items():
+                with argument_errors(f"{path}={value}: ", of=(InvalidArgument, AttributeError, TypeError)):
+                    put(tree, path, read_value(value))
+            return reader.root(kind, {key: value for key, value in tree.items() if key not in unused}), reader
     except InvalidEntries as error:
         raise locate_errors(error, sets, name, text) from None
-    except RecursionError:
-        raise InvalidArgument(f"{name}: its values are nested too deep") from None
 
 
 def locate_errors(error: InvalidEntries, sets: Mapping[str, str], name: str, text: str) -> InvalidEntries:

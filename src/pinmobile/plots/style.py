@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 import pinmobile.palette as palette
 from pinmobile.arrays import Array, bounded, label_items, scalar, text
-from pinmobile.errors import InvalidArgument, format_value
+from pinmobile.errors import InvalidArgument, argument_errors, format_value
 from pinmobile.loop import Rollout, at_samples
 from pinmobile.palette import INK
 from pinmobile.parts import able
@@ -391,16 +391,14 @@ class Sheet:
         """
         if self.figure.get_layout_engine() is None and not self.is_new:
             return
-        with warnings.catch_warnings():
+        unable = argument_errors("the figure cannot be drawn: ", of=(ValueError, OverflowError))
+        with warnings.catch_warnings(), unable:
             warnings.simplefilter("ignore")  # warnings about a layout without room, reported below
-            try:
-                for _ in range(2):  # new sizes change the ticks, which change the sizes again
-                    self.figure.draw_without_rendering()
-                    problem = layout_problem(self.figure, self._user_axes or self.parent.axes)
-                    if not problem:
-                        return
-            except (ValueError, OverflowError) as error:
-                raise InvalidArgument(f"the figure cannot be drawn: {error}") from None
+            for _ in range(2):  # new sizes change the ticks, which change the sizes again
+                self.figure.draw_without_rendering()
+                problem = layout_problem(self.figure, self._user_axes or self.parent.axes)
+                if not problem:
+                    return
         size, larger = f"width is {self.width:g} in", "wider"
         if not self.is_new:
             width, height = (_inches(self.parent, side) for side in self.parent.bbox.size)
@@ -658,10 +656,8 @@ def evaluate_each(runs: Mapping[str, Rollout], function: Callable[[Rollout], _Ki
     """
     results = {}
     for label, run in runs.items():
-        try:
+        with argument_errors(f"{name_of(label)}."):
             results[label] = function(run)
-        except InvalidArgument as error:
-            raise InvalidArgument(f"{name_of(label)}.{error}") from None
     return results
 
 

@@ -13,7 +13,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, ArrayLike, bounded, frozen, one_of
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, argument_errors
 from pinmobile.parts import Number, array, by_value, declare, is_symbolic, number, option, part
 from pinmobile.robot.linkage import (
     FREE_FLYER,
@@ -172,10 +172,8 @@ def links_of(model: pin.Model, label: str) -> tuple[Link, ...]:
     """Return the rigidly connected links of an arm's model; the first is fixed to its root."""
     links = list[Link]()
     for name, body in zip(_link_names(model), model.inertias, strict=True):
-        try:
+        with argument_errors(f"{label}: link {name!r}: "):
             links.append(Link(name, float(body.mass), np.array(body.lever), six_of(body.inertia)))
-        except InvalidArgument as error:
-            raise InvalidArgument(f"{label}: link {name!r}: {error}") from None
     return tuple(links)
 
 

@@ -14,7 +14,7 @@ import pinocchio as pin
 
 from pinmobile.arrays import Array, ArrayLike, bounded, instance, scalar
 from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE, DHRow, DHTable, JointType, transform
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, argument_errors
 from pinmobile.robot.linkage import Joint, carries_only_wheels, children, joints_of, turns_freely
 from pinmobile.robot.support_geometry import (
     MIN_COSINE,
@@ -559,10 +559,8 @@ def _lump(model: pin.Model, data: pin.Data, base: pin.SE3, joints: Iterable[int]
                 f"{name}: joint {model.names[joint]!r} moves a link of {model.inertias[joint].mass:.6g} kg, "
                 "expected a massless virtual link"
             )
-    try:
+    with argument_errors(f"{name}: "):
         return Body(total.mass, total.lever, total.inertia)
-    except InvalidArgument as error:
-        raise InvalidArgument(f"{name}: {error}") from None
 
 
 def _only_body(root: Element, model: pin.Model) -> tuple[int, Body] | None:

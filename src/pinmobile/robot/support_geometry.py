@@ -13,7 +13,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, ArrayLike, finite, frozen, lengths, shaped
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, argument_errors
 from pinmobile.metrics import Metric
 from pinmobile.parts import by_value, number, option, part
 from pinmobile.plant import limit_slack
@@ -217,14 +217,11 @@ def read_stance(root: Element, name: str) -> SupportGeometry | None:
     if element is None:
         return None
     corners, top = element.get("footprint", "").split(), element.get("top")
-    try:
+    words = f"{name}: <pinmobile> has {element.attrib}, expected x y of corners, and a top: "
+    with argument_errors(words, of=(ValueError, InvalidArgument)):
         footprint = np.reshape([*map(float, corners)], (-1, 2)) if corners else None
-        return SupportGeometry(
-            footprint, None if top is None else float(top), element.get("ground") is not None
-        )
-    except ValueError as error:
-        words = f"{name}: <pinmobile> has {element.attrib}, expected x y of corners, and a top"
-        raise InvalidArgument(f"{words}: {error}") from None
+        height = None if top is None else float(top)
+        return SupportGeometry(footprint, height, element.get("ground") is not None)
 
 
 @dataclass(frozen=True, eq=False)

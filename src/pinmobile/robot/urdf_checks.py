@@ -15,7 +15,7 @@ import numpy as np
 import pinocchio as pin
 
 from pinmobile.arrays import Array
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, argument_errors
 
 _JOINTS = ("fixed", "revolute", "continuous", "prismatic", "planar", "floating")
 _MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")  # attributes of an <inertia>
@@ -56,10 +56,8 @@ def urdf_model(argument: str, path: Path) -> tuple[pin.Model, Element]:
         If the file does not exist, or is not a URDF. The message names the argument or the file.
     """
     root = urdf_tree(argument, path)
-    try:
+    with argument_errors(f"{path.name} is not a URDF that Pinocchio reads: ", of=(ValueError, RuntimeError)):
         return pin.buildModelFromXML(ElementTree.tostring(root, encoding="unicode")), root
-    except (ValueError, RuntimeError) as error:
-        raise InvalidArgument(f"{path.name} is not a URDF that Pinocchio reads: {error}") from None
 
 
 def urdf_tree(argument: str, path: Path) -> Element:
@@ -70,12 +68,11 @@ def urdf_tree(argument: str, path: Path) -> Element:
     InvalidArgument
         As in `urdf_model`, without the checks by Pinocchio.
     """
-    try:
-        root = ElementTree.fromstring(path.read_text("utf-8-sig"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise InvalidArgument(f"{argument} is {str(path)!r}, which cannot be read: {error}") from None
-    except ElementTree.ParseError as error:
-        raise InvalidArgument(f"{path.name} is not well-formed XML: {error}") from None
+    unreadable = f"{argument} is {str(path)!r}, which cannot be read: "
+    with argument_errors(unreadable, of=(OSError, UnicodeDecodeError)):
+        text = path.read_text("utf-8-sig")
+    with argument_errors(f"{path.name} is not well-formed XML: ", of=ElementTree.ParseError):
+        root = ElementTree.fromstring(text)
     _check_tree(root, path.name)
     _check_numbers(root, path.name)
     _complete_limits(root)

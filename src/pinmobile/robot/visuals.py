@@ -16,7 +16,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pinmobile.arrays import Array
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, argument_errors
 from pinmobile.files import keep
 from pinmobile.robot.arms import link_of
 from pinmobile.robot.linkage import BODY_JOINT
@@ -120,12 +120,9 @@ class VisualFile(NamedTuple):
                 f"{self.path.name} has collision meshes that are missing: {names}; expected them beside the "
                 "file, or in folders given by package_dirs="
             )
-        try:
+        words = f"{self.path.name} has collision shapes that cannot be read: "
+        with argument_errors(words, of=(ValueError, RuntimeError)):
             return _geometry(root, model, pin.GeometryType.COLLISION)
-        except (ValueError, RuntimeError) as error:
-            raise InvalidArgument(
-                f"{self.path.name} has collision shapes that cannot be read: {error}"
-            ) from None
 
     def model(self) -> tuple[pin.Model, list[pin.SE3]]:
         """Return the file's model, and the placements of its joints at rest in the body frame."""

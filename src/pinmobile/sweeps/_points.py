@@ -19,7 +19,7 @@ import numpy as np
 
 from pinmobile.arrays import instance
 from pinmobile.compiled import Contents, code_of_library
-from pinmobile.errors import InvalidArgument, UnknownName, format_value
+from pinmobile.errors import InvalidArgument, UnknownName, argument_errors, format_value
 from pinmobile.loop import (
     ROBOT_ARRAYS,
     SUMS,
@@ -167,11 +167,9 @@ class Points:
         scenarios = []
         for index in product(*(range(len(axis.values)) for axis in axes.values())):
             values = {name: choice[i] for name, choice, i in zip(axes, choices, index, strict=True)}
-            try:
+            with argument_errors(after=f" (at {', '.join(place_text(axes, index))})"):
                 scenarios.append(make(values))
                 scenarios[-1].draws()  # rejects impossible draws before any work
-            except InvalidArgument as error:
-                raise InvalidArgument(f"{error} (at {', '.join(place_text(axes, index))})") from error
         for name, axis in axes.items():
             if not isinstance(grid[name], Mapping) and not isinstance(axis.values[0], str):
                 axes[name] = Axis(axis.values, _unit(scenarios[0], name))

@@ -10,7 +10,7 @@ from time import monotonic, sleep
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from pinmobile.arrays import ArrayLike, finite, instance, label_items, positive, shaped, text
-from pinmobile.errors import InvalidArgument, ViewerError
+from pinmobile.errors import ViewerError, argument_errors
 from pinmobile.files import write_file
 from pinmobile.loop import Rollout, at_samples
 from pinmobile.plant import robot_at
@@ -338,9 +338,6 @@ def _check_runs(rollouts: object) -> dict[str, Rollout]:
     """
     runs = {label: at_samples(run) for label, run in label_items("rollout", rollouts, Rollout).items()}
     for label, run in runs.items():
-        try:
+        with argument_errors(f"rollout[{label!r}]." if label else "rollout."):
             _ = run.poses, run.reference_poses
-        except InvalidArgument as error:
-            name = f"rollout[{label!r}]" if label else "rollout"
-            raise InvalidArgument(f"{name}.{error}") from None
     return runs

@@ -28,7 +28,7 @@ from pinmobile.arrays import (
     text,
     word,
 )
-from pinmobile.errors import InvalidArgument, format_value
+from pinmobile.errors import InvalidArgument, argument_errors, format_value
 from pinmobile.parts import (
     by_value,
     child,
@@ -633,11 +633,9 @@ class WheelTable:
             )
         for wheel in self.wheels:
             rest -= wheel.placement.act(wheel.inertia)
-        try:
+        words = "; expected a robot whose mass and inertia include those of its wheels"
+        with argument_errors("robot without its wheels is not a rigid body: ", words):
             Body(rest.mass, np.array(rest.lever), np.array(rest.inertia))
-        except InvalidArgument as error:
-            words = "expected a robot whose mass and inertia include those of its wheels"
-            raise InvalidArgument(f"robot without its wheels is not a rigid body: {error}; {words}") from None
         return rest
 
     @classmethod
