@@ -124,7 +124,10 @@ def test_estimates_stay_within_their_bounds() -> None:
 
 test_bad_arguments_are_refused = refusals(
     (lambda: AdaptiveVelocity(pm.MobileRobot.box()), "robot is .*, expected a VelocityRobot"),
-    (lambda: AdaptiveVelocity(TRUE, upper=[1, 1, 1, 1, 1, 2]), "lower and upper of theta_4 are 0.11 and 1"),
+    (
+        lambda: AdaptiveVelocity(TRUE, upper=[1, 1, 1, 1, 1, 2]),
+        "lower and upper exclude the robot's value, theta_4 = 1.1",
+    ),
     (lambda: pm.simulate(TRUE, AdaptiveVelocity(TRUE, k=30), EIGHT, dt=0.1), r"k = \[30.0\].*expected dt <"),
     (
         lambda: pm.simulate(TRUE, AdaptiveVelocity(TRUE), pm.FixedHeading(EIGHT.path, 0.3), dt=0.02),

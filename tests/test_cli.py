@@ -498,10 +498,12 @@ def test_identify_takes_commands_and_columns_of_other_names(typed: Typed, tmp_pa
     code, told, _ = typed(*words)
     assert code == 0
     assert re.search(r"^theta_6 +1\.0\d+", told, re.MULTILINE)
-    said = "rolling_speed does not apply to a log of commands of speed and yaw rate"
-    for word in ("rolling_speed=0.1", "rolling_speed=0", "method=weak"):
+    for word in ("rolling_speed=0.1", "rolling_speed=0.0", "method=weak"):
         code, _, err = typed(*words, word)
-        assert (code, err) == (2, f"pinmobile: {said.replace('rolling_speed', word.partition('=')[0])}\n")
+        name, _, value = word.partition("=")
+        given = repr(value) if name == "method" else value
+        said = f"{name} is {given}, expected None for a log of commands of speed and yaw rate"
+        assert (code, err) == (2, f"pinmobile: {said}\n")
 
 
 def reverse(table: Any) -> Any:

@@ -402,7 +402,10 @@ ONE = DHTable((DHRow(0, 0, 0, 0, R, "q1"),))
 test_what_cannot_be_derived_is_refused = refusals(
     (lambda: derive(ONE, [None, None]), "links is (None, None), expected 1 of Link or None"),
     (lambda: derive(ONE, order=["q7"]), "order is ('q7',), expected a permutation of ('q1',)"),
-    (lambda: derive(ONE, [Link(symbols("q1"), (0, 0, 0), zeros(3, 3))]), "links and table give ['q1']"),
+    (
+        lambda: derive(ONE, [Link(symbols("q1"), (0, 0, 0), zeros(3, 3))]),
+        "links and table have the name 'q1'",
+    ),
     (lambda: lecture(ONE), "table is "),
     (lambda: Link("heavy", (0, 0, 0), np.eye(3)), "mass is 'heavy', expected a finite real number"),
     (lambda: Link(1, (0, 0, 0), [[1, 2, 0], [0, 1, 0], [0, 0, 1]]), "inertia is [[1, 2, 0], "),

@@ -51,7 +51,7 @@ def test_a_table_refuses_what_is_no_table() -> None:
     row = DHRow(0, 0, 0, 0, JointType.REVOLUTE, "one")
     with pytest.raises(InvalidArgument, match="expected one DHRow or more"):
         DHTable(())
-    with pytest.raises(InvalidArgument, match="expected distinct names"):
+    with pytest.raises(InvalidArgument, match="expected different names"):
         DHTable((row, row))
 
 

@@ -134,7 +134,7 @@ def test_numbers_that_have_one_effect_are_told_as_a_combination() -> None:
     ("change", "options", "why"),
     [
         ({}, {"by": "nothing"}, "unknown parameter in by 'nothing'"),
-        ({}, {"by": "left.radius", "loads": [None]}, "loads, method and rolling_speed do not apply"),
+        ({}, {"by": "left.radius", "loads": [None]}, "loads is [None], expected None with by"),
         ({}, {"by": "left.friction.mu"}, "log identifies none of the numbers"),
         ({"u": lambda u: -u}, {"by": "left.radius"}, "the given robot explains 0% of the motion"),
         ({"joints": lambda _: np.zeros((601, 3))}, {"by": "left.radius"}, "log has 3 joints, expected 2"),

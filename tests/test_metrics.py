@@ -352,7 +352,7 @@ def test_kept_signals_end_where_a_robot_diverges() -> None:
 @pytest.mark.parametrize(
     ("metrics", "words"),
     [
-        ({"distance": abs}, "metrics has 'distance' twice, or as the name of an error"),
+        ({"distance": abs}, "metrics has 'distance' twice, expected different names"),
         ({"gap": lambda sample: sample.q}, r"^metrics has 'gap', whose function returned .* a number$"),
         ({"gap": lambda sample: np.nan * sample.q[0]}, "^robot 0: .*NaN as 'gap'"),
         ({"gap": lambda sample: float(sample.q[0])}, "metrics has 'gap': float.*or give engine=Engine.P"),

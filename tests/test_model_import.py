@@ -219,7 +219,7 @@ def test_the_users_model_is_left_alone() -> None:
         (None, "which cannot be read"),
         ("<robot", "is not well-formed XML"),
         ("<gazebo/>", "is not a URDF: expected a <robot> with links, got <gazebo>"),
-        (robot(link("a"), link("a")), "link 'a' appears twice"),
+        (robot(link("a"), link("a")), "has the link 'a' twice"),
         (robot(link("a"), joint("j", "hinge", "a", "a")), "joint 'j' has type 'hinge', expected one"),
         (robot(link("a"), joint("j", "fixed", "a", "b")), "joint 'j' has child link 'b', which is not in"),
         (changed('value="1"', 'value="${m}"'), "link 'b' has <mass> with value '${m}', expected a finite"),

@@ -177,7 +177,7 @@ LITTLE = pm.MobileRobot(1.5, 1.0)
             "wheel 'a' and wheel 'b' have one position",
         ),
         (lambda: pm.WheelTable.mecanum(0.5, 0.4, 0.1, roller=0.0), "roller is 0 rad on a base of 0.5 by"),
-        (lambda: table(Wheel("x", 0.0, 0.2, 0.1)), "'x' names two coordinates of the robot, expected"),
+        (lambda: table(Wheel("x", 0.0, 0.2, 0.1)), "table has the coordinate 'x' twice, expected"),
         (lambda: table(*SIDES, couplings=(GearTrain(("l", "x")),)), "unknown wheel of a GearTrain 'x'"),
         (lambda: table(*SIDES, couplings=(AckermannSteering(("l", "r")),)), "wheel 'l' of AckermannSteer"),
     ],

@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import re
 import sys
+from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from functools import wraps
 from math import isfinite
@@ -234,13 +235,11 @@ def real(name: str, value: ArrayLike) -> Array:
     """
     mask_type = getattr(sys.modules.get("numpy.ma"), "MaskedArray", ())  # not loaded: there is none
     kinds = {type(value), *map(type, value)} if isinstance(value, list | tuple) else {type(value)}
-    if any(issubclass(kind, mask_type) for kind in kinds):
-        raise InvalidArgument(
-            f"{name} is a masked array, expected an array without a mask: fill or remove the masked entries"
-        )
-    array = _array(value)
-    if array.dtype.kind not in "fiu":
-        raise InvalidArgument(f"{name} is {format_value(value)}, expected real numbers")
+    is_masked, array = any(issubclass(kind, mask_type) for kind in kinds), _array(value)
+    if is_masked or array.dtype.kind not in "fiu":
+        masked = "a masked array, expected an array without a mask: fill or remove the masked entries"
+        fault = masked if is_masked else f"{format_value(value)}, expected real numbers"
+        raise InvalidArgument(f"{name} is {fault}")
     if array.dtype == np.float64:
         return np.asarray(array, np.float64)
     with np.errstate(over="ignore"):  # a long double beyond float64 becomes infinite
@@ -509,6 +508,36 @@ def bounded(
 _COMPARISONS = {">": np.greater, ">=": np.greater_equal, "<": np.less, "<=": np.less_equal}
 
 
+def between(words: str, entries: Sequence[str], values: Array, lower: Array, upper: Array) -> None:
+    """Check that each number is within its own bounds.
+
+    Parameters
+    ----------
+    words : str
+        Owner of the numbers, the beginning of the message.
+    entries : sequence of str
+        Names of the numbers.
+    values, lower, upper : ndarray, shape (n,)
+        Numbers and their bounds, which are allowed.
+
+    Raises
+    ------
+    InvalidArgument
+        If a number is out of bounds; the message names the first one.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile.arrays import between
+    >>> between("rest has", ["elbow"], np.array([0.3]), np.array([-1.0]), np.array([1.0]))
+    """
+    outside = ~((lower <= values) & (values <= upper))
+    if outside.any():
+        k = int(outside.argmax())
+        bounds = f"{lower[k]:.9g} <= {entries[k]} <= {upper[k]:.9g}"
+        raise InvalidArgument(f"{words} {entries[k]} = {values[k]:.9g}, expected {bounds}")
+
+
 def positive(name: str, value: ArrayLike, unit: str = "") -> float:
     """Return a finite number > 0 as a float.
 
@@ -641,10 +670,9 @@ def check_integer(name: str, value: Any, *, least: int = 1, most: float = 2**53)
         number = scalar(name, value)
     except InvalidArgument:
         number = least - 1.0  # a value out of bounds, which the next line rejects
-    if number != int(number) or number < least:
-        raise InvalidArgument(f"{name} is {format_value(value)}, expected a whole number >= {least}")
-    if number > most:
-        raise InvalidArgument(f"{name} is {format_value(value)}, expected at most {most:,}")
+    if number != int(number) or not least <= number <= most:
+        expected = f"at most {most:,}" if number > most else f"a whole number >= {least}"
+        raise InvalidArgument(f"{name} is {format_value(value)}, expected {expected}")
     return int(number)
 
 
@@ -909,6 +937,91 @@ def label_items(argument: str, values: object, kind: type[_Kind]) -> dict[str, _
     return dict(items)
 
 
+def absent(reason: str, /, **given: object) -> None:
+    """Check that arguments are None which do not apply beside the others.
+
+    Parameters
+    ----------
+    reason : str
+        Why they do not apply, the end of the message.
+    **given : object
+        Arguments by name.
+
+    Raises
+    ------
+    InvalidArgument
+        If one of them is not None.
+
+    Examples
+    --------
+    >>> from pinmobile.arrays import absent
+    >>> absent("beside coefficients", forward=None, left=None)
+    """
+    for name, value in given.items():
+        if value is not None:
+            raise InvalidArgument(f"{name} is {format_value(value)}, expected None {reason}", name)
+
+
+def required(name: str, value: Any, expected: str) -> Any:
+    """Return an argument that must not be None.
+
+    Parameters
+    ----------
+    name : str
+        Name of the argument, for the message.
+    value : object
+        Value of the argument.
+    expected : str
+        Expected value, for the message.
+
+    Returns
+    -------
+    object
+        The same value.
+
+    Raises
+    ------
+    InvalidArgument
+        If the value is None.
+
+    Examples
+    --------
+    >>> from pinmobile.arrays import required
+    >>> required("ahead", 0.2, "a number [m]")
+    0.2
+    """
+    if value is None:
+        raise InvalidArgument(f"{name} is None, expected {expected}")
+    return value
+
+
+def distinct(words: str, names: Iterable[str], hint: str = "") -> None:
+    """Check that names are different.
+
+    Parameters
+    ----------
+    words : str
+        Owner of the names, the beginning of the message.
+    names : iterable of str
+        Names to check.
+    hint : str
+        End of the message.
+
+    Raises
+    ------
+    InvalidArgument
+        If two of them are equal.
+
+    Examples
+    --------
+    >>> from pinmobile.arrays import distinct
+    >>> distinct("rows have the variable", ["y", "x", "psi"])
+    """
+    for name, count in Counter(names).items():
+        if count > 1:
+            raise InvalidArgument(f"{words} {name!r} twice, expected different names{hint}")
+
+
 def one_of(kind: str, value: object, available: Iterable[str]) -> str:
     """Return a name that must be one of the valid names.
 
@@ -943,6 +1056,41 @@ def one_of(kind: str, value: object, available: Iterable[str]) -> str:
     return value
 
 
+def symmetric(name: str, matrix: Array, tolerance: float) -> Array:
+    """Return a matrix that must be symmetric.
+
+    Parameters
+    ----------
+    name : str
+        Name of the matrix, for the message.
+    matrix : ndarray, shape (n, n)
+        Matrix to check.
+    tolerance : float
+        Tolerance, as a share of the largest entry.
+
+    Returns
+    -------
+    ndarray
+        The same matrix.
+
+    Raises
+    ------
+    InvalidArgument
+        If it is not symmetric.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile.arrays import symmetric
+    >>> symmetric("Q", np.eye(2), 1e-9)
+    array([[1., 0.],
+           [0., 1.]])
+    """
+    if np.abs(matrix - matrix.T).max() > tolerance * np.abs(matrix).max():
+        raise InvalidArgument(f"{name} is not symmetric: {matrix.tolist()}, expected a symmetric matrix")
+    return matrix
+
+
 def lengths(size: ArrayLike) -> Array:
     """Return the argument `size` of a box.
 
@@ -970,7 +1118,7 @@ def lengths(size: ArrayLike) -> Array:
     return bounded("size", shaped("size", finite("size", size), (3,)), above=0, unit="m")
 
 
-def sequence(name: str, value: object, expected: str) -> tuple[Any, ...]:
+def sequence(name: str, value: object, expected: str, least: int = 0) -> tuple[Any, ...]:
     """Return the entries of a list, tuple or other sequence; text, mappings and sets are rejected.
 
     Parameters
@@ -981,6 +1129,8 @@ def sequence(name: str, value: object, expected: str) -> tuple[Any, ...]:
         Value of the argument.
     expected : str
         Expected value, for the message, such as ``"a sequence of DHRow"``.
+    least : int
+        Smallest number of entries.
 
     Returns
     -------
@@ -999,8 +1149,8 @@ def sequence(name: str, value: object, expected: str) -> tuple[Any, ...]:
     ('x', 'y')
     """
     if isinstance(value, np.ndarray) and value.ndim == 1:
-        return tuple(value.tolist())
-    if isinstance(value, str | bytes) or not isinstance(value, Sequence):
+        value = value.tolist()
+    if isinstance(value, str | bytes) or not isinstance(value, Sequence) or len(value) < least:
         raise InvalidArgument(f"{name} is {format_value(value)}, expected {expected}")
     return tuple(value)
 

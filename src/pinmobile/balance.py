@@ -18,6 +18,7 @@ from pinmobile.arrays import (
     frozen,
     instance,
     positive,
+    required,
     scalar,
     shaped,
     vector,
@@ -619,12 +620,8 @@ def footprint_of(robot: Any, footprint: ArrayLike | None = None) -> Array:
     if footprint is not None:
         return check_footprint(footprint)
     corners: Array | None = getattr(require("robot", robot, Grounded), "footprint", None)
-    if corners is None:
-        raise InvalidArgument(
-            "footprint is not given, and the robot's footprint is not known, expected the corners of the "
-            "support polygon, shape (k, 2) [m]; robot.source says what the file lacks"
-        )
-    return check_footprint(corners)
+    expected = "the corners of the support polygon, shape (k, 2) [m]; robot.source says what the file lacks"
+    return check_footprint(required("footprint of the robot", corners, expected))
 
 
 def required_friction(motion: MotionLike) -> Array:

@@ -14,7 +14,18 @@ from typing import Any
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, broadcast, finite, instance, one_of, scalar, sequence, vector
+from pinmobile.arrays import (
+    Array,
+    ArrayLike,
+    broadcast,
+    distinct,
+    finite,
+    instance,
+    one_of,
+    scalar,
+    sequence,
+    vector,
+)
 from pinmobile.errors import InvalidArgument, PinmobileError, argument_errors, format_value
 
 
@@ -183,7 +194,7 @@ class DHTable:
 
     def __post_init__(self) -> None:
         rows, messages = [], []
-        for k, row in enumerate(sequence("rows", self.rows, "a sequence of DHRow")):
+        for k, row in enumerate(sequence("rows", self.rows, "one DHRow or more", 1)):
             try:
                 rows.append(_check_row(row))
             except PinmobileError as error:
@@ -191,10 +202,7 @@ class DHTable:
         if messages:
             raise InvalidArgument("; ".join(messages), "rows")
         object.__setattr__(self, "rows", tuple(rows))
-        if not self.rows:
-            raise InvalidArgument("rows is empty, expected one DHRow or more")
-        if len(set(self.variables)) != len(self.rows):
-            raise InvalidArgument(f"rows have variables {self.variables}, expected distinct names")
+        distinct("rows have the variable", self.variables)
 
     def __len__(self) -> int:
         return len(self.rows)

@@ -9,8 +9,8 @@ from typing import Any, ClassVar, Protocol, Self, final
 import attrs
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, frozen, rotate, seeded, sequence, shaped, text
-from pinmobile.errors import InvalidArgument, format_value
+from pinmobile.arrays import Array, ArrayLike, absent, frozen, rotate, seeded, sequence, shaped, text
+from pinmobile.errors import InvalidArgument
 from pinmobile.parts import Number, array, declare, number, option, part
 from pinmobile.plant import coordinates_of
 
@@ -542,11 +542,8 @@ class ViscousFriction:
         yaw: float | None = None,
     ) -> None:
         values = forward, left, yaw
-        for name, value in zip(_TWIST, values, strict=True):
-            if coefficients is not None and value is not None:
-                raise InvalidArgument(
-                    f"{name} is {format_value(value)} beside coefficients, expected only one"
-                )
+        if coefficients is not None:
+            absent("beside coefficients", **dict(zip(_TWIST, values, strict=True)))
         array = [0.0 if x is None else x for x in values] if coefficients is None else coefficients
         self.__attrs_init__(array)  # type: ignore[attr-defined]
 

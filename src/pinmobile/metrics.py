@@ -7,8 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, callable_as, one_of, sequence, shaped, text
-from pinmobile.errors import InvalidArgument
+from pinmobile.arrays import Array, ArrayLike, callable_as, distinct, one_of, sequence, shaped, text
 from pinmobile.parts import Measuring, able
 
 _WORST_KINDS = ("largest", "smallest", "ever")
@@ -253,12 +252,9 @@ def select_metrics(plant: object, selected: object, reserved: Sequence[str]) -> 
         if name not in user_names:
             one_of("metric", name, by_name)
     all_names = [*reserved, *(one.name for one in (*plant_metrics, *user_metrics))]
-    duplicate = next((x for x in (*all_names, *names) if all_names.count(x) > 1 or names.count(x) > 1), None)
-    if duplicate is not None:
-        raise InvalidArgument(
-            f"metrics has {duplicate!r} twice, or as the name of an error ({', '.join(reserved)}) or of a "
-            f"metric of the plant, a {type(plant).__name__}, expected different names"
-        )
+    for listed in (names, all_names):
+        owners = f"errors ({', '.join(reserved)}) and metrics of the plant, a {type(plant).__name__}"
+        distinct("metrics has", listed, f", also from those of {owners}")
     return (*(one for one in plant_metrics if one.name in names), *user_metrics)
 
 

@@ -21,6 +21,7 @@ from pinmobile.arrays import (
     positive,
     sequence,
     shaped,
+    symmetric,
     text,
 )
 from pinmobile.dh import DHTable, JointType, transform
@@ -71,9 +72,7 @@ class Body:
         object.__setattr__(self, "mass", positive("mass", self.mass, "kg"))
         com = shaped("com", finite("com", self.com), (3,))
         inertia = shaped("inertia", finite("inertia", self.inertia), (3, 3))
-        tolerance = _INERTIA_TOLERANCE * np.abs(inertia).max()
-        if np.abs(inertia - inertia.T).max() > tolerance:
-            raise InvalidArgument(f"inertia is not symmetric: {inertia.tolist()}")
+        tolerance = _INERTIA_TOLERANCE * np.abs(symmetric("inertia", inertia, _INERTIA_TOLERANCE)).max()
         moments = np.linalg.eigvalsh(inertia)
         if moments[0] < -tolerance or moments[2] > moments[0] + moments[1] + tolerance or inertia[2, 2] <= 0:
             texts = ", ".join(f"{moment:.6g}" for moment in moments)

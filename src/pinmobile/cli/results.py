@@ -31,7 +31,7 @@ from pinmobile import (
     identify_velocity,
     plots,
 )
-from pinmobile.arrays import Array, one_of, sequence
+from pinmobile.arrays import Array, absent, one_of, sequence
 from pinmobile.cli.output import (
     Picture,
     Section,
@@ -515,9 +515,9 @@ def show_identification(words: Sequence[str], out: Path) -> int:
     with progress(2) as bar, _name_files(paths):
         begin(bar, "identifying")
         if are_commands:
-            for name in ("by", "loads", "rolling_speed", "method"):
-                if getattr(given, name) not in (None, (), METHODS[0]):
-                    raise InvalidArgument(f"{name} does not apply to a log of commands of speed and yaw rate")
+            options = {"by": given.by or None, "method": None if method == METHODS[0] else method}
+            reason = "for a log of commands of speed and yaw rate"
+            absent(reason, **options, loads=loads, rolling_speed=given.rolling_speed)
             result: Any = identify_velocity(logs, delay=given.delay, wheelbase=given.wheelbase)
         else:
             numbers = {name: getattr(given, name) for name in ("by", "delay", "rolling_speed")}

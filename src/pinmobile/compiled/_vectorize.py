@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from pinmobile.arrays import Array, affordable, finite, finite_answer
+from pinmobile.arrays import Array, affordable, finite, finite_answer, instance
 from pinmobile.compiled.differentiation import slopes
 from pinmobile.compiled.functions import tracing
 from pinmobile.compiled.identity import Identity
 from pinmobile.compiled.program import Cache, Program, aligned, processors
 from pinmobile.compiled.symbolic import entries, symbols
 from pinmobile.compiled.tape import Leaf, LoopTape, Tape, ancestors, operands
-from pinmobile.errors import InvalidArgument, NotTraceable, format_value
+from pinmobile.errors import InvalidArgument, NotTraceable
 
 _RTOL = 1e-7  # relative tolerance of results; the condition of M costs digits in forward dynamics
 _STATES = 1 << 14  # states in memory at once
@@ -76,8 +76,7 @@ def vectorize(
     >>> energy(np.zeros(3), v)  # [J]
     array([15., 60.])
     """
-    if not callable(function):
-        raise InvalidArgument(f"function is {format_value(function)}, expected a function of one state")
+    instance("function", function, Callable, "a function of one state")
     programs: dict[Any, _Compiled] = {}
 
     def vectorized(*given: Any) -> Any:

@@ -8,9 +8,9 @@ from typing import Any, final
 import attrs
 import numpy as np
 
-from pinmobile.arrays import Array, bounded, frozen, instance, scalar, shaped, vector
+from pinmobile.arrays import Array, between, bounded, frozen, instance, scalar, shaped, vector
 from pinmobile.controllers.controller import AntiWindup, State, combined_error, is_equal_input, passive_torque
-from pinmobile.controllers.feedback import SLOPE, BodyLaw, bound, check_bounds, comparison, coordinates_of
+from pinmobile.controllers.feedback import SLOPE, BodyLaw, bound, comparison, coordinates_of
 from pinmobile.controllers.kinematic_laws import (
     DualNumber,
     cos,
@@ -27,6 +27,7 @@ from pinmobile.parts import Commanded, Passive, array, child, each, number, opti
 from pinmobile.plant import Context
 
 _SIZE = 6
+_EXCLUDED = "lower and upper exclude the robot's value,"  # of a message, see `between`
 _POSITIVE_ENTRIES = 0, 1, 3, 5  # entries of theta that are positive: inertias and losses
 _ESTIMATE_RATIO = 0.1  # smallest ratio of such an estimate and its nominal value
 _FREE = np.where(np.isin(np.arange(_SIZE), _POSITIVE_ENTRIES), 0.0, np.inf)  # the others have no bound
@@ -166,7 +167,7 @@ class AdaptiveVelocity(AntiWindup):
         for name in ("lower", "upper"):
             shaped(name, getattr(self, name), (_SIZE,))
         theta, lower, upper = self._theta, self.lower, self.upper
-        check_bounds([f"theta_{j}" for j in range(1, _SIZE + 1)], lower, theta, upper)
+        between(_EXCLUDED, [f"theta_{j}" for j in range(1, _SIZE + 1)], theta, lower, upper)
         bounded("lower", np.where(_FREE == 0, lower, 1.0), above=0)
 
     @structure
@@ -436,7 +437,7 @@ class Adaptive(BodyLaw, AntiWindup):
             values = default if given is None else given
             shaped(name, values, (p,), words=", or one number" if name == "gamma" else "")
             object.__setattr__(self, name, frozen(values))
-        check_bounds([f"parameter {k}" for k in range(p)], self.lower, nominal, self.upper)
+        between(_EXCLUDED, [f"parameter {k}" for k in range(p)], nominal, self.lower, self.upper)
 
     def initial_state(self, context: Context) -> tuple[Any, ...]:
         """Return the change of the estimates, now and before, the last force, and the time step."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any, final
 
 import numpy as np
@@ -60,30 +59,6 @@ def bound(sign: float, doc: str, default: Any = None) -> Any:
         return frozen(sign * endless_or_finite(name, sign * real(name, value)))
 
     return option(default=default, doc=doc, check=check)
-
-
-def check_bounds(names: Sequence[str], lower: Array, nominal: Array, upper: Array) -> None:
-    """Check that bounds of estimates include the robot's values.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Names of the parameters.
-    lower, nominal, upper : ndarray, shape (p,)
-        Lower bounds, values of the robot, and upper bounds.
-
-    Raises
-    ------
-    InvalidArgument
-        If a value lies outside its bounds; the message names the first such parameter.
-    """
-    excludes = ~((lower <= nominal) & (nominal <= upper))
-    if excludes.any():
-        k = int(excludes.argmax())
-        raise InvalidArgument(
-            f"lower and upper of {names[k]} are {lower[k]:g} and {upper[k]:g}, which exclude the robot's "
-            f"value, {nominal[k]:g}"
-        )
 
 
 def check_comparison(controller: Any) -> None:

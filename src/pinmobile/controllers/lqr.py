@@ -11,7 +11,7 @@ from weakref import WeakKeyDictionary
 import attrs
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, bisect, finite, frozen, shaped
+from pinmobile.arrays import Array, ArrayLike, bisect, finite, frozen, shaped, symmetric
 from pinmobile.compiled import is_constant
 from pinmobile.controllers.controller import State
 from pinmobile.errors import InvalidArgument, NotTraceable, argument_errors
@@ -163,9 +163,7 @@ def weight(name: str, value: ArrayLike, *, above: bool) -> Array:
     """
     values = shaped(name, finite(name, value), ("n>=1",), ("n>=1", "n"))
     matrix = np.diag(values) if values.ndim == 1 else values
-    largest = np.abs(matrix).max()
-    if np.abs(matrix - matrix.T).max() > _SYMMETRY_TOLERANCE * largest:
-        raise InvalidArgument(f"{name} is not symmetric, expected a symmetric matrix")
+    largest = np.abs(symmetric(name, matrix, _SYMMETRY_TOLERANCE)).max()
     lowest = float(np.linalg.eigvalsh(matrix)[0])
     if not (lowest > 0 if above else lowest >= -_SYMMETRY_TOLERANCE * largest):
         definite = "positive definite" if above else "positive semidefinite"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,7 +16,7 @@ from sympy import Expr, ImmutableMatrix, Symbol
 from sympy.polys.rings import PolyElement, PolyRing
 from sympy.simplify.fu import TR10i
 
-from pinmobile.arrays import Array, check_integer, sequence
+from pinmobile.arrays import Array, check_integer, distinct, sequence
 from pinmobile.dh import DHTable, table_of
 from pinmobile.errors import InvalidArgument, format_value
 
@@ -376,9 +376,8 @@ class Chain:
             raise InvalidArgument(
                 f"order is {format_value(self.order)}, expected a permutation of {variables}"
             )
-        names = Counter(symbol.name for symbol in (*self.q, *self.v, *self.a, *self.parameters))
-        if duplicates := [name for name, count in names.items() if count > 1]:
-            raise InvalidArgument(f"links and table give {duplicates} two meanings, expected distinct names")
+        symbols = (*self.q, *self.v, *self.a, *self.parameters)
+        distinct("links and table have the name", (symbol.name for symbol in symbols))
 
     def __len__(self) -> int:
         return len(self.table)

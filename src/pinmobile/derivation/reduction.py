@@ -12,7 +12,7 @@ import sympy
 from sympy import Expr, Function, ImmutableMatrix, Symbol
 from sympy.polys.matrices import DomainMatrix
 
-from pinmobile.arrays import check_integer, instance, sequence, shaped
+from pinmobile.arrays import check_integer, distinct, instance, sequence, shaped
 from pinmobile.derivation.chain import exact_angle, exact_value, group_terms, reduce_terms
 from pinmobile.derivation.equations import lecture
 from pinmobile.derivation.steps import Assignments, Step, StepList
@@ -234,8 +234,7 @@ def roller_drive(wheels: Sequence[RollerWheel] | None = None) -> ReducedDerivati
     symbols = {symbol for row in table for value in vars(row).values() for symbol in value.free_symbols}
     angles = [Symbol(f"phi_{k}") for k in range(1, len(table) + 1)]
     motion = {*_BODY, *angles, *map(_rate, (*_BODY, *angles)), *_TWIST, *lecture().parameters}
-    if duplicates := sorted(map(str, symbols & motion)):
-        raise InvalidArgument(f"wheels gives {duplicates} two meanings, expected distinct names")
+    distinct("wheels and motion have the name", [*sorted(map(str, symbols)), *map(str, motion)])
     return _roller_drive(table)
 
 

@@ -18,7 +18,7 @@ from sympy import Expr, ImmutableMatrix, Symbol
 from pinmobile.arrays import Array, ArrayLike, check_overflow, finite, instance, one_of, vector
 from pinmobile.derivation.chain import Chain, group_terms, reduce_terms
 from pinmobile.dh import DHRow, JointType
-from pinmobile.errors import InvalidArgument, UnknownName, format_value
+from pinmobile.errors import InvalidArgument, UnknownName
 
 Parameters = Mapping[str, ArrayLike]
 _NONE: Parameters = MappingProxyType({})
@@ -175,11 +175,8 @@ class Numeric:
 
     def _values(self, params: Parameters) -> list[Array]:
         names = [symbol.name for symbol in self.derivation.parameters]
-        if not isinstance(params, Mapping):
-            raise InvalidArgument(
-                f"params is {format_value(params)}, expected a mapping with {', '.join(names)}"
-            )
-        for name in params:
+        expected = f"a mapping with {', '.join(names)}"
+        for name in instance("params", params, Mapping, expected):
             one_of("parameter", name, names)
         if missing := [name for name in names if name not in params]:
             raise InvalidArgument(f"params lacks {', '.join(missing)}, expected {', '.join(names)}")

@@ -573,11 +573,7 @@ def check_paths(by: Any) -> Sequence[str]:
     InvalidArgument
         If they are no sequence, or there are none.
     """
-    expected = "paths of numbers, such as ['controller.kp']"
-    paths: Sequence[str] = sequence("by", by, expected)
-    if not paths:
-        raise InvalidArgument(f"by is empty, expected {expected}")
-    return paths
+    return sequence("by", by, "paths of numbers, such as ['controller.kp']", 1)
 
 
 def _expand_gains(scenario: Scenario, by: Sequence[str]) -> Scenario:

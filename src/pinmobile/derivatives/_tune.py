@@ -10,7 +10,17 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, check_integer, instance, one_of, real, sequence, shaped
+from pinmobile.arrays import (
+    Array,
+    ArrayLike,
+    between,
+    check_integer,
+    instance,
+    one_of,
+    real,
+    sequence,
+    shaped,
+)
 from pinmobile.controllers import Controller
 from pinmobile.derivatives._gradient import Evaluation, Loss, Losses, evaluate_losses
 from pinmobile.derivatives._problem import Problem, check_paths, problem_of
@@ -252,13 +262,7 @@ class _Variables:
                 limits.append(ends)
         self.first = np.array(first)
         self.low, self.high = np.array(limits, float).T
-        outside = np.flatnonzero((self.first < self.low) | (self.first > self.high))
-        if outside.size:
-            k = outside[0]
-            raise InvalidArgument(
-                f"by has bounds {self.low[k]:g} and {self.high[k]:g} for {self.names[k]}, expected bounds "
-                f"around its value, {self.first[k]:g}"
-            )
+        between("by has bounds that exclude", self.names, self.first, self.low, self.high)
         self.is_log = (self.low >= 0) & (self.first > 0)
         self.scale = np.where(self.first == 0, 1.0, np.abs(self.first))
 

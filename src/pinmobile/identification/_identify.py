@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pinmobile.arrays import Array, bounded, instance, one_of, scalar, sequence
+from pinmobile.arrays import Array, absent, bounded, instance, one_of, scalar, sequence
 from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.identification._estimates import Identification, format_directions
 from pinmobile.identification._estimator import (
@@ -153,16 +153,14 @@ def identify(
     30
     """
     logs = logs_of(log)
-    one_of("method", method, METHODS)
+    selected = None if one_of("method", method, METHODS) == METHODS[0] else method
     if by:
-        if loads is not None or method != METHODS[0] or rolling_speed is not None:
-            raise InvalidArgument("loads, method and rolling_speed do not apply with by, expected none")
+        absent("with by", loads=loads, method=selected, rolling_speed=rolling_speed)
         return identify_plant(logs, robot, by, delay)
     is_table = isinstance(robot, WheelTable)
     robot = _on_wheels(robot) if is_table else robot
     if robot is not None and offers(robot, Tabled) and robot.table.axes:
-        if loads is not None or method != METHODS[0]:
-            raise InvalidArgument('loads and method="weak" do not apply to a car, expected neither of them')
+        absent("for a car", loads=loads, method=selected)
         return identify_car(logs, robot, delay, rolling_speed, is_table)
     moments = _moments(loads, len(logs))
     model = PlanarModel.of(robot, rolling_speed, loads is not None)

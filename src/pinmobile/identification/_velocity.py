@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
-from pinmobile.arrays import Array, ArrayLike, bounded, positive, scalar
+from pinmobile.arrays import Array, ArrayLike, bounded, positive, required, scalar
 from pinmobile.errors import InvalidArgument
 from pinmobile.identification._commands import (
     BLOCK,
@@ -151,8 +151,8 @@ def identify_velocity(
     sensor = "q" if is_pose else "twist"
     runs = runs_of(logs, is_pose, CAR_COMMANDS if is_car else CHANNELS)
     dt, lead = runs[0].dt, lead_of(runs)
-    if ahead is None and not is_pose:
-        raise InvalidArgument("ahead is None, expected a number [m]: a log of twists does not identify it")
+    if not is_pose:
+        required("ahead", ahead, "a number [m]: a log of twists does not identify it")
     _check_changes(runs)
     lag_s, x_0 = (scalar(name, 0.0 if x is None else x) for name, x in (("delay", delay), ("ahead", ahead)))
     given = {

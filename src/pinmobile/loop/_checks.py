@@ -13,6 +13,7 @@ import numpy as np
 
 from pinmobile.arrays import (
     Array,
+    absent,
     affordable,
     callable_as,
     check_integer,
@@ -92,9 +93,7 @@ def select_integrator(plant: Plant, integrator: Integrator | None) -> Integrator
     if stepper is None:
         default = stated(plant, "integrator") if integrator is None else integrator
         return constant_acceleration if default is None else default
-    if integrator is not None:
-        reason = f"but the plant, a {type(plant).__name__}, has its own step"
-        raise InvalidArgument(f"integrator is {format_value(integrator)}, {reason}: leave integrator out")
+    absent(f"because the plant, a {type(plant).__name__}, has its own step", integrator=integrator)
     return None
 
 

@@ -8,8 +8,7 @@ from typing import Any, final
 import attrs
 import numpy as np
 
-from pinmobile.arrays import Array, bounded, increasing, rotate, shaped
-from pinmobile.errors import InvalidArgument
+from pinmobile.arrays import Array, absent, bounded, increasing, rotate, shaped
 from pinmobile.parts import array, number, part
 from pinmobile.paths.path import (
     Curve,
@@ -161,11 +160,8 @@ class Circle(_Figure):
 
     def check(self) -> None:
         """Raise `InvalidArgument` where phase and heading are both given."""
-        if self.phase is not None and self.heading is not None:
-            raise InvalidArgument(
-                f"heading is {self.heading} rad beside phase = {self.phase} rad, expected one of them: "
-                "each follows from the other"
-            )
+        if self.phase is not None:
+            absent(f"beside phase = {self.phase} rad: each follows from the other", heading=self.heading)
 
     def _values(self) -> dict[str, object]:
         return {name: value for name, value in super()._values().items() if value is not None}
@@ -259,8 +255,7 @@ class CubicVia(PiecewisePath):
         """Raise `InvalidArgument` if shapes differ or the times are out of order."""
         shaped("start", self.start, ("n>=1",))
         check_sizes(self, "via", "end", "via_velocity", "start_velocity", "end_velocity")
-        if not self.t_via < self.t_end:
-            raise InvalidArgument(f"t_via is {self.t_via} s, expected 0 < t_via < t_end = {self.t_end} s")
+        bounded("t_via", self.t_via, above=0, below=self.t_end, unit="s")
 
     @property
     def duration(self) -> float:

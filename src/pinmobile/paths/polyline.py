@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
-from pinmobile.arrays import Array, ArrayLike, frozen, positive, shaped
+from pinmobile.arrays import Array, ArrayLike, frozen, positive, sequence, shaped
 from pinmobile.errors import InvalidArgument
 from pinmobile.parts import array, children, number, part
 from pinmobile.paths.path import (
@@ -67,9 +67,7 @@ class CompositePath(Curve):
 
     def check(self) -> None:
         """Raise `InvalidArgument` if position or velocity jumps between two paths."""
-        if not self.paths:
-            raise InvalidArgument("paths is empty, expected at least one path")
-        shapes = [np.shape(path(0.0)) for path in self.paths]
+        shapes = [np.shape(path(0.0)) for path in sequence("paths", self.paths, "one path or more", 1)]
         for k, shape in enumerate(shapes):
             if len(shape) != 1 or shape != shapes[0]:
                 expected = shapes[0] if len(shapes[0]) == 1 else "(n,)"

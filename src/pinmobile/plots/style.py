@@ -27,7 +27,7 @@ from matplotlib.transforms import Bbox
 from numpy.typing import NDArray
 
 import pinmobile.palette as palette
-from pinmobile.arrays import Array, bounded, label_items, scalar, text
+from pinmobile.arrays import Array, absent, bounded, label_items, scalar, text
 from pinmobile.errors import InvalidArgument, argument_errors, format_value
 from pinmobile.loop import Rollout, at_samples
 from pinmobile.palette import INK
@@ -196,9 +196,7 @@ class Sheet:
             self.scale = float(np.clip(self.width / (natural * font_size() / 10), _MIN_SCALE, _MAX_SCALE))
             self.parent: Figure | SubFigure = _new_figure(self.width, register)
             return
-        if width is not None:
-            reason = "because its figure has a width"
-            raise InvalidArgument(f"width is {format_value(width)}, expected None with ax, {reason}")
+        absent("with ax, because its figure has a width", width=width)
         self.scale = 1.0
         if isinstance(ax, Figure | SubFigure):
             self.parent, self.width = ax, _inches(ax, ax.bbox.width)

@@ -14,6 +14,7 @@ import pinocchio as pin
 from pinmobile.arrays import (
     Array,
     ArrayLike,
+    absent,
     bounded,
     finite,
     frozen,
@@ -21,6 +22,7 @@ from pinmobile.arrays import (
     instance,
     non_negative,
     positive_or_endless,
+    required,
     shaped,
 )
 from pinmobile.errors import InvalidArgument, NotTraceable
@@ -344,13 +346,13 @@ class PosePath:
                 "plan by solve_inverse_kinematics and track by ComputedTorque, which is compiled",
             )
         check_path(self.path, 3)
-        given = {name: getattr(self, name) is not None for name in ("final_rotation", "turn", "times")}
-        names = [name for name, is_given in given.items() if is_given]
-        if names and self.rotation is None:
-            raise InvalidArgument(f"{names[0]} is given without rotation, expected both")
-        if len(names) > 1:
-            raise InvalidArgument(f"{' and '.join(names)} are given, expected one of them")
+        if self.final_rotation is not None:
+            absent("beside final_rotation", turn=self.turn, times=self.times)
+        if self.turn is not None:
+            absent("beside turn", times=self.times)
         if self.rotation is None:
+            names = "final_rotation", "turn", "times"
+            absent("without rotation", **{name: getattr(self, name) for name in names})
             object.__setattr__(self, "_orientation", None)
             return
         R = finite("rotation", self.rotation)
@@ -389,8 +391,7 @@ class PosePath:
         return cls(Spline(T[:, :3, 3], t), T[:, :3, :3], times=t)
 
     def _make_turn(self) -> Orientation:
-        if self.times is not None:
-            raise InvalidArgument("times is given with one rotation, expected n of them, shape (n, 3, 3)")
+        absent("with one rotation: it applies to n of them, shape (n, 3, 3)", times=self.times)
         R, turn = np.asarray(self.rotation), np.zeros(3)
         if self.turn is not None:
             turn = shaped("turn", finite("turn", self.turn), (3,), words=": axis times angle")
@@ -675,9 +676,8 @@ def error_sizes(error: Array) -> Array:
 
 def _check_times(times: ArrayLike | None, count: int) -> Array:
     """Return the times of `count` poses; raise `InvalidArgument` for anything else."""
-    if times is None:
-        raise InvalidArgument(f"times is not given, expected the time of each pose, shape ({count},) [s]")
-    t = shaped("times", finite("times", times), (count,), words=", one for each pose")
+    given = required("times", times, f"the time of each pose, shape ({count},) [s]")
+    t = shaped("times", finite("times", given), (count,), words=", one for each pose")
     increasing("times", t)
     return t
 

@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, bounded, endless_or_finite, finite, frozen, shaped
-from pinmobile.errors import InvalidArgument
+from pinmobile.arrays import Array, ArrayLike, between, bounded, endless_or_finite, finite, frozen, shaped
 from pinmobile.reaching.drive import Drive
 from pinmobile.reaching.poses import FrameTask
 from pinmobile.robot import MobileRobot, frames_of
@@ -450,10 +449,5 @@ def check_configuration(robot: MobileRobot, name: str, value: ArrayLike) -> Arra
         If the value has another shape, is not finite, or is outside the limits.
     """
     q = shaped(name, finite(name, value), (robot.nq,))
-    outside = (q < robot.lower) | (q > robot.upper)
-    if outside.any():
-        k = int(np.argmax(outside))
-        raise InvalidArgument(
-            f"{name} has q[{k}] = {q[k]:.4g}, expected {robot.lower[k]:.4g} <= q[{k}] <= {robot.upper[k]:.4g}"
-        )
+    between(f"{name} has", [f"q[{k}]" for k in range(robot.nq)], q, robot.lower, robot.upper)
     return q

@@ -13,6 +13,7 @@ import numpy as np
 from pinmobile.arrays import (
     Array,
     ArrayLike,
+    absent,
     bounded,
     finite,
     frozen,
@@ -422,8 +423,8 @@ def _check_tasks(robot: MobileRobot, target: object, frame: str | None) -> tuple
     for k, each in enumerate(given):
         task = FrameTask(each, frame if k == 0 else None) if isinstance(each, PosePath) else each
         instance("target" if task is target else f"target[{k}]", task, FrameTask, words)
-        if frame is not None and task is each:
-            raise InvalidArgument(f"frame is {frame!r} beside a FrameTask, expected FrameTask(target, frame)")
+        if task is each:
+            absent("beside a FrameTask: write FrameTask(target, frame)", frame=frame)
         tasks.append(replace(task, frame=robot.frame_name(task.frame)))
     longest, shortest = (pick(one.target.duration for one in tasks) for pick in (max, min))
     if longest > shortest * (1 + 1e-9):

@@ -26,6 +26,7 @@ from pinmobile.arrays import (
     one_of,
     positive,
     positive_or_endless,
+    required,
 )
 from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.loop import Rollout
@@ -372,17 +373,14 @@ def run_realtime(
     ('duration', 'stop')
     """
     instance("stepper", stepper, Stepper, "a Stepper")
-    if stepper.trajectory is None:
-        raise InvalidArgument("stepper has no trajectory, expected Stepper(..., trajectory=...)")
+    trajectory = required("stepper.trajectory", stepper.trajectory, "Stepper(..., trajectory=...)")
     callable_as("read()", read, "a function without arguments")
     callable_as("write(u)", write, "a function of u")
     callable_as("stop()", stop, "a function without arguments")
     period = stepper.dt
     if rate is not None and abs(positive("rate", rate, "Hz") * period - 1) > 1e-9:
         raise InvalidArgument(f"rate is {rate} Hz, expected 1 / dt of the stepper, {1 / period:g} Hz")
-    total = (
-        stepper.trajectory.duration if duration is None else positive_or_endless("duration", duration, "s")
-    )
+    total = trajectory.duration if duration is None else positive_or_endless("duration", duration, "s")
     end = np.inf if np.isinf(total) else max(1, round(total / period))
     bounds = positive("stale", stale, "s"), positive_or_endless("limit", limit)
     if priority is not None:

@@ -7,7 +7,17 @@ from typing import Any
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, affordable, check_integer, finite, positive, real, shaped
+from pinmobile.arrays import (
+    Array,
+    ArrayLike,
+    affordable,
+    check_integer,
+    finite,
+    positive,
+    real,
+    required,
+    shaped,
+)
 from pinmobile.compiled import Program, aligned, map_leaves, pause_gc
 from pinmobile.controllers import Controller, check_controller
 from pinmobile.errors import InvalidArgument, NotFinite, NotTraceable, format_value
@@ -308,8 +318,8 @@ class Stepper:
                 f"t is {t} s, expected a time >= 0, after the last sample at {max(self._last, 0.0):g} s"
             )
         values: dict[str, Any] = {"q": q, "v": v}
-        if reference is None and self.trajectory is None:
-            raise InvalidArgument("reference is None, expected a Reference: the stepper has no trajectory")
+        if self.trajectory is None:
+            required("reference", reference, "a Reference: the stepper has no trajectory")
         if reference is not None:
             values |= {f"reference.{x}": stated(reference, x) for x in Reference._fields}
         for name, value in values.items():

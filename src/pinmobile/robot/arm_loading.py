@@ -13,7 +13,18 @@ import attrs
 import numpy as np
 import pinocchio as pin
 
-from pinmobile.arrays import Array, ArrayLike, instance, location, one_of, sequence, shaped, vector
+from pinmobile.arrays import (
+    Array,
+    ArrayLike,
+    absent,
+    between,
+    instance,
+    location,
+    one_of,
+    sequence,
+    shaped,
+    vector,
+)
 from pinmobile.errors import InvalidArgument, UnknownName, format_value
 from pinmobile.robot.arms import Arm, Origin
 from pinmobile.robot.linkage import convert_configuration, joints_of, replace_continuous_joints
@@ -239,13 +250,12 @@ def read_arm(
     is_file = is_text and (not isinstance(arm, str) or "/" in arm or arm.lower().endswith((".urdf", ".xml")))
     kind = "a URDF" if is_file else "a loader's name" if is_text else "a model"
     beside = {"visual": visual, "collision": collision} if is_text else {}
-    for argument, given in (beside | ({} if is_file else {"package_dirs": folders or None})).items():
-        if given is not None:
-            takes = "a URDF" if argument == "package_dirs" else "a pinocchio.Model"
-            label = str(arm if is_text else getattr(arm, "name", arm))
-            raise InvalidArgument(
-                f"{argument} does not apply to {kind}, {label!r}, expected it only with {takes}"
-            )
+    label = str(arm if is_text else getattr(arm, "name", arm))
+    absent(f"with {kind}, {label!r}: it applies to a pinocchio.Model", **beside)
+    absent(
+        f"with {kind}, {label!r}: it applies to a URDF",
+        package_dirs=None if is_file or not folders else package_dirs,
+    )
     if is_file:
         result = _from_urdf(location("arm", arm).resolve(), folders, rest, lock)
     elif is_text:
@@ -364,10 +374,9 @@ def _check_rest(arm: Arm) -> None:
         for k in range(joint.q.start, joint.q.stop) if joint.nq == 1 else ():
             lower, upper = model.lowerPositionLimit[k], model.upperPositionLimit[k]
             # Equal limits count as no limit.
-            if lower < upper and not lower - _SLACK <= arm.rest[k] <= upper + _SLACK:
-                raise InvalidArgument(
-                    f"rest has joint {joint.name!r} at {arm.rest[k]:.9g}, expected {lower:.9g} to {upper:.9g}"
-                )
+            if lower < upper:
+                value, bounds = arm.rest[[k]], (np.array([lower - _SLACK]), np.array([upper + _SLACK]))
+                between("rest has joint", [repr(joint.name)], value, *bounds)
 
 
 def _from_urdf(path: Path, folders: tuple[str, ...], rest: ArrayLike | None, locked: tuple[str, ...]) -> Arm:

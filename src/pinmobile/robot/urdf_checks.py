@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections import Counter
 from collections.abc import Callable
 from math import isfinite
 from pathlib import Path
@@ -14,7 +13,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 import pinocchio as pin
 
-from pinmobile.arrays import Array
+from pinmobile.arrays import Array, distinct
 from pinmobile.errors import InvalidArgument, argument_errors
 
 _JOINTS = ("fixed", "revolute", "continuous", "prismatic", "planar", "floating")
@@ -178,9 +177,7 @@ def _check_tree(root: Element, name: str) -> None:
     links = [link.get("name", "") for link in root.iterfind("link")]
     joints = [joint.get("name", "") for joint in root.iterfind("joint")]
     for kind, names in (("link", links), ("joint", joints)):
-        duplicates = [entry for entry, count in Counter(names).items() if count > 1]
-        if duplicates:
-            raise InvalidArgument(f"{name}: {kind} {duplicates[0]!r} appears twice, expected unique names")
+        distinct(f"{name} has the {kind}", names)
     link_names, parents = set(links), dict[str, str]()
     for joint in root.iterfind("joint"):
         label, of = f"{name}: joint {joint.get('name')!r}", joint.get("type")

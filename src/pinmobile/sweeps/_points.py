@@ -17,7 +17,7 @@ from typing import Any, TypeAlias, final
 
 import numpy as np
 
-from pinmobile.arrays import instance
+from pinmobile.arrays import distinct, instance
 from pinmobile.compiled import Contents, code_of_library
 from pinmobile.errors import InvalidArgument, UnknownName, argument_errors, format_value
 from pinmobile.loop import (
@@ -142,8 +142,8 @@ class Points:
             )
         grid, cases = _mapping("grid", grid), _mapping("cases", cases)
         cases = {name: _mapping(f"cases[{name!r}]", changes) for name, changes in cases.items()}
-        for path in sorted(grid.keys() & {path for changes in cases.values() for path in changes}):
-            raise InvalidArgument(f"grid and cases both change {path!r}, expected one of them")
+        paths = sorted({path for changes in cases.values() for path in changes})
+        distinct("grid and cases change", [*grid, *paths])
         choices = {_axis_name(name): values for name, values in grid.items()}
         if cases or not choices:
             choices["case"] = cases or {"all": {}}

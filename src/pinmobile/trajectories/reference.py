@@ -11,7 +11,17 @@ from warnings import warn
 
 import numpy as np
 
-from pinmobile.arrays import LEAST_ANGLE, Array, ArrayLike, finite, frozen, instance, positive, shaped
+from pinmobile.arrays import (
+    LEAST_ANGLE,
+    Array,
+    ArrayLike,
+    finite,
+    frozen,
+    instance,
+    positive,
+    required,
+    shaped,
+)
 from pinmobile.errors import InvalidArgument, LimitWarning, format_value
 from pinmobile.parts import Following, child, children, number, option, part
 from pinmobile.paths import Hold, Path, Value, check_path, pieces_of, within
@@ -833,11 +843,8 @@ def _check_jump(jump: _Jump, turn_time: float | None) -> None:
             f"path has a corner at t = {jump.time} s, from {left:.6g} deg to {right:.6g} deg, passed at "
             f"{jump.speed:.6g} m/s; expected no corner, or a rest at the corner"
         )
-    if turn_time is None:
-        raise InvalidArgument(
-            f"turn_time is None, expected > 0 s: the path rests at t = {jump.time} s and its direction "
-            f"jumps there, from {left:.6g} deg to {right:.6g} deg"
-        )
+    words = f"the path rests at t = {jump.time} s and its direction jumps there"
+    required("turn_time", turn_time, f"> 0 s: {words}, from {left:.6g} deg to {right:.6g} deg")
 
 
 def _report_rates(direction: Hodograph, turns: set[float]) -> None:

@@ -12,7 +12,7 @@ from typing import Any, ClassVar, Self, final
 import numpy as np
 import pinocchio as pin
 
-from pinmobile.arrays import Array, ArrayLike, finite, finite_answer, frozen, shaped
+from pinmobile.arrays import Array, ArrayLike, absent, finite, finite_answer, frozen, shaped
 from pinmobile.errors import InvalidArgument
 from pinmobile.integrators import rk4
 from pinmobile.parts import by_value, child, evolved, part, structure, takes
@@ -184,8 +184,8 @@ class WheeledRobot(PlantOnWheels):
             As in `MobileRobot.from_urdf`, `wheels.read_wheels` and the class; or if both a table and `given`
             are present.
         """
-        if table is not None and given:
-            raise InvalidArgument(f"{next(iter(given))} is given with table=, expected only one of them")
+        if table is not None:
+            absent("beside table", **given)
         robot = read_robot(path, package_dirs, ground_z, given)
         return cls(robot, read_wheels(robot, **given) if table is None else table, ground)
 

@@ -17,6 +17,7 @@ from pinmobile.arrays import (
     ArrayLike,
     bounded,
     check_integer,
+    distinct,
     finite,
     frozen,
     instance,
@@ -254,11 +255,9 @@ def _names(count: int) -> Any:
     """Return the check of a field of wheel names."""
 
     def check(name: str, value: Any) -> tuple[str, ...]:
-        names = tuple(text(f"one of {name}", one) for one in sequence(name, value, "names of wheels"))
-        if len(names) < count or len(set(names)) < len(names):
-            raise InvalidArgument(
-                f"{name} is {format_value(value)}, expected {count} different names or more"
-            )
+        items = sequence(name, value, f"names of wheels, {count} or more", count)
+        names = tuple(text(f"one of {name}", one) for one in items)
+        distinct(f"{name} has", names)
         return names
 
     return check
@@ -494,18 +493,14 @@ class WheelTable:
 
     def check(self) -> None:
         """Raise `InvalidArgument` if there are no wheels, or names, positions or couplings do not fit."""
-        if not self.wheels:
-            raise InvalidArgument("wheels is empty, expected Wheel(...), one per row")
+        sequence("wheels", self.wheels, "one Wheel(...) or more", 1)
         _check_places(self.wheels, self.supports)
         for coupling in self.couplings:
             for name in coupling.wheels:
                 one_of(f"wheel of a {type(coupling).__name__}", name, self.names)
             if isinstance(coupling, AckermannSteering):
                 self._check_axle(coupling)
-        names = [*_OF_BODY, *self.names, *(axis.name for axis in self.axes)]
-        twin = next((name for name in names if names.count(name) > 1), None)
-        if twin is not None:
-            raise InvalidArgument(f"{twin!r} names two coordinates of the robot, expected different names")
+        distinct("table has the coordinate", [*_OF_BODY, *self.names, *(axis.name for axis in self.axes)])
 
     @property
     def names(self) -> tuple[str, ...]:
