@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from functools import cached_property
 from typing import Any, final
 
@@ -25,13 +26,13 @@ class _Figure(Curve):
     """Abstract base of paths with amplitudes and rates along x and y."""
 
     @property
+    @abstractmethod
     def _axes(self) -> tuple[float, float, float, float]:
         """Amplitudes along x and y [m], and rates [rad/s]."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _move(self, curve: Array, order: int) -> Array:
         """Return derivatives of (rx sin(wx t), -ry cos(wy t)), shape (..., 2), at the figure's position."""
-        raise NotImplementedError
 
     @property
     def pieces(self) -> tuple[Whole]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
@@ -328,7 +329,7 @@ class Value:
         return f"{type(self).__name__}({fields})"
 
 
-class Curve(Value):
+class Curve(Value, ABC):
     """Abstract base of the library's paths: a subclass defines the derivatives at checked times."""
 
     if TYPE_CHECKING:  # of a part it may be a field
@@ -337,9 +338,9 @@ class Curve(Value):
         def duration(self) -> float:
             """Time from start to end [s]."""
 
+    @abstractmethod
     def _at(self, t: Array, order: int) -> Array:
         """Return the derivative at times on the path."""
-        raise NotImplementedError
 
     def __call__(self, t: ArrayLike) -> Array:
         """Return the position.
@@ -578,8 +579,9 @@ class PiecewisePath(Curve):
     """Abstract base of paths of polynomials."""
 
     @property
+    @abstractmethod
     def _curve(self) -> PiecewisePolynomial:
-        raise NotImplementedError
+        """The polynomials as one curve."""
 
     @property
     def pieces(self) -> tuple[Polynomial, ...]:
