@@ -542,7 +542,7 @@ def install_command(extra: str) -> str:
     return f"pip install {' '.join(EXTRAS[extra])}, or 'pinmobile[{extra}]'"
 
 
-def import_extra(name: str, extra: str, label: str) -> Any:
+def import_extra(name: str, extra: str, label: str, error: type[PinmobileError] = InvalidArgument) -> Any:
     """Return a module of an extra.
 
     Parameters
@@ -553,6 +553,8 @@ def import_extra(name: str, extra: str, label: str) -> Any:
         Name of the extra that contains the module.
     label : str
         Feature that needs the module, for the message, such as ``"a sweep"``.
+    error : type
+        Error to raise.
 
     Returns
     -------
@@ -561,7 +563,7 @@ def import_extra(name: str, extra: str, label: str) -> Any:
 
     Raises
     ------
-    InvalidArgument
+    InvalidArgument, or the given error
         If the module is not installed.
 
     Examples
@@ -574,7 +576,6 @@ def import_extra(name: str, extra: str, label: str) -> Any:
     """
     try:
         return import_module(name)
-    except ModuleNotFoundError as error:
-        raise InvalidArgument(
-            f"{label} needs {error.name}, which is not installed: {install_command(extra)}"
-        ) from error
+    except ModuleNotFoundError as cause:
+        words = f"{label} needs {cause.name}, which is not installed: {install_command(extra)}"
+        raise error(words) from cause

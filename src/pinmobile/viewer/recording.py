@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import importlib
 import json
 import os
 import re
@@ -31,7 +30,7 @@ from PIL import Image
 
 from pinmobile.arrays import bounded, check_integer, positive, scalar, sequence, shaped
 from pinmobile.compiled import processors
-from pinmobile.errors import InvalidArgument, ViewerError, install_command
+from pinmobile.errors import InvalidArgument, ViewerError, import_extra
 from pinmobile.files import write, write_file
 from pinmobile.viewer.pages import engine, loading_script, seal_page, stage_page
 
@@ -234,19 +233,19 @@ class Browser:
             f'script that runs Chromium without a sandbox: exec chromium {_NO_SANDBOX} "$@"'
         )
 
+    def _wait(self, readable: list[int], writable: list[int], end: float) -> None:
+        if not any(select.select(readable, writable, [], max(end - monotonic(), 0))):
+            raise ViewerError(f"the browser did not answer within {self.timeout:g} s")
+
     def _write(self, data: bytes, end: float) -> None:
         while data:
-            _, ready, _ = select.select([], [self._to], [], max(end - monotonic(), 0))
-            if not ready:
-                raise ViewerError(f"the browser did not take a command within {self.timeout:g} s")
+            self._wait([], [self._to], end)
             data = data[os.write(self._to, data[:4096]) :]
 
     def _read(self, end: float) -> dict[str, Any]:
         pieces = [self._buffer]
         while b"\0" not in pieces[-1]:
-            ready, _, _ = select.select([self._from], [], [], max(end - monotonic(), 0))
-            if not ready:
-                raise ViewerError(f"the browser did not answer within {self.timeout:g} s")
+            self._wait([self._from], [], end)
             piece = os.read(self._from, 1 << 20)
             if not piece:
                 raise BrokenPipeError(32, "its pipe is closed")
@@ -321,11 +320,7 @@ def film_encoder() -> ModuleType:
     ViewerError
         If imageio-ffmpeg is not installed.
     """
-    try:
-        return importlib.import_module("imageio_ffmpeg")
-    except ImportError:
-        missing = "a film needs imageio-ffmpeg, which is not installed"
-        raise ViewerError(f"{missing}: {install_command('mp4')}") from None
+    return import_extra("imageio_ffmpeg", "mp4", "a film", ViewerError)  # type: ignore[no-any-return]
 
 
 def check_films() -> None:
