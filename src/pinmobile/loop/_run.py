@@ -31,7 +31,7 @@ from pinmobile.loop._ensemble import Ensemble
 from pinmobile.loop._loop import Loop, Sample, Samples, UntraceableMetric, Worst
 from pinmobile.loop._rollout import Rollout
 from pinmobile.loop._scenario import Scenario, check_scenario
-from pinmobile.loop._simulate import Engine, check_engine, compile_error, rollout_of
+from pinmobile.loop._simulate import Engine, check_engine, engine_errors, rollout_of
 from pinmobile.loop._spread import SameAs, Source
 from pinmobile.loop._trace import arrays_of, initial_memory, scheduled_rows, traced_numbers
 from pinmobile.metrics import Metric, metrics_of
@@ -155,16 +155,14 @@ def plan_execution(scenario: Scenario, engine: Engine | None = None) -> Executio
     selected = check_engine(engine)
     if selected is Engine.PYTHON:
         return ExecutionPlan(scenario, Engine.PYTHON)
+    metric_errors = argument_errors(after=", or give engine=Engine.PYTHON", of=UntraceableMetric)
     try:
-        has_own = scenario.has_own_references
-        loop = _add_recorder(scenario)
-        compiled = compile_loop(scenario, loop, hides_reference=has_own, own_reference=has_own)
-        return ExecutionPlan(scenario, Engine.COMPILED, "", compiled)
-    except UntraceableMetric as error:
-        raise InvalidArgument(f"{error.reason}, or give engine=Engine.PYTHON") from error
+        with engine_errors(selected), metric_errors:
+            has_own = scenario.has_own_references
+            loop = _add_recorder(scenario)
+            compiled = compile_loop(scenario, loop, hides_reference=has_own, own_reference=has_own)
+            return ExecutionPlan(scenario, Engine.COMPILED, "", compiled)
     except NotTraceable as error:
-        if selected is not None:
-            raise compile_error(error) from error
         return ExecutionPlan(scenario, Engine.PYTHON, f"not COMPILED: {error.reason}")
 
 

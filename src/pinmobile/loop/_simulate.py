@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from enum import Enum
 from typing import Any
@@ -22,7 +23,14 @@ from pinmobile.arrays import (
     shaped,
 )
 from pinmobile.controllers import Controller
-from pinmobile.errors import Diverged, InvalidArgument, LimitWarning, NotTraceable, SlowerEngine
+from pinmobile.errors import (
+    Diverged,
+    InvalidArgument,
+    LimitWarning,
+    NotTraceable,
+    SlowerEngine,
+    argument_errors,
+)
 from pinmobile.forces import Force
 from pinmobile.integrators import Integrator
 from pinmobile.loop._checks import ResultCache, check_answers, check_run, sample_reference
@@ -80,9 +88,10 @@ def check_engine(engine: object) -> Engine | None:
     return typed
 
 
-def compile_error(error: NotTraceable) -> InvalidArgument:
-    """Return the error for a user who selects `Engine.COMPILED`."""
-    return InvalidArgument(f"engine is Engine.COMPILED, which cannot run this: {error.reason}")
+def engine_errors(selected: Engine | None) -> AbstractContextManager[None]:
+    """Return a context in which a loop that does not compile is an error if the user selects it."""
+    message = "engine is Engine.COMPILED, which cannot run this: "
+    return argument_errors(message, of=NotTraceable) if selected is Engine.COMPILED else nullcontext()
 
 
 _CHUNK = 512  # samples between two checks for divergence
@@ -258,10 +267,9 @@ def _make_run(
     if not compiles:
         return PythonRun(loop, context, *start), _NOT_SELECTED if selected is None else ""
     try:
-        return CompiledRun(loop, context, *start), ""
+        with engine_errors(selected):
+            return CompiledRun(loop, context, *start), ""
     except NotTraceable as error:
-        if selected is Engine.COMPILED:
-            raise compile_error(error) from error
         reason = error.reason
     try:
         compiled = compile_plant(loop, context, *start)
@@ -304,9 +312,8 @@ def start_of(
         try:
             check(q.copy(), v.copy())
         except InvalidArgument as error:
-            if error.argument == "start" and q0 is None and v0 is None:
-                raise error.calling("reference at its start") from None
-            raise
+            is_default = error.argument == "start" and q0 is None and v0 is None
+            raise error.calling("reference at its start") if is_default else error from None
     if is_default:
         _initial_states.keep(plant, key, (q.copy(), v.copy()))
     return q, v
