@@ -739,7 +739,7 @@ def test_columns_of_a_file_without_a_header_have_numbers(tmp_path: Path) -> None
         (lines_of(FEW).partition("\n")[2], "whose first line .* contains numbers, expected .*; without"),
         (lines_of(FEW, "a,b,c,d,Fx,Fy,Mz"), "whose columns are a, b, .* none of them known for t, expected"),
         (lines_of(FEW, "t,b,c,d,Fx,Fy,Mz"), "whose columns are .*, none of them known for q or twist"),
-        (lines_of(FEW, "t,x,y,psi,Fx,Fy,x"), "with two columns 'x', expected one column"),
+        (lines_of(FEW, "t,x,y,psi,Fx,Fy,x"), "which has the column 'x' twice, expected"),
         (lines_of(FEW).replace("0.", "zero"), "whose column 't' has no numbers, but 'zero0+', expected"),
         (lines_of(FEW, "time\u202e,x,y,psi,a,b,c"), r"whose columns are 'time\\u202e', x, "),
     ],

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pinmobile.arrays import Array
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, argument_errors
 from pinmobile.identification._simulation import Model, Segments, by_groups, linearize, simulate
 
 NORMAL = 1.4826  # standard deviation of a normal distribution per median absolute one
@@ -107,8 +107,7 @@ def _columns(
     """Return residuals, white ones and slopes by F numbers (S, L m, 1 + F), and QR of initial states."""
     outputs, slopes = linearize(model, segments, p, starts, numbers)
     residual = segments.y - outputs
-    if not np.isfinite(residual).all():
-        raise unexplained_error(0.0)
+    check_share(float(np.isfinite(residual).all()), 1.0)
     rows = white(segments.weigh(np.concatenate([residual[None], slopes])), segments.good)
     columns = np.moveaxis(rows.reshape(*rows.shape[:2], -1), 0, -1)
     columns, by_start = np.split(columns, [1 + len(numbers)], axis=-1)
@@ -144,12 +143,13 @@ class Fit(NamedTuple):
     good: NDArray[np.bool_]
 
 
-def unexplained_error(share: float) -> InvalidArgument:
-    """Return the error for a log with inputs that explain too small a share of the motion."""
-    return InvalidArgument(
-        f"log has inputs that explain {max(share, 0.0):.0%} of the motion, expected most of it: are the "
-        "inputs from another robot, in another frame, with another sign, or in other units?"
-    )
+def check_share(share: float, least: float) -> None:
+    """Reject a log with inputs that explain too small a share of the motion."""
+    if share < least:
+        raise InvalidArgument(
+            f"log has inputs that explain {max(share, 0.0):.0%} of the motion, expected most of it: are the "
+            "inputs from another robot, in another frame, with another sign, or in other units?"
+        )
 
 
 def _settle_starts(
@@ -304,8 +304,7 @@ def solve_robustly(
         fit = solve(model, segments._replace(good=good), p, moves=moves, white=white, starts=starts)
         p, starts, left, previous_good = fit.p, fit.starts, fit.linear.residual, good
         good = find_inliers(left, good, segments.good)
-        if good.sum() <= left.shape[-1]:
-            raise unexplained_error(0.0)
+        check_share(float(good.sum() > left.shape[-1]), 1.0)
         previous, covariance = covariance, _covariance(left[good & previous_good])
         weak = ~moves
         if natural is not None:
@@ -387,12 +386,9 @@ def jackknife(linear: Linear, pull: Array | float = 0.0, active: Any = True) -> 
     H, S = H[nonempty], int(nonempty.sum())
     _, size = scale_normal(H.sum(axis=0))
     g = (g[nonempty] - np.broadcast_to(pull, P)[rows] / S) * size
-    try:
+    words = f"log has one block of {S} that identifies some parameter, expected a longer or richer log: "
+    with argument_errors(words, of=np.linalg.LinAlgError):
         d = np.linalg.solve((H.sum(axis=0) - H) * np.outer(size, size), g[..., None])[..., 0] * size
-    except np.linalg.LinAlgError as error:
-        raise InvalidArgument(
-            f"log has one block of {S} that identifies some parameter, expected a longer or richer log"
-        ) from error
     covariance[np.ix_(rows, rows)] = (S - 1) / S * d.T @ d
     return covariance, S
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from pinmobile.arrays import Array, instance, location, one_of
+from pinmobile.arrays import Array, distinct, instance, location, one_of
 from pinmobile.errors import (
     FileError,
     InvalidArgument,
@@ -89,14 +89,14 @@ def read_csv(
     full_rows = [row for row in rows if len(row) == len(head)]
     if len(full_rows) < 2:
         raise _file_error(file, f"with {len(full_rows)} rows as long as its header", "two or more")
+    used = {name for titles in by_role.values() for name in titles}
+    distinct(f"path is {str(file)!r}, which has the column", [name for name in names if name in used])
     parts: dict[str, Array] = {}
     units: list[str] = []
     for role, titles in by_role.items():
         one_of("part of a log", role, ("t", *_RULES))
         for name in titles:
             one_of(f"column of {str(file)!r}", name, names)
-            if names.count(name) > 1:
-                raise _file_error(file, f"with two columns {name!r}", "one column of this name")
         if role in _MEANING and (role, len(titles)) not in _EXPECTED:
             raise InvalidArgument(f"columns has {format_names(titles)} for {role}, expected {_MEANING[role]}")
         cols = [names.index(name) for name in titles]

@@ -17,11 +17,11 @@ from pinmobile.identification._estimator import (
     Linear,
     ResidualNoise,
     Whiteness,
+    check_share,
     input_noise_gradient,
     jackknife,
     r_squared,
     solve,
-    unexplained_error,
 )
 from pinmobile.identification._files import clock_hint
 from pinmobile.identification._log import Log, continuous, logs_of, lost_rows, unused_rows
@@ -377,8 +377,7 @@ def _first_delay(form: WeakForm, base: Array, basis: Array) -> float:
     delays = np.arange(-max(2, round(_EARLIEST / dt)), max(4, round(_LATEST / dt)) + 0.25, 0.5)
     k, lag, share = form.first_delay(delays, base, basis)
     _check_frame(form, base, basis, delays, share)
-    if share < _MIN_EXPLAINED:
-        raise unexplained_error(share)
+    check_share(share, _MIN_EXPLAINED)
     if k == 0:
         _check_delay(lag, 0.0, dt)
     if k == len(delays) - 1:
@@ -407,8 +406,7 @@ def _check_frame(form: WeakForm, base: Array, basis: Array, delays: Array, share
 
 def _check(model: PlanarModel, fit: WeakFit, prior: Array | None) -> None:
     """Reject estimates that no robot can have, or that differ too much from the prior."""
-    if fit.explained < _MIN_EXPLAINED:
-        raise unexplained_error(fit.explained)
+    check_share(fit.explained, _MIN_EXPLAINED)
     phi, mass = fit.phi, float(fit.phi[0])
     wrong, ratio = f"a mass of {mass:.3g} kg", 1.0 if prior is None else mass / prior[0]
     is_so = not _MASSES[0] < mass < _MASSES[1]

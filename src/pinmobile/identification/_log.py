@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from os import PathLike
 from typing import Any, NamedTuple, Self, final
@@ -26,7 +26,7 @@ from pinmobile.arrays import (
     sequence,
     shaped,
 )
-from pinmobile.errors import InvalidArgument, format_value
+from pinmobile.errors import InvalidArgument, format_names, format_value
 from pinmobile.identification._files import clock_of, read_bag, read_csv, si_spelling
 from pinmobile.identification._filters import LEAST_ROWS
 from pinmobile.loop import Rollout
@@ -128,6 +128,11 @@ def held_integrals(t: Array, u: Array, edges: Array) -> Array:
 
 _POSE = 3  # x, y, psi
 _SENSORS = "q", "twist", "wheel_rates", "joints"
+
+
+def _check_motion(measured: Collection[str]) -> None:
+    if not measured:
+        raise InvalidArgument(f"{format_names(_SENSORS)} are None, expected at least one: measured motion")
 
 
 class Samples(NamedTuple):
@@ -242,14 +247,10 @@ class Log:
                 shaped(name, array, (len(t), width), words=", a row for each time")
         expected = f"units of all {given['u'].shape[1]} inputs, or none"
         units = tuple(si_spelling(str(unit)) for unit in sequence("units", self.units, expected))
-        if len(units) not in (0, given["u"].shape[1]):
-            raise InvalidArgument(f"units is {units}, expected {expected}")
+        shaped("units", units, (0,), (given["u"].shape[1],), words=f": {expected}")
         object.__setattr__(self, "units", units)
         measured = [name for name in given if name not in ("t", "u")]
-        if not measured:
-            raise InvalidArgument(
-                "q, twist, wheel_rates and joints are None, expected at least one: measured motion"
-            )
+        _check_motion(measured)
         repeats = np.flatnonzero(np.diff(t) == 0) + 1
         if len(repeats) > _REPEATS * len(t):
             raise InvalidArgument(
@@ -508,9 +509,7 @@ class Log:
                     x[valid, 2] = np.unwrap(x[valid, 2])
                 streams[name] = t, x
         times_u, inputs = streams.pop("u")
-        if not streams:
-            fault = "q, twist, wheel_rates and joints are None"
-            raise InvalidArgument(f"{fault}, expected at least one: measured motion")
+        _check_motion(streams)
         t = min((time for time, _ in streams.values()), key=step)
         offset, rate = 0.0, 1.0
         if not one_clock:

@@ -328,11 +328,11 @@ def _sensors(log: Log, plant: Any) -> list[str]:
     """Return the names of the measurements of a log that the fit uses."""
     names = ["q"] * (log.q is not None) + ["joints"] * (log.joints is not None)
     names += ["wheel_rates"] * (log.wheel_rates is not None and log.joints is None)
-    if log.joints is None and any("/" in axis.name for axis in coordinates_of(plant)):
-        raise InvalidArgument("log has no joints, expected the positions of all coordinates behind the pose")
-    if log.joints is not None and log.joints.shape[1] != plant.nq - 3:
+    count = 0 if log.joints is None else log.joints.shape[1]
+    is_needed = log.joints is not None or any("/" in axis.name for axis in coordinates_of(plant))
+    if is_needed and count != plant.nq - 3:
         raise InvalidArgument(
-            f"log has {log.joints.shape[1]} joints, expected {plant.nq - 3}: all coordinates behind the pose"
+            f"log has {count} joints, expected {plant.nq - 3}: all coordinates behind the pose"
         )
     return names
 

@@ -41,10 +41,10 @@ from pinmobile.identification._estimator import (
     NORMAL,
     Fit,
     Whiteness,
+    check_share,
     jackknife,
     r_squared,
     solve_robustly,
-    unexplained_error,
 )
 from pinmobile.identification._log import Log, logs_of, unused_rows
 from pinmobile.identification._simulation import START_SAMPLES, Segments, pieces, simulate
@@ -269,8 +269,8 @@ def search(
     free_run = _free_run(model, parts, best)
     if lags:
         check_explained({name: free_run.get(name, (None,))[0] for name in CHANNELS}, lags, dt)
-    elif (share := min(each for each, _ in free_run.values())) < MIN_SHARE:
-        raise unexplained_error(share)
+    else:
+        check_share(min(each for each, _ in free_run.values()), MIN_SHARE)
     poor = [name for name, (_, score) in free_run.items() if score < _POOR]
     if poor:
         channels = " and the ".join(poor)
