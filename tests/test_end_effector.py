@@ -204,7 +204,7 @@ def test_what_has_no_target_or_no_frames_says_so(run: pm.Rollout) -> None:
     hand = base.end_effector()
     assert hand.target is None
     assert "without target" in repr(hand)
-    with refused("end effector 'ur5/tool0' has no target, expected a run with"):
+    with refused("target of end effector 'ur5/tool0' is None, expected a run with"):
         _ = hand.error
     with pytest.raises(
         UnknownName, match=r"unknown frame 'tool', did you mean .* available: .*ur5/wrist_3_link"

@@ -89,7 +89,7 @@ def test_a_factor_needs_a_number_and_a_copy_needs_one_number() -> None:
     found = made(controller=law, n=2, spread={"kp.psi": Relative([1, 2]), "kd.psi": pm.SameAs("kp.psi")})
     assert found.values(found.draws(), 0, 2)["controller.kd"].tolist() == [[60, 60, 12], [60, 60, 24]]
     for spread in ({"phase": Relative(1.0)}, {"heading": pm.SameAs("phase")}):
-        with refused(r"is a factor of trajectory.path.phase, .* which is not set: expected a number there"):
+        with refused(r"is a factor of trajectory.path.phase, .* which is None, expected a number there"):
             made(spread=spread)
     still = pm.MobileRobot(30, 1.3)
     with refused(r"^spread\['com.x'\] is a factor of plant.com.x, which is 0, expected a distribution"):
@@ -98,7 +98,7 @@ def test_a_factor_needs_a_number_and_a_copy_needs_one_number() -> None:
         "plant.mass",
         "plant.yaw_inertia",
     ]
-    with refused(r"^by has 'phase', angle of the start on the circle, which is not set"):
+    with refused(r"^by has 'phase', angle of the start on the circle, which is None"):
         gradient("distance", ROBOT, law, TRAJECTORY, by=["phase"], dt=0.1)
 
 

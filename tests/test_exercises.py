@@ -358,7 +358,7 @@ def test_check_prints_points_and_says_whether_all_is_complete(typed: Typed, solv
         (["check", "missing.ipynb"], "FILE is 'missing.ipynb', expected a notebook"),
         (["check", "other.py"], "no cell calls load_exercise"),
         (["check", "list.ipynb"], "TypeError"),
-        (["check", "good.py", "--limit", "0"], "limit is 0.0, expected a number of seconds > 0"),
+        (["check", "good.py", "--limit", "0"], "limit is 0.0 s, expected 0 < limit < 1000000 s"),
         (["check", "good.py", "--seed", "a/b"], "seed is 'a/b'"),
     ],
 )

@@ -109,7 +109,7 @@ LACKING: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "a reference of more coordinates": (
         BODY | {"trajectory": CartCircle()},
-        r"trajectory gives q of shape \(101, 5\) for 101 times, expected \(101, 3\)",
+        r"trajectory at 101 times: q has shape \(101, 5\), expected \(101, 3\)",
     ),
 }
 
@@ -156,7 +156,7 @@ class Inputs(Cart):
             )
             for name, size in (("forward_dynamics", 5), ("pose_rate", 3))
         ),
-        (Spoilt("project"), r"which starts with v of shape \(2,\), expected \(5,\)|v0 has shape \(2,\)"),
+        (Spoilt("project"), r"whose first v has shape \(2,\), expected \(5,\)|v0 has shape \(2,\)"),
     ],
 )
 def test_a_plant_that_contradicts_itself_is_refused(plant: Any, why: str) -> None:

@@ -117,7 +117,9 @@ def test_what_is_refused() -> None:
     with pytest.raises(InvalidArgument, match="function is 3, expected a function of one state"):
         vectorize(3)  # type: ignore[arg-type]
     law = vectorize(robot.nonlinear_effects, keep=False)
-    with pytest.raises(InvalidArgument, match=r"leading shapes are \[\(103,\), \(102,\)\], expected"):
+    with pytest.raises(
+        InvalidArgument, match=r"leading shapes are argument 1 \(103,\), argument 2 \(102,\), expected"
+    ):
         law(q, v[:-1])
     wrong = v.copy()
     wrong[7, 2] = np.nan

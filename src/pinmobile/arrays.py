@@ -1341,11 +1341,16 @@ def broadcast(**arrays: Array) -> tuple[int, ...]:
     >>> broadcast(q=np.zeros((100, 3)), v=np.zeros(3))
     (100,)
     """
+    return broadcast_shapes({name: array.shape[:-1] for name, array in arrays.items()})
+
+
+def broadcast_shapes(shapes: Mapping[str, tuple[int, ...]]) -> tuple[int, ...]:
+    """Return the common shape of leading shapes, by name of the argument."""
     try:
-        return np.broadcast_shapes(*(array.shape[:-1] for array in arrays.values()))
+        return np.broadcast_shapes(*shapes.values())
     except ValueError:
-        shapes = ", ".join(f"{name} {array.shape[:-1]}" for name, array in arrays.items())
-        raise InvalidArgument(f"leading shapes are {shapes}, expected shapes that broadcast") from None
+        given = ", ".join(f"{name} {shape}" for name, shape in shapes.items())
+        raise InvalidArgument(f"leading shapes are {given}, expected shapes that broadcast") from None
 
 
 def frozen(array: ArrayLike) -> Array:

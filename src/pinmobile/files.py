@@ -186,6 +186,14 @@ def write_table(path: str | PathLike[str], header: Sequence[str], columns: Seque
         np.savetxt(file, np.column_stack(columns), fmt="%.17g", delimiter=",")
 
 
+def check_suffix(name: str, path: Path, *suffixes: str) -> Path:
+    """Return the path of a file that must have one of the suffixes, such as ``".gif"``."""
+    if path.suffix.lower() not in suffixes:
+        words = " or ".join(map(repr, suffixes))
+        raise InvalidArgument(f"{name} is {str(path)!r}, expected a name that ends in {words}")
+    return path
+
+
 def write_file(path: str | PathLike[str], suffix: str, content: Callable[[], bytes]) -> Path:
     """Check that a file can be written, then compute its content, write it, and return the path.
 
@@ -222,9 +230,7 @@ def write_file(path: str | PathLike[str], suffix: str, content: Callable[[], byt
     ...
     pinmobile.errors.InvalidArgument: path is 'run.png', expected a name that ends in '.gif'
     """
-    target = location("path", path)
-    if target.suffix.lower() != suffix:
-        raise InvalidArgument(f"path is {str(target)!r}, expected a name that ends in {suffix!r}")
+    target = check_suffix("path", location("path", path), suffix)
     with replace_file(target) as file:
         with file_errors("made", "path", target):
             data = content()

@@ -126,6 +126,12 @@ AXES = ("x", "y", "moment")
 """Labels of a wrench on the body."""
 
 
+def check_interval(begin: float, end: float) -> None:
+    """Check that a force, or a payload, ends after it begins."""
+    if not end > begin:
+        raise InvalidArgument(f"end is {end} s, expected above begin, {begin} s")
+
+
 @final
 @part
 class ConstantForce:
@@ -173,8 +179,7 @@ class ConstantForce:
 
     def check(self) -> None:
         """Raise `InvalidArgument` if the end is not above the start."""
-        if not self.end > self.begin:
-            raise InvalidArgument(f"end is {self.end} s, expected above begin, {self.begin} s")
+        check_interval(self.begin, self.end)
 
     def __call__(self, t: ArrayLike, q: Array, v: Array) -> Array:
         """Return the force, shape (..., 3) [N, N, N m].

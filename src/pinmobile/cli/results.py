@@ -31,7 +31,7 @@ from pinmobile import (
     identify_velocity,
     plots,
 )
-from pinmobile.arrays import Array, absent, one_of, sequence
+from pinmobile.arrays import Array, absent, instance, one_of, sequence
 from pinmobile.cli.output import (
     Picture,
     Section,
@@ -43,6 +43,7 @@ from pinmobile.cli.output import (
     save_figure,
 )
 from pinmobile.cli.scenario_file import LoadedFile
+from pinmobile.files import check_suffix
 from pinmobile.identification import METHODS
 from pinmobile.loop import run_scenario, versions
 from pinmobile.metrics import format_si, metrics_of
@@ -160,9 +161,8 @@ def check_film(film: Path | None) -> None:
     """Reject a film that cannot be made, before anything runs."""
     if film is None:
         return
-    if film.suffix not in (".html", ".gif", ".mp4", ".png"):
-        raise InvalidArgument(f"--film is {str(film)!r}, expected a file .html, .gif, .mp4 or .png")
-    if film.suffix == ".mp4":
+    check_suffix("--film", film, ".html", ".gif", ".mp4", ".png")
+    if film.suffix.lower() == ".mp4":
         from pinmobile.viewer import check_films
 
         check_films()
@@ -173,7 +173,8 @@ def save_film(
     rollouts: Mapping[str, Rollout], path: Path, title: str, bar: Progress, *, speed: float = 1.0
 ) -> None:
     """Write rollouts that move in one scene, the first solid; .gif is drawn from above."""
-    if path.suffix == ".gif":
+    suffix = path.suffix.lower()
+    if suffix == ".gif":
         plots.animate(rollouts, path)
         return
     from pinmobile.viewer import Overlays, Viewer
@@ -182,12 +183,12 @@ def save_film(
     task = bar.add_task("frames", total=None)
     wheels = "contacts" in dir(run.plant)
     with Viewer(plant_of(rollouts), overlays=Overlays(contacts=wheels, centre=wheels)) as viewer:
-        if path.suffix == ".mp4":
+        if suffix == ".mp4":
             longest = max(float(each.t[-1] - each.t[0]) for each in rollouts.values())
             viewer.record(rollouts, speed=max(1.0, longest / _FILM_DURATION)).save_mp4(
                 path, progress=lambda done, total: bar.update(task, completed=done, total=total)
             )
-        elif path.suffix == ".png":
+        elif suffix == ".png":
             viewer.record(rollouts, speed=speed)
             viewer.screenshot(path, t=float(run.t[-1] - run.t[0]) / speed)
         else:
@@ -337,8 +338,8 @@ def show_play(
     allow_code: bool,
 ) -> int:
     """Run a loop in real time on a page until Ctrl-C or SIGTERM, and print its result and the next step."""
-    if out is not None and out.suffix != ".npz":
-        raise InvalidArgument(f"--out is {str(out)!r}, expected a file .npz")
+    if out is not None:
+        check_suffix("--out", out, ".npz")
     file = LoadedFile(words, allow_code=allow_code, unused=("spread", "grid", "cases", "n"))
     from pinmobile.viewer import LiveRun
 
@@ -434,11 +435,8 @@ _COMMAND_COUNT = 2  # number of inputs of a robot with velocity inputs
 
 def _roles(name: str, value: Any) -> dict[str, Any]:
     """Return names by role; several names are a list, or text with commas."""
-    if not isinstance(value, Mapping):
-        raise InvalidArgument(
-            f"{name} is {value!r}, expected {name}.ROLE=NAME,NAME, such as {name}.q=px,py,angle"
-        )
-    for role, names in value.items():
+    expected = f"{name}.ROLE=NAME,NAME, such as {name}.q=px,py,angle"
+    for role, names in instance(name, value, Mapping, expected).items():
         if isinstance(names, bool) or not isinstance(names, (str, int, list)):
             raise InvalidArgument(f"{name}.{role} is {names!r}, expected NAME or NAME,NAME")
     return {role: _split_names(names) for role, names in value.items()}

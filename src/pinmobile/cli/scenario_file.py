@@ -14,6 +14,7 @@ from typing import Any, Protocol
 import attrs
 
 from pinmobile import Circle, ComputedTorque, MobileRobot, Scenario, Tangent, simulate
+from pinmobile.arrays import instance
 from pinmobile.controllers import Controller
 from pinmobile.errors import InvalidArgument, UnknownName
 from pinmobile.forces import Force
@@ -57,9 +58,7 @@ _SHIPPED = files("pinmobile") / "scenarios"
 
 
 def _paths(name: str, value: Any) -> dict[str, Any]:
-    if not isinstance(value, Mapping):
-        raise InvalidArgument(f"{name} is {value!r}, expected a table of PATH = VALUE")
-    return flatten(value)
+    return flatten(instance(name, value, Mapping, "a table of PATH = VALUE"))
 
 
 def _grid(name: str, value: Any) -> dict[str, Any]:
@@ -79,9 +78,8 @@ def _grid(name: str, value: Any) -> dict[str, Any]:
 
 
 def _cases(name: str, value: Any) -> dict[str, dict[str, Any]]:
-    if not isinstance(value, Mapping):
-        raise InvalidArgument(f"{name} is {value!r}, expected tables of PATH = VALUE by name")
-    return {case: _paths(f"{name}.{case}", changes) for case, changes in value.items()}
+    cases = instance(name, value, Mapping, "tables of PATH = VALUE by name")
+    return {case: _paths(f"{name}.{case}", changes) for case, changes in cases.items()}
 
 
 class _SteppingPlant(Stepping, Pushable, Protocol):

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pinmobile.arrays import Array, affordable, finite, finite_answer, instance
+from pinmobile.arrays import Array, affordable, broadcast_shapes, finite, finite_answer, instance
 from pinmobile.compiled.differentiation import slopes
 from pinmobile.compiled.functions import tracing
 from pinmobile.compiled.identity import Identity
@@ -90,10 +90,7 @@ def vectorize(
             raise InvalidArgument(f"{message}, expected axes = {axes} for one state")
         leads = [x.shape[: x.ndim - n] for x, n in zip(arrays, sizes, strict=True)]
         shapes = [x.shape[x.ndim - n :] for x, n in zip(arrays, sizes, strict=True)]
-        try:
-            lead = np.broadcast_shapes(*leads)
-        except ValueError:
-            raise InvalidArgument(f"leading shapes are {leads}, expected shapes that broadcast") from None
+        lead = broadcast_shapes(dict(zip(names, leads, strict=True)))
 
         varies = tuple(map(bool, leads))  # whether an argument differs from state to state
         key = *shapes, *varies, *words.items()

@@ -23,10 +23,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pinmobile.arrays import Array, affordable
+from pinmobile.arrays import Array, affordable, shaped
 from pinmobile.compiled.emit import BINS, ENTRY, Shape, text_of
 from pinmobile.compiled.tape import COUNT, LoopTape, evaluate
-from pinmobile.errors import InvalidArgument, NotTraceable
+from pinmobile.errors import NotTraceable
 
 CODE, LOOP = ".o", ".loop"
 """Extensions of files: ``.o`` for machine code, ``.loop`` for loops."""
@@ -465,10 +465,8 @@ class Program:
         for parameter, leaf in self.tape.parameters.items():
             if leaf.kind == "uniform":
                 value = values[parameter]
-                if value.shape != leaf.shape:
-                    message = f"{parameter} has shape {value.shape}, expected {leaf.shape}"
-                    remedy = "name numbers that differ from robot to robot before the loop is traced"
-                    raise InvalidArgument(f"{message}; {remedy}")
+                remedy = "; name numbers that differ from robot to robot before the loop is traced"
+                shaped(parameter, value, leaf.shape, words=remedy)
                 uniforms[leaf.first : leaf.first + value.size] = value.ravel()
         for leaf, value in zip(self.tape.leaves, first, strict=True):
             if leaf.kind == "uniform":

@@ -15,10 +15,19 @@ import numpy as np
 import sympy
 from sympy import Expr, ImmutableMatrix, Symbol
 
-from pinmobile.arrays import Array, ArrayLike, check_overflow, finite, instance, one_of, vector
+from pinmobile.arrays import (
+    Array,
+    ArrayLike,
+    broadcast_shapes,
+    check_overflow,
+    finite,
+    instance,
+    one_of,
+    vector,
+)
 from pinmobile.derivation.chain import Chain, group_terms, reduce_terms
 from pinmobile.dh import DHRow, JointType
-from pinmobile.errors import InvalidArgument, UnknownName
+from pinmobile.errors import InvalidArgument
 
 Parameters = Mapping[str, ArrayLike]
 _NONE: Parameters = MappingProxyType({})
@@ -161,11 +170,8 @@ class Numeric:
         size = len(self.derivation.chain)
         arrays = [vector(name, value, size) for name, value in state.items()]
         arguments = [array[..., i] for array in arrays for i in range(size)] + self._values(params)
-        try:
-            shape = np.broadcast_shapes(*(argument.shape for argument in arguments))
-        except ValueError:
-            shapes = ", ".join(f"{name} {np.shape(value)}" for name, value in {**state, **params}.items())
-            raise InvalidArgument(f"shapes are {shapes}, expected leading axes that broadcast") from None
+        leads = {name: array.shape[:-1] for name, array in zip(state, arrays, strict=True)}
+        shape = broadcast_shapes(leads | {name: np.shape(value) for name, value in params.items()})
         with np.errstate(all="ignore"):
             entries = self._function(name, state)(*arguments)
         result = np.empty((*shape, len(entries)))
@@ -324,10 +330,8 @@ class StepList:
     assignments: Assignments
 
     def __getitem__(self, name: str) -> Step:
-        for step in self.steps:
-            if step.name == name:
-                return step
-        raise UnknownName("step", name, [step.name for step in self.steps])
+        steps = {step.name: step for step in self.steps}
+        return steps[one_of("step", name, steps)]
 
     def written_out(self, expression: Expr | ImmutableMatrix) -> Expr | ImmutableMatrix:
         """Return `expression` with every name of `assignments` replaced by its expression.

@@ -69,12 +69,8 @@ class Loss(NamedTuple):
             worst = "smallest" if given.is_margin else "largest"
             return cls(given.function, reduction or worst, given.name)
         if not isinstance(given, str):
-            if not callable(given):
-                raise InvalidArgument(
-                    f"{label} is {format_value(given)}, expected a function of a sample or the name of a "
-                    "metric"
-                )
-            return cls(given, reduction or "sum", label)
+            expected = "a function of a sample or the name of a metric"
+            return cls(instance(label, given, Callable, expected), reduction or "sum", label)
         plant = scenario.robot
         errors: dict[str, Any] = {"distance": _distance, "heading": _error_size(2)}
         errors |= {one.name: _error_size(i) for i, one in enumerate(scenario.coordinates)}

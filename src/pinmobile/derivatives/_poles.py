@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, bounded, finite, shaped
+from pinmobile.arrays import Array, ArrayLike, bounded, finite, required, shaped
 from pinmobile.compiled import linearization
 from pinmobile.controllers import Controller, Wrapper, evaluate, notify_applied
 from pinmobile.derivatives._problem import Problem, loop_errors, problem_of
@@ -239,14 +239,11 @@ class Poles:
         InvalidArgument
             If the inputs change within the period of the loop.
         """
-        if self.input_matrix is None:
-            raise InvalidArgument(
-                "the inputs change within the period of the loop, expected a loop with one time step, or "
-                "Sampled around its whole law: it has no margins"
-            )
+        expected = "a loop with one time step, or Sampled around its whole law: others have no margins"
+        input_matrix = required("input_matrix", self.input_matrix, expected)
         z = np.exp(1j * np.asarray(frequency, float) * self.dt)[..., None, None]
         return self.feedthrough + self.output_matrix @ np.linalg.solve(
-            z * np.eye(len(self.matrix)) - self.matrix, self.input_matrix
+            z * np.eye(len(self.matrix)) - self.matrix, input_matrix
         )
 
     @cached_property

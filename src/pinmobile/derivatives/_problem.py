@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from pinmobile.arrays import Array, sequence
+from pinmobile.arrays import Array, required, sequence
 from pinmobile.compiled import (
     Identity,
     LoopTape,
@@ -29,7 +29,7 @@ from pinmobile.compiled import (
     sides,
     tangent,
 )
-from pinmobile.errors import InvalidArgument, NotTraceable, argument_errors
+from pinmobile.errors import NotTraceable, argument_errors
 from pinmobile.loop import (
     Loop,
     SameAs,
@@ -592,10 +592,7 @@ def _set_refs(loop: Loop, name: str, refs: Mapping[str, NumberRef]) -> list[Numb
     """Return the numbers that a name means and that have a value."""
     matches = match_refs(loop, name, refs, "by")
     numbers = [ref for ref in matches if ref.leaf.value is not None]
-    if not numbers:
-        raise InvalidArgument(
-            f"by has {name!r}, {matches[0].meaning}, which is not set: expected a number of the loop"
-        )
+    required(f"by has {name!r}, {matches[0].meaning}, which", numbers or None, "a number of the loop")
     return numbers
 
 

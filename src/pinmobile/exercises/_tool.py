@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from pinmobile.arrays import bounded, scalar
 from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.exercises._exercise import (
     EXERCISE_NAMES,
@@ -176,8 +177,7 @@ def check_exercises(
     >>> report.is_complete
     False
     """
-    if not 0 < limit < 1e6:
-        raise InvalidArgument(f"limit is {format_value(limit)}, expected a number of seconds > 0")
+    bounded("limit", scalar("limit", limit), above=0, below=1e6, unit="s")
     course = None if seed is None else check_course(seed)
     return (_check(Path(file), course, limit) for file in files)
 

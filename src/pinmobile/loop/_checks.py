@@ -21,6 +21,7 @@ from pinmobile.arrays import (
     frozen,
     positive,
     sequence,
+    shaped,
     vector,
 )
 from pinmobile.compiled import is_constant
@@ -180,11 +181,9 @@ def sample_reference(trajectory: Trajectory, t: Array, plant: Plant) -> Referenc
     sizes = {"q": reference_sizes[n], "v": n, "a": n}
     for name, size in sizes.items():
         value = np.asarray(stated(reference, name))
-        if value.shape != (len(t), size):
-            smaller = [k for k in reference_sizes if k != n]
-            advice = f", or the first of its coordinates: {', '.join(map(str, smaller))}" if smaller else ""
-            message = f"trajectory gives {name} of shape {value.shape} for {len(t)} times"
-            raise InvalidArgument(f"{message}, expected ({len(t)}, {size}){advice}")
+        smaller = ", ".join(str(k) for k in reference_sizes if k != n)
+        advice = smaller and f", or the first of its coordinates: {smaller}"
+        shaped(f"trajectory at {len(t)} times: {name}", value, (len(t), size), words=advice)
     samples = Reference(*(vector(f"trajectory's {x}", getattr(reference, x), k) for x, k in sizes.items()))
     if stated(plant, "velocity_limit") is not None:
         check_limits(plant, samples.q, samples.v, t)
@@ -324,8 +323,7 @@ def _check_sizes(plant: Plant, q: Array, v: Array) -> None:
     nq, nv, u, wrench = plant.nq, plant.nv, np.zeros(plant.nu), np.zeros(3)
     sizes = f"plant is a {type(plant).__name__} with nq = {nq}, nv = {nv} and nu = {plant.nu}"
     for name, value, size in (("q", q, nq), ("v", v, nv)):
-        if (shape := np.shape(value)) != (size,):
-            raise InvalidArgument(f"{sizes}, which starts with {name} of shape {shape}, expected ({size},)")
+        shaped(f"{sizes}, whose first {name}", value, (size,))
     methods: dict[str, tuple[str, int, tuple[Array, ...]]] = {
         "integrate": ("q, dq", nq, (q, np.zeros(nv))),
         "difference": ("q0, q1", nv, (q, q)),

@@ -12,8 +12,7 @@ import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, finite
 from pinmobile.compiled import has_symbols, leaves, map_leaves
-from pinmobile.errors import InvalidArgument
-from pinmobile.forces import unit_step
+from pinmobile.forces import check_interval, unit_step
 from pinmobile.integrators import rk4
 from pinmobile.loop._loop import RecordedStep
 from pinmobile.parts import Loadable, by_value, child, holds_symbols, number, option, part, replace, walk
@@ -102,8 +101,7 @@ class PayloadTransfer:
 
     def check(self) -> None:
         """Raise `InvalidArgument` if the end is not above the start, or the robot cannot hold the load."""
-        if not self.end > self.begin:
-            raise InvalidArgument(f"end is {self.end} s, expected above begin, {self.begin} s")
+        check_interval(self.begin, self.end)
         _ = self.loaded
 
     @cached_property

@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 import numpy as np
 import pinocchio as pin
 
-from pinmobile.arrays import Array, finite, frozen, increasing, location, real, shaped
+from pinmobile.arrays import Array, finite, frozen, increasing, location, real, required, shaped
 from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.files import pack, read_archive, unpack, write_archive, write_table
 from pinmobile.loop._mcap import Columns, read_mcap, write_mcap
@@ -262,12 +262,12 @@ class EndEffector:
         InvalidArgument
             If there is no target.
         """
-        if self.target is None:
-            raise InvalidArgument(
-                f"end effector {self.frame!r} has no target, expected a run with EndEffectorTracking, with a "
-                "trajectory of solve_inverse_kinematics, or with a reference of the arm's coordinates"
-            )
-        error = pose_error(self.target, self.pose)
+        expected = (
+            "a run with EndEffectorTracking, with a trajectory of solve_inverse_kinematics, or with a "
+            "reference of the arm's coordinates"
+        )
+        target = required(f"target of end effector {self.frame!r}", self.target, expected)
+        error = pose_error(target, self.pose)
         if not self.is_oriented:
             error[:, _BASE:] = np.nan
         return frozen(error)

@@ -10,8 +10,8 @@ from zlib import crc32
 
 import numpy as np
 
-from pinmobile.arrays import Array, ArrayLike, finite, instance, scalar, shaped
-from pinmobile.errors import InvalidArgument
+from pinmobile.arrays import Array, ArrayLike, finite, instance, required, scalar, shaped
+from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.parts import Number, NumberRef, by_value, match_refs, number, part
 from pinmobile.plant import stated
 
@@ -386,11 +386,8 @@ def check_spread(spread: Mapping[str, Source], n: int, find: Find) -> dict[str, 
 
 def _check_set(name: str, number: NumberRef) -> None:
     """Raise `InvalidArgument` if a number has no value that a factor could multiply."""
-    if number.leaf.value is None:
-        raise InvalidArgument(
-            f"spread[{name!r}] is a factor of {number.path}, {number.meaning}, which is not set: "
-            "expected a number there, or a distribution of the number itself"
-        )
+    words = f"spread[{name!r}] is a factor of {number.path}, {number.meaning}, which"
+    required(words, number.leaf.value, "a number there, or a distribution of the number itself")
 
 
 def check_supports(spread: Mapping[str, Any], numbers: Mapping[str, NumberRef]) -> None:
@@ -440,13 +437,9 @@ def _check_source(label: str, source: Any, n: int) -> Any:
 
 
 def _check_draws_of(label: str, source: Any, n: int) -> Any:
-    if isinstance(source, type):
-        kind = f"the class {source.__name__}"
-        raise InvalidArgument(f"{label} is {kind}, expected an object of a class, such as Uniform(1, 2)")
-    if isinstance(source, str):
-        raise InvalidArgument(
-            f"{label} is {source!r}, expected numbers or a distribution, such as Uniform(1, 2)"
-        )
+    if isinstance(source, type | str):
+        expected = "numbers or a distribution, such as Uniform(1, 2)"
+        raise InvalidArgument(f"{label} is {format_value(source)}, expected {expected}")
     numbers = stated(source, "__array__") is not None  # a column of pandas has `sample` too
     if not numbers and any(stated(source, name) is not None for name in ("sample", "rvs")):
         return source

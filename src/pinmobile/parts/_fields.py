@@ -22,6 +22,7 @@ from pinmobile.arrays import (
     finite_result,
     format_shapes,
     frozen,
+    sequence,
     shaped,
     vector,
 )
@@ -298,9 +299,8 @@ class Child(Field):
             return value if value is None and self.optional else self._check_one(name, value)
         if isinstance(value, Mapping):
             return {key: self._check_one(f"{name}.{key}", part) for key, part in value.items()}
-        if isinstance(value, str) or not isinstance(value, list | tuple):
-            raise InvalidArgument(f"{name} is {format_value(value)}, expected a sequence of parts")
-        return tuple(self._check_one(f"{name}[{i}]", part) for i, part in enumerate(value))
+        parts = sequence(name, value, "a sequence of parts")
+        return tuple(self._check_one(f"{name}[{i}]", part) for i, part in enumerate(parts))
 
     def _check_one(self, name: str, value: Any) -> Any:
         kind = self.kind

@@ -17,7 +17,7 @@ from typing import Any, TypeAlias, final
 
 import numpy as np
 
-from pinmobile.arrays import distinct, instance
+from pinmobile.arrays import distinct, instance, one_of, text
 from pinmobile.compiled import Contents, code_of_library
 from pinmobile.errors import InvalidArgument, UnknownName, argument_errors, format_value
 from pinmobile.loop import (
@@ -93,8 +93,8 @@ def index_of(axes: Mapping[str, Axis], labels: Mapping[str, Any]) -> tuple[int, 
     InvalidArgument
         If an axis has no such value.
     """
-    for name in labels.keys() - axes.keys():
-        raise UnknownName("axis", name, axes)
+    for name in labels:
+        one_of("axis", name, axes)
     index = []
     for name, axis in axes.items():
         label = labels.get(name, axis.values[0] if len(axis.values) == 1 else None)
@@ -195,10 +195,10 @@ class Points:
 
 
 def _mapping(name: str, value: Any) -> Mapping[str, Any]:
-    mapping = {} if value is None else value
-    if not isinstance(mapping, Mapping) or not all(isinstance(key, str) for key in mapping):
-        raise InvalidArgument(f"{name} is {format_value(value)}, expected a mapping with text as keys")
-    return mapping
+    given: Mapping[str, Any] = {} if value is None else value
+    for key in instance(name, given, Mapping, "a mapping with text as keys"):
+        text(f"a key of {name}", key)
+    return given
 
 
 def _shared_fields(scenario: Scenario) -> dict[str, Any]:

@@ -14,7 +14,18 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from pinmobile.arrays import ArrayLike, bounded, finite, instance, one_of, positive, scalar, sequence, shaped
+from pinmobile.arrays import (
+    ArrayLike,
+    bounded,
+    finite,
+    instance,
+    one_of,
+    positive,
+    required,
+    scalar,
+    sequence,
+    shaped,
+)
 from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.parts import evolved
 from pinmobile.robot import LOCKED, TOUCH, MobileRobot, Swivel, WheelJoint
@@ -94,11 +105,8 @@ class _Reader:
         radius = self._given("radius", joint.name)
         if radius is not None and (isinstance(self.radius, Mapping) or joint.radius is None):
             return positive(f"radius of wheel {joint.name!r}", radius, "m")
-        if joint.radius is None:
-            raise InvalidArgument(
-                f"radius of wheel {joint.name!r} is unknown: expected radius={{{joint.name!r}: ...}} [m]"
-            )
-        return joint.radius
+        label, expected = f"radius of wheel {joint.name!r}", f"radius={{{joint.name!r}: ...}} [m]"
+        return required(label, joint.radius, expected)  # type: ignore[no-any-return]
 
     def _inertia(self, joint: WheelJoint, radius: float) -> tuple[float, float]:
         """Return the inertia of a wheel about its axle and across it [kg m^2]."""
