@@ -18,7 +18,7 @@ multiplies the torque constants.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -137,7 +137,6 @@ class PlanarProblem:
 
 POSE = ("x", "m"), ("y", "m"), ("psi", "rad")
 _SPEED, _WHEEL_SPEED = 0.01, 0.1  # where dry friction has 71 %: [m/s, rad/s] of a body, [rad/s] of wheels
-_CONSTANTS = "resistance", "torque_constant", "viscous", "coulomb", "efficiency", "gear"
 _SLOW_RATE = 2e-3  # [rad/s], where losses of a motor have 71 % of their size; those of real ones are sharp
 _GYRATION = 0.01  # [m], least radius of a body
 _LIGHTEST = 0.02  # [kg]
@@ -493,9 +492,8 @@ def torques_of(motors: Sequence[Motor], u: Any, rates: Any, scale: Any = 1.0) ->
     """
     if not motors:
         return [scale * x for x in u]
-    numbers = np.array([[getattr(data, name) or 0.0 for data in motors] for name in _CONSTANTS])
-    resistance, constant, *others = numbers
-    law = MotorLaw(tuple(motors), resistance, scale * constant, *others)
+    law = MotorLaw.of(motors)
+    law = replace(law, torque_constant=scale * law.torque_constant)
     return [
         law.smooth_torque(k, law.volts(k, x), rate, rate / np.sqrt(rate * rate + _SLOW_RATE**2))
         if motor.is_electric

@@ -35,9 +35,9 @@ from pinmobile.robot import (
 from pinmobile.wheels._contact import Bounds, Impulses, WheelContact, impulses, iterate
 from pinmobile.wheels._dynamics import State, WheeledDynamics, mean_acceleration
 from pinmobile.wheels._loads import ground_reaction, places_of, shared_loads
-from pinmobile.wheels._motors import ExternalForceFunction, Motors, TorqueSpeedLine, theta
+from pinmobile.wheels._motors import ExternalForceFunction, Motors, TorqueSpeedLine, column, theta
 from pinmobile.wheels._rolling import Ramp, check_inertias, stop_axis, stop_of
-from pinmobile.wheels._table import WheelTable, column
+from pinmobile.wheels._table import WheelTable
 
 _BASE = 3
 _SLIP_RATIO = 0.5  # smallest ratio of final and initial slip of a wheel that slides throughout a step

@@ -45,8 +45,8 @@ from pinmobile.wheels._kinematics import (
     tracked_slopes,
 )
 from pinmobile.wheels._loads import metrics_on_wheels, values_on_wheels
-from pinmobile.wheels._motors import ExternalForceFunction, constant_force
-from pinmobile.wheels._table import Axis, column
+from pinmobile.wheels._motors import ExternalForceFunction, column, constant_force
+from pinmobile.wheels._table import Axis
 
 _BASE = 3
 _INSTANT = 1e-5  # [s]: duration of the step whose mean acceleration is returned for a state

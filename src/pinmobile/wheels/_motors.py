@@ -19,6 +19,7 @@ from pinmobile.arrays import (
     broadcast,
     finite,
     finite_result,
+    frozen,
     non_negative,
     positive,
     scalar,
@@ -26,7 +27,7 @@ from pinmobile.arrays import (
 )
 from pinmobile.compiled import choose, scalar_max
 from pinmobile.errors import InvalidArgument, format_value
-from pinmobile.parts import by_value, number as declared, option, part
+from pinmobile.parts import by_value, is_symbolic, number as declared, option, part
 from pinmobile.plant import LIMIT_TOLERANCE
 from pinmobile.robot import ONE, ZERO, Vector, number, scalars
 from pinmobile.wheels._contact import within
@@ -230,7 +231,7 @@ class Motor:
         if not self.is_electric:
             words = "expected a motor with resistance, torque_constant and voltage"
             raise InvalidArgument(f"motor is {format_value(self)}, a torque source, {words}")
-        return MotorLaw((self,), *([getattr(self, name)] for name in CONSTANTS))
+        return MotorLaw.of((self,))
 
     @finite_result
     def armature_current(self, volts: ArrayLike, rate: ArrayLike) -> Array:
@@ -401,6 +402,11 @@ def theta(z: Any) -> Any:
     return (3.0 + z) / (6.0 + z)
 
 
+def column(values: Sequence[Any]) -> Any:
+    """Return numbers or symbols, such as one for each wheel, as an array, shape (k,)."""
+    return np.stack(values) if any(map(is_symbolic, values)) else frozen(values)
+
+
 @dataclass(frozen=True, eq=False)
 class MotorLaw:
     """Equations of electric motors for scalars: numbers, arrays or symbols.
@@ -420,6 +426,12 @@ class MotorLaw:
     coulomb: Any
     efficiency: Any
     gear: Any
+
+    @classmethod
+    def of(cls, motors: Sequence[Motor]) -> MotorLaw:
+        """Return the equations of motors; a torque source has no constants, which are then zero."""
+        rows = ([getattr(motor, name) for motor in motors] for name in CONSTANTS)
+        return cls(motors, *(column([0.0 if x is None else x for x in row]) for row in rows))
 
     @cached_property
     def _numbers(self) -> list[list[Any]]:

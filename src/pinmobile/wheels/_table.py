@@ -36,7 +36,6 @@ from pinmobile.parts import (
     children,
     declare,
     entries_of,
-    is_symbolic,
     number,
     option,
     part,
@@ -387,11 +386,6 @@ class AckermannSteering:
     wheels: tuple[str, ...] = option(check=_names(1))
     axle: float = number(default=0.0, unit="m", fixed=True, doc="position of the fixed axle, forward")
     name: str = option(default="steering", check=_NAME_CHECK)
-
-
-def column(values: Sequence[Any]) -> Any:
-    """Return numbers or symbols, such as one for each wheel, as an array, shape (k,)."""
-    return np.stack(values) if any(map(is_symbolic, values)) else frozen(values)
 
 
 Coupling = GearTrain | DifferentialGear | AckermannSteering

@@ -36,7 +36,6 @@ from pinmobile.wheels._dynamics import PlantOnWheels, WheeledDynamics, mass_colu
 from pinmobile.wheels._kinematics import ReferenceMotion
 from pinmobile.wheels._loads import metrics_on_wheels, values_on_wheels
 from pinmobile.wheels._motors import (
-    CONSTANTS,
     ExternalForceFunction,
     Motor,
     MotorLaw,
@@ -45,7 +44,6 @@ from pinmobile.wheels._motors import (
     theta,
 )
 from pinmobile.wheels._rolling import stop_axis, stop_of
-from pinmobile.wheels._table import column as column_of
 
 _BASE = 3
 _PASSES = 3
@@ -420,8 +418,7 @@ class ByVoltage(PlantOnWheels):
         body, motors = self.wheeled.array_dynamics, [self.table.actuators[k].motor for k in self._electric]
         if body.slips:
             body = replace(body, rubbing=self._rubbing)
-        columns = {name: column_of([getattr(motor, name) for motor in motors]) for name in CONSTANTS}
-        return VoltageDynamics(body, MotorLaw(motors, **columns), self._electric, self.inputs)
+        return VoltageDynamics(body, MotorLaw.of(motors), self._electric, self.inputs)
 
     @takes(q="nq", v="nv", u="nu", f="nv")
     def forward_dynamics(self, q: ArrayLike, v: ArrayLike, u: ArrayLike, f: ArrayLike = 0.0) -> Any:
