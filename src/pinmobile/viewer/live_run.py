@@ -6,7 +6,7 @@ import json
 import threading
 from collections import deque
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from time import monotonic
 from typing import Any
@@ -187,12 +187,11 @@ class LiveRun:
         self._lock, self._end, self._pace = threading.RLock(), threading.Event(), 1.0
         self._window = LiveWindow(host, port)
         self._stage, self._figure = Stage(self._window), figure(drawn)
-        try:
+        with ExitStack() as failure:
+            failure.callback(self._window.close)
             self._begin()
             self._draw_scene()
-        except BaseException:
-            self._window.close()
-            raise
+            failure.pop_all()
         self._window.listen(lambda browser, text: self._messages.append((browser, text)))
         self._thread = threading.Thread(target=self._run, name="pinmobile-play", daemon=True)
         self._thread.start()

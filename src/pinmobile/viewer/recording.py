@@ -117,7 +117,8 @@ class Browser:
         finally:
             os.close(inner)
             os.close(outer)
-        try:
+        with ExitStack() as failure:
+            failure.callback(self.close)
             self._session = ""
             targets = self.call("Target.getTargets")["targetInfos"]
             page = next(target["targetId"] for target in targets if target["type"] == "page")
@@ -127,9 +128,7 @@ class Browser:
             width, height = size
             metrics = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
             self.call("Emulation.setDeviceMetricsOverride", **metrics)
-        except BaseException:
-            self.close()
-            raise
+            failure.pop_all()
 
     def __enter__(self) -> Browser:
         return self
