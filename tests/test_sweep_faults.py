@@ -156,7 +156,7 @@ def of_ours(**changed: Any) -> Callable[[bytes], bytes]:
     ("damage", "why"),
     [
         (of_ours(chunk=0), "damaged.*: its digest differs"),
-        (of_ours(determined_by={"format": 3}), "not the store of a sweep.* it has format 3, expected 5"),
+        (of_ours(determined_by={"format": 3}), "not the store of a sweep.* its format is 3, expected 5"),
         (edited(lambda tree: tree.pop("attributes")), "not the store of a sweep.* it lacks 'attributes'"),
         (lambda content: content[:1000], "not the store of a sweep.*: Unterminated string"),
         (lambda content: b"[" * 100_000, "not the store of a sweep.*recursion"),

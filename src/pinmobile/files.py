@@ -186,6 +186,18 @@ def write_table(path: str | PathLike[str], header: Sequence[str], columns: Seque
         np.savetxt(file, np.column_stack(columns), fmt="%.17g", delimiter=",")
 
 
+def check_form(given: str | int, expected: str | int) -> None:
+    """Raise `ValueError` if a file has another format, or another version of it."""
+    if given != expected:
+        raise ValueError(f"its format is {given!r}, expected {expected!r}")
+
+
+def check_match(path: str | PathLike[str], difference: str) -> None:
+    """Raise `InvalidArgument` if a scenario differs from that of a file; the difference is "" if not."""
+    if difference:
+        raise InvalidArgument(f"scenario does not match {str(path)!r}: {difference}")
+
+
 def check_suffix(name: str, path: Path, *suffixes: str) -> Path:
     """Return the path of a file that must have one of the suffixes, such as ``".gif"``."""
     if path.suffix.lower() not in suffixes:
@@ -586,9 +598,7 @@ def read_archive(path: Path, form: str, make: Callable[[dict[str, Any]], _T]) ->
             file.seek(0)
             with np.load(file) as archive:
                 arrays = dict(archive)
-        file_form = str(arrays["format"])
-        if file_form != form:
-            raise ValueError(f"its format is {file_form!r}")
+        check_form(str(arrays["format"]), form)
         for array in arrays.values():
             array.setflags(write=False)
         return make(_unpack(json.loads(str(arrays["description"])), arrays))

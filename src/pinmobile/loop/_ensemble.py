@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, ArrayLike, check_integer, location, one_of, scalar
 from pinmobile.errors import Diverged, InvalidArgument
-from pinmobile.files import read_archive, write_archive, write_table
+from pinmobile.files import check_match, read_archive, write_archive, write_table
 from pinmobile.loop._description import (
     ROBOT_ARRAYS,
     Arguments,
@@ -671,8 +671,7 @@ class Ensemble:
         for name, values in ({} if difference else scenario.draws()).items():
             if not are_close(ensemble.draws[name], values):
                 difference = f"its draws of {name} differ"
-        if difference:
-            raise InvalidArgument(f"scenario does not match {str(file)!r}: {difference}")
+        check_match(file, difference)
         return replace(ensemble, scenario=scenario)
 
     @classmethod

@@ -15,7 +15,7 @@ import numpy as np
 
 from pinmobile.arrays import Array, location, scalar
 from pinmobile.errors import FileError, InvalidArgument, format_names, import_extra
-from pinmobile.files import file_errors, pack, unpack, write_file
+from pinmobile.files import check_form, file_errors, pack, unpack, write_file
 from pinmobile.plant import PlantDescription, all_samples, stated
 from pinmobile.signals import Signal
 from pinmobile.trajectories import Reference
@@ -260,8 +260,7 @@ def _content(reader: Any, form: str) -> dict[str, Any]:
         contents = f"its topics are {format_names(topics)}" if topics else "it has no topics"
         raise ValueError(f"{contents}, expected {_TOPIC}; Log.from_bag(path, topics) reads other topics")
     texts = {item.name: item.metadata for item in reader.iter_metadata()}[_METADATA]
-    if texts["format"] != form:
-        raise ValueError(f"its format is {texts['format']!r}")
+    check_form(texts["format"], form)
     if texts.pop("crc32") != _checksum(texts):
         raise ValueError(f"its metadata {_METADATA!r} are damaged")
     messages = [message for _, _, message in reader.iter_messages(topics=_TOPIC, log_time_order=False)]

@@ -21,7 +21,7 @@ import numpy as np
 from pinmobile.arrays import Array
 from pinmobile.compiled import BINS
 from pinmobile.errors import FileError, InvalidArgument, format_value, import_extra
-from pinmobile.files import file_errors, write
+from pinmobile.files import check_form, file_errors, write
 from pinmobile.loop import (
     LEVELS,
     NOTE,
@@ -271,8 +271,7 @@ def attributes_of(path: Path) -> dict[str, Any]:
     try:
         metadata = json.loads(file.read_bytes())
         record: dict[str, Any] = json.loads(metadata["attributes"]["pinmobile_sweep"])
-        if record["determined_by"]["format"] != FORMAT:
-            raise ValueError(f"it has format {record['determined_by']['format']}, expected {FORMAT}")
+        check_form(record["determined_by"]["format"], FORMAT)
         is_ours = True
         digest, arrays = record.pop("digest"), record.pop("arrays")
         consolidated = metadata["consolidated_metadata"]["metadata"]
