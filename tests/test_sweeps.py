@@ -100,7 +100,10 @@ def test_a_path_changes_what_it_names_and_nothing_else(changes: Any, read: Any, 
             {"grid": {"controller.kp": [1.0, 2.0]}, "cases": {"stiff": {"controller.kp": 3.0}}},
             "grid and cases change 'controller.kp' twice, expected",
         ),
-        ({"grid": {"mass": range(1, 1001), "kp": range(1, 1001)}}, "grid and cases have 1,000,000 points"),
+        (
+            {"grid": {"mass": range(1, 1001), "kp": range(1, 1001)}},
+            "number of points of grid and cases is 1000000, expected <= ",
+        ),
         ({"client": "tcp://"}, "client is 'tcp://', expected a distributed.Client"),
         (
             {"grid": {"mass": [1, 2]}, "cases": {"spread": {"spread.mass": pm.Uniform(1, 2)}}},
@@ -338,7 +341,7 @@ def test_wrong_labels(done: pm.Sweep) -> None:
         done.ensemble(**{"controller.kp": 4})
     with refused(r"controller\.kp is 5, expected one of 4, 16"):
         done.ensemble(**at | {"controller.kp": 5})
-    with refused(r"scenario is missing, expected Sweep\.open"):
+    with refused(r"scenario is None, expected Sweep\.open"):
         pm.Sweep.open(done.path).ensemble(**at)
     with refused(r"share is 2\.0, expected 0 <= share <= 1"):
         done.error_quantile(2)

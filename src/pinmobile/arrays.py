@@ -767,6 +767,41 @@ def text(name: str, value: object) -> str:
     return instance(name, value, str, "text")  # type: ignore[no-any-return]
 
 
+def matching(name: str, value: object, pattern: str, expected: str) -> str:
+    """Return text that must match a pattern.
+
+    Parameters
+    ----------
+    name : str
+        Name of the argument, for the message.
+    value : str
+        Text.
+    pattern : str
+        Regular expression of the whole text.
+    expected : str
+        Expected value, for the message.
+
+    Returns
+    -------
+    str
+        The same text.
+
+    Raises
+    ------
+    InvalidArgument
+        If the value is not text, or does not match.
+
+    Examples
+    --------
+    >>> from pinmobile.arrays import matching
+    >>> matching("name", "left arm", "[a-z ]+", "letters and spaces")
+    'left arm'
+    """
+    if not isinstance(value, str) or not re.fullmatch(pattern, value):
+        raise InvalidArgument(f"{name} is {format_value(value)}, expected {expected}")
+    return value
+
+
 def word(name: str, value: object, excluded: str) -> str:
     """Return text that must not be empty or contain certain letters.
 
@@ -790,10 +825,8 @@ def word(name: str, value: object, excluded: str) -> str:
     >>> word("name", "left arm", "/,")
     'left arm'
     """
-    if not isinstance(value, str) or not value.strip() or set(excluded) & set(value):
-        letters = " ".join(excluded)
-        raise InvalidArgument(f"{name} is {format_value(value)}, expected a word without {letters}")
-    return value
+    pattern = rf"(?=[\s\S]*\S)[^{re.escape(excluded)}]*"
+    return matching(name, value, pattern, f"a word without {' '.join(excluded)}")
 
 
 def check_overflow(label: str, array: Array) -> Array:

@@ -21,6 +21,7 @@ from pinmobile.arrays import (
     distinct,
     finite,
     instance,
+    matching,
     one_of,
     scalar,
     sequence,
@@ -113,8 +114,7 @@ class DHRow:
             kinds = {one.value: one for one in JointType}
             object.__setattr__(self, "joint", kinds[one_of("joint", self.joint, kinds)])
         instance("joint", self.joint, JointType, "a JointType")
-        if not isinstance(self.variable, str) or not self.variable.isidentifier():
-            raise InvalidArgument(f"variable is {format_value(self.variable)}, expected a name")
+        matching("variable", self.variable, r"[^\W\d]\w*", "a name")
 
 
 _MAX_ANGLE = 2 * pi + 1e-9  # [rad], largest angle of a row

@@ -478,9 +478,8 @@ def tracing(namespaces: Iterable[dict[str, Any]] = (), cells: Iterable[CellType]
             with pause_gc(), np.errstate(all="ignore"):  # constants of unused branches may overflow
                 yield
         except NotTraceable as error:
-            if error.place:
-                raise
-            raise NotTraceable(error.obstacle, error.remedy, place_of(error.__traceback__)) from None
+            place = place_of(error.__traceback__)
+            raise error if error.place else NotTraceable(error.obstacle, error.remedy, place) from None
         except Exception as error:
             reason = f"with symbols it raises {type(error).__name__} ({error})"
             remedy = "write it in NumPy for one state, or run it with engine=Engine.PYTHON"

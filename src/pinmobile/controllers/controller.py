@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -394,15 +395,11 @@ class _Law:
     def __call__(self, t: float, q: Array, v: Array, reference: Any, state: None) -> tuple[Array, None]:
         """Return the result of the function, and None."""
         force = self.function(t, q, v, reference)
-        try:
-            if not are_real(force):
-                raise TypeError
-            return np.asarray(force if force is not None else "nothing", np.float64), None
-        except (TypeError, ValueError):
-            raise InvalidArgument(
-                f"function of the law returned {format_value(force)} at t = {t:g} s, expected an input: nu "
-                "numbers"
-            ) from None
+        with suppress(TypeError, ValueError):
+            if force is not None and are_real(force):
+                return np.asarray(force, np.float64), None
+        words = f"function of the law returned {format_value(force)} at t = {t:g} s"
+        raise InvalidArgument(f"{words}, expected an input: nu numbers")
 
 
 def law(function: Callable[[float, Array, Array, Any], ArrayLike]) -> Controller:

@@ -21,8 +21,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 import numpy as np
 
-from pinmobile.arrays import Array, one_of
-from pinmobile.errors import InvalidArgument, format_value
+from pinmobile.arrays import Array, matching, one_of
 
 N_STATES = 50  # at which a function is compared
 _FACTORS = {
@@ -448,11 +447,7 @@ def check_course(course: object) -> str:
     InvalidArgument
         If it is no text, or contains signs that a notebook cannot store.
     """
-    if not isinstance(course, str) or not re.fullmatch(r"[\w .:+-]*", course):
-        raise InvalidArgument(
-            f"seed is {format_value(course)}, expected letters, digits, spaces and _ . : + -"
-        )
-    return course
+    return matching("seed", course, r"[\w .:+-]*", "letters, digits, spaces and _ . : + -")
 
 
 def load_exercise(name: str, *, seed: str = "") -> SimpleNamespace:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from os import PathLike
 from pathlib import Path
@@ -10,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from pinmobile.arrays import Array, location, one_of, positive, sequence
+from pinmobile.arrays import Array, location, matching, one_of, positive, sequence
 from pinmobile.compiled import pause_gc
 from pinmobile.controllers import Controller, check_controller
-from pinmobile.errors import InvalidArgument, NotTraceable, argument_errors, format_value
+from pinmobile.errors import InvalidArgument, NotTraceable, argument_errors
 from pinmobile.export._law import InputRecorder, InputSchedule, Law
 from pinmobile.export._project import Project
 from pinmobile.files import file_errors, write
@@ -120,11 +119,8 @@ def export_c(
     ['CMakeLists.txt', 'README.md', 'robot.c', 'robot.h', 'robot_test.c']
     """
     one_of("precision", precision, ("double", "single"))
-    if not isinstance(name, str) or not re.fullmatch(r"[a-z][a-z0-9_]{0,30}", name):
-        raise InvalidArgument(
-            f"name is {format_value(name)}, expected a name of lower-case letters, digits and _, such as "
-            "'robot'"
-        )
+    words = "a name of lower-case letters, digits and _, such as 'robot'"
+    matching("name", name, r"[a-z][a-z0-9_]{0,30}", words)
     paths = sequence("tunable", tunable, 'paths of numbers, such as ["kp"]')
     step, target = positive("dt", dt, "s"), location("folder", folder)
     check_plant(plant)

@@ -26,7 +26,7 @@ from pinmobile.arrays import (
     sequence,
     shaped,
 )
-from pinmobile.errors import InvalidArgument, format_names, format_value
+from pinmobile.errors import InvalidArgument, format_names
 from pinmobile.identification._files import clock_of, read_bag, read_csv, si_spelling
 from pinmobile.identification._filters import LEAST_ROWS
 from pinmobile.loop import Rollout
@@ -678,10 +678,8 @@ def logs_of(log: object) -> list[Log]:
     method = "from_rollout" if isinstance(log, Rollout) else "from_csv"
     hint = f": use Log.{method}" if isinstance(log, str | PathLike | Rollout) else ""
     expected = f"a Log or a sequence of Log{hint}"
-    logs = [log] if isinstance(log, Log) else [*sequence("log", log, expected)]
-    if not logs or not all(isinstance(each, Log) for each in logs):
-        raise InvalidArgument(f"log is {format_value(log)}, expected {expected}")
-    return logs
+    logs = [log] if isinstance(log, Log) else sequence("log", log, expected, 1)
+    return [instance(f"log[{k}]", each, Log, expected) for k, each in enumerate(logs)]
 
 
 _TAKEN_BY = {  # function, with its arguments, for inputs of each unit

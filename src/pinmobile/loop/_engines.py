@@ -333,9 +333,7 @@ def python_samples(loop: Loop, context: Context, q0: Array, v0: Array) -> Iterat
         except InvalidArgument as error:
             if not np.isfinite(np.concatenate(state[:2])).all():
                 return  # the part rejects a state that is not finite
-            if k:
-                raise
-            raise size_error(context, error) from error.__cause__
+            raise error if k else size_error(context, error) from error.__cause__
         yield sample, record
         state, k = next_state, k + 1.0
 

@@ -20,7 +20,6 @@ from pinmobile.arrays import (
     endless_or_finite,
     finite,
     finite_result,
-    format_shapes,
     frozen,
     sequence,
     shaped,
@@ -240,9 +239,7 @@ class Number(Field):
         shape = np.shape(value)
         if is_symbolic(value) or value is None:
             return value
-        if any(length != n for length in shape):
-            words = format_shapes(self.shapes).replace("n", str(n))
-            raise InvalidArgument(f"{name} has shape {shape}, expected {words}")
+        shaped(name, value, *(tuple(n if x == "n" else x for x in sizes) for sizes in self.shapes))
         return value if shape or any(len(x) > 1 for x in self.shapes) else frozen(np.full(n, value))
 
     def outside_bounds(self, values: Any) -> Any:

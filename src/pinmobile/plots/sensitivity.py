@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, ArrayLike, finite, instance, label_items, one_of, sequence, shaped
 from pinmobile.derivatives import Poles, Sensitivities
-from pinmobile.errors import InvalidArgument
 from pinmobile.loop import Bands, Cause, Ensemble, causes, worst_share
 from pinmobile.metrics import Metric
 from pinmobile.palette import INK, QUIET
@@ -160,9 +159,7 @@ def _row_metrics(ensembles: Sequence[Ensemble], by: str | Sequence[str] | None) 
         names = [*_DEFAULT_METRICS, *(name for name in metric_names if all(name in each for each in metrics))]
     else:
         one = [by] if isinstance(by, str) else by
-        names = list(sequence("by", one, "a sequence of names, such as ['distance']"))
-    if not names:
-        raise InvalidArgument("by is empty, expected at least one name, such as 'distance'")
+        names = list(sequence("by", one, "a sequence of one name or more, such as ['distance']", 1))
     for each in metrics:
         for name in names:
             one_of("band", name, each)

@@ -17,7 +17,7 @@ from typing import Any, TypeAlias, final
 
 import numpy as np
 
-from pinmobile.arrays import distinct, instance, one_of, text
+from pinmobile.arrays import bounded, distinct, instance, one_of, text
 from pinmobile.compiled import Contents, code_of_library
 from pinmobile.errors import InvalidArgument, UnknownName, argument_errors, format_value
 from pinmobile.loop import (
@@ -161,8 +161,8 @@ class Points:
             Function that returns the scenario at some values, by axis.
         """
         axes = {name: _labels(name, values) for name, values in grid.items()}
-        if (count := prod(len(axis.values) for axis in axes.values())) > _MAX_POINTS:
-            raise InvalidArgument(f"grid and cases have {count:,} points, expected at most {_MAX_POINTS:,}")
+        count = prod(len(axis.values) for axis in axes.values())
+        bounded("number of points of grid and cases", count, most=_MAX_POINTS)
         choices = [list(x.values()) if isinstance(x, Mapping) else list(x) for x in grid.values()]
         scenarios = []
         for index in product(*(range(len(axis.values)) for axis in axes.values())):

@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 import pinmobile.loop as loop
-from pinmobile.arrays import Array, callable_as, check_integer, location, one_of, text
+from pinmobile.arrays import Array, callable_as, check_integer, location, matching, one_of, required
 from pinmobile.compiled import processors
 from pinmobile.errors import InvalidArgument, SchedulerError, SlowerEngine, format_value, import_extra
+from pinmobile.files import check_match
 from pinmobile.loop import Ensemble, Part, Scenario
 from pinmobile.metrics import format_si
 from pinmobile.sweeps._points import Axis, Changes, Label, Points, describe, differences, index_of, place_text
@@ -104,8 +105,7 @@ class Sweep:
         if scenario is not None:
             points = Points.of(scenario, grid, cases)
             difference = differences(description, describe(points, description.get("version")))
-            if difference:
-                raise InvalidArgument(f"scenario does not match {str(path)!r}: {difference}")
+            check_match(path, difference)
         return cls.of_store(location("path", path), points)
 
     @classmethod
@@ -293,11 +293,9 @@ class Sweep:
             incomplete, or a file of the store cannot be read.
         """
         index = index_of(self.axes, {"plant" if name == "robot" else name: x for name, x in labels.items()})
-        if self.points is None:
-            raise InvalidArgument(
-                f"scenario is missing, expected Sweep.open({str(self.path)!r}, scenario, grid=..., cases=...)"
-            )
-        scenario = self.points.scenarios[int(np.ravel_multi_index(index, self.points.shape))]
+        expected = f"Sweep.open({str(self.path)!r}, scenario, grid=..., cases=...)"
+        points: Points = required("scenario", self.points, expected)
+        scenario = points.scenarios[int(np.ravel_multi_index(index, points.shape))]
         data = self._read(self.dataset.isel(dict(zip(self.axes, index, strict=True))))
         if np.isnan(data["quantiles"]).all():
             raise InvalidArgument(
@@ -501,8 +499,8 @@ def run_points(
         _check_client(client)
     if progress is not None:
         callable_as("progress(done, total)", progress)
-    if version is not None and not text("version", version).strip():
-        raise InvalidArgument(f'version is {format_value(version)}, expected a word, such as "1"')
+    if version is not None:
+        matching("version", version, r"\s*\S(.|\s)*", 'a word, such as "1"')
     description = describe(points, version)
     with Store(folder, points, description, size) as store:
         if chunk is not None and store.chunk != size:

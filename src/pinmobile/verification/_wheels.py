@@ -9,9 +9,9 @@ import numpy as np
 import pinocchio as pin
 
 from pinmobile import closed_form
-from pinmobile.arrays import Array, rotate
+from pinmobile.arrays import Array, instance, rotate
 from pinmobile.compiled import vectorize
-from pinmobile.errors import InvalidArgument, NotTraceable
+from pinmobile.errors import NotTraceable
 from pinmobile.parts import Stepping, able, evolved
 from pinmobile.plant import Step
 from pinmobile.robot import BODY_JOINT, MultibodySystem, PinocchioBackend
@@ -270,9 +270,7 @@ def _rate(
 
 def _slip_rows(wheeled: WheeledRobot, states: int, rng: np.random.Generator) -> tuple[tuple[Row, ...], str]:
     """Return the comparisons for a step on dry ground, and a missing method."""
-    ground = wheeled.ground
-    if not isinstance(ground, Coulomb):
-        raise InvalidArgument(f"ground is {ground!r}, expected one on which a step can be compared")
+    ground: Any = instance("ground", wheeled.ground, Coulomb, "one on which a step can be compared")
     robot = WheeledRobot(wheeled.robot, wheeled.table, evolved(ground, sweeps=_SWEEPS, tolerance=_TOLERANCE))
     q, v, u, f = _states(robot, states, rng)
     trains = WheelBodies(robot, q, v).trains()

@@ -30,8 +30,9 @@ from pinmobile.wheels._loads import (
     recorded_margins,
     rolling_margins,
 )
+from pinmobile.wheels._motors import column
 from pinmobile.wheels._rolling import Ground, Ramp, Rolling, RollingDynamics
-from pinmobile.wheels._table import WheelTable, column
+from pinmobile.wheels._table import WheelTable
 from pinmobile.wheels._urdf_reader import joint_signs, read_robot, read_wheels, source_of
 from pinmobile.wheels._visuals import Tyres, WheelVisuals
 from pinmobile.wheels._voltage_dynamics import ByVoltage
@@ -245,7 +246,7 @@ class WheeledRobot(PlantOnWheels):
     @cached_property
     def _rolling(self) -> Any:
         """Dynamics of numbers on ground without slip."""
-        self._check_rolls()
+        self.mobility.check_rolls("robot")
         dynamics = self._numeric
         return RollingDynamics(self, dynamics.robot) if dynamics.slips else dynamics
 
@@ -306,10 +307,6 @@ class WheeledRobot(PlantOnWheels):
     # Sizes and names
 
     mobility = _of("table", "mobility", "Motions that the wheels allow.")
-
-    def _check_rolls(self) -> None:
-        if not self.mobility.is_regular:
-            raise InvalidArgument(f"robot cannot roll without slip: {self.mobility.rolling_obstacle}")
 
     _axes = _count("Number of steering coordinates.", lambda self: len(self.table.axes))
     _wheels = _count("Number of wheels.", lambda self: len(self.table))
@@ -620,7 +617,7 @@ class WheeledRobot(PlantOnWheels):
         """
         if not self.mobility.choice.is_fixed:
             raise InvalidArgument(f"robot is {self.mobility.kind}, which has no fixed axle")
-        self._check_rolls()
+        self.mobility.check_rolls("robot")
         return frozen(self.array_dynamics.axle)
 
     @cached_property
@@ -749,7 +746,7 @@ class WheeledRobot(PlantOnWheels):
         InvalidArgument
             If it cannot.
         """
-        self._check_rolls()
+        self.mobility.check_rolls("robot")
         if not self._accelerates_everywhere:
             raise InvalidArgument(
                 f"robot is {self.mobility.kind}, which cannot accelerate in every direction and so has no "
@@ -793,7 +790,7 @@ class WheeledRobot(PlantOnWheels):
         InvalidArgument
             If wheels steer, or an argument has another shape.
         """
-        self._check_rolls()
+        self.mobility.check_rolls("robot")
         return Linearization(*self.array_dynamics.linearize_tracked(q, v, u))
 
     @takes(q="nq", v="nv")

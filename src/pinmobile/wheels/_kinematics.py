@@ -413,6 +413,11 @@ class Mobility:
         """Whether the drive can roll without slip."""
         return not self.rolling_obstacle
 
+    def check_rolls(self, name: str, hint: str = "") -> None:
+        """Raise `InvalidArgument` for a robot, or its table, that cannot roll without slip."""
+        if not self.is_regular:
+            raise InvalidArgument(f"{name} cannot roll without slip: {self.rolling_obstacle}{hint}")
+
     @property
     def kind(self) -> str:
         """Name of the drive's type."""

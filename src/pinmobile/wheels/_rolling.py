@@ -175,10 +175,7 @@ class Rolling:
             If its wheels cannot roll, or a free steering axis has no inertia.
         """
         mobility = wheeled.mobility
-        if not mobility.is_regular:
-            raise InvalidArgument(
-                f"table cannot roll without slip: {mobility.rolling_obstacle}; expected ground=Coulomb()"
-            )
+        mobility.check_rolls("table", "; expected ground=Coulomb()")
         check_inertias(wheeled, mobility.choice.free)
 
 
