@@ -36,7 +36,7 @@ from pinmobile.identification._estimator import (
     solve,
 )
 from pinmobile.identification._log import Log, continuous
-from pinmobile.identification._simulation import Quantity, Same, Segments, simulate
+from pinmobile.identification._simulation import PhysicalNumbers, Quantity, Same, Segments, simulate
 from pinmobile.identification._velocity import TRAINING
 from pinmobile.integrators import RungeKuttaNystrom
 from pinmobile.loop import Loop, Trace, arrays_of, initial_memory, traced_numbers
@@ -96,7 +96,7 @@ def _programs(
 
 
 @dataclass(frozen=True, eq=False)
-class PlantProblem:
+class PlantProblem(PhysicalNumbers):
     """Unknown numbers of a plant: steps along some directions.
 
     Parameters
@@ -247,14 +247,6 @@ class PlantProblem:
         slopes = self._run(segments, p[None], starts[None], directions)
         return states, np.nan_to_num(slopes.reshape(len(directions), len(starts), *slopes.shape[1:]))
 
-    def to_physical(self, p: Array) -> Array:
-        """Return the numbers unchanged."""
-        return p
-
-    def slopes(self, p: Array) -> Array:
-        """Return the identity: the derivatives of `to_physical`, shape (k, k)."""
-        return np.eye(len(p))
-
     def plausible(self, p: Array, covariance: Array) -> Array:
         """Return the nearest numbers within the declared bounds."""
         lower, upper = ([stated(z.leaf.declared, name) for z in self.unknowns] for name in ("lower", "upper"))
@@ -264,10 +256,6 @@ class PlantProblem:
     def robot(self, estimates: Identification) -> Any:
         """Return the plant with the identified numbers."""
         return self.make_plant(estimates.plausible)
-
-    def forces(self, estimates: Identification) -> list[Any]:
-        """Return no forces: numbers of the plant include the losses."""
-        return []
 
     def notes(self, estimates: Identification) -> list[str]:
         """Return no notes."""

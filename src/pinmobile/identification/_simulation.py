@@ -181,6 +181,22 @@ class Model(Protocol):
         """Whether the measurements are linear functions of the states."""
 
 
+class PhysicalNumbers:
+    """Base class of models with physical numbers, which include the losses."""
+
+    def to_physical(self, p: Array) -> Array:
+        """Return the numbers unchanged."""
+        return p
+
+    def slopes(self, p: Array) -> Array:
+        """Return the identity: the derivatives of `to_physical`, shape (P, P)."""
+        return np.eye(len(p))
+
+    def forces(self, estimates: Any) -> list[Any]:
+        """Return no forces for `simulate` beside the robot."""
+        return []
+
+
 @runtime_checkable
 class Simulator(Protocol):
     """Protocol of models with simulations of their own, in place of the law of a state and input."""

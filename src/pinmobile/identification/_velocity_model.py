@@ -29,7 +29,7 @@ from pinmobile.identification._estimates import Identification, check_identifiab
 from pinmobile.identification._estimator import solve_robustly
 from pinmobile.identification._log import Log
 from pinmobile.identification._planar_model import POSE
-from pinmobile.identification._simulation import Segments, simulate
+from pinmobile.identification._simulation import PhysicalNumbers, Segments, simulate
 from pinmobile.identification._velocity_robot import (
     ABOVE_ZERO,
     THETA,
@@ -77,7 +77,7 @@ _LARGEST_SPEED = ModelNumber("largest_speed_command", "m/s", False, np.inf)
 
 
 @dataclass(frozen=True, eq=False)
-class VelocityModel:
+class VelocityModel(PhysicalNumbers):
     """Model of a robot with velocity inputs: theta and further numbers.
 
     Parameters
@@ -206,14 +206,6 @@ class VelocityModel:
         """Return parts with the states of a robot with numbers p that are not measured."""
         return list(parts)
 
-    def to_physical(self, p: Array) -> Array:
-        """Return the numbers unchanged."""
-        return p
-
-    def slopes(self, p: Array) -> Array:
-        """Return the identity: the derivatives of `to_physical`, shape (P, P)."""
-        return np.eye(len(p))
-
     def plausible(self, p: Array, covariance: Array) -> Array:
         """Return the numbers unchanged."""
         return p
@@ -229,10 +221,6 @@ class VelocityModel:
         rates, limits = np.split(np.array([others[name] for name in self.limits()]), 2)
         source = f"identified from {estimates.samples} samples in {estimates.segments} segments"
         return {"ahead": others["ahead"], "limits": limits, self.rate_limits: rates, "source": source}
-
-    def forces(self, estimates: Identification) -> list[Any]:
-        """Return no forces: theta includes the losses."""
-        return []
 
     def notes(self, estimates: Identification) -> list[str]:
         """Return notes on numbers that may be neutral, and on numbers that no robot can have."""
