@@ -130,7 +130,10 @@ test_bad_arguments_are_refused = refusals(
         lambda: pm.simulate(WHEELED, pm.LQR(WHEELED), pm.Tangent(pm.RestToRest([0, 0], [1, 0], 2)), dt=0.01),
         "reference ends at rest, at t = 2 s, where a WheeledRobot that cannot move sideways",
     ),
-    (lambda: pm.simulate(ARM, pm.LQR(ARM), SHORT, dt=0.01), "reference has 3 coordinates, expected all"),
+    (
+        lambda: pm.simulate(ARM, pm.LQR(ARM), SHORT, dt=0.01),
+        "reference has 3 coordinates, expected 9 of the robot",
+    ),
 )
 
 

@@ -210,7 +210,7 @@ def test_gains_that_are_unstable_at_this_dt_are_refused_with_the_bound(controlle
 
 
 test_bad_arguments_are_refused = refusals(
-    (lambda: pm.Adaptive(NOMINAL, lower=[31, -9, -9, 0]), "exclude the robot's value, 30"),
+    (lambda: pm.Adaptive(NOMINAL, lower=[31, -9, -9, 0]), "exclude the robot's value, parameter 0 = 30"),
     (lambda: pm.DisturbanceObserver(pm.PD(1, 1)), "robot is None, expected a MobileRobot"),
     (lambda: pm.ADRC(pm.WheeledRobot(NOMINAL, pm.WheelTable.differential(0.1, 0.4))), "which has wheels"),
 )

@@ -269,7 +269,9 @@ def are_real(answer: object) -> bool:
     return type(answer) is not np.ndarray or answer.dtype is _FLOAT or answer.dtype.kind in "fiub"
 
 
-def check_returned_array(label: str, answer: object, expected: str = "real numbers") -> Array:
+def check_returned_array(
+    label: str, answer: object, expected: str = "real numbers", shape: tuple[int, ...] | None = None
+) -> Array:
     """Return the result of a part as a float64 array.
 
     Parameters
@@ -280,6 +282,8 @@ def check_returned_array(label: str, answer: object, expected: str = "real numbe
         Result of the part.
     expected : str
         Expected result, for the message.
+    shape : tuple of int, optional
+        Expected shape; default: any.
 
     Returns
     -------
@@ -289,7 +293,7 @@ def check_returned_array(label: str, answer: object, expected: str = "real numbe
     Raises
     ------
     InvalidArgument
-        If the result does not consist of real numbers.
+        If the result does not consist of real numbers, or has another shape.
 
     Examples
     --------
@@ -298,9 +302,42 @@ def check_returned_array(label: str, answer: object, expected: str = "real numbe
     array([0., 5., 0.])
     """
     array = _array(answer)
-    if not are_real(array):
+    if not are_real(array) or shape not in (None, array.shape):
         raise InvalidArgument(f"{label} returned {format_value(answer)}, expected {expected}")
     return np.array(array, np.float64)
+
+
+def check_repeat(name: str, part: object, first: Array, last: Array, tolerance: float, hint: str) -> None:
+    """Check that a part returned the same array again for the same arguments.
+
+    Parameters
+    ----------
+    name, part : str, object
+        Name and value of the part, for the message.
+    first, last : ndarray
+        The results.
+    tolerance : float
+        Absolute and relative tolerance.
+    hint : str
+        End of the message.
+
+    Raises
+    ------
+    InvalidArgument
+        If the results differ.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pinmobile.arrays import check_repeat
+    >>> check_repeat("forces[0]", None, np.ones(3), np.ones(3), 1e-9, "forces have no memory")
+    """
+    is_same = first.shape == last.shape
+    if not (is_same and np.allclose(first, last, rtol=tolerance, atol=tolerance, equal_nan=True)):
+        raise InvalidArgument(
+            f"{name} is {format_value(part)}, which returns {first.tolist()} and, called again with the same "
+            f"arguments, {last.tolist()}, expected the same: {hint}"
+        )
 
 
 def shaped(name: str, array: _Shaped, *shapes: tuple[int | str, ...], words: str = "") -> _Shaped:

@@ -137,6 +137,18 @@ def check_difference(difference: object) -> None:
     callable_as("difference(q0, q1)", difference)
 
 
+def check_coordinates(v: Array, expected: int, hint: str) -> None:
+    """Check that a reference with velocities v, shape (..., n), has the expected number of coordinates.
+
+    Raises
+    ------
+    InvalidArgument
+        If it has another number.
+    """
+    if v.shape[-1] != expected:
+        raise InvalidArgument(f"reference has {v.shape[-1]} coordinates, expected {expected}{hint}")
+
+
 def refuse_path(name: str, trajectory: object) -> None:
     """Check that a trajectory is not a path.
 

@@ -15,6 +15,7 @@ from pinmobile.arrays import (
     are_real,
     broadcast,
     callable_as,
+    check_repeat,
     check_returned_array,
     finite,
     shaped,
@@ -231,12 +232,8 @@ def check_memory(controller: Controller, context: Context, q: Array, v: Array) -
             answer = evaluate(controller, t, point[0].copy(), point[1].copy(), copies, state)
             answers.append(check_returned_array("controller", answer[0]))
     first, _, last = answers
-    if first.shape != last.shape or not np.allclose(first, last, rtol=_TOL, atol=_TOL, equal_nan=True):
-        raise InvalidArgument(
-            f"controller is {format_value(controller)}, which returns {first.tolist()} and, called again "
-            f"with the same arguments, {last.tolist()}, expected the same: keep memory in state, and take "
-            "random numbers from context.noise(name, n)"
-        )
+    hint = "keep memory in state, and take random numbers from context.noise(name, n)"
+    check_repeat("controller", controller, first, last, _TOL, hint)
 
 
 class AntiWindup:

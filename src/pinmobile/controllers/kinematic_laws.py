@@ -11,7 +11,7 @@ from pinmobile.arrays import Array, callable_as, frozen, wrap_angle
 from pinmobile.controllers.controller import State, check_wheels
 from pinmobile.errors import InvalidArgument, NotTraceable
 from pinmobile.parts import Commanded, Rolling, able, child, number, part, structure
-from pinmobile.plant import Context, full_configurations
+from pinmobile.plant import Context, check_coordinates, full_configurations
 
 _SERIES_ANGLE = 1e-3  # [rad]; below it, sin(x) / x is computed by its series
 _SPEED_TOLERANCE = 1e-6  # [m/s, rad/s]; a reference below it is at rest
@@ -663,11 +663,7 @@ class Backstepping:
 
     def _check_reference(self, t: Array, reference: Any) -> None:
         """Raise `InvalidArgument` for a reference that the wheels cannot follow."""
-        if reference.v.shape[-1] != self._n:
-            raise InvalidArgument(
-                f"reference has {reference.v.shape[-1]} coordinates, expected {self._n}: x, y, psi and "
-                "those of arms"
-            )
+        check_coordinates(reference.v, self._n, ": x, y, psi and those of arms")
         speed, w = reference_speeds(self._axle, t, reference)
         if self._steering_limit is not None:
             limit, pivot = self._steering_limit

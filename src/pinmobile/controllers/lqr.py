@@ -16,7 +16,7 @@ from pinmobile.compiled import is_constant
 from pinmobile.controllers.controller import State
 from pinmobile.errors import InvalidArgument, NotTraceable, argument_errors
 from pinmobile.parts import Electric, Followed, Linearized, Rolling, able, child, number, option, part
-from pinmobile.plant import Context, Input, full_configurations, inputs_of
+from pinmobile.plant import Context, Input, check_coordinates, full_configurations, inputs_of
 
 _BASE = 3
 _CACHE_SIZE = 4  # cached designs per robot
@@ -85,11 +85,8 @@ def tracked_model(robot: Any, reference: State) -> TrackedModel:
         A, B = body.linearize_tracked(motion.q, motion.v, motion.u)
         return TrackedModel(A, B, motion.u, motion.nu)
     q, v, a = reference.q, reference.v, reference.a
-    if v.shape[-1] != body.nv:
-        raise InvalidArgument(
-            f"reference has {v.shape[-1]} coordinates, expected all of the robot, {body.nv}: for a motion "
-            "of base and arms use WholeBody(robot, base, *joints)"
-        )
+    hint = " of the robot: for a motion of base and arms use WholeBody(robot, base, *joints)"
+    check_coordinates(v, body.nv, hint)
     u = body.inverse_dynamics(q, v, a)
     A, B = body.linearize_tracked(q, v, u)
     return TrackedModel(A, B, np.asarray(u), v)
@@ -309,12 +306,10 @@ def check_gains(gains: Callable[[], dict[str, Any]], loop: Callable[[float], Arr
         return
     words = ", ".join(f"{name} = {np.unique(gain).tolist()}" for name, gain in given.items())
     good, _ = bisect(0.0, dt, is_stable)
+    fault = f"with a zero-order hold of dt = {dt:g} s, expected dt < {good:.3g} s, or smaller gains"
     if good < _STEP_FRACTION * dt:
-        raise InvalidArgument(f"gains {words} are unstable at any dt, expected other gains")
-    raise InvalidArgument(
-        f"gains {words} are unstable with a zero-order hold of dt = {dt:g} s, expected "
-        f"dt < {good:.3g} s, or smaller gains"
-    )
+        fault = "at any dt, expected other gains"
+    raise InvalidArgument(f"gains {words} are unstable {fault}")
 
 
 @final

@@ -181,8 +181,7 @@ class Numeric:
 
     def _values(self, params: Parameters) -> list[Array]:
         names = [symbol.name for symbol in self.derivation.parameters]
-        expected = f"a mapping with {', '.join(names)}"
-        for name in instance("params", params, Mapping, expected):
+        for name in instance("params", params, Mapping, f"a mapping with {', '.join(names)}"):
             one_of("parameter", name, names)
         if missing := [name for name in names if name not in params]:
             raise InvalidArgument(f"params lacks {', '.join(missing)}, expected {', '.join(names)}")

@@ -17,6 +17,7 @@ from pinmobile.arrays import (
     affordable,
     callable_as,
     check_integer,
+    check_repeat,
     check_returned_array,
     frozen,
     positive,
@@ -341,11 +342,7 @@ def _check_sizes(plant: Plant, q: Array, v: Array) -> None:
         answer, label = method(*(value.copy() for value in values)), f"{sizes}, whose {name}({arguments})"
         if answer is None:
             continue
-        if np.shape(answer) != (size,):
-            raise InvalidArgument(
-                f"{label} returned {format_value(answer)}, expected an array of shape ({size},)"
-            )
-        check_returned_array(label, answer)
+        check_returned_array(label, answer, f"an array of shape ({size},) of real numbers", (size,))
 
 
 def _check_repeats(
@@ -354,10 +351,8 @@ def _check_repeats(
     """Check that a part returns the same result again after a call with other arguments."""
     first, _, last = (law(x.copy(), w.copy()) for x, w in (*states, states[0]))
     value, repeat = (check_returned_array(path, answer, expected) for answer in (first, last))
-    is_same = np.shape(value) == np.shape(repeat)
-    if not (is_same and np.allclose(value, repeat, rtol=_RTOL, atol=_RTOL, equal_nan=True)):
-        raise InvalidArgument(
-            f"{path} is {format_value(part)}, which returns {format_value(first)} and, asked again for the "
-            f"same arguments, {format_value(last)}, expected the same: only controllers have memory, in "
-            "their state, and random numbers come from their context.noise(name, n), or from a NoiseForce"
-        )
+    hint = (
+        "only controllers have memory, in their state, and random numbers come from their "
+        "context.noise(name, n), or from a NoiseForce"
+    )
+    check_repeat(path, part, value, repeat, _RTOL, hint)

@@ -27,7 +27,7 @@ from pinmobile.errors import InvalidArgument, LimitWarning, PinmobileError, Unre
 from pinmobile.integrators import Integrator, check_integrator, constant_acceleration
 from pinmobile.parts import Constrained, able
 from pinmobile.paths import within
-from pinmobile.plant import Context, Event, limit_events
+from pinmobile.plant import Context, Event, check_coordinates, limit_events
 from pinmobile.proximity import Clearance, clearance as clearance_of
 from pinmobile.reaching.drive import Drive
 from pinmobile.reaching.poses import FrameTask, PosePath, error_sizes, pose_error
@@ -500,6 +500,10 @@ def _limit_at(trajectory: InverseKinematicsTrajectory, limits: Limits, k: int) -
 
 
 _GAINS = ("kp", "kd", "posture_kp", "posture_kd")
+_OF_BASE_AND_ARMS = (
+    ", of base and arms, such as a trajectory by solve_inverse_kinematics(robot, target) or "
+    "WholeBody(robot, base, *joints)"
+)
 # The force is constant over dt, so the acceleration changes by about 1e-2 of its value. Each correction
 # therefore reduces an excess to about 1e-2 of its value.
 _CORRECTIONS = 5
@@ -682,12 +686,7 @@ class EndEffectorTracking:
     def _command(self, t: float, q: Array, v: Array, reference: Reference) -> tuple[Array, Array]:
         """Return the desired acceleration, shape (3 + arms,), and the required input, shape (nu,)."""
         body, rows = self._body, self.target.rows
-        count = np.shape(reference.v)[-1]
-        if count != body.nv:
-            raise InvalidArgument(
-                f"reference has {count} coordinates, expected the {body.nv} of base and arms, such as a "
-                "trajectory by solve_inverse_kinematics(robot, target) or WholeBody(robot, base, *joints)"
-            )
+        check_coordinates(reference.v, body.nv, _OF_BASE_AND_ARMS)
         body_q, body_v = q[: body.nq], v[: body.nv]
         target = self.target(t)
         J = body.frame_jacobian(body_q, self.frame)

@@ -31,7 +31,7 @@ from pinmobile.robot.linkage import (
     vector_of as vector_of,
 )
 from pinmobile.robot.mobile import MobileRobot
-from pinmobile.robot.model_import import LOCKED as LOCKED, TOUCH as TOUCH
+from pinmobile.robot.model_import import LOCKED as LOCKED, TOUCH as TOUCH, check_plane as check_plane
 from pinmobile.robot.mounts import Mount, PayloadBody, add_scope as add_scope, named_frames as named_frames
 from pinmobile.robot.recursions import (
     PinocchioBackend as PinocchioBackend,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from math import prod
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -177,6 +177,16 @@ def wheels_of(
     return wheels
 
 
+def check_plane(words: str, lowest: Mapping[str, float], hint: str) -> None:
+    """Check that wheels stand on one plane; `lowest` has the z of their lowest points [m]."""
+    if max(lowest.values()) - min(lowest.values()) > TOUCH:
+        listed = ", ".join(f"{name} at z = {_round_height(z):.4g}" for name, z in lowest.items())
+        raise InvalidArgument(
+            f"{words} do not stand on one plane, with lowest points {listed} m, expected differences of at "
+            f"most {1e3 * TOUCH:g} mm, {hint}"
+        )
+
+
 def ground_below(
     model: pin.Model,
     data: pin.Data,
@@ -197,14 +207,8 @@ def ground_below(
         return scalar("ground", given), "as given"
     lowest = {wheel.name: wheel.centre[2] - wheel.radius for wheel in wheels if wheel.radius is not None}
     if lowest:
-        heights = list(lowest.values())
-        if max(heights) - min(heights) > TOUCH:
-            listed = ", ".join(f"{wheel} at z = {_round_height(z):.4g}" for wheel, z in lowest.items())
-            raise InvalidArgument(
-                f"{name}: its wheels do not stand on one plane, with lowest points {listed} m, expected "
-                f"differences of at most {1e3 * TOUCH:g} mm, or ground=, its z in the root link's frame [m]"
-            )
-        return _round_height(sum(heights) / len(heights)), "below its wheels by their radii"
+        check_plane(f"{name}: its wheels", lowest, "or ground=, its z in the root link's frame [m]")
+        return _round_height(sum(lowest.values()) / len(lowest)), "below its wheels by their radii"
     for number, frame in enumerate(model.frames):
         is_link = number and frame.type == pin.FrameType.BODY and frame.parentJoint == root
         if is_link and frame.name.endswith(_FOOTPRINT):

@@ -271,17 +271,14 @@ def free_place(mounts: Sequence[Mount], top: float | None, arm: Arm) -> tuple[fl
     InvalidArgument
         If the height is not known, or another arm is at the middle.
     """
-    if top is None:
-        raise InvalidArgument(
-            f"at is not given for {arm.origin.value!r}, and the top of the robot is not known, "
-            "expected x, y, z and yaw; robot.source says what the file lacks"
+    middle = next((mount.name for mount in mounts if mount.at[:2] == (0.0, 0.0)), None)
+    if top is None or middle is not None:
+        reason = (
+            "the top of the robot is not known" if top is None else f"{middle!r} is already in the middle"
         )
-    for mount in mounts:
-        if mount.at[:2] == (0.0, 0.0):
-            raise InvalidArgument(
-                f"at is not given for {arm.origin.value!r}, and {mount.name!r} is already in the middle, "
-                "expected x, y, z and yaw"
-            )
+        hint = "; robot.source says what the file lacks" * (top is None)
+        label = f"at is not given for {arm.origin.value!r}"
+        raise InvalidArgument(f"{label}, and {reason}, expected x, y, z and yaw{hint}")
     depth = arm.reach_down()
     return 0.0, 0.0, top + depth if arm.stands or depth > top else top, 0.0
 

@@ -404,10 +404,7 @@ def body_shapes(looks: VisualFile | None, source: str) -> Iterator[Solid]:
     """
     model, joints = looks.model() if looks else (pin.Model(), [])
     shapes = looks.shapes(model) if looks else pin.GeometryModel()
-    if not shapes.ngeoms:
-        raise InvalidArgument(
-            f"robot has a body without collision shapes ({source}), expected a box, or <collision> in a URDF"
-        )
+    _check_shapes(shapes, "a body", "a box, or <collision> in a URDF", f" ({source})")
     for item in shapes.geometryObjects:
         placement = joints[item.parentJoint] * item.placement
         yield from _solid(link_of(item, model), 0, placement, item, joints_above(model, item.parentJoint))
@@ -430,6 +427,11 @@ def body_box(size: Sequence[float], bottom: float = 0.0) -> Solid:
     return Solid(BODY_LINK, 0, pin.SE3(np.eye(3), middle), coal.Box(length, width, height - bottom))
 
 
+def _check_shapes(shapes: pin.GeometryModel, owner: str, expected: str, source: str = "") -> None:
+    if not shapes.ngeoms:
+        raise InvalidArgument(f"robot has {owner} without collision shapes{source}, expected {expected}")
+
+
 def carried_shapes(robot: Any) -> Iterator[Solid]:
     """Return the collision shapes of arms, and the boxes of loads, on the parts of the whole model.
 
@@ -440,10 +442,7 @@ def carried_shapes(robot: Any) -> Iterator[Solid]:
     """
     for mount in robot.mounts:
         shapes, links = mount.arm.solids()
-        if not shapes.ngeoms:
-            raise InvalidArgument(
-                f"robot has an arm {mount.name!r} without collision shapes, expected mount(collision=...)"
-            )
+        _check_shapes(shapes, f"an arm {mount.name!r}", "mount(collision=...)")
         for item, link in zip(shapes.geometryObjects, links, strict=True):
             joint, placement = mount.joint_of(item)
             yield from _solid(f"{mount.name}/{link}", joint - BODY_JOINT, placement, item)

@@ -28,7 +28,7 @@ from pinmobile.arrays import (
 )
 from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.parts import evolved
-from pinmobile.robot import LOCKED, TOUCH, MobileRobot, Swivel, WheelJoint
+from pinmobile.robot import LOCKED, TOUCH, MobileRobot, Swivel, WheelJoint, check_plane
 from pinmobile.wheels._motors import Motor
 from pinmobile.wheels._table import (
     DRIVEN,
@@ -243,14 +243,8 @@ class _Reader:
         """Check that all wheels stand on one plane."""
         pairs = zip(self.joints, rows, strict=True)
         lowest = {joint.name: joint.centre[2] - row.radius for joint, row in pairs}
-        heights = [*lowest.values(), *([0.0] if self.robot.grounded else [])]
-        if max(heights) - min(heights) > TOUCH:
-            listed = ", ".join(f"{name} at z = {z:.4g}" for name, z in lowest.items())
-            ground = ", the ground at z = 0" if self.robot.grounded else ""
-            raise InvalidArgument(
-                f"wheels do not stand on one plane: their lowest points are {listed}{ground} m, expected "
-                f"differences below {1e3 * TOUCH:g} mm, other radii, or locked= for wheels that do not roll"
-            )
+        lowest |= {"the ground": 0.0} if self.robot.grounded else {}
+        check_plane("wheels", lowest, "other radii, or locked= for wheels that do not roll")
 
     def _on_lines(self, rows: Sequence[Wheel]) -> list[Wheel]:
         """Return the rows, with axles of fixed tyres that are almost on one line moved onto it.
