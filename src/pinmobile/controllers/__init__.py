@@ -10,6 +10,7 @@ attributes q, v and a. These controllers broadcast over leading axes. `InputDela
 from pinmobile.controllers.actuation import RandomSteps, TorqueToVoltage, VelocityCommand, WheelSpeed
 from pinmobile.controllers.adaptive import Adaptive, AdaptiveVelocity
 from pinmobile.controllers.controller import (
+    ContextView as ContextView,
     Controller,
     State,
     Wrapper as Wrapper,

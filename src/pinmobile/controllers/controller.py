@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import suppress
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -21,7 +20,7 @@ from pinmobile.arrays import (
     shaped,
     wrap_angle,
 )
-from pinmobile.errors import InvalidArgument, argument_errors, format_value
+from pinmobile.errors import InvalidArgument, NotTraceable, argument_errors, format_value
 from pinmobile.parts import Informed, able, option, part, require
 from pinmobile.plant import Context, stated
 from pinmobile.signals import signals_of
@@ -297,13 +296,26 @@ class Wrapper:
 
 
 class ContextView:
-    """Context of a wrapped controller: the context of the loop, except for the given attributes."""
+    """Context of a controller: the context of the loop, except for the given attributes.
 
-    def __init__(self, context: Any, **attributes: Any) -> None:
-        self._context = context
+    Parameters
+    ----------
+    context : Context
+        Context with everything else.
+    hidden : (str, str), optional
+        Reason why reference and trajectory are hidden, and what the user can do instead, for the message.
+    **attributes
+        Other attributes.
+    """
+
+    def __init__(self, context: Any, hidden: tuple[str, str] | None = None, **attributes: Any) -> None:
+        self._context, self._hidden = context, hidden
         vars(self).update(attributes)
 
     def __getattr__(self, name: str) -> Any:
+        if self._hidden and name in ("reference", "trajectory"):
+            reason, remedy = self._hidden
+            raise NotTraceable(f"the controller reads the {name} of its context, {reason}", remedy)
         return getattr(self._context, name)
 
 
@@ -392,11 +404,14 @@ class _Law:
     def __call__(self, t: float, q: Array, v: Array, reference: Any, state: None) -> tuple[Array, None]:
         """Return the result of the function, and None."""
         force = self.function(t, q, v, reference)
-        with suppress(TypeError, ValueError):
-            if force is not None and are_real(force):
-                return np.asarray(force, np.float64), None
-        words = f"function of the law returned {format_value(force)} at t = {t:g} s"
-        raise InvalidArgument(f"{words}, expected an input: nu numbers")
+        try:
+            u = None if force is None or not are_real(force) else np.asarray(force, np.float64)
+        except (TypeError, ValueError):
+            u = None
+        if u is None:
+            words = f"function of the law returned {format_value(force)} at t = {t:g} s"
+            raise InvalidArgument(f"{words}, expected an input: nu numbers")
+        return u, None
 
 
 def law(function: Callable[[float, Array, Array, Any], ArrayLike]) -> Controller:

@@ -11,7 +11,7 @@ import numpy as np
 
 from pinmobile.arrays import Array, location, matching, one_of, positive, sequence
 from pinmobile.compiled import pause_gc
-from pinmobile.controllers import Controller, check_controller
+from pinmobile.controllers import ContextView, Controller, check_controller
 from pinmobile.errors import InvalidArgument, NotTraceable, argument_errors
 from pinmobile.export._law import InputRecorder, InputSchedule, Law
 from pinmobile.export._project import Project
@@ -19,7 +19,6 @@ from pinmobile.files import file_errors, write
 from pinmobile.forces import Force
 from pinmobile.integrators import Integrator
 from pinmobile.loop import (
-    BlindContext,
     Loop,
     check_forces,
     check_substeps,
@@ -205,7 +204,7 @@ def initial_context(
     for n in sorted(sizes, reverse=True):
         first = Reference(q[: sizes[n]], v[:n], np.zeros(n))
         full_context: Any = Context.of(plant, dt=dt, reference=Reference(*(x[None] for x in first)))
-        blind_context: Any = BlindContext(full_context, *_NO_REFERENCE)
+        blind_context: Any = ContextView(full_context, _NO_REFERENCE)
         try:  # the largest reference that the controller accepts
             controller(0.0, q.copy(), v.copy(), first, controller.initial_state(blind_context))
         except NotTraceable:

@@ -51,7 +51,6 @@ from pinmobile.loop._loop import (
 from pinmobile.loop._payload import PayloadTransfer
 from pinmobile.loop._rollout import EndEffector, Rollout, at_samples as at_samples, error_text as error_text
 from pinmobile.loop._run import (
-    BlindContext as BlindContext,
     LoopStepper as LoopStepper,
     ensemble,
     part_of,

@@ -13,7 +13,7 @@ import numpy as np
 
 from pinmobile.arrays import Array, callable_as, check_integer, instance
 from pinmobile.compiled import BINS, aligned, call, processors, robot_keys
-from pinmobile.controllers import Controller
+from pinmobile.controllers import ContextView, Controller
 from pinmobile.errors import (
     InvalidArgument,
     LimitWarning,
@@ -175,26 +175,6 @@ def _add_recorder(scenario: Scenario, loop: Loop | None = None) -> Loop:
     return evolved(scenario.loop if loop is None else loop, {"recorder": recorder})
 
 
-class BlindContext:
-    """Context that hides reference and trajectory.
-
-    Parameters
-    ----------
-    context : Context
-        Context with everything else.
-    reason, remedy : str
-        Reason why they are hidden, and what the user can do instead, for the message.
-    """
-
-    def __init__(self, context: Context, reason: str, remedy: str) -> None:
-        self._context, self._cause, self._cure = context, reason, remedy
-
-    def __getattr__(self, name: str) -> Any:
-        if name in ("reference", "trajectory"):
-            raise NotTraceable(f"the controller reads the {name} of its context, {self._cause}", self._cure)
-        return getattr(self._context, name)
-
-
 _OWN_REFERENCE = (
     "which differs from robot to robot",
     "use the reference of each sample, or spread no parameter of the trajectory",
@@ -233,7 +213,7 @@ def compile_loop(
         If no law uses a number of the spread.
     """
     first = Reference(*(part[0] for part in scenario.reference))
-    context: Any = BlindContext(scenario.context, *_OWN_REFERENCE) if hides_reference else scenario.context
+    context: Any = ContextView(scenario.context, _OWN_REFERENCE) if hides_reference else scenario.context
     compiled = Compiled(
         *(loop, context, scenario.start, first),
         spread=scenario.entries,
