@@ -152,7 +152,7 @@ class Inputs(Cart):
         *(
             (
                 Spoilt(name),
-                rf"a Spoilt with nq = 5, nv = 5 and nu = 2, whose {name}\(.*\) returned .*\({size},\)$",
+                rf"a Spoilt with nq = 5, nv = 5 and nu = 2, whose {name}\(.*\) returned .*\({size},\) of re",
             )
             for name, size in (("forward_dynamics", 5), ("pose_rate", 3))
         ),

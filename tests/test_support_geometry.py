@@ -163,7 +163,7 @@ def test_where_radii_are_in_meshes_alone_the_ground_is_asked_for(tmp_path: Path)
     known = read(tmp_path, wheeled.fetch(), ground=0.055325 - 0.0604)
     assert known.grounded
     assert known.com[2] == pytest.approx(robot.com[2] + 0.0604 - 0.055325, abs=1e-15)
-    with refused("footprint is not given, and the robot's footprint is not known"):
+    with refused("footprint is not given, and that of the robot is None"):
         tip_over_margin(MotionStates(known, np.zeros(3), np.zeros(3), np.zeros(3)))
 
 
@@ -196,7 +196,7 @@ def test_a_wheel_without_a_radius_leaves_the_footprint_unknown_unless_it_is_insi
     robot = on_wheels((0.3, 0.2), (0.3, -0.2), (-0.3, 0.2), (-0.3, -0.2))
     assert robot.footprint is None
     assert "j0, j1, j2, but the file does not contain the radius of j3" in robot.source
-    with refused("the robot's footprint is not known"):
+    with refused("that of the robot is None"):
         braking(robot, -1.0)
     six = on_wheels((0.3, 0.2), (0.3, -0.2), (-0.3, 0.2), (-0.3, -0.2), (0, 0.2), (0, -0.2))
     stands_on(six, box(0.3, 0.2))

@@ -621,7 +621,7 @@ def footprint_of(robot: Any, footprint: ArrayLike | None = None) -> Array:
         return check_footprint(footprint)
     corners: Array | None = getattr(require("robot", robot, Grounded), "footprint", None)
     expected = "the corners of the support polygon, shape (k, 2) [m]; robot.source says what the file lacks"
-    return check_footprint(required("footprint of the robot", corners, expected))
+    return check_footprint(required("footprint is not given, and that of the robot", corners, expected))
 
 
 def required_friction(motion: MotionLike) -> Array:

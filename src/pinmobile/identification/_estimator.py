@@ -107,7 +107,7 @@ def _columns(
     """Return residuals, white ones and slopes by F numbers (S, L m, 1 + F), and QR of initial states."""
     outputs, slopes = linearize(model, segments, p, starts, numbers)
     residual = segments.y - outputs
-    check_share(float(np.isfinite(residual).all()), 1.0)
+    check_share(1.0 if np.isfinite(residual).all() else 0.0, 1.0)
     rows = white(segments.weigh(np.concatenate([residual[None], slopes])), segments.good)
     columns = np.moveaxis(rows.reshape(*rows.shape[:2], -1), 0, -1)
     columns, by_start = np.split(columns, [1 + len(numbers)], axis=-1)
@@ -304,7 +304,7 @@ def solve_robustly(
         fit = solve(model, segments._replace(good=good), p, moves=moves, white=white, starts=starts)
         p, starts, left, previous_good = fit.p, fit.starts, fit.linear.residual, good
         good = find_inliers(left, good, segments.good)
-        check_share(float(good.sum() > left.shape[-1]), 1.0)
+        check_share(1.0 if good.sum() > left.shape[-1] else 0.0, 1.0)
         previous, covariance = covariance, _covariance(left[good & previous_good])
         weak = ~moves
         if natural is not None:

@@ -355,7 +355,7 @@ def _start(model: TorqueCar, runs: Sequence[Run], delays: Sequence[float], is_al
     values = {"mass": mass - wheels.inertia[0, 0] - wheels.spin, "delay": lag * model.dt}
     for n in wheels.names:
         values |= {f"joint_viscous_{n}": viscous, f"joint_coulomb_{n}": dry}
-    check_share(float(values["mass"] > 0), 1.0)
+    check_share(1.0 if values["mass"] > 0 else 0.0, 1.0)
     if is_alone:
         values["yaw_inertia"] = mass * ((wheels.front - wheels.rear) / 2) ** 2
     priors = [*((item.name, item.prior) for item in model.first), *((n, 0.0) for n in model.free)]
