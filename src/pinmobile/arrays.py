@@ -1329,6 +1329,41 @@ def increasing(name: str, t: Array, hint: str = "") -> None:
         raise InvalidArgument(f"{name}[{index}] is {t[index]} s after {t[index - 1]} s, expected more{hint}")
 
 
+def count_steps(name: str, total: float, step: float) -> int:
+    """Return the number of time steps in a time, which must be a whole multiple of the step.
+
+    Parameters
+    ----------
+    name : str
+        Name of the time, for the message.
+    total, step : float
+        Time and time step, both positive [s].
+
+    Returns
+    -------
+    int
+        Number of steps, at least 1.
+
+    Raises
+    ------
+    InvalidArgument
+        If the time is not a whole multiple of the step, up to rounding.
+
+    Examples
+    --------
+    >>> from pinmobile.arrays import count_steps
+    >>> count_steps("step", 0.3, 0.1)
+    3
+    """
+    ratio = total / step
+    if not 0.5 < ratio < np.inf or abs(ratio - round(ratio)) > _STEP_TOLERANCE * ratio:
+        raise InvalidArgument(f"{name} is {total} s, expected a whole multiple of the time step {step} s")
+    return round(ratio)
+
+
+_STEP_TOLERANCE = 1e-9  # relative rounding of a number of time steps
+
+
 def bisect(low: float, high: float, holds: Callable[[float], bool]) -> tuple[float, float]:
     """Return a small interval: a condition holds at its lower end, but not at its upper end.
 

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 
-from pinmobile.arrays import Array, frozen, shaped
+from pinmobile.arrays import Array, count_steps, frozen, shaped
 from pinmobile.controllers.controller import State
 from pinmobile.controllers.feedback import bound
 from pinmobile.controllers.lqr import (
@@ -318,9 +318,7 @@ class MPC(WeightedLaw):
         solver()
         reference = full_reference(context, self.robot)
         dt, t = float(context.dt), np.asarray(context.t)
-        stride = round(self.step / dt)
-        if stride < 1 or abs(stride * dt - self.step) > _RELATIVE_TOLERANCE * self.step:
-            raise InvalidArgument(f"step is {self.step:g} s, expected a whole number of time steps, {dt:g} s")
+        stride = count_steps("step", self.step, dt)
         if self.horizon * stride <= context.measurement_delay:
             raise InvalidArgument(
                 f"horizon is {self.horizon * self.step:g} s, not longer than the delay of the measurement, "
