@@ -139,7 +139,7 @@ def test_dingo_and_mp400_have_their_inertia_on_another_axis(tmp_path: Path) -> N
 
 
 def test_fetch_is_asked_for_its_radius_which_tells_the_ground_too(tmp_path: Path) -> None:
-    words = r"radius of wheel 'l_wheel_joint' is unknown.*expected radius=\{'l_wheel_joint': \.\.\.\}"
+    words = r"radius of wheel 'l_wheel_joint' is None.*expected radius=\{'l_wheel_joint': \.\.\.\}"
     with pytest.raises(InvalidArgument, match=words):
         read(tmp_path, wheeled.fetch())
     robot = read(tmp_path, wheeled.fetch(), radius=0.0604, supports=[(-0.12, 0.1), (-0.12, -0.1)])

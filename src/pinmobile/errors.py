@@ -73,7 +73,7 @@ def format_names(names: Iterable[str]) -> str:
 
     See Also
     --------
-    errors.shown : one value as the text of a message.
+    errors.format_value : one value as the text of a message.
 
     Examples
     --------

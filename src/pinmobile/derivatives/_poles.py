@@ -240,7 +240,8 @@ class Poles:
             If the inputs change within the period of the loop.
         """
         expected = "a loop with one time step, or Sampled around its whole law: others have no margins"
-        input_matrix = required("input_matrix", self.input_matrix, expected)
+        label = "the inputs change within the period of the loop: input_matrix"
+        input_matrix = required(label, self.input_matrix, expected)
         z = np.exp(1j * np.asarray(frequency, float) * self.dt)[..., None, None]
         return self.feedthrough + self.output_matrix @ np.linalg.solve(
             z * np.eye(len(self.matrix)) - self.matrix, input_matrix
