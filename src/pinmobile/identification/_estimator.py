@@ -107,7 +107,8 @@ def _columns(
     """Return residuals, white ones and slopes by F numbers (S, L m, 1 + F), and QR of initial states."""
     outputs, slopes = linearize(model, segments, p, starts, numbers)
     residual = segments.y - outputs
-    check_share(1.0 if np.isfinite(residual).all() else 0.0, 1.0)
+    if not np.isfinite(residual).all():
+        raise unexplained_error(0.0)
     rows = white(segments.weigh(np.concatenate([residual[None], slopes])), segments.good)
     columns = np.moveaxis(rows.reshape(*rows.shape[:2], -1), 0, -1)
     columns, by_start = np.split(columns, [1 + len(numbers)], axis=-1)
@@ -143,13 +144,18 @@ class Fit(NamedTuple):
     good: NDArray[np.bool_]
 
 
+def unexplained_error(share: float) -> InvalidArgument:
+    """Return the error for a log with inputs that explain too small a share of the motion."""
+    return InvalidArgument(
+        f"log has inputs that explain {max(share, 0.0):.0%} of the motion, expected most of it: are the "
+        "inputs from another robot, in another frame, with another sign, or in other units?"
+    )
+
+
 def check_share(share: float, least: float) -> None:
     """Reject a log with inputs that explain too small a share of the motion."""
     if share < least:
-        raise InvalidArgument(
-            f"log has inputs that explain {max(share, 0.0):.0%} of the motion, expected most of it: are the "
-            "inputs from another robot, in another frame, with another sign, or in other units?"
-        )
+        raise unexplained_error(share)
 
 
 def _settle_starts(
@@ -304,7 +310,8 @@ def solve_robustly(
         fit = solve(model, segments._replace(good=good), p, moves=moves, white=white, starts=starts)
         p, starts, left, previous_good = fit.p, fit.starts, fit.linear.residual, good
         good = find_inliers(left, good, segments.good)
-        check_share(1.0 if good.sum() > left.shape[-1] else 0.0, 1.0)
+        if good.sum() <= left.shape[-1]:
+            raise unexplained_error(0.0)
         previous, covariance = covariance, _covariance(left[good & previous_good])
         weak = ~moves
         if natural is not None:

@@ -24,7 +24,7 @@ from pinmobile.errors import InvalidArgument
 from pinmobile.forces import JointFriction
 from pinmobile.identification._commands import LEAST_BLOCKS, Part, Run, lead_of, parts_of
 from pinmobile.identification._estimates import Identification, check_identifiable
-from pinmobile.identification._estimator import check_share
+from pinmobile.identification._estimator import unexplained_error
 from pinmobile.identification._log import Log, unused_rows
 from pinmobile.identification._planar_model import inertia_of, pose_rate, torques_of, units_of, with_inertia
 from pinmobile.identification._simulation import Segments
@@ -355,7 +355,8 @@ def _start(model: TorqueCar, runs: Sequence[Run], delays: Sequence[float], is_al
     values = {"mass": mass - wheels.inertia[0, 0] - wheels.spin, "delay": lag * model.dt}
     for n in wheels.names:
         values |= {f"joint_viscous_{n}": viscous, f"joint_coulomb_{n}": dry}
-    check_share(1.0 if values["mass"] > 0 else 0.0, 1.0)
+    if values["mass"] <= 0:
+        raise unexplained_error(0.0)
     if is_alone:
         values["yaw_inertia"] = mass * ((wheels.front - wheels.rear) / 2) ** 2
     priors = [*((item.name, item.prior) for item in model.first), *((n, 0.0) for n in model.free)]
