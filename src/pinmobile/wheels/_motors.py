@@ -354,12 +354,16 @@ class Motor:
         """
         if self.voltage is None:
             return np.asarray(self.torque_limit - np.abs(torque))
-        return np.asarray(self._law.margin(0, np.asarray(torque), finite("rate", rate)))
+        way = np.where(torque < 0, -1.0, 1.0)
+        left = self.torque(way * self.voltage, rate) * way - np.abs(torque)
+        margin = np.abs(torque) - self.torque(-way * self.voltage, rate) * way
+        return np.asarray(np.where(margin < 0, np.minimum(left, margin), left))
 
     def lacks(self, torque: Any, rate: Any) -> Any:
         """Return whether an electric motor lacks a torque at a rate <= `largest_rate`: numbers or symbols."""
-        tolerance = LIMIT_TOLERANCE * self._law.torque(0, self.voltage, 0.0)
-        is_weak = self._law.margin(0, torque, rate) < -tolerance
+        way, law = choose(torque < 0.0, -1.0, 1.0), self._law
+        largest = way * law.torque(0, way * self.voltage, rate)
+        is_weak = largest - abs(torque) < -LIMIT_TOLERANCE * law.torque(0, self.voltage, 0.0)
         return choose(abs(rate) > self.largest_rate, False, is_weak)
 
 
@@ -505,14 +509,6 @@ class MotorLaw:
             return torque
         friction = choose(rate > 0.0, push.hold, choose(rate < 0.0, -push.hold, within(torque, push.hold)))
         return torque - friction
-
-    def margin(self, k: int, torque: Any, rate: Any) -> Any:
-        """Return the remaining torque of a motor at a rate, see `Motor.margin`."""
-        size, voltage = abs(torque), float(self.motors[k].voltage or 0.0)
-        way = choose(torque < 0.0, -1.0, 1.0)
-        left = self.torque(k, way * voltage, rate) * way - size
-        back = size - self.torque(k, -way * voltage, rate) * way
-        return choose(back < 0.0, choose(left < back, left, back), left)
 
     def smooth_torque(self, k: int, volts: Any, rate: Any, sign: Any) -> Any:
         """Return the torque of a motor with a smooth sign in dry friction and gear losses.
