@@ -8,7 +8,6 @@ import numpy as np
 
 import pinmobile as pm
 from pinmobile.compiled import Cache, Outcome, Program, robot_keys
-from pinmobile.controllers import InputDelay
 from pinmobile.forces import SinusoidalForce
 from pinmobile.integrators import constant_acceleration, semi_implicit_euler
 from pinmobile.loop import Loop, Samples
@@ -16,7 +15,7 @@ from pinmobile.loop._engines import Compiled, python_samples
 from pinmobile.parts import evolved
 from pinmobile.plant import Context
 from pinmobile.trajectories import Reference
-from tests.parts import PID, Axle, Cart, Follower, SlidingMode, Spring
+from tests.parts import PID, Cart, Follower
 
 DT, COUNT = 0.01, 201
 SEED = 7
@@ -60,13 +59,6 @@ class Body:
         ax = tau[..., 0] / self.mass + dy * spin + dx * square
         return np.stack([ax, tau[..., 1] / self.mass - dx * spin + dy * square, spin], axis=-1)
 
-    def inverse_dynamics(self, q: Any, v: Any, a: Any) -> Any:
-        dx, dy = self._offset(q)
-        spin, square = a[..., 2], v[..., 2] ** 2
-        gx, gy = a[..., 0] - dy * spin, a[..., 1] + dx * spin
-        moment = self.yaw_inertia * spin + self.mass * (dx * gy - dy * gx)
-        return np.stack([self.mass * (gx - dx * square), self.mass * (gy - dy * square), moment], axis=-1)
-
     def difference(self, q0: Any, q1: Any) -> Any:
         d = q1 - q0
         turn = d[..., 2] - 2 * np.pi * np.rint(d[..., 2] / (2 * np.pi))
@@ -105,28 +97,16 @@ ROUGH = pm.ConstantForce((2.0, 1.0, 0.1)), pm.RollingResistance((3.0, 5.0, 1.0),
 LIMITS = (60.0, 60.0, 5.0)
 
 
-def torque() -> pm.ComputedTorque:
-    return pm.ComputedTorque(ROBOT, 4.0, (4.0, 4.0, 5.0))
-
-
-def _all(controller: Any) -> Any:
-    return pm.InputSaturation(
-        pm.MeasurementDelay(pm.MeasurementNoise(controller, 0.001, 0.005, 3), 5), LIMITS
-    )
+def _all() -> Any:
+    torque = pm.ComputedTorque(ROBOT, 4.0, (4.0, 4.0, 5.0))
+    return pm.InputSaturation(pm.MeasurementDelay(pm.MeasurementNoise(torque, 0.001, 0.005, 3), 5), LIMITS)
 
 
 COMPOSITIONS: dict[str, Callable[[], Loop]] = {
-    "computed torque": lambda: Loop(Body(), torque(), None, (), constant_acceleration),
-    "all": lambda: Loop(Body(), _all(torque()), None, (*SMOOTH, *ROUGH), pm.rk4, 2),
-    "delayed by one, twice": lambda: Loop(
-        ROBOT, pm.MeasurementDelay(pm.MeasurementDelay(PD(), 1), 2), None, (), pm.rk4
-    ),
-    "input delayed": lambda: Loop(ROBOT, InputDelay(PD(), 3), None, ROUGH, pm.rk4),
+    "all": lambda: Loop(Body(), _all(), None, (*SMOOTH, *ROUGH), pm.rk4, 2),
     "pid": lambda: Loop(
         Body(), pm.InputSaturation(PID(90.0, 20.0, 90.0), LIMITS), None, ROUGH, constant_acceleration
     ),
-    "sliding": lambda: Loop(Body(), SlidingMode(), None, SMOOTH, pm.rk4),
-    "wheels, forces": lambda: Loop(Cart(), Follower(), None, (Spring(), Axle()), pm.rk4),
     "wheels, delayed": lambda: Loop(
         Cart(), pm.MeasurementDelay(Follower(), 3), None, ROUGH, semi_implicit_euler
     ),

@@ -281,23 +281,7 @@ def test_odometry_of_the_true_table_is_nearly_the_pose_and_a_smaller_wheel_drift
     assert 0.02 < drifts["smaller"] < 0.5
 
 
-S = {"start.x": pm.Uniform(-0.2, 0.2), "start.psi": pm.Uniform(-0.3, 0.3)}
 ON_TWO, OF_CAR = (pm.Backstepping(pm.UnicycleTracking(), robot) for robot in (DIFFERENTIAL, CAR))
-CASES: dict[str, tuple[Any, Any, Any]] = {
-    "parking": (DIFFERENTIAL, pm.Backstepping(Parking(), DIFFERENTIAL), Posed((1.0, 0.5, 0.3))),
-    "swerve": (SWERVE, SwerveTracking(SWERVE), Crab()),
-    "car, delayed": (CAR, pm.MeasurementDelay(OF_CAR, 1), LARGE),
-    "odometry": (DIFFERENTIAL, OdometryFeedback(ON_TWO, DIFFERENTIAL.table, ticks=2000, noise=0.1), EIGHT),
-}
-
-
-@pytest.mark.parametrize("name", CASES)
-def test_the_engines_agree(name: str) -> None:
-    more: dict[str, Any] = {"spread": S, "dt": 0.01, "seed": 4, "duration": 0.3, "integrator": pm.rk4}
-    one, other = (pm.ensemble(*CASES[name], n=2, engine=engine, **more) for engine in Engine)
-    for of in ("max_error", "rms_error", "max_input"):
-        here, there = getattr(one, of), getattr(other, of)
-        np.testing.assert_allclose(here, there, rtol=0, atol=1e-12 * (1 + there.max()), err_msg=of)
 
 
 def test_a_reference_that_wheels_cannot_follow_is_refused_with_its_time() -> None:

@@ -22,18 +22,6 @@ def plain(controller: Any, plant: Any = None, integrator: Any = constant_acceler
     return Loop(looping.Body() if plant is None else plant, controller, None, (), integrator)
 
 
-@pytest.mark.parametrize("name", looping.COMPOSITIONS)
-def test_a_compiled_loop_is_the_loop_in_python(name: str) -> None:
-    loop = looping.COMPOSITIONS[name]()
-    found = looping.ran(looping.built(loop), 19)
-    q, v = looping.started(loop.plant, 19)
-    for i in (0, 18):
-        mine = replace(loop, {"plant.mass": np.linspace(0.8, 1.2, 400)[i] * loop.plant.mass})
-        expected = looping.looped(mine, q[i], v[i], member=i)
-        # What contracts keeps the last bits of sine and tanh, which are NumPy's own there, small.
-        looping.assert_near({each: rows[i] for each, rows in found.kept.items()}, expected, 1e-10)
-
-
 def test_the_summary_is_that_of_the_samples() -> None:
     loop, n, every = looping.COMPOSITIONS["pid"](), 21, 7
     counted = looping.built(loop, recorder=Worst(limit=1e3, begin=50.0))
