@@ -288,13 +288,3 @@ def test_poles_of_computed_torque_are_those_of_its_gains() -> None:
     s = np.linalg.eigvals([[0.0, 1.0], [-9.0, -5.0]])
     np.testing.assert_allclose(np.sort(found.frequency)[[0, -1]], np.sort(np.abs(s)), rtol=0.05)
     assert np.allclose(found.damping[found.values.imag != 0], 5 / 6, atol=0.03)
-
-
-def test_an_unstable_loop_and_wrong_arguments_are_reported() -> None:
-    found = poles(pm.MobileRobot(30.0, 1.3), pm.PD(120, 120), still(), dt=0.05)
-    assert "small deviations grow near this sample" in str(found)
-    assert found.damping.min() < 0
-    with pytest.raises(pm.InvalidArgument, match=r"^at is 3.0 s, expected 0 <= at <= 2 s$"):
-        poles(BODY, pm.PD(120, 120), still(), dt=0.05, at=3.0)
-    with pytest.raises(pm.InvalidArgument, match=r"this loop has no derivative: .*MPC"):
-        poles(BODY, pm.MPC(BODY), still(), dt=0.05)

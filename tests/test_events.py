@@ -257,9 +257,10 @@ def test_an_ensemble_states_what_was_spread_who_failed_and_what_drives_the_worst
     robot = on_wheels(motor=pm.Motor(torque_limit=1.0))
     law = WheelSpeed(pm.UnicycleTracking(), robot, kp=5)
     spread: Any = {"com.z": pm.Uniform(0.1, 0.9), "start.y": pm.Uniform(0.0, 0.3)}
-    with pytest.warns(LimitWarning, match=r"^6 of 100 robots tip over: no loads"):
+    with pytest.warns(LimitWarning, match=r"^6 of 100 robots tip over: no loads") as told:
         runs = pm.ensemble(robot, law, pm.Tangent(pm.Circle(1.0, 1.5, 2.0)), n=100, spread=spread, dt=0.02)
     text = str(runs)
+    assert len(told) == 1
     assert "spread: com.z Uniform(low=0.1, high=0.9) m, start.y Uniform(low=0.0, high=0.3) m\n" in text
     tips, lifts = (runs.largest("tip over") > 0, runs.largest("load") < 0)
     slips = runs.largest("slip margin") < 0

@@ -280,22 +280,3 @@ def test_a_run_warns_of_a_robot_that_tips_over(ground: Any, engine: pm.Engine) -
         margin = pm.balance.tip_over_margin(found)[: -1 if isinstance(ground, Coulomb) else None].min()
         worst: list[Any] = [(each.value, each.unit) for each in found.events if each.kind == "tip over"]
         assert worst == [(pytest.approx(margin), "m")] * tips
-
-
-def test_an_ensemble_counts_the_robots_that_tip_over_and_warns_once(tmp_path: Path) -> None:
-    robot = on_casters(0.1)
-    turning, heights = pm.Tangent(pm.Circle(1.0, 1.5, 2.0)), np.array([0.1, 0.9, 0.9])
-    parts = robot, WheelSpeed(pm.UnicycleTracking(), robot, kp=5), turning
-    loop: Any = {"n": 3, "dt": 0.02, "duration": 0.4}
-    words = r"2 of 3 robots tip over: no loads of wheels and supports balance them"
-    with pytest.warns(errors.LimitWarning, match=words) as told:
-        found = pm.ensemble(*parts, spread={"com.z": heights}, **loop)
-    assert len(told) == 1
-    assert found.largest("tip over").tolist() == [0, 1, 1]
-    assert re.search(words, str(found))
-    found.save(tmp_path / "runs.npz")
-    assert pm.Ensemble.load(tmp_path / "runs.npz").events == found.events
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        stands = pm.ensemble(*parts, spread={}, **loop)
-    assert not stands.events

@@ -233,6 +233,8 @@ def test_a_metric_with_an_unknown_rule_is_no_loss() -> None:
 def test_an_unstable_loop_has_no_margins_and_all_poles_are_drawn() -> None:
     unstable = poles(BODY, pm.PD(120, 120), REST, dt=0.05)
     assert not unstable.is_stable
+    assert "small deviations grow near this sample" in str(unstable)
+    assert unstable.damping.min() < 0
     with pytest.raises(pm.InvalidArgument, match="the loop is unstable near this sample"):
         unstable.margins  # noqa: B018 (the property is what is tested)
     stable = poles(BODY, pm.PD(60, 60), REST, dt=0.01)

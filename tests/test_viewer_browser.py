@@ -11,7 +11,7 @@ import pytest
 
 from pinmobile import Circle, ComputedTorque, MobileRobot, Tangent, simulate
 from pinmobile.viewer import Viewer
-from pinmobile.viewer.pages import OfflineWindow, Visualizer
+from pinmobile.viewer.pages import Visualizer
 from pinmobile.viewer.server import LiveWindow
 from tests.chromium import Chromium, Page
 from tests.webclient import eventually
@@ -20,10 +20,8 @@ with warnings.catch_warnings():
     warnings.simplefilter("ignore", DeprecationWarning)
     from meshcat import geometry
 
-Window = OfflineWindow | LiveWindow
-
 WIDTH, HEIGHT = 480, 360
-RED, GREEN = (255, 0, 0), (0, 255, 0)
+RED = (255, 0, 0)
 HERE, THERE = (0.5, -0.8, 0.2), (-0.3, 0.9, 0.4)
 
 
@@ -38,13 +36,13 @@ def page(browser: Chromium) -> Iterator[Page]:
         assert parts.scheme in ("data", "file", "blob") or parts.hostname in ("127.0.0.1", "127.0.0.2")
 
 
-def draw_box(window: Window, at: tuple[float, float, float], colour: int = 0xFF0000) -> None:
+def draw_box(window: LiveWindow, at: tuple[float, float, float]) -> None:
     box = Visualizer(window=window)["box"]
-    box.set_object(geometry.Box([0.3, 0.3, 0.3]), geometry.MeshBasicMaterial(color=colour))
+    box.set_object(geometry.Box([0.3, 0.3, 0.3]), geometry.MeshBasicMaterial(color=0xFF0000))
     move_box(window, at)
 
 
-def move_box(window: Window, at: tuple[float, float, float]) -> None:
+def move_box(window: LiveWindow, at: tuple[float, float, float]) -> None:
     pose = np.eye(4)
     pose[:3, 3] = at
     Visualizer(window=window)["box"].set_transform(pose)
@@ -61,25 +59,6 @@ def colour_at(page: Page, point: tuple[float, float, float]) -> tuple[int, ...]:
     colour = page.screenshot().getpixel(((x + 1) / 2 * WIDTH, (1 - y) / 2 * HEIGHT))
     assert isinstance(colour, tuple)
     return colour
-
-
-def test_a_box_is_drawn_where_its_pose_projects(page: Page) -> None:
-    with LiveWindow() as window:
-        draw_box(window, HERE)
-        page.open(window.url)
-        assert window.wait(10)
-        assert eventually(lambda: colour_at(page, HERE) == RED)
-        assert colour_at(page, THERE) != RED
-        move_box(window, THERE)
-        assert window.flush()
-        assert eventually(lambda: colour_at(page, THERE) == RED)
-        assert colour_at(page, HERE) != RED
-        Visualizer(window=window).delete()
-        assert eventually(lambda: colour_at(page, THERE) != RED)
-        draw_box(window, HERE, 0x00FF00)
-        assert eventually(lambda: colour_at(page, HERE) == GREEN)
-        hosts = {urlsplit(url).netloc for url in page.requests if not url.startswith("data:")}
-        assert hosts == {f"127.0.0.1:{window.port}"}
 
 
 def test_fault_the_browser_is_reloaded_and_closed_and_another_comes(page: Page, browser: Chromium) -> None:
@@ -110,18 +89,6 @@ def test_a_page_with_a_token_draws_and_each_request_carries_it(page: Page) -> No
         own = [url for url in page.requests if not url.startswith("data:")]
         assert len(own) == 3
         assert all(url.endswith(window.url.partition("/?")[2]) for url in own)
-
-
-def test_an_offline_page_draws_from_the_file_system(page: Page, tmp_path: Path) -> None:
-    with OfflineWindow() as window:
-        draw_box(window, HERE)
-        file = tmp_path / "scene.html"
-        file.write_text(window.static_html(), encoding="utf-8")
-    page.open(file.as_uri())
-    assert eventually(lambda: colour_at(page, HERE) == RED)
-    assert colour_at(page, THERE) != RED
-    assert [url for url in page.requests if not url.startswith("data:")] == [file.as_uri()]
-    assert_sealed(page)
 
 
 def assert_sealed(page: Page) -> None:
