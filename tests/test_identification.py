@@ -254,16 +254,6 @@ def test_the_weak_form_of_a_log_without_noise_is_exact_wherever_the_robot_is() -
     np.testing.assert_allclose(estimates, list(TRUE.values()), rtol=5e-3)
 
 
-def test_the_regressor_is_the_robots_dynamics() -> None:
-    model, rng = found().model, np.random.default_rng(3)
-    phi = model.phi(np.array(list(TRUE.values())))
-    q, v, a = rng.normal(size=(3, 20, 3))
-    q[:, 2] = 0.0  # the body's axes are those of the inertial frame
-    Y = model.rows(*a.T, v[:, 2] ** 2, v, v / np.hypot(v, model.speed))
-    tau = Y @ phi + sum(force(0.0, q, v) for force in FRICTION)
-    np.testing.assert_allclose(tau, ROBOT.inverse_dynamics(q, v, a), atol=1e-12)
-
-
 # -- wheels ----------------------------------------------------------------------------------------
 
 MOTOR = pm.Motor(resistance=1.2, torque_constant=0.04, voltage=24.0, gear=30.0, rotor_inertia=2e-5)
@@ -425,17 +415,6 @@ def test_a_known_load_tells_the_motors_constant() -> None:
     np.testing.assert_allclose(constants, 0.04, rtol=0.05)
 
 
-@pytest.mark.parametrize(("rows", "dt"), [(9, 0.5), (45, 0.1)])
-def test_short_and_coarse_logs_are_refused_with_the_reason(rows: int, dt: float) -> None:
-    every = round(dt / 0.02)
-    t, q, u = (np.array(x) for x in (log().t, log().q, log().u))
-    cuts = [np.s_[k : k + rows * every : every] for k in range(0, 6 if rows < 45 else 2)]
-    logs = [pm.Log(t[cut], q[cut], u[cut]) for cut in cuts]
-    why = "has samples every 0.5 s, expected 0.1" if dt > 0.1 else "is .* s long.*, too short, expected"
-    with refused(rf"^log(\[0\])? {why}"):
-        pm.identify(logs)
-
-
 @pytest.mark.once
 def test_a_robot_of_motors_whose_friction_is_stated_too_high_is_refused_by_its_friction() -> None:
     believed = on_wheels(pm.MobileRobot(20.0, 1.0), evolved(MOTOR, coulomb=0.01))
@@ -546,14 +525,6 @@ def test_another_clock_is_found_and_corrected(rate: float, offset: float) -> Non
     assert found.parameters["mass"] == pytest.approx(32.0, rel=0.01)
 
 
-def test_a_log_of_two_clocks_is_told_how_they_differ() -> None:
-    u = np.column_stack([np.interp(log().t - 0.8, log().t, column) for column in log().u.T])
-    with refused(
-        r"motion explains the inputs best if their times are multiplied by \S+ and moved by -0\.\d+ s"
-    ):
-        pm.identify(pm.Log(log().t, log().q, u))
-
-
 def test_inputs_that_move_nothing_belong_to_no_clock() -> None:
     still = np.random.default_rng(0).normal(size=(2201, 3))
     with refused(r"^t_u belongs to inputs of which the motion explains [0-9]+% at most, at any rate"):
@@ -574,9 +545,8 @@ def forces_in_body_frame() -> pm.Log:
     return pm.Log(t, q, np.column_stack([planar.real, planar.imag, u[:, 2]]))
 
 
-def drifting(q: Array) -> Array:
-    t = np.array(log().t)
-    return np.column_stack([np.interp(t * (1 - 2e-3), t, column) for column in q.T])
+def at(times: Array, rows: Array) -> Array:
+    return np.column_stack([np.interp(times, log().t, column) for column in rows.T])
 
 
 test_a_log_that_tells_something_else_is_refused_with_what_it_is = refusals(
@@ -589,10 +559,18 @@ test_a_log_that_tells_something_else_is_refused_with_what_it_is = refusals(
         r"^log leads to a radius of gyration of 0\.2\d+ m with a mass of 0\.03\d+ kg, .* forces in N,",
     ),
     (lambda: pm.identify(log().between(0, 12)), r"^log is 12 s long, too short, expected at least"),
+    (lambda: pm.identify(log().resample(0.5)), r"^log(\[0\])? has samples every 0\.5 s, expected 0\.1"),
+    (
+        lambda: pm.identify(changed(u=lambda u: at(log().t - 0.8, u))),
+        r"explains the inputs best if their times are multiplied by \S+ and moved by -0\.\d+ s",
+    ),
     (lambda: pm.identify(changed(q=lambda q: 0 * q, u=lambda u: 0 * u)), r"^log has poses that move by 0 m"),
     (lambda: pm.identify(changed(u=lambda u: u[::-1])), r"^log has inputs that explain"),
     (lambda: pm.identify(forces_in_body_frame()), r"^log has forces .*, 100% if they are in the body frame"),
-    (lambda: pm.identify(changed(q=drifting)), r"^log has a delay of the poses that changes by .*two clocks"),
+    (
+        lambda: pm.identify(changed(q=lambda q: at(log().t * (1 - 2e-3), q))),
+        r"^log has a delay of the poses that changes by .*two clocks",
+    ),
     (
         lambda: pm.Log.from_streams(log().t, log().q, log().t + 1e9, log().u),
         r"^t_u is from 1e\+09 to .* one clock",

@@ -1,12 +1,9 @@
 """Control in real time: the bits of `simulate`, memory, records, deadlines, and how a run ends."""
 
 import gc
-import multiprocessing
 import os
 import re
 import signal
-import socket
-import struct
 import threading
 import time
 import tracemalloc
@@ -444,58 +441,3 @@ def test_a_run_in_another_thread_works() -> None:
     thread.start()
     thread.join()
     assert found[0].reason == "duration"
-
-
-def robot_until_silent(port: int, back: int, samples: int) -> None:
-    """Send states over UDP, then nothing, and return when the other side stops the robot."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as line:
-        line.bind(("127.0.0.1", back))
-        line.settimeout(60.0)
-        for _ in range(samples):
-            state = time.monotonic(), 0.0, 0.0, 0.0, 0.5, 0.0, 0.5
-            line.sendto(struct.pack("<7d", *state), ("127.0.0.1", port))
-            time.sleep(0.005)
-        while line.recv(1024) != b"stop":
-            pass
-
-
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as line:
-        line.bind(("127.0.0.1", 0))
-        return int(line.getsockname()[1])
-
-
-def test_a_lost_connection_to_another_process_stops_the_robot() -> None:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as line:
-        line.bind(("127.0.0.1", 0))
-        back, stopped = free_port(), list[float]()
-        port, stepper = line.getsockname()[1], stepper_of(0.005)
-        process = multiprocessing.get_context("spawn").Process(
-            target=robot_until_silent, args=(port, back, 40), daemon=True
-        )
-        process.start()
-        line.settimeout(60.0)
-        line.recv(1024, socket.MSG_PEEK)  # the robot is ready
-        line.setblocking(False)
-
-        def read() -> Any:
-            found = None
-            while True:
-                try:
-                    found = struct.unpack("<7d", line.recv(1024))
-                except BlockingIOError:
-                    break
-            return None if found is None else (found[0], found[1:4], found[4:])
-
-        def write(u: Any) -> None:
-            line.sendto(u.tobytes(), ("127.0.0.1", back))
-
-        def stop() -> None:
-            stopped.append(time.monotonic())
-            line.sendto(b"stop", ("127.0.0.1", back))
-
-        report = run_realtime(stepper, read, write, stop=stop, stale=0.2, duration=60.0, priority=None)
-        assert report.reason == "stale measurement"
-        assert len(stopped) == 1
-        process.join(60.0)
-        assert process.exitcode == 0
