@@ -254,6 +254,16 @@ def test_the_weak_form_of_a_log_without_noise_is_exact_wherever_the_robot_is() -
     np.testing.assert_allclose(estimates, list(TRUE.values()), rtol=5e-3)
 
 
+def test_the_regressor_is_the_robots_dynamics() -> None:
+    model, rng = found().model, np.random.default_rng(3)
+    phi = model.phi(np.array(list(TRUE.values())))
+    q, v, a = rng.normal(size=(3, 20, 3))
+    q[:, 2] = 0.0  # the body's axes are those of the inertial frame
+    Y = model.rows(*a.T, v[:, 2] ** 2, v, v / np.hypot(v, model.speed))
+    tau = Y @ phi + sum(force(0.0, q, v) for force in FRICTION)
+    np.testing.assert_allclose(tau, ROBOT.inverse_dynamics(q, v, a), atol=1e-12)
+
+
 # -- wheels ----------------------------------------------------------------------------------------
 
 MOTOR = pm.Motor(resistance=1.2, torque_constant=0.04, voltage=24.0, gear=30.0, rotor_inertia=2e-5)
