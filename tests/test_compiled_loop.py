@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pinmobile import errors
-from pinmobile.compiled import BINS, FIRST, SHIFT, Cache, Program, Shape, Target, robot_keys
+from pinmobile.compiled import BINS, FIRST, SHIFT, Cache, Program, Shape, Target
 from pinmobile.compiled.program import _functions as functions
 from pinmobile.forces import SinusoidalForce
 from pinmobile.integrators import RungeKuttaNystrom, constant_acceleration, rk4, semi_implicit_euler
@@ -19,7 +19,7 @@ from pinmobile.parts import evolved, replace
 from pinmobile.plant import Input
 from pinmobile.trajectories import Reference
 from tests import looping
-from tests.looping import CIRCLE, PD, SEED, TIMES, Body, assert_near, looped, told
+from tests.looping import CIRCLE, PD, TIMES, Body, assert_near, looped, told
 from tests.parts import PID
 
 
@@ -223,14 +223,12 @@ def test_a_laws_own_error_comes_as_it_is() -> None:
 # -- what a plant may be, and what parts may hold --------------------------------------------------
 
 
-def compiled(loop: Loop, q: Any, v: Any, reference: Any = CIRCLE, values: Any = None) -> dict[str, Any]:
+def compiled(loop: Loop, q: Any, v: Any, reference: Any = CIRCLE) -> dict[str, Any]:
     """Return the samples of robots that start at rows of q and v."""
-    own, loop = values or {}, evolved(loop, {"recorder": Samples()})
+    loop = evolved(loop, {"recorder": Samples()})
     first = Reference(*(x[0] for x in reference))
-    spread = {path: np.ones(np.shape(x)[1:], bool) for path, x in own.items()}
-    made = Compiled(loop, told(loop, TIMES, reference), (q[0], v[0]), first, spread=spread)
-    keys = {name: robot_keys(SEED, name, range(len(q))) for name in made.tape.keys}
-    return dict(made.run((q, v), TIMES, reference, values=own, keys=keys).kept)
+    made = Compiled(loop, told(loop, TIMES, reference), (q[0], v[0]), first, spread={})
+    return dict(made.run((q, v), TIMES, reference, values={}, keys={}).kept)
 
 
 def assert_alike(loop: Loop, q: Any, v: Any, reference: Any = CIRCLE) -> None:

@@ -95,30 +95,21 @@ def test_arms_follow_too() -> None:
     assert np.abs(run.q - run.reference.q)[-1].max() < 0.02
 
 
-def test_the_weight_of_the_input_is_spread_one_robot_after_another() -> None:
-    kind = pm.LQR
-    given: Any = {"dt": 0.01, "seed": 1, "duration": 0.2, "engine": pm.Engine.PYTHON}
-    found = pm.ensemble(
-        HEAVY, kind(NOMINAL), SHORT, n=2, spread={"input_weight": pm.Uniform(1, 100)}, **given
-    )
-    for weight, error in zip(found.draws["input_weight"], found.rms_error, strict=True):
-        own = kind(NOMINAL, R=weight * np.array([1e-3, 1e-3, 2e-2]))
-        alone = pm.ensemble(HEAVY, own, SHORT, n=1, spread={}, **given)
-        assert np.abs(alone.rms_error[0] - error).max() < 1e-12
-
-
-def test_a_model_that_differs_from_robot_to_robot_is_run_one_after_another() -> None:
-    spread = {"controller.mass": pm.Uniform(20, 40)}
-    given: Any = {"dt": 0.01, "integrator": pm.rk4, "n": 2, "seed": 1, "spread": spread}
-    with pytest.warns(UserWarning, match=r"depends on controller.robot.mass, which differs"):
-        found = pm.ensemble(HEAVY, pm.LQR(NOMINAL), SHORT, **given)
+@pytest.mark.parametrize(
+    ("name", "law"),
+    [
+        ("input_weight", lambda x: pm.LQR(NOMINAL, R=x * np.array([1e-3, 1e-3, 2e-2]))),
+        ("controller.mass", lambda x: pm.LQR(evolved(NOMINAL, mass=x))),
+    ],
+)
+def test_gains_that_differ_from_robot_to_robot_are_those_of_each_alone(name: str, law: Any) -> None:
+    given: Any = {"dt": 0.01, "integrator": pm.rk4, "seed": 1, "duration": 0.2}
+    spread = {name: pm.Uniform(20, 40)}
+    with pytest.warns(UserWarning, match=r"depends on controller\.[a-z_.]+, which differs"):
+        found = pm.ensemble(HEAVY, pm.LQR(NOMINAL), SHORT, n=2, spread=spread, **given)
     assert found.engine == repr(pm.Engine.PYTHON)
-    masses = found.draws["controller.mass"]
-    for mass, error in zip(masses, found.rms_error, strict=True):
-        model = evolved(NOMINAL, mass=mass)
-        alone = pm.ensemble(
-            HEAVY, pm.LQR(model), SHORT, **{**given, "n": 1, "spread": {}}, engine=pm.Engine.COMPILED
-        )
+    for x, error in zip(found.draws[name], found.rms_error, strict=True):
+        alone = pm.ensemble(HEAVY, law(x), SHORT, n=1, spread={}, engine=pm.Engine.COMPILED, **given)
         assert np.abs(alone.rms_error[0] - error).max() < 1e-12
 
 
