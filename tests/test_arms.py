@@ -19,21 +19,9 @@ AT = (0.1, -0.05, 0.2, 0.4)
 UR5 = pm.MobileRobot.box().mount("ur5", AT)
 PANDA = pm.MobileRobot.box().mount("panda", AT)
 KINOVA = pm.MobileRobot.box().mount("kinova", AT)  # four of its joints are continuous
+STILL = pm.WholeBody(UR5, pm.FixedHeading(pm.Hold((0, 0), 8.0), 0.0), None)
 TWO = PANDA.mount("kinova", (-0.1, 0, 0.2, 0)).attach(pm.PayloadBody(1.5, (0, 0, 0.1)))
 ROBOTS = pytest.mark.parametrize("robot", [UR5, KINOVA, TWO], ids=["ur5", "kinova", "two arms and a load"])
-
-
-class Still:
-    """A reference at rest at a configuration."""
-
-    duration = 8.0
-
-    def __init__(self, q: Array, nv: int) -> None:
-        self.q, self.nv = q, nv
-
-    def __call__(self, t: Any) -> pm.Reference:
-        v, a = np.zeros((2, *np.shape(t), self.nv))
-        return pm.Reference(np.broadcast_to(self.q, (*np.shape(t), len(self.q))), v, a)
 
 
 def states(robot: pm.MobileRobot, count: int = 12, seed: int = 4) -> tuple[Array, Array, Array]:
@@ -134,7 +122,7 @@ def test_locked_arms_are_a_load(robot: pm.MobileRobot) -> None:
 def test_a_run_beyond_limits_reports_which_when_and_how_far_once() -> None:
     push = pm.law(lambda t, q, v, reference: np.where(np.arange(9) == 5, 1000.0, 0.0))
     with pytest.warns(LimitWarning) as told:
-        run = pm.simulate(UR5, push, Still(UR5.rest, 9), dt=0.001, duration=0.2)
+        run = pm.simulate(UR5, push, STILL, dt=0.001, duration=0.2)
     events = [*map(str, run.events)]
     assert events[-1].startswith("tip-over margin is ")  # which takes longer, without a warning
     assert str(told[0].message) == "; ".join(events[:-1])
@@ -150,7 +138,7 @@ def test_a_run_beyond_limits_reports_which_when_and_how_far_once() -> None:
     assert any(one.startswith("ur5/elbow_joint moves at") for one in events)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        at_rest = pm.simulate(UR5, pm.PDGravity(UR5, 100, 20), Still(UR5.rest, 9), dt=0.001, duration=0.02)
+        at_rest = pm.simulate(UR5, pm.PDGravity(UR5, 100, 20), STILL, dt=0.001, duration=0.02)
     assert at_rest.events == ()
 
 

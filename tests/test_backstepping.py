@@ -39,19 +39,6 @@ class Waving:
         return pm.Reference(self.rest + 0.3 * np.sin(phase), 0.21 * np.cos(phase), -0.147 * np.sin(phase))
 
 
-@dataclass(frozen=True)
-class Posed:
-    """A reference that rests, or moves at a rate."""
-
-    pose: tuple[float, float, float]
-    rate: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    duration: float = 30.0
-
-    def __call__(self, t: Any) -> pm.Reference:
-        v = np.zeros((*np.shape(t), 3)) + self.rate
-        return pm.Reference(np.asarray(self.pose) + np.asarray(t)[..., None] * v, v, 0.0 * v)
-
-
 def run(
     robot: WheeledRobot, controller: Any, trajectory: Any, duration: float, dt: float = 0.01, **more: Any
 ) -> pm.Rollout:
@@ -190,7 +177,8 @@ def test_arms_follow_beside_the_body() -> None:
 
 @pytest.mark.parametrize("pose", [(1.9, -1.3, 2.4), (-0.5, 0.9, -2.7)])
 def test_parking_comes_to_rest_at_the_pose(pose: Any) -> None:
-    found = run(DIFFERENTIAL, pm.Backstepping(Parking(), DIFFERENTIAL), Posed(pose), 25.0, off=0 * OFF - pose)
+    place, law = pm.FixedHeading(pm.Hold(pose[:2], 30.0), pose[2]), pm.Backstepping(Parking(), DIFFERENTIAL)
+    found = run(DIFFERENTIAL, law, place, 25.0, off=0 * OFF - pose)
     turned = (found.q[-1, 2] - pose[2] + np.pi) % (2 * np.pi) - np.pi
     assert distance(found)[-1] < 1.5e-3
     assert abs(turned) < 0.03
@@ -285,7 +273,7 @@ ON_TWO, OF_CAR = (pm.Backstepping(pm.UnicycleTracking(), robot) for robot in (DI
 
 
 def test_a_reference_that_wheels_cannot_follow_is_refused_with_its_time() -> None:
-    late = Posed((0.0, 0.0, 0.0), (0.3, 0.1, 0.0))
+    late = pm.FixedHeading(pm.Line((0.0, 0.0), (9.0, 3.0), 30.0), 0.0)
     for trajectory, message in (
         (pm.FixedHeading(EIGHT.path, 0.0), "reference moves sideways, at 0.5 m/s across the fixed axle"),
         (late, "reference moves sideways, at 0.1 m/s across the fixed axle, at t = 0 s"),

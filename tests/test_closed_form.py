@@ -4,11 +4,12 @@ from typing import Any
 import numpy as np
 import pytest
 import sympy
-from sympy import Expr, ImmutableMatrix, Symbol, symbols
+from sympy import ImmutableMatrix, Symbol, symbols
 
 from pinmobile import InvalidArgument, MobileRobot, Motor, WheeledRobot, WheelTable, closed_form
 from pinmobile.arrays import Array
 from pinmobile.derivation import ReducedDerivation, RollerWheel, car, differential_drive, roller_drive
+from tests.test_derivation import is_zero
 
 BODY: dict[str, Any] = {"mass": 10.0, "yaw_inertia": 1.2, "com": (0.15, 0.05)}
 MASS: dict[str, Any] = {"mass": 10.0, "com": (0.15, 0.05)}
@@ -105,11 +106,6 @@ def assert_same(derivation: ReducedDerivation, values: dict[str, Any], other: An
     np.testing.assert_allclose(M, other.M, rtol=0, atol=ROUNDING * np.abs(other.M).max())
     np.testing.assert_allclose(n[:, 0], other.n, rtol=0, atol=10 * ROUNDING * np.abs(other.n).max())
     np.testing.assert_allclose(B, other.B, rtol=0, atol=ROUNDING * np.abs(other.B).max())
-
-
-def is_zero(expression: Expr | ImmutableMatrix) -> bool:
-    simplified = sympy.simplify(expression)
-    return bool(simplified == 0 * simplified)
 
 
 def test_the_differential_drive_is_the_hand_derived_one() -> None:

@@ -24,7 +24,6 @@ from pinmobile.forces import NoiseForce, SinusoidalForce, noise_frequencies
 from pinmobile.integrators import constant_acceleration, semi_implicit_euler
 from pinmobile.parts import named
 from pinmobile.plant import Context
-from pinmobile.trajectories import Reference
 from tests.refusals import begun, refusals, told
 
 ROBOT, BALANCED = pm.MobileRobot(10, 1.2, com=(0.15, 0.05)), pm.MobileRobot(10, 1.2)
@@ -295,14 +294,7 @@ test_parameters_that_do_not_fit_are_refused = refusals(
 
 
 PANDA = MobileRobot.box().mount("panda")
-
-
-class Resting:
-    duration = 1.0
-
-    def __call__(self, t: Any) -> Reference:
-        zero = np.zeros((*np.shape(t), 3))
-        return Reference(zero, zero, zero)
+RESTING = pm.FixedHeading(pm.Hold((0, 0), 1.0), 0.0)
 
 
 def test_each_coordinate_feels_its_own() -> None:
@@ -332,14 +324,12 @@ def test_the_energy_that_an_arm_loses_is_the_work_of_its_friction() -> None:
     def held(t: float, q: Array, v: Array, reference: Any) -> Array:
         return PANDA.gravity(PANDA.rest)
 
-    run = simulate(
-        PANDA, law(held), Resting(), dt=5e-4, duration=0.2, v0=v0, integrator=rk4, forces=[friction]
-    )
+    run = simulate(PANDA, law(held), RESTING, dt=5e-4, duration=0.2, v0=v0, integrator=rk4, forces=[friction])
     energy = PANDA.kinetic_energy(run.q, run.v) + PANDA.potential_energy(run.q)
     power = np.einsum("ki,ki->k", friction.on_coordinates(run.t, run.q, run.v) + run.u, run.v)
     work = np.sum((power[1:] + power[:-1]) / 2 * np.diff(run.t))  # the trapezoid's error goes with dt^2
     assert energy[-1] - energy[0] == pytest.approx(work, rel=1e-3)
-    free = simulate(PANDA, law(held), Resting(), dt=5e-4, duration=0.2, v0=v0, integrator=rk4)
+    free = simulate(PANDA, law(held), RESTING, dt=5e-4, duration=0.2, v0=v0, integrator=rk4)
     assert np.abs(run.v[-1]).max() < np.abs(free.v[-1]).max()
 
 
@@ -347,7 +337,7 @@ test_what_is_no_friction_is_refused = refusals(
     (lambda: JointFriction((1, -1)), "viscous is -1.0 N s/m or N m s/rad, expected >= 0"),
     (
         lambda: simulate(
-            PANDA, law(lambda *_: np.zeros(12)), Resting(), dt=0.1, forces=[JointFriction((1, 2))]
+            PANDA, law(lambda *_: np.zeros(12)), RESTING, dt=0.1, forces=[JointFriction((1, 2))]
         ),
         r"viscous has shape \(2,\), expected \(\) or \(..., 12\), as v has",
     ),

@@ -10,30 +10,19 @@ import pytest
 from pinmobile import InvalidArgument, MobileRobot
 from pinmobile.arrays import Array
 from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE
+from tests import wheeled
+from tests.wheeled import inertial, robot
 
 
 def link(name: str, mass: float = 0, com: str = "0 0 0", rpy: str = "0 0 0", i: str = "1 0 0 1 0 1") -> str:
-    if not mass:
-        return f'<link name="{name}"/>'
-    xx, xy, xz, yy, yz, zz = i.split()
-    return (
-        f'<link name="{name}"><inertial><origin xyz="{com}" rpy="{rpy}"/><mass value="{mass}"/>'
-        f'<inertia ixx="{xx}" ixy="{xy}" ixz="{xz}" iyy="{yy}" iyz="{yz}" izz="{zz}"/></inertial></link>'
-    )
+    return wheeled.link(name, *[inertial(mass, com, rpy, i)] * bool(mass))
 
 
 def joint(
     name: str, kind: str, parent: str, child: str, axis: str = "0 0 1", xyz: str = "0 0 0", rpy: str = "0 0 0"
 ) -> str:
-    return (
-        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
-        f'<origin xyz="{xyz}" rpy="{rpy}"/><axis xyz="{axis}"/>'
-        '<limit lower="-9" upper="9" effort="9" velocity="9"/></joint>'
-    )
-
-
-def robot(*parts: str) -> str:
-    return f'<?xml version="1.0"?><robot name="test">{"".join(parts)}</robot>'
+    limit = '<limit lower="-9" upper="9" effort="9" velocity="9"/>'
+    return wheeled.joint(name, kind, parent, child, xyz, rpy, axis, limit)
 
 
 def saved(folder: Path, text: str) -> Path:

@@ -229,17 +229,9 @@ def test_invalid_transfers_are_refused_and_the_load_needs_a_time() -> None:
 
 BODY = pm.MobileRobot(mass=30, yaw_inertia=1.3, com=(0.1, 0.05))
 CIRCLE = pm.Tangent(pm.Circle(radius=1.5, rate=0.6, duration=2))
+LATER = pm.Tangent(pm.Circle(1.5, 0.6, 1.0, (0.0, 1.5), heading=0.6))  # what is left after a second
 INERTIA = (0.2, 0.0, 0.0), (0.0, 0.2, 0.0), (0.0, 0.0, 0.2)
 CARRIED = PayloadForce(10, (0.25, 0.1), 1.0, 0.2)
-
-
-class Later:
-    """What is left of a trajectory after a time."""
-
-    duration = 1.0
-
-    def __call__(self, t: Any) -> Any:
-        return CIRCLE(np.asarray(t) + 1.0)
 
 
 @pytest.mark.parametrize(
@@ -252,7 +244,7 @@ def test_it_is_two_runs_that_are_joined_when_it_comes(integrator: Any, engine: A
     before = pm.simulate(BODY, controller, CIRCLE, duration=1.0, **given)
     loaded = BODY.attach(pm.PayloadBody(10, (0.25, 0.1, 0.1), INERTIA), "base_link")
     after = pm.simulate(
-        loaded.with_locked_arms(), controller, Later(), q0=before.q[-1], v0=before.v[-1], **given
+        loaded.with_locked_arms(), controller, LATER, q0=before.q[-1], v0=before.v[-1], **given
     )
     joined = np.vstack([before.q[:-1], after.q])
     jump = np.abs(after.a[0] - before.a[-1]).max()

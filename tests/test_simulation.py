@@ -15,16 +15,8 @@ from pinmobile.integrators import semi_implicit_euler
 
 ROBOT = pm.MobileRobot(10, 1.2, com=(0.15, 0.05))
 CIRCLE = pm.FixedHeading(pm.Circle(1.0, 0.5, 12.0), 0.3)
+HOLD = pm.FixedHeading(pm.Hold((0.0, 0.0), 6.0), 0.0)
 START = {"q0": (0.2, -0.1, 0.9), "v0": (0.1, 0.0, -0.4)}
-
-
-class Hold:
-    """A reference at rest at the origin."""
-
-    duration = 6.0
-
-    def __call__(self, t: Any) -> pm.Reference:
-        return pm.Reference(*np.zeros((3, *np.shape(t), 3)))
 
 
 class OtherPlant:
@@ -95,7 +87,7 @@ def test_error_follows_the_exact_recurrence_under_a_held_force() -> None:
     """At rest with com = 0, M is constant: one step maps (e, e_dot) by a matrix, exactly."""
     kp, kd, dt = 4.0, 3.0, 0.1
     robot = pm.MobileRobot(10, 1.2)
-    rollout = pm.simulate(robot, pm.ComputedTorque(robot, kp, kd), Hold(), dt=dt, **START)  # type: ignore[arg-type]
+    rollout = pm.simulate(robot, pm.ComputedTorque(robot, kp, kd), HOLD, dt=dt, **START)  # type: ignore[arg-type]
     step = np.array([[1 - kp * dt**2 / 2, dt - kd * dt**2 / 2], [-kp * dt, 1 - kd * dt]])
     e = np.stack([-rollout.q, -rollout.v], axis=1)  # (N + 1, 2, 3)
     expected = np.stack([np.linalg.matrix_power(step, k) @ e[0] for k in range(61)])
@@ -110,7 +102,7 @@ def test_error_tends_to_that_of_the_continuous_loop() -> None:
     off = []
     for dt in steps:
         controller = pm.ComputedTorque(ROBOT, kp, kd)
-        rollout = pm.simulate(ROBOT, controller, Hold(), dt=float(dt), integrator=pm.rk4, **START)  # type: ignore[arg-type]
+        rollout = pm.simulate(ROBOT, controller, HOLD, dt=float(dt), integrator=pm.rk4, **START)  # type: ignore[arg-type]
         off.append(np.abs(rollout.error[-1] - flow[0]).max())
     slope = np.polyfit(np.log(steps), np.log(off), 1)[0]
     assert slope == pytest.approx(1, abs=0.15)
