@@ -162,6 +162,21 @@ class Waving:
         return Reference(q, way * 3 * np.sin(angle), way * 9 * np.cos(angle))
 
 
+class Points:
+    """What no more than a loop without forces needs: three unit masses, the same bits in every engine."""
+
+    nq = nv = nu = 3
+
+    def forward_dynamics(self, q: Any, v: Any, u: Any) -> Any:
+        return u
+
+    def integrate(self, q: Any, dq: Any) -> Any:
+        return q + dq
+
+    def difference(self, q0: Any, q1: Any) -> Any:
+        return q1 - q0
+
+
 @dataclass(frozen=True)
 class Cart:
     """A plant: two driven wheels on an axle, which roll. q = (x, y, psi, left, right), u = their torques."""

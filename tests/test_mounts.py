@@ -329,22 +329,6 @@ REFUSED = [name for name, (mounts, _) in EXCEPTIONS.items() if not mounts]
 READABLE = VisualFile.tree
 
 
-class Drive:
-    """The base drives a sine along x and turns, the arm holds its rest."""
-
-    duration = 1.0
-
-    def __init__(self, robot: pm.MobileRobot) -> None:
-        self.robot = robot
-
-    def __call__(self, t: Any) -> pm.Reference:
-        q = np.tile(self.robot.rest, (*np.shape(t), 1))
-        v, a = np.zeros((2, *np.shape(t), self.robot.nv))
-        q[..., 0], v[..., 0], a[..., 0] = np.sin(t), np.cos(t), -np.sin(t)
-        q[..., 2], v[..., 2] = 0.4 * t, 0.4
-        return pm.Reference(q, v, a)
-
-
 def boxes(file: VisualFile) -> ElementTree.Element:
     """Return the file with a box for each mesh that was found: to read them takes half a minute."""
     root = READABLE(file)
@@ -368,7 +352,8 @@ def test_each_mounts_drives_and_draws(name: str, monkeypatch: pytest.MonkeyPatch
     assert pm.verify(robot, states=2).passed
     if robot.nv > 3:
         assert_agrees(robot)
-    rollout = pm.simulate(robot, pm.ComputedTorque(robot, 100, 20), Drive(robot), dt=0.02)
+    motion = pm.WholeBody(robot, pm.Tangent(pm.Circle(2.5, 0.4, 1.0)), *[None] * len(robot.mounts))
+    rollout = pm.simulate(robot, pm.ComputedTorque(robot, 100, 20), motion, dt=0.02)
     # The step is exact where the acceleration is constant: what is left is its change, h^3 / 6, per step,
     # damped with 1 / kd, some 1e-6 m; the arm has nothing to do but to hold.
     assert rollout.max_error()[:3].max() < 1e-4

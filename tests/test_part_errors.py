@@ -15,7 +15,7 @@ import pinmobile as pm
 from pinmobile.cli import main
 from pinmobile.errors import SlowerEngine
 from pinmobile.loop import Engine
-from tests.parts import Cart, CartCircle, Eight, Follower, Nodding, Spring
+from tests.parts import Cart, CartCircle, Eight, Follower, Nodding, Points, Spring
 from tests.refusals import refused
 
 ROBOT = pm.MobileRobot(30.0, 1.3, com=(0.1, 0.05))
@@ -57,26 +57,11 @@ class NoDynamics:
     nq = nv = nu = 3
 
 
-class Plain:
-    """What no more than a loop without forces needs."""
-
-    nq, nv, nu = 3, 3, 3
-
-    def forward_dynamics(self, q: Any, v: Any, u: Any) -> Any:
-        return u / 30.0
-
-    def integrate(self, q: Any, dq: Any) -> Any:
-        return q + dq
-
-    def difference(self, q0: Any, q1: Any) -> Any:
-        return q1 - q0
-
-
 def without(name: str, kind: type = Cart) -> Any:
     return type(f"Without{name}", (kind,), {name: None})()
 
 
-class Posed(Plain):
+class Posed(Points):
     def pose(self, q: Any) -> Any:
         return q
 
@@ -94,8 +79,8 @@ LACKING: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "plant without dynamics": (BODY | {"robot": NoDynamics()}, "expected a plant with 'forward_dynamics'"),
     "no pose to push": (
-        BODY | {"robot": Plain(), "forces": [Spring()]},
-        r"plant is .*Plain.*, and forces push its body, "
+        BODY | {"robot": Points(), "forces": [Spring()]},
+        r"plant is .*Points.*, and forces push its body, "
         r"expected .*pose\(q\), pose_rate\(q, v\) and generalized_force",
     ),
     "no effort to push": (

@@ -19,30 +19,6 @@ HOLD = pm.FixedHeading(pm.Hold((0.0, 0.0), 6.0), 0.0)
 START = {"q0": (0.2, -0.1, 0.9), "v0": (0.1, 0.0, -0.4)}
 
 
-class OtherPlant:
-    """A plant that is only what the protocol asks for."""
-
-    nq = nv = nu = 3
-
-    def forward_dynamics(self, q: Array, v: Array, u: Array) -> Array:
-        return ROBOT.forward_dynamics(q, v, u)
-
-    def integrate(self, q: Array, dq: Array) -> Array:
-        return ROBOT.integrate(q, dq)
-
-    def difference(self, q0: Array, q1: Array) -> Array:
-        return ROBOT.difference(q0, q1)
-
-
-def test_a_plant_that_is_only_what_the_protocol_asks_for_moves_as_the_robot() -> None:
-    controller = pm.ComputedTorque(pm.MobileRobot(8, 1), 3, (2, 3, 4))
-    options: dict[str, Any] = {"dt": 0.05, "integrator": semi_implicit_euler, "substeps": 3, **START}
-    own, users = (pm.simulate(plant, controller, CIRCLE, **options) for plant in (ROBOT, OtherPlant()))
-    for name in ("q", "v", "a", "u", "error"):
-        # The same sums in another order, over 240 steps of a stable loop.
-        np.testing.assert_allclose(getattr(users, name), getattr(own, name), rtol=0, atol=1e-12)
-
-
 @pytest.mark.parametrize("substeps", [1, 2])
 def test_an_integrator_may_write_into_what_it_is_given(substeps: int) -> None:
     def careless(acceleration: Any, t: float, q: Array, v: Array, dt: float) -> tuple[Array, Array]:

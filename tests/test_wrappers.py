@@ -11,6 +11,7 @@ from pinmobile import MobileRobot, Tangent, UnicycleTracking, WheeledRobot, Whee
 from pinmobile.arrays import Array
 from pinmobile.controllers import ControlAllocation, InputDelay, Sampled, TorqueToVoltage, WheelSpeed
 from pinmobile.plant import Context
+from tests.parts import PID, Points
 from tests.test_simulation import TauAlone
 
 ROBOT = pm.MobileRobot(10, 1.2, com=(0.15, 0.05))
@@ -231,23 +232,8 @@ HEAVIER = MobileRobot(mass=30.0, yaw_inertia=1.3, com=(0.1, 0.05))
 PATH = Tangent(pm.Circle(1.0, 0.5, 2.0))
 
 
-class Integral:
-    """Law with an integral, which knows its own time step and the applied input."""
-
-    def initial_state(self, context: Any) -> Any:
-        return np.zeros(3), np.zeros(3), float(context.dt)
-
-    def __call__(self, t: float, q: Any, v: Any, reference: Any, state: Any) -> Any:
-        total, before, dt = state
-        total = total + dt * (reference.q - q) - 1e-4 * before
-        return 60 * (reference.q - q) + 20 * (reference.v - v) + 9 * total, (total, before, dt)
-
-    def applied(self, u: Any, state: Any) -> Any:
-        return state[0], u, state[2]
-
-
 LAWS: dict[str, Any] = {
-    "memory": Integral(),
+    "memory": PID(60.0, 9.0, 20.0),
     "informed": pm.DisturbanceObserver(pm.ComputedTorque(HEAVIER)),
     "observer": pm.ADRC(HEAVIER, bandwidth=2.0, observer=8.0),
     "schedule": pm.LQR(HEAVIER),
@@ -256,21 +242,6 @@ LAWS: dict[str, Any] = {
     "twice": Sampled(pm.PD(60, 60), 2),
 }
 DT, EVERY, COUNT = 0.001, 5, 600
-
-
-class Points:
-    """Three unit masses, whose arithmetic is the same in every engine."""
-
-    nq = nv = nu = 3
-
-    def forward_dynamics(self, q: Any, v: Any, u: Any, f: Any = 0.0) -> Any:
-        return u + f
-
-    def integrate(self, q: Any, dq: Any) -> Any:
-        return q + dq
-
-    def difference(self, q0: Any, q1: Any) -> Any:
-        return q1 - q0
 
 
 def by_hand(law: Any) -> tuple[Any, Any]:
