@@ -107,18 +107,6 @@ def test_acceleration_shifts_it_back_by_h_a_over_g() -> None:
     np.testing.assert_allclose(required_friction(planar(a)), np.hypot(*a[:, :2].T) / G, atol=1e-15)
 
 
-def test_on_a_circle_it_lies_outwards_and_friction_is_v_squared_over_r_g() -> None:
-    radius, rate = 2.0, 0.8
-    trajectory = pm.Tangent(pm.Circle(radius, rate, 2))
-    rollout = pm.simulate(BOX, pm.ComputedTorque(BOX), trajectory, dt=0.01)
-    # The loop's error with a held force is of the order of dt: some 1e-3 of the acceleration.
-    outwards = np.tile([0, -HEIGHT * radius * rate**2 / G], (len(rollout), 1))
-    np.testing.assert_allclose(body_zero_moment_point(rollout), outwards, atol=1e-4)
-    np.testing.assert_allclose(required_friction(rollout), (radius * rate) ** 2 / (radius * G), rtol=1e-2)
-    margin = tip_over_margin(rollout)
-    np.testing.assert_allclose(margin, 0.2 - HEIGHT * radius * rate**2 / G, atol=1e-4)
-
-
 def test_the_margin_is_zero_where_the_body_begins_to_tip() -> None:
     # Braking so hard that gravity and inertia point at the front edge: a / g = (l / 2) / h.
     for share, sign in ((0.99, 1), (1.01, -1)):

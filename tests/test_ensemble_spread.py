@@ -361,20 +361,3 @@ def test_a_robot_that_is_not_there_is_no_member() -> None:
             with refused(rf"^i is {i}, expected "):
                 ask(i)
     assert run.arguments(2).robot.mass == 30
-
-
-def test_a_wind_without_friction_is_what_the_closed_form_says() -> None:
-    # PD holds a robot against a steady force at |e| = F / kp, whatever the friction; overdamped, it comes
-    # from below. The reference creeps by 1e-9 m/s, so as much more.
-    still = pm.FixedHeading(pm.Circle(1.0, 1e-9, 60.0), 0.0)
-    run = pm.ensemble(
-        pm.MobileRobot(30.0, 1.3),
-        pm.PD((40, 50, 4), (90, 90, 6)),
-        still,
-        n=50,
-        spread={"force.x": np.linspace(-5, 5, 50), "force.moment": 0.2},
-        forces=(pm.ConstantForce((0, 0, 0)), pm.ViscousFriction((4.0, 4.0, 0.4))),
-        dt=0.05,
-    )
-    np.testing.assert_allclose(run.max_error[:, 0], np.abs(np.linspace(-5, 5, 50)) / 40, atol=1e-8)
-    np.testing.assert_allclose(run.max_error[:, 2], 0.2 / 4, atol=1e-8)

@@ -54,25 +54,6 @@ def test_the_cost_of_a_motion_is_the_cost_to_go_and_no_other_input_costs_less(ro
     assert min(cost(1.0), cost(-1.0)) > 1.001 * least
 
 
-def test_the_matrix_exponential_is_the_motion_with_the_input_held() -> None:
-    t = np.array([0.0, 0.7])
-    model = tracked_model(NOMINAL, SHORT(t))
-    A, B = model.discrete(0.05)
-    dx, du = np.array([0.1, -0.2, 0.3, 0.1, 0.2, -0.1]), np.array([3.0, -2.0, 1.0])
-    x, h = dx.copy(), 0.05 / 200
-    for _ in range(200):
-
-        def rate(x: Array) -> Array:
-            return np.asarray(model.A[1] @ x + model.B[1] @ du)
-
-        k1 = rate(x)
-        k2 = rate(x + h / 2 * k1)
-        k3 = rate(x + h / 2 * k2)
-        x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + rate(x + h * k3))
-    # Order 4 of a step of 2.5e-4 s.
-    assert np.abs(x - A[1] @ dx - B[1] @ du).max() < 1e-12
-
-
 def test_on_wheels_it_comes_back_to_the_reference_and_without_errors_stays() -> None:
     heavy = pm.WheeledRobot(HEAVY, DIFFERENTIAL)
     given: Any = {"dt": 0.01, "engine": pm.Engine.COMPILED, "duration": 15.0}

@@ -44,15 +44,6 @@ def test_dynamics_hold_together(robot: MobileRobot, psi: float, seed: int) -> No
     assert (np.abs(robot.regressor(q, v, a) @ robot.inertial_parameters - tau) <= 1e-14 * scale).all()
 
 
-def test_mass_rate_minus_twice_coriolis_is_skew(offset_robot: MobileRobot, states: tuple[Array, ...]) -> None:
-    q, v, _, _ = states
-    h = 1e-5
-    rate = (offset_robot.mass_matrix(q + h * v) - offset_robot.mass_matrix(q - h * v)) / (2 * h)
-    N = rate - 2 * offset_robot.coriolis_matrix(q, v)
-    # Central difference: h^2 / 6 of the third derivative, a few units, plus eps / h of rounding.
-    assert np.abs(N + N.transpose(0, 2, 1)).max() < 1e-8
-
-
 def test_jacobian_turns_the_body_twist_into_velocity() -> None:
     J = MobileRobot.lecture().jacobian([[0, 0, np.pi / 2], [0, 0, 0.3]])
     np.testing.assert_allclose(J[0] @ [1, 0, 0], [0, 1, 0], atol=1e-15)  # forward, facing +y

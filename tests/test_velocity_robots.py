@@ -241,25 +241,13 @@ def test_a_theta_that_is_wrong_by_30_percent_ends_with_less_error_than_without_a
 
 
 def test_what_limits_keep_commands_from_is_no_reason_to_estimate_more() -> None:
-    class Deaf:
-        """One that is not told of limits."""
-
-        def initial_state(self, context: Any) -> Any:
-            return controller.initial_state(context)
-
-        def __call__(self, t: Any, q: Any, v: Any, reference: Any, state: Any) -> Any:
-            return controller(t, q, v, reference, state)
-
-        def signals(self, state: Any) -> Any:
-            return controller.signals(state)
-
     controller = AdaptiveVelocity(TRUE)
+    deaf = type("Deaf", (AdaptiveVelocity,), {"applied": None})(TRUE)  # which is not told of limits
     robot = pm.VelocityRobot(TRUE.theta, limits=(0.3, 2.0))
     straight = pm.Tangent(pm.Line((0, 0), (24, 0), 40))
     given: Any = {"dt": 0.02, "engine": pm.Engine.COMPILED, "duration": 20.0}
     within, beyond = (
-        pm.simulate(robot, each, straight, **given).signals["theta"].values[-1]
-        for each in (controller, Deaf())
+        pm.simulate(robot, each, straight, **given).signals["theta"].values[-1] for each in (controller, deaf)
     )
     assert abs(beyond[3] - 1.1) > 1.0
     assert np.abs(within - TRUE.theta).max() < 0.02

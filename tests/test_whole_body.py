@@ -37,17 +37,6 @@ def inward(robot: pm.MobileRobot, way: float) -> list[tuple[Array, Array]]:
     return ends
 
 
-def there_and_back(robot: pm.MobileRobot, way: float = 0.5, duration: float = 6.0) -> pm.WholeBody:
-    """Return the circle, beside it every joint through `way` and back."""
-    paths = [pm.CubicVia(start, via, start, duration / 2, duration) for start, via in inward(robot, way)]
-    return pm.WholeBody(robot, pm.Tangent(pm.Circle(1, 0.5, duration)), *paths)
-
-
-def gains(robot: pm.MobileRobot) -> Array:
-    """Return the moments of inertia at rest: as gains of a force they are 1/s^2 of the motion."""
-    return np.diag(robot.mass_matrix(robot.rest)).copy()
-
-
 # -- references ------------------------------------------------------------------------------------
 
 
@@ -251,35 +240,3 @@ def test_decoupled_is_the_locked_load_and_the_arm_on_a_fixed_base(robot: pm.Mobi
     assert state is None
     single = Decoupled(robot, 3, 2)(0.0, q[4], v[4], pm.Reference(*(part[4] for part in reference)), None)[0]
     np.testing.assert_array_equal(single, tau[4])
-
-
-def test_the_whole_body_controller_tracks_and_the_decoupled_one_lags() -> None:
-    """UR5 on a circle of 1 m at 0.5 rad/s, every joint through 0.5 rad and back in 6 s, dt = 1 ms."""
-    trajectory, dt = there_and_back(UR5), 1e-3
-    whole, decoupled = (
-        pm.simulate(UR5, make(UR5, 100, 20), trajectory, dt=dt).max_error()
-        for make in (pm.ComputedTorque, Decoupled)
-    )
-    # A force that is held is half a step late: e'' + kd e' + kp e = dt/2 times the jerk, which is that of the
-    # circle and that of a cubic through 0.5 rad in 3 s. It changes too slowly for the left side to lag much.
-    jerk = np.array([0.5**3, 0.5**3, 0.0, *[12 * 0.5 / 3**3] * 6])
-    np.testing.assert_allclose(whole, dt / 2 * jerk / 100, rtol=0.05, atol=1e-12)
-    assert whole.max() < 1e-3
-    # Measured: 0.4 mm, 4 mrad. What it ignores does not vanish with dt.
-    assert (decoupled > 100 * whole).all()
-    assert decoupled.max() > 1e-3
-
-
-def test_pd_with_gravity_comes_to_rest_at_the_goal_where_pd_sags() -> None:
-    goal = np.array([0.5, -0.7, 0.9, 0.3, -0.4, 0.2])
-    held = pm.WholeBody(UR5, pm.FixedHeading(pm.Hold((0.1, 0.2), 4), 0.3), pm.Hold(goal, 4))
-    # As gains: 5 rad/s and damping one, at the inertia of the rest posture.
-    kp, kd = 25 * gains(UR5), 10 * gains(UR5)
-    found = [
-        pm.simulate(UR5, controller, held, dt=1e-3, q0=UR5.rest, integrator=pm.rk4).error[-1]
-        for controller in (pm.PDGravity(UR5, kp, kd), pm.PD(kp, kd))
-    ]
-    assert np.abs(found[0]).max() < 1e-3  # e^-20 but for postures with other inertias
-    expected = UR5.gravity(held(0.0).q)[4] / kp[4]
-    assert found[1][4] == pytest.approx(expected, rel=0.2)  # the sag, where g is about that of the goal
-    assert abs(found[1][4]) > 0.05

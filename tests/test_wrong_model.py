@@ -65,15 +65,6 @@ def test_torque_keeps_the_robot_passive_and_is_what_the_regressor_says() -> None
         assert np.abs(Y @ adaptive._nominal - wanted).max() < 1e-13 * scale
 
 
-def test_coriolis_matrix_of_the_tree_on_arrays_is_pinocchios() -> None:
-    generator = np.random.default_rng(4)
-    q, v = ARM.random_configuration(generator), generator.normal(size=ARM.nv)
-    mine, its = ARM.array_dynamics.coriolis_matrix(q, v), ARM.coriolis_matrix(q, v)
-    # Any C with C v = n and dM/dt - 2 C skew gives the same transposed product, all that a law takes of it.
-    assert np.abs(mine @ v - its @ v).max() < 1e-13 * np.abs(its @ v).max()
-    assert np.abs(mine.T @ v - its.T @ v).max() < 1e-13 * np.abs(its @ v).max()
-
-
 class Rich:
     """All coordinates to and fro, with frequencies of their own."""
 
