@@ -7,9 +7,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable
-from contextlib import redirect_stdout
 from html import unescape
-from io import StringIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -67,31 +65,20 @@ def test_an_error_names_its_page(capsys: pytest.CaptureFixture[str], words: str,
     assert all((site / f"{page}.md").exists() for page in pages)
 
 
-@pytest.fixture(scope="module")
-def lecture(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
-    """Return the folder and the output of `pinmobile lecture`."""
-    folder, printed = tmp_path_factory.mktemp("lecture") / "out", StringIO()
-    with redirect_stdout(printed):
-        assert main(["lecture", "--out", str(folder)]) == 0
-    return folder, printed.getvalue()
-
-
 @pytest.mark.long
 @pytest.mark.once
-def test_lecture_prints_every_number_beside_the_lectures(lecture: tuple[Path, str]) -> None:
-    _, text = lecture
+def test_lecture_prints_its_numbers_and_what_wheels_change_and_draws_them(
+    typed: Typed, tmp_path: Path
+) -> None:
+    folder = tmp_path / "out"
+    code, text, _ = typed("lecture", "--out", str(folder))
+    assert code == 0
     for (trajectory, controller), (x, y) in EXPECTED.items():
         assert re.search(rf"{trajectory} +{controller} +{x} +{x} +{y} +{y}\n", text)
     assert "all twelve numbers are the lecture's, to every digit" in text
     assert "the methods agree" in text
     assert "M[psi, psi] = Icz + m*(xbc**2 + ybc**2)" in text
     assert all(len(line) <= 80 for line in text.splitlines() if "/" not in line)
-
-
-@pytest.mark.long
-@pytest.mark.once
-def test_lecture_shows_what_wheels_change(lecture: tuple[Path, str]) -> None:
-    folder, text = lecture
     shown = text.split("4  On wheels")[1]
     pattern = r"^(via stop|via free|circle) +(PD|computed torque\*)((?: +\S+){4})$"
     rows = re.findall(pattern, shown, re.MULTILINE)
@@ -105,14 +92,6 @@ def test_lecture_shows_what_wheels_change(lecture: tuple[Path, str]) -> None:
         else:
             assert max(driven, left) < 1e-4
     assert "a jump of its heading by 0.785 rad at t = 0.1 s" in shown
-    page = (folder / "index.html").read_text()
-    assert re.search(r'<img src="wheels.png" alt="[^"]+"', page)
-
-
-@pytest.mark.long
-@pytest.mark.once
-def test_lecture_writes_every_figure_with_an_index_that_says_what_it_shows(lecture: tuple[Path, str]) -> None:
-    folder, text = lecture
     page, names = (folder / "index.html").read_text(), ("via-stop", "via-free", "circle")
     kinds = ("animation.gif", "path.png", "states.png", "errors.png", "forces.png")
     figures = {f"{name}-{kind}" for name in names for kind in kinds}
@@ -121,7 +100,7 @@ def test_lecture_writes_every_figure_with_an_index_that_says_what_it_shows(lectu
     for name in (f"{each}.html" for each in names):
         assert f'<a href="{name}">' in page
     assert text.endswith(f"see it move: open {folder / 'circle.html'}\n")
-    for name in figures:
+    for name in (*figures, "wheels.png"):
         assert re.search(rf'<img src="{name}" alt="[^"]+"', page)
         assert 1_000 < (folder / name).stat().st_size < 1_000_000
     assert "http" not in page
