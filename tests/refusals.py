@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from pinmobile.errors import InvalidArgument
+from pinmobile.errors import InvalidArgument, UnknownName
 
 
 def refused(words: str) -> Any:
@@ -22,6 +22,16 @@ def told(text: str) -> Any:
 def begun(text: str) -> Any:
     """Return what checks that an argument is refused in words that begin so."""
     return refused(rf"\A{re.escape(text)}")
+
+
+def holding(text: str) -> Any:
+    """Return what checks that an argument is refused in words that have these among them."""
+    return refused(re.escape(text))
+
+
+def unknown(words: str) -> Any:
+    """Return what checks that a name is refused in words that a pattern describes."""
+    return pytest.raises(UnknownName, match=words)
 
 
 def refusals(*rows: tuple[Callable[[], object], str], by: Callable[[str], Any] = refused) -> Any:

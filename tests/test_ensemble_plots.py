@@ -6,7 +6,7 @@ from collections.abc import Callable
 from importlib import import_module
 from itertools import combinations
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,6 +23,7 @@ from pinmobile import palette, plots
 from pinmobile.errors import InvalidArgument
 from pinmobile.loop import Engine, causes, worst_share
 from pinmobile.plots.style import DASHES, format_percent, line_style, wrap_text
+from tests.refusals import refused
 
 pytestmark = pytest.mark.once
 
@@ -89,60 +90,66 @@ def apart(figure: Figure) -> None:
         assert not one.padded(-1.0).overlaps(other.padded(-1.0))
 
 
-class TestBands:
-    def test_lines_are_the_quantiles_and_bands_lie_between_them(self, pair: Pair) -> None:
-        levels = (0.5, 0.9, 0.99)
-        for row, attribute in zip(rows(plots.bands(pair), 2), ("distance", "heading"), strict=True):
-            for axes, made in zip(row, pair.values(), strict=True):
-                bands = made.bands(levels)
-                most = [[getattr(made.error_quantile(level), attribute)] for level in levels]
-                quantiles = 1e3 * np.minimum(getattr(bands, attribute), most)
-                quantiles[quantiles < 1e3 * 2**-34] = 0
-                for line, quantile in zip(axes.lines, quantiles, strict=True):
-                    np.testing.assert_array_equal(line.get_xdata(), bands.t)
-                    np.testing.assert_allclose(np.asarray(line.get_ydata()), quantile, rtol=1e-12)
-                filled = [c for c in axes.collections if isinstance(c, PolyCollection)]
-                for band, top in zip(filled, quantiles, strict=True):
-                    points = np.asarray(band.get_paths()[0].vertices)
-                    assert points[:, 1].max() == pytest.approx(top.max())
+# Bands
 
-    def test_errors_that_differ_by_orders_have_logarithmic_axes(self, pair: Pair) -> None:
-        exact = run(TRUE, {"mass": pm.Uniform(24, 36), "controller.mass": pm.SameAs("mass")}, n=50)
-        distance, heading = (row[0] for row in rows(plots.bands({"PD": pair["PD"], "exact": exact}), 2))
-        assert distance.get_yscale() == "log"
-        assert distance.get_ylabel().endswith("logarithmic")
-        medians = [made.bands(0.5).distance.max() * 1e3 for made in (pair["PD"], exact)]
-        assert distance.get_ylim()[0] < min(medians)
-        assert heading.get_yscale() == "linear"  # rounding is no order of magnitude
-        assert not np.asarray(heading.figure.axes[3].lines[0].get_ydata()).any()
 
-    def test_words_say_who_stays_within_what(self, pair: Pair) -> None:
-        top, low = rows(plots.bands(pair), 2)
-        assert top[0].get_title(loc="left") == "99 % stay within 9.3 mm throughout"
-        assert 9.2e-3 < pair["PD"].error_quantile(0.99).distance < 9.3e-3  # a bound is never rounded down
-        assert low[0].get_title(loc="left").startswith("99 % stay within ")
-        assert [note.get_text() for note in top[1].texts] == ["none of 300 diverged", "computed torque"]
-        assert texts(plots.bands(pair)) == ["50 %", "90 %", "99 % of 300 robots"]
+def test_lines_are_the_quantiles_and_bands_lie_between_them(pair: Pair) -> None:
+    levels = (0.5, 0.9, 0.99)
+    for row, attribute in zip(rows(plots.bands(pair), 2), ("distance", "heading"), strict=True):
+        for axes, made in zip(row, pair.values(), strict=True):
+            bands = made.bands(levels)
+            most = [[getattr(made.error_quantile(level), attribute)] for level in levels]
+            quantiles = 1e3 * np.minimum(getattr(bands, attribute), most)
+            quantiles[quantiles < 1e3 * 2**-34] = 0
+            for line, quantile in zip(axes.lines, quantiles, strict=True):
+                np.testing.assert_array_equal(line.get_xdata(), bands.t)
+                np.testing.assert_allclose(np.asarray(line.get_ydata()), quantile, rtol=1e-12)
+            filled = [c for c in axes.collections if isinstance(c, PolyCollection)]
+            for band, top in zip(filled, quantiles, strict=True):
+                points = np.asarray(band.get_paths()[0].vertices)
+                assert points[:, 1].max() == pytest.approx(top.max())
 
-    def test_a_single_ensemble_and_other_levels(self, pair: Pair) -> None:
-        figure = plots.bands(pair["PD"], levels=(0.999, 0.25))
-        assert len(figure.axes) == 2
-        assert texts(figure) == ["25 %", "99.9 % of 300 robots"]
-        assert plots.bands(pair["PD"], title="Circle").texts[0].get_text() == "Circle"
-        one_level = plots.bands({"a": pair["PD"], "b": run(TRUE, SPREAD, n=10)}, levels=0.5)
-        assert texts(one_level) == ["50 % of the robots"]
 
-    def test_bands_of_diverged_robots_leave_at_the_top(self, diverging: pm.Ensemble) -> None:
-        figure = plots.bands(diverging)
-        drawn(figure)
-        axes = figure.axes[0]
-        count = int(diverging.diverged.sum())
-        assert 0 < count < 150
-        assert axes.texts[0].get_text() == f"{count} of 300 diverged"
-        assert axes.get_title(loc="left") == "99 % stay within no bound"
-        median, _, outermost = (np.asarray(line.get_ydata()) for line in axes.lines)
-        assert median[-1] < axes.get_ylim()[1] < outermost[-1]
-        assert np.isinf(diverging.bands(0.99).distance[0, -1])
+def test_errors_that_differ_by_orders_have_logarithmic_axes(pair: Pair) -> None:
+    exact = run(TRUE, {"mass": pm.Uniform(24, 36), "controller.mass": pm.SameAs("mass")}, n=50)
+    distance, heading = (row[0] for row in rows(plots.bands({"PD": pair["PD"], "exact": exact}), 2))
+    assert distance.get_yscale() == "log"
+    assert distance.get_ylabel().endswith("logarithmic")
+    medians = [made.bands(0.5).distance.max() * 1e3 for made in (pair["PD"], exact)]
+    assert distance.get_ylim()[0] < min(medians)
+    assert heading.get_yscale() == "linear"  # rounding is no order of magnitude
+    assert not np.asarray(heading.figure.axes[3].lines[0].get_ydata()).any()
+
+
+def test_words_say_who_stays_within_what(pair: Pair) -> None:
+    top, low = rows(plots.bands(pair), 2)
+    assert top[0].get_title(loc="left") == "99 % stay within 9.3 mm throughout"
+    assert 9.2e-3 < pair["PD"].error_quantile(0.99).distance < 9.3e-3  # a bound is never rounded down
+    assert low[0].get_title(loc="left").startswith("99 % stay within ")
+    assert [note.get_text() for note in top[1].texts] == ["none of 300 diverged", "computed torque"]
+    assert texts(plots.bands(pair)) == ["50 %", "90 %", "99 % of 300 robots"]
+
+
+def test_a_single_ensemble_and_other_levels(pair: Pair) -> None:
+    figure = plots.bands(pair["PD"], levels=(0.999, 0.25))
+    assert len(figure.axes) == 2
+    assert texts(figure) == ["25 %", "99.9 % of 300 robots"]
+    assert plots.bands(pair["PD"], title="Circle").texts[0].get_text() == "Circle"
+    one_level = plots.bands({"a": pair["PD"], "b": run(TRUE, SPREAD, n=10)}, levels=0.5)
+    assert texts(one_level) == ["50 % of the robots"]
+
+
+def test_bands_of_diverged_robots_leave_at_the_top(diverging: pm.Ensemble) -> None:
+    figure = plots.bands(diverging)
+    drawn(figure)
+    axes = figure.axes[0]
+    count = int(diverging.diverged.sum())
+    assert 0 < count < 150
+    assert axes.texts[0].get_text() == f"{count} of 300 diverged"
+    assert axes.get_title(loc="left") == "99 % stay within no bound"
+    median, _, outermost = (np.asarray(line.get_ydata()) for line in axes.lines)
+    assert median[-1] < axes.get_ylim()[1] < outermost[-1]
+    assert np.isinf(diverging.bands(0.99).distance[0, -1])
 
 
 GAINS = ("gain", "1/s²", [1, 2.5, 4])
@@ -150,126 +157,134 @@ SPEEDS = ("speed", "", ["slow", "fast"])
 VALUES = np.array([[1.0, 2.0, 3.0], [1.5, 40.0, np.inf]])
 
 
-class TestHeatmap:
-    def test_cells_are_the_values_the_first_at_the_left_and_at_the_bottom(self) -> None:
-        figure = plots.heatmap(VALUES, x=GAINS, y=SPEEDS, label="error [mm]")
-        axes, bar = figure.axes
-        image = axes.images[0]
-        shown: Any = image.get_array()
-        np.testing.assert_array_equal(shown.filled(np.inf), VALUES)
-        assert image.origin == "lower"
-        written = {tuple(map(int, text.get_position())): text.get_text() for text in axes.texts}
-        assert written == {(0, 0): "1.00", (1, 0): "2.00", (2, 0): "3.00",
-                           (0, 1): "1.50", (1, 1): "40.0", (2, 1): "diverges"}  # fmt: skip
-        assert [label.get_text() for label in axes.get_xticklabels()] == ["1", "2.5", "4"]
-        assert [label.get_text() for label in axes.get_yticklabels()] == ["slow", "fast"]
-        assert (axes.get_xlabel(), axes.get_ylabel()) == ("gain [1/s²]", "speed")
-        assert bar.get_ylabel() == "error [mm]"
-        assert figure.texts[0].get_text() == "error [mm] over gain and speed"
-
-    @pytest.mark.parametrize(("largest", "scale"), [(19.0, "linear"), (21.0, "log")])
-    def test_colours_are_logarithmic_over_orders(self, largest: float, scale: str) -> None:
-        figure = plots.heatmap([[1.0, largest, np.inf]], x=GAINS, y=("one", "", [1]), label="error [m]")
-        assert figure.axes[1].get_yscale() == scale
-
-    @pytest.mark.parametrize(
-        ("changes", "message"),
-        [
-            ({"values": VALUES.T}, r"^values has shape \(3, 2\), expected \(2, 3\): a row for each of y"),
-            ({"limits": (1, 30)}, r"^values\[4\] is 40.0, expected 1 <= values <= 30$"),
-        ],
-    )
-    def test_bad_arguments(self, changes: dict[str, Any], message: str) -> None:
-        options: dict[str, Any] = {"values": VALUES, "x": GAINS, "y": SPEEDS, "label": "error [mm]"} | changes
-        with pytest.raises(pm.InvalidArgument, match=message):
-            plots.heatmap(**options)
+# Heatmap
 
 
-class TestCurves:
-    ROWS: ClassVar[dict[str, Any]] = {"pd": [3.0, np.inf, 1.0], "computed torque": [0.5, 0.4, 0.3]}
-    X = ("gain", "1/s²", [4, 9, 1])
-
-    def test_there_is_a_curve_for_each_name_in_the_order_of_the_parameter(self) -> None:
-        figure = plots.curves(self.ROWS, x=self.X, label="error [mm]")
-        (axes,) = figure.axes
-        lines = [line for line in axes.lines if line.get_linestyle() == "-"]
-        np.testing.assert_array_equal(lines[0].get_xdata(), [1, 4, 9])
-        np.testing.assert_array_equal(lines[0].get_ydata(), [1, 3, np.nan])
-        np.testing.assert_array_equal(lines[1].get_ydata(), [0.3, 0.5, 0.4])
-        assert (axes.get_xlabel(), axes.get_ylabel()) == ("gain [1/s²]", "error [mm]")
-        assert [text.get_text() for text in figure.legends[0].get_texts()] == [*self.ROWS, "diverges"]
-
-    @pytest.mark.parametrize("largest", [3.0, 3000.0])
-    def test_what_diverges_is_a_cross_above_all_numbers_at_its_own_word(self, largest: float) -> None:
-        rows = {**self.ROWS, "pd": [largest, np.inf, 1.0]}
-        (axes,) = plots.curves(rows, x=self.X, label="error [mm]").axes
-        crosses = [line for line in axes.lines if line.get_marker() == "x"]
-        (cross,) = (line for line in crosses if len(np.ravel(line.get_xdata())))
-        assert list(np.ravel(cross.get_xdata())) == [9]
-        height = float(np.ravel(cross.get_ydata())[0])
-        assert largest < height < axes.get_ylim()[1]
-        assert top_ticks(axes, height) == ["diverges"]
-        assert len(axes.get_yticks()) > 3
+def test_cells_are_the_values_the_first_at_the_left_and_at_the_bottom() -> None:
+    figure = plots.heatmap(VALUES, x=GAINS, y=SPEEDS, label="error [mm]")
+    axes, bar = figure.axes
+    image = axes.images[0]
+    shown: Any = image.get_array()
+    np.testing.assert_array_equal(shown.filled(np.inf), VALUES)
+    assert image.origin == "lower"
+    written = {tuple(map(int, text.get_position())): text.get_text() for text in axes.texts}
+    assert written == {(0, 0): "1.00", (1, 0): "2.00", (2, 0): "3.00",
+                       (0, 1): "1.50", (1, 1): "40.0", (2, 1): "diverges"}  # fmt: skip
+    assert [label.get_text() for label in axes.get_xticklabels()] == ["1", "2.5", "4"]
+    assert [label.get_text() for label in axes.get_yticklabels()] == ["slow", "fast"]
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("gain [1/s²]", "speed")
+    assert bar.get_ylabel() == "error [mm]"
+    assert figure.texts[0].get_text() == "error [mm] over gain and speed"
 
 
-class TestDrivers:
-    def test_the_title_names_what_drives_the_worst(self, pair: Pair) -> None:
-        made = pair["computed torque"]
-        assert plots.drivers(made).texts[0].get_text() == "mass drives the worst 5 % most, then force.x"
-        title = plots.drivers(pair["PD"], share=0.2).texts[0].get_text()
-        assert title == "mass drives the worst 20 % most"
-        assert plots.drivers(made, title="Circle").texts[0].get_text() == "Circle"
+@pytest.mark.parametrize(("largest", "scale"), [(19.0, "linear"), (21.0, "log")])
+def test_colours_are_logarithmic_over_orders(largest: float, scale: str) -> None:
+    figure = plots.heatmap([[1.0, largest, np.inf]], x=GAINS, y=("one", "", [1]), label="error [m]")
+    assert figure.axes[1].get_yscale() == scale
 
-    def test_the_most_different_comes_first(self, pair: Pair) -> None:
-        *panels, scatter = plots.drivers(pair["computed torque"]).axes
-        assert [axes.get_xlabel() for axes in panels] == ["mass [kg]", "force.x [N]", "com.x [m]"]
-        assert scatter.get_xlabel() == "mass [kg]"
-        assert scatter.get_ylabel() == "largest distance from the desired position [mm]"
-        assert panels[2].get_title(loc="left") == "plays no part"
 
-    def test_words_say_where_the_worst_are(self, pair: Pair) -> None:
-        for label, outside in (("computed torque", True), ("PD", False)):
-            made = pair[label]
-            worst = worst_share(made, 0.1)
-            first = causes(made, worst)[0]
-            assert (first.name, first.outside, first.visible) == ("mass", outside, True)
-            bad, good = (first.holds(made.draws["mass"][chosen]).mean() for chosen in (worst, ~worst))
-            assert bad - good == pytest.approx(first.difference, abs=0.1)
-            shares = [format_percent(round(float(share), 2)) for share in (bad, good)]
-            title = plots.drivers(made, share=0.1).axes[0].get_title(loc="left")
-            assert title == f"{first.place}:\n{shares[0]} of the worst, {shares[1]} of the others"
-        assert first.place == f"above {first.low:.3g} kg"
+def test_values_that_no_heatmap_shows_are_refused() -> None:
+    with refused(r"^values has shape \(3, 2\), expected \(2, 3\): a row for each of y"):
+        plots.heatmap(VALUES.T, x=GAINS, y=SPEEDS, label="error [mm]")
+    with refused(r"^values\[4\] is 40.0, expected 1 <= values <= 30$"):
+        plots.heatmap(VALUES, x=GAINS, y=SPEEDS, label="error [mm]", limits=(1, 30))
 
-    def test_diverged_robots_are_crosses_at_their_own_word_above_all(self, diverging: pm.Ensemble) -> None:
-        figure = plots.drivers(diverging)
-        assert figure.axes[0].get_title(loc="left").startswith("below ")
-        assert texts(figure)[-1] == "diverged"
-        axes = figure.axes[-1]
-        assert axes.get_yscale() == "log"
-        heights = {float(y) for line in axes.lines[2:] for y in np.ravel(line.get_ydata())}
-        (height,) = heights
-        dots = np.concatenate([np.ravel(line.get_ydata()) for line in axes.lines[:2]])
-        assert dots.max() < height < axes.get_ylim()[1]
-        assert top_ticks(axes, dots.max() * 1.1) == ["diverged"]
-        assert len(axes.get_yticks()) > 2
-        apart(figure)
 
-    def test_of_a_multiple_the_factor_counts(self) -> None:
-        factor = {"controller.mass": pm.SameAs("mass", pm.Uniform(0.8, 1.2))}
-        spread = {"mass": pm.Uniform(20, 40), **factor, "com.x": 0.01}
-        made = run(TRUE, spread | {"controller.yaw_inertia": pm.SameAs("yaw_inertia", 1.1)})
-        figure = plots.drivers(made)
-        assert figure.texts[0].get_text() == "controller.mass / mass drives the worst 5 % most"
-        assert [axes.get_xlabel() for axes in figure.axes[:-1]] == ["controller.mass / mass", "mass [kg]"]
+# Curves
 
-    def test_bad_arguments(self, pair: Pair) -> None:
-        drivers: Any = plots.drivers
-        with pytest.raises(pm.InvalidArgument, match=r"^ensemble is \{.*, expected an Ensemble$"):
-            drivers(pair)
-        with pytest.raises(pm.InvalidArgument, match=r"^share is 0.0001, 0 of 300 robots, exp"):
-            drivers(pair["PD"], share=1e-4)
-        with pytest.raises(pm.InvalidArgument, match=r"^ensemble has robots with the same parameters"):
-            drivers(run(TRUE, {"mass": 31}, n=20))
+ROWS: dict[str, Any] = {"pd": [3.0, np.inf, 1.0], "computed torque": [0.5, 0.4, 0.3]}
+X = ("gain", "1/s²", [4, 9, 1])
+
+
+def test_there_is_a_curve_for_each_name_in_the_order_of_the_parameter() -> None:
+    figure = plots.curves(ROWS, x=X, label="error [mm]")
+    (axes,) = figure.axes
+    lines = [line for line in axes.lines if line.get_linestyle() == "-"]
+    np.testing.assert_array_equal(lines[0].get_xdata(), [1, 4, 9])
+    np.testing.assert_array_equal(lines[0].get_ydata(), [1, 3, np.nan])
+    np.testing.assert_array_equal(lines[1].get_ydata(), [0.3, 0.5, 0.4])
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("gain [1/s²]", "error [mm]")
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == [*ROWS, "diverges"]
+
+
+@pytest.mark.parametrize("largest", [3.0, 3000.0])
+def test_what_diverges_is_a_cross_above_all_numbers_at_its_own_word(largest: float) -> None:
+    rows = {**ROWS, "pd": [largest, np.inf, 1.0]}
+    (axes,) = plots.curves(rows, x=X, label="error [mm]").axes
+    crosses = [line for line in axes.lines if line.get_marker() == "x"]
+    (cross,) = (line for line in crosses if len(np.ravel(line.get_xdata())))
+    assert list(np.ravel(cross.get_xdata())) == [9]
+    height = float(np.ravel(cross.get_ydata())[0])
+    assert largest < height < axes.get_ylim()[1]
+    assert top_ticks(axes, height) == ["diverges"]
+    assert len(axes.get_yticks()) > 3
+
+
+# Drivers
+
+
+def test_the_title_names_what_drives_the_worst(pair: Pair) -> None:
+    made = pair["computed torque"]
+    assert plots.drivers(made).texts[0].get_text() == "mass drives the worst 5 % most, then force.x"
+    title = plots.drivers(pair["PD"], share=0.2).texts[0].get_text()
+    assert title == "mass drives the worst 20 % most"
+    assert plots.drivers(made, title="Circle").texts[0].get_text() == "Circle"
+
+
+def test_the_most_different_comes_first(pair: Pair) -> None:
+    *panels, scatter = plots.drivers(pair["computed torque"]).axes
+    assert [axes.get_xlabel() for axes in panels] == ["mass [kg]", "force.x [N]", "com.x [m]"]
+    assert scatter.get_xlabel() == "mass [kg]"
+    assert scatter.get_ylabel() == "largest distance from the desired position [mm]"
+    assert panels[2].get_title(loc="left") == "plays no part"
+
+
+def test_words_say_where_the_worst_are(pair: Pair) -> None:
+    for label, outside in (("computed torque", True), ("PD", False)):
+        made = pair[label]
+        worst = worst_share(made, 0.1)
+        first = causes(made, worst)[0]
+        assert (first.name, first.outside, first.visible) == ("mass", outside, True)
+        bad, good = (first.holds(made.draws["mass"][chosen]).mean() for chosen in (worst, ~worst))
+        assert bad - good == pytest.approx(first.difference, abs=0.1)
+        shares = [format_percent(round(float(share), 2)) for share in (bad, good)]
+        title = plots.drivers(made, share=0.1).axes[0].get_title(loc="left")
+        assert title == f"{first.place}:\n{shares[0]} of the worst, {shares[1]} of the others"
+    assert first.place == f"above {first.low:.3g} kg"
+
+
+def test_diverged_robots_are_crosses_at_their_own_word_above_all(diverging: pm.Ensemble) -> None:
+    figure = plots.drivers(diverging)
+    assert figure.axes[0].get_title(loc="left").startswith("below ")
+    assert texts(figure)[-1] == "diverged"
+    axes = figure.axes[-1]
+    assert axes.get_yscale() == "log"
+    heights = {float(y) for line in axes.lines[2:] for y in np.ravel(line.get_ydata())}
+    (height,) = heights
+    dots = np.concatenate([np.ravel(line.get_ydata()) for line in axes.lines[:2]])
+    assert dots.max() < height < axes.get_ylim()[1]
+    assert top_ticks(axes, dots.max() * 1.1) == ["diverged"]
+    assert len(axes.get_yticks()) > 2
+    apart(figure)
+
+
+def test_of_a_multiple_the_factor_counts() -> None:
+    factor = {"controller.mass": pm.SameAs("mass", pm.Uniform(0.8, 1.2))}
+    spread = {"mass": pm.Uniform(20, 40), **factor, "com.x": 0.01}
+    made = run(TRUE, spread | {"controller.yaw_inertia": pm.SameAs("yaw_inertia", 1.1)})
+    figure = plots.drivers(made)
+    assert figure.texts[0].get_text() == "controller.mass / mass drives the worst 5 % most"
+    assert [axes.get_xlabel() for axes in figure.axes[:-1]] == ["controller.mass / mass", "mass [kg]"]
+
+
+def test_what_has_no_drivers_is_refused(pair: Pair) -> None:
+    drivers: Any = plots.drivers
+    with refused(r"^ensemble is \{.*, expected an Ensemble$"):
+        drivers(pair)
+    with pytest.raises(pm.InvalidArgument, match=r"^share is 0.0001, 0 of 300 robots, exp"):
+        drivers(pair["PD"], share=1e-4)
+    with pytest.raises(pm.InvalidArgument, match=r"^ensemble has robots with the same parameters"):
+        drivers(run(TRUE, {"mass": 31}, n=20))
 
 
 def figures(pair: Pair) -> list[Callable[[], Figure]]:
@@ -277,16 +292,15 @@ def figures(pair: Pair) -> list[Callable[[], Figure]]:
         lambda: plots.bands(pair),
         lambda: plots.drivers(pair["computed torque"]),
         lambda: plots.heatmap(VALUES, x=GAINS, y=SPEEDS, label="error [mm]"),
-        lambda: plots.curves(TestCurves.ROWS, x=TestCurves.X, label="error [mm]"),
+        lambda: plots.curves(ROWS, x=X, label="error [mm]"),
     ]
 
 
-class TestFigures:
-    def test_nothing_overlaps(self, pair: Pair) -> None:
-        for draw in figures(pair):
-            figure = draw()
-            apart(figure)
-            assert 400 < figure.bbox.width <= 1100
+def test_nothing_overlaps(pair: Pair) -> None:
+    for draw in figures(pair):
+        figure = draw()
+        apart(figure)
+        assert 400 < figure.bbox.width <= 1100
 
 
 # -- figures for a paper ---------------------------------------------------------------------------

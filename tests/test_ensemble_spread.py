@@ -229,14 +229,8 @@ def test_gains_of_coordinates_leave_those_that_couple_them() -> None:
         ({"after": 1.1}, "after is 1.1 s, expected 0 <= after <= 1 s"),
         ({"dt": 0.3, "duration": 1.0}, "duration is 1.0 s, expected a whole number of steps dt = 0.3 s"),
         ({"controller": pm.PD}, "expected an object: PD(...)"),
-        (
-            {"controller": DELAYED, "spread": {"samples": 3}},
-            "spread has 'samples', a whole number",
-        ),
-        (
-            {"spread": {"mass": pm.Uniform(20, 30), "plant.mass": 25}},
-            "which both mean plant.mass",
-        ),
+        ({"controller": DELAYED, "spread": {"samples": 3}}, "spread has 'samples', a whole number"),
+        ({"spread": {"mass": pm.Uniform(20, 30), "plant.mass": 25}}, "which both mean plant.mass"),
         ({"spread": {"com": pm.Uniform(-0.03, 0.03)}}, "of 3 different numbers, expected 'com.x', 'com.y'"),
     ],
 )

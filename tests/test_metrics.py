@@ -19,6 +19,7 @@ from pinmobile.reaching.poses import error_sizes, pose_error
 from pinmobile.urdf import Body
 from tests.looping import Body as Pushed
 from tests.parts import Waving
+from tests.refusals import refusals, unknown
 
 CLOSE = 1e-10
 # The base's products of inertia, which the ground alone feels, and its height.
@@ -146,18 +147,6 @@ def test_a_choice_judges_that_alone(runs: pm.Ensemble) -> None:
     none = run_scenario(scenario(metrics=()))
     assert none.worst_metric.shape == (3, 0)
     np.testing.assert_array_equal(none.max_error, some.max_error)
-
-
-@pytest.mark.parametrize(
-    ("metrics", "error", "words"),
-    [
-        (["efort"], UnknownName, "unknown metric 'efort'.*'effort'"),
-        ("effort", pm.InvalidArgument, r"^metrics is 'effort', expected a sequence of names.*function"),
-    ],
-)
-def test_measures_that_there_are_not_are_refused(metrics: Any, error: Any, words: str) -> None:
-    with pytest.raises(error, match=words):
-        scenario(metrics=metrics)
 
 
 def test_files_and_tables_keep_measures(runs: pm.Ensemble, tmp_path: Path) -> None:
@@ -349,24 +338,24 @@ def test_kept_signals_end_where_a_robot_diverges() -> None:
     assert lived > 1
 
 
-@pytest.mark.parametrize(
-    ("metrics", "words"),
-    [
-        ({"distance": abs}, "metrics has 'distance' twice, expected different names"),
-        ({"gap": lambda sample: sample.q}, r"^metrics has 'gap', whose function returned .* a number$"),
-        ({"gap": lambda sample: np.nan * sample.q[0]}, "^robot 0: .*NaN as 'gap'"),
-        ({"gap": lambda sample: float(sample.q[0])}, "metrics has 'gap': float.*or give engine=Engine.P"),
-        ([Metric("gap", "m", "gap", "least", abs)], "worst of the metric 'gap'.*largest, smallest, ever"),
-    ],
+def judged(function: Any) -> pm.Ensemble:
+    return carts(metrics={"gap": function})
+
+
+test_what_is_no_metric_is_refused = refusals(
+    (lambda: scenario(metrics="effort"), r"^metrics is 'effort', expected a sequence of names.*function"),
+    (lambda: carts(metrics={"distance": abs}), "metrics has 'distance' twice, or as the name of an error"),
+    (lambda: judged(lambda sample: sample.q), r"^metrics has 'gap', whose function returned .* a number$"),
+    (lambda: judged(lambda sample: np.nan * sample.q[0]), "^robot 0: .*NaN as 'gap'"),
+    (lambda: judged(lambda sample: float(sample.q[0])), "metrics has 'gap': float.*or give engine=Engine.P"),
 )
-def test_a_function_that_is_no_metric_is_refused(metrics: Any, words: str) -> None:
-    with pytest.raises((pm.InvalidArgument, UnknownName), match=words):
-        carts(metrics=metrics)
-
-
-def test_an_unknown_signal_is_refused() -> None:
-    with pytest.raises(UnknownName, match=r"unknown signal 'disturbanc'.*'disturbance'"):
-        carts(keep=["disturbanc"])
+LEAST = Metric("gap", "m", "gap", "least", abs)
+test_names_that_there_are_not_are_refused = refusals(
+    (lambda: scenario(metrics=["efort"]), "unknown metric 'efort'.*'effort'"),
+    (lambda: carts(metrics=[LEAST]), "worst of the metric 'gap'.*largest, smallest, ever"),
+    (lambda: carts(keep=["disturbanc"]), "unknown signal 'disturbanc'.*'disturbance'"),
+    by=unknown,
+)
 
 
 @pytest.mark.parametrize("engine", [pm.Engine.COMPILED, pm.Engine.PYTHON])

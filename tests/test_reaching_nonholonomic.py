@@ -137,21 +137,12 @@ def test_limits_of_the_drive_hold_at_all_times_and_the_error_says_which_when_and
     assert (kept(t).q[:, 3:] <= ARMED.upper[3:]).all()
 
 
-@pytest.mark.parametrize(
-    ("robot", "target", "options", "limit"),
-    [
-        (ROBOTS["differential"], line((1, 0, 0), 0.5), {}, r"base reaches its acceleration limit, 10 m/s\^2"),
-        (
-            ROBOTS["differential"],
-            line((1, 0, 0)),
-            {"velocity_limit": LOCKED},
-            "ur5/elbow_joint reaches its speed",
-        ),
-    ],
-)
-def test_each_limit_is_named(robot: Any, target: Any, options: Any, limit: str) -> None:
-    with pytest.raises(Unreachable, match=rf"m, where {limit}"):
-        pm.solve_inverse_kinematics(robot, target, q0=BENT, **options)
+def test_each_limit_is_named() -> None:
+    robot = ROBOTS["differential"]
+    with pytest.raises(Unreachable, match=r"m, where base reaches its acceleration limit, 10 m/s\^2"):
+        pm.solve_inverse_kinematics(robot, line((1, 0, 0), 0.5), q0=BENT)
+    with pytest.raises(Unreachable, match="m, where ur5/elbow_joint reaches its speed"):
+        pm.solve_inverse_kinematics(robot, line((1, 0, 0)), q0=BENT, velocity_limit=LOCKED)
 
 
 def test_the_position_limit_of_a_joint_is_named() -> None:
