@@ -134,28 +134,31 @@ test_arguments_that_do_not_fit_are_refused = refusals(
 )
 
 
-class TestFigure:
-    def test_lines_are_the_errors_in_milliseconds_and_notes_the_orders(self, reports: Reports) -> None:
-        figure = plots.integrator(reports)
-        assert [axes.get_ylabel() for axes in figure.axes] == [
-            "error [m]", "relative drift", "error [m]", "relative drift", "relative drift", "error [m]"
-        ]  # fmt: skip
-        loop = figure.axes[5]
-        for index, (name, report) in enumerate(reports.items()):
-            line = loop.lines[index]
-            np.testing.assert_allclose(np.asarray(line.get_xdata(), float), 1e3 * report.sampling.steps)
-            np.testing.assert_array_equal(line.get_ydata(), report.sampling.errors)
-            assert to_hex(line.get_color()).upper() == colour(index)
-            note = loop.texts[index]
-            assert note.get_text() == f"{name}: {report.sampling}"
-            assert str(note.get_color()) == colour(index)
-        assert [text.get_text() for text in figure.axes[0].texts[3:]] == ["$h$", "$h^4$"]
-        assert (loop.get_xscale(), loop.get_yscale()) == ("log", "log")
-        assert loop.get_xlabel() == "step h [ms]"
+# Figure
 
-    def test_a_guide_has_the_slope_that_it_says(self, reports: Reports) -> None:
-        figure = plots.integrator(reports["rk4"])
-        assert figure.texts[0].get_text() == "Accuracy of rk4: error over the step"
-        guide = figure.axes[0].lines[1].get_xydata()
-        (x0, y0), (x1, y1) = np.log(np.asarray(guide))
-        assert (y1 - y0) / (x1 - x0) == pytest.approx(4)
+
+def test_lines_are_the_errors_in_milliseconds_and_notes_the_orders(reports: Reports) -> None:
+    figure = plots.integrator(reports)
+    assert [axes.get_ylabel() for axes in figure.axes] == [
+        "error [m]", "relative drift", "error [m]", "relative drift", "relative drift", "error [m]"
+    ]  # fmt: skip
+    loop = figure.axes[5]
+    for index, (name, report) in enumerate(reports.items()):
+        line = loop.lines[index]
+        np.testing.assert_allclose(np.asarray(line.get_xdata(), float), 1e3 * report.sampling.steps)
+        np.testing.assert_array_equal(line.get_ydata(), report.sampling.errors)
+        assert to_hex(line.get_color()).upper() == colour(index)
+        note = loop.texts[index]
+        assert note.get_text() == f"{name}: {report.sampling}"
+        assert str(note.get_color()) == colour(index)
+    assert [text.get_text() for text in figure.axes[0].texts[3:]] == ["$h$", "$h^4$"]
+    assert (loop.get_xscale(), loop.get_yscale()) == ("log", "log")
+    assert loop.get_xlabel() == "step h [ms]"
+
+
+def test_a_guide_has_the_slope_that_it_says(reports: Reports) -> None:
+    figure = plots.integrator(reports["rk4"])
+    assert figure.texts[0].get_text() == "Accuracy of rk4: error over the step"
+    guide = figure.axes[0].lines[1].get_xydata()
+    (x0, y0), (x1, y1) = np.log(np.asarray(guide))
+    assert (y1 - y0) / (x1 - x0) == pytest.approx(4)

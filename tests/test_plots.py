@@ -81,149 +81,148 @@ def astray() -> Rollout:
     return simulate(robot, ComputedTorque(ROBOT), CIRCLE, dt=0.1, q0=(1, -2, 2.5))
 
 
-class TestPath:
-    def test_the_box_stands_at_the_actual_pose_not_at_the_desired_one(self, astray: Rollout) -> None:
-        samples = [0, 5, 300]
-        (axes,) = plots.path(astray, times=astray.t[samples]).axes
-        drawn = robots(axes)
-        for box, k in zip(drawn, samples, strict=True):
-            np.testing.assert_allclose(box, corners(astray.q[k], 0.8, 0.3), atol=1e-12)
-        # The lecture's animation: the desired position with the actual heading.
-        mixed = np.append(astray.reference.q[0, :2], astray.q[0, 2])
-        assert np.abs(drawn[0] - corners(mixed, 0.8, 0.3)).max() > 1
-
-    def test_signs_and_two_decimals_of_ticks_leave_room_for_the_label(self) -> None:
-        arc = Tangent(Circle(1.0, 0.5, 3.0))
-        figure = plots.path(simulate(MobileRobot(30, 1.3), PD(300, 150), arc, dt=0.01))
-        figure.draw_without_rendering()
-        assert "\N{MINUS SIGN}0.25" in [tick.get_text() for tick in figure.axes[0].get_yticklabels()]
-        assert layout_problem(figure, figure.axes) == ""
-
-    def test_lines_are_the_desired_and_the_travelled_path(self, circle: Runs) -> None:
-        for axes, run in zip(plots.path(circle).axes, circle.values(), strict=True):
-            desired, travelled = axes.lines
-            np.testing.assert_array_equal(desired.get_xydata(), run.reference.q[:, :2])
-            np.testing.assert_array_equal(travelled.get_xydata(), run.q[:, :2])
-            assert desired.is_dashed()
-            assert travelled.get_linestyle() == "-"
-            assert axes.get_aspect() == 1
-        assert len({(axes.get_xlim(), axes.get_ylim()) for axes in plots.path(circle).axes}) == 1
-        with pytest.raises(InvalidArgument, match=r"^times\[1\] is 61.0 s, expected 0 <= times <= 60 s$"):
-            plots.path(circle, times=[0, 61])
-
-    def test_times_are_written_where_there_is_room(self, circle: Runs) -> None:
-        for width, least in ((None, 7), (3.5, 3)):
-            figure = plots.path(circle, width=width)
-            figure.draw_without_rendering()
-            for axes in figure.axes:
-                texts = [text for text in axes.texts if text.get_text().endswith(" s")]
-                boxes = [text.get_window_extent() for text in texts]
-                assert least <= len(boxes) <= len(robots(axes))
-                assert not any(a.overlaps(b) for a, b in combinations(boxes, 2))
-                ticks = [tick.get_window_extent() for tick in axes.get_yticklabels()]
-                assert not any(a.overlaps(b) for a in boxes for b in ticks)
-        assert len(plots.path(circle, times=[0, 1, 2], width=3.5).axes[0].texts) == 4  # those and the label
-
-    def test_drawn_robots_do_not_overlap(self, circle: Runs) -> None:
-        for axes in (*plots.path(circle).axes, *plots.path(both(VIA_STOP)).axes):
-            centres = [box.mean(axis=0) for box in robots(axes)]
-            assert 5 <= len(centres) <= 8
-            assert min(np.hypot(*(a - b)) for a, b in combinations(centres, 2)) > np.hypot(0.6, 0.4)
+# Path
 
 
-class TestSeries:
-    def test_lines_are_the_recorded_and_the_desired(self, circle: Runs) -> None:
-        runs = [*circle.values()]
-        for k in range(3):
-            *lines, desired = plots.states(circle).axes[k].lines
-            for line, run in zip(lines, runs, strict=True):
-                np.testing.assert_array_equal(line.get_xydata(), np.stack([run.t, run.q[:, k]], axis=-1))
-            np.testing.assert_array_equal(desired.get_ydata(), runs[0].reference.q[:, k])
-            assert desired.is_dashed()
-            for axes, run in zip(plots.errors(circle).axes[2 * k : 2 * k + 2], runs, strict=True):
-                np.testing.assert_array_equal(axes.lines[0].get_ydata(), run.error[:, k])
-            for line, run in zip(plots.forces(circle).axes[k].lines, runs, strict=True):
-                np.testing.assert_array_equal(line.get_ydata(), run.u[:, k])
-                assert line.get_drawstyle() == "steps-post"
-        errors = plots.errors(circle).axes
-        assert errors[0].get_title(loc="right") == r"largest $7.48\cdot 10^{-3}$ m"
-        assert 0 < np.abs(errors[-1].lines[0].get_ydata()).max() < 1e-13
-        assert errors[-1].get_ylim() == (-1e-12, 1e-12)  # rounding is drawn as zero
+def test_the_box_stands_at_the_actual_pose_not_at_the_desired_one(astray: Rollout) -> None:
+    samples = [0, 5, 300]
+    (axes,) = plots.path(astray, times=astray.t[samples]).axes
+    drawn = robots(axes)
+    for box, k in zip(drawn, samples, strict=True):
+        np.testing.assert_allclose(box, corners(astray.q[k], 0.8, 0.3), atol=1e-12)
+    # The lecture's animation: the desired position with the actual heading.
+    mixed = np.append(astray.reference.q[0, :2], astray.q[0, 2])
+    assert np.abs(drawn[0] - corners(mixed, 0.8, 0.3)).max() > 1
 
 
-class TestLongRollouts:
-    def test_no_peak_is_lost(self) -> None:
-        t, zero = np.linspace(0, 60, 60_001), np.zeros((60_001, 3))
-        run = Rollout(ROBOT, t, zero, zero, zero, zero, zero, Reference(zero, zero, zero))
-        tau = np.random.default_rng(0).normal(size=zero.shape)
-        tau[41234, 1], tau[41235, 1] = 99, -99
-        force = plots.forces(replace(run, u=tau)).axes[1].lines[0]
-        x, y = np.asarray(force.get_xdata()), np.asarray(force.get_ydata())
-        assert len(y) < 2100
-        assert (y.max(), y.min()) == (99, -99)
-        assert x[np.argmax(y)] == run.t[41234]
-        assert x[-1] == 60
+def test_signs_and_two_decimals_of_ticks_leave_room_for_the_label() -> None:
+    arc = Tangent(Circle(1.0, 0.5, 3.0))
+    figure = plots.path(simulate(MobileRobot(30, 1.3), PD(300, 150), arc, dt=0.01))
+    figure.draw_without_rendering()
+    assert "\N{MINUS SIGN}0.25" in [tick.get_text() for tick in figure.axes[0].get_yticklabels()]
+    assert layout_problem(figure, figure.axes) == ""
 
 
-class TestFigures:
-    def test_one_sample_is_a_dot_that_can_be_seen(self, astray: Rollout) -> None:
-        run = shortened(astray, 1)
-        for k, axes in enumerate(plots.forces(run).axes):
-            (line,) = axes.lines
-            assert np.asarray(line.get_xydata()).tolist() == [[0.0, run.u[0, k]]]
-            assert line.get_marker() == "o"  # a line of one point is nothing
-            assert axes.get_ylim()[0] < run.u[0, k] < axes.get_ylim()[1]
+def test_lines_are_the_desired_and_the_travelled_path(circle: Runs) -> None:
+    for axes, run in zip(plots.path(circle).axes, circle.values(), strict=True):
+        desired, travelled = axes.lines
+        np.testing.assert_array_equal(desired.get_xydata(), run.reference.q[:, :2])
+        np.testing.assert_array_equal(travelled.get_xydata(), run.q[:, :2])
+        assert desired.is_dashed()
+        assert travelled.get_linestyle() == "-"
+        assert axes.get_aspect() == 1
+    assert len({(axes.get_xlim(), axes.get_ylim()) for axes in plots.path(circle).axes}) == 1
+    with pytest.raises(InvalidArgument, match=r"^times\[1\] is 61.0 s, expected 0 <= times <= 60 s$"):
+        plots.path(circle, times=[0, 61])
 
-    def test_arms_are_drawn_where_their_frames_are(self) -> None:
-        arm = pm.MobileRobot.box().mount("ur5", at=(0.2, 0.1, 0.3, 0.5))
-        robot = pm.WheeledRobot(arm, pm.WheelTable.mecanum(0.4, 0.5, 0.1))
-        start = np.array([0.3, -0.2, 0.7, 0.4, -1.2, 1.6, -0.4, 1.57, 0.0])
-        still = pm.FixedHeading(pm.Hold([0.3, -0.2], 0.1), 0.7)
-        q0 = np.concatenate([start, np.zeros(4)])
-        run = pm.simulate(robot, pm.law(lambda t, q, v, r: np.zeros(10)), still, dt=0.01, q0=q0)
-        (axes,) = plots.path(run, times=[0.0]).axes
-        rows = [np.asarray(line.get_xydata()) for line in axes.lines]
-        (drawn,) = [xy for xy in rows if np.isnan(xy).any()]
-        joints = "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3"
-        names = [*(f"{joint}_joint" for joint in joints), "tool0"]
-        frames = np.array([arm.frame_pose(start, f"ur5/{name}")[:2, 3] for name in names])
-        np.testing.assert_allclose(drawn[1::3], frames, atol=1e-12)
-        np.testing.assert_allclose(drawn[3::3], frames[:-1], atol=1e-12)
 
-    def test_a_path_needs_a_pose(self, circle: Runs) -> None:
-        run = circle["PD"]
-        desired = run.reference._replace(q=run.reference.q[:, :2])
-        flat = replace(run, plant=None, q=run.q[:, :2], reference=desired)
-        with pytest.raises(InvalidArgument, match=r"^rollouts\['a'\].plant is a NoneType, which has no pose"):
-            plots.path({"a": flat})
+def test_drawn_robots_do_not_overlap(circle: Runs) -> None:
+    for axes in (*plots.path(circle).axes, *plots.path(both(VIA_STOP)).axes):
+        centres = [box.mean(axis=0) for box in robots(axes)]
+        assert 5 <= len(centres) <= 8
+        assert min(np.hypot(*(a - b)) for a, b in combinations(centres, 2)) > np.hypot(0.6, 0.4)
 
-    def test_pyplot_and_settings_are_left_alone(self, circle: Runs, tmp_path: Path) -> None:
-        before = dict(matplotlib.rcParams)
-        for draw in DRAWN:
-            draw(circle)
-        assert dict(matplotlib.rcParams) == before
-        code = (
-            "import sys; import pinmobile as pm; from pinmobile import plots\n"
-            "run = pm.Rollout.load(sys.argv[1])\n"
-            "[f(run)._repr_png_() for f in (plots.path, plots.states, plots.errors, plots.forces)]\n"
-            "plots.animate(run, sys.argv[2])\n"
-            "print(*{'matplotlib.pyplot', 'meshcat', 'sympy', 'tkinter'} & set(sys.modules))"
-        )
-        shortened(circle["PD"], 2).save(tmp_path / "run.npz")
-        command = [sys.executable, "-c", code, str(tmp_path / "run.npz"), str(tmp_path / "robot.gif")]
-        with pytest.MonkeyPatch.context() as patch:
-            patch.delenv("DISPLAY", raising=False)
-            patch.delenv("MPLBACKEND", raising=False)
-            done = subprocess.run(command, capture_output=True, text=True, check=True)
-        assert done.stdout.strip() == ""
 
-    @pytest.mark.parametrize(
-        ("value", "text"),
-        [(0, "0 m"), (2.24, "2.2 m"), (12.34, "12 m"), (0.999, "1.0 m"), (0.37, "370 mm"), (3.49e-5, "35 µm"),
-         (9.96e-6, "10 µm"), (3.5e-9, "3.5 nm"), (3.6e-11, "3.6e-11 m"), (3.55e-15, "0 m, within rounding")],
-    )  # fmt: skip
-    def test_sizes_are_written_with_two_digits(self, value: float, text: str) -> None:
-        assert format_si(value, "m") == text
+# Series
+
+
+def test_lines_are_the_recorded_and_the_desired(circle: Runs) -> None:
+    runs = [*circle.values()]
+    for k in range(3):
+        *lines, desired = plots.states(circle).axes[k].lines
+        for line, run in zip(lines, runs, strict=True):
+            np.testing.assert_array_equal(line.get_xydata(), np.stack([run.t, run.q[:, k]], axis=-1))
+        np.testing.assert_array_equal(desired.get_ydata(), runs[0].reference.q[:, k])
+        assert desired.is_dashed()
+        for axes, run in zip(plots.errors(circle).axes[2 * k : 2 * k + 2], runs, strict=True):
+            np.testing.assert_array_equal(axes.lines[0].get_ydata(), run.error[:, k])
+        for line, run in zip(plots.forces(circle).axes[k].lines, runs, strict=True):
+            np.testing.assert_array_equal(line.get_ydata(), run.u[:, k])
+            assert line.get_drawstyle() == "steps-post"
+    errors = plots.errors(circle).axes
+    assert errors[0].get_title(loc="right") == r"largest $7.48\cdot 10^{-3}$ m"
+    assert 0 < np.abs(errors[-1].lines[0].get_ydata()).max() < 1e-13
+    assert errors[-1].get_ylim() == (-1e-12, 1e-12)  # rounding is drawn as zero
+
+
+def test_no_peak_is_lost() -> None:
+    t, zero = np.linspace(0, 60, 60_001), np.zeros((60_001, 3))
+    run = Rollout(ROBOT, t, zero, zero, zero, zero, zero, Reference(zero, zero, zero))
+    tau = np.random.default_rng(0).normal(size=zero.shape)
+    tau[41234, 1], tau[41235, 1] = 99, -99
+    force = plots.forces(replace(run, u=tau)).axes[1].lines[0]
+    x, y = np.asarray(force.get_xdata()), np.asarray(force.get_ydata())
+    assert len(y) < 2100
+    assert (y.max(), y.min()) == (99, -99)
+    assert x[np.argmax(y)] == run.t[41234]
+    assert x[-1] == 60
+
+
+# Figures
+
+
+def test_one_sample_is_a_dot_that_can_be_seen(astray: Rollout) -> None:
+    run = shortened(astray, 1)
+    for k, axes in enumerate(plots.forces(run).axes):
+        (line,) = axes.lines
+        assert np.asarray(line.get_xydata()).tolist() == [[0.0, run.u[0, k]]]
+        assert line.get_marker() == "o"  # a line of one point is nothing
+        assert axes.get_ylim()[0] < run.u[0, k] < axes.get_ylim()[1]
+
+
+def test_arms_are_drawn_where_their_frames_are() -> None:
+    arm = pm.MobileRobot.box().mount("ur5", at=(0.2, 0.1, 0.3, 0.5))
+    robot = pm.WheeledRobot(arm, pm.WheelTable.mecanum(0.4, 0.5, 0.1))
+    start = np.array([0.3, -0.2, 0.7, 0.4, -1.2, 1.6, -0.4, 1.57, 0.0])
+    still = pm.FixedHeading(pm.Hold([0.3, -0.2], 0.1), 0.7)
+    q0 = np.concatenate([start, np.zeros(4)])
+    run = pm.simulate(robot, pm.law(lambda t, q, v, r: np.zeros(10)), still, dt=0.01, q0=q0)
+    (axes,) = plots.path(run, times=[0.0]).axes
+    rows = [np.asarray(line.get_xydata()) for line in axes.lines]
+    (drawn,) = [xy for xy in rows if np.isnan(xy).any()]
+    joints = "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3"
+    names = [*(f"{joint}_joint" for joint in joints), "tool0"]
+    frames = np.array([arm.frame_pose(start, f"ur5/{name}")[:2, 3] for name in names])
+    np.testing.assert_allclose(drawn[1::3], frames, atol=1e-12)
+    np.testing.assert_allclose(drawn[3::3], frames[:-1], atol=1e-12)
+
+
+def test_a_path_needs_a_pose(circle: Runs) -> None:
+    run = circle["PD"]
+    desired = run.reference._replace(q=run.reference.q[:, :2])
+    flat = replace(run, plant=None, q=run.q[:, :2], reference=desired)
+    with pytest.raises(InvalidArgument, match=r"^rollouts\['a'\].plant is a NoneType, which has no pose"):
+        plots.path({"a": flat})
+
+
+def test_pyplot_and_settings_are_left_alone(circle: Runs, tmp_path: Path) -> None:
+    before = dict(matplotlib.rcParams)
+    for draw in DRAWN:
+        draw(circle)
+    assert dict(matplotlib.rcParams) == before
+    code = (
+        "import sys; import pinmobile as pm; from pinmobile import plots\n"
+        "run = pm.Rollout.load(sys.argv[1])\n"
+        "[f(run)._repr_png_() for f in (plots.path, plots.states, plots.errors, plots.forces)]\n"
+        "plots.animate(run, sys.argv[2])\n"
+        "print(*{'matplotlib.pyplot', 'meshcat', 'sympy', 'tkinter'} & set(sys.modules))"
+    )
+    shortened(circle["PD"], 2).save(tmp_path / "run.npz")
+    command = [sys.executable, "-c", code, str(tmp_path / "run.npz"), str(tmp_path / "robot.gif")]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.delenv("DISPLAY", raising=False)
+        patch.delenv("MPLBACKEND", raising=False)
+        done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == ""
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(0, "0 m"), (2.24, "2.2 m"), (12.34, "12 m"), (0.999, "1.0 m"), (0.37, "370 mm"), (3.49e-5, "35 µm"),
+     (9.96e-6, "10 µm"), (3.5e-9, "3.5 nm"), (3.6e-11, "3.6e-11 m"), (3.55e-15, "0 m, within rounding")],
+)  # fmt: skip
+def test_sizes_are_written_with_two_digits(value: float, text: str) -> None:
+    assert format_si(value, "m") == text
 
 
 def gif(path: Path) -> tuple[list[Image.Image], list[int]]:
@@ -236,31 +235,34 @@ def gif(path: Path) -> tuple[list[Image.Image], list[int]]:
     return frames, durations
 
 
-class TestAnimate:
-    def test_a_minute_takes_ten_seconds_and_little_room(self, circle: Runs, tmp_path: Path) -> None:
-        told: list[tuple[int, int]] = []
-        fast = plots.animate(shortened(circle["PD"], 31), tmp_path / "fast.gif", speed=2, fps=10)  # 3 s
-        assert sum(gif(fast)[1]) == pytest.approx(2500, abs=80)
-        path = plots.animate(circle, str(tmp_path / "robot.gif"), progress=lambda *step: told.append(step))
-        assert path == tmp_path / "robot.gif"
-        assert path.stat().st_size < 400_000
-        frames, durations = gif(path)
-        assert len(frames) == 126
-        assert durations == 125 * [80] + [1000]
-        assert told == [(k, 126) for k in range(1, 127)]
-        assert frames[0].getpixel((0, 0)) == (255, 255, 255)
-        assert 500 < frames[0].width <= 720
+# Animate
 
-    def test_the_robot_is_where_it_was_not_where_it_should_be(self, circle: Runs, tmp_path: Path) -> None:
-        run = shortened(circle["PD"], 2)
-        q, desired = np.tile([2.0, 1.0, 0.3], (2, 1)), np.tile([-2.0, -1.0, 0.3], (2, 1))
-        run = replace(run, q=q, reference=Reference(desired, 0 * q, 0 * q))
-        frames, _ = gif(plots.animate(run, tmp_path / "robot.gif"))
-        pixels = np.asarray(frames[-1]).astype(int)[: round(0.85 * frames[-1].height)]  # without the legend
-        rows, columns = np.nonzero(pixels[..., 2] - pixels[..., 0] > 100)
-        assert len(rows) > 50
-        assert columns.min() > 0.6 * pixels.shape[1]
-        assert rows.max() < 0.5 * pixels.shape[0]
+
+def test_a_minute_takes_ten_seconds_and_little_room(circle: Runs, tmp_path: Path) -> None:
+    told: list[tuple[int, int]] = []
+    fast = plots.animate(shortened(circle["PD"], 31), tmp_path / "fast.gif", speed=2, fps=10)  # 3 s
+    assert sum(gif(fast)[1]) == pytest.approx(2500, abs=80)
+    path = plots.animate(circle, str(tmp_path / "robot.gif"), progress=lambda *step: told.append(step))
+    assert path == tmp_path / "robot.gif"
+    assert path.stat().st_size < 400_000
+    frames, durations = gif(path)
+    assert len(frames) == 126
+    assert durations == 125 * [80] + [1000]
+    assert told == [(k, 126) for k in range(1, 127)]
+    assert frames[0].getpixel((0, 0)) == (255, 255, 255)
+    assert 500 < frames[0].width <= 720
+
+
+def test_the_robot_is_where_it_was_not_where_it_should_be(circle: Runs, tmp_path: Path) -> None:
+    run = shortened(circle["PD"], 2)
+    q, desired = np.tile([2.0, 1.0, 0.3], (2, 1)), np.tile([-2.0, -1.0, 0.3], (2, 1))
+    run = replace(run, q=q, reference=Reference(desired, 0 * q, 0 * q))
+    frames, _ = gif(plots.animate(run, tmp_path / "robot.gif"))
+    pixels = np.asarray(frames[-1]).astype(int)[: round(0.85 * frames[-1].height)]  # without the legend
+    rows, columns = np.nonzero(pixels[..., 2] - pixels[..., 0] > 100)
+    assert len(rows) > 50
+    assert columns.min() > 0.6 * pixels.shape[1]
+    assert rows.max() < 0.5 * pixels.shape[0]
 
 
 def test_signals_of_several_runs_with_vectors_are_told_apart_and_no_legend_covers_them() -> None:

@@ -244,44 +244,49 @@ def test_what_is_dear_moves_less() -> None:
     assert moved[1] < 0.1 * moved[0]
 
 
-class TestTracking:
-    def test_it_asks_for_the_references_own_acceleration(self, ring: InverseKinematicsTrajectory) -> None:
-        t = 4.0
-        on = ring(t)
-        a = pm.EndEffectorTracking(UR5, RING).acceleration(t, on.q, on.v, on)
-        # kp times the spline's own error, 100 / s^2 times 8.5e-6 m.
-        np.testing.assert_allclose(a, on.a, atol=2e-3)
-        assert np.abs(on.a[6:]).max() > 0.02
+# Tracking
 
-    def test_an_error_at_the_start_dies_away_within_limits(self, ring: InverseKinematicsTrajectory) -> None:
-        q0 = ring(0.0).q + np.array([0.05, -0.05, 0.1, 0.1, -0.1, 0.1, 0, 0, 0])
-        run = pm.simulate(UR5, pm.EndEffectorTracking(UR5, RING), ring, dt=0.01, duration=3, q0=q0)
-        late = run.t >= 2
-        # Critically damped at 10 rad/s: (1 + 20) exp(-20) of 0.2 m; beyond it, what holding the force costs.
-        assert max(misses(UR5, RING, run.t[late], run.q[late])) < 1e-4
-        assert np.abs(run.a).max() <= 20 * (1 + 1e-9)
-        assert (np.abs(run.v) <= UR5.velocity_limit).all()
 
-    def test_the_rest_follows_a_posture_that_has_another_pose(self) -> None:
-        target = pm.PosePath(line(START[:3, 3], (1.0, 0.5, 0.1), 4), START[:3, :3])
-        rest = still(UR5, BENT)  # it would stay where it is
-        run = pm.simulate(UR5, pm.EndEffectorTracking(UR5, target), rest, dt=0.01, q0=BENT)
-        assert max(misses(UR5, target, run.t, run.q)) < 2e-3  # posture pulls by damping^2 of its error
+def test_tracking_asks_for_the_references_own_acceleration(ring: InverseKinematicsTrajectory) -> None:
+    t = 4.0
+    on = ring(t)
+    a = pm.EndEffectorTracking(UR5, RING).acceleration(t, on.q, on.v, on)
+    # kp times the spline's own error, 100 / s^2 times 8.5e-6 m.
+    np.testing.assert_allclose(a, on.a, atol=2e-3)
+    assert np.abs(on.a[6:]).max() > 0.02
 
-    def test_limits_hold_however_the_plant_moves_under_the_held_force(self) -> None:
-        T = PANDA.frame_pose(PANDA.rest)  # one finger at its limit, the base locked
-        locked = np.where(np.arange(12) < 3, 0.0, PANDA.velocity_limit)
-        away = pm.PosePath(line(T[:3, 3], (-0.6, 0, -0.3), 2), T[:3, :3])
-        law = pm.EndEffectorTracking(PANDA, away, velocity_limit=locked, integrator=pm.rk4)
-        how: Any = {"dt": 0.01, "duration": 2.0, "integrator": pm.rk4, "substeps": 5}
-        run = pm.simulate(PANDA, law, still(PANDA, PANDA.rest), **how)
-        # What five corrections leave of a coordinate's overrun, 1e-2 each; steps a fifth as long differ from
-        # one by some 1e-4 of rk4's own error per step.
-        assert (run.q > PANDA.lower - 1e-10).all()
-        assert (run.q < PANDA.upper + 1e-10).all()
-        assert (np.abs(run.v) <= locked + 1e-7).all()
-        assert np.minimum(run.q - PANDA.lower, PANDA.upper - run.q)[:, 3:-2].min() < 1e-3
-        assert misses(PANDA, away, run.t, run.q)[0] > 0.05
+
+def test_an_error_at_the_start_dies_away_within_limits(ring: InverseKinematicsTrajectory) -> None:
+    q0 = ring(0.0).q + np.array([0.05, -0.05, 0.1, 0.1, -0.1, 0.1, 0, 0, 0])
+    run = pm.simulate(UR5, pm.EndEffectorTracking(UR5, RING), ring, dt=0.01, duration=3, q0=q0)
+    late = run.t >= 2
+    # Critically damped at 10 rad/s: (1 + 20) exp(-20) of 0.2 m; beyond it, what holding the force costs.
+    assert max(misses(UR5, RING, run.t[late], run.q[late])) < 1e-4
+    assert np.abs(run.a).max() <= 20 * (1 + 1e-9)
+    assert (np.abs(run.v) <= UR5.velocity_limit).all()
+
+
+def test_the_rest_follows_a_posture_that_has_another_pose() -> None:
+    target = pm.PosePath(line(START[:3, 3], (1.0, 0.5, 0.1), 4), START[:3, :3])
+    rest = still(UR5, BENT)  # it would stay where it is
+    run = pm.simulate(UR5, pm.EndEffectorTracking(UR5, target), rest, dt=0.01, q0=BENT)
+    assert max(misses(UR5, target, run.t, run.q)) < 2e-3  # posture pulls by damping^2 of its error
+
+
+def test_limits_hold_however_the_plant_moves_under_the_held_force() -> None:
+    T = PANDA.frame_pose(PANDA.rest)  # one finger at its limit, the base locked
+    locked = np.where(np.arange(12) < 3, 0.0, PANDA.velocity_limit)
+    away = pm.PosePath(line(T[:3, 3], (-0.6, 0, -0.3), 2), T[:3, :3])
+    law = pm.EndEffectorTracking(PANDA, away, velocity_limit=locked, integrator=pm.rk4)
+    how: Any = {"dt": 0.01, "duration": 2.0, "integrator": pm.rk4, "substeps": 5}
+    run = pm.simulate(PANDA, law, still(PANDA, PANDA.rest), **how)
+    # What five corrections leave of a coordinate's overrun, 1e-2 each; steps a fifth as long differ from
+    # one by some 1e-4 of rk4's own error per step.
+    assert (run.q > PANDA.lower - 1e-10).all()
+    assert (run.q < PANDA.upper + 1e-10).all()
+    assert (np.abs(run.v) <= locked + 1e-7).all()
+    assert np.minimum(run.q - PANDA.lower, PANDA.upper - run.q)[:, 3:-2].min() < 1e-3
+    assert misses(PANDA, away, run.t, run.q)[0] > 0.05
 
 
 def still(robot: pm.MobileRobot, q: Array) -> pm.WholeBody:
