@@ -1,26 +1,13 @@
 """Every public name is documented: a summary, related names, and an example, which runs among the tests."""
 
-import importlib.util
 import inspect
 import re
+import runpy
 from pathlib import Path
 
 import pytest
 
-FILE = Path(__file__).parents[1] / "docs" / "public.py"
-
-
-def found() -> dict[str, object]:
-    """Return all public objects by their names."""
-    spec = importlib.util.spec_from_file_location("public", FILE)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module.find()  # type: ignore[no-any-return]
-
-
-PUBLIC = found()
+PUBLIC: dict[str, object] = runpy.run_path(str(Path(__file__).parents[1] / "docs" / "public.py"))["find"]()
 # A constant or an alias has no docstring of its own.
 DOCUMENTED = {name: each for name, each in PUBLIC.items() if inspect.isclass(each) or inspect.isroutine(each)}
 

@@ -1,8 +1,6 @@
 """What CONTRIBUTING says of adding a part: its examples run, and its file and package alone know its name."""
 
 import ast
-import contextlib
-import io
 import re
 from functools import cache
 from pathlib import Path
@@ -14,6 +12,7 @@ import pytest
 import pinmobile
 from pinmobile import controllers, forces, paths, trajectories
 from pinmobile.parts._registry import public_names
+from tests.test_readme import output
 from tests.test_surface import nodes_of
 
 ROOT = Path(__file__).parents[1]
@@ -64,10 +63,7 @@ def test_the_examples_print_what_follows_them() -> None:
     blocks = re.findall(r"```python\n(.*?)```(?:\n\n```text\n(.*?)```)?", CONTRIBUTING, re.DOTALL)
     assert sum(bool(printed) for _, printed in blocks) == 9
     for code, printed in blocks:
-        out = io.StringIO()
-        with contextlib.redirect_stdout(out):
-            exec(code, names)
-        assert out.getvalue() == printed
+        assert output(code, names) == printed
 
 
 def test_each_kind_of_part_has_a_short_example() -> None:

@@ -15,6 +15,7 @@ import pinmobile as pm
 from pinmobile.cli import main
 from pinmobile.errors import SlowerEngine
 from pinmobile.loop import Engine
+from tests.looping import Body
 from tests.parts import Cart, CartCircle, Eight, Follower, Nodding, Points, Spring
 from tests.refusals import refused
 
@@ -62,14 +63,7 @@ def without(name: str, kind: type = Cart) -> Any:
 
 
 class Posed(Points):
-    def pose(self, q: Any) -> Any:
-        return q
-
-    def pose_rate(self, q: Any, v: Any) -> Any:
-        return v
-
-    def generalized_force(self, q: Any, wrench: Any) -> Any:
-        return wrench
+    pose, pose_rate, generalized_force = Body.pose, Body.pose_rate, Body.generalized_force
 
 
 LACKING: dict[str, tuple[dict[str, Any], str]] = {

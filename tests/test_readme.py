@@ -5,6 +5,7 @@ import io
 import re
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -17,15 +18,20 @@ ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
 
 
+def output(code: Any, names: dict[str, object]) -> str:
+    """Run code and return what it prints."""
+    out = io.StringIO()
+    with contextlib.redirect_stdout(out):
+        exec(code, names)
+    return out.getvalue()
+
+
 def test_every_python_block_prints_what_follows_it() -> None:
     names: dict[str, object] = {"__name__": "readme"}
     blocks = re.findall(r"```python\n(.*?)```\n\n```text\n(.*?)```", README, re.DOTALL)
     assert len(blocks) == README.count("```python")
     for code, printed in blocks:
-        out = io.StringIO()
-        with contextlib.redirect_stdout(out):
-            exec(code, names)
-        assert out.getvalue() == printed
+        assert output(code, names) == printed
 
 
 def test_it_is_short() -> None:
@@ -102,10 +108,7 @@ def test_a_page_prints_what_it_says(page: str, tmp_path: Path, monkeypatch: pyte
     names: dict[str, object] = {"__name__": "page"}
     with np.printoptions(), matplotlib.rc_context():
         for code, printed in BLOCK.findall(PAGES[page]):
-            out = io.StringIO()
-            with contextlib.redirect_stdout(out):
-                exec(compile(code, page, "exec"), names)
-            assert out.getvalue() == printed
+            assert output(compile(code, page, "exec"), names) == printed
 
 
 @pytest.mark.parametrize("page", PAGES)

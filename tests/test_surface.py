@@ -2,7 +2,6 @@
 
 import ast
 import importlib
-import importlib.util
 import inspect
 import pickle
 import pkgutil
@@ -16,7 +15,7 @@ import tomllib
 import venv
 import zipfile
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -394,13 +393,7 @@ README = (ROOT / "README.md").read_text()
 RELATIVE = re.compile(r"\]\((?!https?:)[^)]*\)")
 
 
-def outside() -> Callable[[str, str | None], str]:
-    spec = importlib.util.spec_from_file_location("hatch_build", ROOT / "hatch_build.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module.outside  # type: ignore[no-any-return]
+OUTSIDE = runpy.run_path(str(ROOT / "hatch_build.py"))["outside"]
 
 
 def test_version_and_date_are_the_same_everywhere() -> None:
@@ -439,12 +432,12 @@ def test_the_source_distribution_has_all_that_it_takes_to_show_and_test_it(tmp_p
 
 def test_the_readme_of_a_distribution_needs_no_files_beside_it() -> None:
     assert RELATIVE.findall(README)
-    bare = outside()(README, None)
+    bare = OUTSIDE(README, None)
     assert not RELATIVE.findall(bare)
     assert "[corrects its errors" not in bare
     assert "corrects its errors (`docs/site/explain/errata.md`)" in bare
     assert "recorded by" not in bare, "what stands below a picture goes with it"
-    linked = outside()(README, "https://example.org/blob/v1/")
+    linked = OUTSIDE(README, "https://example.org/blob/v1/")
     assert not RELATIVE.findall(linked)
     assert "](https://example.org/raw/v1/docs/ur5.gif)\\\nA UR5 on its base" in linked
     assert "](https://example.org/blob/v1/docs/site/explain/errata.md)" in linked
