@@ -12,11 +12,12 @@ from matplotlib.text import Annotation
 import pinmobile as pm
 from pinmobile import plots
 from pinmobile.controllers import TorqueToVoltage, WheelSpeed
-from pinmobile.errors import LimitWarning, UnknownName
+from pinmobile.errors import LimitWarning
 from pinmobile.plant import Event, first_times
 from pinmobile.viewer.scene import _captions
 from pinmobile.wheels import Ramp
 from tests.parts import Waving
+from tests.refusals import refused, unknown
 
 WHEEL: Any = {"mass": 1.0, "spin_inertia": 0.01, "supports": [(0.3, 0)]}
 
@@ -227,11 +228,9 @@ def test_a_run_that_diverges_after_its_end_does_not_diverge() -> None:
 
 
 def test_an_unknown_kind_of_event_is_refused() -> None:
-    with pytest.raises(
-        UnknownName, match=r"unknown event 'slips', did you mean 'slip'\?.*position limit, .*tip over"
-    ):
+    with unknown(r"unknown event 'slips', did you mean 'slip'\?.*position limit, .*tip over"):
         turning(on_wheels(), stop_at=["slips"])
-    with pytest.raises(pm.InvalidArgument, match="stop_at is 'slip', expected kinds of events"):
+    with refused("stop_at is 'slip', expected kinds of events"):
         turning(on_wheels(), stop_at="slip")
 
 

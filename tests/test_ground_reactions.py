@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import pinmobile as pm
-from pinmobile import Coulomb, Motor, Rolling, WheeledRobot, WheelTable, balance, errors
+from pinmobile import Coulomb, Motor, Rolling, WheeledRobot, WheelTable, balance
 from pinmobile.arrays import Array
 from pinmobile.balance import (
     MotionStates,
@@ -19,7 +19,7 @@ from pinmobile.balance import (
 )
 from pinmobile.controllers import PD, Backstepping, ControlAllocation, UnicycleTracking
 from pinmobile.wheels import Ramp, Support, Wheel, WheelFriction
-from tests.refusals import refusals
+from tests.refusals import refusals, refused
 from tests.wheeled import BODY, CASTER, WHEEL, G
 
 DIFFERENTIAL = WheelTable.differential(0.5, 0.1, x=0.07, supports=[(-0.2, 0.0)], **WHEEL)
@@ -222,7 +222,7 @@ def test_a_motor_s_torque_limits_the_ramp_and_less_of_it_at_speed_the_path() -> 
     np.testing.assert_allclose(drives, 10 * (1 - v * (1 + b / R) / r / 20), rtol=1e-6)
     # An arm's joints count too.
     arm = WheeledRobot(robot.robot.mount("ur5").attach(pm.PayloadBody(60.0), "ur5/tool0"), table)
-    with pytest.raises(errors.InvalidArgument, match=r"at rest: ur5/\w+_joint lacks torque"):
+    with refused(r"at rest: ur5/\w+_joint lacks torque"):
         max_path_speed(arm, pm.Tangent(pm.Line((0, 0), (10, 0), 10)))
 
 
@@ -305,9 +305,7 @@ def test_a_robot_by_voltage_tells_loads_and_takes_no_volts_for_torques() -> None
     electric = robot.by_voltage()
     at = still(electric, [12.0, 12.0])
     np.testing.assert_array_equal(contact_loads(at).values, contact_loads(still(robot)).values)
-    with pytest.raises(
-        errors.InvalidArgument, match=r"^motion.plant is ByVoltage\(...\), .* simulate motion"
-    ):
+    with refused(r"^motion.plant is ByVoltage\(...\), .* simulate motion"):
         slip_margins(at)
     names, fast = ["effort", "load", "tip over"], "exceed a speed limit"
     assert [one.name for one in electric.metrics] == [*names, fast]

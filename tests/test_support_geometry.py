@@ -135,13 +135,9 @@ def test_revolute_wheels_without_limits_are_wheels(tmp_path: Path, limit: str) -
 
 def test_a_joint_of_few_turns_is_no_wheel(tmp_path: Path) -> None:
     limit = '<limit lower="-6000" upper="6000" effort="1" velocity="1"/>'
-    parts = (
-        link("base", inertial(9)),
-        link("w", inertial(1)),
-        joint("j", "revolute", "base", "w", limit=limit),
-    )
+    axle = joint("j", "revolute", "base", "w", limit=limit)
     with refused(r"joint 'j' .* is neither a wheel"):
-        read(tmp_path, urdf(*parts))
+        read(tmp_path, urdf(link("base", inertial(9)), link("w", inertial(1)), axle))
 
 
 # What a file does not tell
