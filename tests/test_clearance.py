@@ -251,14 +251,8 @@ def test_wheels_are_cylinders_that_steer_stand_on_the_ground_and_are_in_the_arms
         assert both[0] == pytest.approx(both[1], abs=1e-9)
 
 
-def written(folder: Path, text: str, name: str = "base.urdf") -> Path:
-    path = folder / name
-    path.write_text(text)
-    return path
-
-
 def test_shapes_of_a_file_are_taken_and_those_of_its_wheels_stand(tmp_path: Path) -> None:
-    path = written(tmp_path, wheeled.turtlebot("burger"))
+    path = wheeled.written(tmp_path, wheeled.turtlebot("burger"))
     robot = pm.WheeledRobot.from_urdf(path).mount("ur5", (0, 0, 0.3, 0))
     shapes = {shape.link: shape for shape in robot.solids.shapes}
     assert len(robot.solids.standing) >= 2
@@ -276,11 +270,11 @@ def test_a_robot_without_collision_shapes_is_refused(tmp_path: Path) -> None:
         pm.clearance(no_shapes, no_shapes.rest)
     with pytest.raises(pm.InvalidArgument, match="robot is 3, which has no collision geometry"):
         pm.clearance(3, [0, 0, 0])
-    seen = written(tmp_path, wheeled.turtlebot("burger").replace("collision", "visual"))
+    seen = wheeled.written(tmp_path, wheeled.turtlebot("burger").replace("collision", "visual"))
     drawn = pm.MobileRobot.from_urdf(seen, ground=0.0)
     with pytest.raises(pm.InvalidArgument, match=r"without collision shapes \(base.urdf is "):
         pm.clearance(drawn, drawn.rest)
-    lost = pm.MobileRobot.from_urdf(written(tmp_path, wheeled.ridgeback(), "ridgeback.urdf"))
+    lost = pm.MobileRobot.from_urdf(wheeled.written(tmp_path, wheeled.ridgeback(), "ridgeback.urdf"))
     expected = r"ridgeback.urdf has collision meshes that are missing: body-collision.stl; expected them"
     with pytest.raises(pm.InvalidArgument, match=expected):
         pm.clearance(lost, lost.rest)

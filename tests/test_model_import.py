@@ -1,6 +1,7 @@
 """What `MobileRobot.from_urdf` and `from_model` take and refuse, damaged files too."""
 
 import re
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -25,10 +26,7 @@ def joint(
     return wheeled.joint(name, kind, parent, child, xyz, rpy, axis, limit)
 
 
-def saved(folder: Path, text: str) -> Path:
-    path = folder / "robot.urdf"
-    path.write_text(text)
-    return path
+saved = partial(wheeled.written, name="robot.urdf")
 
 
 def chain(*joints: str, masses: tuple[float, float, float] = (0, 0, 5)) -> str:

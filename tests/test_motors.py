@@ -6,17 +6,7 @@ import numpy as np
 import pytest
 
 import pinmobile as pm
-from pinmobile import (
-    Circle,
-    Coulomb,
-    Engine,
-    MobileRobot,
-    Motor,
-    Rolling,
-    Tangent,
-    WheeledRobot,
-    WheelTable,
-)
+from pinmobile import Circle, Coulomb, Engine, MobileRobot, Motor, Rolling, Tangent, WheeledRobot, WheelTable
 from pinmobile.arrays import Array
 from pinmobile.balance import max_path_speed
 from pinmobile.controllers import Backstepping, TorqueToVoltage, UnicycleTracking, WheelSpeed

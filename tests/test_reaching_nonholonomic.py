@@ -249,8 +249,7 @@ class Wall:
 
 @pytest.fixture(scope="module")
 def wall(tmp_path_factory: pytest.TempPathFactory) -> Wall:
-    path = tmp_path_factory.mktemp("ridgeback") / "ridgeback.urdf"
-    path.write_text(wheeled.ridgeback())
+    path = wheeled.written(tmp_path_factory.mktemp("ridgeback"), wheeled.ridgeback())
     base = pm.WheeledRobot.from_urdf(path, rollers=pi / 4)
     wheels = tuple(evolved(wheel, friction=ROLLERS) for wheel in base.table.wheels)
     table = evolved(base.table, wheels=wheels)
@@ -261,14 +260,9 @@ def wall(tmp_path_factory: pytest.TempPathFactory) -> Wall:
     wave = hand[:3, 3] + np.stack([0 * s, 2 * s, 0.15 * np.sin(4 * pi * s)], axis=-1)
     target = pm.PosePath(pm.Spline(wave, t), hand[:3, :3])
     motion = pm.solve_inverse_kinematics(robot.robot, target, q0=BENT, dt=0.02)
-    run = pm.simulate(robot, tracking(robot, target), motion, dt=DT, integrator=constant_acceleration)
+    law = pm.EndEffectorTracking(robot, target, dt=DT)
+    run = pm.simulate(robot, law, motion, dt=DT, integrator=constant_acceleration)
     return Wall(robot, target, motion, run)
-
-
-def tracking(
-    robot: pm.WheeledRobot | pm.MobileRobot, target: pm.PosePath, dt: float = DT
-) -> pm.EndEffectorTracking:
-    return pm.EndEffectorTracking(robot, target, dt=dt)
 
 
 @pytest.mark.long
@@ -281,9 +275,10 @@ def test_the_hand_is_where_the_same_robot_without_wheels_has_it(wall: Wall) -> N
     for dt in (2 * DT, DT):
         run = wall.run
         if dt != DT:
-            follower = tracking(wall.robot, wall.target, dt)
+            follower = pm.EndEffectorTracking(wall.robot, wall.target, dt=dt)
             run = pm.simulate(wall.robot, follower, wall.motion, dt=dt, integrator=constant_acceleration)
-        pushed = pm.simulate(body, tracking(body, wall.target, dt), wall.motion, dt=dt)
+        law = pm.EndEffectorTracking(body, wall.target, dt=dt)
+        pushed = pm.simulate(body, law, wall.motion, dt=dt)
         far.append(np.abs(run.q[:, : body.nq] - pushed.q).max())
         missed.append(wall.missed(run).max())
         assert np.abs(wall.missed(run) - wall.missed(pushed)).max() < 1e-4 * missed[-1]

@@ -21,9 +21,7 @@ ROLLING = shape("cylinder", 'radius="0.1" length="0.04"', rpy=f"{HALF_PI} 0 0")
 
 
 def read(folder: Path, text: str, **options: Any) -> pm.MobileRobot:
-    path = folder / "base.urdf"
-    path.write_text(text)
-    return pm.MobileRobot.from_urdf(path, **options)
+    return pm.MobileRobot.from_urdf(wheeled.written(folder, text), **options)
 
 
 def braking(robot: pm.MobileRobot, a: float) -> float:
@@ -233,8 +231,7 @@ def test_a_wheel_hangs_on_its_swivel_and_its_rollers_are_no_wheels(tmp_path: Pat
     wheel = link("w", inertial(1), ROLLING), joint("axle", "continuous", "fork", "w", "-0.016 0 0")
     small = shape("sphere", 'radius="0.01"')
     roller = link("r", inertial(0.01), small), joint("rr", "continuous", "w", "r", "0.09 0 0", axis="1 0 0")
-    path = tmp_path / "base.urdf"
-    path.write_text(urdf(link("base", inertial(9)), *swivel, *wheel, *roller))
+    path = wheeled.written(tmp_path, urdf(link("base", inertial(9)), *swivel, *wheel, *roller))
     (found,) = pm.MobileRobot.from_urdf(path).undercarriage.wheels
     assert (found.name, found.radius, found.axis) == ("axle", 0.1, (0, 1, 0))
     np.testing.assert_allclose(found.centre, (0.284, 0, 0.1), atol=1e-15)

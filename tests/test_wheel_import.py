@@ -14,7 +14,7 @@ from pinmobile import Coulomb, InvalidArgument, MobileRobot, Motor, Rolling, Whe
 from pinmobile.errors import UnknownName
 from pinmobile.wheels import AckermannSteering, DifferentialGear, GearTrain, Support, read_wheels
 from tests import wheeled
-from tests.wheeled import HALF_PI, inertial, joint, link, robot as urdf, shape
+from tests.wheeled import HALF_PI, inertial, joint, link, robot as urdf, shape, written
 
 ROLLING = shape("cylinder", 'radius="0.1" length="0.04"', rpy=f"{HALF_PI} 0 0")
 ROUND = "0.003 0 0 0.005 0 0.003"
@@ -24,12 +24,6 @@ DINGO = (0.0004901, 0.0003234)  # as cylinders of its size have them
 MP400 = (0.00739239692, 0.0039974)
 CASTER = (1.541e-5, 1.075e-5)
 CASTERS = [f"caster_{end}_{side}_2_joint" for end in ("front", "back") for side in ("left", "right")]
-
-
-def written(folder: Path, text: str) -> Path:
-    path = folder / "base.urdf"
-    path.write_text(text)
-    return path
 
 
 def read(folder: Path, text: str, **given: Any) -> WheeledRobot:

@@ -29,6 +29,13 @@ def run(
     return pm.simulate(robot, steady(*u), where, **own | more)
 
 
+def written(folder: Path, text: str, name: str = "base.urdf") -> Path:
+    """Write a file into a folder and return its path."""
+    path = folder / name
+    path.write_text(text)
+    return path
+
+
 HALF_PI = "1.5707963267948966"
 
 
