@@ -15,7 +15,6 @@ from pinmobile import (
     RollingResistance,
     ViscousFriction,
     law,
-    rk4,
     simulate,
 )
 from pinmobile.arrays import Array
@@ -70,13 +69,6 @@ def run(force: Any, integrator: Any, dt: float, robot: pm.MobileRobot = BALANCED
     return pm.simulate(robot, NOTHING, CIRCLE, dt=dt, integrator=integrator, forces=[force], **START)
 
 
-def test_a_constant_force_makes_a_parabola() -> None:
-    rollout = run(pm.ConstantForce((5, -3, 0.6)), constant_acceleration, 0.5)
-    a, t = np.array([0.5, -0.3, 0.5]), rollout.t[:, None]
-    np.testing.assert_allclose(rollout.q, START["q0"] + START["v0"] * t + a / 2 * t**2, rtol=0, atol=1e-14)
-    assert rollout.max_input().tolist() == [0, 0, 0]
-
-
 @pytest.mark.parametrize(
     ("integrator", "order"), [(constant_acceleration, 1), (semi_implicit_euler, 1), (pm.rk4, 4)]
 )
@@ -90,16 +82,6 @@ def test_a_sinusoidal_force_is_followed_to_the_order_of_the_method(integrator: A
     force = SinusoidalForce((5, -3, 0.6), 0.3, 0.4)
     off = [float(np.abs(run(force, integrator, float(dt)).v[-1] - exact).max()) for dt in steps]
     assert np.polyfit(np.log(steps), np.log(off), 1)[0] == pytest.approx(order, abs=0.05)
-
-
-def test_rolling_resistance_stops_the_robot_where_it_must() -> None:
-    """With dv/dt = -g v / sqrt(v^2 + s^2), the distance to rest is the integral of sqrt(v^2 + s^2) / g dv."""
-    force, options = pm.RollingResistance((20, 0, 0), 0.05), {"q0": (0, 0, 0), "v0": (1, 0, 0)}
-    rollout = pm.simulate(BALANCED, NOTHING, CIRCLE, dt=0.01, integrator=pm.rk4, forces=[force], **options)  # type: ignore[arg-type]
-    distance = (np.hypot(1, 0.05) + 0.05**2 * np.arcsinh(1 / 0.05)) / (2 * 2)
-    # After 4 s exp(-(4 - 0.5) 2 / 0.05) of the speed is left; h g / s = 0.4 at the end, to the fourth power.
-    assert rollout.q[-1, 0] == pytest.approx(distance, abs=1e-6)
-    assert abs(rollout.v[-1, 0]) < 1e-12
 
 
 def test_a_force_cannot_write_into_the_record() -> None:
@@ -203,19 +185,6 @@ def test_the_rms_of_noise_over_the_phases_is_std_and_its_mean_is_zero() -> None:
     np.testing.assert_allclose(np.corrcoef(values.T), np.eye(3), atol=0.07)
 
 
-def test_noise_has_one_line_in_each_part_of_the_band_and_nothing_beyond() -> None:
-    frequencies = noise_frequencies(5.0)
-    assert frequencies.shape == (16, 3)
-    t = np.arange(0, 400, 0.02)
-    for own, values in zip(frequencies.T, NoiseForce((1, 1, 1), 5.0, 0)(t, Q, V).T, strict=True):
-        np.testing.assert_array_equal(np.floor(own / (5.0 / 16)), np.arange(16))
-        spectrum = np.abs(np.fft.rfft(values * np.hanning(len(t))))
-        band = np.fft.rfftfreq(len(t), 0.02)
-        assert spectrum[band > 5.05].max() < 1e-3 * spectrum.max()
-        peaks = band[spectrum > 0.5 * spectrum.max()]
-        assert all(np.abs(peaks - f).min() < 1 / 400 for f in own)
-
-
 def test_a_seed_repeats_and_a_generator_goes_on() -> None:
     one, same = NoiseForce((1, 2, 3), 2.0, 5), NoiseForce((1, 2, 3), 2.0, np.random.default_rng(5))
     np.testing.assert_array_equal(one.phases, same.phases)
@@ -264,23 +233,6 @@ def test_by_default_it_is_that_of_the_files() -> None:
     np.testing.assert_array_equal(friction.coulomb, PANDA.joint_friction)
     assert np.asarray(friction.viscous).max() > 0
     assert (np.asarray(friction.viscous)[:3] == 0).all()
-
-
-def test_the_energy_that_an_arm_loses_is_the_work_of_its_friction() -> None:
-    """Of a swing: the change of energy is the integral of the power of friction and input."""
-    arm = np.append(np.zeros(3), np.ones(9))
-    friction, v0 = JointFriction(0.5 * arm, 0.2 * arm, 0.2), np.linspace(-0.1, 0.15, 12) * arm
-
-    def held(t: float, q: Array, v: Array, reference: Any) -> Array:
-        return PANDA.gravity(PANDA.rest)
-
-    run = simulate(PANDA, law(held), RESTING, dt=5e-4, duration=0.2, v0=v0, integrator=rk4, forces=[friction])
-    energy = PANDA.kinetic_energy(run.q, run.v) + PANDA.potential_energy(run.q)
-    power = np.einsum("ki,ki->k", friction.on_coordinates(run.t, run.q, run.v) + run.u, run.v)
-    work = np.sum((power[1:] + power[:-1]) / 2 * np.diff(run.t))  # the trapezoid's error goes with dt^2
-    assert energy[-1] - energy[0] == pytest.approx(work, rel=1e-3)
-    free = simulate(PANDA, law(held), RESTING, dt=5e-4, duration=0.2, v0=v0, integrator=rk4)
-    assert np.abs(run.v[-1]).max() < np.abs(free.v[-1]).max()
 
 
 test_what_is_no_friction_is_refused = refusals(
