@@ -12,7 +12,7 @@ from pinmobile.controllers import DynamicFeedback, Kanayama, Parking, SwerveTrac
 from pinmobile.loop import Engine
 from pinmobile.parts import evolved
 from pinmobile.wheels import Coulomb, Motor, OdometryFeedback, Wheel, WheeledRobot, WheelTable
-from tests.parts import Eight
+from tests.parts import Eight, Waving
 from tests.refusals import begun, refusals, refused
 
 OFF = np.array([-0.3, 0.3, 0.5])
@@ -25,18 +25,6 @@ MECANUM = WheeledRobot(BODY, WheelTable.mecanum(0.5, 0.4, 0.08, **WHEEL))
 SWERVE = WheeledRobot(BODY, WheelTable.swerve([(0.3, 0.1), (-0.3, -0.1)], 0.06, **WHEEL))
 EIGHT = pm.Tangent(Eight(1.0, 4 * np.pi))  # 1 m sin 0.5 t, 0.5 m sin t
 LARGE = pm.Tangent(Eight(2.0, 8 * np.pi))
-
-
-@dataclass(frozen=True)
-class Waving:
-    """A reference of n coordinates that all wave."""
-
-    rest: Any
-    duration: float = 6.0
-
-    def __call__(self, t: Any) -> pm.Reference:
-        phase = 0.7 * np.asarray(t)[..., None] + np.arange(len(self.rest)) + 1.0
-        return pm.Reference(self.rest + 0.3 * np.sin(phase), 0.21 * np.cos(phase), -0.147 * np.sin(phase))
 
 
 def run(
@@ -159,18 +147,11 @@ def test_a_robot_whose_wheels_slip_a_little_follows_by_the_model_of_one_that_rol
 
 def test_arms_follow_beside_the_body() -> None:
     robot = WheeledRobot(BODY.mount("ur5"), DIFFERENTIAL.table)
-
-    @dataclass(frozen=True)
-    class Both:
-        duration: float = 8.0
-
-        def __call__(self, t: Any) -> pm.Reference:
-            base, arm = EIGHT(t), Waving(robot.robot.rest[3:])(t)
-            return pm.Reference(*(np.concatenate(pair, axis=-1) for pair in zip(base, arm, strict=True)))
-
-    found = run(robot, pm.Backstepping(pm.UnicycleTracking(), robot), Both(), 8.0, 0.005)
+    rest = robot.robot.rest[3:]
+    both = pm.WholeBody(robot.robot, EIGHT, pm.RestToRest(rest, rest + 0.3 * np.cos(np.arange(6)), 8.0))
+    found = run(robot, pm.Backstepping(pm.UnicycleTracking(), robot), both, 8.0, 0.005)
     errors = np.abs(found.q[:, :9] - found.reference.q)
-    assert errors[-1].max() < 2e-4
+    assert errors[1400:].max() < 2e-4
     with refused("reference has 3 coordinates, expected 9: x, y, psi"):
         run(robot, pm.Backstepping(pm.UnicycleTracking(), robot), EIGHT, 1.0)
 
@@ -188,7 +169,7 @@ def test_parking_comes_to_rest_at_the_pose(pose: Any) -> None:
 def test_computed_torque_of_wheels_decays_as_its_gains_say() -> None:
     body = BODY.mount("ur5")
     robot = WheeledRobot(body, MECANUM.table)
-    found = run(robot, pm.ComputedTorque(robot), Waving(body.rest), 4.0, 0.005)
+    found = run(robot, pm.ComputedTorque(robot), Waving(body, 4.0), 4.0, 0.005)
     left = found.reference.q[-1, 0] - found.q[-1, 0]  # (1 + 2 t) e^(-2 t), and the start at rest
     v = found.reference.v[0, 0]
     assert left == pytest.approx((0.3 * (1 + 8) + v * 4) * np.exp(-8.0), abs=4e-4)
