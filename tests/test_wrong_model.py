@@ -19,6 +19,7 @@ from tests.rivals import CIRCLE, HEAVY, NOMINAL, RIVALS
 
 ARM = pm.MobileRobot.box().mount("ur5")
 SHORT = pm.Tangent(pm.Circle(radius=1.5, rate=0.6, duration=2))
+FAST: Any = {"integrator": pm.rk4, "engine": pm.Engine.COMPILED}
 GAIN = (120.0, 120.0, 6.0)
 LIMITS = (22.0, 22.0, 3.0)
 NAMES = "PID", "sliding mode", "super-twisting", "adaptive", "adaptive, friction", "observer", "ADRC"
@@ -83,8 +84,7 @@ def test_estimates_become_right_where_the_motion_is_rich_and_not_on_a_circle() -
     true = np.array([36.0, 3.6, 1.8, 1.56 + 36 * (0.1**2 + 0.05**2)])
 
     def last(trajectory: Any) -> Array:
-        given: Any = {"dt": 0.01, "integrator": pm.rk4, "engine": pm.Engine.COMPILED, "duration": 30.0}
-        told = pm.simulate(HEAVY, EACH["adaptive"], trajectory, **given).signals
+        told = pm.simulate(HEAVY, EACH["adaptive"], trajectory, dt=0.01, duration=30.0, **FAST).signals
         parts = [told[name].values[-1] for name in ("mass", "first_moment", "inertia")]
         return np.hstack(parts)
 
@@ -96,18 +96,9 @@ def test_estimates_become_right_where_the_motion_is_rich_and_not_on_a_circle() -
 
 
 def test_the_sum_of_squares_of_adaptive_control_falls_in_each_step() -> None:
-    dt = 2e-4
-    run = pm.simulate(
-        HEAVY,
-        pm.Adaptive(NOMINAL, kd=GAIN),
-        Rich(),
-        dt=dt,
-        duration=1.0,
-        integrator=pm.rk4,
-        engine=pm.Engine.COMPILED,
-        q0=Rich()(0.0).q + np.array([0.1, -0.05, 0.1]),
-        v0=Rich()(0.0).v,
-    )
+    start: Any = {"q0": Rich()(0.0).q + np.array([0.1, -0.05, 0.1]), "v0": Rich()(0.0).v}
+    law = pm.Adaptive(NOMINAL, kd=GAIN)
+    run = pm.simulate(HEAVY, law, Rich(), dt=2e-4, duration=1.0, **start, **FAST)
     told = run.signals
     phi = np.column_stack([told["mass"].values, told["first_moment"].values, told["inertia"].values])
     true = np.array([36.0, 3.6, 1.8, 1.56 + 36 * (0.1**2 + 0.05**2)])
@@ -132,15 +123,7 @@ def test_the_observer_is_exact_for_constant_forces_and_as_fast_as_its_gain() -> 
     force = np.array([12.0, -7.0, 1.5])
     controller = pm.DisturbanceObserver(pm.ComputedTorque(NOMINAL, 16, 8))
     still = pm.FixedHeading(pm.Circle(radius=1.5, rate=0.6, duration=4), 0.3)
-    run = pm.simulate(
-        NOMINAL,
-        controller,
-        still,
-        dt=1e-3,
-        integrator=pm.rk4,
-        engine=pm.Engine.COMPILED,
-        forces=[pm.ConstantForce(force)],
-    )
+    run = pm.simulate(NOMINAL, controller, still, dt=1e-3, forces=[pm.ConstantForce(force)], **FAST)
     found = run.signals["disturbance"].values
     # Explicit Euler of the integral: order 1 in dt.
     assert np.abs(found[-1] - force).max() < 1e-3 * np.abs(force).max()
@@ -150,13 +133,7 @@ def test_the_observer_is_exact_for_constant_forces_and_as_fast_as_its_gain() -> 
 
 def cut_off(controller: Any) -> tuple[pm.Rollout, Array]:
     """Return a run within limits that starts beside the circle, and its distances from it [m]."""
-    given: Any = {
-        "dt": 0.01,
-        "integrator": pm.rk4,
-        "substeps": 4,
-        "duration": 10.0,
-        "engine": pm.Engine.COMPILED,
-    }
+    given: Any = {"dt": 0.01, "substeps": 4, "duration": 10.0, **FAST}
     start = CIRCLE(0.0).q + np.array([0.5, -0.3, 0.4])
     run = pm.simulate(NOMINAL, pm.InputSaturation(controller, LIMITS), CIRCLE, q0=start, **given)
     return run, np.linalg.norm(run.error[:, :2], axis=-1)
@@ -173,10 +150,8 @@ def test_nothing_winds_up_where_the_force_is_limited(name: str) -> None:
 @pytest.mark.long
 def test_arms_are_adapted_too() -> None:
     heavier = replace(ARM, {find(ARM, "forearm_link.mass").path: 4.0})
-
-    given: Any = {"dt": 0.01, "integrator": pm.rk4, "engine": pm.Engine.COMPILED}
-    fixed = pm.simulate(heavier, pm.Adaptive(ARM, gamma=0.0), Waving(ARM), **given)
-    adapted = pm.simulate(heavier, pm.Adaptive(ARM), Waving(ARM), **given)
+    fixed = pm.simulate(heavier, pm.Adaptive(ARM, gamma=0.0), Waving(ARM), dt=0.01, **FAST)
+    adapted = pm.simulate(heavier, pm.Adaptive(ARM), Waving(ARM), dt=0.01, **FAST)
     worst = [np.abs(run.q - run.reference.q)[50:].max() for run in (fixed, adapted)]
     assert worst[1] < 0.8 * worst[0]
 
