@@ -243,11 +243,6 @@ def test_the_reference_posture_of_a_continuous_joint_is_an_angle() -> None:
 CIRCLE = pm.Tangent(pm.Circle(1, 0.5, 6))
 
 
-def rest_of(robot: pm.MobileRobot) -> Array:
-    """Return the coordinates of the joints at rest."""
-    return robot.rest[3:]
-
-
 def inward(robot: pm.MobileRobot, way: float) -> list[tuple[Array, Array]]:
     """Return for each arm the coordinates at rest, and those that far from them, away from limits."""
     ends = []
@@ -359,7 +354,7 @@ def test_what_is_faster_than_a_joint_can_be_is_refused() -> None:
 
 
 def test_a_short_path_of_the_second_arm_is_looked_at_between_the_times_of_the_first() -> None:
-    start = rest_of(TWO)[TWO.mounts[1].v.start - 3 :]
+    start = TWO.rest[TWO.mounts[1].v.start :]
     away = pm.CubicVia(start, start + 4 * np.eye(6)[1], start, 0.45, 0.9)
     with refused(r"joint 'kinova/j2s6s200_joint_2' at \d"):
         pm.WholeBody(TWO, pm.Tangent(pm.Circle(1, 0.1, 60)), None, away)
@@ -367,7 +362,7 @@ def test_a_short_path_of_the_second_arm_is_looked_at_between_the_times_of_the_fi
 
 def test_slides_have_their_limits_in_metres_and_a_limit_itself_is_within() -> None:
     panda = BARE.mount("panda", AT)
-    rest, finger = rest_of(panda), np.eye(9)[7]
+    rest, finger = panda.rest[3:], np.eye(9)[7]
     top = rest + finger * (panda.upper[10] - rest[7])
     assert pm.WholeBody(panda, CIRCLE, pm.RestToRest(rest, top, 6))(6.0).q[10] == pytest.approx(0.04)
     with refused(r"finger_joint1' at 0\.0405523071 m at t = 4\.3125 s, expected 0 to 0\.04 m$"):

@@ -50,10 +50,6 @@ def mask_add(q: Any) -> Any:
     return x
 
 
-def solved(q: Any) -> Any:
-    return np.linalg.solve(np.array([[2 + q[0] * q[0], 0.1, 0], [0.1, 3, 0], [0, 0, 1.0]]), q)
-
-
 def solved_by_exchange(q: Any) -> Any:
     return np.linalg.solve(np.array([[0.0, 1.0, 0.0], [1.0, q[0], 0.0], [0.0, 2.0, 3.0]]), q)
 
@@ -83,23 +79,11 @@ def enumerated(q: Any) -> Any:
     return out
 
 
-def stacked_blocks(q: Any) -> Any:
-    return np.block([[np.diag(q), np.zeros((3, 1))], [q[None], np.ones((1, 1))]])
-
-
-def piecewise(q: Any) -> Any:
-    return np.select([q > 1, q < -1], [q * 0 + 1, q * 0 - 1], q)
-
-
 def formatted(q: Any) -> Any:
     assert f"{q}"
     assert q.shape == (3,)
     assert len(q) == 3
     return q
-
-
-def reduced(q: Any) -> Any:
-    return np.add.reduce(q * q) + np.multiply.reduce(q) + np.maximum.reduce(q)
 
 
 ROWS = np.array([[1.0, -2.0, 3.0], [-0.5, 1.5, 2.5]])
@@ -138,14 +122,14 @@ IDIOMS: dict[str, Callable[[Any], Any]] = {
     "standard deviation": lambda q: np.std(q) + np.var(q) + q.std(),
     "prod": lambda q: np.prod(q) + q.prod(),
     "max": lambda q: np.max(np.abs(q)) + np.min(q),
-    "reduce": reduced,
+    "reduce": lambda q: np.add.reduce(q * q) + np.multiply.reduce(q) + np.maximum.reduce(q),
     "einsum": lambda q: np.einsum("ij,...j->...i", K, q),
     "einsum of three": lambda q: np.einsum("i,ij,j", q, K, q),
     "concatenate": lambda q: np.concatenate([q[:2], [0.0]]),
     "hstack": lambda q: np.hstack([q[:2], q[2]]),
     "vstack": lambda q: np.vstack([q, 2 * q]),
     "column stack": lambda q: np.column_stack([q, 2 * q]) @ np.array([1.0, 2.0]),
-    "block": stacked_blocks,
+    "block": lambda q: np.block([[np.diag(q), np.zeros((3, 1))], [q[None], np.ones((1, 1))]]),
     "append": lambda q: np.append(q, 1.0),
     "empty and set": empty_set,
     "matrix and set": matrix_set,
@@ -155,10 +139,10 @@ IDIOMS: dict[str, Callable[[Any], Any]] = {
     "isnan": lambda q: np.where(np.isnan(q), 0, q),
     "logical": lambda q: np.where(np.logical_and(q > 0, q < 1), 1.0, 0.0),
     "logical not": lambda q: np.where(np.logical_not(q > 0) | (q == 0.7), 1.0, q),
-    "select": piecewise,
+    "select": lambda q: np.select([q > 1, q < -1], [q * 0 + 1, q * 0 - 1], q),
     "any": lambda q: np.where(np.any(q > 1), 0, q),
     "all": lambda q: np.where((q < 5).all(), q, 0),
-    "solve": solved,
+    "solve": lambda q: np.linalg.solve(np.array([[2 + q[0] * q[0], 0.1, 0], [0.1, 3, 0], [0, 0, 1.0]]), q),
     "solve with exchanges": solved_by_exchange,
     "solve a known matrix": lambda q: np.linalg.solve(K, q),
     "inverse": lambda q: np.linalg.inv(np.diag(q * q + 1)) @ q,

@@ -22,7 +22,6 @@ from pinmobile.plant import Context
 from tests.refusals import refusals, told
 
 ROBOT = MobileRobot(10, 1.2, com=(0.15, 0.05))
-CONTEXT = Context.of(ROBOT, dt=0.1)
 
 
 def test_planar_difference_is_on_the_circle_and_the_lectures_is_not() -> None:

@@ -117,7 +117,8 @@ def test_derivation_frames_urdf_and_simulation_follow_from_one_table() -> None:
     frames = table.placements(q[order])
     np.testing.assert_allclose(frames[-1], data.oMi[6].homogeneous, atol=1e-12)
     np.testing.assert_allclose(frames[-1], robot.frame_pose(q, "arm/slide_link"), atol=1e-12)
-    links: list[Any] = [None, None, *(Link(one.mass, one.com, one.inertia) for one in map(body_of, BODIES))]
+    bodies = [one if isinstance(one, Body) else Body(**one) for one in BODIES]
+    links: list[Any] = [None, None, *(Link(one.mass, one.com, one.inertia) for one in bodies)]
     names = ("x", "y", "psi", "shoulder", "elbow", "slide")
     derived = derive(table, links, order=names, gravity=(0, 0, -9.81)).numeric()
     np.testing.assert_allclose(derived.inverse_dynamics(q, v, a, {}), tau, atol=1e-9)
@@ -126,10 +127,6 @@ def test_derivation_frames_urdf_and_simulation_follow_from_one_table() -> None:
     way = pm.WholeBody(robot, pm.Tangent(pm.Circle(1.0, 0.5, 1.0)), pm.Hold(robot.rest[3:], 1.0))
     runs = [pm.simulate(robot, law, way, dt=0.01, engine=engine) for engine in pm.Engine]
     np.testing.assert_allclose(runs[0].q, runs[1].q, atol=1e-9)
-
-
-def body_of(given: Any) -> Body:
-    return given if isinstance(given, Body) else Body(**given)
 
 
 def test_a_table_and_its_bodies_must_fit() -> None:
@@ -150,7 +147,8 @@ def test_a_table_and_its_bodies_must_fit() -> None:
 
 
 def test_a_derivation_is_a_document_whose_lines_fit_the_page() -> None:
-    for derived in (lecture(), derive(DHTable(tuple(ROWS[:5])), [None, None, *map(link_of, "bcd")])):
+    links = [Link(sympy.Symbol(f"m{x}"), sympy.symbols(f"x{x} y{x} z{x}"), sympy.eye(3)) for x in "bcd"]
+    for derived in (lecture(), derive(DHTable(tuple(ROWS[:5])), [None, None, *links])):
         text = derived.document()
         assert text.startswith(r"\documentclass")
         assert text.endswith("\\end{document}\n")
@@ -158,10 +156,6 @@ def test_a_derivation_is_a_document_whose_lines_fit_the_page() -> None:
         widths = [_width(line) for line in lines if "matrix" not in line]
         assert max(widths) < 1.5 * _A4_WIDTH  # of a term that cannot be broken; a line of A4 has room for 100
         assert any(r"&\quad" in line for line in lines)
-
-
-def link_of(name: str) -> Link:
-    return Link(sympy.Symbol(f"m{name}"), sympy.symbols(f"x{name} y{name} z{name}"), sympy.eye(3))
 
 
 # -- urdf ------------------------------------------------------------------------------------------

@@ -37,10 +37,6 @@ FORCES: list[Any] = [
 ]
 
 
-def total(t: float, q: Array, v: Array) -> Array:
-    return np.asarray(sum(force(t, q, v) for force in FORCES))
-
-
 def test_every_sample_is_that_of_the_loop_written_by_hand() -> None:
     """The force of the controller is held, the others are asked at every stage."""
     controller, dt = pm.PD(40, 20), 0.1
@@ -51,7 +47,7 @@ def test_every_sample_is_that_of_the_loop_written_by_hand() -> None:
         tau, state = controller(k * dt, q, v, CIRCLE(k * dt), state)
 
         def acceleration(t: float, q: Array, v: Array, tau: Array = tau) -> Array:
-            push = tau + total(t, q, v) - ROBOT.nonlinear_effects(q, v)
+            push = tau + sum(force(t, q, v) for force in FORCES) - ROBOT.nonlinear_effects(q, v)
             return np.asarray(np.linalg.solve(ROBOT.mass_matrix(q), push))
 
         np.testing.assert_allclose(rollout.q[k], q, rtol=0, atol=1e-11)
@@ -121,11 +117,6 @@ EVERY: list[Any] = [
 ]
 
 
-def rotation(psi: float) -> Array:
-    """Return the matrix that turns a body twist into v."""
-    return np.array([[np.cos(psi), -np.sin(psi), 0], [np.sin(psi), np.cos(psi), 0], [0, 0, 1]])
-
-
 def test_driven_forces_are_their_formulas() -> None:
     np.testing.assert_array_equal(EVERY[0](3.0, Q, V), [1, 2, 3])
     wave = np.sin(2 * np.pi * 0.7 * 3.0 + 0.3)
@@ -143,7 +134,8 @@ def test_driven_forces_are_their_formulas() -> None:
 
 
 def test_friction_and_rolling_resistance_are_their_formulas() -> None:
-    R = rotation(Q[2])
+    c, s = np.cos(Q[2]), np.sin(Q[2])
+    R = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])  # from a body twist to v
     nu = R.T @ V
     np.testing.assert_allclose(EVERY[3](0.0, Q, V), -R @ (np.array([1, 2, 3]) * nu), rtol=1e-14)
     for speed in (0.2, np.array([0.1, 0.2, 0.3])):

@@ -149,10 +149,6 @@ def halved(settings: Any) -> Any:
     return settings["inner"]["w"][0]
 
 
-def in_settings(x: float) -> None:
-    SETTINGS["inner"]["w"][0] = x
-
-
 PARTIAL = partial(halved, SETTINGS)
 
 
@@ -190,7 +186,7 @@ CHANGES: dict[str, tuple[Any, Callable[[float], Any]]] = {
     "subclass of a deque": (by("OWN_QUEUE[0]"), lambda x: OWN_QUEUE.__setitem__(0, x)),
     "default by keyword": (by_keyword, lambda x: setattr(by_keyword, "__kwdefaults__", {"gains": [x]})),
     "bound method": (by("BOUND()"), lambda x: setattr(Plan, "k", x)),
-    "partial": (by("PARTIAL()"), in_settings),
+    "partial": (by("PARTIAL()"), lambda x: SETTINGS["inner"]["w"].__setitem__(0, x)),
 }
 
 

@@ -308,7 +308,8 @@ def test_a_mapping_adds_functions_to_the_metrics_of_the_robot() -> None:
 
 @pytest.mark.parametrize("engine", [pm.Engine.COMPILED, pm.Engine.PYTHON])
 def test_signals_are_kept_for_all_robots(engine: pm.Engine, tmp_path: Path) -> None:
-    found = carts(engine, keep=["disturbance"], traces=[4], metrics={"guess": guessed})
+    guess = {"guess": lambda sample: sample.signals["disturbance"].value[0]}
+    found = carts(engine, keep=["disturbance"], traces=[4], metrics=guess)
     unit, values = found.kept["disturbance"]
     assert unit == "N, N m"
     assert values.shape == (9, len(found.scenario.grid), 3)
@@ -321,10 +322,6 @@ def test_signals_are_kept_for_all_robots(engine: pm.Engine, tmp_path: Path) -> N
     assert found.to_xarray().kept_disturbance.attrs["units"] == unit
     with pytest.raises(ValueError, match="read-only"):
         values[0, 0, 0] = 1
-
-
-def guessed(sample: Any) -> Any:
-    return sample.signals["disturbance"].value[0]
 
 
 def test_kept_signals_end_where_a_robot_diverges() -> None:

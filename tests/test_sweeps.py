@@ -412,10 +412,6 @@ class Held:
         return push(self.gain, t, q, v, reference)
 
 
-def of_class(base: type = Held, **members: Any) -> Any:
-    return type("Mine", (base,), members)(3.0)
-
-
 class Caching(Held):
     @cached_property
     def twice(self) -> Any:
@@ -437,7 +433,7 @@ DIFFERENT: dict[str, Callable[[float], Any]] = {
     "the state of an object": Held,
     "a bound method": lambda k: law(Held(k).law),
     "a bound method of an array": lambda k: closure(np.array([k, 1.0]).dot),
-    "a static method": lambda k: of_class(f=staticmethod(partial(push, k))),
+    "a static method": lambda k: type("Mine", (Held,), {"f": staticmethod(partial(push, k))})(3.0),
     "a generator of random numbers": lambda k: closure(np.random.default_rng(int(k))),
     "the seed sequence of one": lambda k: pm.MeasurementNoise(closure(1.0), 1e-3, 1e-3, seed=seed(k)),
 }

@@ -48,10 +48,6 @@ def shape(path: str, data: Any = 0) -> Say:
     return Say({"type": "set_object", "path": path, "object": {"data": data}})
 
 
-def animation(value: Any) -> Say:
-    return Say({"type": "set_animation", "path": "", "animations": value})
-
-
 def received(window: LiveWindow, *, least: int = 0) -> list[tuple[Any, ...]]:
     """Return what a browser that comes now is sent: type, path and property."""
     with WebSocket(window.url) as browser:
@@ -105,7 +101,7 @@ def test_a_command_replaces_the_one_before_and_what_is_deleted_leaves_nothing(wi
 
 def test_a_late_browser_gets_the_scene_in_its_order_and_the_animation_last() -> None:
     with LiveWindow() as w:
-        w.send(animation([]))
+        w.send(Say({"type": "set_animation", "path": "", "animations": []}))
         w.send(shape("a"))
         w.send(prop("a", "position", [0.0, 0.0, 0.0]))
         w.send(Say({"type": "set_transform", "path": "a", "matrix": [0.0] * 16}))

@@ -43,12 +43,6 @@ ROBOTS: dict[str, Any] = {
 }
 
 
-def of_wheels(robot: Any) -> dict[str, float]:
-    """Return the numbers of wheels, motors and ground that may differ, by path."""
-    found = parts.numbers(robot)
-    return {path: float(leaf.value) for path, leaf in found.items() if "table" in path or "ground" in path}
-
-
 def test_numbers_have_paths() -> None:
     robot = ROBOTS["volts"]
     found: Any = parts.numbers(robot)
@@ -67,7 +61,8 @@ def test_robots_and_what_they_are_made_of_are_values(name: str) -> None:
         twin = pickle.loads(pickle.dumps(part))
         assert twin == part
         assert hash(twin) == hash(part)
-    other = parts.replace(robot, {next(path for path in of_wheels(robot) if path.endswith("radius")): 0.11})
+    radius = next(path for path in parts.numbers(robot) if path.endswith("radius"))
+    other = parts.replace(robot, {radius: 0.11})
     assert other != robot
     assert other.table.wheels[0] != robot.table.wheels[0]
 
