@@ -243,22 +243,14 @@ def test_the_reference_posture_of_a_continuous_joint_is_an_angle() -> None:
 CIRCLE = pm.Tangent(pm.Circle(1, 0.5, 6))
 
 
-def inward(robot: pm.MobileRobot, way: float) -> list[tuple[Array, Array]]:
-    """Return for each arm the coordinates at rest, and those that far from them, away from limits."""
-    ends = []
-    for mount in robot.mounts:
-        start = robot.rest[mount.q]
-        room = robot.upper[mount.q] - start
-        ends.append((start, start + np.where(way < room, way, -way)))
-    return ends
-
-
 # -- references ------------------------------------------------------------------------------------
 
 
 @ROBOTS
 def test_the_reference_is_the_bases_beside_the_paths(robot: pm.MobileRobot) -> None:
-    paths = [pm.Spline([start, via, start], (0, 2.5, 6)) for start, via in inward(robot, 0.03)]
+    starts = [(mount.q, robot.rest[mount.q]) for mount in robot.mounts]
+    vias = [start + np.where(start + 0.03 < robot.upper[q], 0.03, -0.03) for q, start in starts]
+    paths = [pm.Spline([x, via, x], (0, 2.5, 6)) for (_, x), via in zip(starts, vias, strict=True)]
     trajectory, t = pm.WholeBody(robot, CIRCLE, *paths), np.linspace(0, 6, 12).reshape(3, 4)
     assert trajectory.duration == 6.0
     got = trajectory(t)

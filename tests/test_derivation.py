@@ -113,24 +113,6 @@ def general_parameters(bodies: Sequence[Any | None]) -> dict[str, float]:
     return params
 
 
-def assert_same_as_pinocchio(
-    derivation: Derivation, bodies: Sequence[Any | None], gravity: Sequence[float], rng: np.random.Generator
-) -> None:
-    params = general_parameters(bodies)
-    model = pinocchio_model(derivation.chain.table, bodies, gravity)
-    data, numeric = model.createData(), derivation.numeric()
-    q, v, a = rng.normal(size=(3, 5, model.nv)) * 2
-    M, n = numeric.mass_matrix(q, params), numeric.nonlinear_effects(q, v, params)
-    tau = numeric.inverse_dynamics(q, v, a, params)
-    for i in range(len(q)):
-        expected = pin.rnea(model, data, q[i], v[i], a[i])
-        scale = 1e-10 * max(np.abs(expected).max(), 1e-3)
-        np.testing.assert_allclose(tau[i], expected, rtol=0, atol=scale)
-        np.testing.assert_allclose(n[i], pin.nonLinearEffects(model, data, q[i], v[i]), rtol=0, atol=scale)
-        upper = np.triu(pin.crba(model, data, q[i]))
-        np.testing.assert_allclose(M[i], upper + np.triu(upper, 1).T, rtol=0, atol=1e-10 * upper.max())
-
-
 # The lecture
 
 
@@ -316,7 +298,18 @@ def test_any_table_is_pinocchios(numbers: list[Numbers], seed: int) -> None:
     table = DHTable(tuple(DHRow(*row, f"q{k}") for k, row in enumerate(numbers)))
     bodies = [random_body(rng) if k % 3 != 1 else None for k in range(len(table))]
     links = [Link.general(k) if body else None for k, body in enumerate(bodies, 1)]
-    assert_same_as_pinocchio(derive(table, links, gravity=gravity), bodies, gravity, rng)
+    model, params = pinocchio_model(table, bodies, gravity), general_parameters(bodies)
+    data, numeric = model.createData(), derive(table, links, gravity=gravity).numeric()
+    q, v, a = rng.normal(size=(3, 5, model.nv)) * 2
+    M, n = numeric.mass_matrix(q, params), numeric.nonlinear_effects(q, v, params)
+    tau = numeric.inverse_dynamics(q, v, a, params)
+    for i in range(len(q)):
+        expected = pin.rnea(model, data, q[i], v[i], a[i])
+        scale = 1e-10 * max(np.abs(expected).max(), 1e-3)
+        np.testing.assert_allclose(tau[i], expected, rtol=0, atol=scale)
+        np.testing.assert_allclose(n[i], pin.nonLinearEffects(model, data, q[i], v[i]), rtol=0, atol=scale)
+        upper = np.triu(pin.crba(model, data, q[i]))
+        np.testing.assert_allclose(M[i], upper + np.triu(upper, 1).T, rtol=0, atol=1e-10 * upper.max())
 
 
 def test_written_out_is_free_of_names() -> None:

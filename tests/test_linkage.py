@@ -16,7 +16,6 @@ from pinmobile.compiled.symbolic import Symbols, entries, symbols
 from pinmobile.compiled.tape import Node, Tape, evaluate
 from pinmobile.errors import NotFinite, NotTraceable
 from pinmobile.parts import numbers, replace
-from pinmobile.robot.articulated import ArticulatedDynamics
 from pinmobile.urdf import Body
 
 AT = (0.1, -0.05, 0.5, 0.4)
@@ -56,15 +55,10 @@ def arm_of(seed: int, joints: int) -> pin.Model:
     return model
 
 
-def body_of(robot: MobileRobot) -> ArticulatedDynamics:
-    found = robot.array_dynamics
-    assert isinstance(found, ArticulatedDynamics)
-    return found
-
-
 def assert_agrees(robot: MobileRobot, states: int = 2) -> None:
     """Compare all that is computed twice, for several states at once."""
-    body, rng = body_of(robot), np.random.default_rng(5)
+    body: Any = robot.array_dynamics
+    rng = np.random.default_rng(5)
     q = robot.random_configuration(rng, (states,))
     v, a, d = rng.normal(size=(3, states, robot.nv))
     tau, frame, mount = robot.inverse_dynamics(q, v, a), robot.end_effector, robot.mounts[-1].name

@@ -382,14 +382,9 @@ def test_ctrl_c_ends_a_run_and_calls_stop() -> None:
         if len(stepper) == 3:
             os.kill(os.getpid(), signal.SIGINT)
 
-    found = run_realtime(
-        stepper,
-        lambda: (time.monotonic(), [0, 0, 0], [0.5, 0, 0.5]),
-        write,
-        stop=lambda: stops.append("stop"),
-        stale=60.0,
-        duration=np.inf,
-    )
+    read = lambda: (time.monotonic(), [0, 0, 0], [0.5, 0, 0.5])  # noqa: E731
+    options: Any = {"stop": lambda: stops.append("stop"), "stale": 60.0, "duration": np.inf}
+    found = run_realtime(stepper, read, write, **options)
     assert found.reason == "interrupt"
     assert stops == ["stop"]
     assert found.rollout is not None

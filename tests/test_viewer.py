@@ -93,16 +93,11 @@ def projected(page: Page, point: tuple[float, float, float]) -> tuple[float, flo
     return x, y
 
 
-def patch(page: Page, near: tuple[float, float], reach: int = 4) -> Array:
-    """Return the pixels about there, shape (n, 3)."""
-    x, y = map(round, near)
-    picture = page.screenshot().crop((x - reach, y - reach, x + reach + 1, y + reach + 1))
-    return np.asarray(picture).astype(np.float64).reshape(-1, 3)
-
-
 def sees(page: Page, shade: tuple[int, int, int], near: tuple[float, float]) -> bool:
     """Tell whether pixels about there have the hue of a colour, lit or in the shade."""
-    pixels, wanted = patch(page, near), np.array(shade, np.float64)
+    (x, y), wanted = map(round, near), np.array(shade, np.float64)
+    picture = page.screenshot().crop((x - 4, y - 4, x + 5, y + 5))
+    pixels = np.asarray(picture).astype(np.float64).reshape(-1, 3)
     length = np.linalg.norm(pixels, axis=1) * np.linalg.norm(wanted)
     return bool((pixels @ wanted / np.maximum(length, 1) > 0.985).mean() > 0.5)
 

@@ -67,13 +67,9 @@ def test_delays_of_state_and_input_are_that_many_samples() -> None:
         np.testing.assert_allclose(late.u[k], expected, rtol=0, atol=1e-13)
 
 
-def on_mecanum() -> tuple[pm.MobileRobot, pm.WheeledRobot]:
-    body, wheel = pm.MobileRobot(30, 1.3, com=(0, 0, 0.1)), {"mass": 1.0, "spin_inertia": 0.003}
-    motor = pm.Motor(resistance=1.0, torque_constant=0.05, voltage=24, gear=50)
-    return body, pm.WheeledRobot(body, pm.WheelTable.mecanum(0.4, 0.35, 0.08, motor=motor, **wheel))
-
-
-BASE, MECANUM = on_mecanum()
+BASE = pm.MobileRobot(30, 1.3, com=(0, 0, 0.1))
+WHEEL: Any = {"motor": pm.Motor(resistance=1.0, torque_constant=0.05, voltage=24, gear=50), "mass": 1.0}
+MECANUM = pm.WheeledRobot(BASE, pm.WheelTable.mecanum(0.4, 0.35, 0.08, spin_inertia=0.003, **WHEEL))
 INTEGRALS: dict[str, tuple[Any, Any]] = {
     "late": (ROBOT, InputDelay(pm.PID(ROBOT), 3)),
     "late and limited": (ROBOT, InputDelay(pm.InputSaturation(pm.PID(ROBOT), 20), 3)),

@@ -131,17 +131,12 @@ def test_the_observer_is_exact_for_constant_forces_and_as_fast_as_its_gain() -> 
     assert np.abs(at - (1 - np.exp(-1))).max() < 0.01
 
 
-def cut_off(controller: Any) -> tuple[pm.Rollout, Array]:
-    """Return a run within limits that starts beside the circle, and its distances from it [m]."""
-    given: Any = {"dt": 0.01, "substeps": 4, "duration": 10.0, **FAST}
-    start = CIRCLE(0.0).q + np.array([0.5, -0.3, 0.4])
-    run = pm.simulate(NOMINAL, pm.InputSaturation(controller, LIMITS), CIRCLE, q0=start, **given)
-    return run, np.linalg.norm(run.error[:, :2], axis=-1)
-
-
 @pytest.mark.parametrize("name", ["PID", "super-twisting", "adaptive", "ADRC"])
 def test_nothing_winds_up_where_the_force_is_limited(name: str) -> None:
-    run, off = cut_off(EACH[name])
+    given: Any = {"dt": 0.01, "substeps": 4, "duration": 10.0, **FAST}
+    start = CIRCLE(0.0).q + np.array([0.5, -0.3, 0.4])  # beside the circle
+    run = pm.simulate(NOMINAL, pm.InputSaturation(EACH[name], LIMITS), CIRCLE, q0=start, **given)
+    off = np.linalg.norm(run.error[:, :2], axis=-1)
     assert (np.abs(run.u).max(axis=0) >= LIMITS).any()
     assert off.max() < 1.0
     assert off[run.t > 6].max() < 0.02
