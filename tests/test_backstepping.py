@@ -1,7 +1,6 @@
 """Controllers of robots on wheels on the full dynamics: convergence, engines side by side, refusals."""
 
 from dataclasses import dataclass
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -24,7 +23,6 @@ CAR = WheeledRobot(BODY, WheelTable.car(0.35, 0.3, 0.1, **WHEEL))
 MECANUM = WheeledRobot(BODY, WheelTable.mecanum(0.5, 0.4, 0.08, **WHEEL))
 SWERVE = WheeledRobot(BODY, WheelTable.swerve([(0.3, 0.1), (-0.3, -0.1)], 0.06, **WHEEL))
 EIGHT = pm.Tangent(Eight(1.0, 4 * np.pi))  # 1 m sin 0.5 t, 0.5 m sin t
-LARGE = pm.Tangent(Eight(2.0, 8 * np.pi))
 
 
 def run(
@@ -42,13 +40,8 @@ def distance(rollout: pm.Rollout) -> Any:
     return np.hypot(*(rollout.q[:, :2] - rollout.reference.q[:, :2]).T)
 
 
-@cache
-def eight(dt: float) -> pm.Rollout:
-    return run(DIFFERENTIAL, pm.Backstepping(pm.UnicycleTracking(), DIFFERENTIAL), EIGHT, 12.5, dt)
-
-
 def test_an_eight_is_followed_on_the_full_dynamics() -> None:
-    off = distance(eight(0.001))
+    off = distance(run(DIFFERENTIAL, ON_TWO, EIGHT, 12.5, 0.001))
     assert off[0] == pytest.approx(np.hypot(0.3, 0.3))
     assert off[5000:].max() < 1e-3
     assert off[10000:].max() < 2e-5
@@ -100,7 +93,7 @@ def test_an_axle_that_is_not_at_the_origin_is_what_follows() -> None:
 
 
 def test_a_car_steers_and_follows() -> None:
-    off = distance(run(CAR, OF_CAR, LARGE, 20.0))
+    off = distance(run(CAR, OF_CAR, pm.Tangent(Eight(2.0, 8 * np.pi)), 20.0))
     assert off[1000:].max() < 2e-3
     assert off[1500:].max() < 1e-4
 

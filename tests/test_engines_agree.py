@@ -115,7 +115,6 @@ OF_PATHS: Mapping[str, tuple[str, float]] = {
 }
 MODELS = ("computed torque", "computed torque, wrong", "Decoupled")
 KINEMATIC = ("command", "backstepping", "adaptive velocity")
-STARTS = {"start.x": pm.Uniform(-0.2, 0.2), "start.psi": pm.Uniform(-0.3, 0.3)}
 SPREADS = ("nothing", "mass", "gains", "model", "forces", "start", "reference")
 FACTORS: dict[str, tuple[str, ...]] = {
     "controller": tuple(CONTROLLERS),
@@ -176,7 +175,7 @@ def spread_of(choice: Mapping[str, str]) -> dict[str, Any]:
         else {"plant.theta.theta_1": pm.Uniform(0.2, 0.3)},
         "gains": {f"controller.{gain}": pm.Relative(pm.Uniform(0.8, 1.2))},
         "model": {"controller.mass": pm.Uniform(25.0, 35.0), "controller.com.x": pm.Uniform(0.0, 0.1)},
-        "start": STARTS,
+        "start": {"start.x": pm.Uniform(-0.2, 0.2), "start.psi": pm.Uniform(-0.3, 0.3)},
         "reference": {name: pm.Uniform(*sorted((0.9 * of_path, 1.1 * of_path)))},
     }
     if steady in FORCES:

@@ -137,7 +137,6 @@ def test_the_lectures_inertia_is_a_preset_with_a_physical_one_beside_it() -> Non
 # -- the lecture's closed loops (its section 7), against an independent run of its script ----------
 
 
-DATA = Path(__file__).parent / "data"
 ROBOT = MobileRobot.lecture()
 PATHS: dict[str, Any] = {
     "via stop": CubicVia((0, 0), (2, 2), (0, 4), 30, 60, via_velocity=(0, 0)),
@@ -166,7 +165,7 @@ def test_largest_errors_are_the_lectures_to_every_printed_digit(path: str, contr
     [("circle_pd", "circle", "PD"), ("via_free_ctc", "via free", "computed torque")],
 )
 def test_every_sample_is_the_scripts(file: str, path: str, controller: str) -> None:
-    script = np.loadtxt(DATA / f"{file}.csv", delimiter=",")
+    script = np.loadtxt(Path(__file__).parent / "data" / f"{file}.csv", delimiter=",")
     rollout = lecture_run(path, controller)
     np.testing.assert_allclose(rollout.t, script[:, 0], rtol=1e-15)
     np.testing.assert_allclose(rollout.q, script[:, 1:4], rtol=0, atol=1e-9)

@@ -25,7 +25,6 @@ ELECTRIC: Any = {
     "rotor_inertia": 1e-5,
 }
 MOTOR = Motor(**ELECTRIC, viscous=1e-5, coulomb=0.004, efficiency=0.8, current=15.0)
-PLAIN = evolved(MOTOR, viscous=0.0, coulomb=0.0, efficiency=1.0, current=np.inf)
 PATH = pm.Tangent(pm.Circle(2.0, 0.3, 20.0))
 R = 0.1
 
@@ -125,7 +124,7 @@ def test_electrical_energy_is_what_moves_and_what_is_lost() -> None:
 @GROUNDS
 def test_a_motor_far_stiffer_than_the_step_takes_the_rate_of_its_volts_at_once(ground: Any) -> None:
     """Time constants of less than 0.1 ms, at dt = 0.01: no ringing."""
-    stiff = evolved(PLAIN, resistance=1e-5)
+    stiff = evolved(MOTOR, viscous=0.0, coulomb=0.0, efficiency=1.0, current=np.inf, resistance=1e-5)
     rough = table(stiff, friction=WheelFriction(mu=1e6, rolling=0.0))
     robot = WheeledRobot(CENTRAL, rough, ground).by_voltage()
     found = run(robot, (3.0, 3.0), 0.01, 0.2)

@@ -105,7 +105,6 @@ def test_the_node_has_a_steppers_inputs_and_stops(end: str, python: str, environ
 
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "ros2" / "ros2_control"
-STAND_INS = Path(__file__).parent / "data" / "ros2_control"
 DT = 0.01
 ROBOT = MobileRobot(mass=30, yaw_inertia=1.3, com=(0.1, 0.05))
 LAW, CIRCLE = ComputedTorque(ROBOT, 4, 4), Tangent(Circle(radius=2, rate=0.5, duration=2))
@@ -124,7 +123,7 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Any:
         pytest.skip("g++ is not installed")
     folder = tmp_path_factory.mktemp("ros2_control")
     export_c(LAW, ROBOT, folder, dt=DT, trajectory=CIRCLE)
-    shutil.copytree(STAND_INS, folder, dirs_exist_ok=True)
+    shutil.copytree(Path(__file__).parent / "data" / "ros2_control", folder, dirs_exist_ok=True)
     flags = ["-O1", "-fPIC", "-ffp-contract=off", "-Wall", "-Wextra", "-Werror", f"-I{folder}"]
     flags += [f"-I{EXAMPLE / 'include'}"]
     sources = "drive.cpp", str(EXAMPLE / "src" / "robot_controller.cpp"), "robot.o"

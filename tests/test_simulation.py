@@ -15,7 +15,6 @@ from tests.refusals import holding, refusals
 
 ROBOT = pm.MobileRobot(10, 1.2, com=(0.15, 0.05))
 CIRCLE = pm.FixedHeading(pm.Circle(1.0, 0.5, 12.0), 0.3)
-HOLD = pm.FixedHeading(pm.Hold((0.0, 0.0), 6.0), 0.0)
 START = {"q0": (0.2, -0.1, 0.9), "v0": (0.1, 0.0, -0.4)}
 
 
@@ -63,7 +62,8 @@ def test_error_follows_the_exact_recurrence_under_a_held_force() -> None:
     """At rest with com = 0, M is constant: one step maps (e, e_dot) by a matrix, exactly."""
     kp, kd, dt = 4.0, 3.0, 0.1
     robot = pm.MobileRobot(10, 1.2)
-    rollout = pm.simulate(robot, pm.ComputedTorque(robot, kp, kd), HOLD, dt=dt, **START)  # type: ignore[arg-type]
+    hold = pm.FixedHeading(pm.Hold((0.0, 0.0), 6.0), 0.0)
+    rollout = pm.simulate(robot, pm.ComputedTorque(robot, kp, kd), hold, dt=dt, **START)  # type: ignore[arg-type]
     step = np.array([[1 - kp * dt**2 / 2, dt - kd * dt**2 / 2], [-kp * dt, 1 - kd * dt]])
     e = np.stack([-rollout.q, -rollout.v], axis=1)  # (N + 1, 2, 3)
     expected = np.stack([np.linalg.matrix_power(step, k) @ e[0] for k in range(61)])

@@ -17,7 +17,6 @@ pytestmark = pytest.mark.once
 
 DT, SECONDS = 0.1, 60.0
 NOISE = np.array([0.005, 0.01])  # m/s, rad/s
-POSE_NOISE = np.array([1e-3, 1e-3, 1e-3])  # m, m, rad
 ROBOT = VELOCITY_ROBOTS["pioneer_3dx_laser"]
 
 
@@ -40,7 +39,7 @@ def logged(
     rng = np.random.default_rng([seed, 7])
     commands = np.vstack([run.u[late:], np.repeat(run.u[-1:], late, axis=0)])
     if pose:
-        return pm.Log(run.t, run.q + noise * POSE_NOISE * rng.normal(size=run.q.shape), commands)
+        return pm.Log(run.t, run.q + noise * 1e-3 * rng.normal(size=run.q.shape), commands)
     nu = robot.independent(run.q, run.v)
     u, w = (nu + noise * NOISE * rng.normal(size=nu.shape)).T
     return pm.Log(run.t, None, commands, twist=np.stack([u, 0 * u, w], axis=-1))

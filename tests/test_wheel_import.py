@@ -21,7 +21,6 @@ ROUND = "0.003 0 0 0.005 0 0.003"
 
 
 DINGO = (0.0004901, 0.0003234)  # as cylinders of its size have them
-MP400 = (0.00739239692, 0.0039974)
 CASTER = (1.541e-5, 1.075e-5)
 CASTERS = [f"caster_{end}_{side}_2_joint" for end in ("front", "back") for side in ("left", "right")]
 
@@ -123,7 +122,7 @@ def test_dingo_and_mp400_have_their_inertia_on_another_axis(tmp_path: Path) -> N
     assert read(tmp_path, wheeled.dingo(), inertia={"wheel_0": DINGO, "wheel_1": DINGO}) == robot
     assert "inertia as given, the whole's as in the file, of all" in robot.source
     # Axles turned by 1.57: 0.0008 rad off the y axis, they would be on two lines.
-    robot = read(tmp_path, wheeled.mp400(), inertia=MP400)
+    robot = read(tmp_path, wheeled.mp400(), inertia=(0.00739239692, 0.0039974))
     near(robot.table, [(0, -0.26), (0, 0.26)], 0.0765)
     assert [wheel.angle for wheel in robot.table.wheels] == [0.0, 0.0]
     assert "axes that the file rounds are exact at all" in robot.source

@@ -25,7 +25,6 @@ from tests.wheeled import CASTER, WHEEL
 pytestmark = pytest.mark.once
 
 BOX = pm.MobileRobot(30.0, 1.3, com=(0.0, 0.0, 0.1), size=(0.6, 0.4, 0.25))
-_BELIEVED = WheelTable.differential(0.46, 0.099, supports=[(0.25, 0), (-0.25, 0)], **WHEEL)
 DIFFERENTIAL = WheelTable.differential(0.46, 0.1, supports=[(0.25, 0), (-0.25, 0)], **WHEEL)
 TABLES: dict[str, WheelTable] = {
     "differential": DIFFERENTIAL,
@@ -41,7 +40,8 @@ TABLES: dict[str, WheelTable] = {
 def rolls() -> pm.Rollout:
     """Return a differential drive that rolls on a circle."""
     robot = WheeledRobot(BOX, DIFFERENTIAL)
-    law = OdometryFeedback(Backstepping(UnicycleTracking(), robot), _BELIEVED)
+    believed = WheelTable.differential(0.46, 0.099, supports=[(0.25, 0), (-0.25, 0)], **WHEEL)
+    law = OdometryFeedback(Backstepping(UnicycleTracking(), robot), believed)
     return pm.simulate(robot, law, pm.Tangent(pm.Circle(1, 0.5, 0.6)), dt=0.02, integrator=pm.rk4)
 
 

@@ -20,7 +20,6 @@ from tests.rivals import CIRCLE, HEAVY, NOMINAL, RIVALS
 ARM = pm.MobileRobot.box().mount("ur5")
 SHORT = pm.Tangent(pm.Circle(radius=1.5, rate=0.6, duration=2))
 FAST: Any = {"integrator": pm.rk4, "engine": pm.Engine.COMPILED}
-GAIN = (120.0, 120.0, 6.0)
 LIMITS = (22.0, 22.0, 3.0)
 NAMES = "PID", "sliding mode", "super-twisting", "adaptive", "adaptive, friction", "observer", "ADRC"
 EACH: Mapping[str, Any] = {name: RIVALS[name] for name in NAMES}
@@ -97,7 +96,7 @@ def test_estimates_become_right_where_the_motion_is_rich_and_not_on_a_circle() -
 
 def test_the_sum_of_squares_of_adaptive_control_falls_in_each_step() -> None:
     start: Any = {"q0": Rich()(0.0).q + np.array([0.1, -0.05, 0.1]), "v0": Rich()(0.0).v}
-    law = pm.Adaptive(NOMINAL, kd=GAIN)
+    law = pm.Adaptive(NOMINAL, kd=(120.0, 120.0, 6.0))
     run = pm.simulate(HEAVY, law, Rich(), dt=2e-4, duration=1.0, **start, **FAST)
     told = run.signals
     phi = np.column_stack([told["mass"].values, told["first_moment"].values, told["inertia"].values])
