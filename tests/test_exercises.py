@@ -19,7 +19,7 @@ import pytest
 from pinmobile import dh
 from pinmobile.cli import main
 from pinmobile.exercises import check_exercises, list_exercises, load_exercise, start_exercises
-from pinmobile.exercises._exercise import EXERCISE_NAMES, Question, Verdict, read_exercise
+from pinmobile.exercises._exercise import EXERCISE_NAMES, Question, read_exercise
 from pinmobile.exercises._tool import run_cells
 
 COURSES = ("", "ROB-26", "Mobile robots: 2nd year")
@@ -217,16 +217,6 @@ def test_an_unfinished_answer_is_empty() -> None:
         assert load_exercise("01_equations").transform.check(answer).state == "empty"
 
 
-def library(code: str) -> Verdict:
-    """Return the verdict on a mass matrix that uses the library."""
-    names: dict[str, Any] = {"__name__": "__main__"}
-    exec(f"import numpy as np, pinmobile, pinocchio, functools\n{code}", names)
-    own = load_exercise("01_equations")
-    verdict = own.mass_matrix.check(names["answer"])
-    assert isinstance(verdict, Verdict)
-    return verdict
-
-
 @pytest.mark.parametrize(
     "code",
     [
@@ -242,7 +232,9 @@ def library(code: str) -> Verdict:
     ],
 )
 def test_the_library_is_no_answer(code: str) -> None:
-    verdict = library(code)
+    names: dict[str, Any] = {"__name__": "__main__"}
+    exec(f"import numpy as np, pinmobile, pinocchio, functools\n{code}", names)
+    verdict = load_exercise("01_equations").mass_matrix.check(names["answer"])
     assert verdict.state == "wrong"
     assert "of the library; here it must compute the result" in verdict.words
 
