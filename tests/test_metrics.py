@@ -321,7 +321,7 @@ def judged(function: Any) -> pm.Ensemble:
 
 test_what_is_no_metric_is_refused = refusals(
     (lambda: scenario(metrics="effort"), r"^metrics is 'effort', expected a sequence of names.*function"),
-    (lambda: carts(metrics={"distance": abs}), "metrics has 'distance' twice, or as the name of an error"),
+    (lambda: carts(metrics={"distance": abs}), "metrics has 'distance' twice, expected different names"),
     (lambda: judged(lambda sample: sample.q), r"^metrics has 'gap', whose function returned .* a number$"),
     (lambda: judged(lambda sample: np.nan * sample.q[0]), "^robot 0: .*NaN as 'gap'"),
     (lambda: judged(lambda sample: float(sample.q[0])), "metrics has 'gap': float.*or give engine=Engine.P"),

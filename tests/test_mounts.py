@@ -229,11 +229,11 @@ test_arms_that_cannot_be_mounted_are_refused = refusals(
     (lambda: BOX.mount(massless()), "joint 'grip/finger' moves parts that have no inertia, expected inertia"),
     (
         lambda: BOX.mount("ur5", rest=[0, 0, 9, 0, 0, 0]),
-        "rest has joint 'elbow_joint' at 9, expected -3.14159265 to",
+        "rest has joint 'elbow_joint' = 9, expected -3.14159265 <=",
     ),
     (
         lambda: BOX.mount("ur5", package_dirs=["."]),
-        "package_dirs does not apply to a loader's name, 'ur5', expected it",
+        "package_dirs is ['.'], expected None with a loader's name, 'ur5'",
     ),
     (lambda: BOX.mount(pin.Model()), "arm '' has no joints, expected at least one"),
     (lambda: BOX.mount("no/such.urdf"), "arm is "),

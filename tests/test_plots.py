@@ -116,6 +116,20 @@ def test_lines_are_the_desired_and_the_travelled_path(circle: Runs) -> None:
         plots.path(circle, times=[0, 61])
 
 
+def test_times_are_written_where_there_is_room(circle: Runs) -> None:
+    for width, least in ((None, 7), (3.5, 3)):
+        figure = plots.path(circle, width=width)
+        figure.draw_without_rendering()
+        for axes in figure.axes:
+            texts = [text for text in axes.texts if text.get_text().endswith(" s")]
+            boxes = [text.get_window_extent() for text in texts]
+            assert least <= len(boxes) <= len(robots(axes))
+            assert not any(a.overlaps(b) for a, b in combinations(boxes, 2))
+            ticks = [tick.get_window_extent() for tick in axes.get_yticklabels()]
+            assert not any(a.overlaps(b) for a in boxes for b in ticks)
+    assert len(plots.path(circle, times=[0, 1, 2], width=3.5).axes[0].texts) == 4  # those and the label
+
+
 def test_drawn_robots_do_not_overlap(circle: Runs) -> None:
     for axes in (*plots.path(circle).axes, *plots.path(both(VIA_STOP)).axes):
         centres = [box.mean(axis=0) for box in robots(axes)]

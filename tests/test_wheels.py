@@ -175,7 +175,7 @@ test_bad_input_is_refused_each_with_its_own_words = refusals(
         "wheel 'a' and wheel 'b' have one position",
     ),
     (lambda: pm.WheelTable.mecanum(0.5, 0.4, 0.1, roller=0.0), "roller is 0 rad on a base of 0.5 by"),
-    (lambda: table(Wheel("x", 0.0, 0.2, 0.1)), "'x' names two coordinates of the robot, expected"),
+    (lambda: table(Wheel("x", 0.0, 0.2, 0.1)), "table has the coordinate 'x' twice, expected"),
     (lambda: table(*SIDES, couplings=(AckermannSteering(("l", "r")),)), "wheel 'l' of AckermannSteer"),
     by=begun,
 )
