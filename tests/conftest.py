@@ -38,7 +38,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 LONGEST: tuple[str, ...]
 LONGEST = "notebooks", "cli", "identification", "viewer", "viewer_windows", "viewer_browser", "real_logs"
-LONGEST += "pages", "export", "derivatives", "arguments", "payload_transfer", "sweeps_cluster", "surface"
+LONGEST += "readme", "export", "derivatives", "arguments", "payload_transfer", "sweeps_cluster", "surface"
 LONGEST += ("wrong_model",)
 
 
