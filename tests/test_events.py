@@ -1,6 +1,7 @@
 """Signals and events of runs and ensembles: limits, saturation, slip, tipping over; runs that end at them."""
 
 import csv
+import re
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -149,6 +150,27 @@ def test_an_ensemble_counts_robots_whose_motors_lack_torque(engine: pm.Engine) -
         kinds = [{event.kind for event in found.member(i).events} for i in range(3)]
     counts = found.largest("exceed an effort limit")
     assert counts.tolist() == ["effort limit" in each for each in kinds] == [False, False, True]
+    torques, ratios = np.abs(found.max_input).max(axis=1), found.largest("effort")
+    stall = 0.8 * 0.5 * 24 / np.array([0.2, 2.0, 20.0])
+    np.testing.assert_allclose(ratios, torques / stall, rtol=1e-9)
+    assert plots.drivers(found, share=0.4, by="exceed an effort limit").get_suptitle()
+
+
+def test_an_ensemble_tells_what_the_robots_that_failed_share() -> None:
+    robot: Any = on_wheels(motor=pm.Motor(resistance=2, torque_constant=0.5, voltage=24))
+    path, spread = pm.Tangent(pm.Circle(2.0, 1.0, 0.5)), {"plant.*.resistance": pm.Uniform(1.0, 30.0)}
+    with pytest.warns(LimitWarning, match="exceed an effort limit"):
+        found = pm.ensemble(
+            robot, pm.Backstepping(pm.UnicycleTracking(), robot), path, spread=spread, n=200, dt=0.02
+        )
+    assert re.search(r"^the robots that failed have \w+\.motor\.resistance above ", str(found), re.MULTILINE)
+    figure = plots.drivers(found, by="exceed an effort limit")
+    assert ".resistance drives those that exceed an effort limit most" in figure.get_suptitle()
+    failed = int((found.largest("exceed an effort limit") > 0).sum())
+    keys = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert keys[0] == f"those that exceed an effort limit: {failed} robots"
+    with unknown("'resistence', available: left.motor.resistance, right.motor.resistance"):
+        pm.ensemble(robot, pm.PD(1, 1), path, spread={"resistence": pm.Uniform(1, 2)}, n=2, dt=0.02)
 
 
 def test_a_torque_that_its_motor_lacks_at_its_rate_is_an_event() -> None:

@@ -147,6 +147,10 @@ def test_a_known_wheelbase_identifies_the_gain_of_the_steering() -> None:
     degrees = pm.Log(log.t, None, log.u * [1.0, -57.3], twist=log.twist)
     notes = pm.identify_velocity(degrees, wheelbase=0.3).notes
     assert "steering_gain is near pi / 180: are the steering commands in degrees?" in notes
+    with refused("log has steering commands up to .* rad, expected below pi / 2: are they in degrees"):
+        pm.identify_velocity(replace(degrees, units=("m/s", "rad")))
+    with refused("input steering angle in rad/s, expected rad: leave out wheelbase"):
+        pm.identify_velocity(replace(degrees, units=("m/s", "rad/s")), wheelbase=0.3)
 
 
 @pytest.mark.parametrize(

@@ -688,6 +688,7 @@ _TAKEN_BY = {  # function, with its arguments, for inputs of each unit
     "V": "identify with wheels with electric motors",
     "A": "identify with loads=[None, load], which makes the torque per ampere identifiable",
     **dict.fromkeys(("m/s", "rad/s"), "identify_velocity"),
+    "deg": "np.radians",
 }
 
 
@@ -712,6 +713,8 @@ def check_inputs(log: Log, name: str, expected: Mapping[str, str], words: str, o
     for unit, (name_u, si) in zip(log.units, expected.items(), strict=False):
         if unit not in ("", si, other):
             hint = f"for {unit}, use {_TAKEN_BY[unit]}" if unit in _TAKEN_BY else "are columns mixed up?"
+            if (unit, si) == ("rad/s", "rad"):
+                hint = "leave out wheelbase for commands of the yaw rate"
             raise InvalidArgument(f"{name} has input {name_u} in {unit}, expected {si}: {hint}")
 
 

@@ -150,6 +150,11 @@ def identify_velocity(
     is_pose, is_car = logs[0].twist is None, wheelbase is not None or logs[0].units[1:] == ("rad",)
     sensor = "q" if is_pose else "twist"
     runs = runs_of(logs, is_pose, CAR_COMMANDS if is_car else CHANNELS)
+    if is_car and wheelbase is None:  # else the unit of the commands is identified
+        steepest = max(float(np.abs(run.u[:, 1]).max()) for run in runs)
+        if steepest >= np.pi / 2:
+            words = f"log has steering commands up to {steepest:.3g} rad, expected below pi / 2"
+            raise InvalidArgument(f"{words}: are they in degrees?")
     dt, lead = runs[0].dt, lead_of(runs)
     if not is_pose:
         required("ahead", ahead, "a number [m]: a log of twists does not identify it")

@@ -34,6 +34,7 @@ from pinmobile.loop._ensemble import (
     Ensemble,
     ErrorQuantile,
     causes as causes,
+    is_event as is_event,
     worst_share as worst_share,
 )
 from pinmobile.loop._loop import (

@@ -96,7 +96,7 @@ class Cause(NamedTuple):
 
 
 def worst_share(ensemble: Any, share: float, by: str = "distance") -> NDArray[np.bool_]:
-    """Return a mask of the worst robots, shape (n,): the first of `Ensemble.worst`.
+    """Return a mask of the worst robots, shape (n,): the first of `Ensemble.worst`, or all with an event.
 
     Raises
     ------
@@ -108,9 +108,17 @@ def worst_share(ensemble: Any, share: float, by: str = "distance") -> NDArray[np
     if not (0 < part < 1 and 0 < count < n):
         expected = "above 0 and below 1, with at least 1 robot on each side"
         raise InvalidArgument(f"share is {part}, {count:,} of {n:,} robots, expected {expected}")
+    happens = np.asarray(ensemble.largest(by) > 0)
+    if is_event(ensemble, by) and 0 < happens.sum() < n:
+        return happens
     worst = np.zeros(n, bool)
     worst[ensemble.worst(count, by)] = True
     return worst
+
+
+def is_event(ensemble: Any, by: str) -> bool:
+    """Return whether a name of `Ensemble.largest` is an event, which a robot has or has not."""
+    return any(metric.name == by and metric.worst == "ever" for metric in ensemble.scenario.channels)
 
 
 def causes(ensemble: Any, worst: NDArray[np.bool_]) -> list[Cause]:
@@ -762,9 +770,16 @@ class Ensemble:
         """Return a line with the numbers of the spread that the worst robots share."""
         if len(self) < _MIN_ROBOTS or not any(np.ptp(values) > 0 for values in self.draws.values()):
             return []
-        visible = [cause for cause in causes(self, worst_share(self, _SHARE)) if cause.visible]
-        words = ", ".join(f"{cause.name} {cause.place}" for cause in visible[:_MAX_CAUSES])
-        return [f"the worst {_SHARE * 100:g} % by distance have {words or 'nothing of the spread in common'}"]
+        failed, lines = np.any(list(self.faults.values()) or [np.zeros(len(self), bool)], axis=0), []
+        if 0 < failed.sum() < len(self) and (shared := self._shared(failed)):
+            lines.append(f"the robots that failed have {shared}")
+        shared = self._shared(worst_share(self, _SHARE)) or "nothing of the spread in common"
+        return [*lines, f"the worst {_SHARE * 100:g} % by distance have {shared}"]
+
+    def _shared(self, robots: NDArray[np.bool_]) -> str:
+        """Return the numbers of the spread that some robots share, in words; "" for none."""
+        visible = [cause for cause in causes(self, robots) if cause.visible]
+        return ", ".join(f"{cause.name} {cause.place}" for cause in visible[:_MAX_CAUSES])
 
     def _format_result(self) -> str:
         errors, counts = self.error_quantile(0.99), (int(self.diverged.sum()), self.scenario.after)

@@ -16,6 +16,7 @@ from pinmobile.errors import InvalidArgument, UnknownName
 from pinmobile.parts._fields import Child, Field, Number, _Option, evolved, fields_of, is_part, unit_of
 
 _T = TypeVar("_T")
+_NEAR = 0.8  # least similarity of a misspelt last word
 
 
 class Leaf(NamedTuple):
@@ -344,8 +345,10 @@ def find(part: Any, name: str, refs: Mapping[str, NumberRef] | None = None, plac
                     f"{place or 'name'} has {user_name!r}, an attribute of a class that is neither a frozen "
                     "dataclass nor a `part`, so that it is constant; expected a field of one of these"
                 )
-        matches = get_close_matches(name, refs, cutoff=0.85) if rest else []
-        names = [*matches, *short_names(refs)]
+        matches, names = get_close_matches(name, refs, cutoff=0.85) if rest else [], short_names(refs)
+        for word in get_close_matches(last, {x.rpartition(".")[2] for x in names}, 1, _NEAR) * (not matches):
+            matches = [x for x in names if x.endswith(f".{word}") or x == word]
+        names = [*matches, *(x for x in names if x not in matches)]
         if user_name != name:  # the user calls the plant robot
             names = [f"robot.{x.removeprefix('plant.')}" if x.startswith("plant.") else x for x in names]
         raise UnknownName(f"parameter{place and ' in ' + place}", user_name, names)

@@ -219,7 +219,7 @@ def path(rollouts: Rollouts, *, times: ArrayLike | None = None, **layout: Unpack
             if len(arms):
                 axes[index].plot(*arms.T, **_ARM_STYLE, zorder=5.5)
             words = _write_time(axes[index], t, pose, 0.5 * diagonal(run.plant, arrow_length))
-            if times is None and not _is_clear(words, written):
+            if times is None and not _is_clear(words, run.poses[:, :2], written):
                 words.remove()
     return figure
 
@@ -361,14 +361,17 @@ def _write_time(axes: Axes, t: float, pose: Array, distance: float) -> Annotatio
     return axes.annotate(f"{t:.3g} s", spot, offset, textcoords="offset points", **text)
 
 
-def _is_clear(words: Annotation, written: list[Bbox]) -> bool:
-    """Return whether text clears the ticks of its axes and the text that is written, and note its place."""
+def _is_clear(words: Annotation, path: Array, written: list[Bbox]) -> bool:
+    """Return whether text clears ticks, path, and the text that is written, and note its place."""
     axes, size = words.axes, font_size(0.9)
     assert axes is not None
     axes.apply_aspect()
     pixels = axes.get_figure(root=True).dpi  # type: ignore[union-attr]
     middle = axes.transData.transform(words.xy) + np.array(words.xyann) * pixels / 72
-    half = 0.5 * pixels * np.array([text_width(words.get_text(), size), 1.2 * size / 72])
+    half = 0.5 * pixels * np.array([text_width(words.get_text(), size) + 0.5 * size / 72, 1.2 * size / 72])
+    points = axes.transData.transform(path)
+    if (np.abs(points - middle) < half).all(axis=1).any():
+        return False
     box, (lowest, highest) = Bbox([middle - half, middle + half]), axes.bbox.get_points()
     is_inside = (box.min >= lowest).all() and (box.max <= highest + pixels * size / 72).all()
     if not is_inside or any(box.overlaps(other) for other in written):

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, ArrayLike, finite, instance, label_items, one_of, sequence, shaped
 from pinmobile.derivatives import Poles, Sensitivities
-from pinmobile.loop import Bands, Cause, Ensemble, causes, worst_share
+from pinmobile.loop import Bands, Cause, Ensemble, causes, is_event, worst_share
 from pinmobile.metrics import Metric
 from pinmobile.palette import INK, QUIET
 from pinmobile.plots.parameter_curves import strip_above
@@ -356,14 +356,18 @@ def drivers(
     for axes, one in zip(panels, drawn_causes, strict=True):
         _draw_distribution(sheet, axes, one, worst)
     _draw_scatter(sheet, scatter, ensemble, ranking[0], worst, by)
+    criterion = {"distance": "", "heading": " of headings"}.get(by, f" by {by}")
+    group = f"the worst {format_percent(share)}{criterion}"
+    if is_event(ensemble, by):
+        group = f"those that {by}"
     keys: list[Artist] = [
-        Line2D([], [], label=f"the worst {format_percent(share)}: {worst.sum():,} robots", **_outline()),
+        Line2D([], [], label=f"{group.removesuffix(criterion)}: {worst.sum():,} robots", **_outline()),
         Patch(label="the others", **_OTHERS_STYLE),
         Patch(label="where the worst are", **_range_style()),
     ]
     if _lost_robots(ensemble, by).any():
         keys.append(Line2D([], [], color=ink(), marker="x", linestyle="", label=_lost_label(ensemble, by)))
-    return sheet.finish(_format_causes(ranking, share, by), keys)
+    return sheet.finish(_format_causes(ranking, group), keys)
 
 
 def _make_axes(sheet: Sheet, count: int, columns: int) -> list[Axes]:
@@ -377,14 +381,12 @@ def _make_axes(sheet: Sheet, count: int, columns: int) -> list[Axes]:
     return sheet.axes([*spots, (slice(0, rows), panels)], heights, share="", ratios=[1.0] * panels + [1.2])
 
 
-def _format_causes(ranking: Sequence[Cause], share: float, by: str) -> str:
-    """Return the most important parameters in words."""
+def _format_causes(ranking: Sequence[Cause], group: str) -> str:
+    """Return the most important parameters of a group of robots in words."""
     names = [one.name for one in ranking if one.visible]
-    criterion = {"distance": "", "heading": " of headings"}.get(by, f" by {by}")
-    worst = f"the worst {format_percent(share)}{criterion}"
     if not names:
-        return f"Nothing that was spread drives {worst}"
-    return ", then ".join([f"{names[0]} drives {worst} most", *names[1:3]])
+        return f"Nothing that was spread drives {group}"
+    return ", then ".join([f"{names[0]} drives {group} most", *names[1:3]])
 
 
 def _draw_distribution(sheet: Sheet, axes: Axes, one: Cause, worst: NDArray[np.bool_]) -> None:
@@ -438,7 +440,8 @@ def _draw_scatter(
             x = one.values[_thin_indices(group & is_lost)]
             axes.plot(x, np.full(len(x), height), "x", markersize=4, zorder=3, color=color)
     titles = {"distance": "How far each robot strays", "heading": "How far each robot turns away"}
-    sheet.write_above(axes, titles.get(by, f"The {metric.worst} {by} of each robot"), loc="left")
+    default = f"Which robots {by}" if metric.worst == "ever" else f"The {metric.worst} {by} of each robot"
+    sheet.write_above(axes, titles.get(by, default), loc="left")
     axes.xaxis.set_major_locator(MaxNLocator(5))
     axes.set_xlabel(_wrap_path(sheet, one.label))
     words = _ERRORS.get(by, by)

@@ -383,6 +383,13 @@ def weak_actuators(body: Any) -> list[int]:
     return [k for k, (each, taken) in pairs if each.motor.is_electric and taken.unit == "N m"]
 
 
+def _largest_input(body: Any, k: int, limit: float) -> Any:
+    """Return the largest magnitude of an input: of a motor that differs between robots, its own."""
+    actuator = k - len(body.inputs) + len(body.table.actuators)
+    motor = body.table.actuators[actuator].motor if actuator in weak_actuators(body) else None
+    return limit if motor is None else motor.largest_number
+
+
 def metrics_on_wheels(body: Any) -> tuple[Metric, ...]:
     """Return the metrics whose values `values_on_wheels` returns.
 
@@ -439,7 +446,7 @@ def values_on_wheels(body: Any, t: Any, q: Any, v: Any, a: Any, u: Any, referenc
     if limits:
         inputs, effort = scalars(u), 0.0
         for k, limit in limits:
-            effort = scalar_max(abs(number(inputs[k])) * (1.0 / limit), effort)
+            effort = scalar_max(abs(number(inputs[k])) * (1.0 / _largest_input(body, k, limit)), effort)
         values.append(effort)
     if body.stands:
         values += _of_ground(body, state, a, u, q)

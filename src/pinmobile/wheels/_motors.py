@@ -359,11 +359,16 @@ class Motor:
         margin = np.abs(torque) - self.torque(-way * self.voltage, rate) * way
         return np.asarray(np.where(margin < 0, np.minimum(left, margin), left))
 
+    @property
+    def largest_number(self) -> Any:
+        """`largest_torque` of an electric motor as a number or a symbol [N m]."""
+        return self._law.torque(0, self.voltage, 0.0)
+
     def lacks(self, torque: Any, rate: Any) -> Any:
         """Return whether an electric motor lacks a torque at a rate <= `largest_rate`: numbers or symbols."""
-        way, law = choose(torque < 0.0, -1.0, 1.0), self._law
-        largest = way * law.torque(0, way * self.voltage, rate)
-        is_weak = largest - abs(torque) < -LIMIT_TOLERANCE * law.torque(0, self.voltage, 0.0)
+        way = choose(torque < 0.0, -1.0, 1.0)
+        largest = way * self._law.torque(0, way * self.voltage, rate)
+        is_weak = largest - abs(torque) < -LIMIT_TOLERANCE * self.largest_number
         return choose(abs(rate) > self.largest_rate, False, is_weak)
 
 
