@@ -307,11 +307,11 @@ def drivers(
     ensemble : Ensemble
         Ensemble of robots.
     share : float
-        Share of the worst robots, above 0 and below 1.
+        Share of the worst robots, above 0 and below 1. Of an event, all robots that have it count.
     by : str
         Error that ranks the robots, see `Ensemble.largest`: "distance" from the desired position, "heading",
         the name of a coordinate, or a metric. For a margin, such as "tip-over margin", the smallest is the
-        worst.
+        worst. An event, such as "exceed an effort limit", compares the robots that have it with the others.
     **layout
         ``title``, ``ax`` and ``width``, see `plots.states`. The last axes show the errors of the robots.
 
