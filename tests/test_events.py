@@ -119,6 +119,13 @@ def test_a_wheel_faster_than_its_file_allows_is_an_event() -> None:
     assert "top speed" in on_wheels(motor=pm.Motor(rate_limit=5.0)).describe()
 
 
+def kinds_of(found: pm.Ensemble) -> list[set[str]]:
+    """Return the kinds of events of each robot, one run after the other."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return [{event.kind for event in found.member(i).events} for i in range(len(found))]
+
+
 @pytest.mark.parametrize("takes_volts", [False, True])
 @pytest.mark.parametrize("engine", [pm.Engine.COMPILED, pm.Engine.PYTHON])
 def test_an_ensemble_counts_robots_whose_motors_are_faster_than_without_load(
@@ -131,9 +138,7 @@ def test_an_ensemble_counts_robots_whose_motors_are_faster_than_without_load(
     path, spread = pm.Tangent(pm.Circle(2.0, 2.4, 0.1)), {"plant.*.torque_constant": constants}
     with pytest.warns(LimitWarning, match="exceed a speed limit"):
         found = pm.ensemble(plant, controller, path, spread=spread, n=3, dt=0.01, engine=engine)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        kinds = [{event.kind for event in found.member(i).events} for i in range(3)]
+    kinds = kinds_of(found)
     counts = found.largest("exceed a speed limit")
     assert counts.tolist() == ["speed limit" in each for each in kinds] == [False, True, True]
 
@@ -145,9 +150,7 @@ def test_an_ensemble_counts_robots_whose_motors_lack_torque(engine: pm.Engine) -
     law = pm.Backstepping(pm.UnicycleTracking(), robot)
     with pytest.warns(LimitWarning, match="exceed an effort limit"):
         found = pm.ensemble(robot, law, path, spread=spread, n=3, dt=0.01, engine=engine)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        kinds = [{event.kind for event in found.member(i).events} for i in range(3)]
+    kinds = kinds_of(found)
     counts = found.largest("exceed an effort limit")
     assert counts.tolist() == ["effort limit" in each for each in kinds] == [False, False, True]
     torques, ratios = np.abs(found.max_input).max(axis=1), found.largest("effort")
