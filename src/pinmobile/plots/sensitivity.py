@@ -356,18 +356,18 @@ def drivers(
     for axes, one in zip(panels, drawn_causes, strict=True):
         _draw_distribution(sheet, axes, one, worst)
     _draw_scatter(sheet, scatter, ensemble, ranking[0], worst, by)
-    criterion = {"distance": "", "heading": " of headings"}.get(by, f" by {by}")
-    group = f"the worst {format_percent(share)}{criterion}"
-    if is_event(ensemble, by):
-        group = f"those that {by}"
+    group, criterion = f"those that {by}", ""
+    if not is_event(ensemble, by):
+        group = f"the worst {format_percent(share)}"
+        criterion = {"distance": "", "heading": " of headings"}.get(by, f" by {by}")
     keys: list[Artist] = [
-        Line2D([], [], label=f"{group.removesuffix(criterion)}: {worst.sum():,} robots", **_outline()),
+        Line2D([], [], label=f"{group}: {worst.sum():,} robots", **_outline()),
         Patch(label="the others", **_OTHERS_STYLE),
         Patch(label="where the worst are", **_range_style()),
     ]
     if _lost_robots(ensemble, by).any():
         keys.append(Line2D([], [], color=ink(), marker="x", linestyle="", label=_lost_label(ensemble, by)))
-    return sheet.finish(_format_causes(ranking, group), keys)
+    return sheet.finish(_format_causes(ranking, group + criterion), keys)
 
 
 def _make_axes(sheet: Sheet, count: int, columns: int) -> list[Axes]:

@@ -500,7 +500,7 @@ def run_points(
     if progress is not None:
         callable_as("progress(done, total)", progress)
     if version is not None:
-        matching("version", version, r"\s*\S(.|\s)*", 'a word, such as "1"')
+        matching("version", version, r"\s*\S[\s\S]*", 'a word, such as "1"')
     description = describe(points, version)
     with Store(folder, points, description, size) as store:
         if chunk is not None and store.chunk != size:

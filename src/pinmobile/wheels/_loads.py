@@ -377,17 +377,17 @@ def fast_actuators(body: Any) -> list[int]:
 
 
 def weak_actuators(body: Any) -> list[int]:
-    """Return the numbers of the actuators whose inputs are torques of electric motors."""
+    """Return the numbers of the electric motors that take a torque as input."""
     inputs = body.inputs[len(body.inputs) - len(body.table.actuators) :]
     pairs = enumerate(zip(body.table.actuators, inputs, strict=True))
     return [k for k, (each, taken) in pairs if each.motor.is_electric and taken.unit == "N m"]
 
 
 def _largest_input(body: Any, k: int, limit: float) -> Any:
-    """Return the largest magnitude of an input: of a motor that differs between robots, its own."""
+    """Return the largest magnitude of an input; of an electric motor, the stall torque of its robot."""
     actuator = k - len(body.inputs) + len(body.table.actuators)
     motor = body.table.actuators[actuator].motor if actuator in weak_actuators(body) else None
-    return limit if motor is None else motor.largest_number
+    return limit if motor is None else motor.own_stall_torque
 
 
 def metrics_on_wheels(body: Any) -> tuple[Metric, ...]:

@@ -360,15 +360,15 @@ class Motor:
         return np.asarray(np.where(margin < 0, np.minimum(left, margin), left))
 
     @property
-    def largest_number(self) -> Any:
-        """`largest_torque` of an electric motor as a number or a symbol [N m]."""
+    def own_stall_torque(self) -> Any:
+        """Stall torque of an electric motor at its voltage: a number, or a symbol in a spread [N m]."""
         return self._law.torque(0, self.voltage, 0.0)
 
     def lacks(self, torque: Any, rate: Any) -> Any:
         """Return whether an electric motor lacks a torque at a rate <= `largest_rate`: numbers or symbols."""
         way = choose(torque < 0.0, -1.0, 1.0)
         largest = way * self._law.torque(0, way * self.voltage, rate)
-        is_weak = largest - abs(torque) < -LIMIT_TOLERANCE * self.largest_number
+        is_weak = largest - abs(torque) < -LIMIT_TOLERANCE * self.own_stall_torque
         return choose(abs(rate) > self.largest_rate, False, is_weak)
 
 
