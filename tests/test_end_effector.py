@@ -97,7 +97,7 @@ test_poses_that_make_no_path_are_refused = refusals(
     ),
     (lambda: pm.PosePath(STAYS, [R0, R1], times=[0, 5]), r"times goes from 0 to 5 s, expected from 0 to 6 s"),
     (lambda: pm.PosePath(STAYS, [R0, 2 * R1], times=[0, 6]), r"rotation\[1\] has R' R off by 3"),
-    (lambda: pm.PosePath(STAYS, R0, R1, turn=(0, 0, 1)), r"turn is .*, expected None beside final_rotation"),
+    (lambda: pm.PosePath(STAYS, R0, R1, turn=(0, 0, 1)), r"turn is .*, expected None with final_rotation"),
 )
 
 

@@ -196,7 +196,7 @@ test_parameters_that_do_not_fit_are_refused = refusals(
         "phases has shape (3, 16), expected (16, 3)",
     ),
     (lambda: ViscousFriction(left=-1), "coefficients is -1.0 N s/m, expected >= 0"),
-    (lambda: ViscousFriction((1, 1, 1), left=0), "left is 0, expected None beside coefficients"),
+    (lambda: ViscousFriction((1, 1, 1), left=0), "left is 0, expected None with coefficients"),
     by=told,
 )
 

@@ -421,7 +421,7 @@ def test_a_spread_that_tears_a_path_apart_is_refused_for_the_robot_that_it_tears
 
 
 test_paths_refuse = refusals(
-    (lambda: Circle(1, 1, 1, phase=1, heading=2), "heading is 2.0, expected None beside phase = 1.0 rad"),
+    (lambda: Circle(1, 1, 1, phase=1, heading=2), "heading is 2.0, expected None with phase = 1.0 rad"),
     (lambda: Polyline([(0, 0), (0, 0), (1, 0)], 1, 1), "waypoints[1] is equal to waypoints[0], expected"),
     (lambda: Polyline([(0, 0), (1, 0), (0, 0)], 1, 1), "waypoints[1] has a turn of 180 degrees, expected"),
     (lambda: Polyline([(0, 0), (4, 0), (4, 0.5)], 0.5, 9), "waypoints[1] and waypoints[2] are 0.5 m"),

@@ -374,7 +374,7 @@ TABLE = WheelTable.differential(0.4, 0.1)
         ("", {}, r"robot has no wheels in its file, .* expected table="),
         (PAIR, {"steering": "driven"}, "steering of wheel 'left' is 'driven', but the file has no joint"),
         (PAIR, {"locked": ["left", "right"]}, r"all wheels of the robot; expected fewer"),
-        (PAIR, {"table": TABLE, "radius": 0.1}, "radius is 0.1, expected None beside table"),
+        (PAIR, {"table": TABLE, "radius": 0.1}, "radius is 0.1, expected None with table"),
     ],
 )
 def test_what_is_refused(tmp_path: Path, wheels: str, given: dict[str, Any], words: str) -> None:

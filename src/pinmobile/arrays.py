@@ -1008,7 +1008,7 @@ def label_items(argument: str, values: object, kind: type[_Kind]) -> dict[str, _
 
 
 def absent(reason: str, /, **given: object) -> None:
-    """Check that arguments are None which do not apply beside the others.
+    """Check that arguments are None if they do not apply together with others.
 
     Parameters
     ----------
@@ -1025,7 +1025,7 @@ def absent(reason: str, /, **given: object) -> None:
     Examples
     --------
     >>> from pinmobile.arrays import absent
-    >>> absent("beside coefficients", forward=None, left=None)
+    >>> absent("with coefficients", forward=None, left=None)
     """
     for name, value in given.items():
         if value is not None:

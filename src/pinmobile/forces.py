@@ -548,7 +548,7 @@ class ViscousFriction:
     ) -> None:
         values = forward, left, yaw
         if coefficients is not None:
-            absent("beside coefficients", **dict(zip(_TWIST, values, strict=True)))
+            absent("with coefficients", **dict(zip(_TWIST, values, strict=True)))
         array = [0.0 if x is None else x for x in values] if coefficients is None else coefficients
         self.__attrs_init__(array)  # type: ignore[attr-defined]
 

@@ -193,7 +193,7 @@ class PhysicalNumbers:
         return np.eye(len(p))
 
     def forces(self, estimates: Any) -> list[Any]:
-        """Return no forces for `simulate` beside the robot."""
+        """Return no further forces for `simulate`."""
         return []
 
 

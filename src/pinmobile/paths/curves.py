@@ -162,7 +162,7 @@ class Circle(_Figure):
     def check(self) -> None:
         """Raise `InvalidArgument` where phase and heading are both given."""
         if self.phase is not None:
-            absent(f"beside phase = {self.phase} rad: each follows from the other", heading=self.heading)
+            absent(f"with phase = {self.phase} rad: each follows from the other", heading=self.heading)
 
     def _values(self) -> dict[str, object]:
         return {name: value for name, value in super()._values().items() if value is not None}

@@ -347,7 +347,7 @@ class PosePath:
             )
         check_path(self.path, 3)
         if self.final_rotation is not None:
-            absent("beside final_rotation", turn=self.turn)
+            absent("with final_rotation", turn=self.turn)
         if self.rotation is None:
             names = "final_rotation", "turn", "times"
             absent("without rotation", **{name: getattr(self, name) for name in names})

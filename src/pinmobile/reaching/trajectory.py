@@ -424,7 +424,7 @@ def _check_tasks(robot: MobileRobot, target: object, frame: str | None) -> tuple
         task = FrameTask(each, frame if k == 0 else None) if isinstance(each, PosePath) else each
         instance("target" if task is target else f"target[{k}]", task, FrameTask, words)
         if task is each:
-            absent("beside a FrameTask: write FrameTask(target, frame)", frame=frame)
+            absent("with a FrameTask: write FrameTask(target, frame)", frame=frame)
         tasks.append(replace(task, frame=robot.frame_name(task.frame)))
     longest, shortest = (pick(one.target.duration for one in tasks) for pick in (max, min))
     if longest > shortest * (1 + 1e-9):

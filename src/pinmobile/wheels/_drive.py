@@ -186,7 +186,7 @@ class WheeledRobot(PlantOnWheels):
             are present.
         """
         if table is not None:
-            absent("beside table", **given)
+            absent("with table", **given)
         robot = read_robot(path, package_dirs, ground_z, given)
         return cls(robot, read_wheels(robot, **given) if table is None else table, ground)
 
