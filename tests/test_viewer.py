@@ -271,13 +271,23 @@ def test_a_live_page_shows_the_robot_where_it_is_displayed(page: Page, live: Vie
 def test_play_goes_through_the_rollout_in_its_time(page: Page, live: Viewer, apart: Runs) -> None:
     page.open(live.url)
     live.wait(20)
-    began = time.perf_counter()
-    playing = threading.Thread(target=live.play, args=(apart["good"],), kwargs={"speed": 10})
+    seen, took = threading.Event(), list[float]()
+
+    def repeat() -> None:  # a busy page may draw nothing of one playback but its end
+        while not seen.is_set():
+            began = time.perf_counter()
+            live.play(apart["good"], speed=10)
+            took.append(time.perf_counter() - began)
+
+    playing = threading.Thread(target=repeat)
     playing.start()
-    page.wait_for("document.getElementById('caption').textContent.includes('t = 1')")
-    page.wait_for("viewer.scene_tree.find(['meshcat', 'trail0', '<object>']).object.drawn > 100")
-    playing.join()
-    assert 2.0 <= time.perf_counter() - began < 20  # 2.0 on a machine that does nothing else
+    try:
+        page.wait_for("document.getElementById('caption').textContent.includes('t = 1')")
+        page.wait_for("viewer.scene_tree.find(['meshcat', 'trail0', '<object>']).object.drawn > 100")
+    finally:
+        seen.set()
+        playing.join()
+    assert 2.0 <= min(took) and max(took) < 20  # 2.0 on a machine that does nothing else
     page.wait_for("document.getElementById('caption').textContent.includes('t = 20.0 s')")
     page.frames()
     assert sees(page, BLUE, projected(page, side(live.plant, apart["good"].q[-1])))
