@@ -83,6 +83,8 @@ def test_pd_by_hand_starts_with_the_state_of_its_context() -> None:
 test_gains_and_arguments_that_do_not_fit_are_refused = refusals(
     (lambda: PD(np.ones((2, 3)), 1), "kp has shape (2, 3), expected (), (n,) or (n, n)"),
     (lambda: ComputedTorque(ROBOT, kp=(1, 2)), "kp has shape (2,), expected (), (3,) or (3, 3)"),
+    (lambda: ComputedTorque(ROBOT, kp=-4), "kp is -4.0 1/s^2, expected >= 0"),
+    (lambda: PD(120, np.diag([1.0, 1.0, -0.5])), "kd is -0.5 N m s/rad, expected >= 0"),
     by=told,
 )
 

@@ -272,7 +272,25 @@ def test_parameters_can_be_tuned_within_their_bounds(tmp_path: Path) -> None:
         return 0;
     }
     """
-    assert c_code.run_program(tmp_path, main).split() == ["1", "0", "0", "6", "-inf", "inf", "0"]
+    assert c_code.run_program(tmp_path, main).split() == ["1", "0", "0", "6", "0", "inf", "0"]
+
+
+def test_bounds_of_a_gains_matrix_hold_for_its_diagonal(tmp_path: Path) -> None:
+    law = pm.ComputedTorque(BODY, [[4.0, -1.0, 0.0], [-1.0, 4.0, 0.0], [0.0, 0.0, 4.0]], 4.0)
+    export_c(law, BODY, tmp_path, dt=DT, trajectory=CIRCLE, tunable=["kp"])
+    main = """
+    #include "robot.h"
+    #include <stdio.h>
+    int main(void)
+    {
+        robot_parameters own = robot_default;
+        printf("%d %g %g %g", robot_are_valid(&own), own.kp[1], robot_lower.kp[1], robot_lower.kp[4]);
+        own.kp[4] = -1;
+        printf(" %d\\n", robot_are_valid(&own));
+        return 0;
+    }
+    """
+    assert c_code.run_program(tmp_path, main).split() == ["1", "-1", "-inf", "0", "0"]
 
 
 def test_a_trajectory_is_a_table_with_interpolation_of_order_5(tmp_path: Path) -> None:

@@ -287,7 +287,7 @@ def test_play_goes_through_the_rollout_in_its_time(page: Page, live: Viewer, apa
     finally:
         seen.set()
         playing.join()
-    assert 2.0 <= min(took) and max(took) < 20  # 2.0 on a machine that does nothing else
+    assert 2.0 <= min(took) <= max(took) < 20  # 2.0 on a machine that does nothing else
     page.wait_for("document.getElementById('caption').textContent.includes('t = 20.0 s')")
     page.frames()
     assert sees(page, BLUE, projected(page, side(live.plant, apart["good"].q[-1])))

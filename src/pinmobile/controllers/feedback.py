@@ -140,8 +140,8 @@ class PD:
     6.8 mm
     """
 
-    kp: Any = gain(unit=_POSITION_UNITS, doc="proportional gain")
-    kd: Any = gain(unit=_VELOCITY_UNITS, doc="derivative gain")
+    kp: Any = gain(lower=0.0, unit=_POSITION_UNITS, doc="proportional gain")
+    kd: Any = gain(lower=0.0, unit=_VELOCITY_UNITS, doc="derivative gain")
     difference: Any = comparison()
 
     def initial_state(self, context: Context) -> Difference:
@@ -300,8 +300,8 @@ class PDGravity(BodyLaw):
     """
 
     robot: Any = child(Gravitating, doc="model of the controller")
-    kp: Any = gain(unit=_POSITION_UNITS, doc="proportional gain", size=coordinates_of)
-    kd: Any = gain(unit=_VELOCITY_UNITS, doc="derivative gain", size=coordinates_of)
+    kp: Any = gain(lower=0.0, unit=_POSITION_UNITS, doc="proportional gain", size=coordinates_of)
+    kd: Any = gain(lower=0.0, unit=_VELOCITY_UNITS, doc="derivative gain", size=coordinates_of)
     difference: Any = comparison()
 
     def initial_state(self, context: Context) -> None:
@@ -360,8 +360,8 @@ class ComputedTorque:
     """
 
     robot: Any = child(Invertible, doc="model of the controller")
-    kp: Any = gain(default=4.0, unit="1/s^2", doc="proportional gain", size=tracked_coordinates_of)
-    kd: Any = gain(default=4.0, unit="1/s", doc="derivative gain", size=tracked_coordinates_of)
+    kp: Any = gain(default=4.0, lower=0.0, unit="1/s^2", doc="proportional gain", size=tracked_coordinates_of)
+    kd: Any = gain(default=4.0, lower=0.0, unit="1/s", doc="derivative gain", size=tracked_coordinates_of)
     difference: Any = comparison()
 
     def check(self) -> None:
@@ -422,9 +422,9 @@ class PID(BodyLaw, AntiWindup):
     """
 
     robot: Any = child(Invertible, doc="model of the controller")
-    kp: Any = gain(default=48.0, unit="1/s^2", doc="proportional gain", size=coordinates_of)
-    ki: Any = gain(default=64.0, unit="1/s^3", doc="integral gain", size=coordinates_of)
-    kd: Any = gain(default=12.0, unit="1/s", doc="derivative gain", size=coordinates_of)
+    kp: Any = gain(default=48.0, lower=0.0, unit="1/s^2", doc="proportional gain", size=coordinates_of)
+    ki: Any = gain(default=64.0, lower=0.0, unit="1/s^3", doc="integral gain", size=coordinates_of)
+    kd: Any = gain(default=12.0, lower=0.0, unit="1/s", doc="derivative gain", size=coordinates_of)
     difference: Any = comparison()
 
     def initial_state(self, context: Context) -> tuple[Any, Any, Any, float]:
@@ -506,8 +506,8 @@ class Decoupled(BodyLaw):
     """
 
     robot: Any = child(Invertible, doc="model of the controller")
-    kp: Any = gain(default=4.0, unit="1/s^2", doc="proportional gain", size=coordinates_of)
-    kd: Any = gain(default=4.0, unit="1/s", doc="derivative gain", size=coordinates_of)
+    kp: Any = gain(default=4.0, lower=0.0, unit="1/s^2", doc="proportional gain", size=coordinates_of)
+    kd: Any = gain(default=4.0, lower=0.0, unit="1/s", doc="derivative gain", size=coordinates_of)
     difference: Any = comparison()
 
     def initial_state(self, context: Context) -> None:

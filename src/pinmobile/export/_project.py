@@ -242,9 +242,7 @@ class Project:
         tests = []
         for ref, member in zip(self.law.tunables, self.law.parameters, strict=True):
             field: Any = ref.leaf.declared
-            low = field.lower if field.above is None else field.above
-            ends = (-np.inf if low is None else low), (np.inf if field.upper is None else field.upper)
-            columns = member.values, *([end] * len(member) for end in ends)
+            columns = member.values, *(ends.ravel() for ends in field.limits(np.shape(ref.leaf.value)))
             for key, values in zip(bounds, columns, strict=True):
                 bounds[key].append(f"{{{self._numbers(values)}}}")
             comparison = "<" if field.above is None else "<="

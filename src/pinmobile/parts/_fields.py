@@ -189,7 +189,7 @@ class Number(Field):
     unit : str, or function of the part
         Unit of the numbers, "" for none; for mixed units, one unit per entry: ``"N, N, N m"``.
     above, lower, upper : float, optional
-        Bounds; `above` is excluded, the others are included.
+        Bounds; `above` is excluded, the others are included. They hold for the diagonal of a gain's matrix.
     shapes : tuple of shapes
         Allowed shapes; a letter stands for any length, the same everywhere in a shape.
     labels : tuple of str, or function of the part
@@ -220,6 +220,11 @@ class Number(Field):
     neutral: float = 0.0
 
     @property
+    def is_gain(self) -> bool:
+        """Whether the field may be one number, one number per coordinate, or a matrix."""
+        return ("n", "n") in self.shapes
+
+    @property
     def bound(self) -> str:
         """Bounds as text, such as ``> 0``."""
         bounds = (">", self.above), (">=", self.lower), ("<=", self.upper)
@@ -242,14 +247,18 @@ class Number(Field):
         shaped(name, value, *(tuple(n if x == "n" else x for x in sizes) for sizes in self.shapes))
         return value if shape or any(len(x) > 1 for x in self.shapes) else frozen(np.full(n, value))
 
+    def limits(self, shape: tuple[int, ...]) -> tuple[Any, Any]:
+        """Return lowest and highest numbers of an array of a shape, infinite where it has no bounds."""
+        ends = (self.lower if self.above is None else self.above, -np.inf), (self.upper, np.inf)
+        bounded = np.eye(shape[0], dtype=bool) if self.is_gain and len(shape) == 2 else np.ones(shape, bool)
+        lowest, highest = (np.where(bounded, free if end is None else end, free) for end, free in ends)
+        return lowest, highest
+
     def outside_bounds(self, values: Any) -> Any:
         """Return which values are out of bounds, as an array of booleans."""
-        limits = (self.above, np.less_equal), (self.lower, np.less), (self.upper, np.greater)
-        is_outside = np.zeros(np.shape(values), bool)
-        for limit, compare in limits:
-            if limit is not None:
-                is_outside |= compare(values, limit)
-        return is_outside
+        lowest, highest = self.limits(np.shape(values))
+        is_low = np.less(values, lowest) if self.above is None else np.less_equal(values, lowest)
+        return is_low | np.greater(values, highest)
 
     def check_bounds(self, name: str, array: Any) -> None:
         """Raise `InvalidArgument` if a value is out of bounds."""

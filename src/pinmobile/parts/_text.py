@@ -249,7 +249,8 @@ def _field(argument: Parameter) -> dict[str, Any]:
         item = {"type": "number"} | {word: bound for word, bound in bounds.items() if bound is not None}
         if field.endless:
             item["type"] = ["number", "null"]  # infinity in JSON
-        forms = [_array(item, shape) for shape in field.shapes]
+        free = {"type": item["type"]}  # entries of a gain's matrix, whose bounds hold for its diagonal
+        forms = [_array(free if field.is_gain and len(shape) == 2 else item, shape) for shape in field.shapes]
         return schema | {"anyOf": [*forms, {"type": "object"}]}
     if isinstance(field, Child):
         item = {"$ref": f"#/$defs/Any{_title(field.kind)}"}

@@ -60,7 +60,7 @@ class Leaf(NamedTuple):
     @property
     def is_gain(self) -> bool:
         """Whether the field may be one number, one number per coordinate, or a matrix."""
-        return ("n", "n") in getattr(self.declared, "shapes", ())
+        return getattr(self.declared, "is_gain", False)
 
 
 def entries_of(value: Any) -> list[tuple[str, Any]]:
