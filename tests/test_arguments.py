@@ -101,7 +101,9 @@ FAULTS: dict[str, list[tuple[Any, ...]]] = {
             of_loop(trajectory=pm.PosePath(pm.Spline([[0, 0, 1], [1, 0, 1]], [0, 1]))),
             "a path of poses of an end effector, expected a trajectory of the robot's coordinates, such as",
         ),
-        (of_loop(integrator=pm.PD(1, 1)), "a controller, expected one of pinmobile.integrators"),
+        (of_loop(integrator=pm.PD(1, 1)), "a controller, expected an integrator, such as pinmobile.rk4"),
+        (of_loop(plant=pm.MobileRobot), "expected an object: MobileRobot(...)"),
+        (lambda: pm.Tangent(cast(Any, pm.Circle)), "expected an object: Circle(...)"),
     ],
     "another signature": [
         (lambda: pm.law(cast(Any, lambda t, q: np.zeros(3))), "which cannot be called as function("),

@@ -288,7 +288,8 @@ def test_parts_are_listed_from_their_declarations(typed: Typed) -> None:
 def test_write_prints_a_file_to_begin_with(typed: Typed, tmp_path: Path) -> None:
     code, text, _ = typed("write", "lecture", "controller.kp=9")
     assert code == 0
-    assert "\nkp = 9.0  # proportional gain: a number, or numbers of shape (n,) or (n, n) [1/s^2]\n" in text
+    meaning = "proportional gain: a number, or numbers of shape (n,) or (n, n) >= 0 [1/s^2]"
+    assert f"\nkp = 9.0  # {meaning}\n" in text
     (tmp_path / "mine.toml").write_text(text)
     assert typed("write", str(tmp_path / "mine.toml")) == (0, text, "")
 

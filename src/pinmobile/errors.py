@@ -370,10 +370,10 @@ class Diverged(PinmobileError, ArithmeticError):
     >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
     >>> path = Tangent(Circle(1.0, 0.5, 4.0))
     >>> try:
-    ...     simulate(robot, PD(-9, -9), path, dt=0.1, limit=1)
+    ...     simulate(robot, PD(9, 900), path, dt=0.1, limit=1)  # kd too large for dt
     ... except Diverged as error:
-    ...     print(error.time, len(error.rollout))  # [s], samples
-    2.5 25
+    ...     print(f"{error.time:.1f} s, {len(error.rollout)} samples")
+    0.7 s, 7 samples
     """
 
     def __init__(self, message: str, *, time: float, q: Any, v: Any, rollout: Any = None) -> None:

@@ -69,6 +69,9 @@ class Integrator(Protocol):
         """
 
 
+_EXPECTED = "an integrator, such as pinmobile.rk4"
+
+
 def check_integrator(integrator: object) -> None:
     """Check that an object is an integrator.
 
@@ -97,12 +100,8 @@ def check_integrator(integrator: object) -> None:
     pinmobile.errors.InvalidArgument: integrator is ...
     """
     if hasattr(integrator, "initial_state"):
-        raise InvalidArgument(
-            f"integrator is {format_value(integrator)}, a controller, expected one of pinmobile.integrators"
-        )
-    callable_as(
-        "integrator(acceleration, t, q, v, dt)", integrator, "one of pinmobile.integrators or such a step"
-    )
+        raise InvalidArgument(f"integrator is {format_value(integrator)}, a controller, expected {_EXPECTED}")
+    callable_as("integrator(acceleration, t, q, v, dt)", integrator, _EXPECTED)
 
 
 @part

@@ -1155,10 +1155,10 @@ def check_plant(plant: object) -> None:
     has_sizes = all(isinstance(value, int | np.integer) for value in sizes.values())
     method = stated(plant, "forward_dynamics") or stated(plant, "step")
     if isinstance(plant, type) or not (method and has_sizes):
-        raise InvalidArgument(
-            f"plant is {format_value(plant)}, expected a plant with 'forward_dynamics' and the sizes nq, nv, "
-            "nu"
-        )
+        expected = "a plant with 'forward_dynamics' and the sizes nq, nv, nu"
+        if isinstance(plant, type) and method:
+            expected = f"an object: {plant.__name__}(...)"
+        raise InvalidArgument(f"plant is {format_value(plant)}, expected {expected}")
     for name, size, entries in (
         ("coordinates", "nv", coordinates_of(plant)),
         ("configuration_names", "nq", configuration_names_of(plant)),

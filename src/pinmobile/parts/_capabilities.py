@@ -529,11 +529,17 @@ def able(part: Any, kind: type) -> Any:
 def format_missing(part: object, kind: type) -> str:
     """Return a text about the first missing member of a part that has other members of a protocol.
 
-    The text is "" for a part that has none or all of the members.
+    The text is "" for a class, and for a part that has none or all of the members.
     """
+    missing = "" if isinstance(part, type) else _first_missing(part, kind)
+    return missing and f", which has no {missing}"
+
+
+def _first_missing(part: object, kind: type) -> str:
+    """Return the first missing member of a part that has other members of a protocol, otherwise ""."""
     names = [name for name in members(kind) if name != "__call__"]
     missing = [name for name in names if getattr(part, name, None) is None]
-    return f", which has no {missing[0]}" if 0 < len(missing) < len(names) else ""
+    return missing[0] if 0 < len(missing) < len(names) else ""
 
 
 def advice(part: object) -> str:
@@ -545,7 +551,7 @@ def advice(part: object) -> str:
 
 def meaning(kind: type, part: object = None) -> str:
     """Return a capability as text: the first line of its docstring, or an object of a class that has it."""
-    if isinstance(part, type) and members(kind) and offers(part, kind):
+    if isinstance(part, type) and members(kind) and (offers(part, kind) or _first_missing(part, kind)):
         return f"an object: {part.__name__}(...)"
     words = (kind.__doc__ or kind.__name__).split("\n")[0].rstrip(".")
     return words[:1].lower() + words[1:]

@@ -444,8 +444,8 @@ def table(part: Any) -> str:
     >>> from pinmobile import PD
     >>> from pinmobile.parts import table
     >>> print(table(PD(120, 60)))
-    kp  120.  N/m, N/m, N m/rad          proportional gain
-    kd  60.   N s/m, N s/m, N m s/rad    derivative gain
+    kp  120.  N/m, N/m, N m/rad        >= 0  proportional gain
+    kd  60.   N s/m, N s/m, N m s/rad  >= 0  derivative gain
     """
     rows = [
         (
