@@ -249,6 +249,8 @@ def test_wrong_words_are_answered_in_a_line_each(typed: Typed, tmp_path: Path, w
 
 def test_an_output_folder_that_is_a_file_is_refused_before_any_work(typed: Typed, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
+    code, _, err = typed("run", "--out", "run.npz")
+    assert (code, err) == (2, "pinmobile: --out is 'run.npz', expected a folder, such as run\n")
     code, out, err = typed("run", "--out", str(tmp_path / "file" / "out"))
     assert code == 2
     assert "which cannot be written to" in err

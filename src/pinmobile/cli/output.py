@@ -16,6 +16,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
+from pinmobile.errors import InvalidArgument
 from pinmobile.files import file_errors, write
 
 if TYPE_CHECKING:
@@ -71,6 +72,9 @@ def begin(bar: Progress, name: str) -> None:
     bar.update(bar.task_ids[0], description=name, advance=1)
 
 
+_FILE_SUFFIXES = (".npz", ".csv", ".txt", ".html", ".png", ".gif", ".mp4", ".toml")
+
+
 def output_folder(path: Path, option: str = "--out", given: Path | None = None) -> Path:
     """Return the output folder after a check that it can be written; create a missing folder.
 
@@ -86,10 +90,12 @@ def output_folder(path: Path, option: str = "--out", given: Path | None = None) 
     Raises
     ------
     InvalidArgument
-        If the folder cannot be created or written.
+        If the folder cannot be created or written, or the name of a missing folder is that of a file.
     FileError
         If the system fails, for example because the disk is full.
     """
+    if given is None and path.suffix in _FILE_SUFFIXES and not path.exists():
+        raise InvalidArgument(f"{option} is {str(path)!r}, expected a folder, such as {path.stem}")
     with file_errors("written to", option, given or path):
         path.mkdir(parents=True, exist_ok=True)
         TemporaryFile(dir=path).close()
