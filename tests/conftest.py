@@ -74,6 +74,12 @@ def pytest_configure(config: pytest.Config) -> None:
         raise pytest.UsageError(why)
     if config.getoption("--part"):
         settings.load_profile("repeated")
+    gc.disable()  # the collection of tests keeps almost all that it makes: garbage collection takes a sixth
+
+
+def pytest_collection_finish() -> None:
+    """Let garbage be collected while tests run."""
+    gc.enable()
 
 
 @pytest.fixture(scope="module", autouse=True)
