@@ -180,7 +180,7 @@ def test_a_sweep_has_the_ensembles_bit_for_bit(done: pm.Sweep, tmp_path: Path) -
 
 
 def test_cases_and_parts_are_compared_by_label(tmp_path: Path) -> None:
-    laws = {"PD": pm.PD((20, 20, 1), (20, 20, 1)), "wild": pm.PD(-3000, 0)}
+    laws = {"PD": pm.PD((20, 20, 1), (20, 20, 1)), "wild": pm.PD(0, 30_000)}
     cases = {"nominal": {}, "push": {"forces.push": PUSH, "robot.mass": 35.0}}
     found = pm.sweep(scenario(n=3, limit=5.0), tmp_path / "store", grid={"controller": laws}, cases=cases)
     assert {name: axis.values for name, axis in found.axes.items()} == {

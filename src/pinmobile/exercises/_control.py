@@ -191,8 +191,10 @@ def pd_force(p: Numbers, kp: float, kd: float, q: Array, v: Array, q_d: Array, v
 
     ! _pd(pm.controllers.plain_difference, kp, kd, q, v, q_d, v_d) =>
       The heading error is a plain difference: beyond half a turn the robot turns the long way round.
-    ! -pd_force(p, kp, -kd, q, v, q_d, v_d) => The position error has the wrong sign: e = q_d - q.
-    ! pd_force(p, kp, -kd, q, v, q_d, v_d) => The velocity error has the wrong sign: de/dt = v_d - v.
+    ! pd_force(p, 0, kd, q, v, q_d, v_d) - pd_force(p, kp, 0, q, v, q_d, v_d) =>
+      The position error has the wrong sign: e = q_d - q.
+    ! pd_force(p, kp, 0, q, v, q_d, v_d) - pd_force(p, 0, kd, q, v, q_d, v_d) =>
+      The velocity error has the wrong sign: de/dt = v_d - v.
     ! pd_force(p, kp, kd, q, v, q_d, 0 * v) => v_d is missing: this brakes the desired motion too.
     ! pd_force(p, kp, 0, q, v, q_d, v_d) => The derivative term is missing.
     ! pd_force(p, kd, kp, q, v, q_d, v_d) => kp and kd are exchanged.
@@ -233,7 +235,8 @@ def computed_torque(
       The desired acceleration a_d is missing.
     ! _computed(pm.controllers.plain_difference, p, gains, q, v, reference) =>
       The heading error is a plain difference.
-    ! computed_torque(p, M, n, (-gains[0], -gains[1]), q, v, reference) => The errors have the wrong sign.
+    ! 2 * computed_torque(p, M, n, (0, 0), q, v, reference)
+      - computed_torque(p, M, n, gains, q, v, reference) => The errors have the wrong sign.
     ! np.linalg.solve(M, _wanted(p, M, n, gains, q, v, reference) - n) => M is inverted; it multiplies.
     ! computed_torque(p, M, n, gains, q, v, reference)
       - (M - np.diag(np.diag(M))) @ _wanted(p, M, n, gains, q, v, reference) => Use M @, not *: M is a matrix.
