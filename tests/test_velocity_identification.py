@@ -92,7 +92,13 @@ def test_outliers_and_lost_rows_are_left_out() -> None:
 
 def test_a_table_says_it_all() -> None:
     told = str(found())
-    for words in ("theta_6", "95 % ", "delay", "residual: speed", "the interval of theta_3 contains zero"):
+    for words in (
+        "theta_6",
+        "95 % ",
+        "delay",
+        "residual: speed",
+        "the interval of theta_3 contains 0, with which it has no effect",
+    ):
         assert words in told
     assert "but motors with losses have more than 1" in told  # 0.9965 +- 0.001
     assert repr(found()).startswith("<Identification: theta_1 0.26")

@@ -226,8 +226,11 @@ class VelocityModel(PhysicalNumbers):
         """Return notes on numbers that may be neutral, and on numbers that no robot can have."""
         bounds = estimates.interval()
         neutral = [n for n, x in self.neutral.items() if bounds[n][0] <= x <= bounds[n][1]]
-        names = [n for n in neutral if np.isfinite(bounds[n][0])]
-        notes = [f"the interval of {n}{' - 1' * bool(self.neutral[n])} contains zero" for n in names]
+        notes = [
+            f"the interval of {n} contains {self.neutral[n]:g}, with which it has no effect"
+            for n in neutral
+            if np.isfinite(bounds[n][0])
+        ]
         if estimates.explained < _NOTE_SHARE:
             notes.append(
                 f"the model explains {estimates.explained:.0%} of a motion: do commands and motion come "

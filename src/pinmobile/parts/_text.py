@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from pinmobile.arrays import distinct
 from pinmobile.errors import InvalidArgument, argument_errors
 from pinmobile.parts._fields import Child, Number, Values, Whole
 from pinmobile.parts._registry import (
@@ -82,6 +83,7 @@ def read_entries(
     InvalidEntries
         If entries are wrong; the message has a line for each, with the line of the file, or the word.
     """
+    distinct("the command has", (word.partition("=")[0] for word in words))
     reader, sets = Reader(folder), dict(word.split("=", 1) for word in words)
     try:
         with argument_errors(f"{name}: its values are nested too deep: ", of=RecursionError):

@@ -353,8 +353,9 @@ def drivers(
     sheet = Sheet(7.6 if len(drawn_causes) <= 3 else 9.0, **layout)
     columns = sheet.columns(2 if len(drawn_causes) <= 3 else 3, 2.9)
     *panels, scatter = _make_axes(sheet, len(drawn_causes), columns)
+    word = "those" if is_event(ensemble, by) else "the worst"
     for axes, one in zip(panels, drawn_causes, strict=True):
-        _draw_distribution(sheet, axes, one, worst)
+        _draw_distribution(sheet, axes, one, worst, word)
     _draw_scatter(sheet, scatter, ensemble, ranking[0], worst, by)
     group, criterion = f"those that {by}", ""
     if not is_event(ensemble, by):
@@ -363,7 +364,7 @@ def drivers(
     keys: list[Artist] = [
         Line2D([], [], label=f"{group}: {worst.sum():,} robots", **_outline()),
         Patch(label="the others", **_OTHERS_STYLE),
-        Patch(label="where the worst are", **_range_style()),
+        Patch(label=f"where {word} are", **_range_style()),
     ]
     if _lost_robots(ensemble, by).any():
         keys.append(Line2D([], [], color=ink(), marker="x", linestyle="", label=_lost_label(ensemble, by)))
@@ -389,7 +390,7 @@ def _format_causes(ranking: Sequence[Cause], group: str) -> str:
     return ", then ".join([f"{names[0]} drives {group} most", *names[1:3]])
 
 
-def _draw_distribution(sheet: Sheet, axes: Axes, one: Cause, worst: NDArray[np.bool_]) -> None:
+def _draw_distribution(sheet: Sheet, axes: Axes, one: Cause, worst: NDArray[np.bool_], word: str) -> None:
     """Draw the distribution of a parameter among the worst robots and among the others."""
     dress(axes)
     bins = np.linspace(one.values.min(), one.values.max(), _BINS + 1).tolist()
@@ -402,7 +403,7 @@ def _draw_distribution(sheet: Sheet, axes: Axes, one: Cause, worst: NDArray[np.b
         for low, high in spans:
             axes.axvspan(max(low, bins[0]), min(high, bins[-1]), zorder=1, **_range_style())
         share, rest = (format_percent(round(float(one.holds(values).mean()), 2)) for values in (bad, good))
-        text, shade = f"{one.place}:\n{share} of the worst, {rest} of the others", ink()
+        text, shade = f"{one.place}:\n{share} of {word}, {rest} of the others", ink()
     sheet.write_above(axes, text, 0.95, color=shade, loc="left")
     axes.margins(x=0)
     axes.set_ylim(0, None)
