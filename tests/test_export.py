@@ -38,6 +38,7 @@ LOOPS |= {
         {},
     ),
     "sampled": ((BODY, pm.controllers.Sampled(PID(WRONG), 5), CIRCLE), {}),
+    "observed": ((BODY, pm.controllers.DisturbanceObserver(PID(WRONG), WRONG), CIRCLE), {}),
 }
 SIZES = (3, 3, 3)
 LAW = pm.ComputedTorque(BODY, 4.0, 4.0)
@@ -147,7 +148,7 @@ int drive(long n, const double *t, const double *r, double *q)
 
 
 @pytest.mark.parametrize("precision", ["double", "single"])
-@pytest.mark.parametrize("name", ["PID", "adaptive", "mecanum Rolling"])
+@pytest.mark.parametrize("name", ["PID", "adaptive", "mecanum Rolling", "observed"])
 def test_a_loop_in_c_repeats_the_run(name: str, precision: str, tmp_path: Path) -> None:
     compiler = c_code.compilers()[0]
     (plant, controller, trajectory), own = LOOPS[name]
