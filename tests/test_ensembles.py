@@ -190,7 +190,7 @@ def test_errors_are_kept_from_a_time_on_and_all_else_from_the_start(engine: Any)
 
 
 def test_who_diverges_before_errors_count_has_none_and_is_beyond_everything() -> None:
-    spread = {"kp": np.array([4.0, -400.0]), "start.x": 0.1}
+    spread = {"kd": np.array([4.0, 400.0]), "start.x": 0.1}
     run = run_scenario(made(n=2, spread=spread, after=50.0))
     assert run.diverged.tolist() == [False, True]
     assert np.isnan(run.max_distance).tolist() == [False, True]

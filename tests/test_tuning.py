@@ -8,13 +8,13 @@ import pytest
 from matplotlib.figure import Figure
 
 import pinmobile as pm
-from pinmobile import plots
-from pinmobile.controllers import Sampled
+from pinmobile import controllers, plots
 from pinmobile.derivatives import Constraint, Margins, Tuning, gradient, poles, sensitivities, tune
 from pinmobile.errors import UnknownName
 from pinmobile.loop import Relative
 from pinmobile.metrics import Metric
 from pinmobile.parts import array, part, replace
+from pinmobile.wheels import Motor
 from tests.frozen import BODY, CIRCLE, WRONG, loops
 from tests.test_derivatives import loss
 
@@ -145,6 +145,45 @@ def test_kinks_and_wheels_that_begin_to_slide_are_counted() -> None:
     assert f"the side of a kink changes {found.kinks} times" in str(found)
 
 
+@pytest.mark.parametrize(
+    "law",
+    [controllers.Sampled(pm.PD(60, 20), 4), pm.MeasurementNoise(pm.PD(60, 20), 1e-3, 1e-3, seed=1)],
+    ids=["clock", "noise"],
+)
+def test_what_no_number_changes_is_no_kink(law: Any) -> None:
+    assert gradient(loss, BODY, law, PATH, by=["kp"], dt=0.01).kinks == 0
+
+
+@pytest.mark.parametrize("weight", [1e-4, 0.03])
+def test_a_number_near_its_bound_has_an_exact_derivative(weight: float) -> None:
+    """What Python computes before the first sample is differentiated by steps relative to the number."""
+
+    def value(weight: float) -> float:
+        return float(gradient(loss, BODY, pm.LQR(BODY, input_weight=weight), PATH, **options).value)
+
+    options: dict[str, Any] = {"by": ["input_weight"], "dt": 0.02, "q0": [0.1, 0.1, 0.1]}
+    found = gradient(loss, BODY, pm.LQR(BODY, input_weight=weight), PATH, **options)
+    expected = slope(value, weight, 1e-3 * weight)
+    assert float(found.by["controller.input_weight"]) == pytest.approx(expected, rel=1e-7)
+
+
+def test_at_a_bound_differences_go_to_one_side() -> None:
+    """A motor without losses (efficiency = 1) starts a wheel with the slope of one with small losses."""
+    options: dict[str, Any] = {"by": ["plant.*.motor.efficiency", "plant.*.motor.resistance"], "dt": 0.02}
+
+    def slopes(efficiency: float) -> Any:
+        motor = Motor(resistance=0.5, torque_constant=0.05, voltage=24, gear=30, efficiency=efficiency)
+        drive = pm.WheeledRobot(BODY, pm.WheelTable.differential(0.4, 0.1, motor=motor))
+        law = controllers.TorqueToVoltage(pm.Backstepping(pm.UnicycleTracking(), drive), drive.by_voltage())
+        found = gradient(loss, drive.by_voltage(), law, PATH, **options)
+        return np.array([float(x) for x in found.by.values()])
+
+    np.testing.assert_allclose(slopes(1.0), slopes(1 - 1e-7), rtol=1e-4, atol=1e-9)
+    drive = pm.WheeledRobot(BODY, pm.WheelTable.differential(0.4, 0.1))
+    with pytest.raises(pm.InvalidArgument, match=r"by plant.* needs close numbers: .* more than one axle"):
+        gradient(loss, drive, pm.Backstepping(pm.UnicycleTracking(), drive), PATH, by=["plant.*.x"], dt=0.02)
+
+
 def test_a_time_between_samples_is_a_kink_without_a_slope() -> None:
     push = pm.ConstantForce((50.0, 0.0, 0.0), 0.305, 0.6)
     found = gradient(loss, BODY, pm.PD(120, 120), PATH, by=["begin"], dt=0.02, forces=[push])
@@ -193,7 +232,7 @@ def test_margins_are_those_of_the_closed_form(late: int) -> None:
 @pytest.mark.parametrize("every", [1, 3])
 def test_poles_at_many_times_are_those_at_each(every: int) -> None:
     circle = pm.Tangent(pm.Circle(2.0, 0.4, 6.0))
-    law, times = Sampled(pm.MeasurementDelay(pm.PD(20, 20), 2), every), [4.0, 0.5, 0.53, 5.9]
+    law, times = controllers.Sampled(pm.MeasurementDelay(pm.PD(20, 20), 2), every), [4.0, 0.5, 0.53, 5.9]
     many = poles(BODY, law, circle, dt=0.01, at=times)
     assert [one.t for one in many] == pytest.approx(times, abs=0.011)  # the start of a period
     for time, one in zip(times, many, strict=True):
@@ -205,7 +244,7 @@ def test_poles_at_many_times_are_those_at_each(every: int) -> None:
     for wrong, words in cases:
         with pytest.raises(pm.InvalidArgument, match=f"^at.*{words}"):
             poles(BODY, law, circle, dt=0.01, at=wrong)
-    unstable = Sampled(pm.MeasurementDelay(pm.PD(60, 60), 2), 3)
+    unstable = controllers.Sampled(pm.MeasurementDelay(pm.PD(60, 60), 2), 3)
     with pytest.raises(pm.InvalidArgument, match=r"^at is behind t = .* s, where the run diverges"):
         poles(BODY, unstable, circle, dt=0.01, at=5.9)
 
@@ -213,15 +252,16 @@ def test_poles_at_many_times_are_those_at_each(every: int) -> None:
 def test_a_loop_with_a_slower_law_is_linearized_over_its_period() -> None:
     law = pm.PD(60, 60)
     one = poles(BODY, law, REST, dt=0.04)
-    slow = poles(BODY, Sampled(law, 4), REST, dt=0.01, at=0.53)
+    slow = poles(BODY, controllers.Sampled(law, 4), REST, dt=0.01, at=0.53)
     assert (slow.dt, len(slow.values)) == (0.04, 10)  # with held force and count
     np.testing.assert_allclose(slow.values[:6], one.values, atol=1e-9)
     np.testing.assert_allclose(slow.values[6:], 0.0, atol=1e-9)
     for name, margins in one.margins.items():
         assert slow.margins[name].gain == pytest.approx(margins.gain, rel=1e-6)
         assert slow.margins[name][1:] == pytest.approx(margins[1:], rel=1e-6)
+    observed = pm.DisturbanceObserver(controllers.Sampled(law, 4), BODY, gain=1.0)
     with pytest.raises(pm.InvalidArgument, match=r"^the inputs change within the period .* no margins$"):
-        poles(BODY, pm.DisturbanceObserver(Sampled(law, 4), BODY, gain=1.0), REST, dt=0.01).margins  # noqa: B018
+        poles(BODY, observed, REST, dt=0.01).margins  # noqa: B018
 
 
 def test_a_metric_with_an_unknown_rule_is_no_loss() -> None:

@@ -370,7 +370,7 @@ class Diverged(PinmobileError, ArithmeticError):
     >>> robot = MobileRobot(mass=30.0, yaw_inertia=1.3)
     >>> path = Tangent(Circle(1.0, 0.5, 4.0))
     >>> try:
-    ...     simulate(robot, PD(9, 900), path, dt=0.1, limit=1)  # kd too large for dt
+    ...     simulate(robot, PD(9, 900), path, dt=0.1, limit=1)
     ... except Diverged as error:
     ...     print(f"{error.time:.1f} s, {len(error.rollout)} samples")
     0.7 s, 7 samples

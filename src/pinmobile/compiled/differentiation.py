@@ -256,8 +256,12 @@ def _append_rounds(
 
 
 def sides(loop: LoopTape) -> list[int]:
-    """Return the nodes of the conditions that choose the side of a kink, outside rounds and functions."""
+    """Return the nodes of the conditions that choose the side of a kink, outside rounds and functions.
+
+    Conditions of clocks and noises, which no number and no motion changes, are not among them.
+    """
     tape, conditions, visited = loop.tape, dict[int, None](), set[int]()
+    changes = _changeable_nodes(loop)
     todo = [next_node for _, next_node in loop.states] + [ring.source for ring in loop.rings]
     while todo:
         i = todo.pop()
@@ -269,15 +273,34 @@ def sides(loop: LoopTape) -> list[int]:
             todo += tape.marks[i][1]
             continue
         condition = None
-        if name in ("abs", "max", "min"):
+        if name in ("abs", "max", "min") and any(changes[x] for x in args):
             condition = tape.at(args[0]) < (0.0 if name == "abs" else tape.at(args[1]))
         elif name == "select":
-            condition = tape.at(args.pop(0))
+            place = args.pop(0)
+            condition = tape.at(place) if changes[place] else None
         if condition is not None and tape.depends[condition.index] & (STATE | ROBOT):
             conditions[condition.index] = None
         if name not in ("real", "repeat", "result"):
             todo += (x for x in (args if operands(tape.operations[i]) else ()) if tape.types[x] == "f")
     return [*conditions]
+
+
+def _changeable_nodes(loop: LoopTape) -> bytearray:
+    """Return which nodes numbers and the motion of the plant may change, as a mask of the tape."""
+    tape, memory = loop.tape, loop.states[sum(loop.sizes[:2]) :]
+    constant = {node for node, _ in memory}
+    while True:
+        mask = bytearray(len(tape))
+        for i, operation in enumerate(tape.operations):
+            inner = operands(operation) if operation[0] != "ring" else ()
+            if inner:
+                mask[i] = any(mask[x] for x in inner)
+            else:
+                mask[i] = operation[0] not in ("key", "count", "const") and i not in constant
+        remaining = {node for node, next_node in memory if node in constant and not mask[next_node]}
+        if remaining == constant:
+            return mask
+        constant = remaining
 
 
 def tangent(loop: LoopTape, directions: Sequence[_Input]) -> LoopTape:

@@ -49,6 +49,9 @@ from pinmobile.trajectories import Reference
 
 _FORWARD = 8  # numbers for which forward mode is selected
 _STEP = 1e-3  # relative step of differences of what Python computes before the first sample
+# Shares of the step, weights of the differences, and divisor.
+_CENTRAL = (0.5, -0.5, 1.0, -1.0), (8, -8, -1, 1), 6
+_ONE_SIDED = (0.25, 0.5, 0.75, 1.0), (48, -36, 16, -3), 3
 _CACHE_SIZE = 32  # machines that are kept
 _START_WORDS = "plant", "start", "start_rate", "trajectory"  # first words of numbers that change the start
 _RECORD = 2e8  # bytes of the states of all samples that are kept at once
@@ -326,7 +329,7 @@ class Problem:
         """Return the effect of each entry of each number on the inputs.
 
         A number of the law has the slope 1. Other inputs that depend on a number in Python, such as the
-        reference, are differentiated by central differences and Richardson's extrapolation.
+        reference, are differentiated by differences of order 4, at a bound of the number by one-sided ones.
         """
         directions = list[Direction]()
         for path, number in self.numbers.items():
@@ -338,23 +341,27 @@ class Problem:
 
             def inputs_at(step: Any, key: str = key, value: Array = value, rows: slice = rows) -> Inputs:
                 new_value = value + step
-                result = self.inputs({**changes, key: new_value if new_value.ndim else float(new_value)})
+                with argument_errors(f"the derivative by {key} needs close numbers: "):
+                    result = self.inputs({**changes, key: new_value if new_value.ndim else float(new_value)})
                 result.rows[rows] = inputs.rows[rows]  # its own effect is known
                 return result
 
+            steps, is_central = number.leaf.declared.difference_steps(value, _STEP)  # type: ignore[attr-defined]
             if path not in self.pure:
-                step = _STEP * np.maximum(1.0, np.abs(value))
-                self.pure[path] = all(map(np.array_equal, inputs_at(step), inputs))
+                self.pure[path] = all(map(np.array_equal, inputs_at(steps), inputs))
             for entry in self.entries(number):
                 row = -1 if leaf is None else leaf.first + int(indices[entry])
                 other = None
                 if not self.pure[path]:
                     h = np.zeros(value.shape)
-                    h[entry] = _STEP * max(1.0, abs(float(value[entry])))
-                    points = zip(*(inputs_at(h * x) for x in (0.5, -0.5, 1.0, -1.0)), strict=True)
-                    other = Inputs(
-                        *((8 * _minus(a, b) - _minus(c, d)) / (6 * h[entry]) for a, b, c, d in points)
+                    h[entry] = steps[entry]
+                    shares, weights, divisor = _CENTRAL if is_central[entry] else _ONE_SIDED
+                    points = zip(inputs, *(inputs_at(h * share) for share in shares), strict=True)
+                    sums = (
+                        sum(w * _minus(x, x0) for w, x in zip(weights, others, strict=True))
+                        for x0, *others in points
                     )
+                    other = Inputs(*(total / (divisor * h[entry]) for total in sums))
                 directions.append(Direction(path, entry, row, other))
         return directions
 

@@ -40,6 +40,7 @@ def noise_error(name: str) -> InvalidArgument:
 
 _INERTIAL = dict.fromkeys(("x", "y", "vx", "vy", "Fx", "Fy"), ", in the inertial frame")
 _NOTES = {**_INERTIAL, "psi": ", unwrapped: without a jump at pi"}  # for plants that begin with x, y, psi
+_CHANGE = 1e-3  # relative change of a number that shows what it changes
 
 
 @final
@@ -185,7 +186,9 @@ class Law:
                 f"tunable has {name!r}, an entry of {number.leaf.path}, expected the whole field: "
                 f"{number.leaf.path!r}"
             )
-        varied = replace(self.loop, {number.path: np.asarray(number.leaf.value, float) * 1.001 + 1e-6})
+        value = np.asarray(number.leaf.value, float)
+        steps, _ = number.leaf.declared.difference_steps(value, _CHANGE)  # type: ignore[attr-defined]
+        varied = replace(self.loop, {number.path: value + steps})
         loops = self.loop, varied
         memories = (arrays_of(initial_memory(x, self.context)) for x in loops)
         schedules = (scheduled_rows(x, self.context) for x in loops)

@@ -260,6 +260,18 @@ class Number(Field):
         is_low = np.less(values, lowest) if self.above is None else np.less_equal(values, lowest)
         return is_low | np.greater(values, highest)
 
+    def difference_steps(self, values: Any, share: float) -> tuple[Any, Any]:
+        """Return steps for differences that stay within the bounds, and whether they may go to both sides.
+
+        A step is a share of a number with the bound 0, otherwise of at least 1.
+        """
+        lowest, highest = self.limits(np.shape(values))
+        scales = np.where((lowest == 0) & (values > 0), values, np.maximum(1.0, np.abs(values)))
+        down, up = values - lowest, highest - values
+        steps = np.minimum(share * scales, 0.5 * np.maximum(down, up))
+        is_central = np.minimum(down, up) > steps
+        return np.where(is_central | (up >= down), steps, -steps), is_central
+
     def check_bounds(self, name: str, array: Any) -> None:
         """Raise `InvalidArgument` if a value is out of bounds."""
         is_outside = self.outside_bounds(array)
