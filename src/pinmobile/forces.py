@@ -175,7 +175,7 @@ class ConstantForce:
 
     force: Any = array(shapes=((3,),), unit="N, N, N m", labels=AXES, doc="constant force")
     begin: float = number(default=0.0, unit="s", doc="start time of the force")
-    end: float = number(default=np.inf, unit="s", endless=True, doc="end time of the force")
+    end: float = number(default=np.inf, unit="s", doc="end time of the force")
 
     def check(self) -> None:
         """Raise `InvalidArgument` if the end is not above the start."""

@@ -474,13 +474,9 @@ class IdentifyPaths:
     loads: Any = attrs.field(default=None)
     by: Any = option(default=(), check=lambda _, x: _split_names(x), doc="numbers to estimate: NAME,NAME")
     method: str = option(default=METHODS[0], doc=f"method: {' or '.join(METHODS)}")
-    delay: Any = number(default=None, optional=True, unit="s", doc="delay of poses relative to inputs")
-    wheelbase: Any = number(default=None, optional=True, unit="m", doc="distance between the axles of a car")
-    rolling_speed: Any = number(
-        default=None,
-        optional=True,
-        doc="speed at which dry friction has 71 % of its size",
-    )
+    delay: Any = number(default=None, unit="s", doc="delay of poses relative to inputs")
+    wheelbase: Any = number(default=None, unit="m", doc="distance between the axles of a car")
+    rolling_speed: Any = number(default=None, doc="speed at which dry friction has 71 % of its size")
     columns: Any = option(
         default=None, check=_roles, doc="columns of a CSV file by role: t, q, u, twist, wheel_rates, joints"
     )

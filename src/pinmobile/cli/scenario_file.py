@@ -107,12 +107,10 @@ class ScenarioFile:
     forces: Any = children(
         (Force, OnCoordinates), default={}, doc="external forces, by names of yours", expected="a force"
     )
-    integrator: Any = child(
-        Integrator, default=None, optional=True, doc="integrator", expected="an integrator"
-    )
+    integrator: Any = child(Integrator, default=None, doc="integrator", expected="an integrator")
     dt: float = number(default=0.1, unit="s", above=0.0, doc="time step")
     substeps: int = integer(default=1, least=1, doc="steps of the plant in a time step")
-    duration: Any = number(default=None, optional=True, unit="s", above=0.0, doc="duration")
+    duration: Any = number(default=None, unit="s", above=0.0, doc="duration")
     limit: float = number(default=1e3, above=0.0, doc="largest error before a run counts as diverged")
     n: int = integer(default=10_000, least=1, doc="robots of an ensemble")
     seed: int = integer(default=0, doc="seed of all draws")

@@ -127,7 +127,7 @@ class Mobile(NamedTuple):
 def pair(doc: str, unit: str, labels: tuple[str, str], fixed: bool = False) -> Any:
     """Declare two positive limits; a scalar sets both."""
     options: dict[str, Any] = {"doc": doc, "unit": unit, "labels": labels, "above": 0, "fixed": fixed}
-    return array(default=np.inf, shapes=((), ("n",)), endless=True, size=lambda robot: 2, **options)
+    return array(default=np.inf, shapes=((), ("n",)), size=lambda robot: 2, **options)
 
 
 def size_of(name: str, value: Any) -> Any:

@@ -118,13 +118,11 @@ class Loop:
 
     plant: Any = child(object, doc="simulated system", expected="a plant")
     controller: Any = child(object, doc="controller, with its wrappers", expected="a controller")
-    trajectory: Any = child(object, default=None, optional=True, doc="source of the reference")
+    trajectory: Any = child(object, default=None, doc="source of the reference")
     forces: Any = children(object, default=(), doc="external forces")
-    integrator: Any = child(
-        object, default=None, optional=True, doc="integrator; None for a plant with its own step"
-    )
+    integrator: Any = child(object, default=None, doc="integrator; None for a plant with its own step")
     substeps: int = integer(default=1, least=1, doc="integrator steps per sample")
-    recorder: Any = child(object, default=None, optional=True, doc="part that records samples")
+    recorder: Any = child(object, default=None, doc="part that records samples")
     start: Any = array(default=_ZERO_START, labels=_coordinates, unit=_units, doc="displacement of the start")
     start_rate: Any = array(
         default=_ZERO_START, labels=_rates, unit=_rate_units, doc="velocity added to the initial velocity"
@@ -706,8 +704,8 @@ class Worst:
     array([0., 0., 0.])
     """
 
-    limit: float = number(default=np.inf, above=0, endless=True, doc="largest error")
-    begin: Any = number(default=None, optional=True, doc="first sample whose error is recorded")
+    limit: float = number(default=np.inf, above=0, doc="largest error")
+    begin: Any = number(default=None, doc="first sample whose error is recorded")
     distances: tuple[tuple[int, ...], ...] = option(default=((0, 1), (2,)))
     metrics: tuple[tuple[int | Metric, bool], ...] = option(default=())
     keep: tuple[str, ...] = option(default=())

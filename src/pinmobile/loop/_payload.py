@@ -96,7 +96,7 @@ class PayloadTransfer:
     robot: Any = child(Loadable, expected="a MobileRobot or a WheeledRobot")
     load: PayloadBody = child(PayloadBody, expected="a PayloadBody")
     begin: float = number(unit="s", doc="time from which the robot holds the payload")
-    end: float = number(default=np.inf, unit="s", endless=True, doc="time from which it does not")
+    end: float = number(default=np.inf, unit="s", doc="time from which it does not")
     frame: str | None = option(default=None, doc="frame that holds the payload; None: the end effector")
 
     def check(self) -> None:

@@ -397,8 +397,9 @@ def number(*, default: Any = attrs.NOTHING, **options: Unpack[_Numbers]) -> Any:
         Default of the field; without it, the field is required.
     **options
         Attributes of the declaration: ``doc`` (meaning), ``unit``, bounds ``above`` (excluded), ``lower`` and
-        ``upper`` (included), ``endless`` (infinity is allowed), ``optional`` (None is allowed), ``fixed``
-        (the same for all robots of an ensemble), ``neutral`` (value without effect).
+        ``upper`` (included), ``endless`` (infinity is allowed, as by a default of infinity), ``optional``
+        (None is allowed, as by a default of None), ``fixed`` (the same for all robots of an ensemble),
+        ``neutral`` (value without effect).
 
     Returns
     -------
@@ -422,8 +423,8 @@ def number(*, default: Any = attrs.NOTHING, **options: Unpack[_Numbers]) -> Any:
         ...
     pinmobile.errors.InvalidArgument: stiffness is -2.0 N/m, expected > 0
     """
-    optional = options.get("optional", False)
-    return declare(Number(**options), None if optional and default is attrs.NOTHING else default)
+    default = None if options.get("optional") and default is attrs.NOTHING else default
+    return array(default=default, shapes=((),), **options)
 
 
 def array(
@@ -460,6 +461,8 @@ def array(
     >>> Wind([3, 4]).force
     array([3., 4.])
     """
+    options.setdefault("optional", default is None)
+    options.setdefault("endless", isinstance(default, float) and default == np.inf)
     return declare(Number(shapes=shapes, **options), default)
 
 
@@ -582,7 +585,7 @@ def child(
     doc : str
         Meaning of the field as a noun phrase.
     optional : bool
-        Whether None is allowed; None is then the default.
+        Whether None is allowed, as by a default of None; None is then the default.
     expected : str
         Expected value, for the message; default: the first line of the protocol's docstring.
 
@@ -607,7 +610,7 @@ def child(
     2.0
     """
     default = None if optional and default is attrs.NOTHING else default
-    return declare(Child(doc, kind, False, optional, expected), default)
+    return declare(Child(doc, kind, False, optional or default is None, expected), default)
 
 
 def children(

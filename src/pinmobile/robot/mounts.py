@@ -214,7 +214,7 @@ class PayloadBody(RigidBody):
 
     mass: float = number(unit="kg", above=0.0, doc="mass of the load")
     com: Any = com_field(shapes=((3,),), doc="centre of mass of the load")
-    inertia: Any = inertia_field("the load", default=None, optional=True)
+    inertia: Any = inertia_field("the load", default=None)
     size: tuple[float, float, float] | None = option(
         default=None, check=_checked_size, doc="dimensions of the drawn box"
     )

@@ -171,7 +171,7 @@ class SupportGeometry:
     """
 
     footprint: Any = option(default=None, check=_kept_footprint, doc="corners of the footprint")
-    top: float | None = number(default=None, unit="m", above=0.0, optional=True, doc="height of the top")
+    top: float | None = number(default=None, unit="m", above=0.0, doc="height of the top")
     grounded: bool = option(default=True, doc="whether the ground is known")
 
     @classmethod

@@ -406,12 +406,8 @@ class Arrows:
     0.02
     """
 
-    force: float | None = number(
-        default=None, optional=True, above=0.0, unit="m/N", doc="length of the arrow"
-    )
-    moment: float | None = number(
-        default=None, optional=True, above=0.0, unit="m/(N m)", doc="radius of the arc"
-    )
+    force: float | None = number(default=None, above=0.0, unit="m/N", doc="length of the arrow")
+    moment: float | None = number(default=None, above=0.0, unit="m/(N m)", doc="radius of the arc")
 
 
 def _tables(name: str, value: Any) -> tuple[DHTable, ...]:
@@ -487,7 +483,7 @@ class Overlays:
     frames: Sequence[DHTable] = option(
         default=(), check=_tables, doc="DH tables whose frames are drawn as triads"
     )
-    arrows: Arrows | None = child(Arrows, default=None, optional=True, expected="Arrows", doc="arrows")
+    arrows: Arrows | None = child(Arrows, default=None, expected="Arrows", doc="arrows")
     contacts: bool = option(default=False, doc="contact forces with their friction discs")
     centre: bool = option(default=False, doc="instantaneous centre of rotation, and the line to it")
     end_effector: bool = option(default=True, doc="path, trail and caption of an end effector")

@@ -653,10 +653,8 @@ class Coulomb:
     0.98 m/s^2
     """
 
-    mu: float | None = declared(
-        default=None, optional=True, lower=0, doc="coefficient of friction of all wheels"
-    )
-    ramp: Ramp | None = child(Ramp, default=None, optional=True, expected="a Ramp(angle, direction) or None")
+    mu: float | None = declared(default=None, lower=0, doc="coefficient of friction of all wheels")
+    ramp: Ramp | None = child(Ramp, default=None, expected="a Ramp(angle, direction) or None")
     sweeps: int = integer(default=200, least=1, doc="largest number of iterations in a pass")
     tolerance: float = declared(default=1e-12, above=0, fixed=True, doc="relative tolerance of forces")
     slips: ClassVar[bool] = True

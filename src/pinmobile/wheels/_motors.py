@@ -97,17 +97,11 @@ class Motor:
     """
 
     torque_limit: float = declared(
-        default=np.inf, unit="N m", above=0, endless=True, fixed=True, doc="largest torque at the wheel"
+        default=np.inf, unit="N m", above=0, fixed=True, doc="largest torque at the wheel"
     )
-    resistance: float | None = declared(
-        default=None, unit="ohm", above=0, optional=True, doc="resistance of the armature"
-    )
-    torque_constant: float | None = declared(
-        default=None, unit="N m/A", above=0, optional=True, doc="torque constant"
-    )
-    voltage: float | None = declared(
-        default=None, unit="V", above=0, optional=True, fixed=True, doc="largest voltage"
-    )
+    resistance: float | None = declared(default=None, unit="ohm", above=0, doc="resistance of the armature")
+    torque_constant: float | None = declared(default=None, unit="N m/A", above=0, doc="torque constant")
+    voltage: float | None = declared(default=None, unit="V", above=0, fixed=True, doc="largest voltage")
     gear: float = declared(default=1.0, above=0, doc="turns of the motor per turn of the wheel")
     efficiency: float = declared(default=1.0, above=0, upper=1, neutral=1, doc="efficiency of the gear")
     rotor_inertia: float = declared(
@@ -115,11 +109,9 @@ class Motor:
     )
     viscous: float = declared(default=0.0, unit="N m s/rad", lower=0, doc="viscous friction per motor rate")
     coulomb: float = declared(default=0.0, unit="N m", lower=0, doc="dry friction")
-    current: float = declared(
-        default=np.inf, unit="A", above=0, endless=True, fixed=True, doc="largest current"
-    )
+    current: float = declared(default=np.inf, unit="A", above=0, fixed=True, doc="largest current")
     rate_limit: float = declared(
-        default=np.inf, unit="rad/s", above=0, endless=True, fixed=True, doc="largest rate of the wheel"
+        default=np.inf, unit="rad/s", above=0, fixed=True, doc="largest rate of the wheel"
     )
     source: str = option(default="", check=text)
 

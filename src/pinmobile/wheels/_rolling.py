@@ -148,7 +148,7 @@ class Rolling:
     1.875 m/s^2
     """
 
-    ramp: Ramp | None = child(Ramp, default=None, optional=True, expected="a Ramp(angle, direction) or None")
+    ramp: Ramp | None = child(Ramp, default=None, expected="a Ramp(angle, direction) or None")
     slips: ClassVar[bool] = False
 
     def dynamics(self, wheeled: Any) -> RollingDynamics:
@@ -345,9 +345,7 @@ class OdometryFeedback(Wrapper):
 
     controller: Any = child(Controller)
     table: WheelTable = child(WheelTable, expected="a WheelTable")
-    ticks: float | None = declared(
-        default=None, above=0, optional=True, fixed=True, doc="encoder ticks per turn of a wheel"
-    )
+    ticks: float | None = declared(default=None, above=0, fixed=True, doc="encoder ticks per turn of a wheel")
     noise: float = declared(default=0.0, lower=0, unit="rad/s", doc="standard deviation of wheel rates")
     seed: int = integer(default=0, doc="seed of the noise")
 

@@ -179,7 +179,6 @@ class Wheel:
     roller: float | None = number(
         default=None,
         unit="rad",
-        optional=True,
         fixed=True,
         lower=-_LARGEST_ROLLER,
         upper=_LARGEST_ROLLER,
@@ -190,10 +189,10 @@ class Wheel:
     yaw_inertia: float = number(
         default=0.0, unit="kg m^2", lower=0, fixed=True, doc="inertia about the vertical through its centre"
     )
-    motor: Motor | None = child(Motor, default=None, optional=True, expected="a Motor")
+    motor: Motor | None = child(Motor, default=None, expected="a Motor")
     friction: WheelFriction = child(WheelFriction, default=WheelFriction(), expected="a WheelFriction")
     steering_limit: float = number(
-        default=np.inf, unit="rad", above=0, endless=True, fixed=True, doc="largest steering angle"
+        default=np.inf, unit="rad", above=0, fixed=True, doc="largest steering angle"
     )
 
     @property
