@@ -28,7 +28,7 @@ from pinmobile.identification._log import Log, continuous, logs_of, lost_rows, u
 from pinmobile.identification._planar_model import PlanarModel, PlanarProblem
 from pinmobile.identification._plant import identify_plant
 from pinmobile.identification._preprocessing import PreprocessedLog, Slippage
-from pinmobile.identification._simulation import Segments, simulate
+from pinmobile.identification._simulation import Segments, simulate_states
 from pinmobile.identification._torque_car import identify_car
 from pinmobile.identification._velocity import TRAINING
 from pinmobile.identification._weak_form import WINDOW, WeakFit, WeakForm, append_columns, robust_fit
@@ -500,14 +500,6 @@ def _check_drift(linear: Linear) -> None:
         )
 
 
-class _Velocities(PlanarProblem):
-    """The problem with velocities in place of measurements."""
-
-    def outputs(self, segments: Segments, states: Array, numbers: Array) -> Array:
-        """Return the body twist."""
-        return np.asarray(states[..., 3:] @ self.model.S.T)
-
-
 def _weak_training_step(form: WeakForm, delay: float, base: Array, basis: Array) -> Array:
     """Return the step along the directions of a basis to the fit of the weak form of early windows."""
     columns, y = form.equations(delay)
@@ -533,7 +525,6 @@ def _free_run(
         Numbers of the whole logs, and of the first two thirds.
     """
     model = problem.model
-    free = _Velocities(model, problem.base, problem.basis, problem.delay, problem.free)
     all_rows, test_rows = list[Array](), list[Array]()
     for run in runs:
         seconds = min(_FREE, 0.3 * len(run.q) * run.dt)
@@ -543,7 +534,8 @@ def _free_run(
         twist = run.free_velocities(model) @ model.S.T
         measured = twist[np.rint(segments.t / run.dt).astype(int)]
         starts = np.repeat(segments.start[None], 2, axis=0)
-        outputs = simulate(free, segments, np.stack([p, p_train]), starts)
+        states, _ = simulate_states(problem, segments, np.stack([p, p_train]), starts)
+        outputs = states[..., 3:] @ model.S.T
         all_rows.append(np.stack([measured, measured - outputs[0]])[:, segments.good])
         is_test = segments.good & (segments.t > TRAINING * len(run.q) * run.dt)
         test_rows.append(np.stack([measured, measured - outputs[1]])[:, is_test])

@@ -291,8 +291,14 @@ def simulate(model: Model, segments: Segments, p: Array, starts: Array) -> Array
     """
     if isinstance(model, Simulator):
         return model.simulate(segments, p, starts)
-    numbers, delays, longest = model.rate_numbers(segments, p)
-    return model.outputs(segments, _states(model, segments, (numbers, delays, longest), starts), numbers)
+    return model.outputs(segments, *simulate_states(model, segments, p, starts))
+
+
+@np.errstate(all="ignore")
+def simulate_states(model: Model, segments: Segments, p: Array, starts: Array) -> tuple[Array, Array]:
+    """Return simulated states, shape (V, S, L, n), and the numbers of the rates, for those of `simulate`."""
+    given = model.rate_numbers(segments, p)
+    return _states(model, segments, given, starts), given[0]
 
 
 def _states(

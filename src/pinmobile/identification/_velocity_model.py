@@ -29,7 +29,7 @@ from pinmobile.identification._estimates import Identification, check_identifiab
 from pinmobile.identification._estimator import solve_robustly
 from pinmobile.identification._log import Log
 from pinmobile.identification._planar_model import POSE
-from pinmobile.identification._simulation import PhysicalNumbers, Segments, simulate
+from pinmobile.identification._simulation import PhysicalNumbers, Segments, simulate_states
 from pinmobile.identification._velocity_robot import (
     ABOVE_ZERO,
     THETA,
@@ -397,12 +397,12 @@ class CarModel(VelocityModel):
         return [part._replace(run=complete[id(part.run)]) for part in parts]
 
     def _steered_run(self, run: Run, p: Array) -> Run:
-        count, free = len(run.u), _Steering(self.free, self.fixed, self.lead, self.dt, False)
+        count, free = len(run.u), replace(self, is_pose=False)
         bare_run = run._replace(y=run.nu, calm=run.nu, is_valid=np.ones(count, bool))
         length = self.dt * (count - self.lead)
         segments, _ = segments_of([Part(bare_run, 0, count)], self.lead, length, fill=False)
         segments.start[:, 1] = self._by_steering(p)[0] * segments.applied(0, 1)[0, :, 0, 1] + p[3]
-        states = simulate(free, segments, p[None], segments.start[None])[0, 0]
+        states = simulate_states(free, segments, p[None], segments.start[None])[0][0, 0]
         states = np.concatenate([np.repeat(states[:1], count - len(states), axis=0), states])
         return run._replace(state=np.column_stack([run.state[:, 0], states[:, 1:]]))
 
@@ -466,11 +466,3 @@ class CarModel(VelocityModel):
     def ranges(self) -> dict[int, tuple[float, float, str]]:
         """Range of the gain of the steering, or of the wheelbase."""
         return {_STEERING: (*(_STEERING_GAINS if "wheelbase" in self.fixed else _LONGEST), "")}
-
-
-class _Steering(CarModel):
-    """The model that also returns steering angle and rate."""
-
-    def outputs(self, segments: Segments, states: Array, numbers: Array) -> Array:
-        """Return the states."""
-        return states
