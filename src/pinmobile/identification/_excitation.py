@@ -221,7 +221,7 @@ def excitation(
     model = PlanarModel.of(assumption)
     prior = model.prior(assumption)
     problem = _Search(model, prior, (T, length, count), limits)
-    shape = count, 2, model.free if model.free < 3 else 3
+    shape = count, 2, model.free
     order = np.arange(1, count + 1)[:, None, None]
     draws = [generator.standard_normal(shape) / order for _ in range(_CANDIDATES)]
     draws.sort(key=lambda raw: problem.cost(problem.coefficients(raw))[0])
@@ -357,12 +357,6 @@ class _Search:
             slopes = [0 * q, by_eta, np.column_stack([by_faster.real, by_faster.imag, by_turn]) @ self.S]
         return -float(np.linalg.slogdet(information)[1]), self.back(slopes)
 
-    def smooth_cost(self, raw: Array, order: float) -> tuple[float, Array]:
-        """Return the cost of raw coefficients with a norm in place of the largest ratio, and its gradient."""
-        coefficients, pull = self.scale_to_limits(_at_rest(raw), order)
-        cost, by_coefficients = self.cost(coefficients)
-        return cost, _at_rest(pull(by_coefficients))
-
     def improve(self, raw: Array) -> Array:
         """Return raw coefficients with a lower cost, by a quasi-Newton search with norms of two orders.
 
@@ -371,8 +365,11 @@ class _Search:
         from scipy.optimize import minimize  # slow to load
 
         def norm_cost(x: Array, order: float) -> tuple[float, Array]:
-            cost, gradient = self.smooth_cost(np.round(x.reshape(raw.shape), _DIGITS), order)
-            return round(cost, _DIGITS), np.round(gradient.ravel(), _DIGITS)
+            coefficients, pull = self.scale_to_limits(
+                _at_rest(np.round(x.reshape(raw.shape), _DIGITS)), order
+            )
+            cost, by_coefficients = self.cost(coefficients)
+            return round(cost, _DIGITS), np.round(_at_rest(pull(by_coefficients)).ravel(), _DIGITS)
 
         x = np.ravel(raw)
         for order in _ORDERS:
