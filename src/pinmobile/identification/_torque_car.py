@@ -85,7 +85,7 @@ class CarWheels(NamedTuple):
         table, wheels, axis = robot.table, robot.table.wheels, robot.table.axes[0]
         steers = np.isin(np.arange(len(wheels)), axis.wheels)
         rear, front = (np.unique(np.array([w.x for w in wheels])[axle]) for axle in (~steers, steers))
-        odd = any(w.roller or w.angle or any(w.trail) for w in wheels) or _wheeled_robot(robot).mounts
+        odd = any(w.roller or w.angle or any(w.trail) for w in wheels) or robot.mounts
         if odd or len(table.axes) > 1 or len(rear) * len(front) != 1 or rear == front:
             raise InvalidArgument(
                 "robot has wheels that steer, and is no car, expected one fixed and one steered axle of "
@@ -247,9 +247,9 @@ class TorqueCar(VelocityModel):
         """Return the identified car."""
         check_identifiable("robot", estimates.unseen)
         values, prior = estimates.parameters, estimates.prior
-        (x, y, _), bare = self.body.com, _wheeled_robot(prior).robot.with_locked_arms()
+        (x, y, _), bare = self.body.com, prior.robot.with_locked_arms()
         body = with_inertia(bare, values["mass"], values.get("com_x", x), y, values["yaw_inertia"])
-        new = parts.evolved(_wheeled_robot(prior), robot=body)
+        new = parts.evolved(prior.wheeled if isinstance(prior, ByVoltage) else prior, robot=body)
         if self.stiffness:
             steers, rows = self.wheels.steers, []
             slips = steers.sum() / values["cornering_front"], (~steers).sum() / values["cornering_rear"]
@@ -292,11 +292,6 @@ class TorqueCar(VelocityModel):
         return units_of(self.wheels.names, self.wheels.motors) | {"steering": "rad"}
 
 
-def _wheeled_robot(robot: Any) -> Any:
-    """Return a robot with torques as inputs."""
-    return robot.wheeled if isinstance(robot, ByVoltage) else robot
-
-
 def identify_car(
     logs: list[Log], robot: Any, delay: float | None, speed: float | None, is_alone: bool
 ) -> Identification:
@@ -306,7 +301,7 @@ def identify_car(
     slips = np.array([wheel.friction.slip for wheel in robot.table.wheels])
     if robot.ground.slips and (slips > 0).all():
         stiff = tuple(float((1 / slips[axle]).sum()) for axle in (wheels.steers, ~wheels.steers))
-    body, given = _wheeled_robot(robot).robot.with_locked_arms().body, {"delay": 0.0, "ahead": 0.0}
+    body, given = robot.robot.with_locked_arms().body, {"delay": 0.0, "ahead": 0.0}
     model = TorqueCar((), given, 1, 1.0, is_pose, wheels=wheels, body=body, slow=slow, stiffness=stiff)
     runs = model.runs(logs)
     seconds = sum(len(run.u) * run.dt for run in runs)
