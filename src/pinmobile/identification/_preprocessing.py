@@ -21,7 +21,7 @@ from pinmobile.identification._filters import (
     remove_outliers,
     twist_of,
 )
-from pinmobile.identification._log import Log, check_inputs, held_integrals
+from pinmobile.identification._log import Log, check_inputs
 from pinmobile.identification._simulation import Segments, pieces
 
 _HALF = 0.5  # smallest measured share of a segment with an identifiable initial state
@@ -156,11 +156,6 @@ class PreprocessedLog:
         length = max(8, round(seconds / self.dt))
         span = max(0, lag + 1), min(N, N + lag), length, lag + DELAY_RANGE + 2, DELAY_RANGE + 1 - lag
         return Segments.cut(self.dt, (y, self.good, states, self.u, noise), span, load=self.load, least=_HALF)
-
-
-def mean_inputs(u: Array, edges: Array) -> Array:
-    """Return the means between edges of zero-order held inputs that are zero outside the log."""
-    return held_integrals(np.arange(len(u) + 0.0), u, np.clip(edges, 0, len(u)))
 
 
 _MEAN_TIME = 0.4  # [s], window of averaged velocities: pose noise of 1 mm gives 2 mm/s

@@ -19,8 +19,9 @@ import numpy as np
 from pinmobile.arrays import Array
 from pinmobile.errors import InvalidArgument
 from pinmobile.identification._estimator import NORMAL
+from pinmobile.identification._log import held_integrals
 from pinmobile.identification._planar_model import PlanarModel, torques_of
-from pinmobile.identification._preprocessing import PreprocessedLog, mean_inputs
+from pinmobile.identification._preprocessing import PreprocessedLog
 
 WINDOW = 0.6  # [s]
 _HOPS = 8  # per window
@@ -138,8 +139,9 @@ class WeakForm:
         """Return the forces of the windows for a delay of the poses [samples], shape (n, k)."""
         forces, model = [], self.model
         for log, rates in zip(self.logs, self.rates, strict=True):
-            edges = np.asarray(np.arange(len(log.q) + 1) - 0.5 - delay)  # half of the input before counts
-            u, bump = mean_inputs(log.u, edges), Bump.of(WINDOW, log.dt)
+            samples, bump = np.arange(len(log.u) + 1.0), Bump.of(WINDOW, log.dt)
+            edges = np.clip(samples - 0.5 - delay, 0, len(log.u))  # half of the input before counts
+            u = held_integrals(samples[:-1], log.u, edges)
             torques = (
                 [*(scale * u.T)] if model.B is None else torques_of(model.motors, [*u.T], [*rates], scale)
             )
