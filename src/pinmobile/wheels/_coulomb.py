@@ -195,6 +195,8 @@ class SlippingDynamics(WheeledDynamics):
     ground: Coulomb
     rubbing: tuple[int, ...] = ()
 
+    forward_dynamics = mean_acceleration
+
     @cached_property
     def mu(self) -> Any:
         """Coefficients of friction, of rollers along their axes, shape (wheels,)."""
@@ -536,10 +538,6 @@ class SlippingDynamics(WheeledDynamics):
         for k in shape.rest:
             velocities[k] = free[k] + dot([column[k] for column in shape.columns], grip.impulses)
         return self._from_leaders(velocities)
-
-    def forward_dynamics(self, q: Any, v: Any, u: Any, f: Any = 0.0) -> Any:
-        """Return the acceleration, shape (..., nv): the mean over a short step from the state."""
-        return mean_acceleration(self, q, v, u, f)
 
     def signals(
         self, t: Any, q: Any, v: Any, u: Any, f: Any, memory: ContactState

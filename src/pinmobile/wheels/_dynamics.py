@@ -542,7 +542,7 @@ class WheeledDynamics:
         return number(scalars(angle[..., None])[0])
 
 
-def mean_acceleration(body: Any, q: Any, v: Any, u: Any, f: Any) -> Any:
+def mean_acceleration(body: Any, q: Any, v: Any, u: Any, f: Any = 0.0) -> Any:
     """Return the mean acceleration over a short step from a state, shape (..., nv)."""
     return (body.step(0.0, q, v, u, _INSTANT, lambda t, q, v: f, body.initial_state()).v - v) / _INSTANT
 

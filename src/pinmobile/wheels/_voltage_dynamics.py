@@ -98,6 +98,7 @@ class VoltageDynamics:
 
     metrics = cached_property(metrics_on_wheels)
     evaluate_metrics = values_on_wheels
+    forward_dynamics = mean_acceleration
     broadcasts: ClassVar[bool] = True
     groups: ClassVar[tuple[()]] = ()  # slip margins need torques
 
@@ -147,10 +148,6 @@ class VoltageDynamics:
             A[..., n:, n:] -= np.asarray(slope)[..., None, None] * damping
             B[..., na + i] *= np.asarray(gain)[..., None]
         return A, B
-
-    def forward_dynamics(self, q: Any, v: Any, u: Any, f: Any = 0.0) -> Any:
-        """Return the acceleration, shape (..., nv): the mean over a short step from the state."""
-        return mean_acceleration(self, q, v, u, f)
 
     def step(
         self, t: Any, q: Any, v: Any, u: Any, h: Any, f: ExternalForceFunction, memory: MotorState
