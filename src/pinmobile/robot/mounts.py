@@ -75,11 +75,7 @@ class Mount:
     )
     at: Any = declare(
         Entries(
-            unit="m, m, m, rad",
-            labels=("x", "y", "z", "yaw"),
-            shapes=((4,),),
-            doc="placement of the arm",
-            length=4,
+            "placement of the arm", "m, m, m, rad", shapes=((4,),), labels=("x", "y", "z", "yaw"), length=4
         )
     )
 
