@@ -52,11 +52,14 @@ from pinmobile.robot.support_geometry import (
 from pinmobile.robot.system import Linearization, MultibodySystem
 from pinmobile.robot.visuals import (
     BODY as BODY,
+    Mesh as Mesh,
     Solid as Solid,
     Solids as Solids,
     body_box as body_box,
     box_visuals as box_visuals,
+    merge_meshes as merge_meshes,
     mesh_of as mesh_of,
+    revolve as revolve,
 )
 
 __all__ = [

@@ -8,7 +8,7 @@ from copy import deepcopy
 from dataclasses import dataclass
 from os.path import isfile
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 from xml.etree import ElementTree
 
 import numpy as np
@@ -22,6 +22,9 @@ from pinmobile.robot.arms import link_of
 from pinmobile.robot.linkage import BODY_JOINT
 from pinmobile.robot.mounts import PayloadBody, named_frames
 from pinmobile.robot.urdf_checks import urdf_tree
+
+Mesh: TypeAlias = tuple[Array, NDArray[Any]]
+"""Vertices, shape (n, 3) [m], and faces, shape (m, 3)."""
 
 
 class VisualFile(NamedTuple):
@@ -311,6 +314,25 @@ def mesh_of(vertices: Array, faces: NDArray[np.int64]) -> Any:
     mesh.addTriangles(np.ascontiguousarray(faces, np.int32))
     mesh.endModel()
     return mesh
+
+
+def merge_meshes(parts: Sequence[Mesh]) -> Mesh:
+    """Return several meshes as one."""
+    starts = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
+    faces = [faces + start for (_, faces), start in zip(parts, starts, strict=False)]
+    return np.concatenate([vertices for vertices, _ in parts]), np.concatenate(faces)
+
+
+def revolve(profile: Sequence[tuple[float, float]], sides: int = 32) -> Mesh:
+    """Return the surface of points (y, r) that turn about the y axis, r from it."""
+    angle = 2 * np.pi * np.arange(sides) / sides
+    rings = [np.column_stack([r * np.sin(angle), np.full(sides, y), r * np.cos(angle)]) for y, r in profile]
+    k = np.arange(sides)
+    k_next, faces = (k + 1) % sides, []
+    for ring in range(len(profile) - 1):
+        a, b = ring * sides, (ring + 1) * sides
+        faces += [np.stack([a + k, b + k, a + k_next], -1), np.stack([a + k_next, b + k, b + k_next], -1)]
+    return np.concatenate(rings), np.concatenate(faces)
 
 
 def boxes_of(model: pin.Model, loads: Sequence[PayloadBody]) -> Iterator[tuple[int, int, pin.SE3, Any]]:

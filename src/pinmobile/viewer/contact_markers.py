@@ -16,6 +16,7 @@ from pinmobile.loop import EndEffector, Rollout
 from pinmobile.palette import GRIPS, INK, QUIET, SLIDES, colour
 from pinmobile.parts import Touching, able
 from pinmobile.plant import Contacts, robot_at, stated
+from pinmobile.robot import Mesh
 from pinmobile.signals import Signal
 from pinmobile.viewer.motion import Channel, pose_channels, samples_before
 from pinmobile.viewer.scene_tree import Extent, Stage, View
@@ -75,7 +76,7 @@ def draw_trail(
     path: str,
     motion: tuple[Array, Array],
     times: Array,
-    band: Callable[[Array], shapes.Triangles],
+    band: Callable[[Array], Mesh],
     *,
     color: str,
     order: int,
@@ -115,7 +116,7 @@ def effector_errors(effector: EndEffector | None) -> list[Array]:
     return [effector.distance, effector.angle] if effector.is_oriented else [effector.distance]
 
 
-def tube(points: Array, thickness: float) -> shapes.Triangles:
+def tube(points: Array, thickness: float) -> Mesh:
     """Return a round band along a curve in space, two triangles for each side of each stretch.
 
     Parameters

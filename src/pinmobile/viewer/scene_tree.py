@@ -11,28 +11,25 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image, ImageColor, ImageDraw, ImageFont
 from pinocchio.visualize import MeshcatVisualizer
 
 from pinmobile.arrays import Array, ArrayLike, sequence
 from pinmobile.dh import DHTable
 from pinmobile.errors import InvalidArgument, format_value
 from pinmobile.parts import array, by_value, child, number, option, part
-from pinmobile.robot import BODY, mesh_of
+from pinmobile.robot import BODY, Mesh, merge_meshes, mesh_of, revolve
 from pinmobile.viewer.motion import Channel, Drawn
 from pinmobile.viewer.pages import Content, Visualizer, pack_array
 
 Shape = dict[str, Any]
-Triangles = tuple[Array, NDArray[np.uint32]]  # vertices (n, 3) [m], faces (m, 3)
 
 _TEXT_HEIGHT = 64  # [px]
 _MIN_LENGTH = 1e-6  # [m]: a shorter motion has no path
 _MIN_TRIANGLES = 300  # smallest number of triangles: simplification would destroy small meshes
 
 
-def flat(
-    triangles: Triangles, colour: str, *, order: int, opacity: float = 1.0, trail: bool = False
-) -> Shape:
+def flat(triangles: Mesh, colour: str, *, order: int, opacity: float = 1.0, trail: bool = False) -> Shape:
     """Return an unlit mesh on the ground, painted over those of lower `order` without regard to depth.
 
     A `trail` shows as many vertices as its property ``drawn`` says, at first none.
@@ -41,7 +38,7 @@ def flat(
     return _mesh(triangles, material, {"flat": True, "trail": trail}, order)
 
 
-def overlay(triangles: Triangles, colour: str, *, order: int) -> Shape:
+def overlay(triangles: Mesh, colour: str, *, order: int) -> Shape:
     """Return an unlit mesh that is visible through objects in front of it."""
     return _mesh(triangles, _material(colour) | {"depthTest": False}, {"flat": True}, order)
 
@@ -58,7 +55,7 @@ def shadow_ground(radius: float) -> Shape:
     return _mesh((corners, np.array([[0, 1, 2], [0, 2, 3]], np.uint32)), material, {}, 0)
 
 
-def ribbon(points: ArrayLike, width: float) -> Triangles:
+def ribbon(points: ArrayLike, width: float) -> Mesh:
     """Return a flat band along a curve, two triangles from each point to the next.
 
     Parameters
@@ -87,7 +84,7 @@ def directions(points: Array) -> Array:
     return np.asarray(tangents[latest] / np.maximum(length[latest], 1e-300)[:, None])
 
 
-def bands(lines: ArrayLike, width: float) -> Triangles:
+def bands(lines: ArrayLike, width: float) -> Mesh:
     """Return a flat band along each of many straight lines, as `ribbon` has it of one.
 
     Parameters
@@ -107,7 +104,7 @@ def bands(lines: ArrayLike, width: float) -> Triangles:
     return np.column_stack([edges, np.zeros(len(edges))]), faces
 
 
-def dashes(points: Array, dash: float, band: Callable[[Array], Triangles]) -> Triangles | None:
+def dashes(points: Array, dash: float, band: Callable[[Array], Mesh]) -> Mesh | None:
     """Return dashes of length `dash` along a curve, with gaps of 0.8 `dash` [m]; None without motion.
 
     Parameters
@@ -128,33 +125,17 @@ def dashes(points: Array, dash: float, band: Callable[[Array], Triangles]) -> Tr
         inner = arc_length[(arc_length > start) & (arc_length < end)]
         samples = np.concatenate([[start], inner[:: max(len(inner) // 8, 1)], [end]])
         parts.append(band(np.stack([np.interp(samples, arc_length, c) for c in points.T], axis=-1)))
-    return merge(parts)
+    return merge_meshes(parts)
 
 
-def merge(parts: Sequence[Triangles]) -> Triangles:
-    """Return several sets of triangles as one."""
-    offsets = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
-    faces = [faces + offset for (_, faces), offset in zip(parts, offsets, strict=False)]
-    return np.concatenate([vertices for vertices, _ in parts]), np.concatenate(faces).astype(np.uint32)
-
-
-def arrow(thickness: float = 0.05) -> Triangles:
+def arrow(thickness: float) -> Mesh:
     """Return an arrow of length 1 along x, round, with a head: the surface of revolution of its profile."""
-    sides = 20
     profile = [(0, 0), (0, thickness / 2), (0.72, thickness / 2), (0.72, 1.6 * thickness), (1, 0)]
-    angle = np.linspace(0, 2 * np.pi, sides, endpoint=False)
-    circle = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-    rings = [np.column_stack([np.full(sides, x), r * circle]) for x, r in profile]
-    k = np.arange(sides)
-    next_k = (k + 1) % sides
-    faces = []
-    for ring in range(len(rings) - 1):
-        a, b = ring * sides, (ring + 1) * sides
-        faces += [np.stack([a + k, a + next_k, b + k], -1), np.stack([a + next_k, b + next_k, b + k], -1)]
-    return np.concatenate(rings), np.concatenate(faces).astype(np.uint32)
+    vertices, faces = revolve(profile, sides=20)
+    return vertices[:, [1, 2, 0]], faces
 
 
-def arc_arrow(thickness: float = 0.06) -> Triangles:
+def arc_arrow(thickness: float = 0.06) -> Mesh:
     """Return an arc of 252 degrees of radius 1 about z, counterclockwise, with an arrowhead."""
     angle = np.linspace(0, 1.4 * np.pi, 40)
     ring = ribbon(np.stack([np.cos(angle), np.sin(angle)], axis=-1), 2 * thickness)
@@ -162,10 +143,10 @@ def arc_arrow(thickness: float = 0.06) -> Triangles:
     tangent = np.array([-end[1], end[0]])
     tip = np.stack([end + 3 * thickness * end, end - 3 * thickness * end, end + 7 * thickness * tangent])
     head = np.column_stack([tip, np.zeros(3)]), np.array([[0, 1, 2]], np.uint32)
-    return merge([ring, head])
+    return merge_meshes([ring, head])
 
 
-def disc(inner: float = 0.0, sides: int = 48) -> Triangles:
+def disc(inner: float = 0.0, sides: int = 48) -> Mesh:
     """Return a flat ring of radius 1 about z, or a disc for inner radius 0."""
     angle = np.linspace(0, 2 * np.pi, sides + 1)
     points = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
@@ -205,7 +186,7 @@ def word(text: str, colour: str, height: float, *, lying: bool, order: int) -> S
     return result
 
 
-def _mesh(triangles: Triangles, material: Shape, data: Shape, order: int) -> Shape:
+def _mesh(triangles: Mesh, material: Shape, data: Shape, order: int) -> Shape:
     vertices, faces = triangles
     position = pack_array(np.ascontiguousarray(vertices, np.float32).T)
     geometry = {"attributes": {"position": position}, "index": pack_array(faces.astype(np.uint32).T)}
@@ -612,7 +593,7 @@ class Stage:
             copy = item.copy()
             copy.geometry = simplify(item.geometry, share)
             if colour is not None and (ghost or item.name == BODY):
-                copy.meshColor = np.array([*_rgb(colour), 1.0])
+                copy.meshColor = np.array([*ImageColor.getrgb(colour), 255]) / 255
             if ghost:
                 copy.meshColor = np.array([*copy.meshColor[:3], 0.45])
             model.addGeometryObject(copy)
@@ -661,7 +642,3 @@ def overview(extent: Extent, height: float, *, low: bool = False) -> View:
         target = target + right * distance * (shift.max() + shift.min()) / 2
         target = target - forward * target[2] / forward[2]  # projected onto the ground
     return View(target - distance * forward, target)
-
-
-def _rgb(colour: str) -> tuple[float, ...]:
-    return tuple(int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5))

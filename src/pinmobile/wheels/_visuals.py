@@ -8,19 +8,21 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from pinmobile.arrays import Array
 from pinmobile.robot import (
     BODY,
     BODY_JOINT,
+    Mesh,
     MobileRobot,
     Solid,
     Solids,
     body_box,
     box_visuals,
+    merge_meshes,
     mesh_of,
     number,
+    revolve,
 )
 from pinmobile.wheels._kinematics import Kinematics
 from pinmobile.wheels._table import FIXED, Wheel, WheelTable
@@ -198,10 +200,7 @@ def height_above_wheels(size: Sequence[float], table: WheelTable) -> float:
     return min(max(needed), _LOWEST * height)
 
 
-_Triangles = tuple[Array, NDArray[np.int64]]  # vertices (n, 3) [m], faces (m, 3)
-
 _DARK, _LIGHT, _GREY = (0.17, 0.17, 0.19, 1.0), (0.86, 0.87, 0.88, 1.0), (0.55, 0.56, 0.58, 1.0)
-_SIDES = 32  # sides of a round surface
 _SPOKES = 5
 _ROLLERS = 10  # rollers per row of a wheel
 _LONGEST = 0.8  # largest half length of a roller in radii of the wheel
@@ -269,55 +268,36 @@ class WheelVisuals(_Objects):
         self.items.append(item)
 
 
-def _join(parts: Sequence[_Triangles]) -> _Triangles:
-    """Return several sets of triangles as one."""
-    starts = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
-    faces = [faces + start for (_, faces), start in zip(parts, starts, strict=False)]
-    return np.concatenate([vertices for vertices, _ in parts]), np.concatenate(faces)
-
-
-def _revolve(profile: Sequence[tuple[float, float]], sides: int = _SIDES) -> _Triangles:
-    """Return the surface of revolution of a profile (along y, distance from y)."""
-    angle = 2 * np.pi * np.arange(sides) / sides
-    rings = [np.column_stack([r * np.sin(angle), np.full(sides, y), r * np.cos(angle)]) for y, r in profile]
-    k = np.arange(sides)
-    k_next, faces = (k + 1) % sides, []
-    for ring in range(len(profile) - 1):
-        a, b = ring * sides, (ring + 1) * sides
-        faces += [np.stack([a + k, b + k, a + k_next], -1), np.stack([a + k_next, b + k, b + k_next], -1)]
-    return np.concatenate(rings), np.concatenate(faces)
-
-
-def _box(low: Sequence[float], high: Sequence[float]) -> _Triangles:
+def _box(low: Sequence[float], high: Sequence[float]) -> Mesh:
     """Return a box between two corners."""
     corners = np.array([[(low, high)[i >> k & 1][k] for k in range(3)] for i in range(8)])
     quads = ((0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5))
     return corners, np.array([face for a, b, c, d in quads for face in ((a, b, c), (a, c, d))])
 
 
-def _about_axle(triangles: _Triangles, angle: float) -> _Triangles:
+def _about_axle(triangles: Mesh, angle: float) -> Mesh:
     """Return triangles rotated about the axle."""
     (c, s), (vertices, faces) = (np.cos(angle), np.sin(angle)), triangles
     return vertices @ np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]).T, faces
 
 
-def _tyre(wheel: Wheel) -> tuple[_Triangles, _Triangles]:
+def _tyre(wheel: Wheel) -> tuple[Mesh, Mesh]:
     """Return tyre, and hub with spokes and a bar across the tread, which shows the rotation."""
     R = wheel.radius
     w = TYRE_WIDTH * R / 2
     ring = [(-w, 0.66), (-w, 0.9), (-0.7 * w, 1.0), (0.7 * w, 1.0), (w, 0.9), (w, 0.66), (-w, 0.66)]
-    tyre = _revolve([(y, r * R) for y, r in ring])
-    hub = _revolve([(-0.9 * w, 0.0), (-0.9 * w, 0.24 * R), (0.9 * w, 0.24 * R), (0.9 * w, 0.0)], 16)
+    tyre = revolve([(y, r * R) for y, r in ring])
+    hub = revolve([(-0.9 * w, 0.0), (-0.9 * w, 0.24 * R), (0.9 * w, 0.24 * R), (0.9 * w, 0.0)], 16)
     spoke = _box((-0.07 * R, -0.8 * w, 0.2 * R), (0.07 * R, 0.8 * w, 0.68 * R))
     spokes = [_about_axle(spoke, 2 * np.pi * k / _SPOKES) for k in range(_SPOKES)]
     ring = [(-0.85, 0.6), (-0.85, 0.68), (0.85, 0.68), (0.85, 0.6), (-0.85, 0.6)]
-    rim = _revolve([(y * w, r * R) for y, r in ring])
+    rim = revolve([(y * w, r * R) for y, r in ring])
     bar = _box((-0.09 * R, -0.7 * w, 0.9 * R), (0.09 * R, 0.7 * w, 1.01 * R))
     sides = [_box((-0.09 * R, y - 0.1 * w, 0.7 * R), (0.09 * R, y + 0.1 * w, 0.92 * R)) for y in (-w, w)]
-    return tyre, _join([hub, rim, bar, *sides, *spokes])
+    return tyre, merge_meshes([hub, rim, bar, *sides, *spokes])
 
 
-def _rollers(wheel: Wheel, roller: float) -> tuple[_Triangles, _Triangles]:
+def _rollers(wheel: Wheel, roller: float) -> tuple[Mesh, Mesh]:
     """Return rollers, all but one, and the hub with that one.
 
     The axis of the roller at the ground is at the wheel's roller angle; from above, the mirror image is
@@ -339,22 +319,22 @@ def _rollers(wheel: Wheel, roller: float) -> tuple[_Triangles, _Triangles]:
     wide = half * abs(np.sin(roller)) + thick * (0.4 if rows == 1 else 2.2)
     rim = (reach - 0.5 * thick) if rows == 2 else (reach - 0.9 * thick)
     half_hub = [(-1.0, 0.0), (-1.0, 0.5), (-0.5, 1.0), (0.5, 1.0), (1.0, 0.5), (1.0, 0.0)]
-    hub = _revolve([(y * wide, r * rim) for y, r in half_hub])
-    return _join(rollers[1:]), _join([rollers[0], hub])
+    hub = revolve([(y * wide, r * rim) for y, r in half_hub])
+    return merge_meshes(rollers[1:]), merge_meshes([rollers[0], hub])
 
 
-def _roller(R: float, thick: float, half: float, angle: float) -> _Triangles:
+def _roller(R: float, thick: float, half: float, angle: float) -> Mesh:
     """Return the roller at the ground, with a profile that makes the wheel round."""
     c, s, reach = np.cos(angle), np.sin(angle), R - thick
     ways = np.linspace(-half, half, 9)
     profile = [(a, R - float(np.hypot(a * c, reach))) for a in ways]
-    vertices, faces = _revolve([(ways[0], 0.0), *profile, (ways[-1], 0.0)], 12)
+    vertices, faces = revolve([(ways[0], 0.0), *profile, (ways[-1], 0.0)], 12)
     axis, level = np.array([c, s, 0.0]), np.array([s, -c, 0.0])
     points = vertices[:, 1:2] * axis + vertices[:, :1] * level + vertices[:, 2:] * [0.0, 0.0, 1.0]
     return points - [0.0, 0.0, reach], faces
 
 
-def _fork(wheel: Wheel) -> _Triangles:
+def _fork(wheel: Wheel) -> Mesh:
     """Return the fork of a steered wheel, in the frame on the ground below its pivot."""
     R, (ox, oy) = wheel.radius, wheel.trail
     w = TYRE_WIDTH * R / 2 if wheel.roller is None else 0.4 * R
@@ -364,6 +344,6 @@ def _fork(wheel: Wheel) -> _Triangles:
     ]
     low, high = min(ox, 0.0) - 0.2 * R, max(ox, 0.0) + 0.2 * R
     crown = _box((low, min(oy, 0.0) - w - 0.12 * R, 2.08 * R), (high, max(oy, 0.0) + w + 0.12 * R, 2.22 * R))
-    vertices, faces = _revolve([(2.2 * R, 0.0), (2.2 * R, 0.2 * R), (2.6 * R, 0.2 * R), (2.6 * R, 0.0)], 16)
+    vertices, faces = revolve([(2.2 * R, 0.0), (2.2 * R, 0.2 * R), (2.6 * R, 0.2 * R), (2.6 * R, 0.0)], 16)
     post = vertices[:, [2, 0, 1]], faces
-    return _join([*legs, crown, post])
+    return merge_meshes([*legs, crown, post])
