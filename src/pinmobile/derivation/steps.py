@@ -9,7 +9,7 @@ from functools import cached_property
 from shutil import get_terminal_size
 from string import Template
 from types import MappingProxyType
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import sympy
@@ -647,17 +647,6 @@ LAGRANGE = Wording(
 )
 
 
-class _Treatment(Protocol):
-    """Treatment of each result of a derivation."""
-
-    @property
-    def meanings(self) -> Mapping[Symbol, Expr]:
-        """Symbols of intermediate results with their expressions, in the order of their creation."""
-
-    def apply(self, name: str, result: ImmutableMatrix) -> _Matrices:
-        """Return the form of `result` for later steps, and the form for the reader."""
-
-
 class _Simplifier:
     """Treatment that simplifies each result; the reader sees terms grouped by motion, then by mass."""
 
@@ -734,7 +723,8 @@ class Record:
     def __init__(self, chain: Chain) -> None:
         self.chain, self._tag = chain, ""
         self.steps: list[Step] = []
-        self.treatment: _Treatment = _Simplifier(chain) if len(chain) <= SIMPLIFIED_JOINTS else Namer(chain)
+        simplifies = len(chain) <= SIMPLIFIED_JOINTS
+        self.treatment: _Simplifier | Namer = _Simplifier(chain) if simplifies else Namer(chain)
 
     def branch(self, tag: str) -> Record:
         """Return an empty record with the same names, for results that are not steps of this derivation.

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
 from math import sqrt
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -49,14 +49,6 @@ class OrientationSample(NamedTuple):
     R: Array
     rate: Array
     change: Array
-
-
-class Orientation(Protocol):
-    """An orientation as a function of time."""
-
-    def __call__(self, t: Array, /) -> OrientationSample:
-        """Return the orientation at the times `t`, shape (...) [s]."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -337,7 +329,7 @@ class PosePath:
     final_rotation: ArrayLike | None = None
     turn: ArrayLike | None = None
     times: ArrayLike | None = None
-    _orientation: Orientation | None = field(init=False, repr=False)
+    _orientation: Turn | OrientationSpline | None = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         if holds_symbols(self.path):
@@ -388,7 +380,7 @@ class PosePath:
         t = _check_times(times, len(T))
         return cls(Spline(T[:, :3, 3], t), T[:, :3, :3], times=t)
 
-    def _make_turn(self) -> Orientation:
+    def _make_turn(self) -> Turn:
         absent("with one rotation: it applies to n of them, shape (n, 3, 3)", times=self.times)
         R, turn = np.asarray(self.rotation), np.zeros(3)
         if self.turn is not None:
@@ -401,7 +393,7 @@ class PosePath:
             _check_sense("final_rotation is half a turn from rotation", turn, "give turn= instead")
         return Turn(R, frozen(turn), self.duration)
 
-    def _make_spline(self) -> Orientation:
+    def _make_spline(self) -> OrientationSpline:
         R, end = np.asarray(self.rotation), self.duration
         t = _check_times(self.times, len(R))
         if t[0] != 0 or abs(t[-1] - end) > _END_TOLERANCE * end:
