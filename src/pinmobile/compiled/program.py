@@ -389,7 +389,10 @@ class Program:
         blocks = self.blocks_of(start, n, values, first, keys or {})
         uniforms = self.uniforms_of(h, values, first)
         samples = self.samples_of(t, reference, uniforms, rows)
-        kept = self._make_records(tracks, len(blocks), len(t))
+        loop = self.tape
+        kept = aligned((len(blocks), len(t), loop.outputs_kept + loop.tracks, self.shape.width))
+        if tracks is not None:
+            self.set_tracks(kept, np.concatenate(tracks, axis=-1).swapaxes(1, 2))
         counts = self.launch(blocks, samples, uniforms, kept, n, every, threads=threads)
         return Outcome(self._final_memory(blocks, first, n), counts, self.kept_samples(kept, n))
 
@@ -409,14 +412,6 @@ class Program:
         inputs |= {("sample", i): column for i, column in enumerate(columns_in.T)}
         columns = (np.broadcast_to(x, len(t)) for x in evaluate(self.tape.tape, table_nodes, inputs))
         return np.ascontiguousarray(np.column_stack([columns_in, *columns]))
-
-    def _make_records(self, tracks: tuple[Array, ...] | None, blocks: int, samples: int) -> Array:
-        """Return the array for the values of every sample, with the robots' own references at its end."""
-        loop, first = self.tape, self.tape.outputs_kept
-        kept = aligned((blocks, samples, first + loop.tracks, self.shape.width))
-        if tracks is not None:
-            self.set_tracks(kept, np.concatenate(tracks, axis=-1).swapaxes(1, 2))
-        return kept
 
     def set_rows(self, blocks: Array, first: int, columns: Array) -> None:
         """Set rows of the blocks from (rows, n); the last robot is repeated to fill the last block."""
