@@ -22,7 +22,7 @@ from pinmobile.controllers import Controller
 from pinmobile.errors import import_extra, text_of
 from pinmobile.loop._loop import named_forces
 from pinmobile.loop._scenario import RecordGrid, Scenario, check_scenario
-from pinmobile.loop._spread import SameAs, Source
+from pinmobile.loop._spread import SameAs
 from pinmobile.metrics import Metric, format_si, value_of
 from pinmobile.parts import is_part, parts_of, walk
 from pinmobile.plant import Coordinate, Input, Parameter
@@ -284,14 +284,10 @@ def are_close(array: Array, other: Array) -> bool:
     return array.shape == other.shape and np.allclose(array, other, rtol=_RTOL, atol=_RTOL * size)
 
 
-def _format_source(source: Source) -> str | SameAs:
+def _format_source(source: Any) -> Any:
     """Return the source of a number of the spread as text."""
     if isinstance(source, SameAs):
-        return SameAs(source.name, _format_law(source.factor))
-    return _format_law(source)
-
-
-def _format_law(source: Any) -> str:
+        return SameAs(source.name, _format_source(source.factor))
     if isinstance(source, np.ndarray):
         return f"{source.size} numbers" if source.ndim else repr(float(source))
     law = None if hasattr(source, "sample") else getattr(source, "dist", None)
