@@ -5,7 +5,7 @@ from __future__ import annotations
 import operator
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -926,14 +926,13 @@ def reference_sizes_of(plant: object) -> Mapping[int, int]:
 
 LIMIT_TOLERANCE = 1e-6
 """Tolerance of integration errors, relative to a limit."""
+_BEYOND = " {value} {unit} at t = {at} s, beyond its limit of {limit} {unit} since t = {t} s"
 _LIMIT_WORDS = {
-    kind: begin + " {value} {unit} at t = {at} s, beyond its limit of {limit} {unit} since t = {t} s"
-    for kind, begin in {
-        "position limit": "{name} reaches",
-        "speed limit": "{name} moves at",
-        "effort limit": "input of {name} reaches",
-    }.items()
-} | {"saturation": "input {name} is at its limit of {limit} {unit} (from t = {t} s, {count})"}
+    "position limit": "{name} reaches" + _BEYOND,
+    "speed limit": "{name} moves at" + _BEYOND,
+    "effort limit": "input of {name} reaches" + _BEYOND,
+    "saturation": "input {name} is at its limit of {limit} {unit} (from t = {t} s, {count})",
+}
 
 
 class Event(NamedTuple):
@@ -1286,6 +1285,9 @@ class PlantDescription:
     size: tuple[float, ...] | None = None
     reason: str = field(default="", compare=False)
 
+    broadcasts: ClassVar[bool] = True
+    """Its methods accept leading axes."""
+
     @classmethod
     def of(cls, plant: object, q: Array) -> PlantDescription:
         """Return the description of a plant.
@@ -1324,11 +1326,6 @@ class PlantDescription:
     def nu(self) -> int:
         """Size of the input u."""
         return len(self.inputs)
-
-    @property
-    def broadcasts(self) -> bool:
-        """True: its methods accept leading axes."""
-        return True
 
     @property
     def pose(self) -> Callable[[Array], Array] | None:
