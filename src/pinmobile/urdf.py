@@ -254,17 +254,15 @@ _LIMIT = "1e9"
 
 def _body_lines(link: str, body: Body, size: Array | None) -> list[str]:
     i = body.inertia
-    box = (
-        []
-        if size is None
-        else [
+    box: list[str] = []
+    if size is not None:
+        box = [
             "    <visual>",
             f'      <origin xyz="{_format([0, 0, size[2] / 2])}"/>',
             f'      <geometry><box size="{_format(size)}"/></geometry>',
             '      <material name="body"><color rgba="0.90 0.62 0.00 1"/></material>',
             "    </visual>",
         ]
-    )
     return [
         f'  <link name="{link}">',
         "    <inertial>",

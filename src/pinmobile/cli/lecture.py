@@ -110,10 +110,8 @@ def show_derivation(words: Sequence[str], *, latex: bool, allow_code: bool) -> i
                     "differential drive, wheels with rollers, or a car"
                 )
             result: Any = by_type[kind]()
-        elif robot.mounts:
-            result = _derive_chain(robot)
         else:
-            result = derivation.lecture(robot.dh)
+            result = _derive_chain(robot) if robot.mounts else derivation.lecture(robot.dh)
     # Not by the console, which would break the lines of LaTeX.
     print(result.document() if latex else result)
     return 0
@@ -269,11 +267,9 @@ def _compare_wheels() -> tuple[str, dict[str, pm.Rollout]]:
     for path in _PATHS:
         for label in _LABELS:
             loop, is_pd = _loop(path, label, corrected=True), label == "PD"
-            law: Any = (
-                pm.ControlAllocation(loop["controller"], wheeled)
-                if is_pd
-                else pm.Backstepping(pm.UnicycleTracking(), wheeled, k=4)
-            )
+            law: Any = pm.Backstepping(pm.UnicycleTracking(), wheeled, k=4)
+            if is_pd:
+                law = pm.ControlAllocation(loop["controller"], wheeled)
             wheel_loop = loop | {
                 "plant": wheeled,
                 "controller": law,

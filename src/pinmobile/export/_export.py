@@ -139,11 +139,9 @@ def export_c(
         context, start, first = initial_context(plant, loop.controller, step, trajectory)
         recorder = InputRecorder(as_measured=controller is not None)
         law = Law(evolved(loop, {"recorder": recorder}), context, start, first, paths)
-    title = (
-        type(plant).__name__
-        if controller is None
-        else f"{type(controller).__name__} of a {type(plant).__name__}"
-    )
+    title = type(plant).__name__
+    if controller is not None:
+        title = f"{type(controller).__name__} of a {title}"
     has_table = controller is not None and trajectory is not None
     table = _table(context.reference) if has_table else None
     project = Project(law, name, single=precision == "single", table=table, title=title)
