@@ -28,12 +28,10 @@ from pinmobile.errors import FileError, InvalidArgument, PinmobileError
 _T = TypeVar("_T")
 
 # Errors that another path avoids. All other errors are faults of the system, such as a full disk.
-_PATH_ERRORS = frozenset(
-    {
-        *(errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.EEXIST, errno.ENOTEMPTY, errno.ENAMETOOLONG),
-        *(errno.EACCES, errno.EPERM, errno.EROFS, errno.ELOOP, errno.EINVAL, errno.ENXIO, errno.EILSEQ),
-    }
-)
+_PATH_ERRORS = {
+    *(errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.EEXIST, errno.ENOTEMPTY, errno.ENAMETOOLONG),
+    *(errno.EACCES, errno.EPERM, errno.EROFS, errno.ELOOP, errno.EINVAL, errno.ENXIO, errno.EILSEQ),
+}
 
 
 @contextmanager

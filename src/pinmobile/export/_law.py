@@ -85,10 +85,9 @@ class InputSchedule:
         """Return the schedule of the input."""
         return context.schedule(np.zeros((len(context.t), len(context.inputs))))
 
-    def __call__(self, t: Any, q: Any, v: Any, reference: Any, state: Any) -> tuple[Any, Any]:
+    def __call__(self, t: Any, q: Any, v: Any, reference: Any, state: Any) -> Any:
         """Return the input of this sample."""
-        u, next_state = state.next()
-        return u, next_state
+        return state.next()
 
 
 class Member:
@@ -356,10 +355,8 @@ class Law:
                 past[ring.node].append(x)
             results = {place: float(x) for (place, _), x in zip(self.outputs, outputs, strict=False)}
             memory |= {place: x for place, x in results.items() if place in memory}
-            yield (
-                arguments,
-                {name: self._result(name, results) for name in (("q", "v") if self.is_plant else "u")},
-            )
+            names = ("q", "v") if self.is_plant else ("u",)
+            yield arguments, {name: self._result(name, results) for name in names}
 
     def _result(self, name: str, results: dict[str, float]) -> Array:
         place = f"memory->{name}" if self.is_plant else name

@@ -82,11 +82,8 @@ def _programs(
     full = Copy(loop_tape, {COUNT: lambda tape: tape.const(1, "u")}).loop(loop_tape)
     nodes = [full.states[k][0] for k in columns]
     states = replaced(full, kept={"x": ((len(nodes),), nodes)}, counted=[])
-    programs = []
-    for tape in (
-        states,
-        tangent(states, [("row", full.parameters[path].first + i) for path, i in rows]),
-    ):
+    derivative, programs = tangent(states, [("row", full.parameters[path].first + i) for path, i in rows]), []
+    for tape in (states, derivative):
         kinds = ("row", tape.rows, 0), ("uniform", tape.uniforms - 1, 1)
         leaves = {kind: Leaf("", kind, (size,), begin, kind) for kind, size, begin in kinds}
         changes: dict[str, Any] = {"kept": dict([[*tape.kept.items()][-1]]), "tracks": full.tracks}
@@ -273,9 +270,8 @@ class PlantProblem(PhysicalNumbers):
 def _numbers_of(plant: Any, patterns: Any) -> tuple[NumberRef, ...]:
     """Return the numbers that names or patterns mean; an array means its entries."""
     leaves, numbers = named(plant), dict[str, NumberRef]()
-    for name in sequence(
-        "by", [patterns] if isinstance(patterns, str) else patterns, "names of numbers, such as '*_link.mass'"
-    ):
+    given = [patterns] if isinstance(patterns, str) else patterns
+    for name in sequence("by", given, "names of numbers, such as '*_link.mass'"):
         for item in match_refs(plant, name, leaves, "by"):
             entries = [NumberRef(item.leaf, *each) for each in item.leaf.entries.items()]
             for each in entries if item.entry is None and np.ndim(item.leaf.value) else [item]:

@@ -69,10 +69,7 @@ def entries_of(value: Any) -> list[tuple[str, Any]]:
         return list(value.items())
     names = [getattr(item, "name", None) for item in value]
     has_names = all(isinstance(name, str) for name in names) and len(set(names)) == len(names)
-    return [
-        (str(name) if has_names else str(i), item)
-        for i, (name, item) in enumerate(zip(names, value, strict=True))
-    ]
+    return list(zip(map(str, names if has_names else range(len(names))), value, strict=True))
 
 
 def walk(part: Any) -> tuple[Leaf, ...]:

@@ -720,7 +720,6 @@ class EndEffectorTracking:
 
         displacement, w = self.integrator(acceleration, 0.0, np.zeros(robot.nv), v, self.dt)
         end = robot.integrate(q, displacement)
-        rolls = able(robot, Constrained)
-        if rolls:
+        if rolls := able(robot, Constrained):
             w = rolls.project(end, w)
         return end[: body.nq], w[: body.nv]

@@ -341,11 +341,8 @@ class MultibodySystem:
             q0, q1 = self._q(q0, "q0"), self._q(q1, "q1")
             broadcast(q0=q0, q1=q1)
         displacement = q1 - q0
-        if not (
-            isfinite(np.vdot(displacement, displacement))
-            if displacement.ndim == 1
-            else np.isfinite(displacement).all()
-        ):
+        is_one = displacement.ndim == 1
+        if not (isfinite(np.vdot(displacement, displacement)) if is_one else np.isfinite(displacement).all()):
             q0, q1 = self._q(q0, "q0"), self._q(q1, "q1")
             finite_answer(displacement, q0=q0, q1=q1)
         for k in self._circular:

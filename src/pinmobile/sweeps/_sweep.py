@@ -214,11 +214,8 @@ class Sweep:
         InvalidArgument
             If `share` is not between 0 and 1, or a file of the store cannot be read.
         """
-        errors, diverged, limit = (
-            self.error_quantile(share).values,
-            self.diverged,
-            check_integer("most", most),
-        )
+        errors, diverged = self.error_quantile(share).values, self.diverged
+        limit = check_integer("most", most)
         heads = [f"{x} [{axis.unit}]" if axis.unit else x for x, axis in self.axes.items()]
         rows = [[*heads, f"{share * 100:g} % within", "diverged"]]
         for index in list(np.ndindex(errors.shape))[:limit]:

@@ -252,11 +252,9 @@ class WheelVisuals(_Objects):
         radius = _SUPPORT * max(wheel.radius for wheel in table.wheels)
         top = max(clearance, 2.2 * radius)
         ball, cup = coal.Sphere(radius), coal.Cylinder(1.15 * radius, top - 1.1 * radius)
+        shapes = ("ball", ball, radius, _LIGHT), ("cup", cup, (top + 1.1 * radius) / 2, _GREY)
         for k, support in enumerate(table.supports, 1):
-            for name, shape, z, colour in (
-                ("ball", ball, radius, _LIGHT),
-                ("cup", cup, (top + 1.1 * radius) / 2, _GREY),
-            ):
+            for name, shape, z, colour in shapes:
                 placement = pin.SE3(np.eye(3), np.array([support.x, support.y, z])).homogeneous
                 self._add(f"support_{k}/{name}", shape, colour, Item(BODY_JOINT - 1, -1, False, placement))
 
