@@ -18,7 +18,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import ArrayLike as ArrayLike, NDArray
 
-from pinmobile.errors import InvalidArgument, NotFinite, UnknownName, format_value
+from pinmobile.errors import InvalidArgument, NotFinite, UnknownName, format_value, unexpected_value
 
 Array: TypeAlias = NDArray[np.float64]
 _Function = TypeVar("_Function")
@@ -709,7 +709,7 @@ def check_integer(name: str, value: Any, *, least: int = 1, most: float = 2**53)
         number = least - 1.0  # a value out of bounds, which the next line rejects
     if number != int(number) or not least <= number <= most:
         expected = f"at most {most:,}" if number > most else f"a whole number >= {least}"
-        raise InvalidArgument(f"{name} is {format_value(value)}, expected {expected}")
+        raise unexpected_value(name, value, expected)
     return int(number)
 
 
@@ -835,7 +835,7 @@ def matching(name: str, value: object, pattern: str, expected: str) -> str:
     'left arm'
     """
     if not isinstance(value, str) or not re.fullmatch(pattern, value):
-        raise InvalidArgument(f"{name} is {format_value(value)}, expected {expected}")
+        raise unexpected_value(name, value, expected)
     return value
 
 
@@ -931,7 +931,7 @@ def instance(name: str, value: object, kind: Any, expected: str) -> Any:
     pinmobile.errors.InvalidArgument: name is 5, expected a name
     """
     if not isinstance(value, kind):
-        raise InvalidArgument(f"{name} is {format_value(value)}, expected {expected}")
+        raise unexpected_value(name, value, expected)
     return value
 
 
@@ -964,7 +964,7 @@ def mapping(name: str, value: object, expected: str) -> Mapping[Any, Any]:
     {'nominal': {}}
     """
     if not isinstance(value, Mapping) or not value:
-        raise InvalidArgument(f"{name} is {format_value(value)}, expected {expected}")
+        raise unexpected_value(name, value, expected)
     return value
 
 
@@ -1221,7 +1221,7 @@ def sequence(name: str, value: object, expected: str, least: int = 0) -> tuple[A
     if isinstance(value, np.ndarray) and value.ndim == 1:
         value = value.tolist()
     if isinstance(value, str | bytes) or not isinstance(value, Sequence) or len(value) < least:
-        raise InvalidArgument(f"{name} is {format_value(value)}, expected {expected}")
+        raise unexpected_value(name, value, expected)
     return tuple(value)
 
 
@@ -1260,7 +1260,7 @@ def callable_as(form: str, function: _Function, expected: str = "") -> _Function
     arguments = arguments_text.split(", ") if arguments_text else []
     if isinstance(function, type) or not callable(function):
         words = expected or f"a function of {', '.join(arguments[:-1])} and {arguments[-1]}"
-        raise InvalidArgument(f"{name} is {format_value(function)}, expected {words}")
+        raise unexpected_value(name, function, words)
     code, *rest = _code_of(function)
     call = form, *rest
     if code is not None and call in _accepted.get(code, ()):

@@ -27,7 +27,7 @@ from pinmobile.arrays import (
     sequence,
     vector,
 )
-from pinmobile.errors import InvalidArgument, PinmobileError, argument_errors, format_value
+from pinmobile.errors import InvalidArgument, PinmobileError, argument_errors, unexpected_value
 
 
 class JointType(Enum):
@@ -132,7 +132,7 @@ def _parse_number(name: str, text: str) -> float:
     try:
         return float(_evaluate(ast.parse(text.strip(), mode="eval").body))
     except (SyntaxError, ValueError, TypeError, LookupError, ArithmeticError, RecursionError):
-        raise InvalidArgument(f"{name} is {format_value(text)}, expected a number, such as 'pi/2'") from None
+        raise unexpected_value(name, text, "a number, such as 'pi/2'") from None
 
 
 def _reject_degrees(name: str, value: str, degrees: Any) -> None:
@@ -274,7 +274,7 @@ def _check_row(row: Any) -> DHRow:
             return DHRow(**row)
         row = DHRow(*row) if isinstance(row, Sequence) and not isinstance(row, str) else row
     except TypeError:
-        raise InvalidArgument(f"it is {format_value(row)}, expected {names}") from None
+        raise unexpected_value("it", row, names) from None
     return instance("it", row, DHRow, f"a DHRow, or {names}")  # type: ignore[no-any-return]
 
 

@@ -47,6 +47,32 @@ def format_value(value: object) -> str:
     return f"{type(value).__name__}(...)" if len(text) > 200 and is_part else text
 
 
+def unexpected_value(name: str, value: object, expected: str) -> InvalidArgument:
+    """Return the error of an argument whose value is not the expected one.
+
+    Parameters
+    ----------
+    name : str
+        Name of the argument.
+    value : object
+        Its value.
+    expected : str
+        Expected value, as a noun phrase.
+
+    Returns
+    -------
+    InvalidArgument
+        Error to raise.
+
+    Examples
+    --------
+    >>> from pinmobile.errors import unexpected_value
+    >>> print(unexpected_value("order", 7, "a permutation of x, y and psi"))
+    order is 7, expected a permutation of x, y and psi
+    """
+    return InvalidArgument(f"{name} is {format_value(value)}, expected {expected}")
+
+
 def text_of(value: object) -> str:
     """Return the ``repr`` of a value, cut after 500 letters, or its class if the ``repr`` fails."""
     try:

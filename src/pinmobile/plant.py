@@ -22,7 +22,7 @@ from pinmobile.arrays import (
     shaped,
     text,
 )
-from pinmobile.errors import InvalidArgument, format_value
+from pinmobile.errors import InvalidArgument, format_value, unexpected_value
 from pinmobile.parts import TimeVarying, able
 
 if TYPE_CHECKING:
@@ -1157,7 +1157,7 @@ def check_plant(plant: object) -> None:
         expected = "a plant with 'forward_dynamics' and the sizes nq, nv, nu"
         if isinstance(plant, type) and method:
             expected = f"an object: {plant.__name__}(...)"
-        raise InvalidArgument(f"plant is {format_value(plant)}, expected {expected}")
+        raise unexpected_value("plant", plant, expected)
     for name, size, entries in (
         ("coordinates", "nv", coordinates_of(plant)),
         ("configuration_names", "nq", configuration_names_of(plant)),

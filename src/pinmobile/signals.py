@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, frozen, instance, real, shaped
-from pinmobile.errors import InvalidArgument, UnknownName, format_value
+from pinmobile.errors import InvalidArgument, UnknownName, unexpected_value
 
 _MAX_DEPTH = 100  # nested wrappers
 
@@ -175,9 +175,7 @@ def collect_signals(
         instance(f"result of {part}.signals", signals, Mapping, "a dict of name to (unit, value)")
         for name, pair in signals.items():
             if type(pair) is not tuple or len(pair) != 2 or not isinstance(pair[0], str):
-                raise InvalidArgument(
-                    f"{part}.signals[{name!r}] is {format_value(pair)}, expected (unit, value)"
-                )
+                raise unexpected_value(f"{part}.signals[{name!r}]", pair, "(unit, value)")
             if name in samples:
                 raise InvalidArgument(
                     f"{samples[name].part} and {part} both have the signal {name!r}, expected another name"

@@ -9,7 +9,7 @@ import numpy as np
 from pinmobile.arrays import Array, ArrayLike, endless_or_finite, finite, frozen, real, shaped
 from pinmobile.controllers.controller import AntiWindup, State, combined_error, is_equal_input, passive_torque
 from pinmobile.controllers.lqr import check_gains, diagonal, double_integrators
-from pinmobile.errors import InvalidArgument, format_value
+from pinmobile.errors import InvalidArgument, format_value, unexpected_value
 from pinmobile.parts import (
     Comparing,
     Gravitating,
@@ -153,10 +153,8 @@ class PD:
     ) -> tuple[Array, Difference]:
         """Return the generalised force, shape (..., n), and the unchanged state."""
         if not callable(state):
-            raise InvalidArgument(
-                f"state is {format_value(state)}, expected the result of initial_state(context); for a call "
-                "by hand, use context = Context.of(robot, dt=...)"
-            )
+            by_hand = "for a call by hand, use context = Context.of(robot, dt=...)"
+            raise unexpected_value("state", state, f"the result of initial_state(context); {by_hand}")
         return feedback(self, q, v, reference, state), state
 
 

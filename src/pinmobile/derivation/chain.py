@@ -18,7 +18,7 @@ from sympy.simplify.fu import TR10i
 
 from pinmobile.arrays import Array, check_integer, distinct, sequence
 from pinmobile.dh import DHTable, table_of
-from pinmobile.errors import InvalidArgument, format_value
+from pinmobile.errors import InvalidArgument, unexpected_value
 
 
 def exact_value(name: str, value: object) -> Expr:
@@ -44,9 +44,7 @@ def exact_value(name: str, value: object) -> Expr:
     except Exception:  # conversion of a foreign value may raise any error
         expression = None
     if not isinstance(expression, Expr) or expression.has(sympy.nan, sympy.zoo, sympy.oo, sympy.I):
-        raise InvalidArgument(
-            f"{name} is {format_value(value)}, expected a finite real number or a sympy expression"
-        )
+        raise unexpected_value(name, value, "a finite real number or a sympy expression")
     floats = expression.atoms(sympy.Float)
     return expression.xreplace({number: sympy.Rational(repr(float(number))) for number in floats})
 
@@ -76,7 +74,7 @@ def exact_matrix(name: str, value: Any, shape: tuple[int, int]) -> ImmutableMatr
         rows = ((),)
     if any(len(row) != shape[1] for row in rows):
         expected = f"{shape[0]} entries" if shape[1] == 1 else f"shape {shape}"
-        raise InvalidArgument(f"{name} is {format_value(value)}, expected {expected}")
+        raise unexpected_value(name, value, expected)
     return ImmutableMatrix(*shape, [exact_value(name, entry) for row in rows for entry in row])
 
 
@@ -369,13 +367,9 @@ class Chain:
     def _check(self) -> None:
         variables = self.table.variables
         if len(self.links) != len(self) or not all(isinstance(link, Link | None) for link in self.links):
-            raise InvalidArgument(
-                f"links is {format_value(self.links)}, expected {len(self)} of Link or None"
-            )
+            raise unexpected_value("links", self.links, f"{len(self)} of Link or None")
         if len(self.order) != len(variables) or set(variables) != {*map(str, self.order)}:
-            raise InvalidArgument(
-                f"order is {format_value(self.order)}, expected a permutation of {variables}"
-            )
+            raise unexpected_value("order", self.order, f"a permutation of {variables}")
         symbols = (*self.q, *self.v, *self.a, *self.parameters)
         distinct("links and table have the name", (symbol.name for symbol in symbols))
 

@@ -17,7 +17,7 @@ from pinmobile.arrays import Array
 from pinmobile.derivation.chain import Chain, Link, exact_angle, exact_value, normal_form
 from pinmobile.derivation.steps import SIMPLIFIED_JOINTS, Derivation, Record, Wording
 from pinmobile.dh import LECTURE_TABLE, DHTable, JointType
-from pinmobile.errors import InvalidArgument, format_value
+from pinmobile.errors import InvalidArgument, unexpected_value
 
 ZERO = ImmutableMatrix([0, 0, 0])
 _Z = ImmutableMatrix([0, 0, 1])
@@ -296,9 +296,7 @@ def lecture(table: DHTable = LECTURE_TABLE) -> Derivation:
     Icz + m*(xbc**2 + ybc**2)
     """
     if not isinstance(table, DHTable) or set(table.variables) != {"x", "y", "psi"}:
-        raise InvalidArgument(
-            f"table is {format_value(table)}, expected a DHTable with the variables x, y and psi"
-        )
+        raise unexpected_value("table", table, "a DHTable with the variables x, y and psi")
     return _lecture(table)
 
 

@@ -24,7 +24,7 @@ from pinmobile.arrays import (
 from pinmobile.controllers import Controller
 from pinmobile.derivatives._gradient import Evaluation, Loss, Losses, evaluate_losses
 from pinmobile.derivatives._problem import Problem, check_paths, problem_of
-from pinmobile.errors import InvalidArgument, format_value
+from pinmobile.errors import InvalidArgument, unexpected_value
 from pinmobile.forces import Force
 from pinmobile.integrators import Integrator
 from pinmobile.loop import Sample, Scenario, Source
@@ -248,9 +248,7 @@ class _Variables:
             pair = (low, np.inf if high is None else high) if pair is None else pair
             ends = real(f"by[{path!r}]", pair)
             if ends.shape != (2,) or not ends[0] < ends[1]:
-                raise InvalidArgument(
-                    f"by[{path!r}] is {format_value(pair)}, expected (lower, upper) with lower < upper"
-                )
+                raise unexpected_value(f"by[{path!r}]", pair, "(lower, upper) with lower < upper")
             labels = {entry: label for label, entry in ref.leaf.entries.items() if len(entry) == value.ndim}
             for entry in problem.entries(ref):
                 self.entries.append((ref.leaf.path, entry))

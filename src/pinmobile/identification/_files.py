@@ -24,6 +24,7 @@ from pinmobile.errors import (
     format_names,
     format_value,
     import_extra,
+    unexpected_value,
 )
 from pinmobile.files import file_errors
 
@@ -237,10 +238,9 @@ def read_bag(path: str | PathLike[str], topics: Mapping[str, str]) -> dict[str, 
     file = location("path", path)
     sensors = {"q", "twist", "wheel_rates", "joints"}
     if not isinstance(topics, Mapping) or "u" not in topics or not sensors & set(topics):
-        raise InvalidArgument(
-            f"topics is {format_value(topics)}, expected topics of u and of q, twist, wheel_rates or joints, "
-            "such as {'q': '/odom', 'u': '/wrench'}"
-        )
+        example = "{'q': '/odom', 'u': '/wrench'}"
+        expected = f"topics of u and of q, twist, wheel_rates or joints, such as {example}"
+        raise unexpected_value("topics", topics, expected)
     for role in topics:
         one_of("part of a log", role, _RULES)
     highlevel = import_extra("rosbags.highlevel", "bags", "a bag")

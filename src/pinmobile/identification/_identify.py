@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pinmobile.arrays import Array, absent, bounded, instance, one_of, scalar, sequence
-from pinmobile.errors import InvalidArgument, format_value
+from pinmobile.errors import InvalidArgument, unexpected_value
 from pinmobile.identification._estimates import Identification, format_directions
 from pinmobile.identification._estimator import (
     Fit,
@@ -338,7 +338,7 @@ def _moments(loads: Sequence[PayloadBody | None] | None, count: int) -> list[Arr
         m, x, y, inertia = (load.mass, *load.com[:2], load.moments[2]) if load else (0.0,) * 4
         moments.append(np.array([m, m * x, m * y, inertia + m * (x * x + y * y)]))
     if len(moments) != count or (loads is not None and all(np.array_equal(x, moments[0]) for x in moments)):
-        raise InvalidArgument(f"loads is {format_value(loads)}, expected {expected}")
+        raise unexpected_value("loads", loads, expected)
     return moments
 
 

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from pinmobile import parts
 from pinmobile.arrays import Array, bounded, frozen, positive, scalar
-from pinmobile.errors import InvalidArgument, format_value
+from pinmobile.errors import InvalidArgument, format_value, unexpected_value
 from pinmobile.forces import JointFriction, RollingResistance, ViscousFriction
 from pinmobile.identification._estimates import Identification
 from pinmobile.identification._estimator import solve
@@ -207,11 +207,9 @@ class PlanarModel:
         """
         if not offers(robot, Tabled):
             if robot is not None and (not isinstance(robot, MobileRobot) or robot.mounts):
-                raise InvalidArgument(
-                    f"robot is {format_value(robot)}, expected a MobileRobot without arms "
-                    "(robot.with_locked_arms() has them locked), or a WheeledRobot that rolls; for velocity "
-                    "inputs use identify_velocity"
-                )
+                body = "a MobileRobot without arms (robot.with_locked_arms() has them locked)"
+                wheels = "a WheeledRobot that rolls; for velocity inputs use identify_velocity"
+                raise unexpected_value("robot", robot, f"{body}, or {wheels}")
             slow = positive("rolling_speed", _SPEED if speed is None else speed, "m/s")
             eye = frozen(np.eye(3))
             return cls(eye, eye, None, frozen(np.zeros((3, 3))), slow, has_scale=has_scale)

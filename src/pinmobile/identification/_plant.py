@@ -23,7 +23,7 @@ from pinmobile.compiled import (
     processors,
     tangent,
 )
-from pinmobile.errors import InvalidArgument, format_value
+from pinmobile.errors import InvalidArgument, unexpected_value
 from pinmobile.identification._estimates import Identification, format_directions
 from pinmobile.identification._estimator import (
     NORMAL,
@@ -324,10 +324,8 @@ def _sensors(log: Log, plant: Any) -> list[str]:
 def identify_plant(logs: Sequence[Log], plant: Any, patterns: Any, delay: float | None) -> Identification:
     """Return the estimates of numbers of a plant from logs, see `identify`."""
     if not offers(plant, Plant):
-        raise InvalidArgument(
-            f"robot is {format_value(plant)}, expected a plant with the numbers of by: add it, such as "
-            "robot=MobileRobot(30, 1.3)"
-        )
+        expected = "a plant with the numbers of by: add it, such as robot=MobileRobot(30, 1.3)"
+        raise unexpected_value("robot", plant, expected)
     unknowns, dt = _numbers_of(plant, patterns), max(log.dt for log in logs)
     base = np.array([float(item.value) for item in unknowns])
     sizes = np.maximum(np.abs(base), [max(np.abs(np.asarray(x.leaf.value)).max(), _SIZE) for x in unknowns])

@@ -31,7 +31,7 @@ from pinmobile.arrays import (
     vector,
     wrap_angle,
 )
-from pinmobile.errors import InvalidArgument, format_value
+from pinmobile.errors import InvalidArgument, unexpected_value
 from pinmobile.integrators import rk4
 from pinmobile.parts import array, by_value, evolved, is_symbolic, number, option, part, structure
 from pinmobile.plant import Coordinate, Input
@@ -228,9 +228,7 @@ class VelocityInputs:
             If an array has another shape or is not finite, or `f` is not zero.
         """
         if not is_symbolic(f) and finite("f", f).any():
-            raise InvalidArgument(
-                f"f is {format_value(f)}, expected zero: {self.unforced} responds to a force"
-            )
+            raise unexpected_value("f", f, f"zero: {self.unforced} responds to a force")
         return self._acceleration(q, v, u)
 
     @property

@@ -11,7 +11,7 @@ from zlib import crc32
 import numpy as np
 
 from pinmobile.arrays import Array, ArrayLike, finite, instance, required, scalar, shaped
-from pinmobile.errors import InvalidArgument, format_value
+from pinmobile.errors import InvalidArgument, unexpected_value
 from pinmobile.parts import Number, NumberRef, by_value, match_refs, number, part
 from pinmobile.plant import stated
 
@@ -439,7 +439,7 @@ def _check_source(label: str, source: Any, n: int) -> Any:
 def _check_draws_of(label: str, source: Any, n: int) -> Any:
     if isinstance(source, type | str):
         expected = "numbers or a distribution, such as Uniform(1, 2)"
-        raise InvalidArgument(f"{label} is {format_value(source)}, expected {expected}")
+        raise unexpected_value(label, source, expected)
     numbers = stated(source, "__array__") is not None  # a column of pandas has `sample` too
     if not numbers and any(stated(source, name) is not None for name in ("sample", "rvs")):
         return source

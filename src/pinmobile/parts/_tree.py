@@ -12,7 +12,7 @@ from typing import Any
 import attrs
 import numpy as np
 
-from pinmobile.errors import InvalidArgument, PinmobileError, format_value
+from pinmobile.errors import InvalidArgument, PinmobileError, format_value, unexpected_value
 from pinmobile.parts._fields import Child, Field, Number, Values, Whole, evolved, fields_of, is_part
 from pinmobile.parts._registry import (
     Parameter,
@@ -423,7 +423,7 @@ def _check_plain(path: str, value: Any) -> None:
         if isinstance(item, list | tuple):
             _check_plain(path, item)
         elif isinstance(item, str | bool | Mapping):
-            raise InvalidArgument(f"{path} is {format_value(value)}, expected numbers")
+            raise unexpected_value(path, value, "numbers")
 
 
 def _tuples(value: Any) -> Any:

@@ -27,7 +27,7 @@ from pinmobile.arrays import (
     shaped,
     text,
 )
-from pinmobile.errors import InvalidArgument, format_value
+from pinmobile.errors import unexpected_value
 from pinmobile.palette import INK
 from pinmobile.plots.style import Layout, Sheet, Style, colour, dress, font_size, ink, line_style
 
@@ -167,7 +167,7 @@ def heatmap(
 def _check_axis(name: str, axis: Any, *, words: bool = False) -> tuple[str, Any]:
     """Return label and values of (name, unit, values); with `words`, the values as text."""
     if len(sequence(name, axis, "(name, unit, values)")) != 3:
-        raise InvalidArgument(f"{name} is {format_value(axis)}, expected (name, unit, values)")
+        raise unexpected_value(name, axis, "(name, unit, values)")
     title, unit = text(f"{name}[0]", axis[0]), text(f"{name}[1]", axis[1])
     label = title if unit in ("", "1") else f"{title} [{unit}]"
     if words:

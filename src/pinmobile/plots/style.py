@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 import pinmobile.palette as palette
 from pinmobile.arrays import Array, absent, bounded, label_items, scalar, text
-from pinmobile.errors import InvalidArgument, argument_errors, format_value
+from pinmobile.errors import InvalidArgument, argument_errors, format_value, unexpected_value
 from pinmobile.loop import Rollout, at_samples
 from pinmobile.palette import INK
 from pinmobile.parts import able
@@ -436,9 +436,7 @@ def _new_figure(width: float, register: bool) -> Figure:
 def _check_axes(ax: object) -> list[Axes]:
     given = list(np.ravel(np.asarray(ax, object)))
     if not given or not all(isinstance(each, Axes) for each in given):
-        raise InvalidArgument(
-            f"ax is {format_value(ax)}, expected matplotlib's Axes, a sequence of them, or a Figure"
-        )
+        raise unexpected_value("ax", ax, "matplotlib's Axes, a sequence of them, or a Figure")
     return given
 
 
@@ -664,7 +662,7 @@ def check_plants(rollouts: object, kind: type, expected: str) -> dict[str, Rollo
     runs = {label: at_samples(run) for label, run in label_rollouts(rollouts).items()}
     for label, run in runs.items():
         if able(run.plant, kind) is None:
-            raise InvalidArgument(f"{name_of(label)}.plant is {format_value(run.plant)}, expected {expected}")
+            raise unexpected_value(f"{name_of(label)}.plant", run.plant, expected)
     return runs
 
 

@@ -20,7 +20,7 @@ from pinmobile.arrays import (
 )
 from pinmobile.compiled import Program, aligned, map_leaves, pause_gc
 from pinmobile.controllers import Controller, check_controller
-from pinmobile.errors import InvalidArgument, NotFinite, NotTraceable, format_value
+from pinmobile.errors import InvalidArgument, NotFinite, NotTraceable, unexpected_value
 from pinmobile.export import InputRecorder, Law, initial_context, noise_error
 from pinmobile.loop import (
     Loop,
@@ -349,7 +349,7 @@ class Stepper:
     @memory.setter
     def memory(self, value: Any) -> None:
         if not isinstance(value, tuple) or len(value) != 2:
-            raise InvalidArgument(f"memory is {format_value(value)}, expected the memory of a stepper")
+            raise unexpected_value("memory", value, "the memory of a stepper")
         self._law.memory = value[1]
         self.k = check_integer("memory", value[0], least=0)
         self.clear()

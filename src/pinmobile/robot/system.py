@@ -24,7 +24,7 @@ from pinmobile.arrays import (
     vector,
     wrap_angle,
 )
-from pinmobile.errors import InvalidArgument, NotTraceable, format_value
+from pinmobile.errors import InvalidArgument, NotTraceable, unexpected_value
 from pinmobile.parts import Desired, holds_symbols, is_tracing, numeric_context, require, structure
 from pinmobile.plant import Coordinate, Input
 from pinmobile.robot import recursions
@@ -559,7 +559,7 @@ class MultibodySystem:
         name, number = self._frame(frame)
         arms = [mount for mount in self.mounts if name.startswith(f"{mount.name}/")]
         if not arms:
-            raise InvalidArgument(f"frame is {format_value(name)}, expected a frame of an arm")
+            raise unexpected_value("frame", name, "a frame of an arm")
         return self._volume(number, arms[0].v, q)
 
     def _volume(self, number: int, part: slice, q: ArrayLike) -> Array:

@@ -19,7 +19,7 @@ import numpy as np
 
 from pinmobile.arrays import bounded, distinct, instance, one_of, text
 from pinmobile.compiled import Contents, code_of_library
-from pinmobile.errors import InvalidArgument, UnknownName, argument_errors, format_value
+from pinmobile.errors import InvalidArgument, UnknownName, argument_errors, unexpected_value
 from pinmobile.loop import (
     ROBOT_ARRAYS,
     SUMS,
@@ -100,7 +100,7 @@ def index_of(axes: Mapping[str, Axis], labels: Mapping[str, Any]) -> tuple[int, 
         label = labels.get(name, axis.values[0] if len(axis.values) == 1 else None)
         if not isinstance(label, str | Real) or label not in axis.values:
             values = ", ".join(map(repr, axis.values))
-            raise InvalidArgument(f"{name} is {format_value(label)}, expected one of {values}")
+            raise unexpected_value(name, label, f"one of {values}")
         index.append(axis.values.index(label))
     return tuple(index)
 
@@ -226,10 +226,7 @@ def _labels(name: str, values: Any) -> Axis:
     names = tuple(items) if isinstance(items, Sequence | Mapping) and not isinstance(items, str) else ()
     numbers = all(isinstance(x, Real) and not isinstance(x, bool) and isfinite(x) for x in names)
     if not names or not (numbers or all(isinstance(x, str) for x in names)) or len(set(names)) < len(names):
-        raise InvalidArgument(
-            f"{name} is {format_value(values)}, expected different finite numbers or texts, or a mapping of "
-            "them"
-        )
+        raise unexpected_value(name, values, "different finite numbers or texts, or a mapping of them")
     return Axis(tuple(x.item() if isinstance(x, np.generic) else x for x in names))
 
 

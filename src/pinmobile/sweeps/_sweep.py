@@ -17,7 +17,14 @@ from numpy.typing import NDArray
 import pinmobile.loop as loop
 from pinmobile.arrays import Array, callable_as, check_integer, location, matching, one_of, required
 from pinmobile.compiled import processors
-from pinmobile.errors import InvalidArgument, SchedulerError, SlowerEngine, format_value, import_extra
+from pinmobile.errors import (
+    InvalidArgument,
+    SchedulerError,
+    SlowerEngine,
+    format_value,
+    import_extra,
+    unexpected_value,
+)
 from pinmobile.files import check_match
 from pinmobile.loop import Ensemble, Part, Scenario
 from pinmobile.metrics import format_si
@@ -534,10 +541,7 @@ def _warn_slow(points: Points, jobs: Sequence[Job]) -> None:
 def _check_client(client: Any) -> None:
     kind = import_extra("distributed", "sweeps", "a sweep").Client
     if not isinstance(client, kind) or client.status != "running" or client.asynchronous:
-        raise InvalidArgument(
-            f"client is {format_value(client)}, expected a distributed.Client that is connected to its "
-            "scheduler"
-        )
+        raise unexpected_value("client", client, "a distributed.Client that is connected to its scheduler")
 
 
 def connect(address: str, timeout: float = _ANSWER_TIME) -> Any:

@@ -22,7 +22,7 @@ from pinmobile.arrays import (
     required,
     shaped,
 )
-from pinmobile.errors import InvalidArgument, LimitWarning, format_value
+from pinmobile.errors import InvalidArgument, LimitWarning, unexpected_value
 from pinmobile.parts import Following, child, children, number, option, part
 from pinmobile.paths import Hold, Path, Value, check_path, pieces_of, within
 from pinmobile.plant import refuse_path, stated
@@ -328,7 +328,7 @@ def _clamp_motion(motion: Callable[[Array], Reference], end: float, t: Array) ->
 def _check_robot(robot: Any) -> None:
     """Check that a robot is a `MobileRobot`."""
     if not isinstance(getattr(robot, "mounts", None), tuple):
-        raise InvalidArgument(f"robot is {format_value(robot)}, expected a MobileRobot")
+        raise unexpected_value("robot", robot, "a MobileRobot")
 
 
 def _check_base(base: Trajectory) -> None:
@@ -337,9 +337,7 @@ def _check_base(base: Trajectory) -> None:
     is_valid = isinstance(base, Trajectory) and not isinstance(base, type)
     start = base(0.0) if is_valid else None
     if start is None or not hasattr(start, "q"):  # a path has a duration and can be called, too
-        raise InvalidArgument(
-            f"base is {format_value(base)}, expected a trajectory of x, y and psi, such as Tangent(path)"
-        )
+        raise unexpected_value("base", base, "a trajectory of x, y and psi, such as Tangent(path)")
     positive("base.duration", base.duration, "s")
     shaped("base(0).q", start.q, (3,), words=": x, y and psi")
 

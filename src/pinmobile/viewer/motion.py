@@ -12,7 +12,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pinmobile.arrays import Array, bounded, finite, instance, shaped
-from pinmobile.errors import InvalidArgument, format_value
+from pinmobile.errors import InvalidArgument, format_value, unexpected_value
 from pinmobile.loop import Rollout
 from pinmobile.plant import all_samples, stated
 from pinmobile.reaching import align_signs
@@ -253,10 +253,8 @@ def figure(plant: Any) -> Drawn:
         robot: MobileRobot = plant
         return robot
     if isinstance(plant, type) or not callable(stated(plant, "pose")):
-        raise InvalidArgument(
-            f"plant is {format_value(plant)}, expected a MobileRobot, or a plant with pose(q), which returns "
-            "x, y and psi"
-        )
+        expected = "a MobileRobot, or a plant with pose(q), which returns x, y and psi"
+        raise unexpected_value("plant", plant, expected)
     if stated(plant, "drawing") is not None:
         return Drawing(plant)
     size = stated(plant, "size")

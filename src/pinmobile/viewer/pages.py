@@ -16,7 +16,7 @@ from string import Template
 from threading import Lock
 from typing import Any, NamedTuple, Protocol, Self
 
-from pinmobile.errors import InvalidArgument, ViewerError, format_value
+from pinmobile.errors import ViewerError, unexpected_value
 
 with warnings.catch_warnings():
     # The client of meshcat imports deprecated parts of zmq.
@@ -137,9 +137,8 @@ def pack_command(command: Command) -> tuple[Key, bytes]:
         _ = content[_KINDS[kind]]
         key = Key(kind, "/".join(filter(None, path.split("/"))), content.get("property", ""))
     except (AttributeError, KeyError, TypeError, ValueError) as error:
-        raise InvalidArgument(
-            f"command is {format_value(command)}, expected a meshcat command ({', '.join(_KINDS)}): {error!r}"
-        ) from error
+        expected = f"a meshcat command ({', '.join(_KINDS)}): {error!r}"
+        raise unexpected_value("command", command, expected) from error
     return key, pack_content(content)
 
 

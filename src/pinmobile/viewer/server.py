@@ -27,7 +27,7 @@ from tornado.web import Application, HTTPError, RequestHandler
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
 from pinmobile.arrays import check_integer, non_negative, text
-from pinmobile.errors import InvalidArgument, ViewerError, format_value
+from pinmobile.errors import InvalidArgument, ViewerError, unexpected_value
 from pinmobile.viewer.pages import ENGINE, Backlog, Command, SceneWindow, pack_content, page_part, stage_page
 
 _LOOPBACK = ("127.0.0.1", "::1", "localhost")
@@ -119,9 +119,7 @@ def access_for(host: str, token: str | None) -> Access:
     is_bracketed = host.startswith("[") and host.endswith("]")
     host = host[1:-1] if is_bracketed else host
     if not host or set("[]/@?# ") & set(host) or (is_bracketed and ":" not in host):
-        raise InvalidArgument(
-            f"host is {format_value(given)}, expected a name or an address such as '127.0.0.1', '::1'"
-        )
+        raise unexpected_value("host", given, "a name or an address such as '127.0.0.1', '::1'")
     if host.lower() in _LOOPBACK:
         return Access(host.lower(), token)
     warnings.warn(

@@ -29,7 +29,7 @@ from pinmobile.arrays import (
     text,
     word,
 )
-from pinmobile.errors import InvalidArgument, argument_errors, format_value
+from pinmobile.errors import InvalidArgument, argument_errors, unexpected_value
 from pinmobile.parts import (
     by_value,
     child,
@@ -301,9 +301,7 @@ class GearTrain:
     def check(self) -> None:
         """Raise `InvalidArgument` if there is not one ratio per wheel."""
         if len(self.ratios) != len(self.wheels) or not all(self.ratios):
-            raise InvalidArgument(
-                f"ratios is {format_value(self.ratios)}, expected {len(self.wheels)} numbers other than zero"
-            )
+            raise unexpected_value("ratios", self.ratios, f"{len(self.wheels)} numbers other than zero")
 
 
 @final
