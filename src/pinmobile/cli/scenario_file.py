@@ -14,7 +14,7 @@ from typing import Any, Protocol
 import attrs
 
 from pinmobile import Circle, ComputedTorque, MobileRobot, Scenario, Tangent, simulate
-from pinmobile.arrays import instance
+from pinmobile.arrays import instance, sequence
 from pinmobile.controllers import Controller
 from pinmobile.errors import InvalidArgument, UnknownName
 from pinmobile.forces import Force
@@ -66,14 +66,11 @@ def _grid(name: str, value: Any) -> dict[str, Any]:
     values_of: dict[str, Any] = {}
     for path, values in _paths(name, value).items():
         parent, _, label = path.rpartition(".")
-        if isinstance(values, list | tuple):
-            values_of[path] = list(values)
-        elif parent:
+        if parent and not isinstance(values, list | tuple):
             values_of.setdefault(parent, {})[label] = values
         else:
-            raise InvalidArgument(
-                f"{name}.{path} is {values!r}, expected a list of values, or a table by label"
-            )
+            expected = "a list of values, or a table by label"
+            values_of[path] = list(sequence(f"{name}.{path}", values, expected))
     return values_of
 
 
