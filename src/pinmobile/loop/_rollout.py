@@ -236,10 +236,10 @@ class EndEffector:
 
     def __str__(self) -> str:
         if self.target is None:
-            return f"{self.frame} over {self.t[-1]:g} s, without target"
+            return f"{self.frame} over {self.t[-1] - self.t[0]:g} s, without target"
         metres, radians = self.max_error()
         turn = f", {radians:.3e} rad" if self.is_oriented else ""
-        return f"{self.frame} over {self.t[-1]:g} s, largest error {metres:.3e} m{turn}"
+        return f"{self.frame} over {self.t[-1] - self.t[0]:g} s, largest error {metres:.3e} m{turn}"
 
     @property
     def position(self) -> Array:
@@ -443,15 +443,15 @@ class Rollout:
         return Rollout, tuple((values | {"signals": dict(self.signals)}).values())
 
     def __repr__(self) -> str:
-        errors = self._format_errors("largest", self.max_error())
-        return f"<Rollout: {len(self)} samples over {self.t[-1]:g} s, {errors}{self._format_joint()}>"
+        errors, duration = self._format_errors("largest", self.max_error()), self.t[-1] - self.t[0]
+        return f"<Rollout: {len(self)} samples over {duration:g} s, {errors}{self._format_joint()}>"
 
     def __str__(self) -> str:
-        step = f" at dt = {self.t[1]:g} s" if len(self) > 1 else ""
+        step = f" at dt = {self.t[1] - self.t[0]:g} s" if len(self) > 1 else ""
         pairs = zip(self.inputs, self.max_input(), strict=True)
         inputs = [f"{entry.name} {format_si(value)} {entry.unit}".rstrip() for entry, value in pairs]
         lines = [
-            f"{len(self)} samples over {self.t[-1]:g} s{step}",
+            f"{len(self)} samples over {self.t[-1] - self.t[0]:g} s{step}",
             self._format_errors("largest", self.max_error()),
             self._format_errors("rms", self.rms_error()),
             "largest input: " + ", ".join(inputs[: self._line_size] if self._by_coordinate else inputs),

@@ -119,7 +119,7 @@ class RealtimeReport:
     def __str__(self) -> str:
         lines = [
             f"{self.deadlines} periods at {self.rate:g} Hz, {self.overruns} deadlines missed "
-            f"({100 * self.missed_share:.2g} %), end: {self.reason}"
+            f"({100 * self.missed_share:.3g} %), end: {self.reason}"
             + f", {self.details}"
             * bool(self.details)
         ]
@@ -196,7 +196,7 @@ class _Periods:
         end = time.monotonic()
         self.times[self.samples % len(self.times)] = start - due, end - due, age
         self.samples += 1
-        running = int((end - begin) / self.period)
+        running = int(min((end - begin) / self.period, self.end))
         self.overruns += max(0, running - self.k)
         self.k = max(self.k + 1, running)
 
