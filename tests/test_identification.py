@@ -241,6 +241,13 @@ def straight() -> pm.Log:
     return pm.Log.from_rollout(run, 1e-3, (1.0, 1.0, 0.15))
 
 
+def test_rounding_of_a_log_without_noise_is_no_wrong_structure() -> None:
+    found = pm.identify(pm.Log.from_rollout(driven()), BODY)
+    assert found.is_noise
+    assert found.residual.max() < 0.02 * found.noise.min()
+    assert "structure" not in str(found)
+
+
 def test_the_weak_form_of_a_log_without_noise_is_exact_wherever_the_robot_is() -> None:
     run, far = driven(), 1000.0
     weak = pm.identify(pm.Log(run.t, run.q + np.array([far, -far, 0.0]), run.u), method="weak", delay=0.0)

@@ -408,6 +408,9 @@ def r_squared(measured: Array, left: Array) -> Array:
     return np.asarray(1 - (left**2).sum(axis=0) / np.maximum(power, 1e-300))
 
 
+LEAST_RESIDUAL = 0.1  # rms of a residual, relative to the noise, below which it shows nothing
+
+
 class Whiteness(NamedTuple):
     """Autocorrelation of residuals.
 
@@ -428,13 +431,18 @@ class Whiteness(NamedTuple):
         return bool((np.abs(self.correlation) <= 1.5 * self.bound).all())
 
     @classmethod
-    def of(cls, residuals: Array, good: NDArray[np.bool_]) -> Whiteness:
-        """Return the whiteness of residuals (S, L, m), for samples that are good (S, L)."""
+    def of(cls, residuals: Array, good: NDArray[np.bool_], least: float = 0.0) -> Whiteness:
+        """Return the whiteness of residuals (S, L, m), for samples that are good (S, L).
+
+        Residuals with an rms below `least` are rounding, and have no correlation.
+        """
         rows, segment = residuals[good], np.nonzero(good)[0]
         pairs = np.flatnonzero(np.diff(segment) == 0)
         product = (rows[pairs + 1] * rows[pairs]).sum(axis=0) / max(len(pairs), 1)
         power = (rows**2).mean(axis=0)
-        return cls(product / np.maximum(power, np.finfo(float).tiny), 1.96 / np.sqrt(float(len(rows))))
+        return cls(
+            product / np.maximum(power, max(least**2, np.finfo(float).tiny)), 1.96 / np.sqrt(float(len(rows)))
+        )
 
 
 _MEMORY = 0.15  # [s], correlation time of a force that is not white noise: Matern covariance of order 3/2

@@ -13,6 +13,7 @@ from pinmobile.arrays import Array, absent, bounded, instance, one_of, scalar, s
 from pinmobile.errors import InvalidArgument, unexpected_value
 from pinmobile.identification._estimates import Identification, format_directions
 from pinmobile.identification._estimator import (
+    LEAST_RESIDUAL,
     Fit,
     Linear,
     ResidualNoise,
@@ -318,7 +319,7 @@ def _estimate_body(
         noise=[*full, *runs][0].reported_noise,
         residual=np.sqrt((residual[..., model.columns] ** 2).sum(axis=(0, 1)) / segments.good.sum()),
         chi2=float((segments.weigh(residual) ** 2).sum()) / count,
-        whiteness=_whiteness_of(estimate.first_fit, segments),
+        whiteness=_whiteness_of(estimate.first_fit, segments, LEAST_RESIDUAL),
         is_noise=estimate.is_noise,
         explained=fit.explained,
         remarks=tuple(remarks),
@@ -465,7 +466,7 @@ def _output_error(problem: PlanarProblem, segments: Segments, moves: bool) -> _E
         if bias < _MAX_BIAS:
             fit = solve(problem, segments, fit.p, white=noise.white, starts=fit.starts, pull=gradient)
             first = solve(problem, segments, fit.p, moves=False)
-    left = _whiteness_of(first, segments)
+    left = _whiteness_of(first, segments, LEAST_RESIDUAL)
     is_noise = left.is_white
     if not is_noise and np.abs(left.correlation).max() <= _DOMINANT:
         white = _noise(problem, segments, first).white
@@ -481,9 +482,9 @@ def _noise(problem: PlanarProblem, segments: Segments, fit: Fit) -> ResidualNois
     return ResidualNoise.of(left, segments.good, float(segments.dt[0]), answers)
 
 
-def _whiteness_of(fit: Fit, segments: Segments) -> Whiteness:
+def _whiteness_of(fit: Fit, segments: Segments, least: float = 0.0) -> Whiteness:
     """Return the autocorrelation of the residuals of a fit."""
-    return Whiteness.of(segments.weigh(fit.linear.residual), segments.good)
+    return Whiteness.of(segments.weigh(fit.linear.residual), segments.good, least)
 
 
 def _check_drift(linear: Linear) -> None:

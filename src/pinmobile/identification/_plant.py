@@ -26,6 +26,7 @@ from pinmobile.compiled import (
 from pinmobile.errors import InvalidArgument, unexpected_value
 from pinmobile.identification._estimates import Identification, format_directions
 from pinmobile.identification._estimator import (
+    LEAST_RESIDUAL,
     NORMAL,
     Fit,
     Linear,
@@ -359,7 +360,7 @@ def identify_plant(logs: Sequence[Log], plant: Any, patterns: Any, delay: float 
             "expected most of it: name more wrong numbers in by, or correct sign, unit or order of inputs"
         )
     covariance, blocks = jackknife(fit.linear)
-    whiteness = Whiteness.of(segments.weigh(left), fit.good)
+    whiteness = Whiteness.of(segments.weigh(left), fit.good, LEAST_RESIDUAL)
     states = int(fit.linear.start_change.any(axis=(0, 2)).sum()) * len(left)
     count = max(1, int(fit.good.sum()) * left.shape[-1] - rank_space.shape[1] - states)
     train = np.arange(len(left)) < TRAINING * len(left)
