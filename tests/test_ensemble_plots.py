@@ -253,6 +253,15 @@ def test_words_say_where_the_worst_are(pair: Pair) -> None:
     assert first.place == f"above {first.low:.3g} kg"
 
 
+def test_all_that_diverged_are_the_worst_if_they_are_more_than_the_share(diverging: pm.Ensemble) -> None:
+    count = int(diverging.diverged.sum())
+    assert np.array_equal(worst_share(diverging, 0.05), diverging.diverged)
+    figure = plots.drivers(diverging)
+    assert figure.get_suptitle() == "mass drives those that diverged most"
+    assert {f"those that diverged: {count} robots", "where those are"} <= set(texts(figure))
+    assert plots.drivers(diverging, share=0.5).get_suptitle().startswith("mass drives the worst 50 %")
+
+
 def test_diverged_robots_are_crosses_at_their_own_word_above_all(diverging: pm.Ensemble) -> None:
     figure = plots.drivers(diverging)
     assert figure.axes[0].get_title(loc="left").startswith("below ")

@@ -98,6 +98,8 @@ class Cause(NamedTuple):
 def worst_share(ensemble: Any, share: float, by: str = "distance") -> NDArray[np.bool_]:
     """Return a mask of the worst robots, shape (n,): the first of `Ensemble.worst`, or all with an event.
 
+    If more robots diverged than this share, they are the worst robots.
+
     Raises
     ------
     InvalidArgument, UnknownName
@@ -111,6 +113,8 @@ def worst_share(ensemble: Any, share: float, by: str = "distance") -> NDArray[np
     happens = np.asarray(ensemble.largest(by) > 0)
     if is_event(ensemble, by) and 0 < happens.sum() < n:
         return happens
+    if count < ensemble.diverged.sum() < n:
+        return np.asarray(ensemble.diverged)
     worst = np.zeros(n, bool)
     worst[ensemble.worst(count, by)] = True
     return worst

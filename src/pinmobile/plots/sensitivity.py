@@ -307,7 +307,8 @@ def drivers(
     ensemble : Ensemble
         Ensemble of robots.
     share : float
-        Share of the worst robots, above 0 and below 1. Of an event, all robots that have it count.
+        Share of the worst robots, above 0 and below 1. Of an event, all robots that have it count; and all
+        that diverged, if they are more than this share.
     by : str
         Error that ranks the robots, see `Ensemble.largest`: "distance" from the desired position, "heading",
         the name of a coordinate, or a metric. For a margin, such as "tip-over margin", the smallest is the
@@ -353,14 +354,14 @@ def drivers(
     sheet = Sheet(7.6 if len(drawn_causes) <= 3 else 9.0, **layout)
     columns = sheet.columns(2 if len(drawn_causes) <= 3 else 3, 2.9)
     *panels, scatter = _make_axes(sheet, len(drawn_causes), columns)
-    word = "those" if is_event(ensemble, by) else "the worst"
+    group, criterion = f"the worst {format_percent(share)}", f" by {by}"
+    criterion = {"distance": "", "heading": " of headings"}.get(by, criterion)
+    if is_event(ensemble, by) or worst.sum() > round(share * len(ensemble)):
+        group, criterion = f"those that {by if is_event(ensemble, by) else 'diverged'}", ""
+    word = "the worst" if group.startswith("the worst") else "those"
     for axes, one in zip(panels, drawn_causes, strict=True):
         _draw_distribution(sheet, axes, one, worst, word)
     _draw_scatter(sheet, scatter, ensemble, ranking[0], worst, by)
-    group, criterion = f"those that {by}", ""
-    if not is_event(ensemble, by):
-        group = f"the worst {format_percent(share)}"
-        criterion = {"distance": "", "heading": " of headings"}.get(by, f" by {by}")
     keys: list[Artist] = [
         Line2D([], [], label=f"{group}: {worst.sum():,} robots", **_outline()),
         Patch(label="the others", **_OTHERS_STYLE),
