@@ -106,6 +106,10 @@ FAULTS: dict[str, list[tuple[Any, ...]]] = {
         (lambda: pm.Tangent(cast(Any, pm.Circle)), "expected an object: Circle(...)"),
     ],
     "another signature": [
+        (
+            of_loop(controller=pm.UnicycleTracking()),
+            "a kinematic law goes into Backstepping, VelocityCommand or",
+        ),
         (lambda: pm.law(cast(Any, lambda t, q: np.zeros(3))), "which cannot be called as function("),
         (of_loop(integrator=lambda q, v: (q, v)), "which cannot be called as integrator("),
         (lambda: pm.PD(1, 1, difference=lambda q: q), "which cannot be called as difference(q0, q1)"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -154,7 +155,12 @@ def check_controller(controller: object) -> None:
     controller is
     """
     typed = require("controller", controller, Controller)
-    callable_as("controller(t, q, v, reference, state)", controller)
+    hint = ""
+    with suppress(InvalidArgument):
+        callable_as("law(tracked, state)", controller)
+        hint = ": a kinematic law goes into Backstepping, VelocityCommand or WheelSpeed"
+    with argument_errors(after=hint):
+        callable_as("controller(t, q, v, reference, state)", controller)
     with argument_errors(after=": write def initial_state(self, context)"):
         callable_as("controller.initial_state(context)", typed.initial_state)
     if listener := able(controller, Informed):
