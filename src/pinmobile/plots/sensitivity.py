@@ -476,6 +476,7 @@ def _thin_indices(mask: NDArray[np.bool_]) -> NDArray[np.intp]:
 _MARKS = "x+1234"
 _DAMPING_RATIOS = 0.2, 0.4, 0.6, 0.8  # damping ratios with a curve
 _LABEL = 70  # point of a curve at which its ratio is written
+_MAX_NAMES = 3  # largest number of names in a title
 _DEVIATIONS = 2.0  # standard deviations
 
 
@@ -588,7 +589,8 @@ def sensitivities(
     instance("found", found, Sensitivities, "derivatives.Sensitivities")
     run = found.rollout
     band = _DEVIATIONS * found.deviation(deviations)[:, : run.error.shape[1]]
-    words = "Error, and a band of two standard deviations of " + ", ".join(deviations)
+    names = ", ".join(deviations) if len(deviations) <= _MAX_NAMES else f"{len(deviations)} numbers"
+    words = f"Error, and a band of two standard deviations of {names}"
     figure = errors(run, **({"title": words} | layout))
     given = layout.get("ax")
     panels = figure.axes if given is None or isinstance(given, Figure | SubFigure) else np.ravel(given)  # type: ignore[arg-type]
