@@ -341,7 +341,7 @@ class Problem:
 
             def inputs_at(step: Any, key: str = key, value: Array = value, rows: slice = rows) -> Inputs:
                 new_value = value + step
-                with argument_errors(f"the derivative by {key} needs close numbers: "):
+                with argument_errors(f"{key} has no derivative here, because a nearby value fails: "):
                     result = self.inputs({**changes, key: new_value if new_value.ndim else float(new_value)})
                 result.rows[rows] = inputs.rows[rows]  # its own effect is known
                 return result
