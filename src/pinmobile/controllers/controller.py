@@ -155,12 +155,14 @@ def check_controller(controller: object) -> None:
     controller is
     """
     typed = require("controller", controller, Controller)
-    hint = ""
-    with suppress(InvalidArgument):
-        callable_as("law(tracked, state)", controller)
-        hint = ": a kinematic law goes into Backstepping, VelocityCommand or WheelSpeed"
-    with argument_errors(after=hint):
+    try:
         callable_as("controller(t, q, v, reference, state)", controller)
+    except InvalidArgument as error:
+        hint = ""
+        with suppress(InvalidArgument):
+            callable_as("law(tracked, state)", controller)
+            hint = ": a kinematic law goes into Backstepping, VelocityCommand or WheelSpeed"
+        raise InvalidArgument(f"{error}{hint}") from None
     with argument_errors(after=": write def initial_state(self, context)"):
         callable_as("controller.initial_state(context)", typed.initial_state)
     if listener := able(controller, Informed):
