@@ -169,6 +169,11 @@ def test_a_motion_that_tells_too_little_is_told_in_words() -> None:
             ask()
 
 
+def alternate(log: pm.Log) -> Any:
+    """Return poses of every second row."""
+    return np.where(np.arange(len(log.t))[:, None] % 2, np.nan, np.asarray(log.q))
+
+
 OTHERS = "log has commands that explain .*% of the speed .* and .*% of the yaw rate .*: are the commands from"
 UNITS = "expected 0.1 to 10: are commands in m/s and rad/s"
 
@@ -179,6 +184,18 @@ UNITS = "expected 0.1 to 10: are commands in m/s and rad/s"
         (lambda log: changed(log, twist=log.twist * [1, 1, -1]), OTHERS, False),
         (lambda log: changed(log, u=np.random.default_rng(1).permutation(log.u)), OTHERS, True),
         (lambda log: changed(log, u=log.u * [1e3, 1]), f"theta_4 = .*command per .*, {UNITS}", False),
+        (
+            lambda log: changed(log, units=("rad/s", "m/s")),
+            "speed in rad/s, expected m/s: are columns mixed",
+            False,
+        ),
+        (
+            lambda log: changed(
+                log, u=np.where(np.arange(len(log.t))[:, None] % 2, log.u, np.nan), q=alternate(log)
+            ),
+            "t has 0 rows with inputs and a measurement, expected two or more: for inputs in rows",
+            True,
+        ),
     ],
 )
 def test_what_commands_do_not_explain_is_refused(change: Any, why: str, pose: bool) -> None:

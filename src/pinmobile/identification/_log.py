@@ -265,7 +265,10 @@ class Log:
         valid = ~(masks["t"] | masks["u"])
         rows_y = np.flatnonzero(valid & ~np.logical_and.reduce([masks[name] for name in measured]))
         if len(rows_y) < 2:
-            raise InvalidArgument(f"t has {len(rows_y)} rows without NaN, expected two or more")
+            raise InvalidArgument(
+                f"t has {len(rows_y)} rows with inputs and a measurement, expected two or more: for inputs "
+                "in rows of their own, use Log.from_streams"
+            )
         valid[: rows_y[0]] = valid[rows_y[-1] + 1 :] = False
         count = int(np.logical_or.reduce([*masks.values()]).sum()) + len(repeats)
         object.__setattr__(self, "dropped", self.dropped + count)
@@ -465,9 +468,10 @@ class Log:
     ) -> Self:
         """Return the log of measurements and inputs with separate times.
 
-        Each input is constant until the next one. The input of a row is the mean over its time step. The rows
-        have the times of the fastest sensor, and times between them if inputs are faster. A sensor has NaN in
-        the rows between its measurements.
+        Each input is constant until the next one. The input of a row is the mean over its time step, which is
+        not exact for firmware with limits if inputs change within a step. The rows have the times of the
+        fastest sensor, and times between them if inputs are faster. A sensor has NaN in the rows between its
+        measurements.
 
         Parameters
         ----------
@@ -712,7 +716,8 @@ def check_inputs(log: Log, name: str, expected: Mapping[str, str], words: str, o
         raise InvalidArgument(f"{name} has {log.u.shape[1]} inputs, expected {words}")
     for unit, (name_u, si) in zip(log.units, expected.items(), strict=False):
         if unit not in ("", si, other):
-            hint = f"for {unit}, use {_TAKEN_BY[unit]}" if unit in _TAKEN_BY else "are columns mixed up?"
+            is_other = unit in _TAKEN_BY and unit not in expected.values()
+            hint = f"for {unit}, use {_TAKEN_BY[unit]}" if is_other else "are columns mixed up?"
             if (unit, si) == ("rad/s", "rad"):
                 hint = "leave out wheelbase for commands of the yaw rate"
             raise InvalidArgument(f"{name} has input {name_u} in {unit}, expected {si}: {hint}")

@@ -598,6 +598,8 @@ class VelocityCar(VelocityInputs):
         k = tan delta / (L + K u^2),   psi' = k u
         x' = u cos psi - a psi' sin psi,  y' = u sin psi + a psi' cos psi
 
+    Limits of rates bound u', and the quotient (g_d delta_c + delta_0 - delta) / T_d.
+
     Here (u_c, delta_c) are the commands, L is the wheelbase, K is the understeer, and c is the cornering
     drag. The steering is critically damped, and T_d is its delay behind a command that changes slowly.
     q = (x, y, psi, delta) is the pose of a point at distance a ahead of the rear axle and the steering angle,
