@@ -656,8 +656,12 @@ class WheelTable:
 
         Parameters
         ----------
-        wheelbase, track, radius : float
-            Distances between the axles and between the sides, and radius of the wheels, > 0 [m].
+        wheelbase : float
+            Distance between the axles, > 0 [m].
+        track : float
+            Distance between the wheels of an axle, > 0 [m].
+        radius : float
+            Radius of the wheels, > 0 [m].
         coupled : bool
             Whether each side has one motor, at the front, and a gear train; otherwise each wheel has a motor.
         **wheel
@@ -680,8 +684,12 @@ class WheelTable:
 
         Parameters
         ----------
-        wheelbase, track, radius : float
-            Distances between the axles and between the sides, and radius of the wheels, > 0 [m].
+        wheelbase : float
+            Distance between the axles, > 0 [m].
+        track : float
+            Distance between the wheels of an axle, > 0 [m].
+        radius : float
+            Radius of the wheels, > 0 [m].
         roller : float
             Angle of the rollers [rad]: positive for the X arrangement, negative for the O arrangement, which
             cannot turn on a square base.
@@ -766,8 +774,12 @@ class WheelTable:
 
         Parameters
         ----------
-        wheelbase, track, radius : float
-            Distances between the axles and between the sides, and radius of the wheels, > 0 [m].
+        wheelbase : float
+            Distance between the axles, > 0 [m].
+        track : float
+            Distance between the wheels of an axle, > 0 [m].
+        radius : float
+            Radius of the wheels, > 0 [m].
         motor : Motor
             Motor of the rear axle.
         steering_limit : float
