@@ -372,6 +372,7 @@ def test_a_gear_a_radius_and_a_path_are_tuned() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
+        ({"by": {"kp": (-9, 9)}}, r"^by\['controller.kp'\] is \(-9, 9\), expected narrower bounds .* >= 0$"),
         ({"by": {"kp": (40, 1)}}, r"by\['controller.kp'\] is \(40, 1\), expected .* lower < upper"),
         ({"by": {"kp": (1.0,)}}, r"^by\['(controller\.)?kp'\]"),
         ({"by": {}}, r"by is \[\], expected paths of numbers"),

@@ -241,14 +241,19 @@ class _Variables:
         first, limits = list[float](), list[Any]()
         for path, ref in problem.numbers.items():
             value = problem.nominal[ref.leaf.path]
-            field = ref.leaf.declared
+            field: Any = ref.leaf.declared
             above, low, high = (stated(field, name) for name in ("above", "lower", "upper"))
             low = above if above is not None else -np.inf if low is None else low
             pair = given.get(path)
-            pair = (low, np.inf if high is None else high) if pair is None else pair
+            high = np.inf if high is None else high
+            pair = (low, high) if pair is None else pair
             ends = real(f"by[{path!r}]", pair)
             if ends.shape != (2,) or not ends[0] < ends[1]:
                 raise unexpected_value(f"by[{path!r}]", pair, "(lower, upper) with lower < upper")
+            if ends[0] < low or ends[1] > high:
+                raise unexpected_value(
+                    f"by[{path!r}]", pair, f"narrower bounds than those declared, {field.bound}"
+                )
             labels = {entry: label for label, entry in ref.leaf.entries.items() if len(entry) == value.ndim}
             for entry in problem.entries(ref):
                 self.entries.append((ref.leaf.path, entry))
