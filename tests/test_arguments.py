@@ -102,7 +102,7 @@ FAULTS: dict[str, list[tuple[Any, ...]]] = {
             "a path of poses of an end effector, expected a trajectory of the robot's coordinates, such as",
         ),
         (of_loop(integrator=pm.PD(1, 1)), "a controller, expected an integrator, such as pinmobile.rk4"),
-        (of_loop(plant=pm.MobileRobot), "expected an object: MobileRobot(...)"),
+        (of_loop(plant=pm.MobileRobot), "and the sizes nq, nv, nu: an object, not a class"),
         (lambda: pm.Tangent(cast(Any, pm.Circle)), "expected an object: Circle(...)"),
     ],
     "another signature": [

@@ -48,7 +48,7 @@ def format_value(value: object) -> str:
 
 
 def unexpected_value(name: str, value: object, expected: str) -> InvalidArgument:
-    """Return the error of an argument whose value is not the expected one.
+    """Return the error of an argument with an unexpected value.
 
     Parameters
     ----------
@@ -70,7 +70,8 @@ def unexpected_value(name: str, value: object, expected: str) -> InvalidArgument
     >>> print(unexpected_value("order", 7, "a permutation of x, y and psi"))
     order is 7, expected a permutation of x, y and psi
     """
-    return InvalidArgument(f"{name} is {format_value(value)}, expected {expected}")
+    hint = ": an object, not a class" if isinstance(value, type) else ""
+    return InvalidArgument(f"{name} is {format_value(value)}, expected {expected}{hint}")
 
 
 def text_of(value: object) -> str:

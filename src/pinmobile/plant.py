@@ -1154,10 +1154,7 @@ def check_plant(plant: object) -> None:
     has_sizes = all(isinstance(value, int | np.integer) for value in sizes.values())
     method = stated(plant, "forward_dynamics") or stated(plant, "step")
     if isinstance(plant, type) or not (method and has_sizes):
-        expected = "a plant with 'forward_dynamics' and the sizes nq, nv, nu"
-        if isinstance(plant, type) and method:
-            expected = f"an object: {plant.__name__}(...)"
-        raise unexpected_value("plant", plant, expected)
+        raise unexpected_value("plant", plant, "a plant with 'forward_dynamics' and the sizes nq, nv, nu")
     for name, size, entries in (
         ("coordinates", "nv", coordinates_of(plant)),
         ("configuration_names", "nq", configuration_names_of(plant)),
