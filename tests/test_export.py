@@ -276,7 +276,7 @@ def test_parameters_can_be_tuned_within_their_bounds(tmp_path: Path) -> None:
     assert c_code.run_program(tmp_path, main).split() == ["1", "0", "0", "6", "0", "inf", "0"]
 
 
-def test_bounds_of_a_gains_matrix_hold_for_its_diagonal(tmp_path: Path) -> None:
+def test_bounds_of_a_gain_apply_to_the_diagonal_of_its_matrix(tmp_path: Path) -> None:
     law = pm.ComputedTorque(BODY, [[4.0, -1.0, 0.0], [-1.0, 4.0, 0.0], [0.0, 0.0, 4.0]], 4.0)
     export_c(law, BODY, tmp_path, dt=DT, trajectory=CIRCLE, tunable=["kp"])
     main = """

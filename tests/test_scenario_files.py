@@ -350,7 +350,7 @@ def test_the_schema_has_each_part_with_its_bounds() -> None:
     assert "[m]" in radius["description"]
     number, each, matrix, _ = schema["$defs"]["PD"]["properties"]["kp"]["anyOf"]
     assert number == each["items"] == {"type": "number", "minimum": 0.0}
-    assert matrix["items"]["items"] == {"type": "number"}, "the bounds of a gain hold for its diagonal"
+    assert matrix["items"]["items"] == {"type": "number"}, "the bounds of a gain apply to its diagonal"
     assert {"$ref": "#/$defs/AnyController"} in schema["properties"]["controller"]["anyOf"]
     names = schema["$defs"]["AnyController"]["properties"]["type"]["anyOf"][0]["enum"]
     assert {"PD", "InputSaturation"} < set(names) < set(schema["$defs"])

@@ -135,7 +135,7 @@ def test_a_log_identifies_a_car() -> None:
     pm.ensemble(car, RandomSteps(), STILL, n=3, dt=0.05, duration=1.0, spread=spread, substeps=4)
 
 
-def test_jumps_of_the_acceleration_are_no_outliers_of_precise_poses() -> None:
+def test_steps_of_the_acceleration_are_no_outliers_of_precise_poses() -> None:
     run = driven(CAR)
     q = run.q[:, :3] + 2e-4 * np.random.default_rng(0).standard_normal((len(run.t), 3))
     found = pm.identify_velocity(pm.Log(run.t, q, run.u, units=UNITS))

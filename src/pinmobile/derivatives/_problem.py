@@ -346,7 +346,8 @@ class Problem:
                 result.rows[rows] = inputs.rows[rows]  # its own effect is known
                 return result
 
-            steps, is_central = number.leaf.declared.difference_steps(value, _STEP)  # type: ignore[attr-defined]
+            declared: Any = number.leaf.declared
+            steps, is_central = declared.difference_steps(value, _STEP)
             if path not in self.pure:
                 self.pure[path] = all(map(np.array_equal, inputs_at(steps), inputs))
             for entry in self.entries(number):

@@ -185,8 +185,9 @@ class Law:
                 f"tunable has {name!r}, an entry of {number.leaf.path}, expected the whole field: "
                 f"{number.leaf.path!r}"
             )
+        declared: Any = number.leaf.declared
         value = np.asarray(number.leaf.value, float)
-        steps, _ = number.leaf.declared.difference_steps(value, _CHANGE)  # type: ignore[attr-defined]
+        steps, _ = declared.difference_steps(value, _CHANGE)
         varied = replace(self.loop, {number.path: value + steps})
         loops = self.loop, varied
         memories = (arrays_of(initial_memory(x, self.context)) for x in loops)

@@ -22,7 +22,7 @@ WINDOW = 0.15  # [s], window of the local cubic whose residual shows outliers an
 _OUTLIER = 6.0  # standard deviations
 _LEAST_OUTLIER = 3e-3  # smallest outlier, as a share of the motion in a window
 _OFTEN, _TIMES = 0.8, 4.0  # quantile of the residuals of the cubic; multiple of it that an outlier exceeds
-_ALONE = 3.3  # error of an outlier relative to those of its neighbours; 2.5 beside a jump of the acceleration
+_LEAST_ISOLATION = 3.3  # error of an outlier relative to its neighbours; 2.5 at a step of the acceleration
 _PASSES = 40  # largest number of passes
 _PADDING = 15  # samples that a filter mirrors at the ends
 _CUTOFF = 8.0  # [Hz], cutoff frequency of velocities
@@ -66,8 +66,8 @@ def remove_outliers(
 
     Outliers have large residuals of a local cubic, relative to the residual of noise at this position in the
     window. An outlier also increases the residuals of its neighbours, so each pass removes only the worst
-    sample of a window. Unlike a running median, this method accepts fast motions. Jumps of the acceleration,
-    such as after a step of a command, also have large residuals; but an outlier stands alone.
+    sample of a window. Unlike a running median, this method accepts fast motions. Steps of the acceleration,
+    such as after a step of a command, also have large residuals. An outlier is isolated.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def remove_outliers(
         worst = size_of >= maximum_filter1d(np.where(good, size_of, 0.0), 2 * size + 1)
         found = np.flatnonzero((size_of > 1) & worst & good)
         inner = found[(found >= size) & (found < len(q) - size)]
-        worst[inner] &= _stand_alone(q, inner, sizes[inner].argmax(axis=1), size)
+        worst[inner] &= _are_isolated(q, inner, sizes[inner].argmax(axis=1), size)
         usual = ~((size_of > 1) & (worst | ~good))
         for side in (usual[: size // 2], usual[::-1][: size // 2]):  # an outlier hides those behind it
             side &= np.logical_and.accumulate(side[::-1])[::-1]
@@ -120,20 +120,22 @@ def remove_outliers(
     return q, good, np.where(np.asarray(grain) > finest, np.minimum(deviation, rms), deviation)
 
 
-def _stand_alone(q: Array, rows: NDArray[np.intp], columns: NDArray[np.intp], size: int) -> NDArray[np.bool_]:
+def _are_isolated(
+    q: Array, rows: NDArray[np.intp], columns: NDArray[np.intp], size: int
+) -> NDArray[np.bool_]:
     """Return whether rows are far from a cubic through their neighbours, compared with these, in a column.
 
     Another outlier among the neighbours, or one on each side, does not count.
     """
     windows = q[rows[:, None] + np.arange(-size, size + 1), columns[:, None]]
     V = np.polynomial.chebyshev.chebvander(np.linspace(-1, 1, 2 * size + 1), 3)
-    alone = np.zeros(len(rows), bool)
+    isolated = np.zeros(len(rows), bool)
     for group in (*((0, k) for k in range(-size, size + 1)), (-1, 0, 1), (-2, -1, 0), (0, 1, 2)):
         keep = np.ones(2 * size + 1, bool)
         keep[[size + k for k in group]] = False
         errors = np.abs(windows - windows[:, keep] @ (V @ np.linalg.pinv(V[keep])).T)
-        alone |= errors[:, size] > _ALONE * np.partition(errors[:, keep], -2)[:, -2]
-    return alone
+        isolated |= errors[:, size] > _LEAST_ISOLATION * np.partition(errors[:, keep], -2)[:, -2]
+    return isolated
 
 
 def _bridge(q: Array, good: NDArray[np.bool_], size: int) -> None:

@@ -705,7 +705,7 @@ class Worst:
     """
 
     limit: float = number(default=np.inf, above=0, doc="largest error")
-    begin: Any = number(default=None, doc="first sample whose error is recorded")
+    begin: Any = number(default=None, doc="first sample with a recorded error")
     distances: tuple[tuple[int, ...], ...] = option(default=((0, 1), (2,)))
     metrics: tuple[tuple[int | Metric, bool], ...] = option(default=())
     keep: tuple[str, ...] = option(default=())

@@ -189,7 +189,7 @@ class Number(Field):
     unit : str, or function of the part
         Unit of the numbers, "" for none; for mixed units, one unit per entry: ``"N, N, N m"``.
     above, lower, upper : float, optional
-        Bounds; `above` is excluded, the others are included. They hold for the diagonal of a gain's matrix.
+        Bounds; `above` is excluded, the others are included. They apply to the diagonal of a gain's matrix.
     shapes : tuple of shapes
         Allowed shapes; a letter stands for any length, the same everywhere in a shape.
     labels : tuple of str, or function of the part

@@ -251,7 +251,7 @@ def _field(argument: Parameter) -> dict[str, Any]:
         item = {"type": "number"} | {word: bound for word, bound in bounds.items() if bound is not None}
         if field.endless:
             item["type"] = ["number", "null"]  # infinity in JSON
-        free = {"type": item["type"]}  # entries of a gain's matrix, whose bounds hold for its diagonal
+        free = {"type": item["type"]}  # the bounds of a gain apply to the diagonal of its matrix
         forms = [_array(free if field.is_gain and len(shape) == 2 else item, shape) for shape in field.shapes]
         return schema | {"anyOf": [*forms, {"type": "object"}]}
     if isinstance(field, Child):

@@ -354,11 +354,11 @@ def drivers(
     sheet = Sheet(7.6 if len(drawn_causes) <= 3 else 9.0, **layout)
     columns = sheet.columns(2 if len(drawn_causes) <= 3 else 3, 2.9)
     *panels, scatter = _make_axes(sheet, len(drawn_causes), columns)
-    group, criterion = f"the worst {format_percent(share)}", f" by {by}"
-    criterion = {"distance": "", "heading": " of headings"}.get(by, criterion)
+    word, criterion = "the worst", {"distance": "", "heading": " of headings"}.get(by, f" by {by}")
+    group = f"{word} {format_percent(share)}"
     if is_event(ensemble, by) or worst.sum() > round(share * len(ensemble)):
-        group, criterion = f"those that {by if is_event(ensemble, by) else 'diverged'}", ""
-    word = "the worst" if group.startswith("the worst") else "those"
+        word, criterion = "those", ""
+        group = f"{word} that {by if is_event(ensemble, by) else 'diverged'}"
     for axes, one in zip(panels, drawn_causes, strict=True):
         _draw_distribution(sheet, axes, one, worst, word)
     _draw_scatter(sheet, scatter, ensemble, ranking[0], worst, by)
