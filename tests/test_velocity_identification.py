@@ -57,6 +57,14 @@ def test_without_noise_it_is_exact() -> None:
         np.testing.assert_allclose(one.theta, ROBOT.theta, rtol=0, atol=2e-4)
 
 
+def test_long_logs_give_first_estimates_by_pieces_of_enough_samples() -> None:
+    """Each second piece of 3,000 samples would leave one sample at the end of 60,001."""
+    one = found(seconds=6000.0)
+    assert one.seconds < 400
+    errors = np.array([one.standard_errors[name] for name in one.names[:6]])
+    assert np.abs((one.theta - ROBOT.theta) / errors).max() < 4
+
+
 def test_a_forgotten_delay_is_a_wrong_theta() -> None:
     wrong = pm.identify_velocity(logged(late=3), delay=0.0)
     assert abs(wrong.parameters["theta_1"] - ROBOT.theta[0]) > 0.1

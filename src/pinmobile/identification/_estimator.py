@@ -163,15 +163,21 @@ def _settle_starts(
 ) -> tuple[Linear, Array]:
     """Return the linear problem at numbers and the best initial states near some, and these states."""
     best, starts = Linear.of(model, segments, p, starts, white, moves), starts.copy()
+    improves = np.ones(len(starts), dtype=bool)
     for _ in range(passes):
         minimum = best.normal[..., 0, 0].sum(axis=1)
-        rows = np.flatnonzero(best.squares - minimum > _START_TOLERANCE * minimum.sum() / segments.good.sum())
+        least = _START_TOLERANCE * minimum.sum() / segments.good.sum()
+        rows = np.flatnonzero(improves & (best.squares - minimum > least))
         if not rows.size:
             break
-        part = segments.select(rows)
-        _, starts[rows] = _nearest(model, part, p, starts[rows], best.start_change[rows, :, 0], white)
-        for all_of, update in zip(best, Linear.of(model, part, p, starts[rows], white, moves), strict=True):
-            all_of[rows] = update
+        part, change = segments.select(rows), best.start_change[rows, :, 0]
+        _, trial = _nearest(model, part, p, starts[rows], change, white)
+        improves[rows] = (trial != starts[rows]).any(axis=1)
+        starts[rows], rows = trial, rows[improves[rows]]
+        if rows.size:
+            linear = Linear.of(model, segments.select(rows), p, starts[rows], white, moves)
+            for all_of, update in zip(best, linear, strict=True):
+                all_of[rows] = update
     return best, starts
 
 
@@ -179,7 +185,7 @@ class _Point(NamedTuple):
     """Scaled numbers, initial states, the linear problem there, half the squares, derivatives, Newton's step.
 
     The gradient is zero if the step is small compared to standard errors. The second derivatives are those of
-    Gauss and Newton.
+    Gauss and Newton. The least product of a notable step and its gradient is last.
     """
 
     y: Array
@@ -189,6 +195,7 @@ class _Point(NamedTuple):
     gradient: Array
     hessian: Array
     step: Array
+    notable: float
 
 
 def solve(
@@ -204,8 +211,9 @@ def solve(
 ) -> Fit:
     """Return the least squares of white residuals over numbers and initial states.
 
-    A trust region limits the steps of Gauss and Newton. The search begins with a few of many segments. It
-    ends with a step far below the standard errors, which the scatter of the blocks' gradients shows.
+    A trust region limits the steps of Gauss and Newton. Without initial states, the search begins with a few
+    of many segments. It ends with a step far below the standard errors, which the scatter of the blocks'
+    gradients shows.
 
     Parameters
     ----------
@@ -236,10 +244,9 @@ def solve(
     free, few = np.broadcast_to(np.asarray(moves), p.shape), slice(None, None, min(segments.few.step, _THIN))
     z = segments.start if starts is None else starts
     is_linear, first = passes == 0, _FIRST_PASSES if few.step == 1 and free.any() else passes
-    if free.any() and few.step > 1:
-        given, share = None if starts is None else starts[few], len(z[few]) / len(z)
-        part = segments.select(few)
-        p = solve(model, part, p, moves=free, white=white, starts=given, pull=share * pull).p
+    if free.any() and few.step > 1 and starts is None:
+        part, share = segments.select(few), len(z[few]) / len(z)
+        p = solve(model, part, p, moves=free, white=white, pull=share * pull).p
     if starts is None or not free.any():
         linear, z = _settle_starts(model, segments, p, z, white, False, first)
     if not free.any():
@@ -252,10 +259,11 @@ def solve(
         g = g - pull * size / len(g)
         inverse, descent = np.linalg.pinv(H, rcond=_RANK_TOL, hermitian=True), g.sum(axis=0)
         noise = max(best.normal[..., 0, 0].sum() / best.e.size, ((g @ inverse) * g).sum())
+        notable = _STEP_TOLERANCE**2 * noise
         step, left = inverse @ descent, best.normal[..., 0, 0] if is_linear else best.squares
         cost = left.sum() / 2 + pull * size @ y
-        descent = descent * (descent @ step > _STEP_TOLERANCE**2 * noise)
-        return _Point(y, z, best, cost, -descent, H + _RANK_TOL * np.diag(H).max() * np.eye(len(p)), step)
+        slope, regular = -descent * (descent @ step > notable), _RANK_TOL * np.diag(H).max() * np.eye(len(p))
+        return _Point(y, z, best, cost, slope, H + regular, step, notable)
 
     last = point(np.zeros(len(p)), z, min(first, passes) * (starts is not None))
 
@@ -272,7 +280,14 @@ def solve(
         last = point(y, trial_starts, passes * is_settled)
         return last
 
+    def check(intermediate_result: Any) -> None:  # SciPy knows the name
+        """Stop at a kink, such as a delay of whole samples: steps that fail are no longer notable."""
+        failed = last.y - intermediate_result.x
+        if 0 < failed @ last.hessian @ failed < last.notable:
+            raise StopIteration
+
     options = {"method": "trust-exact", "jac": True, "options": {"gtol": _TINY, "maxiter": _EVALUATIONS}}
+    options["callback"] = check
     minimum = minimize(lambda y: evaluate(y)[3:5], last.y, hess=lambda y: evaluate(y).hessian, **options)
     last = evaluate(minimum.x)
     p, step = p + size * minimum.x, size * last.step * (not last.gradient.any())

@@ -18,7 +18,7 @@ _LEAST_SHARE = 1e-9  # of a sample, before which the previous input acts, so tha
 _LEAST_SIZE = 1e-3  # smallest size of an input, as a share of the largest
 START_SAMPLES = 30_000  # samples that give first estimates
 _AT_ONCE = 30_000  # samples that a thread simulates at once: they bound the memory, and fit in a cache
-_LANES = 8  # segments at once, as many as the numbers of the longest vectors
+LANES = 8  # segments at once, as many as the numbers of the longest vectors
 _PIECES = 10  # of these samples
 _Active: TypeAlias = tuple[int, ...] | None
 _SHARED = "inputs", "lead", "blocks"  # that all segments have in common
@@ -30,7 +30,8 @@ def pieces(start: int, stop: int, samples: int) -> list[slice]:
     size, step = START_SAMPLES // _PIECES, samples // START_SAMPLES
     if step < 2:
         return [slice(start, stop)]
-    return [slice(k, min(k + size, stop)) for k in range(start, stop, size * step)]
+    starts = range(start, max(start + 1, stop - size // 2), size * step)  # the last one is not a few samples
+    return [slice(k, min(k + size, stop)) for k in starts]
 
 
 class Segments(NamedTuple):
@@ -349,7 +350,7 @@ def by_groups(
     variants : int
         Number of simulations of a segment.
     """
-    size = _LANES * max(1, round(_AT_ONCE / (_LANES * variants * segments.y.shape[1])))
+    size = LANES * max(1, round(_AT_ONCE / (LANES * variants * segments.y.shape[1])))
     cuts = [slice(k, k + size) for k in range(0, len(segments.y), size)]
     results = [function(segments.select(cuts[0]), cuts[0])]  # compiles the model
     with ThreadPoolExecutor(processors()) as pool:
