@@ -1,5 +1,6 @@
 """Logs with the difficulties of real robots, of which the true values are known."""
 
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -99,6 +100,25 @@ def test_sections_under_other_control_are_left_out_and_told() -> None:
         )
     with refused("log has commands that explain nothing in [0-9]+% of the log, and in the rest"):
         pm.identify_velocity(logged(t, np.where(t[:, None] < 150, 0.0, u) + 1e-3 * u, driven(t, given)))
+
+
+def test_commands_between_measurements_act_from_their_own_times() -> None:
+    """Their means over a step would find limits of accelerations 2 % low, and a delay of 10 ms."""
+    real = pm.VelocityRobot([0.4, 0.3, 0, 1, 0, 1], accelerations=(0.7, 1.5))
+    still = pm.FixedHeading(pm.Hold((0, 0), 60.0), 0.0)
+    run = pm.simulate(real, pm.controllers.RandomSteps(), still, dt=0.04)
+    held = pm.law(lambda t, q, v, reference: run.u[np.minimum(np.int64(t / 0.04 + 1e-6), len(run.u) - 1)])
+    fine = pm.simulate(real, held, still, dt=0.01)
+    q, rng = fine.q + np.random.default_rng(0).normal(scale=2e-3, size=fine.q.shape), np.random.default_rng(1)
+    sent = run.t + rng.uniform(-0.004, 0.004, len(run.t))
+    values = {"acceleration": 0.7, "yaw_acceleration": 1.5, "delay": 0.02}
+    found = pm.identify_velocity(pm.Log.from_streams(fine.t[3::4], q[1::4][: len(fine.t[3::4])], sent, run.u))
+    assert np.abs(true(found, real.theta, **values)).max() < 4
+    assert found.standard_errors["delay"] < 1e-3
+    assert found.whiteness.is_white
+    other = replace(pm.Log.from_streams(fine.t[1::4], q[1::4], sent, run.u), u=-run.u[: len(q[1::4])])
+    with refused("log has commands that explain"):  # and not those of the streams
+        pm.identify_velocity(other)
 
 
 def test_a_delay_is_not_negative_and_an_early_motion_is_told() -> None:

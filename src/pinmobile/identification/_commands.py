@@ -39,6 +39,7 @@ _LONGEST = 20_000  # rows of the search for a limit of acceleration
 _SECTION = 3.0  # [s], shortest section under other control
 _RESIDUAL_RATIO = 0.7  # square of the residual per square of motion or command in such a section
 _EDGE, _WIDE = 1.0, 4.0  # window [s], and residual per usual one, in which such a section goes on
+_PHASE_ERROR = 0.05  # largest difference of phases of runs [time steps]
 _OFFSETS = 2  # rounds that estimate an offset
 _MOVES = 0.2  # smallest residual in such a section, as a share of the usual motion
 
@@ -242,6 +243,8 @@ class Run(NamedTuple):
         angle and steering rate.
     is_car : bool
         Whether the second command is a steering angle.
+    phase : float
+        Part of a time step after the time of a row at which its commands begin; all runs have the same.
     """
 
     log: int
@@ -254,6 +257,7 @@ class Run(NamedTuple):
     nu: Array
     state: Array
     is_car: bool
+    phase: float = 0.0
 
 
 class Part(NamedTuple):
@@ -274,9 +278,12 @@ def runs_of(logs: list[Log], is_pose: bool, inputs: Mapping[str, str]) -> list[R
         check_inputs(log, "log", inputs, words)
     name, runs = "q" if is_pose else "twist", []
     pairs = [(k, part) for k, log in enumerate(logs) for part in continuous(log, "log", name)]
-    dt = max(part.dt for _, part in pairs)
-    for k, part in pairs:
-        run = part.samples(name, dt=dt)
+    dt, is_velocity = max(part.dt for _, part in pairs), inputs is CHANNELS or inputs is CAR_COMMANDS
+    samples = [part.samples(name, dt=dt, held=is_velocity) for _, part in pairs]
+    phases = np.exp(2j * np.pi * np.array([run.phase for run in samples]))
+    if np.abs(phases - phases[0]).max() > 2 * np.pi * _PHASE_ERROR:
+        samples = [part.samples(name, dt=dt) for _, part in pairs]
+    for (k, part), run in zip(pairs, samples, strict=True):
         if run.twist is not None:
             y = calm = nu = run.twist[:, [0, 2]]
         else:
@@ -287,7 +294,8 @@ def runs_of(logs: list[Log], is_pose: bool, inputs: Mapping[str, str]) -> list[R
             nu = nu[:, [0, 2]]
         state = np.column_stack([nu[:, 0], run.u[:, 1], 0 * nu[:, 0]]) if is_car else nu
         start = float(part.t[0] - logs[k].t[0])
-        runs.append(Run(k, start, run.dt, run.u, y, calm, run.is_valid, nu, state, is_car))
+        phase = samples[0].phase
+        runs.append(Run(k, start, run.dt, run.u, y, calm, run.is_valid, nu, state, is_car, phase))
     return runs
 
 

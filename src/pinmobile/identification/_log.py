@@ -34,6 +34,7 @@ from pinmobile.plant import coordinates_of, inputs_of
 
 _HOLE = 3  # rows in a row that may be lost at any time step
 _BRIDGE = 0.3  # [s] without a measurement: half a window of the weak form; a longer gap needs a guess
+_ONE_PHASE, _NO_PHASE = 0.8, 1e-3  # least mean of unit vectors at common phases; steps that are no phase
 _FINER = 10  # largest number of rows for a measurement where inputs are faster
 _REPEATS = 0.1  # largest share of rows with the time of the row before
 _SHORTEST = 2.0  # [s] of a part between gaps
@@ -148,6 +149,8 @@ class Samples(NamedTuple):
         Whether the row was measured; other rows are interpolated.
     u, q, twist, wheel_rates, joints : ndarray, shape (N, ...), or None
         Arrays of `Log`.
+    phase : float
+        Part of a time step after the time of a row at which its inputs begin, from 0 to below 1.
     """
 
     dt: float
@@ -158,6 +161,7 @@ class Samples(NamedTuple):
     twist: Array | None = None
     wheel_rates: Array | None = None
     joints: Array | None = None
+    phase: float = 0.0
 
 
 @final
@@ -195,6 +199,8 @@ class Log:
         Offset [s] and rate by which `from_streams` corrected the times of the inputs: offset + rate * time.
     joints : array_like, shape (N, k), optional
         Measured coordinates of the robot behind its pose: joints of arms and angles of wheels [rad].
+    stream : tuple of ndarray, shape (M,) and (M, nu), optional
+        Times [s] and inputs of which `u` has the means, from `from_streams`.
 
     Attributes
     ----------
@@ -234,6 +240,7 @@ class Log:
     units: tuple[str, ...] = ()
     clock: tuple[float, float] = (0.0, 1.0)
     joints: Array | None = None
+    stream: tuple[Array, Array] | None = None
 
     def __post_init__(self) -> None:
         given = self._given()
@@ -399,10 +406,11 @@ class Log:
             )
         return _mean_step(t)
 
-    def samples(self, *names: str, dt: float | None = None) -> Samples:
+    def samples(self, *names: str, dt: float | None = None, held: bool = False) -> Samples:
         """Return named measurements at equal time steps, interpolated, with a mask of the measured rows.
 
-        The time step is `dt` [s], with mean inputs; default: that of the measurements.
+        The time step is `dt` [s], with mean inputs; default: that of the measurements. If `held`, the inputs
+        are those of the stream where these change at a common phase of the time steps.
         """
         dt = self.step_of(*names) if dt is None else dt
         given = self._arrays(*names)
@@ -422,7 +430,23 @@ class Log:
             u = self.u[np.searchsorted(rows, np.arange(len(grid)), side="right") - 1]
         if not is_even or len(t) < len(grid):
             given = {name: _interpolate(_extend(t), _extend(x), grid) for name, x in given.items()}
-        return Samples(dt, times, is_valid, u, **given)
+        phase = self._phase(start, dt) if held else 0.0
+        if phase:
+            t, u = self.stream  # type: ignore[misc]
+            u = u[np.clip(np.searchsorted(t, grid + (phase + 0.5) * dt, side="right") - 1, 0, None)]
+        return Samples(dt, times, is_valid, u, **given, phase=phase)
+
+    def _phase(self, start: float, dt: float) -> float:
+        """Return the phase at which the inputs of the stream change, 0 if there is no common one."""
+        if self.stream is None:
+            return 0.0
+        t, u = self.stream
+        if not np.allclose(_mean_inputs(t, u, self.t), self.u, rtol=0, atol=1e-9 * np.abs(u).max()):
+            return 0.0  # other inputs have replaced them
+        changes = t[1:][(np.diff(u, axis=0) != 0).any(axis=1)]
+        turn = np.exp(2j * np.pi * (changes - start) / dt).mean() if changes.size else 0.0
+        phase = float(np.angle(turn)) / (2 * np.pi)
+        return phase % 1 if abs(turn) > _ONE_PHASE and abs(phase) > _NO_PHASE else 0.0
 
     def rollout(self, robot: Any, *, delay: float = 0.0, **options: Any) -> Rollout:
         """Return the log as a rollout, beside a robot that replays its inputs.
@@ -468,9 +492,10 @@ class Log:
     ) -> Self:
         """Return the log of measurements and inputs with separate times.
 
-        Each input is constant until the next one. The input of a row is the mean over its time step, which is
-        not exact for firmware with limits if inputs change within a step. The rows have the times of the
-        fastest sensor, and times between them if inputs are faster. A sensor has NaN in the rows between its
+        Each input is constant until the next one. The input of a row is the mean over its time step.
+        `identify_velocity` takes the inputs themselves where they change at a common phase of the time steps;
+        otherwise the means are not exact for firmware with limits. The rows have the times of the fastest
+        sensor, and times between them if inputs are faster. A sensor has NaN in the rows between its
         measurements.
 
         Parameters
@@ -539,7 +564,8 @@ class Log:
         gaps = int(lost_rows(rows).sum()) - count  # rows between measurements are not lost
         rows = {"q": None, "u": _mean_inputs(times_u, inputs, t)} | rows
         names = tuple(sequence("units", units, "units of all inputs"))
-        return cls(t, **rows, dropped=-gaps, units=names, clock=(offset, rate))
+        stream = None if np.isnan(inputs).any() else (frozen(times_u), frozen(inputs))
+        return cls(t, **rows, dropped=-gaps, units=names, clock=(offset, rate), stream=stream)
 
     @classmethod
     def from_rollout(

@@ -167,19 +167,19 @@ def identify_velocity(
     }
     if wheelbase is not None:
         given["wheelbase"] = positive("wheelbase", wheelbase, "m")
-    model = (CarModel if is_car else VelocityModel)((), given, lead, dt, is_pose)
+    model = (CarModel if is_car else VelocityModel)((), given, lead, dt, is_pose, phase=runs[0].phase)
     limit_u: list[Any] = [np.inf if each is None else each for each in (limits, accelerations)]
     robot = VelocityRobot(np.ones(6), 0.0, *limit_u)
     given |= dict(zip(model.limits(), [*robot.accelerations.tolist(), *robot.limits.tolist()], strict=True))
-    parts, fixed = parts_of(runs), None if delay is None else round(lag_s / dt)
+    parts, fixed = parts_of(runs), None if delay is None else round(lag_s / dt + model.phase)
     for _ in range(_ROUNDS):  # what other drivers did hides the limits
         lags = [each.lag(lead, fixed) for each in channels_of(_few_of(parts))]
         parts = explained_parts(runs, lags)
     unknowns, bounds = {"delay": delay is None, "ahead": ahead is None}, model.limits_of(lags)
     for name, bound in zip(model.limits(), (accelerations, accelerations, limits, limits), strict=True):
         unknowns[name] = bound is None and np.isfinite(bounds[name])
-    order, delays = [n for n, free in unknowns.items() if free], [x.delay for x in lags if x.gain] or [0]
-    guess = {"delay": dt * float(np.mean(delays)), "ahead": 0.0} | bounds
+    order = [n for n, free in unknowns.items() if free]
+    guess = {"delay": model.delay_of([x for x in lags if x.gain] or lags), "ahead": 0.0} | bounds
     start = np.append(model.start(lags), [guess[name] for name in order])
     model = replace(model, free=tuple(order))
     left_out, parts = format_left_out(runs, parts), model.complete_states(parts, start)
@@ -591,8 +591,8 @@ def validate(log: Log | Sequence[Log], **options: Any) -> Validation:
     first = [one.between(0.0, TRAINING * span) for one, span in zip(logs, spans, strict=True)]
     last = [one.between(TRAINING * span, span + one.dt) for one, span in zip(logs, spans, strict=True)]
     estimates = identify_velocity(first, **options)
-    model = estimates.model
-    train, test = (model.runs(part) for part in (first, last))
+    train, test = (estimates.model.runs(part) for part in (first, last))
+    model = replace(estimates.model, phase=test[0].phase)
     lags = [each.lag(model.lead) for each in channels_of(explained_parts(train, model.lags(estimates.phi)))]
     parts = explained_parts(test, model.lags(estimates.phi), minimum=-np.inf)  # also of a poor model
     dt = test[0].dt

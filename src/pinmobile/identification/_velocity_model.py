@@ -94,6 +94,8 @@ class VelocityModel(PhysicalNumbers):
         Whether poses are measured; otherwise speed and yaw rate are.
     longest : float
         Largest length of a segment [s].
+    phase : float
+        Of the commands, see `Run`.
     """
 
     free: tuple[str, ...]
@@ -102,6 +104,7 @@ class VelocityModel(PhysicalNumbers):
     dt: float
     is_pose: bool
     longest: float = np.inf
+    phase: float = 0.0
 
     summary_size: ClassVar[int] = 6
     columns: ClassVar[slice] = slice(None)
@@ -190,7 +193,7 @@ class VelocityModel(PhysicalNumbers):
         bends = _BENDS if np.isfinite(numbers[..., -4:-2]).any() else 1
         fastest = bends / self.time_constants(p.real).min()
         longest = self.dt / float(np.clip(self.dt * fastest / _FINE, 1, _MOST_STEPS))
-        return numbers, others["delay"] / self.dt, longest
+        return numbers, others["delay"] / self.dt + self.phase, longest
 
     def rates(self, z: Any, u: Any, numbers: Any) -> Any:
         """Return the rates of speed and yaw rate, and of x, y and psi if poses are measured."""
@@ -250,7 +253,7 @@ class VelocityModel(PhysicalNumbers):
         runs, length = self.runs([log]), scalar("seconds", BLOCK if seconds is None else seconds)
         bounded("seconds", length, least=3 * runs[0].dt, unit="s")
         lead = max(lead_of(runs), int(np.ceil(max(estimates.delay, 0.0) / runs[0].dt)) + 1)
-        model = replace(self, dt=runs[0].dt, lead=lead)
+        model = replace(self, dt=runs[0].dt, lead=lead, phase=runs[0].phase)
         segments, calm = segments_of(model.explained_runs(runs, estimates.phi), lead, length, fill=False)
         fit, _ = solve_robustly(model, segments, estimates.phi, calm=calm)
         return segments, fit.linear.residual, fit.good, estimates.noise
@@ -274,7 +277,7 @@ class VelocityModel(PhysicalNumbers):
         The limit of the second rate is multiplied by `scale`.
         """
         others = self.other_values(p)
-        delay = max(0, round(others["delay"] / self.dt))
+        delay = max(0, round(others["delay"] / self.dt + self.phase))
         top, turning, *bounds = (others[name] for name in self.limits())
         rows = zip(gains, bounds, (top, scale * turning), strict=True)
         return [Lag(*gain, delay, limit, steepest) for gain, limit, steepest in rows]
@@ -289,9 +292,13 @@ class VelocityModel(PhysicalNumbers):
 
     def of_lags(self, lags: Sequence[Lag]) -> tuple[VelocityModel, Array]:
         """Return the model of lags without coupling, and its numbers."""
-        given = {"ahead": 0.0, "delay": self.dt * float(np.mean([lag.delay for lag in lags]))}
+        given = {"ahead": 0.0, "delay": self.delay_of(lags)}
         bare = replace(self, free=(), fixed=self.fixed | given | self.limits_of(lags))
         return bare, bare.start([lag if lag.gain > 0 else lag._replace(gain=1.0) for lag in lags])
+
+    def delay_of(self, lags: Sequence[Lag]) -> float:
+        """Return the mean delay of lags [s]."""
+        return self.dt * max(0.0, float(np.mean([lag.delay for lag in lags])) - self.phase)
 
     def limits_of(self, lags: Sequence[Lag]) -> dict[str, float]:
         """Return the limits that lags have, by name."""
