@@ -124,6 +124,7 @@ def test_all_wrong_entries_are_told_at_once_with_their_lines(tmp_path: Path) -> 
         ),
         (["grid=3"], "grid is 3, expected a table of PATH = VALUE"),
         (["rivalz"], "FILE is 'rivalz', neither a file nor a shipped scenario, did you mean 'rivals'?"),
+        ([str(Path(__file__).parent)], "a folder, expected a scenario file; `pinmobile view` shows the run"),
         (["dt=0.1", "dt=0.01"], "the command has 'dt' twice, expected different names"),
         (["lecture", "other"], "'other' is a second FILE beside 'lecture', expected PATH=VALUE"),
     ],

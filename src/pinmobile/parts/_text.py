@@ -38,6 +38,9 @@ def read_file(path: Path) -> str:
     InvalidArgument
         If the file cannot be read, or is too large.
     """
+    if path.is_dir():
+        words = "a scenario file; `pinmobile view` shows the run of a folder, and Sweep.open opens a sweep"
+        raise InvalidArgument(f"FILE is {str(path)!r}, a folder, expected {words}")
     with argument_errors(f"FILE is {str(path)!r}, which cannot be read: ", of=(OSError, ValueError)):
         with path.open("rb") as file:
             data = file.read(_MAX_BYTES + 1)  # a special file may be endless
