@@ -223,6 +223,15 @@ def test_figures_have_lines_and_units(
         figure(bare)
 
 
+def test_torques_of_steering_axes_have_axes_of_their_own(rolls: pm.Rollout) -> None:
+    robot = WheeledRobot(BOX, TABLES["swerve"])
+    turns = pm.simulate(robot, steady(1.0, 0.01, 1.0, 0.01), pm.Tangent(pm.Circle(1, 0.5, 0.1)), dt=0.02)
+    drive, other, steering, none = plots.wheel_torques({"swerve": turns, "differential": rolls}).axes
+    assert [axes.get_ylabel() for axes in (drive, steering)] == ["torque [N m]", "steering torque [N m]"]
+    assert [len(axes.lines) for axes in (drive, other, steering, none)] == [2, 2, 2, 0]
+    assert np.ptp(steering.lines[0].get_ydata()) == 0.0
+
+
 def test_figures_tell_shares_friction_and_odometry(rolls: pm.Rollout, slides: pm.Rollout) -> None:
     def words(axes: Axes) -> list[str]:
         return [text.get_text() for text in axes.get_legend().get_texts()]  # type: ignore[union-attr]

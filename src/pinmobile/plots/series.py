@@ -547,7 +547,7 @@ _ZERO_TOLERANCE = 1e-9  # smaller values are drawn as zero
 
 
 def wheel_torques(rollouts: Rollouts, **layout: Unpack[Layout]) -> Figure:
-    """Draw the inputs of wheels and steering axes over time: torques or voltages.
+    """Draw the inputs of wheels over time, torques or voltages, and those of steering axes below.
 
     `plots.forces` shows the inputs of arms too.
 
@@ -589,14 +589,18 @@ def wheel_torques(rollouts: Rollouts, **layout: Unpack[Layout]) -> Figure:
     ['left', 'right']
     """
     runs = check_plants(rollouts, *_WHEEL_CONTACTS)
-    units = {one.unit for run in runs.values() for one in _wheel_inputs(run)}
+    inputs = [_wheel_inputs(run) for run in runs.values()]
+    units = {one.unit for each in inputs for one in each}
     word = "voltage" if units == {"V"} else "torque"
     name = f"{word} [{units.pop()}]" if len(units) == 1 else "input"
-    sheet, grid = _make_axes(runs, [name], layout)
-    for run, axes in zip(runs.values(), grid[0], strict=True):
-        inputs = _wheel_inputs(run)
-        u = run.u[:, run.u.shape[1] - len(inputs) :]
-        _draw_lines(sheet, axes, run.t, u, [one.name for one in inputs], drawstyle="steps-post")
+    rows = sorted({_is_steering(one) for each in inputs for one in each})
+    sheet, grid = _make_axes(runs, ["steering " * row + name for row in rows], layout)
+    for run, each, column in zip(runs.values(), inputs, grid.T, strict=True):
+        u = run.u[:, run.u.shape[1] - len(each) :]
+        for row, axes in zip(rows, column, strict=True):
+            k = [j for j, one in enumerate(each) if _is_steering(one) == row]
+            if k:
+                _draw_lines(sheet, axes, run.t, u[:, k], [each[j].name for j in k], drawstyle="steps-post")
     return sheet.finish("Inputs of the wheels")
 
 
@@ -859,6 +863,10 @@ def _wheel_inputs(run: Rollout) -> Sequence[Any]:
     """Return the inputs after the inputs of the arms."""
     body: Any = getattr(run.plant, "robot", None)
     return run.inputs[max(len(coordinates_of(body)) - 3, 0) :]
+
+
+def _is_steering(one: Any) -> bool:
+    return bool(one.name.endswith("steering"))
 
 
 def _make_axes(
