@@ -1,5 +1,6 @@
 """Plants that are no `MobileRobot`: all that the library does with them, by what they say of themselves."""
 
+from functools import cache
 from typing import Any
 
 import coal
@@ -22,12 +23,16 @@ from tests.users import Follower, TwoWheels
 
 PATH = pm.Tangent(pm.Circle(2, 0.25, 20))
 FORCES = (pm.ViscousFriction([2, 0, 0.1]), Axle(0.01))
-RUN = pm.simulate(TwoWheels(), Follower(), PATH, dt=0.02, forces=FORCES, integrator=pm.rk4)
+
+
+@cache
+def driven() -> pm.Rollout:
+    return pm.simulate(TwoWheels(), Follower(), PATH, dt=0.02, forces=FORCES, integrator=pm.rk4)
 
 
 def test_figures_have_its_names_and_units() -> None:
     labels = {
-        draw.__name__: [axes.get_ylabel() for axes in draw(RUN).axes]
+        draw.__name__: [axes.get_ylabel() for axes in draw(driven()).axes]
         for draw in (plots.states, plots.errors, plots.forces, plots.signals)
     }
     assert labels == {
@@ -36,9 +41,9 @@ def test_figures_have_its_names_and_units() -> None:
         "forces": ["left torque [N m]", "right torque [N m]"],
         "signals": ["error across [m]"],
     }
-    (axes,) = plots.path({"two wheels": RUN}).axes
+    (axes,) = plots.path({"two wheels": driven()}).axes
     travelled = next(line for line in axes.lines if line.get_label() == "travelled")
-    np.testing.assert_array_equal(np.array(travelled.get_data()).T, RUN.q[:, :2])
+    np.testing.assert_array_equal(np.array(travelled.get_data()).T, driven().q[:, :2])
 
 
 class Polar:
@@ -118,7 +123,7 @@ def test_a_plant_draws_itself_live_recorded_and_as_a_ghost() -> None:
         before = scene_text(viewer)
         viewer.display(np.append(run.q[10, :3], [1.0, 0.0]))  # a wheel alone
         assert scene_text(viewer) != before
-        recorded = viewer.record({"one": run, "two": RUN}, overlays=Overlays(desired=True))
+        recorded = viewer.record({"one": run, "two": driven()}, overlays=Overlays(desired=True))
     moving = {track["path"] for track in recorded.tracks}
     assert {f"meshcat/robot0/visuals/{name}" for name in ("body", "left", "right")} <= moving
     assert "meshcat/desired/visuals/left" in moving
@@ -135,7 +140,7 @@ def test_a_start_is_completed_and_checked() -> None:
             if np.abs(self.project(q, v) - v).max() > 1e-9:
                 raise pm.InvalidArgument("v0 does not roll")
 
-    np.testing.assert_allclose(RUN.v[0, 3:] * 0.1, [0.5 - 0.0625, 0.5 + 0.0625], atol=1e-12)
+    np.testing.assert_allclose(driven().v[0, 3:] * 0.1, [0.5 - 0.0625, 0.5 + 0.0625], atol=1e-12)
     sliding: Any = {"v0": [0.5, 0.2, 0.25, 0, 0]}
     with pytest.raises(pm.InvalidArgument, match="v0 does not roll"):
         pm.simulate(Held(), Follower(), PATH, dt=0.1, **sliding)

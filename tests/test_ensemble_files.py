@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -38,15 +39,22 @@ def run(traces: Any = (), **more: Any) -> pm.Ensemble:
 
 
 # A controller that believes in 30 kg where there are 4 to 12, with the load, is beyond what the step allows.
-DIVERGING = run(traces=[17, 3], spread=SPREAD | {"controller.mass": 30.0})
-MADE: dict[str, pm.Ensemble] = {
-    "some diverge, two traced": DIVERGING,
-    "none diverges, none traced": run(),
-    "nothing spread, one robot": run(spread={}, n=1, traces=[0]),
-    "on a bare loop": run(
-        controller=pm.PD(40, 40), spread={"mass": pm.Uniform(9, 11)}, forces=[pm.ConstantForce((0.1, 0, 0))]
-    ),
+DIVERGING = "some diverge, two traced"
+MADE: dict[str, dict[str, Any]] = {
+    DIVERGING: {"traces": [17, 3], "spread": SPREAD | {"controller.mass": 30.0}},
+    "none diverges, none traced": {},
+    "nothing spread, one robot": {"spread": {}, "n": 1, "traces": [0]},
+    "on a bare loop": {
+        "controller": pm.PD(40, 40),
+        "spread": {"mass": pm.Uniform(9, 11)},
+        "forces": [pm.ConstantForce((0.1, 0, 0))],
+    },
 }
+
+
+@cache
+def made(name: str = DIVERGING) -> pm.Ensemble:
+    return run(**MADE[name])
 
 
 SERIES = "t", "q", "v", "a", "u", "error"
@@ -70,7 +78,7 @@ def bits(one: pm.Ensemble) -> dict[str, Any]:
 
 @pytest.mark.parametrize("name", MADE)
 def test_what_is_loaded_is_what_was_saved_bit_for_bit_and_answers_alike(tmp_path: Path, name: str) -> None:
-    one = MADE[name]
+    one = made(name)
     loaded = pm.Ensemble.load(saved(one, tmp_path))
     assert bits(loaded) == bits(one)
     assert list(bits(loaded)) == list(bits(one))
@@ -153,12 +161,12 @@ except ValueError as error:
 
 
 def test_with_its_scenario_a_loaded_ensemble_makes_robots_again(tmp_path: Path) -> None:
-    path = saved(DIVERGING, tmp_path)
+    path = saved(made(), tmp_path)
     loaded = pm.Ensemble.load(path, scenario(spread=SPREAD | {"controller.mass": 30.0}))
-    assert str(loaded) == str(DIVERGING)
-    assert loaded.arguments(5).robot == DIVERGING.arguments(5).robot
+    assert str(loaded) == str(made())
+    assert loaded.arguments(5).robot == made().arguments(5).robot
     for name in SERIES:
-        np.testing.assert_array_equal(getattr(loaded.member(5), name), getattr(DIVERGING.member(5), name))
+        np.testing.assert_array_equal(getattr(loaded.member(5), name), getattr(made().member(5), name))
     alone = pm.Ensemble.load(path)
     with refused(r"^i is 60, expected at most 59$"):
         alone.member(60)
@@ -181,7 +189,7 @@ def test_with_its_scenario_a_loaded_ensemble_makes_robots_again(tmp_path: Path) 
     ],
 )
 def test_another_scenario_is_refused(tmp_path: Path, changed: dict[str, Any], why: str) -> None:
-    path = saved(MADE["none diverges, none traced"], tmp_path)
+    path = saved(made("none diverges, none traced"), tmp_path)
     with refused(rf"^scenario does not match '.*saved.npz': {why}$"):
         pm.Ensemble.load(path, scenario(**changed))
 
@@ -208,7 +216,7 @@ def test_changed_code_is_refused_and_versions_are_kept(tmp_path: Path) -> None:
 
 
 def test_csv_has_a_row_per_robot_and_every_digit(tmp_path: Path) -> None:
-    one = DIVERGING
+    one = made()
     one.to_csv(tmp_path / "robots.csv")
     header = (tmp_path / "robots.csv").read_text().splitlines()[0].split(",")
     table = np.loadtxt(tmp_path / "robots.csv", delimiter=",", skiprows=1, ndmin=2)
@@ -251,8 +259,8 @@ def test_a_dataset_is_what_a_sweep_of_the_same_has(tmp_path: Path) -> None:
 
 
 def test_another_kind_of_file_is_refused_either_way(tmp_path: Path) -> None:
-    path = saved(DIVERGING, tmp_path)
-    DIVERGING.traces[3].save(tmp_path / "run.npz")
+    path = saved(made(), tmp_path)
+    made().traces[3].save(tmp_path / "run.npz")
     with refused(r"run.npz', which is not a 'pinmobile ensemble 6' archive: its format is"):
         pm.Ensemble.load(tmp_path / "run.npz")
     with refused(r"saved.npz', which is not a 'pinmobile rollout 4' archive: its format is"):
@@ -260,8 +268,8 @@ def test_another_kind_of_file_is_refused_either_way(tmp_path: Path) -> None:
 
 
 def test_damaged_bytes_are_refused_or_do_no_harm(tmp_path: Path) -> None:
-    content, path = saved(DIVERGING, tmp_path).read_bytes(), tmp_path / "robots.npz"
-    wanted, words = bits(DIVERGING), str(pm.Ensemble.load(saved(DIVERGING, tmp_path)))
+    content, path = saved(made(), tmp_path).read_bytes(), tmp_path / "robots.npz"
+    wanted, words = bits(made()), str(pm.Ensemble.load(saved(made(), tmp_path)))
     read = 0
     for seed in range(40):
         path.write_bytes(damaged(content, np.random.default_rng(seed)))
