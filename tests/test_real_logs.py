@@ -109,14 +109,23 @@ def test_commands_between_measurements_act_from_their_own_times() -> None:
     run = pm.simulate(real, pm.controllers.RandomSteps(), still, dt=0.04)
     held = pm.law(lambda t, q, v, reference: run.u[np.minimum(np.int64(t / 0.04 + 1e-6), len(run.u) - 1)])
     fine = pm.simulate(real, held, still, dt=0.01)
-    q, rng = fine.q + np.random.default_rng(0).normal(scale=2e-3, size=fine.q.shape), np.random.default_rng(1)
-    sent = run.t + rng.uniform(-0.004, 0.004, len(run.t))
-    values = {"acceleration": 0.7, "yaw_acceleration": 1.5, "delay": 0.02}
-    found = pm.identify_velocity(pm.Log.from_streams(fine.t[3::4], q[1::4][: len(fine.t[3::4])], sent, run.u))
-    assert np.abs(true(found, real.theta, **values)).max() < 4
-    assert found.standard_errors["delay"] < 1e-3
-    assert found.whiteness.is_white
-    other = replace(pm.Log.from_streams(fine.t[1::4], q[1::4], sent, run.u), u=-run.u[: len(q[1::4])])
+    q = fine.q + np.random.default_rng(0).normal(scale=2e-3, size=fine.q.shape)
+    late, values = fine.t[3::4], {"acceleration": 0.7, "yaw_acceleration": 1.5, "delay": 0.02}
+    log = pm.Log.from_streams(late, q[1::4][: len(late)], run.t, run.u)
+    again = pm.Log.from_streams(fine.t[2::4], q[::4][: len(fine.t[2::4])], run.t, run.u)
+    for given in (
+        log,
+        [log.between(0, 25), log.between(27, 60)],
+        [log.between(0, 30), again.between(30, 60)],
+    ):
+        found = pm.identify_velocity(given)
+        assert np.abs(true(found, real.theta, **values)).max() < 4
+        assert found.standard_errors["delay"] < 3e-4
+        assert found.whiteness.is_white
+    slow = pm.identify_velocity(pm.Log.from_streams(fine.t[::20], q[::20], fine.t, fine.u))  # 100 Hz and 5 Hz
+    assert np.abs(true(slow, real.theta, **values | {"delay": 0.0})[:-1]).max() < 4
+    assert not any("left out" in note for note in slow.notes)
+    other = replace(log, u=-log.u)
     with refused("log has commands that explain"):  # and not those of the streams
         pm.identify_velocity(other)
 

@@ -39,7 +39,6 @@ _LONGEST = 20_000  # rows of the search for a limit of acceleration
 _SECTION = 3.0  # [s], shortest section under other control
 _RESIDUAL_RATIO = 0.7  # square of the residual per square of motion or command in such a section
 _EDGE, _WIDE = 1.0, 4.0  # window [s], and residual per usual one, in which such a section goes on
-_PHASE_ERROR = 0.05  # largest difference of phases of runs [time steps]
 _OFFSETS = 2  # rounds that estimate an offset
 _MOVES = 0.2  # smallest residual in such a section, as a share of the usual motion
 
@@ -244,7 +243,7 @@ class Run(NamedTuple):
     is_car : bool
         Whether the second command is a steering angle.
     phase : float
-        Part of a time step after the time of a row at which its commands begin; all runs have the same.
+        Time after that of a row at which its commands begin [time steps]: near that of other runs.
     """
 
     log: int
@@ -276,14 +275,12 @@ def runs_of(logs: list[Log], is_pose: bool, inputs: Mapping[str, str]) -> list[R
         words = f"{', '.join(inputs)}: of a car, give the steering angle [rad] in place of its torque"
     for log in logs:
         check_inputs(log, "log", inputs, words)
-    name, runs = "q" if is_pose else "twist", []
+    name, runs = "q" if is_pose else "twist", list[Run]()
     pairs = [(k, part) for k, log in enumerate(logs) for part in continuous(log, "log", name)]
     dt, is_velocity = max(part.dt for _, part in pairs), inputs is CHANNELS or inputs is CAR_COMMANDS
-    samples = [part.samples(name, dt=dt, held=is_velocity) for _, part in pairs]
-    phases = np.exp(2j * np.pi * np.array([run.phase for run in samples]))
-    if np.abs(phases - phases[0]).max() > 2 * np.pi * _PHASE_ERROR:
-        samples = [part.samples(name, dt=dt) for _, part in pairs]
-    for (k, part), run in zip(pairs, samples, strict=True):
+    for k, part in pairs:
+        phase = runs[0].phase if runs else 0.5  # the nearest turn
+        run = part.samples(name, dt=dt, near=phase if is_velocity else None)
         if run.twist is not None:
             y = calm = nu = run.twist[:, [0, 2]]
         else:
@@ -294,8 +291,7 @@ def runs_of(logs: list[Log], is_pose: bool, inputs: Mapping[str, str]) -> list[R
             nu = nu[:, [0, 2]]
         state = np.column_stack([nu[:, 0], run.u[:, 1], 0 * nu[:, 0]]) if is_car else nu
         start = float(part.t[0] - logs[k].t[0])
-        phase = samples[0].phase
-        runs.append(Run(k, start, run.dt, run.u, y, calm, run.is_valid, nu, state, is_car, phase))
+        runs.append(Run(k, start, run.dt, run.u, y, calm, run.is_valid, nu, state, is_car, run.phase))
     return runs
 
 
@@ -441,7 +437,7 @@ def segments_of(
         window = np.clip(k[:, :1] - lead - 1 + np.arange(lead + 1 + length + 1), 0, N - 1)
         noise, load = np.ones((len(k), run.y.shape[1])), np.zeros((len(k), 4))
         rows = np.full(len(k), dt), k * dt, run.y[k], valid, noise, states[k[:, 0]], run.u, window
-        segments.append(Segments(*rows, lead + 1, load))
+        segments.append(Segments(*rows, lead + 1, load, np.full(len(k), run.phase)))
         calms.append((run.calm == run.y).all(axis=-1)[k])
     if not any(len(each.y) for each in segments):
         raise InvalidArgument(

@@ -150,7 +150,7 @@ class Samples(NamedTuple):
     u, q, twist, wheel_rates, joints : ndarray, shape (N, ...), or None
         Arrays of `Log`.
     phase : float
-        Part of a time step after the time of a row at which its inputs begin, from 0 to below 1.
+        Time after that of a row at which its inputs begin [time steps].
     """
 
     dt: float
@@ -388,6 +388,7 @@ class Log:
         valid = {name: ~lost_rows({name: x}) for name, x in given.items()}
         half = 0.5 * step(t) * (1 + 1e-9)
         rows: dict[str, Any] = {n: _sample(old[valid[n]], x[valid[n]], t, half) for n, x in given.items()}
+        old, u = self.stream if self._is_stream() and self.stream else (old, u)
         return self._rebuild({"t": t, "u": _mean_inputs(old, u, t), **rows})
 
     def step_of(self, *names: str) -> float:
@@ -406,11 +407,11 @@ class Log:
             )
         return _mean_step(t)
 
-    def samples(self, *names: str, dt: float | None = None, held: bool = False) -> Samples:
+    def samples(self, *names: str, dt: float | None = None, near: float | None = None) -> Samples:
         """Return named measurements at equal time steps, interpolated, with a mask of the measured rows.
 
-        The time step is `dt` [s], with mean inputs; default: that of the measurements. If `held`, the inputs
-        are those of the stream where these change at a common phase of the time steps.
+        The time step is `dt` [s], with mean inputs; default: that of the measurements. With `near`, inputs
+        begin at the phase of the time steps at which those of the stream change, the nearest to `near`.
         """
         dt = self.step_of(*names) if dt is None else dt
         given = self._arrays(*names)
@@ -430,23 +431,29 @@ class Log:
             u = self.u[np.searchsorted(rows, np.arange(len(grid)), side="right") - 1]
         if not is_even or len(t) < len(grid):
             given = {name: _interpolate(_extend(t), _extend(x), grid) for name, x in given.items()}
-        phase = self._phase(start, dt) if held else 0.0
-        if phase:
-            t, u = self.stream  # type: ignore[misc]
-            u = u[np.clip(np.searchsorted(t, grid + (phase + 0.5) * dt, side="right") - 1, 0, None)]
+        phase = 0.0 if near is None else self._phase(start, dt, near)
+        if phase and self.stream is not None:
+            u = _mean_inputs(*self.stream, rows=grid + phase * dt)
         return Samples(dt, times, is_valid, u, **given, phase=phase)
 
-    def _phase(self, start: float, dt: float) -> float:
-        """Return the phase at which the inputs of the stream change, 0 if there is no common one."""
-        if self.stream is None:
+    def _phase(self, start: float, dt: float, near: float) -> float:
+        """Return the phase nearest to another one at which inputs change; 0 if there is no common one."""
+        if not self._is_stream():
             return 0.0
-        t, u = self.stream
-        if not np.allclose(_mean_inputs(t, u, self.t), self.u, rtol=0, atol=1e-9 * np.abs(u).max()):
-            return 0.0  # other inputs have replaced them
+        t, u = self.stream  # type: ignore[misc]
         changes = t[1:][(np.diff(u, axis=0) != 0).any(axis=1)]
-        turn = np.exp(2j * np.pi * (changes - start) / dt).mean() if changes.size else 0.0
-        phase = float(np.angle(turn)) / (2 * np.pi)
-        return phase % 1 if abs(turn) > _ONE_PHASE and abs(phase) > _NO_PHASE else 0.0
+        turn = np.exp(2j * np.pi * ((changes - start) / dt - near)).mean() if changes.size else 0.0
+        phase = near + float(np.angle(turn)) / (2 * np.pi)
+        return phase if abs(turn) > _ONE_PHASE and abs(phase - round(phase)) > _NO_PHASE else 0.0 * phase
+
+    def _is_stream(self) -> bool:
+        """Return whether the inputs are the means of those of the stream, and not others in their place."""
+        if self.stream is None:
+            return False
+        t, u = self.stream
+        rows = np.diff(self.t, append=np.inf) < 1.5 * step(self.t)  # before a gap, the mean was another one
+        same = np.isclose(_mean_inputs(t, u, self.t), self.u, rtol=0, atol=1e-9 * np.abs(u).max())
+        return bool(same[rows].all())
 
     def rollout(self, robot: Any, *, delay: float = 0.0, **options: Any) -> Rollout:
         """Return the log as a rollout, beside a robot that replays its inputs.
@@ -493,10 +500,9 @@ class Log:
         """Return the log of measurements and inputs with separate times.
 
         Each input is constant until the next one. The input of a row is the mean over its time step.
-        `identify_velocity` takes the inputs themselves where they change at a common phase of the time steps;
-        otherwise the means are not exact for firmware with limits. The rows have the times of the fastest
-        sensor, and times between them if inputs are faster. A sensor has NaN in the rows between its
-        measurements.
+        `identify_velocity` takes the inputs at their own times where they change at a common phase of the
+        time steps. The rows have the times of the fastest sensor, and times between them if inputs are
+        faster. A sensor has NaN in the rows between its measurements.
 
         Parameters
         ----------
@@ -564,7 +570,8 @@ class Log:
         gaps = int(lost_rows(rows).sum()) - count  # rows between measurements are not lost
         rows = {"q": None, "u": _mean_inputs(times_u, inputs, t)} | rows
         names = tuple(sequence("units", units, "units of all inputs"))
-        stream = None if np.isnan(inputs).any() else (frozen(times_u), frozen(inputs))
+        known = ~np.isnan(inputs).any(axis=1)
+        stream = frozen(times_u[known]), frozen(inputs[known])
         return cls(t, **rows, dropped=-gaps, units=names, clock=(offset, rate), stream=stream)
 
     @classmethod

@@ -59,6 +59,8 @@ class Segments(NamedTuple):
         Number of these rows before the first sample.
     load : ndarray, shape (S, 4)
         Mass, first moments and inertia of the known load.
+    phase : ndarray, shape (S,)
+        Time after that of a row at which its inputs begin [samples].
     blocks : int
         Number of blocks of a segment for the jackknife.
     """
@@ -73,6 +75,7 @@ class Segments(NamedTuple):
     rows: NDArray[np.int_]
     lead: int
     load: Array
+    phase: Array
     blocks: int = 1
 
     @classmethod
@@ -99,7 +102,8 @@ class Segments(NamedTuple):
         window = np.clip(index[:, :1] - lead + np.arange(lead + length + extra), 0, len(u) - 1)
         sigma, loads = np.tile(noise, (len(index), 1)), np.broadcast_to(load, (len(index), 4))
         start, times = states[index[:, 0]], np.full(len(index), dt)
-        return cls(times, index * dt, y[index], good[index], sigma, start, u, window, lead, loads)
+        rows = times, index * dt, y[index], good[index], sigma, start, u, window
+        return cls(*rows, lead, loads, np.zeros(len(index)))
 
     @classmethod
     def join(cls, parts: list[Segments]) -> Segments:
@@ -131,9 +135,10 @@ class Segments(NamedTuple):
         return np.asarray(residuals * self.good[..., None] / self.noise[:, None])
 
     def applied(self, lag: Any, count: int) -> Array:
-        """Return the inputs from each sample on, shape (V, S, count, nu), for lags (V,) [samples]."""
-        columns = self.lead + np.arange(count) - np.reshape(lag, (-1, 1))
-        return np.asarray(np.moveaxis(self.inputs[self.rows[:, columns]], 0, 1))
+        """Return the inputs from each sample on, (V, S, count, nu), for lags (V,) or (V, S) [samples]."""
+        lags = np.atleast_1d(lag)
+        columns = self.lead + np.arange(count) - lags.reshape(len(lags), -1, 1)
+        return np.asarray(self.inputs[self.rows[np.arange(len(self.rows))[:, None], columns]])
 
 
 class Quantity(NamedTuple):
@@ -312,16 +317,19 @@ def _states(
     """Return the states of the samples, shape (V, S, L, n), with slopes for active numbers."""
     (V, S, n), K, (numbers, delays, longest) = starts.shape, segments.y.shape[1] - 1, given
     active, by_delay = sensitive or (None, False)
-    lag = np.floor(delays + 1e-9).astype(int)
-    share = np.maximum(delays - lag, _LEAST_SHARE * by_delay)
+    late = delays[:, None] + (segments.phase if segments.phase.any() else 0.0)
+    lag = np.floor(late + 1e-9).astype(int)
+    share = np.maximum(late - lag, _LEAST_SHARE * by_delay)
     lag = lag[:1] if (lag == lag[0]).all() else lag
     inputs, rows = [], []
     for shift, part, slope in ((1, share, 1.0), (0, 1 - share, -1.0)):
-        span = part[:, None, None] * segments.dt[:, None]
+        span = part[..., None] * segments.dt[:, None]
         count = max(np.ceil(span.max() / longest - 1e-9), float(by_delay))
         u = segments.applied(lag + shift, K)
         if by_delay:
-            u = np.concatenate([u, np.full((*u.shape[:3], 1), slope / part[0])], axis=-1)
+            u = np.concatenate(
+                [u, np.broadcast_to(slope / part[..., None, None], (*u.shape[:3], 1))], axis=-1
+            )
         inputs.append(u)
         rows += [span / max(count, 1.0), np.full((1, 1, 1), count)]
     u, m = np.moveaxis(np.concatenate(inputs, axis=-1), 2, 0), inputs[0].shape[-1]

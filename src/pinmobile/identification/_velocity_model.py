@@ -95,7 +95,7 @@ class VelocityModel(PhysicalNumbers):
     longest : float
         Largest length of a segment [s].
     phase : float
-        Of the commands, see `Run`.
+        That of the commands of the first run, see `Run`.
     """
 
     free: tuple[str, ...]
@@ -193,7 +193,7 @@ class VelocityModel(PhysicalNumbers):
         bends = _BENDS if np.isfinite(numbers[..., -4:-2]).any() else 1
         fastest = bends / self.time_constants(p.real).min()
         longest = self.dt / float(np.clip(self.dt * fastest / _FINE, 1, _MOST_STEPS))
-        return numbers, others["delay"] / self.dt + self.phase, longest
+        return numbers, others["delay"] / self.dt, longest
 
     def rates(self, z: Any, u: Any, numbers: Any) -> Any:
         """Return the rates of speed and yaw rate, and of x, y and psi if poses are measured."""
