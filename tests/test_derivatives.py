@@ -11,10 +11,11 @@ import pytest
 import pinmobile as pm
 from pinmobile import controllers, forces, integrators, robot, wheels
 from pinmobile.derivatives import Gradient, gradient, poles
-from pinmobile.loop import Loop, sample_reference, start_of
-from pinmobile.parts import named, parts_of, replace
+from pinmobile.loop import Loop, Samples, errors_of, select_integrator, start_of
+from pinmobile.parts import evolved, named, parts_of, replace
 from tests.frozen import BODY, CIRCLE, MOTOR, WHEEL, WRONG, by_lapack, loops, table, turning
 from tests.quick import every_fifth
+from tests.test_every_number import by_compiled, context_of, varied
 
 DT, DURATION = 0.01, 1.5
 DRY = ("differential Coulomb", "mecanum Coulomb", "skid-steer")
@@ -94,36 +95,32 @@ def flat(found: Gradient) -> Any:
 
 def differences(loop: Loop, own: dict[str, Any], paths: Sequence[str]) -> Any:
     """Return derivatives by extrapolated central differences of runs, and estimates of their errors."""
-    known, rows = named(loop), []
-    duration = min(DURATION, loop.trajectory.duration)
-
-    def value(changed: Loop) -> float:
-        parts = changed.plant, changed.controller, changed.trajectory
-        first = sample_reference(changed.trajectory, np.zeros(1), changed.plant)
-        q, v = start_of(changed.plant, first, own.get("q0"), own.get("v0"))
-        start = changed.integrate(q, changed.start), v + changed.start_rate
-        options: dict[str, Any] = {**own, "forces": changed.forces, "limit": 1e9}
-        options |= {"q0": start[0], "v0": start[1]}
-        run = pm.simulate(*parts, dt=DT, duration=duration, engine=pm.Engine.COMPILED, **options)
-        return float((run.error**2).sum() + 1e-6 * (run.u**2).sum())
-
+    loop = evolved(loop, recorder=Samples(), integrator=select_integrator(loop.plant, loop.integrator))
+    known, others, steps = named(loop), list[Loop](), []
     for path in paths:
         one = known[path]
         nominal = np.asarray(one.leaf.value, float)
         entries = [one.place(nominal.ndim)] if one.entry is not None else [*np.ndindex(nominal.shape)]
         for entry in entries:
-            step = 1e-5 * max(1.0, abs(nominal[entry]))
-            slopes = []
-            for h in (step, step / 2):
-                ends = []
-                for sign in (1, -1):
-                    moved = nominal.copy()
-                    moved[entry] += sign * h
-                    changes = {one.leaf.path: moved if moved.ndim else float(moved)}
-                    ends.append(value(replace(loop, changes)))
-                slopes.append((ends[0] - ends[1]) / (2 * h))
-            rows.append((slopes[1] + (slopes[1] - slopes[0]) / 3, abs(slopes[1] - slopes[0])))
-    return np.array(rows).T
+            steps.append(1e-5 * max(1.0, abs(nominal[entry])))
+            for h in (steps[-1], -steps[-1], steps[-1] / 2, -steps[-1] / 2):
+                moved = nominal.copy()
+                moved[entry] += h
+                others.append(replace(loop, {one.leaf.path: moved if moved.ndim else float(moved)}))
+    t = DT * np.arange(round(min(DURATION, loop.trajectory.duration) / DT) + 1)
+    context = context_of(loop, t)
+    q, v = start_of(loop.plant, context.reference, own.get("q0"), own.get("v0"))
+    starts = [(each.integrate(q, each.start), v + each.start_rate) for each in others]
+    leaves = {known[path].leaf.path for path in paths}
+    numbers = [path for path in varied(loop) if path in leaves]
+    found = by_compiled(loop, context, [np.array(x) for x in zip(*starts, strict=True)], others, numbers)
+    values = [
+        float((errors_of(loop.plant, q, context.reference) ** 2).sum() + 1e-6 * (u**2).sum())
+        for q, u in zip(found["q"], found["u"], strict=True)
+    ]
+    rises = np.reshape(values, (-1, 2, 2)) @ [1.0, -1.0]
+    whole, half = (rises / np.outer(steps, [2.0, 1.0])).T
+    return half + (half - whole) / 3, np.abs(half - whole)
 
 
 def test_every_public_part_is_in_a_loop() -> None:

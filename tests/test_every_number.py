@@ -59,13 +59,18 @@ def made(name: str) -> tuple[Loop, Context, Any]:
     integrator = select_integrator(plant, options.get("integrator"))
     forces = options.get("forces", ())
     loop = Loop(plant, controller, trajectory, forces, integrator, options.get("substeps", 1), Samples())
-    t: Any = 1.0 + DT * np.arange(3 if name.startswith("adaptive") else 2)  # leakage is felt in the third
-    reference = sample_reference(trajectory, t, plant)
-    q, v = plant.start(Reference(*(x[0] for x in reference)))
-    context = Context.of(plant, dt=DT, t=t, reference=reference, trajectory=trajectory)
+    steps = 3 if name.startswith("adaptive") else 2  # leakage is felt in the third
+    context = context_of(loop, 1.0 + DT * np.arange(steps))
+    q, v = plant.start(Reference(*(x[0] for x in context.reference)))
     moved = 0.05 * np.cos(np.arange(len(v)))
     q, v = plant.integrate(q, moved), v + 0.1 * np.sin(1.0 + np.arange(len(v)))
     return loop, context, (q, plant.project(q, v) if hasattr(plant, "project") else v)
+
+
+def context_of(loop: Loop, t: Any) -> Context:
+    """Return the context of the samples of a loop at times."""
+    reference = sample_reference(loop.trajectory, t, loop.plant)
+    return Context.of(loop.plant, dt=DT, t=t, reference=reference, trajectory=loop.trajectory)
 
 
 def rows(samples: Any) -> Any:
@@ -76,20 +81,23 @@ def by_python(loop: Loop, context: Context, start: Any) -> Any:
     return rows(list(python_samples(loop, context, *start)))
 
 
-def by_compiled(loop: Loop, context: Context, start: Any, others: list[Loop]) -> Any:
-    """Return what robots do, of which each has the numbers of another loop."""
-    paths, n = varied(loop) if others else [], max(len(others), 1)
+def by_compiled(
+    loop: Loop, context: Context, start: Any, others: list[Loop], paths: list[str] | None = None
+) -> Any:
+    """Return what robots do, of which each has the numbers (all, or those of paths) of another loop."""
+    paths, n = varied(loop) if paths is None else paths, max(len(others), 1)
+    first, starts = Reference(*(x[0] for x in context.reference)), [np.atleast_2d(x) for x in start]
     values = {
         path: np.array([np.asarray(numbers(one)[path].value, float) for one in others]) for path in paths
     }
-    first = Reference(*(x[0] for x in context.reference))
     spread = {path: np.ones(value.shape[1:], bool) for path, value in values.items()}
     try:
-        compiled = Compiled(loop, context, start, first, spread=spread)
+        compiled = Compiled(loop, context, tuple(x[0] for x in starts), first, spread=spread)
     except NotTraceable:  # gains that follow from its numbers are those of all robots
-        found = [by_compiled(one, context, start, []) for one in others]
+        own = [[x[k % len(x)] for x in starts] for k in range(n)]
+        found = [by_compiled(one, context, at, [one], []) for one, at in zip(others, own, strict=True)]
         return {name: np.concatenate([one[name] for one in found]) for name in found[0]}
-    q, v = (np.tile(x, (n, 1)) for x in start)
+    q, v = (np.tile(x, (n // len(x), 1)) for x in starts)
     keys = {name: np.repeat(robot_keys(context.seed, name, range(1)), n) for name in compiled.tape.keys}
     given: Any = {"values": values, "keys": keys}
     run = compiled.run((q, v), context.t, Reference(*context.reference), **given)
