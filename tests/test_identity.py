@@ -318,34 +318,25 @@ def test_no_file_of_another_source_is_used(process: Process, monkeypatch: pytest
     identity._source.cache_clear()
 
 
-@pytest.mark.parametrize("suffix", [".loop", ".o"])
-def test_a_damaged_file_is_made_again(suffix: str, process: Process) -> None:
+@pytest.mark.parametrize(
+    ("suffix", "spoil"),
+    [
+        (".loop", lambda file: file.write_bytes(file.read_bytes()[:-1] + b"?")),
+        (".o", lambda file: file.write_bytes(file.read_bytes()[:-1] + b"?")),
+        (".loop", lambda file: Cache(file.parent).write(file.stem, b"[", LOOP)),  # whole, and holds no loop
+        (".o", lambda file: file.unlink()),
+    ],
+    ids=["damaged loop", "damaged machine code", "no loop", "no machine code"],
+)
+def test_what_is_wrong_with_a_file_is_made_again(suffix: str, spoil: Any, process: Process) -> None:
     before = run(pm.PD(100, 20)).max_error
     (file,) = process.folder.glob(f"*{suffix}")
     whole = file.read_bytes()
-    file.write_bytes(whole[:-1] + b"?")
+    spoil(file)
     process.begin()
     assert np.array_equal(run(pm.PD(100, 20)).max_error, before)
     assert file.read_bytes() == whole
     assert process.traced == (suffix == ".loop")
-
-
-def test_a_whole_file_that_holds_no_loop_is_written_again(process: Process) -> None:
-    before = run(pm.PD(100, 20)).max_error
-    (name,) = process.loops
-    Cache(process.folder).write(name.removesuffix(".loop"), b"[", LOOP)
-    process.begin()
-    assert np.array_equal(run(pm.PD(100, 20)).max_error, before)
-    assert process.traced == 1
-
-
-def test_a_loop_whose_machine_code_is_gone_is_built_and_not_traced(process: Process) -> None:
-    before = run(pm.PD(100, 20)).max_error
-    for file in process.folder.glob("*.o"):
-        file.unlink()
-    process.begin()
-    assert np.array_equal(run(pm.PD(100, 20)).max_error, before)
-    assert process.traced == 0
 
 
 def test_a_loop_is_built_without_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
