@@ -90,15 +90,6 @@ def test_a_force_cannot_write_into_the_record() -> None:
     np.testing.assert_allclose(rollout.q, plain.q, rtol=0, atol=1e-12)
 
 
-def test_a_force_that_is_not_a_number_is_divergence_with_everything_before_it() -> None:
-    def fails(t: float, q: Array, v: Array) -> Array:
-        return np.full(3, np.nan if t > 1.05 else 0.0)
-
-    with pytest.raises(pm.Diverged, match=r"at t = 1\.1 s .*: a not finite") as caught:
-        pm.simulate(ROBOT, pm.PD(9, 9), CIRCLE, dt=0.1, forces=[fails])
-    assert len(caught.value.rollout) == 11
-
-
 def test_what_is_no_sequence_of_forces_is_refused() -> None:
     with begun("forces is <built-in function abs>, expected a sequence of forces, such as [force]"):
         pm.simulate(ROBOT, pm.PD(1, 1), CIRCLE, dt=0.1, forces=abs)  # type: ignore[arg-type]

@@ -110,12 +110,16 @@ def test_a_start_beyond_the_limit_diverges_at_once_with_nothing_recorded() -> No
     assert caught.value.rollout is None
 
 
-def test_not_a_number_from_a_controller_is_divergence_at_that_sample() -> None:
-    def fails(t: float, q: Array, v: Array, reference: Any) -> Array:
-        return np.full(3, np.nan if t > 1 else 0.0)
+def fails(t: float, q: Array, v: Array, reference: Any = None) -> Array:
+    return np.full(3, np.nan if t > 1.05 else 0.0)
 
-    with pytest.raises(pm.Diverged, match=r"at t = 1.1 s .* u not finite") as caught:
-        pm.simulate(ROBOT, pm.law(fails), CIRCLE, dt=0.1)
+
+@pytest.mark.parametrize(
+    ("controller", "forces", "name"), [(pm.law(fails), (), "a, u"), (pm.PD(9, 9), [fails], "a")]
+)
+def test_what_is_not_a_number_is_divergence_at_that_sample(controller: Any, forces: Any, name: str) -> None:
+    with pytest.raises(pm.Diverged, match=rf"at t = 1\.1 s .*: {name} not finite") as caught:
+        pm.simulate(ROBOT, controller, CIRCLE, dt=0.1, forces=forces)
     assert len(caught.value.rollout) == 11
 
 
