@@ -230,6 +230,7 @@ def test_the_rounding_of_the_last_time_is_allowed(path: Path) -> None:
     assert (path(-1e-16) == path(0)).all()
 
 
+STRAIGHT = Line((0, 0), (3, 0), 6)
 test_impossible_paths_are_refused = refusals(
     (lambda: CubicVia((0, 0), (2, 2), (0, 4), 70, 60), "t_via is 70.0 s, expected 0 < t_via < 60 s"),
     (lambda: CubicVia((0, 0), (1, 2, 3), (0, 4), 30, 60), "via has shape (3,), expected (2,)"),
@@ -239,6 +240,20 @@ test_impossible_paths_are_refused = refusals(
     (lambda: Spline([(0, 0), (1, 1), (2, 2)], [0, 2, 2]), "times[2] is 2.0 s after 2.0 s, expected more"),
     (lambda: RestToRest((1, 2), (1, 2, 3), 2), "end has shape (3,), expected (2,)"),
     (lambda: Hold((1, 2), 0), "duration is 0.0 s, expected > 0"),
+    (lambda: CompositePath([STRAIGHT, Line((3, 0.5), (6, 0.5), 6)]), "paths[1] starts at (3, 0.5) m, 0.5 m"),
+    (
+        lambda: CompositePath([STRAIGHT, Line((3, 0), (3, 3), 6)]),
+        "paths[1] starts with the velocity (0, 0.5)",
+    ),
+    (
+        lambda: CompositePath([STRAIGHT, Hold((3, 0, 0), 1)]),
+        "paths[1] has points of shape (3,), expected (2,)",
+    ),
+    (lambda: Circle(1, 1, 1, phase=1, heading=2), "heading is 2.0, expected None with phase = 1.0 rad"),
+    (lambda: Polyline([(0, 0), (0, 0), (1, 0)], 1, 1), "waypoints[1] is equal to waypoints[0], expected"),
+    (lambda: Polyline([(0, 0), (1, 0), (0, 0)], 1, 1), "waypoints[1] has a turn of 180 degrees, expected"),
+    (lambda: Polyline([(0, 0), (4, 0), (4, 0.5)], 0.5, 9), "waypoints[1] and waypoints[2] are 0.5 m"),
+    (lambda: Polyline([(0, 0), (4, 0)], 0.5, 5, 1), "duration is 5 s, expected at least 5.47723 s for 4 m"),
     by=begun,
 )
 
@@ -381,22 +396,6 @@ def test_a_path_that_comes_to_rest_goes_on_in_another_direction() -> None:
     np.testing.assert_allclose(reference(13).v, 0, atol=1e-13)
 
 
-STRAIGHT = Line((0, 0), (3, 0), 6)
-
-test_paths_that_do_not_meet_are_refused = refusals(
-    (lambda: CompositePath([STRAIGHT, Line((3, 0.5), (6, 0.5), 6)]), "paths[1] starts at (3, 0.5) m, 0.5 m"),
-    (
-        lambda: CompositePath([STRAIGHT, Line((3, 0), (3, 3), 6)]),
-        "paths[1] starts with the velocity (0, 0.5)",
-    ),
-    (
-        lambda: CompositePath([STRAIGHT, Hold((3, 0, 0), 1)]),
-        "paths[1] has points of shape (3,), expected (2,)",
-    ),
-    by=begun,
-)
-
-
 def test_rounding_is_no_jump() -> None:
     turn = Circle(1, 0.5, 3)
     end, direction = turn(3), turn.derivative(3, 1)
@@ -415,16 +414,3 @@ def test_a_spread_that_tears_a_path_apart_is_refused_for_the_robot_that_it_tears
         ensemble(
             MobileRobot(30, 1.3), PD(120, 120), Tangent(path), n=2, spread={name: Uniform(3.1, 3.2)}, dt=0.1
         )
-
-
-# -- what is refused -------------------------------------------------------------------------------
-
-
-test_paths_refuse = refusals(
-    (lambda: Circle(1, 1, 1, phase=1, heading=2), "heading is 2.0, expected None with phase = 1.0 rad"),
-    (lambda: Polyline([(0, 0), (0, 0), (1, 0)], 1, 1), "waypoints[1] is equal to waypoints[0], expected"),
-    (lambda: Polyline([(0, 0), (1, 0), (0, 0)], 1, 1), "waypoints[1] has a turn of 180 degrees, expected"),
-    (lambda: Polyline([(0, 0), (4, 0), (4, 0.5)], 0.5, 9), "waypoints[1] and waypoints[2] are 0.5 m"),
-    (lambda: Polyline([(0, 0), (4, 0)], 0.5, 5, 1), "duration is 5 s, expected at least 5.47723 s for 4 m"),
-    by=begun,
-)

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings, strategies as st
+from hypothesis import example, given, strategies as st
 
 from pinmobile.arrays import Array, ArrayLike
 from pinmobile.errors import LimitWarning
@@ -12,12 +12,8 @@ from pinmobile.paths import Circle, CompositePath, CubicVia, Hold, Lissajous, Pa
 from pinmobile.paths.path import PiecewisePolynomial, Polynomial
 from pinmobile.trajectories import FixedHeading, LectureHeading, Reference, Tangent, Trajectory
 from tests.refusals import begun, refusals
+from tests.test_paths import EPS, VIA_FREE, VIA_STOP, derandomised
 
-derandomised = settings(derandomize=True, deadline=None, max_examples=30)
-EPS = float(np.finfo(float).eps)
-
-VIA_STOP = CubicVia((0, 0), (2, 2), (0, 4), 30, 60, via_velocity=(0, 0))
-VIA_FREE = CubicVia((0, 0), (2, 2), (0, 4), 30, 60)
 CIRCLE = Circle(3, 0.1, 60)
 CROSSING = Lissajous(3, 3, 0.2, 0.1, 60)
 # x' = 6 cos 3t, y' = 2 sin 2t: both vanish where cos t does, at odd multiples of pi/2.
