@@ -285,7 +285,6 @@ def test_a_distribution_that_gives_no_numbers_is_refused() -> None:
 test_distributions_and_options_of_a_run_are_checked = refusals(
     (lambda: pm.Uniform(2, 1), "low is 2.0, expected at most high, 1.0"),
     (lambda: pm.SameAs(3), "name is 3, expected the name of a parameter"),  # type: ignore[arg-type]
-    (lambda: run_scenario(made(), engine="numba"), "engine is 'numba', expected Engine.PYTHON, "),  # type: ignore[arg-type]
     (lambda: run_scenario(made(), progress=3), "progress is 3, expected a function of done and n"),  # type: ignore[arg-type]
     (lambda: run_scenario(made(), traces=[1000]), "traces is 1000, expected at most 999"),
 )

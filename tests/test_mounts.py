@@ -179,13 +179,6 @@ def massful() -> pin.Model:
     return chain(pin.JointModelRY(), pin.JointModelRX())
 
 
-def massless() -> pin.Model:
-    model = chain(pin.JointModelRY(), pin.JointModelRX())
-    model.addJoint(2, pin.JointModelRZ(), pin.SE3.Identity(), "finger")
-    model.name = "grip"
-    return model
-
-
 test_unknown_names_come_with_the_nearest_ones = refusals(
     (lambda: BOX.mount("ur55"), "^unknown arm 'ur55', did you mean 'ur5'"),
     (lambda: BOX.mount("ur5", locked=["elbow"]), "^unknown joint 'elbow', did you mean 'elbow_joint'"),
@@ -205,7 +198,9 @@ def test_a_file_that_is_none_is_refused(urdf: Path, tmp_path: Path) -> None:
     with pytest.raises(pm.InvalidArgument, match=r"^arm\.urdf is not well-formed XML"):
         BOX.mount(urdf)
     urdf.write_text(ARM.format(lower=""))
-    with pytest.raises(pm.InvalidArgument, match=r"joint 'arm/elbow' moves parts that have no inertia"):
+    with pytest.raises(
+        pm.InvalidArgument, match=r"^joint 'arm/elbow' moves parts that have no inertia, expected inertia"
+    ):
         BOX.mount(urdf)
 
 
@@ -226,7 +221,6 @@ def unsound(**changed: Any) -> pin.Model:
 CROSSED = unsound(lowerPositionLimit=2.0, upperPositionLimit=-2.0)
 test_arms_that_cannot_be_mounted_are_refused = refusals(
     (lambda: BOX.mount("ur5", name="a/b"), "name is 'a/b', expected a word without /"),
-    (lambda: BOX.mount(massless()), "joint 'grip/finger' moves parts that have no inertia, expected inertia"),
     (
         lambda: BOX.mount("ur5", rest=[0, 0, 9, 0, 0, 0]),
         "rest has joint 'elbow_joint' = 9, expected -3.14159265 <=",
