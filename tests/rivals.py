@@ -12,7 +12,8 @@ from pinmobile.forces import PayloadForce
 NOMINAL = pm.MobileRobot(mass=30.0, yaw_inertia=1.3, com=(0.1, 0.05))
 """The robot in which all controllers believe."""
 HEAVY, OFF = pm.MobileRobot(36.0, 1.56, (0.1, 0.05)), pm.MobileRobot(30.0, 1.3, (0.2, -0.05))
-CIRCLE = pm.Tangent(pm.Circle(radius=1.5, rate=0.6, duration=30.0))
+ARM = pm.MobileRobot.box().mount("ur5")
+CIRCLE, SHORT = (pm.Tangent(pm.Circle(radius=1.5, rate=0.6, duration=seconds)) for seconds in (30.0, 2.0))
 LAW = "controller.controller.controller"  # in the delay and the noise of a measurement
 
 _FRICTION = {

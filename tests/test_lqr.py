@@ -15,10 +15,8 @@ from pinmobile.plant import Context
 from pinmobile.wheels import Motor
 from tests.parts import Waving
 from tests.refusals import refusals
-from tests.rivals import CIRCLE, HEAVY, NOMINAL, OFF
+from tests.rivals import ARM, CIRCLE, HEAVY, NOMINAL, OFF, SHORT
 
-ARM = pm.MobileRobot.box().mount("ur5")
-SHORT = pm.Tangent(pm.Circle(radius=1.5, rate=0.6, duration=2))
 DIFFERENTIAL = pm.WheelTable.differential(0.1, 0.4)
 WHEELED = pm.WheeledRobot(NOMINAL, DIFFERENTIAL)
 

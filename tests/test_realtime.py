@@ -374,6 +374,11 @@ def test_an_invalid_argument_is_refused_before_the_run(robot: Robot) -> None:
 # Runs on the clock of the machine
 
 
+def measured() -> Any:
+    """Return a measurement of now."""
+    return time.monotonic(), [0, 0, 0], [0.5, 0, 0.5]
+
+
 def test_ctrl_c_ends_a_run_and_calls_stop() -> None:
     stops: list[str] = []
     stepper = stepper_of(0.01)
@@ -383,9 +388,8 @@ def test_ctrl_c_ends_a_run_and_calls_stop() -> None:
         if len(stepper) == 3:
             os.kill(os.getpid(), signal.SIGINT)
 
-    read = lambda: (time.monotonic(), [0, 0, 0], [0.5, 0, 0.5])  # noqa: E731
     options: Any = {"stop": lambda: stops.append("stop"), "stale": 60.0, "duration": np.inf}
-    found = run_realtime(stepper, read, write, **options)
+    found = run_realtime(stepper, measured, write, **options)
     assert found.reason == "interrupt"
     assert stops == ["stop"]
     assert found.rollout is not None
@@ -399,7 +403,7 @@ def test_the_scheduler_is_restored_and_refusals_are_stated(monkeypatch: pytest.M
 
     def read() -> Any:
         during.append(os.sched_getscheduler(0))
-        return time.monotonic(), [0, 0, 0], [0.5, 0, 0.5]
+        return measured()
 
     options: Any = {"stop": lambda: None, "stale": 60.0, "duration": 0.02}
     report = run_realtime(stepper_of(0.01), read, lambda u: None, **options)
@@ -425,9 +429,8 @@ def test_a_run_in_another_thread_works() -> None:
     found: list[RealtimeReport] = []
 
     def run() -> None:
-        read = lambda: (time.monotonic(), [0, 0, 0], [0.5, 0, 0.5])  # noqa: E731
         options: Any = {"stop": lambda: None, "stale": 60.0, "duration": 0.05}
-        found.append(run_realtime(stepper_of(0.01), read, lambda u: None, **options))
+        found.append(run_realtime(stepper_of(0.01), measured, lambda u: None, **options))
 
     thread = threading.Thread(target=run)
     thread.start()

@@ -15,10 +15,8 @@ from pinmobile.plant import Context
 from tests import rivals
 from tests.parts import Waving
 from tests.refusals import refusals
-from tests.rivals import CIRCLE, HEAVY, NOMINAL, RIVALS
+from tests.rivals import ARM, CIRCLE, HEAVY, NOMINAL, RIVALS, SHORT
 
-ARM = pm.MobileRobot.box().mount("ur5")
-SHORT = pm.Tangent(pm.Circle(radius=1.5, rate=0.6, duration=2))
 FAST: Any = {"integrator": pm.rk4, "engine": pm.Engine.COMPILED}
 LIMITS = (22.0, 22.0, 3.0)
 NAMES = "PID", "sliding mode", "super-twisting", "adaptive", "adaptive, friction", "observer", "ADRC"
