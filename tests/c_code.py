@@ -80,12 +80,18 @@ def compile_c(
     main.write_text(driver)
     defined = [f"-D{name}={size}" for name, size in zip(("NQ", "NV", "NU"), sizes, strict=True)]
     command = [compiler, *STRICT, "-shared", "-fPIC", *defined, *flags, *sources, main.name]
-    command += ["-o", library, "-lm"]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
+    succeed(folder, [*command, "-o", library, "-lm"])
     drive: Any = ctypes.CDLL(library).drive
     drive.library = library
     return drive
+
+
+def succeed(folder: Path, *commands: Sequence[str]) -> str:
+    """Run commands in a folder, of which none may fail, and return what the last one prints."""
+    for command in commands:
+        done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+        assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
 
 
 def call(drive: Any, *arrays: Any) -> int:
@@ -97,21 +103,13 @@ def call(drive: Any, *arrays: Any) -> int:
 def run_program(folder: Path, main: str, *flags: str) -> str:
     """Return what a program with the exported code prints."""
     (folder / "main.c").write_text(main)
-    command = ["gcc", *STRICT, *flags, "robot.c", "main.c", "-o", "main", "-lm"]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    return subprocess.run([str(folder / "main")], capture_output=True, text=True, check=True).stdout
+    return succeed(folder, ["gcc", *STRICT, *flags, "robot.c", "main.c", "-o", "main", "-lm"], ["./main"])
 
 
 def run_test_program(folder: Path, *flags: str, compiler: str = "gcc") -> str:
     """Return what the exported test program prints."""
-    program = folder / "robot_test"
-    command = [compiler, *STRICT, *flags, "robot.c", "robot_test.c", "-o", program.name, "-lm"]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    tested = subprocess.run([str(program)], capture_output=True, text=True)
-    assert tested.returncode == 0, tested.stdout + tested.stderr
-    return tested.stdout
+    command = [compiler, *STRICT, *flags, "robot.c", "robot_test.c", "-o", "robot_test", "-lm"]
+    return succeed(folder, command, ["./robot_test"])
 
 
 def rows(*arrays: Any, kind: Any = np.float64) -> list[Any]:

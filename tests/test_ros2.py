@@ -23,7 +23,7 @@ import pytest
 from pinmobile import Circle, ComputedTorque, Engine, MobileRobot, Tangent, simulate
 from pinmobile.arrays import Array
 from pinmobile.export import export_c
-from tests.c_code import rows
+from tests.c_code import rows, succeed
 from tests.ros_robot import PATIENCE
 
 ROOT = Path(__file__).parents[1]
@@ -127,12 +127,8 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Any:
     flags = ["-O1", "-fPIC", "-ffp-contract=off", "-Wall", "-Wextra", "-Werror", f"-I{folder}"]
     flags += [f"-I{EXAMPLE / 'include'}"]
     sources = "drive.cpp", str(EXAMPLE / "src" / "robot_controller.cpp"), "robot.o"
-    for command in (
-        ["gcc", "-std=c99", *flags, "-c", "robot.c"],
-        ["g++", "-std=c++17", *flags, "-Wl,-Bsymbolic", "-shared", *sources, "-o", "drive.so"],
-    ):
-        done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
-        assert done.returncode == 0, done.stderr
+    linked = ["g++", "-std=c++17", *flags, "-Wl,-Bsymbolic", "-shared", *sources, "-o", "drive.so"]
+    succeed(folder, ["gcc", "-std=c99", *flags, "-c", "robot.c"], linked)
     return ctypes.CDLL(str(folder / "drive.so")).drive
 
 
