@@ -27,7 +27,7 @@ from pinmobile.errors import SchedulerError
 from pinmobile.parts import parameters
 from tests.chromium import Chromium
 from tests.damage import full_disk
-from tests.test_identification import log, rolled
+from tests.test_identification import HEAD, log, rolled
 from tests.test_velocity_identification import logged
 from tests.webclient import eventually
 
@@ -136,10 +136,16 @@ def test_verify_and_derive_take_robots(typed: Typed, tmp_path: Path) -> None:
     assert (code, err[:45]) == (2, "pinmobile: robot has wheels of type (1, 2), e")
 
 
-def test_run_is_the_lectures_circle_by_default(typed: Typed, tmp_path: Path) -> None:
+def test_run_is_the_lectures_circle_by_default_and_tells_its_progress_where_no_terminal_is(
+    typed: Typed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     out = tmp_path / "a" / "b"
-    code, text, _ = typed("run", "--out", str(out), "--film", str(tmp_path / "a" / "see.html"))
+    monkeypatch.setattr("pinmobile.cli.output._MINUTE", 0.02)
+    code, text, err = typed("run", "--out", str(out), "--film", str(tmp_path / "a" / "see.html"))
     assert code == 0
+    assert any(line.startswith("drawing ") for line in err.splitlines())
+    assert all(re.fullmatch(r"[a-z ]+: \d+ of \d+, \d+ s", line) for line in err.splitlines())
+    assert "drawing" not in text
     assert "largest error: x 3.491279e-05 m, y 3.491278e-05 m" in text
     assert f"open {out / 'index.html'}\nsee it move: open {tmp_path / 'a' / 'see.html'}\n" in text
     assert (tmp_path / "a" / "see.html").stat().st_size > 100_000
@@ -186,18 +192,6 @@ def test_a_signal_of_a_batch_system_leaves_no_temporary_files(tmp_path: Path, br
         assert (process.returncode, text.splitlines()[-1]) == (130, "pinmobile: interrupted")
         assert not [*folder.iterdir()]
     assert not film.exists()
-
-
-def test_a_long_command_writes_lines_of_progress_where_no_terminal_is(
-    typed: Typed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("pinmobile.cli.output._MINUTE", 0.02)
-    code, text, err = typed("run", "duration=6", "--out", str(tmp_path))
-    assert code == 0
-    lines = err.splitlines()
-    assert any(line.startswith("drawing ") for line in lines)
-    assert all(re.fullmatch(r"[a-z ]+: \d+ of \d+, \d+ s", line) for line in lines)
-    assert "drawing" not in text
 
 
 FIGURES = "path", "states", "errors", "forces", "balance"
@@ -443,8 +437,6 @@ def test_view_says_why_it_does_not_know_the_robot_of_a_file(typed: Typed, tmp_pa
 
 
 # -- logs ------------------------------------------------------------------------------------------
-
-HEAD = "t,x,y,psi,Fx,Fy,Mz"
 
 
 def rows(read: Any = None) -> Any:
