@@ -234,10 +234,10 @@ def test_a_robot_at_rest_across_a_ramp_does_not_slip() -> None:
 @pytest.mark.parametrize("engine", [pm.Engine.COMPILED, pm.Engine.PYTHON])
 def test_a_run_ends_at_the_first_event_of_a_kind(engine: pm.Engine) -> None:
     robot = on_wheels(pm.Coulomb(0.3), height=0.5)
-    whole = turning(robot, engine=engine, duration=1.2)
+    whole = turning(robot, 2.5, engine=engine, duration=0.6)
     first = of_kind(whole, "tip over")
     assert 0 < first.t < whole.t[-1]
-    ended = turning(robot, engine=engine, duration=1.2, stop_at=["tip over"])
+    ended = turning(robot, 2.5, engine=engine, duration=0.6, stop_at=["tip over"])
     assert ended.t[-1] == first.t
     assert of_kind(ended, "tip over").samples == 1
     for name in ("q", "v", "u", "error"):

@@ -199,8 +199,9 @@ def test_an_ensemble_varies_mass_and_time_and_agrees_with_single_runs_in_python(
 def test_the_viewer_draws_the_payload_while_it_is_held() -> None:
     from pinmobile.viewer import Viewer
 
-    run = pm.simulate(HELD, LAW, MOTION, dt=DT)
-    tracks = Viewer(HELD).record(run, fps=100).tracks
+    plant = pm.PayloadTransfer(BOX, CRATE, BEGIN, END, "base_link")
+    run = pm.simulate(plant, pm.ComputedTorque(BOX), LINE, dt=DT)
+    tracks = Viewer(plant).record(run, fps=100).tracks
     (own,) = [each for each in tracks if each["path"].endswith("load1")]
     (track,) = [each for each in own["clip"]["tracks"] if each["name"] == ".visible"]
     assert track["type"] == "bool"  # steps, without interpolation

@@ -280,7 +280,7 @@ def test_it_is_a_loop_written_by_hand_bit_for_bit(name: str, engine: pm.Engine) 
 def test_engines_agree_on_a_robot(name: str) -> None:
     law = Sampled(LAWS[name], EVERY)
     one, other = (
-        simulate(HEAVIER, law, PATH, dt=DT, q0=(0.05, 0, 0), v0=(0, 0, 0), engine=engine)
+        simulate(HEAVIER, law, PATH, dt=DT, duration=COUNT * DT, q0=(0.05, 0, 0), v0=(0, 0, 0), engine=engine)
         for engine in (pm.Engine.COMPILED, pm.Engine.PYTHON)
     )
     np.testing.assert_allclose(one.q, other.q, atol=1e-11)
@@ -306,11 +306,9 @@ def test_a_held_kinematic_law_steers_a_car() -> None:
     car = WheeledRobot(MobileRobot(30.0, 1.3, com=(0.2, 0)), WheelTable.car(0.5, 0.4, 0.1, **wheels))
     law = pm.Backstepping(Sampled(UnicycleTracking(), 5), car)
     aside = simulate(car, law, PATH, dt=0.01, duration=0.01).q[0] + np.array([0.02, 0.01, 0, 0, 0, 0, 0, 0])
-    one, other = (
-        simulate(car, law, PATH, dt=0.01, q0=aside, engine=engine)
-        for engine in (pm.Engine.COMPILED, pm.Engine.PYTHON)
-    )
-    np.testing.assert_allclose(one.q, other.q, atol=1e-11)
+    one = simulate(car, law, PATH, dt=0.01, q0=aside, engine=pm.Engine.COMPILED)
+    begin = simulate(car, law, PATH, dt=0.01, q0=aside, duration=0.6, engine=pm.Engine.PYTHON)
+    np.testing.assert_allclose(one.q[:61], begin.q, atol=1e-11)
     assert np.abs(one.error[-1, :2]).max() < 0.3 * 0.02
 
 
