@@ -1,6 +1,5 @@
 """Figures of ensembles, in words and numbers; figures for a paper: width, axes, letters, colours."""
 
-import subprocess
 import sys
 from collections.abc import Callable
 from importlib import import_module
@@ -421,38 +420,6 @@ def test_colours_and_dashes_differ_in_grey() -> None:
     assert len(set(map(str, DASHES))) == len(DASHES) == 6
     styles = [line_style(k, 6) for k in range(6)]
     assert len({str(style["linestyle"]) for style in styles}) == 6
-
-
-_BACKEND = """
-from matplotlib.backend_bases import FigureManagerBase
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-
-class Manager(FigureManagerBase):
-    @classmethod
-    def pyplot_show(cls, *, block=None):
-        from matplotlib._pylab_helpers import Gcf
-        print("shown", sorted(Gcf.figs))
-
-class FigureCanvas(FigureCanvasAgg):
-    manager_class = Manager
-"""
-
-
-def test_pyplot_shows_what_comes_back(tmp_path: Path) -> None:
-    (tmp_path / "windows.py").write_text(_BACKEND)
-    code = (
-        "import matplotlib; matplotlib.use('module://windows'); import matplotlib.pyplot as plt\n"
-        "from pinmobile import plots\n"
-        "figure = plots.curves({'a': [1, 2]}, x=('x', '', [0, 1]), label='b')\n"
-        "assert plt.gcf() is figure; plt.show()\n"
-        "plots.animate; plt.close(figure); plt.show()\n"
-        "matplotlib.use('agg'); plots.curves({'a': [1, 2]}, x=('x', '', [0, 1]), label='b')\n"
-        "print(plt.get_fignums())"
-    )
-    command = [sys.executable, "-c", code]
-    environment = {"PYTHONPATH": f"{tmp_path}:{ROOT / 'src'}", "PATH": "", "HOME": str(tmp_path)}
-    done = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
-    assert done.stdout.splitlines() == ["shown [1]", "shown []", "[]"]
 
 
 def test_a_unit_stays_on_the_line_of_its_bracket_or_number() -> None:

@@ -1,5 +1,6 @@
 """Figures: what is drawn is what was recorded, where it was recorded, and it can be read."""
 
+import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -209,7 +210,24 @@ def test_a_path_needs_a_pose(circle: Runs) -> None:
         plots.path({"a": flat})
 
 
-def test_pyplot_and_settings_are_left_alone(circle: Runs, tmp_path: Path) -> None:
+_BACKEND = """
+from matplotlib.backend_bases import FigureManagerBase
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+class Manager(FigureManagerBase):
+    @classmethod
+    def pyplot_show(cls, *, block=None):
+        from matplotlib._pylab_helpers import Gcf
+        print("shown", sorted(Gcf.figs))
+
+class FigureCanvas(FigureCanvasAgg):
+    manager_class = Manager
+"""
+
+
+def test_pyplot_and_settings_are_left_alone_and_pyplot_shows_what_comes_back(
+    circle: Runs, tmp_path: Path
+) -> None:
     before = dict(matplotlib.rcParams)
     for draw in DRAWN:
         draw(circle)
@@ -219,15 +237,23 @@ def test_pyplot_and_settings_are_left_alone(circle: Runs, tmp_path: Path) -> Non
         "run = pm.Rollout.load(sys.argv[1])\n"
         "[f(run)._repr_png_() for f in (plots.path, plots.states, plots.errors, plots.forces)]\n"
         "plots.animate(run, sys.argv[2])\n"
-        "print(*{'matplotlib.pyplot', 'meshcat', 'sympy', 'tkinter'} & set(sys.modules))"
+        "print({'matplotlib.pyplot', 'meshcat', 'sympy', 'tkinter'} & set(sys.modules))\n"
+        "import matplotlib; matplotlib.use('module://windows'); import matplotlib.pyplot as plt\n"
+        "figure = plots.curves({'a': [1, 2]}, x=('x', '', [0, 1]), label='b')\n"
+        "assert plt.gcf() is figure; plt.show()\n"
+        "plots.animate(run, sys.argv[2]); plt.close(figure); plt.show()\n"
+        "matplotlib.use('agg'); plots.curves({'a': [1, 2]}, x=('x', '', [0, 1]), label='b')\n"
+        "print(plt.get_fignums())"
     )
+    (tmp_path / "windows.py").write_text(_BACKEND)
     shortened(circle["PD"], 2).save(tmp_path / "run.npz")
     command = [sys.executable, "-c", code, str(tmp_path / "run.npz"), str(tmp_path / "robot.gif")]
     with pytest.MonkeyPatch.context() as patch:
         patch.delenv("DISPLAY", raising=False)
         patch.delenv("MPLBACKEND", raising=False)
+        patch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
         done = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == ""
+    assert done.stdout.splitlines() == ["set()", "shown [1]", "shown []", "[]"]
 
 
 @pytest.mark.parametrize(
