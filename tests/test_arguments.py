@@ -65,7 +65,7 @@ def of_loop(**changed: Any) -> Callable[[], Any]:
 
 FAULTS: dict[str, list[tuple[Any, ...]]] = {
     "another kind": [
-        (lambda: shipped_urdf(NOTHING), "unknown shipped URDF None, available: ", UnknownName),
+        (lambda: shipped_urdf(NOTHING), "unknown shipped URDF None, available: box, lecture", UnknownName),
         (lambda: ROBOT.attach(pm.PayloadBody(1), frame=EMPTY), "unknown frame [], available: ", UnknownName),
         (
             lambda: ON_WHEELS.forward_dynamics(np.zeros(5), np.zeros(5), [1, 1], 3.0),

@@ -14,7 +14,6 @@ from pinmobile import InvalidArgument, MobileRobot
 from pinmobile.derivation import Link, derive, lecture
 from pinmobile.derivation.steps import _A4_WIDTH, _width
 from pinmobile.dh import LECTURE_TABLE, SLIDE_TABLE, DHRow, DHTable, JointType, transform
-from pinmobile.errors import UnknownName
 from pinmobile.urdf import Body, box_inertia, shipped_urdf, write
 from tests.refusals import holding, refusals, refused
 
@@ -184,11 +183,6 @@ def test_shipped_files_are_what_the_library_writes() -> None:
         assert path.read_text() == robot.to_urdf()
         assert shipped_urdf(name) == path
         assert MobileRobot.from_urdf(path) == robot
-
-
-def test_a_file_that_is_not_shipped_is_refused_with_the_names_there_are() -> None:
-    with pytest.raises(UnknownName, match="unknown shipped URDF 'boks', available: box, lecture"):
-        shipped_urdf("boks")
 
 
 def test_box_has_the_inertia_of_a_homogeneous_box() -> None:

@@ -23,7 +23,7 @@ from pinmobile.errors import ViewerError
 from pinmobile.viewer import server
 from pinmobile.viewer.pages import OfflineWindow, Visualizer
 from pinmobile.viewer.server import Browser, LiveWindow
-from tests.refusals import told
+from tests.refusals import refusals, told
 from tests.webclient import WebSocket, ask, eventually, listens, resident
 
 pytestmark = pytest.mark.once
@@ -195,13 +195,12 @@ def test_another_host_is_asked_for_by_name_warned_about_and_needs_a_token() -> N
         assert ask(w.url, {"Host": "evil.example"})[0] == 403
 
 
-def test_arguments_are_checked() -> None:
-    with told("host is '', expected a name or an address such as '127.0.0.1', '::1'"):
-        LiveWindow(host="")
-    with told("port is 65536, expected at most 65,535"):
-        LiveWindow(port=65536)
-    with told("token is empty or not made of letters, digits, '-', '.', '_' and '~'"):
-        LiveWindow(token='a"b')
+test_arguments_are_checked = refusals(
+    (lambda: LiveWindow(host=""), "host is '', expected a name or an address such as '127.0.0.1', '::1'"),
+    (lambda: LiveWindow(port=65536), "port is 65536, expected at most 65,535"),
+    (lambda: LiveWindow(token='a"b'), "token is empty or not made of letters, digits, '-', '.', '_' and '~'"),
+    by=told,
+)
 
 
 # Faults
