@@ -542,7 +542,7 @@ def test_a_lost_cluster_is_a_failure(typed: Typed, tmp_path: Path, monkeypatch: 
     assert (code, told) == (1, "pinmobile: scheduler is 'tcp://127.0.0.1:1', which does not answer\n")
 
 
-def test_one_path_of_an_arm_needs_no_list(typed: Typed, tmp_path: Path) -> None:
+def test_one_path_of_an_arm_needs_no_list(typed: Typed) -> None:
     arm = "Hold([0, 0, 0, 0, 0, 0], 1)"
     motion = f"WholeBody(MobileRobot.box().mount('ur5'), Tangent(Circle(1, 0.5, 1)), {arm})"
     code, said, _ = typed("write", "ur5", f"trajectory={motion}")

@@ -178,22 +178,21 @@ def deceived(t: Any, q: Any, v: Any, reference: Any, state: Any) -> Any:
     return (reference.q - q) * (1.0 if isinstance(q, np.ndarray) else 2.0), state
 
 
-# The law, its first state, and what is said of it: what, instead and place.
-REFUSED: dict[str, tuple[Any, Any, str, str, str]] = {
-    "a symbol that is kept": (keeping, None, "", "memory in state", ""),
-    "other names in memory": (renaming, {"old": 0.0}, "'new'", "initial_state", ""),
-    "another thing on symbols": (deceived, None, "with numbers", "isinstance", ""),
+# The law, its first state, and what is said of it: what, and what to write instead.
+REFUSED: dict[str, tuple[Any, Any, str, str]] = {
+    "a symbol that is kept": (keeping, None, "", "memory in state"),
+    "other names in memory": (renaming, {"old": 0.0}, "'new'", "initial_state"),
+    "another thing on symbols": (deceived, None, "with numbers", "isinstance"),
 }
 
 
 @pytest.mark.parametrize("name", REFUSED)
 def test_a_law_that_cannot_be_compiled_is_refused_with_what_to_write(name: str) -> None:
-    function, state, what, instead, place = REFUSED[name]
+    function, state, what, instead = REFUSED[name]
     with pytest.raises(errors.NotTraceable) as caught:
         looping.built(plain(Law(function, state)), {})
     assert what in caught.value.obstacle
     assert instead in caught.value.remedy
-    assert place in caught.value.place
 
 
 def test_a_delay_that_is_pushed_twice_is_refused() -> None:

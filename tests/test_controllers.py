@@ -19,7 +19,7 @@ from pinmobile.controllers import (
     planar_difference,
 )
 from pinmobile.plant import Context
-from tests.refusals import refusals, told
+from tests.refusals import begun, refusals, told
 
 ROBOT = MobileRobot(10, 1.2, com=(0.15, 0.05))
 
@@ -189,13 +189,12 @@ def test_errors_of_the_place_decay_as_two_poles_by_dynamic_feedback() -> None:
 
 
 @pytest.mark.parametrize(
-    ("law", "speed", "yaw_rate", "message"),
+    ("law", "speed", "message"),
     [
-        (Kanayama(), 0.5 - T, 0 * T, "reference has a speed of 0 m/s at t = 0.5 s, expected a reference"),
-        (Parking(), np.maximum(T - 0.45, 0.0), 0 * T, "reference moves at t = 0.5 s, expected a goal at"),
+        (Kanayama(), 0.5 - T, "reference has a speed of 0 m/s at t = 0.5 s, expected a reference"),
+        (Parking(), np.maximum(T - 0.45, 0.0), "reference moves at t = 0.5 s, expected a goal at"),
     ],
 )
-def test_a_law_refuses_a_reference(law: KinematicLaw, speed: Any, yaw_rate: Any, message: str) -> None:
-    with pytest.raises(InvalidArgument) as error:
-        law.check(T, np.where(np.abs(speed) < 1e-12, 0.0, speed), yaw_rate)
-    assert str(error.value).startswith(message)
+def test_a_law_refuses_a_reference(law: KinematicLaw, speed: Any, message: str) -> None:
+    with begun(message):
+        law.check(T, np.where(np.abs(speed) < 1e-12, 0.0, speed), 0 * T)

@@ -46,10 +46,7 @@ VERIFIED: dict[str, tuple[pm.WheelTable, Any, set[str]]] = {
     **{kind: (table, pm.Rolling(), ROLLS) for kind, table in ROLLING.items()},
     **{f"{kind} on a ramp": (ROLLING[kind], TILTED, {"a", "nu'"}) for kind in ("differential", "casters")},
     **{f"{kind}, slipping": (table, pm.Coulomb(), STEP) for kind, table in SLIPPING.items()},
-    **{
-        f"{kind} slips": (ROLLING[kind], pm.Coulomb(ramp=Ramp(0.2, 0.5)), STEP)
-        for kind in ("casters", "omni")
-    },
+    **{f"{kind} slips": (ROLLING[kind], SLOPE, STEP) for kind in ("casters", "omni")},
 }
 
 
