@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import hashlib
 from collections.abc import Callable, Sequence
 from functools import lru_cache
 from io import BytesIO
@@ -215,6 +216,8 @@ def _picture(text: str, colour: str) -> tuple[str, float]:
 
 
 _MOST_FINER = 6  # halvings of the first guess of a cell
+_COARSE: dict[Any, Any] = {}  # simplified meshes by content and share of an original, which take a second
+_MOST_COARSE = 64
 
 
 def simplify(shape: Any, share: float) -> Any:
@@ -234,6 +237,18 @@ def simplify(shape: Any, share: float) -> Any:
     if share >= 1 or count <= _MIN_TRIANGLES:
         return shape
     vertices = np.array(shape.vertices())
+    some = [tuple(shape.tri_indices(k)[i] for i in range(3)) for k in range(0, count, 1 + count // 100)]
+    key = hashlib.sha256(vertices.tobytes()).digest(), count, *some, share
+    if key not in _COARSE:
+        if len(_COARSE) >= _MOST_COARSE:
+            _COARSE.clear()
+        _COARSE[key] = _coarse(shape, vertices, share)
+    return _COARSE[key]
+
+
+def _coarse(shape: Any, vertices: Array, share: float) -> Any:
+    """Return the simplified mesh, see `simplify`."""
+    count = shape.num_tris
     triangles = (shape.tri_indices(k) for k in range(count))
     faces = np.array([[triangle[0], triangle[1], triangle[2]] for triangle in triangles])
     a, b, c = np.moveaxis(vertices[faces], 1, 0)
