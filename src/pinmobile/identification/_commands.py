@@ -279,8 +279,8 @@ def runs_of(logs: list[Log], is_pose: bool, inputs: Mapping[str, str]) -> list[R
     pairs = [(k, part) for k, log in enumerate(logs) for part in continuous(log, "log", name)]
     dt, is_velocity = max(part.dt for _, part in pairs), inputs is CHANNELS or inputs is CAR_COMMANDS
     for k, part in pairs:
-        phase = runs[0].phase if runs else 0.5  # the nearest turn
-        run = part.samples(name, dt=dt, near=phase if is_velocity else None)
+        near = runs[0].phase if runs else 0.5  # phases from 0 to 1, and those of other runs near the first
+        run = part.samples(name, dt=dt, near=near if is_velocity else None)
         if run.twist is not None:
             y = calm = nu = run.twist[:, [0, 2]]
         else:
@@ -434,10 +434,10 @@ def segments_of(
         dense = (valid.sum(axis=1) >= least_count) & (fill | (k[:, -1] < b))
         k, valid = np.minimum(k[dense], N - 1), valid[dense]
         states = np.concatenate([run.state, run.calm] if is_pose else [run.state], axis=-1)
-        window = np.clip(k[:, :1] - lead - 1 + np.arange(lead + 1 + length + 1), 0, N - 1)
+        window = np.clip(k[:, :1] - lead - 2 + np.arange(lead + 2 + length + 1), 0, N - 1)
         noise, load = np.ones((len(k), run.y.shape[1])), np.zeros((len(k), 4))
         rows = np.full(len(k), dt), k * dt, run.y[k], valid, noise, states[k[:, 0]], run.u, window
-        segments.append(Segments(*rows, lead + 1, load, np.full(len(k), run.phase)))
+        segments.append(Segments(*rows, lead + 2, load, np.full(len(k), run.phase)))
         calms.append((run.calm == run.y).all(axis=-1)[k])
     if not any(len(each.y) for each in segments):
         raise InvalidArgument(

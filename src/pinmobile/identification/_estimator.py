@@ -211,9 +211,9 @@ def solve(
 ) -> Fit:
     """Return the least squares of white residuals over numbers and initial states.
 
-    A trust region limits the steps of Gauss and Newton. Without initial states, the search begins with a few
-    of many segments. It ends with a step far below the standard errors, which the scatter of the blocks'
-    gradients shows.
+    A trust region limits the steps of Gauss and Newton. The search begins with a few of many segments, unless
+    a search with other weights gave the initial states. It ends with a step far below the standard errors,
+    which the scatter of the blocks' gradients shows.
 
     Parameters
     ----------
@@ -244,9 +244,9 @@ def solve(
     free, few = np.broadcast_to(np.asarray(moves), p.shape), slice(None, None, min(segments.few.step, _THIN))
     z = segments.start if starts is None else starts
     is_linear, first = passes == 0, _FIRST_PASSES if few.step == 1 and free.any() else passes
-    if free.any() and few.step > 1 and starts is None:
-        part, share = segments.select(few), len(z[few]) / len(z)
-        p = solve(model, part, p, moves=free, white=white, pull=share * pull).p
+    if free.any() and few.step > 1 and (starts is None or is_linear):
+        part, share, given = segments.select(few), len(z[few]) / len(z), None if starts is None else z[few]
+        p = solve(model, part, p, moves=free, white=white, starts=given, pull=share * pull).p
     if starts is None or not free.any():
         linear, z = _settle_starts(model, segments, p, z, white, False, first)
     if not free.any():

@@ -85,8 +85,9 @@ def remove_outliers(
     from scipy.ndimage import maximum_filter1d
     from scipy.signal import savgol_coeffs, savgol_filter
 
-    every = round(len(measured) / max(int(measured.sum()), 1))
-    if every > 1 and measured[::every].sum() > _SAME_ROWS * measured.sum():  # inputs are faster
+    count = max(int(measured.sum()), 1)
+    every = round(len(measured) / count) if count >= LEAST_ROWS else 1
+    if every > 1 and measured[::every].sum() > _SAME_ROWS * count:  # inputs are faster
         q, usual, noise = remove_outliers(columns[::every], measured[::every], every * dt, finest, grain)
         good, rows = np.zeros(len(columns), bool), np.arange(len(columns))
         good[::every] = usual

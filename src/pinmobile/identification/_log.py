@@ -444,7 +444,7 @@ class Log:
         changes = t[1:][(np.diff(u, axis=0) != 0).any(axis=1)]
         turn = np.exp(2j * np.pi * ((changes - start) / dt - near)).mean() if changes.size else 0.0
         phase = near + float(np.angle(turn)) / (2 * np.pi)
-        return phase if abs(turn) > _ONE_PHASE and abs(phase - round(phase)) > _NO_PHASE else 0.0 * phase
+        return phase if abs(turn) > _ONE_PHASE and abs(phase - round(phase)) > _NO_PHASE else 0.0
 
     def _is_stream(self) -> bool:
         """Return whether the inputs are the means of those of the stream, and not others in their place."""
