@@ -597,7 +597,7 @@ def validate(log: Log | Sequence[Log], **options: Any) -> Validation:
     parts = explained_parts(test, model.lags(estimates.phi), minimum=-np.inf)  # also of a poor model
     dt = test[0].dt
     unit_lag = Lag(1.0, _AT_ONCE * dt, 0, np.inf)
-    models = {"kinematics": model.of_lags([unit_lag, unit_lag]), "lag": model.of_lags(lags)}
+    models = {"kinematics": model.of_lags([unit_lag, unit_lag]), "lag": estimates.model.of_lags(lags)}
     models["identified"] = model, estimates.phi
     every = round(1 / float(test[0].is_valid.mean()))
     horizons = np.maximum(every, np.rint(np.array(_HORIZONS) / dt)).astype(int)
