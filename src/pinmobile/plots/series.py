@@ -593,12 +593,13 @@ def wheel_torques(rollouts: Rollouts, **layout: Unpack[Layout]) -> Figure:
     units = {one.unit for each in inputs for one in each}
     word = "voltage" if units == {"V"} else "torque"
     name = f"{word} [{units.pop()}]" if len(units) == 1 else "input"
-    rows = sorted({_is_steering(one) for each in inputs for one in each})
+    turns = [_steering_names(run) for run in runs.values()]
+    rows = sorted({one.name in names for each, names in zip(inputs, turns, strict=True) for one in each})
     sheet, grid = _make_axes(runs, ["steering " * row + name for row in rows], layout)
-    for run, each, column in zip(runs.values(), inputs, grid.T, strict=True):
+    for run, each, names, column in zip(runs.values(), inputs, turns, grid.T, strict=True):
         u = run.u[:, run.u.shape[1] - len(each) :]
         for row, axes in zip(rows, column, strict=True):
-            k = [j for j, one in enumerate(each) if _is_steering(one) == row]
+            k = [j for j, one in enumerate(each) if (one.name in names) == row]
             if k:
                 _draw_lines(sheet, axes, run.t, u[:, k], [each[j].name for j in k], drawstyle="steps-post")
     return sheet.finish("Inputs of the wheels")
@@ -865,8 +866,9 @@ def _wheel_inputs(run: Rollout) -> Sequence[Any]:
     return run.inputs[max(len(coordinates_of(body)) - 3, 0) :]
 
 
-def _is_steering(one: Any) -> bool:
-    return bool(one.name.endswith("steering"))
+def _steering_names(run: Rollout) -> set[str]:
+    table = getattr(run.plant, "table", None)
+    return set() if table is None else {axis.name for axis in table.axes}
 
 
 def _make_axes(

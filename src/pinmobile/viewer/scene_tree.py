@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import hashlib
 from collections.abc import Callable, Sequence
 from functools import lru_cache
 from io import BytesIO
@@ -216,8 +215,6 @@ def _picture(text: str, colour: str) -> tuple[str, float]:
 
 
 _MOST_FINER = 6  # halvings of the first guess of a cell
-_COARSE: dict[Any, Any] = {}  # simplified meshes by content and share of an original, which take a second
-_MOST_COARSE = 64
 
 
 def simplify(shape: Any, share: float) -> Any:
@@ -236,21 +233,17 @@ def simplify(shape: Any, share: float) -> Any:
     count = getattr(shape, "num_tris", 0)
     if share >= 1 or count <= _MIN_TRIANGLES:
         return shape
-    vertices = np.array(shape.vertices())
-    some = [tuple(shape.tri_indices(k)[i] for i in range(3)) for k in range(0, count, 1 + count // 100)]
-    key = hashlib.sha256(vertices.tobytes()).digest(), count, *some, share
-    if key not in _COARSE:
-        if len(_COARSE) >= _MOST_COARSE:
-            _COARSE.clear()
-        _COARSE[key] = _coarse(shape, vertices, share)
-    return _COARSE[key]
-
-
-def _coarse(shape: Any, vertices: Array, share: float) -> Any:
-    """Return the simplified mesh, see `simplify`."""
-    count = shape.num_tris
     triangles = (shape.tri_indices(k) for k in range(count))
-    faces = np.array([[triangle[0], triangle[1], triangle[2]] for triangle in triangles])
+    faces = np.array([[triangle[0], triangle[1], triangle[2]] for triangle in triangles], dtype=np.int64)
+    return _coarse(np.array(shape.vertices(), dtype=float).tobytes(), faces.tobytes(), share)
+
+
+@lru_cache(maxsize=32)
+def _coarse(vertex_data: bytes, face_data: bytes, share: float) -> Any:
+    """Return the simplified mesh of vertices and faces, see `simplify`."""
+    vertices = np.frombuffer(vertex_data).reshape(-1, 3)
+    faces = np.frombuffer(face_data, dtype=np.int64).reshape(-1, 3)
+    count = len(faces)
     a, b, c = np.moveaxis(vertices[faces], 1, 0)
     area, most = float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()) / 2, share * count
     # A surface crosses 1.5 cells per size^2. Where small triangles are crowded, many fit into such a cell.
