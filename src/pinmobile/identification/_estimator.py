@@ -280,7 +280,7 @@ def solve(
         last = point(y, trial_starts, passes * is_settled)
         return last
 
-    def check(intermediate_result: Any) -> None:  # SciPy knows the name
+    def check(intermediate_result: Any) -> None:  # SciPy passes results by this name
         """Stop at a kink, such as a delay of whole samples: steps that fail are no longer notable."""
         failed = last.y - intermediate_result.x
         if 0 < failed @ last.hessian @ failed < last.notable:

@@ -68,7 +68,8 @@ def remove_outliers(
     Outliers have large residuals of a local cubic, relative to the residual of noise at this position in the
     window. An outlier also increases the residuals of its neighbours, so each pass removes only the worst
     sample of a window. Unlike a running median, this method accepts fast motions. Steps of the acceleration,
-    such as after a step of a command, also have large residuals. An outlier is isolated.
+    such as after a step of a command, also have large residuals. An outlier is isolated. If only each n-th
+    row is measured, as by a sensor slower than the inputs, outliers are sought in these rows.
 
     Parameters
     ----------

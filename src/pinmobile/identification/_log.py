@@ -34,7 +34,8 @@ from pinmobile.plant import coordinates_of, inputs_of
 
 _HOLE = 3  # rows in a row that may be lost at any time step
 _BRIDGE = 0.3  # [s] without a measurement: half a window of the weak form; a longer gap needs a guess
-_ONE_PHASE, _NO_PHASE = 0.8, 1e-3  # least mean of unit vectors at common phases; steps that are no phase
+_ONE_PHASE = 0.8  # smallest length of the mean of unit vectors at the phases of changes that have one phase
+_NO_PHASE = 1e-3  # smaller phases count as zero [time steps]
 _FINER = 10  # largest number of rows for a measurement where inputs are faster
 _REPEATS = 0.1  # largest share of rows with the time of the row before
 _SHORTEST = 2.0  # [s] of a part between gaps
@@ -388,7 +389,7 @@ class Log:
         valid = {name: ~lost_rows({name: x}) for name, x in given.items()}
         half = 0.5 * step(t) * (1 + 1e-9)
         rows: dict[str, Any] = {n: _sample(old[valid[n]], x[valid[n]], t, half) for n, x in given.items()}
-        old, u = self.stream if self._is_stream() and self.stream else (old, u)
+        old, u = self._own_stream() or (old, u)
         return self._rebuild({"t": t, "u": _mean_inputs(old, u, t), **rows})
 
     def step_of(self, *names: str) -> float:
@@ -431,29 +432,20 @@ class Log:
             u = self.u[np.searchsorted(rows, np.arange(len(grid)), side="right") - 1]
         if not is_even or len(t) < len(grid):
             given = {name: _interpolate(_extend(t), _extend(x), grid) for name, x in given.items()}
-        phase = 0.0 if near is None else self._phase(start, dt, near)
-        if phase and self.stream is not None:
-            u = _mean_inputs(*self.stream, rows=grid + phase * dt)
+        stream, phase = None if near is None else self._own_stream(), 0.0
+        if stream and near is not None:
+            phase = _phase(*stream, start, dt, near)
+            u = _mean_inputs(*stream, grid + phase * dt) if phase else u
         return Samples(dt, times, is_valid, u, **given, phase=phase)
 
-    def _phase(self, start: float, dt: float, near: float) -> float:
-        """Return the phase nearest to another one at which inputs change; 0 if there is no common one."""
-        if not self._is_stream():
-            return 0.0
-        t, u = self.stream  # type: ignore[misc]
-        changes = t[1:][(np.diff(u, axis=0) != 0).any(axis=1)]
-        turn = np.exp(2j * np.pi * ((changes - start) / dt - near)).mean() if changes.size else 0.0
-        phase = near + float(np.angle(turn)) / (2 * np.pi)
-        return phase if abs(turn) > _ONE_PHASE and abs(phase - round(phase)) > _NO_PHASE else 0.0
-
-    def _is_stream(self) -> bool:
-        """Return whether the inputs are the means of those of the stream, and not others in their place."""
+    def _own_stream(self) -> tuple[Array, Array] | None:
+        """Return the stream if the inputs are its means; None if others have replaced them."""
         if self.stream is None:
-            return False
+            return None
         t, u = self.stream
         rows = np.diff(self.t, append=np.inf) < 1.5 * step(self.t)  # before a gap, the mean was another one
         same = np.isclose(_mean_inputs(t, u, self.t), self.u, rtol=0, atol=1e-9 * np.abs(u).max())
-        return bool(same[rows].all())
+        return self.stream if same[rows].all() else None
 
     def rollout(self, robot: Any, *, delay: float = 0.0, **options: Any) -> Rollout:
         """Return the log as a rollout, beside a robot that replays its inputs.
@@ -803,6 +795,14 @@ def _mean_inputs(t: Array, u: Array, rows: Array) -> Array:
     missing = np.isnan(u).any(axis=1, keepdims=True)
     mean[held_integrals(t, missing.astype(float), edges)[:, 0] > 0] = np.nan
     return np.asarray(mean)
+
+
+def _phase(t: Array, u: Array, start: float, dt: float, near: float) -> float:
+    """Return the phase nearest to another one at which held inputs change; 0 if there is no common one."""
+    changes = t[1:][(np.diff(u, axis=0) != 0).any(axis=1)]
+    turn = np.exp(2j * np.pi * ((changes - start) / dt - near)).mean() if changes.size else 0.0
+    phase = near + float(np.angle(turn)) / (2 * np.pi)
+    return phase if abs(turn) > _ONE_PHASE and abs(phase - round(phase)) > _NO_PHASE else 0.0
 
 
 def _extend(x: Array) -> Array:
